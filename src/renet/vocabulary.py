@@ -1,0 +1,72 @@
+"""Names, orders, units and sizes shared by training, evaluation and the robot.
+
+Every index elsewhere is derived from these tables; nothing counts by hand.
+Frames: base frame is x forward, y left, z up; quaternions are (w, x, y, z).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+LEGS = ("FR", "FL", "RR", "RL")
+JOINTS = tuple(f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "thigh", "calf"))
+
+CONSTRAINTS = ("joint_position", "joint_velocity", "torque")
+"""The paper's constraint costs, in the order of every cost tensor."""
+
+CONTROL_DT = 0.02
+"""Seconds between policy ticks (50 Hz)."""
+STEPS_PER_TICK = 5
+"""Policy ticks per estimator and vision tick (10 Hz)."""
+PHYSICS_DT = 0.005
+"""Seconds between physics steps, and the selector's default update period (200 Hz)."""
+
+HISTORY = 10
+"""H1: how many proprioceptions an estimator sees (paper)."""
+FRAMES = 2
+"""H2: how many depth images an estimator sees (paper)."""
+LATENT = 64
+"""Width of each estimator's GRU, hence of h_b and h_v (paper)."""
+
+DEPTH_SHAPE = (48, 64)
+"""Rows, columns of a depth image (paper); row 0 is the top."""
+DEPTH_RANGE = 2.0
+"""Metres at which depth is capped (paper); images are normalised by it to [0, 1]."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One block of the proprioception vector: `size` numbers in `unit`, multiplied by `scale`."""
+
+    name: str
+    size: int
+    unit: str
+    scale: float = 1.0
+
+
+PROPRIOCEPTION = (
+    Term("base_angular_velocity", 3, "rad/s, base frame", 0.25),
+    Term("projected_gravity", 3, "unit vector, base frame"),
+    Term("command", 3, "c_x in m/s; sin, cos of (c_yaw - yaw)"),
+    Term("joint_position", 12, "rad, minus the default pose"),
+    Term("joint_velocity", 12, "rad/s", 0.05),
+    Term("last_action", 12, "policy units"),
+)
+PROPRIOCEPTION_SIZE = sum(term.size for term in PROPRIOCEPTION)
+ACTION_SIZE = len(JOINTS)
+
+HEIGHT_MAP_X = tuple(round(-0.45 + 0.15 * i, 2) for i in range(12))
+HEIGHT_MAP_Y = tuple(round(-0.75 + 0.15 * i, 2) for i in range(11))
+"""Metres ahead of and left of the base, in the yaw-aligned base frame; the 2.5D map m_t is
+flattened with y fastest (index = i_x * len(HEIGHT_MAP_Y) + i_y)."""
+HEIGHT_MAP_SIZE = len(HEIGHT_MAP_X) * len(HEIGHT_MAP_Y)
+FEET = len(LEGS)
+
+
+def proprioception_slices() -> dict[str, slice]:
+    """Where each term of `PROPRIOCEPTION` lies in the vector."""
+    slices, start = {}, 0
+    for term in PROPRIOCEPTION:
+        slices[term.name] = slice(start, start + term.size)
+        start += term.size
+    return slices
