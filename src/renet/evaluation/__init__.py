@@ -1,0 +1,1 @@
+"""How good a bundle is: fault models, closed-loop rollouts, studies, figures and pages."""

@@ -1,0 +1,25 @@
+"""Every way a depth camera fails, in five severities: pure NumPy, for any policy."""
+
+from renet.evaluation.faults.catalogue import FAULTS, fault_class
+from renet.evaluation.faults.injection import (
+    VERBS,
+    Injection,
+    Injector,
+    Schedule,
+    injection_of_verb,
+)
+from renet.evaluation.faults.stream import SEVERITIES, TICK, Fault, Frames
+
+__all__ = [
+    "FAULTS",
+    "SEVERITIES",
+    "TICK",
+    "VERBS",
+    "Fault",
+    "Frames",
+    "Injection",
+    "Injector",
+    "Schedule",
+    "fault_class",
+    "injection_of_verb",
+]

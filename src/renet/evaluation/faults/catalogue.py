@@ -1,0 +1,40 @@
+"""The table of all fault models."""
+
+from __future__ import annotations
+
+from renet.errors import RenetError
+from renet.evaluation.faults import image, timing
+from renet.evaluation.faults.stream import Fault
+
+FAULTS: dict[str, type[Fault]] = {
+    fault.name: fault
+    for fault in (
+        image.Gaussian,
+        image.SaltAndPepper,
+        image.Blackout,
+        image.Saturated,
+        timing.Frozen,
+        timing.Dropped,
+        timing.Latency,
+        image.Occlusion,
+        image.Blobs,
+        image.Grass,
+        image.Glare,
+        image.GlareFilled,
+        image.NearField,
+        image.MotionBlur,
+        image.WrongScale,
+        timing.Unplugged,
+    )
+}
+
+
+def fault_class(name: str) -> type[Fault]:
+    """The fault model of a name.
+
+    Raises:
+        RenetError: no such fault; the message lists those there are.
+    """
+    if name not in FAULTS:
+        raise RenetError(f"unknown fault '{name}': choose one of {', '.join(FAULTS)}")
+    return FAULTS[name]

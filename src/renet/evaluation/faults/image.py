@@ -1,0 +1,275 @@
+"""Faults of the picture itself: noise, dirt, light and optics (users' severities, see docs).
+
+Depths are normalised: 1 is `DEPTH_RANGE` metres. Only faults said to leave holes raise the raw
+invalid fraction; the others deliver wrong numbers that the camera calls measurements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from renet.evaluation.faults.stream import FixedPattern, Frames, ImageFault
+from renet.vocabulary import DEPTH_RANGE, DEPTH_SHAPE
+
+ROWS, COLUMNS = DEPTH_SHAPE
+FOCAL_PIXELS = 0.5 * COLUMNS / np.tan(np.radians(87.0) / 2)
+"""Pixels per radian near the image centre: a D435i's 87° across the image's width."""
+
+
+def metres(distance: float) -> float:
+    """A distance in the image's units."""
+    return distance / DEPTH_RANGE
+
+
+def smooth_field(rng: np.random.Generator, cells: tuple[int, int] = (6, 8)) -> np.ndarray:
+    """Spatially correlated noise [48, 64]: a coarse normal grid, interpolated between its nodes."""
+    coarse = rng.standard_normal((cells[0] + 1, cells[1] + 1))
+    r, c = np.linspace(0, cells[0], ROWS), np.linspace(0, cells[1], COLUMNS)
+    r0, c0 = (
+        np.minimum(r.astype(int), cells[0] - 1)[:, None],
+        np.minimum(c.astype(int), cells[1] - 1),
+    )
+    fr, fc = r[:, None] - r0, c - c0
+    top = coarse[r0, c0] * (1 - fc) + coarse[r0, c0 + 1] * fc
+    bottom = coarse[r0 + 1, c0] * (1 - fc) + coarse[r0 + 1, c0 + 1] * fc
+    return top * (1 - fr) + bottom * fr
+
+
+def fill_holes(image: np.ndarray, holes: np.ndarray) -> np.ndarray:
+    """Holes take the nearest measurement to their left, then right, then the row above.
+
+    This is RealSense's "fill from left", which leaves a smooth and plausible image.
+    """
+    columns = np.arange(image.shape[1])
+    left = np.maximum.accumulate(np.where(holes, -1, columns), axis=1)
+    first = np.argmin(holes, axis=1)[:, None]
+    source = np.where(left < 0, first, left)
+    filled = np.take_along_axis(image, source, axis=1)
+    empty = holes.all(axis=1)
+    rows = np.maximum.accumulate(np.where(empty, -1, np.arange(len(image))))
+    return filled[np.where(rows < 0, np.argmin(empty), rows)]
+
+
+class Gaussian(ImageFault):
+    """Independent normal noise on every pixel (paper: 30, 70, 100 %)."""
+
+    name = "gaussian"
+    summary = "Grain on every pixel and frame; level is its standard deviation, image range 1."
+    unit = "σ"
+    levels = (0.1, 0.3, 0.5, 0.7, 1.0)
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """See `ImageFault.spoil`."""
+        noise = self.rngs[robot].standard_normal(image.shape, dtype=np.float32)
+        return image + np.float32(self.level) * noise
+
+
+class SaltAndPepper(ImageFault):
+    """Isolated pixels at 0 or 1 (paper: 10, 30, 70 %)."""
+
+    name = "salt_and_pepper"
+    summary = "Random pixels become nearest or farthest, half each; level is their share."
+    unit = "share"
+    levels = (0.05, 0.1, 0.3, 0.5, 0.7)
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """See `ImageFault.spoil`."""
+        draw = self.rngs[robot].random(image.shape, dtype=np.float32)
+        spoilt = np.where(draw < self.level, np.float32(1.0), image)
+        return np.where(draw < 0.5 * self.level, np.float32(0.0), spoilt)
+
+
+class Blackout(ImageFault):
+    """The picture fades to all zeros."""
+
+    name = "blackout"
+    summary = "Every pixel goes to zero; level is the seconds the fade takes."
+    unit = "s"
+    levels = (1.0, 0.5, 0.2, 0.1, 0.0)
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """See `ImageFault.spoil`."""
+        remaining = 1.0 - elapsed / self.level if self.level > 0 else 0.0
+        return image * np.float32(max(remaining, 0.0))
+
+
+class Saturated(ImageFault):
+    """The upper part of the picture reads the farthest depth."""
+
+    name = "saturated"
+    summary = "The top rows read the farthest depth; level is their share of the image."
+    unit = "share"
+    levels = (0.2, 0.4, 0.6, 0.8, 1.0)
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """See `ImageFault.spoil`."""
+        spoilt = image.copy()
+        spoilt[: round(self.level * ROWS)] = 1.0
+        return spoilt
+
+
+class Occlusion(FixedPattern):
+    """Something sits right in front of part of the lens."""
+
+    name = "occlusion"
+    summary = "A rectangle of the image reads 4 cm; level is its share of the image."
+    unit = "share"
+    levels = (0.1, 0.25, 0.5, 0.75, 1.0)
+
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        """See `FixedPattern.draw`."""
+        height, width = (round(n * np.sqrt(self.level)) for n in DEPTH_SHAPE)
+        top, left = rng.integers(0, ROWS - height + 1), rng.integers(0, COLUMNS - width + 1)
+        pattern = np.zeros(DEPTH_SHAPE, bool)
+        pattern[top : top + height, left : left + width] = True
+        return pattern
+
+    def apply(self, image: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+        """See `FixedPattern.apply`."""
+        return np.where(pattern, np.float32(metres(0.04)), image)
+
+
+class Blobs(FixedPattern):
+    """Dirt or rain drops on the lens."""
+
+    name = "blobs"
+    summary = "Near discs of 1 to 4 pixels radius stick to the lens; level is their number."
+    unit = "blobs"
+    levels = (2, 5, 10, 20, 30)
+
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        """See `FixedPattern.draw`: the depth of each pixel's blob, NaN where there is none."""
+        rows, columns = np.mgrid[:ROWS, :COLUMNS]
+        pattern = np.full(DEPTH_SHAPE, np.nan, np.float32)
+        for _ in range(int(self.level)):
+            r, c, radius = rng.uniform(0, ROWS), rng.uniform(0, COLUMNS), rng.uniform(1, 4)
+            pattern[(rows - r) ** 2 + (columns - c) ** 2 <= radius**2] = metres(
+                rng.uniform(0.03, 0.2)
+            )
+        return pattern
+
+    def apply(self, image: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+        """See `FixedPattern.apply`."""
+        return np.where(np.isnan(pattern), image, pattern)
+
+
+class Grass(ImageFault):
+    """Blades flicker between the camera and the ground."""
+
+    name = "grass"
+    summary = (
+        "Upright blades at 0.2 to 0.6 m, new in every frame, over the lower third (sparse) up to"
+        " the lower two thirds (dense); level is how far between the two."
+    )
+    unit = "density"
+    levels = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """See `ImageFault.spoil`."""
+        rng = self.rngs[robot]
+        covered = ROWS * (1 + self.level) / 3
+        present = rng.random(COLUMNS) < 0.25 + 0.7 * self.level
+        tips = ROWS - covered * rng.uniform(0.6, 1.0, COLUMNS)
+        blades = present & (np.arange(ROWS)[:, None] >= tips)
+        depth = rng.uniform(metres(0.2), metres(0.6), COLUMNS).astype(np.float32)
+        return np.where(blades, np.minimum(image, depth), image)
+
+
+class Glare(ImageFault):
+    """Sun blinds the stereo pair: holes, which read zero."""
+
+    name = "glare"
+    summary = "Spatially correlated holes, read as zero; level is their share of the image."
+    unit = "share"
+    levels = (0.05, 0.15, 0.3, 0.5, 0.8)
+
+    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
+        super().__init__(level, rngs)
+        self._fields = [smooth_field(rng) for rng in rngs]
+
+    def mask(self, robot: int) -> np.ndarray:
+        """Where the holes are in a robot's next frame: a fixed patch whose border flickers."""
+        field = self._fields[robot] + 0.25 * smooth_field(self.rngs[robot], (12, 16))
+        return field > np.quantile(field, 1 - self.level)
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """See `ImageFault.spoil`."""
+        return np.where(self.mask(robot), np.float32(0.0), image)
+
+    def holes(self, image: np.ndarray, robot: int) -> float:
+        """See `ImageFault.holes`."""
+        return self.level
+
+
+class GlareFilled(Glare):
+    """The same holes after the driver's hole filling."""
+
+    name = "glare_filled"
+    summary = "As glare, but the driver fills the holes from their left: smooth and plausible."
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """See `ImageFault.spoil`."""
+        return fill_holes(image, self.mask(robot))
+
+
+class NearField(ImageFault):
+    """A stereo camera cannot measure what is too close (paper: about 10 cm, at stairs)."""
+
+    name = "near_field"
+    summary = "Depths below the level become holes, which read zero."
+    unit = "m"
+    levels = (0.1, 0.15, 0.2, 0.3, 0.5)
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """See `ImageFault.spoil`."""
+        return np.where(image < metres(self.level), np.float32(0.0), image)
+
+    def holes(self, image: np.ndarray, robot: int) -> float:
+        """See `ImageFault.holes`."""
+        return float((image < metres(self.level)).mean())
+
+
+class WrongScale(ImageFault):
+    """The depth unit or the baseline calibration is off."""
+
+    name = "wrong_scale"
+    summary = "Every depth is multiplied by the level."
+    unit = "factor"
+    levels = (0.9, 0.8, 0.6, 1.3, 1.6)
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """See `ImageFault.spoil`."""
+        return image * np.float32(self.level)
+
+
+class MotionBlur(ImageFault):
+    """The image turns while the shutter is open."""
+
+    name = "motion_blur"
+    summary = "Smeared by the base's pitch and yaw rate during the exposure; level is its length."
+    unit = "ms"
+    levels = (5, 10, 20, 30, 40)
+    samples = 9
+
+    def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
+        """The mean of the image along the way it moves during the exposure."""
+        image = frames.image.copy()
+        travel = frames.angular_velocity[:, 1:] * (self.level * 1e-3 * FOCAL_PIXELS)
+        for i in np.flatnonzero(elapsed >= 0):
+            shifts = np.linspace(-0.5, 0.5, self.samples)[:, None] * travel[i]
+            image[i] = np.mean([shifted(image[i], *shift) for shift in shifts], axis=0)
+        return replace(frames, image=image)
+
+
+def shifted(image: np.ndarray, down: float, right: float) -> np.ndarray:
+    """`image` [48, 64] moved by a fraction of pixels; what moves in repeats the border."""
+    for axis, shift in ((0, down), (1, right)):
+        size = image.shape[axis]
+        source = np.clip(np.arange(size) - shift, 0, size - 1)
+        low = np.minimum(source.astype(int), size - 2)
+        weight = np.expand_dims((source - low).astype(np.float32), 1 - axis)
+        image = np.take(image, low, axis) * (1 - weight) + np.take(image, low + 1, axis) * weight
+    return image

@@ -1,0 +1,137 @@
+"""What a depth camera delivers at one vision tick, and the interface of what spoils it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from renet.errors import RenetError
+from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
+
+TICK = CONTROL_DT * STEPS_PER_TICK
+"""Seconds between two frames of the depth camera (10 Hz, paper)."""
+SEVERITIES = (1, 2, 3, 4, 5)
+
+
+@dataclass(frozen=True)
+class Frames:
+    """One frame of each of n cameras, as the robots receive it.
+
+    `image` [n, 48, 64] float32 in [0, 1], what the policy sees: the newest image delivered.
+    `fresh` [n] bool, a new frame was delivered at this tick.
+    `age` [n] seconds since the newest frame was delivered, by the driver's own clock.
+    `invalid` [n] share of pixels without a measurement, before holes are filled.
+    `angular_velocity` [n, 3] rad/s of the base while the image was exposed, base frame.
+    """
+
+    image: np.ndarray
+    fresh: np.ndarray
+    age: np.ndarray
+    invalid: np.ndarray
+    angular_velocity: np.ndarray
+
+    @classmethod
+    def healthy(cls, image: np.ndarray, angular_velocity: np.ndarray | None = None) -> Frames:
+        """Fresh frames without holes from `image` [n, 48, 64]."""
+        n = len(image)
+        rate = np.zeros((n, 3), np.float32) if angular_velocity is None else angular_velocity
+        image = np.asarray(image, np.float32)
+        return cls(image, np.ones(n, bool), np.zeros(n), np.zeros(n), rate)
+
+    def rows(self, index: np.ndarray) -> Frames:
+        """The frames of some robots only."""
+        return Frames(**{name: value[index] for name, value in vars(self).items()})
+
+    def write(self, index: np.ndarray, other: Frames) -> None:
+        """Put `other`, the frames of the robots `index`, in their place."""
+        for name, value in vars(self).items():
+            value[index] = getattr(other, name)
+
+    def copy(self) -> Frames:
+        """Frames that can be written without changing these."""
+        return Frames(**{name: value.copy() for name, value in vars(self).items()})
+
+
+class Fault:
+    """One way a camera fails, for n robots, each with its own random stream.
+
+    A subclass names itself and its five severities, and spoils frames in `corrupt`. It sees every
+    frame, before, during and after the fault, so that it may keep what it needs of the past.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    """One sentence: what happens to the camera, and what `level` means."""
+    unit: ClassVar[str]
+    levels: ClassVar[tuple[float, ...]]
+    """The `level` of severities 1 to 5."""
+
+    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
+        self.level = level
+        self.rngs = rngs
+
+    def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
+        """The frames after the fault.
+
+        Args:
+            frames: what the camera delivered at this tick.
+            elapsed: [n] seconds since the fault began; negative where it is not at work: what is
+                returned for those robots is ignored.
+        """
+        raise NotImplementedError
+
+    @property
+    def lasts(self) -> float:
+        """Seconds after which the fault ends by itself; infinity where it does not."""
+        return float("inf")
+
+    @classmethod
+    def level_of(cls, severity: int) -> float:
+        """The level of a severity between 1 and 5."""
+        if severity not in SEVERITIES:
+            raise RenetError(f"severity {severity} of fault '{cls.name}': choose 1 to 5")
+        return cls.levels[severity - 1]
+
+
+class ImageFault(Fault):
+    """A fault that spoils each image by itself, without memory of other frames."""
+
+    def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
+        """Spoil the image of every robot the fault is at work on."""
+        image = frames.image.copy()
+        invalid = frames.invalid.copy()
+        for i in np.flatnonzero(elapsed >= 0):
+            image[i] = np.clip(self.spoil(image[i], i, float(elapsed[i])), 0.0, 1.0)
+            invalid[i] = max(invalid[i], self.holes(frames.image[i], i))
+        return replace(frames, image=image, invalid=invalid)
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """The spoilt image [48, 64] of one robot; the caller clips it to [0, 1]."""
+        raise NotImplementedError
+
+    def holes(self, image: np.ndarray, robot: int) -> float:
+        """Share of pixels the fault leaves without a measurement, called after `spoil`."""
+        return 0.0
+
+
+class FixedPattern(ImageFault):
+    """An image fault whose pattern is drawn once for each robot, when the fault begins."""
+
+    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
+        super().__init__(level, rngs)
+        self._patterns = [self.draw(rng) for rng in rngs]
+
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        """A robot's pattern."""
+        raise NotImplementedError
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """The image under the robot's own pattern."""
+        return self.apply(image, self._patterns[robot])
+
+    def apply(self, image: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+        """The image [48, 64] under a pattern."""
+        raise NotImplementedError

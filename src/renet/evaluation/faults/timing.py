@@ -1,0 +1,136 @@
+"""Faults of time: every image is a good one, but not the one the robot should have now."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from renet.evaluation.faults.stream import TICK, Fault, Frames
+
+FOREVER = float("inf")
+
+
+class Frozen(Fault):
+    """The driver serves one old image again and again, each time as a new frame."""
+
+    name = "frozen"
+    summary = "The same image is delivered as new for as many seconds as the level says."
+    unit = "s"
+    levels = (0.2, 0.5, 1.0, 3.0, FOREVER)
+
+    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
+        super().__init__(level, rngs)
+        self._last: np.ndarray | None = None
+
+    @property
+    def lasts(self) -> float:
+        """See `Fault.lasts`."""
+        return self.level
+
+    def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
+        """Hold the last image from before the fault."""
+        if self._last is None:
+            self._last = frames.image.copy()
+        live = elapsed < 0
+        self._last[live] = frames.image[live]
+        return replace(frames, image=self._last.copy())
+
+
+class Stale(Fault):
+    """Base of faults under which some ticks bring no new frame: the last one is kept and ages."""
+
+    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
+        super().__init__(level, rngs)
+        self._held: Frames | None = None
+
+    def missing(self, elapsed: np.ndarray) -> np.ndarray:
+        """[n] bool: the robots that get no frame at this tick."""
+        raise NotImplementedError
+
+    def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
+        """Hold the last delivered frame where none comes."""
+        if self._held is None:
+            self._held = frames.copy()
+        arrived = np.flatnonzero(~self.missing(elapsed))
+        age = self._held.age + TICK
+        self._held.write(arrived, frames.rows(arrived))
+        lost = np.ones(len(elapsed), bool)
+        lost[arrived] = False
+        self._held.age[lost] = age[lost]
+        self._held.fresh[lost] = False
+        return self._held.copy()
+
+
+class Dropped(Stale):
+    """Frames get lost on the way."""
+
+    name = "dropped"
+    summary = "Each frame is lost with the probability the level says."
+    unit = "share"
+    levels = (0.1, 0.3, 0.5, 0.7, 0.9)
+
+    def missing(self, elapsed: np.ndarray) -> np.ndarray:
+        """See `Stale.missing`."""
+        lost = elapsed >= 0
+        for i in np.flatnonzero(lost):
+            lost[i] = self.rngs[i].random() < self.level
+        return lost
+
+
+class Unplugged(Stale):
+    """The cable comes out."""
+
+    name = "unplugged"
+    summary = "No frames at all; the camera is back after as many seconds as the level says."
+    unit = "s"
+    levels = (1.0, 2.0, 5.0, 10.0, FOREVER)
+
+    @property
+    def lasts(self) -> float:
+        """See `Fault.lasts`."""
+        return self.level
+
+    def missing(self, elapsed: np.ndarray) -> np.ndarray:
+        """See `Stale.missing`."""
+        return elapsed >= 0
+
+
+class Latency(Fault):
+    """Frames come late, each by a different delay; the driver stamps them on arrival."""
+
+    name = "latency"
+    summary = "Each frame is late by 0.5 to 1.5 times the level; the newest that came is used."
+    unit = "ms"
+    levels = (50, 100, 200, 300, 500)
+
+    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
+        super().__init__(level, rngs)
+        depth = int(np.ceil(1.5e-3 * level / TICK)) + 2
+        self._past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=depth)
+        self._served: np.ndarray | None = None
+        self._now = 0.0
+
+    def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
+        """Serve the newest image that has arrived by now."""
+        self._now += TICK
+        delay = np.array([rng.uniform(0.5, 1.5) * self.level * 1e-3 for rng in self.rngs])
+        arrival = np.where(elapsed >= 0, self._now + delay, self._now)
+        self._past.append((frames.image.copy(), arrival))
+        taken = self._now - TICK * np.arange(len(self._past) - 1, -1, -1)
+        arrivals = np.stack([arrival for _, arrival in self._past])
+        here = arrivals <= self._now + 1e-9
+        newest = np.where(here, np.arange(len(self._past))[:, None], -1).max(axis=0)
+        newest = np.maximum(newest, 0)
+        image = np.stack([self._past[k][0][i] for i, k in enumerate(newest)])
+        capture = taken[newest]
+        fresh = (
+            np.ones(len(elapsed), bool)
+            if self._served is None
+            else capture > np.maximum(self._served, -np.inf) + 1e-9
+        )
+        self._served = capture
+        age = np.where(fresh, 0.0, self._now - arrivals[newest, np.arange(len(newest))])
+        return replace(frames, image=image, fresh=fresh, age=age)
