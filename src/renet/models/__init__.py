@@ -1,0 +1,1 @@
+"""What is learned: embeddings, encoders, estimators, HIM, autoencoder, actor and critics."""

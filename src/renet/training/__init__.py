@@ -1,0 +1,1 @@
+"""How it is learned: N-P3O, supervision, modality schedule, checkpoints, export."""

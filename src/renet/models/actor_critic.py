@@ -1,0 +1,73 @@
+"""Actor, reward critic and one critic per constraint cost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torch.distributions import Normal
+
+from renet.models.config import ModelCfg
+from renet.vocabulary import ACTION_SIZE, CONSTRAINTS, HEIGHT_MAP_SIZE, LATENT, PROPRIOCEPTION_SIZE
+
+
+def fuse(latent_op: Tensor, latent_vp: Tensor, op_mask: Tensor) -> Tensor:
+    """h = concat(h_b * mask, h_v * (1 - mask)) (RENet, eq. 3).
+
+    Args:
+        latent_op, latent_vp: [B, 64]. op_mask: [B] or [B, 1], 1 where OP is selected, 0 for VP.
+
+    Returns:
+        [B, 128].
+    """
+    mask = op_mask.reshape(-1, 1).to(latent_op.dtype)
+    return torch.cat((latent_op * mask, latent_vp * (1.0 - mask)), dim=-1)
+
+
+def latent_size(cfg: ModelCfg) -> int:
+    """Width of what stands beside o_t at the actor's input."""
+    return HEIGHT_MAP_SIZE + 3 if cfg.perception == "oracle" else 2 * LATENT
+
+
+def mlp(sizes: Sequence[int]) -> nn.Sequential:
+    """Linear layers with ELU between them."""
+    layers: list[nn.Module] = []
+    for inputs, outputs in pairwise(sizes):
+        layers += [nn.Linear(inputs, outputs), nn.ELU()]
+    return nn.Sequential(*layers[:-1])
+
+
+class Actor(nn.Module):
+    """Gaussian policy over joint-position actions with a state-independent deviation."""
+
+    def __init__(self, cfg: ModelCfg) -> None:
+        super().__init__()
+        self.mean = mlp((PROPRIOCEPTION_SIZE + latent_size(cfg), *cfg.actor_hidden, ACTION_SIZE))
+        self.log_std = nn.Parameter(torch.full((ACTION_SIZE,), cfg.initial_std).log())
+        # A small last layer starts the policy at the default pose.
+        with torch.no_grad():
+            self.mean[-1].weight.mul_(0.1)
+
+    def forward(self, proprioception: Tensor, latent: Tensor) -> Tensor:
+        """Mean action [B, 12] from o_t [B, 45] and h [B, 128]."""
+        return self.mean(torch.cat((proprioception, latent), dim=-1))
+
+    def distribution(self, proprioception: Tensor, latent: Tensor) -> Normal:
+        """Action distribution; independent over joints."""
+        return Normal(self(proprioception, latent), self.log_std.exp(), validate_args=False)
+
+
+class Critics(nn.Module):
+    """Values of the reward and of every constraint cost: [B, inputs] to [B, 1 + constraints]."""
+
+    def __init__(self, cfg: ModelCfg, inputs: int) -> None:
+        super().__init__()
+        self.reward = mlp((inputs, *cfg.critic_hidden, 1))
+        self.costs = nn.ModuleList(mlp((inputs, *cfg.cost_critic_hidden, 1)) for _ in CONSTRAINTS)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Column 0 is the reward's value, then vocabulary.CONSTRAINTS in order."""
+        values = [self.reward(observation), *(critic(observation) for critic in self.costs)]
+        return torch.cat(values, dim=-1)

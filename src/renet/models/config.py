@@ -1,0 +1,46 @@
+"""What is learned, as one dataclass: every row of the paper's ablation table is one field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from renet.errors import RenetError
+from renet.vocabulary import FRAMES, HISTORY
+
+
+@dataclass
+class ModelCfg:
+    """Networks of RENet (paper, Method A) and the switches of its Table I."""
+
+    perception: Literal["renet", "vp", "op", "oracle"] = "renet"
+    """Which latents the actor reads: both estimators in turn (paper), VP only, OP only, or the
+    true height map and velocity in their place (Oracle)."""
+    encoder: Literal["attention", "mlp"] = "attention"
+    """Feature fusion: single-layer single-head self-attention (SA) or an MLP (paper)."""
+    history: int = HISTORY
+    """H1, proprioceptions an estimator sees; 1 is the row "One Obs"."""
+    frames: int = FRAMES
+    """H2, depth images the VP estimator sees; 1 is the row "One Image"."""
+    predict_velocity: bool = True
+    """False is the row "w/o VEL"."""
+    predict_feet_height: bool = True
+    """False is the row "w/o FH"."""
+    predict_height_map: bool = True
+    """False is the row "w/o HF"."""
+    him: bool = True
+    """Hybrid internal model loss on both estimators; False is the row "w/o HIM"."""
+    actor_hidden: tuple[int, ...] = (256, 256, 128)
+    """Hidden units of the actor; with the other two ONNX models it must stay below 3 MB."""
+    critic_hidden: tuple[int, ...] = (256, 256, 128)
+    """Hidden units of the reward critic."""
+    cost_critic_hidden: tuple[int, ...] = (128, 64)
+    """Hidden units of each constraint-cost critic."""
+    initial_std: float = 1.0
+    """Standard deviation of the untrained policy, in policy units."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.frames <= FRAMES:
+            raise RenetError(f"model.frames must be 1..{FRAMES}, got {self.frames}")
+        if self.history < 1:
+            raise RenetError(f"model.history must be at least 1, got {self.history}")

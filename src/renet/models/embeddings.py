@@ -1,0 +1,45 @@
+"""First compression of an estimator's inputs (paper: two-layer MLP, light three-layer CNN)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from renet.vocabulary import DEPTH_SHAPE, PROPRIOCEPTION_SIZE
+
+
+class ProprioceptionEmbedding(nn.Sequential):
+    """Two-layer MLP for o_t^{H1}: [B, H1, 45] to [B, width]."""
+
+    def __init__(self, history: int, width: int) -> None:
+        super().__init__(
+            nn.Flatten(),
+            nn.Linear(history * PROPRIOCEPTION_SIZE, 2 * width),
+            nn.ELU(),
+            nn.Linear(2 * width, width),
+            nn.ELU(),
+        )
+
+
+class DepthEmbedding(nn.Module):
+    """Three-layer CNN for d_t^{H2}: [B, H2, 48, 64] in [0, 1] to [B, width]."""
+
+    def __init__(
+        self, frames: int, width: int, channels: tuple[int, int, int] = (16, 32, 32)
+    ) -> None:
+        super().__init__()
+        first, second, third = channels
+        self.convolutions = nn.Sequential(
+            nn.Conv2d(frames, first, 5, stride=2, padding=2),
+            nn.ELU(),
+            nn.Conv2d(first, second, 3, stride=2, padding=1),
+            nn.ELU(),
+            nn.Conv2d(second, third, 3, stride=2, padding=1),
+            nn.ELU(),
+        )
+        rows, columns = (size // 8 for size in DEPTH_SHAPE)
+        self.project = nn.Sequential(nn.Linear(third * rows * columns, width), nn.ELU())
+
+    def forward(self, depth: Tensor) -> Tensor:
+        """Embed depth images; centring them keeps the first layer's inputs zero-mean."""
+        return self.project(torch.flatten(self.convolutions(depth - 0.5), 1))

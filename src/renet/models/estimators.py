@@ -1,0 +1,121 @@
+"""The redundant pair: OP (proprioception only) and VP (vision and proprioception).
+
+Each embeds its inputs, fuses them, and carries a one-layer GRU whose 64-wide output is both its
+memory and the latent the actor reads (h_b for OP, h_v for VP). Heads are training's business,
+except that the runtime also reports what they predict.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from renet.models.config import ModelCfg
+from renet.models.embeddings import DepthEmbedding, ProprioceptionEmbedding
+from renet.models.encoders import make_encoder
+from renet.vocabulary import FEET, HEIGHT_MAP_SIZE, LATENT
+
+EMBEDDING = 64
+"""Width of every embedded vector."""
+
+
+@dataclass
+class Estimate:
+    """What an estimator says at each tick; absent heads are None. Shapes start with [..., ]."""
+
+    latent: Tensor
+    """[..., 64], h_b or h_v."""
+    velocity: Tensor | None
+    """[..., 3] m/s, base frame."""
+    feet_height: Tensor | None = None
+    """[..., 4] m, order of vocabulary.LEGS."""
+    height_map: Tensor | None = None
+    """[..., 132] m below the nominal base height, vocabulary.HEIGHT_MAP_X by HEIGHT_MAP_Y."""
+
+
+class Estimator(nn.Module):
+    """What OP and VP share: encoder, GRU, velocity head, and unrolling over ticks."""
+
+    def __init__(self, cfg: ModelCfg, inputs: int) -> None:
+        super().__init__()
+        self.history, self.frames = cfg.history, cfg.frames
+        self.proprioception = ProprioceptionEmbedding(cfg.history, EMBEDDING)
+        self.encoder = make_encoder(cfg.encoder, inputs, EMBEDDING, EMBEDDING)
+        self.gru = nn.GRUCell(EMBEDDING, LATENT)
+        self.velocity_head = nn.Linear(LATENT, 3) if cfg.predict_velocity else None
+
+    def features(self, history: Tensor, depth: Tensor) -> Tensor:
+        """Encode o^{H1} [B, H1, 45] and, for VP, d^{H2} [B, >=H2, 48, 64] to [B, 64]."""
+        raise NotImplementedError
+
+    def predict(self, latent: Tensor) -> Estimate:
+        """Apply the heads to latents [..., 64]."""
+        velocity = self.velocity_head(latent) if self.velocity_head is not None else None
+        return Estimate(latent, velocity)
+
+    def forward(self, history: Tensor, depth: Tensor, latent: Tensor) -> Tensor:
+        """One 10 Hz tick: previous latent [B, 64] to the next one."""
+        return self.gru(self.features(history, depth), latent)
+
+    def unroll(self, history: Tensor, depth: Tensor, latent: Tensor, fresh: Tensor) -> Tensor:
+        """Replay T ticks with gradients through time.
+
+        Args:
+            history: [T, B, H1, 45]. depth: [T, B, H2, 48, 64].
+            latent: [B, 64] before the first tick.
+            fresh: [T, B] bool, true where an episode began since the previous tick, so that its
+                memory starts from zero.
+
+        Returns:
+            Latents [T, B, 64].
+        """
+        ticks, batch = fresh.shape
+        features = self.features(history.flatten(0, 1), depth.flatten(0, 1)).unflatten(
+            0, (ticks, batch)
+        )
+        latents = []
+        for feature, is_fresh in zip(features, fresh, strict=True):
+            latent = self.gru(feature, latent * ~is_fresh.unsqueeze(-1))
+            latents.append(latent)
+        return torch.stack(latents)
+
+
+class OPEstimator(Estimator):
+    """Proprioception only: never sees depth."""
+
+    def __init__(self, cfg: ModelCfg) -> None:
+        super().__init__(cfg, inputs=1)
+
+    def features(self, history: Tensor, depth: Tensor) -> Tensor:
+        """See Estimator.features; depth is ignored."""
+        del depth
+        return self.encoder([self.proprioception(history)])
+
+
+class VPEstimator(Estimator):
+    """Vision and proprioception: also predicts feet height h_f and the 2.5D height map m_t."""
+
+    def __init__(self, cfg: ModelCfg) -> None:
+        super().__init__(cfg, inputs=2)
+        self.depth = DepthEmbedding(cfg.frames, EMBEDDING)
+        self.feet_height_head = nn.Linear(LATENT, FEET) if cfg.predict_feet_height else None
+        self.height_map_head = (
+            nn.Sequential(nn.Linear(LATENT, LATENT), nn.ELU(), nn.Linear(LATENT, HEIGHT_MAP_SIZE))
+            if cfg.predict_height_map
+            else None
+        )
+
+    def features(self, history: Tensor, depth: Tensor) -> Tensor:
+        """See Estimator.features."""
+        return self.encoder([self.proprioception(history), self.depth(depth[:, : self.frames])])
+
+    def predict(self, latent: Tensor) -> Estimate:
+        """See Estimator.predict."""
+        estimate = super().predict(latent)
+        if self.feet_height_head is not None:
+            estimate.feet_height = self.feet_height_head(latent)
+        if self.height_map_head is not None:
+            estimate.height_map = self.height_map_head(latent)
+        return estimate

@@ -1,0 +1,60 @@
+"""What the estimators remember of each robot between ticks, batched over environments."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from renet.models.config import ModelCfg
+from renet.models.renet import RENet
+from renet.vocabulary import DEPTH_SHAPE, FRAMES, LATENT, PROPRIOCEPTION_SIZE
+
+
+class EstimatorMemory:
+    """Proprioception history, last two depth images and both GRU states of N robots.
+
+    Both estimators always run, whichever the actor listens to, so that a switch finds a warm
+    state. After a reset latents are zero until the next 10 Hz tick, the history is filled with the
+    first proprioception and both frames with the first image.
+    """
+
+    def __init__(self, cfg: ModelCfg, num_envs: int, device: str | torch.device) -> None:
+        self.history = torch.zeros(num_envs, cfg.history, PROPRIOCEPTION_SIZE, device=device)
+        self.frames = torch.zeros(
+            num_envs, FRAMES, *DEPTH_SHAPE, dtype=torch.float16, device=device
+        )
+        self.latent_op = torch.zeros(num_envs, LATENT, device=device)
+        self.latent_vp = torch.zeros(num_envs, LATENT, device=device)
+        self.blank = torch.ones(num_envs, dtype=torch.bool, device=device)
+        """True where no proprioception has arrived since the reset."""
+        self.fresh = torch.ones(num_envs, dtype=torch.bool, device=device)
+        """True where no tick has happened since the reset."""
+
+    def reset(self, done: Tensor) -> None:
+        """Forget everything about the robots whose episode ended; done is [N] bool."""
+        keep = ~done.unsqueeze(-1)
+        self.latent_op *= keep
+        self.latent_vp *= keep
+        self.blank |= done
+        self.fresh |= done
+
+    def push(self, proprioception: Tensor) -> None:
+        """Append o_t [N, 45]; called every control step."""
+        shifted = torch.cat((self.history[:, 1:], proprioception.unsqueeze(1)), dim=1)
+        filled = proprioception.unsqueeze(1).expand_as(shifted)
+        self.history = torch.where(self.blank[:, None, None], filled, shifted)
+        self.blank.zero_()
+
+    def see(self, depth: Tensor) -> None:
+        """Take the newest depth image [N, 48, 64]; called at a tick, before `tick`."""
+        depth = depth.to(self.frames.dtype)
+        previous = torch.where(self.fresh[:, None, None], depth, self.frames[:, 0])
+        self.frames = torch.stack((depth, previous), dim=1)
+
+    @torch.no_grad()
+    def tick(self, model: RENet) -> None:
+        """Advance both estimators by one 10 Hz step."""
+        depth = self.frames.to(self.history.dtype)
+        self.latent_op = model.op(self.history, depth, self.latent_op)
+        self.latent_vp = model.vp(self.history, depth, self.latent_vp)
+        self.fresh.zero_()

@@ -1,0 +1,37 @@
+"""All networks of RENet in one module, so that one state dict is one model."""
+
+from __future__ import annotations
+
+from rsl_rl.modules import EmpiricalNormalization
+from torch import nn
+
+from renet.models.actor_critic import Actor, Critics
+from renet.models.autoencoder import DepthAutoencoder
+from renet.models.config import ModelCfg
+from renet.models.estimators import OPEstimator, VPEstimator
+from renet.models.him import HybridInternalModel
+
+
+class RENet(nn.Module):
+    """Both estimators with their HIM, the anomaly detector, the actor and the critics."""
+
+    def __init__(self, cfg: ModelCfg, critic_size: int) -> None:
+        super().__init__()
+        self.cfg = cfg
+        self.op = OPEstimator(cfg)
+        self.vp = VPEstimator(cfg)
+        self.op_him = HybridInternalModel() if cfg.him else None
+        self.vp_him = HybridInternalModel() if cfg.him else None
+        self.autoencoder = DepthAutoencoder()
+        self.actor = Actor(cfg)
+        self.critics = Critics(cfg, critic_size)
+        self.critic_normalizer = EmpiricalNormalization(critic_size)
+
+    def policy_parameters(self) -> list[nn.Parameter]:
+        """Parameters N-P3O trains."""
+        return [*self.actor.parameters(), *self.critics.parameters()]
+
+    def supervised_parameters(self) -> list[nn.Parameter]:
+        """Parameters trained by supervision: estimators, HIM, autoencoder."""
+        modules = (self.op, self.vp, self.op_him, self.vp_him, self.autoencoder)
+        return [p for module in modules if module is not None for p in module.parameters()]

@@ -1,0 +1,213 @@
+"""RENet as an rsl_rl algorithm: estimators at 10 Hz, N-P3O at 50 Hz, one stage."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
+from torch import Tensor
+
+from renet.errors import RenetError
+from renet.models.actor_critic import fuse
+from renet.models.config import ModelCfg
+from renet.models.memory import EstimatorMemory
+from renet.models.renet import RENet
+from renet.training import distributed
+from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg
+from renet.training.config_io import from_dict
+from renet.training.modality import op_mask
+from renet.training.np3o import NP3O
+from renet.training.storage import PolicyRollout, Recorder, TickRollout
+from renet.training.supervision import Supervision
+from renet.vocabulary import CONSTRAINTS, STEPS_PER_TICK
+
+CRITIC_GROUPS = ("proprioception_clean", "velocity", "feet_height", "height_map", "privileged")
+"""Observation groups the critics see; the actor sees `proprioception` and the latent."""
+
+
+def critic_observation(obs: TensorDict) -> Tensor:
+    """Concatenate CRITIC_GROUPS: [N, C]."""
+    return torch.cat([obs[group] for group in CRITIC_GROUPS], dim=-1)
+
+
+class RenetAlgorithm:
+    """Acts, records and learns; the runner only loops (rsl_rl's algorithm interface)."""
+
+    rnd = None
+
+    def __init__(
+        self,
+        model: RENet,
+        num_envs: int,
+        np3o: NP3OCfg,
+        supervision: SupervisionCfg,
+        adaptation: AdaptationCfg,
+        device: str,
+    ) -> None:
+        self.device = device
+        self.model = model.to(device)
+        self.adaptation = adaptation
+        self.np3o = NP3O(model.actor, model.critics, np3o)
+        self.supervision = Supervision(model, supervision)
+        self.memory = EstimatorMemory(model.cfg, num_envs, device)
+        self.iteration = 0
+        self._steps = Recorder()
+        self._ticks = Recorder()
+        self._step_count = 0
+        self._initial_latents = (self.memory.latent_op, self.memory.latent_vp)
+        self._cost_sum = torch.zeros(len(CONSTRAINTS), device=device)
+
+    @staticmethod
+    def construct_algorithm(
+        obs: TensorDict, env: VecEnv, cfg: dict[str, Any], device: str
+    ) -> RenetAlgorithm:
+        """Build from rsl_rl's dictionary configuration; raises RenetError on a foreign task."""
+        missing = [
+            g for g in (*CRITIC_GROUPS, "proprioception", "depth", "difficult") if g not in obs
+        ]
+        if missing:
+            raise RenetError(
+                f"the task lacks the observation groups {', '.join(missing)}: RENet trains on "
+                "tasks built like renet.tasks (Renet-Go1-Flat, Renet-Go1-Parkour)"
+            )
+        if cfg["num_steps_per_env"] % STEPS_PER_TICK:
+            raise RenetError(
+                f"num_steps_per_env must be a multiple of {STEPS_PER_TICK} (10 Hz ticks of a 50 Hz "
+                f"policy), got {cfg['num_steps_per_env']}"
+            )
+        algorithm = {
+            k: v for k, v in cfg["algorithm"].items() if k not in ("class_name", "rnd_cfg")
+        }
+        model = RENet(from_dict(ModelCfg, cfg["model"]), critic_observation(obs).shape[-1])
+        return RenetAlgorithm(
+            model,
+            env.num_envs,
+            from_dict(NP3OCfg, algorithm),
+            from_dict(SupervisionCfg, cfg["supervision"]),
+            from_dict(AdaptationCfg, cfg["adaptation"]),
+            device,
+        )
+
+    # Rollout.
+
+    @torch.no_grad()
+    def act(self, obs: TensorDict) -> Tensor:
+        """Sample actions [N, 12]; ticks the estimators when they are due."""
+        proprioception = obs["proprioception"]
+        mask = op_mask(self.model.cfg, self.iteration, obs["difficult"], self.adaptation.period)
+        self.memory.push(proprioception)
+        if self._is_tick():
+            self._tick(obs, mask)
+        latent = self.latent(obs, mask)
+        distribution = self.model.actor.distribution(proprioception, latent)
+        action = distribution.sample()
+        observation = self.model.critic_normalizer(critic_observation(obs))
+        self._steps.begin(
+            proprioception=proprioception,
+            latent=latent,
+            critic_observation=observation,
+            action=action,
+            log_prob=distribution.log_prob(action).sum(-1),
+            mean=distribution.mean,
+            value=self.model.critics(observation),
+        )
+        return action
+
+    def latent(self, obs: TensorDict, mask: Tensor) -> Tensor:
+        """What stands beside o_t at the actor's input (RENet eq. 3, or the Oracle's truth)."""
+        if self.model.cfg.perception == "oracle":
+            return torch.cat((obs["height_map"], obs["velocity"]), dim=-1)
+        return fuse(self.memory.latent_op, self.memory.latent_vp, mask)
+
+    def _is_tick(self) -> bool:
+        return self._step_count % STEPS_PER_TICK == 0
+
+    def _tick(self, obs: TensorDict, mask: Tensor) -> None:
+        """Advance the estimators and record what they are to be taught."""
+        memory = self.memory
+        fresh = memory.fresh.clone()
+        memory.see(obs["depth"])
+        memory.tick(self.model)
+        self._ticks.begin(
+            history=memory.history,
+            frames=memory.frames,
+            fresh=fresh,
+            op_mask=mask,
+            velocity=obs["velocity"],
+            feet_height=obs["feet_height"],
+            height_map=obs["height_map"],
+        )
+
+    @torch.no_grad()
+    def process_env_step(
+        self, obs: TensorDict, rewards: Tensor, dones: Tensor, extras: dict[str, Any]
+    ) -> None:
+        """Record what the environment answered; raises RenetError if it reports no costs."""
+        if "costs" not in extras:
+            raise RenetError(
+                "the environment reports no constraint costs: use renet.tasks.make_env"
+            )
+        done = dones.bool()
+        costs = extras["costs"].to(self.device)
+        step = self._steps.newest
+        payoff = torch.cat((rewards.unsqueeze(-1), costs), dim=-1)
+        if "time_outs" in extras:
+            # An episode cut short would have gone on: bootstrap rewards and costs alike.
+            payoff += self.np3o.cfg.gamma * step["value"] * extras["time_outs"].unsqueeze(-1)
+        self._steps.finish(payoff=payoff, done=done)
+        if self._is_tick():
+            self._ticks.finish(next_proprioception=obs["proprioception_clean"], next_valid=~done)
+        self._cost_sum += costs.mean(0)
+        rows = distributed.gather_rows(critic_observation(obs))
+        self.model.critic_normalizer.update(rows)
+        self.memory.reset(done)
+        self._step_count += 1
+
+    # Learning.
+
+    @torch.no_grad()
+    def compute_returns(self, obs: TensorDict) -> None:
+        """Value the state after the last step."""
+        observation = self.model.critic_normalizer(critic_observation(obs))
+        self._last_value = self.model.critics(observation)
+
+    def update(self) -> dict[str, float]:
+        """Learn from the rollout; returns losses and mean costs by name."""
+        steps = self._steps.stack()
+        length = steps["done"].shape[0]
+        losses = self.np3o.update(PolicyRollout(**steps), self._last_value, self.iteration)
+        latent_op, latent_vp = self._initial_latents
+        ticks = TickRollout(**self._ticks.stack(), latent_op=latent_op, latent_vp=latent_vp)
+        losses |= self.supervision.update(ticks)
+        for name, cost in zip(CONSTRAINTS, (self._cost_sum / length).tolist(), strict=True):
+            losses[f"cost_{name}"] = cost
+        self._cost_sum.zero_()
+        self._initial_latents = (self.memory.latent_op, self.memory.latent_vp)
+        self.iteration += 1
+        return losses
+
+    # What rsl_rl's runner and logger ask for.
+
+    @property
+    def learning_rate(self) -> float:
+        """Current rate of N-P3O."""
+        return self.np3o.learning_rate
+
+    @property
+    def action_std(self) -> Tensor:
+        """Deviation of each action, [12]."""
+        return self.model.actor.log_std.detach().exp()
+
+    def train_mode(self) -> None:
+        """Switch networks to training mode."""
+        self.model.train()
+
+    def eval_mode(self) -> None:
+        """Switch networks to evaluation mode."""
+        self.model.eval()
+
+    def broadcast_parameters(self) -> None:
+        """Start all ranks from rank 0's networks."""
+        distributed.broadcast(self.model)

@@ -1,0 +1,139 @@
+"""Checkpoints: safetensors and JSON, so that loading a file never runs code in it.
+
+A checkpoint is a folder `it_00001234` with `model.safetensors`, `optimizer.safetensors`,
+`environment.safetensors` and `state.json`. It is written beside its final name and renamed, so that
+a killed process or a full disk leaves earlier checkpoints whole.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+
+from renet.errors import RenetError
+
+FORMAT = 1
+PREFIX = "it_"
+
+
+@dataclass
+class Checkpoint:
+    """Everything a run needs to go on as if it had not stopped."""
+
+    model: dict[str, Tensor]
+    optimizer: dict[str, Tensor]
+    environment: dict[str, Tensor]
+    """Curriculum levels, command stage, and random-number state."""
+    state: dict[str, Any] = field(default_factory=dict)
+    """Iteration, steps, adaptive learning rate, penalties, configuration."""
+
+
+def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Path:
+    """Write atomically and remove all but the newest `keep`; raises RenetError if it cannot."""
+    final = folder / f"{PREFIX}{iteration:08d}"
+    partial = folder / f".{final.name}.partial"
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        for name in ("model", "optimizer", "environment"):
+            tensors = {
+                k: v.detach().cpu().contiguous() for k, v in getattr(checkpoint, name).items()
+            }
+            save_file(tensors, partial / f"{name}.safetensors")
+        state = {"format": FORMAT, "iteration": iteration, **checkpoint.state}
+        (partial / "state.json").write_text(json.dumps(state, indent=1) + "\n")
+        shutil.rmtree(final, ignore_errors=True)
+        os.replace(partial, final)
+    except (OSError, SafetensorError) as error:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise RenetError(
+            f"cannot write checkpoint {final}: {error}. Free the disk or choose a writable "
+            "--log-root; earlier checkpoints are intact"
+        ) from error
+    for old in checkpoints(folder)[:-keep]:
+        shutil.rmtree(old, ignore_errors=True)
+    return final
+
+
+def checkpoints(folder: Path) -> list[Path]:
+    """Complete checkpoints in a folder, oldest first."""
+    return sorted(path.parent for path in folder.glob(f"{PREFIX}*/state.json"))
+
+
+def find(path: Path) -> Path:
+    """The checkpoint `path` is, or the newest below it (a run folder or a folder of runs)."""
+    if (path / "state.json").is_file():
+        return path
+    found = sorted(
+        (p.parent for p in path.glob(f"**/{PREFIX}*/state.json")), key=lambda p: p.stat().st_mtime
+    )
+    if not found:
+        raise RenetError(
+            f"no checkpoint in {path}: give a run folder or one of its {PREFIX}* folders"
+        )
+    return found[-1]
+
+
+def load(path: Path, device: str | torch.device = "cpu") -> Checkpoint:
+    """Read a checkpoint; raises RenetError naming the file that is missing or damaged."""
+    try:
+        state = json.loads((path / "state.json").read_text())
+        if state.get("format") != FORMAT:
+            raise RenetError(
+                f"{path} has checkpoint format {state.get('format')}, this renet reads {FORMAT}"
+            )
+        tensors = {
+            name: load_file(path / f"{name}.safetensors", device=str(device))
+            for name in ("model", "optimizer", "environment")
+        }
+    except (OSError, ValueError, SafetensorError) as error:
+        raise RenetError(f"checkpoint {path} is incomplete or damaged: {error}") from error
+    return Checkpoint(**tensors, state=state)
+
+
+def load_model(module: nn.Module, tensors: dict[str, Tensor], path: Path) -> None:
+    """Load weights; raises RenetError naming the first difference of architecture."""
+    expected = module.state_dict()
+    for name, tensor in expected.items():
+        if name not in tensors:
+            raise RenetError(f"{path} is of another architecture: it lacks {name}")
+        if tensors[name].shape != tensor.shape:
+            raise RenetError(
+                f"{path} is of another architecture: {name} is {tuple(tensors[name].shape)}, "
+                f"expected {tuple(tensor.shape)}"
+            )
+    surplus = sorted(set(tensors) - set(expected))
+    if surplus:
+        raise RenetError(f"{path} is of another architecture: unexpected {surplus[0]}")
+    module.load_state_dict(tensors)
+
+
+def optimizer_tensors(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, Tensor]:
+    """Adam's moments as flat names `prefix/parameter/moment`."""
+    return {
+        f"{prefix}/{index}/{name}": torch.as_tensor(value)
+        for index, moments in optimizer.state_dict()["state"].items()
+        for name, value in moments.items()
+    }
+
+
+def load_optimizer(
+    optimizer: torch.optim.Optimizer, tensors: dict[str, Tensor], prefix: str
+) -> None:
+    """Inverse of `optimizer_tensors`; the groups' settings stay as configured."""
+    moments: dict[int, dict[str, Tensor]] = {}
+    for key, value in tensors.items():
+        owner, index, name = key.split("/")
+        if owner == prefix:
+            moments.setdefault(int(index), {})[name] = value
+    groups = optimizer.state_dict()["param_groups"]
+    optimizer.load_state_dict({"state": moments, "param_groups": groups})

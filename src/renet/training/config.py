@@ -1,0 +1,91 @@
+"""Training configuration: N-P3O, supervision, and what mjlab and rsl_rl expect of a runner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from mjlab.rl import RslRlOnPolicyRunnerCfg
+
+from renet.models.config import ModelCfg
+from renet.vocabulary import STEPS_PER_TICK
+
+
+@dataclass
+class NP3OCfg:
+    """N-P3O (Lee et al. 2023): PPO on the reward plus penalised constraint costs."""
+
+    num_learning_epochs: int = 5
+    """Passes over each rollout."""
+    num_mini_batches: int = 4
+    """Gradient steps per pass."""
+    learning_rate: float = 1e-3
+    """Initial rate; adapted to `desired_kl`."""
+    desired_kl: float = 0.01
+    """KL divergence per step the rate is adapted to; 0 keeps the rate fixed."""
+    gamma: float = 0.99
+    """Discount per 20 ms control step."""
+    lam: float = 0.95
+    """Lambda of generalised advantage estimation."""
+    clip: float = 0.2
+    """Clipping range of ratio and value."""
+    entropy: float = 0.01
+    """Weight of the entropy bonus."""
+    value_loss: float = 1.0
+    """Weight of the critics' loss."""
+    max_grad_norm: float = 1.0
+    """Gradient norm limit."""
+    cost_budget: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Allowed discounted cost d_i per constraint, order of vocabulary.CONSTRAINTS."""
+    cost_weight: float = 0.1
+    """Initial penalty kappa of every constraint; 0 is plain PPO."""
+    cost_weight_growth: float = 1.0004
+    """kappa is multiplied by this to the power of the iteration, each iteration, up to 1."""
+
+
+@dataclass
+class SupervisionCfg:
+    """Supervised training of estimators and autoencoder beside the policy (paper, Method A)."""
+
+    learning_rate: float = 1e-3
+    """Adam's rate (HIMLoco's)."""
+    num_learning_epochs: int = 2
+    """Passes over each rollout's ticks."""
+    num_mini_batches: int = 4
+    """Gradient steps per pass; each takes whole sequences of a share of the environments."""
+    max_grad_norm: float = 10.0
+    """Gradient norm limit (HIMLoco's)."""
+    estimator_data: Literal["own", "all"] = "own"
+    """Which environments train an estimator: those it steers (the paper's S_op and S_vp) or all."""
+    autoencoder_images: int = 256
+    """Image pairs per gradient step of the autoencoder, drawn from the rollout."""
+
+
+@dataclass
+class AdaptationCfg:
+    """Online estimator adaptation (paper, Method A)."""
+
+    period: int = 20
+    """Iterations before simple terrain changes its estimator."""
+
+
+@dataclass
+class RenetRunnerCfg(RslRlOnPolicyRunnerCfg):
+    """Everything `renet train` can override about learning."""
+
+    model: ModelCfg = field(default_factory=ModelCfg)
+    algorithm: NP3OCfg = field(default_factory=NP3OCfg)  # type: ignore[assignment]
+    supervision: SupervisionCfg = field(default_factory=SupervisionCfg)
+    adaptation: AdaptationCfg = field(default_factory=AdaptationCfg)
+    class_name: str = "RenetRunner"
+    num_steps_per_env: int = 5 * STEPS_PER_TICK
+    """Control steps per iteration; a multiple of the 5 steps between ticks."""
+    max_iterations: int = 15_000
+    """The paper's budget at 4,096 environments."""
+    save_interval: int = 50
+    """Iterations between checkpoints: the most a killed run can lose."""
+    keep_checkpoints: int = 3
+    """Older checkpoints are removed."""
+    logger: str = "renet.training.metrics:MetricsWriter"  # type: ignore[assignment]
+    """rsl_rl log writer: TensorBoard and CSV by default."""
+    experiment_name: str = "renet"

@@ -1,0 +1,60 @@
+"""Agreement between ranks; every function is the identity in a single process."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+
+
+def is_distributed() -> bool:
+    """True when several processes train one model."""
+    return dist.is_available() and dist.is_initialized() and dist.get_world_size() > 1
+
+
+def mean(value: Tensor) -> Tensor:
+    """Average a tensor over ranks."""
+    if not is_distributed():
+        return value
+    total = value.clone()
+    dist.all_reduce(total)
+    return total / dist.get_world_size()
+
+
+def moments(value: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and (population) standard deviation over the first axis of all ranks' rows."""
+    average = mean(value.mean(0))
+    variance = mean(((value - average) ** 2).mean(0))
+    return average, variance.sqrt()
+
+
+def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
+    """Replace each gradient by its mean over ranks, in one message."""
+    if not is_distributed():
+        return
+    parameters = list(parameters)
+    for parameter in parameters:
+        if parameter.grad is None:  # Another rank may have one: all must send the same layout.
+            parameter.grad = torch.zeros_like(parameter)
+    gradients = [p.grad for p in parameters if p.grad is not None]
+    flat = mean(torch.cat([g.reshape(-1) for g in gradients]))
+    for gradient, piece in zip(gradients, flat.split([g.numel() for g in gradients]), strict=True):
+        gradient.copy_(piece.view_as(gradient))
+
+
+def broadcast(module: nn.Module) -> None:
+    """Give every rank the parameters and buffers of rank 0."""
+    if is_distributed():
+        for tensor in module.state_dict().values():
+            dist.broadcast(tensor, src=0)
+
+
+def gather_rows(value: Tensor) -> Tensor:
+    """Concatenate all ranks' rows, so that running statistics agree everywhere."""
+    if not is_distributed():
+        return value
+    pieces = [torch.empty_like(value) for _ in range(dist.get_world_size())]
+    dist.all_gather(pieces, value.contiguous())
+    return torch.cat(pieces)

@@ -1,0 +1,54 @@
+"""Training curves: TensorBoard for looking, CSV for everything else."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+from rsl_rl.utils.log_writer import LogWriter
+from torch.utils.tensorboard import SummaryWriter
+
+CURVES = "curves.csv"
+
+
+class MetricsWriter(LogWriter):
+    """rsl_rl log writer that also appends (iteration, name, value) rows to `curves.csv`.
+
+    Rows are flushed once an iteration, so that a killed run keeps its curve; a resumed run appends.
+    """
+
+    def __init__(self, log_dir: str) -> None:
+        self._board = SummaryWriter(log_dir=log_dir, flush_secs=10)
+        path = Path(log_dir) / CURVES
+        header = not path.exists()
+        self._file = path.open("a", newline="")
+        self._rows = csv.writer(self._file)
+        if header:
+            self._rows.writerow(("iteration", "name", "value"))
+        self.latest: dict[str, float] = {}
+
+    def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None:
+        """Record one value at a learning iteration."""
+        value = float(scalar_value)
+        self.latest[tag] = value
+        self._board.add_scalar(tag, value, global_step)
+        if not tag.endswith("/time"):  # rsl_rl logs these against seconds, not iterations.
+            self._rows.writerow((global_step, tag, f"{value:.6g}"))
+
+    def flush(self) -> None:
+        """Put rows on disk."""
+        self._file.flush()
+
+    def stop(self) -> None:
+        """Close both files."""
+        self._board.close()
+        self._file.close()
+
+
+def read_curves(run: Path) -> dict[str, tuple[list[int], list[float]]]:
+    """Curves of a run by name: iterations and values; a resumed iteration's last value counts."""
+    points: dict[str, dict[int, float]] = {}
+    with (run / CURVES).open(newline="") as file:
+        for row in csv.DictReader(file):
+            points.setdefault(row["name"], {})[int(row["iteration"])] = float(row["value"])
+    return {name: (sorted(c), [c[i] for i in sorted(c)]) for name, c in points.items()}

@@ -1,0 +1,247 @@
+"""The training loop: rollouts, updates, checkpoints, and stopping on time."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import time
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+import torch.distributed as dist
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rsl_rl.env import VecEnv
+from rsl_rl.runners import OnPolicyRunner
+from rsl_rl.utils import check_nan
+from torch import Tensor
+
+from renet.training import checkpoint as checkpoints
+from renet.training.algorithm import RenetAlgorithm
+from renet.training.checkpoint import Checkpoint
+from renet.training.metrics import MetricsWriter
+
+CHECKPOINTS = "checkpoints"
+
+
+class RenetRunner(OnPolicyRunner):
+    """rsl_rl's runner with resumable checkpoints, a time budget and a progress bar."""
+
+    alg: RenetAlgorithm  # type: ignore[assignment]
+
+    def __init__(
+        self,
+        env: VecEnv,
+        train_cfg: dict[str, Any],
+        log_dir: str | None = None,
+        device: str = "cpu",
+    ) -> None:
+        # Keys rsl_rl reads unconditionally; constructing the algorithm consumes the class name.
+        train_cfg["algorithm"] = {
+            **train_cfg["algorithm"],
+            "class_name": "renet.training.algorithm:RenetAlgorithm",
+            "rnd_cfg": None,
+        }
+        train_cfg["logger"] = {"class_name": train_cfg["logger"]}
+        super().__init__(env, train_cfg, log_dir, device)
+        self.logger.git_status_repos = []
+        self.folder = Path(log_dir) / CHECKPOINTS if log_dir else None
+
+    def _configure_multi_gpu(self) -> None:
+        """Join the process group: NCCL between GPUs, gloo on the CPU (and in tests)."""
+        self.gpu_world_size = int(os.getenv("WORLD_SIZE", "1"))
+        self.gpu_global_rank = int(os.getenv("RANK", "0"))
+        self.gpu_local_rank = int(os.getenv("LOCAL_RANK", "0"))
+        self.is_distributed = self.gpu_world_size > 1
+        self.cfg["multi_gpu"] = None
+        if not self.is_distributed:
+            return
+        on_gpu = self.device.startswith("cuda")
+        if on_gpu:
+            torch.cuda.set_device(self.gpu_local_rank)
+        if not dist.is_initialized():
+            dist.init_process_group("nccl" if on_gpu else "gloo")
+
+    def learn(
+        self,
+        num_learning_iterations: int,
+        init_at_random_ep_len: bool = True,
+        time_budget_s: float | None = None,
+    ) -> None:
+        """Train until `num_learning_iterations` more are done or the time is up.
+
+        Args:
+            num_learning_iterations: upper bound of additional iterations.
+            init_at_random_ep_len: spread episode ends over time from the start.
+            time_budget_s: stop cleanly, with a checkpoint, before this many seconds have passed.
+        """
+        began = time.monotonic()
+        if init_at_random_ep_len:
+            self.env.episode_length_buf = torch.randint_like(
+                self.env.episode_length_buf, high=int(self.env.max_episode_length)
+            )
+        obs = self.env.get_observations().to(self.device)
+        self.alg.train_mode()
+        self.alg.broadcast_parameters()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.logger.init_logging_writer()
+        first = self.alg.iteration
+        last = first + num_learning_iterations
+        longest = 0.0
+        with self._progress() as progress:
+            task = progress.add_task("train", total=num_learning_iterations, status="")
+            while self.alg.iteration < last:
+                lap = time.monotonic()
+                obs = self._iterate(obs, first, last)
+                longest = max(longest, time.monotonic() - lap)
+                progress.update(task, advance=1, status=self._status())
+                left = np.inf if time_budget_s is None else began + time_budget_s - time.monotonic()
+                if self._agree(left < 2.0 * longest):
+                    break
+                if self.alg.iteration % self.cfg["save_interval"] == 0:
+                    self.save()
+        self.save()
+        self.logger.stop_logging_writer()
+
+    def _iterate(self, obs: Any, first: int, last: int) -> Any:
+        """One rollout and one update, logged."""
+        iteration = self.alg.iteration
+        start = time.monotonic()
+        for _ in range(self.cfg["num_steps_per_env"]):
+            actions = self.alg.act(obs)
+            obs, rewards, dones, extras = self.env.step(actions.to(self.env.device))
+            if self.cfg.get("check_for_nan", True):
+                check_nan(obs, rewards, dones)
+            obs, rewards = obs.to(self.device), rewards.to(self.device)
+            dones = dones.to(self.device)
+            self.alg.process_env_step(obs, rewards, dones, extras)
+            self.logger.process_env_step(rewards, dones, extras, None)
+        collected = time.monotonic()
+        self.alg.compute_returns(obs)
+        losses = self.alg.update()
+        self.current_learning_iteration = self.alg.iteration
+        # rsl_rl's logger prints a page per iteration; the progress bar says it in a line.
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.logger.log(
+                it=iteration,
+                start_it=first,
+                total_it=last,
+                collect_time=collected - start,
+                learn_time=time.monotonic() - collected,
+                loss_dict=losses,
+                learning_rate=self.alg.learning_rate,
+                action_std=self.alg.action_std,
+                rnd_weight=None,
+            )
+        if isinstance(self.logger.writer, MetricsWriter):
+            self.logger.writer.flush()
+        return obs
+
+    def _agree(self, stop: bool) -> bool:
+        """All ranks stop together: one rank's clock decides for all."""
+        if not self.is_distributed:
+            return stop
+        flag = torch.tensor(float(stop), device=self.device)
+        dist.all_reduce(flag, op=dist.ReduceOp.MAX)
+        return bool(flag > 0)
+
+    def _progress(self) -> Progress:
+        return Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[status]}"),
+            disable=self.gpu_global_rank != 0,
+            # Without a terminal a redrawn bar is noise: one line every ten seconds instead.
+            refresh_per_second=4 if os.isatty(1) else 0.1,
+        )
+
+    def _status(self) -> str:
+        """Steps, speed and the two curves one watches."""
+        latest = getattr(self.logger.writer, "latest", {})
+        shown = {
+            "steps/s": ("Perf/total_fps", ".0f"),
+            "reward": ("Train/mean_reward", ".2f"),
+            "length": ("Train/mean_episode_length", ".0f"),
+        }
+        parts = [f"{self.logger.tot_timesteps / 1e6:.2f} M steps"]
+        parts += [
+            f"{name} {latest[tag]:{fmt}}" for name, (tag, fmt) in shown.items() if tag in latest
+        ]
+        return "  ".join(parts)
+
+    # Checkpoints.
+
+    def save(self, path: str | None = None, infos: dict | None = None) -> None:
+        """Write a checkpoint to the run's folder (rank 0 only); `path` overrides the folder."""
+        del infos
+        folder = Path(path) if path else self.folder
+        if folder is None or self.gpu_global_rank != 0:
+            return
+        algorithm = self.alg
+        optimizer = checkpoints.optimizer_tensors(algorithm.np3o.optimizer, "np3o")
+        optimizer |= checkpoints.optimizer_tensors(algorithm.supervision.optimizer, "supervision")
+        state = {
+            "learning_rate": algorithm.np3o.learning_rate,
+            "cost_weight": algorithm.np3o.cost_weight,
+            "steps": self.logger.tot_timesteps,
+            "seconds": self.logger.tot_time,
+            "numpy_rng": _numpy_state(),
+            "config": {
+                key: self.cfg[key]
+                for key in ("model", "supervision", "adaptation", "seed")
+                if key in self.cfg
+            },
+            "task": self.cfg.get("task", ""),
+        }
+        environment = dict(self._curriculum(), torch_rng=torch.get_rng_state())
+        if torch.cuda.is_available():
+            environment["cuda_rng"] = torch.cuda.get_rng_state()
+        checkpoint = Checkpoint(algorithm.model.state_dict(), optimizer, environment, state)
+        checkpoints.save(checkpoint, folder, algorithm.iteration, self.cfg["keep_checkpoints"])
+
+    def load(self, path: str, **_: Any) -> dict:  # type: ignore[override]
+        """Go on from a checkpoint folder; raises RenetError if it does not fit."""
+        found = checkpoints.find(Path(path))
+        checkpoint = checkpoints.load(found, self.device)
+        algorithm, state = self.alg, checkpoint.state
+        checkpoints.load_model(algorithm.model, checkpoint.model, found)
+        checkpoints.load_optimizer(algorithm.np3o.optimizer, checkpoint.optimizer, "np3o")
+        checkpoints.load_optimizer(
+            algorithm.supervision.optimizer, checkpoint.optimizer, "supervision"
+        )
+        algorithm.np3o.learning_rate = state["learning_rate"]
+        algorithm.np3o.cost_weight = state["cost_weight"]
+        algorithm.iteration = self.current_learning_iteration = state["iteration"]
+        self.logger.tot_timesteps, self.logger.tot_time = state["steps"], state["seconds"]
+        environment = checkpoint.environment
+        torch.set_rng_state(environment.pop("torch_rng").cpu())
+        if (
+            cuda_rng := environment.pop("cuda_rng", None)
+        ) is not None and torch.cuda.is_available():
+            torch.cuda.set_rng_state(cuda_rng.cpu())
+        _set_numpy_state(state["numpy_rng"])
+        self._restore_curriculum(environment)
+        return state
+
+    def _curriculum(self) -> dict[str, Tensor]:
+        env = cast(Any, self.env).unwrapped
+        return env.curriculum_state() if hasattr(env, "curriculum_state") else {}
+
+    def _restore_curriculum(self, tensors: dict[str, Tensor]) -> None:
+        env = cast(Any, self.env).unwrapped
+        if tensors and hasattr(env, "load_curriculum_state"):
+            env.load_curriculum_state(tensors)
+            self.env.reset()
+
+
+def _numpy_state() -> list:
+    name, keys, *rest = np.random.get_state()  # noqa: NPY002  mjlab draws terrain from it
+    return [name, np.asarray(keys).tolist(), *rest]
+
+
+def _set_numpy_state(state: list) -> None:
+    np.random.set_state(tuple(state))  # noqa: NPY002

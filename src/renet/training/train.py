@@ -1,0 +1,118 @@
+"""`renet train`: one process, or one per GPU."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+import torch
+from mjlab.rl import RslRlVecEnvWrapper
+
+from renet.errors import RenetError
+from renet.training import checkpoint as checkpoints
+from renet.training.config import RenetRunnerCfg
+from renet.training.runner import RenetRunner
+
+LATEST = "latest"
+
+
+@dataclass
+class TrainCfg:
+    """Train RENet. On a CPU the native engine steps C MuJoCo; on a GPU MuJoCo Warp."""
+
+    task: str
+    """Task id: Renet-Go1-Flat, Renet-Go1-Parkour, or one registered by a plug-in."""
+    num_envs: int = 256
+    """Parallel environments (the paper trains with 4096 on a GPU)."""
+    device: str = "auto"
+    """cpu, cuda:0, ... or auto (a GPU if there is one)."""
+    engine: str = "auto"
+    """Physics engine: auto, native (C MuJoCo on threads, CPU only) or warp."""
+    seed: int = 1
+    """Seed of everything random."""
+    resume: str | None = None
+    """Run folder or checkpoint to go on from; `latest` takes the newest run of this task."""
+    time_budget: str | None = None
+    """Stop cleanly, with a checkpoint, before this much time has passed: 90s, 25m, 8h."""
+    log_root: Path = Path("logs")
+    """Folder that receives a folder per run."""
+    agent: RenetRunnerCfg = field(default_factory=RenetRunnerCfg)
+    """Learning: networks, N-P3O, supervision, schedule."""
+
+
+def train(cfg: TrainCfg) -> Path:
+    """Train and return the run folder; raises RenetError on anything a user can put right."""
+    from renet.tasks import make_env
+
+    budget = None if cfg.time_budget is None else seconds(cfg.time_budget)
+    device = resolve_device(cfg.device)
+    resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
+    cfg.agent.seed = cfg.seed + int(os.getenv("RANK", "0"))
+    run = resume.parent.parent if resume else new_run(cfg.log_root, cfg.task)
+    env = make_env(
+        cfg.task, num_envs=cfg.num_envs, device=device, seed=cfg.agent.seed, engine=cfg.engine
+    )
+    vec_env = RslRlVecEnvWrapper(env, clip_actions=cfg.agent.clip_actions)
+    runner = RenetRunner(vec_env, {**asdict(cfg.agent), "task": cfg.task}, str(run), device)
+    if resume:
+        runner.load(str(resume))
+    else:
+        (run / "config.json").write_text(json.dumps(asdict(cfg), indent=1, default=str) + "\n")
+    print(f"{'Resuming' if resume else 'Training'} {cfg.task} in {run}")
+    try:
+        runner.learn(max(0, cfg.agent.max_iterations - runner.alg.iteration), time_budget_s=budget)
+    finally:
+        vec_env.close()
+    return run
+
+
+def seconds(text: str) -> float:
+    """Parse a duration such as 90s, 25m or 1.5h; a bare number is seconds."""
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)([smh]?)", text.strip())
+    if not match:
+        raise RenetError(f"time budget {text!r} is not a duration: write 90s, 25m or 8h")
+    return float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]]
+
+
+def resolve_device(name: str) -> str:
+    """Turn `auto` into a device and refuse one that is absent."""
+    if name == "auto":
+        local_rank = os.getenv("LOCAL_RANK", "0")
+        return f"cuda:{local_rank}" if torch.cuda.is_available() else "cpu"
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise RenetError(f"unknown device {name!r}: use cpu, cuda or cuda:N") from error
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise RenetError(
+            f"device {name} is absent: {torch.cuda.device_count()} CUDA devices are visible; "
+            "use --device cpu"
+        )
+    if device.type not in ("cpu", "cuda"):
+        raise RenetError(f"device {name!r} is not supported: use cpu, cuda or cuda:N")
+    return name
+
+
+def new_run(root: Path, task: str) -> Path:
+    """Create `root/task/date_time`; raises RenetError where nothing can be written."""
+    run = root / task / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    try:
+        run.mkdir(parents=True, exist_ok=True)
+        probe = run / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise RenetError(f"cannot write to {run}: {error}. Choose another --log-root") from error
+    return run
+
+
+def resolve_resume(resume: str, root: Path, task: str) -> Path:
+    """The checkpoint folder that `--resume` names."""
+    folder = root / task if resume == LATEST else Path(resume)
+    if not folder.exists():
+        raise RenetError(f"nothing to resume: {folder} does not exist")
+    return checkpoints.find(folder)

@@ -1,0 +1,88 @@
+"""The ONNX models say what the PyTorch networks say, with memory carried along."""
+
+from __future__ import annotations
+
+import numpy as np
+import onnxruntime as ort
+import pytest
+import torch
+
+from renet.errors import RenetError
+from renet.models.actor_critic import fuse
+from renet.models.config import ModelCfg
+from renet.models.memory import EstimatorMemory
+from renet.models.renet import RENet
+from renet.training.export import export_models
+
+ABLATIONS = {
+    "attention": {},
+    "mlp": {"encoder": "mlp"},
+    "without velocity": {"predict_velocity": False},
+    "without feet height": {"predict_feet_height": False},
+    "without height map": {"predict_height_map": False},
+    "without him": {"him": False},
+    "one observation": {"history": 1},
+    "one image": {"frames": 1},
+    "vp": {"perception": "vp"},
+    "op": {"perception": "op"},
+}
+
+
+def sessions(models: dict[str, bytes]) -> dict[str, ort.InferenceSession]:
+    return {name: ort.InferenceSession(data) for name, data in models.items()}
+
+
+@pytest.mark.parametrize("fields", ABLATIONS.values(), ids=ABLATIONS)
+def test_sequence_matches_pytorch(fields):
+    torch.manual_seed(0)
+    cfg = ModelCfg(**fields)
+    model = RENet(cfg, critic_size=10).eval()
+    onnx = sessions(export_models(model))
+    memory = EstimatorMemory(cfg, 3, "cpu")
+    latents = {name: np.zeros((3, 64), np.float32) for name in ("latent_op", "latent_vp")}
+    for tick in range(6):
+        observation, image = torch.randn(3, 45), torch.rand(3, 48, 64)
+        mask = torch.tensor([1.0, 0.0, float(tick % 2)])
+        memory.push(observation)
+        memory.see(image)
+        memory.tick(model)
+        inputs = {
+            "proprioception_history": memory.history.numpy(),
+            "depth": memory.frames.float().numpy(),
+            **latents,
+        }
+        names = {i.name for i in onnx["estimator"].get_inputs()}
+        assert names == set(inputs)
+        outputs = [o.name for o in onnx["estimator"].get_outputs()]
+        result = dict(zip(outputs, onnx["estimator"].run(None, inputs), strict=True))
+        np.testing.assert_allclose(result["next_latent_op"], memory.latent_op, atol=1e-4)
+        np.testing.assert_allclose(result["next_latent_vp"], memory.latent_vp, atol=1e-4)
+        latents = {n: result[f"next_{n}"] for n in latents}
+        with torch.no_grad():
+            estimate = model.vp.predict(memory.latent_vp)
+            action = model.actor(observation, fuse(memory.latent_op, memory.latent_vp, mask))
+            reconstruction = model.autoencoder(memory.frames.float())
+        for name in ("feet_height", "height_map"):
+            expected = getattr(estimate, name)
+            expected = np.zeros_like(result[name]) if expected is None else expected.numpy()
+            np.testing.assert_allclose(result[name], expected, atol=1e-4)
+        (got,) = onnx["actor"].run(
+            None,
+            {"proprioception": observation.numpy(), "op_mask": mask[:, None].numpy(), **latents},
+        )
+        np.testing.assert_allclose(got, action.numpy(), atol=1e-4)
+        got, score = onnx["vision"].run(None, {"depth": memory.frames.float().numpy()})
+        np.testing.assert_allclose(got, reconstruction.numpy(), atol=1e-4)
+        expected = np.mean((memory.frames.float().numpy() - got) ** 2, axis=(1, 2, 3))
+        np.testing.assert_allclose(score, expected, rtol=1e-4)
+
+
+def test_all_models_together_are_below_three_megabytes():
+    for encoder in ("attention", "mlp"):
+        models = export_models(RENet(ModelCfg(encoder=encoder), critic_size=10))
+        assert sum(map(len, models.values())) < 3e6
+
+
+def test_oracle_cannot_be_exported():
+    with pytest.raises(RenetError, match="Oracle"):
+        export_models(RENet(ModelCfg(perception="oracle"), critic_size=10))
