@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from mjlab.rl import RslRlOnPolicyRunnerCfg
+from mjlab.rl import RslRlBaseRunnerCfg
 
 from renet.models.config import ModelCfg
 from renet.vocabulary import STEPS_PER_TICK
@@ -69,23 +69,36 @@ class AdaptationCfg:
     """Iterations before simple terrain changes its estimator."""
 
 
-@dataclass
-class RenetRunnerCfg(RslRlOnPolicyRunnerCfg):
-    """Everything `renet train` can override about learning."""
+@dataclass(kw_only=True)
+class LearningCfg:
+    """Everything about learning that `renet train` can override."""
 
     model: ModelCfg = field(default_factory=ModelCfg)
-    algorithm: NP3OCfg = field(default_factory=NP3OCfg)  # type: ignore[assignment]
+    """Networks and the paper's ablations."""
+    algorithm: NP3OCfg = field(default_factory=NP3OCfg)
+    """Policy optimisation."""
     supervision: SupervisionCfg = field(default_factory=SupervisionCfg)
+    """Estimators and autoencoder."""
     adaptation: AdaptationCfg = field(default_factory=AdaptationCfg)
-    class_name: str = "RenetRunner"
+    """Which estimator steers where."""
+    seed: int = 1
+    """Seed of everything random."""
     num_steps_per_env: int = 5 * STEPS_PER_TICK
     """Control steps per iteration; a multiple of the 5 steps between ticks."""
     max_iterations: int = 15_000
-    """The paper's budget at 4,096 environments."""
+    """Iterations in all (the paper's budget, at 4,096 environments)."""
     save_interval: int = 50
     """Iterations between checkpoints: the most a killed run can lose."""
     keep_checkpoints: int = 3
     """Older checkpoints are removed."""
-    logger: str = "renet.training.metrics:MetricsWriter"  # type: ignore[assignment]
-    """rsl_rl log writer: TensorBoard and CSV by default."""
+    clip_actions: float | None = 4.8
+    """Actions are clipped to this many policy units (1.2 rad at the action scale of 0.25)."""
+    logger: str = "renet.training.metrics:MetricsWriter"
+    """rsl_rl log writer: TensorBoard and CSV by default, `WandbLogWriter` for W&B."""
+
+
+@dataclass(kw_only=True)
+class RenetRunnerCfg(LearningCfg, RslRlBaseRunnerCfg):  # type: ignore[misc]
+    """LearningCfg in the shape mjlab's task registry asks for."""
+
     experiment_name: str = "renet"

@@ -117,7 +117,9 @@ def export_models(model: RENet) -> dict[str, bytes]:
     }
 
 
-def _to_onnx(graph: ActorGraph | EstimatorGraph | VisionGraph, example: tuple[Tensor, ...]) -> bytes:
+def _to_onnx(
+    graph: ActorGraph | EstimatorGraph | VisionGraph, example: tuple[Tensor, ...]
+) -> bytes:
     """Serialise one graph; every input and output has the batch as its first axis."""
     buffer = io.BytesIO()
     with warnings.catch_warnings():

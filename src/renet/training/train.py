@@ -5,26 +5,27 @@ from __future__ import annotations
 import json
 import os
 import re
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 
 import torch
+import tyro
 from mjlab.rl import RslRlVecEnvWrapper
 
 from renet.errors import RenetError
 from renet.training import checkpoint as checkpoints
-from renet.training.config import RenetRunnerCfg
+from renet.training.config import LearningCfg
 from renet.training.runner import RenetRunner
 
 LATEST = "latest"
 
 
-@dataclass
-class TrainCfg:
+@dataclass(kw_only=True)
+class TrainCfg(LearningCfg):
     """Train RENet. On a CPU the native engine steps C MuJoCo; on a GPU MuJoCo Warp."""
 
-    task: str
+    task: tyro.conf.Positional[str]
     """Task id: Renet-Go1-Flat, Renet-Go1-Parkour, or one registered by a plug-in."""
     num_envs: int = 256
     """Parallel environments (the paper trains with 4096 on a GPU)."""
@@ -32,39 +33,35 @@ class TrainCfg:
     """cpu, cuda:0, ... or auto (a GPU if there is one)."""
     engine: str = "auto"
     """Physics engine: auto, native (C MuJoCo on threads, CPU only) or warp."""
-    seed: int = 1
-    """Seed of everything random."""
     resume: str | None = None
     """Run folder or checkpoint to go on from; `latest` takes the newest run of this task."""
     time_budget: str | None = None
     """Stop cleanly, with a checkpoint, before this much time has passed: 90s, 25m, 8h."""
     log_root: Path = Path("logs")
     """Folder that receives a folder per run."""
-    agent: RenetRunnerCfg = field(default_factory=RenetRunnerCfg)
-    """Learning: networks, N-P3O, supervision, schedule."""
 
 
 def train(cfg: TrainCfg) -> Path:
     """Train and return the run folder; raises RenetError on anything a user can put right."""
     from renet.tasks import make_env
 
+    if cfg.num_envs < 1:
+        raise RenetError(f"--num-envs must be at least 1, got {cfg.num_envs}")
     budget = None if cfg.time_budget is None else seconds(cfg.time_budget)
     device = resolve_device(cfg.device)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
-    cfg.agent.seed = cfg.seed + int(os.getenv("RANK", "0"))
+    seed = cfg.seed + int(os.getenv("RANK", "0"))
     run = resume.parent.parent if resume else new_run(cfg.log_root, cfg.task)
-    env = make_env(
-        cfg.task, num_envs=cfg.num_envs, device=device, seed=cfg.agent.seed, engine=cfg.engine
-    )
-    vec_env = RslRlVecEnvWrapper(env, clip_actions=cfg.agent.clip_actions)
-    runner = RenetRunner(vec_env, {**asdict(cfg.agent), "task": cfg.task}, str(run), device)
+    env = make_env(cfg.task, num_envs=cfg.num_envs, device=device, seed=seed, engine=cfg.engine)
+    vec_env = RslRlVecEnvWrapper(env, clip_actions=cfg.clip_actions)
+    runner = RenetRunner(vec_env, asdict(cfg), str(run), device)
     if resume:
         runner.load(str(resume))
     else:
         (run / "config.json").write_text(json.dumps(asdict(cfg), indent=1, default=str) + "\n")
     print(f"{'Resuming' if resume else 'Training'} {cfg.task} in {run}")
     try:
-        runner.learn(max(0, cfg.agent.max_iterations - runner.alg.iteration), time_budget_s=budget)
+        runner.learn(max(0, cfg.max_iterations - runner.alg.iteration), time_budget_s=budget)
     finally:
         vec_env.close()
     return run

@@ -1,0 +1,111 @@
+"""One thin door: `renet <command>`; every command is a dataclass and a function elsewhere.
+
+Commands are imported only when called, so that the robot's install needs no training packages.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import os
+import sys
+from dataclasses import dataclass
+
+from renet import __version__
+from renet.errors import RenetError
+
+
+@dataclass(frozen=True)
+class Command:
+    """`module` holds the dataclass `config` and the function `run(config)`."""
+
+    help: str
+    module: str
+    config: str
+    run: str
+    extra: str = ""
+    """What to install if the module's imports are missing."""
+
+
+COMMANDS = {
+    "train": Command(
+        "train RENet on a CPU or GPUs", "renet.training.train", "TrainCfg", "train", "train"
+    ),
+    "export": Command(
+        "turn a checkpoint into a bundle of three ONNX models",
+        "renet.training.bundle",
+        "ExportCfg",
+        "export",
+        "train",
+    ),
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a command line; returns the exit code (2 for anything the user can put right)."""
+    arguments = sys.argv[1:] if argv is None else argv
+    # A spinning OpenMP team starves whatever shares the machine; must be set before torch loads.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    try:
+        return _dispatch(arguments)
+    except RenetError as error:
+        print(f"renet: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("renet: interrupted", file=sys.stderr)
+        return 130
+
+
+def _dispatch(arguments: list[str]) -> int:
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_help(arguments))
+        return 0
+    if arguments[0] == "--version":
+        print(__version__)
+        return 0
+    name, rest = _match(arguments)
+    command = COMMANDS[name]
+    try:
+        module = importlib.import_module(command.module)
+    except ModuleNotFoundError as error:
+        if error.name and error.name.startswith("renet"):
+            raise
+        raise RenetError(
+            f"`renet {name}` needs {error.name}: pip install 'renet[{command.extra}]'"
+        ) from error
+    import tyro
+
+    cfg = tyro.cli(getattr(module, command.config), args=rest, prog=f"renet {name}")
+    getattr(module, command.run)(cfg)
+    return 0
+
+
+def _match(arguments: list[str]) -> tuple[str, list[str]]:
+    """The command (one or two words) and its own arguments."""
+    two_words = " ".join(arguments[:2])
+    if two_words in COMMANDS:
+        return two_words, arguments[2:]
+    if arguments[0] in COMMANDS:
+        return arguments[0], arguments[1:]
+    group = [name for name in COMMANDS if name.split()[0] == arguments[0]]
+    if group:
+        if len(arguments) == 1 or arguments[1] in ("-h", "--help"):
+            print(_help(arguments))
+            raise SystemExit(0)
+        raise RenetError(f"unknown command {two_words!r}: choose one of {', '.join(group)}")
+    close = difflib.get_close_matches(arguments[0], COMMANDS, n=1)
+    hint = f"did you mean `renet {close[0]}`?" if close else "see `renet --help`"
+    raise RenetError(f"unknown command {arguments[0]!r}: {hint}")
+
+
+def _help(arguments: list[str]) -> str:
+    group = arguments[0] if arguments and not arguments[0].startswith("-") else ""
+    rows = [(n, c.help) for n, c in COMMANDS.items() if not group or n.split()[0] == group]
+    width = max(len(name) for name, _ in rows)
+    lines = [f"renet {__version__}: quadruped locomotion that survives the loss of its camera", ""]
+    lines += [f"  renet {name:<{width}}  {text}" for name, text in rows]
+    return "\n".join([*lines, "", "`renet <command> --help` shows every option with its default."])
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,100 @@
+"""Estimators: unrolling, memory across resets and flips, and what each one may see."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from renet.errors import RenetError
+from renet.models.actor_critic import fuse
+from renet.models.config import ModelCfg
+from renet.models.memory import EstimatorMemory
+from renet.models.renet import RENet
+
+
+@pytest.fixture(params=["attention", "mlp"])
+def model(request):
+    torch.manual_seed(0)
+    return RENet(ModelCfg(encoder=request.param), critic_size=5).eval()
+
+
+def gru_by_hand(cell: torch.nn.GRUCell, x: torch.Tensor, h: torch.Tensor) -> torch.Tensor:
+    """The GRU's equations, written out."""
+    size = h.shape[-1]
+    i = x @ cell.weight_ih.T + cell.bias_ih
+    k = h @ cell.weight_hh.T + cell.bias_hh
+    r = torch.sigmoid(i[:, :size] + k[:, :size])
+    z = torch.sigmoid(i[:, size : 2 * size] + k[:, size : 2 * size])
+    n = torch.tanh(i[:, 2 * size :] + r * k[:, 2 * size :])
+    return (1 - z) * n + z * h
+
+
+def test_unrolling_equals_ticking_by_hand_with_resets(model):
+    history, depth = torch.randn(6, 3, 10, 45), torch.rand(6, 3, 2, 48, 64)
+    fresh = torch.zeros(6, 3, dtype=torch.bool)
+    fresh[2, 0] = fresh[4, 1] = fresh[0, 2] = True
+    start = torch.randn(3, 64)
+    for estimator in (model.op, model.vp):
+        got = estimator.unroll(history, depth, start, fresh)
+        latent = start
+        for tick in range(6):
+            latent = torch.where(fresh[tick][:, None], torch.zeros_like(latent), latent)
+            features = estimator.features(history[tick], depth[tick])
+            latent = gru_by_hand(estimator.gru, features, latent)
+            torch.testing.assert_close(got[tick], latent, atol=1e-5, rtol=1e-4)
+
+
+def test_gradients_flow_through_time_but_not_across_a_reset(model):
+    history = torch.randn(3, 2, 10, 45, requires_grad=True)
+    fresh = torch.tensor([[False, False], [False, True], [False, False]])
+    latents = model.op.unroll(history, torch.rand(3, 2, 2, 48, 64), torch.zeros(2, 64), fresh)
+    latents[-1].sum().backward()
+    reached = history.grad[0].abs().sum((1, 2)) > 0
+    assert reached.tolist() == [True, False]
+
+
+def test_op_never_sees_depth_and_vp_does(model):
+    history, latent = torch.randn(2, 10, 45), torch.zeros(2, 64)
+    one, two = torch.rand(2, 2, 48, 64), torch.rand(2, 2, 48, 64)
+    assert torch.equal(model.op(history, one, latent), model.op(history, two, latent))
+    assert not torch.equal(model.vp(history, one, latent), model.vp(history, two, latent))
+
+
+def test_fuse_is_the_papers_equation():
+    op, vp = torch.ones(2, 64), 2 * torch.ones(2, 64)
+    fused = fuse(op, vp, torch.tensor([True, False]))
+    assert torch.equal(fused[0], torch.cat((torch.ones(64), torch.zeros(64))))
+    assert torch.equal(fused[1], torch.cat((torch.zeros(64), 2 * torch.ones(64))))
+
+
+def test_memory_fills_on_the_first_observation_and_forgets_on_reset(model):
+    memory = EstimatorMemory(model.cfg, 2, "cpu")
+    first = torch.randn(2, 45)
+    memory.push(first)
+    assert torch.equal(memory.history, first[:, None].expand(2, 10, 45))
+    image = torch.rand(2, 48, 64)
+    memory.see(image)
+    assert torch.equal(memory.frames[:, 0], memory.frames[:, 1])
+    memory.tick(model)
+    assert memory.latent_op.abs().sum() > 0
+    memory.reset(torch.tensor([True, False]))
+    assert memory.latent_op[0].abs().sum() == 0
+    assert memory.latent_vp[1].abs().sum() > 0
+    second = torch.randn(2, 45)
+    memory.push(second)
+    memory.see(torch.rand(2, 48, 64))
+    assert torch.equal(memory.history[0], second[0].expand(10, 45))
+    assert torch.equal(memory.history[1, -2], first[1])
+    assert torch.equal(memory.frames[0, 0], memory.frames[0, 1])
+    assert torch.equal(memory.frames[1, 1], image[1].half())
+
+
+@pytest.mark.parametrize(("field", "value"), [("frames", 3), ("frames", 0), ("history", 0)])
+def test_impossible_sizes_are_refused(field, value):
+    with pytest.raises(RenetError, match=field):
+        ModelCfg(**{field: value})
+
+
+def test_unknown_encoder_names_the_known_ones():
+    with pytest.raises(RenetError, match="attention, mlp"):
+        RENet(ModelCfg(encoder="lstm"), critic_size=5)  # type: ignore[arg-type]

@@ -1,0 +1,66 @@
+"""A tiny environment with RENet's observation groups, for tests of learning alone."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from renet.vocabulary import ACTION_SIZE, CONSTRAINTS
+
+
+class ToyEnv:
+    """Random observations; the reward asks for zero action, episodes end at random."""
+
+    def __init__(self, num_envs: int = 8, seed: int = 0) -> None:
+        self.num_envs, self.num_actions, self.device = num_envs, ACTION_SIZE, torch.device("cpu")
+        self.max_episode_length = 50
+        self.episode_length_buf = torch.zeros(num_envs, dtype=torch.long)
+        self.cfg = SimpleNamespace()
+        self.random = torch.Generator().manual_seed(seed)
+        self.levels = torch.zeros(num_envs)
+
+    @property
+    def unwrapped(self) -> ToyEnv:
+        return self
+
+    def get_observations(self) -> TensorDict:
+        def draw(*shape):
+            return torch.rand(self.num_envs, *shape, generator=self.random)
+
+        return TensorDict(
+            {
+                "proprioception": draw(45) - 0.5,
+                "proprioception_clean": draw(45) - 0.5,
+                "velocity": draw(3),
+                "feet_height": draw(4),
+                "height_map": draw(132),
+                "privileged": draw(6),
+                "depth": draw(48, 64).half(),
+                "difficult": (torch.arange(self.num_envs) % 2).float().unsqueeze(-1),
+            },
+            batch_size=[self.num_envs],
+        )
+
+    def reset(self):
+        return self.get_observations(), {}
+
+    def step(self, actions):
+        done = torch.rand(self.num_envs, generator=self.random) < 0.05
+        reward = torch.exp(-actions.square().mean(-1))
+        costs = torch.relu(actions[:, : len(CONSTRAINTS)])
+        extras = {"costs": costs, "time_outs": done.float(), "log": {}}
+        return self.get_observations(), reward, done.long(), extras
+
+    def curriculum_state(self):
+        return {"levels": self.levels.clone()}
+
+    def load_curriculum_state(self, tensors):
+        self.levels = tensors["levels"].clone()
+
+
+@pytest.fixture
+def toy_env():
+    return ToyEnv

@@ -1,0 +1,115 @@
+"""N-P3O against hand-computed numbers and a problem with a known constrained optimum."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from renet.models.actor_critic import Actor, Critics
+from renet.models.config import ModelCfg
+from renet.training.config import NP3OCfg
+from renet.training.np3o import NP3O, cost_surrogate, make_targets, reward_surrogate, violation
+from renet.training.returns import advantages
+from renet.training.storage import PolicyRollout
+
+
+def test_reward_surrogate_by_hand():
+    ratio, advantage = torch.tensor([1.5, 0.5, 1.0]), torch.tensor([1.0, -1.0, 2.0])
+    # min(1.5, 1.2) + min(-0.5, -0.8) + 2.0
+    assert reward_surrogate(ratio, advantage, 0.2).item() == pytest.approx(-(1.2 - 0.8 + 2.0) / 3)
+
+
+def test_cost_surrogate_takes_the_pessimistic_side():
+    ratio = torch.tensor([1.5, 0.5])
+    advantage = torch.tensor([[1.0, -1.0], [-1.0, 1.0]])
+    # column 0: max(1.5, 1.2), max(-0.5, -0.8); column 1: max(-1.5, -1.2), max(0.5, 0.8)
+    torch.testing.assert_close(
+        cost_surrogate(ratio, advantage, 0.2), torch.tensor([(1.5 - 0.5) / 2, (-1.2 + 0.8) / 2])
+    )
+
+
+def test_violation_by_hand():
+    value = violation(*(torch.tensor([x]) for x in (5.0, 1.0, 0.2, 2.0)), gamma=0.9)
+    assert value.item() == pytest.approx((0.1 * (5.0 - 1.0) + 0.2) / 2.0)
+
+
+def test_advantages_match_a_plain_loop():
+    random = np.random.default_rng(0)
+    payoff, value = random.normal(size=(2, 6, 3, 2))
+    last, done = random.normal(size=(3, 2)), random.random((6, 3)) < 0.3
+    gamma, lam = 0.9, 0.8
+    expected = np.zeros_like(payoff)
+    for env in range(3):
+        for column in range(2):
+            for start in range(6):
+                weight, total = 1.0, 0.0
+                for t in range(start, 6):
+                    follow = last[env, column] if t == 5 else value[t + 1, env, column]
+                    follow = 0.0 if done[t, env] else follow
+                    delta = payoff[t, env, column] + gamma * follow - value[t, env, column]
+                    total += weight * delta
+                    if done[t, env]:
+                        break
+                    weight *= gamma * lam
+                expected[start, env, column] = total
+    got = advantages(*map(torch.tensor, (payoff, value, last, done)), gamma, lam)
+    np.testing.assert_allclose(got, expected, atol=1e-12)
+
+
+def bandit(algorithm: NP3O, iterations: int) -> float:
+    """One-step episodes: reward -|a - 2|^2, first cost relu(a0 - 1); returns the final mean a0.
+
+    The unconstrained optimum is a = 2 everywhere; the constraint binds a0 alone, to 1 or less.
+    """
+    actor, critics, count = algorithm.actor, algorithm.critics, 512
+    observation, latent = torch.zeros(count, 45), torch.zeros(count, 128)
+    critic_observation = torch.zeros(count, 4)
+    for iteration in range(iterations):
+        with torch.no_grad():
+            distribution = actor.distribution(observation, latent)
+            action = distribution.sample()
+            value = critics(critic_observation)
+        reward = -((action - 2.0) ** 2).sum(-1, keepdim=True)
+        cost = torch.cat((torch.relu(action[:, :1] - 1.0), torch.zeros(count, 2)), dim=-1)
+        rollout = PolicyRollout(
+            proprioception=observation[None],
+            latent=latent[None],
+            critic_observation=critic_observation[None],
+            action=action[None],
+            log_prob=distribution.log_prob(action).sum(-1)[None],
+            mean=distribution.mean[None],
+            value=value[None],
+            payoff=torch.cat((reward, cost), dim=-1)[None],
+            done=torch.ones(1, count, dtype=torch.bool),
+        )
+        algorithm.update(rollout, torch.zeros(count, 4), iteration)
+    return actor(observation[:1], latent[:1])[0, 0].item()
+
+
+@pytest.mark.parametrize(("weight", "low", "high"), [(4.0, 0.5, 1.1), (0.0, 1.7, 2.3)])
+def test_constraint_is_kept_where_plain_ppo_breaks_it(weight, low, high):
+    torch.manual_seed(0)
+    cfg = ModelCfg(
+        actor_hidden=(16,), critic_hidden=(16,), cost_critic_hidden=(16,), initial_std=0.3
+    )
+    algorithm = NP3O(
+        Actor(cfg), Critics(cfg, 4), NP3OCfg(cost_weight=weight, entropy=0.0, learning_rate=3e-3)
+    )
+    assert low < bandit(algorithm, 120) < high
+
+
+def test_a_satisfied_constraint_contributes_nothing():
+    torch.manual_seed(0)
+    cfg = NP3OCfg(cost_budget=(1e6, 1e6, 1e6))
+    rollout = PolicyRollout(
+        *(torch.randn(4, 8, n) for n in (45, 128, 4, 12)),
+        torch.randn(4, 8),
+        torch.randn(4, 8, 12),
+        torch.randn(4, 8, 4),
+        torch.rand(4, 8, 4),
+        torch.zeros(4, 8, dtype=torch.bool),
+    )
+    targets = make_targets(rollout, torch.zeros(8, 4), cfg)
+    cost = cost_surrogate(torch.full((32,), 1.1), targets.cost_advantage, cfg.clip)
+    assert torch.relu(cost + targets.violation).sum() == 0.0

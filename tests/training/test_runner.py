@@ -1,0 +1,88 @@
+"""The loop: runs, stops on time, resumes the same curve, refuses what does not fit."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import pytest
+import torch
+
+from renet.errors import RenetError
+from renet.models.config import ModelCfg
+from renet.training import checkpoint as checkpoints
+from renet.training.config import RenetRunnerCfg
+from renet.training.metrics import read_curves
+from renet.training.runner import RenetRunner
+
+
+def make_runner(env, log_dir, **fields):
+    torch.manual_seed(0)
+    cfg = RenetRunnerCfg(num_steps_per_env=10, save_interval=2, **fields)
+    return RenetRunner(env, asdict(cfg), str(log_dir), "cpu")
+
+
+def test_trains_and_writes_curves_and_checkpoints(toy_env, tmp_path):
+    runner = make_runner(toy_env(), tmp_path)
+    before = [p.clone() for p in runner.alg.model.parameters()]
+    runner.learn(3)
+    curves = read_curves(tmp_path)
+    for name in ("Loss/surrogate", "Loss/vp_height_map", "Loss/anomaly", "Loss/cost_torque"):
+        iterations, values = curves[name]
+        assert iterations == [0, 1, 2]
+        assert all(torch.isfinite(torch.tensor(values)))
+    assert [p.name for p in checkpoints.checkpoints(tmp_path / "checkpoints")] == [
+        "it_00000002",
+        "it_00000003",
+    ]
+    after = list(runner.alg.model.parameters())
+    moved = [not torch.equal(a, b) for a, b in zip(before, after, strict=True)]
+    # VP steers first, so OP's own set is empty for the first 20 iterations.
+    untouched = sum(p.numel() > 0 for p in [*runner.alg.model.op.parameters()])
+    untouched += len([*runner.alg.model.op_him.parameters()])
+    assert len(moved) - sum(moved) == untouched
+
+
+def test_resume_restores_everything(toy_env, tmp_path):
+    first = make_runner(toy_env(), tmp_path)
+    first.env.levels += 3
+    first.learn(2)
+    second = make_runner(toy_env(), tmp_path)
+    state = second.load(str(tmp_path))
+    assert state["iteration"] == 2
+    assert second.alg.learning_rate == first.alg.learning_rate
+    assert second.alg.np3o.cost_weight == first.alg.np3o.cost_weight
+    assert torch.equal(second.env.levels, first.env.levels)
+    for a, b in zip(
+        first.alg.model.state_dict().values(), second.alg.model.state_dict().values(), strict=True
+    ):
+        assert torch.equal(a, b)
+    for a, b in (
+        (first.alg.np3o, second.alg.np3o),
+        (first.alg.supervision, second.alg.supervision),
+    ):
+        ours, theirs = (o.optimizer.state_dict()["state"] for o in (a, b))
+        assert ours.keys() == theirs.keys()
+        assert all(torch.equal(ours[i][k], theirs[i][k]) for i in ours for k in ours[i])
+    second.learn(1)
+    assert read_curves(tmp_path)["Loss/surrogate"][0] == [0, 1, 2]
+
+
+def test_time_budget_stops_with_a_checkpoint(toy_env, tmp_path):
+    runner = make_runner(toy_env(), tmp_path)
+    runner.learn(10_000, time_budget_s=0.5)
+    assert 0 < runner.alg.iteration < 10_000
+    found = checkpoints.find(tmp_path)
+    assert checkpoints.load(found).state["iteration"] == runner.alg.iteration
+
+
+def test_refuses_a_checkpoint_of_another_architecture(toy_env, tmp_path):
+    make_runner(toy_env(), tmp_path).learn(1)
+    other = make_runner(toy_env(), tmp_path / "other", model=ModelCfg(encoder="mlp"))
+    with pytest.raises(RenetError, match="another architecture"):
+        other.load(str(tmp_path))
+
+
+def test_refuses_a_rollout_that_splits_a_tick(toy_env, tmp_path):
+    cfg = asdict(RenetRunnerCfg(num_steps_per_env=24))
+    with pytest.raises(RenetError, match="multiple of 5"):
+        RenetRunner(toy_env(), cfg, str(tmp_path), "cpu")
