@@ -1,0 +1,182 @@
+"""Figures: one look for all of them, drawn without a display, saved whole with their provenance."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from renet.evaluation.results import Provenance
+from renet.vocabulary import CONTROL_DT
+
+VP_BAND, OP_BAND = "#bed5b4", "#f3c1bb"
+LOSS, PROBABILITY = "#3c3ca0", "#64aa5f"
+FAMILIES = {
+    "gaussian": ("#9ecae1", "#4292c6", "#084594"),
+    "salt_and_pepper": ("#fdae6b", "#f16913", "#a63603"),
+}
+INK, FAINT = "#222730", "#8a919c"
+
+STYLE = {
+    "figure.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "font.size": 10,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": "#c4c9d0",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 11,
+    "axes.titleweight": "bold",
+    "axes.grid": True,
+    "grid.color": "#e8eaee",
+    "xtick.color": "#555c66",
+    "ytick.color": "#555c66",
+    "legend.frameon": False,
+    "lines.linewidth": 1.6,
+}
+
+
+def save(figure: Figure, path: Path, provenance: Provenance) -> Path:
+    """Write a PNG, atomically, with its provenance as last line and in its metadata."""
+    line = provenance.line
+    shown = line if len(line) <= 150 else line[:149] + "…"
+    figure.supxlabel(shown, fontsize=6.5, color=FAINT, x=0.01, ha="left")
+    part = path.with_name(path.name + ".part")
+    figure.savefig(part, format="png", dpi=150, metadata={"Description": line})
+    plt.close(figure)
+    os.replace(part, path)
+    return path
+
+
+def noise_label(noise: str, level: float) -> str:
+    """A noise setting as the paper writes it, such as "GA 30 %"."""
+    short = {"gaussian": "GA", "salt_and_pepper": "SP"}
+    return "no noise" if noise == "none" else f"{short.get(noise, noise)} {100 * level:.0f} %"
+
+
+def speed_over_time(
+    curves: Mapping[str, Mapping[tuple[str, float], np.ndarray]],
+    onset: int,
+    command: float,
+    titles: Mapping[str, str],
+    path: Path,
+    provenance: Provenance,
+) -> Path:
+    """The paper's comparison: mean forward velocity against timestep, one panel for each mode.
+
+    Args:
+        curves: mode → (noise, level) → [T] m/s, mean over the robots.
+        onset: timestep the noise begins at.
+        command: commanded speed, m/s.
+        titles: of each mode's panel.
+        path: of the PNG.
+        provenance: of the numbers.
+    """
+    with plt.rc_context(STYLE):
+        figure, axes = plt.subplots(1, len(curves), figsize=(11, 4.2), sharey=True, squeeze=False)
+        for axis, letter, (mode, settings) in zip(axes[0], "abcdef", curves.items(), strict=False):
+            used: dict[str, int] = {}
+            for (noise, level), speed in settings.items():
+                shade = used[noise] = used.get(noise, -1) + 1
+                colour = FAMILIES.get(noise, ("#7d8590",))[shade % 3 if noise in FAMILIES else 0]
+                style = "--" if noise == "none" else "-"
+                axis.plot(smooth(speed), style, color=colour, label=noise_label(noise, level))
+            axis.axvline(onset, color=INK, linewidth=1, linestyle=":")
+            axis.axhline(command, color=FAINT, linewidth=1, linestyle=(0, (1, 3)))
+            axis.annotate(
+                "noise begins",
+                (onset, 1.0),
+                xycoords=("data", "axes fraction"),
+                xytext=(4, -10),
+                textcoords="offset points",
+                fontsize=8,
+                color=INK,
+            )
+            axis.set(title=f"({letter}) {titles[mode]}", xlabel="timestep (0.02 s)")
+        axes[0][0].set_ylabel("mean forward velocity (m/s)")
+        handles, labels = axes[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=9)
+        return save(figure, path, provenance)
+
+
+def smooth(values: np.ndarray, steps: int = 13) -> np.ndarray:
+    """A centred moving mean over about half a gait cycle, shorter at both ends."""
+    kernel = np.ones(steps)
+    total = np.convolve(values, kernel, "same")
+    return total / np.convolve(np.ones_like(values), kernel, "same")
+
+
+def bands(axis: Axes, vision: np.ndarray) -> None:
+    """Green where VP is in charge, red where OP is; `vision` is [T] bool."""
+    edges = np.flatnonzero(np.diff(vision.astype(int))) + 1
+    for start, end in zip([0, *edges], [*edges, len(vision)], strict=True):
+        colour = VP_BAND if vision[start] else OP_BAND
+        axis.axvspan(start * CONTROL_DT, end * CONTROL_DT, color=colour, alpha=0.7, linewidth=0)
+
+
+def timeline(
+    anomaly: np.ndarray,
+    beta: float,
+    probability: np.ndarray,
+    vision: np.ndarray,
+    marks: Sequence[tuple[float, str]],
+    title: str,
+    path: Path,
+    provenance: Provenance,
+) -> Path:
+    """The paper's timeline of one robot: loss, threshold, P_t and the estimator in charge.
+
+    Args:
+        anomaly: [T] anomaly score.
+        beta: threshold.
+        probability: [T] P_t.
+        vision: [T] bool, VP in charge.
+        marks: instants to point out, (seconds, text).
+        title: of the figure.
+        path: of the PNG.
+        provenance: of the numbers.
+    """
+    time = np.arange(len(anomaly)) * CONTROL_DT
+    with plt.rc_context(STYLE):
+        figure, axis = plt.subplots(figsize=(11, 3.4))
+        bands(axis, vision)
+        axis.plot(time, anomaly, color=LOSS, label="reconstruction loss")
+        axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label="threshold β")
+        axis.set_yscale("log")
+        axis.set(xlabel="time (s)", ylabel="anomaly score", title=title, xlim=(0, time[-1]))
+        right = axis.twinx()
+        right.plot(time, probability, "--", color=PROBABILITY, label="vision probability $P_t$")
+        right.set(ylim=(-0.05, 1.05))
+        right.set_ylabel("$P_t$", color=PROBABILITY)
+        right.grid(False)
+        for instant, text in marks:
+            axis.axvline(instant, color=INK, linewidth=1, linestyle=":")
+            axis.annotate(
+                text,
+                (instant, 1.0),
+                xycoords=("data", "axes fraction"),
+                xytext=(4, -11),
+                textcoords="offset points",
+                fontsize=8,
+            )
+        keys = [plt.Rectangle((0, 0), 1, 1, color=c, alpha=0.7) for c in (VP_BAND, OP_BAND)]
+        lines = axis.get_legend_handles_labels(), right.get_legend_handles_labels()
+        figure.legend(
+            [*lines[0][0], *lines[1][0], *keys],
+            [*lines[0][1], *lines[1][1], "VP in charge", "OP in charge"],
+            loc="outside upper center",
+            ncols=5,
+            fontsize=9,
+        )
+        return save(figure, path, provenance)

@@ -1,0 +1,117 @@
+"""What is measured: pure functions of per-step arrays, [T, N] for T control steps and N robots."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from renet.vocabulary import CONTROL_DT
+
+
+def window(seconds: float) -> slice:
+    """The last seconds of a run, at least one control step."""
+    return slice(-max(round(seconds / CONTROL_DT), 1), None)
+
+
+def mean_forward_velocity(forward_velocity: np.ndarray, seconds: float = 3.0) -> float:
+    """Mean over robots and the last seconds, m/s; a fallen robot counts with zero."""
+    return float(forward_velocity[window(seconds)].mean())
+
+
+def switch_delay(vision: np.ndarray, start: int, end: int | None = None) -> np.ndarray:
+    """Seconds from the control step `start` until a robot's selector first leaves vision.
+
+    Args:
+        vision: [T, U, N] bool, vision trusted after each of the U selector updates of a step.
+        start: the control step the fault begins at.
+        end: the control step it is over at; later switches do not count.
+
+    Returns:
+        [N] seconds, a multiple of the update period; 0 where vision was not trusted at `start`
+        already, NaN where it stayed trusted.
+    """
+    updates = vision.shape[1]
+    blind = ~vision[start:end].reshape(-1, vision.shape[2])
+    delay = (blind.argmax(axis=0) + 1) * (CONTROL_DT / updates)
+    delay = np.where(blind.any(axis=0), delay, np.nan)
+    if start > 0:
+        delay = np.where(vision[start - 1, -1], delay, 0.0)
+    return delay
+
+
+def recovery_delay(vision: np.ndarray, over: int) -> np.ndarray:
+    """Seconds from the control step a fault is over at until vision is trusted again.
+
+    Args and return value as `switch_delay`; NaN where vision is not trusted again.
+    """
+    return switch_delay(~vision, over)
+
+
+def switches(vision: np.ndarray) -> np.ndarray:
+    """[N] changes between vision and OP over the updates of `vision` [T, U, N]."""
+    flat = vision.reshape(-1, vision.shape[2])
+    return (flat[1:] != flat[:-1]).sum(axis=0)
+
+
+def false_switches(vision: np.ndarray, failing: np.ndarray) -> int:
+    """Times any robot left vision while its camera was healthy.
+
+    Args:
+        vision: [T, U, N] bool.
+        failing: [T, N] bool, the camera is failing.
+    """
+    flat = vision.reshape(-1, vision.shape[2])
+    healthy = ~np.repeat(failing, vision.shape[1], axis=0)
+    return int((flat[:-1] & ~flat[1:] & healthy[1:]).sum())
+
+
+def healthy_hours(failing: np.ndarray) -> float:
+    """Robot hours with a healthy camera in `failing` [T, N]."""
+    return float((~failing).sum()) * CONTROL_DT / 3600
+
+
+def bootstrap_interval(
+    values: np.ndarray,
+    statistic: Callable[..., np.ndarray] = np.mean,
+    confidence: float = 0.95,
+    resamples: int = 2000,
+    seed: int = 0,
+) -> tuple[float, float]:
+    """Percentile bootstrap confidence interval of a statistic of `values` [n].
+
+    Args:
+        values: one independent number for each robot; NaNs are left out.
+        statistic: takes an array and `axis`.
+        confidence: probability the interval should hold the true value with.
+        resamples: number of resampled data sets.
+        seed: of the resampling.
+
+    Returns:
+        Lower and upper end; NaN where there are no values.
+    """
+    values = np.asarray(values, float)
+    values = values[~np.isnan(values)]
+    if len(values) == 0:
+        return float("nan"), float("nan")
+    rng = np.random.default_rng(seed)
+    draws = values[rng.integers(0, len(values), (resamples, len(values)))]
+    low, high = np.quantile(statistic(draws, axis=1), [(1 - confidence) / 2, (1 + confidence) / 2])
+    return float(low), float(high)
+
+
+def roc(healthy: np.ndarray, faulty: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Receiver operating characteristic of "the score is above a threshold".
+
+    Args:
+        healthy: scores of frames that should pass.
+        faulty: scores of frames that should be caught.
+
+    Returns:
+        False positive rates, true positive rates (both from 0 to 1), area under the curve; equal
+        scores count half.
+    """
+    thresholds = np.concatenate([[np.inf], np.unique(np.concatenate([healthy, faulty]))[::-1]])
+    false = np.array([(healthy >= t).mean() for t in thresholds])
+    true = np.array([(faulty >= t).mean() for t in thresholds])
+    return false, true, float(np.trapezoid(true, false))

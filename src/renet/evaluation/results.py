@@ -1,0 +1,123 @@
+"""How a study leaves its numbers behind: JSON and CSV, written at once or not at all."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import renet
+from renet.errors import RenetError
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where numbers come from; every summary and figure carries it."""
+
+    bundle: str
+    """Name of the bundle."""
+    bundle_hash: str
+    """SHA-256 over the hashes of its ONNX files."""
+    engine: str
+    """Physics engine of the rollouts."""
+    seed: int
+    command: str
+    """The command line that made them."""
+    date: str
+    """UTC, ISO 8601."""
+    renet_version: str
+
+    @classmethod
+    def now(cls, bundle: str, bundle_hash: str, engine: str, seed: int) -> Provenance:
+        """The provenance of what this process computes now."""
+        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+        date = datetime.now(UTC).isoformat(timespec="seconds")
+        return cls(bundle, bundle_hash, engine, seed, command, date, renet.__version__)
+
+    @property
+    def line(self) -> str:
+        """One line for the foot of a figure."""
+        return (
+            f"bundle {self.bundle} {self.bundle_hash[:10]} · seed {self.seed} · {self.engine}"
+            f" engine · renet {self.renet_version} · {self.date[:10]} · {self.command}"
+        )
+
+
+def output_folder(path: Path) -> Path:
+    """`path` as an existing folder that can be written to.
+
+    Raises:
+        RenetError: it is a file, or cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RenetError(f"cannot write results to {path}: {error.strerror}") from error
+    return path
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file so that a reader sees the old or the new one, never half of it."""
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8")
+    os.replace(part, path)
+
+
+def plain(value: Any) -> Any:
+    """`value` with NumPy types made Python's, and NaN and infinity made None and "inf"."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float):
+        if math.isnan(value):
+            return None
+        if math.isinf(value):
+            return "inf" if value > 0 else "-inf"
+        return round(value, 6)
+    return value
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write valid JSON (no NaN), atomically."""
+    write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read what `write_json` wrote.
+
+    Raises:
+        RenetError: missing, or not JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise RenetError(f"{path} does not exist: run the study that writes it first") from error
+    except ValueError as error:
+        raise RenetError(f"{path} is not valid JSON ({error}): delete it and run again") from error
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows with the keys of the first as header, atomically."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(plain(row) for row in rows)
+    write_text(path, text.getvalue())

@@ -1,0 +1,235 @@
+"""Closed-loop runs: robots, camera faults, policy and selector, all settings side by side.
+
+Every robot of every setting is one row of one batched world, so a whole study costs one run.
+One control step goes as on the robot: the newest frame is taken at the 10 Hz tick, the policy acts
+under the modality the selector last chose, then the selector's filter is updated
+(200 Hz, paper) with the anomaly score the tick produced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from renet.errors import RenetError
+from renet.evaluation.faults import TICK, Frames, Injector, Schedule
+from renet.vocabulary import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
+
+MODES = ("vp", "renet", "op", "oracle-switch")
+"""Policy modes: vision always, the selector's choice, never, and a switch that knows the fault."""
+UPDATES_PER_STEP = round(CONTROL_DT / PHYSICS_DT)
+"""Selector updates in one control step."""
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What N robots sense and truly do after a control step."""
+
+    proprioception: np.ndarray
+    """[N, 45]"""
+    depth: np.ndarray
+    """[N, 48, 64] normalised, held between the camera's ticks."""
+    angular_velocity: np.ndarray
+    """[N, 3] true base rate, rad/s, base frame."""
+    forward_velocity: np.ndarray
+    """[N] true base velocity along the commanded yaw, m/s."""
+    height: np.ndarray
+    """[N] true height of the base above the ground it started on, m."""
+    travelled: np.ndarray
+    """[N] true horizontal distance from the start, m."""
+    fell: np.ndarray
+    """[N] bool: the episode ended in this step by a fall, judged by the true pose."""
+    ended: np.ndarray
+    """[N] bool: the episode ended in this step, by a fall or its time; the robot starts anew."""
+
+
+class World(Protocol):
+    """A batch of simulated robots."""
+
+    num_robots: int
+
+    def reset(self) -> Readings:
+        """Put every robot at its start."""
+        ...
+
+    def step(self, action: np.ndarray) -> Readings:
+        """Act [N, 12] for one control step."""
+        ...
+
+    def poses(self, rows: Sequence[int]) -> np.ndarray:
+        """Generalised positions [len(rows), nq], for pictures."""
+        ...
+
+
+class Controller(Protocol):
+    """Anybody's policy: `renet.deploy.policy.Policy` is one."""
+
+    anomaly_score: np.ndarray
+    """[N] how unlike its training images the last frames were; any scale."""
+
+    def reset(self, mask: np.ndarray | None = None) -> None:
+        """Forget the past of the masked robots [N], of all by default."""
+        ...
+
+    def step(
+        self, proprioception: np.ndarray, depth: np.ndarray, modality: np.ndarray
+    ) -> np.ndarray:
+        """Actions [N, 12]; `modality` is the paper's mask, True where OP is to act."""
+        ...
+
+
+class Switch(Protocol):
+    """Decides whether to trust vision."""
+
+    probability: np.ndarray
+    """[N] vision probability P_t."""
+
+    def update(self, anomaly_score: np.ndarray, frames: Frames) -> np.ndarray:
+        """One filter update; returns [N] bool, vision is trusted."""
+        ...
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Start anew for the masked robots [N]."""
+        ...
+
+
+@dataclass(frozen=True)
+class Row:
+    """One robot of one setting."""
+
+    mode: str
+    schedule: Schedule = ()
+    robot: int = 0
+    """Number within its setting; robots of the same number draw the same noise everywhere."""
+
+    def __post_init__(self) -> None:
+        if self.mode not in MODES:
+            raise RenetError(f"unknown mode '{self.mode}': choose one of {', '.join(MODES)}")
+
+
+@dataclass
+class Film:
+    """What pictures of a few rows need."""
+
+    rows: tuple[int, ...]
+    poses: np.ndarray
+    """[T, R, nq]"""
+    images: np.ndarray
+    """[ticks, R, 48, 64] uint8: the depth image each robot got at each tick."""
+
+
+@dataclass
+class Trace:
+    """What happened, for each control step and robot; [T, N] unless said otherwise."""
+
+    forward_velocity: np.ndarray
+    """m/s along the commanded yaw; zero from a robot's fall on."""
+    height: np.ndarray
+    """m, frozen at a fall."""
+    travelled: np.ndarray
+    """m from the start, frozen at a fall."""
+    fallen: np.ndarray
+    """bool: has fallen in this or an earlier step; a robot that fell stays counted."""
+    anomaly: np.ndarray
+    probability: np.ndarray
+    """Vision probability P_t at the end of the step."""
+    vision: np.ndarray
+    """bool: the VP estimator's latent drove this step."""
+    trusted: np.ndarray
+    """[T, U, N] bool: the selector's answer after each of its U updates of a step."""
+    failing: np.ndarray
+    """bool: the camera is failing."""
+    film: Film | None = field(default=None, repr=False)
+
+
+def run_rollout(
+    world: World,
+    controller: Controller,
+    switch: Switch,
+    rows: Sequence[Row],
+    steps: int,
+    seed: int,
+    film: Sequence[int] = (),
+    on_step: Callable[[], None] = lambda: None,
+) -> Trace:
+    """Drive every row for a number of control steps.
+
+    Args:
+        world: as many robots as rows.
+        controller: acts for all of them.
+        switch: the selector; only rows in mode `renet` obey it.
+        rows: mode and camera faults of each robot.
+        steps: control steps.
+        seed: of the camera faults.
+        film: rows to keep poses and images of.
+        on_step: called after every control step, for a progress bar.
+
+    Raises:
+        RenetError: the world does not hold as many robots as there are rows.
+    """
+    count = len(rows)
+    if world.num_robots != count:
+        raise RenetError(f"{count} rows need as many robots, not {world.num_robots}")
+    injector = Injector([row.schedule for row in rows], [row.robot for row in rows], seed)
+    mode = np.array([row.mode for row in rows])
+    trace = Trace(
+        **{name: np.zeros((steps, count)) for name in _FLOATS},
+        **{name: np.zeros((steps, count), bool) for name in ("fallen", "vision", "failing")},
+        trusted=np.ones((steps, UPDATES_PER_STEP, count), bool),
+    )
+    poses, images = [], []
+    readings = world.reset()
+    controller.reset()
+    frames = Frames.healthy(readings.depth)
+    trusted = np.ones(count, bool)
+    fallen = np.zeros(count, bool)
+    for k in range(steps):
+        if k % STEPS_PER_TICK == 0:
+            live = Frames.healthy(readings.depth, readings.angular_velocity)
+            frames = injector.apply(live, k)
+            if film:
+                images.append(np.round(frames.image[list(film)] * 255).astype(np.uint8))
+        failing = injector.at_work(k)
+        use_op = (
+            (mode == "op") | ((mode == "renet") & ~trusted) | ((mode == "oracle-switch") & failing)
+        )
+        action = controller.step(readings.proprioception, frames.image, use_op)
+        for u in range(UPDATES_PER_STEP):
+            trusted = switch.update(controller.anomaly_score, since(frames, k, u))
+            trace.trusted[k, u] = trusted
+        trace.anomaly[k], trace.probability[k] = controller.anomaly_score, switch.probability
+        trace.vision[k], trace.failing[k] = ~use_op, failing
+        if film:
+            poses.append(world.poses(film))
+        readings = world.step(action)
+        fallen = fallen | readings.fell
+        trace.fallen[k] = fallen
+        trace.forward_velocity[k] = np.where(fallen, 0.0, readings.forward_velocity)
+        before = max(k - 1, 0)
+        for name in ("height", "travelled"):
+            value = getattr(trace, name)
+            value[k] = np.where(fallen, value[before], getattr(readings, name))
+        if readings.ended.any():
+            controller.reset(readings.ended)
+            switch.reset(readings.ended)
+        on_step()
+    if film:
+        trace.film = Film(tuple(film), np.stack(poses), np.stack(images))
+    return trace
+
+
+_FLOATS = ("forward_velocity", "height", "travelled", "anomaly", "probability")
+
+
+def since(frames: Frames, step: int, update: int) -> Frames:
+    """`frames` as the selector's update sees them: only the tick's first update has a new one."""
+    ticks = step % STEPS_PER_TICK
+    if ticks == 0 and update == 0:
+        return frames
+    passed = ticks * CONTROL_DT + update * PHYSICS_DT
+    assert passed < TICK
+    stale = np.zeros_like(frames.fresh)
+    return Frames(frames.image, stale, frames.age + passed, frames.invalid, frames.angular_velocity)
