@@ -1,0 +1,291 @@
+"""Environment configurations of the RENet tasks."""
+
+from __future__ import annotations
+
+import math
+
+from mjlab.envs import mdp
+from mjlab.envs.mdp import dr
+from mjlab.envs.mdp.actions import JointPositionActionCfg
+from mjlab.managers.curriculum_manager import CurriculumTermCfg
+from mjlab.managers.event_manager import EventTermCfg
+from mjlab.managers.metrics_manager import MetricsTermCfg
+from mjlab.managers.observation_manager import ObservationGroupCfg, ObservationTermCfg
+from mjlab.managers.reward_manager import RewardTermCfg
+from mjlab.managers.scene_entity_config import SceneEntityCfg
+from mjlab.managers.termination_manager import TerminationTermCfg
+from mjlab.scene import SceneCfg
+from mjlab.sensor import ContactMatch, ContactSensorCfg
+from mjlab.sim import MujocoCfg, SimulationCfg
+from mjlab.terrains import TerrainEntityCfg
+from mjlab.utils.noise import UniformNoiseCfg
+from mjlab.viewer import ViewerConfig
+
+from renet.sim.depth_camera import DepthCameraCfg
+from renet.sim.terrain_scan import FeetHeightCfg, HeightMapCfg
+from renet.tasks import curriculum, observations, rewards, terminations
+from renet.tasks.commands import COMMAND, GoalCommandCfg
+from renet.tasks.env import RenetEnvCfg
+from renet.tasks.robot import ACTION_SCALE, go1_cfg
+from renet.tasks.terrains import parkour_terrain
+from renet.vocabulary import CONTROL_DT, JOINTS, LEGS, PHYSICS_DT, PROPRIOCEPTION
+
+NOISE = {
+    "base_angular_velocity": 0.2,
+    "projected_gravity": 0.05,
+    "joint_position": 0.01,
+    "joint_velocity": 1.5,
+}
+"""Half-widths of uniform sensor noise, in each term's unit before scaling (mjlab's Go1 task)."""
+
+
+def flat_env_cfg(play: bool = False) -> RenetEnvCfg:
+    """Renet-Go1-Flat: one plane, any yaw."""
+    cfg = _base_env_cfg(TerrainEntityCfg(terrain_type="plane"))
+    command = cfg.commands[COMMAND]
+    assert isinstance(command, GoalCommandCfg)
+    command.resampling_time_range, command.later_turn = (4.0, 10.0), math.pi
+    return _play(cfg) if play else cfg
+
+
+def parkour_env_cfg(play: bool = False) -> RenetEnvCfg:
+    """Renet-Go1-Parkour: the paper's terrains under a 10-level curriculum."""
+    return tile_env_cfg(parkour_terrain(), play)
+
+
+def tile_env_cfg(terrain: TerrainEntityCfg, play: bool = False) -> RenetEnvCfg:
+    """The parkour task on any terrain made of tiles (see terrains.single_tile_terrain)."""
+    cfg = _base_env_cfg(terrain)
+    cfg.terminations["in_gap"] = TerminationTermCfg(func=terminations.in_gap)
+    cfg.terminations["left_tile"] = TerminationTermCfg(func=terminations.left_tile, time_out=True)
+    cfg.curriculum["level"] = CurriculumTermCfg(func=curriculum.terrain_levels)
+    return _play(cfg) if play else cfg
+
+
+def _base_env_cfg(terrain: TerrainEntityCfg) -> RenetEnvCfg:
+    return RenetEnvCfg(
+        decimation=round(CONTROL_DT / PHYSICS_DT),
+        episode_length_s=20.0,
+        scene=SceneCfg(
+            terrain=terrain,
+            entities={"robot": go1_cfg()},
+            sensors=(*_contact_sensors(), *_terrain_sensors()),
+        ),
+        observations=_observations(),
+        actions={
+            "joint_pos": JointPositionActionCfg(
+                entity_name="robot",
+                actuator_names=(".*",),
+                scale=ACTION_SCALE,
+                use_default_offset=True,
+            )
+        },
+        commands={COMMAND: GoalCommandCfg()},
+        rewards=_rewards(),
+        terminations={
+            "time_out": TerminationTermCfg(func=mdp.time_out, time_out=True),
+            "fallen": TerminationTermCfg(func=terminations.fallen),
+            "not_finite": TerminationTermCfg(func=mdp.nan_detection),
+        },
+        curriculum={
+            "command_stage": CurriculumTermCfg(
+                # 4,000 iterations of 25 steps: after the first gaits, well before the end.
+                func=curriculum.command_stage,
+                params={"switch_step": 100_000},
+            )
+        },
+        events=_events(),
+        metrics={
+            "collisions": MetricsTermCfg(func=rewards.collision),
+            "lin_vel_reward": MetricsTermCfg(func=rewards.linear_velocity),
+        },
+        sim=SimulationCfg(
+            njmax=200,
+            nconmax=60,
+            # One set of physics options for both engines, so that policies transfer.
+            mujoco=MujocoCfg(
+                timestep=PHYSICS_DT, iterations=20, ls_iterations=20, ccd_iterations=50
+            ),
+        ),
+        viewer=ViewerConfig(
+            origin_type=ViewerConfig.OriginType.ASSET_BODY,
+            entity_name="robot",
+            body_name="trunk",
+            distance=2.0,
+            elevation=-15.0,
+        ),
+    )
+
+
+def _play(cfg: RenetEnvCfg) -> RenetEnvCfg:
+    """Evaluation variant: true sensors but for the camera, no pushes, no curriculum."""
+    cfg.observations["proprioception"].enable_corruption = False
+    cfg.curriculum = {}
+    del cfg.events["push"]
+    return cfg
+
+
+def _contact_sensors() -> tuple[ContactSensorCfg, ...]:
+    def touching(name: str, mode, pattern: tuple[str, ...]) -> ContactSensorCfg:
+        return ContactSensorCfg(
+            name=name,
+            primary=ContactMatch(mode=mode, pattern=pattern, entity="robot"),
+            secondary=ContactMatch(mode="body", pattern="terrain"),
+            fields=("found", "force"),
+            reduce="netforce",
+        )
+
+    calves = tuple(f"{leg}_calf_collision{i}" for leg in LEGS for i in (1, 2))
+    return (
+        touching(observations.FEET_CONTACT, "geom", tuple(f"{leg}_foot_collision" for leg in LEGS)),
+        touching(
+            observations.THIGH_TRUNK_CONTACT, "body", (*(f"{leg}_thigh" for leg in LEGS), "trunk")
+        ),
+        touching(observations.CALF_CONTACT, "geom", calves),
+    )
+
+
+def _terrain_sensors() -> tuple[DepthCameraCfg, HeightMapCfg, FeetHeightCfg]:
+    return (
+        DepthCameraCfg(name=observations.DEPTH_CAMERA),
+        HeightMapCfg(name=observations.HEIGHT_MAP),
+        FeetHeightCfg(name=observations.FEET_HEIGHT),
+    )
+
+
+def _observations() -> dict[str, ObservationGroupCfg]:
+    joints = SceneEntityCfg("robot", joint_names=JOINTS, preserve_order=True)
+    functions = {
+        "base_angular_velocity": (mdp.base_ang_vel, {}),
+        "projected_gravity": (mdp.projected_gravity, {}),
+        "command": (mdp.generated_commands, {"command_name": COMMAND}),
+        "joint_position": (mdp.joint_pos_rel, {"asset_cfg": joints}),
+        "joint_velocity": (mdp.joint_vel_rel, {"asset_cfg": joints}),
+        "last_action": (mdp.last_action, {}),
+    }
+
+    def proprioception(noisy: bool) -> ObservationGroupCfg:
+        terms = {}
+        for term in PROPRIOCEPTION:
+            function, params = functions[term.name]
+            width = NOISE.get(term.name, 0.0)
+            terms[term.name] = ObservationTermCfg(
+                func=function,
+                params=dict(params),
+                scale=term.scale,
+                noise=UniformNoiseCfg(n_min=-width, n_max=width) if width else None,
+            )
+        return ObservationGroupCfg(terms=terms, enable_corruption=noisy)
+
+    def single(function, **params) -> ObservationGroupCfg:
+        return ObservationGroupCfg(
+            terms={"value": ObservationTermCfg(func=function, params=params)}
+        )
+
+    privileged = ObservationGroupCfg(
+        terms={
+            "feet_contact": ObservationTermCfg(func=observations.feet_contact),
+            "physical_parameters": ObservationTermCfg(
+                func=observations.physical_parameters,
+                params={
+                    "trunk": SceneEntityCfg("robot", body_names=("trunk",)),
+                    "foot": SceneEntityCfg("robot", geom_names=("FR_foot_collision",)),
+                },
+            ),
+        }
+    )
+    return {
+        "proprioception": proprioception(noisy=True),
+        "proprioception_clean": proprioception(noisy=False),
+        "velocity": single(observations.velocity),
+        "feet_height": single(observations.sensor, name=observations.FEET_HEIGHT),
+        "height_map": single(observations.sensor, name=observations.HEIGHT_MAP),
+        "privileged": privileged,
+        "depth": single(observations.depth),
+        "difficult": single(observations.difficult),
+    }
+
+
+def _rewards() -> dict[str, RewardTermCfg]:
+    """Paper's scales; mjlab multiplies each by the step's 0.02 s."""
+    hips = SceneEntityCfg("robot", joint_names=(".*_hip_joint",))
+    return {
+        "linear_velocity": RewardTermCfg(func=rewards.linear_velocity, weight=1.5),
+        "yaw": RewardTermCfg(func=rewards.yaw, weight=0.5),
+        "collision": RewardTermCfg(func=rewards.collision, weight=-10.0),
+        "joint_energy": RewardTermCfg(func=rewards.joint_energy, weight=-1e-5),
+        "action_rate": RewardTermCfg(func=rewards.action_rate, weight=-0.1),
+        "default_position": RewardTermCfg(func=rewards.default_position, weight=-0.04),
+        "hip_position": RewardTermCfg(
+            func=rewards.hip_position, weight=-0.5, params={"asset_cfg": hips}
+        ),
+        "joint_acceleration": RewardTermCfg(func=rewards.JointAcceleration, weight=-2.5e-7),
+        "orientation": RewardTermCfg(func=rewards.orientation, weight=-1.0),
+    }
+
+
+def _events() -> dict[str, EventTermCfg]:
+    feet = SceneEntityCfg("robot", geom_names=tuple(f"{leg}_foot_collision" for leg in LEGS))
+    trunk = SceneEntityCfg("robot", body_names=("trunk",))
+    return {
+        "spawn": EventTermCfg(
+            func=mdp.reset_root_state_uniform,
+            mode="reset",
+            params={
+                "pose_range": {
+                    "x": (-0.3, 0.3),
+                    "y": (-0.3, 0.3),
+                    "z": (0.02, 0.04),
+                    "yaw": (-math.pi, math.pi),
+                },
+            },
+        ),
+        "spawn_joints": EventTermCfg(
+            func=mdp.reset_joints_by_offset,
+            mode="reset",
+            params={
+                "position_range": (-0.1, 0.1),
+                "velocity_range": (0.0, 0.0),
+                "asset_cfg": SceneEntityCfg("robot", joint_names=(".*",)),
+            },
+        ),
+        "push": EventTermCfg(
+            func=mdp.push_by_setting_velocity,
+            mode="interval",
+            interval_range_s=(6.0, 10.0),
+            params={"velocity_range": {"x": (-0.5, 0.5), "y": (-0.5, 0.5)}},
+        ),
+        "foot_friction": EventTermCfg(
+            func=dr.geom_friction,
+            mode="startup",
+            params={
+                "asset_cfg": feet,
+                "operation": "abs",
+                "ranges": (0.6, 2.0),
+                "shared_random": True,
+            },
+        ),
+        "payload": EventTermCfg(
+            func=dr.body_mass,
+            mode="startup",
+            params={"asset_cfg": trunk, "operation": "add", "ranges": (0.0, 3.0)},
+        ),
+        "centre_of_mass": EventTermCfg(
+            func=dr.body_com_offset,
+            mode="startup",
+            params={
+                "asset_cfg": trunk,
+                "operation": "add",
+                "ranges": {0: (-0.05, 0.05), 1: (-0.05, 0.05), 2: (-0.05, 0.05)},
+            },
+        ),
+        "servo_gains": EventTermCfg(
+            func=dr.pd_gains,
+            mode="startup",
+            params={
+                "asset_cfg": SceneEntityCfg("robot", actuator_names=(".*",)),
+                "kp_range": (0.8, 1.2),
+                "kd_range": (0.8, 1.2),
+            },
+        ),
+    }

@@ -1,0 +1,150 @@
+"""mjlab's environment with constraint costs, a clipped reward and a resumable curriculum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import torch
+from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from mjlab.tasks.registry import list_tasks, load_env_cfg
+from torch import Tensor
+
+from renet.errors import RenetError
+from renet.sim.engine import use_engine
+from renet.tasks.constraints import ConstraintCfg, Constraints
+from renet.tasks.rewards import goal
+
+
+@dataclass(kw_only=True)
+class RenetEnvCfg(ManagerBasedRlEnvCfg):
+    """ManagerBasedRlEnvCfg plus what RENet's constrained problem needs."""
+
+    constraints: ConstraintCfg = field(default_factory=ConstraintCfg)
+    clip_reward: bool = True
+    """Keep each step's summed reward at or above zero (Extreme Parkour does): dying early never
+    pays."""
+
+
+class RenetEnv(ManagerBasedRlEnv):
+    """Adds `extras["costs"]`, [N, 3] in the order of vocabulary.CONSTRAINTS, times the step's dt."""
+
+    cfg: RenetEnvCfg
+
+    def __init__(self, cfg: RenetEnvCfg, device: str, render_mode: str | None = None) -> None:
+        super().__init__(cfg, device, render_mode)
+        self.constraints = Constraints(cfg.constraints, self)
+        self._fuse_substeps()
+
+    def _fuse_substeps(self) -> None:
+        """Let the native engine take all substeps of a control step in one call.
+
+        Exact here: servos hold their target, no actuator has a delay, and no sensor accumulates
+        over substeps.
+        """
+        self._substeps = 1
+        if hasattr(self.sim, "step_n"):
+            self._substeps, self.cfg.decimation = self.cfg.decimation, 1
+            self.sim.step = partial(self.sim.step_n, self._substeps)  # type: ignore[method-assign]
+
+    @property
+    def physics_dt(self) -> float:
+        """Seconds per call of `sim.step`."""
+        return self.cfg.sim.mujoco.timestep * getattr(self, "_substeps", 1)
+
+    @property
+    def step_dt(self) -> float:
+        """Seconds per control step."""
+        return self.physics_dt * self.cfg.decimation
+
+    def step(self, action: Tensor):
+        """See ManagerBasedRlEnv.step."""
+        observation, reward, terminated, truncated, extras = super().step(action)
+        extras["costs"] = self._costs
+        if self.cfg.clip_reward:
+            reward = reward.clamp_min(0.0)
+        return observation, reward, terminated, truncated, extras
+
+    def load_managers(self) -> None:
+        """Load mjlab's managers and measure costs where rewards are: before any reset."""
+        super().load_managers()
+        compute = self.reward_manager.compute
+
+        def compute_with_costs(dt: float) -> Tensor:
+            self._costs = self.constraints() * self.step_dt
+            return compute(dt)
+
+        self.reward_manager.compute = compute_with_costs  # type: ignore[method-assign]
+
+    # Checkpoints.
+
+    def curriculum_state(self) -> dict[str, Tensor]:
+        """Levels, command stage and step counter, for checkpoints."""
+        state = {
+            "command_stage": torch.tensor(goal(self).stage),
+            "common_step_counter": torch.tensor(self.common_step_counter),
+        }
+        terrain = self.scene.terrain
+        if terrain is not None and terrain.terrain_origins is not None:
+            state |= {"levels": terrain.terrain_levels, "kinds": terrain.terrain_types}
+        return state
+
+    def load_curriculum_state(self, state: dict[str, Tensor]) -> None:
+        """Restore `curriculum_state`; another number of environments resamples the levels."""
+        goal(self).stage = int(state["command_stage"])
+        self.common_step_counter = int(state["common_step_counter"])
+        terrain = self.scene.terrain
+        if terrain is None or terrain.terrain_origins is None or "levels" not in state:
+            return
+        levels, kinds = (state[name].to(self.device) for name in ("levels", "kinds"))
+        if len(levels) == self.num_envs:
+            terrain.terrain_types[:] = kinds
+            terrain.terrain_levels[:] = levels
+        else:
+            for kind in kinds.unique():
+                here = terrain.terrain_types == kind
+                pool = levels[kinds == kind]
+                picks = torch.randint(len(pool), (int(here.sum()),), device=self.device)
+                terrain.terrain_levels[here] = pool[picks]
+        terrain.env_origins[:] = terrain.terrain_origins[
+            terrain.terrain_levels, terrain.terrain_types
+        ]
+
+
+def make_env(
+    task: str | RenetEnvCfg,
+    num_envs: int,
+    device: str = "cpu",
+    seed: int = 1,
+    engine: str = "auto",
+    play: bool = False,
+) -> RenetEnv:
+    """Build a task's environment.
+
+    Args:
+        task: task id, or a configuration. engine: auto, native or warp (see renet.sim.engine).
+        play: the task's evaluation variant, without noise, pushes and curriculum.
+
+    Raises:
+        RenetError: unknown task or engine, or no environment asked for.
+    """
+    if num_envs < 1:
+        raise RenetError(f"the number of environments must be at least 1, got {num_envs}")
+    cfg = env_cfg(task, play) if isinstance(task, str) else task
+    cfg.scene.num_envs = num_envs
+    cfg.seed = seed
+    with use_engine(engine, device):
+        return RenetEnv(cfg, device)
+
+
+def env_cfg(task: str, play: bool = False) -> RenetEnvCfg:
+    """A copy of a registered RENet task's configuration; raises RenetError if there is none."""
+    import mjlab.tasks  # noqa: F401  registers every plug-in's tasks
+
+    if task not in list_tasks():
+        known = [name for name in list_tasks() if name.startswith("Renet")]
+        raise RenetError(f"unknown task {task!r}: choose one of {', '.join(known)}")
+    cfg = load_env_cfg(task, play)
+    if not isinstance(cfg, RenetEnvCfg):
+        raise RenetError(f"{task} is not a RENet task: it defines no constraint costs")
+    return cfg

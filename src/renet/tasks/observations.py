@@ -1,0 +1,72 @@
+"""Observation terms beyond mjlab's: true quantities for critics and estimators, and depth."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, cast
+
+import torch
+from mjlab.managers.scene_entity_config import SceneEntityCfg
+from torch import Tensor
+
+from renet.sim.depth_camera import DepthCamera
+from renet.tasks.terrains import DIFFICULT
+
+if TYPE_CHECKING:
+    from mjlab.envs import ManagerBasedRlEnv
+
+DEPTH_CAMERA = "depth_camera"
+HEIGHT_MAP = "height_map"
+FEET_HEIGHT = "feet_height"
+FEET_CONTACT = "feet_contact"
+THIGH_TRUNK_CONTACT = "thigh_trunk_contact"
+CALF_CONTACT = "calf_contact"
+
+
+def velocity(env: ManagerBasedRlEnv) -> Tensor:
+    """True base linear velocity, [N, 3] m/s, base frame."""
+    return env.scene["robot"].data.root_link_lin_vel_b
+
+
+def sensor(env: ManagerBasedRlEnv, name: str) -> Tensor:
+    """A terrain sensor's reading: height map [N, 132] or feet height [N, 4], m."""
+    return env.scene[name].data
+
+
+def depth(env: ManagerBasedRlEnv) -> Tensor:
+    """Newest depth image, [N, 48, 64] float16 in [0, 1], held between 10 Hz ticks."""
+    return cast(DepthCamera, env.scene[DEPTH_CAMERA]).normalised()
+
+
+def feet_contact(env: ManagerBasedRlEnv) -> Tensor:
+    """1 where a foot touches, [N, 4]."""
+    return (env.scene[FEET_CONTACT].data.found > 0).float()
+
+
+def difficult(env: ManagerBasedRlEnv) -> Tensor:
+    """1 where the tile forces vision, [N, 1]."""
+    terrain = env.scene.terrain
+    if terrain is None or terrain.cfg.terrain_generator is None:
+        return torch.zeros(env.num_envs, 1, device=env.device)
+    kinds = terrain.cfg.terrain_generator.sub_terrains
+    hard = torch.tensor([float(kind in DIFFICULT) for kind in kinds], device=env.device)
+    return hard[terrain.terrain_types].unsqueeze(-1)
+
+
+def physical_parameters(
+    env: ManagerBasedRlEnv, trunk: SceneEntityCfg, foot: SceneEntityCfg
+) -> Tensor:
+    """What randomisation drew: trunk mass change (kg), CoM offset (m), foot friction, servo gains.
+
+    [N, 1 + 3 + 1 + 12 + 12], gains as a ratio of the nominal ones.
+    """
+    robot, model = env.scene["robot"], env.sim.model
+    body = robot.indexing.body_ids[trunk.body_ids]
+    geom = robot.indexing.geom_ids[foot.geom_ids][:1]
+    mass = model.body_mass[:, body] - env.sim.get_default_field("body_mass")[body]
+    com = (
+        model.body_ipos[:, body].flatten(1) - env.sim.get_default_field("body_ipos")[body].flatten()
+    )
+    gain, bias = model.actuator_gainprm, model.actuator_biasprm
+    stiffness = gain[:, :, 0] / env.sim.get_default_field("actuator_gainprm")[:, 0]
+    damping = bias[:, :, 2] / env.sim.get_default_field("actuator_biasprm")[:, 2]
+    return torch.cat((mass, com, model.geom_friction[:, geom, 0], stiffness, damping), dim=-1)

@@ -1,0 +1,46 @@
+"""When an episode ends; leaving the tile is success, hence a time-out, not a failure."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from renet.tasks.terrains import TILE
+
+if TYPE_CHECKING:
+    from mjlab.envs import ManagerBasedRlEnv
+
+TILT = -0.17
+"""Vertical part of gravity in the base frame above which the robot lies: tilted over 80 degrees."""
+PIT_DEPTH = 0.25
+"""Metres below the tile's start at which the base is in a gap, not above it."""
+
+
+def fallen(env: ManagerBasedRlEnv) -> Tensor:
+    """Rolled or pitched over."""
+    return env.scene["robot"].data.projected_gravity_b[:, 2] > TILT
+
+
+def in_gap(env: ManagerBasedRlEnv) -> Tensor:
+    """Base below the surface of a gap tile."""
+    terrain = env.scene.terrain
+    assert terrain is not None
+    assert terrain.cfg.terrain_generator is not None
+    kinds = list(terrain.cfg.terrain_generator.sub_terrains)
+    if "gap" not in kinds:
+        return torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+    height = env.scene["robot"].data.root_link_pos_w[:, 2] - env.scene.env_origins[:, 2]
+    return (terrain.terrain_types == kinds.index("gap")) & (height < -PIT_DEPTH)
+
+
+def left_tile(env: ManagerBasedRlEnv) -> Tensor:
+    """Walked off its tile in any direction."""
+    return tile_distance(env) > TILE / 2
+
+
+def tile_distance(env: ManagerBasedRlEnv) -> Tensor:
+    """Distance from the tile's middle in the tile's (square) norm, [N] m."""
+    offset = env.scene["robot"].data.root_link_pos_w - env.scene.env_origins
+    return offset[:, :2].abs().amax(-1)
