@@ -1,0 +1,150 @@
+"""Native CPU engine: C MuJoCo on threads behind mjlab's Simulation interface.
+
+Managers and sensors keep reading and writing the same Warp arrays through `sim.data` and
+`sim.model`. On a CPU those arrays are plain memory; `step` and `forward` copy each environment's
+state and randomised model fields into a thread's `MjModel`/`MjData`, let C MuJoCo do the work, and
+copy back what can have changed. Poses of static geoms never change and are not copied.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+import mjlab.envs.manager_based_rl_env as mjlab_env
+import mujoco
+import numpy as np
+import torch
+import warp as wp
+from mjlab.sim.sim import Simulation
+
+from renet.errors import RenetError
+from renet.sim.native_kernel import advance
+from renet.sim.transfer import Transfer, load_rows, model_rows, store_rows
+
+ENGINES = ("auto", "native", "warp")
+
+LIBRARY = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco.so*"))))
+
+
+@ctypes.CFUNCTYPE(None, ctypes.c_char_p)
+def _ignore_warning(message: bytes) -> None:
+    """MuJoCo would append each warning to a log file in the working directory."""
+
+
+def _address(function: str) -> int:
+    return ctypes.cast(getattr(LIBRARY, function), ctypes.c_void_p).value or 0
+
+
+class Worker:
+    """One thread's model and data, and the transfer programs that use them."""
+
+    def __init__(self, simulation: NativeSimulation) -> None:
+        self.model = simulation.mj_model.__copy__()
+        # A diverged environment must keep its NaN for the task to see, not restart by itself.
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self.data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, self.data)
+        loads = load_rows(simulation.wp_data, self.data, simulation.num_envs)
+        guarded = len(loads)
+        loads += model_rows(simulation.wp_model, self.model, sorted(simulation.expanded_fields))
+        stores = store_rows(simulation.wp_data, self.data, self.model, simulation.num_envs)
+        self.step = self._program("mj_step", loads, stores, guarded)
+        self.forward = self._program("mj_forward", loads, stores, guarded)
+
+    def _program(
+        self, function: str, loads: list[Transfer], stores: list[Transfer], guarded: int
+    ) -> np.ndarray:
+        """Table read by native_kernel.advance."""
+        head = [self.model._address, self.data._address, _address(function)]
+        head += [len(loads), len(stores), guarded]
+        rows = [number for row in (*loads, *stores) for number in row.numbers()]
+        return np.array(head + rows, dtype=np.uint64)
+
+
+class NativeSimulation(Simulation):
+    """mjlab's Simulation stepped by C MuJoCo; CPU only.
+
+    Contact and constraint arrays of the Warp data are not filled: read contacts through MuJoCo
+    contact sensors, as mjlab's ContactSensor does.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self._workers: SimpleQueue[Worker] | None = None
+        super().__init__(*args, **kwargs)
+        if not self.wp_device.is_cpu:
+            raise RenetError(f"the native engine runs on the CPU, not on {self.device}")
+        self._threads = os.cpu_count() or 1
+        self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="renet-engine")
+        ctypes.c_void_p.in_dll(LIBRARY, "mju_user_warning").value = ctypes.cast(
+            _ignore_warning, ctypes.c_void_p
+        ).value
+
+    def expand_model_fields(self, fields: tuple[str, ...]) -> None:
+        """See Simulation.expand_model_fields; transfer programs are rebuilt at the next step."""
+        super().expand_model_fields(fields)
+        self._workers = None
+
+    def step(self) -> None:
+        """One physics step of every environment."""
+        self.step_n(1)
+
+    def step_n(self, steps: int) -> None:
+        """Several physics steps under the same controls, in one call."""
+        with self.nan_guard.watch(self.data):
+            self._run(lambda worker: worker.step, steps)
+
+    def forward(self) -> None:
+        """Recompute everything derived from the current state of every environment."""
+        self._run(lambda worker: worker.forward, 1)
+
+    def _run(self, program: Callable[[Worker], np.ndarray], repeats: int) -> None:
+        """Spread the environments over the threads in chunks small enough to balance them."""
+        if self._workers is None:
+            self._workers = SimpleQueue()
+            for _ in range(self._threads):
+                self._workers.put(Worker(self))
+        workers = self._workers
+        chunk = max(1, -(-self.num_envs // (4 * self._threads)))
+
+        def run(first: int) -> None:
+            worker = workers.get()
+            last = min(first + chunk, self.num_envs)
+            try:
+                table = program(worker).ctypes.data
+                wp.launch(advance, dim=1, inputs=[table, first, last, repeats], device="cpu")
+            finally:
+                workers.put(worker)
+
+        for _ in self._pool.map(run, range(0, self.num_envs, chunk)):
+            pass
+
+
+@contextmanager
+def use_engine(name: str, device: str) -> Iterator[None]:
+    """Build mjlab environments with the named engine while inside.
+
+    Args:
+        name: `native` (C MuJoCo), `warp` (MuJoCo Warp), or `auto`: native on a CPU, else warp.
+
+    Raises:
+        RenetError: unknown engine, or the native one off the CPU.
+    """
+    if name not in ENGINES:
+        raise RenetError(f"unknown engine {name!r}: choose one of {', '.join(ENGINES)}")
+    on_cpu = torch.device(device).type == "cpu"
+    if name == "native" and not on_cpu:
+        raise RenetError(f"the native engine runs on the CPU, not on {device}: use --engine warp")
+    chosen = Simulation if name == "warp" or not on_cpu else NativeSimulation
+    # mjlab's environment names its simulation class in the module, not in a configuration.
+    original, mjlab_env.Simulation = mjlab_env.Simulation, chosen
+    try:
+        yield
+    finally:
+        mjlab_env.Simulation = original
