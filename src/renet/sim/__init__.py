@@ -1,0 +1,1 @@
+"""What it runs on: the native CPU engine, the depth camera and terrain scans."""

@@ -9,9 +9,7 @@ copy back what can have changed. Poses of static geoms never change and are not 
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from queue import SimpleQueue
@@ -26,6 +24,7 @@ from mjlab.sim.sim import Simulation
 
 from renet.errors import RenetError
 from renet.sim.native_kernel import advance
+from renet.sim.threads import THREADS, for_chunks
 from renet.sim.transfer import Transfer, load_rows, model_rows, store_rows
 
 ENGINES = ("auto", "native", "warp")
@@ -80,8 +79,6 @@ class NativeSimulation(Simulation):
         super().__init__(*args, **kwargs)
         if not self.wp_device.is_cpu:
             raise RenetError(f"the native engine runs on the CPU, not on {self.device}")
-        self._threads = os.cpu_count() or 1
-        self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="renet-engine")
         ctypes.c_void_p.in_dll(LIBRARY, "mju_user_warning").value = ctypes.cast(
             _ignore_warning, ctypes.c_void_p
         ).value
@@ -108,22 +105,19 @@ class NativeSimulation(Simulation):
         """Spread the environments over the threads in chunks small enough to balance them."""
         if self._workers is None:
             self._workers = SimpleQueue()
-            for _ in range(self._threads):
+            for _ in range(THREADS):
                 self._workers.put(Worker(self))
         workers = self._workers
-        chunk = max(1, -(-self.num_envs // (4 * self._threads)))
 
-        def run(first: int) -> None:
+        def run(first: int, last: int) -> None:
             worker = workers.get()
-            last = min(first + chunk, self.num_envs)
             try:
                 table = program(worker).ctypes.data
                 wp.launch(advance, dim=1, inputs=[table, first, last, repeats], device="cpu")
             finally:
                 workers.put(worker)
 
-        for _ in self._pool.map(run, range(0, self.num_envs, chunk)):
-            pass
+        for_chunks(self.num_envs, run)
 
 
 @contextmanager

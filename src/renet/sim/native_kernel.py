@@ -11,7 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 ROW = 5
-"""Numbers per transfer: Warp address, bytes per environment, MuJoCo address, count, element type."""
+"""Numbers per transfer: Warp address, bytes per environment, MuJoCo address, count, type."""
 FLOAT, INT, BYTE = 0, 1, 2
 """Element types: float32 to float64, int32, and bytes (bool)."""
 

@@ -27,7 +27,7 @@ class RenetEnvCfg(ManagerBasedRlEnvCfg):
 
 
 class RenetEnv(ManagerBasedRlEnv):
-    """Adds `extras["costs"]`, [N, 3] in the order of vocabulary.CONSTRAINTS, times the step's dt."""
+    """Adds `extras["costs"]`: [N, 3], order of vocabulary.CONSTRAINTS, times the step's dt."""
 
     cfg: RenetEnvCfg
 

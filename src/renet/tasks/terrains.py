@@ -92,7 +92,7 @@ FLOOR = (-0.2, 0.0)
 
 @dataclass
 class Rough(Tile):
-    """Random relief of `measure` metres on a 0.2 m grid; flat at the first level and in the middle."""
+    """Random relief of `measure` metres on a 0.2 m grid; flat at level 1 and in the middle."""
 
     high: float = 0.06
 

@@ -1,0 +1,49 @@
+"""Pinhole geometry of the depth camera.
+
+Camera frame: x forward, y left, z up. Images have the top row first; rays go through pixel centres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from renet.vocabulary import DEPTH_SHAPE
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Focal lengths and principal point in pixels of the image that is cast.
+
+    Default: an Intel RealSense D435i at 848 x 480 (87 x 58 degrees) loses its noisy edges to a
+    central 4:3 crop with square pixels, 66.0 x 52.0 degrees, and is resized to 64 x 48 (RENet,
+    Method C: truncate edges, then resize). The rays of that crop are cast directly.
+    """
+
+    height: int = DEPTH_SHAPE[0]
+    width: int = DEPTH_SHAPE[1]
+    fx: float = 32.0 / 0.650
+    fy: float = 24.0 / 0.4875
+    cx: float = 32.0
+    cy: float = 24.0
+
+    def rays(self, device: str | torch.device = "cpu") -> Tensor:
+        """Directions with forward component 1, row-major: [height * width, 3]."""
+        row = (self.cy - 0.5 - torch.arange(self.height, device=device)) / self.fy
+        column = (self.cx - 0.5 - torch.arange(self.width, device=device)) / self.fx
+        up, left = torch.meshgrid(row, column, indexing="ij")
+        return torch.stack((torch.ones_like(up), left, up), dim=-1).reshape(-1, 3)
+
+
+def mount_rotation(pitch: Tensor, yaw: Tensor) -> Tensor:
+    """Camera axes in the base frame, [N, 3, 3]: yaw about z, then pitch about y (down positive)."""
+    zero, one = torch.zeros_like(pitch), torch.ones_like(pitch)
+    about_y = torch.stack(
+        (pitch.cos(), zero, pitch.sin(), zero, one, zero, -pitch.sin(), zero, pitch.cos()), -1
+    )
+    about_z = torch.stack(
+        (yaw.cos(), -yaw.sin(), zero, yaw.sin(), yaw.cos(), zero, zero, zero, one), -1
+    )
+    return about_z.unflatten(-1, (3, 3)) @ about_y.unflatten(-1, (3, 3))
