@@ -138,22 +138,32 @@ def write_page(result: NoiseResult, film: Path | None, out: Path) -> Path:
         [_table_row(run) for run in summary["baseline"] + summary["runs"]],
         text=2,
     )
-    page.picture(out / "noise.png", "Mean forward velocity against timestep (0.02 s), as in the"
-                 " paper: (a) the VP estimator alone, (b) RENet.")
+    page.picture(
+        out / "noise.png",
+        "Mean forward velocity against timestep (0.02 s), as in the"
+        " paper: (a) the VP estimator alone, (b) RENet.",
+    )
     page.heading("One robot's camera fails and recovers")
-    page.picture(out / "timeline.png", "Reconstruction loss and threshold on the left axis, vision"
-                 " probability on the right. Green: VP in charge. Red: OP in charge.")
+    page.picture(
+        out / "timeline.png",
+        "Reconstruction loss and threshold on the left axis, vision"
+        " probability on the right. Green: VP in charge. Red: OP in charge.",
+    )
     page.heading("Where these numbers come from")
-    page.text("Every number and picture on this page was computed on this machine by the command"
-              " below, from the exported ONNX models, in simulation.")
+    page.text(
+        "Every number and picture on this page was computed on this machine by the command"
+        " below, from the exported ONNX models, in simulation."
+    )
     page.provenance(summary["provenance"])
     return page.write(out / "index.html")
 
 
 def headline(summary: dict[str, Any]) -> str:
     """One sentence that says what was measured, good or bad."""
-    falls = {mode: sum(r["falls"] for r in summary["runs"] if r["mode"] == mode)
-             for mode in ("vp", "renet")}
+    falls = {
+        mode: sum(r["falls"] for r in summary["runs"] if r["mode"] == mode)
+        for mode in ("vp", "renet")
+    }
     robots = sum(r["robots"] for r in summary["runs"] if r["mode"] == "renet")
     return (
         f"Six kinds of camera noise, {robots} robots: {falls['vp']} fell with the vision estimator"
@@ -168,7 +178,10 @@ def facts(summary: dict[str, Any]) -> list[tuple[str, str]]:
     delays = [r["detection_delay_s"] for r in renet if r["detection_delay_s"] is not None]
     robots = sum(run["robots"] for run in renet)
     return [
-        (f"{robots - sum(run['falls'] for run in renet)} of {robots}", "RENet robots on their feet"),
+        (
+            f"{robots - sum(run['falls'] for run in renet)} of {robots}",
+            "RENet robots on their feet",
+        ),
         (f"{min(speeds):.2f}–{max(speeds):.2f} m/s", "RENet's mean speed under noise"),
         (f"{1000 * max(delays):.0f} ms" if delays else "none", "slowest median switch to OP"),
         (str(summary["healthy"]["false_switches"]), "false switches while the camera was healthy"),

@@ -1,0 +1,85 @@
+"""RENet's simulated tasks as a `World` of rollouts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import torch
+
+from renet.evaluation.rollout import Readings
+from renet.tasks import RenetEnv, RenetEnvCfg, env_cfg, make_env
+from renet.tasks.commands import COMMAND, GoalCommandCfg
+from renet.tasks.rewards import goal
+
+NEVER = 1e9
+"""Seconds no run lasts."""
+
+
+def study_env_cfg(task: str | RenetEnvCfg, speed: float) -> RenetEnvCfg:
+    """A task for measuring: straight ahead at one speed, ended only by a fall.
+
+    Args:
+        task: id, or a configuration made with `play=True`.
+        speed: c_x, m/s; c_yaw stays each robot's starting yaw.
+    """
+    cfg = env_cfg(task, play=True) if isinstance(task, str) else task
+    command = cfg.commands[COMMAND]
+    assert isinstance(command, GoalCommandCfg)
+    command.fixed = (speed, None)
+    command.resampling_time_range = (NEVER, NEVER)
+    cfg.terminations.pop("time_out", None)
+    return cfg
+
+
+class SimWorld:
+    """A batch of robots in RENet's environment; see `rollout.World`."""
+
+    def __init__(self, cfg: RenetEnvCfg, num_robots: int, seed: int, engine: str) -> None:
+        self.env: RenetEnv = make_env(cfg, num_robots, seed=seed, engine=engine)
+        self.num_robots = num_robots
+        self._robot = self.env.scene["robot"].data
+        self._start = np.zeros((num_robots, 2))
+
+    @property
+    def scene_spec(self) -> mujoco.MjSpec:
+        """The scene, for pictures."""
+        return self.env.scene.spec
+
+    def reset(self) -> Readings:
+        """See `World.reset`."""
+        observation, _ = self.env.reset()
+        self._start = self._position().copy()
+        nobody = np.zeros(self.num_robots, bool)
+        return self._readings(observation, nobody, nobody)
+
+    def step(self, action: np.ndarray) -> Readings:
+        """See `World.step`."""
+        with torch.inference_mode():
+            observation, _, terminated, truncated, _ = self.env.step(torch.from_numpy(action))
+        fell, ended = terminated.numpy(), (terminated | truncated).numpy()
+        self._start[ended] = self._position()[ended]
+        return self._readings(observation, fell, ended)
+
+    def poses(self, rows: Sequence[int]) -> np.ndarray:
+        """See `World.poses`."""
+        return self.env.sim.data.qpos[list(rows)].numpy().copy()
+
+    def _position(self) -> np.ndarray:
+        """Horizontal base position [N, 2]."""
+        return self._robot.root_link_pos_w[:, :2].numpy()
+
+    def _readings(self, observation: dict, fell: np.ndarray, ended: np.ndarray) -> Readings:
+        velocity = self._robot.root_link_lin_vel_w[:, :2]
+        above = self._robot.root_link_pos_w[:, 2] - self.env.scene.env_origins[:, 2]
+        return Readings(
+            proprioception=observation["proprioception"].numpy().astype(np.float32),
+            depth=observation["depth"].numpy(),
+            angular_velocity=self._robot.root_link_ang_vel_b.numpy().copy(),
+            forward_velocity=(velocity * goal(self.env).direction).sum(-1).numpy(),
+            height=above.numpy(),
+            travelled=np.linalg.norm(self._position() - self._start, axis=1),
+            fell=fell,
+            ended=ended,
+        )

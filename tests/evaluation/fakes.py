@@ -1,0 +1,116 @@
+"""A lab without physics: robots that walk unless a spoilt image drives them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from renet.evaluation.faults import Frames
+from renet.evaluation.results import Provenance
+from renet.evaluation.rollout import Readings
+from renet.vocabulary import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
+
+GROUND = np.full(DEPTH_SHAPE, 0.5, np.float32)
+SPEED = 0.62
+
+
+class FakeWorld:
+    """Speed falls with the first action; a robot driven at 1 falls after ten steps and restarts."""
+
+    def __init__(self, num_robots: int) -> None:
+        self.num_robots = num_robots
+        self.bad = np.zeros(num_robots, int)
+        self.x = np.zeros(num_robots)
+
+    def reset(self) -> Readings:
+        return self.readings(np.zeros(self.num_robots), np.zeros(self.num_robots, bool))
+
+    def step(self, action: np.ndarray) -> Readings:
+        harm = action[:, 0]
+        self.bad = np.where(harm >= 1, self.bad + 1, 0)
+        fell = self.bad > 10
+        self.bad[fell] = 0
+        self.x += SPEED * 0.02
+        self.x[fell] = 0
+        return self.readings(SPEED * (1 - np.minimum(harm, 1)), fell)
+
+    def poses(self, rows: Sequence[int]) -> np.ndarray:
+        pose = np.zeros((len(rows), 7))
+        pose[:, 0], pose[:, 2], pose[:, 3] = self.x[list(rows)], 0.2, 1
+        return pose
+
+    def readings(self, speed: np.ndarray, fell: np.ndarray) -> Readings:
+        n = self.num_robots
+        return Readings(
+            proprioception=np.zeros((n, PROPRIOCEPTION_SIZE), np.float32),
+            depth=np.tile(GROUND, (n, 1, 1)).astype(np.float16),
+            angular_velocity=np.zeros((n, 3), np.float32),
+            forward_velocity=speed,
+            height=np.full(n, 0.3),
+            travelled=self.x.copy(),
+            fell=fell,
+            ended=fell,
+        )
+
+
+class FakeController:
+    """Scores an image by its distance from the ground; VP acts as badly as its image is."""
+
+    def __init__(self, num_robots: int) -> None:
+        self.anomaly_score = np.zeros(num_robots)
+        self.resets: list[np.ndarray] = []
+
+    def reset(self, mask: np.ndarray | None = None) -> None:
+        if mask is not None:
+            self.resets.append(mask.copy())
+
+    def step(self, proprioception, depth, modality) -> np.ndarray:
+        self.anomaly_score = np.square(depth - GROUND).mean(axis=(1, 2)) + 1e-4
+        action = np.zeros((len(depth), ACTION_SIZE), np.float32)
+        action[:, 0] = np.where(modality, 0.0, 10 * (self.anomaly_score - 1e-4))
+        return action
+
+
+class FakeSwitch:
+    """The paper's filter."""
+
+    def __init__(self, num_robots: int, beta: float) -> None:
+        self.probability, self.beta = np.ones(num_robots), beta
+        self.fresh = 0
+
+    def update(self, anomaly_score: np.ndarray, frames: Frames) -> np.ndarray:
+        self.fresh += int(frames.fresh.any())
+        self.probability = 0.9 * self.probability + 0.1 * (anomaly_score < self.beta)
+        return self.probability > 0.5
+
+    def reset(self, mask: np.ndarray) -> None:
+        self.probability[mask] = 1
+
+
+class FakeLab:
+    """Stands in for `renet.evaluation.lab.Lab`."""
+
+    beta = 0.01
+
+    def __init__(self) -> None:
+        spec = mujoco.MjSpec()
+        spec.worldbody.add_light(pos=(0, 0, 3))
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1))
+        body = spec.worldbody.add_body()
+        body.add_freejoint()
+        body.add_geom(size=(0.2, 0.1, 0.1), type=mujoco.mjtGeom.mjGEOM_BOX)
+        self.scene_spec = spec
+
+    def provenance(self, seed: int) -> Provenance:
+        return Provenance.now("fake", "0" * 64, "none", seed)
+
+    def world(self, task, num_robots: int, speed: float, seed: int) -> FakeWorld:
+        return FakeWorld(num_robots)
+
+    def controller(self, num_robots: int) -> FakeController:
+        return FakeController(num_robots)
+
+    def switch(self, num_robots: int, kind: str = "default") -> FakeSwitch:
+        return FakeSwitch(num_robots, self.beta)

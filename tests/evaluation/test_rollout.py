@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from evaluation.fakes import SPEED, FakeController, FakeSwitch, FakeWorld
+from renet.errors import RenetError
+from renet.evaluation.faults import Injection
+from renet.evaluation.rollout import Row, run_rollout
+
+NOISE = (Injection("gaussian", 1.0, onset=20),)
+MODES = ("vp", "renet", "op", "oracle-switch")
+
+
+def roll(rows: list[Row], steps: int = 60, **kwargs):
+    controller, switch = FakeController(len(rows)), FakeSwitch(len(rows), 0.01)
+    trace = run_rollout(FakeWorld(len(rows)), controller, switch, rows, steps, 0, **kwargs)
+    return trace, controller, switch
+
+
+def test_each_mode_uses_the_estimator_it_is_named_after() -> None:
+    trace, *_ = roll([Row(mode, NOISE) for mode in MODES])
+    vp, renet, op, oracle = trace.vision.T
+    assert vp.all()
+    assert not op.any()
+    np.testing.assert_array_equal(oracle, np.arange(60) < 20)
+    # Seven updates of 5 ms (P_t = 0.9^7 < 0.5): two control steps still run on vision.
+    np.testing.assert_array_equal(renet, np.arange(60) < 22)
+
+
+def test_a_fall_is_latched_and_stops_the_count() -> None:
+    trace, controller, _ = roll([Row("vp", NOISE), Row("op", NOISE)])
+    assert trace.fallen[:, 1].sum() == 0
+    first = int(trace.fallen[:, 0].argmax())
+    assert first > 20
+    assert trace.fallen[first:, 0].all()
+    assert (trace.forward_velocity[first:, 0] == 0).all()
+    np.testing.assert_allclose(trace.forward_velocity[:, 1], SPEED)
+    assert (trace.travelled[first:, 0] == trace.travelled[first - 1, 0]).all()
+    # The simulator puts the robot back: the policy must forget its past, only that robot's.
+    np.testing.assert_array_equal(controller.resets[0], [True, False])
+
+
+def test_faults_act_at_ticks_and_hold_between_them() -> None:
+    trace, *_ = roll([Row("op", NOISE)], film=[0])
+    assert trace.film is not None
+    assert trace.film.images.shape == (12, 1, 48, 64)
+    assert trace.film.poses.shape == (60, 1, 7)
+    changed = np.flatnonzero(np.diff(trace.anomaly[:, 0])) + 1
+    assert (changed % 5 == 0).all()
+    assert changed[0] == 20
+
+
+def test_robots_of_one_number_get_the_same_noise_in_every_mode() -> None:
+    trace, *_ = roll([Row("op", NOISE, 0), Row("oracle-switch", NOISE, 0), Row("op", NOISE, 1)])
+    np.testing.assert_array_equal(trace.anomaly[:, 0], trace.anomaly[:, 1])
+    assert (trace.anomaly[20:, 0] != trace.anomaly[20:, 2]).any()
+
+
+def test_a_frame_is_fresh_once_a_tick() -> None:
+    _, _, switch = roll([Row("renet")], steps=50)
+    assert switch.fresh == 10
+
+
+def test_wrong_input_is_refused() -> None:
+    with pytest.raises(RenetError, match="unknown mode 'blind'"):
+        Row("blind")
+    with pytest.raises(RenetError, match="2 rows"):
+        run_rollout(FakeWorld(1), FakeController(1), FakeSwitch(1, 1), [Row("vp")] * 2, 5, 0)
