@@ -37,6 +37,10 @@ def _ignore_warning(message: bytes) -> None:
     """MuJoCo would append each warning to a log file in the working directory."""
 
 
+RESET_TO_ZERO = ("qvel", "act", "qacc", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied")
+RESET_TO_ZERO += ("time", "sensordata")
+
+
 def _address(function: str) -> int:
     return ctypes.cast(getattr(LIBRARY, function), ctypes.c_void_p).value or 0
 
@@ -100,6 +104,25 @@ class NativeSimulation(Simulation):
     def forward(self) -> None:
         """Recompute everything derived from the current state of every environment."""
         self._run(lambda worker: worker.forward, 1)
+
+    def reset(self, env_ids: torch.Tensor | None = None) -> None:
+        """Put environments at the model's reference state, at rest and unforced."""
+        ids = slice(None) if env_ids is None else env_ids
+        for name in RESET_TO_ZERO:
+            field = getattr(self.data, name)
+            if field.numel():
+                field[ids] = 0
+        self.data.qpos[ids] = self._model_rows("qpos0", ids)
+        if self.mj_model.nmocap:
+            bodies = np.flatnonzero(self.mj_model.body_mocapid >= 0)
+            order = bodies[np.argsort(self.mj_model.body_mocapid[bodies])]
+            self.data.mocap_pos[ids] = self._model_rows("body_pos", ids)[..., order, :]
+            self.data.mocap_quat[ids] = self._model_rows("body_quat", ids)[..., order, :]
+
+    def _model_rows(self, name: str, ids: slice | torch.Tensor) -> torch.Tensor:
+        """A model field of the environments in `ids`, or the one they share."""
+        field = getattr(self.model, name)
+        return field[ids] if field.shape[0] == self.num_envs else field[0]
 
     def _run(self, program: Callable[[Worker], np.ndarray], repeats: int) -> None:
         """Spread the environments over the threads in chunks small enough to balance them."""
