@@ -71,7 +71,7 @@ def film_comparison(result: NoiseResult, path: Path, cfg: VideoCfg | None = None
             vision=trace.vision[steps, row],
             fallen=trace.fallen[steps, row],
             fault=[label if failing else "" for failing in trace.failing[steps, row]],
-            speed=trace.forward_velocity[steps, row],
+            speed=trace.speed[steps, row],
         )
         for mode, row in zip(("vp", "renet"), rows, strict=True)
     ]
@@ -86,17 +86,16 @@ def film_comparison(result: NoiseResult, path: Path, cfg: VideoCfg | None = None
 
 def worst_of_vp(result: NoiseResult) -> tuple[tuple[str, float], int]:
     """The noise setting with most VP falls, then the slowest, and its first robot to fail."""
-    trace = result.trace
+    fallen, speed = result.trace.fallen, result.trace.speed[-150:]
 
     def harm(setting: tuple[str, float]) -> tuple[float, float]:
         index = result.indices("vp", setting)
-        return trace.fallen[-1, index].sum(), -trace.forward_velocity[-150:, index].mean()
+        return fallen[-1, index].sum(), -speed[:, index].mean()
 
     setting = max(result.cfg.settings, key=harm)
     index = result.indices("vp", setting)
-    upright = (~trace.fallen[:, index]).sum(axis=0)
-    speed = trace.forward_velocity[-150:, index].mean(axis=0)
-    return setting, int(np.lexsort((speed, upright))[0])
+    upright = (~fallen[:, index]).sum(axis=0)
+    return setting, int(np.lexsort((speed[:, index].mean(axis=0), upright))[0])
 
 
 def _last_upright(fallen: np.ndarray) -> int:

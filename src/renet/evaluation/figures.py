@@ -96,9 +96,9 @@ def speed_over_time(
             axis.axhline(command, color=FAINT, linewidth=1, linestyle=(0, (1, 3)))
             axis.annotate(
                 "noise begins",
-                (onset, 1.0),
+                (onset, 0.0),
                 xycoords=("data", "axes fraction"),
-                xytext=(4, -10),
+                xytext=(4, 5),
                 textcoords="offset points",
                 fontsize=8,
                 color=INK,
@@ -154,10 +154,12 @@ def timeline(
         axis.plot(time, anomaly, color=LOSS, label="reconstruction loss")
         axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label="threshold β")
         axis.set_yscale("log")
+        axis.set_ylim(top=4 * max(anomaly.max(), beta))
         axis.set(xlabel="time (s)", ylabel="anomaly score", title=title, xlim=(0, time[-1]))
         right = axis.twinx()
         right.plot(time, probability, "--", color=PROBABILITY, label="vision probability $P_t$")
-        right.set(ylim=(-0.05, 1.05))
+        right.set(ylim=(-0.05, 1.25))
+        right.set_yticks(np.linspace(0, 1, 6))
         right.set_ylabel("$P_t$", color=PROBABILITY)
         right.grid(False)
         for instant, text in marks:

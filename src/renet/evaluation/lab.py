@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import warp as wp
 
 from renet.deploy.bundle import Bundle
 from renet.deploy.policy import Policy
+from renet.evaluation.faults import Frames
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import Controller, Switch
 from renet.evaluation.world import SimWorld, study_env_cfg
@@ -59,3 +61,14 @@ class Lab:
 
 class BundleSwitch:
     """The bundle's selector as a `Switch` of rollouts."""
+
+    def __init__(self, bundle, num_robots: int, kind: str) -> None:
+        self.probability = np.ones(num_robots)
+        self.b = bundle.manifest.selector.beta
+
+    def update(self, anomaly_score: np.ndarray, frames: Frames) -> np.ndarray:
+        self.probability = 0.9 * self.probability + 0.1 * (anomaly_score < self.b)
+        return self.probability > 0.5
+
+    def reset(self, mask: np.ndarray) -> None:
+        self.probability[mask] = 1

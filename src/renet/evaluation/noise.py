@@ -63,6 +63,8 @@ class NoiseCfg:
         unknown = [mode for mode in self.modes if mode not in MODES]
         if unknown:
             raise RenetError(f"unknown mode '{unknown[0]}': choose among {', '.join(MODES)}")
+        if not self.settings:
+            raise RenetError("no noise level given: set gaussian or salt_and_pepper")
         if self.robots < 1 or not 0 < self.onset < self.steps:
             raise RenetError(
                 f"robots {self.robots} must be >= 1 and 0 < onset {self.onset} < steps {self.steps}"
@@ -159,7 +161,7 @@ def summarise(result: NoiseResult) -> dict[str, Any]:
 def _run(result: NoiseResult, mode: str, setting: tuple[str, float]) -> dict[str, Any]:
     """One row of the summary."""
     cfg, index = result.cfg, result.indices(mode, setting)
-    speed = result.trace.forward_velocity[:, index]
+    speed = result.trace.speed[:, index]
     low, high = metrics.bootstrap_interval(speed[metrics.window(3.0)].mean(axis=0))
     delay = np.full(len(index), np.nan)
     if mode == "renet" and setting != CLEAN:
@@ -183,10 +185,10 @@ def _run(result: NoiseResult, mode: str, setting: tuple[str, float]) -> dict[str
 def draw(result: NoiseResult, out: Path) -> None:
     """Write noise.png and timeline.png."""
     cfg, trace, lab = result.cfg, result.trace, result.lab
-    provenance = lab.provenance(cfg.seed)
+    provenance, speed = lab.provenance(cfg.seed), trace.speed
     curves = {
         mode: {
-            setting: trace.forward_velocity[:, result.indices(mode, setting)].mean(axis=1)
+            setting: speed[:, result.indices(mode, setting)].mean(axis=1)
             for setting in [CLEAN, *cfg.settings]
         }
         for mode in cfg.modes

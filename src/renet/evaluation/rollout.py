@@ -40,6 +40,8 @@ class Readings:
     """[N] true height of the base above the ground it started on, m."""
     travelled: np.ndarray
     """[N] true horizontal distance from the start, m."""
+    collisions: np.ndarray
+    """[N] thighs, calves and trunks that touch something."""
     fell: np.ndarray
     """[N] bool: the episode ended in this step by a fall, judged by the true pose."""
     ended: np.ndarray
@@ -123,26 +125,55 @@ class Film:
 
 @dataclass
 class Trace:
-    """What happened, for each control step and robot; [T, N] unless said otherwise."""
+    """What happened, for each control step and robot; [T, N] unless said otherwise.
+
+    A robot that falls or leaves its tile starts anew and goes on; `fallen` and `speed` are for
+    studies in which a fall is final.
+    """
 
     forward_velocity: np.ndarray
-    """m/s along the commanded yaw; zero from a robot's fall on."""
+    """m/s along the commanded yaw."""
     height: np.ndarray
-    """m, frozen at a fall."""
+    """m"""
     travelled: np.ndarray
-    """m from the start, frozen at a fall."""
-    fallen: np.ndarray
-    """bool: has fallen in this or an earlier step; a robot that fell stays counted."""
+    """m from where the robot last started."""
+    collisions: np.ndarray
+    """Thighs, calves and trunks that touch something."""
     anomaly: np.ndarray
     probability: np.ndarray
     """Vision probability P_t at the end of the step."""
+    fell: np.ndarray
+    """bool: fell in this step."""
+    ended: np.ndarray
+    """bool: fell or left its tile in this step; the velocity of this step is the next start's."""
     vision: np.ndarray
     """bool: the VP estimator's latent drove this step."""
-    trusted: np.ndarray
-    """[T, U, N] bool: the selector's answer after each of its U updates of a step."""
     failing: np.ndarray
     """bool: the camera is failing."""
+    trusted: np.ndarray
+    """[T, U, N] bool: the selector's answer after each of its U updates of a step."""
     film: Film | None = field(default=None, repr=False)
+
+    @classmethod
+    def empty(cls, steps: int, count: int) -> Trace:
+        """Room for `steps` control steps of `count` robots."""
+        floats = ("forward_velocity", "height", "travelled", "collisions", "anomaly", "probability")
+        flags = ("fell", "ended", "vision", "failing")
+        return cls(
+            **{name: np.zeros((steps, count)) for name in floats},
+            **{name: np.zeros((steps, count), bool) for name in flags},
+            trusted=np.ones((steps, UPDATES_PER_STEP, count), bool),
+        )
+
+    @property
+    def fallen(self) -> np.ndarray:
+        """[T, N] bool: fell in this or an earlier step; a robot that fell stays counted."""
+        return np.logical_or.accumulate(self.fell, axis=0)
+
+    @property
+    def speed(self) -> np.ndarray:
+        """[T, N] m/s along the commanded yaw; zero from a robot's fall on."""
+        return np.where(self.fallen, 0.0, self.forward_velocity)
 
 
 def run_rollout(
@@ -175,17 +206,12 @@ def run_rollout(
         raise RenetError(f"{count} rows need as many robots, not {world.num_robots}")
     injector = Injector([row.schedule for row in rows], [row.robot for row in rows], seed)
     mode = np.array([row.mode for row in rows])
-    trace = Trace(
-        **{name: np.zeros((steps, count)) for name in _FLOATS},
-        **{name: np.zeros((steps, count), bool) for name in ("fallen", "vision", "failing")},
-        trusted=np.ones((steps, UPDATES_PER_STEP, count), bool),
-    )
+    trace = Trace.empty(steps, count)
     poses, images = [], []
     readings = world.reset()
     controller.reset()
     frames = Frames.healthy(readings.depth)
     trusted = np.ones(count, bool)
-    fallen = np.zeros(count, bool)
     for k in range(steps):
         if k % STEPS_PER_TICK == 0:
             live = Frames.healthy(readings.depth, readings.angular_velocity)
@@ -205,13 +231,8 @@ def run_rollout(
         if film:
             poses.append(world.poses(film))
         readings = world.step(action)
-        fallen = fallen | readings.fell
-        trace.fallen[k] = fallen
-        trace.forward_velocity[k] = np.where(fallen, 0.0, readings.forward_velocity)
-        before = max(k - 1, 0)
-        for name in ("height", "travelled"):
-            value = getattr(trace, name)
-            value[k] = np.where(fallen, value[before], getattr(readings, name))
+        for name in ("forward_velocity", "height", "travelled", "collisions", "fell", "ended"):
+            getattr(trace, name)[k] = getattr(readings, name)
         if readings.ended.any():
             controller.reset(readings.ended)
             switch.reset(readings.ended)
@@ -219,9 +240,6 @@ def run_rollout(
     if film:
         trace.film = Film(tuple(film), np.stack(poses), np.stack(images))
     return trace
-
-
-_FLOATS = ("forward_velocity", "height", "travelled", "anomaly", "probability")
 
 
 def since(frames: Frames, step: int, update: int) -> Frames:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import warnings
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 
 import mujoco
 import numpy as np
@@ -11,7 +14,7 @@ import torch
 from renet.evaluation.rollout import Readings
 from renet.tasks import RenetEnv, RenetEnvCfg, env_cfg, make_env
 from renet.tasks.commands import COMMAND, GoalCommandCfg
-from renet.tasks.rewards import goal
+from renet.tasks.rewards import collision, goal
 
 NEVER = 1e9
 """Seconds no run lasts."""
@@ -37,7 +40,9 @@ class SimWorld:
     """A batch of robots in RENet's environment; see `rollout.World`."""
 
     def __init__(self, cfg: RenetEnvCfg, num_robots: int, seed: int, engine: str) -> None:
-        self.env: RenetEnv = make_env(cfg, num_robots, seed=seed, engine=engine)
+        # mjlab prints its tables and warns of choices the task makes on purpose.
+        with redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
+            self.env: RenetEnv = make_env(cfg, num_robots, seed=seed, engine=engine)
         self.num_robots = num_robots
         self._robot = self.env.scene["robot"].data
         self._start = np.zeros((num_robots, 2))
@@ -62,6 +67,19 @@ class SimWorld:
         self._start[ended] = self._position()[ended]
         return self._readings(observation, fell, ended)
 
+    def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
+        """Put robots on tiles, from the next reset on.
+
+        Args:
+            levels: [N] row of the terrain, 0 the easiest. kinds: [N] its column.
+        """
+        terrain = self.env.scene.terrain
+        assert terrain is not None
+        assert terrain.terrain_origins is not None
+        terrain.terrain_levels[:] = torch.as_tensor(levels)
+        terrain.terrain_types[:] = torch.as_tensor(kinds)
+        terrain.env_origins[:] = terrain.terrain_origins[levels, kinds]
+
     def poses(self, rows: Sequence[int]) -> np.ndarray:
         """See `World.poses`."""
         return self.env.sim.data.qpos[list(rows)].numpy().copy()
@@ -80,6 +98,7 @@ class SimWorld:
             forward_velocity=(velocity * goal(self.env).direction).sum(-1).numpy(),
             height=above.numpy(),
             travelled=np.linalg.norm(self._position() - self._start, axis=1),
+            collisions=collision(self.env).numpy(),
             fell=fell,
             ended=ended,
         )

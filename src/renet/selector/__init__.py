@@ -1,0 +1,14 @@
+"""When to trust vision: anomaly threshold, low-pass filter, monitors. NumPy only."""
+
+from renet.selector.calibration import calibrate, conformal_threshold
+from renet.selector.filter import LowPassFilter, switch_delay
+from renet.selector.selector import Selector, SelectorCfg
+
+__all__ = [
+    "LowPassFilter",
+    "Selector",
+    "SelectorCfg",
+    "calibrate",
+    "conformal_threshold",
+    "switch_delay",
+]

@@ -13,6 +13,8 @@ DAMPING = 1.0
 """Kd, N m s/rad."""
 ACTION_SCALE = 0.25
 """Radians of joint target per policy unit."""
+ACTION_CLIP = 4.8
+"""Policy units beyond which actions are cut: 1.2 rad (Extreme Parkour)."""
 
 TORQUE_LIMIT = {
     "hip": go1.HIP_ACTUATOR.effort_limit,

@@ -91,8 +91,8 @@ class LearningCfg:
     """Iterations between checkpoints: the most a killed run can lose."""
     keep_checkpoints: int = 3
     """Older checkpoints are removed."""
-    clip_actions: float | None = 4.8
-    """Actions are clipped to this many policy units (1.2 rad at the action scale of 0.25)."""
+    clip_actions: float = 4.8
+    """Actions are clipped to this many policy units; must equal tasks.robot.ACTION_CLIP."""
     logger: str = "renet.training.metrics:MetricsWriter"
     """rsl_rl log writer: TensorBoard and CSV by default, `WandbLogWriter` for W&B."""
 

@@ -1,0 +1,164 @@
+"""`manifest.json`: everything a robot must agree with before it runs three ONNX models."""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from dataclasses import dataclass, field
+from typing import Any
+
+from renet.errors import RenetError
+from renet.vocabulary import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class InputTerm:
+    """One block of o_t."""
+
+    name: str
+    size: int
+    unit: str
+    scale: float
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """The joints a policy was trained on; lists follow `joints`."""
+
+    name: str
+    joints: tuple[str, ...]
+    default_position: tuple[float, ...]
+    """rad"""
+    stiffness: tuple[float, ...]
+    """Kp, N m/rad."""
+    damping: tuple[float, ...]
+    """Kd, N m s/rad."""
+    torque_limit: tuple[float, ...]
+    """N m"""
+    lower: tuple[float, ...]
+    """rad, hard limit."""
+    upper: tuple[float, ...]
+    """rad, hard limit."""
+    action_scale: float
+    """rad of joint target per policy unit."""
+    action_clip: float
+    """Policy units."""
+
+
+@dataclass(frozen=True)
+class CameraSpec:
+    """What a depth image must be."""
+
+    height: int = DEPTH_SHAPE[0]
+    width: int = DEPTH_SHAPE[1]
+    range: float = DEPTH_RANGE
+    """m; images are divided by it."""
+    fx: float = 0.0
+    """Focal length in pixels of the cropped, resized image."""
+    fy: float = 0.0
+    cx: float = 0.0
+    cy: float = 0.0
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """m, base frame."""
+    pitch: float = 0.0
+    """Downward tilt, rad."""
+    rate_hz: float = 10.0
+
+
+@dataclass(frozen=True)
+class SelectorSpec:
+    """Calibrated selector."""
+
+    beta: float
+    """Threshold on the anomaly score."""
+    gamma: float = 0.1
+    rate_hz: float = 200.0
+    thresholds: dict[str, float] = field(default_factory=dict)
+    """Calibrated thresholds of further monitors, by name."""
+    calibration: str = ""
+    """How beta was found."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where the weights come from."""
+
+    task: str = ""
+    iteration: int = 0
+    steps: int = 0
+    seconds: float = 0.0
+    seed: int = 0
+    perception: str = "renet"
+    encoder: str = "attention"
+    date: str = ""
+    renet: str = ""
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The whole manifest; `sha256` maps file names to digests."""
+
+    robot: RobotSpec
+    camera: CameraSpec
+    selector: SelectorSpec
+    provenance: Provenance = Provenance()
+    history: int = HISTORY
+    frames: int = FRAMES
+    proprioception: tuple[InputTerm, ...] = tuple(
+        InputTerm(t.name, t.size, t.unit, t.scale) for t in PROPRIOCEPTION
+    )
+    sha256: dict[str, str] = field(default_factory=dict)
+    schema: int = SCHEMA
+
+    def __post_init__(self) -> None:
+        if self.robot.joints != JOINTS:
+            raise RenetError(
+                f"the bundle's joint order is {', '.join(self.robot.joints)}; this renet uses "
+                f"{', '.join(JOINTS)}"
+            )
+        own = tuple(InputTerm(t.name, t.size, t.unit, t.scale) for t in PROPRIOCEPTION)
+        if self.proprioception != own:
+            raise RenetError(
+                "the bundle's proprioception differs from this renet's: export it anew"
+            )
+
+
+def to_json(value: Any) -> Any:
+    """Dataclasses to plain JSON values."""
+    return dataclasses.asdict(value)
+
+
+def from_json(cls: Any, value: Any, where: str = "manifest") -> Any:
+    """JSON values to dataclasses, checked field by field.
+
+    Raises:
+        RenetError: naming the field that is missing, unknown or of the wrong type.
+    """
+    if dataclasses.is_dataclass(cls):
+        if not isinstance(value, dict):
+            raise RenetError(f"{where} must be an object, got {type(value).__name__}")
+        hints = typing.get_type_hints(cls)
+        unknown = sorted(set(value) - set(hints))
+        if unknown:
+            raise RenetError(f"{where} has an unknown field {unknown[0]!r}")
+        for item in dataclasses.fields(cls):
+            defaults = (item.default, item.default_factory)
+            if item.name not in value and defaults == (dataclasses.MISSING,) * 2:
+                raise RenetError(f"{where} lacks the field {item.name!r}")
+        return cls(**{k: from_json(hints[k], v, f"{where}.{k}") for k, v in value.items()})
+    origin = typing.get_origin(cls)
+    if origin is tuple and isinstance(value, list):
+        item = typing.get_args(cls)[0]
+        return tuple(from_json(item, v, f"{where}[{i}]") for i, v in enumerate(value))
+    if origin is dict and isinstance(value, dict):
+        item = typing.get_args(cls)[1]
+        return {k: from_json(item, v, f"{where}.{k}") for k, v in value.items()}
+    if cls is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(origin, types.GenericAlias) or origin or not isinstance(value, cls):
+        name = getattr(cls, "__name__", str(cls))
+        raise RenetError(f"{where} must be {name}, got {type(value).__name__}")
+    return value

@@ -1,0 +1,130 @@
+"""`renet export`: a checkpoint becomes a bundle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import tyro
+from mjlab.entity import Entity
+from mjlab.utils.string import resolve_expr
+
+from renet import __version__
+from renet.deploy.bundle import write_bundle
+from renet.deploy.manifest import CameraSpec, Manifest, Provenance, RobotSpec, SelectorSpec
+from renet.errors import RenetError
+from renet.models.config import ModelCfg
+from renet.models.renet import RENet
+from renet.sim.depth_camera import DepthCameraCfg
+from renet.tasks.robot import (
+    ACTION_CLIP,
+    ACTION_SCALE,
+    DAMPING,
+    STIFFNESS,
+    TORQUE_LIMIT,
+    go1_cfg,
+)
+from renet.training import checkpoint as checkpoints
+from renet.training.checkpoint import Checkpoint
+from renet.training.config_io import from_dict
+from renet.training.export import export_models
+from renet.vocabulary import JOINTS
+
+
+@dataclass(kw_only=True)
+class ExportCfg:
+    """Turn a checkpoint into a bundle: three ONNX models and a manifest."""
+
+    checkpoint: tyro.conf.Positional[Path]
+    """Checkpoint folder, or a run folder whose newest checkpoint is taken."""
+    out: Path = Path("bundle")
+    """Folder of the bundle; replaced if it already is one."""
+    beta: float = 0.01
+    """Selector threshold until `renet calibrate` measures one."""
+
+
+def export(cfg: ExportCfg) -> Path:
+    """Export and return the bundle's folder; raises RenetError for a foreign checkpoint."""
+    if not cfg.checkpoint.exists():
+        raise RenetError(f"no checkpoint at {cfg.checkpoint}")
+    found = checkpoints.find(cfg.checkpoint)
+    loaded = checkpoints.load(found)
+    model = load_networks(loaded, found)
+    manifest = Manifest(
+        robot=go1_spec(),
+        camera=camera_spec(),
+        selector=SelectorSpec(beta=cfg.beta, calibration="none: run `renet calibrate`"),
+        provenance=_provenance(loaded.state, model.cfg),
+        history=model.cfg.history,
+        frames=model.cfg.frames,
+    )
+    path = write_bundle(cfg.out, export_models(model), manifest)
+    print(f"Exported iteration {loaded.state['iteration']} to {path}")
+    return path
+
+
+def load_networks(checkpoint: Checkpoint, path: Path) -> RENet:
+    """Rebuild the networks a checkpoint was taken from."""
+    try:
+        cfg = from_dict(ModelCfg, checkpoint.state["config"]["model"])
+        critic_size = checkpoint.model["critic_normalizer._mean"].shape[-1]
+    except KeyError as error:
+        raise RenetError(f"{path} is not a checkpoint of RENet: it lacks {error}") from error
+    model = RENet(cfg, critic_size)
+    checkpoints.load_model(model, checkpoint.model, path)
+    return model.eval()
+
+
+def go1_spec() -> RobotSpec:
+    """The Go1 as the tasks drive it, read from the model they compile."""
+    cfg = go1_cfg()
+    model = Entity(cfg).spec.compile()
+    default = resolve_expr(cfg.init_state.joint_pos or {}, JOINTS)
+    kinds = [name.split("_")[1] for name in JOINTS]
+    limits = [model.joint(name).range for name in JOINTS]
+    return RobotSpec(
+        name="Unitree Go1",
+        joints=JOINTS,
+        default_position=tuple(float(value) for value in default),
+        stiffness=(STIFFNESS,) * len(JOINTS),
+        damping=(DAMPING,) * len(JOINTS),
+        torque_limit=tuple(float(TORQUE_LIMIT[kind]) for kind in kinds),
+        lower=tuple(float(low) for low, _ in limits),
+        upper=tuple(float(high) for _, high in limits),
+        action_scale=ACTION_SCALE,
+        action_clip=ACTION_CLIP,
+    )
+
+
+def camera_spec() -> CameraSpec:
+    """The tasks' camera without its errors."""
+    camera = DepthCameraCfg(name="depth_camera")
+    intrinsics, mount = camera.intrinsics, camera.mount
+    return CameraSpec(
+        height=intrinsics.height,
+        width=intrinsics.width,
+        range=camera.range,
+        fx=intrinsics.fx,
+        fy=intrinsics.fy,
+        cx=intrinsics.cx,
+        cy=intrinsics.cy,
+        position=mount.position,
+        pitch=mount.pitch,
+        rate_hz=1.0 / camera.period,
+    )
+
+
+def _provenance(state: dict[str, Any], cfg: ModelCfg) -> Provenance:
+    return Provenance(
+        task=state["task"],
+        iteration=state["iteration"],
+        steps=state["steps"],
+        seconds=round(state["seconds"], 1),
+        seed=state["config"].get("seed", 0),
+        perception=cfg.perception,
+        encoder=cfg.encoder,
+        date=date.today().isoformat(),
+        renet=__version__,
+    )
