@@ -50,6 +50,7 @@ class FakeWorld:
             forward_velocity=speed,
             height=np.full(n, 0.3),
             travelled=self.x.copy(),
+            collisions=np.zeros(n),
             fell=fell,
             ended=fell,
         )
@@ -112,5 +113,5 @@ class FakeLab:
     def controller(self, num_robots: int) -> FakeController:
         return FakeController(num_robots)
 
-    def switch(self, num_robots: int, kind: str = "default") -> FakeSwitch:
+    def switch(self, num_robots: int) -> FakeSwitch:
         return FakeSwitch(num_robots, self.beta)

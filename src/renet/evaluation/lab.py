@@ -9,12 +9,16 @@ import numpy as np
 import warp as wp
 
 from renet.deploy.bundle import Bundle
+from renet.deploy.manifest import SelectorSpec
 from renet.deploy.policy import Policy
+from renet.errors import RenetError
 from renet.evaluation.faults import Frames
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import Controller, Switch
 from renet.evaluation.world import SimWorld, study_env_cfg
+from renet.selector.selector import Selector, SelectorCfg
 from renet.tasks import RenetEnvCfg
+from renet.vocabulary import PHYSICS_DT
 
 
 class Lab:
@@ -31,9 +35,10 @@ class Lab:
             RenetError: a missing, damaged or incompatible bundle.
         """
         wp.config.quiet = True
-        self.bundle = Bundle.load(bundle)
+        self.bundle = Bundle.load(bundle, threads=2)
         self.engine = engine
         self.scene_spec: mujoco.MjSpec | None = None
+        """The scene of the latest world, for pictures."""
 
     @property
     def beta(self) -> float:
@@ -42,7 +47,8 @@ class Lab:
 
     def provenance(self, seed: int) -> Provenance:
         """Where numbers made with this bundle now come from."""
-        return Provenance.now(self.bundle.name, self.bundle.sha256, self.engine, seed)
+        engine = "native" if self.engine == "auto" else self.engine
+        return Provenance.now(self.bundle.name, self.bundle.sha256, engine, seed)
 
     def world(self, task: str | RenetEnvCfg, num_robots: int, speed: float, seed: int) -> SimWorld:
         """Robots that are told to walk straight ahead at `speed`, m/s."""
@@ -54,21 +60,39 @@ class Lab:
         """The policy under study."""
         return Policy(self.bundle, num_robots)
 
-    def switch(self, num_robots: int, kind: str = "default") -> Switch:
-        """The selector: "default" with all monitors, "paper" with the reconstruction loss alone."""
-        return BundleSwitch(self.bundle, num_robots, kind)
+    def switch(self, num_robots: int) -> Switch:
+        """The bundle's selector."""
+        return ScoreSwitch(self.bundle.manifest.selector, num_robots)
 
 
-class BundleSwitch:
-    """The bundle's selector as a `Switch` of rollouts."""
+class ScoreSwitch:
+    """The paper's selector as a `Switch` of rollouts: it looks at the anomaly score alone."""
 
-    def __init__(self, bundle, num_robots: int, kind: str) -> None:
-        self.probability = np.ones(num_robots)
-        self.b = bundle.manifest.selector.beta
+    def __init__(self, spec: SelectorSpec, num_robots: int) -> None:
+        """Set up; raises RenetError for a rate that is no whole fraction of the physics rate."""
+        self._every = round(1.0 / (PHYSICS_DT * spec.rate_hz))
+        if self._every < 1 or abs(self._every * PHYSICS_DT * spec.rate_hz - 1.0) > 1e-6:
+            raise RenetError(
+                f"selector rate {spec.rate_hz} Hz: rollouts update it at 200 Hz or a whole"
+                " fraction of that"
+            )
+        self._selector = Selector(SelectorCfg(spec.beta, spec.gamma, spec.rate_hz), num_robots)
+        self._trusted = np.ones(num_robots, bool)
+        self._calls = 0
+
+    @property
+    def probability(self) -> np.ndarray:
+        """Vision probability P_t, [N]."""
+        return self._selector.probability
 
     def update(self, anomaly_score: np.ndarray, frames: Frames) -> np.ndarray:
-        self.probability = 0.9 * self.probability + 0.1 * (anomaly_score < self.b)
-        return self.probability > 0.5
+        """See `Switch.update`; between the selector's own updates its answer is held."""
+        if self._calls % self._every == 0:
+            self._trusted = self._selector.update(anomaly_score)
+        self._calls += 1
+        return self._trusted
 
     def reset(self, mask: np.ndarray) -> None:
-        self.probability[mask] = 1
+        """See `Switch.reset`."""
+        self._selector.reset(mask)
+        self._trusted = self._trusted | mask

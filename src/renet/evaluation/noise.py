@@ -52,8 +52,6 @@ class NoiseCfg:
     """Shares of the pixels."""
     modes: tuple[str, ...] = ("vp", "renet")
     """Policy modes to compare: vp, renet, op, oracle-switch."""
-    selector: str = "default"
-    """"default": all monitors; "paper": the reconstruction loss alone."""
     seed: int = 1
     """Of the robots' starts and of the noise."""
     engine: str = "auto"
@@ -109,7 +107,7 @@ def run_noise(cfg: NoiseCfg, lab: Lab | None = None) -> NoiseResult:
     out = output_folder(cfg.out)
     rows = study_rows(cfg)
     world = lab.world("Renet-Go1-Flat", len(rows), cfg.speed, cfg.seed)
-    controller, switch = lab.controller(len(rows)), lab.switch(len(rows), cfg.selector)
+    controller, switch = lab.controller(len(rows)), lab.switch(len(rows))
     with progress(f"{len(rows)} robots walk", cfg.steps) as advance:
         trace = run_rollout(
             world, controller, switch, rows, cfg.steps, cfg.seed, range(len(rows)), advance

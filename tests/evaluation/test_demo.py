@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from evaluation.fakes import FakeLab
+from renet.evaluation import demo
+from renet.evaluation.demo import DemoCfg, film_comparison, run_demo, worst_of_vp
+from renet.evaluation.noise import NoiseCfg, run_noise
+from renet.evaluation.video import VideoCfg
+
+
+class Links(HTMLParser):
+    """Collects what a page would load."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag, attrs) -> None:
+        self.found += [value for name, value in attrs if name in ("src", "href")]
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    small = NoiseCfg(robots=2, steps=200, onset=50)
+    patch = pytest.MonkeyPatch()
+    patch.setattr(demo, "NoiseCfg", lambda **kw: NoiseCfg(robots=2, steps=200, onset=50, **kw))
+    patch.setattr(demo, "VideoCfg", lambda: VideoCfg(width=96, height=72, fps=5))
+    assert small.robots == 2
+    try:
+        return run_demo(DemoCfg(out=tmp_path_factory.mktemp("demo")), FakeLab())
+    finally:
+        patch.undo()
+
+
+def test_the_page_needs_no_network(page: Path) -> None:
+    html = page.read_text()
+    links = Links()
+    links.feed(html)
+    assert not links.open
+    assert len(links.found) == 3
+    assert all(link.startswith("data:") for link in links.found)
+    assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", html)
+    assert "prefers-color-scheme: dark" in html
+    assert "width=device-width" in html
+
+
+def test_the_page_says_what_was_measured(page: Path) -> None:
+    html = page.read_text()
+    assert "12 of 12" in html
+    assert "0 with RENet" in html
+    assert "SP 70 %" in html
+
+
+def test_the_folder_holds_everything(page: Path) -> None:
+    names = {path.name for path in page.parent.iterdir()}
+    assert names == {
+        "index.html",
+        "summary.json",
+        "summary.csv",
+        "noise.png",
+        "timeline.png",
+        "video.mp4",
+    }
+    assert (page.parent / "video.mp4").read_bytes()[4:8] == b"ftyp"
+
+
+def test_the_film_shows_the_setting_vp_suffers_most_in(tmp_path: Path) -> None:
+    result = run_noise(NoiseCfg(out=tmp_path, robots=2, steps=200, onset=50), FakeLab())
+    setting, robot = worst_of_vp(result)
+    index = result.indices("vp", setting)
+    assert result.trace.fallen[-1, index].all()
+    assert robot in (0, 1)
+    path = film_comparison(result, tmp_path / "v.mp4", VideoCfg(width=64, height=48, fps=5))
+    assert path.stat().st_size > 1000
