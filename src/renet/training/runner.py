@@ -89,7 +89,7 @@ class RenetRunner(OnPolicyRunner):
             self.logger.init_logging_writer()
         first = self.alg.iteration
         last = first + num_learning_iterations
-        longest = 0.0
+        longest = told = 0.0
         with self._progress() as progress:
             task = progress.add_task("train", total=num_learning_iterations, status="")
             while self.alg.iteration < last:
@@ -97,6 +97,13 @@ class RenetRunner(OnPolicyRunner):
                 obs = self._iterate(obs, first, last)
                 longest = max(longest, time.monotonic() - lap)
                 progress.update(task, advance=1, status=self._status())
+                if (
+                    progress.disable
+                    and self.gpu_global_rank == 0
+                    and time.monotonic() - told > 10.0
+                ):
+                    told = time.monotonic()
+                    print(f"{self.alg.iteration}/{last}  {self._status()}", flush=True)
                 left = np.inf if time_budget_s is None else began + time_budget_s - time.monotonic()
                 if self._agree(left < 2.0 * longest):
                     break
@@ -154,9 +161,9 @@ class RenetRunner(OnPolicyRunner):
             MofNCompleteColumn(),
             TimeRemainingColumn(),
             TextColumn("{task.fields[status]}"),
-            disable=self.gpu_global_rank != 0,
-            # Without a terminal a redrawn bar is noise: one line every ten seconds instead.
-            refresh_per_second=4 if os.isatty(1) else 0.1,
+            # Without a terminal a redrawn bar is noise: `learn` prints a line now and then.
+            disable=not os.isatty(1) or self.gpu_global_rank != 0,
+            refresh_per_second=4,
         )
 
     def _status(self) -> str:

@@ -1,0 +1,33 @@
+"""Where and how a benchmark ran; every result file carries it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+from datetime import date
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+
+def facts() -> dict[str, Any]:
+    packages = ("mujoco", "mujoco-warp", "warp-lang", "mjlab", "torch", "onnxruntime", "numpy")
+    return {
+        "command": " ".join(["python", *sys.argv]),
+        "date": date.today().isoformat(),
+        "cpus": os.cpu_count(),
+        "machine": platform.machine(),
+        "load_before": os.getloadavg()[0],
+        "versions": {name: version(name) for name in packages},
+    }
+
+
+def report(results: dict[str, Any], path: Path | None) -> None:
+    """Print a table and, if asked, write JSON."""
+    for name, value in results.items():
+        shown = f"{value:,.4g}" if isinstance(value, float) else value
+        print(f"{name:<32} {shown}")
+    if path is not None:
+        path.write_text(json.dumps({**results, "facts": facts()}, indent=1) + "\n")

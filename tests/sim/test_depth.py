@@ -1,0 +1,214 @@
+"""Depth and terrain scans against closed-form scenes, MuJoCo's own rays and stated statistics."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from renet.errors import RenetError
+from renet.sim.camera_model import Intrinsics, mount_rotation
+from renet.sim.depth_camera import DepthCamera, DepthCameraCfg, MountCfg
+from renet.sim.depth_noise import DepthNoiseCfg, add_noise
+from renet.sim.raycast import TerrainScanner
+from renet.sim.terrain_mesh import terrain_mesh
+from renet.sim.terrain_scan import FeetHeightCfg, HeightMapCfg
+
+QUIET = DepthNoiseCfg(relative_std=0.0, gaussian_std=0.0)
+EXACT = MountCfg(position=(0.0, 0.0, 0.0), pitch=0.0, position_error=0.0, angle_error=0.0)
+ROBOT = """<body name="robot" pos="{x} {y} {z}"><freejoint/>
+  <site name="foot" pos="0 0 -0.2"/><geom size="0.05" mass="1"/></body>"""
+
+
+def scene(terrain: str, assets: str = "", **pose: float) -> mujoco.MjModel:
+    at = {"x": 0.0, "y": 0.0, "z": 0.5, **pose}
+    return mujoco.MjModel.from_xml_string(
+        f"<mujoco><asset>{assets}</asset><worldbody>{terrain}{ROBOT.format(**at)}"
+        "</worldbody></mujoco>"
+    )
+
+
+class State:
+    """The arrays a sensor reads, for one robot."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model, self.data = model, mujoco.MjData(model)
+        mujoco.mj_forward(model, self.data)
+
+    def __getattr__(self, name: str) -> torch.Tensor:
+        return torch.tensor(getattr(self.data, name), dtype=torch.float32)[None]
+
+
+def camera(model: mujoco.MjModel, mount: MountCfg = EXACT, **fields) -> DepthCamera:
+    fields = {"noise": QUIET, **fields}
+    sensor = DepthCameraCfg(name="depth", body="robot", mount=mount, **fields).build()
+    sensor.initialize(model, None, State(model), "cpu")
+    return sensor
+
+
+PLANE = '<geom type="plane" size="0 0 1"/>'
+
+
+@pytest.mark.parametrize("pitch", [0.3, 0.6, 1.2])
+def test_plane_at_a_known_pitch(pitch):
+    mount = MountCfg((0.0, 0.0, 0.0), pitch, 0.0, 0.0)
+    image = camera(scene(PLANE), mount).data
+    intrinsics = Intrinsics()
+    row, column = np.mgrid[:48, :64]
+    # A pixel (1, left, up) of the camera pitched down by `pitch`; height 0.5 m.
+    up = (intrinsics.cy - 0.5 - row) / intrinsics.fy
+    drop = math.sin(pitch) - up * math.cos(pitch)
+    expected = np.where(drop > 0.5 / 2.0, 0.5 / np.maximum(drop, 1e-9), 2.0)
+    np.testing.assert_allclose(image.depth[0], expected, atol=1e-3)
+    np.testing.assert_array_equal(image.valid[0], (drop > 0.5 / 2.0) & (column >= 0))
+
+
+def test_wall_is_at_one_planar_depth_and_edges_are_where_they_should_be():
+    wall = '<geom type="box" size="0.1 0.3 5" pos="1.1 0 0"/>'
+    image = camera(scene(wall)).data
+    intrinsics = Intrinsics()
+    seen = np.abs((intrinsics.cx - 0.5 - np.arange(64)) / intrinsics.fx) < 0.3
+    expected = np.where(seen, 1.0, 2.0)[None].repeat(48, 0)
+    np.testing.assert_allclose(image.depth[0], expected, atol=1e-3)
+
+
+def test_top_row_comes_first_and_left_is_left():
+    high_left = '<geom type="box" size="0.1 0.2 0.2" pos="1.1 0.3 0.8"/>'
+    image = camera(scene(high_left)).data
+    rows, columns = np.nonzero(image.valid[0].numpy())
+    assert rows.max() < 24
+    assert columns.max() < 32
+
+
+RAMP = '<hfield name="ramp" nrow="2" ncol="5" size="2 2 1 0.1" elevation="0 .25 .5 .75 1 0 .25 .5 .75 1"/>'
+
+
+def test_height_field_ramp():
+    model = scene('<geom type="hfield" hfield="ramp"/>', RAMP, z=1.0, x=-1.0)
+    mount = MountCfg((0.0, 0.0, 0.0), 0.8, 0.0, 0.0)
+    image = camera(model, mount).data
+    # Surface z = (x + 2) / 4; ray from (-1, 0, 1) along (cos - up' ...) in the vertical plane.
+    up = ((24 - 0.5 - np.arange(48)) / Intrinsics().fy)[:, None]
+    forward, climb = math.cos(0.8) + up * math.sin(0.8), -math.sin(0.8) + up * math.cos(0.8)
+    expected = np.broadcast_to((1.0 - 0.25) / (0.25 * forward - climb), (48, 64))
+    inside = expected < 1.5
+    np.testing.assert_allclose(image.depth[0].numpy()[inside], expected[inside], atol=1e-3)
+
+
+def test_mesh_agrees_with_mujocos_rays_on_a_bumpy_field():
+    random = np.random.default_rng(0)
+    heights = " ".join(map(str, random.random(49)))
+    field = f'<hfield name="f" nrow="7" ncol="7" size="2 1.5 0.5 0.1" elevation="{heights}"/>'
+    box = '<geom type="box" size="0.3 0.2 0.4" pos="0.5 0.2 0.3" euler="10 20 30"/>'
+    model = scene(f'<geom type="hfield" hfield="f" pos="0.1 0 0.2"/>{box}', field, z=5.0)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    points = random.uniform(-1.3, 1.3, (200, 2))
+    got = TerrainScanner(model, "cpu").height(torch.tensor(points, dtype=torch.float32))
+    body, geom = model.body("robot").id, np.zeros(1, np.int32)
+    for (x, y), height in zip(points, got.tolist(), strict=True):
+        distance = mujoco.mj_ray(
+            model, data, np.array([x, y, 4.0]), np.array([0.0, 0.0, -1.0]), None, 1, body, geom
+        )
+        assert 4.0 - distance == pytest.approx(height, abs=1e-3)
+
+
+def test_mount_moves_and_turns_the_camera():
+    down_left = mount_rotation(torch.tensor([math.pi / 2]), torch.tensor([0.0]))[0]
+    torch.testing.assert_close(
+        down_left @ torch.tensor([1.0, 0, 0]), torch.tensor([0, 0, -1.0]), atol=1e-6, rtol=0
+    )
+    left = mount_rotation(torch.tensor([0.0]), torch.tensor([math.pi / 2]))[0]
+    torch.testing.assert_close(
+        left @ torch.tensor([1.0, 0, 0]), torch.tensor([0, 1.0, 0]), atol=1e-6, rtol=0
+    )
+
+
+def test_mount_errors_stay_in_the_papers_bounds_and_change_with_the_episode():
+    model = scene(PLANE)
+    sensor = DepthCameraCfg(name="depth", body="robot").build()
+    state = State(model)
+    state.qpos = torch.zeros(500, 7)
+    sensor.initialize(model, None, state, "cpu")
+    offset = sensor._position - torch.tensor(MountCfg().position)
+    assert 0.009 < offset.abs().max() <= 0.01
+    forward = sensor._rotation[:, :, 0]
+    pitch = torch.rad2deg(-torch.asin(forward[:, 2])) - 30.0
+    yaw = torch.rad2deg(torch.atan2(forward[:, 1], forward[:, 0]))
+    for angle in (pitch, yaw):
+        assert 4.5 < angle.abs().max() <= 5.001
+    before = sensor._position.clone()
+    sensor.reset(torch.tensor([3]))
+    changed = (before != sensor._position).any(-1)
+    assert changed.nonzero().flatten().tolist() == [3]
+
+
+def test_noise_has_the_stated_statistics():
+    torch.manual_seed(0)
+    depth = torch.full((400, 500), 1.5)
+    error = add_noise(depth, DepthNoiseCfg()) - depth
+    assert error.mean().abs() < 1e-3
+    assert error.var() == pytest.approx(0.01 + 0.015**2, rel=0.02)
+    assert torch.equal(add_noise(depth, QUIET), depth)
+
+
+def test_an_image_is_held_until_the_next_is_due():
+    sensor = camera(scene(PLANE), noise=DepthNoiseCfg())
+    first = sensor.normalised().clone()
+    for _ in range(19):
+        sensor.update(0.005)
+        assert torch.equal(sensor.normalised(), first)
+    sensor.update(0.005)
+    assert not torch.equal(sensor.normalised(), first)
+    assert sensor.normalised().dtype == torch.float16
+    assert 0.0 <= sensor.normalised().min() <= sensor.normalised().max() <= 1.0
+
+
+def test_late_images_are_older_ones():
+    sensor = camera(scene(PLANE), noise=DepthNoiseCfg(), latency=(1, 1))
+    images = []
+    for _ in range(3):
+        images.append(sensor.data.depth.clone())
+        newest = sensor._frames[0].depth
+        sensor.update(0.1)
+    assert torch.equal(images[0], images[1])
+    assert not torch.equal(images[1], images[2])
+    assert not torch.equal(images[2], newest)
+
+
+def test_a_pose_that_is_not_finite_sees_nothing():
+    model = scene(PLANE)
+    sensor = camera(model)
+    sensor._data.data.xpos[model.body("robot").id] = np.nan
+    image = sensor.data
+    assert not image.valid.any()
+    assert torch.isfinite(image.depth).all()
+
+
+def test_height_map_and_feet_height_over_a_step():
+    step = '<geom type="box" size="1 3 0.1" pos="1.2 0 0"/>'
+    model = scene(PLANE + step, z=0.3)
+    state = State(model)
+    height_map = HeightMapCfg(name="map", body="robot").build()
+    height_map.initialize(model, None, state, "cpu")
+    grid = height_map.data.reshape(12, 11)
+    # The step begins at x = 0.2: grid columns at 0.3 m and beyond are 0.1 m higher.
+    expected = np.where(np.arange(-0.45, 1.3, 0.15)[:12] > 0.2, -0.1, 0.0)
+    np.testing.assert_allclose(grid, expected[:, None].repeat(11, 1), atol=1e-4)
+    feet = FeetHeightCfg(name="feet", sites=("foot",)).build()
+    feet.initialize(model, None, state, "cpu")
+    assert feet.data.item() == pytest.approx(0.3 - 0.2 - 0.023, abs=1e-4)
+
+
+def test_scenes_that_cannot_be_seen_are_refused():
+    with pytest.raises(RenetError, match="no terrain"):
+        terrain_mesh(scene(""))
+    with pytest.raises(RenetError, match=r"ball.*sphere"):
+        terrain_mesh(scene('<geom name="ball" size="0.3"/>'))
+    with pytest.raises(RenetError, XX):
+        DepthCameraCfg(name="d", body="head").build().initialize(scene(PLANE), None, None, "cpu")
+    with pytest.raises(RenetError, match="latency"):
+        DepthCameraCfg(name="d", latency=(0, 3)).build()
