@@ -52,7 +52,7 @@ class FakeWorld:
             travelled=self.x.copy(),
             collisions=np.zeros(n),
             fell=fell,
-            ended=fell,
+            ended=fell.copy(),
         )
 
 
@@ -67,10 +67,10 @@ class FakeController:
         if mask is not None:
             self.resets.append(mask.copy())
 
-    def step(self, proprioception, depth, modality) -> np.ndarray:
+    def step(self, proprioception, depth, op_mask) -> np.ndarray:
         self.anomaly_score = np.square(depth - GROUND).mean(axis=(1, 2)) + 1e-4
         action = np.zeros((len(depth), ACTION_SIZE), np.float32)
-        action[:, 0] = np.where(modality, 0.0, 10 * (self.anomaly_score - 1e-4))
+        action[:, 0] = np.where(op_mask, 0.0, 10 * (self.anomaly_score - 1e-4))
         return action
 
 

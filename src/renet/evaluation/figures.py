@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -14,6 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from renet.evaluation.results import Provenance
 from renet.vocabulary import CONTROL_DT
@@ -26,7 +28,7 @@ FAMILIES = {
 }
 INK, FAINT = "#222730", "#8a919c"
 
-STYLE = {
+STYLE: dict[Any, Any] = {
     "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
     "font.size": 10,
@@ -172,7 +174,7 @@ def timeline(
                 textcoords="offset points",
                 fontsize=8,
             )
-        keys = [plt.Rectangle((0, 0), 1, 1, color=c, alpha=0.7) for c in (VP_BAND, OP_BAND)]
+        keys = [Rectangle((0, 0), 1, 1, color=c, alpha=0.7) for c in (VP_BAND, OP_BAND)]
         lines = axis.get_legend_handles_labels(), right.get_legend_handles_labels()
         figure.legend(
             [*lines[0][0], *lines[1][0], *keys],

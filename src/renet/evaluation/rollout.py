@@ -77,17 +77,19 @@ class Controller(Protocol):
         ...
 
     def step(
-        self, proprioception: np.ndarray, depth: np.ndarray, modality: np.ndarray
+        self, proprioception: np.ndarray, depth: np.ndarray, op_mask: np.ndarray
     ) -> np.ndarray:
-        """Actions [N, 12]; `modality` is the paper's mask, True where OP is to act."""
+        """Actions [N, 12]; `op_mask` is the paper's mask, True where OP is to act."""
         ...
 
 
 class Switch(Protocol):
     """Decides whether to trust vision."""
 
-    probability: np.ndarray
-    """[N] vision probability P_t."""
+    @property
+    def probability(self) -> np.ndarray:
+        """[N] vision probability P_t."""
+        ...
 
     def update(self, anomaly_score: np.ndarray, frames: Frames) -> np.ndarray:
         """One filter update; returns [N] bool, vision is trusted."""
@@ -157,11 +159,24 @@ class Trace:
     @classmethod
     def empty(cls, steps: int, count: int) -> Trace:
         """Room for `steps` control steps of `count` robots."""
-        floats = ("forward_velocity", "height", "travelled", "collisions", "anomaly", "probability")
-        flags = ("fell", "ended", "vision", "failing")
+
+        def numbers() -> np.ndarray:
+            return np.zeros((steps, count))
+
+        def flags() -> np.ndarray:
+            return np.zeros((steps, count), bool)
+
         return cls(
-            **{name: np.zeros((steps, count)) for name in floats},
-            **{name: np.zeros((steps, count), bool) for name in flags},
+            forward_velocity=numbers(),
+            height=numbers(),
+            travelled=numbers(),
+            collisions=numbers(),
+            anomaly=numbers(),
+            probability=numbers(),
+            fell=flags(),
+            ended=flags(),
+            vision=flags(),
+            failing=flags(),
             trusted=np.ones((steps, UPDATES_PER_STEP, count), bool),
         )
 

@@ -258,7 +258,7 @@ class MotionBlur(ImageFault):
         """The mean of the image along the way it moves during the exposure."""
         image = frames.image.copy()
         travel = frames.angular_velocity[:, 1:] * (self.level * 1e-3 * FOCAL_PIXELS)
-        for i in np.flatnonzero(elapsed >= 0):
+        for i in np.flatnonzero(elapsed >= 0).tolist():
             shifts = np.linspace(-0.5, 0.5, self.samples)[:, None] * travel[i]
             image[i] = np.mean([shifted(image[i], *shift) for shift in shifts], axis=0)
         return replace(frames, image=image)

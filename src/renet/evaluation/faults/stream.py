@@ -103,7 +103,7 @@ class ImageFault(Fault):
         """Spoil the image of every robot the fault is at work on."""
         image = frames.image.copy()
         invalid = frames.invalid.copy()
-        for i in np.flatnonzero(elapsed >= 0):
+        for i in np.flatnonzero(elapsed >= 0).tolist():
             image[i] = np.clip(self.spoil(image[i], i, float(elapsed[i])), 0.0, 1.0)
             invalid[i] = max(invalid[i], self.holes(frames.image[i], i))
         return replace(frames, image=image, invalid=invalid)

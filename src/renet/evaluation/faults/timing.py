@@ -75,7 +75,7 @@ class Dropped(Stale):
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
         """See `Stale.missing`."""
         lost = elapsed >= 0
-        for i in np.flatnonzero(lost):
+        for i in np.flatnonzero(lost).tolist():
             lost[i] = self.rngs[i].random() < self.level
         return lost
 
@@ -124,7 +124,7 @@ class Latency(Fault):
         here = arrivals <= self._now + 1e-9
         newest = np.where(here, np.arange(len(self._past))[:, None], -1).max(axis=0)
         newest = np.maximum(newest, 0)
-        image = np.stack([self._past[k][0][i] for i, k in enumerate(newest)])
+        image = np.stack([self._past[k][0][i] for i, k in enumerate(newest.tolist())])
         capture = taken[newest]
         fresh = (
             np.ones(len(elapsed), bool)

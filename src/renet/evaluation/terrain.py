@@ -1,0 +1,163 @@
+"""The paper's terrain study: how far up the curriculum a policy gets.
+
+Every level of every kind of tile is walked at once, each by its own robots. A robot passes a level
+when it leaves the tile within the time, starting again in the middle after a fall; its highest
+level is the number of levels passed in a row from the first, 0 to 10. The paper climbs the same
+ladder with its training curriculum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from renet.errors import RenetError
+from renet.evaluation import figures, metrics
+from renet.evaluation.lab import Lab
+from renet.evaluation.progress import progress
+from renet.evaluation.results import Provenance, output_folder, write_csv, write_json
+from renet.evaluation.rollout import MODES, Row, Trace, run_rollout
+from renet.tasks.terrains import LEVELS, tiles
+from renet.vocabulary import CONTROL_DT
+
+TABLE = {"gap": ("gap",), "platform": ("platform",), "stairs": ("stairs_up", "stairs_down")}
+"""The paper's columns, and the tiles each is the mean of."""
+
+
+@dataclass(frozen=True)
+class TerrainCfg:
+    """Settings of the terrain study."""
+
+    out: Path = Path("results/terrain")
+    """Folder for summary.json, summary.csv and terrain.png."""
+    bundle: Path | None = None
+    """Bundle folder; the one that ships with renet by default."""
+    robots: int = 20
+    """Robots on each level of each kind of tile."""
+    quick: bool = False
+    """4 robots on each instead of `robots`: a minute or two."""
+    seconds: float = 20.0
+    """Time to leave a tile (an episode's length in training)."""
+    speed: float = 0.6
+    """Commanded forward speed, m/s; the direction is random."""
+    mode: str = "renet"
+    """Policy mode: renet, vp, op or oracle-switch."""
+    kinds: tuple[str, ...] = ("gap", "platform", "stairs_up", "stairs_down")
+    """Kinds of tile to walk; those of the paper's table by default."""
+    seed: int = 1
+    """Of the robots' starts and directions."""
+    engine: str = "auto"
+    """Physics engine: auto, native or warp."""
+
+    def __post_init__(self) -> None:
+        unknown = [kind for kind in self.kinds if kind not in tiles()]
+        if unknown or not self.kinds:
+            raise RenetError(f"kinds {self.kinds}: choose among {', '.join(tiles())}")
+        if self.robots < 1 or self.seconds < 1:
+            raise RenetError(f"robots {self.robots} and seconds {self.seconds} must be at least 1")
+        if self.mode not in MODES:
+            raise RenetError(f"unknown mode '{self.mode}': choose one of {', '.join(MODES)}")
+
+
+def run_terrain(cfg: TerrainCfg, lab: Lab | None = None) -> dict[str, Any]:
+    """Run the study, write its results to `cfg.out` and return the summary.
+
+    Raises:
+        RenetError: a bundle that cannot be used, or a folder that cannot be written to.
+    """
+    lab = lab or Lab(cfg.bundle, cfg.engine)
+    out = output_folder(cfg.out)
+    robots = 4 if cfg.quick else cfg.robots
+    kind, level, _ = np.indices((len(cfg.kinds), LEVELS, robots)).reshape(3, -1)
+    count, steps = len(kind), round(cfg.seconds / CONTROL_DT)
+    world = lab.world("Renet-Go1-Parkour", count, cfg.speed, cfg.seed)
+    columns = np.array([list(tiles()).index(name) for name in cfg.kinds])
+    world.place(level, columns[kind])
+    rows = [Row(cfg.mode, robot=i) for i in range(count)]
+    with progress(f"{count} robots climb", steps) as advance:
+        controller, switch = lab.controller(count), lab.switch(count)
+        trace = run_rollout(world, controller, switch, rows, steps, cfg.seed, on_step=advance)
+    shape = (len(cfg.kinds), LEVELS, robots)
+    summary = summarise(cfg, trace, shape, lab.provenance(cfg.seed))
+    write_json(out / "summary.json", summary)
+    write_csv(out / "summary.csv", summary["runs"])
+    draw(summary, out / "terrain.png", lab.provenance(cfg.seed))
+    return summary
+
+
+def passed(trace: Trace) -> np.ndarray:
+    """[N] bool: the robot left its tile at least once."""
+    return np.any(trace.ended & ~trace.fell, axis=0)
+
+
+def highest_level(levels_passed: np.ndarray) -> np.ndarray:
+    """[..., R] levels passed in a row from the first; `levels_passed` is [..., L, R] bool."""
+    return np.sum(np.logical_and.accumulate(levels_passed, axis=-2), axis=-2)
+
+
+def summarise(
+    cfg: TerrainCfg, trace: Trace, shape: tuple[int, int, int], provenance: Provenance
+) -> dict[str, Any]:
+    """The content of summary.json; `shape` is (kinds, levels, robots)."""
+    success = passed(trace).reshape(shape)
+    highest = dict(zip(cfg.kinds, highest_level(success), strict=True))
+    walking = np.logical_or.accumulate(trace.ended, axis=0)
+    walking = ~np.vstack([walking[:1] * False, walking[:-1]]) & ~trace.ended
+    falls = trace.fell.sum(axis=0).reshape(shape)
+    runs = [
+        {
+            "mode": cfg.mode,
+            "kind": kind,
+            "level": level + 1,
+            "measure_m": tiles()[kind].measure(level / (LEVELS - 1)),
+            "robots": shape[2],
+            "passed": int(success[k, level].sum()),
+            "falls": int(falls[k, level].sum()),
+            "seed": cfg.seed,
+        }
+        for k, kind in enumerate(cfg.kinds)
+        for level in range(LEVELS)
+    ]
+    table = {
+        column: np.concatenate([highest[kind] for kind in kinds])
+        for column, kinds in TABLE.items()
+        if all(kind in highest for kind in kinds)
+    }
+    along = np.minimum(trace.forward_velocity, cfg.speed) / (cfg.speed + 1e-5)
+    return {
+        "study": "terrain",
+        "levels": {name: float(value.mean()) for name, value in table.items()},
+        "levels_ci95": {name: metrics.bootstrap_interval(value) for name, value in table.items()},
+        "levels_by_kind": {kind: float(value.mean()) for kind, value in highest.items()},
+        "collisions": float(trace.collisions[walking].mean()),
+        "lin_vel_reward": float(along[walking].mean()),
+        "robots": shape[2],
+        "runs": runs,
+        "settings": vars(cfg),
+        "provenance": vars(provenance),
+    }
+
+
+def draw(summary: dict[str, Any], path: Path, provenance: Provenance) -> None:
+    """Write terrain.png: the share of robots that pass each level of each kind."""
+    with plt.rc_context(figures.STYLE):
+        figure, axis = plt.subplots(figsize=(8, 3.8))
+        palette = ("#3c3ca0", "#d9602b", "#3f8f63", "#8fbf9f", "#8a6bbd", "#7d8590")
+        for colour, (kind, mean) in zip(palette, summary["levels_by_kind"].items(), strict=False):
+            runs = [run for run in summary["runs"] if run["kind"] == kind]
+            share = [100 * run["passed"] / run["robots"] for run in runs]
+            label = f"{kind.replace('_', ' ')}: mean level {mean:.1f}"
+            axis.plot(range(1, LEVELS + 1), share, "o-", color=colour, label=label, markersize=4)
+        axis.set(
+            title=f"Who leaves the tile (mode {summary['settings']['mode']})",
+            xlabel="terrain level",
+            ylabel="robots that pass (%)",
+            xticks=range(1, LEVELS + 1),
+            ylim=(-3, 103),
+        )
+        axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        figures.save(figure, path, provenance)

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from renet.deploy.bundle import Bundle, read_manifest, write_bundle
+from renet.deploy.manifest import Manifest, SelectorSpec
+from renet.errors import RenetError
+from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
+from renet.evaluation.faults import Frames, Injection
+from renet.evaluation.lab import Lab, ScoreSwitch
+from renet.evaluation.rollout import Row, run_rollout
+from renet.models.config import ModelCfg
+from renet.models.renet import RENet
+from renet.selector.filter import switch_delay
+from renet.training.bundle import camera_spec, go1_spec
+from renet.training.export import export_models
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Untrained networks: real files, real models, no skill.
+
+    Their reconstruction is about 0.5 everywhere: 0.25 from black and white pixels, nearer to ground.
+    """
+    torch.manual_seed(0)
+    manifest = Manifest(robot=go1_spec(), camera=camera_spec(), selector=SelectorSpec(beta=0.18))
+    return write_bundle(
+        tmp_path_factory.mktemp("lab") / "bundle", export_models(RENet(ModelCfg(), 8)), manifest
+    )
+
+
+def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bundle: Path) -> None:
+    lab = Lab(bundle)
+    noise = (Injection("salt_and_pepper", 1.0, onset=10),)
+    rows = [Row("renet"), Row("renet", noise), Row("vp", noise)]
+    world = lab.world("Renet-Go1-Flat", 3, 0.6, 1)
+    trace = run_rollout(world, lab.controller(3), lab.switch(3), rows, 30, 1, film=[1])
+    assert np.isfinite(trace.forward_velocity).all()
+    assert trace.vision[:, [0, 2]].all()
+    assert not trace.vision[15:, 1].any()
+    assert trace.film is not None
+    assert trace.film.images[0].std() > 5
+    assert not trace.fallen.any()
+    assert lab.scene_spec is not None
+    assert lab.provenance(3).bundle_hash == lab.bundle.sha256
+
+
+def test_calibration_is_written_into_the_bundle(bundle: Path) -> None:
+    cfg = CalibrateCfg(bundle, robots=2, seconds=1.0, tasks=("Renet-Go1-Flat",))
+    beta = run_calibrate(cfg)
+    selector = read_manifest(bundle).selector
+    assert selector.beta == pytest.approx(beta)
+    assert "maximum of 20 scores" in selector.calibration
+    assert Bundle.load(bundle).sha256 != ""
+    assert json.loads((bundle / "manifest.json").read_text())["selector"]["gamma"] == 0.1
+
+
+@pytest.mark.parametrize(("rate", "gamma"), [(200.0, 0.1), (50.0, 0.1), (10.0, 0.3)])
+def test_the_filter_runs_at_its_own_rate(rate: float, gamma: float) -> None:
+    switch = ScoreSwitch(SelectorSpec(beta=1.0, gamma=gamma, rate_hz=rate), 1)
+    frames = Frames.healthy(np.zeros((1, 48, 64)))
+    updates = 0
+    while switch.update(np.array([2.0]), frames)[0]:
+        updates += 1
+    # The answer holds until the selector's next own update, so it changes at an update's start.
+    assert updates * 0.005 == pytest.approx(switch_delay(gamma, rate) - 1 / rate)
+    switch.reset(np.array([True]))
+    assert switch.probability[0] == 1
+
+
+def test_a_rate_the_simulation_cannot_keep_is_refused() -> None:
+    with pytest.raises(RenetError, match="selector rate 33"):
+        ScoreSwitch(SelectorSpec(beta=1.0, rate_hz=33.0), 1)
+
+
+def test_a_missing_bundle_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(RenetError, match="no bundle at"):
+        Lab(tmp_path / "nothing")
+
+
+def test_calibration_needs_robots(bundle: Path) -> None:
+    with pytest.raises(RenetError):
+        run_calibrate(CalibrateCfg(bundle, robots=0))
