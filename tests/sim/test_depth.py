@@ -83,7 +83,10 @@ def test_top_row_comes_first_and_left_is_left():
     assert columns.max() < 32
 
 
-RAMP = '<hfield name="ramp" nrow="2" ncol="5" size="2 2 1 0.1" elevation="0 .25 .5 .75 1 0 .25 .5 .75 1"/>'
+RAMP = (
+    '<hfield name="ramp" nrow="2" ncol="5" size="2 2 1 0.1" '
+    'elevation="0 .25 .5 .75 1 0 .25 .5 .75 1"/>'
+)
 
 
 def test_height_field_ramp():
@@ -208,7 +211,7 @@ def test_scenes_that_cannot_be_seen_are_refused():
         terrain_mesh(scene(""))
     with pytest.raises(RenetError, match=r"ball.*sphere"):
         terrain_mesh(scene('<geom name="ball" size="0.3"/>'))
-    with pytest.raises(RenetError, XX):
+    with pytest.raises(RenetError, match=r"no body 'head'.*robot"):
         DepthCameraCfg(name="d", body="head").build().initialize(scene(PLANE), None, None, "cpu")
     with pytest.raises(RenetError, match="latency"):
         DepthCameraCfg(name="d", latency=(0, 3)).build()

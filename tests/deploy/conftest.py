@@ -1,0 +1,36 @@
+"""A bundle with untrained networks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from renet.deploy.bundle import write_bundle
+from renet.deploy.manifest import Manifest, SelectorSpec
+from renet.models.config import ModelCfg
+from renet.models.renet import RENet
+from renet.training.bundle import camera_spec, go1_spec
+from renet.training.export import export_models
+
+
+@pytest.fixture(scope="session")
+def networks() -> RENet:
+    torch.manual_seed(0)
+    return RENet(ModelCfg(), critic_size=10).eval()
+
+
+@pytest.fixture(scope="session")
+def manifest() -> Manifest:
+    return Manifest(go1_spec(), camera_spec(), SelectorSpec(beta=0.02))
+
+
+@pytest.fixture(scope="session")
+def models(networks) -> dict[str, bytes]:
+    return export_models(networks)
+
+
+@pytest.fixture
+def bundle_path(tmp_path, models, manifest) -> Path:
+    return write_bundle(tmp_path / "bundle", models, manifest)

@@ -1,0 +1,103 @@
+"""Bundles round-trip, and nothing damaged or foreign is ever run."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from renet.deploy.bundle import MANIFEST, Bundle, write_bundle, write_manifest
+from renet.errors import RenetError
+from renet.models.config import ModelCfg
+from renet.models.renet import RENet
+from renet.training.export import export_models
+from renet.vocabulary import JOINTS
+
+
+def edit(path, change) -> None:
+    value = json.loads((path / MANIFEST).read_text())
+    change(value)
+    (path / MANIFEST).write_text(json.dumps(value))
+
+
+def test_round_trip(bundle_path, manifest, models):
+    bundle = Bundle.load(bundle_path)
+    assert bundle.manifest.robot == manifest.robot
+    assert bundle.manifest.camera == manifest.camera
+    assert bundle.manifest.selector.beta == 0.02
+    assert bundle.manifest.robot.joints == JOINTS
+    assert bundle.manifest.robot.default_position[:3] == (0.1, 0.9, -1.8)
+    assert set(bundle.manifest.sha256) == {f"{name}.onnx" for name in models}
+    before = bundle.sha256
+    write_manifest(bundle_path, manifest)
+    assert Bundle.load.__name__ == "load"
+    edit(bundle_path, lambda m: m.update(sha256=dict(bundle.manifest.sha256)))
+    assert Bundle.load(bundle_path).sha256 == before
+
+
+def test_missing_folder_and_missing_model(bundle_path, tmp_path):
+    with pytest.raises(RenetError, match="no bundle at"):
+        Bundle.load(tmp_path / "nowhere")
+    (bundle_path / "vision.onnx").unlink()
+    with pytest.raises(RenetError, match=r"lacks vision\.onnx"):
+        Bundle.load(bundle_path)
+
+
+def test_tampered_model(bundle_path):
+    path = bundle_path / "actor.onnx"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(RenetError, match=r"actor\.onnx is not the file the manifest describes"):
+        Bundle.load(bundle_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda m: m.update(schema=99), "schema 99"),
+        (lambda m: m.pop("robot"), "lacks the field 'robot'"),
+        (lambda m: m.update(colour="red"), "unknown field 'colour'"),
+        (lambda m: m["selector"].update(beta="high"), r"selector\.beta must be float, got str"),
+        (lambda m: m["robot"]["joints"].reverse(), "joint order"),
+        (lambda m: m["proprioception"].pop(), "proprioception differs"),
+        (lambda m: m["robot"].update(stiffness=[1, "x"]), r"stiffness\[1\] must be float"),
+    ],
+)
+def test_wrong_manifest(bundle_path, change, message):
+    edit(bundle_path, change)
+    with pytest.raises(RenetError, match=message):
+        Bundle.load(bundle_path)
+
+
+def test_manifest_that_is_not_json(bundle_path):
+    (bundle_path / MANIFEST).write_text("{")
+    with pytest.raises(RenetError, match="not JSON"):
+        Bundle.load(bundle_path)
+
+
+def test_models_of_another_architecture(tmp_path, manifest):
+    other = export_models(RENet(ModelCfg(history=3), critic_size=10))
+    path = write_bundle(tmp_path / "other", other, manifest)
+    with pytest.raises(RenetError, match=r"proprioception_history.*\(3, 45\).*expected \(10, 45\)"):
+        Bundle.load(path)
+
+
+def test_a_folder_that_is_not_a_bundle_is_never_replaced(tmp_path, manifest, models):
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter.txt").write_text("years")
+    with pytest.raises(RenetError, match="not a bundle"):
+        write_bundle(tmp_path / "thesis", models, manifest)
+    assert (tmp_path / "thesis" / "chapter.txt").read_text() == "years"
+
+
+def test_runtime_needs_no_training_packages():
+    code = (
+        "import sys, renet.deploy.bundle, renet.deploy.policy, renet.selector, renet.cli;"
+        "bad = {'torch', 'mjlab', 'warp', 'mujoco', 'rsl_rl'} & set(sys.modules);"
+        "sys.exit(f'imported {bad}' if bad else 0)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr

@@ -1,0 +1,97 @@
+"""The paper's filter and selector, and thresholds from healthy scores."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from renet.errors import RenetError
+from renet.selector import (
+    LowPassFilter,
+    Selector,
+    SelectorCfg,
+    calibrate,
+    conformal_threshold,
+    switch_delay,
+)
+
+GAMMAS = st.floats(0.005, 1.0)
+
+
+@given(gamma=GAMMAS, rate=st.sampled_from([10.0, 50.0, 200.0]))
+def test_the_delay_formula_equals_what_the_filter_does(gamma, rate):
+    low_pass, updates = LowPassFilter(gamma), 0
+    vision = True
+    while vision:
+        vision = bool(low_pass.update(np.array([False]))[0])
+        updates += 1
+    assert switch_delay(gamma, rate) * rate == pytest.approx(updates)
+
+
+def test_the_papers_switching_time():
+    assert switch_delay(0.1, 200.0) == pytest.approx(0.035)
+    assert switch_delay(0.1, 10.0) == pytest.approx(0.7)
+
+
+@given(gamma=GAMMAS, verdicts=st.lists(st.booleans(), min_size=1, max_size=200))
+def test_probability_follows_the_equation_and_stays_a_probability(gamma, verdicts):
+    low_pass, expected = LowPassFilter(gamma), 1.0
+    for verdict in verdicts:
+        vision = low_pass.update(np.array([verdict]))
+        expected = (1.0 - gamma) * expected + gamma * float(verdict)
+        assert low_pass.probability[0] == pytest.approx(expected, abs=1e-12)
+        assert 0.0 <= low_pass.probability[0] <= 1.0
+        assert vision[0] == (low_pass.probability[0] > 0.5)
+
+
+@given(verdicts=st.lists(st.booleans(), min_size=2, max_size=300))
+def test_the_filter_never_switches_more_often_than_its_input(verdicts):
+    low_pass = LowPassFilter(0.1)
+    outputs = [bool(low_pass.update(np.array([v]))[0]) for v in verdicts]
+
+    def changes(values: list[bool]) -> int:
+        return sum(a != b for a, b in itertools.pairwise(values))
+
+    assert changes([True, *outputs]) <= changes([True, *verdicts])
+
+
+def test_robots_are_independent_and_bad_scores_are_anomalies():
+    selector = Selector(SelectorCfg(beta=0.5), num_robots=4)
+    scores = np.array([0.4, 0.6, np.nan, np.inf])
+    for _ in range(7):
+        vision = selector.update(scores)
+    assert vision.tolist() == [True, False, False, False]
+    selector.reset(np.array([False, True, False, False]))
+    assert selector.probability[1] == 1.0
+    assert selector.probability[2] < 0.5
+
+
+def test_calibration_is_the_maximum_or_a_guaranteed_quantile():
+    scores = np.arange(1.0, 100.0)
+    assert calibrate(scores) == 99.0
+    assert conformal_threshold(scores, 0.01) == 99.0
+    assert conformal_threshold(scores, 0.10) == 90.0
+    random = np.random.default_rng(0)
+    exceeded = [
+        random.random() > conformal_threshold(random.random(199), 0.05) for _ in range(4000)
+    ]
+    assert np.mean(exceeded) < 0.06
+
+
+@pytest.mark.parametrize("scores", [[], [1.0, np.nan]])
+def test_calibration_refuses_what_it_cannot_use(scores):
+    with pytest.raises(RenetError, match="finite"):
+        calibrate(np.array(scores))
+
+
+def test_impossible_settings_are_refused():
+    with pytest.raises(RenetError, match="at least 99"):
+        conformal_threshold(np.arange(50.0), 0.01)
+    with pytest.raises(RenetError, match="gamma"):
+        LowPassFilter(0.0)
+    with pytest.raises(RenetError, match="beta"):
+        SelectorCfg(beta=float("nan"))
