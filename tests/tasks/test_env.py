@@ -1,0 +1,144 @@
+"""The environment's contract: observations, costs, resets, checkpoints, errors."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from renet.errors import RenetError
+from renet.tasks import make_env
+from renet.vocabulary import (
+    JOINTS,
+    PROPRIOCEPTION_SIZE,
+    STEPS_PER_TICK,
+    proprioception_slices,
+)
+
+from .conftest import build
+
+
+def test_observation_groups(parkour):
+    obs, _ = parkour.reset()
+    shapes = {name: tuple(value.shape[1:]) for name, value in obs.items()}
+    privileged = shapes.pop("privileged")
+    assert shapes == {
+        "proprioception": (PROPRIOCEPTION_SIZE,),
+        "proprioception_clean": (PROPRIOCEPTION_SIZE,),
+        "velocity": (3,),
+        "feet_height": (4,),
+        "height_map": (132,),
+        "depth": (48, 64),
+        "difficult": (1,),
+    }
+    assert privileged[0] == 4 + 1 + 3 + 1 + 24
+    assert obs["depth"].dtype == torch.float16
+    kinds = list(parkour.scene.terrain.cfg.terrain_generator.sub_terrains)
+    hard = [kinds[k] in ("gap", "platform") for k in parkour.scene.terrain.terrain_types]
+    assert obs["difficult"].flatten().bool().tolist() == hard
+
+
+def test_proprioception_follows_the_vocabulary(flat):
+    obs, *_ = flat.step(torch.full((4, 12), 0.1))
+    where = proprioception_slices()
+    clean, data = obs["proprioception_clean"], flat.scene["robot"].data
+    ids, _ = flat.scene["robot"].find_joints(JOINTS, preserve_order=True)
+    expected = {
+        "base_angular_velocity": 0.25 * data.root_link_ang_vel_b,
+        "projected_gravity": data.projected_gravity_b,
+        "joint_position": (data.joint_pos - data.default_joint_pos)[:, ids],
+        "joint_velocity": 0.05 * data.joint_vel[:, ids],
+        "last_action": torch.full((4, 12), 0.1),
+    }
+    for name, value in expected.items():
+        torch.testing.assert_close(clean[:, where[name]], value, atol=1e-5, rtol=1e-4, msg=name)
+    noise = (obs["proprioception"] - clean).abs().amax(0)
+    assert noise[where["base_angular_velocity"]].max() <= 0.25 * 0.2 + 1e-5
+    assert noise[where["joint_velocity"]].max() <= 0.05 * 1.5 + 1e-5
+    for name in ("command", "last_action"):
+        assert noise[where[name]].max() < 1e-6
+
+
+def test_action_order_is_joint_order(flat):
+    assert tuple(flat.action_manager.get_term("joint_pos").target_names) == JOINTS
+    assert tuple(flat.scene["robot"].joint_names) == JOINTS
+
+
+def test_depth_changes_at_the_global_tick_only(flat):
+    flat.reset()
+    held = flat.obs_buf["depth"].clone()
+    for step in range(1, 2 * STEPS_PER_TICK + 1):
+        obs, *_ = flat.step(torch.zeros(4, 12))
+        same = torch.equal(obs["depth"], held)
+        assert same == (step % STEPS_PER_TICK != 0)
+        held = obs["depth"].clone()
+
+
+def test_reward_is_clipped_and_costs_come_along(flat):
+    flat.reset()
+    _, reward, *_, extras = flat.step(torch.full((4, 12), 4.8))
+    assert (reward >= 0.0).all()
+    assert extras["costs"].shape == (4, 3)
+    # 1.2 rad of error at Kp 40 asks for 48 N m, far beyond 0.8 of any motor's limit.
+    assert (extras["costs"][:, 2] > 0.0).all()
+    _, _, *_, extras = flat.step(torch.zeros(4, 12))
+    assert torch.isfinite(extras["costs"]).all()
+
+
+def test_a_robot_that_is_not_finite_is_reset_alone(flat):
+    flat.reset()
+    flat.step(torch.zeros(4, 12))
+    flat.sim.data.qpos[2, 7] = float("nan")
+    obs, reward, terminated, _, _ = flat.step(torch.zeros(4, 12))
+    assert terminated.tolist() == [False, False, True, False]
+    assert all(torch.isfinite(value).all() for value in obs.values())
+    assert torch.isfinite(reward).all()
+    assert flat.episode_length_buf.tolist() == [2, 2, 0, 2]
+
+
+def test_fallen_robot_terminates(flat):
+    flat.reset()
+    flat.sim.data.qpos[1, 3:7] = torch.tensor([0.0, 1.0, 0.0, 0.0])
+    _, _, terminated, truncated, _ = flat.step(torch.zeros(4, 12))
+    assert terminated.tolist() == [False, True, False, False]
+    assert not truncated.any()
+
+
+def test_same_seed_same_rollout():
+    results = []
+    for _ in range(2):
+        env = build("Renet-Go1-Flat", 2, seed=5)
+        obs, _ = env.reset()
+        for _ in range(6):
+            obs, reward, *_ = env.step(torch.full((2, 12), 0.2))
+        results.append((obs["proprioception"], obs["depth"], reward))
+    for first, second in zip(*results, strict=True):
+        assert torch.equal(first, second)
+
+
+def test_curriculum_state_round_trips_and_survives_another_size(parkour):
+    terrain = parkour.scene.terrain
+    terrain.terrain_levels[:] = torch.arange(12) % 10
+    parkour.common_step_counter = 77
+    state = {name: value.clone() for name, value in parkour.curriculum_state().items()}
+    terrain.terrain_levels[:] = 0
+    parkour.common_step_counter = 0
+    parkour.load_curriculum_state(state)
+    assert torch.equal(terrain.terrain_levels, torch.arange(12) % 10)
+    assert parkour.common_step_counter == 77
+    origins = terrain.terrain_origins[terrain.terrain_levels, terrain.terrain_types]
+    assert torch.equal(terrain.env_origins, origins)
+    smaller = build("Renet-Go1-Parkour", 6)
+    smaller.load_curriculum_state(state)
+    for kind, level in zip(
+        smaller.scene.terrain.terrain_types, smaller.scene.terrain.terrain_levels, strict=True
+    ):
+        assert level in state["levels"][state["kinds"] == kind]
+
+
+def test_errors_name_what_is_wrong():
+    with pytest.raises(RenetError, match="Renet-Go1-Flat, Renet-Go1-Parkour"):
+        make_env("Renet-Go1-Moon", 1)
+    with pytest.raises(RenetError, match="at least 1"):
+        make_env("Renet-Go1-Flat", 0)
+    with pytest.raises(RenetError, match="not a RENet task"):
+        make_env("Mjlab-Velocity-Flat-Unitree-Go1", 1)

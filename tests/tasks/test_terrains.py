@@ -1,0 +1,119 @@
+"""Tiles: their stated sizes, a free start, and symmetry that makes any yaw work."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from renet.errors import RenetError
+from renet.sim.raycast import scanner
+from renet.tasks.config import tile_env_cfg
+from renet.tasks.terrains import LEVELS, TILE, single_tile_terrain, tiles
+
+from .conftest import build
+
+KINDS = list(tiles())
+
+
+@pytest.fixture(scope="module")
+def world(parkour):
+    return parkour, scanner(parkour.sim.mj_model, "cpu")
+
+
+def profile(world, kind: str, level: int, angle: float = 0.0) -> np.ndarray:
+    """Heights along a line through the tile's middle, every 2 cm, middle of the array at 0."""
+    env, terrain = world
+    origin = env.scene.terrain.terrain_origins[level - 1, KINDS.index(kind)]
+    r = torch.arange(-195, 196) * 0.02
+    line = torch.stack((r * np.cos(angle), r * np.sin(angle)), dim=-1) + origin[:2] + 0.003
+    return terrain.height(line.float()).numpy()
+
+
+@pytest.mark.parametrize("level", [1, 5, 10])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_start_is_flat_free_and_at_the_stated_height(world, kind, level):
+    env, terrain = world
+    origin = env.scene.terrain.terrain_origins[level - 1, KINDS.index(kind)]
+    x, y = torch.meshgrid(torch.linspace(-0.6, 0.6, 25), torch.linspace(-0.6, 0.6, 25))
+    heights = terrain.height(torch.stack((x, y), dim=-1).reshape(-1, 2) + origin[:2])
+    assert (heights - origin[2]).abs().max() < 1e-3
+
+
+@pytest.mark.parametrize(("level", "width"), [(1, 0.10), (10, 0.70)])
+def test_gap_width_and_depth(world, level, width):
+    heights = profile(world, "gap", level)
+    gap = heights < -0.99
+    assert gap.sum() * 0.02 / 2 == pytest.approx(width, abs=0.025)
+    assert np.abs(heights[~gap]).max() < 1e-3
+
+
+@pytest.mark.parametrize(("level", "height"), [(1, 0.05), (10, 0.50)])
+def test_platform_height(world, level, height):
+    heights = profile(world, "platform", level)
+    assert heights.max() == pytest.approx(height, abs=1e-3)
+    assert heights[195] == pytest.approx(0.0, abs=1e-3)
+    assert heights[0] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["stairs_up", "stairs_down"])
+@pytest.mark.parametrize(("level", "rise"), [(1, 0.05), (10, 0.23)])
+def test_stairs_rise_and_tread(world, kind, level, rise):
+    heights = profile(world, kind, level)
+    steps = np.diff(heights)
+    edges = np.flatnonzero(np.abs(steps) > 1e-3)
+    np.testing.assert_allclose(np.abs(steps[edges]), rise, atol=1e-3)
+    np.testing.assert_allclose(np.diff(edges[edges < 130]) * 0.02, 0.30, atol=0.021)
+    sign = 1 if kind == "stairs_down" else -1
+    assert sign * (heights[195] - heights[0]) > 5 * rise
+
+
+@pytest.mark.parametrize("kind", ["stairs_up", "stairs_down", "gap", "platform"])
+def test_tiles_look_the_same_from_all_four_sides(world, kind):
+    profiles = [profile(world, kind, 7, k * np.pi / 2) for k in range(4)]
+    for other in profiles[1:]:
+        assert np.mean(np.abs(other - profiles[0]) > 1e-3) < 0.06  # Samples next to an edge differ.
+
+
+def test_neighbours_meet_at_ground_level(world):
+    env, terrain = world
+    origins = env.scene.terrain.terrain_origins.reshape(-1, 3)[:, :2]
+    corners = torch.cat([origins + torch.tensor(c) for c in ((3.999, 3.999), (-3.999, 0.5))])
+    assert terrain.height(corners).abs().max() < 1e-3
+
+
+def test_levels_change_and_spawns_follow(parkour):
+    parkour.reset()
+    terrain = parkour.scene.terrain
+    terrain.terrain_levels[:] = 4
+    terrain.env_origins[:] = terrain.terrain_origins[4, terrain.terrain_types]
+    parkour.common_step_counter = 0
+    parkour.reset()
+    parkour.common_step_counter = 10
+    parkour.sim.data.qpos[0, 0] += TILE / 2 + 0.5
+    parkour.sim.forward()
+    parkour.command_manager.get_term("goal").speed[1] = 1.0
+    ids = torch.tensor([0, 1])
+    parkour.curriculum_manager.compute(env_ids=ids)
+    assert terrain.terrain_levels[:2].tolist() == [5, 3]
+    assert torch.equal(terrain.env_origins[0], terrain.terrain_origins[5, terrain.terrain_types[0]])
+
+
+def test_the_last_level_leads_back_to_any(parkour):
+    terrain = parkour.scene.terrain
+    terrain.terrain_levels[:] = LEVELS - 1
+    everyone = torch.ones(12, dtype=torch.bool)
+    terrain.update_env_origins(torch.arange(12), everyone, ~everyone)
+    assert ((terrain.terrain_levels >= 0) & (terrain.terrain_levels < LEVELS)).all()
+
+
+def test_single_tiles_for_evaluation():
+    env = build(tile_env_cfg(single_tile_terrain("gap", 10), play=True), 1)
+    env.reset()
+    line = torch.stack((torch.arange(0.0, 4.0, 0.02), torch.zeros(200)), dim=-1)
+    gap = scanner(env.sim.mj_model, "cpu").height(line) < -0.99
+    assert gap.sum() * 0.02 == pytest.approx(0.70, abs=0.03)
+    with pytest.raises(RenetError, match="rough, obstacles"):
+        single_tile_terrain("lava", 1)
+    with pytest.raises(RenetError, match="1 to 10"):
+        single_tile_terrain("gap", 11)
