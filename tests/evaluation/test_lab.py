@@ -25,7 +25,7 @@ from renet.training.export import export_models
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Untrained networks: real files, real models, no skill.
 
-    Their reconstruction is about 0.5 everywhere: 0.25 from black and white pixels, nearer to ground.
+    Their reconstruction is about 0.5 everywhere: 0.25 from black and white, less from ground.
     """
     torch.manual_seed(0)
     manifest = Manifest(robot=go1_spec(), camera=camera_spec(), selector=SelectorSpec(beta=0.18))
@@ -42,7 +42,8 @@ def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bu
     trace = run_rollout(world, lab.controller(3), lab.switch(3), rows, 30, 1, film=[1])
     assert np.isfinite(trace.forward_velocity).all()
     assert trace.vision[:, [0, 2]].all()
-    assert not trace.vision[15:, 1].any()
+    # The first spoilt image comes with a clean one before it; the next tick has two.
+    assert not trace.vision[20:, 1].any()
     assert trace.film is not None
     assert trace.film.images[0].std() > 5
     assert not trace.fallen.any()
