@@ -148,7 +148,8 @@ def from_json(cls: Any, value: Any, where: str = "manifest") -> Any:
             defaults = (item.default, item.default_factory)
             if item.name not in value and defaults == (dataclasses.MISSING,) * 2:
                 raise RenetError(f"{where} lacks the field {item.name!r}")
-        return cls(**{k: from_json(hints[k], v, f"{where}.{k}") for k, v in value.items()})
+        build: Any = cls
+        return build(**{k: from_json(hints[k], v, f"{where}.{k}") for k, v in value.items()})
     origin = typing.get_origin(cls)
     if origin is tuple and isinstance(value, list):
         item = typing.get_args(cls)[0]

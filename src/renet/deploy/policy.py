@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from renet.deploy.bundle import Bundle
@@ -116,10 +118,10 @@ class Policy:
         else:
             self._frames[:, 1] = np.where(self._fresh[:, None, None], depth, self._frames[:, 0])
             self._frames[:, 0] = depth
-            self.reconstruction, score = self._sessions["vision"].run(
+            outputs: Any = self._sessions["vision"].run(
                 ("reconstruction", "anomaly_score"), {"depth": self._frames}
             )
-            self.anomaly_score[:] = score
+            self.reconstruction, self.anomaly_score[:] = outputs
         self._fresh[:] = False
         names = ("next_latent_op", "next_latent_vp", "velocity_op", "velocity_vp")
         names += ("feet_height", "height_map")

@@ -48,7 +48,7 @@ class Actor(nn.Module):
         self.log_std = nn.Parameter(torch.full((ACTION_SIZE,), cfg.initial_std).log())
         # A small last layer starts the policy at the default pose.
         with torch.no_grad():
-            self.mean[-1].weight.mul_(0.1)
+            self.mean[-1].weight.mul_(0.1)  # type: ignore[operator]
 
     def forward(self, proprioception: Tensor, latent: Tensor) -> Tensor:
         """Mean action [B, 12] from o_t [B, 45] and h [B, 128]."""

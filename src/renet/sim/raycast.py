@@ -28,7 +28,7 @@ def cast_depth(
 
     Rays have unit forward component, so that the ray parameter is the distance to the image plane.
     """
-    row, pixel = wp.tid()
+    row, pixel = wp.tid()  # type: ignore[misc]
     camera = row + first
     hit = wp.mesh_query_ray(mesh, position[camera], rotation[camera] * rays[pixel], limit)
     if hit.result:
@@ -47,9 +47,9 @@ def cast_down(
     height: wp.array(dtype=float),  # type: ignore[valid-type]
 ):
     """Height of the highest surface under each (x, y); far below where there is none."""
-    point = wp.tid() + first
+    point = wp.tid() + first  # type: ignore[operator]
     start = wp.vec3(points[point][0], points[point][1], top)
-    hit = wp.mesh_query_ray(mesh, start, wp.vec3(0.0, 0.0, -1.0), limit)
+    hit = wp.mesh_query_ray(mesh, start, wp.vec3(0.0, 0.0, -1.0), limit)  # type: ignore[arg-type]
     if hit.result:
         height[point] = top - hit.t
     else:

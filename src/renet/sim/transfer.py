@@ -12,7 +12,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import warp as wp
 
 from renet.errors import RenetError
 from renet.sim.native_kernel import BYTE, FLOAT, INT
@@ -59,8 +58,9 @@ def model_rows(wp_model: Any, mj_model: mujoco.MjModel, names: list[str]) -> lis
     """Per-environment model fields into an MjModel."""
     rows = []
     for name in names:
-        source, target = getattr(wp_model, name), getattr(mj_model, name)
-        if not isinstance(source, wp.array) or target.size == 0:
+        source: Any = getattr(wp_model, name)
+        target = getattr(mj_model, name)
+        if not hasattr(source, "ptr") or target.size == 0:
             continue
         per_env = source.numpy()[0].size
         if per_env != target.size:

@@ -283,7 +283,7 @@ def _events() -> dict[str, EventTermCfg]:
             func=dr.pd_gains,
             mode="startup",
             params={
-                "asset_cfg": SceneEntityCfg("robot", actuator_names=(".*",)),
+                "asset_cfg": SceneEntityCfg("robot", actuator_names=[".*"]),
                 "kp_range": (0.8, 1.2),
                 "kd_range": (0.8, 1.2),
             },

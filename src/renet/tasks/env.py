@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import torch
+import warp as wp
 from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
 from mjlab.tasks.registry import list_tasks, load_env_cfg
 from torch import Tensor
@@ -133,6 +134,7 @@ def make_env(
     cfg = env_cfg(task, play) if isinstance(task, str) else task
     cfg.scene.num_envs = num_envs
     cfg.seed = seed
+    wp.config.quiet = True  # A line per compiled kernel would bury everything else.
     with use_engine(engine, device):
         return RenetEnv(cfg, device)
 

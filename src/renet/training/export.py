@@ -128,7 +128,7 @@ def _to_onnx(
         torch.onnx.export(
             graph,
             example,
-            buffer,
+            buffer,  # type: ignore[arg-type]
             input_names=list(graph.inputs),
             output_names=list(graph.outputs),
             dynamic_axes={name: {0: "robots"} for name in (*graph.inputs, *graph.outputs)},

@@ -51,8 +51,8 @@ def train(cfg: TrainCfg) -> Path:
     device = resolve_device(cfg.device)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
     seed = cfg.seed + int(os.getenv("RANK", "0"))
-    run = resume.parent.parent if resume else new_run(cfg.log_root, cfg.task)
     env = make_env(cfg.task, num_envs=cfg.num_envs, device=device, seed=seed, engine=cfg.engine)
+    run = resume.parent.parent if resume else new_run(cfg.log_root, cfg.task)
     vec_env = RslRlVecEnvWrapper(env, clip_actions=cfg.clip_actions)
     runner = RenetRunner(vec_env, asdict(cfg), str(run), device)
     if resume:

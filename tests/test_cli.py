@@ -1,0 +1,75 @@
+"""The door: every command explains itself, and every mistake is one line and exit code 2."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from renet import cli
+from renet.training import checkpoint as checkpoints
+
+
+def run(capsys, *arguments: str) -> tuple[int, str, str]:
+    try:
+        code = cli.main(list(arguments))
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_help_lists_every_command(capsys):
+    code, out, _ = run(capsys, "--help")
+    assert code == 0
+    assert all(f"renet {name}" in out for name in cli.COMMANDS)
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_every_command_has_help(capsys, name):
+    code, out, _ = run(capsys, *name.split(), "--help")
+    assert code == 0
+    assert "--" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("trian",), "did you mean `renet train`"),
+        (("train", "Renet-Go1-Moon"), "choose one of Renet-Go1-Flat"),
+        (("train", "Renet-Go1-Flat", "--num-envs", "0"), "--num-envs must be at least 1"),
+        (("train", "Renet-Go1-Flat", "--device", "cuda:7"), "device cuda:7 is absent"),
+        (("train", "Renet-Go1-Flat", "--device", "tpu"), "unknown device 'tpu'"),
+        (("train", "Renet-Go1-Flat", "--engine", "bullet"), "unknown engine 'bullet'"),
+        (("train", "Renet-Go1-Flat", "--time-budget", "soon"), "not a duration"),
+        (("train", "Renet-Go1-Flat", "--resume", "nowhere"), "nowhere does not exist"),
+        (("export", "nowhere"), "no checkpoint at nowhere"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(capsys, *arguments)
+    assert code == 2
+    lines = [line for line in err.splitlines() if line.startswith("renet: ")]
+    assert len(lines) == 1
+    assert message in lines[0]
+    assert "Traceback" not in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_damaged_checkpoint_is_named(capsys, tmp_path):
+    folder = tmp_path / "it_00000001"
+    folder.mkdir()
+    (folder / "state.json").write_text(json.dumps({"format": checkpoints.FORMAT}))
+    (folder / "model.safetensors").write_bytes(b"not tensors")
+    code, _, err = run(capsys, "export", str(tmp_path), "--out", str(tmp_path / "bundle"))
+    assert code == 2
+    assert "incomplete or damaged" in err
+    assert not (tmp_path / "bundle").exists()
+
+
+def test_a_log_folder_that_cannot_be_written_is_named(capsys, tmp_path):
+    (tmp_path / "file").write_text("")
+    code, _, err = run(capsys, "train", "Renet-Go1-Flat", "--log-root", str(tmp_path / "file"))
+    assert code == 2
+    assert "Choose another --log-root" in err
