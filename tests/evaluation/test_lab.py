@@ -68,8 +68,7 @@ def test_the_filter_runs_at_its_own_rate(rate: float, gamma: float) -> None:
     updates = 0
     while switch.update(np.array([2.0]), frames)[0]:
         updates += 1
-    # The answer holds until the selector's next own update, so it changes at an update's start.
-    assert updates * 0.005 == pytest.approx(switch_delay(gamma, rate) - 1 / rate)
+    assert (updates + 1) * 0.005 == pytest.approx(switch_delay(gamma, rate))
     switch.reset(np.array([True]))
     assert switch.probability[0] == 1
 

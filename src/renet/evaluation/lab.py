@@ -86,10 +86,10 @@ class ScoreSwitch:
         return self._selector.probability
 
     def update(self, anomaly_score: np.ndarray, frames: Frames) -> np.ndarray:
-        """See `Switch.update`; between the selector's own updates its answer is held."""
+        """See `Switch.update`; the selector acts at the end of each of its own periods."""
+        self._calls += 1
         if self._calls % self._every == 0:
             self._trusted = self._selector.update(anomaly_score)
-        self._calls += 1
         return self._trusted
 
     def reset(self, mask: np.ndarray) -> None:

@@ -44,6 +44,7 @@ class SimWorld:
         with redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
             self.env: RenetEnv = make_env(cfg, num_robots, seed=seed, engine=engine)
         self.num_robots = num_robots
+        self._seed = seed
         self._robot = self.env.scene["robot"].data
         self._start = np.zeros((num_robots, 2))
 
@@ -53,15 +54,16 @@ class SimWorld:
         return self.env.scene.spec
 
     def reset(self) -> Readings:
-        """See `World.reset`."""
-        observation, _ = self.env.reset()
+        """See `World.reset`; every run of one world begins alike."""
+        with redirect_stdout(io.StringIO()):
+            observation, _ = self.env.reset(seed=self._seed)
         self._start = self._position().copy()
         nobody = np.zeros(self.num_robots, bool)
         return self._readings(observation, nobody, nobody)
 
     def step(self, action: np.ndarray) -> Readings:
         """See `World.step`."""
-        with torch.inference_mode():
+        with torch.no_grad():
             observation, _, terminated, truncated, _ = self.env.step(torch.from_numpy(action))
         fell, ended = terminated.numpy(), (terminated | truncated).numpy()
         self._start[ended] = self._position()[ended]

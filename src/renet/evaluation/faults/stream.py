@@ -89,6 +89,15 @@ class Fault:
         return float("inf")
 
     @classmethod
+    def describe(cls, level: float) -> str:
+        """A level as people write it, such as "30 %" or "∞ s"."""
+        if cls.unit == "share":
+            return f"{100 * level:.0f} %"
+        if cls.unit == "factor":
+            return f"×{level:g}"
+        return f"{level:g} {cls.unit}".replace("inf", "∞")
+
+    @classmethod
     def level_of(cls, severity: int) -> float:
         """The level of a severity between 1 and 5."""
         if severity not in SEVERITIES:

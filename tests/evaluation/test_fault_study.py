@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluation.fakes import FakeLab
+from renet.errors import RenetError
+from renet.evaluation import fault_study
+from renet.evaluation.fault_figures import block
+from renet.evaluation.fault_study import FaultsCfg, harmful, missed, run_faults
+
+SMALL = {"severities": (1, 5), "robots": 2, "onset": 20, "steps": 120}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("faults")
+    run_faults(FaultsCfg(out=out, faults=("gaussian", "frozen"), **SMALL), FakeLab())
+    return out
+
+
+def test_one_row_for_each_fault_severity_and_mode(folder: Path) -> None:
+    summary = json.loads((folder / "summary.json").read_text())
+    rows = [(run["fault"], run["severity"], run["mode"]) for run in summary["runs"]]
+    assert rows == [
+        (fault, severity, mode)
+        for fault in ("gaussian", "frozen")
+        for severity in (1, 5)
+        for mode in ("vp", "renet", "op")
+    ]
+    assert {run["robots"] for run in summary["runs"]} == {2}
+    assert len((folder / "summary.csv").read_text().splitlines()) == 13
+    assert (folder / "survival.png").exists()
+    assert (folder / "gallery.png").exists()
+
+
+def test_survival_and_detection_are_those_of_the_robots(folder: Path) -> None:
+    summary = json.loads((folder / "summary.json").read_text())
+    found = {(r["fault"], r["severity"], r["mode"]): r for r in summary["runs"]}
+    assert found["gaussian", 5, "vp"]["survival"] == 0
+    assert found["gaussian", 5, "renet"]["survival"] == 1
+    assert found["gaussian", 5, "renet"]["detection_delay_s"] == pytest.approx(0.035)
+    # The fakes' image never changes, so that a frozen one is the right one.
+    assert found["frozen", 5, "vp"]["survival"] == 1
+    assert found["frozen", 5, "renet"]["detected"] == 0
+    assert found["frozen", 5, "renet"]["detection_delay_s"] is None
+    assert summary["harmful"] == []
+    assert summary["missed"] == []
+    assert summary["healthy"]["false_switches"] == 0
+
+
+def test_finished_faults_are_not_run_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran = []
+    real = fault_study._run_fault
+
+    def spy(cfg, lab, world, fault, name):
+        ran.append(fault)
+        return real(cfg, lab, world, fault, name)
+
+    monkeypatch.setattr(fault_study, "_run_fault", spy)
+    faults = ("gaussian", "frozen", "dropped")
+    summary = run_faults(FaultsCfg(out=folder, faults=faults, **SMALL), FakeLab())
+    assert ran == ["dropped"]
+    assert len(summary["runs"]) == 18
+    run_faults(FaultsCfg(out=folder, faults=faults, **(SMALL | {"seed": 2})), FakeLab())
+    assert ran == ["dropped", *faults]
+
+
+def test_a_damaged_part_is_reported(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "gaussian.json").write_text('{"half')
+    with pytest.raises(RenetError, match=r"gaussian\.json is not valid JSON"):
+        run_faults(FaultsCfg(out=tmp_path, faults=("gaussian",), **SMALL), FakeLab())
+
+
+def run(fault: str, mode: str, survival: float, detected: int = 10) -> dict:
+    falls = round(10 * (1 - survival))
+    row = {"fault": fault, "severity": 3, "mode": mode, "survival": survival, "falls": falls}
+    return row | {"robots": 10, "detected": detected}
+
+
+def test_harm_and_misses_are_published() -> None:
+    runs = [run("foam", "vp", 0.5), run("foam", "renet", 0.8, detected=7), run("foam", "op", 0.9)]
+    assert harmful(runs) == [{"fault": "foam", "severity": 3, "renet": 0.8, "op": 0.9}]
+    assert missed(runs) == [{"fault": "foam", "severity": 3, "undetected": 3, "vp_falls": 5}]
+    assert harmful([run("foam", "renet", 0.89), run("foam", "op", 0.9)]) == []
+    assert missed([run("foam", "vp", 1.0), run("foam", "renet", 1.0, detected=0)]) == []
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"faults": ("smoke",)},
+        {"severities": (0,)},
+        {"modes": ("blind",)},
+        {"modes": ()},
+        {"robots": 0},
+        {"terrain": "lava"},
+        {"terrain": "gap", "level": 11},
+    ],
+)
+def test_bad_settings_are_refused(wrong) -> None:
+    with pytest.raises(RenetError):
+        FaultsCfg(**wrong)
+
+
+def test_the_gallerys_scene_is_geometrically_right() -> None:
+    depth = 2 * block()
+    # The ray through the middle, 30 degrees down: 0.3 m / sin, measured along the image's normal.
+    assert depth[23:25, 0].mean() == pytest.approx(0.6, abs=0.01)
+    # The block's face is 0.7 m ahead: nearer than the floor behind it, not wider than 0.5 m.
+    row = depth[16]
+    assert (np.diff(np.flatnonzero(row < row[0] - 0.01)) == 1).all()
