@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from renet.evaluation.figures import noise_label
 from renet.evaluation.lab import Lab
 from renet.evaluation.noise import TITLES, NoiseCfg, NoiseResult, run_noise
-from renet.evaluation.page import Cell, Page
+from renet.evaluation.noise_page import facts, headline, noise_section
+from renet.evaluation.page import Page
 from renet.evaluation.progress import progress
 from renet.evaluation.video import Panel, VideoCfg, make_video
 from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
-
-WALKS = (0.45, 0.85)
-"""Mean forward speeds, m/s, at which a robot commanded 0.6 m/s counts as walking."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +103,7 @@ def _last_upright(fallen: np.ndarray) -> int:
 def write_page(result: NoiseResult, film: Path | None, out: Path) -> Path:
     """Write index.html into `out`, from the study's figures there."""
     summary = result.summary
-    page = Page("A robot dog loses its eyes and keeps walking", headline(summary))
+    page = Page("A robot dog loses its eyes", headline(summary))
     page.facts(facts(summary))
     if film:
         setting, _ = worst_of_vp(result)
@@ -125,29 +122,7 @@ def write_page(result: NoiseResult, film: Path | None, out: Path) -> Path:
         " score). When it stays above the threshold β, the vision probability P_t falls below one"
         " half and the selector hands over to OP; it hands back when vision recovers."
     )
-    page.heading("Six ways to spoil the camera")
-    page.text(
-        f"{result.cfg.robots} robots in each row, flat ground, {result.cfg.speed} m/s commanded,"
-        f" noise from timestep {result.cfg.onset}. Speed is the mean over the last 3 s, with its"
-        " 95 % bootstrap interval; a fallen robot counts with zero. Delay is the median time from"
-        " the noise's begin to the switch."
-    )
-    page.table(
-        ["policy", "noise", "falls", "speed (m/s)", "95 % interval", "switch delay (ms)"],
-        [_table_row(run) for run in summary["baseline"] + summary["runs"]],
-        text=2,
-    )
-    page.picture(
-        out / "noise.png",
-        "Mean forward velocity against timestep (0.02 s), as in the"
-        " paper: (a) the VP estimator alone, (b) RENet.",
-    )
-    page.heading("One robot's camera fails and recovers")
-    page.picture(
-        out / "timeline.png",
-        "Reconstruction loss and threshold on the left axis, vision"
-        " probability on the right. Green: VP in charge. Red: OP in charge.",
-    )
+    noise_section(page, summary, out)
     page.heading("Where these numbers come from")
     page.text(
         "Every number and picture on this page was computed on this machine by the command"
@@ -155,46 +130,3 @@ def write_page(result: NoiseResult, film: Path | None, out: Path) -> Path:
     )
     page.provenance(summary["provenance"])
     return page.write(out / "index.html")
-
-
-def headline(summary: dict[str, Any]) -> str:
-    """One sentence that says what was measured, good or bad."""
-    falls = {
-        mode: sum(r["falls"] for r in summary["runs"] if r["mode"] == mode)
-        for mode in ("vp", "renet")
-    }
-    robots = sum(r["robots"] for r in summary["runs"] if r["mode"] == "renet")
-    return (
-        f"Six kinds of camera noise, {robots} robots: {falls['vp']} fell with the vision estimator"
-        f" alone, {falls['renet']} with RENet."
-    )
-
-
-def facts(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """The page's large numbers."""
-    renet = [run for run in summary["runs"] if run["mode"] == "renet"]
-    speeds = [run["mean_forward_velocity"] for run in renet]
-    delays = [r["detection_delay_s"] for r in renet if r["detection_delay_s"] is not None]
-    robots = sum(run["robots"] for run in renet)
-    return [
-        (
-            f"{robots - sum(run['falls'] for run in renet)} of {robots}",
-            "RENet robots on their feet",
-        ),
-        (f"{min(speeds):.2f}–{max(speeds):.2f} m/s", "RENet's mean speed under noise"),
-        (f"{1000 * max(delays):.0f} ms" if delays else "none", "slowest median switch to OP"),
-        (str(summary["healthy"]["false_switches"]), "false switches while the camera was healthy"),
-    ]
-
-
-def _table_row(run: dict[str, Any]) -> list[Any]:
-    """One setting of one mode."""
-    falls, speed, delay = run["falls"], run["mean_forward_velocity"], run["detection_delay_s"]
-    return [
-        TITLES[run["mode"]],
-        noise_label(run["noise"], run["level"]),
-        Cell(f"{falls} of {run['robots']}", "bad" if falls else "good"),
-        Cell(f"{speed:.2f}", "good" if WALKS[0] <= speed <= WALKS[1] else "bad"),
-        f"{run['velocity_ci95_low']:.2f} to {run['velocity_ci95_high']:.2f}",
-        "–" if delay is None else f"{1000 * delay:.0f}",
-    ]

@@ -43,8 +43,8 @@ def draw_survival(
 
 def draw_gallery(faults: Sequence[str], seed: int, path: Path, provenance: Provenance) -> Path:
     """One picture of each fault at each severity; faults of time look like a healthy image."""
-    framed: dict[Any, Any] = {"axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}
-    with plt.rc_context({**figures.STYLE, **framed}):
+    framed: dict[Any, Any] = dict.fromkeys(("axes.spines.top", "axes.spines.right"), True)
+    with plt.rc_context({**figures.STYLE, **framed, "axes.grid": False}):
         size = (1.6 * len(SEVERITIES) + 1.6, 1.22 * len(faults))
         figure, axes = plt.subplots(len(faults), len(SEVERITIES), figsize=size, squeeze=False)
         for row, fault in zip(axes, faults, strict=True):
