@@ -10,6 +10,7 @@ import importlib
 import os
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 from renet import __version__
 from renet.errors import RenetError
@@ -28,6 +29,13 @@ class Command:
 
 
 COMMANDS = {
+    "demo": Command(
+        "break the shipped policy's camera and watch it keep walking: one HTML page",
+        "renet.evaluation.demo",
+        "DemoCfg",
+        "run_demo",
+        "train",
+    ),
     "train": Command(
         "train RENet on a CPU or GPUs", "renet.training.train", "TrainCfg", "train", "train"
     ),
@@ -37,6 +45,47 @@ COMMANDS = {
         "ExportCfg",
         "export",
         "train",
+    ),
+    "calibrate": Command(
+        "measure the selector's threshold on healthy runs and store it in a bundle",
+        "renet.evaluation.calibrate",
+        "CalibrateCfg",
+        "run_calibrate",
+        "train",
+    ),
+    "evaluate noise": Command(
+        "the paper's noise study: VP alone against RENet",
+        "renet.evaluation.noise",
+        "NoiseCfg",
+        "run_noise",
+        "train",
+    ),
+    "evaluate terrain": Command(
+        "the paper's table: highest levels on gap, platform and stairs",
+        "renet.evaluation.terrain",
+        "TerrainCfg",
+        "run_terrain",
+        "train",
+    ),
+    "evaluate faults": Command(
+        "every way a depth camera fails, at every severity, in every mode",
+        "renet.evaluation.fault_study",
+        "FaultsCfg",
+        "run_faults",
+        "train",
+    ),
+    "evaluate filter": Command(
+        "the filter's switching delay and number of switches against gamma and rate",
+        "renet.evaluation.filter_study",
+        "FilterCfg",
+        "run_filter",
+        "train",
+    ),
+    "bundle inspect": Command(
+        "print every input of a bundle by index: name, unit, scale, joint order",
+        "renet.deploy.inspect",
+        "InspectCfg",
+        "inspect",
     ),
 }
 
@@ -76,7 +125,10 @@ def _dispatch(arguments: list[str]) -> int:
     import tyro
 
     cfg = tyro.cli(getattr(module, command.config), args=rest, prog=f"renet {name}")
-    getattr(module, command.run)(cfg)
+    result = getattr(module, command.run)(cfg)
+    where = result if isinstance(result, Path) else getattr(cfg, "out", None)
+    if where is not None:
+        print(f"Results: {where}")
     return 0
 
 

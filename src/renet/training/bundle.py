@@ -61,7 +61,6 @@ def export(cfg: ExportCfg) -> Path:
         frames=model.cfg.frames,
     )
     path = write_bundle(cfg.out, export_models(model), manifest)
-    print(f"Exported iteration {loaded.state['iteration']} to {path}")
     return path
 
 
