@@ -13,8 +13,8 @@ import tyro
 from renet.deploy.bundle import write_manifest
 from renet.errors import RenetError
 from renet.evaluation.lab import Lab
-from renet.evaluation.progress import progress
 from renet.evaluation.rollout import Row, Trace, run_rollout
+from renet.evaluation.terminal import progress
 from renet.evaluation.world import SimWorld
 from renet.selector.calibration import calibrate, conformal_threshold
 from renet.tasks.terrains import LEVELS, tiles

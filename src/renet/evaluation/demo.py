@@ -9,10 +9,10 @@ import numpy as np
 
 from renet.evaluation.figures import noise_label
 from renet.evaluation.lab import Lab
-from renet.evaluation.noise import TITLES, NoiseCfg, NoiseResult, run_noise
+from renet.evaluation.noise import TITLES, NoiseCfg, NoiseResult, run_noise, show_runs
 from renet.evaluation.noise_page import facts, headline, noise_section
 from renet.evaluation.page import Page
-from renet.evaluation.progress import progress
+from renet.evaluation.terminal import progress
 from renet.evaluation.video import Panel, VideoCfg, make_video
 from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
 
@@ -48,6 +48,7 @@ def run_demo(cfg: DemoCfg, lab: Lab | None = None) -> Path:
     """
     study = NoiseCfg(out=cfg.out, bundle=cfg.bundle, seed=cfg.seed, engine=cfg.engine)
     result = run_noise(study, lab)
+    show_runs(result.summary)
     film = film_comparison(result, cfg.out / "video.mp4") if cfg.video else None
     return write_page(result, film, cfg.out)
 
@@ -130,3 +131,9 @@ def write_page(result: NoiseResult, film: Path | None, out: Path) -> Path:
     )
     page.provenance(summary["provenance"])
     return page.write(out / "index.html")
+
+
+def main(cfg: DemoCfg) -> None:
+    """`renet demo`."""
+    page = run_demo(cfg)
+    print(f"Open {page.resolve()} in a browser.")

@@ -17,7 +17,6 @@ from renet.evaluation import metrics
 from renet.evaluation.fault_figures import draw_gallery, draw_survival
 from renet.evaluation.faults import FAULTS, SEVERITIES, Injection, fault_class
 from renet.evaluation.lab import Lab
-from renet.evaluation.progress import progress
 from renet.evaluation.results import (
     Provenance,
     output_folder,
@@ -27,6 +26,7 @@ from renet.evaluation.results import (
     write_json,
 )
 from renet.evaluation.rollout import MODES, Row, Trace, World, run_rollout
+from renet.evaluation.terminal import progress, show
 from renet.tasks import RenetEnvCfg
 from renet.tasks.config import tile_env_cfg
 from renet.tasks.terrains import single_tile_terrain
@@ -256,3 +256,17 @@ def missed(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
         and falls.get((r["fault"], r["severity"]), 0) > 0
         and r["detected"] < r["robots"]
     ]
+
+
+def main(cfg: FaultsCfg) -> None:
+    """`renet evaluate faults`."""
+    summary = run_faults(cfg)
+    share: dict[tuple[str, int], list[str]] = {}
+    for run in summary["runs"]:
+        share.setdefault((run["fault"], run["severity"]), []).append(f"{100 * run['survival']:.0f}")
+    rows = [(*setting, *values) for setting, values in share.items()]
+    show("Robots on their feet at the end (%)", ("fault", "severity", *cfg.modes), rows)
+    print(
+        f"{len(summary['harmful'])} settings worse than OP alone, {len(summary['missed'])}"
+        f" that make VP fall and go unnoticed\nResults: {cfg.out}"
+    )

@@ -18,9 +18,9 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.faults import Frames, Injection
 from renet.evaluation.lab import Lab, ScoreSwitch
-from renet.evaluation.progress import progress
 from renet.evaluation.results import Provenance, output_folder, write_csv, write_json
 from renet.evaluation.rollout import UPDATES_PER_STEP, Row, run_rollout
+from renet.evaluation.terminal import progress, show
 from renet.selector.filter import switch_delay
 from renet.vocabulary import CONTROL_DT
 
@@ -148,3 +148,12 @@ def draw(cfg: FilterCfg, runs: list[dict[str, Any]], path: Path, provenance: Pro
             axis.set(xlabel="γ", xscale="log")
             axis.legend(fontsize=8)
         figures.save(figure, path, provenance)
+
+
+def main(cfg: FilterCfg) -> None:
+    """`renet evaluate filter`."""
+    runs = run_filter(cfg)["runs"]
+    header = ("rate_hz", "gamma", "delay_s", "formula_s", "switches_per_minute")
+    rows = [[run[name] if run[name] is not None else "-" for name in header] for run in runs]
+    show("The selector's filter", header, rows)
+    print(f"Results: {cfg.out}")

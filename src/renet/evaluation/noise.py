@@ -16,9 +16,9 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab
-from renet.evaluation.progress import progress
 from renet.evaluation.results import output_folder, write_csv, write_json
 from renet.evaluation.rollout import MODES, Row, Trace, run_rollout
+from renet.evaluation.terminal import progress, show
 from renet.vocabulary import CONTROL_DT
 
 CLEAN = ("none", 0.0)
@@ -205,3 +205,25 @@ def draw(result: NoiseResult, out: Path) -> None:
         out / "timeline.png",
         provenance,
     )
+
+
+def main(cfg: NoiseCfg) -> None:
+    """`renet evaluate noise`."""
+    show_runs(run_noise(cfg).summary)
+    print(f"Results: {cfg.out}")
+
+
+def show_runs(summary: dict[str, Any]) -> None:
+    """Print the study's table."""
+    rows = [
+        (
+            TITLES[run["mode"]],
+            figures.noise_label(run["noise"], run["level"]),
+            f"{run['falls']} of {run['robots']}",
+            f"{run['mean_forward_velocity']:.2f}",
+            "-" if (delay := run["detection_delay_s"]) is None else f"{1000 * delay:.0f}",
+        )
+        for run in summary["baseline"] + summary["runs"]
+    ]
+    header = ("policy", "noise", "falls", "speed (m/s)", "switch delay (ms)")
+    show("Camera noise on flat ground", header, rows)

@@ -157,3 +157,8 @@ SECTIONS: dict[str, Callable[[Page, dict[str, Any], Path], None]] = {
     "faults": _faults,
     "filter": _filter,
 }
+
+
+def main(cfg: ReportCfg) -> None:
+    """`renet evaluate report`."""
+    print(f"Open {make_report(cfg).resolve()} in a browser.")

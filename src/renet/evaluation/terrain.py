@@ -18,9 +18,9 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.lab import Lab
-from renet.evaluation.progress import progress
 from renet.evaluation.results import Provenance, output_folder, write_csv, write_json
 from renet.evaluation.rollout import MODES, Row, Trace, run_rollout
+from renet.evaluation.terminal import progress, show
 from renet.tasks.terrains import LEVELS, tiles
 from renet.vocabulary import CONTROL_DT
 
@@ -161,3 +161,14 @@ def draw(summary: dict[str, Any], path: Path, provenance: Provenance) -> None:
         )
         axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
         figures.save(figure, path, provenance)
+
+
+def main(cfg: TerrainCfg) -> None:
+    """`renet evaluate terrain`."""
+    summary = run_terrain(cfg)
+    rows = [(kind, f"{level:.2f}") for kind, level in summary["levels_by_kind"].items()]
+    show(f"Highest level of {LEVELS}, mean of {summary['robots']} robots", ("tile", "level"), rows)
+    print(
+        f"collisions {summary['collisions']:.3f}, linear velocity reward"
+        f" {summary['lin_vel_reward']:.3f}\nResults: {cfg.out}"
+    )
