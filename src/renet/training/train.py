@@ -41,25 +41,35 @@ class TrainCfg(LearningCfg):
     """Folder that receives a folder per run."""
 
 
-def train(cfg: TrainCfg) -> Path:
-    """Train and return the run folder; raises RenetError on anything a user can put right."""
+def train(cfg: TrainCfg) -> Path | None:
+    """Train and return the run folder (None on ranks above 0).
+
+    Under torchrun (or any launcher that sets RANK, LOCAL_RANK and WORLD_SIZE) each process trains
+    its own `num_envs` environments and gradients are averaged.
+
+    Raises:
+        RenetError: anything a user can put right.
+    """
     from renet.tasks import make_env
 
     if cfg.num_envs < 1:
         raise RenetError(f"--num-envs must be at least 1, got {cfg.num_envs}")
+    rank = int(os.getenv("RANK", "0"))
     budget = None if cfg.time_budget is None else seconds(cfg.time_budget)
     device = resolve_device(cfg.device)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
-    seed = cfg.seed + int(os.getenv("RANK", "0"))
-    env = make_env(cfg.task, num_envs=cfg.num_envs, device=device, seed=seed, engine=cfg.engine)
-    run = resume.parent.parent if resume else new_run(cfg.log_root, cfg.task)
+    env = make_env(
+        cfg.task, num_envs=cfg.num_envs, device=device, seed=cfg.seed + rank, engine=cfg.engine
+    )
     vec_env = RslRlVecEnvWrapper(env, clip_actions=cfg.clip_actions)
-    runner = RenetRunner(vec_env, asdict(cfg), str(run), device)
+    run = None if rank else resume.parent.parent if resume else new_run(cfg.log_root, cfg.task)
+    runner = RenetRunner(vec_env, asdict(cfg), str(run) if run else None, device)
     if resume:
         runner.load(str(resume))
-    else:
+    elif run:
         (run / "config.json").write_text(json.dumps(asdict(cfg), indent=1, default=str) + "\n")
-    print(f"{'Resuming' if resume else 'Training'} {cfg.task} in {run}")
+    if run:
+        print(f"{'Resuming' if resume else 'Training'} {cfg.task} in {run}")
     try:
         runner.learn(max(0, cfg.max_iterations - runner.alg.iteration), time_budget_s=budget)
     finally:

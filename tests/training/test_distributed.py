@@ -1,0 +1,111 @@
+"""Two ranks over gloo train one model: same parameters, and the joined batch's gradients."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict
+from pathlib import Path
+
+import torch
+import torch.multiprocessing as multiprocessing
+
+from renet.models.actor_critic import Actor, Critics
+from renet.models.config import ModelCfg
+from renet.training.config import LearningCfg, NP3OCfg
+from renet.training.np3o import NP3O, make_targets
+from renet.training.runner import RenetRunner
+from renet.training.storage import PolicyRollout
+
+from .conftest import ToyEnv
+
+RANKS = 2
+
+
+def spawn(worker, folder: Path) -> list:
+    port = 29500 + os.getpid() % 1000
+    multiprocessing.spawn(worker, args=(str(folder), port), nprocs=RANKS)
+    return [torch.load(folder / f"{rank}.pt") for rank in range(RANKS)]
+
+
+def join(rank: int, port: int) -> None:
+    torch.set_num_threads(1)
+    os.environ |= {
+        "RANK": str(rank),
+        "LOCAL_RANK": str(rank),
+        "WORLD_SIZE": str(RANKS),
+        "MASTER_ADDR": "127.0.0.1",
+        "MASTER_PORT": str(port),
+    }
+
+
+def train_five_iterations(rank: int, folder: str, port: int) -> None:
+    join(rank, port)
+    torch.manual_seed(rank)
+    cfg = asdict(LearningCfg(num_steps_per_env=5))
+    log_dir = folder if rank == 0 else None
+    runner = RenetRunner(ToyEnv(seed=rank), cfg, log_dir, "cpu")
+    runner.learn(5)
+    state = {
+        "model": runner.alg.model.state_dict(),
+        "rate": runner.alg.learning_rate,
+        "weight": runner.alg.np3o.cost_weight,
+    }
+    torch.save(state, f"{folder}/{rank}.pt")
+
+
+def test_ranks_agree_after_five_iterations(tmp_path):
+    first, second = spawn(train_five_iterations, tmp_path)
+    assert first["rate"] == second["rate"]
+    assert first["weight"] == second["weight"]
+    for name, value in first["model"].items():
+        torch.testing.assert_close(value, second["model"][name], atol=1e-6, rtol=1e-5, msg=name)
+    assert len(list((tmp_path / "checkpoints").iterdir())) == 1
+
+
+def rollout() -> tuple[PolicyRollout, torch.Tensor]:
+    """Four steps of eight environments; a rank takes half of the environments."""
+    random = torch.Generator().manual_seed(3)
+
+    def draw(*shape: int) -> torch.Tensor:
+        return torch.randn(4, 8, *shape, generator=random)
+
+    data = PolicyRollout(
+        proprioception=draw(45),
+        latent=draw(128),
+        critic_observation=draw(10),
+        action=draw(12),
+        log_prob=draw() - 20.0,
+        mean=draw(12),
+        value=draw(4),
+        payoff=draw(4),
+        done=draw() > 1.5,
+    )
+    return data, torch.randn(8, 4, generator=random)
+
+
+def gradients(data: PolicyRollout, last_value: torch.Tensor) -> list[torch.Tensor]:
+    torch.manual_seed(0)
+    model = ModelCfg(actor_hidden=(16,), critic_hidden=(16,), cost_critic_hidden=(8,))
+    cfg = NP3OCfg(max_grad_norm=1e9, desired_kl=0.0)
+    algorithm = NP3O(Actor(model), Critics(model, 10), cfg)
+    targets = make_targets(data, last_value, cfg)
+    rows = torch.arange(data.log_prob.numel())
+    algorithm._step(data.flatten(), targets, rows, algorithm.actor.log_std.detach().exp())
+    return [parameter.grad for parameter in algorithm.parameters]
+
+
+def half_a_batch(rank: int, folder: str, port: int) -> None:
+    join(rank, port)
+    torch.distributed.init_process_group("gloo")
+    data, last_value = rollout()
+    mine = slice(4 * rank, 4 * rank + 4)
+    half = PolicyRollout(**{name: value[:, mine] for name, value in vars(data).items()})
+    torch.save(gradients(half, last_value[mine]), f"{folder}/{rank}.pt")
+
+
+def test_gradients_equal_one_process_on_the_joined_batch(tmp_path):
+    first, second = spawn(half_a_batch, tmp_path)
+    joined = gradients(*rollout())
+    for a, b, c in zip(first, second, joined, strict=True):
+        torch.testing.assert_close(a, b)
+        torch.testing.assert_close(a, c, atol=1e-5, rtol=1e-3)
