@@ -79,6 +79,6 @@ def _robot_table(manifest: Manifest) -> Table:
         )
     table.caption = (
         f"target = default + {robot.action_scale:g} · action, |action| ≤ {robot.action_clip:g}; "
-        "positive angles turn about the joint axes of the vendor's model (hip +x, thigh and calf +y)"
+        "positive angles turn about +x (hip) and +y (thigh, calf)"
     )
     return table
