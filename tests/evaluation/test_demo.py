@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from evaluation.fakes import FakeLab
 from renet.evaluation import demo
 from renet.evaluation.demo import DemoCfg, film_comparison, run_demo, worst_of_vp
 from renet.evaluation.noise import NoiseCfg, run_noise
 from renet.evaluation.video import VideoCfg
+
+from .fakes import FakeLab
 
 
 class Links(HTMLParser):

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.fakes import FakeLab
 from renet.errors import RenetError
 from renet.evaluation import fault_study
 from renet.evaluation.fault_figures import block
 from renet.evaluation.fault_study import FaultsCfg, harmful, missed, run_faults
+
+from .fakes import FakeLab
 
 SMALL = {"severities": (1, 5), "robots": 2, "onset": 20, "steps": 120}
 

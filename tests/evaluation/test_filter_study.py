@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.fakes import FakeLab
 from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.filter_study import FilterCfg, replay, run_filter
+
+from .fakes import FakeLab
 
 
 def test_measured_delay_is_the_formulas_at_every_rate(tmp_path: Path) -> None:

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.fakes import SPEED, FakeLab
 from renet.errors import RenetError
 from renet.evaluation.noise import NoiseCfg, run_noise
+
+from .fakes import SPEED, FakeLab
 
 RUN_KEYS = {
     "mode",

@@ -5,12 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from evaluation.fakes import FakeLab
 from renet.errors import RenetError
 from renet.evaluation.fault_study import FaultsCfg, run_faults
 from renet.evaluation.filter_study import FilterCfg, run_filter
 from renet.evaluation.noise import NoiseCfg, run_noise
 from renet.evaluation.report import ReportCfg, make_report
+
+from .fakes import FakeLab
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.fakes import SPEED, FakeController, FakeSwitch, FakeWorld
 from renet.errors import RenetError
 from renet.evaluation.faults import Injection
 from renet.evaluation.rollout import Row, run_rollout
+
+from .fakes import SPEED, FakeController, FakeSwitch, FakeWorld
 
 NOISE = (Injection("gaussian", 1.0, onset=20),)
 MODES = ("vp", "renet", "op", "oracle-switch")

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.fakes import FakeController, FakeLab, FakeSwitch, FakeWorld
 from renet.errors import RenetError
 from renet.evaluation.calibrate import successful_scores
 from renet.evaluation.rollout import Row, Trace, run_rollout
 from renet.evaluation.terrain import TerrainCfg, highest_level, passed, run_terrain
 from renet.tasks.terrains import LEVELS
+
+from .fakes import FakeController, FakeLab, FakeSwitch, FakeWorld
 
 
 class Ladder(FakeWorld):

@@ -83,7 +83,7 @@ def film_comparison(result: NoiseResult, path: Path, cfg: VideoCfg | None = None
 
 
 def worst_of_vp(result: NoiseResult) -> tuple[tuple[str, float], int]:
-    """The noise setting with most VP falls, then the slowest, and its first robot to fail."""
+    """The noise setting with most VP falls, then the slowest, and the first robot it fells."""
     fallen, speed = result.trace.fallen, result.trace.speed[-150:]
 
     def harm(setting: tuple[str, float]) -> tuple[float, float]:
@@ -93,6 +93,8 @@ def worst_of_vp(result: NoiseResult) -> tuple[tuple[str, float], int]:
     setting = max(result.cfg.settings, key=harm)
     index = result.indices("vp", setting)
     upright = (~fallen[:, index]).sum(axis=0)
+    # Who fell before the noise began says nothing about it.
+    upright = np.where(upright < result.cfg.onset, len(fallen) + 1, upright)
     return setting, int(np.lexsort((speed[:, index].mean(axis=0), upright))[0])
 
 

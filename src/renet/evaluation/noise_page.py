@@ -20,8 +20,9 @@ def noise_section(page: Page, summary: dict[str, Any], folder: Path) -> None:
     page.text(
         f"{settings['robots']} robots in each row, flat ground, {settings['speed']} m/s commanded,"
         f" noise from timestep {settings['onset']}. Speed is the mean over the last 3 s, with its"
-        " 95 % bootstrap interval; a fallen robot counts with zero. Delay is the median time from"
-        " the noise's begin to the switch."
+        " 95 % bootstrap interval; a fallen robot counts with zero. GA is Gaussian noise"
+        " with that standard deviation, SP salt and pepper on that share of the pixels. Delay is"
+        " the median time from the noise's begin to the switch."
     )
     page.table(
         ["policy", "noise", "falls", "speed (m/s)", "95 % interval", "switch delay (ms)"],

@@ -24,8 +24,9 @@ h1 { font-size: clamp(1.5rem, 5vw, 2.2rem); line-height: 1.2; margin: 0 0 .5rem;
 h2 { font-size: 1.25rem; margin: 2.5rem 0 .5rem; }
 p.lead { font-size: 1.1rem; color: var(--soft); margin-top: 0; }
 figure { margin: 1.2rem 0; }
-figure img, figure video { display: block; width: 100%; height: auto; border-radius: 8px;
-  border: 1px solid var(--line); background: #fff; }
+figure img, figure video { display: block; width: 100%; height: auto; background: #fff; }
+figure img { min-width: 34rem; }
+figure video { border-radius: 8px; }
 figcaption { color: var(--soft); font-size: .9rem; margin-top: .4rem; }
 .scroll { overflow-x: auto; border: 1px solid var(--line); border-radius: 8px;
   background: var(--card); }
@@ -100,7 +101,8 @@ class Page:
     def picture(self, path: Path, caption: str) -> None:
         """A PNG, put inside the page."""
         self._parts.append(
-            f'<figure><img src="{data_uri(path)}" alt="{escape(caption, quote=True)}">'
+            f'<figure><div class="scroll"><img src="{data_uri(path)}"'
+            f' alt="{escape(caption, quote=True)}"></div>'
             f"<figcaption>{escape(caption)}</figcaption></figure>"
         )
 
