@@ -1,0 +1,155 @@
+"""Where a training iteration goes, in env-steps per second, seconds by part and peak memory.
+
+The same run also trains mjlab's stock flat Go1 (no camera) with its own PPO on the same engine.
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from dataclasses import asdict, dataclass, field
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import torch
+import tyro
+from facts import report
+from mjlab.rl import MjlabOnPolicyRunner, RslRlVecEnvWrapper
+from mjlab.tasks.registry import load_env_cfg, load_rl_cfg
+from rich.progress import track
+
+from renet.sim.engine import use_engine
+from renet.tasks import make_env
+from renet.training.config import LearningCfg
+from renet.training.runner import RenetRunner
+
+STOCK = "Mjlab-Velocity-Flat-Unitree-Go1"
+
+
+@dataclass
+class Cfg:
+    """Profile training."""
+
+    task: str = "Renet-Go1-Parkour"
+    """Task."""
+    num_envs: int = 256
+    """Environments."""
+    device: str = "cpu"
+    """cpu or cuda:N."""
+    engine: str = "auto"
+    """auto, native or warp."""
+    iterations: int = 6
+    """Iterations measured, after one that warms up."""
+    stock: bool = True
+    """Also train mjlab's stock Go1."""
+    learning: LearningCfg = field(default_factory=LearningCfg)
+    """Learning settings."""
+    json: Path | None = None
+    """Result file."""
+
+
+class Stopwatch:
+    """Accumulates the seconds spent inside wrapped methods."""
+
+    def __init__(self, device: str) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.device = device
+
+    def wrap(self, owner: Any, method: str, part: str) -> None:
+        original: Callable[..., Any] = getattr(owner, method)
+
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            start = self.now()
+            try:
+                return original(*args, **kwargs)
+            finally:
+                self.seconds[part] += self.now() - start
+
+        setattr(owner, method, timed)
+
+    def now(self) -> float:
+        if self.device.startswith("cuda"):
+            torch.cuda.synchronize()
+        return time.perf_counter()
+
+
+def profile(cfg: Cfg) -> dict[str, Any]:
+    with redirect_stdout(StringIO()):
+        env = make_env(cfg.task, cfg.num_envs, cfg.device, engine=cfg.engine)
+        vec_env = RslRlVecEnvWrapper(env, clip_actions=cfg.learning.clip_actions)
+        runner = RenetRunner(vec_env, asdict(cfg.learning), None, cfg.device)
+    watch = Stopwatch(cfg.device)
+    for owner, method, part in (
+        (env.sim, "step", "physics"),
+        (env.sim, "forward", "forward"),
+        (env.scene["depth_camera"], "_render", "depth"),
+        (env.scene["height_map"], "_compute_data", "terrain scans"),
+        (env.scene["feet_height"], "_compute_data", "terrain scans"),
+        (vec_env, "step", "environment"),
+        (runner.alg, "act", "inference"),
+        (runner.alg, "process_env_step", "storage"),
+        (runner.alg.np3o, "update", "update: N-P3O"),
+        (runner.alg.supervision, "update", "update: supervision"),
+    ):
+        watch.wrap(owner, method, part)
+    runner.alg.train_mode()
+    obs = runner._iterate(vec_env.get_observations(), 0, cfg.iterations + 1)
+    watch.seconds.clear()
+    start = watch.now()
+    for i in track(range(cfg.iterations), f"{cfg.task}, {cfg.num_envs} envs", transient=True):
+        obs = runner._iterate(obs, 0, cfg.iterations + 1 - i)
+    total = watch.now() - start
+    parts = dict(watch.seconds)
+    inside = ("physics", "forward", "depth", "terrain scans")
+    parts["managers"] = parts.pop("environment") - sum(parts[name] for name in inside)
+    steps = cfg.iterations * cfg.learning.num_steps_per_env * cfg.num_envs
+    return {
+        "task": cfg.task,
+        "num_envs": cfg.num_envs,
+        "device": cfg.device,
+        "env_steps_per_s": steps / total,
+        "seconds_per_iteration": total / cfg.iterations,
+        "profile": {name: value / total for name, value in sorted(parts.items())},
+    }
+
+
+def stock_steps_per_second(cfg: Cfg) -> float:
+    env_cfg, agent = load_env_cfg(STOCK), load_rl_cfg(STOCK)
+    env_cfg.scene.num_envs, env_cfg.seed = cfg.num_envs, 0
+    with redirect_stdout(StringIO()), use_engine(cfg.engine, cfg.device):
+        from mjlab.envs import ManagerBasedRlEnv
+
+        env = RslRlVecEnvWrapper(ManagerBasedRlEnv(env_cfg, cfg.device))
+        runner = MjlabOnPolicyRunner(env, asdict(agent), None, cfg.device)
+        runner.learn(1)
+        start = time.perf_counter()
+        runner.learn(cfg.iterations)
+    if cfg.device.startswith("cuda"):
+        torch.cuda.synchronize()
+    steps = cfg.iterations * agent.num_steps_per_env * cfg.num_envs
+    return steps / (time.perf_counter() - start)
+
+
+def peak_memory(device: str) -> int:
+    if device.startswith("cuda"):
+        return torch.cuda.max_memory_allocated()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def main(cfg: Cfg) -> None:
+    results = profile(cfg)
+    results["peak_memory_bytes"] = peak_memory(cfg.device)
+    for name, share in results["profile"].items():
+        print(f"  {name:<22} {share:6.1%}")
+    if cfg.stock:
+        results["stock_env_steps_per_s"] = stock_steps_per_second(cfg)
+        results["ratio_to_stock"] = results["env_steps_per_s"] / results["stock_env_steps_per_s"]
+    report(results, cfg.json)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Cfg))
