@@ -107,8 +107,8 @@ class FakeLab:
     def provenance(self, seed: int) -> Provenance:
         return Provenance.now("fake", "0" * 64, "none", seed)
 
-    def world(self, task, num_robots: int, speed: float, seed: int) -> FakeWorld:
-        return FakeWorld(num_robots)
+    def world(self, task, robots: Sequence[int], speed: float, seed: int) -> FakeWorld:
+        return FakeWorld(len(robots))
 
     def controller(self, num_robots: int) -> FakeController:
         return FakeController(num_robots)

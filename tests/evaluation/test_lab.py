@@ -38,7 +38,7 @@ def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bu
     lab = Lab(bundle)
     noise = (Injection("salt_and_pepper", 1.0, onset=10),)
     rows = [Row("renet"), Row("renet", noise), Row("vp", noise)]
-    world = lab.world("Renet-Go1-Flat", 3, 0.6, 1)
+    world = lab.world("Renet-Go1-Flat", range(3), 0.6, 1)
     trace = run_rollout(world, lab.controller(3), lab.switch(3), rows, 30, 1, film=[1])
     assert np.isfinite(trace.forward_velocity).all()
     assert trace.vision[:, [0, 2]].all()
@@ -86,3 +86,18 @@ def test_a_missing_bundle_is_reported(tmp_path: Path) -> None:
 def test_calibration_needs_robots(bundle: Path) -> None:
     with pytest.raises(RenetError):
         run_calibrate(CalibrateCfg(bundle, robots=0))
+
+
+def test_twins_have_one_body_and_one_start_and_every_run_is_the_same(bundle: Path) -> None:
+    lab = Lab(bundle)
+    rows = [Row("op", robot=number) for number in (0, 1, 0)]
+    world = lab.world("Renet-Go1-Flat", [row.robot for row in rows], 0.6, 1)
+
+    def run() -> np.ndarray:
+        trace = run_rollout(world, lab.controller(3), lab.switch(3), rows, 40, 1)
+        return np.stack([trace.height, trace.forward_velocity, trace.travelled])
+
+    once, again = run(), run()
+    np.testing.assert_array_equal(once, again)
+    np.testing.assert_allclose(once[:, :, 0], once[:, :, 2], atol=1e-4)
+    assert np.abs(once[:, :, 0] - once[:, :, 1]).max() > 0.01

@@ -35,8 +35,8 @@ class Ladder(FakeWorld):
 
 
 class LadderLab(FakeLab):
-    def world(self, task, num_robots, speed, seed):
-        return Ladder(num_robots)
+    def world(self, task, robots, speed, seed):
+        return Ladder(len(robots))
 
 
 def test_highest_level_counts_passes_in_a_row() -> None:

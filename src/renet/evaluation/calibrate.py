@@ -79,7 +79,7 @@ def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
 def _healthy_scores(cfg: CalibrateCfg, lab: Lab, task: str) -> np.ndarray:
     """Scores of one task's successful episodes, VP in charge throughout."""
     steps = round(cfg.seconds / CONTROL_DT)
-    world = lab.world(task, cfg.robots, cfg.speed, cfg.seed)
+    world = lab.world(task, range(cfg.robots), cfg.speed, cfg.seed)
     if task == PARKOUR and isinstance(world, SimWorld):
         robot = np.arange(cfg.robots)
         world.place(robot // len(tiles()) % cfg.levels, robot % len(tiles()))

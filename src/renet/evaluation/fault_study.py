@@ -106,14 +106,14 @@ def run_faults(cfg: FaultsCfg, lab: Lab | None = None) -> dict[str, Any]:
     parts = output_folder(out / "parts")
     provenance = lab.provenance(cfg.seed)
     severities, robots = cfg.effective()
-    count = len(severities) * len(cfg.modes) * robots
+    numbers = list(range(robots)) * (len(severities) * len(cfg.modes))
     world: World | None = None
     results = []
     for number, fault in enumerate(cfg.faults, start=1):
         path = parts / f"{fault}.json"
         part = _finished(path, cfg, provenance)
         if part is None:
-            world = world or lab.world(cfg.task(), count, cfg.speed, cfg.seed)
+            world = world or lab.world(cfg.task(), numbers, cfg.speed, cfg.seed)
             name = f"{number}/{len(cfg.faults)} {fault}"
             part = _run_fault(cfg, lab, world, fault, name) | _key(cfg, provenance)
             write_json(path, part)

@@ -72,7 +72,7 @@ def run_filter(cfg: FilterCfg, lab: Lab | None = None) -> dict[str, Any]:
     rows = [Row("op", fault, robot) for fault in (steady, flicker) for robot in range(cfg.robots)]
     with progress(f"{len(rows)} robots walk", cfg.steps) as advance:
         trace = run_rollout(
-            lab.world("Renet-Go1-Flat", len(rows), cfg.speed, cfg.seed),
+            lab.world("Renet-Go1-Flat", [row.robot for row in rows], cfg.speed, cfg.seed),
             lab.controller(len(rows)),
             lab.switch(len(rows)),
             rows,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -50,9 +51,18 @@ class Lab:
         engine = "native" if self.engine == "auto" else self.engine
         return Provenance.now(self.bundle.name, self.bundle.sha256, engine, seed)
 
-    def world(self, task: str | RenetEnvCfg, num_robots: int, speed: float, seed: int) -> SimWorld:
-        """Robots that are told to walk straight ahead at `speed`, m/s."""
-        world = SimWorld(study_env_cfg(task, speed), num_robots, seed, self.engine)
+    def world(
+        self, task: str | RenetEnvCfg, robots: Sequence[int], speed: float, seed: int
+    ) -> SimWorld:
+        """Robots that are told to walk straight ahead.
+
+        Args:
+            task: id, or a configuration made with `play=True`.
+            robots: one number for each row; rows of the same number are twins.
+            speed: commanded, m/s.
+            seed: of bodies and starts.
+        """
+        world = SimWorld(study_env_cfg(task, speed), robots, seed, self.engine)
         self.scene_spec = world.scene_spec
         return world
 

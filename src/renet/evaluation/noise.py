@@ -106,7 +106,7 @@ def run_noise(cfg: NoiseCfg, lab: Lab | None = None) -> NoiseResult:
     lab = lab or Lab(cfg.bundle, engine=cfg.engine)
     out = output_folder(cfg.out)
     rows = study_rows(cfg)
-    world = lab.world("Renet-Go1-Flat", len(rows), cfg.speed, cfg.seed)
+    world = lab.world("Renet-Go1-Flat", [row.robot for row in rows], cfg.speed, cfg.seed)
     controller, switch = lab.controller(len(rows)), lab.switch(len(rows))
     with progress(f"{len(rows)} robots walk", cfg.steps) as advance:
         trace = run_rollout(

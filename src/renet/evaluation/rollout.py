@@ -107,7 +107,7 @@ class Row:
     mode: str
     schedule: Schedule = ()
     robot: int = 0
-    """Number within its setting; robots of the same number draw the same noise everywhere."""
+    """Number within its setting; robots of the same number are twins that draw the same noise."""
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:

@@ -74,7 +74,7 @@ def run_terrain(cfg: TerrainCfg, lab: Lab | None = None) -> dict[str, Any]:
     robots = 4 if cfg.quick else cfg.robots
     kind, level, _ = np.indices((len(cfg.kinds), LEVELS, robots)).reshape(3, -1)
     count, steps = len(kind), round(cfg.seconds / CONTROL_DT)
-    world = lab.world("Renet-Go1-Parkour", count, cfg.speed, cfg.seed)
+    world = lab.world("Renet-Go1-Parkour", range(count), cfg.speed, cfg.seed)
     columns = np.array([list(tiles()).index(name) for name in cfg.kinds])
     world.place(level, columns[kind])
     rows = [Row(cfg.mode, robot=i) for i in range(count)]

@@ -37,16 +37,27 @@ def study_env_cfg(task: str | RenetEnvCfg, speed: float) -> RenetEnvCfg:
 
 
 class SimWorld:
-    """A batch of robots in RENet's environment; see `rollout.World`."""
+    """A batch of robots in RENet's environment; see `rollout.World`.
 
-    def __init__(self, cfg: RenetEnvCfg, num_robots: int, seed: int, engine: str) -> None:
+    Rows with the same robot number are twins: the same masses, friction and gains, the same start.
+    What differs between them is what a study varies, and the camera's own noise and mount.
+    """
+
+    def __init__(self, cfg: RenetEnvCfg, robots: Sequence[int], seed: int, engine: str) -> None:
+        """Build the environment with one row for each robot number."""
         # mjlab prints its tables and warns of choices the task makes on purpose.
         with redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
-            self.env: RenetEnv = make_env(cfg, num_robots, seed=seed, engine=engine)
-        self.num_robots = num_robots
+            self.env: RenetEnv = make_env(cfg, len(robots), seed=seed, engine=engine)
+        self.num_robots = len(robots)
         self._seed = seed
         self._robot = self.env.scene["robot"].data
-        self._start = np.zeros((num_robots, 2))
+        self._start = np.zeros((self.num_robots, 2))
+        _, first, number = np.unique(np.asarray(robots), return_index=True, return_inverse=True)
+        self._twin = torch.from_numpy(first[number])
+        """The row each row is a twin of, [N]."""
+        for field in self.env.sim.expanded_fields:
+            values = getattr(self.env.sim.model, field)
+            values[:] = values[self._twin]
 
     @property
     def scene_spec(self) -> mujoco.MjSpec:
@@ -56,10 +67,27 @@ class SimWorld:
     def reset(self) -> Readings:
         """See `World.reset`; every run of one world begins alike."""
         with redirect_stdout(io.StringIO()):
-            observation, _ = self.env.reset(seed=self._seed)
+            self.env.reset(seed=self._seed)
+        observation = self._start_as_twins()
         self._start = self._position().copy()
         nobody = np.zeros(self.num_robots, bool)
         return self._readings(observation, nobody, nobody)
+
+    def _start_as_twins(self) -> dict:
+        """Give every row its twin's start and observe anew, as mjlab's reset does."""
+        env, twin = self.env, self._twin
+        position, velocity = env.sim.data.qpos, env.sim.data.qvel
+        start = position[twin]
+        start[:, :3] += env.scene.env_origins - env.scene.env_origins[twin]
+        position[:], velocity[:] = start, velocity[twin]
+        command = goal(env)
+        command.yaw[:] = command.yaw[twin]
+        everybody = torch.arange(self.num_robots)
+        env.scene.reset(everybody)
+        env.sim.forward()
+        env.command_manager.compute(dt=0.0, env_ids=everybody)
+        env.sim.sense()
+        return env.observation_manager.compute(update_history=True)
 
     def step(self, action: np.ndarray) -> Readings:
         """See `World.step`."""
