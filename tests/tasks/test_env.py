@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 import torch
+from mjlab.managers.metrics_manager import MetricsTermCfg
 
 from renet.errors import RenetError
-from renet.tasks import make_env
+from renet.tasks import env_cfg, make_env, observations, rewards
 from renet.vocabulary import (
     JOINTS,
     PROPRIOCEPTION_SIZE,
@@ -133,6 +134,61 @@ def test_curriculum_state_round_trips_and_survives_another_size(parkour):
         smaller.scene.terrain.terrain_types, smaller.scene.terrain.terrain_levels, strict=True
     ):
         assert level in state["levels"][state["kinds"] == kind]
+
+
+def test_resuming_keeps_levels_through_the_reset_that_follows():
+    first, second = (build("Renet-Go1-Parkour", 12, seed=s) for s in (1, 2))
+    for env in (first, second):
+        env.reset()
+    first.scene.terrain.terrain_levels[:] = torch.tensor([0, 3, 6, 9]).repeat(3)
+    first.common_step_counter = 5000
+    second.load_curriculum_state(first.curriculum_state())
+    second.reset()
+    assert second.scene.terrain.terrain_levels.tolist() == [0, 3, 6, 9] * 3
+    offset = second.scene["robot"].data.root_link_pos_w - second.scene.env_origins
+    assert offset[:, :2].abs().max() < 0.31
+
+
+def test_a_configuration_can_be_used_twice():
+    cfg = env_cfg("Renet-Go1-Flat", play=True)
+    steps = [build(cfg, n).step_dt for n in (1, 2)]
+    assert steps == [pytest.approx(0.02)] * 2
+    assert (cfg.decimation, cfg.scene.num_envs) == (4, 1)
+
+
+def test_fused_substeps_are_the_same_physics():
+    fused, watched = (env_cfg("Renet-Go1-Flat", play=True) for _ in range(2))
+    watched.metrics["watch"] = MetricsTermCfg(func=rewards.collision, per_substep=True)
+    envs = [build(cfg, 2, seed=3) for cfg in (fused, watched)]
+    assert [env.cfg.decimation for env in envs] == [1, 4]
+    for env in envs:
+        env.reset(seed=4)
+        for k in range(25):
+            env.step(torch.full((2, 12), 0.3 * (-1) ** k))
+    assert observations.feet_contact(envs[0]).any()
+    # Between substeps the state is stored in 32 bits; contact magnifies the rounding.
+    for name, tolerance in (("qpos", 1e-4), ("qvel", 1e-2)):
+        first, second = (getattr(env.sim.data, name)[:] for env in envs)
+        torch.testing.assert_close(first, second, atol=tolerance, rtol=0)
+
+
+def test_leaving_the_tile_is_a_time_out_and_a_gap_is_not(parkour):
+    kinds = list(parkour.scene.terrain.cfg.terrain_generator.sub_terrains)
+    gap = int((parkour.scene.terrain.terrain_types == kinds.index("gap")).nonzero()[0])
+    parkour.reset()
+    parkour.sim.data.qpos[0, 1] += 4.2
+    parkour.sim.data.qpos[gap, :3] = parkour.scene.env_origins[gap] + torch.tensor([1.25, 0, -0.4])
+    _, _, terminated, truncated, extras = parkour.step(torch.zeros(12, 12))
+    assert (terminated[0], truncated[0]) == (False, True)
+    assert (terminated[gap], truncated[gap]) == (True, False)
+    assert extras["log"]["Episode_Termination/left_tile"] == 1
+    assert extras["log"]["Episode_Termination/in_gap"] == 1
+
+
+def test_play_shows_every_level():
+    env = build("Renet-Go1-Parkour", 200, play=True)
+    env.reset()
+    assert set(env.scene.terrain.terrain_levels.tolist()) == set(range(10))
 
 
 def test_errors_name_what_is_wrong():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -35,9 +36,23 @@ def profile(world, kind: str, level: int, angle: float = 0.0) -> np.ndarray:
 def test_the_start_is_flat_free_and_at_the_stated_height(world, kind, level):
     env, terrain = world
     origin = env.scene.terrain.terrain_origins[level - 1, KINDS.index(kind)]
-    x, y = torch.meshgrid(torch.linspace(-0.6, 0.6, 25), torch.linspace(-0.6, 0.6, 25))
-    heights = terrain.height(torch.stack((x, y), dim=-1).reshape(-1, 2) + origin[:2])
+    line = torch.linspace(-0.75, 0.75, 31)
+    heights = terrain.height(torch.cartesian_prod(line, line) + origin[:2])
     assert (heights - origin[2]).abs().max() < 1e-3
+
+
+def test_obstacles_never_reach_into_the_start():
+    obstacles = tiles()["obstacles"]
+    for seed in range(30):
+        spec = mujoco.MjSpec()
+        spec.worldbody.add_body(name="terrain")
+        blocks = obstacles.function(0.5, spec, np.random.default_rng(seed)).geometries[1:]
+        assert len(blocks) == obstacles.count
+        for block in blocks:
+            near = np.abs(block.geom.pos[:2] - TILE / 2) - block.geom.size[:2]
+            assert near.max() > 0.8
+            far = np.abs(block.geom.pos[:2] - TILE / 2) + block.geom.size[:2]
+            assert far.max() < TILE / 2
 
 
 @pytest.mark.parametrize(("level", "width"), [(1, 0.10), (10, 0.70)])
@@ -87,15 +102,17 @@ def test_levels_change_and_spawns_follow(parkour):
     terrain = parkour.scene.terrain
     terrain.terrain_levels[:] = 4
     terrain.env_origins[:] = terrain.terrain_origins[4, terrain.terrain_types]
-    parkour.common_step_counter = 0
+    parkour.episode_length_buf[:] = 0
     parkour.reset()
-    parkour.common_step_counter = 10
+    assert (terrain.terrain_levels == 4).all()
+    # Robot 0 has left half the tile behind, 1 stood instead of walking 4 m, 2 was asked to stand.
+    parkour.episode_length_buf[:] = 500
     parkour.sim.data.qpos[0, 0] += TILE / 2 + 0.5
     parkour.sim.forward()
-    parkour.command_manager.get_term("goal").speed[1] = 1.0
-    ids = torch.tensor([0, 1])
-    parkour.curriculum_manager.compute(env_ids=ids)
-    assert terrain.terrain_levels[:2].tolist() == [5, 3]
+    goal = parkour.command_manager.get_term("goal")
+    goal.asked[:3] = torch.tensor([4.0, 4.0, 0.0])
+    parkour.curriculum_manager.compute(env_ids=torch.tensor([0, 1, 2]))
+    assert terrain.terrain_levels[:4].tolist() == [5, 3, 4, 4]
     assert torch.equal(terrain.env_origins[0], terrain.terrain_origins[5, terrain.terrain_types[0]])
 
 

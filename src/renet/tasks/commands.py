@@ -27,9 +27,13 @@ class GoalCommandCfg(CommandTermCfg):
     resampling_time_range: tuple[float, float] = (8.0, 12.0)
     """Seconds between goals."""
     speed: tuple[float, float] = (0.2, 1.0)
-    """Range of c_x in m/s while walking (paper's first level)."""
+    """Range of c_x in m/s at stage 0 (paper's first level)."""
+    later_speed: tuple[float, float] = (0.0, 1.0)
+    """Range of c_x at stage 1 (paper's second level)."""
     standing_share: float = 0.1
-    """Share of goals with c_x = 0 once `stage` is 1 (paper's second level is [0, 1.0])."""
+    """Share of stage 1's goals with c_x = 0: a uniform draw alone would never ask for it."""
+    slowest: float = 0.05
+    """Smaller c_x mean standing still, m/s: eq. 6 divides by c_x."""
     first_turn: float = math.pi / 2
     """|c_yaw - yaw| at an episode's start is uniform up to this, rad."""
     later_turn: float = math.pi / 3
@@ -56,7 +60,20 @@ class GoalCommand(CommandTerm):
         """c_x, [N] m/s."""
         self.yaw = torch.zeros(self.num_envs, device=self.device)
         """c_yaw, [N] rad, world frame."""
+        self.asked = torch.zeros(self.num_envs, device=self.device)
+        """Metres a robot should have walked in its episode so far: the integral of c_x, [N]."""
         self._command = torch.zeros(self.num_envs, 3, device=self.device)
+
+    def reset(self, env_ids: Tensor | slice | None) -> dict[str, float]:
+        """See CommandTerm.reset."""
+        self.asked[slice(None) if env_ids is None else env_ids] = 0.0
+        return super().reset(env_ids)
+
+    def compute(self, dt: float | Tensor, env_ids: Tensor | None = None) -> None:
+        """See CommandTerm.compute."""
+        if env_ids is None:
+            self.asked += self.speed * dt
+        super().compute(dt, env_ids)
 
     @property
     def command(self) -> Tensor:
@@ -78,20 +95,30 @@ class GoalCommand(CommandTerm):
 
     def _resample_command(self, env_ids: Tensor) -> None:
         count = len(env_ids)
-        draw = torch.empty(count, device=self.device)
         first = self.command_counter[env_ids] == 0
         if self.cfg.fixed is not None:
             speed, yaw = self.cfg.fixed
             self.speed[env_ids] = speed
-            start = self._spawn_yaw(env_ids) if yaw is None else torch.full_like(draw, yaw)
+            start = (
+                self._spawn_yaw(env_ids) if yaw is None else torch.full_like(self.yaw[env_ids], yaw)
+            )
             self.yaw[env_ids] = torch.where(first, start, self.yaw[env_ids])
             return
-        speed = draw.uniform_(*self.cfg.speed).clone()
-        standing = draw.uniform_(0.0, 1.0) < self.cfg.standing_share
-        self.speed[env_ids] = torch.where(standing & (self.stage > 0), 0.0, speed)
+        self.speed[env_ids] = self._draw_speed(count)
         origin = torch.where(first, self._spawn_yaw(env_ids), self.yaw[env_ids])
         reach = torch.where(first, self.cfg.first_turn, self.cfg.later_turn)
-        self.yaw[env_ids] = wrap_to_pi(origin + reach * draw.uniform_(-1.0, 1.0))
+        self.yaw[env_ids] = wrap_to_pi(origin + reach * self._uniform(count, -1.0, 1.0))
+
+    def _draw_speed(self, count: int) -> Tensor:
+        """c_x of new goals at the current stage, [count] m/s."""
+        if self.stage == 0:
+            return self._uniform(count, *self.cfg.speed)
+        speed = self._uniform(count, *self.cfg.later_speed)
+        standing = self._uniform(count, 0.0, 1.0) < self.cfg.standing_share
+        return torch.where(standing | (speed < self.cfg.slowest), 0.0, speed)
+
+    def _uniform(self, count: int, low: float, high: float) -> Tensor:
+        return torch.empty(count, device=self.device).uniform_(low, high)
 
     def _spawn_yaw(self, env_ids: Tensor) -> Tensor:
         """Yaw in the state just written: derived poses still show the last episode's end."""

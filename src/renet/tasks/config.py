@@ -25,10 +25,11 @@ from renet.sim.depth_camera import DepthCameraCfg
 from renet.sim.terrain_scan import FeetHeightCfg, HeightMapCfg
 from renet.tasks import curriculum, observations, rewards, terminations
 from renet.tasks.commands import COMMAND, GoalCommandCfg
+from renet.tasks.constraints import violated
 from renet.tasks.env import RenetEnvCfg
 from renet.tasks.robot import ACTION_SCALE, go1_cfg
 from renet.tasks.terrains import parkour_terrain
-from renet.vocabulary import CONTROL_DT, JOINTS, LEGS, PHYSICS_DT, PROPRIOCEPTION
+from renet.vocabulary import CONSTRAINTS, CONTROL_DT, JOINTS, LEGS, PHYSICS_DT, PROPRIOCEPTION
 
 NOISE = {
     "base_angular_velocity": 0.2,
@@ -95,10 +96,7 @@ def _base_env_cfg(terrain: TerrainEntityCfg) -> RenetEnvCfg:
             )
         },
         events=_events(),
-        metrics={
-            "collisions": MetricsTermCfg(func=rewards.collision),
-            "lin_vel_reward": MetricsTermCfg(func=rewards.linear_velocity),
-        },
+        metrics=_metrics(),
         sim=SimulationCfg(
             njmax=200,
             nconmax=60,
@@ -118,9 +116,11 @@ def _base_env_cfg(terrain: TerrainEntityCfg) -> RenetEnvCfg:
 
 
 def _play(cfg: RenetEnvCfg) -> RenetEnvCfg:
-    """Evaluation variant: true sensors but for the camera, no pushes, no curriculum."""
+    """Evaluation variant: true sensors but for the camera, no pushes, all levels at once."""
     cfg.observations["proprioception"].enable_corruption = False
     cfg.curriculum = {}
+    if cfg.scene.terrain is not None:
+        cfg.scene.terrain.max_init_terrain_level = None
     del cfg.events["push"]
     return cfg
 
@@ -221,6 +221,18 @@ def _rewards() -> dict[str, RewardTermCfg]:
         ),
         "joint_acceleration": RewardTermCfg(func=rewards.JointAcceleration, weight=-2.5e-7),
         "orientation": RewardTermCfg(func=rewards.orientation, weight=-1.0),
+    }
+
+
+def _metrics() -> dict[str, MetricsTermCfg]:
+    """Logged as means over an episode's steps, beside the rewards."""
+    return {
+        "collisions": MetricsTermCfg(func=rewards.collision),
+        "lin_vel_reward": MetricsTermCfg(func=rewards.linear_velocity),
+        **{
+            f"violated_{name}": MetricsTermCfg(func=violated, params={"constraint": name})
+            for name in CONSTRAINTS
+        },
     }
 
 

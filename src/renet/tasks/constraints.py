@@ -13,9 +13,12 @@ import torch
 from torch import Tensor
 
 from renet.tasks.robot import DAMPING, STIFFNESS, TORQUE_LIMIT, VELOCITY_LIMIT
+from renet.vocabulary import CONSTRAINTS
 
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv
+
+    from renet.tasks.env import RenetEnv
 
 
 @dataclass
@@ -38,6 +41,11 @@ def excess(value: Tensor, limit: Tensor) -> Tensor:
 def outside(value: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """sum of distances outside [low, high] over joints, [N]."""
     return (torch.relu(low - value) + torch.relu(value - high)).sum(-1)
+
+
+def violated(env: RenetEnv, constraint: str) -> Tensor:
+    """1 where a constraint of vocabulary.CONSTRAINTS cost something in this step, [N]."""
+    return (env.costs[:, CONSTRAINTS.index(constraint)] > 0.0).float()
 
 
 class Constraints:

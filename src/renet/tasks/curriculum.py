@@ -15,20 +15,30 @@ if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv
 
 
-def level_change(distance: Tensor, speed: Tensor, seconds: float) -> tuple[Tensor, Tensor]:
+def level_change(distance: Tensor, asked: Tensor) -> tuple[Tensor, Tensor]:
     """Who moves up and who moves down (Rudin et al. 2022).
 
     Args:
         distance: [N] m from the tile's middle at the episode's end.
-        speed: [N] m/s commanded. seconds: length of a full episode.
+        asked: [N] m the commands amount to over the episode.
 
     Returns:
         Masks [N]: up when half a tile lies behind, down below half of what was commanded (no more
         than half a tile can be covered, whatever the command).
     """
     up = distance > TILE / 2
-    wanted = (speed * seconds).clamp_max(TILE / 2)
-    return up, ~up & (distance < 0.5 * wanted)
+    return up, ~up & (distance < 0.5 * asked.clamp_max(TILE / 2))
+
+
+def asked_distance(env: ManagerBasedRlEnv) -> Tensor:
+    """Metres each robot was to walk, [N].
+
+    A robot that fell owes the whole episode, lest falling early look like keeping up; one that was
+    cut off, as in a run's first, randomly shortened episodes, owes what it had time for.
+    """
+    command = goal(env)
+    left = (env.max_episode_length - env.episode_length_buf).clamp_min(0) * env.step_dt
+    return command.asked + env.termination_manager.terminated * command.speed * left
 
 
 def terrain_levels(env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]:
@@ -36,11 +46,10 @@ def terrain_levels(env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]
     terrain = env.scene.terrain
     assert terrain is not None
     assert terrain.cfg.terrain_generator is not None
-    if env.common_step_counter > 0:  # Before the first step nobody has walked.
-        up, down = level_change(
-            tile_distance(env)[env_ids], goal(env).speed[env_ids], env.max_episode_length_s
-        )
-        terrain.update_env_origins(env_ids, up, down)
+    up, down = level_change(tile_distance(env), asked_distance(env))
+    # A robot that has not walked, as after loading a checkpoint, may stand on any other tile.
+    walked = env.episode_length_buf > 0
+    terrain.update_env_origins(env_ids, (up & walked)[env_ids], (down & walked)[env_ids])
     levels = terrain.terrain_levels.float()
     kinds = terrain.cfg.terrain_generator.sub_terrains
     means = {}

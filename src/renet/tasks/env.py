@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import partial
 
 import torch
 import warp as wp
+from mjlab.actuator import BuiltinPositionActuatorCfg
 from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from mjlab.sensor import ContactSensorCfg
 from mjlab.tasks.registry import list_tasks, load_env_cfg
 from torch import Tensor
 
@@ -31,8 +34,12 @@ class RenetEnv(ManagerBasedRlEnv):
     """Adds `extras["costs"]`: [N, 3], order of vocabulary.CONSTRAINTS, times the step's dt."""
 
     cfg: RenetEnvCfg
+    costs: Tensor
+    """Of the last step, [N, 3]; see `extras["costs"]`."""
 
     def __init__(self, cfg: RenetEnvCfg, device: str, render_mode: str | None = None) -> None:
+        # A copy: this environment's decimation changes below, and callers reuse configurations.
+        cfg = deepcopy(cfg)
         super().__init__(cfg, device, render_mode)
         self.constraints = Constraints(cfg.constraints, self)
         self._fuse_substeps()
@@ -40,11 +47,10 @@ class RenetEnv(ManagerBasedRlEnv):
     def _fuse_substeps(self) -> None:
         """Let the native engine take all substeps of a control step in one call.
 
-        Exact here: servos hold their target, no actuator has a delay, and no sensor accumulates
-        over substeps.
+        Done only where it changes nothing: servos hold their target and nobody looks in between.
         """
         self._substeps = 1
-        if hasattr(self.sim, "step_n"):
+        if hasattr(self.sim, "step_n") and not _looks_at_substeps(self.cfg):
             self._substeps, self.cfg.decimation = self.cfg.decimation, 1
             self.sim.step = partial(self.sim.step_n, self._substeps)  # type: ignore[method-assign]
 
@@ -61,7 +67,7 @@ class RenetEnv(ManagerBasedRlEnv):
     def step(self, action: Tensor):
         """See ManagerBasedRlEnv.step."""
         observation, reward, terminated, truncated, extras = super().step(action)
-        extras["costs"] = self._costs
+        extras["costs"] = self.costs
         if self.cfg.clip_reward:
             reward = reward.clamp_min(0.0)
         return observation, reward, terminated, truncated, extras
@@ -72,7 +78,7 @@ class RenetEnv(ManagerBasedRlEnv):
         compute = self.reward_manager.compute
 
         def compute_with_costs(dt: float) -> Tensor:
-            self._costs = self.constraints() * self.step_dt
+            self.costs = self.constraints() * self.step_dt
             return compute(dt)
 
         self.reward_manager.compute = compute_with_costs  # type: ignore[method-assign]
@@ -112,6 +118,22 @@ class RenetEnv(ManagerBasedRlEnv):
         ]
 
 
+def _looks_at_substeps(cfg: RenetEnvCfg) -> bool:
+    """Whether an actuator delay, an air-time sensor or a metric runs at the physics rate."""
+    articulations = [entity.articulation for entity in cfg.scene.entities.values()]
+    actuators = [
+        a for articulation in articulations if articulation for a in articulation.actuators
+    ]
+    return (
+        any(not isinstance(a, BuiltinPositionActuatorCfg) or a.delay_max_lag for a in actuators)
+        or any(
+            isinstance(s, ContactSensorCfg) and (s.track_air_time or s.history_length)
+            for s in cfg.scene.sensors
+        )
+        or any(metric.per_substep for metric in cfg.metrics.values())
+    )
+
+
 def make_env(
     task: str | RenetEnvCfg,
     num_envs: int,
@@ -123,7 +145,8 @@ def make_env(
     """Build a task's environment.
 
     Args:
-        task: task id, or a configuration. engine: auto, native or warp (see renet.sim.engine).
+        task: task id, or a configuration, which is left as it is.
+        engine: auto, native or warp (see renet.sim.engine).
         play: the task's evaluation variant, without noise, pushes and curriculum.
 
     Raises:
@@ -131,7 +154,7 @@ def make_env(
     """
     if num_envs < 1:
         raise RenetError(f"the number of environments must be at least 1, got {num_envs}")
-    cfg = env_cfg(task, play) if isinstance(task, str) else task
+    cfg = env_cfg(task, play) if isinstance(task, str) else deepcopy(task)
     cfg.scene.num_envs = num_envs
     cfg.seed = seed
     wp.config.quiet = True  # A line per compiled kernel would bury everything else.

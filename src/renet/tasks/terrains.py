@@ -130,17 +130,26 @@ class Obstacles(Tile):
     low: float = 0.05
     high: float = 0.25
     count: int = 24
+    clear: float = 0.8
+    """Half-width of the free square in the middle, m."""
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """See Tile.build."""
         builder.square(TILE / 2, FLOOR)
         for _ in range(self.count):
-            radius, angle = rng.uniform(1.5, 3.4), rng.uniform(0.0, 2.0 * np.pi)
-            x, y = radius * np.cos(angle), radius * np.sin(angle)
             a, b = rng.uniform(0.2, 0.5, 2)
+            x, y = self.place(a, b, rng)
             height = measure * rng.uniform(0.5, 1.0)
             builder.box((x - a, x + a), (y - b, y + b), (-0.1, height), ACCENT)
         return 0.0
+
+    def place(self, a: float, b: float, rng: np.random.Generator) -> tuple[float, float]:
+        """Middle of a block of half-sizes a, b that leaves the start free, m."""
+        while True:
+            radius, angle = rng.uniform(1.2, 3.4), rng.uniform(0.0, 2.0 * np.pi)
+            x, y = radius * np.cos(angle), radius * np.sin(angle)
+            if abs(x) - a > self.clear or abs(y) - b > self.clear:
+                return x, y
 
 
 @dataclass
@@ -150,24 +159,24 @@ class Stairs(Tile):
     low: float = 0.05
     high: float = 0.23
     tread: float = 0.30
+    steps: int = 8
     landing: float = 1.2
     """Half-width of the square in the middle, m."""
     descend: bool = True
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """See Tile.build."""
-        steps = int((TILE / 2 - self.landing - 0.1) / self.tread)
-        edge = self.landing + steps * self.tread
-        top = steps * measure
+        edge = self.landing + self.steps * self.tread
+        top = self.steps * measure
         if self.descend:
             builder.square(TILE / 2, FLOOR)
-            for step in range(1, steps + 1):
+            for step in range(1, self.steps + 1):
                 color = STONE if step % 2 else STEEL
                 half = edge - (step - 1) * self.tread
                 builder.square(half, (0.0, step * measure), color)
             return top
         builder.square(self.landing, (-top - 0.2, -top), STEEL)
-        for step in range(1, steps + 1):
+        for step in range(1, self.steps + 1):
             color = STONE if step % 2 else STEEL
             inner = self.landing + (step - 1) * self.tread
             height = -top + step * measure
