@@ -31,6 +31,7 @@ class Checkpoint:
 
     model: dict[str, Tensor]
     optimizer: dict[str, Tensor]
+    """Empty in a checkpoint of weights alone: training then goes on with fresh moments."""
     environment: dict[str, Tensor]
     """Curriculum levels, command stage, and random-number state."""
     state: dict[str, Any] = field(default_factory=dict)
@@ -93,8 +94,10 @@ def load(path: Path, device: str | torch.device = "cpu") -> Checkpoint:
             )
         tensors = {
             name: load_file(path / f"{name}.safetensors", device=str(device))
-            for name in ("model", "optimizer", "environment")
+            for name in ("model", "environment")
         }
+        moments = path / "optimizer.safetensors"
+        tensors["optimizer"] = load_file(moments, device=str(device)) if moments.exists() else {}
     except (OSError, ValueError, SafetensorError) as error:
         raise RenetError(f"checkpoint {path} is incomplete or damaged: {error}") from error
     return Checkpoint(**tensors, state=state)

@@ -16,7 +16,9 @@ from mjlab.rl import RslRlVecEnvWrapper
 from renet.errors import RenetError
 from renet.training import checkpoint as checkpoints
 from renet.training.config import LearningCfg
-from renet.training.runner import RenetRunner
+from renet.training.metrics import CURVES
+from renet.training.run_report import write_run_report
+from renet.training.runner import CHECKPOINTS, RenetRunner
 
 LATEST = "latest"
 
@@ -62,7 +64,7 @@ def train(cfg: TrainCfg) -> Path | None:
         cfg.task, num_envs=cfg.num_envs, device=device, seed=cfg.seed + rank, engine=cfg.engine
     )
     vec_env = RslRlVecEnvWrapper(env, clip_actions=cfg.clip_actions)
-    run = None if rank else resume.parent.parent if resume else new_run(cfg.log_root, cfg.task)
+    run = None if rank else resumed_run(resume) or new_run(cfg.log_root, cfg.task)
     runner = RenetRunner(vec_env, asdict(cfg), str(run) if run else None, device)
     if resume:
         runner.load(str(resume))
@@ -74,7 +76,16 @@ def train(cfg: TrainCfg) -> Path | None:
         runner.learn(max(0, cfg.max_iterations - runner.alg.iteration), time_budget_s=budget)
     finally:
         vec_env.close()
+    if run and (run / CURVES).exists():
+        print(f"Curves: {write_run_report(run, cfg.num_envs, cfg.num_steps_per_env)}")
     return run
+
+
+def resumed_run(checkpoint: Path | None) -> Path | None:
+    """The run a checkpoint belongs to, which then goes on; None for one kept elsewhere."""
+    if checkpoint is None or checkpoint.parent.name != CHECKPOINTS:
+        return None
+    return checkpoint.parent.parent
 
 
 def seconds(text: str) -> float:
