@@ -81,6 +81,13 @@ COMMANDS = {
         "run_filter",
         "train",
     ),
+    "evaluate pictures": Command(
+        "pictures of every tile and of the camera's errors",
+        "renet.evaluation.pictures",
+        "PicturesCfg",
+        "run_pictures",
+        "train",
+    ),
     "bundle inspect": Command(
         "print every input of a bundle by index: name, unit, scale, joint order",
         "renet.deploy.inspect",
