@@ -80,6 +80,9 @@ def test_stairs_rise_and_tread(world, kind, level, rise):
     np.testing.assert_allclose(np.abs(steps[edges]), rise, atol=1e-3)
     np.testing.assert_allclose(np.diff(edges[edges < 130]) * 0.02, 0.30, atol=0.021)
     sign = 1 if kind == "stairs_down" else -1
+    env, _ = world
+    summit = env.scene.terrain.terrain_origins[level - 1, KINDS.index(kind), 2].item()
+    assert summit == pytest.approx(sign * 9 * rise, abs=1e-3)
     assert sign * (heights[195] - heights[0]) > 5 * rise
 
 

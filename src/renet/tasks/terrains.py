@@ -159,7 +159,7 @@ class Stairs(Tile):
     low: float = 0.05
     high: float = 0.23
     tread: float = 0.30
-    steps: int = 8
+    steps: int = 9
     landing: float = 1.2
     """Half-width of the square in the middle, m."""
     descend: bool = True
