@@ -81,6 +81,13 @@ COMMANDS = {
         "run_filter",
         "train",
     ),
+    "evaluate report": Command(
+        "put every study found in a folder on one self-contained page",
+        "renet.evaluation.report",
+        "ReportCfg",
+        "main",
+        "train",
+    ),
     "evaluate pictures": Command(
         "pictures of every tile and of the camera's errors",
         "renet.evaluation.pictures",

@@ -95,6 +95,8 @@ class Rough(Tile):
     """Random relief of `measure` metres on a 0.2 m grid; flat at level 1 and in the middle."""
 
     high: float = 0.06
+    proportion: float = 2.0
+    """Twice as many robots as on other kinds: most ground is of this kind."""
 
     def function(
         self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
