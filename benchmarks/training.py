@@ -17,11 +17,11 @@ from typing import Any
 
 import torch
 import tyro
-from facts import report
 from mjlab.rl import MjlabOnPolicyRunner, RslRlVecEnvWrapper
 from mjlab.tasks.registry import load_env_cfg, load_rl_cfg
 from rich.progress import track
 
+from facts import report
 from renet.sim.engine import use_engine
 from renet.tasks import make_env
 from renet.training.config import LearningCfg
