@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
+from contextlib import redirect_stdout
+from io import StringIO
 
 import mujoco
 import numpy as np
 import pytest
 import torch
+from mjlab.envs import ManagerBasedRlEnv
+from mjlab.tasks.registry import load_env_cfg
+from mjlab.utils.lab_api.math import matrix_from_quat
 
 from renet.errors import RenetError
 from renet.sim.camera_model import Intrinsics, mount_rotation
 from renet.sim.depth_camera import DepthCamera, DepthCameraCfg, MountCfg
 from renet.sim.depth_noise import DepthNoiseCfg, add_noise
+from renet.sim.engine import use_engine
 from renet.sim.raycast import TerrainScanner
 from renet.sim.terrain_mesh import terrain_mesh
 from renet.sim.terrain_scan import FeetHeightCfg, HeightMapCfg
@@ -32,20 +38,23 @@ def scene(terrain: str, assets: str = "", **pose: float) -> mujoco.MjModel:
 
 
 class State:
-    """The arrays a sensor reads, for one robot."""
+    """The arrays a sensor reads, for robots that all do the same."""
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.model, self.data = model, mujoco.MjData(model)
+    def __init__(self, model: mujoco.MjModel, robots: int = 1) -> None:
+        self.data, self.robots = mujoco.MjData(model), robots
         mujoco.mj_forward(model, self.data)
 
     def __getattr__(self, name: str) -> torch.Tensor:
-        return torch.tensor(getattr(self.data, name), dtype=torch.float32)[None]
+        array = torch.tensor(getattr(self.data, name), dtype=torch.float32)
+        return array.expand(self.robots, *array.shape)
 
 
-def camera(model: mujoco.MjModel, mount: MountCfg = EXACT, **fields) -> DepthCamera:
+def camera(
+    model: mujoco.MjModel, mount: MountCfg = EXACT, robots: int = 1, **fields
+) -> DepthCamera:
     fields = {"noise": QUIET, **fields}
     sensor = DepthCameraCfg(name="depth", body="robot", mount=mount, **fields).build()
-    sensor.initialize(model, None, State(model), "cpu")
+    sensor.initialize(model, None, State(model, robots), "cpu")
     return sensor
 
 
@@ -131,11 +140,7 @@ def test_mount_moves_and_turns_the_camera():
 
 
 def test_mount_errors_stay_in_the_papers_bounds_and_change_with_the_episode():
-    model = scene(PLANE)
-    sensor = DepthCameraCfg(name="depth", body="robot").build()
-    state = State(model)
-    state.qpos = torch.zeros(500, 7)
-    sensor.initialize(model, None, state, "cpu")
+    sensor = camera(scene(PLANE), MountCfg(), robots=500)
     offset = sensor._position - torch.tensor(MountCfg().position)
     assert 0.009 < offset.abs().max() <= 0.01
     forward = sensor._rotation[:, :, 0]
@@ -182,6 +187,77 @@ def test_late_images_are_older_ones():
     assert not torch.equal(images[2], newest)
 
 
+def test_a_late_camera_never_shows_an_earlier_episode():
+    sensor = camera(scene(PLANE), robots=2, noise=DepthNoiseCfg(), latency=(2, 2))
+    for _ in range(4):
+        sensor.update(0.1)
+        held = sensor.data.depth
+    sensor.reset(torch.tensor([1]))
+    assert sensor.data.depth is held
+    images = []
+    for _ in range(4):
+        sensor.update(0.1)
+        images.append((sensor.data.depth, sensor._frames[0].depth))
+    first = images[0][1]
+    for delivered, _ in images[:3]:  # Robot 1 has nothing older than its episode's first image.
+        assert torch.equal(delivered[1], first[1])
+    assert torch.equal(images[3][0][1], images[1][1][1])
+    assert torch.equal(images[2][0][0], first[0])
+    assert not torch.equal(images[1][0][0], first[0])
+
+
+def ticks(sensor: DepthCamera, steps: int) -> list[int]:
+    """Control steps of 0.02 s after which there is another image."""
+    found, last = [], sensor.data.depth
+    for step in range(1, steps + 1):
+        sensor.update(0.02)
+        if sensor.data.depth is not last:
+            found.append(step)
+            last = sensor.data.depth
+    return found
+
+
+def test_a_reset_between_steps_restarts_the_clock_and_one_inside_a_step_does_not():
+    sensor = camera(scene(PLANE))
+    assert ticks(sensor, 13) == [5, 10]
+    sensor.update(0.02)
+    old = sensor._frames[0].depth
+    sensor.reset(torch.tensor([0]))  # The only robot falls in step 14 ...
+    assert sensor.data.depth is old
+    assert ticks(sensor, 8) == [1, 6]  # ... and consumers still tick at steps 15 and 20.
+    sensor.reset()
+    assert ticks(sensor, 11) == [5, 10]
+
+
+def test_any_mjlab_task_can_carry_the_camera():
+    cfg = load_env_cfg("Mjlab-Velocity-Flat-Unitree-Go1")
+    cfg.scene.num_envs = 2
+    cfg.scene.sensors += (DepthCameraCfg(name="depth", noise=QUIET),)
+    with redirect_stdout(StringIO()), use_engine("auto", "cpu"):
+        env = ManagerBasedRlEnv(cfg, "cpu")
+        env.reset()
+    sensor = env.scene["depth"]
+    assert isinstance(sensor, DepthCamera)
+    shown, changed = sensor.normalised(), []
+    assert shown.shape == (2, 48, 64)
+    for step in range(1, 12):
+        env.step(torch.zeros(2, 12))
+        if sensor.normalised() is not shown:
+            shown = sensor.normalised()
+            changed.append(step)
+            # The image is of now: flat ground straight below the principal point, closed form.
+            pose = env.sim.data.xpos[:, sensor._body], env.sim.data.xquat[:, sensor._body]
+            base = matrix_from_quat(pose[1])
+            eye = pose[0] + (base @ sensor._position[..., None])[..., 0]
+            rays = (base @ sensor._rotation) @ sensor._rays.T
+            expected = -eye[:, 2, None] / rays[:, 2]
+            expected = torch.where((expected > 0) & (expected < 2), expected, 2.0)
+            got = sensor.data.depth.flatten(1)
+            torch.testing.assert_close(got, expected, atol=1e-3, rtol=0)
+    assert changed == [5, 10]
+    env.close()
+
+
 def test_a_pose_that_is_not_finite_sees_nothing():
     model = scene(PLANE)
     sensor = camera(model)
@@ -213,5 +289,8 @@ def test_scenes_that_cannot_be_seen_are_refused():
         terrain_mesh(scene('<geom name="ball" size="0.3"/>'))
     with pytest.raises(RenetError, match=r"no body 'head'.*robot"):
         DepthCameraCfg(name="d", body="head").build().initialize(scene(PLANE), None, None, "cpu")
+    feet = FeetHeightCfg(name="f", sites=("paw",)).build()
+    with pytest.raises(RenetError, match=r"no site 'paw'.*foot"):
+        feet.initialize(scene(PLANE), None, None, "cpu")
     with pytest.raises(RenetError, match="latency"):
         DepthCameraCfg(name="d", latency=(0, 3)).build()

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 
 import mujoco
 import torch
-from mjlab.sensor.sensor import Sensor, SensorCfg
+from mjlab.sensor.sensor import SensorCfg
 from mjlab.utils.lab_api.math import matrix_from_quat
 from torch import Tensor
 
 from renet.errors import RenetError
 from renet.sim.camera_model import Intrinsics, mount_rotation
 from renet.sim.depth_noise import DepthNoiseCfg, add_noise
-from renet.sim.raycast import scanner
+from renet.sim.ray_sensor import RaySensor, object_id
 from renet.vocabulary import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK
 
 
@@ -46,7 +46,8 @@ class DepthCameraCfg(SensorCfg):
     period: float = CONTROL_DT * STEPS_PER_TICK
     """Seconds between images."""
     latency: tuple[int, int] = (0, 0)
-    """Whole images by which what is delivered lags, uniform per episode, at most 2."""
+    """Whole images by which what is delivered lags, uniform per episode, at most 2. An episode
+    never sees an image from before it began."""
 
     def build(self) -> DepthCamera:
         """Instantiate the sensor."""
@@ -65,36 +66,32 @@ class DepthImage:
     """[N, H, W] bool, false where no surface was hit within range."""
 
 
-class DepthCamera(Sensor[DepthImage]):
+class DepthCamera(RaySensor[DepthImage]):
     """Renders when an image is due and somebody looks, and holds it until the next is due.
 
-    All environments share one clock that restarts when all are reset. After a partial reset the
-    image of those environments is the old one until the next tick: consumers read at ticks.
+    All environments share one clock. Resetting all of them between two steps restarts it; a reset
+    inside a step, of some or by chance of all, does not, for consumers count their ticks on. The
+    image of those environments is then the old one until the next tick: consumers read at ticks.
     """
 
     def __init__(self, cfg: DepthCameraCfg) -> None:
         super().__init__()
         self.cfg = cfg
 
-    def edit_spec(self, scene_spec, entities) -> None:
-        """Rays need nothing in the model."""
-
     def initialize(self, mj_model, model, data, device) -> None:
-        """Build the mesh and per-environment mounts; raises RenetError for an unknown body."""
-        body = mujoco.mj_name2id(mj_model, mujoco.mjtObj.mjOBJ_BODY, self.cfg.body)
-        if body < 0:
-            known = (mj_model.body(i).name for i in range(1, mj_model.nbody))
-            raise RenetError(f"no body {self.cfg.body!r} for the camera; known: {', '.join(known)}")
-        self._body, self._data, self._device = body, data, device
-        self._scanner = scanner(mj_model, device)
+        """Draw the mounts; raises RenetError for an unknown body or a scene without terrain."""
+        self._body = object_id(mj_model, mujoco.mjtObj.mjOBJ_BODY, self.cfg.body)
+        super().initialize(mj_model, model, data, device)
         self._rays = self.cfg.intrinsics.rays(device)
         count = data.qpos.shape[0]
         self._position = torch.empty(count, 3, device=device)
         self._rotation = torch.empty(count, 3, 3, device=device)
         self._lag = torch.zeros(count, dtype=torch.long, device=device)
+        self._seen = torch.zeros_like(self._lag)
+        """Images rendered since the episode began."""
         self._frames: list[DepthImage] = []
+        """Newest first."""
         self._elapsed, self._due = 0.0, True
-        self._normalised: Tensor | None = None
         self._remount(torch.arange(count, device=device))
 
     def _remount(self, env_ids: Tensor) -> None:
@@ -109,14 +106,15 @@ class DepthCamera(Sensor[DepthImage]):
         self._lag[env_ids] = torch.randint(low, high + 1, (count,), device=self._device)
 
     def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """Begin episodes; resetting all environments restarts the clock."""
+        """Begin episodes with new mounts and latencies."""
+        between_steps = self._cache_valid
         super().reset(env_ids)
         ids = torch.arange(len(self._lag), device=self._device)
         ids = ids if env_ids is None else ids[env_ids]
         self._remount(ids)
-        if len(ids) == len(self._lag):
+        self._seen[ids] = 0
+        if between_steps and len(ids) == len(self._lag):
             self._elapsed, self._due = 0.0, True
-            self._frames.clear()
 
     def update(self, dt: float) -> None:
         """Let `dt` seconds pass."""
@@ -128,9 +126,12 @@ class DepthCamera(Sensor[DepthImage]):
 
     def _compute_data(self) -> DepthImage:
         if self._due:
-            self._due, self._normalised = False, None
+            self._due = False
+            self._seen += 1
             self._frames = [self._render(), *self._frames[: self.cfg.latency[1]]]
-        return self._delivered()
+            self._image = self._late() if self.cfg.latency[1] else self._frames[0]
+            self._normalised = (self._image.depth / self.cfg.range).half()
+        return self._image
 
     def _render(self) -> DepthImage:
         """Cast all rays from the current poses."""
@@ -144,11 +145,9 @@ class DepthCamera(Sensor[DepthImage]):
         depth = torch.where(valid, raw, self.cfg.range)
         return DepthImage(add_noise(depth, self.cfg.noise).clamp_(0.0, self.cfg.range), valid)
 
-    def _delivered(self) -> DepthImage:
-        """The newest image, or each robot's late one."""
-        if self.cfg.latency[1] == 0:
-            return self._frames[0]
-        lag = self._lag.clamp_max(len(self._frames) - 1)
+    def _late(self) -> DepthImage:
+        """Each robot's image of some ticks ago."""
+        lag = torch.minimum(self._lag, self._seen - 1)
         robots = torch.arange(len(lag), device=self._device)
         depth = torch.stack([frame.depth for frame in self._frames])[lag, robots]
         valid = torch.stack([frame.valid for frame in self._frames])[lag, robots]
@@ -156,7 +155,5 @@ class DepthCamera(Sensor[DepthImage]):
 
     def normalised(self) -> Tensor:
         """The delivered depth divided by the range, [N, H, W] float16 in [0, 1]."""
-        image = self.data
-        if self._normalised is None:
-            self._normalised = (image.depth / self.cfg.range).half()
+        _ = self.data
         return self._normalised

@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import Any
 
 import mujoco
+import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
@@ -13,10 +14,42 @@ from torch import Tensor
 from renet.sim.terrain_mesh import terrain_mesh
 from renet.sim.threads import for_chunks
 
+CELL = 4.0
+"""Side in metres of the squares that get their own search tree."""
+REACH = wp.constant(3.0)
+"""Metres around its cell that a cell's tree covers; longer rays search the whole mesh."""
+FINE = 20.0
+"""Triangles wider than this (a ground plane's) do not extend the grid of cells, m."""
+MAX_CELLS = 4096
+"""About; larger terrains get larger cells."""
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Grid:
+    """Cells over the terrain. `meshes[0]` is all of it; cell (i, j) is `meshes[1 + i * ny + j]`."""
+
+    meshes: wp.array(dtype=wp.uint64)  # type: ignore[valid-type]
+    low: wp.vec2
+    cell: float
+    nx: int
+    ny: int
+
+
+@wp.func
+def mesh_around(grid: Grid, x: float, y: float):  # type: ignore[valid-type]
+    """The mesh that holds everything within REACH of a point; NaN gets all of it."""
+    u = (x - grid.low[0]) / grid.cell
+    v = (y - grid.low[1]) / grid.cell
+    if u >= 0.0 and v >= 0.0 and u < float(grid.nx) and v < float(grid.ny):
+        return grid.meshes[1 + int(u) * grid.ny + int(v)]
+    return grid.meshes[0]
+
 
 @wp.kernel
 def cast_depth(
-    mesh: wp.uint64,
+    grid: Grid,  # type: ignore[valid-type]
     position: wp.array(dtype=wp.vec3),  # type: ignore[valid-type]
     rotation: wp.array(dtype=wp.mat33),  # type: ignore[valid-type]
     rays: wp.array(dtype=wp.vec3),  # type: ignore[valid-type]
@@ -30,7 +63,12 @@ def cast_depth(
     """
     row, pixel = wp.tid()  # type: ignore[misc]
     camera = row + first
-    hit = wp.mesh_query_ray(mesh, position[camera], rotation[camera] * rays[pixel], limit)
+    eye = position[camera]
+    ray = rotation[camera] * rays[pixel]
+    mesh = grid.meshes[0]
+    if wp.length(ray) * limit <= REACH:
+        mesh = mesh_around(grid, eye[0], eye[1])  # type: ignore[arg-type]
+    hit = wp.mesh_query_ray(mesh, eye, ray, limit)
     if hit.result:
         depth[camera, pixel] = hit.t
     else:
@@ -39,7 +77,7 @@ def cast_depth(
 
 @wp.kernel
 def cast_down(
-    mesh: wp.uint64,
+    grid: Grid,  # type: ignore[valid-type]
     points: wp.array(dtype=wp.vec2),  # type: ignore[valid-type]
     first: int,
     top: float,
@@ -49,6 +87,7 @@ def cast_down(
     """Height of the highest surface under each (x, y); far below where there is none."""
     point = wp.tid() + first  # type: ignore[operator]
     start = wp.vec3(points[point][0], points[point][1], top)
+    mesh = mesh_around(grid, start[0], start[1])  # type: ignore[arg-type]
     hit = wp.mesh_query_ray(mesh, start, wp.vec3(0.0, 0.0, -1.0), limit)  # type: ignore[arg-type]
     if hit.result:
         height[point] = top - hit.t
@@ -57,27 +96,32 @@ def cast_down(
 
 
 class TerrainScanner:
-    """Casts rays against a model's terrain; shared by every sensor on that model."""
+    """Casts rays against a model's terrain; shared by every sensor on that model.
+
+    A robot sees a few metres of a terrain that measures a hundred, so every cell of a grid has a
+    search tree of the triangles near it: the same hits as in the whole mesh, in about 2/3 the time.
+    """
 
     def __init__(self, model: mujoco.MjModel, device: str) -> None:
         vertices, faces = terrain_mesh(model)
         self.device = wp.get_device(device)
+        self.triangles = len(faces)
         self.top = float(vertices[:, 2].max()) + 1.0
         self.drop = self.top - float(vertices[:, 2].min()) + 1.0
-        self.mesh = wp.Mesh(
-            points=wp.array(vertices, dtype=wp.vec3, device=self.device),
-            indices=wp.array(faces.ravel(), dtype=wp.int32, device=self.device),
-        )
+        self._grid, self._meshes = _build_grid(vertices, faces, self.device)
 
     def height(self, points: Tensor) -> Tensor:
-        """Terrain height in metres under world points [M, 2]: [M]."""
+        """Terrain height in metres under world points [M, 2]: [M].
+
+        The highest surface; 1 m below the lowest one where there is none.
+        """
         height = torch.empty(len(points), device=points.device)
         inputs = wp.from_torch(points.contiguous(), dtype=wp.vec2)
         self._launch(
             cast_down,
             len(points),
             (),
-            lambda first: [self.mesh.id, inputs, first, self.top, self.drop, wp.from_torch(height)],
+            lambda first: [self._grid, inputs, first, self.top, self.drop, wp.from_torch(height)],
         )
         return height
 
@@ -102,7 +146,7 @@ class TerrainScanner:
             cast_depth,
             len(position),
             (len(rays),),
-            lambda first: [self.mesh.id, *arrays, first, limit, wp.from_torch(depth)],
+            lambda first: [self._grid, *arrays, first, limit, wp.from_torch(depth)],
         )
         return depth
 
@@ -115,11 +159,54 @@ class TerrainScanner:
         if self.device.is_cpu:
             for_chunks(count, run)
         else:
-            with wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream())):
+            stream = torch.cuda.current_stream(wp.device_to_torch(self.device))
+            with wp.ScopedStream(wp.stream_from_torch(stream)):
                 run(0, count)
 
 
 @lru_cache(maxsize=8)
 def scanner(model: mujoco.MjModel, device: str) -> TerrainScanner:
-    """The scanner of a model: its mesh and BVH are built once."""
+    """The scanner of a model: its mesh and search trees are built once."""
     return TerrainScanner(model, device)
+
+
+def _build_grid(vertices: np.ndarray, faces: np.ndarray, device: Any) -> tuple[Any, list[wp.Mesh]]:
+    """The grid, and its meshes, which the caller must keep alive."""
+    points = wp.array(vertices, dtype=wp.vec3, device=device)
+
+    def mesh(of: np.ndarray) -> wp.Mesh:
+        return wp.Mesh(points, wp.array(of.ravel(), dtype=wp.int32, device=device))
+
+    low, cell, (nx, ny) = _cells(vertices, faces)
+    corners = vertices[faces, :2]
+    lower, upper = corners.min(1), corners.max(1)
+    meshes = [mesh(faces)]
+    ids = [meshes[0].id]
+    for i in range(nx):
+        left = low[0] + i * cell
+        column = (lower[:, 0] <= left + cell + REACH) & (upper[:, 0] >= left - REACH)
+        for j in range(ny):
+            front = low[1] + j * cell
+            row = (lower[:, 1] <= front + cell + REACH) & (upper[:, 1] >= front - REACH)
+            if (column & row).any():
+                meshes.append(mesh(faces[column & row]))
+                ids.append(meshes[-1].id)
+            else:
+                ids.append(ids[0])
+    grid: Any = Grid()
+    grid.meshes = wp.array(ids, dtype=wp.uint64, device=device)
+    grid.low, grid.cell, grid.nx, grid.ny = wp.vec2(*low), cell, nx, ny
+    return grid, meshes
+
+
+def _cells(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, float, tuple[int, int]]:
+    """Lower corner [2], side in metres and numbers of cells; none where all triangles are wide."""
+    corners = vertices[faces, :2]
+    fine = corners[(np.ptp(corners, axis=1) <= FINE).all(-1)]
+    if not len(fine):
+        return np.zeros(2), CELL, (0, 0)
+    low = fine.min((0, 1)).astype(float)
+    size = fine.max((0, 1)) - low
+    cell = max(CELL, float(np.sqrt(size.prod() / MAX_CELLS)))
+    nx, ny = (max(1, int(np.ceil(s / cell))) for s in size)
+    return low, cell, (nx, ny)

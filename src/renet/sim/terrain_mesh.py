@@ -8,7 +8,7 @@ import numpy as np
 from renet.errors import RenetError
 
 PLANE_HALF = 200.0
-"""Half-width in metres that stands for an unbounded plane."""
+"""Half-width in metres that stands for a plane, which collides without bounds whatever its size."""
 
 BOX_CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 BOX_FACES = np.array(
@@ -56,8 +56,7 @@ def _triangulate(model: mujoco.MjModel, geom: int) -> Part:
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return BOX_CORNERS * size, BOX_FACES
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
-        half = np.where(size[:2] > 0, size[:2], PLANE_HALF)
-        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * PLANE_HALF
         return np.pad(corners, ((0, 0), (0, 1))), np.array([(0, 1, 2), (0, 2, 3)])
     if kind == mujoco.mjtGeom.mjGEOM_HFIELD:
         return _height_field(model, int(model.geom_dataid[geom]))
@@ -69,16 +68,30 @@ def _triangulate(model: mujoco.MjModel, geom: int) -> Part:
 
 
 def _height_field(model: mujoco.MjModel, field: int) -> Part:
-    """Upper surface of a height field, each cell split along MuJoCo's diagonal."""
+    """A solid as MuJoCo's: each cell split along its diagonal, walls, and a box for a base."""
     rows, columns = model.hfield_nrow[field], model.hfield_ncol[field]
-    half_x, half_y, height, _ = model.hfield_size[field]
+    half_x, half_y, height, depth = model.hfield_size[field]
     start = model.hfield_adr[field]
     elevation = model.hfield_data[start : start + rows * columns] * height
     y, x = np.meshgrid(
         np.linspace(-half_y, half_y, rows), np.linspace(-half_x, half_x, columns), indexing="ij"
     )
-    vertices = np.stack((x.ravel(), y.ravel(), elevation), axis=-1)
-    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    lower = np.stack((corner, corner + 1, corner + columns + 1), axis=-1)
-    upper = np.stack((corner, corner + columns + 1, corner + columns), axis=-1)
-    return vertices, np.concatenate((lower, upper))
+    top = np.stack((x.ravel(), y.ravel(), elevation), axis=-1)
+    node = np.arange(rows * columns).reshape(rows, columns)
+    low, right = node[:-1, :-1].ravel(), node[:-1, 1:].ravel()
+    back, far = node[1:, :-1].ravel(), node[1:, 1:].ravel()
+    surface = np.concatenate((np.stack((low, right, far), -1), np.stack((low, far, back), -1)))
+
+    edge = np.concatenate((node[0], node[1:, -1], node[-1, -2::-1], node[-2::-1, 0]))
+    foot = top[edge] * (1.0, 1.0, 0.0)
+    here = np.arange(len(edge) - 1)
+    under = here + len(top)
+    walls = np.concatenate(
+        (
+            np.stack((under, under + 1, edge[here + 1]), -1)[elevation[edge[1:]] > 0.0],
+            np.stack((under, edge[here + 1], edge[here]), -1)[elevation[edge[:-1]] > 0.0],
+        )
+    )
+    base = BOX_CORNERS * (half_x, half_y, depth / 2) - (0.0, 0.0, depth / 2)
+    box = BOX_FACES[(base[BOX_FACES, 2] < 0.0).any(-1)] + len(top) + len(foot)
+    return np.concatenate((top, foot, base)), np.concatenate((surface, walls, box))
