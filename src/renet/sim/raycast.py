@@ -108,7 +108,7 @@ class TerrainScanner:
         self.triangles = len(faces)
         self.top = float(vertices[:, 2].max()) + 1.0
         self.drop = self.top - float(vertices[:, 2].min()) + 1.0
-        self._grid, self._meshes = _build_grid(vertices, faces, self.device)
+        self.grid, self._meshes = _build_grid(vertices, faces, self.device)
 
     def height(self, points: Tensor) -> Tensor:
         """Terrain height in metres under world points [M, 2]: [M].
@@ -121,7 +121,7 @@ class TerrainScanner:
             cast_down,
             len(points),
             (),
-            lambda first: [self._grid, inputs, first, self.top, self.drop, wp.from_torch(height)],
+            lambda first: [self.grid, inputs, first, self.top, self.drop, wp.from_torch(height)],
         )
         return height
 
@@ -146,7 +146,7 @@ class TerrainScanner:
             cast_depth,
             len(position),
             (len(rays),),
-            lambda first: [self._grid, *arrays, first, limit, wp.from_torch(depth)],
+            lambda first: [self.grid, *arrays, first, limit, wp.from_torch(depth)],
         )
         return depth
 
