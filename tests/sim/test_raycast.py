@@ -126,3 +126,17 @@ def test_rays_see_only_what_is_fixed_and_collides():
     )
     height = TerrainScanner(model, "cpu").height(torch.zeros(1, 2))
     torch.testing.assert_close(height, torch.tensor([0.1]))
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_a_gpu_sees_what_the_cpu_sees():
+    model = scene(CLUTTER, SOLID)
+    eyes = torch.tensor([[-1.6, 0.1, 0.5], [float("nan"), 0.0, 0.5]])
+    rotation = mount_rotation(torch.tensor([0.5, 0.5]), torch.zeros(2))
+    inputs = eyes, rotation, Intrinsics().rays()
+    cpu = TerrainScanner(model, "cpu").depth(*inputs, RANGE)
+    gpu = TerrainScanner(model, "cuda:0").depth(*(tensor.cuda() for tensor in inputs), RANGE)
+    assert (cpu[0] >= 0).any()
+    assert (gpu[1] < 0).all()
+    assert ((gpu.cpu() - cpu).abs() > 1e-4).float().mean() < 0.01
