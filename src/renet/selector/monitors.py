@@ -1,8 +1,8 @@
 """Ways to notice that vision failed, beyond the paper's reconstruction loss.
 
 An autoencoder is blind to a frozen image, a blank one, late or missing frames and filled holes:
-each frame by itself looks fine. Every monitor turns what it sees into one score per robot; a robot is
-healthy while its score stays below the monitor's threshold, and thresholds are calibrated from
+each frame by itself looks fine. Every monitor turns what it sees into one score per robot; a robot
+is healthy while its score stays below the monitor's threshold, and thresholds are calibrated from
 scores of healthy runs like the paper's beta.
 """
 
