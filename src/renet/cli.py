@@ -46,6 +46,13 @@ COMMANDS = {
         "export",
         "train",
     ),
+    "play": Command(
+        "film a bundle on any tile with any camera fault, without a display",
+        "renet.evaluation.play",
+        "PlayCfg",
+        "run_play",
+        "train",
+    ),
     "calibrate": Command(
         "measure the selector's threshold on healthy runs and store it in a bundle",
         "renet.evaluation.calibrate",
