@@ -54,6 +54,8 @@ def steps_per_second(task: str, engine: str, num_envs: int, steps: int) -> float
 
 def main(cfg: Cfg) -> None:
     wp.config.quiet = True
+    # Both engines alike: a second torch thread for small tensors costs more than it computes.
+    torch.set_num_threads(1)
     results: dict[str, float] = {"num_envs": cfg.num_envs}
     for prefix, task in TASKS.items():
         native = steps_per_second(task, "native", cfg.num_envs, cfg.native_steps)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import partial
@@ -66,7 +68,8 @@ class RenetEnv(ManagerBasedRlEnv):
 
     def step(self, action: Tensor):
         """See ManagerBasedRlEnv.step."""
-        observation, reward, terminated, truncated, extras = super().step(action)
+        with _one_torch_thread(self.device):
+            observation, reward, terminated, truncated, extras = super().step(action)
         extras["costs"] = self.costs
         if self.cfg.clip_reward:
             reward = reward.clamp_min(0.0)
@@ -116,6 +119,23 @@ class RenetEnv(ManagerBasedRlEnv):
         terrain.env_origins[:] = terrain.terrain_origins[
             terrain.terrain_levels, terrain.terrain_types
         ]
+
+
+@contextmanager
+def _one_torch_thread(device: str) -> Iterator[None]:
+    """Managers' small tensors on a CPU: waking a second thread costs more than it computes.
+
+    The engine's and the ray caster's threads are not torch's and stay as they are.
+    """
+    threads = torch.get_num_threads()
+    if torch.device(device).type != "cpu" or threads == 1:
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def _looks_at_substeps(cfg: RenetEnvCfg) -> bool:
