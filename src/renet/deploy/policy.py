@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import onnxruntime as ort
 
 from renet.deploy.bundle import Bundle
 from renet.errors import RenetError
@@ -20,16 +22,76 @@ from renet.vocabulary import (
 )
 
 
+@dataclass(frozen=True)
+class TickInputs:
+    """What one 10 Hz tick of vision and of both estimators reads: copies, safe on any thread."""
+
+    history: np.ndarray
+    """[N, H1, 45], oldest first."""
+    frames: np.ndarray
+    """[N, 2, 48, 64], newest first."""
+    latent_op: np.ndarray
+    """[N, 64]"""
+    latent_vp: np.ndarray
+    """[N, 64]"""
+    blind: bool
+    """No image has arrived: the anomaly score is infinite."""
+
+
+@dataclass(frozen=True)
+class Percept:
+    """What a tick found, [N, …]."""
+
+    latent_op: np.ndarray
+    latent_vp: np.ndarray
+    velocity_op: np.ndarray
+    """Base frame, m/s, as are all velocities."""
+    velocity_vp: np.ndarray
+    feet_height: np.ndarray
+    height_map: np.ndarray
+    anomaly_score: np.ndarray
+    """Loss_ad, [N]."""
+    reconstruction: np.ndarray | None
+    """[N, 2, 48, 64]; None when blind."""
+
+
+ESTIMATES = ("latent_op", "latent_vp", "velocity_op", "velocity_vp", "feet_height", "height_map")
+
+
+def perceive(sessions: dict[str, ort.InferenceSession], inputs: TickInputs) -> Percept:
+    """One tick of vision and both estimators: a pure function, so that any thread may call it."""
+    reconstruction, score = None, np.full(len(inputs.frames), np.inf, np.float32)
+    if not inputs.blind:
+        outputs: Any = sessions["vision"].run(
+            ("reconstruction", "anomaly_score"), {"depth": inputs.frames}
+        )
+        reconstruction, score = outputs
+    names = [f"next_{name}" if name.startswith("latent") else name for name in ESTIMATES]
+    estimates: Any = sessions["estimator"].run(
+        names,
+        {
+            "proprioception_history": inputs.history,
+            "depth": inputs.frames,
+            "latent_op": inputs.latent_op,
+            "latent_vp": inputs.latent_vp,
+        },
+    )
+    found = dict(zip(ESTIMATES, estimates, strict=True))
+    return Percept(**found, anomaly_score=score.reshape(-1), reconstruction=reconstruction)
+
+
 class Policy:
     """Runs a bundle at 50 Hz; every fifth step is a 10 Hz tick of the estimators and of vision.
 
     Mirrors training: after a reset latents are zero, the history is filled with the first o_t and
     both frames with the first image. Both estimators always run, so that a switch finds a warm
     state. A robot reset between ticks waits for the next one with zero latents.
+
+    `step` does it all; a controller that ticks on another thread calls its parts.
     """
 
     def __init__(self, bundle: Bundle, num_robots: int = 1) -> None:
-        self.manifest, self._sessions = bundle.manifest, bundle.sessions
+        self.manifest, self.sessions = bundle.manifest, bundle.sessions
         n = self.num_robots = num_robots
         self._history = np.zeros((n, self.manifest.history, PROPRIOCEPTION_SIZE), np.float32)
         self._frames = np.zeros((n, FRAMES, *DEPTH_SHAPE), np.float32)
@@ -53,9 +115,17 @@ class Policy:
         if mask is None:
             self._step = 0
         rows = slice(None) if mask is None else np.asarray(mask, bool)
-        for array in (self.latent_op, self.latent_vp, self.anomaly_score):
-            array[rows] = 0.0
+        for name in ("latent_op", "latent_vp", "anomaly_score"):
+            # Copies: a tick on another thread may still read the old arrays.
+            value = getattr(self, name).copy()
+            value[rows] = 0.0
+            setattr(self, name, value)
         self._blank[rows] = self._fresh[rows] = True
+
+    @property
+    def due(self) -> bool:
+        """Whether the next step is a tick."""
+        return self._step % STEPS_PER_TICK == 0
 
     def step(
         self, proprioception: np.ndarray, depth: np.ndarray | None, op_mask: np.ndarray
@@ -73,23 +143,55 @@ class Policy:
             RenetError: wrong shape, or a number that is not finite. The memory is then unchanged.
         """
         proprioception = self._checked(proprioception, "proprioception", (PROPRIOCEPTION_SIZE,))
-        self.ticked = self._step % STEPS_PER_TICK == 0
-        if self.ticked and depth is not None:
+        if self.due and depth is not None:
             depth = self._checked(depth, "depth image", DEPTH_SHAPE)
         mask = np.ones(self.num_robots, bool) if depth is None else np.asarray(op_mask, bool)
-        self._remember(proprioception)
-        if self.ticked:
-            self._tick(depth)
+        self.remember(proprioception)
+        if self.due:
+            self.accept(perceive(self.sessions, self.look(depth)))
+        return self.act(proprioception, mask)
+
+    def remember(self, proprioception: np.ndarray) -> None:
+        """Push o_t [N, 45] onto the history."""
+        self._history[:, :-1] = self._history[:, 1:]
+        self._history[:, -1] = proprioception
+        self._history[self._blank] = proprioception[self._blank, None]
+        self._blank[:] = False
+
+    def look(self, depth: np.ndarray | None) -> TickInputs:
+        """Push an image [N, 48, 64], if there is one; returns what `perceive` needs."""
+        if depth is not None:
+            self._frames[:, 1] = np.where(self._fresh[:, None, None], depth, self._frames[:, 0])
+            self._frames[:, 0] = depth
+            self._fresh[:] = False
+        return TickInputs(
+            self._history.copy(),
+            self._frames.copy(),
+            self.latent_op,
+            self.latent_vp,
+            depth is None,
+        )
+
+    def accept(self, percept: Percept) -> None:
+        """Go on with what a tick found."""
+        for name in (*ESTIMATES, "anomaly_score"):
+            setattr(self, name, getattr(percept, name))
+        if percept.reconstruction is not None:
+            self.reconstruction = percept.reconstruction
+
+    def act(self, proprioception: np.ndarray, op_mask: np.ndarray) -> np.ndarray:
+        """Actions [N, 12] under the paper's mask [N] bool; ends the control step."""
+        self.ticked = self.due
         inputs = {
             "proprioception": proprioception,
             "latent_op": self.latent_op,
             "latent_vp": self.latent_vp,
-            "op_mask": mask.reshape(-1, 1).astype(np.float32),
+            "op_mask": op_mask.reshape(-1, 1).astype(np.float32),
         }
-        (action,) = self._sessions["actor"].run(None, inputs)
+        outputs: Any = self.sessions["actor"].run(None, inputs)
         self._step += 1
         clip = self.manifest.robot.action_clip
-        return np.clip(action.reshape(self.num_robots, ACTION_SIZE), -clip, clip)
+        return np.clip(outputs[0].reshape(self.num_robots, ACTION_SIZE), -clip, clip)
 
     def joint_target(self, action: np.ndarray) -> np.ndarray:
         """Joint positions [N, 12] in rad that an action asks for."""
@@ -104,35 +206,3 @@ class Policy:
         if not np.isfinite(value).all():
             raise RenetError(f"the {name} contains NaN or infinity")
         return value
-
-    def _remember(self, proprioception: np.ndarray) -> None:
-        self._history[:, :-1] = self._history[:, 1:]
-        self._history[:, -1] = proprioception
-        self._history[self._blank] = proprioception[self._blank, None]
-        self._blank[:] = False
-
-    def _tick(self, depth: np.ndarray | None) -> None:
-        """Advance vision and both estimators."""
-        if depth is None:
-            self.anomaly_score[:] = np.inf
-        else:
-            self._frames[:, 1] = np.where(self._fresh[:, None, None], depth, self._frames[:, 0])
-            self._frames[:, 0] = depth
-            outputs: Any = self._sessions["vision"].run(
-                ("reconstruction", "anomaly_score"), {"depth": self._frames}
-            )
-            self.reconstruction, self.anomaly_score[:] = outputs
-        self._fresh[:] = False
-        names = ("next_latent_op", "next_latent_vp", "velocity_op", "velocity_vp")
-        names += ("feet_height", "height_map")
-        results = self._sessions["estimator"].run(
-            names,
-            {
-                "proprioception_history": self._history,
-                "depth": self._frames,
-                "latent_op": self.latent_op,
-                "latent_vp": self.latent_vp,
-            },
-        )
-        for name, value in zip(names, results, strict=True):
-            setattr(self, name.removeprefix("next_"), value)

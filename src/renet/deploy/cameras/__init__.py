@@ -1,0 +1,1 @@
+"""Depth cameras a controller can look through; `base` is the interface."""

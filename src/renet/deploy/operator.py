@@ -1,0 +1,46 @@
+"""What a human asks of a robot, whatever the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+MAX_SPEED = 1.0
+"""Fastest forward command of training, m/s (paper)."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """The operator's wishes at one control tick."""
+
+    speed: float = 0.0
+    """Forward speed c_x, m/s."""
+    turn: float = 0.0
+    """Target yaw relative to the heading when the robot began to walk, rad, left positive."""
+    arm: bool = False
+    """Leave damping: stand up and walk."""
+    stop: bool = False
+    """Go to damping at once; wins over everything else."""
+
+
+class Operator(Protocol):
+    """A source of requests that never makes its caller wait."""
+
+    def request(self, now: float) -> Request:
+        """The newest wishes at a time on the robot's clock."""
+        ...
+
+
+class ScriptedOperator:
+    """Arms at once and walks straight ahead; stops after a while if told to."""
+
+    def __init__(self, speed: float, seconds: float = float("inf")) -> None:
+        self.speed, self.seconds = speed, seconds
+        self._start: float | None = None
+
+    def request(self, now: float) -> Request:
+        """See Operator.request."""
+        if self._start is None:
+            self._start = now
+            return Request(arm=True)
+        return Request(speed=self.speed, stop=now - self._start >= self.seconds)

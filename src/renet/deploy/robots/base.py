@@ -1,0 +1,77 @@
+"""What every robot driver offers; joints are always in the order of `vocabulary.JOINTS`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from renet.vocabulary import CONTROL_DT
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """One reading of a robot's sensors. Drivers report what they got: the controller checks it."""
+
+    time: float
+    """Seconds on the robot's clock (`Robot.now`) at which it was measured."""
+    joint_position: np.ndarray
+    """[12] rad"""
+    joint_velocity: np.ndarray
+    """[12] rad/s"""
+    joint_torque: np.ndarray
+    """[12] N m, estimated by the motors."""
+    quaternion: np.ndarray
+    """[4] base to world, (w, x, y, z)."""
+    angular_velocity: np.ndarray
+    """[3] rad/s, base frame."""
+
+
+@dataclass(frozen=True)
+class JointCommand:
+    """Joint servos: torque = stiffness (position - q) - damping dq/dt."""
+
+    position: np.ndarray
+    """[12] rad"""
+    stiffness: np.ndarray
+    """[12] N m/rad"""
+    damping: np.ndarray
+    """[12] N m s/rad"""
+
+
+class Robot(Protocol):
+    """A robot, real or simulated, with a clock of its own."""
+
+    def connect(self) -> None:
+        """Begin to talk; raises RenetError with what to do when that fails."""
+        ...
+
+    def read(self) -> RobotState | None:
+        """Newest reading, without waiting; None before the first."""
+        ...
+
+    def write(self, command: JointCommand) -> None:
+        """Hand a command to the joint servos, which hold it until the next."""
+        ...
+
+    def now(self) -> float:
+        """Seconds on the robot's clock, never decreasing."""
+        ...
+
+    def wait(self, until: float) -> None:
+        """Let time pass until `now()` reaches `until`; return at once if it has."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the robot; safe to call twice."""
+        ...
+
+
+def run_period(robot: Robot, deadline: float) -> float:
+    """Wait for the end of a control period; returns the next deadline.
+
+    A deadline that was missed is not made up for: a burst of late ticks helps no robot.
+    """
+    robot.wait(deadline)
+    return max(deadline, robot.now() - CONTROL_DT) + CONTROL_DT
