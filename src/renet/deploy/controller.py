@@ -1,0 +1,278 @@
+"""The onboard controller: robot state and depth frames in, joint commands out, whatever comes.
+
+`Controller.tick` is the whole 50 Hz program without threads, clocks or devices, so that the same
+inputs give the same commands on a robot, in a simulator and in a replay. It never raises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from renet.deploy.bundle import Bundle
+from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.observation import heading, observe
+from renet.deploy.operator import Request
+from renet.deploy.perception import InlinePerception, Perception
+from renet.deploy.policy import Policy, perceive
+from renet.deploy.robots.base import JointCommand, RobotState
+from renet.deploy.safety import (
+    Mode,
+    SafetyCfg,
+    SafetyMachine,
+    clean_state,
+    damping_command,
+    limited_command,
+    limited_request,
+    request_problem,
+    rising_target,
+    state_problem,
+)
+from renet.deploy.sight import FrameKeeper, Trust
+from renet.errors import RenetError
+from renet.vocabulary import ACTION_SIZE, DEPTH_SHAPE, LATENT
+
+BLACK = np.zeros(DEPTH_SHAPE, np.float32)
+
+
+@dataclass(frozen=True)
+class Event:
+    """A transition and its reason."""
+
+    time: float
+    """Seconds on the robot's clock."""
+    what: str
+    """A mode of the safety machine, or `vp`, `op`, `perception`."""
+    why: str
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What one tick decided, for logs and displays."""
+
+    command: JointCommand
+    mode: Mode
+    vision: bool
+    """The VP estimator's latent drove this step."""
+    probability: float
+    """Vision probability P_t after this step."""
+    anomaly: float
+    """Loss_ad of the newest images."""
+    frame_age: float
+    """Seconds since the newest good frame was taken."""
+    action: np.ndarray
+    """[12] policy units; zero unless walking."""
+    latent: np.ndarray
+    """[64] the latent that drove this step."""
+    velocity_op: np.ndarray
+    """[3] m/s, base frame."""
+    velocity_vp: np.ndarray
+    """[3] m/s, base frame."""
+    image: np.ndarray | None
+    """[48, 64] given to the policy in this step; None between vision ticks and without camera."""
+    perceived: bool
+    """The result of a vision tick was taken over in this step."""
+    fallback: bool
+    """The vision tick ran blind and in line because its thread was late or dead."""
+
+
+class Controller:
+    """Drives one robot with a bundle."""
+
+    def __init__(
+        self,
+        bundle: Bundle,
+        safety: SafetyCfg = SafetyCfg(),  # noqa: B008  (frozen)
+        perception: Perception | None = None,
+        paper_selector: bool = False,
+        on_event: Callable[[Event], None] = lambda event: None,
+    ) -> None:
+        """Set up in DAMPING.
+
+        Args:
+            bundle: policy, robot, camera and selector.
+            safety: limits.
+            perception: where vision ticks run; in line by default, which is deterministic.
+            paper_selector: trust vision by the reconstruction loss alone, as the paper does.
+            on_event: told every transition with its reason.
+        """
+        self.robot, self.cfg = bundle.manifest.robot, safety
+        self.policy = Policy(bundle)
+        self.machine = SafetyMachine(safety)
+        self._perception = perception or InlinePerception(bundle.sessions)
+        self._keeper = FrameKeeper()
+        self._trust = Trust(bundle.manifest.selector, paper_selector)
+        self._on_event = on_event
+        self._newest: RobotState | None = None
+        self._state_error = "no state from the robot"
+        self._start = self._target = np.array(self.robot.default_position)
+        self._yaw = 0.0
+        self._image = BLACK
+        self._forget()
+        self.decision = self._decide(damping_command(self.robot, safety))
+        """What the last tick decided."""
+
+    def tick(
+        self, state: RobotState | None, frame: DepthFrame | None, request: Request, now: float
+    ) -> JointCommand:
+        """One control step, every 0.02 s.
+
+        Args:
+            state: newest reading; None if there is none. frame: newest of the camera, the same as
+            before if none came; None without a camera. request: of the operator.
+            now: seconds on the robot's clock.
+
+        Returns:
+            A command within all limits; braking only if anything at all is wrong.
+        """
+        mode = self.machine.mode
+        try:
+            command = self._tick(state, frame, request, now)
+        except Exception as error:  # Whatever it is, a robot must be left braked.
+            self.machine.trip(f"{type(error).__name__}: {error}", now)
+            command = damping_command(self.robot, self.cfg)
+            self.decision = self._decide(command)
+        if self.machine.mode is not mode:
+            self._tell(now, self.machine.mode, self.machine.reason)
+        return command
+
+    def close(self) -> None:
+        """Stop the vision thread, if there is one."""
+        self._perception.close()
+
+    def _tick(
+        self, raw: RobotState | None, frame: DepthFrame | None, request: Request, now: float
+    ) -> JointCommand:
+        before = self.machine.mode
+        self._read(raw)
+        self._keeper.offer(frame, now)
+        mode = self.machine.update(self._problem(request, now), request, now)
+        state = self._newest
+        if mode is Mode.DAMPING or state is None:
+            self._target = self._start if state is None else state.joint_position
+            command = damping_command(self.robot, self.cfg)
+            self.decision = self._decide(command)
+        elif mode is Mode.RISING:
+            if before is not Mode.RISING:
+                self._start = self._target = state.joint_position
+            share = (now - self.machine.since) / self.cfg.rise_seconds
+            command = self._limited(rising_target(self._start, self.robot, share), state)
+            self.decision = self._decide(command)
+        else:
+            if before is not Mode.WALKING:
+                self._forget()
+                self._yaw = heading(state.quaternion)
+            command = self._walk(state, limited_request(request), now)
+        return command
+
+    def _read(self, raw: RobotState | None) -> None:
+        """Keep the newest good reading; one that is malformed or out of order is none."""
+        if raw is None:
+            return
+        try:
+            state = clean_state(raw)
+        except RenetError as error:
+            self._state_error, self._newest = str(error), None
+            return
+        if self._newest is None or state.time >= self._newest.time:
+            self._newest = state
+
+    def _problem(self, request: Request, now: float) -> str:
+        problem = request_problem(request)
+        if problem:
+            return problem
+        if self._newest is None:
+            return self._state_error
+        return state_problem(self._newest, self.robot, self.cfg, now)
+
+    def _forget(self) -> None:
+        """Start walking as training starts an episode."""
+        self.policy.reset()
+        self._trust.reset()
+        self._action = np.zeros(ACTION_SIZE)
+        self._vision = True
+        self._image = BLACK
+
+    def _walk(self, state: RobotState, request: Request, now: float) -> JointCommand:
+        yaw = self._yaw + request.turn
+        observation = observe(state, self.robot, request.speed, yaw, self._action)[None]
+        self.policy.remember(observation)
+        image, fresh, fallback = None, False, False
+        due = self.policy.due
+        if due:
+            image, fresh = self._keeper.take()
+            fallback = self._begin_tick(image, now)
+        percept = self._perception.take()
+        if percept is not None:
+            self.policy.accept(percept)
+        vision = self._vision and self._keeper.image is not None
+        action = self.policy.act(observation, np.array([not vision]))[0]
+        if not np.isfinite(action).all():
+            raise RenetError("the policy's action is not finite")
+        self._action = action
+        command = self._limited(self.policy.joint_target(action), state)
+        if image is not None:
+            self._image = image
+        self._switch(fresh, now)
+        perceived = percept is not None or fallback
+        self.decision = self._decide(command, vision, image, perceived, fallback, now)
+        return command
+
+    def _begin_tick(self, image: np.ndarray | None, now: float) -> bool:
+        """Start a tick of vision and estimators; returns whether it had to run here, blind."""
+        fallback = not self._perception.ready()
+        inputs = self.policy.look(None if image is None or fallback else image[None])
+        if fallback:
+            self._tell(now, "perception", "the vision thread is late or dead: this tick runs blind")
+            self.policy.accept(perceive(self.policy.sessions, inputs))
+        else:
+            self._perception.begin(inputs)
+        return fallback
+
+    def _switch(self, fresh: bool, now: float) -> None:
+        """Let the selector choose the next step's estimator."""
+        age = self._keeper.age(now)
+        vision = self._trust.update(self.policy, self._keeper, self._image, fresh, age)
+        if vision is not self._vision:
+            why = self._keeper.problem or self._trust.reason
+            self._tell(now, "vp" if vision else "op", "vision is healthy" if vision else why)
+        self._vision = vision
+
+    def _limited(self, target: np.ndarray, state: RobotState) -> JointCommand:
+        command = limited_command(target, self._target, state, self.robot, self.cfg)
+        self._target = command.position
+        return command
+
+    def _decide(
+        self,
+        command: JointCommand,
+        vision: bool = False,
+        image: np.ndarray | None = None,
+        perceived: bool = False,
+        fallback: bool = False,
+        now: float = 0.0,
+    ) -> Decision:
+        policy, walking = self.policy, self.machine.mode is Mode.WALKING
+        latent = (policy.latent_vp if vision else policy.latent_op)[0]
+        return Decision(
+            command=command,
+            mode=self.machine.mode,
+            vision=vision,
+            probability=self._trust.probability,
+            anomaly=float(policy.anomaly_score[0]),
+            frame_age=self._keeper.age(now),
+            action=self._action if walking else np.zeros(ACTION_SIZE),
+            latent=latent if walking else np.zeros(LATENT),
+            velocity_op=policy.velocity_op[0],
+            velocity_vp=policy.velocity_vp[0],
+            image=image,
+            perceived=perceived,
+            fallback=fallback,
+        )
+
+    def _tell(self, now: float, what: str, why: str) -> None:
+        with suppress(Exception):  # A full disk must not brake a robot.
+            self._on_event(Event(now, str(what), why))

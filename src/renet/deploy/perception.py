@@ -1,0 +1,136 @@
+"""Where the 10 Hz tick runs: in line, or on a second thread that the control loop never waits for.
+
+The loop gives the thread a few milliseconds, in which it is usually done: then a live robot acts
+on exactly what training acted on. A result that is late is used one or more control steps later; a
+thread that is dead or stuck at the next tick costs vision, not the robot: that tick runs in line,
+blind, and the selector falls back to OP.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from queue import Empty, SimpleQueue
+from typing import Protocol
+
+import onnxruntime as ort
+
+from renet.deploy.policy import Percept, TickInputs, perceive
+
+Sessions = dict[str, ort.InferenceSession]
+
+
+class Perception(Protocol):
+    """Runs ticks of vision and estimators."""
+
+    def ready(self) -> bool:
+        """Whether `begin` may be called; called once at every tick."""
+        ...
+
+    def begin(self, inputs: TickInputs) -> None:
+        """Start a tick."""
+        ...
+
+    def take(self) -> Percept | None:
+        """The tick's result, once; None if there is none yet."""
+        ...
+
+    def close(self) -> None:
+        """Stop; safe to call twice."""
+        ...
+
+
+class InlinePerception:
+    """Every tick is done when it was begun: the same result on every machine."""
+
+    def __init__(self, sessions: Sessions) -> None:
+        self._sessions = sessions
+        self._percept: Percept | None = None
+
+    def ready(self) -> bool:
+        """Always."""
+        return True
+
+    def begin(self, inputs: TickInputs) -> None:
+        """See Perception.begin."""
+        self._percept = perceive(self._sessions, inputs)
+
+    def take(self) -> Percept | None:
+        """See Perception.take."""
+        percept, self._percept = self._percept, None
+        return percept
+
+    def close(self) -> None:
+        """Nothing to stop."""
+
+
+class ThreadedPerception:
+    """Ticks on a daemon thread; a dead thread is replaced at the next tick."""
+
+    def __init__(self, sessions: Sessions, patience: float = 0.008) -> None:
+        """Start the thread.
+
+        Args:
+            sessions: of the bundle. patience: seconds `take` waits in the step that began a tick.
+        """
+        self._sessions, self._patience = sessions, patience
+        self._start()
+
+    def _start(self) -> None:
+        self._jobs: SimpleQueue[TickInputs | None] = SimpleQueue()
+        self._results: SimpleQueue[Percept] = SimpleQueue()
+        self._outstanding, self._deadline = False, 0.0
+        self._thread = threading.Thread(
+            target=_work, args=(self._sessions, self._jobs, self._results), daemon=True
+        )
+        self._thread.start()
+
+    def ready(self) -> bool:
+        """False if the thread died, which starts another, or has not finished the last tick.
+
+        A result that comes after that is of no use and thrown away.
+        """
+        if not self._thread.is_alive():
+            self._start()
+            return False
+        if self._outstanding:
+            # Discard the result when it comes: the policy has moved on without it.
+            self._deadline = 0.0
+            if self._collect(0.0) is None:
+                return False
+        return True
+
+    def begin(self, inputs: TickInputs) -> None:
+        """See Perception.begin."""
+        self._outstanding, self._deadline = True, time.monotonic() + self._patience
+        self._jobs.put(inputs)
+
+    def take(self) -> Percept | None:
+        """See Perception.take; waits at most for the rest of `patience`."""
+        if not self._outstanding or self._deadline == 0.0:
+            return None
+        return self._collect(max(self._deadline - time.monotonic(), 0.0))
+
+    def _collect(self, wait: float) -> Percept | None:
+        try:
+            percept = self._results.get(timeout=wait) if wait > 0 else self._results.get_nowait()
+        except Empty:
+            return None
+        self._outstanding = False
+        return percept
+
+    def close(self) -> None:
+        """See Perception.close."""
+        self._jobs.put(None)
+        self._thread.join(timeout=1.0)
+
+
+def _work(
+    sessions: Sessions, jobs: SimpleQueue[TickInputs | None], results: SimpleQueue[Percept]
+) -> None:
+    while (inputs := jobs.get()) is not None:
+        try:
+            results.put(perceive(sessions, inputs))
+        except Exception:
+            # The thread's end is its report: the control loop sees it at the next tick.
+            return

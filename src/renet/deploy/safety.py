@@ -1,0 +1,210 @@
+"""The safety layer: when a robot may move, and how far one command may go.
+
+    DAMPING --arm, nothing wrong--> RISING --rise_seconds--> WALKING
+       ^                              |                         |
+       +---- any problem, or stop ----+-------------------------+
+
+DAMPING is the start and the end: joints are only braked, and it stays until the operator arms
+again. Losing vision is no problem here: the selector falls back to OP within WALKING.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from renet.deploy.manifest import RobotSpec
+from renet.deploy.observation import projected_gravity
+from renet.deploy.operator import MAX_SPEED, Request
+from renet.deploy.robots.base import JointCommand, RobotState
+from renet.errors import RenetError
+from renet.vocabulary import ACTION_SIZE, CONTROL_DT
+
+
+class Mode(StrEnum):
+    """States of the safety machine."""
+
+    DAMPING = "damping"
+    RISING = "rising"
+    WALKING = "walking"
+
+
+@dataclass(frozen=True)
+class SafetyCfg:
+    """Limits beyond which a robot is damped, and limits of what it is told."""
+
+    max_tilt: float = math.radians(70.0)
+    """Largest angle between the base's z axis and up, rad."""
+    max_state_age: float = 0.05
+    """Oldest reading to act on, s."""
+    max_gap: float = 0.1
+    """Longest time between two control ticks, s."""
+    max_late: int = 5
+    """Late control ticks (over 1.5 periods) in a row."""
+    joint_margin: float = 0.2
+    """How far beyond its range a joint may be measured, rad."""
+    max_joint_speed: float = 60.0
+    """rad/s; twice what a Go1's motors reach: a sensor that reads more is wrong."""
+    max_turn_rate: float = 30.0
+    """Base angular velocity, rad/s, per axis."""
+    target_rate: float = 40.0
+    """Fastest change of a joint target, rad/s."""
+    damping: float = 3.0
+    """Braking gain in DAMPING, N m s/rad."""
+    rise_seconds: float = 2.0
+    """Time from the pose at arming to the default pose."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (math.isfinite(value) and value > 0):
+                raise RenetError(f"the safety limit {name} must be positive, got {value}")
+
+
+VECTORS = {
+    "joint_position": ACTION_SIZE,
+    "joint_velocity": ACTION_SIZE,
+    "joint_torque": ACTION_SIZE,
+    "quaternion": 4,
+    "angular_velocity": 3,
+}
+FUTURE = 0.01
+"""Seconds by which a reading may seem to come from the future: clocks are read one by one."""
+
+
+def clean_state(raw: RobotState) -> RobotState:
+    """A reading as float arrays; raises RenetError naming what cannot be one."""
+    arrays = {}
+    for name, size in VECTORS.items():
+        try:
+            value = np.asarray(getattr(raw, name), float)
+        except (TypeError, ValueError) as error:
+            raise RenetError(f"{name} is not made of numbers") from error
+        if value.shape != (size,):
+            raise RenetError(f"{name} has shape {value.shape}, expected ({size},)")
+        if not np.isfinite(value).all():
+            raise RenetError(f"{name} is not finite")
+        arrays[name] = value
+    if not math.isfinite(raw.time):
+        raise RenetError("the state's time is not finite")
+    if abs(np.linalg.norm(arrays["quaternion"]) - 1.0) > 0.1:
+        raise RenetError("the quaternion's length is not 1")
+    return RobotState(float(raw.time), **arrays)
+
+
+def state_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg, now: float) -> str:
+    """Why a clean reading forbids motion; empty if it does not."""
+    if now - state.time > cfg.max_state_age:
+        return f"the state is {1000 * (now - state.time):.0f} ms old"
+    if state.time > now + FUTURE:
+        return "the state's time lies in the future"
+    if projected_gravity(state.quaternion)[2] > -math.cos(cfg.max_tilt):
+        return f"tilted by more than {math.degrees(cfg.max_tilt):.0f} degrees"
+    low = np.asarray(robot.lower) - cfg.joint_margin
+    high = np.asarray(robot.upper) + cfg.joint_margin
+    outside = (state.joint_position < low) | (state.joint_position > high)
+    if outside.any():
+        return f"{robot.joints[int(np.argmax(outside))]} is out of its range"
+    fast = np.abs(state.joint_velocity) > cfg.max_joint_speed
+    if fast.any():
+        return f"{robot.joints[int(np.argmax(fast))]} is too fast"
+    if np.abs(state.angular_velocity).max() > cfg.max_turn_rate:
+        return "the base turns too fast"
+    return ""
+
+
+def request_problem(request: Request) -> str:
+    """Why an operator's request forbids motion; empty if it does not."""
+    if request.stop:
+        return "operator stop"
+    if not (math.isfinite(request.speed) and math.isfinite(request.turn)):
+        return "the operator's command is not finite"
+    return ""
+
+
+def limited_request(request: Request) -> Request:
+    """The request with its speed within training's."""
+    return replace(request, speed=min(max(float(request.speed), 0.0), MAX_SPEED))
+
+
+class SafetyMachine:
+    """Decides the mode, tick by tick."""
+
+    def __init__(self, cfg: SafetyCfg) -> None:
+        self.cfg = cfg
+        self.mode = Mode.DAMPING
+        self.reason = "start"
+        """Why the mode was entered."""
+        self.since = -math.inf
+        """When."""
+        self._last: float | None = None
+        self._late = 0
+        self._armed = False
+
+    def update(self, problem: str, request: Request, now: float) -> Mode:
+        """One control tick with the first problem found, or an empty text."""
+        problem = self._clock_problem(now) or problem
+        arm, self._armed = request.arm and not self._armed, request.arm
+        if problem:
+            self.trip(problem, now)
+        elif self.mode is Mode.DAMPING and arm:
+            self._enter(Mode.RISING, "armed", now)
+        elif self.mode is Mode.RISING and now - self.since >= self.cfg.rise_seconds:
+            self._enter(Mode.WALKING, "risen", now)
+        return self.mode
+
+    def trip(self, reason: str, now: float) -> None:
+        """Go to DAMPING; the first reason is kept until the operator arms again."""
+        if self.mode is not Mode.DAMPING:
+            self._enter(Mode.DAMPING, reason, now)
+
+    def _enter(self, mode: Mode, reason: str, now: float) -> None:
+        self.mode, self.reason, self.since = mode, reason, now
+        self._late = 0
+
+    def _clock_problem(self, now: float) -> str:
+        """Missed deadlines, or a clock that cannot be right."""
+        if not math.isfinite(now):
+            return "the clock is not finite"
+        last, self._last = self._last, now
+        if last is None:
+            return ""
+        if now < last:
+            return "the clock went backwards"
+        if now - last > self.cfg.max_gap:
+            return f"no control tick for {1000 * (now - last):.0f} ms"
+        self._late = self._late + 1 if now - last > 1.5 * CONTROL_DT else 0
+        return f"{self._late} late control ticks in a row" if self._late > self.cfg.max_late else ""
+
+
+def damping_command(robot: RobotSpec, cfg: SafetyCfg) -> JointCommand:
+    """Brake only; needs no reading."""
+    brake = np.full(ACTION_SIZE, cfg.damping)
+    return JointCommand(np.asarray(robot.default_position), np.zeros(ACTION_SIZE), brake)
+
+
+def rising_target(start: np.ndarray, robot: RobotSpec, share: float) -> np.ndarray:
+    """Joint positions [12] between the pose at arming and the default pose, smooth at both ends."""
+    share = min(max(share, 0.0), 1.0)
+    smooth = share * share * (3.0 - 2.0 * share)
+    return start + smooth * (np.asarray(robot.default_position) - start)
+
+
+def limited_command(
+    target: np.ndarray, previous: np.ndarray, state: RobotState, robot: RobotSpec, cfg: SafetyCfg
+) -> JointCommand:
+    """Servo command for a joint target [12] rad, within all limits.
+
+    The target moves at most `target_rate` and stays in the joints' ranges. Where the servo would
+    ask for more torque than the motor gives, its gains shrink: at this instant that equals the
+    saturation of training, and the limit holds whatever the motor does.
+    """
+    reach = cfg.target_rate * CONTROL_DT
+    target = np.clip(target, previous - reach, previous + reach)
+    target = np.clip(target, robot.lower, robot.upper)
+    stiffness, damping = np.asarray(robot.stiffness), np.asarray(robot.damping)
+    torque = stiffness * (target - state.joint_position) - damping * state.joint_velocity
+    scale = np.minimum(1.0, np.asarray(robot.torque_limit) / np.maximum(np.abs(torque), 1e-9))
+    return JointCommand(target, scale * stiffness, scale * damping)

@@ -1,0 +1,371 @@
+"""The controller against the training side, against lost cameras and threads, and against abuse."""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from renet.deploy.bundle import Bundle, write_bundle
+from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.controller import Controller, Event
+from renet.deploy.manifest import SelectorSpec
+from renet.deploy.observation import observe
+from renet.deploy.operator import Request
+from renet.deploy.perception import InlinePerception, ThreadedPerception
+from renet.deploy.robots.base import RobotState
+from renet.deploy.safety import Mode, SafetyCfg
+from renet.models.actor_critic import fuse
+from renet.models.memory import EstimatorMemory
+
+from .fakes import STANDING, frame, state, time_of
+
+ARM, GO = Request(arm=True), Request(speed=0.6)
+QUICK = SafetyCfg(rise_seconds=0.1)
+WALKS_AT = 7
+"""Control step at which `Run` walks: armed at step 1, risen 0.1 s later."""
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory, models, manifest) -> Bundle:
+    """Untrained networks reconstruct badly: beta is large, so that only real faults count."""
+    easy = replace(manifest, selector=SelectorSpec(beta=1.0))
+    return Bundle.load(write_bundle(tmp_path_factory.mktemp("b") / "bundle", models, easy))
+
+
+class Run:
+    """A controller and what happened to it."""
+
+    def __init__(self, bundle: Bundle, **options) -> None:
+        self.events: list[Event] = []
+        self.controller = Controller(bundle, QUICK, on_event=self.events.append, **options)
+        self.step = 0
+
+    def tick(self, frame=None, request=GO, **changes):
+        now = time_of(self.step)
+        request = ARM if self.step == 1 else request
+        command = self.controller.tick(replace(state(now), **changes), frame, request, now)
+        self.step += 1
+        return command
+
+    def ticks(self, count: int, camera: bool = True, **changes) -> list[bool]:
+        """Vision at each step, with a new frame every fifth one."""
+        seen = []
+        for _ in range(count):
+            last = self.step - self.step % 5
+            self.tick(frame(last, time_of(last)) if camera else None, **changes)
+            seen.append(self.controller.decision.vision)
+        return seen
+
+    def whats(self) -> list[str]:
+        return [event.what for event in self.events]
+
+
+def test_it_rises_and_then_walks(bundle):
+    run = Run(bundle)
+    crouched = STANDING + 0.3
+    for _ in range(WALKS_AT + 1):
+        command = run.tick(joint_position=crouched)
+    assert run.whats() == ["rising", "walking"]
+    assert run.events[0].why == "armed"
+    assert run.controller.decision.mode is Mode.WALKING
+    assert np.isfinite(command.position).all()
+
+
+def test_walking_with_and_without_a_camera(bundle):
+    seeing, blind = Run(bundle), Run(bundle)
+    assert all(seeing.ticks(60)[WALKS_AT:])
+    assert not any(blind.ticks(60, camera=False))
+    assert seeing.controller.decision.mode is blind.controller.decision.mode is Mode.WALKING
+
+
+def test_equals_the_training_side_over_20_seconds_with_switching(bundle, networks):
+    run, memory = Run(bundle), EstimatorMemory(networks.cfg, 1, "cpu")
+    random = np.random.default_rng(0)
+    last_action, modes, shown = np.zeros(12), [], None
+    run.ticks(WALKS_AT, camera=False)
+    for step in range(1000):
+        now = time_of(run.step)
+        reading = state(
+            now,
+            joint_position=STANDING + 0.1 * random.normal(size=12),
+            joint_velocity=random.normal(size=12),
+            angular_velocity=random.normal(size=3),
+        )
+        lost = step % 300 > 150
+        if step % 5 == 0 and not lost:
+            shown = frame(run.step, now)
+        run.controller.tick(reading, shown, GO, now)
+        run.step += 1
+        decision = run.controller.decision
+        observation = observe(reading, run.controller.robot, 0.6, 0.0, last_action)[None]
+        memory.push(torch.tensor(observation))
+        if step % 5 == 0:
+            memory.see(torch.tensor(shown.image[None]).half())
+            memory.tick(networks)
+        with torch.no_grad():
+            mask = torch.tensor([not decision.vision])
+            latent = fuse(memory.latent_op, memory.latent_vp, mask)
+            expected = networks.actor(torch.tensor(observation), latent).clamp(-4.8, 4.8)
+        np.testing.assert_allclose(decision.action, expected[0], atol=1e-4)
+        last_action = decision.action
+        modes.append(decision.vision)
+    assert 0.2 < np.mean(modes) < 0.8
+    assert run.controller.decision.mode is Mode.WALKING
+
+
+def test_a_lost_camera_costs_vision_within_its_age_limit_and_returns_after_the_dwell(bundle):
+    run = Run(bundle)
+    assert all(run.ticks(60)[WALKS_AT:])
+    last = frame(run.step, time_of(run.step))
+    gone = []
+    for _ in range(30):
+        run.tick(last)
+        gone.append(run.controller.decision.vision)
+    assert not any(gone[13:]), "0.2 s of age, 35 ms of filter"
+    assert run.events[-1].why == "no new image"
+    back = run.ticks(150)
+    assert not any(back[:45])
+    assert all(back[-50:])
+
+
+def test_unplugged_and_replugged_50_times(bundle):
+    run = Run(bundle)
+    run.ticks(20)
+    for _ in range(50):
+        run.ticks(20, camera=False)
+        run.ticks(10)
+    assert run.controller.decision.mode is Mode.WALKING
+    returns = [event.time for event in run.events if event.what == "vp"]
+    assert all(b - a >= 5.0 for a, b in zip(returns, returns[1:], strict=False))
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"image": np.full((48, 64), np.nan)},
+        {"image": np.zeros((64, 48))},
+        {"image": np.full((48, 64), 700.0)},
+        {"image": "black"},
+        {"time": math.nan},
+        {"time": 1e9},
+        {"invalid": 2.0},
+        {"number": None},
+    ],
+)
+def test_a_malformed_frame_costs_vision_and_nothing_else(bundle, bad):
+    run = Run(bundle)
+    run.ticks(60)
+    for _ in range(10):
+        run.tick(replace(frame(run.step, time_of(run.step)), **bad))
+    assert not run.controller.decision.vision
+    assert run.events[-1].what == "op"
+    assert "depth" in run.events[-1].why
+    assert run.controller.decision.mode is Mode.WALKING
+
+
+def test_frames_out_of_order_are_not_news(bundle):
+    run = Run(bundle)
+    run.ticks(60)
+    for _ in range(30):
+        run.tick(frame(3, time_of(3)))
+    assert run.events[-1].why == "no new image"
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"joint_position": np.full(12, np.nan)}, "joint_position is not finite"),
+        ({"quaternion": np.array([0.0, 1, 0, 0])}, "tilted"),
+        ({"time": -5.0}, "the state is"),
+        ({"joint_velocity": np.zeros((12, 1))}, "shape"),
+    ],
+)
+def test_a_bad_reading_damps_and_arming_brings_it_back(bundle, changes, reason):
+    run = Run(bundle)
+    run.ticks(40)
+    if "time" in changes:  # Out of order: the reading before it grows old.
+        run.ticks(6, **changes)
+    command = run.tick(**changes)
+    assert (command.stiffness == 0).all()
+    assert (run.controller.decision.mode, run.events[-1].what) == (Mode.DAMPING, "damping")
+    assert reason in run.events[-1].why
+    run.ticks(20)
+    assert run.controller.decision.mode is Mode.DAMPING
+    run.tick(request=ARM)
+    run.ticks(10)
+    assert run.controller.decision.mode is Mode.WALKING
+
+
+def test_silence_from_the_robot_damps(bundle):
+    run = Run(bundle)
+    run.ticks(40)
+    for step in range(40, 44):
+        run.controller.tick(None, None, GO, time_of(step))
+    assert "old" in run.events[-1].why
+
+
+def test_operator_stop(bundle):
+    run = Run(bundle)
+    run.ticks(40)
+    command = run.tick(request=Request(speed=0.6, stop=True))
+    assert (command.stiffness == 0).all()
+    assert run.events[-1] == Event(time_of(40), "damping", "operator stop")
+
+
+def hostile(random: np.random.Generator, now: float):
+    """Inputs of which about half are fit to walk with."""
+
+    def spoil(value):
+        size = np.size(value)
+        return random.choice(
+            [
+                lambda: np.full(size, np.nan),
+                lambda: np.full(size, np.inf),
+                lambda: 1e30 * random.normal(size=size),
+                lambda: np.zeros(0),
+                lambda: np.zeros((3, 5)),
+                lambda: np.zeros(100_000),
+                lambda: None,
+                lambda: "?",
+                lambda: np.array(["a"] * size),
+                lambda: [[1.0], [2.0, 3.0]],
+                lambda: 10.0 * random.normal(size=size),
+            ]
+        )()
+
+    reading: RobotState | None = state(now, joint_position=STANDING + 0.2 * random.normal(size=12))
+    picture: DepthFrame | None = frame(int(random.integers(1000)), now)
+    request = GO
+    dice = random.random()
+    if dice < 0.12:
+        name = str(random.choice(list(vars(reading))[1:]))
+        reading = replace(reading, **{name: spoil(getattr(reading, name))})
+    elif dice < 0.15:
+        times = [now - 1, now + 1, math.nan, -math.inf, None, "x"]
+        reading = replace(reading, time=times[random.integers(6)])
+    elif dice < 0.17:
+        reading = None
+    elif dice < 0.25:
+        picture = replace(picture, image=spoil(picture.image))
+    elif dice < 0.30:
+        fields = {"time": math.inf, "number": "x", "invalid": math.nan}
+        picture = replace(picture, **dict([list(fields.items())[random.integers(3)]]))
+    elif dice < 0.33:
+        picture = [None, 5, "frame"][random.integers(3)]
+    elif dice < 0.36:
+        request = [
+            Request(speed=math.nan),
+            Request(turn=math.inf),
+            Request(speed=1e300, turn=-1e300),
+            None,
+        ][random.integers(4)]
+    elif dice < 0.37:
+        reading = 7
+    return reading, picture, request
+
+
+def test_10_000_hostile_inputs_never_raise_and_never_leave_the_limits(bundle):
+    random, now, walked = np.random.default_rng(0), 0.0, 0
+    controller = Controller(bundle, SafetyCfg(rise_seconds=0.02))
+    robot = controller.robot
+    for _ in range(10_000):
+        jump = random.random()
+        now += 0.02 if jump < 0.99 else random.choice([0.0, -0.05, 0.3, 5.0])
+        reading, picture, request = hostile(random, now)
+        damped = controller.decision.mode is Mode.DAMPING
+        if damped and request is GO:
+            request = Request(speed=0.5, arm=bool(random.random() < 0.5))
+        clock = math.nan if random.random() < 0.002 else now
+        command = controller.tick(reading, picture, request, clock)
+        assert np.isfinite(command.position).all()
+        assert (command.position >= robot.lower).all()
+        assert (command.position <= robot.upper).all()
+        assert (command.stiffness >= 0).all()
+        assert (command.stiffness <= robot.stiffness).all()
+        assert (command.damping >= 0).all()
+        assert (command.damping <= 3.0).all()
+        if controller.decision.mode is Mode.DAMPING:
+            assert (command.stiffness == 0).all()
+        else:
+            position, velocity = reading_of(controller)
+            torque = command.stiffness * (command.position - position) - command.damping * velocity
+            assert (np.abs(torque) <= np.array(robot.torque_limit) + 1e-6).all()
+            walked += controller.decision.mode is Mode.WALKING
+    assert walked > 500, "the abuse must reach the walking controller"
+
+
+def reading_of(controller: Controller) -> tuple[np.ndarray, np.ndarray]:
+    newest = controller._newest
+    assert newest is not None
+    return newest.joint_position, newest.joint_velocity
+
+
+class Sabotage:
+    """A session that fails or hangs off the main thread, on demand."""
+
+    def __init__(self, session) -> None:
+        self.session, self.mood = session, "well"
+        self.released = threading.Event()
+
+    def run(self, *arguments):
+        if threading.current_thread() is not threading.main_thread():
+            if self.mood == "dies":
+                raise MemoryError
+            if self.mood == "hangs":
+                self.released.wait(30)
+        return self.session.run(*arguments)
+
+
+@pytest.fixture
+def sabotage(bundle) -> Sabotage:
+    return Sabotage(bundle.sessions["estimator"])
+
+
+def threaded(bundle: Bundle, sabotage: Sabotage) -> ThreadedPerception:
+    return ThreadedPerception({**bundle.sessions, "estimator": sabotage}, patience=5.0)  # type: ignore[dict-item]
+
+
+def test_the_second_thread_gives_the_same_commands(bundle, sabotage):
+    inline = Run(bundle, perception=InlinePerception(bundle.sessions))
+    thread = Run(bundle, perception=threaded(bundle, sabotage))
+    for _ in range(60):
+        picture = frame(inline.step, time_of(inline.step)) if inline.step % 5 == 0 else None
+        a, b = inline.tick(picture), thread.tick(picture)
+        np.testing.assert_array_equal(a.position, b.position)
+    thread.controller.close()
+
+
+def test_a_dead_vision_thread_is_replaced_and_costs_one_tick_of_vision(bundle, sabotage):
+    run = Run(bundle, perception=threaded(bundle, sabotage))
+    run.ticks(60)
+    run.controller._perception._patience = 0.05  # type: ignore[attr-defined]
+    sabotage.mood = "dies"
+    run.ticks(6)
+    sabotage.mood = "well"
+    run.ticks(20)
+    assert "perception" in run.whats()
+    assert run.events[-1].what == "op"
+    run.controller._perception._patience = 5.0  # type: ignore[attr-defined]
+    assert all(run.ticks(150)[-50:]), "vision comes back"
+    assert run.controller.decision.mode is Mode.WALKING
+    run.controller.close()
+
+
+def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(bundle, sabotage):
+    run = Run(bundle, perception=threaded(bundle, sabotage))
+    run.ticks(60)
+    run.controller._perception._patience = 0.001  # type: ignore[attr-defined]
+    sabotage.mood = "hangs"
+    before = run.controller.policy.latent_op.copy()
+    assert not any(run.ticks(40)[20:])
+    assert run.controller.decision.mode is Mode.WALKING
+    assert not np.array_equal(before, run.controller.policy.latent_op), "OP's estimator goes on"
+    sabotage.released.set()
+    run.controller._perception._patience = 5.0  # type: ignore[attr-defined]
+    assert all(run.ticks(200)[-50:]), "vision comes back"
+    run.controller.close()

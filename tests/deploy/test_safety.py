@@ -1,0 +1,205 @@
+"""Every failure the safety layer promises to catch, injected one by one; limits as properties."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from renet.deploy.operator import Request
+from renet.deploy.safety import (
+    Mode,
+    SafetyCfg,
+    SafetyMachine,
+    clean_state,
+    damping_command,
+    limited_command,
+    limited_request,
+    request_problem,
+    rising_target,
+    state_problem,
+)
+from renet.errors import RenetError
+from renet.training.bundle import go1_spec
+from renet.vocabulary import CONTROL_DT
+
+from .fakes import STANDING, state, time_of
+
+GO1, CFG = go1_spec(), SafetyCfg()
+IDLE = Request()
+
+
+def roll(degrees: float) -> np.ndarray:
+    half = math.radians(degrees) / 2
+    return np.array([math.cos(half), math.sin(half), 0.0, 0.0])
+
+
+def moved(joint: int, value: float) -> np.ndarray:
+    joints = STANDING.copy()
+    joints[joint] = value
+    return joints
+
+
+@pytest.mark.parametrize(
+    ("changes", "now", "problem"),
+    [
+        ({}, 0.04, ""),
+        ({}, 0.06, "the state is 60 ms old"),
+        ({"time": 1.0}, 0.9, "future"),
+        ({"quaternion": roll(69)}, 0.0, ""),
+        ({"quaternion": roll(71)}, 0.0, "tilted by more than 70 degrees"),
+        ({"quaternion": roll(180)}, 0.0, "tilted"),
+        ({"joint_position": moved(0, -1.0)}, 0.0, ""),
+        ({"joint_position": moved(0, -1.1)}, 0.0, "FR_hip_joint is out of its range"),
+        ({"joint_position": moved(11, 0.0)}, 0.0, "RL_calf_joint is out of its range"),
+        ({"joint_velocity": -61.0 * np.eye(12)[4]}, 0.0, "FL_thigh_joint is too fast"),
+        ({"angular_velocity": np.array([0, 0, 31.0])}, 0.0, "turns too fast"),
+    ],
+)
+def test_what_a_reading_forbids(changes, now, problem):
+    found = state_problem(state(**changes), GO1, CFG, now)
+    assert problem in found
+    assert bool(problem) == bool(found)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"joint_position": np.zeros(11)}, r"joint_position has shape \(11,\)"),
+        ({"joint_velocity": np.full(12, np.nan)}, "joint_velocity is not finite"),
+        ({"joint_torque": np.full(12, np.inf)}, "joint_torque is not finite"),
+        ({"quaternion": np.zeros(4)}, "length is not 1"),
+        ({"angular_velocity": "fast"}, "angular_velocity is not made of numbers"),
+        ({"joint_position": None}, "joint_position"),
+        ({"time": math.nan}, "time is not finite"),
+    ],
+)
+def test_malformed_readings_are_named(changes, message):
+    with pytest.raises(RenetError, match=message):
+        clean_state(state(**changes))
+
+
+def test_requests():
+    assert request_problem(Request(speed=9.0)) == ""
+    assert limited_request(Request(speed=9.0)).speed == 1.0
+    assert limited_request(Request(speed=-1.0)).speed == 0.0
+    assert request_problem(Request(arm=True, stop=True)) == "operator stop"
+    assert "not finite" in request_problem(Request(turn=math.nan))
+
+
+def drive(machine: SafetyMachine, steps: int, first: int = 0, request: Request = IDLE) -> None:
+    for step in range(first, first + steps):
+        machine.update("", request, time_of(step))
+
+
+def walking() -> SafetyMachine:
+    machine = SafetyMachine(SafetyCfg(rise_seconds=0.1))
+    machine.update("", IDLE, 0.0)
+    machine.update("", Request(arm=True), time_of(1))
+    assert machine.mode is Mode.RISING
+    drive(machine, 8, first=2)
+    assert machine.mode is Mode.WALKING
+    return machine
+
+
+def test_it_stays_damped_until_armed():
+    machine = SafetyMachine(CFG)
+    drive(machine, 50)
+    assert machine.mode is Mode.DAMPING
+
+
+def test_arming_waits_for_health_and_must_be_pressed_anew():
+    machine = SafetyMachine(CFG)
+    machine.update("tilted", Request(arm=True), 0.0)
+    assert machine.mode is Mode.DAMPING
+    machine.update("", Request(arm=True), 0.02)
+    assert machine.mode is Mode.DAMPING, "a button held down is not pressed again"
+    machine.update("", IDLE, 0.04)
+    machine.update("", Request(arm=True), 0.06)
+    assert machine.mode is Mode.RISING
+
+
+def test_the_first_reason_stays_until_the_next_arming():
+    machine = walking()
+    machine.update("tilted", IDLE, time_of(10))
+    machine.update("stale", IDLE, time_of(11))
+    drive(machine, 100, first=12)
+    assert (machine.mode, machine.reason) == (Mode.DAMPING, "tilted")
+
+
+@pytest.mark.parametrize(
+    ("now", "reason"),
+    [
+        (time_of(9) + 0.11, "no control tick for 110 ms"),
+        (time_of(9) - 0.01, "backwards"),
+        (math.nan, "clock is not finite"),
+    ],
+)
+def test_clocks(now, reason):
+    machine = walking()
+    machine.update("", IDLE, now)
+    assert machine.mode is Mode.DAMPING
+    assert reason in machine.reason
+
+
+def test_one_late_tick_is_forgiven_and_six_in_a_row_are_not():
+    machine, now = walking(), time_of(9)
+    for late in (5, 0, 5):
+        for _ in range(late):
+            now += 1.6 * CONTROL_DT
+            machine.update("", IDLE, now)
+        now += CONTROL_DT
+        machine.update("", IDLE, now)
+        assert machine.mode is Mode.WALKING
+    for _ in range(6):
+        now += 1.6 * CONTROL_DT
+        machine.update("", IDLE, now)
+    assert machine.reason == "6 late control ticks in a row"
+
+
+def test_rising_starts_at_the_measured_pose_and_ends_at_the_default():
+    start = STANDING - 0.5
+    np.testing.assert_allclose(rising_target(start, GO1, 0.0), start)
+    np.testing.assert_allclose(rising_target(start, GO1, 0.5), STANDING - 0.25)
+    np.testing.assert_allclose(rising_target(start, GO1, 1.7), GO1.default_position)
+
+
+def test_damping_only_brakes():
+    command = damping_command(GO1, CFG)
+    assert (command.stiffness == 0).all()
+    assert (command.damping == CFG.damping).all()
+
+
+def test_a_small_step_passes_unchanged():
+    command = limited_command(STANDING + 0.1, STANDING, state(), GO1, CFG)
+    np.testing.assert_allclose(command.position, STANDING + 0.1)
+    np.testing.assert_allclose(command.stiffness, 40.0)
+    np.testing.assert_allclose(command.damping, 1.0)
+
+
+twelve = st.lists(st.floats(-1e6, 1e6), min_size=12, max_size=12).map(np.array)
+ranges = st.lists(st.floats(0, 1), min_size=12, max_size=12).map(
+    lambda share: np.array(GO1.lower) + share * np.subtract(GO1.upper, GO1.lower)
+)
+
+
+@given(twelve, ranges, ranges, st.lists(st.floats(-60, 60), min_size=12, max_size=12))
+def test_no_command_leaves_its_limits(target, previous, position, velocity):
+    reading = state(joint_position=position, joint_velocity=np.array(velocity))
+    command = limited_command(target, previous, reading, GO1, CFG)
+    assert (command.position >= GO1.lower).all()
+    assert (command.position <= GO1.upper).all()
+    assert (np.abs(command.position - previous) <= CFG.target_rate * CONTROL_DT + 1e-9).all()
+    assert (command.stiffness <= 40.0).all()
+    assert (command.damping <= 1.0).all()
+    assert (command.damping >= 0.0).all()
+    torque = command.stiffness * (command.position - position) - command.damping * velocity
+    assert (np.abs(torque) <= np.array(GO1.torque_limit) + 1e-6).all()
+
+
+def test_limits_must_be_positive():
+    with pytest.raises(RenetError, match="max_tilt must be positive"):
+        SafetyCfg(max_tilt=0.0)
