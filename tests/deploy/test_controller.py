@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 from dataclasses import replace
@@ -141,7 +142,7 @@ def test_unplugged_and_replugged_50_times(bundle):
         run.ticks(10)
     assert run.controller.decision.mode is Mode.WALKING
     returns = [event.time for event in run.events if event.what == "vp"]
-    assert all(b - a >= 5.0 for a, b in zip(returns, returns[1:], strict=False))
+    assert all(b - a >= 5.0 for a, b in itertools.pairwise(returns))
 
 
 @pytest.mark.parametrize(

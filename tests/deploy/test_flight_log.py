@@ -1,0 +1,143 @@
+"""Flights come back as they were written, whole or torn, and replay to the last bit."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from renet.deploy.bundle import Bundle
+from renet.deploy.controller import Controller
+from renet.deploy.flight_log import MAGIC, MODES, FlightLog, read_log
+from renet.deploy.operator import Request
+from renet.deploy.perception import ThreadedPerception
+from renet.deploy.replay import mismatch, replay
+from renet.deploy.safety import Mode, SafetyCfg
+from renet.errors import RenetError
+
+from .fakes import STANDING, frame, state, time_of
+
+STEPS = 230
+CFG = SafetyCfg(rise_seconds=0.1)
+
+
+def fly(bundle: Bundle, path, perception=None) -> None:
+    header = {"bundle_sha256": bundle.sha256, "safety": asdict(CFG), "paper_selector": False}
+    log = FlightLog(path, header)
+    controller = Controller(bundle, CFG, perception, on_event=log.event)
+    random = np.random.default_rng(3)
+    for step in range(STEPS):
+        now = time_of(step)
+        reading = state(now, joint_position=STANDING + 0.05 * random.normal(size=12))
+        picture = frame(step - step % 5, time_of(step - step % 5)) if step % 90 < 60 else None
+        if step == 150:
+            reading = state(now, joint_position=np.zeros(5))
+        if step == 100:
+            picture = frame(step, now)
+            picture = type(picture)(np.zeros((2, 2)), step, now)
+        request = Request(speed=0.5, turn=0.01 * step, arm=step in (1, 160))
+        controller.tick(reading, picture, request, now)
+        log.append(reading, picture, request, now, controller.decision, compute_ms=1.5)
+    controller.close()
+    log.close()
+    log.close()
+
+
+@pytest.fixture
+def bundle(bundle_path) -> Bundle:
+    return Bundle.load(bundle_path)
+
+
+def test_a_flight_comes_back_whole(bundle, tmp_path):
+    fly(bundle, tmp_path / "logs" / "a.flight")
+    flight = read_log(tmp_path / "logs" / "a.flight")
+    assert flight.complete
+    assert len(flight.ticks) == STEPS
+    assert flight.header["bundle_sha256"] == bundle.sha256
+    assert [MODES[m] for m in flight.ticks["mode"][[0, 5, 100, 155, 229]]] == [
+        Mode.DAMPING,
+        Mode.RISING,
+        Mode.WALKING,
+        Mode.DAMPING,
+        Mode.WALKING,
+    ]
+    assert flight.events[0].what == "rising"
+    assert any("joint_position has shape (5,)" in event.why for event in flight.events)
+    np.testing.assert_array_equal(flight.images[15], frame(15, 0.3).image.astype(np.float16))
+    assert flight.ticks["compute_ms"][7] == 1.5
+    assert (tmp_path / "logs" / "a.flight").stat().st_size < 1_000_000
+
+
+def test_replay_is_bit_for_bit(bundle, tmp_path):
+    fly(bundle, tmp_path / "a.flight")
+    flight = read_log(tmp_path / "a.flight")
+    assert mismatch(flight, bundle) == 0.0
+    vision = [decision.vision for decision in replay(flight, bundle)]
+    np.testing.assert_array_equal(vision, flight.ticks["vision"])
+    assert 0 < np.mean(vision) < 1
+
+
+def test_a_flight_with_an_impatient_vision_thread_replays_too(bundle, tmp_path):
+    fly(bundle, tmp_path / "a.flight", ThreadedPerception(bundle.sessions, patience=0.0))
+    flight = read_log(tmp_path / "a.flight")
+    assert mismatch(flight, bundle) == 0.0
+
+
+def test_another_bundle_is_refused(bundle, tmp_path):
+    fly(bundle, tmp_path / "a.flight")
+    flight = read_log(tmp_path / "a.flight")
+    flight.header["bundle_sha256"] = "0" * 64
+    with pytest.raises(RenetError, match="made with bundle 000000000000"):
+        next(replay(flight, bundle))
+
+
+def test_a_torn_flight_is_read_up_to_the_tear(bundle, tmp_path):
+    fly(bundle, tmp_path / "a.flight")
+    data = (tmp_path / "a.flight").read_bytes()
+    torn = tmp_path / "torn.flight"
+    lengths = []
+    for size in range(len(MAGIC), len(data), max(1, len(data) // 200)):
+        torn.write_bytes(data[:size])
+        with suppress(RenetError):  # Torn within the header.
+            flight = read_log(torn)
+            assert not flight.complete
+            lengths.append(len(flight.ticks))
+    assert lengths == sorted(lengths)
+    assert lengths[-1] == STEPS
+
+
+def test_a_flipped_bit_ends_the_flight_there(bundle, tmp_path):
+    fly(bundle, tmp_path / "a.flight")
+    data = bytearray((tmp_path / "a.flight").read_bytes())
+    data[len(data) // 2] ^= 4
+    (tmp_path / "a.flight").write_bytes(data)
+    flight = read_log(tmp_path / "a.flight")
+    assert not flight.complete
+    assert 0 < len(flight.ticks) < STEPS
+
+
+def test_not_a_flight(tmp_path):
+    with pytest.raises(RenetError, match="cannot read the flight log"):
+        read_log(tmp_path / "none")
+    (tmp_path / "essay").write_text("once")
+    with pytest.raises(RenetError, match="not a flight log"):
+        read_log(tmp_path / "essay")
+
+
+def test_a_log_that_cannot_be_written_says_so_before_the_flight(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RenetError, match="cannot write the flight log"):
+        FlightLog(tmp_path / "file" / "a.flight", {})
+
+
+def test_a_full_disk_ends_the_log_and_not_the_flight(bundle):
+    log = FlightLog(Path("/dev/full"), {})
+    controller = Controller(bundle, CFG)
+    for step in range(60):
+        controller.tick(state(time_of(step)), None, Request(), time_of(step))
+        log.append(None, None, Request(), time_of(step), controller.decision, 0.0)
+    log.close()
+    assert "ends early" in log.problem
