@@ -1,0 +1,69 @@
+"""From a real depth image to the one a policy was trained on: crop, resize, clip, normalise.
+
+Training casts one ray through the centre of each pixel of a cropped, resized image. A real image is
+therefore sampled where those rays meet it, whatever its own size and lens.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from renet.deploy.manifest import CameraSpec
+from renet.errors import RenetError
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """A camera's image without distortion; pixel (0, 0) has its centre at (0, 0)."""
+
+    width: int
+    height: int
+    fx: float
+    """Focal length in pixels."""
+    fy: float
+    cx: float
+    """Principal point in pixels."""
+    cy: float
+
+
+class Sampler:
+    """Picks a policy's pixels from one camera's images."""
+
+    def __init__(self, lens: Pinhole, spec: CameraSpec) -> None:
+        """Find the pixels; raises RenetError if the camera's view is too narrow."""
+        left = (spec.cx - 0.5 - np.arange(spec.width)) / spec.fx
+        up = (spec.cy - 0.5 - np.arange(spec.height)) / spec.fy
+        self._columns = np.rint(lens.cx - lens.fx * left).astype(int)
+        self._rows = np.rint(lens.cy - lens.fy * up).astype(int)
+        for name, index, size in (
+            ("wide", self._columns, lens.width),
+            ("high", self._rows, lens.height),
+        ):
+            if index[0] < 0 or index[-1] >= size:
+                raise RenetError(
+                    f"the camera's image is not {name} enough for the policy: it needs pixels "
+                    f"{index[0]} to {index[-1]} of {size}; choose another resolution"
+                )
+        self.size = (lens.height, lens.width)
+        """Rows, columns of the images it takes."""
+        self._range = spec.range
+
+    def crop(self, image: np.ndarray) -> np.ndarray:
+        """The part of an image [rows, columns] that the policy's view covers, full resolution."""
+        return image[self._rows[0] : self._rows[-1] + 1, self._columns[0] : self._columns[-1] + 1]
+
+    def image(self, depth: np.ndarray) -> np.ndarray:
+        """Metres [rows, columns], 0 where nothing was measured, to [48, 64] in [0, 1].
+
+        A pixel without a measurement becomes 1, as a ray that hits nothing within range does.
+        """
+        picked = depth[np.ix_(self._rows, self._columns)]
+        metres = np.where(picked > 0.0, picked, self._range)
+        return (np.minimum(metres, self._range) / self._range).astype(np.float32)
+
+
+def invalid_share(image: np.ndarray) -> float:
+    """Share of pixels without a measurement, which cameras give as 0."""
+    return float((image == 0).mean())

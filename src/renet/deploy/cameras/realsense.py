@@ -1,0 +1,211 @@
+"""Intel RealSense depth cameras through librealsense: its filters, our crop, honest timestamps."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.cameras.prepare import Pinhole, Sampler, invalid_share
+from renet.deploy.manifest import CameraSpec
+from renet.errors import RenetError
+
+WIDTH, HEIGHT, FPS = 848, 480, 30
+"""The resolution at which the vendor says the D435 family measures best."""
+SILENCE = 1.0
+"""Seconds without a frame after which the camera is opened anew: it may have been replugged."""
+RETRY = 0.5
+"""Seconds between two attempts to open it."""
+OFFSETS = 100
+"""Frames over which the fastest arrival fixes the offset of camera and robot clocks."""
+
+
+def realsense() -> Any:
+    """The vendor's module; raises RenetError with what to install."""
+    try:
+        import pyrealsense2
+    except ImportError as error:
+        raise RenetError(
+            f"the RealSense camera needs its driver: pip install 'renet[realsense]' and the "
+            f"system package libusb-1.0-0 ({error})"
+        ) from error
+    return pyrealsense2
+
+
+class Filters:
+    """librealsense's own post-processing in the order its vendor recommends."""
+
+    def __init__(self, rs: Any) -> None:
+        decimation = rs.decimation_filter(2)
+        temporal = rs.temporal_filter()
+        # Its persistence would refill holes from old frames: a partly frozen image.
+        temporal.set_option(rs.option.holes_fill, 0)
+        # Nearest neighbour, as published Go1 parkour policies: an obstacle too close stays close.
+        holes = rs.hole_filling_filter(2)
+        self._chain = (
+            decimation,
+            rs.disparity_transform(True),
+            rs.spatial_filter(),
+            temporal,
+            rs.disparity_transform(False),
+            holes,
+        )
+
+    def apply(self, frame: Any) -> Any:
+        """The filtered depth frame."""
+        for step in self._chain:
+            frame = step.process(frame)
+        return frame.as_depth_frame()
+
+
+class ClockOffset:
+    """Turns the camera's timestamps into times on the robot's clock.
+
+    The frame that travelled fastest among the last ones fixes the offset, so that a frame held up
+    on the way is as old as it is.
+    """
+
+    def __init__(self) -> None:
+        self._offsets: deque[float] = deque(maxlen=OFFSETS)
+        self._last = -np.inf
+
+    def time(self, stamp: float, arrival: float) -> float:
+        """Seconds on the robot's clock of a frame stamped by the camera in seconds."""
+        if stamp < self._last:  # The camera was restarted: its clock is another.
+            self._offsets.clear()
+        self._last = stamp
+        self._offsets.append(arrival - stamp)
+        return min(arrival, stamp + min(self._offsets))
+
+
+class RealSenseCamera:
+    """A depth camera on a thread of its own; see `cameras.base.Camera`.
+
+    It opens the camera anew whenever frames stop, so that one that is replugged comes back.
+    """
+
+    def __init__(
+        self, spec: CameraSpec, clock: Callable[[], float], device: Any = None, serial: str = ""
+    ) -> None:
+        """Set up without touching the camera.
+
+        Args:
+            spec: what the policy must be given. clock: seconds on the robot's clock.
+            device: an open librealsense device, such as a software device; found by default.
+            serial: which of several cameras.
+        """
+        self._spec, self._clock, self._device, self._serial = spec, clock, device, serial
+        self._rs = realsense()
+        self._latest: DepthFrame | None = None
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.problem = ""
+        """What went wrong last; empty while frames arrive."""
+
+    def start(self) -> None:
+        """See Camera.start."""
+        stream = self._open()
+        self._thread = threading.Thread(target=self._run, args=(stream,), daemon=True)
+        self._thread.start()
+
+    def latest(self) -> DepthFrame | None:
+        """See Camera.latest."""
+        return self._latest
+
+    def close(self) -> None:
+        """See Camera.close."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(timeout=2 * SILENCE)
+
+    def _open(self) -> tuple[Any, Any]:
+        """Start the depth sensor; returns it and the queue its frames arrive in."""
+        device = self._device or self._find()
+        try:
+            sensor = device.first_depth_sensor()
+            sensor.open(self._profile(sensor))
+            queue = self._rs.frame_queue(1)
+            sensor.start(queue)
+        except RuntimeError as error:
+            raise RenetError(f"the RealSense camera does not start: {error}") from error
+        return sensor, queue
+
+    def _find(self) -> Any:
+        devices = list(self._rs.context().query_devices())
+        serials = [device.get_info(self._rs.camera_info.serial_number) for device in devices]
+        for device, serial in zip(devices, serials, strict=True):
+            if self._serial in ("", serial):
+                return device
+        seen = f"only {', '.join(serials)} connected" if serials else "none is connected"
+        raise RenetError(f"no RealSense camera {self._serial}: {seen}; check its USB 3 cable")
+
+    def _profile(self, sensor: Any) -> Any:
+        """The stream to open: 848 x 480 at 30 Hz, or what a sensor of one profile has."""
+        found = [p.as_video_stream_profile() for p in sensor.get_stream_profiles()]
+        found = [p for p in found if p and p.format() == self._rs.format.z16]
+        for profile in found:
+            if (profile.width(), profile.height(), profile.fps()) == (WIDTH, HEIGHT, FPS):
+                return profile
+        offered = ", ".join(f"{p.width()}x{p.height()}@{p.fps()}" for p in found) or "none"
+        raise RenetError(
+            f"the RealSense camera has no depth of {WIDTH}x{HEIGHT} at {FPS} Hz (it offers "
+            f"{offered}): connect it by USB 3"
+        )
+
+    def _run(self, stream: tuple[Any, Any]) -> None:
+        while not self._stop.is_set():
+            try:
+                self._stream(stream[1])
+            except Exception as error:  # The robot walks on without its camera.
+                self.problem = f"{type(error).__name__}: {error}"
+            _shut(stream[0])
+            while not self._stop.wait(RETRY):
+                try:
+                    stream = self._open()
+                except RenetError as error:
+                    self.problem = str(error)
+                else:
+                    break
+
+    def _stream(self, queue: Any) -> None:
+        """Prepare frames until they stop."""
+        filters, offset = Filters(self._rs), ClockOffset()
+        raw_sampler: Sampler | None = None
+        sampler: Sampler | None = None
+        while not self._stop.is_set():
+            arrived, frame = queue.try_wait_for_frame(round(1000 * SILENCE))
+            if not arrived:
+                self.problem = f"no frame for {SILENCE:g} s"
+                return
+            now = self._clock()
+            raw = frame.as_depth_frame()
+            filtered = filters.apply(raw)
+            if raw_sampler is None or sampler is None:
+                raw_sampler = Sampler(_lens(raw), self._spec)
+                sampler = Sampler(_lens(filtered), self._spec)
+            metres = np.asanyarray(filtered.get_data()) * filtered.get_units()
+            self._latest = DepthFrame(
+                image=sampler.image(metres),
+                number=raw.get_frame_number(),
+                time=offset.time(raw.get_timestamp() / 1000.0, now),
+                invalid=invalid_share(raw_sampler.crop(np.asanyarray(raw.get_data()))),
+            )
+            self.problem = ""
+
+
+def _lens(frame: Any) -> Pinhole:
+    found = frame.get_profile().as_video_stream_profile().get_intrinsics()
+    return Pinhole(found.width, found.height, found.fx, found.fy, found.ppx, found.ppy)
+
+
+def _shut(sensor: Any) -> None:
+    """Stop and close, each of which fails if the camera is gone."""
+    for end in (sensor.stop, sensor.close):
+        try:
+            end()
+        except RuntimeError:
+            continue

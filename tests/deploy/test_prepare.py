@@ -1,0 +1,64 @@
+"""Real images against the rays of training, by hand and by projection."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from renet.deploy.cameras.prepare import Pinhole, Sampler, invalid_share
+from renet.errors import RenetError
+from renet.sim.camera_model import Intrinsics
+from renet.training.bundle import camera_spec
+
+LENS = Pinhole(848, 480, 446.8, 446.8, 423.5, 239.5)
+"""87 degrees across."""
+
+
+def test_every_pixel_is_taken_where_training_casts_its_ray():
+    rows, columns = np.mgrid[: LENS.height, : LENS.width]
+    sampler = Sampler(LENS, camera_spec())
+    rays = Intrinsics().rays().numpy().reshape(48, 64, 3)
+    left = (LENS.cx - columns) / LENS.fx
+    up = (LENS.cy - rows) / LENS.fy
+    half_pixel = 0.5 / LENS.fx
+    np.testing.assert_allclose(sampler.image(left + 1.0), (rays[..., 1] + 1) / 2, atol=half_pixel)
+    np.testing.assert_allclose(sampler.image(up + 1.0), (rays[..., 2] + 1) / 2, atol=half_pixel)
+
+
+def test_a_tilted_plane_looks_as_it_does_to_the_ray_caster():
+    """Depth of a plane 0.4 m below a camera pitched 30 degrees, on both pinholes."""
+    rows, _ = np.mgrid[: LENS.height, : LENS.width]
+
+    def depth(up):
+        downwards = 0.5 - up * np.sqrt(0.75)
+        return np.where(downwards > 0.05, 0.4 / np.maximum(downwards, 0.05), 50.0)
+
+    image = Sampler(LENS, camera_spec()).image(depth((LENS.cy - rows) / LENS.fy))
+    rays = Intrinsics().rays()[:, 2].reshape(48, 64)
+    expected = torch.as_tensor(depth(rays.numpy())).clamp(max=2.0) / 2.0
+    np.testing.assert_allclose(image, expected, atol=0.01)
+
+
+def test_clipping_and_holes():
+    depth = np.full((480, 848), 7.0)
+    depth[:, 424:] = 0.0
+    depth[300:] = 0.5
+    image = Sampler(LENS, camera_spec()).image(depth)
+    assert set(np.unique(image)) == {np.float32(0.25), np.float32(1.0)}
+
+
+def test_only_the_policys_view_counts_as_invalid():
+    raw = np.ones((480, 848), np.uint16)
+    sampler = Sampler(LENS, camera_spec())
+    raw[:, :100] = 0
+    assert invalid_share(sampler.crop(raw)) == 0.0
+    raw[:240] = 0
+    assert invalid_share(sampler.crop(raw)) == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_narrow_camera_is_refused():
+    with pytest.raises(RenetError, match="not wide enough"):
+        Sampler(Pinhole(848, 480, 900.0, 446.8, 423.5, 239.5), camera_spec())
+    with pytest.raises(RenetError, match="not high enough"):
+        Sampler(Pinhole(848, 480, 446.8, 900.0, 423.5, 239.5), camera_spec())
