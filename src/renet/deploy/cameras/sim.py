@@ -1,0 +1,96 @@
+"""A simulated depth camera: MuJoCo's own ray caster, the training camera's geometry and noise."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.manifest import CameraSpec
+from renet.deploy.robots.mujoco import BASE, MujocoRobot
+
+SEEN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
+"""MuJoCo geom groups of the terrain; robots' collision geoms are in group 3."""
+RELATIVE_STD, GAUSSIAN_STD = 0.01, 0.1
+"""Noise of the training camera: m/m, and m."""
+
+
+class SimCamera:
+    """Looks at the terrain of a `MujocoRobot`'s scene, at the camera's rate on the robot's clock.
+
+    What it sees is within a millimetre of the training camera's; both are tested against each
+    other.
+    """
+
+    def __init__(
+        self, robot: MujocoRobot, camera: CameraSpec, seed: int = 0, noise: bool = True
+    ) -> None:
+        self._robot, self._spec = robot, camera
+        self._random = np.random.default_rng(seed) if noise else None
+        self._rays = pixel_rays(camera)
+        self._period, self._due = 1.0 / camera.rate_hz, 0.0
+        self._frame: DepthFrame | None = None
+        self._number = 0
+
+    def start(self) -> None:
+        """The first image is due now."""
+        self._due = self._robot.now()
+
+    def latest(self) -> DepthFrame:
+        """See Camera.latest; casts rays when an image is due."""
+        now = self._robot.now()
+        if self._frame is None or now >= self._due - 1e-6:
+            self._due = max(self._due, now - self._period) + self._period
+            image = np.clip(self._noisy(self.depth()) / self._spec.range, 0.0, 1.0)
+            self._frame = DepthFrame(image.astype(np.float32), self._number, now)
+            self._number += 1
+        return self._frame
+
+    def close(self) -> None:
+        """Nothing to stop."""
+
+    def depth(self) -> np.ndarray:
+        """Planar metres [H, W] without noise, capped at the range."""
+        robot, spec = self._robot, self._spec
+        body = robot.data.body(BASE)
+        base = body.xmat.reshape(3, 3)
+        lengths = np.linalg.norm(self._rays, axis=1)
+        directions = (self._rays / lengths[:, None]) @ (base @ tilt(spec.pitch)).T
+        distance = np.empty(len(lengths))
+        geoms = np.empty(len(lengths), np.int32)
+        mujoco.mj_multiRay(
+            robot.model,
+            robot.data,
+            body.xpos + base @ np.array(spec.position),
+            np.ascontiguousarray(directions).ravel(),
+            SEEN_GROUPS,
+            True,
+            -1,
+            geoms,
+            distance,
+            None,
+            len(lengths),
+            spec.range * float(lengths.max()),
+        )
+        planar = np.where(geoms >= 0, distance / lengths, spec.range)
+        return np.minimum(planar, spec.range).reshape(spec.height, spec.width)
+
+    def _noisy(self, depth: np.ndarray) -> np.ndarray:
+        if self._random is None:
+            return depth
+        std = np.hypot(RELATIVE_STD * depth, GAUSSIAN_STD)
+        return depth + std * self._random.standard_normal(depth.shape)
+
+
+def pixel_rays(camera: CameraSpec) -> np.ndarray:
+    """Directions (forward, left, up) through pixel centres, forward component 1, [H * W, 3]."""
+    up = (camera.cy - 0.5 - np.arange(camera.height)) / camera.fy
+    left = (camera.cx - 0.5 - np.arange(camera.width)) / camera.fx
+    rows, columns = np.meshgrid(up, left, indexing="ij")
+    return np.stack((np.ones_like(rows), columns, rows), axis=-1).reshape(-1, 3)
+
+
+def tilt(pitch: float) -> np.ndarray:
+    """Rotation [3, 3] of a camera that looks down by `pitch` rad."""
+    sine, cosine = np.sin(pitch), np.cos(pitch)
+    return np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])

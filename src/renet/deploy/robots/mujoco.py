@@ -1,0 +1,105 @@
+"""The Go1 in C MuJoCo, in this process: as fast as it goes, or paced to the wall clock."""
+
+from __future__ import annotations
+
+import time
+
+import mujoco
+import numpy as np
+
+from renet.deploy.manifest import RobotSpec
+from renet.deploy.robots.base import JointCommand, RobotState
+from renet.errors import RenetError
+from renet.vocabulary import JOINTS
+
+START_HEIGHT = 0.30
+"""Of the trunk above the ground at the start, m."""
+BASE = "trunk"
+
+
+class MujocoRobot:
+    """A simulated robot; its clock is the simulation's."""
+
+    def __init__(
+        self, model: mujoco.MjModel, robot: RobotSpec, ground: float = 0.0, real_time: bool = False
+    ) -> None:
+        """Put the robot at the origin, in its default pose.
+
+        Args:
+            model: a scene with the robot in it (see scene.build_scene).
+            robot: of the bundle. ground: height of what it stands on, m.
+            real_time: pace the simulation to the wall clock.
+
+        Raises:
+            RenetError: the scene lacks one of the robot's joints or servos.
+        """
+        self.model, self.data = model, mujoco.MjData(model)
+        self._real_time = real_time
+        try:
+            joints = [model.joint(name) for name in JOINTS]
+            self._servos = np.array([model.actuator(name).id for name in JOINTS])
+        except KeyError as error:
+            raise RenetError(f"the scene does not hold the robot: {error.args[0]}") from error
+        self._position = np.array([joint.qposadr[0] for joint in joints])
+        self._velocity = np.array([joint.dofadr[0] for joint in joints])
+        free = model.body(BASE).jntadr[0]
+        start = model.jnt_qposadr[free]
+        self._base = slice(start, start + 7)
+        spin = model.jnt_dofadr[free] + 3
+        self._spin = slice(spin, spin + 3)
+        self.data.qpos[self._base] = (0.0, 0.0, ground + START_HEIGHT, 1.0, 0.0, 0.0, 0.0)
+        self.data.qpos[self._position] = robot.default_position
+        mujoco.mj_forward(model, self.data)
+        self._begun: float | None = None
+
+    def connect(self) -> None:
+        """Start the wall clock."""
+        self._begun = time.monotonic() - self.data.time
+
+    def read(self) -> RobotState:
+        """See Robot.read."""
+        data = self.data
+        return RobotState(
+            time=data.time,
+            joint_position=data.qpos[self._position],
+            joint_velocity=data.qvel[self._velocity],
+            joint_torque=data.actuator_force[self._servos],
+            quaternion=data.qpos[self._base][3:].copy(),
+            angular_velocity=data.qvel[self._spin].copy(),
+        )
+
+    def write(self, command: JointCommand) -> None:
+        """See Robot.write; MuJoCo's own servos carry the command out, saturating as motors do."""
+        model, servos = self.model, self._servos
+        self.data.ctrl[servos] = command.position
+        model.actuator_gainprm[servos, 0] = command.stiffness
+        model.actuator_biasprm[servos, 1] = -command.stiffness
+        model.actuator_biasprm[servos, 2] = -command.damping
+
+    def now(self) -> float:
+        """Simulated seconds."""
+        return self.data.time
+
+    def wait(self, until: float) -> None:
+        """Simulate, and in real time sleep."""
+        while self.data.time < until - 0.5 * self.model.opt.timestep:
+            mujoco.mj_step(self.model, self.data)
+        # Readings are taken between steps: positions and derived poses must agree.
+        mujoco.mj_forward(self.model, self.data)
+        if self._real_time and self._begun is not None:
+            time.sleep(max(0.0, self._begun + self.data.time - time.monotonic()))
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    # For judges, not for the controller: a robot does not know these.
+
+    @property
+    def base_position(self) -> np.ndarray:
+        """[3] m, world."""
+        return self.data.qpos[self._base][:3].copy()
+
+    @property
+    def upright(self) -> bool:
+        """Whether the base leans by less than 60 degrees."""
+        return bool(self.data.body(BASE).xmat[8] > 0.5)

@@ -1,0 +1,93 @@
+"""Scenes for the simulated robot: the Go1 on a plane, on a training tile, or on anyone's MJCF."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from renet.errors import RenetError
+
+GO1 = Path(__file__).with_name("go1.xml")
+TERRAIN_GROUP = 0
+"""MuJoCo geom group of what the camera sees; the robot's collision geoms are in group 3."""
+FLAT = "flat"
+BORDER = 40.0
+"""Half-width of the ground around a tile, m."""
+GROUND = (0.62, 0.60, 0.56, 1.0)
+SHORT = {"stairs": "stairs_up"}
+
+
+def build_scene(
+    terrain: str = FLAT, level: int = 3, file: Path | None = None, seed: int = 0
+) -> tuple[mujoco.MjModel, float]:
+    """A model with the Go1 in it, and the height in m of the ground it starts on, at x = y = 0.
+
+    Args:
+        terrain: flat, or a kind of training tile. level: of the tile, 1 to 10.
+        file: an MJCF scene to use instead; its static geoms are the terrain.
+        seed: of tiles with random parts.
+
+    Raises:
+        RenetError: unknown terrain or level, or a scene file MuJoCo cannot read.
+    """
+    spec = mujoco.MjSpec.from_file(str(GO1))
+    spec.worldbody.add_light(pos=(0, 0, 8), dir=(0, 0, -1), castshadow=False)
+    start = 0.0
+    if file is not None:
+        _add_file(spec, file)
+    elif terrain == FLAT:
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_PLANE, size=(BORDER, BORDER, 1), rgba=GROUND
+        )
+    else:
+        start = _add_tile(spec, SHORT.get(terrain, terrain), level, seed)
+    return spec.compile(), start
+
+
+def _ground(body: mujoco.MjsBody, position: tuple[float, float], half: tuple[float, float]) -> None:
+    """A slab whose top is at z = 0."""
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=(*half, 0.5),
+        pos=(position[0], position[1], -0.5),
+        rgba=GROUND,
+    )
+
+
+def _add_file(spec: mujoco.MjSpec, file: Path) -> None:
+    try:
+        other = mujoco.MjSpec.from_file(str(file))
+        spec.attach(other, prefix="scene/", frame=spec.worldbody.add_frame())
+    except ValueError as error:
+        raise RenetError(f"cannot use the scene {file}: {str(error).splitlines()[0]}") from error
+
+
+def _add_tile(spec: mujoco.MjSpec, kind: str, level: int, seed: int) -> float:
+    """A training tile with its middle at the origin, and ground around it."""
+    try:
+        from renet.tasks.terrains import LEVELS, TILE, tiles
+    except ModuleNotFoundError as error:
+        raise RenetError(
+            f"terrain {kind!r} is built by the training tasks: pip install 'renet[train]', "
+            "or give an MJCF file with --scene"
+        ) from error
+    known = tiles()
+    if kind not in known:
+        raise RenetError(f"unknown terrain {kind!r}: choose one of flat, {', '.join(known)}")
+    if not 1 <= level <= LEVELS:
+        raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")
+    spec.worldbody.add_body(name="terrain")
+    difficulty = (level - 1) / (LEVELS - 1)
+    output = known[kind].function(difficulty, spec, np.random.default_rng(seed))
+    middle = np.array([TILE / 2, TILE / 2, 0.0])
+    for geometry in output.geometries:
+        if geometry.geom is not None:
+            geometry.geom.pos = np.asarray(geometry.geom.pos) - middle
+    half = (BORDER - TILE / 2) / 2
+    body, away = spec.body("terrain"), TILE / 2 + half
+    for side in (-1, 1):
+        _ground(body, (side * away, 0.0), (half, BORDER))
+        _ground(body, (0.0, side * away), (TILE / 2, half))
+    return float(output.origin[2])

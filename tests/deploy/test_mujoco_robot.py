@@ -1,0 +1,206 @@
+"""The simulated robot and camera are the training's, and carry commands out as told."""
+
+from __future__ import annotations
+
+import io
+import sys
+from contextlib import redirect_stdout
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from renet.deploy.cameras.sim import SimCamera
+from renet.deploy.observation import observe
+from renet.deploy.robots.base import JointCommand, run_period
+from renet.deploy.robots.mujoco import MujocoRobot
+from renet.deploy.robots.scene import GO1, build_scene
+from renet.errors import RenetError
+from renet.sim.camera_model import Intrinsics, mount_rotation
+from renet.sim.raycast import TerrainScanner
+from renet.tasks import make_env
+from renet.tasks.config import flat_env_cfg
+from renet.training.bundle import camera_spec, go1_spec
+from renet.vocabulary import CONTROL_DT, JOINTS
+
+ROBOT, CAMERA = go1_spec(), camera_spec()
+
+
+def robot_on(terrain: str = "flat", level: int = 3, real_time: bool = False) -> MujocoRobot:
+    model, ground = build_scene(terrain, level)
+    return MujocoRobot(model, ROBOT, ground, real_time)
+
+
+def hold(robot: MujocoRobot, position=ROBOT.default_position, stiffness=40.0) -> JointCommand:
+    return JointCommand(np.array(position), np.full(12, stiffness), np.ones(12))
+
+
+@pytest.fixture(scope="module")
+def env():
+    """The training task with one unrandomised robot."""
+    cfg = flat_env_cfg(play=True)
+    cfg.events = {}
+    with redirect_stdout(io.StringIO()):
+        env = make_env(cfg, 1, engine="native")
+        env.reset()
+    return env
+
+
+def test_the_shipped_model_is_the_one_that_was_trained(env):
+    ours, theirs = mujoco.MjModel.from_xml_path(str(GO1)), env.sim.mj_model
+    for name in JOINTS:
+        a, b = ours.joint(name), theirs.joint(f"robot/{name}")
+        np.testing.assert_allclose(a.range, b.range)
+        np.testing.assert_allclose(a.pos, b.pos)
+        np.testing.assert_allclose(a.axis, b.axis)
+        for field in ("dof_armature", "dof_damping", "dof_frictionloss"):
+            mine, his = getattr(ours, field), getattr(theirs, field)
+            np.testing.assert_allclose(mine[a.dofadr], his[b.dofadr], rtol=1e-5)
+        a, b = ours.actuator(name), theirs.actuator(f"robot/{name}")
+        for field in ("gainprm", "biasprm", "forcerange", "forcelimited"):
+            np.testing.assert_allclose(getattr(a, field), getattr(b, field))
+    for body in range(1, ours.nbody):
+        a, b = ours.body(body), theirs.body(f"robot/{ours.body(body).name}")
+        for field in ("mass", "inertia", "ipos", "iquat", "pos", "quat"):
+            if (field, a.name) != ("pos", "trunk"):
+                np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=1e-5)
+    for geom in range(ours.ngeom):
+        a, b = ours.geom(geom), theirs.geom(f"robot/{ours.geom(geom).name}")
+        for field in (
+            "type",
+            "size",
+            "pos",
+            "quat",
+            "friction",
+            "condim",
+            "priority",
+            "conaffinity",
+        ):
+            np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=1e-5)
+    for option in ("timestep", "integrator", "cone", "iterations", "ls_iterations", "impratio"):
+        assert getattr(ours.opt, option) == getattr(theirs.opt, option)
+
+
+def test_same_start_same_actions_same_steps_as_the_training_environment(env):
+    robot = robot_on()
+    random = np.random.default_rng(0)
+    with redirect_stdout(io.StringIO()):
+        observation, _ = env.reset()
+    robot.data.qpos[:] = env.sim.data.qpos[0].numpy()
+    robot.data.qvel[:] = env.sim.data.qvel[0].numpy()
+    mujoco.mj_forward(robot.model, robot.data)
+    action, goal = np.zeros(12), env.command_manager.get_term("goal")
+    for _ in range(40):
+        mine = observe(robot.read(), ROBOT, goal.speed.item(), goal.yaw.item(), last_action=action)
+        theirs = observation["proprioception_clean"][0].numpy()
+        np.testing.assert_allclose(mine, theirs, atol=5e-3)
+        action = 0.5 * random.normal(size=12).astype(np.float32)
+        robot.write(hold(robot, ROBOT.default_position + ROBOT.action_scale * action))
+        robot.wait(robot.now() + CONTROL_DT)
+        observation = env.step(torch.from_numpy(action)[None])[0]
+
+
+@pytest.mark.parametrize("kind", ["flat", "rough", "obstacles", "stairs", "gap", "platform"])
+def test_the_camera_sees_what_the_training_camera_sees(kind):
+    robot = robot_on(kind, 5)
+    robot.data.qpos[:7] = (1.0, 0.4, robot.base_position[2], 0.95, 0.05, 0.1, 0.3)
+    robot.data.qpos[3:7] /= np.linalg.norm(robot.data.qpos[3:7])
+    mujoco.mj_forward(robot.model, robot.data)
+    mine = SimCamera(robot, CAMERA, noise=False).depth()
+    body = robot.data.body("trunk")
+    base = torch.tensor(body.xmat.reshape(3, 3), dtype=torch.float32)
+    eye = torch.tensor(body.xpos, dtype=torch.float32) + base @ torch.tensor(CAMERA.position)
+    mount = mount_rotation(torch.tensor([CAMERA.pitch]), torch.zeros(1))[0]
+    raw = TerrainScanner(robot.model, "cpu").depth(
+        eye[None], (base @ mount)[None], Intrinsics().rays(), CAMERA.range
+    )
+    theirs = torch.where(raw < 0, CAMERA.range, raw).reshape(48, 64).numpy()
+    error = np.abs(mine - theirs)
+    # Rays that graze an edge may fall on either side of it.
+    assert (error > 1e-3).mean() < 0.003
+    assert np.median(error) < 1e-5
+
+
+def test_camera_rate_noise_and_seed():
+    robot = robot_on()
+    camera, twin = SimCamera(robot, CAMERA, seed=4), SimCamera(robot, CAMERA, seed=4)
+    camera.start()
+    deadline, numbers, images = robot.now(), [], []
+    for _ in range(50):
+        shown = camera.latest()
+        numbers.append(shown.number)
+        images.append(shown.image)
+        robot.write(hold(robot))
+        deadline = run_period(robot, deadline)
+    assert numbers[-1] == 9
+    assert 0.0 <= images[0].min() < images[0].max() <= 1.0
+    np.testing.assert_array_equal(twin.latest().image.shape, (48, 64))
+    clean = np.clip(SimCamera(robot, CAMERA, noise=False).depth() / CAMERA.range, 0, 1)
+    inside = (clean > 0.2) & (clean < 0.8)
+    noisy = SimCamera(robot, CAMERA, seed=1).latest().image
+    assert np.std((noisy - clean)[inside]) == pytest.approx(0.05, rel=0.1)
+
+
+def test_it_stands_when_told_to_and_falls_when_braked():
+    robot = robot_on()
+    robot.connect()
+    robot.write(hold(robot))
+    robot.wait(1.0)
+    assert robot.now() == pytest.approx(1.0)
+    assert robot.base_position[2] > 0.22
+    assert robot.upright
+    robot.write(hold(robot, stiffness=0.0))
+    robot.wait(3.0)
+    assert robot.base_position[2] < 0.15
+
+
+def test_torque_saturates_at_the_motors_limit():
+    robot = robot_on()
+    robot.write(hold(robot, np.array(ROBOT.default_position) + 2.0, stiffness=400.0))
+    robot.wait(0.01)
+    torque = np.abs(robot.read().joint_torque)
+    assert (torque <= np.array(ROBOT.torque_limit) + 1e-9).all()
+    assert torque.max() == pytest.approx(35.55)
+
+
+def test_scenes_from_files_and_their_mistakes(tmp_path):
+    scene = tmp_path / "wall.xml"
+    scene.write_text(
+        "<mujoco><worldbody><geom type='plane' size='5 5 1'/>"
+        "<geom name='wall' type='box' pos='1.27 0 0.5' size='0.5 2 0.5'/></worldbody></mujoco>"
+    )
+    model, _ = build_scene(file=scene)
+    robot = MujocoRobot(model, ROBOT)
+    level = SimCamera(robot, replace(CAMERA, pitch=0.0), noise=False).depth()
+    assert level[24, 32] == pytest.approx(0.5, abs=1e-6)
+    scene.write_text("<mujoco><worldbody><geom type='egg'/></worldbody></mujoco>")
+    with pytest.raises(RenetError, match="cannot use the scene"):
+        build_scene(file=scene)
+    with pytest.raises(RenetError, match="cannot use the scene"):
+        build_scene(file=tmp_path / "none.xml")
+    with pytest.raises(RenetError, match="does not hold the robot"):
+        MujocoRobot(mujoco.MjModel.from_xml_string("<mujoco/>"), ROBOT)
+
+
+def test_unknown_terrain_and_level():
+    with pytest.raises(RenetError, match=r"unknown terrain 'lava': choose one of flat, rough"):
+        build_scene("lava")
+    with pytest.raises(RenetError, match="level must be 1 to 10, got 11"):
+        build_scene("gap", 11)
+
+
+def test_tiles_need_the_training_packages_and_say_so(monkeypatch):
+    monkeypatch.setitem(sys.modules, "renet.tasks.terrains", None)
+    with pytest.raises(RenetError, match=r"pip install 'renet\[train\]'"):
+        build_scene("gap", 1)
+
+
+def test_the_model_file_is_what_the_tool_writes(tmp_path):
+    sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+    import go1_model
+
+    go1_model.write(tmp_path / "go1.xml")
+    assert (tmp_path / "go1.xml").read_text() == GO1.read_text()
