@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -180,6 +180,12 @@ class Trace:
             trusted=np.ones((steps, UPDATES_PER_STEP, count), bool),
         )
 
+    def until(self, steps: int) -> Trace:
+        """The first control steps only."""
+        return Trace(
+            **{name: value[:steps] for name, value in vars(self).items() if name != "film"}
+        )
+
     @property
     def fallen(self) -> np.ndarray:
         """[T, N] bool: fell in this or an earlier step; a robot that fell stays counted."""
@@ -199,7 +205,8 @@ def run_rollout(
     steps: int,
     seed: int,
     film: Sequence[int] = (),
-    on_step: Callable[[], None] = lambda: None,
+    on_step: Callable[[], Any] = lambda: None,
+    injector: Injector | None = None,
 ) -> Trace:
     """Drive every row for a number of control steps.
 
@@ -211,7 +218,9 @@ def run_rollout(
         steps: control steps.
         seed: of the camera faults.
         film: rows to keep poses and images of.
-        on_step: called after every control step, for a progress bar.
+        on_step: called after every control step, as for a progress bar; the run ends early where it
+            returns True.
+        injector: of camera faults that depend on more than time; made from the rows by default.
 
     Raises:
         RenetError: the world does not hold as many robots as there are rows.
@@ -219,7 +228,8 @@ def run_rollout(
     count = len(rows)
     if world.num_robots != count:
         raise RenetError(f"{count} rows need as many robots, not {world.num_robots}")
-    injector = Injector([row.schedule for row in rows], [row.robot for row in rows], seed)
+    if injector is None:
+        injector = Injector([row.schedule for row in rows], [row.robot for row in rows], seed)
     mode = np.array([row.mode for row in rows])
     trace = Trace.empty(steps, count)
     poses, images = [], []
@@ -251,7 +261,9 @@ def run_rollout(
         if readings.ended.any():
             controller.reset(readings.ended)
             switch.reset(readings.ended)
-        on_step()
+        if on_step() is True:
+            trace = trace.until(k + 1)
+            break
     if film:
         trace.film = Film(tuple(film), np.stack(poses), np.stack(images))
     return trace
