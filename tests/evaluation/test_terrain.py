@@ -10,7 +10,7 @@ from renet.errors import RenetError
 from renet.evaluation.calibrate import successful_scores
 from renet.evaluation.rollout import Row, Trace, run_rollout
 from renet.evaluation.terrain import TerrainCfg, highest_level, passed, run_terrain
-from renet.tasks.terrains import LEVELS
+from renet.tiles import LEVELS
 
 from .fakes import FakeController, FakeLab, FakeSwitch, FakeWorld
 

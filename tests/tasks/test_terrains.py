@@ -10,7 +10,8 @@ import torch
 from renet.errors import RenetError
 from renet.sim.raycast import scanner
 from renet.tasks.config import tile_env_cfg
-from renet.tasks.terrains import LEVELS, TILE, single_tile_terrain, tiles
+from renet.tasks.terrains import single_tile_terrain
+from renet.tiles import LEVELS, TILE, tiles
 
 from .conftest import build
 

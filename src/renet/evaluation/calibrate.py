@@ -17,7 +17,7 @@ from renet.evaluation.rollout import Row, Trace, run_rollout
 from renet.evaluation.terminal import progress
 from renet.evaluation.world import SimWorld
 from renet.selector.calibration import calibrate, conformal_threshold
-from renet.tasks.terrains import LEVELS, tiles
+from renet.tiles import LEVELS, tiles
 from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
 
 FLAT, PARKOUR = "Renet-Go1-Flat", "Renet-Go1-Parkour"

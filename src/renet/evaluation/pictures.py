@@ -20,7 +20,7 @@ from renet.sim.depth_camera import MountCfg
 from renet.sim.depth_noise import DepthNoiseCfg, add_noise
 from renet.sim.raycast import TerrainScanner, scanner
 from renet.tasks import make_env
-from renet.tasks.terrains import TILE, tiles
+from renet.tiles import TILE, tiles
 from renet.vocabulary import DEPTH_RANGE, DEPTH_SHAPE
 
 LEVELS = (1, 5, 10)

@@ -21,7 +21,7 @@ from renet.evaluation.lab import Lab
 from renet.evaluation.results import Provenance, output_folder, write_csv, write_json
 from renet.evaluation.rollout import MODES, Row, Trace, run_rollout
 from renet.evaluation.terminal import progress, show
-from renet.tasks.terrains import LEVELS, tiles
+from renet.tiles import LEVELS, tiles
 from renet.vocabulary import CONTROL_DT
 
 TABLE = {"gap": ("gap",), "platform": ("platform",), "stairs": ("stairs_up", "stairs_down")}

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from renet.tasks.rewards import goal
 from renet.tasks.terminations import tile_distance
-from renet.tasks.terrains import TILE
+from renet.tiles import TILE
 
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv

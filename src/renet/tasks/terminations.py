@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from renet.tasks.terrains import TILE
+from renet.tiles import TILE
 
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv

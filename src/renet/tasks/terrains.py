@@ -1,236 +1,21 @@
-"""Parkour tiles: 8 x 8 m, radially symmetric, so that any goal yaw must work.
-
-The robot starts in the middle and must leave. Tiles meet at z = 0 and are built from few boxes.
-"Simple" tiles can be walked blind; "difficult" ones (gap, platform) force vision (RENet, Method A).
-"""
+"""The curriculum of tiles for mjlab, and single tiles for evaluation."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import cast
 
-import mujoco
-import numpy as np
 from mjlab.terrains import TerrainEntityCfg, TerrainGeneratorCfg
-from mjlab.terrains.terrain_generator import SubTerrainCfg, TerrainGeometry, TerrainOutput
+from mjlab.terrains.terrain_generator import SubTerrainCfg
 
-from renet.errors import RenetError
+from renet.tiles import LEVELS, TILE, Tile, find_tile, tiles
 
-TILE = 8.0
-"""Side of a tile, m."""
-LEVELS = 10
-"""Rows of the curriculum (paper)."""
 DIFFICULT = ("gap", "platform")
 """Kinds of tile that force vision; all others are simple."""
 
-STEEL = (0.42, 0.48, 0.55, 1.0)
-STONE = (0.62, 0.60, 0.56, 1.0)
-ACCENT = (0.80, 0.55, 0.30, 1.0)
-PIT = (0.16, 0.18, 0.22, 1.0)
 
-
-@dataclass
-class Tile(SubTerrainCfg):
-    """Base of all tiles; `low` and `high` are the size that matters at the first and last level."""
-
-    low: float = 0.0
-    high: float = 0.0
-    size: tuple[float, float] = (TILE, TILE)
-
-    def measure(self, difficulty: float) -> float:
-        """Size of the obstacle, m, at a difficulty in [0, 1]."""
-        return self.low + difficulty * (self.high - self.low)
-
-    def function(
-        self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
-    ) -> TerrainOutput:
-        """Build the tile with its corner at the origin (mjlab moves it into place)."""
-        builder = TileBuilder(spec.body("terrain"))
-        height = self.build(builder, self.measure(difficulty), rng)
-        return TerrainOutput(np.array([TILE / 2, TILE / 2, height]), builder.geometries)
-
-    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """Add the geoms; returns the height of the start in the middle."""
-        raise NotImplementedError
-
-
-class TileBuilder:
-    """Adds boxes given in tile coordinates centred on the tile's middle."""
-
-    def __init__(self, body: mujoco.MjsBody) -> None:
-        self.body = body
-        self.geometries: list[TerrainGeometry] = []
-
-    def box(
-        self,
-        x: tuple[float, float],
-        y: tuple[float, float],
-        z: tuple[float, float],
-        color: tuple[float, float, float, float] = STONE,
-    ) -> None:
-        """Axis-aligned box between two corners, m."""
-        low, high = np.array([x[0], y[0], z[0]]), np.array([x[1], y[1], z[1]])
-        middle = (low + high) / 2 + (TILE / 2, TILE / 2, 0.0)
-        geom = self.body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX, size=(high - low) / 2, pos=middle, rgba=color
-        )
-        self.geometries.append(TerrainGeometry(geom=geom, color=color))
-
-    def square(self, half: float, z: tuple[float, float], color=STONE) -> None:
-        """Square slab around the middle."""
-        self.box((-half, half), (-half, half), z, color)
-
-    def ring(self, inner: float, outer: float, z: tuple[float, float], color=STONE) -> None:
-        """Square ring around the middle, from half-width `inner` to `outer`."""
-        self.box((-outer, outer), (inner, outer), z, color)
-        self.box((-outer, outer), (-outer, -inner), z, color)
-        self.box((inner, outer), (-inner, inner), z, color)
-        self.box((-outer, -inner), (-inner, inner), z, color)
-
-
-FLOOR = (-0.2, 0.0)
-
-
-@dataclass
-class Rough(Tile):
-    """Random relief of `measure` metres on a 0.2 m grid; flat at level 1 and in the middle."""
-
-    high: float = 0.06
-    proportion: float = 2.0
-    """Twice as many robots as on other kinds: most ground is of this kind."""
-
-    def function(
-        self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
-    ) -> TerrainOutput:
-        """Height field instead of boxes; see Tile.function."""
-        relief, nodes = max(self.measure(difficulty), 1e-3), int(TILE / 0.2) + 1
-        heights = rng.uniform(0.0, 1.0, (nodes, nodes)) * (self.measure(difficulty) > 0)
-        middle, clear = nodes // 2, 4
-        inside = slice(middle - clear, middle + clear + 1)
-        heights[inside, inside] = heights[0] = heights[-1] = 0.0
-        heights[:, 0] = heights[:, -1] = 0.0
-        field = spec.add_hfield(
-            name=f"rough_{len(spec.hfields)}",
-            size=(TILE / 2, TILE / 2, relief, 0.2),
-            nrow=nodes,
-            ncol=nodes,
-            userdata=heights.flatten(),
-        )
-        geom = spec.body("terrain").add_geom(
-            type=mujoco.mjtGeom.mjGEOM_HFIELD,
-            hfieldname=field.name,
-            pos=(TILE / 2, TILE / 2, 0.0),
-            rgba=STONE,
-        )
-        origin = np.array([TILE / 2, TILE / 2, 0.0])
-        return TerrainOutput(origin, [TerrainGeometry(geom=geom, hfield=field, color=STONE)])
-
-
-@dataclass
-class Obstacles(Tile):
-    """Scattered blocks up to `measure` metres high; the middle is free."""
-
-    low: float = 0.05
-    high: float = 0.25
-    count: int = 24
-    clear: float = 0.8
-    """Half-width of the free square in the middle, m."""
-
-    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See Tile.build."""
-        builder.square(TILE / 2, FLOOR)
-        for _ in range(self.count):
-            a, b = rng.uniform(0.2, 0.5, 2)
-            x, y = self.place(a, b, rng)
-            height = measure * rng.uniform(0.5, 1.0)
-            builder.box((x - a, x + a), (y - b, y + b), (-0.1, height), ACCENT)
-        return 0.0
-
-    def place(self, a: float, b: float, rng: np.random.Generator) -> tuple[float, float]:
-        """Middle of a block of half-sizes a, b that leaves the start free, m."""
-        while True:
-            radius, angle = rng.uniform(1.2, 3.4), rng.uniform(0.0, 2.0 * np.pi)
-            x, y = radius * np.cos(angle), radius * np.sin(angle)
-            if abs(x) - a > self.clear or abs(y) - b > self.clear:
-                return x, y
-
-
-@dataclass
-class Stairs(Tile):
-    """Pyramid stairs of rise `measure`: down from a summit, or up out of a pit."""
-
-    low: float = 0.05
-    high: float = 0.23
-    tread: float = 0.30
-    steps: int = 9
-    landing: float = 1.2
-    """Half-width of the square in the middle, m."""
-    descend: bool = True
-
-    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See Tile.build."""
-        edge = self.landing + self.steps * self.tread
-        top = self.steps * measure
-        if self.descend:
-            builder.square(TILE / 2, FLOOR)
-            for step in range(1, self.steps + 1):
-                color = STONE if step % 2 else STEEL
-                half = edge - (step - 1) * self.tread
-                builder.square(half, (0.0, step * measure), color)
-            return top
-        builder.square(self.landing, (-top - 0.2, -top), STEEL)
-        for step in range(1, self.steps + 1):
-            color = STONE if step % 2 else STEEL
-            inner = self.landing + (step - 1) * self.tread
-            height = -top + step * measure
-            builder.ring(inner, inner + self.tread, (-top - 0.2, height), color)
-        builder.ring(edge, TILE / 2, (-top - 0.2, 0.0))
-        return -top
-
-
-@dataclass
-class Gap(Tile):
-    """An island surrounded by a ring `measure` metres wide and 1 m deep."""
-
-    low: float = 0.10
-    high: float = 0.70
-    island: float = 1.2
-    """Half-width of the island, m."""
-    depth: float = 1.0
-
-    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See Tile.build."""
-        builder.square(self.island, (-self.depth, 0.0))
-        builder.ring(self.island + measure, TILE / 2, (-self.depth, 0.0))
-        builder.square(TILE / 2, (-self.depth - 0.2, -self.depth), PIT)
-        return 0.0
-
-
-@dataclass
-class Platform(Tile):
-    """A raised ring of height `measure` to climb onto and down from."""
-
-    low: float = 0.05
-    high: float = 0.50
-    inner: float = 1.4
-    outer: float = 2.8
-
-    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See Tile.build."""
-        builder.square(TILE / 2, FLOOR)
-        builder.ring(self.inner, self.outer, (-0.1, measure), ACCENT)
-        return 0.0
-
-
-def tiles() -> dict[str, Tile]:
-    """Every kind of tile by name, in column order."""
-    return {
-        "rough": Rough(),
-        "obstacles": Obstacles(),
-        "stairs_up": Stairs(descend=False),
-        "stairs_down": Stairs(descend=True),
-        "gap": Gap(),
-        "platform": Platform(),
-    }
+def as_mjlab(kinds: dict[str, Tile]) -> dict[str, SubTerrainCfg]:
+    """Tiles as mjlab's sub-terrains, whose fields and method they have."""
+    return cast(dict[str, SubTerrainCfg], kinds)
 
 
 def parkour_terrain(max_init_level: int = 1, seed: int = 0) -> TerrainEntityCfg:
@@ -243,7 +28,7 @@ def parkour_terrain(max_init_level: int = 1, seed: int = 0) -> TerrainEntityCfg:
         num_rows=LEVELS,
         num_cols=len(tiles()),
         color_scheme="none",
-        sub_terrains=dict(tiles()),
+        sub_terrains=as_mjlab(tiles()),
         add_lights=True,
     )
     return TerrainEntityCfg(
@@ -259,16 +44,11 @@ def single_tile_terrain(kind: str, level: int, seed: int = 0) -> TerrainEntityCf
     Raises:
         RenetError: unknown kind or level.
     """
-    known = tiles()
-    if kind not in known:
-        raise RenetError(f"unknown terrain {kind!r}: choose one of {', '.join(known)}")
-    if not 1 <= level <= LEVELS:
-        raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")
-    difficulty = (level - 1) / (LEVELS - 1)
+    tile, difficulty = find_tile(kind, level)
     cfg = parkour_terrain(seed=seed)
     generator = cfg.terrain_generator
     assert generator is not None
     generator.num_rows = generator.num_cols = 1
     generator.difficulty_range = (difficulty, difficulty)
-    generator.sub_terrains = {kind: known[kind]}
+    generator.sub_terrains = as_mjlab({kind: tile})
     return cfg

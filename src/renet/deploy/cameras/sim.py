@@ -11,6 +11,8 @@ from renet.deploy.robots.mujoco import BASE, MujocoRobot
 
 SEEN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
 """MuJoCo geom groups of the terrain; robots' collision geoms are in group 3."""
+ANY_DISTANCE = mujoco.mjMAXVAL
+"""No cutoff: MuJoCo would drop planes whose origin is farther away than the cutoff."""
 RELATIVE_STD, GAUSSIAN_STD = 0.01, 0.1
 """Noise of the training camera: m/m, and m."""
 
@@ -70,7 +72,7 @@ class SimCamera:
             distance,
             None,
             len(lengths),
-            spec.range * float(lengths.max()),
+            ANY_DISTANCE,
         )
         planar = np.where(geoms >= 0, distance / lengths, spec.range)
         return np.minimum(planar, spec.range).reshape(spec.height, spec.width)

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from renet.errors import RenetError
+from renet.tiles import TILE, find_tile
 
 GO1 = Path(__file__).with_name("go1.xml")
 TERRAIN_GROUP = 0
@@ -66,28 +67,15 @@ def _add_file(spec: mujoco.MjSpec, file: Path) -> None:
 
 def _add_tile(spec: mujoco.MjSpec, kind: str, level: int, seed: int) -> float:
     """A training tile with its middle at the origin, and ground around it."""
-    try:
-        from renet.tasks.terrains import LEVELS, TILE, tiles
-    except ModuleNotFoundError as error:
-        raise RenetError(
-            f"terrain {kind!r} is built by the training tasks: pip install 'renet[train]', "
-            "or give an MJCF file with --scene"
-        ) from error
-    known = tiles()
-    if kind not in known:
-        raise RenetError(f"unknown terrain {kind!r}: choose one of flat, {', '.join(known)}")
-    if not 1 <= level <= LEVELS:
-        raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")
+    tile, difficulty = find_tile(kind, level)
     spec.worldbody.add_body(name="terrain")
-    difficulty = (level - 1) / (LEVELS - 1)
-    output = known[kind].function(difficulty, spec, np.random.default_rng(seed))
+    built = tile.function(difficulty, spec, np.random.default_rng(seed))
     middle = np.array([TILE / 2, TILE / 2, 0.0])
-    for geometry in output.geometries:
-        if geometry.geom is not None:
-            geometry.geom.pos = np.asarray(geometry.geom.pos) - middle
+    for part in built.geometries:
+        part.geom.pos = np.asarray(part.geom.pos) - middle
     half = (BORDER - TILE / 2) / 2
     body, away = spec.body("terrain"), TILE / 2 + half
     for side in (-1, 1):
         _ground(body, (side * away, 0.0), (half, BORDER))
         _ground(body, (0.0, side * away), (TILE / 2, half))
-    return float(output.origin[2])
+    return float(built.origin[2])
