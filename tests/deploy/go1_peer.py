@@ -1,0 +1,124 @@
+"""A Go1 made of MuJoCo behind a real socket: decodes the vendor's datagrams, steps, answers.
+
+The layouts were found by sending one value at a time through the vendor's library.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import zlib
+
+import mujoco
+import numpy as np
+
+from renet.deploy.robots.base import JointCommand
+from renet.deploy.robots.go1 import PERIOD
+from renet.deploy.robots.mujoco import MujocoRobot
+from renet.deploy.robots.scene import build_scene
+from renet.training.bundle import go1_spec
+from renet.vocabulary import JOINTS
+
+JOINT_NAMES = ("hip", "thigh", "calf")
+COMMAND_BYTES, STATE_BYTES = 614, 792
+HEAD = b"\xfe\xef\xff"
+MOTOR_COMMAND = struct.Struct("<Bffhhh12x")
+"""mode, q, dq, tau * 256, Kp * 32, Kd * 16"""
+MOTOR_STATE = struct.Struct("<Bffhhffhb")
+"""mode, q, dq, ddq, tau * 256, raw q, raw dq, raw ddq, temperature"""
+MOTORS_AT, COMMAND_MOTORS_AT, STATE_STRIDE, TICK_AT = 75, 22, 32, 755
+VENDOR = [f"{leg}_{joint}_joint" for leg in ("FR", "FL", "RR", "RL") for joint in JOINT_NAMES]
+"""Names of the vendor's motors 0 to 11 (FR_0 ... RL_2 in its examples)."""
+JOINT_OF = np.array([JOINTS.index(name) for name in VENDOR])
+
+MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+
+
+def checksum(data: bytes) -> bytes:
+    """CRC-32 of whole little-endian words, most significant bit first, not inverted at the end.
+
+    That is zlib's CRC-32 with the bits of every byte, and of the result, in the other order.
+    """
+    words = np.frombuffer(data[: len(data) // 4 * 4], "<u4").astype(">u4").tobytes()
+    crc = zlib.crc32(words.translate(MIRRORED)) ^ 0xFFFFFFFF
+    return struct.pack("<I", int(f"{crc:032b}"[::-1], 2))
+
+
+def decode_command(datagram: bytes) -> np.ndarray:
+    """[12, 6]: mode, q, dq, tau, Kp, Kd by the vendor's motor number; checks what a robot does."""
+    assert len(datagram) == COMMAND_BYTES
+    assert datagram[:3] == HEAD
+    assert datagram[-4:] == checksum(datagram[:-4])
+    motors = [
+        MOTOR_COMMAND.unpack_from(datagram, COMMAND_MOTORS_AT + MOTOR_COMMAND.size * motor)
+        for motor in range(12)
+    ]
+    return np.array(motors) / (1, 1, 1, 256, 32, 16)
+
+
+class Peer:
+    """Serves one control computer, one datagram at a time; motors are numbered FR, FL, RR, RL."""
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.2)
+        self.port = self._socket.getsockname()[1]
+        model, ground = build_scene("flat")
+        model.opt.timestep = PERIOD
+        self.robot = MujocoRobot(model, go1_spec(), ground)
+        self.commands: list[np.ndarray] = []
+        self.silent = self.overloaded = self.garbled = False
+        self.ticks = 0
+
+    def serve(self) -> None:
+        """Take one command, live for 2 ms, answer."""
+        datagram, sender = self._socket.recvfrom(4096)
+        motors = decode_command(datagram)
+        self.commands.append(motors)
+        joints = np.empty_like(motors)
+        joints[JOINT_OF] = motors
+        _, position, speed, torque, stiffness, damping = joints.T
+        assert (torque == 0).all()
+        limp = np.abs(position) > 1e9
+        assert (speed[~limp] == 0).all()
+        hold = np.where(limp, 0.0, position)
+        self.robot.write(JointCommand(hold, np.where(limp, 0.0, stiffness), damping))
+        mujoco.mj_step(self.robot.model, self.robot.data)
+        mujoco.mj_forward(self.robot.model, self.robot.data)
+        self.ticks += 1
+        if not self.silent:
+            self._socket.sendto(self._state(), sender)
+
+    def pose(self, position: np.ndarray) -> None:
+        """Put the joints somewhere, in the vendor's order of motors."""
+        for name, value in zip(VENDOR, position, strict=True):
+            self.robot.data.joint(name).qpos = value
+        mujoco.mj_forward(self.robot.model, self.robot.data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def _state(self) -> bytes:
+        state, packet = self.robot.read(), bytearray(STATE_BYTES)
+        packet[:3] = HEAD
+        struct.pack_into("<4f3f", packet, 22, *state.quaternion, *state.angular_velocity)
+        for motor, joint in enumerate(JOINT_OF):
+            q, dq = state.joint_position[joint], state.joint_velocity[joint]
+            tau = round(256 * float(np.clip(state.joint_torque[joint], -127, 127)))
+            if self.overloaded:
+                dq, tau = 20.0, 256 * 30
+            values = (10, q, dq, 0, tau, q, dq, 0, 30)
+            MOTOR_STATE.pack_into(packet, MOTORS_AT + STATE_STRIDE * motor, *values)
+        struct.pack_into("<I", packet, TICK_AT, self.ticks)
+        packet[-4:] = checksum(bytes(packet[:-4]))
+        if self.garbled:
+            packet[MOTORS_AT + 1] ^= 0x10
+        return bytes(packet)
+
+
+def free_port() -> int:
+    """A UDP port nobody uses."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]

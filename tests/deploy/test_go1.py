@@ -1,0 +1,294 @@
+"""The real driver and the vendor's real library against a simulated robot behind a socket."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+sdk = pytest.importorskip(
+    "unitree_legged_sdk.robot_interface", reason="needs renet[go1] (Python 3.11 or 3.12)"
+)
+
+from renet.deploy.bundle import Bundle  # noqa: E402
+from renet.deploy.controller import Controller  # noqa: E402
+from renet.deploy.operator import Request  # noqa: E402
+from renet.deploy.robots import go1  # noqa: E402
+from renet.deploy.robots.base import JointCommand  # noqa: E402
+from renet.deploy.robots.go1 import (  # noqa: E402
+    LOW_LEVEL,
+    MOTORS,
+    PERIOD,
+    POWER_LEVEL,
+    Go1Link,
+    Go1Robot,
+)
+from renet.deploy.safety import Mode, SafetyCfg, limited_command  # noqa: E402
+from renet.errors import RenetError  # noqa: E402
+from renet.training.bundle import go1_spec  # noqa: E402
+from renet.vocabulary import CONTROL_DT, JOINTS  # noqa: E402
+
+from .go1_peer import VENDOR, Peer, free_port  # noqa: E402
+
+ROBOT = go1_spec()
+STEP = round(CONTROL_DT / PERIOD)
+
+
+@pytest.fixture
+def peer() -> Iterator[Peer]:
+    peer = Peer()
+    yield peer
+    peer.close()
+
+
+class Wire:
+    """Driver and peer in lockstep, on simulated time."""
+
+    def __init__(self, peer: Peer) -> None:
+        self.peer = peer
+        self.link = Go1Link("127.0.0.1", peer.port, free_port(), POWER_LEVEL)
+        self.now = 0.0
+
+    def run(self, exchanges: int) -> None:
+        for _ in range(exchanges):
+            self.now += PERIOD
+            self.link.exchange(self.now)
+            self.peer.serve()
+
+    def control(self, controller: Controller, steps: int, **wishes) -> None:
+        """Let a controller drive for some control steps."""
+        for step in range(steps):
+            request = Request(**(wishes | {"arm": wishes.get("arm", False) and step == 0}))
+            command = controller.tick(self.link.state, None, request, self.now)
+            self.link.command(command, self.now)
+            self.run(STEP)
+
+
+@pytest.fixture
+def wire(peer) -> Wire:
+    return Wire(peer)
+
+
+def command(position=ROBOT.default_position, stiffness=40.0, damping=1.0) -> JointCommand:
+    return JointCommand(np.array(position), np.full(12, stiffness), np.full(12, damping))
+
+
+def braked(peer: Peer) -> bool:
+    """Whether the last datagram asked for nothing but braking."""
+    *_, stiffness, damping = peer.commands[-1].T
+    return bool((stiffness == 0).all() and (damping == 3).all())
+
+
+def test_order_and_signs_are_those_of_the_vendors_own_limits():
+    """The library clamps motor by motor: only a knee must never be above -0.8 rad."""
+    udp = sdk.UDP(LOW_LEVEL, 0, "127.0.0.1", free_port())
+    ranges = []
+    for extreme in (-10.0, 10.0):
+        packet = sdk.LowCmd()
+        udp.InitCmdData(packet)
+        for motor in MOTORS:
+            packet.motorCmd[motor].q = extreme
+        sdk.Safety(sdk.LeggedType.Go1).PositionLimit(packet)
+        ranges.append([packet.motorCmd[motor].q for motor in MOTORS])
+    # Its ranges are an older robot's, within 0.2 rad but for the thigh's upper end.
+    np.testing.assert_allclose(ranges[0], ROBOT.lower, atol=0.2)
+    ends = [joint for joint, name in enumerate(JOINTS) if "thigh" not in name]
+    np.testing.assert_allclose(np.array(ranges[1])[ends], np.array(ROBOT.upper)[ends], atol=0.2)
+    assert [VENDOR[motor] for motor in MOTORS] == list(JOINTS)
+
+
+def test_motors_are_limp_servos_until_the_first_command(wire, peer):
+    wire.run(3)
+    assert (peer.commands[-1][:, 0] == 10).all()
+    assert (peer.commands[-1][:, 4:] == 0).all()
+    assert not wire.link.moved
+
+
+def test_a_command_arrives_motor_by_motor(wire, peer):
+    targets = np.linspace(-0.6, 0.6, 12)
+    gains = np.linspace(10, 40, 12), np.linspace(0.5, 3, 12)
+    wire.link.command(JointCommand(targets, *gains), wire.now)
+    wire.run(1)
+    arrived = peer.commands[-1][list(MOTORS)]
+    assert (arrived[:, 0] == 10).all()
+    np.testing.assert_allclose(arrived[:, 1], targets, atol=1e-6)
+    np.testing.assert_allclose(arrived[:, 4], gains[0], atol=1 / 32)
+    np.testing.assert_allclose(arrived[:, 5], gains[1], atol=1 / 16)
+
+
+def test_the_bundles_gains_arrive_unrounded(wire, peer):
+    wire.run(2)
+    default = np.array(ROBOT.default_position)
+    wire.link.command(limited_command(default, default, wire.link.state, ROBOT, SafetyCfg()), 0.0)
+    wire.run(1)
+    np.testing.assert_array_equal(peer.commands[-1][list(MOTORS), 4], ROBOT.stiffness)
+    np.testing.assert_array_equal(peer.commands[-1][list(MOTORS), 5], ROBOT.damping)
+
+
+def test_a_reading_arrives_joint_by_joint(wire, peer):
+    peer.pose(np.array(ROBOT.default_position)[list(MOTORS)] + np.linspace(-0.3, 0.3, 12))
+    wire.link.command(command(), 0.0)
+    wire.run(20)
+    wire.link.exchange(wire.now)  # The answer to the last command comes with the next.
+    truth, read = peer.robot.read(), wire.link.state
+    assert len(set(np.round(truth.joint_position, 3))) == 12, "no two joints alike"
+    for name in ("joint_position", "joint_velocity", "quaternion", "angular_velocity"):
+        np.testing.assert_allclose(getattr(read, name), getattr(truth, name), atol=1e-5)
+    np.testing.assert_allclose(read.joint_torque, truth.joint_torque, atol=1 / 256)
+    assert read.time == wire.now
+
+
+@pytest.mark.parametrize("failure", ["silent", "garbled"])
+def test_a_robot_that_falls_silent_or_sends_a_wrong_crc_is_braked(wire, peer, bundle_path, failure):
+    controller = Controller(Bundle.load(bundle_path), SafetyCfg(rise_seconds=0.1))
+    wire.run(5)
+    wire.control(controller, 10, arm=True)
+    assert controller.machine.mode is Mode.WALKING
+    setattr(peer, failure, True)
+    last = wire.link.state.time
+    wire.control(controller, 5)
+    assert wire.link.state.time <= last + 2 * PERIOD, "no reading is made up"
+    assert controller.machine.mode is Mode.DAMPING
+    assert "ms old" in controller.machine.reason
+    assert braked(peer)
+
+
+def test_a_dead_robot_leaves_an_old_reading_and_the_driver_alive(wire, peer):
+    wire.run(5)
+    last = wire.link.state.time
+    peer.close()
+    for _ in range(100):
+        wire.now += PERIOD
+        wire.link.exchange(wire.now)
+    assert wire.link.state.time <= last + 2 * PERIOD
+
+
+def test_a_silent_control_loop_brakes_the_robot(wire, peer):
+    wire.run(1)
+    wire.link.command(command(), wire.now)
+    wire.run(49)
+    assert (peer.commands[-1][:, 4] == 40).all()
+    wire.run(4)
+    assert braked(peer)
+    wire.link.command(command(), wire.now)
+    wire.run(1)
+    assert (peer.commands[-1][:, 4] == 40).all(), "it may speak again"
+
+
+def test_the_vendors_guard_brakes_for_good(wire, peer):
+    wire.link.command(command(), wire.now)
+    wire.run(5)
+    assert wire.link.problem == ""
+    peer.overloaded = True
+    wire.run(100)
+    peer.overloaded = False
+    wire.link.command(command(), wire.now)
+    wire.run(5)
+    assert "too much power" in wire.link.problem
+    assert braked(peer)
+
+
+def test_the_shipped_bundle_stands_up_walks_and_brakes_over_the_wire(wire, peer):
+    """From the floor, with no strength in its legs, to 0.3 m further and back to braking."""
+    controller = Controller(Bundle.load(None))
+    wire.run(400)
+    assert peer.robot.base_position[2] < 0.15, "it lies"
+    lying, first = wire.link.state.joint_position, len(peer.commands)
+    wire.control(controller, 101, arm=True)
+    targets = np.array(peer.commands[first::STEP])[1:, list(MOTORS), 1]
+    assert np.abs(targets[0] - np.clip(lying, ROBOT.lower, ROBOT.upper)).max() < 0.1
+    assert np.abs(np.diff(targets, axis=0)).max() < 0.05, "no jerk while it rises"
+    np.testing.assert_allclose(targets[-1], ROBOT.default_position, atol=0.05)
+    assert peer.robot.base_position[2] > 0.22, "it stands"
+    start = peer.robot.base_position
+    wire.control(controller, 100, speed=0.6)
+    assert controller.machine.mode is Mode.WALKING
+    assert peer.robot.upright
+    assert np.linalg.norm((peer.robot.base_position - start)[:2]) > 0.3, "it walks"
+    wire.control(controller, 2, stop=True)
+    assert controller.machine.reason == "operator stop"
+    assert braked(peer)
+
+
+@pytest.fixture
+def served(peer) -> Iterator[Peer]:
+    """A peer that answers on a thread of its own, in wall-clock time."""
+    done = threading.Event()
+
+    def serve() -> None:
+        while not done.is_set():
+            with suppress(TimeoutError):
+                peer.serve()
+
+    server = threading.Thread(target=serve, daemon=True)
+    server.start()
+    yield peer
+    done.set()
+    server.join(5)
+
+
+def test_threads_and_sockets_of_the_real_thing(served, monkeypatch):
+    monkeypatch.setattr(go1, "SINK", 0.1)
+    robot = Go1Robot("127.0.0.1", served.port, free_port())
+    with pytest.raises(RenetError, match="not connected"):
+        robot.write(command())
+    assert robot.read() is None
+    robot.connect()
+    assert robot.read() is not None
+    before = len(served.commands)
+    robot.write(command())
+    robot.wait(robot.now() + 0.05)
+    assert any((sent[:, 4] == 40).all() for sent in served.commands[before:])
+    robot.close()
+    robot.close()
+    assert braked(served), "closing brakes"
+    with pytest.raises(RenetError, match="closed"):
+        robot.write(command())
+
+
+def test_a_connection_that_only_looked_leaves_the_robot_limp(served):
+    robot = Go1Robot("127.0.0.1", served.port, free_port())
+    robot.connect()
+    robot.close()
+    assert all((sent[:, 4:] == 0).all() for sent in served.commands)
+
+
+def test_a_driver_that_fails_brakes_and_says_why(served, monkeypatch):
+    monkeypatch.setattr(go1, "SINK", 0.0)
+    robot = Go1Robot("127.0.0.1", served.port, free_port())
+    robot.connect()
+    robot.write(JointCommand(np.array(["?"] * 12), np.zeros(12), np.zeros(12)))
+    robot.wait(robot.now() + 0.1)
+    with pytest.raises(RenetError, match="vendor's driver failed"):
+        robot.write(command())
+    robot.wait(robot.now() + 0.05)
+    assert braked(served)
+    robot.close()
+
+
+def test_no_robot_and_no_sense_are_one_clear_line():
+    with pytest.raises(RenetError, match=r"no answer from a Go1 at 127.0.0.1.*cable"):
+        Go1Robot("127.0.0.1", free_port(), free_port(), patience=0.05).connect()
+    with pytest.raises(RenetError, match="power level"):
+        Go1Robot(power_level=11)
+
+
+def test_a_second_program_is_refused():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("0.0.0.0", 0))
+        port = other.getsockname()[1]
+        with pytest.raises(RenetError, match=f"port {port} is taken: another program"):
+            Go1Robot("127.0.0.1", free_port(), port).connect()
+
+
+def test_without_the_vendors_module_the_error_says_what_to_install(monkeypatch):
+    def missing(name: str):
+        raise ImportError(f"No module named {name!r}")
+
+    monkeypatch.setattr(go1.importlib, "import_module", missing)
+    with pytest.raises(RenetError, match=r"pip install 'renet\[go1\]'.*unitree_legged_sdk"):
+        go1.unitree()
