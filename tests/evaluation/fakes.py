@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from renet.evaluation.faults import Frames
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import Readings
+from renet.selector.monitors import Sight
 from renet.vocabulary import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
 
 GROUND = np.full(DEPTH_SHAPE, 0.5, np.float32)
@@ -81,9 +81,9 @@ class FakeSwitch:
         self.probability, self.beta = np.ones(num_robots), beta
         self.fresh = 0
 
-    def update(self, anomaly_score: np.ndarray, frames: Frames) -> np.ndarray:
-        self.fresh += int(frames.fresh.any())
-        self.probability = 0.9 * self.probability + 0.1 * (anomaly_score < self.beta)
+    def update(self, sight: Sight) -> np.ndarray:
+        self.fresh += int(sight.fresh.any())
+        self.probability = 0.9 * self.probability + 0.1 * (sight.anomaly_score < self.beta)
         return self.probability > 0.5
 
     def reset(self, mask: np.ndarray) -> None:
@@ -113,5 +113,5 @@ class FakeLab:
     def controller(self, num_robots: int) -> FakeController:
         return FakeController(num_robots)
 
-    def switch(self, num_robots: int) -> FakeSwitch:
+    def switch(self, num_robots: int, selector: str = "paper") -> FakeSwitch:
         return FakeSwitch(num_robots, self.beta)

@@ -16,7 +16,7 @@ import numpy as np
 from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.faults import Frames, Injection
+from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab, ScoreSwitch
 from renet.evaluation.results import Provenance, output_folder, write_csv, write_json
 from renet.evaluation.rollout import UPDATES_PER_STEP, Row, run_rollout
@@ -101,10 +101,7 @@ def run_filter(cfg: FilterCfg, lab: Lab | None = None) -> dict[str, Any]:
 def replay(scores: np.ndarray, spec: SelectorSpec) -> np.ndarray:
     """A selector's answers [T, U, N] to anomaly scores [T, N], as in a rollout."""
     switch = ScoreSwitch(spec, scores.shape[1])
-    frames = Frames.healthy(np.zeros((scores.shape[1], 1, 1)))
-    return np.array(
-        [[switch.update(score, frames) for _ in range(UPDATES_PER_STEP)] for score in scores]
-    )
+    return np.array([[switch.judge(score) for _ in range(UPDATES_PER_STEP)] for score in scores])
 
 
 def _run(cfg: FilterCfg, scores: np.ndarray, spec: SelectorSpec) -> dict[str, Any]:

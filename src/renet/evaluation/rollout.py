@@ -9,19 +9,22 @@ under the modality the selector last chose, then the selector's filter is update
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from renet.errors import RenetError
-from renet.evaluation.faults import TICK, Frames, Injector, Schedule
+from renet.evaluation.faults import TICK, Frames, Injector, Schedule, View
+from renet.evaluation.trace import UPDATES_PER_STEP, Film, Trace
+from renet.selector.monitors import Sight
 from renet.vocabulary import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
+
+__all__ = ["MODES", "UPDATES_PER_STEP", "Controller", "Film", "Readings", "Row", "Switch", "Trace"]
+__all__ += ["World", "run_rollout"]
 
 MODES = ("vp", "renet", "op", "oracle-switch")
 """Policy modes: vision always, the selector's choice, never, and a switch that knows the fault."""
-UPDATES_PER_STEP = round(CONTROL_DT / PHYSICS_DT)
-"""Selector updates in one control step."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class Readings:
 
 
 class World(Protocol):
-    """A batch of simulated robots."""
+    """A batch of simulated robots; see `Disturbed` for physical faults."""
 
     num_robots: int
 
@@ -66,8 +69,21 @@ class World(Protocol):
         ...
 
 
+@runtime_checkable
+class Disturbed(Protocol):
+    """A world whose cameras can be made to see what is not there."""
+
+    def disturb(self, view: View) -> None:
+        """Let the cameras see the scene so from their next image on."""
+        ...
+
+
 class Controller(Protocol):
-    """Anybody's policy: `renet.deploy.policy.Policy` is one."""
+    """Anybody's policy: `renet.deploy.policy.Policy` is one.
+
+    One with two velocity estimates, `velocity_op` and `velocity_vp` ([N, 3] m/s), has them compared
+    by the selector's monitors.
+    """
 
     anomaly_score: np.ndarray
     """[N] how unlike its training images the last frames were; any scale."""
@@ -91,7 +107,7 @@ class Switch(Protocol):
         """[N] vision probability P_t."""
         ...
 
-    def update(self, anomaly_score: np.ndarray, frames: Frames) -> np.ndarray:
+    def update(self, sight: Sight) -> np.ndarray:
         """One filter update; returns [N] bool, vision is trusted."""
         ...
 
@@ -114,89 +130,6 @@ class Row:
             raise RenetError(f"unknown mode '{self.mode}': choose one of {', '.join(MODES)}")
 
 
-@dataclass
-class Film:
-    """What pictures of a few rows need."""
-
-    rows: tuple[int, ...]
-    poses: np.ndarray
-    """[T, R, nq]"""
-    images: np.ndarray
-    """[ticks, R, 48, 64] uint8: the depth image each robot got at each tick."""
-
-
-@dataclass
-class Trace:
-    """What happened, for each control step and robot; [T, N] unless said otherwise.
-
-    A robot that falls or leaves its tile starts anew and goes on; `fallen` and `speed` are for
-    studies in which a fall is final.
-    """
-
-    forward_velocity: np.ndarray
-    """m/s along the commanded yaw."""
-    height: np.ndarray
-    """m"""
-    travelled: np.ndarray
-    """m from where the robot last started."""
-    collisions: np.ndarray
-    """Thighs, calves and trunks that touch something."""
-    anomaly: np.ndarray
-    probability: np.ndarray
-    """Vision probability P_t at the end of the step."""
-    fell: np.ndarray
-    """bool: fell in this step."""
-    ended: np.ndarray
-    """bool: fell or left its tile in this step; the velocity of this step is the next start's."""
-    vision: np.ndarray
-    """bool: the VP estimator's latent drove this step."""
-    failing: np.ndarray
-    """bool: the camera is failing."""
-    trusted: np.ndarray
-    """[T, U, N] bool: the selector's answer after each of its U updates of a step."""
-    film: Film | None = field(default=None, repr=False)
-
-    @classmethod
-    def empty(cls, steps: int, count: int) -> Trace:
-        """Room for `steps` control steps of `count` robots."""
-
-        def numbers() -> np.ndarray:
-            return np.zeros((steps, count))
-
-        def flags() -> np.ndarray:
-            return np.zeros((steps, count), bool)
-
-        return cls(
-            forward_velocity=numbers(),
-            height=numbers(),
-            travelled=numbers(),
-            collisions=numbers(),
-            anomaly=numbers(),
-            probability=numbers(),
-            fell=flags(),
-            ended=flags(),
-            vision=flags(),
-            failing=flags(),
-            trusted=np.ones((steps, UPDATES_PER_STEP, count), bool),
-        )
-
-    def until(self, steps: int) -> Trace:
-        """The first control steps only."""
-        return Trace(
-            **{name: value[:steps] for name, value in vars(self).items() if name != "film"}
-        )
-
-    @property
-    def fallen(self) -> np.ndarray:
-        """[T, N] bool: fell in this or an earlier step; a robot that fell stays counted."""
-        return np.logical_or.accumulate(self.fell, axis=0)
-
-    @property
-    def speed(self) -> np.ndarray:
-        """[T, N] m/s along the commanded yaw; zero from a robot's fall on."""
-        return np.where(self.fallen, 0.0, self.forward_velocity)
-
-
 def run_rollout(
     world: World,
     controller: Controller,
@@ -207,6 +140,7 @@ def run_rollout(
     film: Sequence[int] = (),
     on_step: Callable[[], Any] = lambda: None,
     injector: Injector | None = None,
+    on_sight: Callable[[Sight], Any] = lambda sight: None,
 ) -> Trace:
     """Drive every row for a number of control steps.
 
@@ -221,18 +155,28 @@ def run_rollout(
         on_step: called after every control step, as for a progress bar; the run ends early where it
             returns True.
         injector: of camera faults that depend on more than time; made from the rows by default.
+        on_sight: shown what every update of the selector is, before it.
 
     Raises:
-        RenetError: the world does not hold as many robots as there are rows.
+        RenetError: the world does not hold as many robots as there are rows, or cannot carry out a
+            physical fault.
     """
     count = len(rows)
     if world.num_robots != count:
         raise RenetError(f"{count} rows need as many robots, not {world.num_robots}")
     if injector is None:
-        injector = Injector([row.schedule for row in rows], [row.robot for row in rows], seed)
+        injector = Injector(
+            [row.schedule for row in rows],
+            [row.robot for row in rows],
+            seed,
+            physical=isinstance(world, Disturbed),
+        )
+    physical = world if injector.physical and isinstance(world, Disturbed) else None
     mode = np.array([row.mode for row in rows])
     trace = Trace.empty(steps, count)
     poses, images = [], []
+    if physical:
+        physical.disturb(injector.view(0))
     readings = world.reset()
     controller.reset()
     frames = Frames.healthy(readings.depth)
@@ -249,12 +193,16 @@ def run_rollout(
         )
         action = controller.step(readings.proprioception, frames.image, use_op)
         for u in range(UPDATES_PER_STEP):
-            trusted = switch.update(controller.anomaly_score, since(frames, k, u))
+            sight = seen(controller, frames, k, u)
+            on_sight(sight)
+            trusted = switch.update(sight)
             trace.trusted[k, u] = trusted
         trace.anomaly[k], trace.probability[k] = controller.anomaly_score, switch.probability
         trace.vision[k], trace.failing[k] = ~use_op, failing
         if film:
             poses.append(world.poses(film))
+        if physical:
+            physical.disturb(injector.view(k + 1))
         readings = world.step(action)
         for name in ("forward_velocity", "height", "travelled", "collisions", "fell", "ended"):
             getattr(trace, name)[k] = getattr(readings, name)
@@ -269,12 +217,18 @@ def run_rollout(
     return trace
 
 
-def since(frames: Frames, step: int, update: int) -> Frames:
-    """`frames` as the selector's update sees them: only the tick's first update has a new one."""
+def seen(controller: Controller, frames: Frames, step: int, update: int) -> Sight:
+    """What a selector's update is shown: only the tick's first update has a new frame."""
     ticks = step % STEPS_PER_TICK
-    if ticks == 0 and update == 0:
-        return frames
     passed = ticks * CONTROL_DT + update * PHYSICS_DT
     assert passed < TICK
-    stale = np.zeros_like(frames.fresh)
-    return Frames(frames.image, stale, frames.age + passed, frames.invalid, frames.angular_velocity)
+    nothing = np.zeros((len(frames.age), 3))
+    return Sight(
+        anomaly_score=controller.anomaly_score,
+        image=frames.image,
+        fresh=frames.fresh if passed == 0.0 else np.zeros_like(frames.fresh),
+        age=frames.age + passed,
+        invalid=frames.invalid,
+        velocity_op=getattr(controller, "velocity_op", nothing),
+        velocity_vp=getattr(controller, "velocity_vp", nothing),
+    )

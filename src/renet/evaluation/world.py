@@ -11,9 +11,13 @@ import mujoco
 import numpy as np
 import torch
 
+from renet.evaluation.disturb import disturbance
+from renet.evaluation.faults import View
 from renet.evaluation.rollout import Readings
+from renet.sim.depth_camera import DepthCamera
 from renet.tasks import RenetEnv, RenetEnvCfg, env_cfg, make_env
 from renet.tasks.commands import COMMAND, GoalCommandCfg
+from renet.tasks.observations import DEPTH_CAMERA
 from renet.tasks.rewards import collision, goal
 
 NEVER = 1e9
@@ -52,6 +56,7 @@ class SimWorld:
         self._seed = seed
         self._robot = self.env.scene["robot"].data
         self._start = np.zeros((self.num_robots, 2))
+        self._view = View.true(self.num_robots)
         _, first, number = np.unique(np.asarray(robots), return_index=True, return_inverse=True)
         self._twin = torch.from_numpy(first[number])
         """The row each row is a twin of, [N]."""
@@ -109,6 +114,18 @@ class SimWorld:
         terrain.terrain_levels[:] = torch.as_tensor(levels)
         terrain.terrain_types[:] = torch.as_tensor(kinds)
         terrain.env_origins[:] = terrain.terrain_origins[levels, kinds]
+
+    def disturb(self, view: View) -> None:
+        """See `rollout.Disturbed`."""
+        if view == self._view:
+            return
+        terrain, camera = self.env.scene.terrain, self.env.scene[DEPTH_CAMERA]
+        assert terrain is not None
+        assert isinstance(camera, DepthCamera)
+        origins = terrain.terrain_origins
+        middles = np.zeros((0, 2)) if origins is None else origins[..., :2].reshape(-1, 2).numpy()
+        camera.disturbance = disturbance(view, self.env.sim.mj_model, middles)
+        self._view = view
 
     def poses(self, rows: Sequence[int]) -> np.ndarray:
         """See `World.poses`."""

@@ -1,12 +1,20 @@
-"""Thresholds from healthy runs: the paper's maximum, or a quantile with a stated guarantee."""
+"""Thresholds from healthy runs: the paper's maximum, or a stated rate of false alarms."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from renet.errors import RenetError
+from renet.selector.defaults import FLOORS
+
+TAIL = 0.02
+"""Share of the highest scores from which a distribution's tail is learnt."""
+APART = 10
+"""Scores (1 s at 10 Hz) between two alarms that count as two: vision is not back earlier."""
 
 
 def calibrate(scores: np.ndarray) -> float:
@@ -33,6 +41,86 @@ def conformal_threshold(scores: np.ndarray, alpha: float) -> float:
             else f"alpha must be between 0 and 1, got {alpha}"
         )
     return float(scores[max(rank, 1) - 1])
+
+
+@dataclass(frozen=True)
+class MonitorCalibration:
+    """Thresholds of the monitors, and what they were learnt from."""
+
+    thresholds: dict[str, float]
+    """By monitor name."""
+    false_alarms_per_hour: float
+    """Stated for all monitors together."""
+    robot_hours: float
+    """Healthy time behind the thresholds."""
+
+
+def calibrate_monitors(
+    scores: Mapping[str, Sequence[np.ndarray]],
+    false_alarms_per_hour: float = 0.5,
+    rate_hz: float = 10.0,
+) -> MonitorCalibration:
+    """Thresholds at which healthy robots leave vision at most so often.
+
+    One frame above a threshold costs a departure: the paper's filter forgives less than a frame.
+    The rate is shared equally between the monitors whose scores vary.
+
+    Args:
+        scores: for each monitor one array [T] for each healthy run without a break, T scores at
+            `rate_hz`; the same runs for all monitors.
+        false_alarms_per_hour: stated rate of all monitors together.
+        rate_hz: of the scores.
+
+    Raises:
+        RenetError: no scores, one that is not finite, or a rate that is not positive.
+    """
+    if false_alarms_per_hour <= 0.0 or not scores:
+        raise RenetError(f"false alarms per hour must be positive, got {false_alarms_per_hour}")
+    hours = sum(len(run) for run in next(iter(scores.values()))) / rate_hz / 3600.0
+    varied = [n for n, runs in scores.items() if np.ptp(_checked(np.concatenate([*runs]))) > 0]
+    share = false_alarms_per_hour / max(len(varied), 1)
+    found = {
+        name: rare_level(runs, share * hours) if name in varied else float(runs[0][0])
+        for name, runs in scores.items()
+    }
+    # Scores that never vary, as a simulated camera's holes, have no tail: floors stand for them.
+    thresholds = {
+        name: max(value, FLOORS.get(name, -math.inf))
+        for name, value in found.items()
+        if name in varied or name in FLOORS
+    }
+    return MonitorCalibration(thresholds, false_alarms_per_hour, hours)
+
+
+def rare_level(runs: Sequence[np.ndarray], expected: float) -> float:
+    """The level that runs like these exceed `expected` times in all, and these never.
+
+    Peaks over threshold: exceedances of a high quantile, one for each burst, are exponential to a
+    good approximation (Pickands, Balkema and de Haan with shape 0), so that the level
+    u + scale * ln(bursts / expected) is exceeded `expected` times. Never below the maximum plus
+    one scale: where tails are heavier than exponential the margin has to hold.
+
+    Args:
+        runs: [T] scores of each unbroken run. expected: may be a fraction; at least one
+        exceedance of the quantile is assumed to be there.
+    """
+    joined = _checked(np.concatenate([*runs]))
+    high = float(np.quantile(joined, 1.0 - TAIL))
+    peaks = np.array([peak for run in runs for peak in bursts(run, high)])
+    if len(peaks) == 0:
+        return float(np.nextafter(joined.max(), np.inf))
+    scale = float((peaks - high).mean())
+    level = high + scale * math.log(max(len(peaks) / expected, 1.0))
+    return max(level, float(joined.max()) + scale)
+
+
+def bursts(run: np.ndarray, level: float) -> list[float]:
+    """The peak of each group of exceedances of `level` that is APART scores from the next."""
+    above = np.flatnonzero(np.asarray(run) > level)
+    if len(above) == 0:
+        return []
+    groups = np.split(above, np.flatnonzero(np.diff(above) >= APART) + 1)
+    return [float(np.asarray(run)[group].max()) for group in groups]
 
 
 def _checked(scores: np.ndarray) -> np.ndarray:

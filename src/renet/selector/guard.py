@@ -38,6 +38,9 @@ class GuardedSelector:
         """Whether each robot trusts vision, [N]."""
         self.reason = np.full(num_robots, "", object)
         """What the first objecting monitor said at the last departure from vision, [N]."""
+        self.scores = np.zeros((len(self.monitors), num_robots))
+        """Every monitor's score at the last update, [M, N], in the order of `monitors`."""
+        self._thresholds = np.array([[monitor.threshold] for monitor in self.monitors])
         self._calm = np.zeros(num_robots)
         self._since_return = np.full(num_robots, np.inf)
 
@@ -50,7 +53,8 @@ class GuardedSelector:
         """One update at `rate_hz`; returns "use vision", [N] bool."""
         step = 1.0 / self.cfg.rate_hz
         # Every monitor looks at every update: some remember what they saw.
-        verdicts = [monitor.healthy(sight) for monitor in self.monitors]
+        self.scores = np.stack([monitor.score(sight) for monitor in self.monitors])
+        verdicts = self.scores < self._thresholds
         healthy = np.logical_and.reduce(verdicts)
         likely = self.filter.update(healthy)
         self._calm = np.where(healthy, self._calm + step, 0.0)
@@ -59,8 +63,7 @@ class GuardedSelector:
         rested = self._since_return >= self.cfg.between_returns
         returning = ~self.vision & likely & (self._calm >= self.cfg.dwell) & rested
         for robot in np.flatnonzero(leaving & ~healthy):
-            objecting = next(i for i, verdict in enumerate(verdicts) if not verdict[robot])
-            self.reason[robot] = self.monitors[objecting].reason
+            self.reason[robot] = self.monitors[int(verdicts[:, robot].argmin())].reason
         self._since_return[returning] = 0.0
         self.reason[returning] = ""
         self.vision = (self.vision & ~leaving) | returning

@@ -3,7 +3,7 @@
 An autoencoder is blind to a frozen image, a blank one, late or missing frames and filled holes:
 each frame by itself looks fine. Every monitor turns what it sees into one score per robot; a robot
 is healthy while its score stays below the monitor's threshold, and thresholds are calibrated from
-scores of healthy runs like the paper's beta.
+scores of healthy runs (see `renet.selector.calibration`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Sight:
     anomaly_score: np.ndarray
     """Loss_ad of the newest images, [N]."""
     image: np.ndarray
-    """Newest image delivered, [N, 48, 64] in [0, 1]."""
+    """Newest image delivered, [N, 48, 64] in [0, 1]; a new array whenever one arrives."""
     fresh: np.ndarray
     """True where that image arrived since the last update, [N]."""
     age: np.ndarray
@@ -82,6 +82,26 @@ class FrameAge(Monitor):
         return sight.age
 
 
+class InvalidFraction(Monitor):
+    """Too many holes before filling, which hides them from the reconstruction."""
+
+    name, reason = "invalid_fraction", "too many pixels without depth"
+
+    def score(self, sight: Sight) -> np.ndarray:
+        """Share of pixels."""
+        return sight.invalid
+
+
+class Disagreement(Monitor):
+    """Both estimators know the body's velocity; one that sees nonsense drifts away."""
+
+    name, reason = "disagreement", "the estimators disagree on velocity"
+
+    def score(self, sight: Sight) -> np.ndarray:
+        """Distance of both velocities, m/s."""
+        return np.linalg.norm(sight.velocity_op - sight.velocity_vp, axis=-1)
+
+
 class Duplicate(Monitor):
     """The same image again and again: live stereo noise never repeats."""
 
@@ -94,12 +114,14 @@ class Duplicate(Monitor):
 
     def score(self, sight: Sight) -> np.ndarray:
         """How many equal images arrived in a row."""
+        if not sight.fresh.any():
+            return self._run.copy()
         if self._last is None:
             self._last = np.full_like(sight.image, np.nan)
         same = (sight.image == self._last).all(axis=(1, 2))
         self._run = np.where(sight.fresh, np.where(same, self._run + 1, 1), self._run)
         self._last = np.where(sight.fresh[:, None, None], sight.image, self._last)
-        return self._run
+        return self._run.copy()
 
     def reset(self, mask: np.ndarray) -> None:
         """See Monitor.reset."""
@@ -108,41 +130,40 @@ class Duplicate(Monitor):
             self._last[mask] = np.nan
 
 
-class InvalidFraction(Monitor):
-    """Too many holes before filling, which hides them from the reconstruction."""
+class ImageMonitor(Monitor):
+    """Judges each image by itself, and each only once."""
 
-    name, reason = "invalid_fraction", "too many pixels without depth"
+    def __init__(self, threshold: float) -> None:
+        super().__init__(threshold)
+        self._image: np.ndarray | None = None
+        self._score = np.zeros(0)
 
     def score(self, sight: Sight) -> np.ndarray:
-        """Share of pixels."""
-        return sight.invalid
+        """See Monitor.score."""
+        if sight.image is not self._image:
+            self._image, self._score = sight.image, self.judge(sight.image)
+        return self._score
+
+    def judge(self, image: np.ndarray) -> np.ndarray:
+        """The score of images [N, 48, 64]."""
+        raise NotImplementedError
 
 
-class Uniformity(Monitor):
+class Uniformity(ImageMonitor):
     """A blank image: black, white or covered."""
 
     name, reason = "uniformity", "the image is blank"
 
-    def score(self, sight: Sight) -> np.ndarray:
+    def judge(self, image: np.ndarray) -> np.ndarray:
         """Negative standard deviation of the image."""
-        return -sight.image.std(axis=(1, 2))
+        return -image.std(axis=(1, 2))
 
 
-class Nearness(Monitor):
+class Nearness(ImageMonitor):
     """Something right in front of the lens."""
 
     name, reason = "nearness", "the lens is covered"
 
-    def score(self, sight: Sight) -> np.ndarray:
+    def judge(self, image: np.ndarray) -> np.ndarray:
         """Share of pixels nearer than 10 cm."""
-        return (sight.image < NEAR).mean(axis=(1, 2))
-
-
-class Disagreement(Monitor):
-    """Both estimators know the body's velocity; one that sees nonsense drifts away."""
-
-    name, reason = "disagreement", "the estimators disagree on velocity"
-
-    def score(self, sight: Sight) -> np.ndarray:
-        """Distance of both velocities, m/s."""
-        return np.linalg.norm(sight.velocity_op - sight.velocity_vp, axis=-1)
+        return (image < NEAR).mean(axis=(1, 2))

@@ -15,6 +15,7 @@ from renet.errors import RenetError
 from renet.sim.camera_model import Intrinsics, mount_rotation
 from renet.sim.depth_noise import DepthNoiseCfg, add_noise
 from renet.sim.ray_sensor import RaySensor, object_id
+from renet.sim.raycast import scanner
 from renet.vocabulary import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK
 
 
@@ -66,6 +67,18 @@ class DepthImage:
     """[N, H, W] bool, false where no surface was hit within range."""
 
 
+@dataclass
+class Disturbance:
+    """How cameras see a scene that is not so: for faults that act on rays, not on images."""
+
+    lift: Tensor
+    """[N] m by which every surface appears higher than it is."""
+    turn: Tensor
+    """[N, 3, 3] rotation of the camera in its mount, camera axes."""
+    unseen: list[tuple[frozenset[int], Tensor]]
+    """Geoms that rays pass through, and the environments [n] whose rays do."""
+
+
 class DepthCamera(RaySensor[DepthImage]):
     """Renders when an image is due and somebody looks, and holds it until the next is due.
 
@@ -77,11 +90,14 @@ class DepthCamera(RaySensor[DepthImage]):
     def __init__(self, cfg: DepthCameraCfg) -> None:
         super().__init__()
         self.cfg = cfg
+        self.disturbance: Disturbance | None = None
+        """What is wrong with the view, from the next image on."""
 
     def initialize(self, mj_model, model, data, device) -> None:
         """Draw the mounts; raises RenetError for an unknown body or a scene without terrain."""
         self._body = object_id(mj_model, mujoco.mjtObj.mjOBJ_BODY, self.cfg.body)
         super().initialize(mj_model, model, data, device)
+        self._model = mj_model
         self._rays = self.cfg.intrinsics.rays(device)
         count = data.qpos.shape[0]
         self._position = torch.empty(count, 3, device=device)
@@ -138,12 +154,26 @@ class DepthCamera(RaySensor[DepthImage]):
         position, quaternion = self._data.xpos[:, self._body], self._data.xquat[:, self._body]
         base = matrix_from_quat(quaternion)
         eye = position + (base @ self._position.unsqueeze(-1)).squeeze(-1)
-        raw = self._scanner.depth(eye, base @ self._rotation, self._rays, self.cfg.range)
+        raw = self._cast(eye, base @ self._rotation)
         raw = raw.unflatten(-1, (self.cfg.intrinsics.height, self.cfg.intrinsics.width))
         # A ray from a pose that is not finite hits nothing sensible; NaN fails this comparison.
         valid = raw >= 0.0
         depth = torch.where(valid, raw, self.cfg.range)
         return DepthImage(add_noise(depth, self.cfg.noise).clamp_(0.0, self.cfg.range), valid)
+
+    def _cast(self, eye: Tensor, rotation: Tensor) -> Tensor:
+        """Depth [N, H * W] from `eye` [N, 3] and axes [N, 3, 3] as they truly are; -1: nothing."""
+        wrong = self.disturbance
+        if wrong is None:
+            return self._scanner.depth(eye, rotation, self._rays, self.cfg.range)
+        # A scene that appears higher is one seen from lower.
+        eye = eye - wrong.lift.unsqueeze(-1) * torch.eye(3, device=self._device)[2]
+        rotation = rotation @ wrong.turn
+        raw = self._scanner.depth(eye, rotation, self._rays, self.cfg.range)
+        for geoms, robots in wrong.unseen:
+            bare = scanner(self._model, self._device, geoms)
+            raw[robots] = bare.depth(eye[robots], rotation[robots], self._rays, self.cfg.range)
+        return raw
 
     def _late(self) -> DepthImage:
         """Each robot's image of some ticks ago."""

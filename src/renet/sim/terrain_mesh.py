@@ -22,8 +22,8 @@ Part = tuple[np.ndarray, np.ndarray]
 """Vertices [V, 3] and faces [F, 3]."""
 
 
-def terrain_mesh(model: mujoco.MjModel) -> Part:
-    """Triangulate the world-fixed geoms of a model that can collide.
+def terrain_mesh(model: mujoco.MjModel, without: frozenset[int] = frozenset()) -> Part:
+    """Triangulate the world-fixed geoms of a model that can collide, save those `without`.
 
     Returns:
         Vertices [V, 3] float32 in metres, world frame, and faces [F, 3] int32.
@@ -38,7 +38,7 @@ def terrain_mesh(model: mujoco.MjModel) -> Part:
         body = model.geom_bodyid[geom]
         collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
         mocap = model.body_mocapid[model.body_rootid[body]] >= 0
-        if model.body_weldid[body] != 0 or mocap or not collides:
+        if model.body_weldid[body] != 0 or mocap or not collides or geom in without:
             continue
         vertices, faces = _triangulate(model, geom)
         rotation = data.geom_xmat[geom].reshape(3, 3)

@@ -14,10 +14,14 @@ from renet.evaluation.faults import (
     Frames,
     Injection,
     Injector,
+    PhysicalFault,
     injection_of_verb,
 )
 from renet.evaluation.faults.image import FOCAL_PIXELS, fill_holes, shifted
 from renet.vocabulary import DEPTH_SHAPE
+
+
+SENSOR_FAULTS = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
 
 
 def ground(n: int, tick: int = 0) -> np.ndarray:
@@ -38,7 +42,7 @@ def spoilt(fault: str, level: float, n: int = 4) -> tuple[np.ndarray, Frames]:
     return ground(n), injector.apply(Frames.healthy(ground(n)), 0)
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", SENSOR_FAULTS)
 @pytest.mark.parametrize("severity", SEVERITIES)
 def test_every_fault_spoils_after_its_onset_and_only_then(fault: str, severity: int) -> None:
     frames = play([Injection.of(fault, severity, onset=25)])
@@ -53,7 +57,7 @@ def test_every_fault_spoils_after_its_onset_and_only_then(fault: str, severity: 
     assert any(np.any(f.image != ground(2, t)) for t, f in enumerate(frames[5:], start=5))
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", SENSOR_FAULTS)
 def test_a_fault_of_limited_duration_leaves_no_trace(fault: str) -> None:
     frames = play([Injection.of(fault, 3, onset=25, duration=0.5)])
     for t in range(10, 20):
@@ -61,7 +65,7 @@ def test_a_fault_of_limited_duration_leaves_no_trace(fault: str) -> None:
         assert frames[t].fresh.all()
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", SENSOR_FAULTS)
 def test_robots_draw_their_own_noise_by_stream_and_seed(fault: str) -> None:
     once, again = (play([Injection.of(fault, 4, onset=0)], seed=3) for _ in range(2))
     injector = Injector([(Injection.of(fault, 4, onset=0),)], [1], 3)

@@ -9,6 +9,7 @@ from renet.evaluation.faults.injection import (
     injection_of_verb,
 )
 from renet.evaluation.faults.stream import SEVERITIES, TICK, Fault, Frames
+from renet.evaluation.faults.view import PhysicalFault, View
 
 __all__ = [
     "FAULTS",
@@ -19,7 +20,9 @@ __all__ = [
     "Frames",
     "Injection",
     "Injector",
+    "PhysicalFault",
     "Schedule",
+    "View",
     "fault_class",
     "injection_of_verb",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from renet.errors import RenetError
-from renet.evaluation.faults import image, timing
+from renet.evaluation.faults import image, physical, timing
 from renet.evaluation.faults.stream import Fault
 
 FAULTS: dict[str, type[Fault]] = {
@@ -22,7 +22,10 @@ FAULTS: dict[str, type[Fault]] = {
         image.Glare,
         image.GlareFilled,
         image.NearField,
+        physical.Glass,
+        physical.Foam,
         image.MotionBlur,
+        physical.MountKnocked,
         image.WrongScale,
         timing.Unplugged,
     )

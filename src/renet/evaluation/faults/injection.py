@@ -10,6 +10,7 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation.faults.catalogue import FAULTS, fault_class
 from renet.evaluation.faults.stream import Frames
+from renet.evaluation.faults.view import PhysicalFault, View
 from renet.vocabulary import CONTROL_DT
 
 FOREVER = float("inf")
@@ -62,13 +63,23 @@ Schedule = tuple[Injection, ...]
 class Injector:
     """Spoils the frames of a batch of robots, each by its own schedule."""
 
-    def __init__(self, schedules: Sequence[Schedule], streams: Sequence[int], seed: int) -> None:
+    def __init__(
+        self,
+        schedules: Sequence[Schedule],
+        streams: Sequence[int],
+        seed: int,
+        physical: bool = False,
+    ) -> None:
         """Robots with the same stream number and seed draw the same noise, whatever their row.
 
         Args:
             schedules: one for each robot.
             streams: one random stream number for each robot.
             seed: of the whole study.
+            physical: the cameras belong to a world that carries out physical faults.
+
+        Raises:
+            RenetError: a physical fault for any other camera.
         """
         self._num_robots = len(schedules)
         self._stages = []
@@ -80,6 +91,11 @@ class Injector:
             for injection, rows in groups.items():
                 rngs = [np.random.default_rng([seed, place, streams[row]]) for row in rows]
                 fault = FAULTS[injection.fault](injection.level, rngs)
+                if isinstance(fault, PhysicalFault) and not physical:
+                    raise RenetError(
+                        f"fault '{fault.name}' acts on the scene, not on the image: only a"
+                        " simulated world can carry it out"
+                    )
                 self._stages.append((injection, fault, np.array(rows)))
 
     def at_work(self, step: int) -> np.ndarray:
@@ -88,6 +104,19 @@ class Injector:
         for injection, fault, rows in self._stages:
             failing[rows] |= 0 <= injection.elapsed(step) < fault.lasts
         return failing
+
+    @property
+    def physical(self) -> bool:
+        """Whether any fault is physical, so that `view` must be carried out."""
+        return any(isinstance(fault, PhysicalFault) for _, fault, _ in self._stages)
+
+    def view(self, step: int) -> View:
+        """How the cameras see their scene at a control step."""
+        view = View.true(self._num_robots)
+        for injection, fault, rows in self._stages:
+            if isinstance(fault, PhysicalFault) and injection.elapsed(step) >= 0:
+                fault.bend(view, rows)
+        return view
 
     def apply(self, frames: Frames, step: int) -> Frames:
         """The frames after every fault at work at this control step; call once per vision tick."""

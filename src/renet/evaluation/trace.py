@@ -1,0 +1,95 @@
+"""What happened in a closed-loop run, step by step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from renet.vocabulary import CONTROL_DT, PHYSICS_DT
+
+UPDATES_PER_STEP = round(CONTROL_DT / PHYSICS_DT)
+"""Selector updates in one control step."""
+
+
+@dataclass
+class Film:
+    """What pictures of a few rows need."""
+
+    rows: tuple[int, ...]
+    poses: np.ndarray
+    """[T, R, nq]"""
+    images: np.ndarray
+    """[ticks, R, 48, 64] uint8: the depth image each robot got at each tick."""
+
+
+@dataclass
+class Trace:
+    """What happened, for each control step and robot; [T, N] unless said otherwise.
+
+    A robot that falls or leaves its tile starts anew and goes on; `fallen` and `speed` are for
+    studies in which a fall is final.
+    """
+
+    forward_velocity: np.ndarray
+    """m/s along the commanded yaw."""
+    height: np.ndarray
+    """m"""
+    travelled: np.ndarray
+    """m from where the robot last started."""
+    collisions: np.ndarray
+    """Thighs, calves and trunks that touch something."""
+    anomaly: np.ndarray
+    probability: np.ndarray
+    """Vision probability P_t at the end of the step."""
+    fell: np.ndarray
+    """bool: fell in this step."""
+    ended: np.ndarray
+    """bool: fell or left its tile in this step; the velocity of this step is the next start's."""
+    vision: np.ndarray
+    """bool: the VP estimator's latent drove this step."""
+    failing: np.ndarray
+    """bool: the camera is failing."""
+    trusted: np.ndarray
+    """[T, U, N] bool: the selector's answer after each of its U updates of a step."""
+    film: Film | None = field(default=None, repr=False)
+
+    @classmethod
+    def empty(cls, steps: int, count: int) -> Trace:
+        """Room for `steps` control steps of `count` robots."""
+
+        def numbers() -> np.ndarray:
+            return np.zeros((steps, count))
+
+        def flags() -> np.ndarray:
+            return np.zeros((steps, count), bool)
+
+        return cls(
+            forward_velocity=numbers(),
+            height=numbers(),
+            travelled=numbers(),
+            collisions=numbers(),
+            anomaly=numbers(),
+            probability=numbers(),
+            fell=flags(),
+            ended=flags(),
+            vision=flags(),
+            failing=flags(),
+            trusted=np.ones((steps, UPDATES_PER_STEP, count), bool),
+        )
+
+    def until(self, steps: int) -> Trace:
+        """The first control steps only."""
+        return Trace(
+            **{name: value[:steps] for name, value in vars(self).items() if name != "film"}
+        )
+
+    @property
+    def fallen(self) -> np.ndarray:
+        """[T, N] bool: fell in this or an earlier step; a robot that fell stays counted."""
+        return np.logical_or.accumulate(self.fell, axis=0)
+
+    @property
+    def speed(self) -> np.ndarray:
+        """[T, N] m/s along the commanded yaw; zero from a robot's fall on."""
+        return np.where(self.fallen, 0.0, self.forward_velocity)
