@@ -6,16 +6,33 @@ from mjlab.tasks.registry import register_mjlab_task
 
 from renet.tasks.config import flat_env_cfg, parkour_env_cfg
 from renet.tasks.env import RenetEnv, RenetEnvCfg, env_cfg, make_env
+from renet.tasks.go1 import GO1
+from renet.tasks.robot import Motor, Robot, rename_parts
 from renet.training.config import RenetRunnerCfg
 from renet.training.runner import RenetRunner
 
-__all__ = ["RenetEnv", "RenetEnvCfg", "env_cfg", "make_env"]
+__all__ = [
+    "Motor",
+    "RenetEnv",
+    "RenetEnvCfg",
+    "Robot",
+    "env_cfg",
+    "make_env",
+    "register_tasks",
+    "rename_parts",
+]
 
-for _task, _cfg in (("Renet-Go1-Flat", flat_env_cfg), ("Renet-Go1-Parkour", parkour_env_cfg)):
-    register_mjlab_task(
-        task_id=_task,
-        env_cfg=_cfg(),
-        play_env_cfg=_cfg(play=True),
-        rl_cfg=RenetRunnerCfg(),
-        runner_cls=RenetRunner,
-    )
+
+def register_tasks(name: str, robot: Robot) -> None:
+    """Give a robot the tasks Renet-`name`-Flat and Renet-`name`-Parkour."""
+    for terrain, cfg in (("Flat", flat_env_cfg), ("Parkour", parkour_env_cfg)):
+        register_mjlab_task(
+            task_id=f"Renet-{name}-{terrain}",
+            env_cfg=cfg(robot=robot),
+            play_env_cfg=cfg(play=True, robot=robot),
+            rl_cfg=RenetRunnerCfg(),
+            runner_cls=RenetRunner,
+        )
+
+
+register_tasks("Go1", GO1)

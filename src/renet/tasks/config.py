@@ -6,7 +6,6 @@ import math
 
 from mjlab.envs import mdp
 from mjlab.envs.mdp import dr
-from mjlab.envs.mdp.actions import JointPositionActionCfg
 from mjlab.managers.curriculum_manager import CurriculumTermCfg
 from mjlab.managers.event_manager import EventTermCfg
 from mjlab.managers.metrics_manager import MetricsTermCfg
@@ -24,10 +23,12 @@ from mjlab.viewer import ViewerConfig
 from renet.sim.depth_camera import DepthCameraCfg
 from renet.sim.terrain_scan import FeetHeightCfg, HeightMapCfg
 from renet.tasks import curriculum, observations, rewards, terminations
+from renet.tasks.actions import JointTargetCfg
 from renet.tasks.commands import COMMAND, GoalCommandCfg
 from renet.tasks.constraints import violated
 from renet.tasks.env import RenetEnvCfg
-from renet.tasks.robot import ACTION_SCALE, go1_cfg
+from renet.tasks.go1 import GO1
+from renet.tasks.robot import FEET, TRUNK, Robot
 from renet.tasks.terrains import parkour_terrain
 from renet.vocabulary import CONSTRAINTS, CONTROL_DT, JOINTS, LEGS, PHYSICS_DT, PROPRIOCEPTION
 
@@ -40,45 +41,43 @@ NOISE = {
 """Half-widths of uniform sensor noise, in each term's unit before scaling (mjlab's Go1 task)."""
 
 
-def flat_env_cfg(play: bool = False) -> RenetEnvCfg:
+def flat_env_cfg(play: bool = False, robot: Robot = GO1) -> RenetEnvCfg:
     """Renet-Go1-Flat: one plane, any yaw."""
-    cfg = _base_env_cfg(TerrainEntityCfg(terrain_type="plane"))
+    cfg = _base_env_cfg(TerrainEntityCfg(terrain_type="plane"), robot)
     command = cfg.commands[COMMAND]
     assert isinstance(command, GoalCommandCfg)
     command.resampling_time_range, command.later_turn = (4.0, 10.0), math.pi
     return _play(cfg) if play else cfg
 
 
-def parkour_env_cfg(play: bool = False) -> RenetEnvCfg:
+def parkour_env_cfg(play: bool = False, robot: Robot = GO1) -> RenetEnvCfg:
     """Renet-Go1-Parkour: the paper's terrains under a 10-level curriculum."""
-    return tile_env_cfg(parkour_terrain(), play)
+    return tile_env_cfg(parkour_terrain(), play, robot)
 
 
-def tile_env_cfg(terrain: TerrainEntityCfg, play: bool = False) -> RenetEnvCfg:
+def tile_env_cfg(terrain: TerrainEntityCfg, play: bool = False, robot: Robot = GO1) -> RenetEnvCfg:
     """The parkour task on any terrain made of tiles (see terrains.single_tile_terrain)."""
-    cfg = _base_env_cfg(terrain)
+    cfg = _base_env_cfg(terrain, robot)
     cfg.terminations["in_gap"] = TerminationTermCfg(func=terminations.in_gap)
     cfg.terminations["left_tile"] = TerminationTermCfg(func=terminations.left_tile, time_out=True)
     cfg.curriculum["level"] = CurriculumTermCfg(func=curriculum.terrain_levels)
     return _play(cfg) if play else cfg
 
 
-def _base_env_cfg(terrain: TerrainEntityCfg) -> RenetEnvCfg:
+def _base_env_cfg(terrain: TerrainEntityCfg, robot: Robot) -> RenetEnvCfg:
     return RenetEnvCfg(
+        robot=robot,
         decimation=round(CONTROL_DT / PHYSICS_DT),
         episode_length_s=20.0,
         scene=SceneCfg(
             terrain=terrain,
-            entities={"robot": go1_cfg()},
-            sensors=(*_contact_sensors(), *_terrain_sensors()),
+            entities={"robot": robot.entity()},
+            sensors=(*_contact_sensors(), *_terrain_sensors(robot)),
         ),
         observations=_observations(),
         actions={
-            "joint_pos": JointPositionActionCfg(
-                entity_name="robot",
-                actuator_names=(".*",),
-                scale=ACTION_SCALE,
-                use_default_offset=True,
+            "joint_pos": JointTargetCfg(
+                entity_name="robot", scale=robot.action_scale, use_default_offset=True
             )
         },
         commands={COMMAND: GoalCommandCfg()},
@@ -108,7 +107,7 @@ def _base_env_cfg(terrain: TerrainEntityCfg) -> RenetEnvCfg:
         viewer=ViewerConfig(
             origin_type=ViewerConfig.OriginType.ASSET_BODY,
             entity_name="robot",
-            body_name="trunk",
+            body_name=TRUNK,
             distance=2.0,
             elevation=-15.0,
         ),
@@ -135,21 +134,20 @@ def _contact_sensors() -> tuple[ContactSensorCfg, ...]:
             reduce="netforce",
         )
 
-    calves = tuple(f"{leg}_calf_collision{i}" for leg in LEGS for i in (1, 2))
+    thighs = tuple(f"{leg}_thigh" for leg in LEGS)
+    calves = tuple(rf"{leg}_calf_collision\d*" for leg in LEGS)
     return (
-        touching(observations.FEET_CONTACT, "geom", tuple(f"{leg}_foot_collision" for leg in LEGS)),
-        touching(
-            observations.THIGH_TRUNK_CONTACT, "body", (*(f"{leg}_thigh" for leg in LEGS), "trunk")
-        ),
+        touching(observations.FEET_CONTACT, "geom", FEET),
+        touching(observations.THIGH_TRUNK_CONTACT, "body", (*thighs, TRUNK)),
         touching(observations.CALF_CONTACT, "geom", calves),
     )
 
 
-def _terrain_sensors() -> tuple[DepthCameraCfg, HeightMapCfg, FeetHeightCfg]:
+def _terrain_sensors(robot: Robot) -> tuple[DepthCameraCfg, HeightMapCfg, FeetHeightCfg]:
     return (
-        DepthCameraCfg(name=observations.DEPTH_CAMERA),
-        HeightMapCfg(name=observations.HEIGHT_MAP),
-        FeetHeightCfg(name=observations.FEET_HEIGHT),
+        DepthCameraCfg(name=observations.DEPTH_CAMERA, mount=robot.camera),
+        HeightMapCfg(name=observations.HEIGHT_MAP, base_height=robot.map_height),
+        FeetHeightCfg(name=observations.FEET_HEIGHT, radius=robot.foot_radius),
     )
 
 
@@ -188,8 +186,8 @@ def _observations() -> dict[str, ObservationGroupCfg]:
             "physical_parameters": ObservationTermCfg(
                 func=observations.physical_parameters,
                 params={
-                    "trunk": SceneEntityCfg("robot", body_names=("trunk",)),
-                    "foot": SceneEntityCfg("robot", geom_names=("FR_foot_collision",)),
+                    "trunk": SceneEntityCfg("robot", body_names=(TRUNK,)),
+                    "foot": SceneEntityCfg("robot", geom_names=FEET[:1]),
                 },
             ),
         }
@@ -237,8 +235,8 @@ def _metrics() -> dict[str, MetricsTermCfg]:
 
 
 def _events() -> dict[str, EventTermCfg]:
-    feet = SceneEntityCfg("robot", geom_names=tuple(f"{leg}_foot_collision" for leg in LEGS))
-    trunk = SceneEntityCfg("robot", body_names=("trunk",))
+    feet = SceneEntityCfg("robot", geom_names=FEET)
+    trunk = SceneEntityCfg("robot", body_names=(TRUNK,))
     return {
         "spawn": EventTermCfg(
             func=mdp.reset_root_state_uniform,

@@ -12,12 +12,9 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from renet.tasks.robot import DAMPING, STIFFNESS, TORQUE_LIMIT, VELOCITY_LIMIT
 from renet.vocabulary import CONSTRAINTS
 
 if TYPE_CHECKING:
-    from mjlab.envs import ManagerBasedRlEnv
-
     from renet.tasks.env import RenetEnv
 
 
@@ -51,12 +48,10 @@ def violated(env: RenetEnv, constraint: str) -> Tensor:
 class Constraints:
     """Evaluates all three costs of an environment, order of vocabulary.CONSTRAINTS."""
 
-    def __init__(self, cfg: ConstraintCfg, env: ManagerBasedRlEnv) -> None:
-        self.robot = env.scene["robot"]
-        kinds = [name.split("_")[1] for name in self.robot.joint_names]
-        limits = torch.tensor(
-            [(VELOCITY_LIMIT[kind], TORQUE_LIMIT[kind]) for kind in kinds], device=env.device
-        )
+    def __init__(self, cfg: ConstraintCfg, env: RenetEnv) -> None:
+        self.robot, self.kind = env.scene["robot"], env.cfg.robot
+        motors = [self.kind.motor(name) for name in self.robot.joint_names]
+        limits = torch.tensor([(m.velocity, m.torque) for m in motors], device=env.device)
         self.velocity_limit = cfg.velocity * limits[:, 0]
         self.torque_limit = cfg.torque * limits[:, 1]
         low, high = self.robot.data.joint_pos_limits.unbind(-1)
@@ -65,8 +60,9 @@ class Constraints:
 
     def __call__(self) -> Tensor:
         """[N, 3]: rad, rad/s (each joint counts at most 1), N m."""
-        data = self.robot.data
-        torque = STIFFNESS * (data.joint_pos_target - data.joint_pos) - DAMPING * data.joint_vel
+        data, kind = self.robot.data, self.kind
+        error = data.joint_pos_target - data.joint_pos
+        torque = kind.stiffness * error - kind.damping * data.joint_vel
         velocity = torch.relu(data.joint_vel.abs() - self.velocity_limit).clamp_max(1.0).sum(-1)
         costs = (
             outside(data.joint_pos, self.low, self.high),

@@ -19,13 +19,17 @@ from torch import Tensor
 from renet.errors import RenetError
 from renet.sim.engine import use_engine
 from renet.tasks.constraints import ConstraintCfg, Constraints
+from renet.tasks.go1 import GO1
 from renet.tasks.rewards import goal
+from renet.tasks.robot import Robot
 
 
 @dataclass(kw_only=True)
 class RenetEnvCfg(ManagerBasedRlEnvCfg):
     """ManagerBasedRlEnvCfg plus what RENet's constrained problem needs."""
 
+    robot: Robot = GO1
+    """Whose limits the constraints are, and what `renet export` writes into a bundle."""
     constraints: ConstraintCfg = field(default_factory=ConstraintCfg)
     clip_reward: bool = True
     """Keep each step's summed reward at or above zero (Extreme Parkour does): dying early never

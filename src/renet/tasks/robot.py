@@ -1,33 +1,25 @@
-"""Unitree Go1 as RENet drives it: mjlab's asset, soft joint servos, feet-terrain contacts only."""
+"""What the tasks need to know of a robot; go1.py describes the paper's, docs/robots.md another."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import mujoco
 from mjlab.actuator import BuiltinPositionActuatorCfg
-from mjlab.asset_zoo.robots.unitree_go1 import go1_constants as go1
 from mjlab.entity import EntityArticulationInfoCfg, EntityCfg
 from mjlab.utils.spec_config import CollisionCfg
 
-STIFFNESS = 40.0
-"""Kp, N m/rad (published Go1 parkour policies)."""
-DAMPING = 1.0
-"""Kd, N m s/rad."""
-ACTION_SCALE = 0.25
-"""Radians of joint target per policy unit."""
-ACTION_CLIP = 4.8
-"""Policy units beyond which actions are cut: 1.2 rad (Extreme Parkour)."""
+from renet.errors import RenetError
+from renet.sim.depth_camera import MountCfg
+from renet.vocabulary import JOINTS, LEGS
 
-TORQUE_LIMIT = {
-    "hip": go1.HIP_ACTUATOR.effort_limit,
-    "thigh": go1.HIP_ACTUATOR.effort_limit,
-    "calf": go1.KNEE_ACTUATOR.effort_limit,
-}
-"""N m, from the vendor's model."""
-VELOCITY_LIMIT = {
-    "hip": go1.HIP_ACTUATOR.velocity_limit,
-    "thigh": go1.HIP_ACTUATOR.velocity_limit,
-    "calf": go1.KNEE_ACTUATOR.velocity_limit,
-}
-"""rad/s, from the vendor's model."""
+TRUNK = "trunk"
+"""Name of the base body."""
+FEET = tuple(f"{leg}_foot_collision" for leg in LEGS)
+"""Names of the feet's geoms; a site at each foot's middle is named as its leg."""
+ACTION_CLIP = 4.8
+"""Policy units beyond which actions are cut: 1.2 rad of the Go1's joints (Extreme Parkour)."""
 
 # Robot geoms touch the terrain (contype 1) but not each other: self-collision costs a third of the
 # physics and a policy inside its joint limits does not need it.
@@ -41,27 +33,124 @@ COLLISION = CollisionCfg(
 )
 
 
-def _servo(joint: str, actuator: go1.ElectricActuator) -> BuiltinPositionActuatorCfg:
-    return BuiltinPositionActuatorCfg(
-        target_names_expr=(joint,),
-        stiffness=STIFFNESS,
-        damping=DAMPING,
-        effort_limit=actuator.effort_limit,
-        armature=actuator.reflected_inertia,
-    )
+@dataclass(frozen=True)
+class Motor:
+    """What drives a joint, from the vendor's model."""
+
+    torque: float
+    """Limit, N m."""
+    velocity: float
+    """Limit, rad/s."""
+    armature: float | None = None
+    """Reflected rotor inertia, kg m^2; None keeps the MJCF's."""
 
 
-def go1_cfg() -> EntityCfg:
-    """A fresh robot configuration."""
-    return EntityCfg(
-        init_state=go1.INIT_STATE,
-        collisions=(COLLISION,),
-        spec_fn=go1.get_spec,
-        articulation=EntityArticulationInfoCfg(
-            actuators=(
-                _servo(".*_(hip|thigh)_joint", go1.HIP_ACTUATOR),
-                _servo(".*_calf_joint", go1.KNEE_ACTUATOR),
+@dataclass(frozen=True)
+class Robot:
+    """A quadruped of twelve joints."""
+
+    name: str
+    """As bundles show it."""
+    spec: Callable[[], mujoco.MjSpec]
+    """A fresh MJCF in renet's names (see `rename_parts`): bodies `trunk`, `FR_hip`, `FR_thigh`,
+    `FR_calf`, …, the joints of vocabulary.JOINTS in any order, colliding geoms `*_collision*`,
+    feet `FR_foot_collision`, …, with a site `FR`, … in the middle of each; no actuators."""
+    height: float
+    """Of the base at the start, m above flat ground."""
+    pose: Mapping[str, float]
+    """Default joint positions, rad, by regular expression over vocabulary.JOINTS."""
+    motors: Mapping[str, Motor]
+    """Of `hip`, `thigh` and `calf` joints."""
+    foot_radius: float
+    """m"""
+    camera: MountCfg = field(default_factory=MountCfg)
+    """Where the depth camera sits on the trunk."""
+    stiffness: float = 40.0
+    """Kp of every joint, N m/rad."""
+    damping: float = 1.0
+    """Kd of every joint, N m s/rad."""
+    action_scale: float = 0.25
+    """Radians of joint target per policy unit."""
+    map_height: float = 0.3
+    """Height of the base over flat ground that reads as zero in the height map, m."""
+
+    def entity(self) -> EntityCfg:
+        """A fresh configuration for mjlab."""
+        return EntityCfg(
+            init_state=EntityCfg.InitialStateCfg(
+                pos=(0.0, 0.0, self.height), joint_pos=dict(self.pose), joint_vel={".*": 0.0}
             ),
-            soft_joint_pos_limit_factor=0.9,
-        ),
-    )
+            collisions=(COLLISION,),
+            spec_fn=self.spec,
+            articulation=EntityArticulationInfoCfg(
+                actuators=tuple(self._servos()),
+                soft_joint_pos_limit_factor=0.9,
+            ),
+        )
+
+    def motor(self, joint: str) -> Motor:
+        """What drives a joint of vocabulary.JOINTS."""
+        return self.motors[joint.split("_")[1]]
+
+    def _servos(self) -> Iterator[BuiltinPositionActuatorCfg]:
+        """One group for each kind of motor."""
+        for motor in dict.fromkeys(self.motors.values()):
+            kinds = [kind for kind, own in self.motors.items() if own == motor]
+            yield BuiltinPositionActuatorCfg(
+                target_names_expr=(f".*_({'|'.join(kinds)})_joint",),
+                stiffness=self.stiffness,
+                damping=self.damping,
+                effort_limit=motor.torque,
+                armature=motor.armature,
+            )
+
+
+def rename_parts(
+    spec: mujoco.MjSpec,
+    trunk: str,
+    feet: Mapping[str, str],
+    bodies: Mapping[str, str] | None = None,
+    joints: Mapping[str, str] | None = None,
+) -> mujoco.MjSpec:
+    """Turn a vendor's MJCF into what `Robot.spec` promises, in place.
+
+    Args:
+        spec: the robot alone, without ground.
+        trunk: its name of the base body.
+        feet: its names of the feet's geoms, by leg of vocabulary.LEGS.
+        bodies: its name of each body FR_hip, FR_thigh, FR_calf, …, where it is another.
+        joints: its name of each joint of vocabulary.JOINTS, where it is another.
+
+    Raises:
+        RenetError: a part is missing.
+    """
+    wanted = {f"{leg}_{part}": spec.body for leg in LEGS for part in ("hip", "thigh", "calf")}
+    own = {TRUNK: trunk, **(bodies or {}), **(joints or {})}
+    found = {}
+    for name, lookup in {TRUNK: spec.body, **wanted, **dict.fromkeys(JOINTS, spec.joint)}.items():
+        found[name] = _part(lookup, own.get(name, name))
+    for name, part in found.items():
+        part.name = name
+    for leg, foot in feet.items():
+        geom = _part(spec.geom, foot)
+        geom.parent.add_site(name=leg, pos=geom.pos)
+        geom.name = f"{leg}_foot_collision"
+    for body in spec.bodies:
+        colliding = [geom for geom in body.geoms if geom.contype or geom.conaffinity]
+        others = [geom for geom in colliding if geom.name not in FEET]
+        for number, geom in enumerate(others, start=1):
+            geom.name = f"{body.name}_collision{number}"
+    # Servos are mjlab's; physics options and poses are the task's.
+    spec.option = mujoco.MjSpec().option
+    for group in (spec.actuators, spec.sensors, spec.keys):
+        for item in list(group):
+            spec.delete(item)
+    return spec
+
+
+def _part(lookup: Callable, name: str):
+    """A named part of a spec."""
+    part = lookup(name)
+    if part is None:
+        raise RenetError(f"the robot's MJCF has no {lookup.__name__} named {name!r}")
+    return part

