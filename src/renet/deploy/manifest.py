@@ -77,9 +77,13 @@ class SelectorSpec:
     gamma: float = 0.1
     rate_hz: float = 200.0
     thresholds: dict[str, float] = field(default_factory=dict)
-    """Calibrated thresholds of further monitors, by name."""
+    """Calibrated thresholds of the monitors, by name; those missing have documented defaults."""
     calibration: str = ""
     """How beta was found."""
+    false_alarms_per_hour: float = 0.0
+    """Rate at which the thresholds let healthy robots leave vision; 0: never calibrated."""
+    healthy_hours: float = 0.0
+    """Robot hours the thresholds were learnt from."""
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
-"""`renet calibrate`: measure the selector's threshold β on healthy runs and store it."""
+"""`renet calibrate`: measure the selector's thresholds on healthy runs and store them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +11,12 @@ import tyro
 
 from renet.deploy.bundle import write_manifest
 from renet.errors import RenetError
+from renet.evaluation.healthy import TICK_RATE, ScoreLog, healthy_series, successful_runs
 from renet.evaluation.lab import Lab
 from renet.evaluation.rollout import Row, Trace, run_rollout
-from renet.evaluation.terminal import progress
+from renet.evaluation.terminal import progress, show
 from renet.evaluation.world import SimWorld
-from renet.selector.calibration import calibrate, conformal_threshold
+from renet.selector.calibration import calibrate, calibrate_monitors, conformal_threshold
 from renet.tiles import LEVELS, tiles
 from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
 
@@ -25,13 +25,16 @@ FLAT, PARKOUR = "Renet-Go1-Flat", "Renet-Go1-Parkour"
 
 @dataclass(frozen=True)
 class CalibrateCfg:
-    """How β is measured: from the anomaly scores of episodes that succeed, cameras healthy."""
+    """How β and the monitors' thresholds are measured: from episodes that succeed, cameras healthy.
+
+    β is the paper's; the monitors of the default selector get thresholds of their own.
+    """
 
     bundle: tyro.conf.Positional[Path]
-    """Bundle folder; its manifest gets the new β."""
+    """Bundle folder; its manifest gets β and the thresholds."""
     robots: int = 120
     """Robots on each task."""
-    seconds: float = 20.0
+    seconds: float = 30.0
     """Simulated time of each robot."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
@@ -42,6 +45,8 @@ class CalibrateCfg:
     false_alarm: float = 0.0
     """0: the paper's rule, β is the largest score. Otherwise β is exceeded by a healthy frame with
     at most this probability (split conformal)."""
+    false_alarms_per_hour: float = 0.5
+    """How often all monitors together may make a healthy robot leave vision."""
     seed: int = 7
     """Of the robots' starts."""
     engine: str = "auto"
@@ -49,7 +54,7 @@ class CalibrateCfg:
 
 
 def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
-    """Measure β, write it into the bundle's manifest and return it.
+    """Measure β and the monitors' thresholds, write them into the manifest and return β.
 
     Raises:
         RenetError: a bundle that cannot be used, or a policy that never succeeds.
@@ -60,9 +65,12 @@ def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
             f" between 1 and {LEVELS}"
         )
     lab = lab or Lab(cfg.bundle, cfg.engine)
-    scores = np.concatenate([_healthy_scores(cfg, lab, task) for task in cfg.tasks])
-    if len(scores) == 0:
+    tasks = [_healthy_runs(cfg, lab, task) for task in cfg.tasks]
+    series = {name: [run for task in tasks for run in task[name]] for name in tasks[0]}
+    if not series["reconstruction"]:
         raise RenetError("no episode succeeded: train the policy before calibrating its selector")
+    scores = np.concatenate(series["reconstruction"])
+    monitors = calibrate_monitors(series, cfg.false_alarms_per_hour, TICK_RATE)
     beta = conformal_threshold(scores, cfg.false_alarm) if cfg.false_alarm else calibrate(scores)
     rule = f"false alarm {cfg.false_alarm}" if cfg.false_alarm else "maximum"
     how = (
@@ -70,20 +78,35 @@ def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
         f" {datetime.now(UTC):%Y-%m-%d}"
     )
     manifest = lab.bundle.manifest
-    selector = replace(manifest.selector, beta=beta, calibration=how)
+    selector = replace(
+        manifest.selector,
+        beta=beta,
+        calibration=how,
+        thresholds=monitors.thresholds,
+        false_alarms_per_hour=monitors.false_alarms_per_hour,
+        healthy_hours=monitors.robot_hours,
+    )
     write_manifest(lab.bundle.path, replace(manifest, selector=selector))
     print(f"beta {beta:.6g} ({how}) written to {lab.bundle.path}")
+    rows = [(name, f"{value:.4g}") for name, value in monitors.thresholds.items()]
+    show(
+        f"Thresholds for {monitors.false_alarms_per_hour:g} false alarms per hour, from"
+        f" {monitors.robot_hours:.2f} healthy robot hours",
+        ("monitor", "threshold"),
+        rows,
+    )
     return beta
 
 
-def _healthy_scores(cfg: CalibrateCfg, lab: Lab, task: str) -> np.ndarray:
-    """Scores of one task's successful episodes, VP in charge throughout."""
+def _healthy_runs(cfg: CalibrateCfg, lab: Lab, task: str) -> dict[str, list[np.ndarray]]:
+    """Every monitor's scores in one task's successful episodes, VP in charge throughout."""
     steps = round(cfg.seconds / CONTROL_DT)
     world = lab.world(task, range(cfg.robots), cfg.speed, cfg.seed)
     if task == PARKOUR and isinstance(world, SimWorld):
         robot = np.arange(cfg.robots)
         world.place(robot // len(tiles()) % cfg.levels, robot % len(tiles()))
     rows = [Row("vp", robot=i) for i in range(cfg.robots)]
+    log = ScoreLog(cfg.robots)
     with progress(task, steps) as advance:
         trace = run_rollout(
             world,
@@ -93,8 +116,9 @@ def _healthy_scores(cfg: CalibrateCfg, lab: Lab, task: str) -> np.ndarray:
             steps,
             cfg.seed,
             on_step=advance,
+            on_sight=log,
         )
-    return successful_scores(trace)
+    return healthy_series(log, trace)
 
 
 def successful_scores(trace: Trace) -> np.ndarray:
@@ -103,12 +127,6 @@ def successful_scores(trace: Trace) -> np.ndarray:
     A robot still on its feet when the run ends succeeded, too. The steps between a restart and
     the next tick have no score of their own and are left out.
     """
-    kept = []
-    for robot in range(trace.anomaly.shape[1]):
-        ends = np.flatnonzero(trace.ended[:, robot])
-        edges = [0, *(ends + 1), len(trace.anomaly)]
-        for start, end in pairwise(edges):
-            if end > start and not trace.fell[end - 1, robot]:
-                ticks = np.arange(-(-start // STEPS_PER_TICK) * STEPS_PER_TICK, end, STEPS_PER_TICK)
-                kept.append(trace.anomaly[ticks, robot])
+    scores = trace.anomaly[::STEPS_PER_TICK]
+    kept = [scores[ticks, robot] for robot, ticks in successful_runs(trace)]
     return np.concatenate(kept) if kept else np.zeros(0)

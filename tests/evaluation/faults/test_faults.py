@@ -20,7 +20,6 @@ from renet.evaluation.faults import (
 from renet.evaluation.faults.image import FOCAL_PIXELS, fill_holes, shifted
 from renet.vocabulary import DEPTH_SHAPE
 
-
 SENSOR_FAULTS = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
 
 
