@@ -53,6 +53,13 @@ COMMANDS = {
         "run_play",
         "train",
     ),
+    "deploy": Command(
+        "put a bundle on a robot, simulated or real; leaves a flight log and its timeline",
+        "renet.deploy.launch",
+        "DeployCfg",
+        "deploy",
+        "sim",
+    ),
     "calibrate": Command(
         "measure the selector's threshold on healthy runs and store it in a bundle",
         "renet.evaluation.calibrate",
@@ -74,6 +81,20 @@ COMMANDS = {
         "run_terrain",
         "train",
     ),
+    "evaluate success": Command(
+        "success rate against size for gaps, platforms and stairs, one try each",
+        "renet.evaluation.success",
+        "SuccessCfg",
+        "main",
+        "train",
+    ),
+    "evaluate course": Command(
+        "a kilometre unattended: grass, stairs, slopes, platforms, gaps, an occlusion",
+        "renet.evaluation.course",
+        "CourseCfg",
+        "main",
+        "train",
+    ),
     "evaluate faults": Command(
         "every way a depth camera fails, at every severity, in every mode",
         "renet.evaluation.fault_study",
@@ -87,6 +108,12 @@ COMMANDS = {
         "FilterCfg",
         "run_filter",
         "train",
+    ),
+    "evaluate log": Command(
+        "score a flight log: falls, distance, switches, delays, and its timeline",
+        "renet.deploy.score",
+        "ScoreCfg",
+        "score_log",
     ),
     "evaluate report": Command(
         "put every study found in a folder on one self-contained page",

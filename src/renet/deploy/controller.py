@@ -35,7 +35,7 @@ from renet.deploy.sight import FrameKeeper, Trust
 from renet.errors import RenetError
 from renet.vocabulary import ACTION_SIZE, DEPTH_SHAPE, LATENT
 
-BLACK = np.zeros(DEPTH_SHAPE, np.float32)
+BLACK = np.zeros((1, *DEPTH_SHAPE), np.float32)
 
 
 @dataclass(frozen=True)
@@ -139,6 +139,12 @@ class Controller:
             self._tell(now, self.machine.mode, self.machine.reason)
         return command
 
+    def trip(self, reason: str, now: float) -> None:
+        """Go to DAMPING from outside; the next tick only brakes."""
+        if self.machine.mode is not Mode.DAMPING:
+            self.machine.trip(reason, now)
+            self._tell(now, Mode.DAMPING, reason)
+
     def close(self) -> None:
         """Stop the vision thread, if there is one."""
         self._perception.close()
@@ -215,7 +221,7 @@ class Controller:
         self._action = action
         command = self._limited(self.policy.joint_target(action), state)
         if image is not None:
-            self._image = image
+            self._image = image[None]
         self._switch(fresh, now)
         perceived = percept is not None or fallback
         self.decision = self._decide(command, vision, image, perceived, fallback, now)

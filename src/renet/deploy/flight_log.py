@@ -71,9 +71,11 @@ TICK = np.dtype(
         ("velocity_op", "f4", 3),
         ("velocity_vp", "f4", 3),
         ("compute_ms", "f4"),
+        ("base_position", "f4", 3),
     ]
 )
-"""One control tick: what came in, what was decided, and how long that took."""
+"""One control tick: what came in, what was decided, how long that took, and, for judges, where the
+base was in the world; NaN where nobody knows."""
 
 
 class FlightLog:
@@ -114,14 +116,15 @@ class FlightLog:
         now: float,
         decision: Decision,
         compute_ms: float,
+        base_position: np.ndarray | None = None,
     ) -> None:
-        """Record one control tick."""
+        """Record one control tick; whatever it is given, it does not raise."""
         tick = np.zeros((), TICK)
         tick["now"], tick["compute_ms"] = now, compute_ms
+        tick["base_position"] = np.nan if base_position is None else base_position
         tick["state"] = _store_state(tick, state)
         tick["frame"] = self._store_frame(tick, frame)
-        for name in ("speed", "turn", "arm", "stop"):
-            tick[name] = getattr(request, name)
+        _store_request(tick, request)
         tick["mode"] = MODES.index(decision.mode)
         for name in ("position", "stiffness", "damping"):
             tick[name] = getattr(decision.command, name)
@@ -188,6 +191,15 @@ class FlightLog:
                 return
 
 
+def _store_request(tick: np.ndarray, request: Request) -> None:
+    """Copy the operator's wishes; what is none stops the robot, now as in a replay."""
+    try:
+        for name in ("speed", "turn", "arm", "stop"):
+            tick[name] = getattr(request, name)
+    except (AttributeError, TypeError, ValueError, OverflowError):
+        tick["stop"] = True
+
+
 def _store_state(tick: np.ndarray, state: RobotState | None) -> int:
     """Copy a reading; one that is malformed leaves NaN, which a replay refuses alike."""
     if state is None:
@@ -199,7 +211,7 @@ def _store_state(tick: np.ndarray, state: RobotState | None) -> int:
             if value.shape != (size,):
                 raise ValueError(name)
             tick[name] = value
-    except (AttributeError, TypeError, ValueError):
+    except (AttributeError, TypeError, ValueError, OverflowError):
         for name, _, _ in READING:
             tick[name] = np.nan
         return BAD

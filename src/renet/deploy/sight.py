@@ -7,7 +7,6 @@ and grows old, and the selector gives vision up. Nothing here ever raises.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,18 +14,9 @@ from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.manifest import SelectorSpec
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
+from renet.selector.defaults import default_monitors
 from renet.selector.guard import GuardCfg, GuardedSelector
-from renet.selector.monitors import (
-    Disagreement,
-    Duplicate,
-    FrameAge,
-    InvalidFraction,
-    Monitor,
-    Nearness,
-    Reconstruction,
-    Sight,
-    Uniformity,
-)
+from renet.selector.monitors import Reconstruction, Sight
 from renet.selector.selector import Selector, SelectorCfg
 from renet.vocabulary import CONTROL_DT, DEPTH_SHAPE
 
@@ -34,15 +24,6 @@ FUTURE = 0.05
 """Seconds by which a frame's time may run ahead of the robot's clock."""
 OLDEST = 1e3
 """Age in seconds of a frame that never came."""
-UNCALIBRATED = {
-    "frame_age": 0.2,
-    "duplicate": 3.0,
-    "invalid_fraction": 0.6,
-    "uniformity": -0.01,
-    "nearness": 0.5,
-}
-"""Thresholds for bundles without calibrated ones: two missed frames, three equal images, and
-generous guesses. Disagreement of the estimators has no natural scale: calibrated or not used."""
 
 
 class FrameKeeper:
@@ -51,7 +32,6 @@ class FrameKeeper:
     def __init__(self) -> None:
         self.image: np.ndarray | None = None
         """[48, 64] float32, rounded as in training; None before the first good frame."""
-        self.number = -1
         self.invalid = 0.0
         self.problem = ""
         """What was wrong with the last frame offered; empty if nothing was."""
@@ -71,7 +51,7 @@ class FrameKeeper:
         if time <= self._time:
             return  # The same frame again, or one that arrived out of order.
         self.image, self._time, self._fresh = image, time, True
-        self.number, self.invalid = int(frame.number), float(frame.invalid)
+        self.invalid = float(frame.invalid)
 
     def age(self, now: float) -> float:
         """Seconds since the image was taken."""
@@ -120,7 +100,8 @@ class Trust:
         """
         self._updates = max(1, round(CONTROL_DT * spec.rate_hz))
         self._paper = Selector(SelectorCfg(spec.beta, spec.gamma, spec.rate_hz)) if paper else None
-        self._guard = GuardedSelector(monitors(spec), 1, GuardCfg(spec.gamma, spec.rate_hz))
+        monitors = default_monitors(spec.beta, spec.thresholds, 1)
+        self._guard = GuardedSelector(monitors, 1, GuardCfg(spec.gamma, spec.rate_hz))
         self.vision = True
         """The newest verdict."""
 
@@ -152,7 +133,8 @@ class Trust:
         Args:
             policy: whose scores and velocities are judged.
             keeper: what is known of the newest raw frame.
-            image: [48, 64] last given to the policy. fresh: it was given in this period.
+            image: [1, 48, 64] last given to the policy, a new array whenever one is.
+            fresh: it was given in this period.
             age: of the newest frame, s.
         """
         score = np.array([np.inf]) if keeper.problem else policy.anomaly_score
@@ -164,7 +146,7 @@ class Trust:
                 verdict = self._guard.update(
                     Sight(
                         anomaly_score=score,
-                        image=image[None],
+                        image=image,
                         fresh=np.array([fresh and update == 0]),
                         age=np.array([age + passed]),
                         invalid=np.array([keeper.invalid]),
@@ -174,20 +156,3 @@ class Trust:
                 )
             self.vision = bool(verdict[0])
         return self.vision
-
-
-def monitors(spec: SelectorSpec) -> Sequence[Monitor]:
-    """The bundle's monitors for one robot, with its calibrated thresholds where it has them."""
-    threshold = UNCALIBRATED | spec.thresholds
-    # The first to object is named as the reason: the plainest causes come first.
-    found = [
-        FrameAge(threshold["frame_age"]),
-        Duplicate(1, threshold["duplicate"]),
-        InvalidFraction(threshold["invalid_fraction"]),
-        Uniformity(threshold["uniformity"]),
-        Nearness(threshold["nearness"]),
-        Reconstruction(spec.beta),
-    ]
-    if "disagreement" in spec.thresholds:
-        found.append(Disagreement(threshold["disagreement"]))
-    return found

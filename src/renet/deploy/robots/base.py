@@ -68,10 +68,11 @@ class Robot(Protocol):
         ...
 
 
-def run_period(robot: Robot, deadline: float) -> float:
-    """Wait for the end of a control period; returns the next deadline.
+def next_step(robot: Robot, due: float) -> float:
+    """Wait for the control step after the one that was due at `due`; returns when that is due.
 
-    A deadline that was missed is not made up for: a burst of late ticks helps no robot.
+    A step that is missed is not made up for: a burst of late ticks helps no robot.
     """
-    robot.wait(deadline)
-    return max(deadline, robot.now() - CONTROL_DT) + CONTROL_DT
+    due = max(due + CONTROL_DT, robot.now())
+    robot.wait(due)
+    return due

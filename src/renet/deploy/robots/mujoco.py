@@ -49,6 +49,8 @@ class MujocoRobot:
         self._spin = slice(spin, spin + 3)
         self.data.qpos[self._base] = (0.0, 0.0, ground + START_HEIGHT, 1.0, 0.0, 0.0, 0.0)
         self.data.qpos[self._position] = robot.default_position
+        limp = np.zeros(len(JOINTS))
+        self.write(JointCommand(np.array(robot.default_position), limp, limp))
         mujoco.mj_forward(model, self.data)
         self._begun: float | None = None
 

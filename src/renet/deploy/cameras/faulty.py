@@ -1,0 +1,82 @@
+"""Any camera with something wrong with it: fault models between the camera and the controller."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from renet.deploy.cameras.base import Camera, DepthFrame
+from renet.errors import RenetError
+
+# The one place where the runtime borrows from the evaluation: its fault models need only NumPy.
+from renet.evaluation.faults import TICK, Frames, Injection, Injector
+from renet.vocabulary import CONTROL_DT
+
+FAULT = re.compile(
+    r"(?P<name>[a-z_]+)(:(?P<severity>\d))?@(?P<onset>\d+(\.\d+)?)s?(\+(?P<length>\d+(\.\d+)?)s?)?"
+)
+WORST = 5
+"""Severity of a fault that does not name one."""
+
+
+def parse_fault(text: str) -> Injection:
+    """The injection of `NAME[:SEVERITY]@SECONDS[+DURATION]`; else raises RenetError."""
+    found = FAULT.fullmatch(text)
+    if found is None:
+        raise RenetError(
+            f"cannot read the fault {text!r}: write NAME[:SEVERITY]@SECONDS[+DURATION], "
+            "such as blackout@5s or glare:3@4s+2s"
+        )
+    onset = round(float(found["onset"]) / CONTROL_DT)
+    length = float(found["length"] or "inf")
+    return Injection.of(found["name"], int(found["severity"] or WORST), onset, duration=length)
+
+
+class FaultyCamera:
+    """Passes a camera's frames, at most ten a second, through a fault injector.
+
+    Faults spoil images, hold them back or leave holes; their onsets count from `start`.
+    """
+
+    def __init__(
+        self, camera: Camera, faults: Sequence[Injection], now: Callable[[], float], seed: int
+    ) -> None:
+        """Wrap a camera.
+
+        Args:
+            camera: the one to spoil. faults: one after the other on the same frames.
+            now: the robot's clock. seed: of the faults' randomness.
+        """
+        self._camera, self._now = camera, now
+        self._injector = Injector([tuple(faults)], [0], seed)
+        self._begun = 0.0
+        self._taken = float("-inf")
+        self._shown: DepthFrame | None = None
+
+    def start(self) -> None:
+        """See Camera.start."""
+        self._camera.start()
+        self._begun = self._now()
+
+    def latest(self) -> DepthFrame | None:
+        """See Camera.latest."""
+        frame = self._camera.latest()
+        # Fault models know frames at 10 Hz; a faster camera is thinned out.
+        if frame is None or frame.time < self._taken + TICK - CONTROL_DT / 2:
+            return self._shown
+        self._taken = frame.time
+        step = max(round((frame.time - self._begun) / CONTROL_DT), 0)
+        spoilt = self._injector.apply(Frames.healthy(frame.image[None]), step)
+        if spoilt.fresh[0]:
+            self._shown = replace(
+                frame,
+                image=spoilt.image[0],
+                time=frame.time - float(spoilt.age[0]),
+                invalid=max(frame.invalid, float(spoilt.invalid[0])),
+            )
+        return self._shown
+
+    def close(self) -> None:
+        """See Camera.close."""
+        self._camera.close()

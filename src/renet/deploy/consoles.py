@@ -1,0 +1,115 @@
+"""Operators with hands: the terminal's keyboard, and a Linux joystick."""
+
+from __future__ import annotations
+
+import os
+import select
+import struct
+import sys
+import termios
+import tty
+from pathlib import Path
+from typing import Any
+
+from renet.deploy.operator import MAX_SPEED, Request
+from renet.errors import RenetError
+
+SPEED_STEP, TURN_STEP = 0.1, 0.1
+"""m/s and rad per key press."""
+TURN_RATE = 1.0
+"""rad/s at a joystick's full deflection."""
+DEAD_ZONE = 0.1
+KEYS = "w/s faster/slower, a/d left/right, r rise and walk, space stop, q quit"
+
+
+class KeyboardOperator:
+    """Reads single keys from a terminal; see `KEYS`. Closing the terminal stops the robot."""
+
+    def __init__(self, stream: Any = None) -> None:
+        """Take over the terminal; raises RenetError if there is none."""
+        self._stream = sys.stdin if stream is None else stream
+        try:
+            self._descriptor = self._stream.fileno()
+            self._before = termios.tcgetattr(self._descriptor)
+            tty.setcbreak(self._descriptor)
+        except (termios.error, OSError, ValueError) as error:
+            raise RenetError(
+                "the keyboard operator needs a terminal: use --operator auto"
+            ) from error
+        self.speed = self.turn = 0.0
+        self.quit = False
+        """The operator wants to end the program."""
+
+    def request(self, now: float) -> Request:
+        """See Operator.request."""
+        arm = stop = False
+        while select.select([self._descriptor], [], [], 0.0)[0]:
+            key = os.read(self._descriptor, 1).decode(errors="ignore")
+            if key == "w":
+                self.speed = min(self.speed + SPEED_STEP, MAX_SPEED)
+            elif key == "s":
+                self.speed = max(self.speed - SPEED_STEP, 0.0)
+            elif key == "a":
+                self.turn += TURN_STEP
+            elif key == "d":
+                self.turn -= TURN_STEP
+            elif key == "r":
+                arm, self.speed, self.turn = True, 0.0, 0.0
+            elif key in (" ", "q", ""):
+                stop, self.quit = True, key != " "
+                if self.quit:
+                    break
+        return Request(self.speed, self.turn, arm, stop or self.quit)
+
+    def close(self) -> None:
+        """Give the terminal back."""
+        termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
+
+
+class JoystickOperator:
+    """Left stick up: speed. Right stick left and right: heading. Start arms; any of A, B stops."""
+
+    EVENT = struct.Struct("<IhBB")
+    BUTTON, AXIS, INITIAL = 1, 2, 0x80
+    SPEED_AXIS, TURN_AXIS = 1, 3
+    ARM_BUTTONS, STOP_BUTTONS = (7,), (0, 1)
+
+    def __init__(self, device: Path = Path("/dev/input/js0")) -> None:
+        """Open the device; raises RenetError if there is none."""
+        try:
+            self._device = os.open(device, os.O_RDONLY | os.O_NONBLOCK)
+        except OSError as error:
+            raise RenetError(f"no joystick at {device}: {error.strerror}") from error
+        self._axes: dict[int, float] = {}
+        self._turn, self._time = 0.0, None
+        self.quit = False
+
+    def request(self, now: float) -> Request:
+        """See Operator.request; an unplugged joystick stops the robot."""
+        arm = stop = False
+        try:
+            while len(event := os.read(self._device, self.EVENT.size)) == self.EVENT.size:
+                _, value, kind, number = self.EVENT.unpack(event)
+                if kind & ~self.INITIAL == self.AXIS:
+                    self._axes[number] = value / 32767.0
+                elif kind == self.BUTTON and value:
+                    arm |= number in self.ARM_BUTTONS
+                    stop |= number in self.STOP_BUTTONS
+        except BlockingIOError:
+            pass
+        except OSError:
+            stop = True
+        if arm:
+            self._turn = 0.0
+        passed = 0.0 if self._time is None else max(now - self._time, 0.0)
+        self._time = now
+        self._turn -= TURN_RATE * self._axis(self.TURN_AXIS) * min(passed, 0.1)
+        return Request(max(-self._axis(self.SPEED_AXIS), 0.0) * MAX_SPEED, self._turn, arm, stop)
+
+    def close(self) -> None:
+        """Close the device."""
+        os.close(self._device)
+
+    def _axis(self, number: int) -> float:
+        value = self._axes.get(number, 0.0)
+        return value if abs(value) > DEAD_ZONE else 0.0

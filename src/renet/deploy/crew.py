@@ -1,0 +1,118 @@
+"""Robot, camera and operator of one flight, made from what the command line asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from renet.deploy.bundle import Bundle
+from renet.deploy.cameras.base import Camera
+from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
+from renet.deploy.flight_log import read_log
+from renet.deploy.operator import Operator, ScriptedOperator
+from renet.deploy.robots.base import Robot
+from renet.errors import RenetError
+
+if TYPE_CHECKING:
+    from renet.deploy.launch import DeployCfg
+
+
+@dataclass
+class Crew:
+    """Who flies; `start` and `close` go for all of them."""
+
+    robot: Robot
+    camera: Camera | None
+    operator: Operator
+    truth: Callable[[], np.ndarray | None] = lambda: None
+    """Where the base is, [3] m, if the robot is simulated."""
+    show: Callable[[], None] = lambda: None
+    """Shows the simulation; called at every control step."""
+
+    def start(self) -> None:
+        """Connect to the robot, start the camera."""
+        self.robot.connect()
+        if self.camera is not None:
+            self.camera.start()
+
+    @property
+    def quit(self) -> bool:
+        """The operator wants to end the program."""
+        return getattr(self.operator, "quit", False)
+
+    def close(self) -> None:
+        """Let go of everything, the robot first."""
+        with ExitStack() as stack:
+            stack.callback(getattr(self.operator, "close", lambda: None))
+            if self.camera is not None:
+                stack.callback(self.camera.close)
+            stack.callback(self.robot.close)
+
+
+def make_crew(cfg: DeployCfg, bundle: Bundle) -> Crew:
+    """Set up, without touching a device yet except the operator's.
+
+    Raises:
+        RenetError: a package or a file that is missing, naming it.
+    """
+    robot, truth, show = _robot(cfg, bundle)
+    camera = _camera(cfg, bundle, robot)
+    if cfg.fault and camera is not None:
+        faults = [parse_fault(text) for text in cfg.fault]
+        camera = FaultyCamera(camera, faults, robot.now, cfg.seed)
+    return Crew(robot, camera, _operator(cfg), truth, show)
+
+
+def _robot(cfg: DeployCfg, bundle: Bundle) -> tuple[Robot, Any, Callable[[], None]]:
+    if cfg.robot == "go1":
+        from renet.deploy.robots.go1 import Go1Robot
+
+        return Go1Robot(), lambda: None, lambda: None
+    try:
+        from renet.deploy.robots.mujoco import MujocoRobot
+        from renet.deploy.robots.scene import build_scene
+    except ModuleNotFoundError as error:
+        raise RenetError(f"--robot mujoco needs {error.name}: pip install 'renet[sim]'") from error
+    model, ground = build_scene(cfg.terrain, cfg.level, cfg.scene, cfg.seed)
+    robot = MujocoRobot(model, bundle.manifest.robot, ground, cfg.live)
+    show: Callable[[], None] = lambda: None  # noqa: E731
+    if cfg.viewer:
+        from renet.deploy.viewer import BrowserViewer
+
+        show = BrowserViewer(model, robot.data).show
+    return robot, lambda: robot.base_position, show
+
+
+def _camera(cfg: DeployCfg, bundle: Bundle, robot: Robot) -> Camera | None:
+    spec, kind = bundle.manifest.camera, cfg.camera
+    if kind == "auto":
+        kind = "sim" if cfg.robot == "mujoco" else "realsense"
+    if kind == "sim":
+        from renet.deploy.cameras.sim import SimCamera
+
+        return SimCamera(robot, spec, cfg.seed)  # type: ignore[arg-type]
+    if kind == "realsense":
+        from renet.deploy.cameras.realsense import RealSenseCamera
+
+        return RealSenseCamera(spec, robot.now)
+    if kind == "replay":
+        from renet.deploy.cameras.replay import ReplayCamera
+
+        assert cfg.flight is not None
+        return ReplayCamera(read_log(cfg.flight), robot.now)
+    return None
+
+
+def _operator(cfg: DeployCfg) -> Operator:
+    if cfg.operator == "auto":
+        return ScriptedOperator(cfg.speed)
+    from renet.deploy.consoles import KEYS, JoystickOperator, KeyboardOperator
+
+    if cfg.operator == "joystick":
+        return JoystickOperator()
+    print(f"keys: {KEYS}")
+    return KeyboardOperator()

@@ -1,0 +1,236 @@
+"""`renet deploy`: put a bundle on a robot, real or simulated; the same program for both."""
+
+from __future__ import annotations
+
+import math
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+
+from renet import __version__
+from renet.deploy.bundle import Bundle
+from renet.deploy.cameras.faulty import parse_fault
+from renet.deploy.controller import Controller, Event
+from renet.deploy.crew import Crew, make_crew
+from renet.deploy.flight_log import FlightLog, read_log
+from renet.deploy.perception import InlinePerception, ThreadedPerception
+from renet.deploy.robots.base import JointCommand
+from renet.deploy.runner import fly
+from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.score import write_score
+from renet.deploy.speaker import Speaker
+from renet.errors import RenetError
+from renet.vocabulary import CONTROL_DT, JOINTS
+
+FLIGHT = "flight.log"
+SHORT_FLIGHT = 15.0
+"""Seconds of a flight that nobody steers."""
+PRINT_EVERY = 25
+"""Control steps between two printed commands of a dry run."""
+
+
+@dataclass(frozen=True)
+class DeployCfg:
+    """Run a bundle on a robot; leaves a flight log, a timeline and a score."""
+
+    bundle: tyro.conf.Positional[Path | None] = None
+    """Bundle folder; the one that ships with renet by default."""
+    robot: Literal["mujoco", "go1"] = "mujoco"
+    """mujoco: simulated in this process. go1: a Unitree Go1 in low-level mode."""
+    camera: Literal["auto", "sim", "realsense", "replay", "none"] = "auto"
+    """auto: sim for mujoco, realsense for go1."""
+    operator: Literal["auto", "keyboard", "joystick"] = "auto"
+    """auto: rises and walks straight ahead (simulation only)."""
+    out: Path = Path("results/deploy")
+    """Folder of the results."""
+    seconds: float | None = None
+    """Length of the flight on the robot's clock; 15 s by default, with an operator no end. Ctrl-C
+    and the keyboard's q end it earlier, braked and logged."""
+    speed: float = 0.6
+    """Forward speed of the auto operator, m/s."""
+    terrain: str = "flat"
+    """Simulation: flat, rough, obstacles, stairs (_up, _down), gap, platform."""
+    level: int = 1
+    """Simulation: level of the terrain, 1 to 10."""
+    scene: Path | None = None
+    """Simulation: an MJCF file to use as terrain instead."""
+    fault: tuple[str, ...] = ()
+    """What goes wrong with the camera: NAME[:SEVERITY]@SECONDS[+DURATION], e.g. blackout@5s,
+    glare:3@4s+2s."""
+    flight: Path | None = None
+    """Flight log whose images the replay camera shows."""
+    selector: Literal["guarded", "paper"] = "guarded"
+    """guarded: all monitors, slow to trust again. paper: the reconstruction loss alone."""
+    real_time: bool = False
+    """Simulation: pace it to the wall clock, as operators and the viewer always do."""
+    viewer: bool = False
+    """Simulation: show it in a browser."""
+    dry_run: bool = False
+    """Print commands and never move the robot."""
+    seed: int = 1
+    """Of the simulated camera's noise, the terrain and the faults."""
+    safety: SafetyCfg = field(default_factory=SafetyCfg)
+    """Limits."""
+
+    @property
+    def live(self) -> bool:
+        """The robot's clock is the wall's."""
+        return self.robot != "mujoco" or self.real_time or self.viewer or self.operator != "auto"
+
+    @property
+    def length(self) -> float:
+        """Seconds after which the flight ends by itself."""
+        steered = math.inf if self.operator != "auto" else SHORT_FLIGHT
+        return steered if self.seconds is None else self.seconds
+
+
+def deploy(cfg: DeployCfg) -> Path:
+    """Run; returns the folder of the results.
+
+    Raises:
+        RenetError: a combination that cannot work, a device that does not answer, a bad bundle.
+    """
+    _check(cfg)
+    bundle = Bundle.load(cfg.bundle)
+    with ExitStack() as stack:
+        crew = make_crew(cfg, bundle)
+        stack.callback(crew.close)
+        crew.start()
+        speaker = Speaker()
+        stack.callback(speaker.close)
+        log = FlightLog(cfg.out / FLIGHT, _header(cfg, bundle))
+        stack.callback(log.close)
+        begun = crew.robot.now()
+
+        def tell(event: Event) -> None:
+            log.event(event)
+            speaker.say(f"{event.time - begun:8.2f} s  {event.what}: {event.why}")
+
+        perception = (ThreadedPerception if cfg.live else InlinePerception)(bundle.sessions)
+        controller = Controller(bundle, cfg.safety, perception, cfg.selector == "paper", tell)
+        stack.callback(controller.close)
+        echo = printer(speaker.say) if cfg.dry_run else lambda command: None
+
+        def on_step(command: JointCommand) -> None:
+            echo(command)
+            crew.show()
+
+        with _interruptible() as interrupted:
+            fly(
+                crew.robot,
+                crew.camera,
+                crew.operator,
+                controller,
+                log,
+                done=lambda: interrupted() or _over(cfg, crew, controller, begun),
+                on_step=on_step,
+                truth=crew.truth,
+                dry_run=cfg.dry_run,
+            )
+    if log.problem:
+        print(log.problem)
+    print(summary(write_score(read_log(log.path), cfg.out)))
+    return cfg.out
+
+
+def summary(score: dict[str, Any]) -> str:
+    """A score in one line."""
+    delays = ", ".join("never" if d is None else f"{d:.2f} s" for d in score["switch_delay_s"])
+    parts = [
+        f"walked {score['walking_seconds']:.1f} s and {score['distance_m']:.1f} m "
+        f"({score['distance_from']})",
+        f"on vision {score['vision_share']:.0%}",
+        f"from fault to OP {delays}" if delays else "",
+        f"falls: {score['falls']}",
+    ]
+    return "; ".join(part for part in parts if part)
+
+
+def printer(say: Callable[[str], None]) -> Callable[[JointCommand], None]:
+    """Says every half second what a dry run would command."""
+    count = 0
+
+    def show(command: JointCommand) -> None:
+        nonlocal count
+        if count % PRINT_EVERY == 0:
+            pairs = zip(JOINTS, command.position, command.stiffness, strict=True)
+            say("  ".join(f"{n.removesuffix('_joint')} {p:+.2f} (Kp {k:.0f})" for n, p, k in pairs))
+        count += 1
+
+    return show
+
+
+def _over(cfg: DeployCfg, crew: Crew, controller: Controller, begun: float) -> bool:
+    """The time is up, the operator leaves, or nobody is there to arm a damped robot again."""
+    machine = controller.machine
+    damped = machine.mode is Mode.DAMPING and machine.since >= begun
+    late = crew.robot.now() - begun >= cfg.length - CONTROL_DT / 2
+    return late or crew.quit or (damped and cfg.operator == "auto")
+
+
+def _check(cfg: DeployCfg) -> None:
+    """Refuse what cannot work before anything moves or is written."""
+    if not cfg.length > 0:
+        raise RenetError(f"--seconds must be positive, got {cfg.seconds}")
+    if cfg.robot == "go1":
+        if cfg.camera == "sim":
+            raise RenetError("--camera sim looks at a simulation: use realsense, replay or none")
+        if cfg.viewer:
+            raise RenetError("--viewer shows a simulation: with a real robot look at the robot")
+        if cfg.operator == "auto" and not cfg.dry_run:
+            raise RenetError("a real robot needs --operator keyboard or joystick, or --dry-run")
+    if cfg.camera == "replay" and cfg.flight is None:
+        raise RenetError("--camera replay needs --flight, the log whose images it shows")
+    if cfg.fault and cfg.camera == "none":
+        raise RenetError("--fault needs a camera to spoil")
+    for text in cfg.fault:
+        parse_fault(text)
+
+
+def _header(cfg: DeployCfg, bundle: Bundle) -> dict[str, Any]:
+    selector, paper = bundle.manifest.selector, cfg.selector == "paper"
+    threshold = selector.beta if paper else selector.thresholds.get("reconstruction", selector.beta)
+    return {
+        "renet": __version__,
+        "bundle": bundle.name,
+        "bundle_sha256": bundle.sha256,
+        "beta": threshold,
+        "safety": asdict(cfg.safety),
+        "paper_selector": paper,
+        "robot": cfg.robot,
+        "camera": cfg.camera,
+        "terrain": cfg.terrain,
+        "level": cfg.level,
+        "scene": str(cfg.scene) if cfg.scene else None,
+        "fault": list(cfg.fault),
+        "onsets": [parse_fault(text).onset * CONTROL_DT for text in cfg.fault],
+        "seed": cfg.seed,
+    }
+
+
+@contextmanager
+def _interruptible() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C, `kill` and a lost terminal ask the flight to end, so that it ends braking.
+
+    A second Ctrl-C interrupts.
+    """
+    asked = False
+
+    def ask(number: int, frame: Any) -> None:
+        nonlocal asked
+        if asked and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        asked = True
+
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = [signal.signal(number, ask) for number in signals]
+    try:
+        yield lambda: asked
+    finally:
+        for number, handler in zip(signals, before, strict=True):
+            signal.signal(number, handler)

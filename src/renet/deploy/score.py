@@ -1,0 +1,166 @@
+"""`renet evaluate log`: what a flight came to, from its log alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+from renet.deploy.bundle import Bundle
+from renet.deploy.flight_log import GOOD, MODES, Flight, read_log
+from renet.deploy.observation import heading, projected_gravity
+from renet.deploy.replay import mismatch
+from renet.deploy.safety import Mode
+from renet.deploy.timeline import write_timeline
+from renet.errors import RenetError
+from renet.vocabulary import CONTROL_DT
+
+SCORE, TIMELINE = "score.json", "timeline.svg"
+FALLEN = np.cos(np.radians(60.0))
+"""Upward component of the base's z axis below which a robot has fallen."""
+
+
+@dataclass(frozen=True)
+class ScoreCfg:
+    """Score a flight: falls, distance, speed, switches and their delays."""
+
+    flight: tyro.conf.Positional[Path]
+    """Flight log of `renet deploy`."""
+    out: Path | None = None
+    """Folder of score.json and timeline.svg; the flight's own by default."""
+    onset: tuple[float, ...] = ()
+    """Seconds at which the camera was spoilt by hand, besides the faults the log knows of."""
+    replay: Path | None = None
+    """Bundle to fly the flight again with: says by how much the commands differ."""
+
+
+def score_log(cfg: ScoreCfg) -> Path:
+    """Write score and timeline, and print the score; returns the folder.
+
+    Raises:
+        RenetError: no flight log, or another bundle's.
+    """
+    flight = read_log(cfg.flight)
+    difference = None if cfg.replay is None else mismatch(flight, Bundle.load(cfg.replay))
+    result = write_score(flight, cfg.out or cfg.flight.parent, cfg.onset)
+    for name, value in result.items():
+        if name not in ("events", "flight"):
+            print(f"{name:<20} {value}")
+    if difference is not None:
+        print(f"{'replay':<20} commands differ by at most {difference:.3g} rad")
+    return cfg.out or cfg.flight.parent
+
+
+def write_score(flight: Flight, folder: Path, onsets: Sequence[float] = ()) -> dict[str, Any]:
+    """Write `score.json` and `timeline.svg`; returns the score."""
+    onsets = [*flight.header.get("onsets", []), *onsets]
+    result = score(flight, onsets)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / SCORE).write_text(json.dumps(result, indent=1) + "\n")
+        write_timeline(flight, folder / TIMELINE, onsets)
+    except OSError as error:
+        raise RenetError(f"cannot write to {folder}: {error}") from error
+    return result
+
+
+def score(flight: Flight, onsets: Sequence[float]) -> dict[str, Any]:
+    """Falls, distance, speed, switches and timing of a flight.
+
+    Args:
+        flight: read back. onsets: seconds from its start at which vision was spoilt.
+    """
+    ticks = flight.ticks
+    now = ticks["now"] - ticks["now"][0] if len(ticks) else np.zeros(0)
+    walking = ticks["mode"] == MODES.index(Mode.WALKING)
+    seconds = float(walking.sum()) * CONTROL_DT
+    metres, source = distance(ticks, walking)
+    to_op = [event for event in flight.events if event.what == "op"]
+    first = ticks["now"][0] + min(onsets, default=np.inf) if len(ticks) else np.inf
+    return {
+        "seconds": round(len(ticks) * CONTROL_DT, 2),
+        "complete": flight.complete,
+        "walking_seconds": round(seconds, 2),
+        "falls": falls(ticks),
+        "distance_m": round(metres, 3),
+        "distance_from": source,
+        "speed_m_s": round(metres / seconds, 3) if seconds else 0.0,
+        "commanded_m_s": round(_mean(ticks["speed"][walking]), 3),
+        "vision_share": round(_mean(ticks["vision"][walking]), 4),
+        "switches": sum(event.what in ("op", "vp") for event in flight.events),
+        "op_before_first_fault": sum(bool(event.time < first) for event in to_op),
+        "switch_delay_s": [switch_delay(now, walking, ticks["vision"], at) for at in onsets],
+        "compute_ms": spread(ticks["compute_ms"]),
+        "period_ms": spread(1000.0 * np.diff(ticks["now"])),
+        "events": [asdict(event) for event in flight.events],
+        "flight": flight.header,
+    }
+
+
+def switch_delay(
+    now: np.ndarray, walking: np.ndarray, vision: np.ndarray, onset: float
+) -> float | None:
+    """Seconds from an onset to OP; zero if OP acted already, None if it never did.
+
+    Args:
+        now: [T] seconds from the flight's start. walking, vision: [T] bool.
+    """
+    blind = (now >= onset - 1e-9) & walking & ~vision
+    return round(float(now[blind][0] - onset), 3) if blind.any() else None
+
+
+def falls(ticks: np.ndarray) -> int:
+    """How often the base came to lean by more than 60 degrees."""
+    good = ticks["quaternion"][ticks["state"] == GOOD]
+    length = np.linalg.norm(good, axis=1)
+    up = np.array([-projected_gravity(q)[2] for q in good[np.abs(length - 1.0) < 0.1]])
+    fallen = np.concatenate([[False], up < FALLEN])
+    return int((fallen[1:] & ~fallen[:-1]).sum())
+
+
+def distance(ticks: np.ndarray, walking: np.ndarray) -> tuple[float, str]:
+    """Metres from where walking began to where it ended, and how that is known.
+
+    A simulator knows; a robot adds up the velocity estimated by whichever estimator acted.
+    """
+    path = track(ticks)[walking]
+    if not len(path):
+        return 0.0, "nothing"
+    known = bool(np.isfinite(ticks["base_position"][walking]).all())
+    return float(np.hypot(*(path[-1] - path[0])[:2])), "simulator" if known else "estimator"
+
+
+def track(ticks: np.ndarray) -> np.ndarray:
+    """Base positions [T, 3] m: the simulator's, or dead reckoning at a constant height."""
+    if np.isfinite(ticks["base_position"]).all():
+        return ticks["base_position"].astype(float)
+    walking = ticks["mode"] == MODES.index(Mode.WALKING)
+    velocity = np.where(ticks["vision"][:, None], ticks["velocity_vp"], ticks["velocity_op"])
+    forward, left = velocity[:, 0], velocity[:, 1]
+    yaw = np.array([heading(q) if np.isfinite(q).all() else 0.0 for q in ticks["quaternion"]])
+    steps = np.stack(
+        [
+            forward * np.cos(yaw) - left * np.sin(yaw),
+            forward * np.sin(yaw) + left * np.cos(yaw),
+            np.zeros(len(ticks)),
+        ],
+        axis=1,
+    )
+    return np.cumsum(CONTROL_DT * np.where(walking[:, None], steps, 0.0), axis=0)
+
+
+def spread(values: np.ndarray) -> dict[str, float]:
+    """p50, p99 and maximum; empty for no values."""
+    if not len(values):
+        return {}
+    points = np.percentile(values, (50, 99, 100))
+    return {name: round(float(v), 3) for name, v in zip(("p50", "p99", "max"), points, strict=True)}
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if len(values) else 0.0

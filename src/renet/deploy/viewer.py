@@ -1,0 +1,32 @@
+"""The simulated robot in a browser, for `renet deploy --viewer`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+
+from renet.errors import RenetError
+
+EVERY = 2
+"""Control steps from one picture to the next: 25 pictures a second."""
+
+
+class BrowserViewer:
+    """Serves the scene; viser tells the address."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Open a port; raises RenetError if the viewer is not installed."""
+        try:
+            import mjviser
+            import viser
+        except ModuleNotFoundError as error:
+            raise RenetError(f"--viewer needs {error.name}: pip install mjviser") from error
+        self._data, self._steps = data, 0
+        self._scene: Any = mjviser.ViserMujocoScene(viser.ViserServer(), model, num_envs=1)
+
+    def show(self) -> None:
+        """Show the newest state, now and then."""
+        if self._steps % EVERY == 0:
+            self._scene.update_from_mjdata(self._data)
+        self._steps += 1
