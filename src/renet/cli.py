@@ -88,13 +88,6 @@ COMMANDS = {
         "main",
         "train",
     ),
-    "evaluate course": Command(
-        "a kilometre unattended: grass, stairs, slopes, platforms, gaps, an occlusion",
-        "renet.evaluation.course",
-        "CourseCfg",
-        "main",
-        "train",
-    ),
     "evaluate faults": Command(
         "every way a depth camera fails, at every severity, in every mode",
         "renet.evaluation.fault_study",

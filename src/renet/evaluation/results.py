@@ -9,7 +9,7 @@ import math
 import os
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -112,6 +112,29 @@ def read_json(path: Path) -> dict[str, Any]:
         raise RenetError(f"{path} does not exist: run the study that writes it first") from error
     except ValueError as error:
         raise RenetError(f"{path} is not valid JSON ({error}): delete it and run again") from error
+
+
+def finished_part(
+    path: Path, key: Mapping[str, Any], make: Callable[[], dict[str, Any]]
+) -> dict[str, Any]:
+    """A part of a study: from an earlier, interrupted run, or made and written now.
+
+    Args:
+        path: where it is kept.
+        key: what an earlier part must agree with to be used again: settings, bundle hash.
+        make: computes it.
+
+    Raises:
+        RenetError: there is an earlier part, and it is damaged.
+    """
+    key = plain(key)
+    if path.exists():
+        part = read_json(path)
+        if part.get("key") == key:
+            return part
+    part = plain(make()) | {"key": key}
+    write_json(path, part)
+    return part
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
