@@ -62,3 +62,10 @@ def test_a_narrow_camera_is_refused():
         Sampler(Pinhole(848, 480, 900.0, 446.8, 423.5, 239.5), camera_spec())
     with pytest.raises(RenetError, match="not high enough"):
         Sampler(Pinhole(848, 480, 446.8, 900.0, 423.5, 239.5), camera_spec())
+
+
+def test_an_image_of_another_size_than_its_lens_is_refused():
+    sampler = Sampler(LENS, camera_spec())
+    for look in (sampler.image, sampler.crop):
+        with pytest.raises(RenetError, match=r"\(240, 424\) rows and columns"):
+            look(np.ones((240, 424)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 
@@ -23,12 +24,12 @@ FOCAL = 446.8
 class Device:
     """A camera made of software, 848 x 480 unless told otherwise."""
 
-    def __init__(self, width: int = 848, height: int = 480) -> None:
-        self.shape = (height, width)
+    def __init__(self, width=848, height=480, focal=FOCAL, serial="111") -> None:
         self.device = rs.software_device()
+        self.device.register_info(rs.camera_info.serial_number, serial)
         self.sensor = self.device.add_sensor("Stereo Module")
         lens = rs.intrinsics()
-        lens.width, lens.height, lens.fx, lens.fy = width, height, FOCAL, FOCAL
+        lens.width, lens.height, lens.fx, lens.fy = width, height, focal, focal
         lens.ppx, lens.ppy = (width - 1) / 2, (height - 1) / 2
         lens.model, lens.coeffs = rs.distortion.none, [0.0] * 5
         stream = rs.video_stream()
@@ -43,10 +44,30 @@ class Device:
     def send(self, millimetres: np.ndarray) -> None:
         self.number += 1
         frame = rs.software_video_frame()
-        frame.pixels, frame.stride, frame.bpp = millimetres.astype(np.uint16), 1696, 2
+        pixels = np.broadcast_to(millimetres, (480, 848)).astype(np.uint16)
+        frame.pixels, frame.stride, frame.bpp = pixels, 2 * pixels.shape[1], 2
         frame.timestamp, frame.domain = 33.3 * self.number, rs.timestamp_domain.hardware_clock
         frame.frame_number, frame.profile, frame.depth_units = self.number, self.profile, 0.001
         self.sensor.on_video_frame(frame)
+
+
+class Bus:
+    """librealsense with a USB bus of ours: its own lists no software devices."""
+
+    def __init__(self) -> None:
+        self.plugged: list[Device] = []
+        self.broken = False
+
+    def __getattr__(self, name: str):
+        return getattr(rs, name)
+
+    def context(self) -> Bus:
+        return self
+
+    def query_devices(self):
+        if self.broken:
+            raise RuntimeError("failed to enumerate")
+        return [device.device for device in self.plugged]
 
 
 def until(condition: Callable[[], bool], act: Callable[[], None] = lambda: None) -> None:
@@ -72,8 +93,8 @@ def camera(device):
     camera.close()
 
 
-def received(camera: RealSenseCamera, device: Device, millimetres: np.ndarray):
-    number = device.number + 5
+def received(camera: RealSenseCamera, device: Device, millimetres: np.ndarray | int, count=5):
+    number = device.number + count
     until(
         lambda: camera.latest() is not None and camera.latest().number >= number,
         lambda: device.send(millimetres),
@@ -97,9 +118,28 @@ def test_metres_number_time_and_holes(camera, device):
 
 
 def test_far_is_one_and_nothing_at_all_is_far(camera, device):
-    assert received(camera, device, np.full((480, 848), 9000)).image.min() == 1.0
-    blind = received(camera, device, np.zeros((480, 848)))
-    assert blind.invalid == 1.0
+    assert received(camera, device, 9000).image.min() == 1.0
+    assert received(camera, device, 0).invalid == 1.0
+
+
+def test_the_sensors_own_number_and_clock_are_kept(device):
+    """Frames 33.3 ms apart; the last two travel for 0.3 s and, after a gap, for 0.1 s more."""
+    now = [5.0]
+    camera = RealSenseCamera(camera_spec(), lambda: now[0], device.device)
+    camera.start()
+
+    def shown():
+        device.send(np.array(700))
+        until(lambda: camera.latest() is not None and camera.latest().number == device.number)
+        return camera.latest().time
+
+    first = shown()
+    now[0] += 0.3333
+    assert shown() == pytest.approx(first + 0.0333)
+    device.number += 9
+    now[0] += 0.4330
+    assert shown() == pytest.approx(first + 11 * 0.0333)
+    camera.close()
 
 
 def test_frames_that_stop_and_come_back(monkeypatch, device):
@@ -107,9 +147,8 @@ def test_frames_that_stop_and_come_back(monkeypatch, device):
     monkeypatch.setattr(realsense, "RETRY", 0.01)
     camera = RealSenseCamera(camera_spec(), time.monotonic, device.device)
     camera.start()
-    picture = np.full((480, 848), 800)
     for _ in range(5):
-        received(camera, device, picture)
+        received(camera, device, 800)
         until(lambda: "no frame" in camera.problem)
         stale = camera.latest()
         assert camera.latest() is stale, "what there is grows old; the selector sees that"
@@ -117,12 +156,67 @@ def test_frames_that_stop_and_come_back(monkeypatch, device):
     camera.close()
 
 
-def test_a_slow_port_and_no_camera_are_refused():
-    narrow = RealSenseCamera(camera_spec(), time.monotonic, Device(640, 480).device)
-    with pytest.raises(RenetError, match=r"it offers 640x480@30.*USB 3"):
-        narrow.start()
-    with pytest.raises(RenetError, match="none is connected"):
-        RealSenseCamera(camera_spec(), time.monotonic, serial="12345").start()
+def test_fifty_replugs_each_with_a_new_device_clock_and_count(monkeypatch):
+    monkeypatch.setattr(realsense, "SILENCE", 0.02)
+    monkeypatch.setattr(realsense, "RETRY", 0.005)
+    bus = Bus()
+    monkeypatch.setattr(realsense, "realsense", lambda: bus)
+    bus.plugged = [Device()]
+    camera = RealSenseCamera(camera_spec(), time.monotonic)
+    camera.start()
+    last = -np.inf
+    for round in range(50):
+        seen = camera.latest()
+        device = bus.plugged[0]
+        until(lambda: camera.latest() is not seen, lambda: device.send(np.array(800)))  # noqa: B023
+        assert camera.latest().time > last, "the clock goes on though the camera's began anew"
+        bus.plugged, bus.broken = [], round % 2 == 1
+        cause = "failed to enumerate" if bus.broken else "none is connected"
+        until(lambda: cause in camera.problem)  # noqa: B023
+        last = camera.latest().time
+        bus.plugged, bus.broken = [Device()], False
+    camera.close()
+
+
+def test_a_camera_is_chosen_by_its_serial_number(monkeypatch):
+    bus = Bus()
+    monkeypatch.setattr(realsense, "realsense", lambda: bus)
+    bus.plugged = [Device(), Device(serial="222")]
+    camera = RealSenseCamera(camera_spec(), time.monotonic, serial="222")
+    camera.start()
+    received(camera, bus.plugged[1], 600)
+    camera.close()
+    with pytest.raises(RenetError, match=r"no RealSense camera 333: only 111, 222 connected"):
+        RealSenseCamera(camera_spec(), time.monotonic, serial="333").start()
+
+
+def test_what_cannot_work_is_refused_with_its_cause(monkeypatch):
+    bus = Bus()
+    monkeypatch.setattr(realsense, "realsense", lambda: bus)
+    for plugged, cause in (
+        ([], "none is connected"),
+        ([Device(640, 480)], r"it offers 640x480@30.*USB 3"),
+        ([Device(focal=900.0)], "not wide enough"),
+    ):
+        bus.plugged = plugged
+        with pytest.raises(RenetError, match=cause):
+            RealSenseCamera(camera_spec(), time.monotonic).start()
+
+
+def test_a_sensor_that_refuses_to_start_is_closed_again(device):
+    device.sensor.open(device.profile)
+    camera = RealSenseCamera(camera_spec(), time.monotonic, device.device)
+    with pytest.raises(RenetError, match="does not start"):
+        camera.start()
+    camera.start()
+    received(camera, device, 900)
+    camera.close()
+
+
+def test_without_the_vendors_module_the_error_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    with pytest.raises(RenetError, match=r"pip install 'renet\[realsense\]'.*libusb-1.0-0"):
+        RealSenseCamera(camera_spec(), time.monotonic)
 
 
 def test_a_late_frame_is_as_old_as_it_is():

@@ -52,16 +52,25 @@ class Sampler:
 
     def crop(self, image: np.ndarray) -> np.ndarray:
         """The part of an image [rows, columns] that the policy's view covers, full resolution."""
+        self._check(image)
         return image[self._rows[0] : self._rows[-1] + 1, self._columns[0] : self._columns[-1] + 1]
 
     def image(self, depth: np.ndarray) -> np.ndarray:
         """Metres [rows, columns], 0 where nothing was measured, to [48, 64] in [0, 1].
 
         A pixel without a measurement becomes 1, as a ray that hits nothing within range does.
+        Raises RenetError for an image of another size.
         """
+        self._check(depth)
         picked = depth[np.ix_(self._rows, self._columns)]
         metres = np.where(picked > 0.0, picked, self._range)
         return (np.minimum(metres, self._range) / self._range).astype(np.float32)
+
+    def _check(self, image: np.ndarray) -> None:
+        if image.shape != self.size:
+            raise RenetError(
+                f"the depth image has {image.shape} rows and columns, its lens says {self.size}"
+            )
 
 
 def invalid_share(image: np.ndarray) -> float:

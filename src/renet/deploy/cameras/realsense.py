@@ -124,13 +124,16 @@ class RealSenseCamera:
 
     def _open(self) -> tuple[Any, Any]:
         """Start the depth sensor; returns it and the queue its frames arrive in."""
-        device = self._device or self._find()
+        sensor, queue = None, self._rs.frame_queue(1)
         try:
-            sensor = device.first_depth_sensor()
-            sensor.open(self._profile(sensor))
-            queue = self._rs.frame_queue(1)
+            sensor = (self._device or self._find()).first_depth_sensor()
+            profile = self._profile(sensor)
+            Sampler(_lens(profile), self._spec)  # Refuses too narrow a view at once.
+            sensor.open(profile)
             sensor.start(queue)
         except RuntimeError as error:
+            if sensor is not None:
+                _shut(sensor)
             raise RenetError(f"the RealSense camera does not start: {error}") from error
         return sensor, queue
 
@@ -185,8 +188,8 @@ class RealSenseCamera:
             raw = frame.as_depth_frame()
             filtered = filters.apply(raw)
             if raw_sampler is None or sampler is None:
-                raw_sampler = Sampler(_lens(raw), self._spec)
-                sampler = Sampler(_lens(filtered), self._spec)
+                raw_sampler = Sampler(_lens(raw.get_profile()), self._spec)
+                sampler = Sampler(_lens(filtered.get_profile()), self._spec)
             metres = np.asanyarray(filtered.get_data()) * filtered.get_units()
             self._latest = DepthFrame(
                 image=sampler.image(metres),
@@ -197,8 +200,8 @@ class RealSenseCamera:
             self.problem = ""
 
 
-def _lens(frame: Any) -> Pinhole:
-    found = frame.get_profile().as_video_stream_profile().get_intrinsics()
+def _lens(profile: Any) -> Pinhole:
+    found = profile.as_video_stream_profile().get_intrinsics()
     return Pinhole(found.width, found.height, found.fx, found.fy, found.ppx, found.ppy)
 
 
