@@ -1,0 +1,89 @@
+"""What the joint-order check says, against the kinematics of the model."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from renet.deploy.robots.joint_watch import TURN, WAYS, JointWatch
+from renet.deploy.robots.scene import GO1
+from renet.vocabulary import JOINTS
+
+from .fakes import STANDING, state
+
+
+@pytest.fixture
+def watched():
+    """A watch, the reading it sees (in a list of one) and what it said."""
+    seen, said = [state()], []
+    watch = JointWatch(lambda: seen[0], said.append)
+    watch.look()
+    return watch, seen, said
+
+
+def test_each_joint_by_name_once_per_turn(watched):
+    watch, seen, said = watched
+    for joint, name in enumerate(JOINTS):
+        position = STANDING.copy()
+        position[joint] -= 1.2 * TURN
+        seen[0] = state(joint_position=position)
+        watch.look()
+        watch.look()
+        assert len(said) == 1
+        assert said.pop().startswith(f"{name.removesuffix('_joint')} -0.30 to ")
+        seen[0] = state()
+        watch.look()
+        assert said.pop().startswith(f"{name.removesuffix('_joint')} +0.30 to ")
+
+
+def test_small_movements_and_no_reading_say_nothing(watched):
+    watch, seen, said = watched
+    seen[0] = state(joint_position=STANDING + 0.9 * TURN)
+    watch.look()
+    seen[0] = None
+    watch.look()
+    assert said == []
+
+
+@pytest.mark.parametrize("name", JOINTS)
+def test_the_words_are_what_the_model_does(name):
+    """Turn one joint of the standing model and see where its foot goes, in the base frame."""
+    model = mujoco.MjModel.from_xml_path(str(GO1))
+    leg, part, _ = name.split("_")
+
+    def foot(turn: float) -> tuple[np.ndarray, float]:
+        data = mujoco.MjData(model)
+        for joint, position in zip(JOINTS, STANDING, strict=True):
+            data.joint(joint).qpos = position + turn * (joint == name)
+        data.joint(0).qpos[:] = (0, 0, 0, 1, 0, 0, 0)
+        mujoco.mj_forward(model, data)
+        at = data.geom(f"{leg}_foot_collision").xpos
+        return at.copy(), float(np.linalg.norm(at - data.body(f"{leg}_thigh").xpos))
+
+    (before, reach), (after, further) = foot(0.0), foot(0.1)
+    left, back = after[1] > before[1], after[0] < before[0]
+    expected = {
+        "foot moves to the robot's left": left and part == "hip",
+        "foot moves back": back and part == "thigh",
+        "knee straightens": further > reach,
+    }
+    assert expected[WAYS[part][0]]
+
+
+def test_which_end_is_down(watched):
+    watch, seen, said = watched
+    turns = {
+        "nose": (0, 1, 0),
+        "tail": (0, -1, 0),
+        "left side": (-1, 0, 0),
+        "right side": (1, 0, 0),
+    }
+    for end, axis in turns.items():
+        quaternion = np.zeros(4)
+        mujoco.mju_axisAngle2Quat(quaternion, np.array(axis, float), 0.5)
+        seen[0] = state(quaternion=quaternion)
+        watch.look()
+        watch.look()
+        assert said == [f"the base leans: {end} down"]
+        said.clear()
