@@ -70,8 +70,10 @@ def make_crew(cfg: DeployCfg, bundle: Bundle) -> Crew:
 def _robot(cfg: DeployCfg, bundle: Bundle) -> tuple[Robot, Any, Callable[[], None]]:
     if cfg.robot == "go1":
         from renet.deploy.robots.go1 import Go1Robot
+        from renet.deploy.robots.joint_watch import JointWatch
 
-        return Go1Robot(), lambda: None, lambda: None
+        go1 = Go1Robot()
+        return go1, lambda: None, JointWatch(go1.read).look if cfg.dry_run else lambda: None
     try:
         from renet.deploy.robots.mujoco import MujocoRobot
         from renet.deploy.robots.scene import build_scene
