@@ -88,14 +88,17 @@ class JoystickOperator:
         """See Operator.request; an unplugged joystick stops the robot."""
         arm = stop = False
         try:
-            while len(event := os.read(self._device, self.EVENT.size)) == self.EVENT.size:
+            while True:
+                event = os.read(self._device, self.EVENT.size)
+                if len(event) < self.EVENT.size:
+                    raise OSError("the joystick is gone")
                 _, value, kind, number = self.EVENT.unpack(event)
                 if kind & ~self.INITIAL == self.AXIS:
                     self._axes[number] = value / 32767.0
                 elif kind == self.BUTTON and value:
                     arm |= number in self.ARM_BUTTONS
                     stop |= number in self.STOP_BUTTONS
-        except BlockingIOError:
+        except BlockingIOError:  # Nothing new.
             pass
         except OSError:
             stop = True

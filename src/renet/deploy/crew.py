@@ -20,6 +20,9 @@ from renet.errors import RenetError
 if TYPE_CHECKING:
     from renet.deploy.launch import DeployCfg
 
+GO1 = "Unitree Go1"
+"""Robot of the bundles that both drivers take."""
+
 
 @dataclass
 class Crew:
@@ -57,8 +60,11 @@ def make_crew(cfg: DeployCfg, bundle: Bundle) -> Crew:
     """Set up, without touching a device yet except the operator's.
 
     Raises:
-        RenetError: a package or a file that is missing, naming it.
+        RenetError: a bundle for another robot, or a package or a file that is missing.
     """
+    name = bundle.manifest.robot.name
+    if name != GO1:
+        raise RenetError(f"the bundle drives a {name}, --robot {cfg.robot} is a {GO1}")
     robot, truth, show = _robot(cfg, bundle)
     camera = _camera(cfg, bundle, robot)
     if cfg.fault and camera is not None:

@@ -18,6 +18,8 @@ from renet.deploy.safety import Mode
 
 WIDTH, LEFT, RIGHT, TOP, PANEL, SPACE, BOTTOM = 960, 64, 20, 84, 120, 34, 30
 INNER = WIDTH - LEFT - RIGHT
+MAX_POINTS = 5000
+"""Of a curve; longer flights are thinned out."""
 BANDS = {"damped or rising": "#d7dade", "VP acts": "#bed5b4", "OP acts": "#f3c1bb"}
 LOSS, PROBABILITY, SPEED, COMMAND, FAULT, GREY = (
     "#3c3ca0",
@@ -140,7 +142,9 @@ def _frame(panel: Panel, y: float) -> Iterator[str]:
 
 
 def _time_axis(end: float, y: float) -> Iterator[str]:
-    step = next(s for s in (1, 2, 5, 10, 30, 60, 300, 600, 3600, 86400) if end / s <= 20)
+    step = next(
+        s for power in range(9) for s in (10**power, 2 * 10**power, 5 * 10**power) if end / s <= 20
+    )
     for mark in np.arange(0.0, end + 1e-9, step):
         x = _across(mark, end)
         yield _line(x, x, y, y + 4, GREY)
@@ -167,6 +171,10 @@ def _marks(flight: Flight, onsets: Sequence[float], end: float, bottom: float) -
 
 def _curve(x: np.ndarray, heights: np.ndarray, colour: str) -> Iterator[str]:
     """A polyline for each stretch of numbers; NaN leaves a hole."""
+    if not len(x):
+        return
+    every = len(x) // MAX_POINTS + 1
+    x, heights = x[::every], heights[::every]
     for stretch in np.ma.clump_unmasked(np.ma.masked_invalid(heights)):
         points = " ".join(
             f"{a:.1f},{b:.1f}" for a, b in zip(x[stretch], heights[stretch], strict=True)

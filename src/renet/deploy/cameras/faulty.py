@@ -51,7 +51,7 @@ class FaultyCamera:
         self._camera, self._now = camera, now
         self._injector = Injector([tuple(faults)], [0], seed)
         self._begun = 0.0
-        self._taken = float("-inf")
+        self._due = float("-inf")
         self._shown: DepthFrame | None = None
 
     def start(self) -> None:
@@ -63,9 +63,9 @@ class FaultyCamera:
         """See Camera.latest."""
         frame = self._camera.latest()
         # Fault models know frames at 10 Hz; a faster camera is thinned out.
-        if frame is None or frame.time < self._taken + TICK - CONTROL_DT / 2:
+        if frame is None or frame.time < self._due - CONTROL_DT / 2:
             return self._shown
-        self._taken = frame.time
+        self._due = max(self._due + TICK, frame.time)
         step = max(round((frame.time - self._begun) / CONTROL_DT), 0)
         spoilt = self._injector.apply(Frames.healthy(frame.image[None]), step)
         if spoilt.fresh[0]:

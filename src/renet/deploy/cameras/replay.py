@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from renet.deploy.cameras.base import DepthFrame
@@ -20,7 +21,8 @@ class ReplayCamera:
         """
         if not flight.images:
             raise RenetError("the flight holds no images: it was flown without a camera")
-        self._now, self._begun = now, 0.0
+        self._now = now
+        self._begun = math.inf
         rows = sorted(flight.images)
         first = float(flight.ticks["now"][rows[0]])
         self._frames = []

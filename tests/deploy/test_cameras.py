@@ -1,0 +1,145 @@
+"""Cameras around cameras: faults injected, flights shown again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
+from renet.deploy.cameras.replay import ReplayCamera
+from renet.deploy.flight_log import TICK, Flight
+from renet.errors import RenetError
+from renet.evaluation.faults import FAULTS, PhysicalFault
+from renet.vocabulary import CONTROL_DT
+
+from .fakes import frame, time_of
+
+
+class Source:
+    """A clock and a camera of a given rate."""
+
+    def __init__(self, every: int = 5) -> None:
+        self.step, self.every, self.open = 0, every, False
+        self.silent = False
+
+    def now(self) -> float:
+        return 50.0 + time_of(self.step)
+
+    def start(self) -> None:
+        self.open = True
+
+    def latest(self) -> DepthFrame | None:
+        last = self.step - self.step % self.every
+        return None if self.silent else frame(last, 50.0 + time_of(last))
+
+    def close(self) -> None:
+        self.open = False
+
+
+def watch(source: Source, fault: str, steps: int) -> list[DepthFrame]:
+    camera = FaultyCamera(source, [parse_fault(fault)], source.now, seed=1)
+    camera.start()
+    assert source.open
+    seen = []
+    for _ in range(steps):
+        seen.append(camera.latest())
+        source.step += 1
+    camera.close()
+    assert not source.open
+    return seen
+
+
+def test_blackout_from_its_onset_to_its_end():
+    seen = watch(Source(), "blackout@1s+0.5s", 100)
+    black = [not shown.image.any() for shown in seen]
+    assert not any(black[:50])
+    assert all(black[50:75])
+    assert not any(black[75:])
+    assert [shown.number for shown in seen] == [5 * (k // 5) for k in range(100)]
+
+
+def test_an_unplugged_camera_grows_old_and_comes_back():
+    seen = watch(Source(), "unplugged:1@1s", 120)
+    ages = [50.0 + time_of(k) - shown.time for k, shown in enumerate(seen)]
+    assert max(ages[:50]) < 0.1
+    assert ages[99] == pytest.approx(1.08)
+    assert max(ages[105:]) < 0.1
+
+
+def test_holes_are_told():
+    seen = watch(Source(), "glare:4@0s", 10)
+    assert seen[-1].invalid > 0.3
+
+
+def test_a_faster_camera_is_thinned_out_to_ten_frames_a_second():
+    seen = watch(Source(every=2), "blackout@9s", 100)
+    times = sorted({shown.time for shown in seen})
+    assert len(times) == 20
+    assert np.diff(times).min() >= 0.08 - 1e-9
+
+
+def test_a_silent_camera_stays_silent():
+    source = Source()
+    source.silent = True
+    assert watch(source, "blackout@0s", 10) == [None] * 10
+
+
+IMAGE_FAULTS = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
+
+
+def test_faults_of_the_scene_are_refused():
+    with pytest.raises(RenetError, match="acts on the scene"):
+        watch(Source(), "glass@1s", 1)
+
+
+@pytest.mark.parametrize("name", IMAGE_FAULTS)
+def test_every_fault_of_the_benchmark_can_be_asked_for(name):
+    for shown in watch(Source(), f"{name}@0.2s", 40):
+        assert shown.image.shape == (48, 64)
+        assert shown.image.min() >= 0.0
+        assert shown.image.max() <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "fields"),
+    [
+        ("blackout@5s", ("blackout", 0.0, 250, float("inf"))),
+        ("glare:3@4s+2s", ("glare", 0.3, 200, 2.0)),
+        ("unplugged:2@0.5+1.5", ("unplugged", 2.0, 25, 1.5)),
+    ],
+)
+def test_faults_are_read(text, fields):
+    fault = parse_fault(text)
+    assert (fault.fault, fault.level, fault.onset, fault.duration) == fields
+
+
+@pytest.mark.parametrize(
+    "text", ["", "blackout", "@5s", "blackout@", "blackout@-1", "blackout:6@1", "sunset@3", "a b@1"]
+)
+def test_unreadable_faults_are_refused(text):
+    with pytest.raises(RenetError):
+        parse_fault(text)
+
+
+def test_a_flight_is_shown_again_on_another_clock():
+    ticks = np.zeros(20, TICK)
+    ticks["now"] = 7.0 + CONTROL_DT * np.arange(20)
+    ticks["frame_number"][[3, 8]] = (11, 12)
+    ticks["frame_invalid"][8] = 0.25
+    images = {row: np.full((48, 64), row / 10, np.float16) for row in (3, 8)}
+    source = Source()
+    camera = ReplayCamera(Flight({}, ticks, images, [], True), source.now)
+    assert camera.latest() is None
+    source.step = 40
+    camera.start()
+    numbers = []
+    for _ in range(10):
+        numbers.append(camera.latest().number)
+        source.step += 1
+    assert numbers == [11] * 5 + [12] * 5
+    last = camera.latest()
+    assert (last.time, last.invalid) == (pytest.approx(50.9), 0.25)
+    camera.close()
+    with pytest.raises(RenetError, match="without a camera"):
+        ReplayCamera(Flight({}, ticks, {}, [], True), source.now)

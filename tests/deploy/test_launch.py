@@ -1,0 +1,188 @@
+"""`renet deploy` as a stranger runs it, and everything that must end it braked and logged."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from renet import cli
+from renet.deploy import crew
+from renet.deploy.bundle import Bundle, read_manifest, write_manifest
+from renet.deploy.flight_log import MODES, read_log
+from renet.deploy.launch import DeployCfg, deploy
+from renet.deploy.operator import Request, ScriptedOperator
+from renet.deploy.replay import mismatch
+from renet.deploy.robots.mujoco import MujocoRobot
+from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.score import SCORE, TIMELINE
+from renet.deploy.timeline import BANDS
+from renet.errors import RenetError
+
+QUICK = SafetyCfg(rise_seconds=0.5)
+
+
+def braked_at_the_end(path: Path) -> bool:
+    ticks = read_log(path / "flight.log").ticks[-25:]
+    return bool((ticks["mode"] == MODES.index(Mode.DAMPING)).all() and not ticks["stiffness"].any())
+
+
+def test_out_of_the_box_it_walks_on_and_switches_within_a_fifth_of_a_second(tmp_path, capsys):
+    arguments = "deploy --robot mujoco --camera sim --terrain stairs --fault blackout@5s"
+    assert cli.main([*arguments.split(), "--seconds", "8", "--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert all(word in out for word in ("rising: armed", "walking: risen", "op: the image is"))
+    score = json.loads((tmp_path / SCORE).read_text())
+    assert score["falls"] == 0
+    assert score["complete"]
+    assert score["distance_from"] == "simulator"
+    assert score["distance_m"] > 1.0
+    assert score["walking_seconds"] == pytest.approx(6.0, abs=0.1)
+    (delay,) = score["switch_delay_s"]
+    assert 0.0 < delay <= 0.2
+    drawing = ET.parse(tmp_path / TIMELINE)
+    colours = {node.get("fill") for node in drawing.iter()}
+    assert set(BANDS.values()) <= colours
+    flight = read_log(tmp_path / "flight.log")
+    assert braked_at_the_end(tmp_path)
+    assert mismatch(flight, Bundle.load()) == 0.0
+    assert [event.why for event in flight.events][-1] == "the flight ends"
+
+
+def test_the_papers_selector_is_told_to_the_log(tmp_path):
+    cfg = DeployCfg(
+        out=tmp_path, selector="paper", safety=QUICK, seconds=1.5, fault=("gaussian@1",)
+    )
+    flight = read_log(deploy(cfg) / "flight.log")
+    beta = Bundle.load().manifest.selector.beta
+    assert flight.header["paper_selector"]
+    assert flight.header["beta"] == beta
+    assert flight.events[-2].why == "images unlike those of training"
+    assert mismatch(flight, Bundle.load()) == 0.0
+
+
+def test_a_dry_run_prints_commands_and_never_moves_the_robot(tmp_path, capsys, monkeypatch):
+    written = []
+    real = MujocoRobot.write
+    monkeypatch.setattr(MujocoRobot, "write", lambda s, c: (written.append(c), real(s, c)))
+    cfg = DeployCfg(out=tmp_path, dry_run=True, seconds=1.5, safety=QUICK)
+    deploy(cfg)
+    assert len(written) == 1, "limp, before the flight"
+    assert not written[0].stiffness.any()
+    out = capsys.readouterr().out
+    assert "FR_hip" in out
+    assert "(Kp 40)" in out
+    assert "walking: risen" in out
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_brakes_and_saves_everything(tmp_path, monkeypatch, number):
+    class Impatient(ScriptedOperator):
+        def request(self, now: float) -> Request:
+            if abs(now - 1.0) < 0.001:
+                os.kill(os.getpid(), number)
+            return super().request(now)
+
+    monkeypatch.setattr(crew, "ScriptedOperator", Impatient)
+    before = signal.getsignal(number)
+    deploy(DeployCfg(out=tmp_path, safety=QUICK))
+    assert signal.getsignal(number) is before
+    assert braked_at_the_end(tmp_path)
+    score = json.loads((tmp_path / SCORE).read_text())
+    assert score["complete"]
+    assert score["seconds"] == pytest.approx(1.5, abs=0.05)
+    assert (tmp_path / TIMELINE).exists()
+
+
+def test_a_fall_ends_a_flight_that_nobody_steers(tmp_path):
+    tight = replace(QUICK, max_tilt=0.02)
+    deploy(DeployCfg(out=tmp_path, safety=tight, seconds=60.0))
+    score = json.loads((tmp_path / SCORE).read_text())
+    assert score["seconds"] < 10.0
+    assert score["events"][-1]["why"].startswith("tilted")
+
+
+def test_operators_fly_in_real_time_and_without_an_end():
+    assert DeployCfg().length == 15.0
+    assert not DeployCfg().live
+    assert DeployCfg(operator="keyboard").length == float("inf")
+    assert DeployCfg(operator="keyboard").live
+    assert DeployCfg(operator="joystick", seconds=3.0).length == 3.0
+    assert DeployCfg(robot="go1", operator="joystick").live
+
+
+def test_real_time_flies_on_the_threads_and_replays(tmp_path):
+    deploy(DeployCfg(out=tmp_path, real_time=True, seconds=1.5, safety=QUICK))
+    flight = read_log(tmp_path / "flight.log")
+    assert mismatch(flight, Bundle.load()) == 0.0
+
+
+def test_the_replay_camera_shows_a_flights_images(tmp_path):
+    deploy(DeployCfg(out=tmp_path / "a", seconds=1.5, safety=QUICK))
+    source = tmp_path / "a" / "flight.log"
+    again = DeployCfg(out=tmp_path / "b", seconds=1.5, camera="replay", flight=source, safety=QUICK)
+    deploy(again)
+    a, b = read_log(source), read_log(tmp_path / "b" / "flight.log")
+    # The second camera spoke first in the same control step: same image, same step.
+    for row, image in a.images.items():
+        np.testing.assert_array_equal(b.images[row], image)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("--seconds 0", "--seconds must be positive"),
+        ("--fault lightning@5", "lightning"),
+        ("--fault blackout", "cannot read the fault 'blackout'"),
+        ("--fault blackout:9@1s", "choose 1 to 5"),
+        ("--fault blackout@1s --camera none", "needs a camera to spoil"),
+        ("--camera replay", "needs --flight"),
+        ("--camera replay --flight nowhere", "cannot read the flight log nowhere"),
+        ("--robot go1", "needs --operator keyboard or joystick, or --dry-run"),
+        ("--robot go1 --camera sim", "looks at a simulation"),
+        ("--robot go1 --viewer --dry-run", "look at the robot"),
+        ("--terrain lava", "unknown terrain 'lava'"),
+        ("--scene nowhere.xml", "cannot use the scene"),
+        ("nowhere", "no bundle at nowhere"),
+    ],
+)
+def test_mistakes_are_told_before_anything_moves(tmp_path, capsys, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["deploy", *arguments.split()]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_robots_bundle_is_refused(tmp_path, bundle_path):
+    manifest = read_manifest(bundle_path)
+    write_manifest(bundle_path, replace(manifest, robot=replace(manifest.robot, name="Spot")))
+    with pytest.raises(RenetError, match="drives a Spot"):
+        deploy(DeployCfg(bundle=bundle_path, out=tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("missing", "arguments", "hint"),
+    [
+        ("mujoco", "--robot mujoco", "pip install 'renet[sim]'"),
+        ("mjviser", "--viewer", "pip install mjviser"),
+    ],
+)
+def test_missing_packages_are_named(tmp_path, capsys, monkeypatch, missing, arguments, hint):
+    for name in [name for name in sys.modules if name.startswith("renet.deploy.robots.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, missing, None)
+    assert cli.main(["deploy", *arguments.split(), "--out", str(tmp_path)]) == 2
+    assert hint in capsys.readouterr().err
+
+
+def test_a_results_folder_that_cannot_be_made_is_named(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert cli.main(["deploy", "--out", str(tmp_path / "file")]) == 2
+    assert "cannot write the flight log" in capsys.readouterr().err

@@ -1,0 +1,191 @@
+"""The loop with broken devices: it goes on, and ends in OP or in damping as documented."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from renet.deploy.bundle import Bundle
+from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.cameras.sim import SimCamera
+from renet.deploy.controller import Controller, Event
+from renet.deploy.flight_log import FlightLog, read_log
+from renet.deploy.operator import Request, ScriptedOperator
+from renet.deploy.perception import ThreadedPerception
+from renet.deploy.replay import mismatch
+from renet.deploy.robots.mujoco import MujocoRobot
+from renet.deploy.robots.scene import build_scene
+from renet.deploy.runner import BRAKING, fly
+from renet.deploy.safety import Mode, SafetyCfg
+
+QUICK = SafetyCfg(rise_seconds=0.5)
+
+
+@pytest.fixture(scope="module")
+def bundle() -> Bundle:
+    return Bundle.load()
+
+
+class Rig:
+    """A simulated robot on the plane, with hooks to break what passes through."""
+
+    def __init__(self, bundle: Bundle, perception=None) -> None:
+        model, ground = build_scene("flat")
+        self.body = MujocoRobot(model, bundle.manifest.robot, ground)
+        self.eye = SimCamera(self.body, bundle.manifest.camera, seed=1)
+        self.hand = ScriptedOperator(0.6)
+        self.events: list[Event] = []
+        self.commands: list = []
+        self.modes: list[Mode] = []
+        self.controller = Controller(bundle, QUICK, perception, on_event=self.events.append)
+        self.on_read: Callable = lambda state, now: state
+        self.on_look: Callable = lambda frame, now: frame
+        self.on_ask: Callable = lambda request, now: request
+        self.on_write: Callable = lambda command, now: None
+
+    # As Robot, Camera and Operator.
+
+    def now(self) -> float:
+        return self.body.now()
+
+    def wait(self, until: float) -> None:
+        self.body.wait(until)
+
+    def read(self):
+        return self.on_read(self.body.read(), self.now())
+
+    def write(self, command) -> None:
+        self.on_write(command, self.now())
+        self.body.write(command)
+
+    def latest(self) -> DepthFrame | None:
+        return self.on_look(self.eye.latest(), self.now())
+
+    def request(self, now: float) -> Request:
+        return self.on_ask(self.hand.request(now), now)
+
+    def fly(self, seconds: float, log=None) -> None:
+        def record(command) -> None:
+            self.commands.append(command)
+            self.modes.append(self.controller.decision.mode)
+
+        end = self.now() + seconds
+        self.eye.start()
+        devices: tuple = (self, self, self)
+        fly(*devices, self.controller, log, done=lambda: self.now() >= end, on_step=record)
+        self.controller.close()
+
+    def whys(self) -> list[str]:
+        return [event.why for event in self.events]
+
+
+def boom(*arguments):
+    raise OSError("unplugged")
+
+
+def during(begin: float, end: float, what: Callable) -> Callable:
+    return lambda value, now: what() if begin <= now < end else value
+
+
+def test_a_camera_unplugged_and_replugged_50_times_in_one_run(bundle):
+    """Silence, errors, a driver that repeats its last frame, and garbage, in turn."""
+    rig, held = Rig(bundle), []
+    endings = [
+        lambda frame: None,
+        boom,
+        lambda frame: held[-1],
+        lambda frame: replace(frame, image=np.zeros((3, 4))),
+        lambda frame: replace(frame, time=-1.0),
+    ]
+    plugs = []
+
+    def look(frame, now):
+        cycle, phase = divmod(now - 1.0, 0.5)
+        if now < 1.0 or phase < 0.2:
+            held.append(frame)
+            return frame
+        plugs.append(int(cycle))
+        return endings[int(cycle) % len(endings)](frame)
+
+    rig.on_look = look
+    rig.fly(26.2)
+    assert len(set(plugs)) >= 50
+    assert rig.modes[-BRAKING - 1] is Mode.WALKING
+    assert rig.body.upright
+    assert np.hypot(*rig.body.base_position[:2]) > 3.0
+    assert sum(event.what == "op" for event in rig.events) <= 26.2 / 5 + 1
+
+
+def test_a_vision_thread_killed_in_flight_ends_in_op_and_the_robot_walks_on(bundle):
+    perception = ThreadedPerception(bundle.sessions, patience=5.0)
+    rig = Rig(bundle, perception)
+
+    def kill(request, now):
+        # What `None` ends at the thread's end ends it here too: nobody answers any more.
+        if abs(now - 2.0) < 0.001:
+            perception._jobs.put(None)
+            perception._thread.join()
+        return request
+
+    rig.on_ask = kill
+    rig.fly(4.0)
+    whats = [event.what for event in rig.events]
+    assert whats[:4] == ["rising", "walking", "perception", "op"]
+    assert rig.events[2].time == pytest.approx(2.0, abs=0.101)
+    assert rig.events[3].time <= 2.3
+    assert rig.modes[-BRAKING - 1] is Mode.WALKING
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        ({"on_read": during(1.49, 9, boom)}, "the state is 60 ms old"),
+        ({"on_read": during(1.49, 9, lambda: None)}, "the state is 60 ms old"),
+        ({"on_read": during(1.49, 9, lambda: "fine")}, "joint_position"),
+        ({"on_ask": during(1.49, 9, boom)}, "operator stop"),
+        ({"on_ask": during(1.49, 9, lambda: None)}, "AttributeError"),
+        ({"on_ask": during(1.49, 9, lambda: Request(stop=True))}, "operator stop"),
+        ({"on_write": during(1.49, 1.51, boom)}, "the robot takes no commands: unplugged"),
+    ],
+)
+def test_what_ends_in_damping(bundle, tmp_path, spoil, reason):
+    rig = Rig(bundle)
+    for name, hook in spoil.items():
+        setattr(rig, name, hook)
+    log = FlightLog(tmp_path / "flight.log", {})
+    rig.fly(2.0, log)
+    log.close()
+    assert rig.events[-1].what == "damping"
+    assert reason in rig.events[-1].why
+    assert 1.49 < rig.events[-1].time < 1.57
+    after = [c for c, mode in zip(rig.commands, rig.modes, strict=True) if mode is Mode.DAMPING]
+    assert all(not command.stiffness.any() for command in after)
+    assert len(read_log(tmp_path / "flight.log").ticks) == len(rig.commands)
+
+
+def test_a_terminal_that_is_gone_does_not_end_the_flight(bundle):
+    rig = Rig(bundle)
+    end = rig.now() + 0.2
+    devices: tuple = (rig, rig, rig)
+    fly(*devices, rig.controller, done=lambda: rig.now() >= end, on_step=boom)
+    assert rig.now() == pytest.approx(0.2 + 0.02 * BRAKING)
+
+
+def test_without_a_camera_it_walks_on_op_and_replays(bundle, tmp_path):
+    rig = Rig(bundle)
+    rig.on_look = lambda frame, now: None
+    header = {
+        "bundle_sha256": bundle.sha256,
+        "safety": vars(QUICK),
+        "paper_selector": False,
+    }
+    log = FlightLog(tmp_path / "flight.log", header)
+    rig.fly(3.0, log)
+    log.close()
+    assert rig.whys() == ["armed", "risen", "no new image", "the flight ends"]
+    flight = read_log(tmp_path / "flight.log")
+    assert not flight.ticks["vision"].any()
+    assert mismatch(flight, bundle) == 0.0

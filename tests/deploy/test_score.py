@@ -1,0 +1,131 @@
+"""Scores and timelines of flights made by hand, whose falls, metres and delays are known."""
+
+from __future__ import annotations
+
+import json
+import math
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from renet import cli
+from renet.deploy.controller import Event
+from renet.deploy.flight_log import GOOD, MODES, NONE, TICK, Flight
+from renet.deploy.safety import Mode
+from renet.deploy.score import score, track, write_score
+from renet.deploy.timeline import BANDS, timeline
+from renet.errors import RenetError
+from renet.vocabulary import CONTROL_DT
+
+STEPS, RISEN, BLIND = 500, 100, 300
+
+
+def tilted(degrees: float) -> tuple[float, ...]:
+    half = math.radians(degrees) / 2
+    return (math.cos(half), math.sin(half), 0.0, 0.0)
+
+
+def turned(degrees: float) -> tuple[float, ...]:
+    half = math.radians(degrees) / 2
+    return (math.cos(half), 0.0, 0.0, math.sin(half))
+
+
+@pytest.fixture
+def flight() -> Flight:
+    """2 s of rising, then walking at 0.5 m/s to the left of the start; OP from 6 s on."""
+    ticks = np.zeros(STEPS, TICK)
+    ticks["now"] = 1000.0 + CONTROL_DT * np.arange(STEPS)
+    ticks["state"], ticks["quaternion"] = GOOD, turned(90)
+    ticks["mode"] = MODES.index(Mode.WALKING)
+    ticks["mode"][:RISEN] = MODES.index(Mode.RISING)
+    ticks["vision"][RISEN:BLIND] = True
+    ticks["speed"] = 0.6
+    ticks["velocity_op"][:, 0], ticks["velocity_vp"][:, 0] = 0.4, 0.5
+    ticks["base_position"] = np.nan
+    ticks["compute_ms"] = 1.0
+    ticks["compute_ms"][7] = 9.0
+    ticks["anomaly"] = 0.01
+    ticks["anomaly"][:RISEN] = np.inf
+    events = [Event(1002.0, "walking", "risen"), Event(1006.0, "op", "no <new> image")]
+    return Flight({"beta": 0.02, "fault": ["unplugged@5.8s"]}, ticks, {}, events, True)
+
+
+def test_a_robots_flight_is_reckoned_from_its_estimators(flight):
+    result = score(flight, [5.8])
+    assert result["walking_seconds"] == 8.0
+    assert result["distance_from"] == "estimator"
+    assert result["distance_m"] == pytest.approx(4 * 0.5 + 4 * 0.4, abs=0.02)
+    assert result["speed_m_s"] == pytest.approx(0.45, abs=0.01)
+    assert result["commanded_m_s"] == 0.6
+    assert result["vision_share"] == 0.5
+    assert (result["switches"], result["op_before_first_fault"]) == (1, 0)
+    assert result["switch_delay_s"] == [pytest.approx(0.2)]
+    assert result["compute_ms"] == {"p50": 1.0, "p99": pytest.approx(1.0), "max": 9.0}
+    assert result["period_ms"]["max"] == pytest.approx(20.0)
+    np.testing.assert_allclose(track(flight.ticks)[-1], [0.0, 3.6, 0.0], atol=0.02)
+
+
+def test_a_simulators_truth_wins(flight):
+    flight.ticks["base_position"] = np.linspace((0, 0, 0.3), (3, 4, 0.3), STEPS)
+    result = score(flight, [])
+    assert result["distance_from"] == "simulator"
+    assert result["distance_m"] == pytest.approx(5.0 * 0.8, abs=0.02)
+    assert result["op_before_first_fault"] == 1, "without a fault it is a false alarm"
+
+
+def test_switch_delays(flight):
+    assert score(flight, [7.0, 9.999])["switch_delay_s"] == [0.0, None]
+    assert score(flight, [7.0])["op_before_first_fault"] == 1
+    flight.ticks["vision"][RISEN:] = True
+    assert score(flight, [5.8])["switch_delay_s"] == [None]
+
+
+def test_falls_are_counted_once_each(flight):
+    quaternion = flight.ticks["quaternion"]
+    quaternion[200:220] = tilted(61)
+    quaternion[300:] = tilted(-120)
+    quaternion[:5] = np.nan
+    quaternion[5:8] = 0.0
+    quaternion[100:120] = tilted(59)
+    flight.ticks["state"][250:260] = NONE
+    assert score(flight, [])["falls"] == 2
+
+
+def test_an_empty_flight(tmp_path):
+    empty = Flight({}, np.zeros(0, TICK), {}, [], False)
+    result = write_score(empty, tmp_path / "new", [1.0])
+    assert result["walking_seconds"] == result["distance_m"] == result["falls"] == 0
+    assert result["switch_delay_s"] == [None]
+    assert json.loads((tmp_path / "new" / "score.json").read_text()) == result
+
+
+def test_the_timeline_shows_bands_faults_and_reasons(flight):
+    root = ET.fromstring(timeline(flight, [5.8, 7.0]))
+    space = "{http://www.w3.org/2000/svg}"
+    damped, vision, blind = BANDS.values()
+    bands = [r for r in root.iter(f"{space}rect") if float(r.get("height")) > 100]
+    assert [band.get("fill") for band in bands[1:]] == 3 * [damped, vision, blind]
+    widths = [float(band.get("width")) for band in bands[1:4]]
+    assert widths == pytest.approx([876 * share for share in (0.2, 0.4, 0.4)], rel=0.02)
+    texts = [node.text for node in root.iter(f"{space}text")]
+    assert {"unplugged@5.8s", "vision spoilt", "op: no <new> image"} <= set(texts)
+    assert "nan" not in timeline(flight)
+    assert "inf" not in timeline(flight)
+
+
+def test_long_and_tiny_flights_are_drawn(flight):
+    for end in (0.0, 1e-3, 50.0, 5e7):
+        flight.ticks["now"] = np.linspace(0.0, end, STEPS)
+        assert len(timeline(flight)) < 200_000
+
+
+def test_a_folder_that_cannot_be_written(flight, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RenetError, match="cannot write to"):
+        write_score(flight, tmp_path / "file")
+
+
+def test_the_command_needs_a_flight_log(tmp_path, capsys):
+    assert cli.main(["evaluate", "log", str(tmp_path / "none")]) == 2
+    assert "cannot read the flight log" in capsys.readouterr().err
