@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -94,6 +95,7 @@ class FakeLab:
     """Stands in for `renet.evaluation.lab.Lab`."""
 
     beta = 0.01
+    thresholds: ClassVar = {"reconstruction": 0.01, "duplicate": 3.0, "frame_age": 0.2}
 
     def __init__(self) -> None:
         spec = mujoco.MjSpec()

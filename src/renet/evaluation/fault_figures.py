@@ -1,44 +1,124 @@
-"""Figures of the fault benchmark: survival at a glance, and what each fault looks like."""
+"""Figures of the fault benchmark: survival and detection at a glance, curves, and a gallery."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 
 from renet.evaluation import figures
-from renet.evaluation.faults import FAULTS, SEVERITIES, Frames, Injection, Injector
+from renet.evaluation.fault_scene import example
+from renet.evaluation.faults import FAULTS, SEVERITIES
 from renet.evaluation.results import Provenance
-from renet.vocabulary import DEPTH_SHAPE
+
+Runs = list[dict[str, Any]]
+SHADES = ("#b7b2e0", "#7d76c9", "#3c3ca0", "#2a2a78", "#14143f")
+"""Of severities 1 to 5."""
 
 
 def draw_survival(
-    runs: list[dict[str, Any]],
+    runs: Runs,
     modes: Sequence[str],
     severities: Sequence[int],
     path: Path,
     provenance: Provenance,
 ) -> Path:
-    """A table of colours: share of robots on their feet, faults × severities, mode by mode."""
-    faults = list(dict.fromkeys(run["fault"] for run in runs))
-    share = {(r["mode"], r["fault"], r["severity"]): 100 * r["survival"] for r in runs}
+    """A table of colours: share of robots on their feet, faults by severities, mode by mode."""
+    panels = {
+        figures.MODE_NAMES[mode]: _table(
+            [run for run in runs if run["mode"] == mode], lambda run: 100 * run["survival"]
+        )
+        for mode in modes
+    }
+    return _draw_tables(panels, severities, "Robots on their feet (%)", path, provenance)
+
+
+def draw_detection(
+    runs: Runs, severities: Sequence[int], path: Path, provenance: Provenance
+) -> Path:
+    """Two tables: share of robots that noticed, under the selector used and the paper's rule."""
+    ours = [run for run in runs if run["mode"] == "renet"] or runs
+    panels = {
+        "RENet's selector": _table(ours, lambda run: 100 * run["detected"] / run["robots"]),
+        "the paper's rule alone": _table(
+            ours, lambda run: 100 * run["detected_by_paper"] / run["robots"]
+        ),
+    }
+    title = "Robots that noticed the fault while it lasted (%)"
+    return _draw_tables(panels, severities, title, path, provenance)
+
+
+def _table(runs: Runs, value: Any) -> dict[tuple[str, int], float]:
+    return {(run["fault"], run["severity"]): value(run) for run in runs}
+
+
+def _draw_tables(
+    panels: Mapping[str, dict[tuple[str, int], float]],
+    severities: Sequence[int],
+    title: str,
+    path: Path,
+    provenance: Provenance,
+) -> Path:
+    """Coloured tables side by side, one row for each fault."""
+    faults = list(dict.fromkeys(fault for panel in panels.values() for fault, _ in panel))
     with plt.rc_context({**figures.STYLE, "axes.grid": False, "axes.spines.left": False}):
-        size = (2.2 + 2.1 * len(modes), 1.4 + 0.3 * len(faults))
-        figure, axes = plt.subplots(1, len(modes), figsize=size, sharey=True, squeeze=False)
-        for axis, mode in zip(axes[0], modes, strict=True):
-            table = np.array([[share[mode, f, s] for s in severities] for f in faults])
+        size = (2.2 + 2.1 * len(panels), 1.4 + 0.3 * len(faults))
+        figure, axes = plt.subplots(1, len(panels), figsize=size, sharey=True, squeeze=False)
+        for axis, (name, panel) in zip(axes[0], panels.items(), strict=True):
+            table = np.array([[panel[f, s] for s in severities] for f in faults])
             axis.imshow(table, vmin=0, vmax=100, cmap="RdYlGn", aspect="auto")
             for (row, column), value in np.ndenumerate(table):
                 axis.text(column, row, f"{value:.0f}", ha="center", va="center", fontsize=8)
             axis.set_xticks(range(len(severities)), [str(s) for s in severities])
             axis.set_yticks(range(len(faults)), [f.replace("_", " ") for f in faults])
             axis.tick_params(length=0)
-            axis.set(title=mode, xlabel="severity")
-        figure.suptitle("Robots on their feet at the end (%)", x=0.01, ha="left", fontsize=11)
+            axis.set(title=name, xlabel="severity")
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
         return figures.save(figure, path, provenance)
+
+
+def draw_roc(
+    curves: Mapping[str, list[dict[str, Any]]], path: Path, provenance: Provenance
+) -> Path:
+    """One panel for each fault: could a threshold tell its frames from healthy ones?"""
+    columns = min(6, len(curves))
+    rows = -(-len(curves) // columns)
+    with plt.rc_context(figures.STYLE):
+        figure, axes = plt.subplots(
+            rows, columns, figsize=(1.9 * columns + 0.4, 2.1 * rows + 0.9), squeeze=False
+        )
+        for axis, (fault, found) in zip(axes.flat, curves.items(), strict=False):
+            _draw_curves(axis, found)
+            axis.set_title(fault.replace("_", " "), fontsize=9)
+        for axis in axes.flat[len(curves) :]:
+            axis.set_axis_off()
+        for axis in axes[-1]:
+            axis.set_xlabel("false alarms", fontsize=8)
+        for axis in axes[:, 0]:
+            axis.set_ylabel("caught", fontsize=8)
+        handles, labels = axes.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8)
+        figure.suptitle(
+            "Frames before and after the onset: all monitors (lines), reconstruction alone (dots)",
+            x=0.01,
+            ha="left",
+            fontsize=11,
+        )
+        return figures.save(figure, path, provenance)
+
+
+def _draw_curves(axis: Axes, found: list[dict[str, Any]]) -> None:
+    axis.plot([0, 1], [0, 1], color=figures.FAINT, linewidth=0.6)
+    for curve in found:
+        colour, label = SHADES[curve["severity"] - 1], f"severity {curve['severity']}"
+        axis.plot(*curve["monitors"], color=colour, linewidth=1.4, label=label)
+        axis.plot(*curve["reconstruction"], color=colour, linewidth=1.1, linestyle=":")
+    axis.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.05), xticks=(0, 0.5, 1), yticks=(0, 0.5, 1))
+    axis.tick_params(labelsize=7)
 
 
 def draw_gallery(faults: Sequence[str], seed: int, path: Path, provenance: Provenance) -> Path:
@@ -57,37 +137,3 @@ def draw_gallery(faults: Sequence[str], seed: int, path: Path, provenance: Prove
                 axis.set(xticks=[], yticks=[])
             row[0].set_ylabel(fault.replace("_", " "), fontsize=8, rotation=0, ha="right")
         return figures.save(figure, path, provenance)
-
-
-def example(fault: str, severity: int, seed: int) -> np.ndarray:
-    """An image [48, 64] of ground and a block, half a second into the fault, base turning."""
-    injector = Injector([(Injection.of(fault, severity, onset=0),)], [0], seed)
-    rate = np.array([[0.0, 1.0, 2.0]])
-    scene = block()[None]
-    for step in range(0, 26, 5):
-        frames = injector.apply(Frames.healthy(scene, rate), step)
-    return frames.image[0]
-
-
-def block() -> np.ndarray:
-    """Depth [48, 64] as a camera 0.3 m above the ground sees a block 0.7 to 1.1 m ahead.
-
-    The block is 0.5 m wide and 0.15 m high; the camera looks down by 30 degrees.
-    """
-    rows, columns = DEPTH_SHAPE
-    height, tilt, focal = 0.3, np.radians(30), 0.5 * columns / np.tan(np.radians(43.5))
-    down = (np.arange(rows) - rows / 2 + 0.5)[:, None] / focal * np.ones(columns)
-    side = (np.arange(columns) - columns / 2 + 0.5) / focal
-    drop = np.sin(tilt) + down * np.cos(tilt)
-    ahead = np.maximum(np.cos(tilt) - down * np.sin(tilt), 1e-3)
-    floor, top = (
-        np.where(drop > 1e-3, clearance / np.maximum(drop, 1e-3), np.inf)
-        for clearance in (height, height - 0.15)
-    )
-    face = 0.7 / ahead
-    reach = top * ahead
-    on_top = (reach > 0.7) & (reach < 1.1) & (np.abs(top * side) < 0.25)
-    sunk = face * drop
-    on_face = (sunk > height - 0.15) & (sunk < height) & (np.abs(face * side) < 0.25)
-    depth = np.where(on_face, face, np.where(on_top, top, floor))
-    return np.clip(depth / 2.0, 0.0, 1.0).astype(np.float32)

@@ -14,6 +14,7 @@ from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import Controller, Switch
 from renet.evaluation.switches import ScoreSwitch, check_selector, make_switch
 from renet.evaluation.world import SimWorld, study_env_cfg
+from renet.selector.defaults import default_monitors
 from renet.tasks import RenetEnvCfg
 
 __all__ = ["Lab", "ScoreSwitch"]
@@ -48,6 +49,12 @@ class Lab:
         spec = self.bundle.manifest.selector
         calibrated = spec.thresholds.get("reconstruction", spec.beta)
         return spec.beta if self.selector == "paper" else calibrated
+
+    @property
+    def thresholds(self) -> dict[str, float]:
+        """Thresholds of the default selector's monitors, by name."""
+        spec = self.bundle.manifest.selector
+        return {m.name: m.threshold for m in default_monitors(spec.beta, spec.thresholds, 1)}
 
     def provenance(self, seed: int) -> Provenance:
         """Where numbers made with this bundle now come from."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -111,7 +112,26 @@ def roc(healthy: np.ndarray, faulty: np.ndarray) -> tuple[np.ndarray, np.ndarray
         False positive rates, true positive rates (both from 0 to 1), area under the curve; equal
         scores count half.
     """
-    thresholds = np.concatenate([[np.inf], np.unique(np.concatenate([healthy, faulty]))[::-1]])
-    false = np.array([(healthy >= t).mean() for t in thresholds])
-    true = np.array([(faulty >= t).mean() for t in thresholds])
+    levels = np.unique(np.concatenate([healthy, faulty]))[::-1]
+
+    def above(scores: np.ndarray) -> np.ndarray:
+        rank = np.searchsorted(np.sort(scores), levels, side="left")
+        return np.concatenate([[0.0], 1.0 - rank / len(scores)])
+
+    false, true = above(np.asarray(healthy)), above(np.asarray(faulty))
     return false, true, float(np.trapezoid(true, false))
+
+
+def poisson_upper(count: int, confidence: float = 0.95) -> float:
+    """The largest expected number of events that `count` or fewer of them do not rule out.
+
+    Exact one-sided limit: the mean at which seeing so few has probability 1 - confidence.
+    """
+    low, high = 0.0, 10.0 + 3.0 * count
+    for _ in range(60):
+        mean = 0.5 * (low + high)
+        terms = [
+            math.exp(-mean + i * math.log(mean) - math.lgamma(i + 1)) for i in range(count + 1)
+        ]
+        low, high = (mean, high) if sum(terms) > 1.0 - confidence else (low, mean)
+    return 0.5 * (low + high)

@@ -19,6 +19,8 @@ class Glass(PhysicalFault):
     )
     unit = "share"
     levels = (0.2, 0.4, 0.6, 0.8, 1.0)
+    terrains = ("obstacles", "stairs_up", "platform")
+    """Kinds of tile with obstacles that can be glass."""
 
     def bend(self, view: View, rows: np.ndarray) -> None:
         """See `PhysicalFault.bend`."""
@@ -48,7 +50,7 @@ class MountKnocked(PhysicalFault):
 
     def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
         super().__init__(level, rngs)
-        axes = np.stack([rng.standard_normal(3) for rng in rngs])
+        axes = np.array([rng.standard_normal(3) for rng in rngs]).reshape(-1, 3)
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
         self._turn = np.radians(level) * axes
         """[n, 3]"""
