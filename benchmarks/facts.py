@@ -7,7 +7,7 @@ import os
 import platform
 import sys
 from datetime import date
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,16 @@ def facts() -> dict[str, Any]:
         "cpus": os.cpu_count(),
         "machine": platform.machine(),
         "load_before": os.getloadavg()[0],
-        "versions": {name: version(name) for name in packages},
+        "versions": {name: found for name in packages if (found := version_of(name))},
     }
+
+
+def version_of(package: str) -> str | None:
+    """None for a package that is not installed: a robot has no training packages."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
 
 
 def report(results: dict[str, Any], path: Path | None) -> None:

@@ -1,0 +1,161 @@
+"""What the runtime costs on one CPU thread: ticks, the 50 Hz loop's punctuality, memory, bytes.
+
+The real loop, controller and vision thread run in real time against a robot and a camera made of
+random numbers. Nothing here imports torch or MuJoCo. Where other work runs beside it, put it first,
+as a robot's computer should its controller: `chrt -f 50 python benchmarks/runtime.py`.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from facts import report
+from renet.deploy import perception
+from renet.deploy.bundle import MODELS, Bundle
+from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.controller import Controller
+from renet.deploy.manifest import RobotSpec
+from renet.deploy.operator import ScriptedOperator
+from renet.deploy.policy import Percept, TickInputs, perceive
+from renet.deploy.robots.base import JointCommand, RobotState
+from renet.deploy.runner import fly
+from renet.deploy.safety import Mode, SafetyCfg
+from renet.vocabulary import CONTROL_DT, DEPTH_SHAPE
+
+WARM_UP = 3.0
+"""Seconds of rising and first ticks that do not count."""
+SCHEDULERS = {os.SCHED_FIFO: "fifo", os.SCHED_RR: "round robin"}
+RARELY = SafetyCfg(max_gap=10.0, max_late=1_000_000)
+"""A busy machine must not end the measurement: late ticks are what it is for."""
+
+
+@dataclass(frozen=True)
+class Cfg:
+    json: Path | None = None
+    """File for the results."""
+    bundle: Path | None = None
+    minutes: float = 5.0
+
+
+class RandomRobot:
+    """Stands and trembles, on the wall clock; notes how late every control step begins."""
+
+    def __init__(self, robot: RobotSpec) -> None:
+        self._pose, self._random = np.array(robot.default_position), np.random.default_rng(0)
+        self.late_ms: list[float] = []
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def wait(self, until: float) -> None:
+        time.sleep(max(0.0, until - self.now()))
+        self.late_ms.append(1000.0 * (self.now() - until))
+
+    def read(self) -> RobotState:
+        noise = 0.05 * self._random.standard_normal((3, 12))
+        upright = np.array([1.0, 0.0, 0.0, 0.0])
+        return RobotState(
+            self.now(), self._pose + noise[0], noise[1], noise[2], upright, noise[2, :3]
+        )
+
+    def write(self, command: JointCommand) -> None:
+        pass
+
+
+class RandomCamera:
+    """Ten frames a second of a noisy slope."""
+
+    def __init__(self) -> None:
+        random = np.random.default_rng(0)
+        slope = np.linspace(0.9, 0.3, DEPTH_SHAPE[0])[:, None]
+        noise = 0.03 * random.standard_normal((50, *DEPTH_SHAPE))
+        self._images = np.clip(slope + noise, 0.0, 1.0).astype(np.float32)
+
+    def latest(self) -> DepthFrame:
+        number = int(10.0 * time.monotonic())
+        return DepthFrame(self._images[number % 50], number, number / 10.0)
+
+
+class Stopwatch:
+    """Times `perceive` on whatever thread it runs."""
+
+    def __init__(self) -> None:
+        self.wall_ms: list[float] = []
+        self.cpu_ms: list[float] = []
+
+    def __call__(self, sessions: perception.Sessions, inputs: TickInputs) -> Percept:
+        wall, cpu = time.perf_counter(), time.thread_time()
+        percept = perceive(sessions, inputs)
+        self.wall_ms.append(1000.0 * (time.perf_counter() - wall))
+        self.cpu_ms.append(1000.0 * (time.thread_time() - cpu))
+        return percept
+
+
+class TimedController(Controller):
+    """Times control ticks between vision ticks: observation, policy, selector, limits."""
+
+    def __init__(self, *arguments) -> None:
+        super().__init__(*arguments)
+        self.wall_ms: list[float] = []
+        self.cpu_ms: list[float] = []
+        self.trusted: list[bool] = []
+
+    def tick(self, *arguments) -> JointCommand:
+        vision = self.policy.due
+        wall, cpu = time.perf_counter(), time.thread_time()
+        command = super().tick(*arguments)
+        if not vision and self.decision.mode is Mode.WALKING:
+            self.wall_ms.append(1000.0 * (time.perf_counter() - wall))
+            self.cpu_ms.append(1000.0 * (time.thread_time() - cpu))
+            self.trusted.append(self.decision.vision)
+        return command
+
+
+def spread(values: list[float], begin: int) -> dict[str, float]:
+    points = np.percentile(values[begin:], (50, 99, 100))
+    return {n: round(float(v), 3) for n, v in zip(("p50", "p99", "max"), points, strict=True)}
+
+
+def main(cfg: Cfg) -> None:
+    bundle = Bundle.load(cfg.bundle)
+    stopwatch = Stopwatch()
+    perception.perceive = stopwatch
+    robot, camera = RandomRobot(bundle.manifest.robot), RandomCamera()
+    controller = TimedController(bundle, RARELY, perception.ThreadedPerception(bundle.sessions))
+    end = time.monotonic() + WARM_UP + 60.0 * cfg.minutes
+    devices: tuple = (robot, camera, ScriptedOperator(0.6), controller)
+    fly(*devices, done=lambda: time.monotonic() >= end)
+    controller.close()
+    assert "torch" not in sys.modules
+    steps = round(WARM_UP / CONTROL_DT)
+    late = np.array(robot.late_ms[steps:])
+    report(
+        {
+            "policy_ms": spread(controller.wall_ms, 40),
+            "vision_ms": spread(stopwatch.wall_ms, 10),
+            "policy_cpu_ms": spread(controller.cpu_ms, 40),
+            "vision_cpu_ms": spread(stopwatch.cpu_ms, 10),
+            "loop_late_ms": spread(robot.late_ms, steps),
+            "loop_steps": len(late),
+            "loop_steps_late_by_half_a_period": int((late > 500.0 * CONTROL_DT).sum()),
+            "minutes": cfg.minutes,
+            "scheduler": SCHEDULERS.get(os.sched_getscheduler(0), "other"),
+            "vision_share": round(float(np.mean(controller.trusted)), 4),
+            "memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
+            "bundle_bytes": sum((bundle.path / f"{m}.onnx").stat().st_size for m in MODELS),
+            "bundle_sha256": bundle.sha256,
+        },
+        cfg.json,
+    )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Cfg))
