@@ -80,7 +80,13 @@ def test_the_timelines_camera_recovers() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"modes": ("blind",)}, {"robots": 0}, {"onset": 450}, {"gaussian": (), "salt_and_pepper": ()}],
+    [
+        {"modes": ("blind",)},
+        {"robots": 0},
+        {"onset": 450},
+        {"gaussian": (), "salt_and_pepper": ()},
+        {"selector": "coin"},
+    ],
 )
 def test_bad_settings_are_refused(wrong) -> None:
     with pytest.raises(RenetError):

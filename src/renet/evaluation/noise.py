@@ -18,6 +18,7 @@ from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import output_folder, write_csv, write_json
 from renet.evaluation.rollout import MODES, Row, Trace, run_rollout
+from renet.evaluation.switches import check_selector
 from renet.evaluation.terminal import progress, show
 from renet.vocabulary import CONTROL_DT
 
@@ -52,6 +53,8 @@ class NoiseCfg:
     """Shares of the pixels."""
     modes: tuple[str, ...] = ("vp", "renet")
     """Policy modes to compare: vp, renet, op, oracle-switch."""
+    selector: str = "guarded"
+    """What `renet` trusts: guarded (all monitors, dwell) or paper (reconstruction alone)."""
     seed: int = 1
     """Of the robots' starts and of the noise."""
     engine: str = "auto"
@@ -61,6 +64,7 @@ class NoiseCfg:
         unknown = [mode for mode in self.modes if mode not in MODES]
         if unknown:
             raise RenetError(f"unknown mode '{unknown[0]}': choose among {', '.join(MODES)}")
+        check_selector(self.selector)
         if not self.settings:
             raise RenetError("no noise level given: set gaussian or salt_and_pepper")
         if self.robots < 1 or not 0 < self.onset < self.steps:
@@ -103,7 +107,7 @@ def run_noise(cfg: NoiseCfg, lab: Lab | None = None) -> NoiseResult:
     Raises:
         RenetError: bad settings, a bundle that cannot be used, or a folder not to be written.
     """
-    lab = lab or Lab(cfg.bundle, engine=cfg.engine)
+    lab = lab or Lab(cfg.bundle, cfg.engine, cfg.selector)
     out = output_folder(cfg.out)
     rows = study_rows(cfg)
     world = lab.world("Renet-Go1-Flat", [row.robot for row in rows], cfg.speed, cfg.seed)
@@ -146,6 +150,7 @@ def summarise(result: NoiseResult) -> dict[str, Any]:
         "study": "noise",
         "runs": [_run(result, mode, s) for mode in cfg.modes for s in cfg.settings],
         "baseline": [_run(result, mode, CLEAN) for mode in cfg.modes],
+        "selector": cfg.selector,
         "beta": lab.beta,
         "healthy": {
             "false_switches": metrics.false_switches(trusted, failing),

@@ -77,7 +77,11 @@ def calibrate_monitors(
     if false_alarms_per_hour <= 0.0 or not scores:
         raise RenetError(f"false alarms per hour must be positive, got {false_alarms_per_hour}")
     hours = sum(len(run) for run in next(iter(scores.values()))) / rate_hz / 3600.0
-    varied = [n for n, runs in scores.items() if np.ptp(_checked(np.concatenate([*runs]))) > 0]
+    varied = [
+        n
+        for n, runs in scores.items()
+        if np.ptp(_checked(np.concatenate([np.zeros(0), *runs]))) > 0
+    ]
     share = false_alarms_per_hour / max(len(varied), 1)
     found = {
         name: rare_level(runs, share * hours) if name in varied else float(runs[0][0])
@@ -104,7 +108,7 @@ def rare_level(runs: Sequence[np.ndarray], expected: float) -> float:
         runs: [T] scores of each unbroken run. expected: may be a fraction; at least one
         exceedance of the quantile is assumed to be there.
     """
-    joined = _checked(np.concatenate([*runs]))
+    joined = _checked(np.concatenate([np.zeros(0), *runs]))
     high = float(np.quantile(joined, 1.0 - TAIL))
     peaks = np.array([peak for run in runs for peak in bursts(run, high)])
     if len(peaks) == 0:

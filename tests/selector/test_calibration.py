@@ -1,0 +1,105 @@
+"""Thresholds with a stated rate of false alarms, against tails whose answer is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from renet.errors import RenetError
+from renet.selector import MONITORS, calibrate_monitors, default_monitors
+from renet.selector.calibration import bursts, rare_level
+from renet.selector.defaults import FALLBACK, FLOORS
+
+
+def hours(n: float, seed: int = 0, runs: int = 40) -> list[np.ndarray]:
+    """Exponential scores at 10 Hz, in several runs."""
+    draw = np.random.default_rng(seed)
+    return list(draw.exponential(1.0, (runs, round(n * 36000 / runs))))
+
+
+@pytest.mark.parametrize("expected", [5.0, 1.0, 0.1])
+def test_the_level_of_an_exponential_tail_is_its_quantile(expected: float) -> None:
+    found = rare_level(hours(2.0), expected)
+    maximum = max(run.max() for run in hours(2.0))
+    exact = math.log(72000 / expected)
+    # Peaks of bursts are fewer than exceedances; the margin above the maximum comes on top.
+    assert found == pytest.approx(max(exact, maximum + 1.0), abs=1.8)
+    assert found > maximum
+
+
+def test_calibrated_monitors_keep_the_stated_rate_on_new_robots() -> None:
+    found = calibrate_monitors({"reconstruction": hours(3.0), "disagreement": hours(3.0, 1)}, 1.0)
+    assert found.robot_hours == pytest.approx(3.0)
+    new = {"reconstruction": hours(40.0, 2), "disagreement": hours(40.0, 3)}
+    alarms = sum(
+        len(bursts(run, found.thresholds[name])) for name, runs in new.items() for run in runs
+    )
+    assert alarms / 40.0 <= 1.0
+
+
+def test_what_never_varies_gets_its_floor_or_nothing() -> None:
+    still = [np.zeros(100), np.zeros(50)]
+    found = calibrate_monitors(
+        {"reconstruction": hours(0.1), "invalid_fraction": still, "disagreement": still}
+    )
+    assert found.thresholds["invalid_fraction"] == FLOORS["invalid_fraction"]
+    assert "disagreement" not in found.thresholds
+
+
+def test_holes_of_a_real_camera_raise_the_floor() -> None:
+    holes = [0.3 + 0.01 * run for run in hours(0.1)]
+    found = calibrate_monitors({"invalid_fraction": holes})
+    assert found.thresholds["invalid_fraction"] > max(run.max() for run in holes)
+
+
+def test_a_burst_is_counted_once() -> None:
+    run = np.zeros(100)
+    run[[5, 7, 14, 60]] = [2.0, 3.0, 2.5, 4.0]
+    assert bursts(run, 1.0) == [3.0, 4.0]
+    assert bursts(run, 5.0) == []
+
+
+@given(
+    scores=st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=60),
+    expected=st.floats(0.01, 10.0),
+)
+@settings(deadline=None)
+def test_a_calibrated_level_is_above_all_it_was_learnt_from(scores, expected) -> None:
+    run = np.array(scores)
+    assert rare_level([run], expected) > run.max() or np.ptp(run) < 1e-9
+
+
+@given(lower=st.floats(0.05, 1.0), factor=st.floats(1.0, 50.0))
+@settings(deadline=None, max_examples=25)
+def test_fewer_false_alarms_never_lower_a_threshold(lower, factor) -> None:
+    runs = {"reconstruction": hours(0.2)}
+    strict = calibrate_monitors(runs, lower).thresholds["reconstruction"]
+    loose = calibrate_monitors(runs, lower * factor).thresholds["reconstruction"]
+    assert strict >= loose
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda: calibrate_monitors({}),
+        lambda: calibrate_monitors({"reconstruction": hours(0.1)}, 0.0),
+        lambda: calibrate_monitors({"reconstruction": [np.array([np.nan])]}),
+        lambda: calibrate_monitors({"reconstruction": []}),
+        lambda: default_monitors(0.01, {"luck": 1.0}, 1),
+    ],
+)
+def test_bad_input_is_refused(wrong) -> None:
+    with pytest.raises(RenetError):
+        wrong()
+
+
+def test_a_bundle_without_thresholds_gets_the_documented_ones() -> None:
+    found = {monitor.name: monitor.threshold for monitor in default_monitors(0.01, {}, 2)}
+    assert found == FALLBACK | {"reconstruction": 0.01}
+    calibrated = default_monitors(0.01, {"reconstruction": 0.02, "disagreement": 0.3}, 2)
+    assert [monitor.name for monitor in calibrated] == list(MONITORS)
+    assert {m.name: m.threshold for m in calibrated}["reconstruction"] == 0.02
