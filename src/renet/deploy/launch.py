@@ -199,6 +199,7 @@ def _header(cfg: DeployCfg, bundle: Bundle) -> dict[str, Any]:
         "renet": __version__,
         "bundle": bundle.name,
         "bundle_sha256": bundle.sha256,
+        "models": bundle.manifest.sha256,
         "beta": threshold,
         "safety": asdict(cfg.safety),
         "paper_selector": paper,

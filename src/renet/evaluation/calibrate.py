@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from renet.deploy.bundle import write_manifest
+from renet.deploy.bundle import Bundle, write_manifest
+from renet.deploy.logged import logged_scores
 from renet.errors import RenetError
 from renet.evaluation.healthy import TICK_RATE, ScoreLog, healthy_series, successful_runs
 from renet.evaluation.lab import Lab
@@ -32,6 +33,8 @@ class CalibrateCfg:
 
     bundle: tyro.conf.Positional[Path]
     """Bundle folder; its manifest gets β and the thresholds."""
+    log: tuple[Path, ...] = ()
+    """Flight logs of your own robot and healthy camera, to be used in place of simulated runs."""
     robots: int = 120
     """Robots on each task."""
     seconds: float = 30.0
@@ -57,8 +60,11 @@ def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
     """Measure β and the monitors' thresholds, write them into the manifest and return β.
 
     Raises:
-        RenetError: a bundle that cannot be used, or a policy that never succeeds.
+        RenetError: a bundle or a log that cannot be used, or a policy that never succeeds.
     """
+    if cfg.log:
+        bundle = Bundle.load(cfg.bundle)
+        return _store(cfg, bundle, logged_scores(cfg.log, bundle), f"{len(cfg.log)} flight logs")
     if cfg.robots < 1 or cfg.seconds < 1 or not 1 <= cfg.levels <= LEVELS:
         raise RenetError(
             f"robots {cfg.robots} and seconds {cfg.seconds} must be >= 1, levels {cfg.levels}"
@@ -69,15 +75,19 @@ def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
     series = {name: [run for task in tasks for run in task[name]] for name in tasks[0]}
     if not series["reconstruction"]:
         raise RenetError("no episode succeeded: train the policy before calibrating its selector")
+    return _store(cfg, lab.bundle, series, f"successful episodes, seed {cfg.seed}")
+
+
+def _store(
+    cfg: CalibrateCfg, bundle: Bundle, series: dict[str, list[np.ndarray]], source: str
+) -> float:
+    """Learn β and the thresholds from healthy scores, write them into the manifest, return β."""
     scores = np.concatenate(series["reconstruction"])
     monitors = calibrate_monitors(series, cfg.false_alarms_per_hour, TICK_RATE)
     beta = conformal_threshold(scores, cfg.false_alarm) if cfg.false_alarm else calibrate(scores)
     rule = f"false alarm {cfg.false_alarm}" if cfg.false_alarm else "maximum"
-    how = (
-        f"{rule} of {len(scores)} scores of successful episodes, seed {cfg.seed},"
-        f" {datetime.now(UTC):%Y-%m-%d}"
-    )
-    manifest = lab.bundle.manifest
+    how = f"{rule} of {len(scores)} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
+    manifest = bundle.manifest
     selector = replace(
         manifest.selector,
         beta=beta,
@@ -86,8 +96,8 @@ def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
         false_alarms_per_hour=monitors.false_alarms_per_hour,
         healthy_hours=monitors.robot_hours,
     )
-    write_manifest(lab.bundle.path, replace(manifest, selector=selector))
-    print(f"beta {beta:.6g} ({how}) written to {lab.bundle.path}")
+    write_manifest(bundle.path, replace(manifest, selector=selector))
+    print(f"beta {beta:.6g} ({how}) written to {bundle.path}")
     rows = [(name, f"{value:.4g}") for name, value in monitors.thresholds.items()]
     show(
         f"Thresholds for {monitors.false_alarms_per_hour:g} false alarms per hour, from"

@@ -1,0 +1,89 @@
+"""What the monitors say of logged flights with a healthy camera, for `renet calibrate --log`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from renet.deploy.bundle import Bundle
+from renet.deploy.flight_log import GOOD, MODES, Flight, read_log
+from renet.deploy.safety import Mode
+from renet.errors import RenetError
+from renet.selector.defaults import MONITORS, default_monitors
+from renet.selector.monitors import Sight
+from renet.vocabulary import STEPS_PER_TICK
+
+HEALTHY_ENDS = ("operator stop", "the flight ends")
+"""Reasons for damping that say nothing against the walk before."""
+WARM_UP = 2 * STEPS_PER_TICK
+"""Control steps after walking began without scores of their own: both images must be new."""
+
+
+def logged_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np.ndarray]]:
+    """Every monitor's highest score in each 0.1 s, [T] for each walk, by monitor name.
+
+    Walks that ended in trouble are left out, as failed episodes are in simulation.
+
+    Raises:
+        RenetError: a log that cannot be read, of another policy, or flown with injected faults; or
+            not one healthy walk in all of them.
+    """
+    found: dict[str, list[np.ndarray]] = {name: [] for name in MONITORS}
+    for path in logs:
+        flight = read_log(path)
+        _check(flight, path, bundle)
+        for walk in healthy_walks(flight):
+            for name, scores in zip(found, score_walk(flight, walk).T, strict=True):
+                found[name].append(scores)
+    if not next(iter(found.values())):
+        raise RenetError("the logs hold no walk with a camera that an operator ended: record one")
+    return found
+
+
+def healthy_walks(flight: Flight) -> Iterator[range]:
+    """Rows of each stretch of walking that did not end in trouble, without its first ticks."""
+    ticks = flight.ticks
+    walking = np.concatenate([[False], ticks["mode"] == MODES.index(Mode.WALKING), [False]])
+    edges = np.flatnonzero(walking[1:] != walking[:-1])
+    for start, end in edges.reshape(-1, 2).tolist():
+        after = [e for e in flight.events if e.time > ticks["now"][end - 1] and e.what in MODES]
+        first = start + WARM_UP
+        last = first + (end - first) // STEPS_PER_TICK * STEPS_PER_TICK
+        healthy = not after or after[0].why in HEALTHY_ENDS
+        if healthy and last > first and (ticks["frame"][first:last] == GOOD).all():
+            yield range(first, last)
+
+
+def score_walk(flight: Flight, walk: range) -> np.ndarray:
+    """Scores [T, monitors] of a stretch of whole ticks."""
+    # Only scores are asked for: thresholds do not matter.
+    monitors = default_monitors(1.0, dict.fromkeys(MONITORS, 1.0), 1)
+    newest = flight.images[max(row for row in flight.images if row <= walk.start)]
+    given, image, scores = None, np.zeros(0), []
+    for step, row in enumerate(walk):
+        tick, newest = flight.ticks[row], flight.images.get(row, newest)
+        # As in flight, the monitors see the images that were given to the policy.
+        fresh = step % STEPS_PER_TICK == 0 and newest is not given
+        if fresh:
+            given, image = newest, newest[None].astype(np.float32)
+        sight = Sight(
+            anomaly_score=tick["anomaly"][None],
+            image=image,
+            fresh=np.array([fresh]),
+            age=tick["frame_age"][None],
+            invalid=tick["frame_invalid"][None],
+            velocity_op=tick["velocity_op"][None],
+            velocity_vp=tick["velocity_vp"][None],
+        )
+        scores.append([monitor.score(sight)[0] for monitor in monitors])
+    table = np.array(scores, float)
+    return table.reshape(-1, STEPS_PER_TICK, len(monitors)).max(axis=1)
+
+
+def _check(flight: Flight, path: Path, bundle: Bundle) -> None:
+    if flight.header.get("models") != bundle.manifest.sha256:
+        raise RenetError(f"{path} was flown with other models than {bundle.path}'s")
+    if flight.header.get("fault"):
+        raise RenetError(f"{path} was flown with injected faults: it says nothing of a healthy one")

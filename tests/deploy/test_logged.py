@@ -1,0 +1,96 @@
+"""Scores of a flight's log against what the models say of its images."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from renet.deploy.bundle import Bundle, write_bundle
+from renet.deploy.flight_log import MODES, Flight, read_log
+from renet.deploy.launch import DeployCfg, deploy
+from renet.deploy.logged import healthy_walks, logged_scores
+from renet.deploy.safety import Mode
+from renet.errors import RenetError
+from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory) -> Path:
+    """A copy of the shipped bundle."""
+    shipped = Bundle.load(None)
+    names = ("actor", "estimator", "vision")
+    models = {name: (shipped.path / f"{name}.onnx").read_bytes() for name in names}
+    return write_bundle(tmp_path_factory.mktemp("own") / "bundle", models, shipped.manifest)
+
+
+@pytest.fixture(scope="module")
+def log(bundle, tmp_path_factory) -> Path:
+    """Six simulated seconds on the plane, of which four are walked."""
+    return deploy(DeployCfg(bundle, seconds=6.0, out=tmp_path_factory.mktemp("out"))) / "flight.log"
+
+
+@pytest.fixture(scope="module")
+def flight(log) -> Flight:
+    return read_log(log)
+
+
+def test_scores_are_the_models_own_of_the_logged_images(log, flight, bundle):
+    scores = logged_scores((log, log), Bundle.load(bundle))
+    assert [len(runs) for runs in scores.values()] == [2] * 7
+    (walk,) = healthy_walks(flight)
+    assert len(walk) > 150
+    # The newest image may not have had its tick.
+    rows = [row for row in sorted(flight.images) if walk.start < row < walk.stop - 5]
+    pairs = np.stack([(flight.images[b], flight.images[a]) for a, b in pairwise(rows)])
+    vision = Bundle.load(bundle).sessions["vision"]
+    (expected,) = vision.run(["anomaly_score"], {"depth": pairs.astype(np.float32)})
+    found = scores["reconstruction"][0]
+    assert np.isclose(found[:, None], expected.reshape(1, -1), rtol=1e-4).any(axis=0).all()
+    blank = -np.std([flight.images[row].astype(np.float32) for row in rows], axis=(1, 2))
+    assert np.isclose(scores["uniformity"][0][:, None], blank, rtol=1e-4).any(axis=0).all()
+    assert set(scores["duplicate"][0]) == {1.0}
+    assert (scores["invalid_fraction"][0] == 0.0).all()
+    assert (scores["frame_age"][0] < 0.11).all()
+
+
+def test_a_walk_that_ended_in_trouble_does_not_count(flight):
+    end = next(event for event in flight.events if event.why == "the flight ends")
+    fallen = replace(end, why="tilted by more than 70 degrees")
+    assert list(healthy_walks(replace(flight, events=[*flight.events[:-1], fallen]))) == []
+
+
+def test_a_walk_without_a_camera_does_not_count(flight):
+    ticks = flight.ticks.copy()
+    ticks["frame"] = 0
+    assert list(healthy_walks(replace(flight, ticks=ticks))) == []
+    ticks = flight.ticks.copy()
+    ticks["mode"] = MODES.index(Mode.DAMPING)
+    assert list(healthy_walks(replace(flight, ticks=ticks))) == []
+
+
+def test_calibrate_writes_what_the_log_says(log, flight, bundle):
+    beta = run_calibrate(CalibrateCfg(bundle, log=(log,)))
+    (walk,) = healthy_walks(flight)
+    assert beta == pytest.approx(float(flight.ticks["anomaly"][walk.start : walk.stop].max()))
+    selector = Bundle.load(bundle).manifest.selector
+    assert selector.beta == beta
+    assert "1 flight logs" in selector.calibration
+    assert selector.thresholds["reconstruction"] > beta
+    assert run_calibrate(CalibrateCfg(bundle, log=(log,))) == beta, "again, though beta is new"
+
+
+def test_other_models_and_injected_faults_are_refused(log, bundle, bundle_path, tmp_path):
+    with pytest.raises(RenetError, match="flown with other models"):
+        logged_scores((log,), Bundle.load(bundle_path))
+    spoilt = deploy(DeployCfg(bundle, seconds=0.1, fault=("blackout@5s",), out=tmp_path))
+    with pytest.raises(RenetError, match="injected faults"):
+        logged_scores((spoilt / "flight.log",), Bundle.load(bundle))
+    short = deploy(DeployCfg(bundle, seconds=0.1, out=tmp_path))
+    with pytest.raises(RenetError, match="no walk with a camera"):
+        logged_scores((short / "flight.log",), Bundle.load(bundle))
+    assert json.loads((short / "score.json").read_text())["walking_seconds"] == 0.0
