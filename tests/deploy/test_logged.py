@@ -69,6 +69,9 @@ def test_a_walk_without_a_camera_does_not_count(flight):
     ticks["frame"] = 0
     assert list(healthy_walks(replace(flight, ticks=ticks))) == []
     ticks = flight.ticks.copy()
+    ticks["frame_age"][-100] = 1.5
+    assert list(healthy_walks(replace(flight, ticks=ticks))) == [], "it was unplugged"
+    ticks = flight.ticks.copy()
     ticks["mode"] = MODES.index(Mode.DAMPING)
     assert list(healthy_walks(replace(flight, ticks=ticks))) == []
 
@@ -79,7 +82,7 @@ def test_calibrate_writes_what_the_log_says(log, flight, bundle):
     assert beta == pytest.approx(float(flight.ticks["anomaly"][walk.start : walk.stop].max()))
     selector = Bundle.load(bundle).manifest.selector
     assert selector.beta == beta
-    assert "1 flight logs" in selector.calibration
+    assert "1 flight log(s)" in selector.calibration
     assert selector.thresholds["reconstruction"] > beta
     assert run_calibrate(CalibrateCfg(bundle, log=(log,))) == beta, "again, though beta is new"
 

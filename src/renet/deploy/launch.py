@@ -152,14 +152,17 @@ def summary(score: dict[str, Any]) -> str:
 
 
 def printer(say: Callable[[str], None]) -> Callable[[JointCommand], None]:
-    """Says every half second what a dry run would command."""
-    count = 0
+    """Says every half second what a dry run would command, if it is something else than before."""
+    count, said = 0, ""
 
     def show(command: JointCommand) -> None:
-        nonlocal count
+        nonlocal count, said
         if count % PRINT_EVERY == 0:
             pairs = zip(JOINTS, command.position, command.stiffness, strict=True)
-            say("  ".join(f"{n.removesuffix('_joint')} {p:+.2f} (Kp {k:.0f})" for n, p, k in pairs))
+            line = "  ".join(f"{n.removesuffix('_joint')} {p:+.2f} (Kp {k:.0f})" for n, p, k in pairs)
+            if line != said:
+                said = line
+                say(line)
         count += 1
 
     return show

@@ -15,6 +15,8 @@ from renet.selector.defaults import MONITORS, default_monitors
 from renet.selector.monitors import Sight
 from renet.vocabulary import STEPS_PER_TICK
 
+AWAY = 1.0
+"""Seconds without a new image after which the camera was unplugged, not late."""
 HEALTHY_ENDS = ("operator stop", "the flight ends")
 """Reasons for damping that say nothing against the walk before."""
 WARM_UP = 2 * STEPS_PER_TICK
@@ -43,7 +45,7 @@ def logged_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np.n
 
 
 def healthy_walks(flight: Flight) -> Iterator[range]:
-    """Rows of each stretch of walking that did not end in trouble, without its first ticks."""
+    """Rows of each stretch of walking with a camera that did not end in trouble, first ticks off."""
     ticks = flight.ticks
     walking = np.concatenate([[False], ticks["mode"] == MODES.index(Mode.WALKING), [False]])
     edges = np.flatnonzero(walking[1:] != walking[:-1])
@@ -52,7 +54,8 @@ def healthy_walks(flight: Flight) -> Iterator[range]:
         first = start + WARM_UP
         last = first + (end - first) // STEPS_PER_TICK * STEPS_PER_TICK
         healthy = not after or after[0].why in HEALTHY_ENDS
-        if healthy and last > first and (ticks["frame"][first:last] == GOOD).all():
+        seen = (ticks["frame"][first:last] == GOOD) & (ticks["frame_age"][first:last] < AWAY)
+        if healthy and last > first and seen.all():
             yield range(first, last)
 
 

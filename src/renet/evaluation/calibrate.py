@@ -64,7 +64,7 @@ def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
     """
     if cfg.log:
         bundle = Bundle.load(cfg.bundle)
-        return _store(cfg, bundle, logged_scores(cfg.log, bundle), f"{len(cfg.log)} flight logs")
+        return _store(cfg, bundle, logged_scores(cfg.log, bundle), f"{len(cfg.log)} flight log(s)")
     if cfg.robots < 1 or cfg.seconds < 1 or not 1 <= cfg.levels <= LEVELS:
         raise RenetError(
             f"robots {cfg.robots} and seconds {cfg.seconds} must be >= 1, levels {cfg.levels}"
