@@ -159,7 +159,9 @@ def printer(say: Callable[[str], None]) -> Callable[[JointCommand], None]:
         nonlocal count, said
         if count % PRINT_EVERY == 0:
             pairs = zip(JOINTS, command.position, command.stiffness, strict=True)
-            line = "  ".join(f"{n.removesuffix('_joint')} {p:+.2f} (Kp {k:.0f})" for n, p, k in pairs)
+            line = "  ".join(
+                f"{n.removesuffix('_joint')} {p:+.2f} (Kp {k:.0f})" for n, p, k in pairs
+            )
             if line != said:
                 said = line
                 say(line)

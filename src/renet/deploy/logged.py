@@ -45,7 +45,7 @@ def logged_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np.n
 
 
 def healthy_walks(flight: Flight) -> Iterator[range]:
-    """Rows of each stretch of walking with a camera that did not end in trouble, first ticks off."""
+    """Rows of each stretch of seeing walking that did not end in trouble, without its start."""
     ticks = flight.ticks
     walking = np.concatenate([[False], ticks["mode"] == MODES.index(Mode.WALKING), [False]])
     edges = np.flatnonzero(walking[1:] != walking[:-1])
