@@ -47,7 +47,7 @@ COMMANDS = {
         "train",
     ),
     "play": Command(
-        "film a bundle on any tile with any camera fault, without a display",
+        "watch a bundle or a checkpoint live in the browser, or film it",
         "renet.evaluation.play",
         "PlayCfg",
         "run_play",
@@ -85,6 +85,13 @@ COMMANDS = {
         "success rate against size for gaps, platforms and stairs, one try each",
         "renet.evaluation.success",
         "SuccessCfg",
+        "main",
+        "train",
+    ),
+    "evaluate course": Command(
+        "a kilometre unattended: grass, stairs, slopes, platforms, gaps, an occlusion",
+        "renet.evaluation.course",
+        "CourseCfg",
         "main",
         "train",
     ),

@@ -165,12 +165,48 @@ def rates(axis: Axes, runs: Sequence[Mapping[str, Any]], x: str, y: str, interva
     axis.set_xticks(sizes, [f"{size:.0f}" for size in sizes])
 
 
-def bands(axis: Axes, vision: np.ndarray) -> None:
-    """Green where VP is in charge, red where OP is; `vision` is [T] bool."""
+def bands(axis: Axes, vision: np.ndarray, every: float = CONTROL_DT) -> None:
+    """Green where VP is in charge, red where OP is; `vision` is [T] bool, `every` s apart."""
     edges = np.flatnonzero(np.diff(vision.astype(int))) + 1
     for start, end in zip([0, *edges], [*edges, len(vision)], strict=True):
         colour = VP_BAND if vision[start] else OP_BAND
-        axis.axvspan(start * CONTROL_DT, end * CONTROL_DT, color=colour, alpha=0.7, linewidth=0)
+        axis.axvspan(start * every, end * every, color=colour, alpha=0.7, linewidth=0)
+
+
+def loss_and_probability(
+    axis: Axes, anomaly: np.ndarray, beta: float, probability: np.ndarray, every: float
+) -> Axes:
+    """Draw loss and threshold on `axis` and P_t on its right; both [T], `every` s apart.
+
+    Returns:
+        The right axis.
+    """
+    time = np.arange(len(anomaly)) * every
+    axis.plot(time, anomaly, color=LOSS, label="reconstruction loss")
+    axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label="threshold β")
+    axis.set_yscale("log")
+    axis.set_ylim(top=4 * max(anomaly.max(), beta))
+    axis.set_xlim(0, time[-1])
+    right = axis.twinx()
+    right.plot(time, probability, "--", color=PROBABILITY, label="vision probability $P_t$")
+    right.set(ylim=(-0.05, 1.25))
+    right.set_yticks(np.linspace(0, 1, 6))
+    right.set_ylabel("$P_t$", color=PROBABILITY)
+    right.grid(False)
+    return right
+
+
+def timeline_legend(figure: Figure, axis: Axes, right: Axes) -> None:
+    """Name the lines of both axes and the bands, above the figure."""
+    keys = [Rectangle((0, 0), 1, 1, color=c, alpha=0.7) for c in (VP_BAND, OP_BAND)]
+    lines = axis.get_legend_handles_labels(), right.get_legend_handles_labels()
+    figure.legend(
+        [*lines[0][0], *lines[1][0], *keys],
+        [*lines[0][1], *lines[1][1], "VP in charge", "OP in charge"],
+        loc="outside upper center",
+        ncols=5,
+        fontsize=9,
+    )
 
 
 def timeline(
@@ -195,21 +231,11 @@ def timeline(
         path: of the PNG.
         provenance: of the numbers.
     """
-    time = np.arange(len(anomaly)) * CONTROL_DT
     with plt.rc_context(STYLE):
         figure, axis = plt.subplots(figsize=(11, 3.4))
         bands(axis, vision)
-        axis.plot(time, anomaly, color=LOSS, label="reconstruction loss")
-        axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label="threshold β")
-        axis.set_yscale("log")
-        axis.set_ylim(top=4 * max(anomaly.max(), beta))
-        axis.set(xlabel="time (s)", ylabel="anomaly score", title=title, xlim=(0, time[-1]))
-        right = axis.twinx()
-        right.plot(time, probability, "--", color=PROBABILITY, label="vision probability $P_t$")
-        right.set(ylim=(-0.05, 1.25))
-        right.set_yticks(np.linspace(0, 1, 6))
-        right.set_ylabel("$P_t$", color=PROBABILITY)
-        right.grid(False)
+        right = loss_and_probability(axis, anomaly, beta, probability, CONTROL_DT)
+        axis.set(xlabel="time (s)", ylabel="anomaly score", title=title)
         for instant, text in marks:
             axis.axvline(instant, color=INK, linewidth=1, linestyle=":")
             axis.annotate(
@@ -220,13 +246,5 @@ def timeline(
                 textcoords="offset points",
                 fontsize=8,
             )
-        keys = [Rectangle((0, 0), 1, 1, color=c, alpha=0.7) for c in (VP_BAND, OP_BAND)]
-        lines = axis.get_legend_handles_labels(), right.get_legend_handles_labels()
-        figure.legend(
-            [*lines[0][0], *lines[1][0], *keys],
-            [*lines[0][1], *lines[1][1], "VP in charge", "OP in charge"],
-            loc="outside upper center",
-            ncols=5,
-            fontsize=9,
-        )
+        timeline_legend(figure, axis, right)
         return save(figure, path, provenance)
