@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
 import pytest
 
+from renet.deploy.bundle import Bundle
 from renet.errors import RenetError
-from renet.evaluation.play import PlayCfg, run_play
+from renet.evaluation.play import PlayCfg, opened, robot_of, run_play
+from renet.tasks.go1 import GO1
+
+CHECKPOINT = Path(str(files("renet"))) / "pretrained" / "checkpoint"
 
 
 @pytest.mark.parametrize(
@@ -16,17 +24,59 @@ from renet.evaluation.play import PlayCfg, run_play
         ({"fault": "gremlins"}, "unknown fault 'gremlins'"),
         ({"modes": ("eyes",)}, "unknown mode 'eyes'"),
         ({"seconds": 0.1}, "at least one second"),
+        ({"bundle": Path("nowhere")}, "nowhere"),
     ],
 )
 def test_mistakes_are_named_before_anything_is_written(tmp_path, fields, message):
     with pytest.raises(RenetError, match=message):
-        run_play(PlayCfg(out=tmp_path / "film.mp4", **fields))
+        run_play(PlayCfg(viewer="none", out=tmp_path / "film.mp4", **fields))
     assert not list(tmp_path.iterdir())
 
 
-def test_a_second_on_a_tile_makes_a_film(tmp_path):
+def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path):
     cfg = PlayCfg(
-        out=tmp_path / "film.mp4", terrain="platform", fault="gaussian", onset=0.5, seconds=1.0
+        bundle=CHECKPOINT,
+        viewer="none",
+        out=tmp_path / "film.mp4",
+        terrain="platform",
+        fault="gaussian",
+        onset=0.5,
+        seconds=1.0,
     )
-    assert run_play(cfg).stat().st_size > 1000
+    film = run_play(cfg)
+    assert film is not None
+    assert film.stat().st_size > 1000
     assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
+
+
+def test_a_checkpoint_becomes_a_bundle_for_as_long_as_it_is_open():
+    with opened(CHECKPOINT) as folder:
+        assert folder is not None
+        assert Bundle.load(folder).manifest.robot.name == "Unitree Go1"
+        assert robot_of(Bundle.load(folder).manifest) == GO1
+    assert not folder.exists()
+    with opened(None) as folder:
+        assert folder is None
+
+
+def test_a_folder_with_neither_is_refused(tmp_path):
+    with pytest.raises(RenetError, match="no checkpoint"), opened(tmp_path):
+        pass
+
+
+def test_a_bundle_of_a_robot_unknown_here_is_refused():
+    manifest = Bundle.load().manifest
+    other = replace(manifest, provenance=replace(manifest.provenance, task="Renet-Spot-Flat"))
+    with pytest.raises(RenetError, match="unknown task 'Renet-Spot-Flat'"):
+        robot_of(other)
+
+
+def test_auto_goes_live_only_on_a_terminal(monkeypatch, tmp_path):
+    shown = []
+    monkeypatch.setattr("renet.evaluation.play._watch", lambda cfg: shown.append("live"))
+    monkeypatch.setattr("renet.evaluation.play._film", lambda cfg: tmp_path)
+    for terminal in (True, False):
+        monkeypatch.setattr("sys.stdout.isatty", lambda terminal=terminal: terminal)
+        shown.append(run_play(PlayCfg()))
+    assert shown == ["live", None, tmp_path]
+    assert run_play(PlayCfg(viewer="none")) == tmp_path

@@ -1,22 +1,36 @@
-"""`renet play`: film a bundle on any tile, with any camera fault, without a display."""
+"""`renet play`: a bundle or a checkpoint on any tile, live in the browser or filmed."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Literal
 
 import numpy as np
 import tyro
 
+from renet.deploy.bundle import MANIFEST
+from renet.deploy.manifest import Manifest
+from renet.deploy.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import output_folder
-from renet.evaluation.rollout import Film, Row, Trace, run_rollout
+from renet.evaluation.rollout import UPDATES_PER_STEP, Film, Row, Trace, run_rollout
 from renet.evaluation.terminal import progress
 from renet.evaluation.video import Panel, VideoCfg, make_video
-from renet.tasks.config import tile_env_cfg
+from renet.evaluation.world import SimWorld
+from renet.selector.monitors import Sight
+from renet.tasks import RenetEnvCfg, Robot, env_cfg
+from renet.tasks.config import flat_env_cfg, tile_env_cfg
+from renet.tasks.go1 import GO1
+from renet.tasks.observations import HEIGHT_MAP
 from renet.tasks.terrains import single_tile_terrain
+from renet.training.bundle import ExportCfg, export
 from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
 
 FLAT = "flat"
@@ -24,12 +38,18 @@ FLAT = "flat"
 
 @dataclass(frozen=True)
 class PlayCfg:
-    """Film one robot, once for each policy mode, side by side."""
+    """Watch one robot live in the browser, or film it, once for each policy mode, side by side."""
 
     bundle: tyro.conf.Positional[Path | None] = None
-    """Bundle folder; the one that ships with renet by default."""
-    out: Path = Path("results/play.mp4")
-    """The video."""
+    """Bundle folder, or a checkpoint or run folder; the bundle that ships with renet by default."""
+    viewer: Literal["auto", "viser", "none"] = "auto"
+    """viser: live, in the browser; none: a film; auto: live where there is a terminal."""
+    host: str = "127.0.0.1"
+    """Address the viewer listens on; 0.0.0.0 lets other machines watch."""
+    port: int = 8080
+    """Port the viewer listens on."""
+    out: Path | None = None
+    """The film; results/play.mp4 by default."""
     terrain: str = FLAT
     """flat, or a kind of tile: rough, obstacles, stairs_up, stairs_down, gap, platform."""
     level: int = 1
@@ -39,11 +59,11 @@ class PlayCfg:
     severity: int = 3
     """Its severity, 1 to 5."""
     onset: float = 3.0
-    """Seconds at which the fault begins."""
+    """Seconds at which a film's fault begins; the viewer begins with it."""
     modes: tuple[str, ...] = ("vp", "renet")
-    """Policy modes to compare: vp, renet, op, oracle-switch."""
+    """Policy modes a film compares: vp, renet, op, oracle-switch."""
     seconds: float = 8.0
-    """Length, simulated."""
+    """Length of the film, simulated."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
     seed: int = 1
@@ -52,44 +72,113 @@ class PlayCfg:
     """Physics engine: auto, native or warp."""
 
 
-def run_play(cfg: PlayCfg) -> Path:
-    """Make the video and return it.
+def run_play(cfg: PlayCfg) -> Path | None:
+    """Show a policy until Ctrl-C, or make its film and return it.
 
     Raises:
-        RenetError: unknown terrain, fault or mode, or a bundle that cannot be used.
+        RenetError: unknown terrain, fault or mode, a bundle that cannot be used, or a taken port.
     """
+    if cfg.viewer == "viser" or (cfg.viewer == "auto" and sys.stdout.isatty()):
+        _watch(cfg)
+        return None
+    return _film(cfg)
+
+
+@contextmanager
+def opened(path: Path | None) -> Iterator[Path | None]:
+    """A bundle's folder; a checkpoint is exported to one that lasts as long as the block.
+
+    Raises:
+        RenetError: a folder that holds neither.
+    """
+    if path is None or (path / MANIFEST).exists() or not path.exists():
+        yield path
+        return
+    with TemporaryDirectory() as folder:
+        yield export(ExportCfg(checkpoint=path, out=Path(folder) / path.name))
+
+
+def robot_of(manifest: Manifest) -> Robot:
+    """The robot a bundle was trained on; raises RenetError if its task is not registered here."""
+    task = manifest.provenance.task
+    return env_cfg(task).robot if task else GO1
+
+
+def ground(terrain: str, level: int, robot: Robot) -> RenetEnvCfg:
+    """The task on flat ground or on one tile; raises RenetError for an unknown tile or level."""
+    if terrain == FLAT:
+        return flat_env_cfg(play=True, robot=robot)
+    return tile_env_cfg(single_tile_terrain(terrain, level), play=True, robot=robot)
+
+
+def _watch(cfg: PlayCfg) -> None:
+    """Serve the viewer."""
+    from renet.evaluation.live import Session
+    from renet.evaluation.live_view import watch
+
+    with opened(cfg.bundle) as folder:
+        lab = Lab(folder, cfg.engine)
+        task = ground(cfg.terrain, cfg.level, robot_of(lab.bundle.manifest))
+        session = Session(lab, task, cfg.speed, cfg.seed)
+        if cfg.fault is not None:
+            session.inject(cfg.fault, cfg.severity)
+        watch(session, cfg.host, cfg.port)
+
+
+class MapLog:
+    """Height maps of all robots at each control step of a rollout, predicted and true."""
+
+    def __init__(self, policy: Policy, world: SimWorld) -> None:
+        self._policy, self._sensor = policy, world.env.scene[HEIGHT_MAP]
+        self._calls, self._maps = 0, []
+
+    def note(self, sight: Sight) -> None:
+        """To be called at every update of the selector."""
+        del sight
+        if self._calls % UPDATES_PER_STEP == 0:
+            true = self._sensor.data.numpy()
+            self._maps.append(np.stack((self._policy.height_map, true), axis=1))
+        self._calls += 1
+
+    @property
+    def maps(self) -> np.ndarray:
+        """[T, N, 2, 132] m: the VP estimator's, then the terrain's."""
+        return np.stack(self._maps)
+
+
+def _film(cfg: PlayCfg) -> Path:
+    """Drive the robots and film them."""
     if cfg.seconds < 1.0:
         raise RenetError(f"a film needs at least one second, got {cfg.seconds}")
     schedule = ()
     if cfg.fault is not None:
         schedule = (Injection.of(cfg.fault, cfg.severity, round(cfg.onset / CONTROL_DT)),)
     rows = [Row(mode, schedule) for mode in cfg.modes]
-    lab = Lab(cfg.bundle, cfg.engine)
-    tile = cfg.terrain != FLAT
-    task = (
-        tile_env_cfg(single_tile_terrain(cfg.terrain, cfg.level), play=True)
-        if tile
-        else "Renet-Go1-Flat"
-    )
-    output_folder(cfg.out.parent)
+    out = cfg.out or Path("results/play.mp4")
     count, steps = len(rows), round(cfg.seconds / CONTROL_DT)
-    world = lab.world(task, [0] * count, cfg.speed, cfg.seed)
+    with opened(cfg.bundle) as folder:
+        lab = Lab(folder, cfg.engine)
+        task = ground(cfg.terrain, cfg.level, robot_of(lab.bundle.manifest))
+        output_folder(out.parent)
+        world, policy = lab.world(task, [0] * count, cfg.speed, cfg.seed), Policy(lab.bundle, count)
+    log = MapLog(policy, world)
     with progress(f"{cfg.terrain}, {count} robots", steps) as advance:
         trace = run_rollout(
             world,
-            lab.controller(count),
+            policy,
             lab.switch(count),
             rows,
             steps,
             cfg.seed,
             range(count),
             advance,
+            on_sight=log.note,
         )
     assert trace.film is not None
-    return _draw(cfg, lab, trace, trace.film)
+    return _draw(cfg, out, lab, trace, trace.film, log.maps)
 
 
-def _draw(cfg: PlayCfg, lab: Lab, trace: Trace, film: Film) -> Path:
+def _draw(cfg: PlayCfg, out: Path, lab: Lab, trace: Trace, film: Film, maps: np.ndarray) -> Path:
     """Stamp and write the frames."""
     look = VideoCfg()
     frames = np.arange(0, len(trace.fallen), round(1 / (look.fps * CONTROL_DT)))
@@ -101,6 +190,7 @@ def _draw(cfg: PlayCfg, lab: Lab, trace: Trace, film: Film) -> Path:
             fallen=trace.fallen[frames, row],
             fault=[(cfg.fault or "") if failing else "" for failing in trace.failing[frames, row]],
             speed=trace.speed[frames, row],
+            maps=maps[frames, row],
         )
         for row, mode in enumerate(cfg.modes)
     ]
@@ -109,4 +199,4 @@ def _draw(cfg: PlayCfg, lab: Lab, trace: Trace, film: Film) -> Path:
     upright = np.maximum((~trace.fallen).sum(axis=0) - 1, 0)
     poses = np.stack([film.poses[np.minimum(frames, end), r] for r, end in enumerate(upright)], 1)
     with progress("video", len(frames)) as advance:
-        return make_video(cfg.out, lab.scene_spec, poses, panels, look, advance)
+        return make_video(out, lab.scene_spec, poses, panels, look, advance)

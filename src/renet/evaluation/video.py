@@ -15,6 +15,7 @@ import warp as wp
 from PIL import Image, ImageDraw, ImageFont
 
 from renet.errors import RenetError
+from renet.evaluation.imagery import beside, map_picture
 
 CAMERA = "renet_tracking_camera"
 GREEN, RED, WHITE, GREY = (126, 200, 120), (235, 92, 80), (245, 245, 245), (70, 74, 82)
@@ -108,7 +109,7 @@ class Painter:
 
     def _ground(self, robot: np.ndarray) -> float:
         """Height of what lies under the robot, smoothed by never leaving a 0.1 m grid."""
-        return round(max(robot[2] - 0.3, 0.0), 1)
+        return round(robot[2] - 0.3, 1)
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,8 @@ class Panel:
     """[F] what is wrong with the camera; empty where nothing is."""
     speed: np.ndarray
     """[F] m/s"""
+    maps: np.ndarray | None = None
+    """[F, 2, 132] m, the VP estimator's height map and the terrain's."""
 
     def stamp(self, picture: np.ndarray, frame: int) -> np.ndarray:
         """The picture [height, width, 3] with the panel's texts and depth inset."""
@@ -141,6 +144,12 @@ class Panel:
         corner = (width - 104, 34)
         draw.rectangle((corner[0] - 2, 32, corner[0] + 97, 107), fill=chip[1])
         image.paste(inset.convert("RGB"), corner)
+        if self.maps is not None:
+            predicted, true = (map_picture(values, scale=4) for values in self.maps[frame])
+            draw.rectangle((width - 106, 110, width - 7, 174), fill=(16, 18, 22, 190))
+            image.paste(Image.fromarray(beside(predicted, true)), (width - 102, 112))
+            for x, label in ((width - 102, "predicted"), (width - 54, "ground")):
+                draw.text((x, 161), label, font=_font(10), fill=WHITE)
         state = "fallen" if self.fallen[frame] else f"{self.speed[frame]:+.2f} m/s"
         draw.rectangle((0, height - 22, width, height), fill=(16, 18, 22, 190))
         colour = RED if self.fallen[frame] else WHITE

@@ -1,0 +1,47 @@
+"""Depth images and height maps as colours."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from matplotlib import colormaps
+
+from renet.vocabulary import HEIGHT_MAP_X, HEIGHT_MAP_Y
+
+RELIEF = 0.5
+"""Metres of ground above or below the robot's own that end a height map's colours."""
+
+
+def depth_picture(depth: np.ndarray, scale: int = 4) -> np.ndarray:
+    """Colours [48 scale, 64 scale, 3] uint8 of a depth image [48, 64] in [0, 1]; near is dark."""
+    return _enlarge(_colours("magma")[_bytes(depth)], scale)
+
+
+def map_picture(height_map: np.ndarray, scale: int = 16) -> np.ndarray:
+    """Colours [12 scale, 11 scale, 3] uint8 of a height map [132] m, seen from above.
+
+    Ahead is up, left is left; high ground is bright. A height map is the robot's height over the
+    ground: its negative is the ground's.
+    """
+    ground = -height_map.reshape(len(HEIGHT_MAP_X), len(HEIGHT_MAP_Y))[::-1, ::-1]
+    return _enlarge(_colours("viridis")[_bytes(0.5 + ground / (2 * RELIEF))], scale)
+
+
+def beside(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Two pictures of one height side by side, with a white line between."""
+    return np.concatenate((left, np.full((len(left), 4, 3), 255, np.uint8), right), axis=1)
+
+
+def _bytes(share: np.ndarray) -> np.ndarray:
+    return (255 * np.clip(share, 0.0, 1.0)).astype(np.uint8)
+
+
+def _enlarge(picture: np.ndarray, scale: int) -> np.ndarray:
+    return picture.repeat(scale, axis=0).repeat(scale, axis=1)
+
+
+@cache
+def _colours(name: str) -> np.ndarray:
+    """A colour table [256, 3] uint8."""
+    return (255 * colormaps[name](np.arange(256))[:, :3]).astype(np.uint8)
