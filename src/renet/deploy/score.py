@@ -21,7 +21,7 @@ from renet.errors import RenetError
 from renet.vocabulary import CONTROL_DT
 
 SCORE, TIMELINE = "score.json", "timeline.svg"
-FALLEN = np.cos(np.radians(60.0))
+UPRIGHT = np.cos(np.radians(60.0))
 """Upward component of the base's z axis below which a robot has fallen."""
 
 
@@ -116,11 +116,22 @@ def switch_delay(
 
 def falls(ticks: np.ndarray) -> int:
     """How often the base came to lean by more than 60 degrees."""
-    good = ticks["quaternion"][ticks["state"] == GOOD]
-    length = np.linalg.norm(good, axis=1)
-    up = np.array([-projected_gravity(q)[2] for q in good[np.abs(length - 1.0) < 0.1]])
-    fallen = np.concatenate([[False], up < FALLEN])
-    return int((fallen[1:] & ~fallen[:-1]).sum())
+    down = fallen(ticks)
+    return int((down & ~np.concatenate([[False], down[:-1]])).sum())
+
+
+def fallen(ticks: np.ndarray) -> np.ndarray:
+    """Whether the base leans by more than 60 degrees, [T] bool; as before where nobody knows."""
+    down = np.zeros(len(ticks), bool)
+    for step, (state, quaternion) in enumerate(
+        zip(ticks["state"], ticks["quaternion"], strict=True)
+    ):
+        known = state == GOOD and abs(np.linalg.norm(quaternion) - 1.0) < 0.1
+        if known:
+            down[step] = -projected_gravity(quaternion)[2] < UPRIGHT
+        elif step:
+            down[step] = down[step - 1]
+    return down
 
 
 def distance(ticks: np.ndarray, walking: np.ndarray) -> tuple[float, str]:

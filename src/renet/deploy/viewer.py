@@ -24,6 +24,9 @@ class BrowserViewer:
             raise RenetError(f"--viewer needs {error.name}: pip install mjviser") from error
         self._data, self._steps = data, 0
         self._scene: Any = mjviser.ViserMujocoScene(viser.ViserServer(), model, num_envs=1)
+        # The robot has no visual meshes: show the shapes it collides with.
+        self._scene.geom_groups_visible[3] = True
+        self._scene.rebuild_visual_handles()
 
     def show(self) -> None:
         """Show the newest state, now and then."""

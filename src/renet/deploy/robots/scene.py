@@ -23,18 +23,31 @@ SHORT = {"stairs": "stairs_up"}
 def build_scene(
     terrain: str = FLAT, level: int = 3, file: Path | None = None, seed: int = 0
 ) -> tuple[mujoco.MjModel, float]:
-    """A model with the Go1 in it, and the height in m of the ground it starts on, at x = y = 0.
+    """The compiled `scene_spec`, and the height in m of the ground at x = y = 0."""
+    spec, start = scene_spec(terrain, level, file, seed)
+    return spec.compile(), start
+
+
+def scene_spec(
+    terrain: str = FLAT,
+    level: int = 3,
+    file: Path | None = None,
+    seed: int = 0,
+    robot: mujoco.MjSpec | None = None,
+) -> tuple[mujoco.MjSpec, float]:
+    """A scene with the Go1 in it, and the height in m of the ground it starts on, at x = y = 0.
 
     Args:
         terrain: flat, or a kind of training tile. level: of the tile, 1 to 10.
         file: an MJCF scene to use instead; its static geoms are the terrain.
         seed: of tiles with random parts.
+        robot: the Go1 to put there, such as one with visual meshes.
 
     Raises:
         RenetError: unknown terrain or level, or a scene file MuJoCo cannot read.
     """
-    spec = mujoco.MjSpec.from_file(str(GO1))
-    spec.worldbody.add_light(pos=(0, 0, 8), dir=(0, 0, -1), castshadow=False)
+    spec = robot or mujoco.MjSpec.from_file(str(GO1))
+    spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=(0.3, 0.2, -1))
     start = 0.0
     if file is not None:
         _add_file(spec, file)
@@ -44,7 +57,7 @@ def build_scene(
         )
     else:
         start = _add_tile(spec, SHORT.get(terrain, terrain), level, seed)
-    return spec.compile(), start
+    return spec, start
 
 
 def _ground(body: mujoco.MjsBody, position: tuple[float, float], half: tuple[float, float]) -> None:

@@ -1,0 +1,32 @@
+"""The browser viewer serves the simulated robot."""
+
+from __future__ import annotations
+
+from urllib.request import urlopen
+
+import pytest
+
+from renet.deploy.robots.mujoco import MujocoRobot
+from renet.deploy.robots.scene import build_scene
+from renet.deploy.viewer import BrowserViewer
+from renet.training.bundle import go1_spec
+
+pytest.importorskip("mjviser")
+
+
+def test_the_robot_is_served_and_followed():
+    model, ground = build_scene("stairs_up", 1)
+    robot = MujocoRobot(model, go1_spec(), ground)
+    viewer = BrowserViewer(model, robot.data)
+    server = viewer._scene.server
+    try:
+        page = urlopen(f"http://localhost:{server.get_port()}", timeout=10).read()
+        assert b"<html" in page.lower()
+        shown = []
+        viewer._scene.update_from_mjdata = lambda data: shown.append(data.time)
+        for step in range(5):
+            robot.wait(0.02 * step)
+            viewer.show()
+        assert shown == pytest.approx([0.0, 0.04, 0.08])
+    finally:
+        server.stop()
