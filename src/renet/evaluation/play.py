@@ -42,6 +42,8 @@ class PlayCfg:
 
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder, or a checkpoint or run folder; the bundle that ships with renet by default."""
+    log: Path | None = None
+    """Flight log of `renet deploy` to film instead of driving a robot."""
     viewer: Literal["auto", "viser", "none"] = "auto"
     """viser: live, in the browser; none: a film; auto: live where there is a terminal."""
     host: str = "127.0.0.1"
@@ -78,6 +80,10 @@ def run_play(cfg: PlayCfg) -> Path | None:
     Raises:
         RenetError: unknown terrain, fault or mode, a bundle that cannot be used, or a taken port.
     """
+    if cfg.log is not None:
+        from renet.evaluation.film_log import film_log
+
+        return film_log(cfg.log, cfg.out)
     if cfg.viewer == "viser" or (cfg.viewer == "auto" and sys.stdout.isatty()):
         _watch(cfg)
         return None
