@@ -78,7 +78,7 @@ COMMANDS = {
         "the paper's table: highest levels on gap, platform and stairs",
         "renet.evaluation.terrain",
         "TerrainCfg",
-        "run_terrain",
+        "main",
         "train",
     ),
     "evaluate success": Command(
@@ -106,7 +106,7 @@ COMMANDS = {
         "the filter's switching delay and number of switches against gamma and rate",
         "renet.evaluation.filter_study",
         "FilterCfg",
-        "run_filter",
+        "main",
         "train",
     ),
     "evaluate log": Command(

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,17 @@ def test_measured_delay_is_the_formulas_at_every_rate(tmp_path: Path) -> None:
     # A flicker of 0.1 s in 0.4 s: a light filter follows it, a heavy one does not.
     assert switches[1.0, 200.0] == pytest.approx(300, rel=0.05)
     assert switches[0.02, 10.0] == 0
+
+
+def test_quick_is_fewer_robots_and_new_gammas_need_no_new_walk(tmp_path: Path) -> None:
+    class Busy(FakeLab):
+        def world(self, *args):
+            raise AssertionError("walked again")
+
+    quick = FilterCfg(out=tmp_path, quick=True, onset=10, steps=40, gammas=(0.1,))
+    runs = run_filter(quick, FakeLab())["runs"]
+    assert [run["robots"] for run in runs] == [4, 4, 4]
+    assert run_filter(replace(quick, gammas=(0.1, 1.0)), Busy())["runs"][::2] == runs
 
 
 def test_replay_is_the_papers_recursion() -> None:

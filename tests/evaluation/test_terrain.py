@@ -10,7 +10,7 @@ from renet.errors import RenetError
 from renet.evaluation.calibrate import successful_scores
 from renet.evaluation.rollout import Row, Trace, run_rollout
 from renet.evaluation.terrain import TerrainCfg, highest_level, passed, run_terrain
-from renet.tiles import LEVELS
+from renet.tiles import LEVELS, tiles
 
 from .fakes import FakeController, FakeLab, FakeSwitch, FakeWorld
 
@@ -18,15 +18,23 @@ from .fakes import FakeController, FakeLab, FakeSwitch, FakeWorld
 class Ladder(FakeWorld):
     """Robots leave their tile after 20 steps up to a level of their kind, and fall above it."""
 
-    reach = np.array([10, 3, 6, 4])
+    worlds = 0
+    reach = np.array(
+        [10 if k == "stairs_up" else {"stairs_down": 3, "gap": 6}.get(k, 4) for k in tiles()]
+    )
+    able: np.ndarray | None = None
+    """Who can; None on flat ground, which nobody leaves."""
 
     def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
-        order = np.unique(kinds, return_inverse=True)[1]
-        self.able = levels < self.reach[order]
+        Ladder.worlds += 1
+        self.able = levels < self.reach[kinds]
         self.clock = 0
 
     def step(self, action: np.ndarray):
         readings = super().step(action)
+        if self.able is None:
+            readings.fell[0] = readings.ended[0] = True
+            return readings
         self.clock += 1
         over = np.full(self.num_robots, self.clock % 20 == 0)
         readings.ended[:] = over
@@ -54,7 +62,6 @@ def test_a_robot_passes_by_leaving_its_tile_even_after_a_fall() -> None:
 def test_summary_holds_the_papers_table(tmp_path: Path) -> None:
     run_terrain(TerrainCfg(out=tmp_path, robots=3, seconds=2), LadderLab())
     summary = json.loads((tmp_path / "summary.json").read_text())
-    # Columns are sorted by their number on the map: stairs up, stairs down, gap, platform.
     assert summary["levels_by_kind"] == {
         "gap": 6,
         "platform": 4,
@@ -63,10 +70,20 @@ def test_summary_holds_the_papers_table(tmp_path: Path) -> None:
     }
     assert summary["levels"] == {"gap": 6, "platform": 4, "stairs": 6.5}
     assert summary["robots"] == 3
+    assert summary["falls_on_flat"] == 100
     assert summary["collisions"] == 0
     assert 0.99 < summary["lin_vel_reward"] <= 1
     assert len(summary["runs"]) == 4 * LEVELS
     assert (tmp_path / "terrain.png").stat().st_size > 10_000
+
+
+def test_finished_kinds_are_not_climbed_again(tmp_path: Path) -> None:
+    first = run_terrain(TerrainCfg(out=tmp_path, robots=3, seconds=2), LadderLab())
+    (tmp_path / "parts" / "gap.json").unlink()
+    Ladder.worlds = 0
+    again = run_terrain(TerrainCfg(out=tmp_path, robots=3, seconds=2), LadderLab())
+    assert again["runs"] == first["runs"]
+    assert Ladder.worlds == 1
 
 
 @pytest.mark.parametrize(

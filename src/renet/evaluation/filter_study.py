@@ -6,7 +6,7 @@ through selectors of every γ and rate. What is measured must match the document
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,13 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab, ScoreSwitch
-from renet.evaluation.results import Provenance, output_folder, write_csv, write_json
+from renet.evaluation.results import (
+    Provenance,
+    finished_part,
+    output_folder,
+    write_csv,
+    write_json,
+)
 from renet.evaluation.rollout import UPDATES_PER_STEP, Row, run_rollout
 from renet.evaluation.terminal import progress, show
 from renet.selector.filter import switch_delay
@@ -30,7 +36,7 @@ class FilterCfg:
     """Settings of the filter study."""
 
     out: Path = Path("results/filter")
-    """Folder for summary.json, summary.csv and filter.png."""
+    """Folder for summary.json, summary.csv, filter.png and parts/."""
     bundle: Path | None = None
     """Bundle folder; the one that ships with renet by default."""
     gammas: tuple[float, ...] = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
@@ -39,6 +45,8 @@ class FilterCfg:
     """Filter updates per second: whole fractions of 200."""
     robots: int = 20
     """Robots with a camera that fails for good, and as many with one that flickers."""
+    quick: bool = False
+    """4 robots of each instead."""
     onset: int = 100
     """Control step (0.02 s) at which the faults begin."""
     steps: int = 600
@@ -65,24 +73,18 @@ def run_filter(cfg: FilterCfg, lab: Lab | None = None) -> dict[str, Any]:
     Raises:
         RenetError: a bundle that cannot be used, a bad γ or rate, or a folder not to be written.
     """
-    lab = lab or Lab(cfg.bundle, cfg.engine)
+    lab = lab or Lab(cfg.bundle, cfg.engine, "paper")
+    if cfg.quick:
+        cfg = replace(cfg, robots=4, quick=False)
     out = output_folder(cfg.out)
-    steady = (Injection("gaussian", 1.0, cfg.onset),)
-    flicker = (Injection("gaussian", 1.0, cfg.onset, duration=0.1, period=0.4),)
-    rows = [Row("op", fault, robot) for fault in (steady, flicker) for robot in range(cfg.robots)]
-    with progress(f"{len(rows)} robots walk", cfg.steps) as advance:
-        trace = run_rollout(
-            lab.world("Renet-Go1-Flat", [row.robot for row in rows], cfg.speed, cfg.seed),
-            lab.controller(len(rows)),
-            lab.switch(len(rows)),
-            rows,
-            cfg.steps,
-            cfg.seed,
-            on_step=advance,
-        )
+    parts = output_folder(out / "parts")
     provenance = lab.provenance(cfg.seed)
+    walk = {k: getattr(cfg, k) for k in ("robots", "onset", "steps", "speed", "seed", "engine")}
+    key = walk | {"bundle_hash": provenance.bundle_hash}
+    part = finished_part(parts / "scores.json", key, lambda cfg=cfg, lab=lab: _walk(cfg, lab))
+    scores = np.array(part["scores"])
     runs = [
-        _run(cfg, trace.anomaly, SelectorSpec(lab.beta, gamma, rate))
+        _run(cfg, scores, SelectorSpec(lab.beta, gamma, rate))
         for rate in cfg.rates
         for gamma in cfg.gammas
     ]
@@ -96,6 +98,18 @@ def run_filter(cfg: FilterCfg, lab: Lab | None = None) -> dict[str, Any]:
     write_csv(out / "summary.csv", runs)
     draw(cfg, runs, out / "filter.png", provenance)
     return summary
+
+
+def _walk(cfg: FilterCfg, lab: Lab) -> dict[str, Any]:
+    """Anomaly scores [T, 2 N]: N cameras that fail for good, then N that flicker."""
+    steady = (Injection("gaussian", 1.0, cfg.onset),)
+    flicker = (Injection("gaussian", 1.0, cfg.onset, duration=0.1, period=0.4),)
+    rows = [Row("op", fault, robot) for fault in (steady, flicker) for robot in range(cfg.robots)]
+    world = lab.world("Renet-Go1-Flat", [row.robot for row in rows], cfg.speed, cfg.seed)
+    with progress(f"{len(rows)} robots walk", cfg.steps) as advance:
+        controller, switch = lab.controller(len(rows)), lab.switch(len(rows))
+        trace = run_rollout(world, controller, switch, rows, cfg.steps, cfg.seed, on_step=advance)
+    return {"scores": trace.anomaly}
 
 
 def replay(scores: np.ndarray, spec: SelectorSpec) -> np.ndarray:
@@ -153,4 +167,3 @@ def main(cfg: FilterCfg) -> None:
     header = ("rate_hz", "gamma", "delay_s", "formula_s", "switches_per_minute")
     rows = [[run[name] if run[name] is not None else "-" for name in header] for run in runs]
     show("The selector's filter", header, rows)
-    print(f"Results: {cfg.out}")

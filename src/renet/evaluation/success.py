@@ -70,6 +70,8 @@ class SuccessCfg:
     """Time to cross: the 4 m to the tile's edge take 6.7 s at the commanded speed."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
+    selector: str = "guarded"
+    """Selector: guarded (all monitors) or paper."""
     seed: int = 1
     """Of the robots' bodies, starts and directions."""
     engine: str = "auto"
@@ -144,7 +146,7 @@ def run_success(cfg: SuccessCfg, lab: Lab | None = None) -> dict[str, Any]:
     Raises:
         RenetError: a bundle that cannot be used, or a folder that cannot be written to.
     """
-    lab = lab or Lab(cfg.bundle, cfg.engine)
+    lab = lab or Lab(cfg.bundle, cfg.engine, cfg.selector)
     out = output_folder(cfg.out)
     parts = output_folder(out / "parts")
     provenance = lab.provenance(cfg.seed)

@@ -3,12 +3,13 @@
 Every level of every kind of tile is walked at once, each by its own robots. A robot passes a level
 when it leaves the tile within the time, starting again in the middle after a fall; its highest
 level is the number of levels passed in a row from the first, 0 to 10. The paper climbs the same
-ladder with its training curriculum.
+ladder with its training curriculum. As many robots walk on flat ground, where nobody should fall.
+Each kind is one batch, kept in `parts/`: an interrupted study goes on where it stopped.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,14 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.lab import Lab
-from renet.evaluation.results import Provenance, output_folder, write_csv, write_json
-from renet.evaluation.rollout import MODES, Row, Trace, run_rollout
+from renet.evaluation.results import (
+    Provenance,
+    finished_part,
+    output_folder,
+    write_csv,
+    write_json,
+)
+from renet.evaluation.rollout import MODES, Row, Trace, World, run_rollout
 from renet.evaluation.terminal import progress, show
 from renet.tiles import LEVELS, tiles
 from renet.vocabulary import CONTROL_DT
@@ -33,13 +40,13 @@ class TerrainCfg:
     """Settings of the terrain study."""
 
     out: Path = Path("results/terrain")
-    """Folder for summary.json, summary.csv and terrain.png."""
+    """Folder for summary.json, summary.csv, terrain.png and parts/."""
     bundle: Path | None = None
     """Bundle folder; the one that ships with renet by default."""
     robots: int = 20
     """Robots on each level of each kind of tile."""
     quick: bool = False
-    """4 robots on each instead of `robots`: a minute or two."""
+    """4 robots on each instead of `robots`: two minutes."""
     seconds: float = 20.0
     """Time to leave a tile (an episode's length in training)."""
     speed: float = 0.6
@@ -48,6 +55,8 @@ class TerrainCfg:
     """Policy mode: renet, vp, op or oracle-switch."""
     kinds: tuple[str, ...] = ("gap", "platform", "stairs_up", "stairs_down")
     """Kinds of tile to walk; those of the paper's table by default."""
+    selector: str = "guarded"
+    """Selector: guarded (all monitors) or paper."""
     seed: int = 1
     """Of the robots' starts and directions."""
     engine: str = "auto"
@@ -64,29 +73,68 @@ class TerrainCfg:
 
 
 def run_terrain(cfg: TerrainCfg, lab: Lab | None = None) -> dict[str, Any]:
-    """Run the study, write its results to `cfg.out` and return the summary.
+    """Run what has not been run yet, write the results to `cfg.out` and return the summary.
 
     Raises:
         RenetError: a bundle that cannot be used, or a folder that cannot be written to.
     """
-    lab = lab or Lab(cfg.bundle, cfg.engine)
+    lab = lab or Lab(cfg.bundle, cfg.engine, cfg.selector)
     out = output_folder(cfg.out)
-    robots = 4 if cfg.quick else cfg.robots
-    kind, level, _ = np.indices((len(cfg.kinds), LEVELS, robots)).reshape(3, -1)
-    count, steps = len(kind), round(cfg.seconds / CONTROL_DT)
-    world = lab.world("Renet-Go1-Parkour", range(count), cfg.speed, cfg.seed)
-    columns = np.array([list(tiles()).index(name) for name in cfg.kinds])
-    world.place(level, columns[kind])
-    rows = [Row(cfg.mode, robot=i) for i in range(count)]
-    with progress(f"{count} robots climb", steps) as advance:
-        controller, switch = lab.controller(count), lab.switch(count)
-        trace = run_rollout(world, controller, switch, rows, steps, cfg.seed, on_step=advance)
-    shape = (len(cfg.kinds), LEVELS, robots)
-    summary = summarise(cfg, trace, shape, lab.provenance(cfg.seed))
+    parts = output_folder(out / "parts")
+    provenance = lab.provenance(cfg.seed)
+    settings = {k: v for k, v in asdict(cfg).items() if k not in ("out", "bundle", "kinds")}
+    key = settings | {"bundle_hash": provenance.bundle_hash}
+    flat = finished_part(parts / "flat.json", key, lambda lab=lab: _walk_flat(cfg, lab))
+    climbs = {
+        kind: finished_part(
+            parts / f"{kind}.json", key, lambda k=kind, lab=lab: _climb(cfg, lab, k)
+        )
+        for kind in cfg.kinds
+    }
+    summary = summarise(cfg, climbs, flat, provenance)
     write_json(out / "summary.json", summary)
     write_csv(out / "summary.csv", summary["runs"])
-    draw(summary, out / "terrain.png", lab.provenance(cfg.seed))
+    draw(summary, out / "terrain.png", provenance)
     return summary
+
+
+def _robots(cfg: TerrainCfg) -> int:
+    """Robots on each level, after `quick`."""
+    return 4 if cfg.quick else cfg.robots
+
+
+def _walk_flat(cfg: TerrainCfg, lab: Lab) -> dict[str, Any]:
+    """As many robots as on a level, on flat ground."""
+    count = _robots(cfg)
+    trace = _walk(cfg, lab, lab.world("Renet-Go1-Flat", range(count), cfg.speed, cfg.seed), "flat")
+    return {"robots": count, "falls": int(trace.fell.sum())}
+
+
+def _climb(cfg: TerrainCfg, lab: Lab, kind: str) -> dict[str, Any]:
+    """All levels of one kind of tile."""
+    level, _ = np.indices((LEVELS, _robots(cfg))).reshape(2, -1)
+    world = lab.world("Renet-Go1-Parkour", range(len(level)), cfg.speed, cfg.seed)
+    world.place(level, np.full(len(level), list(tiles()).index(kind)))
+    trace = _walk(cfg, lab, world, kind)
+    walking = np.logical_or.accumulate(trace.ended, axis=0)
+    walking = ~np.vstack([walking[:1] * False, walking[:-1]]) & ~trace.ended
+    along = np.minimum(trace.forward_velocity, cfg.speed) / (cfg.speed + 1e-5)
+    return {
+        "passed": passed(trace).reshape(LEVELS, -1),
+        "falls": trace.fell.sum(axis=0).reshape(LEVELS, -1).sum(axis=1),
+        "steps": int(walking.sum()),
+        "collisions": float(trace.collisions[walking].sum()),
+        "lin_vel_reward": float(along[walking].sum()),
+    }
+
+
+def _walk(cfg: TerrainCfg, lab: Lab, world: World, name: str) -> Trace:
+    """Everybody walks for `cfg.seconds`."""
+    count, steps = world.num_robots, round(cfg.seconds / CONTROL_DT)
+    rows = [Row(cfg.mode, robot=i) for i in range(count)]
+    with progress(f"{name}, {count} robots", steps) as advance:
+        controller, switch = lab.controller(count), lab.switch(count)
+        return run_rollout(world, controller, switch, rows, steps, cfg.seed, on_step=advance)
 
 
 def passed(trace: Trace) -> np.ndarray:
@@ -100,44 +148,45 @@ def highest_level(levels_passed: np.ndarray) -> np.ndarray:
 
 
 def summarise(
-    cfg: TerrainCfg, trace: Trace, shape: tuple[int, int, int], provenance: Provenance
+    cfg: TerrainCfg,
+    climbs: dict[str, dict[str, Any]],
+    flat: dict[str, Any],
+    provenance: Provenance,
 ) -> dict[str, Any]:
-    """The content of summary.json; `shape` is (kinds, levels, robots)."""
-    success = passed(trace).reshape(shape)
-    highest = dict(zip(cfg.kinds, highest_level(success), strict=True))
-    walking = np.logical_or.accumulate(trace.ended, axis=0)
-    walking = ~np.vstack([walking[:1] * False, walking[:-1]]) & ~trace.ended
-    falls = trace.fell.sum(axis=0).reshape(shape)
+    """The content of summary.json."""
+    success = {kind: np.array(part["passed"], bool) for kind, part in climbs.items()}
+    highest = {kind: highest_level(levels) for kind, levels in success.items()}
+    table = {
+        column: np.concatenate([highest[kind] for kind in kinds])
+        for column, kinds in TABLE.items()
+        if all(kind in highest for kind in kinds)
+    }
+    steps = max(sum(part["steps"] for part in climbs.values()), 1)
     runs = [
         {
             "mode": cfg.mode,
             "kind": kind,
             "level": level + 1,
             "measure_m": tiles()[kind].measure(level / (LEVELS - 1)),
-            "robots": shape[2],
-            "passed": int(success[k, level].sum()),
-            "falls": int(falls[k, level].sum()),
+            "robots": _robots(cfg),
+            "passed": int(success[kind][level].sum()),
+            "falls": part["falls"][level],
             "seed": cfg.seed,
         }
-        for k, kind in enumerate(cfg.kinds)
+        for kind, part in climbs.items()
         for level in range(LEVELS)
     ]
-    table = {
-        column: np.concatenate([highest[kind] for kind in kinds])
-        for column, kinds in TABLE.items()
-        if all(kind in highest for kind in kinds)
-    }
-    along = np.minimum(trace.forward_velocity, cfg.speed) / (cfg.speed + 1e-5)
     return {
         "study": "terrain",
         "levels": {name: float(value.mean()) for name, value in table.items()},
         "levels_ci95": {name: metrics.bootstrap_interval(value) for name, value in table.items()},
         "levels_by_kind": {kind: float(value.mean()) for kind, value in highest.items()},
-        "collisions": float(trace.collisions[walking].mean()),
-        "lin_vel_reward": float(along[walking].mean()),
-        "robots": shape[2],
+        "collisions": sum(part["collisions"] for part in climbs.values()) / steps,
+        "lin_vel_reward": sum(part["lin_vel_reward"] for part in climbs.values()) / steps,
+        "falls_on_flat": flat["falls"],
+        "robots": _robots(cfg),
         "runs": runs,
-        "settings": vars(cfg),
+        "settings": asdict(cfg),
         "provenance": vars(provenance),
     }
 
@@ -170,5 +219,5 @@ def main(cfg: TerrainCfg) -> None:
     show(f"Highest level of {LEVELS}, mean of {summary['robots']} robots", ("tile", "level"), rows)
     print(
         f"collisions {summary['collisions']:.3f}, linear velocity reward"
-        f" {summary['lin_vel_reward']:.3f}\nResults: {cfg.out}"
+        f" {summary['lin_vel_reward']:.3f}, falls on flat ground {summary['falls_on_flat']}"
     )
