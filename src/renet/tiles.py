@@ -64,13 +64,18 @@ class Tile:
         self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
     ) -> BuiltTile:
         """Build the tile with its corner at the origin (mjlab moves it into place)."""
-        builder = TileBuilder(spec.body("terrain"))
+        builder = TileBuilder(tile_body(spec))
         height = self.build(builder, self.measure(difficulty), rng)
         return BuiltTile(np.array([TILE / 2, TILE / 2, height]), builder.geometries)
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """Add the geoms; returns the height of the start in the middle."""
         raise NotImplementedError
+
+
+def tile_body(spec: mujoco.MjSpec) -> mujoco.MjsBody:
+    """A new body of a tile's own: engines can tell tiles apart by it and skip those far away."""
+    return spec.body("terrain").add_body(name=f"tile_{len(spec.bodies)}")
 
 
 class TileBuilder:
@@ -135,7 +140,7 @@ class Rough(Tile):
             ncol=nodes,
             userdata=heights.flatten(),
         )
-        geom = spec.body("terrain").add_geom(
+        geom = tile_body(spec).add_geom(
             type=mujoco.mjtGeom.mjGEOM_HFIELD,
             hfieldname=field.name,
             pos=(TILE / 2, TILE / 2, 0.0),

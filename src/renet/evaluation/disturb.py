@@ -52,7 +52,8 @@ def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[int]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     found = []
-    for geom in np.flatnonzero(model.geom_bodyid == model.body("terrain").id).tolist():
+    in_terrain = model.body_rootid[model.geom_bodyid] == model.body("terrain").id
+    for geom in np.flatnonzero(in_terrain).tolist():
         half, centre = model.geom_size[geom, :2], data.geom_xpos[geom, :2]
         start = (np.abs(middles - centre) <= half).all(axis=1).any()
         box = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX

@@ -24,6 +24,7 @@ from mjlab.sim.sim import Simulation
 
 from renet.errors import RenetError
 from renet.sim.native_kernel import advance
+from renet.sim.neighbourhood import Neighbourhood
 from renet.sim.threads import THREADS, for_chunks
 from renet.sim.transfer import Transfer, load_rows, model_rows, store_rows
 
@@ -66,6 +67,7 @@ class Worker:
         mujoco.mj_forward(self.model, self.data)
         loads = load_rows(simulation.wp_data, self.data, simulation.num_envs)
         guarded = len(loads)
+        loads += simulation.neighbourhood.rows(self.model)
         loads += model_rows(simulation.wp_model, self.model, sorted(simulation.expanded_fields))
         stores = store_rows(simulation.wp_data, self.data, self.model, simulation.num_envs)
         self.step = self._program("mj_step", loads, stores, guarded)
@@ -91,6 +93,7 @@ class NativeSimulation(Simulation):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         self._workers: SimpleQueue[Worker] | None = None
         super().__init__(*args, **kwargs)
+        self.neighbourhood = Neighbourhood(self.mj_model, self.mj_data, self.num_envs)
         if not self.wp_device.is_cpu:
             raise RenetError(f"the native engine runs on the CPU, not on {self.device}")
         ctypes.c_void_p.in_dll(LIBRARY, "mju_user_warning").value = ctypes.cast(
@@ -141,6 +144,7 @@ class NativeSimulation(Simulation):
             for _ in range(THREADS):
                 self._workers.put(Worker(self))
         workers = self._workers
+        self.neighbourhood.update(self.wp_data.qpos.numpy())
 
         def run(first: int, last: int) -> None:
             worker = workers.get()

@@ -129,7 +129,7 @@ def _contact_sensors() -> tuple[ContactSensorCfg, ...]:
         return ContactSensorCfg(
             name=name,
             primary=ContactMatch(mode=mode, pattern=pattern, entity="robot"),
-            secondary=ContactMatch(mode="body", pattern="terrain"),
+            secondary=ContactMatch(mode="subtree", pattern="terrain"),
             fields=("found", "force"),
             reduce="netforce",
         )

@@ -1,0 +1,112 @@
+"""Which static bodies a robot can touch: all others are kept out of collision detection.
+
+C MuJoCo bounds every geom of every collidable body at every step, however far away. A robot on one
+tile of a large terrain pays for all tiles, more than for its own dynamics. Bodies whose collision
+masks are zero are skipped; contacts out of reach could not have happened, so results are the same.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from renet.sim.native_kernel import INT
+from renet.sim.transfer import Transfer
+
+MASKS = ("body_contype", "body_conaffinity")
+TRAVEL = 0.5
+"""Metres nothing moves within the few physics steps of one call."""
+
+
+class Neighbourhood:
+    """Collision masks of each environment's bodies, zero for static bodies out of reach.
+
+    Culls where that is safe to decide from the positions of free-floating roots; in other models
+    (fixed bases, sliding joints, mocap bodies) every body stays collidable.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, num_envs: int) -> None:
+        """Set up from a model, and its data after `mj_forward`."""
+        self._masks = [np.tile(getattr(model, name), (num_envs, 1)) for name in MASKS]
+        self._full = [mask[0].copy() for mask in self._masks]
+        self._roots, self._reach = _roots(model)
+        self._bodies = _bounded_static_bodies(model) if len(self._roots) else np.empty(0, int)
+        bounds = [_bounds(model, data, body) for body in self._bodies]
+        self._low = np.array([low for low, _ in bounds]).reshape(-1, 2)
+        self._high = np.array([high for _, high in bounds]).reshape(-1, 2)
+
+    def rows(self, model: mujoco.MjModel) -> list[Transfer]:
+        """Loads of the masks into a worker's model; none where nothing is culled."""
+        return [
+            Transfer(mask.ctypes.data, mask.strides[0], target.ctypes.data, target.size, INT)
+            for name, mask in zip(MASKS, self._masks, strict=True)
+            for target in [getattr(model, name)]
+            if len(self._bodies)
+        ]
+
+    def update(self, qpos: np.ndarray) -> None:
+        """Look where the robots are now; qpos is [N, nq]."""
+        if not len(self._bodies):
+            return
+        near = np.zeros((len(qpos), len(self._bodies)), bool)
+        for address, reach in zip(self._roots, self._reach, strict=True):
+            at = qpos[:, None, address : address + 2]
+            # A position that is not finite is near everything.
+            far = (at < self._low - reach) | (at > self._high + reach)
+            near |= ~far.any(axis=-1)
+        for mask, full in zip(self._masks, self._full, strict=True):
+            mask[:, self._bodies] = np.where(near, full[self._bodies], 0)
+
+
+def _roots(model: mujoco.MjModel) -> tuple[list[int], list[float]]:
+    """qpos addresses of the free joints and how far their trees extend, m; empty if unsafe."""
+    free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
+    moving_trees = np.unique(model.body_rootid[model.jnt_bodyid])
+    if (
+        model.nmocap
+        or (model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE).any()
+        or free.sum() != len(moving_trees)
+    ):
+        return [], []
+    bodies = model.jnt_bodyid[free].tolist()
+    return list(model.jnt_qposadr[free]), [_extent(model, body) + TRAVEL for body in bodies]
+
+
+def _extent(model: mujoco.MjModel, body: int) -> float:
+    """Radius around a body's frame that holds its subtree at any joint angles, m."""
+    first, count = model.body_geomadr[body], model.body_geomnum[body]
+    geoms = range(first, first + count)
+    own = [np.linalg.norm(model.geom_pos[geom]) + model.geom_rbound[geom] for geom in geoms]
+    children = np.flatnonzero(model.body_parentid == body)
+    # Hinges turn a body about an anchor, which shifts its frame by twice the anchor's distance.
+    joints = {child: model.jnt_pos[model.jnt_bodyid == child] for child in children}
+    below = [
+        np.linalg.norm(model.body_pos[child])
+        + 2.0 * np.linalg.norm(joints[child], axis=-1).sum()
+        + _extent(model, int(child))
+        for child in children
+        if child != body
+    ]
+    return float(max([0.0, *own, *below]))
+
+
+def _bounded_static_bodies(model: mujoco.MjModel) -> np.ndarray:
+    """Bodies that never move, collide, and end somewhere (planes do not)."""
+    owners = model.geom_bodyid
+    planes = owners[model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE]
+    colliding = (model.body_contype | model.body_conaffinity) != 0
+    static = (model.body_weldid == 0) & colliding & (model.body_geomnum > 0)
+    static[planes] = False
+    # Masks are per body: culling one of few would cost more than it saves.
+    return np.flatnonzero(static) if static.sum() > 1 else np.empty(0, int)
+
+
+def _bounds(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> tuple[np.ndarray, np.ndarray]:
+    """Horizontal corners of the box around a body's geoms, m."""
+    first = model.body_geomadr[body]
+    geoms = slice(first, first + model.body_geomnum[body])
+    rotation = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    centre, half = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
+    middle = data.geom_xpos[geoms] + np.einsum("gij,gj->gi", rotation, centre)
+    spread = np.einsum("gij,gj->gi", np.abs(rotation), half) + model.geom_margin[geoms, None]
+    return (middle - spread).min(0)[:2], (middle + spread).max(0)[:2]
