@@ -37,6 +37,7 @@ class DepthAutoencoder(nn.Module):
             nn.ELU(),
             nn.ConvTranspose2d(first, FRAMES, 4, stride=2, padding=1),
         )
+        self.to(memory_format=torch.channels_last)  # A seventh faster on a CPU.
 
     def forward(self, depth: Tensor) -> Tensor:
         """Reconstruct depth images in [0, 1]."""

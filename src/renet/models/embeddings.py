@@ -36,7 +36,7 @@ class DepthEmbedding(nn.Module):
             nn.ELU(),
             nn.Conv2d(second, third, 3, stride=2, padding=1),
             nn.ELU(),
-        )
+        ).to(memory_format=torch.channels_last)  # A third faster on a CPU.
         rows, columns = (size // 8 for size in DEPTH_SHAPE)
         self.project = nn.Sequential(nn.Linear(third * rows * columns, width), nn.ELU())
 

@@ -111,7 +111,6 @@ class RenetAlgorithm:
             action=action,
             log_prob=distribution.log_prob(action).sum(-1),
             mean=distribution.mean,
-            value=self.model.critics(observation),
         )
         return action
 
@@ -151,12 +150,11 @@ class RenetAlgorithm:
             )
         done = dones.bool()
         costs = extras["costs"].to(self.device)
-        step = self._steps.newest
-        payoff = torch.cat((rewards.unsqueeze(-1), costs), dim=-1)
-        if "time_outs" in extras:
-            # An episode cut short would have gone on: bootstrap rewards and costs alike.
-            payoff += self.np3o.cfg.gamma * step["value"] * extras["time_outs"].unsqueeze(-1)
-        self._steps.finish(payoff=payoff, done=done)
+        self._steps.finish(
+            payoff=torch.cat((rewards.unsqueeze(-1), costs), dim=-1),
+            done=done,
+            time_out=extras.get("time_outs", torch.zeros_like(done)),
+        )
         if self._is_tick():
             self._ticks.finish(next_proprioception=obs["proprioception_clean"], next_valid=~done)
         self._cost_sum += costs.mean(0)
@@ -169,15 +167,20 @@ class RenetAlgorithm:
 
     @torch.no_grad()
     def compute_returns(self, obs: TensorDict) -> None:
-        """Value the state after the last step."""
+        """Value every state of the rollout in one batch, and the state after the last step."""
         observation = self.model.critic_normalizer(critic_observation(obs))
         self._last_value = self.model.critics(observation)
+        steps = self._steps.stack()
+        steps["value"] = self.model.critics(steps["critic_observation"])
+        # An episode cut short would have gone on: bootstrap rewards and costs alike.
+        cut = steps.pop("time_out").unsqueeze(-1)
+        steps["payoff"] += self.np3o.cfg.gamma * steps["value"] * cut
+        self._rollout = PolicyRollout(**steps)
 
     def update(self) -> dict[str, float]:
         """Learn from the rollout; returns losses and mean costs by name."""
-        steps = self._steps.stack()
-        length = steps["done"].shape[0]
-        losses = self.np3o.update(PolicyRollout(**steps), self._last_value, self.iteration)
+        length = self._rollout.done.shape[0]
+        losses = self.np3o.update(self._rollout, self._last_value, self.iteration)
         latent_op, latent_vp = self._initial_latents
         ticks = TickRollout(**self._ticks.stack(), latent_op=latent_op, latent_vp=latent_vp)
         losses |= self.supervision.update(ticks)
