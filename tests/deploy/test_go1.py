@@ -182,6 +182,27 @@ def test_a_silent_control_loop_brakes_the_robot(wire, peer):
     assert (peer.commands[-1][:, 4] == 40).all(), "it may speak again"
 
 
+@pytest.mark.parametrize(
+    "hostile",
+    [
+        command(position=[np.nan] * 12),
+        command(stiffness=np.inf),
+        command(stiffness=1100.0),
+        command(stiffness=-40.0),
+        command(damping=-1.0),
+        command(damping=2100.0),
+        JointCommand(np.zeros(11), np.zeros(12), np.zeros(12)),
+    ],
+)
+def test_a_command_that_would_arrive_as_another_is_refused(wire, peer, hostile):
+    """Without the check the library sends a stiffness of 1100 as -948."""
+    wire.link.command(command(), wire.now)
+    with pytest.raises(RenetError, match=r"the command's .* must be"):
+        wire.link.command(hostile, wire.now)
+    wire.run(1)
+    assert (peer.commands[-1][:, 4] == 40).all(), "the one before stands until silence brakes"
+
+
 def test_the_vendors_guard_brakes_for_good(wire, peer):
     wire.link.command(command(), wire.now)
     wire.run(5)
@@ -278,8 +299,12 @@ def test_a_driver_that_fails_brakes_and_says_why(served, monkeypatch):
     monkeypatch.setattr(go1, "SINK", 0.0)
     robot = Go1Robot("127.0.0.1", served.port, free_port())
     robot.connect()
-    robot.write(JointCommand(np.array(["?"] * 12), np.zeros(12), np.zeros(12)))
+    robot.write(command())
+    robot.wait(robot.now() + 0.05)
+    library = robot._link._out
+    robot._link._out = None
     robot.wait(robot.now() + 0.1)
+    robot._link._out = library
     with pytest.raises(RenetError, match="vendor's driver failed"):
         robot.write(command())
     robot.wait(robot.now() + 0.05)

@@ -32,6 +32,9 @@ BRAKE = 3.0
 """Kd of that brake, N m s/rad."""
 SINK = 1.0
 """Seconds of braking with which a connection ends; a standing Go1 sinks to the ground in them."""
+MAX_STIFFNESS, MAX_DAMPING = 1023.0, 2047.0
+"""N m/rad, N m s/rad. The library sends gains as 16-bit integers of 1/32 and 1/16: a larger one
+would arrive as another number, 1100 as -948."""
 POWER_LEVEL = 9
 """Of the vendor's own overload guard: 1 (10 % of the motors' power) to 10."""
 
@@ -55,6 +58,20 @@ def unitree() -> Any:
         "the Go1 needs its vendor's driver: pip install 'renet[go1]' (Python 3.11 or 3.12), or "
         f"build unitree_legged_sdk 3.8 with PYTHON_BUILD ({problems[0]})"
     )
+
+
+def _check(command: JointCommand) -> None:
+    """Refuse what would reach the motors as something else."""
+    for name, low, high in (
+        ("position", -np.inf, np.inf),
+        ("stiffness", 0.0, MAX_STIFFNESS),
+        ("damping", 0.0, MAX_DAMPING),
+    ):
+        value = np.asarray(getattr(command, name), float)
+        if value.shape != (len(JOINTS),) or not np.isfinite(value).all():
+            raise RenetError(f"the command's {name} must be {len(JOINTS)} finite numbers")
+        if not ((low <= value) & (value <= high)).all():
+            raise RenetError(f"the command's {name} must be within {low:g} and {high:g}")
 
 
 def _claim(port: int) -> None:
@@ -96,7 +113,8 @@ class Go1Link:
         return self._command is not None
 
     def command(self, command: JointCommand, now: float) -> None:
-        """Send this from the next exchange on."""
+        """Send this from the next exchange on; raises RenetError if it cannot be sent."""
+        _check(command)
         self._commanded, self._command = now, command
 
     def exchange(self, now: float) -> None:
@@ -186,7 +204,7 @@ class Go1Robot:
         return None if self._link is None else self._link.state
 
     def write(self, command: JointCommand) -> None:
-        """See Robot.write; raises RenetError with the reason while it is braked for good."""
+        """See Robot.write; raises RenetError for what cannot be sent, or while braked for good."""
         if self._link is None:
             raise RenetError("the Go1 is not connected")
         if self._link.problem:
