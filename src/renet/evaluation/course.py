@@ -45,8 +45,8 @@ class CourseCfg:
     """Robots in each mode; each walks all laps."""
     modes: tuple[str, ...] = ("vp", "renet", "op")
     """Policy modes to compare: vp, renet, op, oracle-switch."""
-    severity: int = 3
-    """Of the grass and the occlusion, 1 to 5."""
+    severity: int = 4
+    """Of the grass (4: three quarters of the way to dense) and the occlusion (4: 75 %), 1 to 5."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
     patience: float = 25.0

@@ -50,7 +50,10 @@ def draw_timelines(
 def _timeline(axis: Axes, timeline: dict[str, Any], lap: Sequence[str], beta: float) -> Axes:
     """One lap; returns the axis of P_t."""
     every = CONTROL_DT * STEPS_PER_TICK
-    anomaly, where = np.array(timeline["anomaly"]), [int(i) for i in timeline["passage"]]
+    # A robot that was set down has no score before its first tick.
+    anomaly = np.array(timeline["anomaly"], float)
+    anomaly[anomaly <= 0] = np.nan
+    where = [int(i) for i in timeline["passage"]]
     vision = np.array(timeline["vision"], bool)
     figures.bands(axis, vision, every)
     right = figures.loss_and_probability(

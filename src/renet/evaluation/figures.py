@@ -185,7 +185,7 @@ def loss_and_probability(
     axis.plot(time, anomaly, color=LOSS, label="reconstruction loss")
     axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label="threshold β")
     axis.set_yscale("log")
-    axis.set_ylim(top=4 * max(anomaly.max(), beta))
+    axis.set_ylim(top=4 * np.max(anomaly, where=~np.isnan(anomaly), initial=beta))
     axis.set_xlim(0, time[-1])
     right = axis.twinx()
     right.plot(time, probability, "--", color=PROBABILITY, label="vision probability $P_t$")

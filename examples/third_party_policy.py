@@ -1,0 +1,40 @@
+"""Benchmark a policy that is not renet's: `python examples/third_party_policy.py policy.onnx`."""
+
+import hashlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+
+from renet.evaluation import fault_study, noise
+from renet.evaluation.lab import Lab
+from renet.evaluation.results import Provenance
+
+
+class TheirPolicy:
+    """An ONNX model (observation [N, 45], depth [N, 48, 64]) -> action [N, 12], without memory."""
+
+    def __init__(self, model: Path, num_robots: int):
+        self.model = ort.InferenceSession(model)
+        self.anomaly_score = np.zeros(num_robots)  # It never doubts an image; monitors may.
+
+    def reset(self, mask=None): ...
+
+    def step(self, proprioception, depth, op_mask):
+        depth = np.where(op_mask[:, None, None], 1.0, depth).astype(np.float32)  # Blind: all far.
+        return self.model.run(["action"], {"observation": proprioception, "depth": depth})[0]
+
+
+class TheirLab(Lab):
+    def __init__(self, model: Path):
+        super().__init__()
+        digest = hashlib.sha256(model.read_bytes()).hexdigest()
+        self.controller = lambda num_robots: TheirPolicy(model, num_robots)
+        self.provenance = lambda seed: Provenance.now(model.stem, digest, "native", seed)
+
+
+if __name__ == "__main__":
+    lab = TheirLab(Path(sys.argv[1]))
+    noise.run_noise(noise.NoiseCfg(), lab)
+    fault_study.run_faults(fault_study.FaultsCfg(quick=True), lab)

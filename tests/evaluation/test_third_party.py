@@ -1,0 +1,98 @@
+"""The example that benchmarks somebody else's policy, on a policy that stands still."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from hashlib import sha256
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper
+
+from renet.evaluation.fault_study import FaultsCfg, run_faults
+from renet.evaluation.noise import NoiseCfg, run_noise
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "third_party_policy.py"
+
+
+@pytest.fixture(scope="module")
+def example() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("third_party_policy", EXAMPLE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Action = 0 · observation + mean depth, to see what the policy is shown."""
+    weights = helper.make_tensor("weights", TensorProto.FLOAT, (45, 12), [0.0] * 540)
+    nodes = [
+        helper.make_node("MatMul", ["observation", "weights"], ["nothing"]),
+        helper.make_node("ReduceMean", ["depth"], ["means"], axes=[1, 2], keepdims=0),
+        helper.make_node("Unsqueeze", ["means", "one"], ["column"]),
+        helper.make_node("Mul", ["column", "little"], ["small"]),
+        helper.make_node("Add", ["nothing", "small"], ["action"]),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "still",
+        [
+            helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["N", 45]),
+            helper.make_tensor_value_info("depth", TensorProto.FLOAT, ["N", 48, 64]),
+        ],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["N", 12])],
+        [
+            weights,
+            helper.make_tensor("one", TensorProto.INT64, (1,), [1]),
+            helper.make_tensor("little", TensorProto.FLOAT, (1,), [0.01]),
+        ],
+    )
+    path = tmp_path_factory.mktemp("theirs") / "still.onnx"
+    onnx.save(
+        helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), path
+    )
+    return path
+
+
+def test_the_example_is_short() -> None:
+    assert len(EXAMPLE.read_text().splitlines()) <= 40
+
+
+def test_a_blind_policy_sees_nothing_near(example: ModuleType, model: Path) -> None:
+    policy = example.TheirPolicy(model, 2)
+    depth = np.full((2, 48, 64), 0.25, np.float16)
+    action = policy.step(np.zeros((2, 45), np.float32), depth, np.array([False, True]))
+    np.testing.assert_allclose(action[:, 0], [0.0025, 0.01])
+
+
+def test_noise_and_faults_run_on_it(example: ModuleType, model: Path, tmp_path: Path) -> None:
+    lab = example.TheirLab(model)
+    run_noise(
+        NoiseCfg(out=tmp_path / "noise", robots=1, steps=20, onset=5, salt_and_pepper=()), lab
+    )
+    run_faults(
+        FaultsCfg(
+            out=tmp_path / "faults",
+            faults=("frozen",),
+            severities=(3,),
+            robots=1,
+            onset=5,
+            over=20,
+            steps=25,
+            healthy_minutes=0,
+        ),
+        lab,
+    )
+    for study in ("noise", "faults"):
+        summary = json.loads((tmp_path / study / "summary.json").read_text())
+        assert summary["provenance"]["bundle"] == "still"
+        assert summary["provenance"]["bundle_hash"] == sha256(model.read_bytes()).hexdigest()
+        assert {run["falls"] for run in summary["runs"]} == {0}
+        assert {run["mode"] for run in summary["runs"]} >= {"vp", "renet"}
