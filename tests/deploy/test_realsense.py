@@ -194,7 +194,7 @@ def test_what_cannot_work_is_refused_with_its_cause(monkeypatch):
     bus = Bus()
     monkeypatch.setattr(realsense, "realsense", lambda: bus)
     for plugged, cause in (
-        ([], "none is connected"),
+        ([], "no RealSense camera: none is connected"),
         ([Device(640, 480)], r"it offers 640x480@30.*USB 3"),
         ([Device(focal=900.0)], "not wide enough"),
     ):

@@ -144,7 +144,8 @@ class RealSenseCamera:
             if self._serial in ("", serial):
                 return device
         seen = f"only {', '.join(serials)} connected" if serials else "none is connected"
-        raise RenetError(f"no RealSense camera {self._serial}: {seen}; check its USB 3 cable")
+        wanted = f"RealSense camera {self._serial}".rstrip()
+        raise RenetError(f"no {wanted}: {seen}; check its USB 3 cable")
 
     def _profile(self, sensor: Any) -> Any:
         """The stream to open: 848 x 480 at 30 Hz, or what a sensor of one profile has."""
