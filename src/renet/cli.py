@@ -164,16 +164,17 @@ def _dispatch(arguments: list[str]) -> int:
     command = COMMANDS[name]
     try:
         module = importlib.import_module(command.module)
+        import tyro
+
+        cfg = tyro.cli(getattr(module, command.config), args=rest, prog=f"renet {name}")
+        result = getattr(module, command.run)(cfg)
     except ModuleNotFoundError as error:
+        # Also of imports that wait until an option needs them.
         if error.name and error.name.startswith("renet"):
             raise
         raise RenetError(
             f"`renet {name}` needs {error.name}: pip install 'renet[{command.extra}]'"
         ) from error
-    import tyro
-
-    cfg = tyro.cli(getattr(module, command.config), args=rest, prog=f"renet {name}")
-    result = getattr(module, command.run)(cfg)
     where = result if isinstance(result, Path) else getattr(cfg, "out", None)
     if where is not None:
         print(f"Results: {where}")

@@ -1,25 +1,28 @@
-"""`renet calibrate`: measure the selector's thresholds on healthy runs and store them."""
+"""`renet calibrate`: measure the selector's thresholds on healthy runs and store them.
+
+From flight logs this needs nothing but the runtime; simulated runs are in `calibration_runs`.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import tyro
 
 from renet.deploy.bundle import Bundle, write_manifest
 from renet.deploy.logged import logged_scores
-from renet.errors import RenetError
-from renet.evaluation.healthy import TICK_RATE, ScoreLog, healthy_series, successful_runs
-from renet.evaluation.lab import Lab
-from renet.evaluation.rollout import Row, Trace, run_rollout
-from renet.evaluation.terminal import progress, show
-from renet.evaluation.world import SimWorld
+from renet.evaluation.healthy import TICK_RATE, successful_runs
+from renet.evaluation.terminal import show
+from renet.evaluation.trace import Trace
 from renet.selector.calibration import calibrate, calibrate_monitors, conformal_threshold
-from renet.tiles import LEVELS, tiles
-from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
+from renet.vocabulary import STEPS_PER_TICK
+
+if TYPE_CHECKING:
+    from renet.evaluation.lab import Lab
 
 FLAT, PARKOUR = "Renet-Go1-Flat", "Renet-Go1-Parkour"
 
@@ -43,7 +46,7 @@ class CalibrateCfg:
     """Commanded forward speed, m/s."""
     tasks: tuple[str, ...] = (FLAT, PARKOUR)
     """Tasks to run."""
-    levels: int = LEVELS
+    levels: int = 10
     """Highest terrain level, 1 to 10; episodes that fail do not count."""
     false_alarm: float = 0.0
     """0: the paper's rule, β is the largest score. Otherwise β is exceeded by a healthy frame with
@@ -65,17 +68,10 @@ def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
     if cfg.log:
         bundle = Bundle.load(cfg.bundle)
         return _store(cfg, bundle, logged_scores(cfg.log, bundle), f"{len(cfg.log)} flight log(s)")
-    if cfg.robots < 1 or cfg.seconds < 1 or not 1 <= cfg.levels <= LEVELS:
-        raise RenetError(
-            f"robots {cfg.robots} and seconds {cfg.seconds} must be >= 1, levels {cfg.levels}"
-            f" between 1 and {LEVELS}"
-        )
-    lab = lab or Lab(cfg.bundle, cfg.engine)
-    tasks = [_healthy_runs(cfg, lab, task) for task in cfg.tasks]
-    series = {name: [run for task in tasks for run in task[name]] for name in tasks[0]}
-    if not series["reconstruction"]:
-        raise RenetError("no episode succeeded: train the policy before calibrating its selector")
-    return _store(cfg, lab.bundle, series, f"successful episodes, seed {cfg.seed}")
+    from renet.evaluation.calibration_runs import simulated_scores
+
+    bundle, series = simulated_scores(cfg, lab)
+    return _store(cfg, bundle, series, f"successful episodes, seed {cfg.seed}")
 
 
 def _store(
@@ -106,29 +102,6 @@ def _store(
         rows,
     )
     return beta
-
-
-def _healthy_runs(cfg: CalibrateCfg, lab: Lab, task: str) -> dict[str, list[np.ndarray]]:
-    """Every monitor's scores in one task's successful episodes, VP in charge throughout."""
-    steps = round(cfg.seconds / CONTROL_DT)
-    world = lab.world(task, range(cfg.robots), cfg.speed, cfg.seed)
-    if task == PARKOUR and isinstance(world, SimWorld):
-        robot = np.arange(cfg.robots)
-        world.place(robot // len(tiles()) % cfg.levels, robot % len(tiles()))
-    rows = [Row("vp", robot=i) for i in range(cfg.robots)]
-    log = ScoreLog(cfg.robots)
-    with progress(task, steps) as advance:
-        trace = run_rollout(
-            world,
-            lab.controller(cfg.robots),
-            lab.switch(cfg.robots),
-            rows,
-            steps,
-            cfg.seed,
-            on_step=advance,
-            on_sight=log,
-        )
-    return healthy_series(log, trace)
 
 
 def successful_scores(trace: Trace) -> np.ndarray:

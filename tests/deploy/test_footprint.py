@@ -1,0 +1,88 @@
+"""What a robot's computer needs: NumPy, ONNX Runtime, tyro and rich, and nothing else."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import renet
+from renet.deploy.bundle import DEFAULT, pretrained
+from renet.deploy.launch import DeployCfg, deploy
+from renet.deploy.safety import SafetyCfg
+
+TRAINING = ("torch", "mjlab", "warp", "mujoco", "mujoco_warp", "rsl_rl", "matplotlib", "mediapy")
+SIMULATION = ("robots.mujoco", "robots.scene", "cameras.sim", "viewer")
+"""Modules of `renet.deploy` that are the simulated robot, imported when it is asked for."""
+
+
+def modules() -> list[str]:
+    """Everything a robot runs."""
+    root = Path(renet.__file__).parent
+    files = [*(root / "deploy").rglob("*.py"), *(root / "selector").rglob("*.py")]
+    names = [f.relative_to(root).with_suffix("").as_posix().replace("/", ".") for f in files]
+    names = [f"renet.{name.removesuffix('.__init__')}" for name in names]
+    simulated = {f"renet.deploy.{name}" for name in SIMULATION}
+    return sorted({*names, "renet.cli", "renet.evaluation.calibrate"} - simulated)
+
+
+BLOCK = f"""
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {TRAINING}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Missing())
+"""
+
+
+def without_training_packages(code: str) -> subprocess.CompletedProcess[str]:
+    """Run Python as if they were not installed."""
+    return subprocess.run([sys.executable, "-c", BLOCK + code], capture_output=True, text=True)
+
+
+def test_the_runtime_imports_without_training_packages():
+    assert len(modules()) > 30
+    done = without_training_packages("\n".join(f"import {name}" for name in modules()))
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("flight")
+    deploy(DeployCfg(out=out, seconds=4.0, safety=SafetyCfg(rise_seconds=0.4)))
+    return out / "flight.log"
+
+
+def test_logs_are_scored_replayed_and_calibrated_from_without_them(log, tmp_path):
+    shipped = str(pretrained(DEFAULT))
+    commands = [
+        ["evaluate", "log", str(log), "--out", str(tmp_path / "score"), "--replay", shipped],
+        ["bundle", "inspect", shipped],
+        ["calibrate", str(tmp_path / "bundle"), "--log", str(log)],
+    ]
+    shutil.copytree(shipped, tmp_path / "bundle")
+    code = f"from renet.cli import main; assert all(main(c) == 0 for c in {commands})"
+    done = without_training_packages(code)
+    assert done.returncode == 0, done.stderr
+    assert "commands differ by at most 0 rad" in done.stdout
+    assert (tmp_path / "score" / "timeline.svg").exists()
+    assert "beta" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("command", "hint"),
+    [
+        (["calibrate", "x"], "pip install 'renet[train]'"),
+        (["play", "--log", "x"], "pip install 'renet[train]'"),
+        (["deploy"], "--robot mujoco needs mujoco: pip install 'renet[sim]'"),
+    ],
+)
+def test_what_needs_more_says_what_to_install(command, hint):
+    done = without_training_packages(f"from renet.cli import main; sys.exit(main({command}))")
+    assert done.returncode == 2
+    assert hint in done.stderr
+    assert "Traceback" not in done.stderr
