@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 import torch
 
-from renet.tasks import observations, rewards
+from renet.tasks import env_cfg, observations, rewards
 from renet.tasks.constraints import excess, outside
 from renet.tasks.curriculum import asked_distance, level_change
+from renet.training.train import rewarded
 
 from .conftest import build
 
@@ -191,3 +193,31 @@ def test_joint_acceleration_starts_each_episode_at_rest():
     again = term(env)
     torch.testing.assert_close(again[0], expected[0])
     assert again[1] == 0.0
+
+
+def test_foot_clearance_by_hand():
+    class Robot:
+        data = SimpleNamespace(
+            site_pos_w=torch.tensor([[[0.0, 0.0, 0.05], [0.0, 0.0, 0.30], [0.0, 0.0, 0.0]]]),
+            root_link_pos_w=torch.tensor([[0.0, 0.0, 0.30]]),
+        )
+
+        def find_sites(self, names, preserve_order):
+            assert preserve_order
+            return list(range(len(names))), list(names)
+
+    env = SimpleNamespace(scene={"robot": Robot()}, num_envs=1, device="cpu", step_dt=0.02)
+    params = {"feet": ("FR", "FL", "RR"), "height": 0.30, "lift": 0.09}
+    term = rewards.FootClearance(SimpleNamespace(params=params), env)
+    assert term(env, **params).item() == 0.0  # No speed is known yet.
+    Robot.data.site_pos_w = Robot.data.site_pos_w + torch.tensor([0.003, 0.004, 0.0])
+    # 0.25 m/s; lifted by 5 cm of 9, high up, and not at all.
+    expected = 0.25 * (0.04**2 + 0.0 + 0.09**2)
+    assert term(env, **params).item() == pytest.approx(expected, rel=1e-4)
+    term.reset(torch.tensor([0]))
+    assert term(env, **params).item() == 0.0
+
+
+def test_clearance_is_rewarded_only_on_request():
+    assert env_cfg("Renet-Go1-Flat").rewards["foot_clearance"].weight == 0.0
+    assert rewarded("Renet-Go1-Flat", 15.0).rewards["foot_clearance"].weight == -15.0

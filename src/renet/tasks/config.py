@@ -81,7 +81,7 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: Robot) -> RenetEnvCfg:
             )
         },
         commands={COMMAND: GoalCommandCfg()},
-        rewards=_rewards(),
+        rewards=_rewards(robot),
         terminations={
             "time_out": TerminationTermCfg(func=mdp.time_out, time_out=True),
             "fallen": TerminationTermCfg(func=terminations.fallen),
@@ -204,7 +204,7 @@ def _observations() -> dict[str, ObservationGroupCfg]:
     }
 
 
-def _rewards() -> dict[str, RewardTermCfg]:
+def _rewards(robot: Robot) -> dict[str, RewardTermCfg]:
     """Paper's scales; mjlab multiplies each by the step's 0.02 s."""
     hips = SceneEntityCfg("robot", joint_names=(".*_hip_joint",))
     return {
@@ -219,6 +219,12 @@ def _rewards() -> dict[str, RewardTermCfg]:
         ),
         "joint_acceleration": RewardTermCfg(func=rewards.JointAcceleration, weight=-2.5e-7),
         "orientation": RewardTermCfg(func=rewards.orientation, weight=-1.0),
+        # Not the paper's, hence off: `renet train --foot-clearance` turns it on.
+        "foot_clearance": RewardTermCfg(
+            func=rewards.FootClearance,
+            weight=0.0,
+            params={"feet": LEGS, "height": robot.map_height - robot.foot_radius, "lift": 0.09},
+        ),
     }
 
 

@@ -8,6 +8,7 @@ import re
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 import tyro
@@ -19,6 +20,9 @@ from renet.training.config import LearningCfg
 from renet.training.metrics import CURVES
 from renet.training.run_report import write_run_report
 from renet.training.runner import CHECKPOINTS, RenetRunner
+
+if TYPE_CHECKING:
+    from renet.tasks import RenetEnvCfg
 
 LATEST = "latest"
 
@@ -35,6 +39,9 @@ class TrainCfg(LearningCfg):
     """cpu, cuda:0, ... or auto (a GPU if there is one)."""
     engine: str = "auto"
     """Physics engine: auto, native (C MuJoCo on threads, CPU only) or warp."""
+    foot_clearance: float = 0.0
+    """Weight of lifting the feet, 15 for a budget of millions of steps: a reward beside the paper's
+    (see tasks.rewards.FootClearance)."""
     resume: str | None = None
     """Run folder or checkpoint to go on from; `latest` takes the newest run of this task."""
     time_budget: str | None = None
@@ -61,7 +68,11 @@ def train(cfg: TrainCfg) -> Path | None:
     device = resolve_device(cfg.device)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
     env = make_env(
-        cfg.task, num_envs=cfg.num_envs, device=device, seed=cfg.seed + rank, engine=cfg.engine
+        rewarded(cfg.task, cfg.foot_clearance),
+        num_envs=cfg.num_envs,
+        device=device,
+        seed=cfg.seed + rank,
+        engine=cfg.engine,
     )
     vec_env = RslRlVecEnvWrapper(env, clip_actions=cfg.clip_actions)
     run = None if rank else resumed_run(resume) or new_run(cfg.log_root, cfg.task)
@@ -79,6 +90,18 @@ def train(cfg: TrainCfg) -> Path | None:
     if run and (run / CURVES).exists():
         print(f"Curves: {write_run_report(run, cfg.num_envs, cfg.num_steps_per_env)}")
     return run
+
+
+def rewarded(task: str, foot_clearance: float) -> RenetEnvCfg:
+    """The task with the optional reward; raises RenetError if it knows none of that name."""
+    from renet.tasks import env_cfg
+
+    cfg = env_cfg(task)
+    if foot_clearance:
+        if "foot_clearance" not in cfg.rewards:
+            raise RenetError(f"{task} has no reward foot_clearance: leave --foot-clearance at 0")
+        cfg.rewards["foot_clearance"].weight = -foot_clearance
+    return cfg
 
 
 def resumed_run(checkpoint: Path | None) -> Path | None:
