@@ -19,13 +19,17 @@ def depth_picture(depth: np.ndarray, scale: int = 4) -> np.ndarray:
 
 
 def map_picture(height_map: np.ndarray, scale: int = 16) -> np.ndarray:
-    """Colours [12 scale, 11 scale, 3] uint8 of a height map [132] m, seen from above.
-
-    Ahead is up, left is left; high ground is bright. A height map is the robot's height over the
-    ground: its negative is the ground's.
-    """
-    ground = -height_map.reshape(len(HEIGHT_MAP_X), len(HEIGHT_MAP_Y))[::-1, ::-1]
+    """Colours [12 scale, 11 scale, 3] uint8 of a height map [132] m; high ground is bright."""
+    ground = as_seen(height_map)
     return _enlarge(_colours("viridis")[_bytes(0.5 + ground / (2 * RELIEF))], scale)
+
+
+def as_seen(height_map: np.ndarray) -> np.ndarray:
+    """Heights of the ground [12, 11] m of a height map [132], from above: ahead is up.
+
+    A height map is the robot's height over the ground: its negative is the ground's.
+    """
+    return -height_map.reshape(len(HEIGHT_MAP_X), len(HEIGHT_MAP_Y))[::-1, ::-1]
 
 
 def beside(left: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ import math
 import socket
 import warnings
 from contextlib import redirect_stdout
+from dataclasses import replace
 
 import viser
 from mjlab.viewer import ViserPlayViewer
@@ -23,6 +24,8 @@ class LiveViewer(ViserPlayViewer):
     def __init__(self, session: Session, server: viser.ViserServer) -> None:
         # mjlab expects observations to be tensors; they only pass from the session to the session.
         super().__init__(session, session.act, viser_server=server)  # pyright: ignore[reportArgumentType]
+        # In the browser elevation is the camera's; in MuJoCo it is that of its line of sight.
+        self.cfg = replace(self.cfg, elevation=-self.cfg.elevation)
         self.session = session
         self._shown = -1
 

@@ -1,57 +1,128 @@
-"""`renet evaluate pictures`: what the tiles look like, and what the camera's errors do."""
+"""`renet evaluate pictures`: the tiles, the camera's errors, and the ground as VP predicts it."""
 
 from __future__ import annotations
 
-from contextlib import redirect_stdout
+import math
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+import numpy as np
 import torch
 from matplotlib.colors import LightSource
+from matplotlib.patches import Rectangle
 
-from renet.evaluation.results import output_folder
+from renet.deploy.policy import Policy
+from renet.errors import RenetError
+from renet.evaluation.lab import Lab
+from renet.evaluation.maps import MapLog, draw_height_maps, errors
+from renet.evaluation.play import robot_of
+from renet.evaluation.results import output_folder, write_json
+from renet.evaluation.rollout import Row, run_rollout
+from renet.evaluation.terminal import progress, show
 from renet.sim.camera_model import Intrinsics, mount_rotation
 from renet.sim.depth_camera import MountCfg
 from renet.sim.depth_noise import DepthNoiseCfg, add_noise
 from renet.sim.raycast import TerrainScanner, scanner
-from renet.tasks import make_env
+from renet.tasks.config import parkour_env_cfg
+from renet.tiles import LEVELS as TOP
 from renet.tiles import TILE, tiles
-from renet.vocabulary import DEPTH_RANGE, DEPTH_SHAPE
+from renet.vocabulary import CONTROL_DT, DEPTH_RANGE
 
 LEVELS = (1, 5, 10)
 EYE = (0.55, 0.0, 0.33)
 """Where the pictured camera's robot stands on its tile, m from the middle, facing out."""
+SENSOR = Intrinsics(
+    60, 106, 53 / math.tan(math.radians(87 / 2)), 30 / math.tan(math.radians(58 / 2)), 53, 30
+)
+"""All that a D435i sees, at an eighth of 848 x 480."""
 
 
 @dataclass(frozen=True)
 class PicturesCfg:
-    """Draw every tile and the camera's randomisation."""
+    """Draw every tile, the camera's randomisation, and predicted against true height maps."""
 
     out: Path = Path("results/pictures")
-    """Folder for tiles.png and camera.png."""
-    seed: int = 0
-    """Of the camera's errors."""
+    """Folder for tiles.png, camera.png, height_map.png and summary.json."""
+    bundle: Path | None = None
+    """Bundle that predicts the height maps; the one that ships with renet by default."""
+    level: int = 5
+    """Level of the tiles for height maps, 1 to 10."""
+    seconds: float = 6.0
+    """How long the robots walk for height maps."""
+    speed: float = 0.6
+    """Commanded forward speed, m/s."""
+    seed: int = 1
+    """Of the camera's errors, and of the robots' starts."""
+    engine: str = "auto"
+    """Physics engine: auto, native or warp."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.level <= TOP:
+            raise RenetError(f"terrain level must be 1 to {TOP}, got {self.level}")
+        if self.seconds < 2.0:
+            raise RenetError(f"height maps need at least 2 seconds, got {self.seconds}")
 
 
 def run_pictures(cfg: PicturesCfg) -> Path:
-    """Write both pictures; raises RenetError if the folder cannot be written."""
+    """Write all pictures and return their folder.
+
+    Raises:
+        RenetError: a bundle that cannot be used, or a folder that cannot be written.
+    """
+    lab = Lab(cfg.bundle, cfg.engine)
     out = output_folder(cfg.out)
-    torch.manual_seed(cfg.seed)
-    with redirect_stdout(StringIO()):
-        env = make_env("Renet-Go1-Parkour", 1)
-    terrain = env.scene.terrain
+    kinds = list(tiles())
+    task = parkour_env_cfg(play=True, robot=robot_of(lab.bundle.manifest))
+    world = lab.world(task, range(len(kinds)), cfg.speed, cfg.seed)
+    terrain = world.env.scene.terrain
     assert terrain is not None
     assert terrain.terrain_origins is not None
-    rays = scanner(env.sim.mj_model, "cpu")
+    rays = scanner(world.env.sim.mj_model, "cpu")
+    torch.manual_seed(cfg.seed)
     draw_tiles(rays, terrain.terrain_origins, out / "tiles.png")
     draw_camera(rays, terrain.terrain_origins, out / "camera.png")
-    env.close()
+    world.place(np.full(len(kinds), cfg.level - 1), np.arange(len(kinds)))
+    policy, rows = Policy(lab.bundle, len(kinds)), [Row("vp") for _ in kinds]
+    log, steps = MapLog(policy, world), round(cfg.seconds / CONTROL_DT)
+    with progress("robots look at tiles", steps) as advance:
+        run_rollout(
+            world,
+            policy,
+            lab.switch(len(kinds)),
+            rows,
+            steps,
+            cfg.seed,
+            on_step=advance,
+            on_sight=log.note,
+        )
+    provenance = lab.provenance(cfg.seed)
+    draw_height_maps(log.maps, kinds, out / "height_map.png", provenance.line)
+    found = errors(log.maps, kinds)
+    write_json(
+        out / "summary.json",
+        {
+            "study": "pictures",
+            "height_map": found,
+            "settings": vars(cfg),
+            "provenance": vars(provenance),
+        },
+    )
+    _show(found)
     return out
+
+
+def _show(found: list[dict[str, Any]]) -> None:
+    """Print the errors of height maps."""
+    rows = [
+        (row["terrain"], f"{100 * row['rmse_m']:.1f}", f"{100 * row['rmse_of_flat_ground_m']:.1f}")
+        for row in found
+    ]
+    show("Height maps of the VP estimator", ("terrain", "error (cm)", "of flat ground (cm)"), rows)
 
 
 def draw_tiles(rays: TerrainScanner, origins: torch.Tensor, path: Path) -> None:
@@ -90,16 +161,22 @@ def draw_camera(rays: TerrainScanner, origins: torch.Tensor, path: Path) -> None
     )
     straight = mount_rotation(torch.tensor([mount.pitch]), torch.tensor([0.0]))
     moved = mount.position_error * error[2:]
-    rows = ("true depth", "with range noise", "and mount errors")
+    rows = ("the sensor's view", "edges cut off", "with range noise", "and mount errors")
     figure, axes = plt.subplots(
-        len(rows), len(kinds), figsize=(2.4 * len(kinds), 6.2), constrained_layout=True
+        len(rows), len(kinds), figsize=(2.4 * len(kinds), 7.6), constrained_layout=True
     )
+    kept = _kept()
     for column, kind in enumerate(kinds):
         # A middle level, seen from near the edge of the start.
         eye = origins[5, column] + torch.tensor(EYE) + torch.tensor(mount.position)
         true = _view(rays, eye, straight)
-        images = (true, add_noise(true, DepthNoiseCfg()), _view(rays, eye + moved, turned))
-        images = (*images[:2], add_noise(images[2], DepthNoiseCfg()))
+        images = (
+            _view(rays, eye, straight, SENSOR),
+            true,
+            add_noise(true, DepthNoiseCfg()),
+            add_noise(_view(rays, eye + moved, turned), DepthNoiseCfg()),
+        )
+        axes[0, column].add_patch(Rectangle(*kept, fill=False, edgecolor="tab:cyan", linewidth=1.5))
         for row, image in enumerate(images):
             axis = axes[row, column]
             axis.imshow(image.clamp(0, DEPTH_RANGE), vmin=0, vmax=DEPTH_RANGE, cmap="magma_r")
@@ -110,7 +187,21 @@ def draw_camera(rays: TerrainScanner, origins: torch.Tensor, path: Path) -> None
     plt.close(figure)
 
 
-def _view(rays: TerrainScanner, eye: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
-    """Planar depth [48, 64] m, the range where nothing is hit."""
-    depth = rays.depth(eye[None], rotation, Intrinsics().rays(), DEPTH_RANGE).reshape(DEPTH_SHAPE)
+def _kept() -> tuple[tuple[float, float], float, float]:
+    """Corner, width and height of the policy's image in the sensor's, in the sensor's pixels."""
+    own = Intrinsics()
+    width, height = own.width * SENSOR.fx / own.fx, own.height * SENSOR.fy / own.fy
+    return (SENSOR.cx - width / 2, SENSOR.cy - height / 2), width, height
+
+
+def _view(
+    rays: TerrainScanner,
+    eye: torch.Tensor,
+    rotation: torch.Tensor,
+    lens: Intrinsics | None = None,
+) -> torch.Tensor:
+    """Planar depth [rows, columns] m, the range where nothing is hit."""
+    lens = lens or Intrinsics()
+    depth = rays.depth(eye[None], rotation, lens.rays(), DEPTH_RANGE)
+    depth = depth.reshape(lens.height, lens.width)
     return torch.where(depth >= 0.0, depth, DEPTH_RANGE)

@@ -19,16 +19,14 @@ from renet.deploy.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab
+from renet.evaluation.maps import MapLog
 from renet.evaluation.results import output_folder
-from renet.evaluation.rollout import UPDATES_PER_STEP, Film, Row, Trace, run_rollout
+from renet.evaluation.rollout import Film, Row, Trace, run_rollout
 from renet.evaluation.terminal import progress
 from renet.evaluation.video import Panel, VideoCfg, make_video
-from renet.evaluation.world import SimWorld
-from renet.selector.monitors import Sight
 from renet.tasks import RenetEnvCfg, Robot, env_cfg
 from renet.tasks.config import flat_env_cfg, tile_env_cfg
 from renet.tasks.go1 import GO1
-from renet.tasks.observations import HEIGHT_MAP
 from renet.tasks.terrains import single_tile_terrain
 from renet.training.bundle import ExportCfg, export
 from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
@@ -129,27 +127,6 @@ def _watch(cfg: PlayCfg) -> None:
         if cfg.fault is not None:
             session.inject(cfg.fault, cfg.severity)
         watch(session, cfg.host, cfg.port)
-
-
-class MapLog:
-    """Height maps of all robots at each control step of a rollout, predicted and true."""
-
-    def __init__(self, policy: Policy, world: SimWorld) -> None:
-        self._policy, self._sensor = policy, world.env.scene[HEIGHT_MAP]
-        self._calls, self._maps = 0, []
-
-    def note(self, sight: Sight) -> None:
-        """To be called at every update of the selector."""
-        del sight
-        if self._calls % UPDATES_PER_STEP == 0:
-            true = self._sensor.data.numpy()
-            self._maps.append(np.stack((self._policy.height_map, true), axis=1))
-        self._calls += 1
-
-    @property
-    def maps(self) -> np.ndarray:
-        """[T, N, 2, 132] m: the VP estimator's, then the terrain's."""
-        return np.stack(self._maps)
 
 
 def _film(cfg: PlayCfg) -> Path:
