@@ -122,7 +122,6 @@ def test_views_compose_and_images_pass_untouched() -> None:
         Injection("mount_knocked", 10.0, 0),
     )
     injector = Injector([schedule, ()], [0, 1], 5, physical=True)
-    assert injector.physical
     late = injector.view(10)
     np.testing.assert_allclose(injector.view(0).lift, [0.1, 0.0])
     np.testing.assert_allclose(late.lift, [0.12, 0.0])

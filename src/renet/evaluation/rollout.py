@@ -171,12 +171,12 @@ def run_rollout(
             seed,
             physical=isinstance(world, Disturbed),
         )
-    physical = world if injector.physical and isinstance(world, Disturbed) else None
+    disturbed = world if isinstance(world, Disturbed) else None
     mode = np.array([row.mode for row in rows])
     trace = Trace.empty(steps, count)
     poses, images = [], []
-    if physical:
-        physical.disturb(injector.view(0))
+    if disturbed:
+        disturbed.disturb(injector.view(0))
     readings = world.reset()
     controller.reset()
     frames = Frames.healthy(readings.depth)
@@ -201,8 +201,8 @@ def run_rollout(
         trace.vision[k], trace.failing[k] = ~use_op, failing
         if film:
             poses.append(world.poses(film))
-        if physical:
-            physical.disturb(injector.view(k + 1))
+        if disturbed:
+            disturbed.disturb(injector.view(k + 1))
         readings = world.step(action)
         for name in ("forward_velocity", "height", "travelled", "collisions", "fell", "ended"):
             getattr(trace, name)[k] = getattr(readings, name)

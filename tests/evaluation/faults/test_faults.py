@@ -209,6 +209,26 @@ def test_injector_knows_who_is_failing() -> None:
 
 
 @pytest.mark.parametrize("verb", VERBS)
+def test_a_verb_can_be_commanded_while_robots_walk(verb: str) -> None:
+    healthy, injector = Injector([(), ()], range(2), 4), Injector([(), ()], range(2), 4)
+    changed = np.zeros((60, 2), bool)
+    for tick in range(60):
+        if tick == 20:
+            injector.add(injection_of_verb(verb, 5, onset=5 * tick), rows=[1])
+        if tick == 50:
+            injector.clear()
+        frames = Frames.healthy(ground(2, tick))
+        spoilt, clean = (i.apply(frames, 5 * tick) for i in (injector, healthy))
+        changed[tick] = (spoilt.image != clean.image).any(axis=(1, 2)) | ~spoilt.fresh
+        if verb != "intermittent":
+            assert injector.at_work(5 * tick).tolist() == [False, 20 <= tick < 50]
+    assert not changed[:, 0].any()
+    assert not changed[:20, 1].any()
+    assert changed[20:50, 1].any()
+    assert not changed[50:, 1].any()
+
+
+@pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_names_a_fault(verb: str) -> None:
     assert injection_of_verb(verb).fault in FAULTS
 
@@ -222,6 +242,8 @@ def test_every_verb_names_a_fault(verb: str) -> None:
         lambda: Injection("gaussian", 1.0, duration=0),
         lambda: injection_of_verb("explode"),
         lambda: injection_of_verb("off", sensor="imu"),
+        lambda: injection_of_verb("garbage", severity=0),
+        lambda: Injector([()], [0], 0).add(Injection.of("foam", 3)),
     ],
 )
 def test_what_no_model_stands_for_is_refused(wrong) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation.faults.catalogue import FAULTS, fault_class
-from renet.evaluation.faults.stream import Frames
+from renet.evaluation.faults.stream import Fault, Frames
 from renet.evaluation.faults.view import PhysicalFault, View
 from renet.vocabulary import CONTROL_DT
 
@@ -81,22 +81,41 @@ class Injector:
         Raises:
             RenetError: a physical fault for any other camera.
         """
-        self._num_robots = len(schedules)
-        self._stages = []
+        self._num_robots, self._physical = len(schedules), physical
+        self._streams, self._seed = list(streams), seed
+        self._stages: list[tuple[Injection, Fault, np.ndarray]] = []
         for place in range(max((len(s) for s in schedules), default=0)):
             groups: dict[Injection, list[int]] = {}
             for row, schedule in enumerate(schedules):
                 if place < len(schedule):
                     groups.setdefault(schedule[place], []).append(row)
             for injection, rows in groups.items():
-                rngs = [np.random.default_rng([seed, place, streams[row]]) for row in rows]
-                fault = FAULTS[injection.fault](injection.level, rngs)
-                if isinstance(fault, PhysicalFault) and not physical:
-                    raise RenetError(
-                        f"fault '{fault.name}' acts on the scene, not on the image: only a"
-                        " simulated world can carry it out"
-                    )
-                self._stages.append((injection, fault, np.array(rows)))
+                self._add(injection, rows, place)
+
+    def _add(self, injection: Injection, rows: Sequence[int], place: int) -> None:
+        rngs = [np.random.default_rng([self._seed, place, self._streams[row]]) for row in rows]
+        fault = FAULTS[injection.fault](injection.level, rngs)
+        if isinstance(fault, PhysicalFault) and not self._physical:
+            raise RenetError(
+                f"fault '{fault.name}' acts on the scene, not on the image: only a"
+                " simulated world can carry it out"
+            )
+        self._stages.append((injection, fault, np.array(rows)))
+
+    def add(self, injection: Injection, rows: Sequence[int] | None = None) -> None:
+        """Let the cameras of `rows`, of all robots by default, fail from `injection.onset` on.
+
+        May be called at any time, so that faults can be commanded while robots walk; see
+        `injection_of_verb`. Acts after the faults that are there already.
+
+        Raises:
+            RenetError: a physical fault for a camera whose world cannot carry it out.
+        """
+        self._add(injection, range(self._num_robots) if rows is None else rows, len(self._stages))
+
+    def clear(self) -> None:
+        """Heal every camera at once: PX4's `ok`."""
+        self._stages = []
 
     def at_work(self, step: int) -> np.ndarray:
         """[n] bool: the robots whose camera is failing at a control step."""
@@ -104,11 +123,6 @@ class Injector:
         for injection, fault, rows in self._stages:
             failing[rows] |= 0 <= injection.elapsed(step) < fault.lasts
         return failing
-
-    @property
-    def physical(self) -> bool:
-        """Whether any fault is physical, so that `view` must be carried out."""
-        return any(isinstance(fault, PhysicalFault) for _, fault, _ in self._stages)
 
     def view(self, step: int) -> View:
         """How the cameras see their scene at a control step."""
