@@ -36,6 +36,7 @@ from renet.training.bundle import go1_spec  # noqa: E402
 from renet.vocabulary import CONTROL_DT, JOINTS  # noqa: E402
 
 from .go1_peer import VENDOR, Peer, free_port  # noqa: E402
+from .waiting import until  # noqa: E402
 
 ROBOT = go1_spec()
 STEP = round(CONTROL_DT / PERIOD)
@@ -256,17 +257,17 @@ def served(peer) -> Iterator[Peer]:
 
 
 def test_threads_and_sockets_of_the_real_thing(served, monkeypatch):
-    monkeypatch.setattr(go1, "SINK", 0.1)
+    monkeypatch.setattr(go1, "SINK", 0.3)
     robot = Go1Robot("127.0.0.1", served.port, free_port())
     with pytest.raises(RenetError, match="not connected"):
         robot.write(command())
     assert robot.read() is None
     robot.connect()
     assert robot.read() is not None
-    before = len(served.commands)
-    robot.write(command())
-    robot.wait(robot.now() + 0.05)
-    assert any((sent[:, 4] == 40).all() for sent in served.commands[before:])
+    until(lambda: bool((served.commands[-1][:, 4] == 40).all()), lambda: robot.write(command()))
+    moment = robot.now()
+    robot.wait(moment + 0.01)
+    assert robot.now() >= moment + 0.01
     robot.close()
     robot.close()
     assert braked(served), "closing brakes"
@@ -300,15 +301,13 @@ def test_a_driver_that_fails_brakes_and_says_why(served, monkeypatch):
     robot = Go1Robot("127.0.0.1", served.port, free_port())
     robot.connect()
     robot.write(command())
-    robot.wait(robot.now() + 0.05)
     library = robot._link._out
     robot._link._out = None
-    robot.wait(robot.now() + 0.1)
+    until(lambda: robot._link.problem != "")
     robot._link._out = library
     with pytest.raises(RenetError, match="vendor's driver failed"):
         robot.write(command())
-    robot.wait(robot.now() + 0.05)
-    assert braked(served)
+    until(lambda: braked(served))
     robot.close()
 
 

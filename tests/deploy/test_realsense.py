@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -17,6 +16,8 @@ from renet.deploy.cameras import realsense  # noqa: E402
 from renet.deploy.cameras.realsense import ClockOffset, RealSenseCamera  # noqa: E402
 from renet.errors import RenetError  # noqa: E402
 from renet.training.bundle import camera_spec  # noqa: E402
+
+from .waiting import until  # noqa: E402
 
 FOCAL = 446.8
 
@@ -68,16 +69,6 @@ class Bus:
         if self.broken:
             raise RuntimeError("failed to enumerate")
         return [device.device for device in self.plugged]
-
-
-def until(condition: Callable[[], bool], act: Callable[[], None] = lambda: None) -> None:
-    """Act until a condition holds; threads need their time."""
-    for _ in range(1000):
-        if condition():
-            return
-        act()
-        time.sleep(0.01)
-    pytest.fail("it never happened")
 
 
 @pytest.fixture
