@@ -6,6 +6,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -288,7 +289,9 @@ def test_a_dry_run_tells_what_moves_and_commands_nothing(served, monkeypatch, tm
     monkeypatch.setattr(go1, "Go1Robot", robot)
     served.robot.data.qpos[2] += 0.5
     served.robot.model.opt.gravity[2] = -50.0
-    deploy(DeployCfg(robot="go1", camera="none", dry_run=True, seconds=1.0, out=tmp_path))
+    patient = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999)
+    cfg = DeployCfg(robot="go1", camera="none", dry_run=True, seconds=2.0, safety=patient)
+    deploy(replace(cfg, out=tmp_path))
     shown = capsys.readouterr().out
     assert "rad: front right, knee folds" in shown
     assert "FR_hip +0.10 (Kp 40)" in shown, "what it would have commanded"
