@@ -43,7 +43,7 @@ def test_out_of_the_box_it_walks_on_and_switches_within_a_fifth_of_a_second(tmp_
     assert score["falls"] == 0
     assert score["complete"]
     assert score["distance_from"] == "simulator"
-    assert score["distance_m"] > 1.0
+    assert score["distance_m"] > 2.0
     assert score["walking_seconds"] == pytest.approx(6.0, abs=0.1)
     (delay,) = score["switch_delay_s"]
     assert 0.0 < delay <= 0.2

@@ -17,7 +17,7 @@ FLAT = "flat"
 BORDER = 40.0
 """Half-width of the ground around a tile, m."""
 GROUND = (0.62, 0.60, 0.56, 1.0)
-SHORT = {"stairs": "stairs_up"}
+SHORT = {"stairs": "stairs_down"}
 
 
 def build_scene(
