@@ -54,8 +54,8 @@ class DeployCfg:
     speed: float = 0.6
     """Forward speed of the auto operator, m/s."""
     terrain: str = "flat"
-    """Simulation: flat, rough, obstacles, stairs (down from a summit; stairs_up: out of a pit), gap,
-    platform."""
+    """Simulation: flat, rough, obstacles, stairs (down from a summit; stairs_up: out of a pit),
+    gap, platform."""
     level: int = 1
     """Simulation: level of the terrain, 1 to 10."""
     scene: Path | None = None
