@@ -37,7 +37,7 @@ def test_detection_return_and_survival_by_hand() -> None:
     assert row["falls"] == 1
     assert row["survival"] == 0.75
     # Robot 0 is not back before the run ends, 1 after 15 steps and one update.
-    assert row["recovered"] == 1
+    assert (row["recovered"], row["away_at_end"]) == (1, 2)
     assert row["recovery_delay_s"] == pytest.approx(0.305)
     assert row["distance"] == pytest.approx((3 * 100 + 25) / 4 * 0.6 * 0.02)
 

@@ -55,13 +55,13 @@ def test_survival_and_detection_are_those_of_the_robots(folder: Path) -> None:
 
 def test_finished_faults_are_not_run_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran = []
-    real = fault_study._run_fault
+    real = fault_study.run_fault
 
     def spy(cfg, lab, world, fault, name):
         ran.append(fault)
         return real(cfg, lab, world, fault, name)
 
-    monkeypatch.setattr(fault_study, "_run_fault", spy)
+    monkeypatch.setattr(fault_study, "run_fault", spy)
     faults = ("gaussian", "frozen", "dropped")
     summary = run_faults(FaultsCfg(out=folder, faults=faults, **SMALL), FakeLab())
     assert ran == ["dropped"]

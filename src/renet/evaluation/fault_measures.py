@@ -66,6 +66,9 @@ def measure(batch: Batch, rows: slice, fault: str, severity: int) -> dict[str, A
         **_delays("detection_delay", delay),
         "detected_by_paper": int((~np.isnan(paper)).sum()),
         "paper_detection_delay_s": _delays("paper", paper)["paper_s"],
+        "away_at_end": int(
+            (~trace.trusted[end - 1, -1, rows] & ~trace.fallen[end - 1, rows]).sum()
+        ),
         "recovered": int((~np.isnan(back)).sum()),
         "recovery_delay_s": _delays("back", back)["back_s"],
         "recovery_delay_p95_s": _delays("back", back)["back_p95_s"],
@@ -89,8 +92,13 @@ def recovery(trusted: np.ndarray, fallen: np.ndarray, over: int) -> np.ndarray:
     Args:
         trusted: [T, U, N] bool. fallen: [T, N] bool. over: control step.
     """
-    away = ~trusted[over - 1, -1] & ~fallen[over - 1]
-    return np.where(away, metrics.recovery_delay(trusted, over), np.nan)
+    gone = away(trusted, fallen, over)
+    return np.where(gone, metrics.recovery_delay(trusted, over), np.nan)
+
+
+def away(trusted: np.ndarray, fallen: np.ndarray, over: int) -> np.ndarray:
+    """[N] bool: on its feet and without vision just before a control step; see `recovery`."""
+    return ~trusted[over - 1, -1] & ~fallen[over - 1]
 
 
 def _delays(name: str, delay: np.ndarray) -> dict[str, float | None]:

@@ -1,0 +1,122 @@
+"""The runs of the fault benchmark: one batch for each fault, one with healthy cameras."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from renet.evaluation import metrics
+from renet.evaluation.fault_cfg import FaultsCfg
+from renet.evaluation.fault_measures import Batch, measure, separability
+from renet.evaluation.faults import Injection, fault_class
+from renet.evaluation.healthy import healthy_series
+from renet.evaluation.lab import Lab
+from renet.evaluation.rollout import Row, World, run_rollout
+from renet.evaluation.terminal import progress
+from renet.evaluation.witness import Witness, suspicion
+from renet.selector.calibration import bursts
+from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
+
+HEALTHY_ROBOTS = 64
+"""Robots side by side in the run without faults."""
+
+
+def run_fault(cfg: FaultsCfg, lab: Lab, world: World, fault: str, name: str) -> dict[str, Any]:
+    """All severities and modes of one fault."""
+    severities, robots = cfg.effective()
+    seconds = (cfg.over - cfg.onset) * CONTROL_DT
+    rows = [
+        Row(mode, (Injection.of(fault, severity, cfg.onset, seconds),), robot)
+        for severity in severities
+        for mode in cfg.modes
+        for robot in range(robots)
+    ]
+    batch = _observe(cfg, lab, world, rows, name)
+    runs, roc, size = [], [], robots * len(cfg.modes)
+    for s, severity in enumerate(severities):
+        found = separability(batch, slice(s * size, (s + 1) * size), fault, severity)
+        for m, mode in enumerate(cfg.modes):
+            start = s * size + m * robots
+            measured = measure(batch, slice(start, start + robots), fault, severity)
+            areas = {key: value for key, value in found.items() if key.startswith("auc_")}
+            runs.append(_labels(cfg, fault, severity, mode) | measured | areas)
+            runs[-1]["seed"] = cfg.seed
+        roc.append(found)
+    before = slice(None, cfg.onset)
+    return {
+        "runs": runs,
+        "roc": roc,
+        "false_switches": metrics.false_switches(
+            batch.trace.trusted[before], batch.trace.failing[before]
+        ),
+        "healthy_robot_hours": metrics.healthy_hours(batch.trace.failing[before]),
+    }
+
+
+def _observe(cfg: FaultsCfg, lab: Lab, world: World, rows: list[Row], name: str) -> Batch:
+    """Run a batch and score it with every monitor and the paper's selector."""
+    witness = Witness(len(rows), {"paper": lab.switch(len(rows), "paper")})
+    with progress(name, cfg.steps) as advance:
+        trace = run_rollout(
+            world,
+            lab.controller(len(rows)),
+            lab.switch(len(rows)),
+            rows,
+            cfg.steps,
+            cfg.seed,
+            on_step=advance,
+            on_sight=witness,
+        )
+    scores = witness.log.scores
+    return Batch(
+        trace,
+        witness.trusted("paper"),
+        scores["reconstruction"],
+        suspicion(scores, lab.thresholds, cfg.onset // STEPS_PER_TICK),
+        cfg.onset,
+        cfg.over,
+    )
+
+
+def _labels(cfg: FaultsCfg, fault: str, severity: int, mode: str) -> dict[str, Any]:
+    """The first half of one row of the summary: which setting it is."""
+    model = fault_class(fault)
+    return {
+        "fault": fault,
+        "severity": severity,
+        "level": model.level_of(severity),
+        "unit": model.unit,
+        "mode": mode,
+        "terrain": cfg.terrain_of(fault),
+    }
+
+
+def run_healthy(cfg: FaultsCfg, lab: Lab) -> dict[str, Any]:
+    """RENet with a camera that never fails: every departure from vision is a false switch."""
+    robots = min(HEALTHY_ROBOTS, max(1, round(cfg.healthy_seconds / 60)))
+    steps = max(round(cfg.healthy_seconds / robots / CONTROL_DT), STEPS_PER_TICK)
+    # Another seed than the calibration's and the faults': these robots are strangers.
+    seed = cfg.seed + 1000
+    witness = Witness(robots, {})
+    with progress("healthy cameras", steps) as advance:
+        trace = run_rollout(
+            lab.world(cfg.task(cfg.terrain), range(robots), cfg.speed, seed),
+            lab.controller(robots),
+            lab.switch(robots),
+            [Row("renet", (), robot) for robot in range(robots)],
+            steps,
+            seed,
+            on_step=advance,
+            on_sight=witness,
+        )
+    series = healthy_series(witness.log, trace)
+    return {
+        "false_switches": metrics.false_switches(trace.trusted, trace.failing),
+        "robot_hours": metrics.healthy_hours(trace.failing),
+        "falls": int(trace.fell.sum()),
+        "alarms": {
+            name: sum(len(bursts(run, np.nextafter(threshold, -np.inf))) for run in series[name])
+            for name, threshold in lab.thresholds.items()
+        },
+    }
