@@ -128,6 +128,15 @@ def test_the_last_level_leads_back_to_any(parkour):
     assert ((terrain.terrain_levels >= 0) & (terrain.terrain_levels < LEVELS)).all()
 
 
+@pytest.mark.parametrize("kind", tiles())
+def test_a_robot_can_be_put_on_every_single_tile(kind):
+    env = build(tile_env_cfg(single_tile_terrain(kind, LEVELS), play=True), 1)
+    env.reset()
+    above = env.scene["robot"].data.root_link_pos_w[0, 2] - env.scene.env_origins[0, 2]
+    assert 0.25 < above < 0.35
+    env.close()
+
+
 def test_single_tiles_for_evaluation():
     env = build(tile_env_cfg(single_tile_terrain("gap", 10), play=True), 1)
     env.reset()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import mujoco
 from mjlab.envs import mdp
 from mjlab.envs.mdp import dr
 from mjlab.managers.curriculum_manager import CurriculumTermCfg
@@ -58,10 +59,20 @@ def parkour_env_cfg(play: bool = False, robot: Robot = GO1) -> RenetEnvCfg:
 def tile_env_cfg(terrain: TerrainEntityCfg, play: bool = False, robot: Robot = GO1) -> RenetEnvCfg:
     """The parkour task on any terrain made of tiles (see terrains.single_tile_terrain)."""
     cfg = _base_env_cfg(terrain, robot)
+    if terrain.terrain_generator is not None and terrain.terrain_generator.num_rows == 1:
+        cfg.scene.spec_fn = _clear_of_terrain
     cfg.terminations["in_gap"] = TerminationTermCfg(func=terminations.in_gap)
     cfg.terminations["left_tile"] = TerminationTermCfg(func=terminations.left_tile, time_out=True)
     cfg.curriculum["level"] = CurriculumTermCfg(func=curriculum.terrain_levels)
     return _play(cfg) if play else cfg
+
+
+def _clear_of_terrain(spec: mujoco.MjSpec) -> None:
+    """Lift the pose that MuJoCo starts from, which mjlab evaluates once before the first reset.
+
+    At the origin, on a single tile, it is inside the summit of the stairs: more contacts than fit.
+    """
+    spec.body(f"robot/{TRUNK}").pos[2] = 10.0
 
 
 def _base_env_cfg(terrain: TerrainEntityCfg, robot: Robot) -> RenetEnvCfg:
