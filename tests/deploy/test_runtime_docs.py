@@ -1,0 +1,93 @@
+"""The programs in docs/runtime.md run, and its tables say what the code does."""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+
+from renet.deploy.flight_log import read_log
+from renet.deploy.launch import DeployCfg, deploy
+from renet.deploy.safety import SafetyCfg
+from renet.selector.defaults import MONITORS
+
+from .fakes import STANDING
+
+PAGE = (Path(__file__).parents[2] / "docs" / "runtime.md").read_text()
+
+
+def program(marker: str) -> str:
+    """The Python block that holds a marker."""
+    (found,) = [b for b in re.findall(r"```python\n(.*?)```", PAGE, re.S) if marker in b]
+    return found
+
+
+class Link:
+    """A robot that stands still and remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.told: list[np.ndarray] = []
+        self.closed = False
+
+    def newest(self) -> SimpleNamespace:
+        zeros = np.zeros(12)
+        upright = np.array([1.0, 0, 0, 0])
+        return SimpleNamespace(
+            time=time.monotonic(),
+            q=STANDING,
+            dq=zeros,
+            torque=zeros,
+            quaternion_wxyz=upright,
+            gyro=np.zeros(3),
+        )
+
+    def servo(self, position, stiffness, damping) -> None:
+        self.told.append(stiffness)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_another_robot_in_30_lines(tmp_path, monkeypatch):
+    link, sdk = Link(), ModuleType("my_sdk")
+    sdk.open = lambda: link  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "my_sdk", sdk)
+    monkeypatch.chdir(tmp_path)
+    exec(program("my_sdk").replace("+ 10.0", "+ 1.0"), {})
+    assert link.closed
+    assert any(stiffness.any() for stiffness in link.told), "it rose"
+    assert not link.told[-1].any(), "it ends braking"
+    flight = read_log(tmp_path / "flight.log")
+    assert flight.complete
+    assert flight.events[0].why == "armed"
+    body = program("my_sdk").split("class MyRobot:")[1].split("\n\n\n")[0]
+    assert len(body.splitlines()) < 30
+
+
+def test_reading_a_log(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    deploy(DeployCfg(seconds=0.2))
+    exec(program("read_log"), {})
+
+
+@pytest.mark.parametrize("monitor", MONITORS.values(), ids=MONITORS)
+def test_every_monitor_is_on_the_page(monitor):
+    assert re.search(rf"\| `{monitor.name}` \|.*\| {monitor.reason} \|", PAGE)
+
+
+def test_limits_are_the_codes():
+    cfg = SafetyCfg()
+    for name, value in (
+        ("max_state_age", f"{1000 * cfg.max_state_age:.0f} ms"),
+        ("max_tilt", f"{np.degrees(cfg.max_tilt):.0f}°"),
+        ("joint_margin", f"{cfg.joint_margin:g} rad"),
+        ("max_gap", f"{cfg.max_gap:g} s"),
+        ("max_late", f"{cfg.max_late}"),
+        ("target_rate", f"{cfg.target_rate:.0f} rad/s"),
+    ):
+        assert f"`{name}` {value}" in PAGE
