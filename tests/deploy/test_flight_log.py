@@ -11,7 +11,16 @@ import pytest
 
 from renet.deploy.bundle import Bundle
 from renet.deploy.controller import Controller
-from renet.deploy.flight_log import MAGIC, MODES, FlightLog, read_log
+from renet.deploy.flight_log import (
+    EVENTS,
+    HEADER,
+    IMAGES,
+    MAGIC,
+    MODES,
+    TICKS,
+    FlightLog,
+    read_log,
+)
 from renet.deploy.operator import Request
 from renet.deploy.perception import ThreadedPerception
 from renet.deploy.replay import mismatch, replay
@@ -117,6 +126,41 @@ def test_a_flipped_bit_ends_the_flight_there(bundle, tmp_path):
     flight = read_log(tmp_path / "a.flight")
     assert not flight.complete
     assert 0 < len(flight.ticks) < STEPS
+
+
+def test_no_damage_is_worse_than_a_refusal(bundle, tmp_path):
+    fly(bundle, tmp_path / "a.flight")
+    data, random = (tmp_path / "a.flight").read_bytes(), np.random.default_rng(0)
+    hurt = tmp_path / "hurt.flight"
+    for _ in range(300):
+        spoilt = bytearray(data)
+        for at in random.integers(len(MAGIC), len(data), random.integers(1, 20)):
+            spoilt[at] = random.integers(256)
+        at, size = random.integers(len(data)), random.integers(2000)
+        spoilt[at : at + size] = random.bytes(random.integers(2000))
+        hurt.write_bytes(spoilt)
+        with suppress(RenetError):
+            assert len(read_log(hurt).ticks) <= STEPS
+
+
+@pytest.mark.parametrize(
+    ("tag", "text"),
+    [
+        (HEADER, b"[1]"),
+        (HEADER, b"{"),
+        (TICKS, b"123"),
+        (EVENTS, b'[{"when": 3}]'),
+        (EVENTS, b"7"),
+        (IMAGES, bytes(6150)),
+        (IMAGES, b"1"),
+    ],
+)
+def test_another_versions_chunks_are_refused(tmp_path, tag, text):
+    log = FlightLog(tmp_path / "a.flight", {})
+    log._put(tag, text)
+    log.close()
+    with pytest.raises(RenetError, match="written by another version"):
+        read_log(tmp_path / "a.flight")
 
 
 def test_not_a_flight(tmp_path):

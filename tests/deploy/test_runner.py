@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -82,6 +83,14 @@ class Rig:
         return [event.why for event in self.events]
 
 
+def logged(bundle: Bundle, rig: Rig, folder: Path) -> FlightLog:
+    """A log that hears of the rig's events."""
+    header = {"bundle_sha256": bundle.sha256, "safety": vars(QUICK), "paper_selector": False}
+    log = FlightLog(folder / "flight.log", header)
+    rig.controller._on_event = lambda event: (rig.events.append(event), log.event(event))
+    return log
+
+
 def boom(*arguments):
     raise OSError("unplugged")
 
@@ -155,7 +164,7 @@ def test_what_ends_in_damping(bundle, tmp_path, spoil, reason):
     rig = Rig(bundle)
     for name, hook in spoil.items():
         setattr(rig, name, hook)
-    log = FlightLog(tmp_path / "flight.log", {})
+    log = logged(bundle, rig, tmp_path)
     rig.fly(2.0, log)
     log.close()
     assert rig.events[-1].what == "damping"
@@ -163,7 +172,9 @@ def test_what_ends_in_damping(bundle, tmp_path, spoil, reason):
     assert 1.49 < rig.events[-1].time < 1.57
     after = [c for c, mode in zip(rig.commands, rig.modes, strict=True) if mode is Mode.DAMPING]
     assert all(not command.stiffness.any() for command in after)
-    assert len(read_log(tmp_path / "flight.log").ticks) == len(rig.commands)
+    flight = read_log(tmp_path / "flight.log")
+    assert len(flight.ticks) == len(rig.commands)
+    assert mismatch(flight, bundle) == 0.0
 
 
 def test_a_terminal_that_is_gone_does_not_end_the_flight(bundle):
@@ -177,12 +188,7 @@ def test_a_terminal_that_is_gone_does_not_end_the_flight(bundle):
 def test_without_a_camera_it_walks_on_op_and_replays(bundle, tmp_path):
     rig = Rig(bundle)
     rig.on_look = lambda frame, now: None
-    header = {
-        "bundle_sha256": bundle.sha256,
-        "safety": vars(QUICK),
-        "paper_selector": False,
-    }
-    log = FlightLog(tmp_path / "flight.log", header)
+    log = logged(bundle, rig, tmp_path)
     rig.fly(3.0, log)
     log.close()
     assert rig.whys() == ["armed", "risen", "no new image", "the flight ends"]

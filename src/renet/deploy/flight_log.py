@@ -7,6 +7,7 @@ images another. A flight that ends with the battery loses at most its last secon
 from __future__ import annotations
 
 import json
+import os
 import struct
 import threading
 import zlib
@@ -177,7 +178,8 @@ class FlightLog:
         self._ticks, self._images, self._events = [], [], []
 
     def _put(self, tag: bytes, data: bytes) -> None:
-        self._chunks.put((tag, data))
+        if not self.problem:  # Nobody takes chunks any more: do not let them pile up.
+            self._chunks.put((tag, data))
 
     def _write(self) -> None:
         while (chunk := self._chunks.get()) is not None:
@@ -186,6 +188,7 @@ class FlightLog:
             try:
                 self._file.write(CHUNK.pack(tag, len(packed), zlib.crc32(packed)) + packed)
                 self._file.flush()
+                os.fsync(self._file.fileno())  # The battery may go next.
             except (OSError, ValueError) as error:
                 self.problem = f"the flight log {self.path} ends early: {error}"
                 return
@@ -245,16 +248,19 @@ def read_log(path: Path) -> Flight:
     if not data.startswith(MAGIC):
         raise RenetError(f"{path} is not a flight log of this renet")
     header, ticks, images, events, complete = None, [], {}, [], False
-    for tag, chunk in _chunks(data, len(MAGIC)):
-        if tag == HEADER:
-            header = json.loads(chunk)
-        elif tag == TICKS and len(chunk) % TICK.itemsize == 0:
-            ticks.append(np.frombuffer(chunk, TICK))
-        elif tag == IMAGES:
-            images |= _images(chunk)
-        elif tag == EVENTS:
-            events += [Event(**event) for event in json.loads(chunk)]
-        complete = tag == END
+    try:
+        for tag, chunk in _chunks(data, len(MAGIC)):
+            if tag == HEADER:
+                header = dict(json.loads(chunk))
+            elif tag == TICKS:
+                ticks.append(np.frombuffer(chunk, TICK))
+            elif tag == IMAGES:
+                images |= _images(chunk)
+            elif tag == EVENTS:
+                events += [Event(**event) for event in json.loads(chunk)]
+            complete = tag == END
+    except (ValueError, TypeError) as error:
+        raise RenetError(f"{path} was written by another version of renet: {error}") from error
     if header is None:
         raise RenetError(f"{path} has no readable header: nothing of the flight was saved")
     rows = np.concatenate(ticks) if ticks else np.zeros(0, TICK)

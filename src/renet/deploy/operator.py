@@ -32,15 +32,13 @@ class Operator(Protocol):
 
 
 class ScriptedOperator:
-    """Arms at once and walks straight ahead; stops after a while if told to."""
+    """Arms at once and walks straight ahead."""
 
-    def __init__(self, speed: float, seconds: float = float("inf")) -> None:
-        self.speed, self.seconds = speed, seconds
-        self._start: float | None = None
+    def __init__(self, speed: float) -> None:
+        self.speed = speed
+        self._armed = False
 
     def request(self, now: float) -> Request:
         """See Operator.request."""
-        if self._start is None:
-            self._start = now
-            return Request(arm=True)
-        return Request(speed=self.speed, stop=now - self._start >= self.seconds)
+        arm, self._armed = not self._armed, True
+        return Request(arm=True) if arm else Request(speed=self.speed)

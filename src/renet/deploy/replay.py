@@ -13,6 +13,7 @@ from renet.deploy.flight_log import GOOD, NONE, READING, Flight
 from renet.deploy.operator import Request
 from renet.deploy.perception import InlinePerception
 from renet.deploy.robots.base import RobotState
+from renet.deploy.runner import REFUSED
 from renet.deploy.safety import SafetyCfg
 from renet.errors import RenetError
 from renet.vocabulary import DEPTH_SHAPE
@@ -57,12 +58,16 @@ def replay(flight: Flight, bundle: Bundle) -> Iterator[Decision]:
         flight.header["paper_selector"],
     )
     image = UNREADABLE
+    # The only thing that came from outside the controller's inputs.
+    refused = {event.time for event in flight.events if event.why.startswith(REFUSED)}
     for step, tick in enumerate(flight.ticks):
         perception.step = step
         image = flight.images.get(step, image)
         request = Request(*(tick[name].item() for name in ("speed", "turn", "arm", "stop")))
         controller.tick(_state(tick), _frame(tick, image), request, float(tick["now"]))
         yield controller.decision
+        if float(tick["now"]) in refused:
+            controller.trip(REFUSED, float(tick["now"]))
 
 
 def mismatch(flight: Flight, bundle: Bundle) -> float:

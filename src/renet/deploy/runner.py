@@ -20,6 +20,8 @@ from renet.deploy.robots.base import JointCommand, Robot, RobotState, next_step
 
 BRAKING = 25
 """Control steps of braking with which every flight ends (0.5 s)."""
+REFUSED = "the robot takes no commands"
+"""Why a robot is damped whose driver fails."""
 
 
 def fly(
@@ -84,4 +86,4 @@ def _write(robot: Robot, command: JointCommand, controller: Controller, now: flo
     try:
         robot.write(command)
     except Exception as error:
-        controller.trip(f"the robot takes no commands: {error}", now)
+        controller.trip(f"{REFUSED}: {error}", now)
