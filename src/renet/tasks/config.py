@@ -62,6 +62,7 @@ def tile_env_cfg(terrain: TerrainEntityCfg, play: bool = False, robot: Robot = G
     if terrain.terrain_generator is not None and terrain.terrain_generator.num_rows == 1:
         cfg.scene.spec_fn = _clear_of_terrain
     cfg.terminations["in_gap"] = TerminationTermCfg(func=terminations.in_gap)
+    cfg.terminations["below_map"] = TerminationTermCfg(func=terminations.below_map)
     cfg.terminations["left_tile"] = TerminationTermCfg(func=terminations.left_tile, time_out=True)
     cfg.curriculum["level"] = CurriculumTermCfg(func=curriculum.terrain_levels)
     return _play(cfg) if play else cfg

@@ -16,6 +16,8 @@ TILT = -0.17
 """Vertical part of gravity in the base frame above which the robot lies: tilted over 80 degrees."""
 PIT_DEPTH = 0.25
 """Metres below the tile's start at which the base is in a gap, not above it."""
+MAP_DEPTH = 3.0
+"""Metres below a tile's start at which there is no ground: the highest stairs go 2.1 m down."""
 
 
 def fallen(env: ManagerBasedRlEnv) -> Tensor:
@@ -33,6 +35,12 @@ def in_gap(env: ManagerBasedRlEnv) -> Tensor:
         return torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
     height = env.scene["robot"].data.root_link_pos_w[:, 2] - env.scene.env_origins[:, 2]
     return (terrain.terrain_types == kinds.index("gap")) & (height < -PIT_DEPTH)
+
+
+def below_map(env: ManagerBasedRlEnv) -> Tensor:
+    """Base below everything a robot can stand on: it was pressed through the ground."""
+    height = env.scene["robot"].data.root_link_pos_w[:, 2] - env.scene.env_origins[:, 2]
+    return height < -MAP_DEPTH
 
 
 def left_tile(env: ManagerBasedRlEnv) -> Tensor:

@@ -1,0 +1,92 @@
+"""Where robots begin, on every tile at every level, and what happens to those that get lost."""
+
+from __future__ import annotations
+
+import mujoco
+import pytest
+import torch
+
+from renet.tiles import LEVELS, tiles
+
+from .conftest import build
+
+KINDS = list(tiles())
+
+
+@pytest.fixture(scope="module")
+def everywhere():
+    """One robot on every tile of the curriculum."""
+    env = build("Renet-Go1-Parkour", LEVELS * len(KINDS), play=True)
+    terrain = env.scene.terrain
+    tile = torch.arange(env.num_envs)
+    terrain.terrain_levels[:], terrain.terrain_types[:] = tile // len(KINDS), tile % len(KINDS)
+    origins = terrain.terrain_origins[terrain.terrain_levels, terrain.terrain_types]
+    terrain.env_origins[:] = origins
+    env.reset()
+    yield env
+    env.close()
+
+
+def deepest_contact(model: mujoco.MjModel, data: mujoco.MjData, pose) -> tuple[float, str]:
+    """Metres by which a robot's deepest part is inside the terrain, and that part."""
+    data.qpos[:] = pose
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    found = [(-contact.dist, contact.geom) for contact in data.contact]
+    depth, geoms = max(found, key=lambda item: item[0], default=(0.0, ()))
+    return float(depth), " on ".join(model.geom(g).name for g in geoms)
+
+
+def test_no_robot_begins_inside_the_ground(everywhere):
+    model = everywhere.sim.mj_model
+    data = mujoco.MjData(model)
+    for seed in range(3):
+        everywhere.reset(seed=seed)
+        for robot, pose in enumerate(everywhere.sim.data.qpos.numpy()):
+            depth, parts = deepest_contact(model, data, pose)
+            # Joints are drawn, too: a stretched leg may touch, as a foot in the grass does.
+            assert depth < 0.02, f"{depth:.3f} m: {parts}, {KINDS[robot % len(KINDS)]}, {robot}"
+
+
+def test_robots_begin_near_the_middle_looking_anywhere(everywhere):
+    everywhere.reset(seed=5)
+    robot = everywhere.scene["robot"].data
+    offset = robot.root_link_pos_w - everywhere.scene.env_origins
+    assert offset[:, :2].abs().max() <= 0.3 + 1e-4
+    assert (offset[:, 2] > 0.27).all()
+    quarters = torch.div(robot.heading_w + torch.pi, torch.pi / 2, rounding_mode="floor")
+    assert set(quarters.int().tolist()) == {0, 1, 2, 3}
+
+
+@pytest.mark.parametrize(
+    ("shift", "why"),
+    [((60.0, 0.0, 0.0), "left_tile"), ((0.0, 0.0, -5.0), "below_map")],
+    ids=["off the map", "through the floor"],
+)
+def test_a_lost_robot_is_put_back_on_its_tile(everywhere, shift, why):
+    everywhere.reset(seed=1)
+    lost = 7
+    everywhere.sim.data.qpos[lost, :3] += torch.tensor(shift)
+    obs, reward, terminated, truncated, extras = everywhere.step(
+        torch.zeros(everywhere.num_envs, 12)
+    )
+    assert (terminated | truncated).nonzero().flatten().tolist() == [lost]
+    assert extras["log"][f"Episode_Termination/{why}"] == 1
+    assert torch.isfinite(reward).all()
+    assert all(torch.isfinite(value).all() for value in obs.values())
+    offset = everywhere.scene["robot"].data.root_link_pos_w - everywhere.scene.env_origins
+    assert offset[lost, :2].abs().max() <= 0.3 + 1e-4
+
+
+def test_every_kind_of_tile_logs_its_level():
+    env = build("Renet-Go1-Parkour", 12)
+    env.reset()
+    env.scene.terrain.terrain_levels[:] = env.scene.terrain.terrain_types
+    env.command_manager.get_term("goal").asked[:] = 10.0
+    env.episode_length_buf[:] = env.max_episode_length
+    *_, extras = env.step(torch.zeros(12, 12))
+    logged = {name: extras["log"][f"Curriculum/level/{name}"] for name in KINDS}
+    # Robots that stood when they were to walk move down a level.
+    assert [logged[name] for name in KINDS] == [0.0, 0.0, 1.0, 2.0, 3.0, 4.0]
+    env.close()

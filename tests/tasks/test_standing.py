@@ -1,0 +1,67 @@
+"""The paper's two levels of commands, and standing still: asked for, seen, and rewarded."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from renet.tasks import curriculum
+from renet.vocabulary import proprioception_slices
+
+from .conftest import build
+
+
+@pytest.fixture(scope="module")
+def asked_to_stand():
+    """Robots 0 and 1 are asked to stand; 2 and 3 to walk at 0.5 m/s."""
+    env = build("Renet-Go1-Flat", 4, play=True)
+    env.reset()
+    command = env.command_manager.get_term("goal")
+    command.speed[:] = torch.tensor([0.0, 0.0, 0.5, 0.5])
+    command.yaw[:] = env.scene["robot"].data.heading_w
+    yield env
+    env.close()
+
+
+def test_the_second_level_begins_at_its_switch_point(flat):
+    command, term = flat.command_manager.get_term("goal"), curriculum.command_stage
+    everyone = torch.arange(4)
+    assert flat.cfg.curriculum["command_stage"].params["switch_step"] > 0
+    for step, stage in ((0, 0), (99, 0), (100, 1), (5000, 1)):
+        flat.common_step_counter = step
+        assert term(flat, everyone, switch_step=100) == stage
+        assert command.stage == stage
+    # Going back, as after loading another checkpoint, is that checkpoint's business.
+    flat.common_step_counter = 0
+    assert term(flat, everyone, switch_step=100) == 1
+    command.stage = 0
+
+
+def test_standing_earns_more_than_walking_where_it_is_asked_for(asked_to_stand):
+    env = asked_to_stand
+    for _ in range(50):  # Until the servos have caught the robots.
+        env.step(torch.zeros(4, 12))
+    forward = env.scene["robot"].data.heading_w[:, None]
+    direction = torch.cat((forward.cos(), forward.sin()), dim=-1)
+    env.command_manager.get_term("goal").yaw[:] = env.scene["robot"].data.heading_w
+    env.sim.data.qvel[1, :2] = 0.5 * direction[1]
+    env.sim.data.qvel[3, :2] = 0.5 * direction[3]
+    env.sim.forward()
+    env.scene.update(0.0)
+    term = env.reward_manager.get_term_cfg("linear_velocity")
+    earned = term.func(env)
+    # 1 / (1 + |v|) asked to stand, <v, n> / c_x asked to walk (RENet eq. 6).
+    expected = torch.tensor([1.0, 1 / 1.5, 0.0, 1.0])
+    torch.testing.assert_close(earned, expected, atol=0.05, rtol=0)
+
+
+def test_a_robot_that_stands_as_asked_is_paid_nearly_all_there_is(asked_to_stand):
+    env = asked_to_stand
+    env.sim.data.qvel[:] = 0.0
+    for _ in range(50):
+        obs, reward, *_ = env.step(torch.zeros(4, 12))
+    # 1.5 for not moving and 0.5 for the heading, each times 0.02 s; no penalty is worth naming.
+    assert (reward[:2] > 0.9 * 2.0 * 0.02).all()
+    assert (reward[2:] < 0.3 * 2.0 * 0.02).all()
+    command = obs["proprioception"][:, proprioception_slices()["command"]]
+    assert command[:, 0].tolist() == pytest.approx([0.0, 0.0, 0.5, 0.5])
