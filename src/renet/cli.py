@@ -37,7 +37,7 @@ COMMANDS = {
         "train",
     ),
     "train": Command(
-        "train RENet on a CPU or GPUs", "renet.training.train", "TrainCfg", "train", "train"
+        "train RENet on a CPU or GPUs", "renet.training.launch", "TrainCfg", "launch", "train"
     ),
     "export": Command(
         "turn a checkpoint into a bundle of three ONNX models",

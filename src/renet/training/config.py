@@ -49,7 +49,7 @@ class SupervisionCfg:
 
     learning_rate: float = 1e-3
     """Adam's rate (HIMLoco's)."""
-    num_learning_epochs: int = 2
+    num_learning_epochs: int = 1
     """Passes over each rollout's ticks."""
     num_mini_batches: int = 4
     """Gradient steps per pass; each takes whole sequences of a share of the environments."""
@@ -57,7 +57,7 @@ class SupervisionCfg:
     """Gradient norm limit (HIMLoco's)."""
     estimator_data: Literal["own", "all"] = "own"
     """Which environments train an estimator: those it steers (the paper's S_op and S_vp) or all."""
-    autoencoder_images: int = 256
+    autoencoder_images: int = 128
     """Image pairs per gradient step of the autoencoder, drawn from the rollout."""
 
 

@@ -29,14 +29,23 @@ LATEST = "latest"
 
 @dataclass(kw_only=True)
 class TrainCfg(LearningCfg):
-    """Train RENet. On a CPU the native engine steps C MuJoCo; on a GPU MuJoCo Warp."""
+    """Train RENet. On a CPU the native engine steps C MuJoCo; on a GPU MuJoCo Warp.
+
+    One GPU: `renet train TASK --num-envs 4096`. Four: add `--processes 4`; each trains its own
+    4096. Two machines of four, reached by ssh: add `--hosts first second`. docs/training.md says
+    how to use torchrun or Slurm instead.
+    """
 
     task: tyro.conf.Positional[str]
     """Task id: Renet-Go1-Flat, Renet-Go1-Parkour, or one registered by a plug-in."""
     num_envs: int = 256
-    """Parallel environments (the paper trains with 4096 on a GPU)."""
+    """Parallel environments of each process (the paper trains with 4096 on a GPU)."""
     device: str = "auto"
     """cpu, cuda:0, ... or auto (a GPU if there is one)."""
+    processes: int = 1
+    """Training processes per host, one per GPU; gradients and statistics are shared."""
+    hosts: tuple[str, ...] = ("localhost",)
+    """Machines to train on, with renet installed in the same place on each."""
     engine: str = "auto"
     """Physics engine: auto, native (C MuJoCo on threads, CPU only) or warp."""
     foot_clearance: float = 0.0

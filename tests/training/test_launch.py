@@ -1,0 +1,40 @@
+"""Several processes from one command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from renet.errors import RenetError
+from renet.training.launch import launch
+from renet.training.train import TrainCfg
+
+
+def cfg(folder: Path, **overrides) -> TrainCfg:
+    return TrainCfg(
+        task="Renet-Go1-Flat",
+        num_envs=4,
+        device="cpu",
+        num_steps_per_env=5,
+        max_iterations=1,
+        log_root=folder,
+        **overrides,
+    )
+
+
+def test_two_processes_train_one_model(tmp_path):
+    run = launch(cfg(tmp_path, processes=2))
+    assert run is not None
+    checkpoint = run / "checkpoints" / "it_00000001"
+    assert (checkpoint / "model.safetensors").exists()
+    # Twice four robots for five steps: both processes' work counts.
+    assert json.loads((checkpoint / "state.json").read_text())["steps"] == 2 * 4 * 5
+    assert len(list((tmp_path / "workers").glob("*/localhost[[]?].log"))) == 2
+
+
+@pytest.mark.parametrize("wrong", [{"processes": 0}, {"hosts": ()}])
+def test_nobody_to_train_is_an_error(tmp_path, wrong):
+    with pytest.raises(RenetError, match="--processes"):
+        launch(cfg(tmp_path, **wrong))
