@@ -143,6 +143,7 @@ def test_a_vision_thread_killed_in_flight_ends_in_op_and_the_robot_walks_on(bund
     rig.fly(4.0)
     whats = [event.what for event in rig.events]
     assert whats[:4] == ["rising", "walking", "perception", "op"]
+    assert rig.whys()[3] == "the vision thread is late or dead"
     assert rig.events[2].time == pytest.approx(2.0, abs=0.101)
     assert rig.events[3].time <= 2.3
     assert rig.modes[-BRAKING - 1] is Mode.WALKING

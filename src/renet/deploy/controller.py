@@ -33,8 +33,9 @@ from renet.deploy.safety import (
 )
 from renet.deploy.sight import FrameKeeper, Trust
 from renet.errors import RenetError
-from renet.vocabulary import ACTION_SIZE, DEPTH_SHAPE, LATENT
+from renet.vocabulary import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE
 
+LATE = "the vision thread is late or dead"
 BLACK = np.zeros((1, *DEPTH_SHAPE), np.float32)
 
 
@@ -101,6 +102,8 @@ class Controller:
         """
         self.robot, self.cfg = bundle.manifest.robot, safety
         self.policy = Policy(bundle)
+        # A model's first run is many times slower than all others: not while the robot walks.
+        Policy(bundle).step(np.zeros((1, PROPRIOCEPTION_SIZE)), BLACK, np.zeros(1, bool))
         self.machine = SafetyMachine(safety)
         self._perception = perception or InlinePerception(bundle.sessions)
         self._keeper = FrameKeeper()
@@ -199,7 +202,7 @@ class Controller:
         self.policy.reset()
         self._trust.reset()
         self._action = np.zeros(ACTION_SIZE)
-        self._vision = True
+        self._vision, self._blind = True, False
         self._image = BLACK
 
     def _walk(self, state: RobotState, request: Request, now: float) -> JointCommand:
@@ -229,10 +232,10 @@ class Controller:
 
     def _begin_tick(self, image: np.ndarray | None, now: float) -> bool:
         """Start a tick of vision and estimators; returns whether it had to run here, blind."""
-        fallback = not self._perception.ready()
+        fallback = self._blind = not self._perception.ready()
         inputs = self.policy.look(None if image is None or fallback else image[None])
         if fallback:
-            self._tell(now, "perception", "the vision thread is late or dead: this tick runs blind")
+            self._tell(now, "perception", f"{LATE}: this tick runs blind")
             self.policy.accept(perceive(self.policy.sessions, inputs))
         else:
             self._perception.begin(inputs)
@@ -243,7 +246,7 @@ class Controller:
         age = self._keeper.age(now)
         vision = self._trust.update(self.policy, self._keeper, self._image, fresh, age)
         if vision is not self._vision:
-            why = self._keeper.problem or self._trust.reason
+            why = self._keeper.problem or (LATE if self._blind else self._trust.reason)
             self._tell(now, "vp" if vision else "op", "vision is healthy" if vision else why)
         self._vision = vision
 
