@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import pytest
 
@@ -62,6 +63,20 @@ def test_tampered_model(bundle_path):
         (lambda m: m["robot"]["joints"].reverse(), "joint order"),
         (lambda m: m["proprioception"].pop(), "proprioception differs"),
         (lambda m: m["robot"].update(stiffness=[1, "x"]), r"stiffness\[1\] must be float"),
+        (lambda m: m["robot"].update(action_scale=math.nan), r"action_scale must be a finite"),
+        (lambda m: m["robot"].update(action_scale=10**400), r"action_scale must be a finite"),
+        (lambda m: m["robot"].update(action_clip=-1.0), r"robot\.action_clip must be positive"),
+        (lambda m: m["robot"].update(stiffness=[-40.0] * 12), r"stiffness must not be negative"),
+        (lambda m: m["robot"].update(damping=[1.0] * 11 + [-1.0]), r"damping must not be negative"),
+        (lambda m: m["robot"].update(torque_limit=[0.0] * 12), r"torque_limit must be positive"),
+        (lambda m: m["robot"].update(lower=[3.0] * 12), r"of FR_hip_joint, 0\.1 rad, must be betw"),
+        (lambda m: m["robot"].update(default_position=[0.1] * 11), "12 numbers, it has 11"),
+        (lambda m: m["camera"].update(fx=0.0), r"camera\.fx must be positive"),
+        (lambda m: m["camera"].update(width=80), r"\(48, 64\), it is \(48, 80\)"),
+        (lambda m: m["camera"].update(position=[0.3]), r"position must have 3 numbers"),
+        (lambda m: m["selector"].update(rate_hz=-200.0), r"selector\.rate_hz must be positive"),
+        (lambda m: m["selector"].update(gamma=2), r"gamma must be within 0 and 1"),
+        (lambda m: m.update(history=0), "history must be positive"),
     ],
 )
 def test_wrong_manifest(bundle_path, change, message):

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 import types
 import typing
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from renet.errors import RenetError
 from renet.vocabulary import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION
@@ -47,25 +50,49 @@ class RobotSpec:
     action_clip: float
     """Policy units."""
 
+    def __post_init__(self) -> None:
+        for name in ("default_position", "stiffness", "damping", "torque_limit", "lower", "upper"):
+            found, wanted = len(getattr(self, name)), len(self.joints)
+            _demand(found == wanted, f"robot.{name} must have {wanted} numbers, it has {found}")
+        for name in ("stiffness", "damping"):
+            _demand(min(getattr(self, name)) >= 0.0, f"robot.{name} must not be negative")
+        for name in ("torque_limit", "action_scale", "action_clip"):
+            _demand(np.min(getattr(self, name)) > 0.0, f"robot.{name} must be positive")
+        for joint, low, middle, high in zip(
+            self.joints, self.lower, self.default_position, self.upper, strict=True
+        ):
+            _demand(
+                low < high and low <= middle <= high,
+                f"robot.default_position of {joint}, {middle} rad, must be between robot.lower, "
+                f"{low} rad, and robot.upper, {high} rad",
+            )
+
 
 @dataclass(frozen=True)
 class CameraSpec:
     """What a depth image must be."""
 
+    fx: float
+    """Focal length in pixels of the cropped, resized image."""
+    fy: float
+    cx: float
+    cy: float
     height: int = DEPTH_SHAPE[0]
     width: int = DEPTH_SHAPE[1]
     range: float = DEPTH_RANGE
     """m; images are divided by it."""
-    fx: float = 0.0
-    """Focal length in pixels of the cropped, resized image."""
-    fy: float = 0.0
-    cx: float = 0.0
-    cy: float = 0.0
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """m, base frame."""
     pitch: float = 0.0
     """Downward tilt, rad."""
     rate_hz: float = 10.0
+
+    def __post_init__(self) -> None:
+        shape = (self.height, self.width)
+        _demand(shape == DEPTH_SHAPE, f"camera image must be {DEPTH_SHAPE}, it is {shape}")
+        for name in ("fx", "fy", "range", "rate_hz"):
+            _demand(getattr(self, name) > 0.0, f"camera.{name} must be positive")
+        _demand(len(self.position) == 3, "camera.position must have 3 numbers")
 
 
 @dataclass(frozen=True)
@@ -84,6 +111,11 @@ class SelectorSpec:
     """Rate at which the thresholds let healthy robots leave vision; 0: never calibrated."""
     healthy_hours: float = 0.0
     """Robot hours the thresholds were learnt from."""
+
+    def __post_init__(self) -> None:
+        for name in ("beta", "rate_hz"):
+            _demand(getattr(self, name) > 0.0, f"selector.{name} must be positive")
+        _demand(0.0 < self.gamma <= 1.0, "selector.gamma must be within 0 and 1")
 
 
 @dataclass(frozen=True)
@@ -118,6 +150,7 @@ class Manifest:
     schema: int = SCHEMA
 
     def __post_init__(self) -> None:
+        _demand(self.history > 0, "history must be positive")
         if self.robot.joints != JOINTS:
             raise RenetError(
                 f"the bundle's joint order is {', '.join(self.robot.joints)}; this renet uses "
@@ -130,6 +163,12 @@ class Manifest:
             )
 
 
+def _demand(holds: Any, what: str) -> None:
+    """Raise RenetError saying what a manifest must be, unless it is."""
+    if not holds:
+        raise RenetError(f"the manifest makes no sense: {what}")
+
+
 def to_json(value: Any) -> Any:
     """Dataclasses to plain JSON values."""
     return dataclasses.asdict(value)
@@ -139,7 +178,7 @@ def from_json(cls: Any, value: Any, where: str = "manifest") -> Any:
     """JSON values to dataclasses, checked field by field.
 
     Raises:
-        RenetError: naming the field that is missing, unknown or of the wrong type.
+        RenetError: naming the field that is missing, unknown, of the wrong type or not finite.
     """
     if dataclasses.is_dataclass(cls):
         if not isinstance(value, dict):
@@ -161,7 +200,9 @@ def from_json(cls: Any, value: Any, where: str = "manifest") -> Any:
     if origin is dict and isinstance(value, dict):
         item = typing.get_args(cls)[1]
         return {k: from_json(item, v, f"{where}.{k}") for k, v in value.items()}
-    if cls is float and isinstance(value, int) and not isinstance(value, bool):
+    if cls is float and isinstance(value, int | float) and not isinstance(value, bool):
+        if not abs(value) <= sys.float_info.max:  # Also true of NaN.
+            raise RenetError(f"{where} must be a finite number")
         return float(value)
     if isinstance(origin, types.GenericAlias) or origin or not isinstance(value, cls):
         name = getattr(cls, "__name__", str(cls))
