@@ -37,9 +37,17 @@ th, td { padding: .45rem .8rem; text-align: right; border-bottom: 1px solid var(
 th { color: var(--soft); font-weight: 600; }
 tr:last-child td { border-bottom: 0; }
 th.text, td.text { text-align: left; }
+td.text { white-space: normal; min-width: 7rem; }
 td.good { color: var(--good); font-weight: 600; }
 td.bad { color: var(--bad); font-weight: 600; }
-.facts { display: grid; gap: .8rem; grid-template-columns: repeat(auto-fit, minmax(11rem, 1fr));
+nav { margin: 1.2rem 0; }
+nav a { display: inline-block; margin: 0 1.1rem .3rem 0; }
+a { color: var(--accent); }
+details { margin: 1rem 0; }
+summary { cursor: pointer; color: var(--soft); padding: .3rem 0; }
+@media (prefers-color-scheme: dark) { figure img.plot { filter: invert(.89) hue-rotate(180deg); }
+  figure img.photo { filter: brightness(.85); } }
+.facts { display: grid; gap: .8rem; grid-template-columns: repeat(auto-fit, minmax(10rem, 1fr));
   margin: 1.4rem 0; }
 .fact { background: var(--card); border: 1px solid var(--line); border-radius: 8px;
   padding: .8rem 1rem; }
@@ -68,10 +76,12 @@ class Page:
     title: str
     lead: str
     _parts: list[str] = field(default_factory=list)
+    _headings: list[str] = field(default_factory=list)
 
     def heading(self, text: str) -> None:
-        """A section's heading."""
-        self._parts.append(f"<h2>{escape(text)}</h2>")
+        """A section's heading; a page of four or more gets a list of them."""
+        self._headings.append(text)
+        self._parts.append(f'<h2 id="part-{len(self._headings)}">{escape(text)}</h2>')
 
     def text(self, text: str) -> None:
         """A paragraph of plain text."""
@@ -85,23 +95,35 @@ class Page:
         )
         self._parts.append(f'<div class="facts">{"".join(cards)}</div>')
 
-    def table(self, header: Sequence[str], rows: Sequence[Sequence[Any]], text: int = 1) -> None:
-        """A table; its first `text` columns hold words, the others numbers."""
+    def table(
+        self,
+        header: Sequence[str],
+        rows: Sequence[Sequence[Any]],
+        text: int = 1,
+        folded: str = "",
+    ) -> None:
+        """A table; its first `text` columns hold words, the others numbers.
+
+        With `folded` it is a line of that text until the reader opens it.
+        """
         kind = [' class="text"' if i < text else "" for i in range(len(header))]
         head = "".join(f"<th{k}>{escape(h)}</th>" for k, h in zip(kind, header, strict=True))
         body = "".join(
             "<tr>" + "".join(_cell(c, k) for k, c in zip(kind, row, strict=True)) + "</tr>"
             for row in rows
         )
-        self._parts.append(
-            f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
+        table = (
+            f'<div class="scroll" tabindex="0"><table><thead><tr>{head}</tr></thead>'
             f"<tbody>{body}</tbody></table></div>"
         )
+        fold = f"<details><summary>{escape(folded)}</summary>{table}</details>"
+        self._parts.append(fold if folded else table)
 
-    def picture(self, path: Path, caption: str) -> None:
-        """A PNG, put inside the page."""
+    def picture(self, path: Path, caption: str, photo: bool = False) -> None:
+        """A PNG, put inside the page; a dark page turns it dark unless it is a photo."""
+        kind = "photo" if photo else "plot"
         self._parts.append(
-            f'<figure><div class="scroll"><img src="{data_uri(path)}"'
+            f'<figure><div class="scroll" tabindex="0"><img class="{kind}" src="{data_uri(path)}"'
             f' alt="{escape(caption, quote=True)}"></div>'
             f"<figcaption>{escape(caption)}</figcaption></figure>"
         )
@@ -129,9 +151,20 @@ class Page:
             '<meta name="viewport" content="width=device-width, initial-scale=1">'
             f"<title>{escape(self.title)}</title><style>{STYLE}</style></head><body><main>"
             f'<h1>{escape(self.title)}</h1><p class="lead">{escape(self.lead)}</p>'
+            + self._contents()
             + "\n".join(self._parts)
             + "</main></body></html>\n"
         )
+
+    def _contents(self) -> str:
+        """Links to the headings, or nothing where there are few."""
+        if len(self._headings) < 4:
+            return ""
+        links = (
+            f'<a href="#part-{number}">{escape(text)}</a>'
+            for number, text in enumerate(self._headings, start=1)
+        )
+        return f"<nav>{' '.join(links)}</nav>"
 
     def write(self, path: Path) -> Path:
         """Write the page, atomically."""

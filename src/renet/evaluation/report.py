@@ -1,17 +1,45 @@
-"""`renet evaluate report`: whatever studies have been run, on one self-contained page."""
+"""`renet evaluate report`: whatever studies have been run, on one self-contained page.
+
+With `--run` it runs them all first: one command that makes every number anew.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from renet.errors import RenetError
-from renet.evaluation.faults import fault_class
+from renet.evaluation.course import CourseCfg, run_course
+from renet.evaluation.fault_page import faults_section
+from renet.evaluation.fault_study import FaultsCfg, run_faults
+from renet.evaluation.filter_study import FilterCfg, run_filter
+from renet.evaluation.glance import glance_section, worse_section
+from renet.evaluation.lab import Lab
+from renet.evaluation.noise import NoiseCfg, run_noise
 from renet.evaluation.noise_page import noise_section
-from renet.evaluation.page import Cell, Page
+from renet.evaluation.page import Page
 from renet.evaluation.results import output_folder, read_json
+from renet.evaluation.study_pages import (
+    course_section,
+    filter_section,
+    success_section,
+    terrain_section,
+)
+from renet.evaluation.success import SuccessCfg, run_success
+from renet.evaluation.terminal import console
+from renet.evaluation.terrain import TerrainCfg, run_terrain
+
+SECTIONS: dict[str, Callable[[Page, dict[str, Any], Path], None]] = {
+    "noise": noise_section,
+    "faults": faults_section,
+    "success": success_section,
+    "terrain": terrain_section,
+    "course": course_section,
+    "filter": filter_section,
+}
+"""Studies in the order of the page."""
 
 
 @dataclass(frozen=True)
@@ -19,9 +47,19 @@ class ReportCfg:
     """Where the results are and the page goes."""
 
     results: Path = Path("results")
-    """Folder with the studies' folders: noise, terrain, faults, filter."""
-    out: Path = Path("results/index.html")
-    """The page."""
+    """Folder with the studies' folders: noise, faults, success, terrain, course, filter."""
+    out: Path | None = None
+    """The page; index.html in `results` by default."""
+    run: bool = False
+    """Run every study first; what an interrupted run has finished is kept."""
+    quick: bool = False
+    """With `run`: the quick form of every study, about half an hour on two cores."""
+    bundle: Path | None = None
+    """With `run`: bundle folder; the one that ships with renet by default."""
+    seed: int = 1
+    """With `run`: of every study."""
+    engine: str = "auto"
+    """With `run`: physics engine, auto, native or warp."""
 
 
 def make_report(cfg: ReportCfg) -> Path:
@@ -30,133 +68,81 @@ def make_report(cfg: ReportCfg) -> Path:
     Raises:
         RenetError: no study has been run, or its results are damaged.
     """
-    found = [
-        (name, section, cfg.results / name)
-        for name, section in SECTIONS.items()
+    if cfg.run:
+        run_studies(cfg)
+    found = {
+        name: read_json(cfg.results / name / "summary.json")
+        for name in SECTIONS
         if (cfg.results / name / "summary.json").exists()
-    ]
+    }
     if not found:
         raise RenetError(
-            f"no results in {cfg.results}: run `renet evaluate noise` or another study first"
+            f"no results in {cfg.results}: run `renet evaluate report --run --quick`,"
+            " or one study, first"
         )
     page = Page(
         "RENet, measured",
         "What a robot dog's policy does on hard ground and when its depth camera fails, in"
         " simulation, from the exported ONNX models. Falls are judged by the robot's true pose;"
-        " what went wrong is shown, too.",
+        " what went wrong is shown first.",
     )
-    for name, section, folder in found:
-        summary = read_json(folder / "summary.json")
+    _write(found, page, cfg.results)
+    out = cfg.out or cfg.results / "index.html"
+    output_folder(out.parent)
+    return page.write(out)
+
+
+def _write(found: Mapping[str, dict[str, Any]], page: Page, results: Path) -> None:
+    """All sections of the page; damaged results are reported with the study's name."""
+    parts: list[tuple[str, Callable[[], None]]] = [
+        ("the studies", lambda: glance_section(page, found)),
+        ("the studies", lambda: explain(page)),
+        ("the studies", lambda: worse_section(page, found)),
+    ]
+    for name, summary in found.items():
+        parts.append((name, lambda n=name, s=summary: SECTIONS[n](page, s, results / n)))
+        parts.append((name, lambda s=summary: page.provenance(s["provenance"])))
+    for name, part in parts:
         try:
-            section(page, summary, folder)
-            page.provenance(summary["provenance"])
+            part()
         except (KeyError, FileNotFoundError) as error:
             raise RenetError(
-                f"the results of {name} in {folder} are incomplete ({error}): run the study again"
+                f"the results of {name} in {results} are incomplete ({error}): run it again"
             ) from error
-    output_folder(cfg.out.parent)
-    return page.write(cfg.out)
 
 
-def _terrain(page: Page, summary: dict[str, Any], folder: Path) -> None:
-    """The paper's table."""
-    settings = summary["settings"]
-    page.heading("Parkour: how far up the curriculum")
+def explain(page: Page) -> None:
+    """What a stranger needs to know to read on."""
+    page.heading("How to read this")
     page.text(
-        f"{summary['robots']} robots on every level of every tile, {settings['speed']} m/s"
-        " commanded in a random direction. A robot passes a level when it leaves the tile within"
-        f" {settings['seconds']:g} s; its level is the number passed in a row, out of 10."
-    )
-    levels, intervals = summary["levels"], summary["levels_ci95"]
-    page.table(
-        ["terrain", "mean highest level", "95 % interval"],
-        [
-            (name, f"{level:.2f}", "{:.2f} to {:.2f}".format(*intervals[name]))
-            for name, level in levels.items()
-        ],
-    )
-    page.facts(
-        [
-            (f"{summary['collisions']:.3f}", "colliding bodies per robot and step"),
-            (f"{summary['lin_vel_reward']:.3f}", "linear velocity reward, of 1"),
-        ]
-    )
-    page.picture(folder / "terrain.png", "Share of robots that pass each level.")
-
-
-def _faults(page: Page, summary: dict[str, Any], folder: Path) -> None:
-    """The fault benchmark, with its misses."""
-    settings, healthy = summary["settings"], summary["healthy"]
-    page.heading("Every way a depth camera fails")
-    page.text(
-        f"Terrain {settings['terrain']}, {settings['speed']} m/s commanded, each run"
-        f" {summary['run_seconds']:g} s, faults from {settings['onset'] * 0.02:g} s on. While their"
-        f" cameras were healthy the robots left vision {healthy['false_switches']} times in"
-        f" {healthy['robot_hours']:.2f} robot hours."
-    )
-    page.picture(folder / "survival.png", "Robots on their feet at the end, in percent.")
-    page.table(
-        ["fault", "level", "mode", "on their feet", "95 % interval", "speed (m/s)", "delay (s)"],
-        [_fault_row(run) for run in summary["runs"] if run["mode"] == "renet"],
-        text=3,
-    )
-    page.heading("Where RENet does worse than never looking")
-    page.text("RENet's survival is more than 2 points below that of the OP estimator alone.")
-    page.table(
-        ["fault", "severity", "RENet", "OP alone"],
-        [
-            (f["fault"], f["severity"], f"{100 * f['renet']:.0f} %", f"{100 * f['op']:.0f} %")
-            for f in summary["harmful"]
-        ]
-        or [("none", "", "", "")],
-    )
-    page.heading("Faults that make VP fall and go unnoticed")
-    page.table(
-        ["fault", "severity", "robots that did not notice", "falls of VP alone"],
-        [(m["fault"], m["severity"], m["undetected"], m["vp_falls"]) for m in summary["missed"]]
-        or [("none", "", "", "")],
-    )
-    page.picture(
-        folder / "gallery.png",
-        "What each fault looks like, severities 1 to 5 from left to right. Faults of time (frozen,"
-        " dropped, latency, unplugged) leave the image as it is.",
+        "One policy has two estimators. VP sees depth images and its own body, OP its own body"
+        " only. An autoencoder and other monitors watch the images; when they look unhealthy the"
+        " selector hands over from VP to OP, and hands back when they recover. “RENet” is"
+        " the policy with its selector; “VP alone” always looks, “OP alone” never does. Every"
+        " study ends with where its numbers come from: bundle, seed, engine, date and command."
     )
 
 
-def _fault_row(run: dict[str, Any]) -> tuple[Any, ...]:
-    delay = run["detection_delay_s"]
-    level = run["level"] if run["level"] != "inf" else float("inf")
-    interval = (100 * run["survival_ci95_low"], 100 * run["survival_ci95_high"])
-    return (
-        run["fault"].replace("_", " "),
-        fault_class(run["fault"]).describe(level),
-        run["mode"],
-        Cell(f"{100 * run['survival']:.0f} %", "bad" if run["falls"] else "good"),
-        "{:.0f} to {:.0f} %".format(*interval),
-        f"{run['mean_forward_velocity']:.2f}",
-        "not noticed" if delay is None else f"{delay:.3f}",
-    )
+def run_studies(cfg: ReportCfg) -> None:
+    """Run every study into its folder in `results`.
 
-
-def _filter(page: Page, summary: dict[str, Any], folder: Path) -> None:
-    """The filter figure."""
-    page.heading("The selector's filter")
-    page.text(
-        "A filter with weight γ that runs at a given rate delays the switch; a heavy one rides out"
-        " a flickering camera (0.1 s of noise in every 0.4 s), a light one follows it."
-    )
-    page.picture(
-        folder / "filter.png",
-        "Delay against the formula (dotted: the paper's 0.04 s), and switches per minute.",
-    )
-
-
-SECTIONS: dict[str, Callable[[Page, dict[str, Any], Path], None]] = {
-    "noise": noise_section,
-    "terrain": _terrain,
-    "faults": _faults,
-    "filter": _filter,
-}
+    Raises:
+        RenetError: a bundle that cannot be used, or a folder that cannot be written to.
+    """
+    Lab(cfg.bundle, cfg.engine)
+    common = {"bundle": cfg.bundle, "seed": cfg.seed, "engine": cfg.engine}
+    out = {name: {"out": cfg.results / name, **common} for name in SECTIONS}
+    studies: dict[str, Callable[[], Any]] = {
+        "noise": lambda: run_noise(NoiseCfg(**out["noise"])),
+        "filter": lambda: run_filter(FilterCfg(**out["filter"], quick=cfg.quick)),
+        "terrain": lambda: run_terrain(TerrainCfg(**out["terrain"], quick=cfg.quick)),
+        "success": lambda: run_success(SuccessCfg(**out["success"], quick=cfg.quick)),
+        "course": lambda: run_course(CourseCfg(**out["course"], quick=cfg.quick)),
+        "faults": lambda: run_faults(FaultsCfg(**out["faults"], quick=cfg.quick)),
+    }
+    for number, (name, study) in enumerate(studies.items(), start=1):
+        console.print(f"[bold]{number}/{len(studies)} {name}")
+        study()
 
 
 def main(cfg: ReportCfg) -> None:
