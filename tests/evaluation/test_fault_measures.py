@@ -21,6 +21,8 @@ def batch(count: int = 4) -> Batch:
     trace.trusted[ONSET + 20 : OVER + 15, :, 1] = False
     trace.fell[ONSET + 5, 3] = True
     trace.trusted[ONSET + 10 : OVER, :, 3] = False
+    if count > 4:  # A fifth robot had left vision before.
+        trace.trusted[ONSET - 3 : OVER, :, 4] = False
     rng = np.random.default_rng(0)
     scores = rng.normal(0, 1, (STEPS // 5, count))
     scores[ONSET // 5 : OVER // 5] += 1.5
@@ -40,6 +42,14 @@ def test_detection_return_and_survival_by_hand() -> None:
     assert (row["recovered"], row["away_at_end"]) == (1, 2)
     assert row["recovery_delay_s"] == pytest.approx(0.305)
     assert row["distance"] == pytest.approx((3 * 100 + 25) / 4 * 0.6 * 0.02)
+
+
+def test_a_robot_without_vision_neither_notices_nor_misses() -> None:
+    four, five = (measure(batch(n), slice(0, n), "gaussian", 5) for n in (4, 5))
+    assert (four["watching"], five["watching"]) == (4, 4)
+    assert five["robots"] == 5
+    for name in ("detected", "detection_delay_s", "detected_by_paper"):
+        assert five[name] == four[name]
 
 
 def test_a_fault_ends_by_itself_or_with_the_study() -> None:
@@ -80,7 +90,14 @@ def test_the_poisson_limit_is_the_textbooks(count: int, limit: float) -> None:
 
 
 def run(fault: str, severity: int, mode: str, **values) -> dict:
-    plain = {"survival": 1.0, "falls": 0, "robots": 10, "detected": 10, "detected_by_paper": 10}
+    plain = {
+        "survival": 1.0,
+        "falls": 0,
+        "robots": 10,
+        "watching": 10,
+        "detected": 10,
+        "detected_by_paper": 10,
+    }
     delays = {"detection_delay_s": 0.1, "detection_delay_p95_s": 0.15}
     return {"fault": fault, "severity": severity, "mode": mode} | plain | delays | values
 

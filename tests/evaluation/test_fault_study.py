@@ -80,7 +80,7 @@ def test_a_damaged_part_is_reported(tmp_path: Path) -> None:
 def run(fault: str, mode: str, survival: float, detected: int = 10) -> dict:
     falls = round(10 * (1 - survival))
     row = {"fault": fault, "severity": 3, "mode": mode, "survival": survival, "falls": falls}
-    return row | {"robots": 10, "detected": detected}
+    return row | {"robots": 10, "watching": 10, "detected": detected}
 
 
 def test_harm_and_misses_are_published() -> None:

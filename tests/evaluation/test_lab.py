@@ -57,6 +57,12 @@ def test_calibration_is_written_into_the_bundle(bundle: Path) -> None:
     selector = read_manifest(bundle).selector
     assert selector.beta == pytest.approx(beta)
     assert "maximum of 20 scores" in selector.calibration
+    assert set(selector.thresholds) >= {"reconstruction", "uniformity", "frame_age", "duplicate"}
+    assert selector.thresholds["reconstruction"] > beta
+    assert selector.false_alarms_per_hour == 0.5
+    assert selector.healthy_hours == pytest.approx(2 / 3600)
+    assert Lab(bundle).beta == selector.thresholds["reconstruction"]
+    assert Lab(bundle, selector="paper").beta == pytest.approx(beta)
     assert Bundle.load(bundle).sha256 != ""
     assert json.loads((bundle / "manifest.json").read_text())["selector"]["gamma"] == 0.1
 

@@ -62,13 +62,13 @@ def missed(runs: Runs) -> Runs:
         {
             "fault": r["fault"],
             "severity": r["severity"],
-            "undetected": r["robots"] - r["detected"],
+            "undetected": r["watching"] - r["detected"],
             "vp_falls": falls[r["fault"], r["severity"]],
         }
         for r in runs
         if r["mode"] == "renet"
         and falls.get((r["fault"], r["severity"]), 0) > 0
-        and r["detected"] < r["robots"]
+        and r["detected"] < r["watching"]
     ]
 
 
@@ -101,7 +101,7 @@ def _blind_claims(runs: Runs) -> Runs:
     for what, faults in (("frozen", FROZEN), ("uniform", UNIFORM)):
         rows = [r for r in runs if r["mode"] == "renet" and r["fault"] in faults]
         rows = [r for r in rows if r["severity"] == 5]
-        robots = sum(r["robots"] for r in rows)
+        robots = sum(r["watching"] for r in rows)
         if robots:
             detected = sum(r["detected"] for r in rows)
             paper = sum(r["detected_by_paper"] for r in rows)

@@ -43,7 +43,9 @@ def end_of(fault: str, severity: int, onset: int, over: int) -> int:
 def measure(batch: Batch, rows: slice, fault: str, severity: int) -> dict[str, Any]:
     """The measured half of one row of the summary.
 
-    A fault that is noticed only after it is over, or after the robot fell, was missed.
+    A fault that is noticed only after it is over, or after the robot fell, was missed; one that
+    comes while vision is not trusted anyway can be neither noticed nor missed: `watching` counts
+    the robots it came to.
     """
     trace, end = batch.trace, end_of(fault, severity, batch.onset, batch.over)
     upright = ~trace.fallen[-1, rows]
@@ -51,6 +53,8 @@ def measure(batch: Batch, rows: slice, fault: str, severity: int) -> dict[str, A
     # A last image from before the end is judged until the next tick.
     until = end + STEPS_PER_TICK
     delay = detection(trace.trusted[:, :, rows], trace.fallen[:, rows], batch.onset, until)
+    watching = ~away(trace.trusted[:, :, rows], trace.fallen[:, rows], batch.onset)
+    watching &= ~trace.fallen[batch.onset - 1, rows]
     paper = detection(batch.paper[:, :, rows], trace.fallen[:, rows], batch.onset, until)
     back = recovery(trace.trusted[:, :, rows], trace.fallen[:, rows], end)
     return {
@@ -62,6 +66,7 @@ def measure(batch: Batch, rows: slice, fault: str, severity: int) -> dict[str, A
         "mean_forward_velocity": metrics.mean_forward_velocity(trace.speed[: batch.over, rows]),
         "distance": float(trace.speed[:, rows].sum(axis=0).mean() * CONTROL_DT),
         "collisions": float(trace.collisions[batch.onset :, rows].mean()),
+        "watching": int(watching.sum()),
         "detected": int((~np.isnan(delay)).sum()),
         **_delays("detection_delay", delay),
         "detected_by_paper": int((~np.isnan(paper)).sum()),
@@ -76,14 +81,16 @@ def measure(batch: Batch, rows: slice, fault: str, severity: int) -> dict[str, A
 
 
 def detection(trusted: np.ndarray, fallen: np.ndarray, onset: int, end: int) -> np.ndarray:
-    """[N] seconds from the onset to the selector's departure from vision; NaN where it missed.
+    """[N] seconds from the onset to the selector's departure from vision.
+
+    NaN where it missed the fault, or had left before.
 
     Args:
         trusted: [T, U, N] bool. fallen: [T, N] bool. onset, end: control steps.
     """
     delay = metrics.switch_delay(trusted, onset, end)
     fall = np.where(fallen.any(axis=0), fallen.argmax(axis=0) - onset + 1, np.inf) * CONTROL_DT
-    return np.where(delay <= fall, delay, np.nan)
+    return np.where((delay <= fall) & trusted[onset - 1, -1], delay, np.nan)
 
 
 def recovery(trusted: np.ndarray, fallen: np.ndarray, over: int) -> np.ndarray:
