@@ -1,0 +1,103 @@
+"""What an estimator remembers when the actor listens to the other, and what each is taught."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import pytest
+import torch
+
+from renet.models.config import ModelCfg
+from renet.training.algorithm import RenetAlgorithm
+from renet.training.config import LearningCfg
+from renet.training.runner import RenetRunner
+
+PERIOD = 20
+SIMPLE, DIFFICULT = slice(0, 8, 2), slice(1, 8, 2)
+"""Rows of the toy environment."""
+
+
+def algorithm(toy_env, iteration: int, **supervision) -> tuple[RenetAlgorithm, object]:
+    """The same untrained networks and the same observations each time."""
+    torch.manual_seed(0)
+    cfg = LearningCfg(model=ModelCfg(), num_steps_per_env=10)
+    for name, value in supervision.items():
+        setattr(cfg.supervision, name, value)
+    env = toy_env()
+    runner = RenetRunner(env, asdict(cfg), None, "cpu")
+    runner.alg.iteration = iteration
+    return runner.alg, env
+
+
+def run(alg: RenetAlgorithm, env, steps: int, flip_at: int | None = None) -> list[torch.Tensor]:
+    """What the actor read at every step, [8, 128] each; no episode ends."""
+    read, obs = [], env.get_observations()
+    for step in range(steps):
+        if step == flip_at:
+            alg.iteration += PERIOD
+        alg.act(obs)
+        read.append(alg._steps.newest["latent"].clone())
+        obs = env.get_observations()
+        reward, done = torch.zeros(8), torch.zeros(8, dtype=torch.long)
+        alg.process_env_step(obs, reward, done, {"costs": torch.zeros(8, 3)})
+    return read
+
+
+def test_both_memories_go_on_whoever_is_listened_to(toy_env):
+    steered_by_vp, first = algorithm(toy_env, iteration=0)
+    steered_by_op, second = algorithm(toy_env, iteration=PERIOD)
+    run(steered_by_vp, first, 11)
+    run(steered_by_op, second, 11)
+    for name in ("latent_op", "latent_vp", "history", "frames"):
+        one, other = (getattr(alg.memory, name) for alg in (steered_by_vp, steered_by_op))
+        assert torch.equal(one, other)
+        assert one.abs().sum() > 0
+
+
+def test_a_flip_finds_a_warm_memory_and_changes_at_once_what_the_actor_reads(toy_env):
+    alg, env = algorithm(toy_env, iteration=PERIOD - 1)
+    read = run(alg, env, 10, flip_at=7)
+    before, after = read[6], read[7]
+    op, vp = slice(0, 64), slice(64, 128)
+    assert (before[:, op] == 0).all()
+    assert (before[:, vp] != 0).any()
+    # Simple terrain listens to OP from the first step of iteration 20, in the middle of a tick,
+    # and OP remembers all that happened while VP steered.
+    assert torch.equal(after[SIMPLE, op], alg.memory.latent_op[SIMPLE])
+    assert (after[SIMPLE, vp] == 0).all()
+    assert torch.equal(after[DIFFICULT], before[DIFFICULT])
+    undisturbed, other = algorithm(toy_env, iteration=0)
+    run(undisturbed, other, 10)
+    assert torch.equal(alg.memory.latent_op, undisturbed.memory.latent_op)
+
+
+@pytest.mark.parametrize(
+    ("iteration", "data", "taught"),
+    [
+        (0, "own", {"vp"}),
+        (PERIOD, "own", {"op", "vp"}),  # Difficult terrain keeps VP's own set from being empty.
+        (0, "all", {"op", "vp"}),
+        (PERIOD, "all", {"op", "vp"}),
+    ],
+)
+def test_an_estimator_learns_from_the_environments_it_steers_or_from_all(
+    toy_env, iteration, data, taught
+):
+    alg, env = algorithm(toy_env, iteration, estimator_data=data)
+    start = {name: value.clone() for name, value in alg.model.named_parameters()}
+    run(alg, env, 10)
+    alg.compute_returns(env.get_observations())
+    alg.update()
+    for name in ("op", "vp"):
+        own = [n for n in start if n.startswith((f"{name}.", f"{name}_him."))]
+        moved = any(not torch.equal(start[n], alg.model.get_parameter(n)) for n in own)
+        assert moved == (name in taught)
+
+
+def test_the_policy_gradient_stops_at_the_latent(toy_env):
+    alg, _ = algorithm(toy_env, iteration=0)
+    policy = {id(p) for p in alg.model.policy_parameters()}
+    supervised = {id(p) for p in alg.model.supervised_parameters()}
+    assert not policy & supervised
+    trained = {id(p) for group in alg.np3o.optimizer.param_groups for p in group["params"]}
+    assert trained == policy
