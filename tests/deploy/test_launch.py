@@ -124,6 +124,16 @@ def test_real_time_flies_on_the_threads_and_replays(tmp_path):
     assert mismatch(flight, Bundle.load()) == 0.0
 
 
+def test_a_fault_of_the_scene_is_seen_from_its_onset(tmp_path):
+    cfg = DeployCfg(out=tmp_path / "a", seconds=1.5, safety=QUICK)
+    clear = read_log(deploy(cfg) / "flight.log").images
+    foam = replace(cfg, out=tmp_path / "b", fault=("foam@1s",))
+    seen = read_log(deploy(foam) / "flight.log").images
+    np.testing.assert_array_equal(seen[45], clear[45])
+    nearer = clear[50].astype(float) - seen[50]
+    assert np.median(nearer[24:]) > 0.03
+
+
 def test_the_replay_camera_shows_a_flights_images(tmp_path):
     deploy(DeployCfg(out=tmp_path / "a", seconds=1.5, safety=QUICK))
     source = tmp_path / "a" / "flight.log"
@@ -142,6 +152,7 @@ def test_the_replay_camera_shows_a_flights_images(tmp_path):
         ("--fault lightning@5", "lightning"),
         ("--fault blackout", "cannot read the fault 'blackout'"),
         ("--fault blackout:9@1s", "choose 1 to 5"),
+        ("--fault glass@1s", "nothing that could be glass"),
         ("--fault blackout@1s --camera none", "needs a camera to spoil"),
         ("--camera replay", "needs --flight"),
         ("--camera replay --flight nowhere", "cannot read the flight log nowhere"),

@@ -19,6 +19,8 @@ from renet.deploy.robots.base import JointCommand, next_step
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import GO1, build_scene
 from renet.errors import RenetError
+from renet.evaluation.disturb import disturbance
+from renet.evaluation.faults import View
 from renet.sim.camera_model import Intrinsics, mount_rotation
 from renet.sim.raycast import TerrainScanner
 from renet.tasks import make_env
@@ -103,18 +105,44 @@ def test_same_start_same_actions_same_steps_as_the_training_environment(env):
         observation = env.step(torch.from_numpy(action)[None])[0]
 
 
-@pytest.mark.parametrize("kind", ["flat", "rough", "obstacles", "stairs", "gap", "platform"])
-def test_the_camera_sees_what_the_training_camera_sees(kind):
+SEEN = View.true(1)
+FOAM = View(np.array([0.1]), np.zeros((1, 3)), np.zeros(1))
+KNOCKED = View(np.zeros(1), np.array([[0.1, 0.2, -0.15]]), np.zeros(1))
+GLASS = View(np.zeros(1), np.zeros((1, 3)), np.array([1.0]))
+
+
+@pytest.mark.parametrize(
+    ("kind", "view"),
+    [
+        *((kind, SEEN) for kind in ("flat", "rough", "obstacles", "stairs", "gap", "platform")),
+        ("obstacles", FOAM),
+        ("stairs", KNOCKED),
+        ("obstacles", GLASS),
+        ("platform", GLASS),
+    ],
+)
+def test_the_camera_sees_what_the_training_camera_sees(kind, view):
     robot = robot_on(kind, 5)
     robot.data.qpos[:7] = (1.0, 0.4, robot.base_position[2], 0.95, 0.05, 0.1, 0.3)
     robot.data.qpos[3:7] /= np.linalg.norm(robot.data.qpos[3:7])
     mujoco.mj_forward(robot.model, robot.data)
-    mine = SimCamera(robot, CAMERA, noise=False).depth()
+    camera = SimCamera(robot, CAMERA, noise=False)
+    groups = robot.model.geom_group.copy()
+    true = camera.depth()
+    camera.disturb(view)
+    mine = camera.depth()
+    assert (view is SEEN) == np.array_equal(true, mine)
+    np.testing.assert_array_equal(robot.model.geom_group, groups)
+    wrong = disturbance(view, robot.model, np.zeros((1, 2)))
     body = robot.data.body("trunk")
     base = torch.tensor(body.xmat.reshape(3, 3), dtype=torch.float32)
     eye = torch.tensor(body.xpos, dtype=torch.float32) + base @ torch.tensor(CAMERA.position)
     mount = mount_rotation(torch.tensor([CAMERA.pitch]), torch.zeros(1))[0]
-    raw = TerrainScanner(robot.model, "cpu").depth(
+    unseen = frozenset()
+    if wrong is not None:
+        eye, mount = eye - wrong.lift * torch.eye(3)[2], mount @ wrong.turn[0]
+        unseen = wrong.unseen[0][0] if wrong.unseen else unseen
+    raw = TerrainScanner(robot.model, "cpu", unseen).depth(
         eye[None], (base @ mount)[None], Intrinsics().rays(), CAMERA.range
     )
     theirs = torch.where(raw < 0, CAMERA.range, raw).reshape(48, 64).numpy()
@@ -122,6 +150,11 @@ def test_the_camera_sees_what_the_training_camera_sees(kind):
     # Rays that graze an edge may fall on either side of it.
     assert (error > 1e-3).mean() < 0.003
     assert np.median(error) < 1e-5
+
+
+def test_a_plane_cannot_be_glass():
+    with pytest.raises(RenetError, match="choose a --terrain"):
+        SimCamera(robot_on("flat"), CAMERA).disturb(GLASS)
 
 
 def test_camera_rate_noise_and_seed():

@@ -10,7 +10,7 @@ from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.errors import RenetError
 
 # The one place where the runtime borrows from the evaluation: its fault models need only NumPy.
-from renet.evaluation.faults import TICK, Frames, Injection, Injector
+from renet.evaluation.faults import TICK, Frames, Injection, Injector, View
 from renet.vocabulary import CONTROL_DT
 
 FAULT = re.compile(
@@ -36,7 +36,8 @@ def parse_fault(text: str) -> Injection:
 class FaultyCamera:
     """Passes a camera's frames, at most ten a second, through a fault injector.
 
-    Faults spoil images, hold them back or leave holes; their onsets count from `start`.
+    Faults spoil images, hold them back or leave holes; those of the scene (foam, glass, a knocked
+    mount) need a simulated camera. Onsets count from `start`.
     """
 
     def __init__(
@@ -47,9 +48,18 @@ class FaultyCamera:
         Args:
             camera: the one to spoil. faults: one after the other on the same frames.
             now: the robot's clock. seed: of the faults' randomness.
+
+        Raises:
+            RenetError: a fault that this camera or its scene cannot have.
         """
         self._camera, self._now = camera, now
-        self._injector = Injector([tuple(faults)], [0], seed)
+        self._disturb = getattr(camera, "disturb", None)
+        """Of a simulated camera, which can see what is not so."""
+        self._injector = Injector([tuple(faults)], [0], seed, self._disturb is not None)
+        if self._disturb is not None:
+            for fault in faults:  # Refused now rather than in flight.
+                self._disturb(self._injector.view(fault.onset))
+            self._disturb(View.true(1))
         self._begun = 0.0
         self._due = float("-inf")
         self._shown: DepthFrame | None = None
@@ -61,13 +71,15 @@ class FaultyCamera:
 
     def latest(self) -> DepthFrame | None:
         """See Camera.latest."""
+        if self._disturb is not None:
+            self._disturb(self._injector.view(self._step(self._now())))
         frame = self._camera.latest()
         # Fault models know frames at 10 Hz; a faster camera is thinned out.
         if frame is None or frame.time < self._due - CONTROL_DT / 2:
             return self._shown
         self._due = max(self._due + TICK, frame.time)
-        step = max(round((frame.time - self._begun) / CONTROL_DT), 0)
-        spoilt = self._injector.apply(Frames.healthy(frame.image[None]), step)
+        healthy = Frames.healthy(frame.image[None])
+        spoilt = self._injector.apply(healthy, self._step(frame.time))
         if spoilt.fresh[0]:
             self._shown = replace(
                 frame,
@@ -80,3 +92,7 @@ class FaultyCamera:
     def close(self) -> None:
         """See Camera.close."""
         self._camera.close()
+
+    def _step(self, time: float) -> int:
+        """Control steps since `start`."""
+        return max(round((time - self._begun) / CONTROL_DT), 0)

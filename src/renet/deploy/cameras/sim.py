@@ -8,9 +8,14 @@ import numpy as np
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.manifest import CameraSpec
 from renet.deploy.robots.mujoco import BASE, MujocoRobot
+from renet.deploy.robots.scene import TERRAIN
+from renet.errors import RenetError
+from renet.evaluation.faults import View
+from renet.evaluation.obstacles import obstacles, spread
 
 SEEN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
 """MuJoCo geom groups of the terrain; robots' collision geoms are in group 3."""
+UNSEEN_GROUP = 5
 ANY_DISTANCE = mujoco.mjMAXVAL
 """No cutoff: MuJoCo would drop planes whose origin is farther away than the cutoff."""
 RELATIVE_STD, GAUSSIAN_STD = 0.01, 0.1
@@ -33,6 +38,8 @@ class SimCamera:
         self._period, self._due = 1.0 / camera.rate_hz, 0.0
         self._frame: DepthFrame | None = None
         self._number = 0
+        self._view = View.true(1)
+        self._unseen: list[int] = []
 
     def start(self) -> None:
         """The first image is due now."""
@@ -51,19 +58,40 @@ class SimCamera:
     def close(self) -> None:
         """Nothing to stop."""
 
+    def disturb(self, view: View) -> None:
+        """See the scene as it is not, from the next image on: physical faults.
+
+        Raises:
+            RenetError: obstacles are to be glass where there are none.
+        """
+        if view == self._view:
+            return
+        model, self._unseen = self._robot.model, []
+        if view.glass[0] > 0.0:
+            if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, TERRAIN) < 0:
+                raise RenetError("this scene has nothing that could be glass: choose a --terrain")
+            found = obstacles(model, np.zeros((1, 2)))
+            self._unseen = sorted(spread(found, float(view.glass[0])))
+        self._view = view
+
     def depth(self) -> np.ndarray:
         """Planar metres [H, W] without noise, capped at the range."""
         robot, spec = self._robot, self._spec
         body = robot.data.body(BASE)
         base = body.xmat.reshape(3, 3)
+        # Surfaces that seem higher are surfaces seen from lower down.
+        eye = body.xpos + base @ np.array(spec.position) - (0.0, 0.0, self._view.lift[0])
+        camera = base @ tilt(spec.pitch) @ rotation(self._view.turn[0])
         lengths = np.linalg.norm(self._rays, axis=1)
-        directions = (self._rays / lengths[:, None]) @ (base @ tilt(spec.pitch)).T
+        directions = (self._rays / lengths[:, None]) @ camera.T
         distance = np.empty(len(lengths))
         geoms = np.empty(len(lengths), np.int32)
+        groups = robot.model.geom_group[self._unseen]
+        robot.model.geom_group[self._unseen] = UNSEEN_GROUP
         mujoco.mj_multiRay(
             robot.model,
             robot.data,
-            body.xpos + base @ np.array(spec.position),
+            eye,
             np.ascontiguousarray(directions).ravel(),
             SEEN_GROUPS,
             True,
@@ -74,6 +102,7 @@ class SimCamera:
             len(lengths),
             ANY_DISTANCE,
         )
+        robot.model.geom_group[self._unseen] = groups
         planar = np.where(geoms >= 0, distance / lengths, spec.range)
         return np.minimum(planar, spec.range).reshape(spec.height, spec.width)
 
@@ -96,3 +125,12 @@ def tilt(pitch: float) -> np.ndarray:
     """Rotation [3, 3] of a camera that looks down by `pitch` rad."""
     sine, cosine = np.sin(pitch), np.cos(pitch)
     return np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
+
+
+def rotation(turn: np.ndarray) -> np.ndarray:
+    """Matrix [3, 3] of a rotation vector in rad."""
+    angle, quaternion, matrix = float(np.linalg.norm(turn)), np.empty(4), np.empty(9)
+    axis = turn / angle if angle else np.array((1.0, 0.0, 0.0))
+    mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)

@@ -13,6 +13,8 @@ from renet.tiles import TILE, find_tile
 GO1 = Path(__file__).with_name("go1.xml")
 TERRAIN_GROUP = 0
 """MuJoCo geom group of what the camera sees; the robot's collision geoms are in group 3."""
+TERRAIN = "terrain"
+"""Body of a tile."""
 FLAT = "flat"
 BORDER = 40.0
 """Half-width of the ground around a tile, m."""
@@ -81,13 +83,13 @@ def _add_file(spec: mujoco.MjSpec, file: Path) -> None:
 def _add_tile(spec: mujoco.MjSpec, kind: str, level: int, seed: int) -> float:
     """A training tile with its middle at the origin, and ground around it."""
     tile, difficulty = find_tile(kind, level)
-    spec.worldbody.add_body(name="terrain")
+    spec.worldbody.add_body(name=TERRAIN)
     built = tile.function(difficulty, spec, np.random.default_rng(seed))
     middle = np.array([TILE / 2, TILE / 2, 0.0])
     for part in built.geometries:
         part.geom.pos = np.asarray(part.geom.pos) - middle
     half = (BORDER - TILE / 2) / 2
-    body, away = spec.body("terrain"), TILE / 2 + half
+    body, away = spec.body(TERRAIN), TILE / 2 + half
     for side in (-1, 1):
         _ground(body, (side * away, 0.0), (half, BORDER))
         _ground(body, (0.0, side * away), (TILE / 2, half))
