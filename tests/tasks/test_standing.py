@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
+from renet.cli import main
+from renet.errors import RenetError
 from renet.tasks import curriculum
 from renet.vocabulary import proprioception_slices
 
@@ -35,6 +37,19 @@ def test_the_second_level_begins_at_its_switch_point(flat):
     flat.common_step_counter = 0
     assert term(flat, everyone, switch_step=100) == 1
     command.stage = 0
+
+
+def test_the_switch_point_is_an_option_of_training(monkeypatch):
+    asked = []
+
+    def refuse(task, **_):
+        asked.append(task.curriculum["command_stage"].params["switch_step"])
+        raise RenetError("that is all")
+
+    monkeypatch.setattr("renet.tasks.make_env", refuse)
+    command = ["train", "Renet-Go1-Flat", "--num-steps-per-env", "5"]
+    assert main(command) == main([*command, "--standing-after", "300"]) == 2
+    assert asked == [4000 * 5, 300 * 5]
 
 
 def test_standing_earns_more_than_walking_where_it_is_asked_for(asked_to_stand):

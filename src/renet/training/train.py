@@ -51,6 +51,9 @@ class TrainCfg(LearningCfg):
     foot_clearance: float = 0.0
     """Weight of lifting the feet, 15 for a budget of millions of steps: a reward beside the paper's
     (see tasks.rewards.FootClearance)."""
+    standing_after: int = 4000
+    """Iterations after which goals ask for standing still, too: the second of the paper's two
+    levels of commands. Reach it well before the end, or the robot never learns to stand."""
     resume: str | None = None
     """Run folder or checkpoint to go on from; `latest` takes the newest run of this task."""
     time_budget: str | None = None
@@ -76,8 +79,11 @@ def train(cfg: TrainCfg) -> Path | None:
     budget = None if cfg.time_budget is None else seconds(cfg.time_budget)
     device = resolve_device(cfg.device)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
+    task = rewarded(cfg.task, cfg.foot_clearance)
+    curriculum = task.curriculum["command_stage"]
+    curriculum.params["switch_step"] = cfg.standing_after * cfg.num_steps_per_env
     env = make_env(
-        rewarded(cfg.task, cfg.foot_clearance),
+        task,
         num_envs=cfg.num_envs,
         device=device,
         seed=cfg.seed + rank,
