@@ -8,8 +8,10 @@ import pytest
 from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.faults import Injection
+from renet.evaluation.healthy import successful_runs
 from renet.evaluation.rollout import Row, run_rollout
 from renet.evaluation.switches import GuardSwitch, make_switch
+from renet.evaluation.trace import Trace
 from renet.evaluation.witness import Witness, suspicion
 from renet.selector.monitors import Sight
 
@@ -115,3 +117,15 @@ def test_unknown_selectors_and_rates_are_refused() -> None:
         make_switch("coin", SPEC, 1)
     with pytest.raises(RenetError, match="selector rate 33"):
         make_switch("guarded", SelectorSpec(beta=1.0, rate_hz=33.0), 1)
+
+
+def test_calibration_learns_from_robots_that_get_somewhere() -> None:
+    trace = Trace.empty(100, 4)
+    walk = np.arange(100) * 0.012
+    trace.travelled[:, 0] = trace.travelled[:, 3] = walk
+    trace.travelled[:, 1] = 0.1
+    trace.travelled[:, 2] = np.concatenate([walk[:50], walk[:50]])
+    trace.ended[[49, 99], 2] = trace.fell[99, 2] = True
+    trace.ended[99, 3] = trace.fell[99, 3] = True
+    assert successful_runs(trace, 0.6) == [(0, slice(0, 20)), (2, slice(0, 10))]
+    assert successful_runs(trace) == [(0, slice(0, 20)), (1, slice(0, 20)), (2, slice(0, 10))]

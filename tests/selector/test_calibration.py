@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from renet.errors import RenetError
 from renet.selector import MONITORS, calibrate_monitors, default_monitors
 from renet.selector.calibration import bursts, rare_level
-from renet.selector.defaults import FALLBACK, FLOORS
+from renet.selector.defaults import CEILINGS, FALLBACK, FLOORS
 
 
 def hours(n: float, seed: int = 0, runs: int = 40) -> list[np.ndarray]:
@@ -29,6 +29,20 @@ def test_the_level_of_an_exponential_tail_is_its_quantile(expected: float) -> No
     # Peaks of bursts are fewer than exceedances; the margin above the maximum comes on top.
     assert found == pytest.approx(max(exact, maximum + 1.0), abs=1.8)
     assert found > maximum
+
+
+def test_the_level_of_a_bounded_tail_stays_near_its_bound() -> None:
+    draw = np.random.default_rng(0)
+    runs = [1.0 - draw.random(2000) ** 0.5 for _ in range(30)]  # Dense towards 0, bounded by 1.
+    maximum = max(run.max() for run in runs)
+    assert maximum < rare_level(runs, 0.1) < 1.2
+
+
+def test_a_blank_image_is_never_healthy() -> None:
+    noses = [-0.04 * run.clip(max=1.0) for run in hours(0.5)]
+    covered = [run.clip(max=1.0) for run in hours(0.5)]
+    found = calibrate_monitors({"uniformity": noses, "nearness": covered}).thresholds
+    assert found == CEILINGS
 
 
 def test_calibrated_monitors_keep_the_stated_rate_on_new_robots() -> None:

@@ -57,4 +57,4 @@ def _healthy_runs(cfg: CalibrateCfg, lab: Lab, task: str) -> dict[str, list[np.n
             on_step=advance,
             on_sight=log,
         )
-    return healthy_series(log, trace)
+    return healthy_series(log, trace, cfg.speed)

@@ -41,25 +41,34 @@ class ScoreLog:
         return {monitor.name: table[:, i] for i, monitor in enumerate(self._monitors)}
 
 
-def successful_runs(trace: Trace) -> list[tuple[int, slice]]:
-    """Robot and vision ticks of every episode that did not end in a fall.
+def successful_runs(trace: Trace, speed: float = 0.0) -> list[tuple[int, slice]]:
+    """Robot and vision ticks of every episode that succeeded, cameras healthy.
 
-    A robot still on its feet when the run ends succeeded, too. The steps between a restart and
-    the next tick see an old image and are left out.
+    It did not end in a fall, and the robot came at least half as far as it was told to (the
+    curriculum's rule): one that stands with its nose to a step sees a blank image. A robot still
+    walking when the run ends succeeded, too. The steps between a restart and the next tick see an
+    old image and are left out.
+
+    Args:
+        trace: of the run. speed: commanded, m/s; 0 forgives standing still.
     """
     runs = []
     for robot in range(trace.anomaly.shape[1]):
         edges = [0, *(np.flatnonzero(trace.ended[:, robot]) + 1).tolist(), len(trace.anomaly)]
         for start, end in pairwise(edges):
             first, beyond = -(-start // STEPS_PER_TICK), -(-end // STEPS_PER_TICK)
-            if beyond > first and not trace.fell[end - 1, robot]:
+            if beyond <= first or trace.fell[end - 1, robot]:
+                continue
+            # The last step's reading may be the next start's.
+            reached = trace.travelled[start:end, robot].max()
+            if reached >= 0.5 * speed * (end - start) * CONTROL_DT:
                 runs.append((robot, slice(first, beyond)))
     return runs
 
 
-def healthy_series(log: ScoreLog, trace: Trace) -> dict[str, list[np.ndarray]]:
-    """Scores of the successful episodes, [T] each, by monitor name."""
-    runs = successful_runs(trace)
+def healthy_series(log: ScoreLog, trace: Trace, speed: float = 0.0) -> dict[str, list[np.ndarray]]:
+    """Scores of the episodes that succeeded, [T] each, by monitor name; see `successful_runs`."""
+    runs = successful_runs(trace, speed)
     return {
         name: [table[ticks, robot] for robot, ticks in runs] for name, table in log.scores.items()
     }

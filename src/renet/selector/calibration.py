@@ -9,10 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from renet.errors import RenetError
-from renet.selector.defaults import FLOORS
+from renet.selector.defaults import CEILINGS, FLOORS
 
 TAIL = 0.02
 """Share of the highest scores from which a distribution's tail is learnt."""
+ENOUGH = 20
+"""Bursts from which a tail's shape can be told; fewer count as exponential."""
 APART = 10
 """Scores (1 s at 10 Hz) between two alarms that count as two: vision is not back earlier."""
 
@@ -89,7 +91,7 @@ def calibrate_monitors(
     }
     # Scores that never vary, as a simulated camera's holes, have no tail: floors stand for them.
     thresholds = {
-        name: max(value, FLOORS.get(name, -math.inf))
+        name: min(max(value, FLOORS.get(name, -math.inf)), CEILINGS.get(name, math.inf))
         for name, value in found.items()
         if name in varied or name in FLOORS
     }
@@ -99,23 +101,25 @@ def calibrate_monitors(
 def rare_level(runs: Sequence[np.ndarray], expected: float) -> float:
     """The level that runs like these exceed `expected` times in all, and these never.
 
-    Peaks over threshold: exceedances of a high quantile, one for each burst, are exponential to a
-    good approximation (Pickands, Balkema and de Haan with shape 0), so that the level
-    u + scale * ln(bursts / expected) is exceeded `expected` times. Never below the maximum plus
-    one scale: where tails are heavier than exponential the margin has to hold.
+    Peaks over threshold: exceedances of a high quantile, the peak of each burst, follow a
+    generalised Pareto distribution (Pickands, Balkema and de Haan). Its shape is found by moments
+    and kept at 0 (an exponential tail) or below (a bounded one, as of shares of an image). Never
+    below the maximum plus the mean exceedance: where tails are heavier, the margin has to hold.
 
     Args:
-        runs: [T] scores of each unbroken run. expected: may be a fraction; at least one
-        exceedance of the quantile is assumed to be there.
+        runs: [T] scores of each unbroken run. expected: may be a fraction.
     """
-    joined = _checked(np.concatenate([np.zeros(0), *runs]))
+    joined = _checked(np.concatenate([*runs]))
     high = float(np.quantile(joined, 1.0 - TAIL))
-    peaks = np.array([peak for run in runs for peak in bursts(run, high)])
-    if len(peaks) == 0:
+    excess = np.array([peak for run in runs for peak in bursts(run, high)]) - high
+    if len(excess) == 0:
         return float(np.nextafter(joined.max(), np.inf))
-    scale = float((peaks - high).mean())
-    level = high + scale * math.log(max(len(peaks) / expected, 1.0))
-    return max(level, float(joined.max()) + scale)
+    mean, ratio = float(excess.mean()), max(len(excess) / expected, 1.0)
+    shape = 0.5 * (1.0 - mean**2 / float(excess.var())) if len(excess) >= ENOUGH else 0.0
+    shape = float(np.clip(shape, -0.5, 0.0))
+    scale = mean * (1.0 - shape)
+    rise = scale * (math.log(ratio) if shape == 0.0 else (ratio**shape - 1.0) / shape)
+    return max(high + rise, float(joined.max()) + mean)
 
 
 def bursts(run: np.ndarray, level: float) -> list[float]:

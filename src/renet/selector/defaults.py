@@ -44,6 +44,9 @@ FLOORS = {name: FALLBACK[name] for name in ("frame_age", "duplicate", "invalid_f
 """Calibration never goes below these: a simulated camera has no holes and never misses a frame, so
 that healthy runs say nothing of what a real one may be forgiven."""
 
+CEILINGS = {"uniformity": -0.005, "nearness": 0.9}
+"""Nor above these, whatever healthy runs say: a blank image or a covered lens must be noticed."""
+
 
 def default_monitors(
     beta: float, thresholds: Mapping[str, float], num_robots: int
