@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from renet.tasks import env_cfg, observations, rewards
+from renet.tasks import env_cfg, observations, rewards, terminations
 from renet.tasks.constraints import excess, outside
 from renet.tasks.curriculum import asked_distance, level_change
 from renet.training.train import rewarded
@@ -221,3 +221,26 @@ def test_foot_clearance_by_hand():
 def test_clearance_is_rewarded_only_on_request():
     assert env_cfg("Renet-Go1-Flat").rewards["foot_clearance"].weight == 0.0
     assert rewarded("Renet-Go1-Flat", 15.0).rewards["foot_clearance"].weight == -15.0
+
+
+def test_a_robot_that_gives_up_has_stalled():
+    data = SimpleNamespace(root_link_pos_w=torch.zeros(3, 3))
+    speed = torch.tensor([0.5, 0.5, 0.0])  # Walks, gives up, was told to stand.
+    env = SimpleNamespace(
+        scene={"robot": SimpleNamespace(data=data)},
+        command_manager=SimpleNamespace(get_term=lambda name: SimpleNamespace(speed=speed)),
+        num_envs=3,
+        device="cpu",
+        step_dt=0.02,
+    )
+    term = terminations.Stalled(None, env)
+    seen = []
+    for step in range(60):
+        data.root_link_pos_w[0, 0] = 0.01 * step
+        seen.append(term(env, window=1.0, progress=0.15))
+    stalled = torch.stack(seen)
+    # Its first step marks where it stands, then 1 s and a step must pass.
+    assert stalled.int().argmax(0).tolist() == [0, 51, 0]
+    assert stalled.any(0).tolist() == [False, True, False]
+    term.reset(torch.tensor([1]))
+    assert not term(env, window=1.0, progress=0.15).any()

@@ -98,6 +98,9 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: Robot) -> RenetEnvCfg:
             "time_out": TerminationTermCfg(func=mdp.time_out, time_out=True),
             "fallen": TerminationTermCfg(func=terminations.fallen),
             "not_finite": TerminationTermCfg(func=mdp.nan_detection),
+            "stalled": TerminationTermCfg(
+                func=terminations.Stalled, params={"window": 3.0, "progress": 0.15}
+            ),
         },
         curriculum={
             "command_stage": CurriculumTermCfg(
@@ -132,7 +135,7 @@ def _play(cfg: RenetEnvCfg) -> RenetEnvCfg:
     cfg.curriculum = {}
     if cfg.scene.terrain is not None:
         cfg.scene.terrain.max_init_terrain_level = None
-    del cfg.events["push"]
+    del cfg.events["push"], cfg.terminations["stalled"]
     return cfg
 
 

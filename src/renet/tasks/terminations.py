@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from renet.tasks.rewards import goal
 from renet.tiles import TILE
 
 if TYPE_CHECKING:
@@ -52,3 +53,30 @@ def tile_distance(env: ManagerBasedRlEnv) -> Tensor:
     """Distance from the tile's middle in the tile's (square) norm, [N] m."""
     offset = env.scene["robot"].data.root_link_pos_w - env.scene.env_origins
     return offset[:, :2].abs().amax(-1)
+
+
+class Stalled:
+    """Stands where it was told to walk: less than `progress` metres in `window` seconds.
+
+    Training only. Giving up in front of a stair otherwise earns the yaw reward for the rest of the
+    episode, safer than any attempt to climb.
+    """
+
+    def __init__(self, cfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        self._origin = torch.full((env.num_envs, 2), torch.nan, device=env.device)
+        self._since = torch.zeros(env.num_envs, device=env.device)
+
+    def __call__(self, env: ManagerBasedRlEnv, window: float, progress: float) -> Tensor:
+        """Update and return [N] bool."""
+        at = env.scene["robot"].data.root_link_pos_w[:, :2]
+        moved = ~((at - self._origin).norm(dim=-1) < progress)
+        restart = moved | (goal(env).speed == 0.0)
+        self._origin = torch.where(restart.unsqueeze(-1), at, self._origin)
+        self._since = torch.where(restart, 0.0, self._since + env.step_dt)
+        return self._since > window
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> None:
+        """A new episode starts somewhere else."""
+        ids = slice(None) if env_ids is None else env_ids
+        self._origin[ids], self._since[ids] = torch.nan, 0.0
