@@ -1,0 +1,58 @@
+"""Layer counts of the paper; attention and the anomaly score against other ways to compute them."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+import torch.nn.functional as functional
+from torch import nn
+
+from renet.models.autoencoder import DepthAutoencoder, anomaly_score
+from renet.models.config import ModelCfg
+from renet.models.embeddings import DepthEmbedding, ProprioceptionEmbedding
+from renet.models.encoders import AttentionEncoder, MlpEncoder
+from renet.models.estimators import OPEstimator, VPEstimator
+
+
+def count(module: nn.Module, *kinds: type[nn.Module]) -> int:
+    return sum(isinstance(m, kinds) for m in module.modules())
+
+
+def test_embeddings_have_as_many_layers_as_the_papers():
+    assert count(ProprioceptionEmbedding(10, 64), nn.Linear) == 2
+    assert count(DepthEmbedding(2, 64), nn.Conv2d) == 3
+
+
+def test_each_estimator_has_one_gru_layer_of_64():
+    for estimator in (OPEstimator(ModelCfg()), VPEstimator(ModelCfg())):
+        assert count(estimator, nn.GRUCell) == 1
+        assert estimator.gru.hidden_size == 64
+
+
+def test_attention_is_one_layer_with_one_head():
+    torch.manual_seed(0)
+    encoder, inputs = AttentionEncoder(2, 64, 64), [torch.randn(5, 64), torch.randn(5, 64)]
+    tokens = torch.cat(inputs, dim=-1).reshape(5, 8, 16) + encoder.position
+    parts = (tokens @ encoder.query_key_value.weight.T + encoder.query_key_value.bias).split(16, -1)
+    mixed = functional.scaled_dot_product_attention(*(part[:, None] for part in parts))[:, 0]
+    expected = encoder.compress(encoder.norm(tokens + mixed).flatten(1))
+    torch.testing.assert_close(encoder(inputs), expected, atol=1e-5, rtol=1e-4)
+
+
+def test_the_mlp_encoder_compresses_the_concatenation():
+    encoder, inputs = MlpEncoder(2, 64, 64), [torch.randn(5, 64), torch.randn(5, 64)]
+    torch.testing.assert_close(encoder(inputs), encoder.fuse(torch.cat(inputs, dim=-1)))
+    assert encoder.fuse[0].in_features == 128
+
+
+def test_the_autoencoder_convolves_down_and_up_again():
+    model = DepthAutoencoder()
+    assert count(model.encode, nn.Conv2d) == count(model.decode, nn.ConvTranspose2d) == 3
+    images = torch.rand(3, 2, 48, 64)
+    assert model(images).shape == images.shape
+
+
+def test_loss_ad_is_the_mean_squared_error_over_both_images():
+    images, found = torch.zeros(2, 2, 48, 64), torch.zeros(2, 2, 48, 64)
+    found[0, 0] = 0.3  # One of two images is off by 0.3 everywhere.
+    assert anomaly_score(images, found).tolist() == pytest.approx([0.045, 0.0])

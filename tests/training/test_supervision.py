@@ -1,0 +1,106 @@
+"""Loss_OP and Loss_VP (RENet eq. 1 and 2) against sums written out."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from renet.models.config import ModelCfg
+from renet.models.renet import RENet
+from renet.training.config import SupervisionCfg
+from renet.training.storage import TickRollout
+from renet.training.supervision import Supervision, estimator_losses
+
+TICKS, ROBOTS = 3, 4
+
+
+@pytest.fixture
+def rollout() -> TickRollout:
+    torch.manual_seed(1)
+    mask = torch.zeros(TICKS, ROBOTS, dtype=torch.bool)
+    mask[:, :2] = True
+    return TickRollout(
+        history=torch.randn(TICKS, ROBOTS, 10, 45),
+        frames=torch.rand(TICKS, ROBOTS, 2, 48, 64).half(),
+        fresh=torch.zeros(TICKS, ROBOTS, dtype=torch.bool),
+        op_mask=mask,
+        velocity=torch.randn(TICKS, ROBOTS, 3),
+        feet_height=torch.rand(TICKS, ROBOTS, 4),
+        height_map=torch.randn(TICKS, ROBOTS, 132),
+        next_proprioception=torch.randn(TICKS, ROBOTS, 45),
+        next_valid=torch.ones(TICKS, ROBOTS, dtype=torch.bool),
+        latent_op=torch.randn(ROBOTS, 64),
+        latent_vp=torch.randn(ROBOTS, 64),
+    )
+
+
+@pytest.fixture
+def model() -> RENet:
+    torch.manual_seed(0)
+    return RENet(ModelCfg(), critic_size=5).eval()
+
+
+def replay(estimator, rollout: TickRollout, latent: torch.Tensor) -> list[torch.Tensor]:
+    """Latents of all robots, tick by tick as in flight."""
+    latents = []
+    for tick in range(TICKS):
+        latent = estimator(rollout.history[tick], rollout.frames[tick].float(), latent)
+        latents.append(latent)
+    return latents
+
+
+def mean_square(pairs) -> float:
+    return torch.cat([(a - b).flatten() for a, b in pairs]).square().mean().item()
+
+
+def test_loss_op_is_velocity_and_him_of_its_own_robots(model, rollout):
+    losses = estimator_losses(model.op, model.op_him, rollout, rollout.latent_op, rollout.op_mask)
+    assert set(losses) == {"velocity", "him"}
+    latents = replay(model.op, rollout, rollout.latent_op)
+    velocity = [model.op.velocity_head(latent[:2]) for latent in latents]
+    expected = mean_square(zip(velocity, rollout.velocity[:, :2], strict=True))
+    assert losses["velocity"].item() == pytest.approx(expected, rel=1e-4)
+    own = torch.cat([latent[:2] for latent in latents])
+    him = model.op_him(own, rollout.next_proprioception[:, :2].flatten(0, 1))
+    assert losses["him"].item() == pytest.approx(him.item(), rel=1e-4)
+
+
+def test_loss_vp_adds_feet_height_and_height_map(model, rollout):
+    own = ~rollout.op_mask
+    losses = estimator_losses(model.vp, model.vp_him, rollout, rollout.latent_vp, own)
+    assert set(losses) == {"velocity", "him", "feet_height", "height_map"}
+    latents = replay(model.vp, rollout, rollout.latent_vp)
+    for name in ("velocity", "feet_height", "height_map"):
+        said = [getattr(model.vp.predict(latent[2:]), name) for latent in latents]
+        expected = mean_square(zip(said, getattr(rollout, name)[:, 2:], strict=True))
+        assert losses[name].item() == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_whole_loss_is_the_plain_sum_of_both_and_the_autoencoders(model, rollout):
+    cfg = SupervisionCfg(num_learning_epochs=1, num_mini_batches=1)
+    supervision = Supervision(model, cfg)
+    losses = supervision.losses(rollout)
+    assert set(losses) == {
+        "op_velocity", "op_him", "vp_velocity", "vp_him", "vp_feet_height", "vp_height_map",
+        "anomaly",
+    }  # fmt: skip
+    gradients = torch.autograd.grad(sum(losses.values()), supervision.parameters)
+    steps = []
+    supervision.optimizer.step = lambda: steps.append([p.grad for p in supervision.parameters])
+    supervision.cfg.max_grad_norm = float("inf")
+    torch.manual_seed(3)
+    supervision.update(rollout)
+    op = len(list(model.op.parameters()))
+    # Images of the autoencoder are drawn anew; the estimators' gradients are the same.
+    for expected, got in zip(gradients[:op], steps[0][:op], strict=True):
+        torch.testing.assert_close(got, expected, atol=1e-5, rtol=1e-3)
+
+
+def test_a_step_that_ended_the_episode_teaches_him_nothing(model, rollout):
+    before = estimator_losses(model.op, model.op_him, rollout, rollout.latent_op, rollout.op_mask)
+    rollout.next_valid[1, 0] = False
+    rollout.next_proprioception[1, 0] = 1e3  # The next episode's first observation.
+    after = estimator_losses(model.op, model.op_him, rollout, rollout.latent_op, rollout.op_mask)
+    assert torch.isfinite(after["him"])
+    assert after["velocity"] == before["velocity"]
+    assert after["him"] < 2 * before["him"]
