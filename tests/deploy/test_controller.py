@@ -77,6 +77,24 @@ def test_it_rises_and_then_walks(bundle):
     assert np.isfinite(command.position).all()
 
 
+def test_motors_that_obey_nobody_do_not_walk(bundle):
+    run = Run(bundle)
+    lying = STANDING + np.tile([0.0, 0.8, -0.6], 4)
+    for _ in range(WALKS_AT + 1):
+        command = run.tick(joint_position=lying)
+    assert run.whats() == ["rising", "damping"]
+    assert "did not rise" in run.events[1].why
+    assert not command.stiffness.any()
+
+
+def test_a_refused_wish_to_rise_says_why(bundle):
+    run = Run(bundle)
+    for _ in range(5):
+        run.tick(quaternion=np.array([0.0, 1, 0, 0]))
+    assert run.whats() == ["refused"]
+    assert "tilted" in run.events[0].why
+
+
 def test_walking_with_and_without_a_camera(bundle):
     seeing, blind = Run(bundle), Run(bundle)
     assert all(seeing.ticks(60)[WALKS_AT:])
@@ -145,6 +163,12 @@ def test_unplugged_and_replugged_50_times(bundle):
     assert all(b - a >= 5.0 for a, b in itertools.pairwise(returns))
 
 
+class Broken:
+    @property
+    def image(self):
+        raise RuntimeError("the driver's frame is gone")
+
+
 @pytest.mark.parametrize(
     "bad",
     [
@@ -156,13 +180,16 @@ def test_unplugged_and_replugged_50_times(bundle):
         {"time": 1e9},
         {"invalid": 2.0},
         {"number": None},
+        np.zeros((48, 64)),
+        Broken(),
     ],
 )
 def test_a_malformed_frame_costs_vision_and_nothing_else(bundle, bad):
     run = Run(bundle)
     run.ticks(60)
     for _ in range(10):
-        run.tick(replace(frame(run.step, time_of(run.step)), **bad))
+        good = frame(run.step, time_of(run.step))
+        run.tick(replace(good, **bad) if isinstance(bad, dict) else bad)
     assert not run.controller.decision.vision
     assert run.events[-1].what == "op"
     assert "depth" in run.events[-1].why

@@ -19,6 +19,7 @@ from renet.deploy.safety import (
     limited_command,
     limited_request,
     request_problem,
+    rise_problem,
     rising_target,
     state_problem,
 )
@@ -122,6 +123,21 @@ def test_arming_waits_for_health_and_must_be_pressed_anew():
     assert machine.mode is Mode.RISING
 
 
+def test_why_a_wish_to_rise_is_refused():
+    machine = SafetyMachine(CFG)
+    machine.update("tilted", Request(arm=True), 0.0)
+    assert machine.refused == "tilted"
+    machine.update("tilted", Request(arm=True), 0.02)
+    assert machine.refused == "", "a button held down asks once"
+    assert walking().refused == ""
+
+
+def test_joints_that_did_not_follow():
+    blocked = state(joint_position=moved(8, -2.6))
+    assert rise_problem(blocked, GO1, CFG) == "RR_calf_joint did not rise: 0.80 rad are missing"
+    assert rise_problem(state(joint_position=STANDING + 0.2), GO1, CFG) == "", "its own weight"
+
+
 def test_the_first_reason_stays_until_the_next_arming():
     machine = walking()
     machine.update("tilted", IDLE, time_of(10))
@@ -198,6 +214,11 @@ def test_no_command_leaves_its_limits(target, previous, position, velocity):
     assert (command.damping >= 0.0).all()
     torque = command.stiffness * (command.position - position) - command.damping * velocity
     assert (np.abs(torque) <= np.array(GO1.torque_limit) + 1e-6).all()
+
+
+def test_a_target_that_is_not_finite_is_no_command():
+    with pytest.raises(RenetError, match="target is not finite"):
+        limited_command(np.full(12, np.nan), STANDING, state(), GO1, CFG)
 
 
 def test_limits_must_be_positive():

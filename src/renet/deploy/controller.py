@@ -28,6 +28,7 @@ from renet.deploy.safety import (
     limited_command,
     limited_request,
     request_problem,
+    rise_problem,
     rising_target,
     state_problem,
 )
@@ -46,7 +47,7 @@ class Event:
     time: float
     """Seconds on the robot's clock."""
     what: str
-    """A mode of the safety machine, or `vp`, `op`, `perception`."""
+    """A mode of the safety machine, or `refused` (to rise), `vp`, `op`, `perception`."""
     why: str
 
 
@@ -159,6 +160,8 @@ class Controller:
         self._read(raw)
         self._keeper.offer(frame, now)
         mode = self.machine.update(self._problem(request, now), request, now)
+        if self.machine.refused:
+            self._tell(now, "refused", self.machine.refused)
         state = self._newest
         if mode is Mode.DAMPING or state is None:
             self._target = self._start if state is None else state.joint_position
@@ -195,7 +198,10 @@ class Controller:
             return problem
         if self._newest is None:
             return self._state_error
-        return state_problem(self._newest, self.robot, self.cfg, now)
+        problem = state_problem(self._newest, self.robot, self.cfg, now)
+        if not problem and self.machine.risen(now):
+            problem = rise_problem(self._newest, self.robot, self.cfg)
+        return problem
 
     def _forget(self) -> None:
         """Start walking as training starts an episode."""

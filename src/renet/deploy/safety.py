@@ -1,8 +1,8 @@
 """The safety layer: when a robot may move, and how far one command may go.
 
-    DAMPING --arm, nothing wrong--> RISING --rise_seconds--> WALKING
-       ^                              |                         |
-       +---- any problem, or stop ----+-------------------------+
+    DAMPING --arm, nothing wrong--> RISING --joints followed--> WALKING
+       ^                              |                            |
+       +---- any problem, or stop ----+----------------------------+
 
 DAMPING is the start and the end: joints are only braked, and it stays until the operator arms
 again. Losing vision is no problem here: the selector falls back to OP within WALKING.
@@ -56,6 +56,9 @@ class SafetyCfg:
     """Braking gain in DAMPING, N m s/rad."""
     rise_seconds: float = 2.0
     """Time from the pose at arming to the default pose."""
+    max_rise_error: float = 0.5
+    """Farthest that a joint may be from the default pose after rising, rad. A standing Go1 sags by
+    0.2; one that still lies, or whose motors obey nobody, is 0.9 away."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -115,6 +118,15 @@ def state_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg, now: floa
     return ""
 
 
+def rise_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg) -> str:
+    """Why a robot that was told to rise must not walk; empty if its joints followed."""
+    error = np.abs(state.joint_position - np.asarray(robot.default_position))
+    worst = int(np.argmax(error))
+    if error[worst] <= cfg.max_rise_error:
+        return ""
+    return f"{robot.joints[worst]} did not rise: {error[worst]:.2f} rad are missing"
+
+
 def request_problem(request: Request) -> str:
     """Why an operator's request forbids motion; empty if it does not."""
     if request.stop:
@@ -137,6 +149,8 @@ class SafetyMachine:
         self.mode = Mode.DAMPING
         self.reason = "start"
         """Why the mode was entered."""
+        self.refused = ""
+        """Why the last tick's wish to rise was not granted; empty if there was none."""
         self.since = -math.inf
         """When."""
         self._last: float | None = None
@@ -147,13 +161,18 @@ class SafetyMachine:
         """One control tick with the first problem found, or an empty text."""
         problem = self._clock_problem(now) or problem
         arm, self._armed = request.arm and not self._armed, request.arm
+        self.refused = problem if arm and self.mode is Mode.DAMPING else ""
         if problem:
             self.trip(problem, now)
         elif self.mode is Mode.DAMPING and arm:
             self._enter(Mode.RISING, "armed", now)
-        elif self.mode is Mode.RISING and now - self.since >= self.cfg.rise_seconds:
+        elif self.risen(now):
             self._enter(Mode.WALKING, "risen", now)
         return self.mode
+
+    def risen(self, now: float) -> bool:
+        """Whether the time to rise is over: the robot walks or must be damped."""
+        return self.mode is Mode.RISING and now - self.since >= self.cfg.rise_seconds
 
     def trip(self, reason: str, now: float) -> None:
         """Go to DAMPING; the first reason is kept until the operator arms again."""
@@ -200,7 +219,12 @@ def limited_command(
     The target moves at most `target_rate` and stays in the joints' ranges. Where the servo would
     ask for more torque than the motor gives, its gains shrink: at this instant that equals the
     saturation of training, and the limit holds whatever the motor does.
+
+    Raises:
+        RenetError: the target is not finite.
     """
+    if not np.isfinite(target).all():
+        raise RenetError("the joint target is not finite")
     reach = cfg.target_rate * CONTROL_DT
     target = np.clip(target, previous - reach, previous + reach)
     target = np.clip(target, robot.lower, robot.upper)

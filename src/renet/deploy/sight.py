@@ -76,8 +76,10 @@ def clean_frame(frame: DepthFrame, now: float) -> tuple[np.ndarray, float]:
             image = np.asarray(frame.image, np.float16).astype(np.float32)
         time, invalid = float(frame.time), float(frame.invalid)
         int(frame.number)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise RenetError("the depth frame is not made of numbers") from error
+    except RenetError:
+        raise
+    except Exception as error:  # A driver's object may fail in any way.
+        raise RenetError("the depth frame is none, or not made of numbers") from error
     if not np.isfinite(image).all():
         raise RenetError("the depth image is not finite")
     if image.min() < 0.0 or image.max() > 1.0:
