@@ -10,7 +10,7 @@ import termios
 
 import pytest
 
-from renet.deploy.consoles import JoystickOperator, KeyboardOperator
+from renet.deploy.consoles import Deadman, JoystickOperator, KeyboardOperator
 from renet.deploy.operator import Request
 from renet.errors import RenetError
 
@@ -41,6 +41,27 @@ def test_keys(terminal):
     assert keyboard.request(0.0).stop
     assert keyboard.request(0.0).stop
     assert keyboard.quit
+
+
+def test_a_foreign_letter_is_no_key(terminal):
+    master, stream = terminal
+    keyboard = KeyboardOperator(stream)
+    os.write(master, "wö€".encode())
+    assert keyboard.request(0.0) == Request(speed=0.1)
+    assert not keyboard.quit
+
+
+def test_without_any_key_it_stands_until_told_anew(terminal):
+    master, stream = terminal
+    keyboard = KeyboardOperator(stream, deadman=5.0)
+    os.write(master, b"wwww")
+    assert keyboard.request(0.0).speed == keyboard.request(5.0).speed == pytest.approx(0.4)
+    assert keyboard.request(5.5).speed == pytest.approx(0.2)
+    os.write(master, b"\n")
+    assert keyboard.request(5.6).speed == pytest.approx(0.4), "any key is a sign of life"
+    assert keyboard.request(11.7) == Request()
+    os.write(master, b"\n")
+    assert keyboard.request(11.8) == Request(), "it does not leap back to the old speed"
 
 
 def test_arming_again_forgets_the_old_speed(terminal):
@@ -112,6 +133,20 @@ def test_a_long_pause_does_not_turn_the_robot_far(stick):
     event(-32767, 2, 3)
     joystick.request(0.0)
     assert joystick.request(100.0).turn == pytest.approx(0.1)
+
+
+def test_a_joystick_out_of_range_stands(stick):
+    joystick, event, _ = stick
+    joystick._deadman = Deadman(0.5)
+    event(-32767, 2, 1)
+    event(-32767, 2, 3)
+    assert joystick.request(0.0).speed == joystick.request(0.5).speed == 1.0
+    assert joystick.request(1.0).speed == pytest.approx(0.5)
+    gone = joystick.request(2.0)
+    assert gone.speed == 0.0
+    assert joystick.request(3.0).turn == gone.turn
+    event(-32000, 2, 1)
+    assert joystick.request(3.1).speed == pytest.approx(0.977, abs=1e-3)
 
 
 def test_an_unplugged_joystick_stops(stick):

@@ -17,7 +17,7 @@ from renet import cli
 from renet.deploy import crew
 from renet.deploy.bundle import Bundle, read_manifest, write_manifest
 from renet.deploy.flight_log import MODES, read_log
-from renet.deploy.launch import DeployCfg, deploy
+from renet.deploy.launch import DEADMAN, FLIGHT, DeployCfg, deploy
 from renet.deploy.operator import Request, ScriptedOperator
 from renet.deploy.replay import mismatch
 from renet.deploy.robots.mujoco import MujocoRobot
@@ -82,8 +82,10 @@ def test_a_dry_run_prints_commands_and_never_moves_the_robot(tmp_path, capsys, m
     assert "walking: risen" in out
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_brakes_and_saves_everything(tmp_path, monkeypatch, number):
+@pytest.mark.parametrize("name", ["INT", "TSTP", "QUIT", "TERM", "HUP"])
+def test_a_signal_brakes_and_saves_everything(tmp_path, monkeypatch, name):
+    number = signal.Signals[f"SIG{name}"]
+
     class Impatient(ScriptedOperator):
         def request(self, now: float) -> Request:
             if abs(now - 1.0) < 0.001:
@@ -107,6 +109,29 @@ def test_a_fall_ends_a_flight_that_nobody_steers(tmp_path):
     score = json.loads((tmp_path / SCORE).read_text())
     assert score["seconds"] < 10.0
     assert score["events"][-1]["why"].startswith("tilted")
+
+
+def test_a_flight_never_overwrites_another(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["deploy", "--seconds", "0.1"]) == 0
+    (log,) = Path("results/deploy").glob("*/flight.log")
+    assert f"Results: {log.parent}\n" in capsys.readouterr().out
+    out = Path("mine")
+    flights = [read_log(deploy(DeployCfg(out=out, seconds=s)) / FLIGHT) for s in (0.1, 0.2, 0.3)]
+    kept = [read_log(folder / FLIGHT) for folder in (out / "earlier-1", out / "earlier-2", out)]
+    assert [len(f.ticks) for f in kept] == [len(f.ticks) for f in flights]
+    assert (out / "earlier-2" / TIMELINE).exists()
+
+
+def test_a_real_robots_operator_must_show_signs_of_life():
+    assert DeployCfg(robot="go1").patience == DEADMAN
+    assert DeployCfg(robot="go1", deadman=2.0).patience == 2.0
+    assert DeployCfg(operator="keyboard").patience == float("inf")
+
+
+def test_the_go1s_address_and_power_level_are_options():
+    cfg = DeployCfg(robot="go1", host="10.0.0.1", power_level=5, dry_run=True)
+    assert crew.make_crew(cfg, Bundle.load()).robot._address == ("10.0.0.1", 8007, 8080, 5)  # type: ignore[attr-defined]
 
 
 def test_operators_fly_in_real_time_and_without_an_end():
@@ -149,6 +174,9 @@ def test_the_replay_camera_shows_a_flights_images(tmp_path):
     ("arguments", "message"),
     [
         ("--seconds 0", "--seconds must be positive"),
+        ("--seed -1", "--seed must not be negative"),
+        ("--deadman 0", "--deadman must be positive"),
+        ("--robot go1 --dry-run --power-level 11", "power level must be 1 to 10"),
         ("--fault lightning@5", "lightning"),
         ("--fault blackout", "cannot read the fault 'blackout'"),
         ("--fault blackout:9@1s", "choose 1 to 5"),

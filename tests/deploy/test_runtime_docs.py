@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from renet.deploy.flight_log import read_log
-from renet.deploy.launch import DeployCfg, deploy
+from renet.deploy.launch import DEADMAN, DeployCfg, deploy
 from renet.deploy.safety import SafetyCfg
 from renet.selector.defaults import MONITORS
 
@@ -86,8 +86,10 @@ def test_limits_are_the_codes():
         ("max_state_age", f"{1000 * cfg.max_state_age:.0f} ms"),
         ("max_tilt", f"{np.degrees(cfg.max_tilt):.0f}°"),
         ("joint_margin", f"{cfg.joint_margin:g} rad"),
+        ("max_rise_error", f"{cfg.max_rise_error:g} rad"),
         ("max_gap", f"{cfg.max_gap:g} s"),
         ("max_late", f"{cfg.max_late}"),
         ("target_rate", f"{cfg.target_rate:.0f} rad/s"),
     ):
         assert f"`{name}` {value}" in PAGE
+    assert f"{DEADMAN:g} s with a real robot" in PAGE

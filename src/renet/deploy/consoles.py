@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import struct
@@ -19,14 +20,37 @@ SPEED_STEP, TURN_STEP = 0.1, 0.1
 TURN_RATE = 1.0
 """rad/s at a joystick's full deflection."""
 DEAD_ZONE = 0.1
+FADE = 1.0
+"""Seconds in which the speed falls to zero when nobody steers any more."""
 KEYS = "w/s faster/slower, a/d left/right, r rise and walk, space stop, q quit"
+
+
+class Deadman:
+    """Notices that nobody steers: a joystick out of range or a dead link only falls silent."""
+
+    def __init__(self, patience: float) -> None:
+        """Set up with the seconds of silence that mean nothing."""
+        self._patience = patience
+        self._heard: float | None = None
+
+    def grip(self, heard: bool, now: float) -> float:
+        """Share of the speed that still counts: 1, after `patience` s of silence falling to 0."""
+        if heard or self._heard is None:
+            self._heard = now
+        silent = now - self._heard - self._patience
+        return min(max(1.0 - silent / FADE, 0.0), 1.0)
 
 
 class KeyboardOperator:
     """Reads single keys from a terminal; see `KEYS`. Closing the terminal stops the robot."""
 
-    def __init__(self, stream: Any = None) -> None:
-        """Take over the terminal; raises RenetError if there is none."""
+    def __init__(self, stream: Any = None, deadman: float = math.inf) -> None:
+        """Take over the terminal; raises RenetError if there is none.
+
+        Args:
+            stream: of the terminal, standard input by default.
+            deadman: seconds without any key after which the robot stands.
+        """
         self._stream = sys.stdin if stream is None else stream
         try:
             self._descriptor = self._stream.fileno()
@@ -37,29 +61,33 @@ class KeyboardOperator:
                 "the keyboard operator needs a terminal: use --operator auto"
             ) from error
         self.speed = self.turn = 0.0
+        self._deadman = Deadman(deadman)
         self.quit = False
         """The operator wants to end the program."""
 
     def request(self, now: float) -> Request:
         """See Operator.request."""
-        arm = stop = False
+        arm = stop = heard = False
         while select.select([self._descriptor], [], [], 0.0)[0]:
-            key = os.read(self._descriptor, 1).decode(errors="ignore")
-            if key == "w":
+            key, heard = os.read(self._descriptor, 1), True
+            if key == b"w":
                 self.speed = min(self.speed + SPEED_STEP, MAX_SPEED)
-            elif key == "s":
+            elif key == b"s":
                 self.speed = max(self.speed - SPEED_STEP, 0.0)
-            elif key == "a":
+            elif key == b"a":
                 self.turn += TURN_STEP
-            elif key == "d":
+            elif key == b"d":
                 self.turn -= TURN_STEP
-            elif key == "r":
+            elif key == b"r":
                 arm, self.speed, self.turn = True, 0.0, 0.0
-            elif key in (" ", "q", ""):
-                stop, self.quit = True, key != " "
+            elif key in (b" ", b"q", b""):  # The last is a lost terminal.
+                stop, self.quit = True, key != b" "
                 if self.quit:
                     break
-        return Request(self.speed, self.turn, arm, stop or self.quit)
+        grip = self._deadman.grip(heard, now)
+        if grip == 0.0:
+            self.speed = 0.0
+        return Request(grip * self.speed, self.turn, arm, stop or self.quit)
 
     def close(self) -> None:
         """Give the terminal back."""
@@ -74,22 +102,28 @@ class JoystickOperator:
     SPEED_AXIS, TURN_AXIS = 1, 3
     ARM_BUTTONS, STOP_BUTTONS = (7,), (0, 1)
 
-    def __init__(self, device: Path = Path("/dev/input/js0")) -> None:
-        """Open the device; raises RenetError if there is none."""
+    def __init__(self, device: Path = Path("/dev/input/js0"), deadman: float = math.inf) -> None:
+        """Open the device; raises RenetError if there is none.
+
+        Args:
+            device: of the joystick. deadman: seconds without a move after which the robot stands.
+        """
         try:
             self._device = os.open(device, os.O_RDONLY | os.O_NONBLOCK)
         except OSError as error:
             raise RenetError(f"no joystick at {device}: {error.strerror}") from error
         self._axes: dict[int, float] = {}
         self._turn, self._time = 0.0, None
+        self._deadman = Deadman(deadman)
         self.quit = False
 
     def request(self, now: float) -> Request:
         """See Operator.request; an unplugged joystick stops the robot."""
-        arm = stop = False
+        arm = stop = heard = False
         try:
             while True:
                 event = os.read(self._device, self.EVENT.size)
+                heard = True
                 if len(event) < self.EVENT.size:
                     raise OSError("the joystick is gone")
                 _, value, kind, number = self.EVENT.unpack(event)
@@ -106,8 +140,10 @@ class JoystickOperator:
             self._turn = 0.0
         passed = 0.0 if self._time is None else max(now - self._time, 0.0)
         self._time = now
-        self._turn -= TURN_RATE * self._axis(self.TURN_AXIS) * min(passed, 0.1)
-        return Request(max(-self._axis(self.SPEED_AXIS), 0.0) * MAX_SPEED, self._turn, arm, stop)
+        grip = self._deadman.grip(heard, now)
+        self._turn -= grip * TURN_RATE * self._axis(self.TURN_AXIS) * min(passed, 0.1)
+        speed = grip * MAX_SPEED * max(-self._axis(self.SPEED_AXIS), 0.0)
+        return Request(speed, self._turn, arm, stop)
 
     def close(self) -> None:
         """Close the device."""

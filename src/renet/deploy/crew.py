@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -78,7 +79,7 @@ def _robot(cfg: DeployCfg, bundle: Bundle) -> tuple[Robot, Any, Callable[[], Non
         from renet.deploy.robots.go1 import Go1Robot
         from renet.deploy.robots.joint_watch import JointWatch
 
-        go1 = Go1Robot()
+        go1 = Go1Robot(cfg.host, power_level=cfg.power_level)
         return go1, lambda: None, JointWatch(go1.read).look if cfg.dry_run else lambda: None
     try:
         from renet.deploy.robots.mujoco import MujocoRobot
@@ -121,6 +122,8 @@ def _operator(cfg: DeployCfg) -> Operator:
     from renet.deploy.consoles import KEYS, JoystickOperator, KeyboardOperator
 
     if cfg.operator == "joystick":
-        return JoystickOperator()
+        return JoystickOperator(deadman=cfg.patience)
     print(f"keys: {KEYS}")
-    return KeyboardOperator()
+    if cfg.patience < math.inf:
+        print(f"{cfg.patience:g} s without any key: the robot stands")
+    return KeyboardOperator(deadman=cfg.patience)

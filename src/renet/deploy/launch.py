@@ -6,7 +6,9 @@ import math
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,9 +22,10 @@ from renet.deploy.crew import Crew, make_crew
 from renet.deploy.flight_log import FlightLog, read_log
 from renet.deploy.perception import InlinePerception, ThreadedPerception
 from renet.deploy.robots.base import JointCommand
+from renet.deploy.robots.go1 import POWER_LEVEL, ROBOT_HOST
 from renet.deploy.runner import fly
 from renet.deploy.safety import Mode, SafetyCfg
-from renet.deploy.score import write_score
+from renet.deploy.score import SCORE, TIMELINE, write_score
 from renet.deploy.speaker import Speaker
 from renet.errors import RenetError
 from renet.vocabulary import CONTROL_DT, JOINTS
@@ -30,6 +33,10 @@ from renet.vocabulary import CONTROL_DT, JOINTS
 FLIGHT = "flight.log"
 SHORT_FLIGHT = 15.0
 """Seconds of a flight that nobody steers."""
+DEADMAN = 5.0
+"""Seconds that a real robot goes on without a sign of its operator."""
+LIMP = 10.0
+"""rad; farther than any joint can be from the default pose."""
 PRINT_EVERY = 25
 """Control steps between two printed commands of a dry run."""
 
@@ -46,8 +53,12 @@ class DeployCfg:
     """auto: sim for mujoco, realsense for go1."""
     operator: Literal["auto", "keyboard", "joystick"] = "auto"
     """auto: rises and walks straight ahead (simulation only)."""
-    out: Path = Path("results/deploy")
-    """Folder of the results."""
+    deadman: float | None = None
+    """Seconds without a key or a move of the joystick after which the robot stands until there is
+    one; 5 by default with a real robot, no limit in simulation. inf: no limit."""
+    out: Path | None = None
+    """Folder of the results, results/deploy/DATE_TIME by default; what an earlier flight left in
+    it is kept in its subfolders earlier-1, earlier-2, ..."""
     seconds: float | None = None
     """Length of the flight on the robot's clock; 15 s by default, with an operator no end. Ctrl-C
     and the keyboard's q end it earlier, braked and logged."""
@@ -73,6 +84,10 @@ class DeployCfg:
     """Simulation: show it in a browser."""
     dry_run: bool = False
     """Print commands and never move the robot."""
+    host: str = ROBOT_HOST
+    """Go1: address of its motor board."""
+    power_level: int = POWER_LEVEL
+    """Go1: of the vendor's own overload guard, 1 (10 % of the motors' power) to 10."""
     seed: int = 1
     """Of the simulated camera's noise, the terrain and the faults."""
     safety: SafetyCfg = field(default_factory=SafetyCfg)
@@ -89,6 +104,17 @@ class DeployCfg:
         steered = math.inf if self.operator != "auto" else SHORT_FLIGHT
         return steered if self.seconds is None else self.seconds
 
+    @property
+    def patience(self) -> float:
+        """Seconds without a sign of the operator after which the robot stands."""
+        default = math.inf if self.robot == "mujoco" else DEADMAN
+        return default if self.deadman is None else self.deadman
+
+    @property
+    def limits(self) -> SafetyCfg:
+        """Of the controller: the joints of a dry run follow nobody."""
+        return replace(self.safety, max_rise_error=LIMP) if self.dry_run else self.safety
+
 
 def deploy(cfg: DeployCfg) -> Path:
     """Run; returns the folder of the results.
@@ -104,7 +130,7 @@ def deploy(cfg: DeployCfg) -> Path:
         crew.start()
         speaker = Speaker()
         stack.callback(speaker.close)
-        log = FlightLog(cfg.out / FLIGHT, _header(cfg, bundle))
+        log = FlightLog(_free_folder(cfg.out) / FLIGHT, _header(cfg, bundle))
         stack.callback(log.close)
         begun = crew.robot.now()
 
@@ -113,7 +139,7 @@ def deploy(cfg: DeployCfg) -> Path:
             speaker.say(f"{event.time - begun:8.2f} s  {event.what}: {event.why}")
 
         perception = (ThreadedPerception if cfg.live else InlinePerception)(bundle.sessions)
-        controller = Controller(bundle, cfg.safety, perception, cfg.selector == "paper", tell)
+        controller = Controller(bundle, cfg.limits, perception, cfg.selector == "paper", tell)
         stack.callback(controller.close)
         echo = printer(speaker.say) if cfg.dry_run else lambda command: None
 
@@ -135,8 +161,23 @@ def deploy(cfg: DeployCfg) -> Path:
             )
     if log.problem:
         print(log.problem)
-    print(summary(write_score(read_log(log.path), cfg.out)))
-    return cfg.out
+    print(summary(write_score(read_log(log.path), log.path.parent)))
+    return log.path.parent
+
+
+def _free_folder(out: Path | None) -> Path:
+    """Where a flight's results go, freed of an earlier flight's: the one before a crash matters."""
+    out = out or Path("results/deploy") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
+    results = [out / name for name in (FLIGHT, SCORE, TIMELINE) if (out / name).exists()]
+    if results:
+        kept = next(p for n in count(1) if not (p := out / f"earlier-{n}").exists())
+        try:
+            kept.mkdir()
+            for path in results:
+                path.rename(kept / path.name)
+        except OSError as error:
+            raise RenetError(f"cannot keep the earlier flight in {out}: {error}") from error
+    return out
 
 
 def summary(score: dict[str, Any]) -> str:
@@ -183,6 +224,10 @@ def _check(cfg: DeployCfg) -> None:
     """Refuse what cannot work before anything moves or is written."""
     if not cfg.length > 0:
         raise RenetError(f"--seconds must be positive, got {cfg.seconds}")
+    if not cfg.patience > 0:
+        raise RenetError(f"--deadman must be positive, got {cfg.deadman}")
+    if cfg.seed < 0:
+        raise RenetError(f"--seed must not be negative, got {cfg.seed}")
     if cfg.robot == "go1":
         if cfg.camera == "sim":
             raise RenetError("--camera sim looks at a simulation: use realsense, replay or none")
@@ -207,7 +252,7 @@ def _header(cfg: DeployCfg, bundle: Bundle) -> dict[str, Any]:
         "bundle_sha256": bundle.sha256,
         "models": bundle.manifest.sha256,
         "beta": threshold,
-        "safety": asdict(cfg.safety),
+        "safety": asdict(cfg.limits),
         "paper_selector": paper,
         "robot": cfg.robot,
         "camera": cfg.camera,
@@ -222,9 +267,9 @@ def _header(cfg: DeployCfg, bundle: Bundle) -> dict[str, Any]:
 
 @contextmanager
 def _interruptible() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C, `kill` and a lost terminal ask the flight to end, so that it ends braking.
+    """Ctrl-C, Ctrl-Z, Ctrl-\\, `kill` and a lost terminal ask the flight to end, braking.
 
-    A second Ctrl-C interrupts.
+    Ctrl-Z, too: a stopped program could not brake. A second Ctrl-C interrupts.
     """
     asked = False
 
@@ -234,7 +279,7 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
             raise KeyboardInterrupt
         asked = True
 
-    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    signals = (signal.SIGINT, signal.SIGTSTP, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP)
     before = [signal.signal(number, ask) for number in signals]
     try:
         yield lambda: asked
