@@ -68,6 +68,8 @@ class PlayCfg:
     """Commanded forward speed, m/s."""
     seed: int = 1
     """Of the robot's body, start and noise."""
+    selector: str = "guarded"
+    """guarded: all monitors, slow to trust again; paper: the reconstruction loss against beta."""
     engine: str = "auto"
     """Physics engine: auto, native or warp."""
 
@@ -121,7 +123,7 @@ def _watch(cfg: PlayCfg) -> None:
     from renet.evaluation.live_view import watch
 
     with opened(cfg.bundle) as folder:
-        lab = Lab(folder, cfg.engine)
+        lab = Lab(folder, cfg.engine, cfg.selector)
         task = ground(cfg.terrain, cfg.level, robot_of(lab.bundle.manifest))
         session = Session(lab, task, cfg.speed, cfg.seed)
         if cfg.fault is not None:
@@ -140,7 +142,7 @@ def _film(cfg: PlayCfg) -> Path:
     out = cfg.out or Path("results/play.mp4")
     count, steps = len(rows), round(cfg.seconds / CONTROL_DT)
     with opened(cfg.bundle) as folder:
-        lab = Lab(folder, cfg.engine)
+        lab = Lab(folder, cfg.engine, cfg.selector)
         task = ground(cfg.terrain, cfg.level, robot_of(lab.bundle.manifest))
         output_folder(out.parent)
         world, policy = lab.world(task, [0] * count, cfg.speed, cfg.seed), Policy(lab.bundle, count)
