@@ -72,7 +72,10 @@ def _draw_tables(
             table = np.array([[panel[f, s] for s in severities] for f in faults])
             axis.imshow(table, vmin=0, vmax=100, cmap="RdYlGn", aspect="auto")
             for (row, column), value in np.ndenumerate(table):
-                axis.text(column, row, f"{value:.0f}", ha="center", va="center", fontsize=8)
+                ink = "white" if value < 15 or value > 85 else figures.INK
+                axis.text(
+                    column, row, f"{value:.0f}", ha="center", va="center", fontsize=8, color=ink
+                )
             axis.set_xticks(range(len(severities)), [str(s) for s in severities])
             axis.set_yticks(range(len(faults)), [f.replace("_", " ") for f in faults])
             axis.tick_params(length=0)
