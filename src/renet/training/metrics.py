@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from rsl_rl.utils.log_writer import LogWriter
 from torch.utils.tensorboard import SummaryWriter
+
+from renet.errors import RenetError
 
 CURVES = "curves.csv"
 
@@ -31,18 +35,32 @@ class MetricsWriter(LogWriter):
         """Record one value at a learning iteration."""
         value = float(scalar_value)
         self.latest[tag] = value
-        self._board.add_scalar(tag, value, global_step)
-        if not tag.endswith("/time"):  # rsl_rl logs these against seconds, not iterations.
-            self._rows.writerow((global_step, tag, f"{value:.6g}"))
+        with self._writing():
+            self._board.add_scalar(tag, value, global_step)
+            if not tag.endswith("/time"):  # rsl_rl logs these against seconds, not iterations.
+                self._rows.writerow((global_step, tag, f"{value:.6g}"))
 
     def flush(self) -> None:
         """Put rows on disk."""
-        self._file.flush()
+        with self._writing():
+            self._file.flush()
 
     def stop(self) -> None:
         """Close both files."""
-        self._board.close()
-        self._file.close()
+        with self._writing():
+            self._board.close()
+            self._file.close()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Name the file that cannot be written; raises RenetError."""
+        try:
+            yield
+        except OSError as error:
+            raise RenetError(
+                f"cannot write the curves {self._file.name}: {error}. Free the disk and go on with "
+                "--resume; checkpoints are intact"
+            ) from error
 
 
 def read_curves(run: Path) -> dict[str, tuple[list[int], list[float]]]:
