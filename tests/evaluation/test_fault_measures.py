@@ -102,6 +102,11 @@ def run(fault: str, severity: int, mode: str, **values) -> dict:
     return {"fault": fault, "severity": severity, "mode": mode} | plain | delays | values
 
 
+def healthy(switches: int, hours: float) -> dict:
+    rates = {"false_switches_per_hour": switches / hours, "upper_95_per_hour": 9.0}
+    return {"false_switches": switches, "robot_hours": hours} | rates
+
+
 def test_claims_are_judged_by_what_was_measured() -> None:
     runs = [
         run("frozen", 5, "renet", detected_by_paper=0),
@@ -109,8 +114,16 @@ def test_claims_are_judged_by_what_was_measured() -> None:
         run("blackout", 5, "renet", detected=9, detected_by_paper=0, detection_delay_s=0.3),
         run("blackout", 5, "op"),
     ]
-    claims = {c["claim"]: (c["met"], c["measured"]) for c in findings(runs, 0.4)["claims"]}
+    claims = {
+        c["claim"]: (c["met"], c["measured"]) for c in findings(runs, healthy(1, 2.5))["claims"]
+    }
     met = [met for met, _ in claims.values()]
     assert met == [True, False, False, True, True, False]
     assert claims["frozen images are noticed"][1] == "10 of 10 robots; by the paper's rule alone 0"
-    assert [c["met"] for c in findings(runs[:1], 1.1)["claims"]] == [True, True, True, False, True]
+    assert [c["met"] for c in findings(runs[:1], healthy(3, 2.0))["claims"]] == [
+        True,
+        True,
+        True,
+        False,
+        True,
+    ]

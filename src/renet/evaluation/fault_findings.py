@@ -17,8 +17,8 @@ UNIFORM = ("blackout", "saturated", "occlusion")
 Runs = list[dict[str, Any]]
 
 
-def findings(runs: Runs, false_switches_per_hour: float) -> dict[str, Any]:
-    """`harmful`, `missed` and `claims` of a summary."""
+def findings(runs: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
+    """`harmful`, `missed` and `claims` of a summary, from its `runs` and its `healthy`."""
     harm, misses = harmful(runs), missed(runs)
     claims = [
         _claim(
@@ -35,8 +35,10 @@ def findings(runs: Runs, false_switches_per_hour: float) -> dict[str, Any]:
         *_delay_claim(runs),
         _claim(
             "at most 1 false switch per healthy hour",
-            false_switches_per_hour <= 1.0,
-            f"{false_switches_per_hour:.2f}",
+            healthy["false_switches_per_hour"] <= 1.0,
+            f"{healthy['false_switches_per_hour']:.2f} ({healthy['false_switches']} in"
+            f" {healthy['robot_hours']:.2f} robot hours; 95 % limit"
+            f" {healthy['upper_95_per_hour']:.2f})",
         ),
         *_blind_claims(runs),
     ]

@@ -113,7 +113,7 @@ def summarise(
     return {
         "study": "faults",
         "runs": runs,
-        **findings(runs, calm["false_switches_per_hour"]),
+        **findings(runs, calm),
         "healthy": calm,
         "run_seconds": cfg.steps * CONTROL_DT,
         "settings": asdict(cfg),
