@@ -23,7 +23,8 @@ class Links(HTMLParser):
         self.open: list[str] = []
 
     def handle_starttag(self, tag, attrs) -> None:
-        self.found += [value for name, value in attrs if name in ("src", "href")]
+        links = [value for name, value in attrs if name in ("src", "href")]
+        self.found += [link for link in links if not link.startswith("#")]
         if tag not in ("meta", "img"):
             self.open.append(tag)
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,16 @@ def test_one_study_alone_makes_a_page(results: Path, tmp_path: Path) -> None:
     html = page.read_text()
     assert "Parkour" not in html
     assert "none of what was run" in html
+
+
+def test_results_of_different_bundles_are_pointed_out(results: Path, tmp_path: Path) -> None:
+    assert "Careful" not in make_report(ReportCfg(results, tmp_path / "one.html")).read_text()
+    shutil.copytree(results / "filter", tmp_path / "filter")
+    shutil.copytree(results / "noise", tmp_path / "noise")
+    summary = tmp_path / "filter" / "summary.json"
+    summary.write_text(summary.read_text().replace("0" * 64, "f" * 64))
+    html = make_report(ReportCfg(tmp_path)).read_text()
+    assert "2 different bundles, 0000000000, ffffffffff" in html
 
 
 def test_what_is_worse_than_op_alone_is_listed() -> None:

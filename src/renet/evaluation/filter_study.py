@@ -153,7 +153,7 @@ def draw(cfg: FilterCfg, runs: list[dict[str, Any]], path: Path, provenance: Pro
             switches = [run["switches_per_minute"] for run in line]
             right.plot(gamma, switches, "o-", color=colour, label=label, markersize=4)
         left.axhline(0.04, color=figures.INK, linestyle=":", linewidth=1)
-        left.set(title="(a) Delay of the switch", ylabel="s", yscale="log")
+        left.set(title="(a) Delay of the switch", ylabel="delay (s)", yscale="log")
         right.set(title="(b) Switches, camera flickering", ylabel="switches per minute")
         for axis in (left, right):
             axis.set(xlabel="γ", xscale="log")

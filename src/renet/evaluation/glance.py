@@ -14,9 +14,15 @@ Found = Mapping[str, dict[str, Any]]
 
 def glance_section(page: Page, found: Found) -> None:
     """Large numbers of every study there is."""
-    page.facts(
-        [fact for name, make in FACTS.items() if name in found for fact in make(found[name])]
-    )
+    bundles = {summary["provenance"]["bundle_hash"][:10] for summary in found.values()}
+    if len(bundles) > 1:
+        page.text(
+            f"Careful: these studies were made with {len(bundles)} different bundles,"
+            f" {', '.join(sorted(bundles))}. Run `renet evaluate report --run` to compare like with"
+            " like."
+        )
+    made = [make(found[name]) for name, make in FACTS.items() if name in found]
+    page.facts([fact for facts in made for fact in facts])
 
 
 def worse_section(page: Page, found: Found) -> None:

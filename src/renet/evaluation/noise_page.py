@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from renet.evaluation.figures import noise_label
-from renet.evaluation.noise import TITLES
+from renet.evaluation.figures import MODE_NAMES, noise_label
 from renet.evaluation.page import Cell, Page
 
 WALKS = (0.45, 0.85)
@@ -76,7 +75,7 @@ def _table_row(run: dict[str, Any]) -> list[Any]:
     """One setting of one mode."""
     falls, speed, delay = run["falls"], run["mean_forward_velocity"], run["detection_delay_s"]
     return [
-        TITLES[run["mode"]],
+        MODE_NAMES[run["mode"]],
         noise_label(run["noise"], run["level"]),
         Cell(f"{falls} of {run['robots']}", "bad" if falls else "good"),
         Cell(f"{speed:.2f}", "good" if WALKS[0] <= speed <= WALKS[1] else "bad"),

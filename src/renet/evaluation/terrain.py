@@ -196,11 +196,13 @@ def draw(summary: dict[str, Any], path: Path, provenance: Provenance) -> None:
     with plt.rc_context(figures.STYLE):
         figure, axis = plt.subplots(figsize=(8, 3.8))
         palette = ("#3c3ca0", "#d9602b", "#3f8f63", "#8fbf9f", "#8a6bbd", "#7d8590")
-        for colour, (kind, mean) in zip(palette, summary["levels_by_kind"].items(), strict=False):
+        for place, (kind, mean) in enumerate(summary["levels_by_kind"].items()):
             runs = [run for run in summary["runs"] if run["kind"] == kind]
             share = [100 * run["passed"] / run["robots"] for run in runs]
             label = f"{kind.replace('_', ' ')}: mean level {mean:.1f}"
-            axis.plot(range(1, LEVELS + 1), share, "o-", color=colour, label=label, markersize=4)
+            # Side by side, or equal shares would hide each other.
+            levels = np.arange(1, LEVELS + 1) + 0.07 * (place - 1.5)
+            axis.plot(levels, share, "o-", color=palette[place], label=label, markersize=4)
         axis.set(
             title=f"Who leaves the tile (mode {summary['settings']['mode']})",
             xlabel="terrain level",
