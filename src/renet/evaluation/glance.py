@@ -52,7 +52,7 @@ def _faults(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ),
         (
             f"{100 * sum(noticed) / max(len(noticed), 1):.0f} %",
-            "of the robots notice it",
+            "of failing cameras are noticed",
         ),
         (f"{healthy['false_switches_per_hour']:.1f}", "false switches per healthy robot hour"),
     ]
