@@ -261,12 +261,15 @@ def tiles() -> dict[str, Tile]:
 def find_tile(kind: str, level: int) -> tuple[Tile, float]:
     """A tile by name, and the difficulty of a level of 1 to 10.
 
+    Args:
+        kind: of `tiles`, or `stairs`, which go down. level: 1 to 10.
+
     Raises:
         RenetError: unknown kind or level.
     """
-    known = tiles()
-    if kind not in known:
-        raise RenetError(f"unknown terrain {kind!r}: choose one of {', '.join(known)}")
+    known = {"stairs": Stairs(descend=True), **tiles()}
+    if kind not in known:  # All callers know flat ground, which is no tile.
+        raise RenetError(f"unknown terrain {kind!r}: choose one of flat, {', '.join(known)}")
     if not 1 <= level <= LEVELS:
         raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")
     return known[kind], (level - 1) / (LEVELS - 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from renet.deploy.bundle import Bundle
 from renet.deploy.controller import Controller
 from renet.deploy.flight_log import (
+    BAD,
     EVENTS,
     HEADER,
     IMAGES,
@@ -28,6 +30,7 @@ from renet.deploy.safety import Mode, SafetyCfg
 from renet.errors import RenetError
 
 from .fakes import STANDING, frame, state, time_of
+from .waiting import until
 
 STEPS = 230
 CFG = SafetyCfg(rise_seconds=0.1)
@@ -132,7 +135,7 @@ def test_no_damage_is_worse_than_a_refusal(bundle, tmp_path):
     fly(bundle, tmp_path / "a.flight")
     data, random = (tmp_path / "a.flight").read_bytes(), np.random.default_rng(0)
     hurt = tmp_path / "hurt.flight"
-    for _ in range(300):
+    for _ in range(100):
         spoilt = bytearray(data)
         for at in random.integers(len(MAGIC), len(data), random.integers(1, 20)):
             spoilt[at] = random.integers(256)
@@ -180,8 +183,27 @@ def test_a_log_that_cannot_be_written_says_so_before_the_flight(tmp_path):
 def test_a_full_disk_ends_the_log_and_not_the_flight(bundle):
     log = FlightLog(Path("/dev/full"), {})
     controller = Controller(bundle, CFG)
+    until(lambda: log.problem != "")
     for step in range(60):
         controller.tick(state(time_of(step)), None, Request(), time_of(step))
         log.append(None, None, Request(), time_of(step), controller.decision, 0.0)
+    assert log._chunks.empty(), "nothing piles up in memory"
     log.close()
     assert "ends early" in log.problem
+
+
+class Broken:
+    @property
+    def number(self):
+        raise RuntimeError("the driver's object is gone")
+
+    time = speed = number
+
+
+def test_objects_that_fail_are_logged_as_bad(tmp_path):
+    broken: Any = Broken()
+    log = FlightLog(tmp_path / "a.flight", {})
+    log.append(broken, broken, broken, 0.0, Controller(Bundle.load()).decision, 0.0)
+    log.close()
+    (tick,) = read_log(tmp_path / "a.flight").ticks
+    assert (tick["state"], tick["frame"], tick["stop"]) == (BAD, BAD, True)

@@ -285,13 +285,13 @@ def test_a_connection_that_only_looked_leaves_the_robot_limp(served):
 
 def test_a_dry_run_tells_what_moves_and_commands_nothing(served, monkeypatch, tmp_path, capsys):
     """The joint-order check of docs/robot.md: a robot that sinks moves its own joints."""
-    robot = partial(Go1Robot, "127.0.0.1", served.port, free_port())
+    robot = partial(Go1Robot, port=served.port, local_port=free_port())
     monkeypatch.setattr(go1, "Go1Robot", robot)
     served.robot.data.qpos[2] += 0.5
     served.robot.model.opt.gravity[2] = -50.0
     patient = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999)
-    cfg = DeployCfg(robot="go1", camera="none", dry_run=True, seconds=2.0, safety=patient)
-    deploy(replace(cfg, out=tmp_path))
+    cfg = DeployCfg(robot="go1", host="127.0.0.1", dry_run=True, seconds=2.0, safety=patient)
+    deploy(replace(cfg, camera="none", out=tmp_path))
     shown = capsys.readouterr().out
     assert "rad: front right, knee folds" in shown
     assert "FR_hip +0.10 (Kp 40)" in shown, "what it would have commanded"

@@ -79,7 +79,7 @@ def _robot(cfg: DeployCfg, bundle: Bundle) -> tuple[Robot, Any, Callable[[], Non
         from renet.deploy.robots.go1 import Go1Robot
         from renet.deploy.robots.joint_watch import JointWatch
 
-        go1 = Go1Robot(cfg.host, power_level=cfg.power_level)
+        go1 = Go1Robot(host=cfg.host, power_level=cfg.power_level)
         return go1, lambda: None, JointWatch(go1.read).look if cfg.dry_run else lambda: None
     try:
         from renet.deploy.robots.mujoco import MujocoRobot

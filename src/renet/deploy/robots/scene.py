@@ -19,7 +19,6 @@ FLAT = "flat"
 BORDER = 40.0
 """Half-width of the ground around a tile, m."""
 GROUND = (0.62, 0.60, 0.56, 1.0)
-SHORT = {"stairs": "stairs_down"}
 
 
 def build_scene(
@@ -58,7 +57,7 @@ def scene_spec(
             type=mujoco.mjtGeom.mjGEOM_PLANE, size=(BORDER, BORDER, 1), rgba=GROUND
         )
     else:
-        start = _add_tile(spec, SHORT.get(terrain, terrain), level, seed)
+        start = _add_tile(spec, terrain, level, seed)
     return spec, start
 
 
