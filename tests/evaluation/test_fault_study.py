@@ -101,8 +101,34 @@ def test_harm_and_misses_are_published() -> None:
         {"robots": 0},
         {"terrain": "lava"},
         {"terrain": "gap", "level": 11},
+        {"over": 100},
+        {"healthy_minutes": -1.0},
+        {"selector": "coin"},
     ],
 )
 def test_bad_settings_are_refused(wrong) -> None:
     with pytest.raises(RenetError):
         FaultsCfg(**wrong)
+
+
+def test_glass_is_studied_where_there_are_obstacles() -> None:
+    flat, stairs = FaultsCfg(), FaultsCfg(terrain="stairs_up", level=2)
+    assert (flat.terrain_of("glass"), flat.terrain_of("foam")) == ("obstacles", "flat")
+    assert stairs.terrain_of("glass") == "stairs_up"
+
+
+def test_quick_is_smaller() -> None:
+    quick, full = FaultsCfg(quick=True), FaultsCfg()
+    assert quick.effective() == ((1, 3, 5), 10)
+    assert quick.healthy_seconds == 2400
+    assert full.healthy_seconds == 3600
+    assert FaultsCfg(quick=True, healthy_minutes=1.0).healthy_seconds == 60
+
+
+def test_healthy_time_is_counted_before_faults_and_without_them(folder: Path) -> None:
+    summary = json.loads((folder / "summary.json").read_text())
+    # Four faults' batches of 12 robots for 20 steps, and 0.1 minutes.
+    rows = sum(run["robots"] for run in summary["runs"])
+    assert summary["healthy"]["robot_hours"] == pytest.approx((rows * 0.4 + 6.0) / 3600, rel=0.01)
+    assert summary["healthy"]["alarms_by_monitor"]["reconstruction"] == 0
+    assert {claim["met"] for claim in summary["claims"]} <= {True, False}
