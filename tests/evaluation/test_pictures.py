@@ -10,6 +10,7 @@ import pytest
 from renet.errors import RenetError
 from renet.evaluation.maps import WARM_UP, errors
 from renet.evaluation.pictures import SENSOR, PicturesCfg, _kept, run_pictures
+from renet.evaluation.report import ReportCfg, make_report
 from renet.tiles import tiles
 from renet.vocabulary import HEIGHT_MAP_SIZE
 
@@ -25,6 +26,9 @@ def test_every_picture_is_written_and_the_numbers_are_those_of_the_robots(tmp_pa
     # Level 8 of the stairs is far from flat; that of rough ground is within centimetres.
     assert flat["stairs_up"] > 0.1 > flat["rough"]
     assert summary["provenance"]["bundle_hash"]
+    page = make_report(ReportCfg(tmp_path)).read_text()
+    assert "The ground as the robot believes it to be" in page
+    assert page.count("<img") == 3
 
 
 def test_errors_by_hand():

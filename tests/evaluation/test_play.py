@@ -67,7 +67,7 @@ def test_a_folder_with_neither_is_refused(tmp_path):
 def test_a_bundle_of_a_robot_unknown_here_is_refused():
     manifest = Bundle.load().manifest
     other = replace(manifest, provenance=replace(manifest.provenance, task="Renet-Spot-Flat"))
-    with pytest.raises(RenetError, match="unknown task 'Renet-Spot-Flat'"):
+    with pytest.raises(RenetError, match="Renet-Spot-Flat is unknown here: start from the file"):
         robot_of(other)
 
 

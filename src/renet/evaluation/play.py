@@ -107,7 +107,13 @@ def opened(path: Path | None) -> Iterator[Path | None]:
 def robot_of(manifest: Manifest) -> Robot:
     """The robot a bundle was trained on; raises RenetError if its task is not registered here."""
     task = manifest.provenance.task
-    return env_cfg(task).robot if task else GO1
+    try:
+        return env_cfg(task).robot if task else GO1
+    except RenetError as error:
+        raise RenetError(
+            f"the bundle's task {task} is unknown here: start from the file that describes its"
+            f" robot, {manifest.robot.name} (docs/robots.md)"
+        ) from error
 
 
 def ground(terrain: str, level: int, robot: Robot) -> RenetEnvCfg:

@@ -24,6 +24,7 @@ from renet.evaluation.results import output_folder, read_json
 from renet.evaluation.study_pages import (
     course_section,
     filter_section,
+    pictures_section,
     success_section,
     terrain_section,
 )
@@ -38,6 +39,7 @@ SECTIONS: dict[str, Callable[[Page, dict[str, Any], Path], None]] = {
     "terrain": terrain_section,
     "course": course_section,
     "filter": filter_section,
+    "pictures": pictures_section,
 }
 """Studies in the order of the page."""
 
@@ -47,7 +49,8 @@ class ReportCfg:
     """Where the results are and the page goes."""
 
     results: Path = Path("results")
-    """Folder with the studies' folders: noise, faults, success, terrain, course, filter."""
+    """Folder with the studies' folders: noise, faults, success, terrain, course, filter,
+    pictures."""
     out: Path | None = None
     """The page; index.html in `results` by default."""
     run: bool = False

@@ -147,3 +147,17 @@ def filter_section(page: Page, summary: dict[str, Any], folder: Path) -> None:
         ],
         folded=f"All {len(summary['runs'])} filters",
     )
+
+
+def pictures_section(page: Page, summary: dict[str, Any], folder: Path) -> None:
+    """The ground as VP predicts it, and what the tiles and the camera look like."""
+    settings = summary["settings"]
+    page.heading("The ground as the robot believes it to be")
+    page.text(
+        "The VP estimator's height map beside the true one, where each robot had the most relief"
+        f" around it; errors are over {settings['seconds']:g} s on tiles of level"
+        f" {settings['level']}, and “flat” is the error of taking all ground for flat."
+    )
+    page.picture(folder / "height_map.png", "True ground, and predicted.")
+    page.picture(folder / "tiles.png", "Every kind of tile at levels 1, 5 and 10.")
+    page.picture(folder / "camera.png", "The camera's errors, one more in each row.")
