@@ -104,7 +104,7 @@ def draw_roc(
         for axis in axes[:, 0]:
             axis.set_ylabel("caught", fontsize=8)
         handles, labels = axes.flat[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8)
+        figure.legend(handles, labels, loc="outside right center", fontsize=8)
         figure.suptitle(
             "Frames before and after the onset: all monitors (lines), reconstruction alone (dots)",
             x=0.01,
