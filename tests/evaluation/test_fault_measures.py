@@ -99,6 +99,7 @@ def run(fault: str, severity: int, mode: str, **values) -> dict:
         "detected_by_paper": 10,
     }
     delays = {"detection_delay_s": 0.1, "detection_delay_p95_s": 0.15}
+    plain |= {"terrain": "flat"}
     return {"fault": fault, "severity": severity, "mode": mode} | plain | delays | values
 
 
@@ -115,12 +116,12 @@ def test_claims_are_judged_by_what_was_measured() -> None:
         run("blackout", 5, "op"),
     ]
     claims = {
-        c["claim"]: (c["met"], c["measured"]) for c in findings(runs, healthy(1, 2.5))["claims"]
+        c["claim"]: (c["met"], c["measured"]) for c in findings(runs, [], healthy(1, 2.5))["claims"]
     }
     met = [met for met, _ in claims.values()]
     assert met == [True, False, False, True, True, False]
     assert claims["frozen images are noticed"][1] == "10 of 10 robots; by the paper's rule alone 0"
-    assert [c["met"] for c in findings(runs[:1], healthy(3, 2.0))["claims"]] == [
+    assert [c["met"] for c in findings(runs[:1], [], healthy(3, 2.0))["claims"]] == [
         True,
         True,
         True,

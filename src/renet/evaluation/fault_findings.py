@@ -17,9 +17,9 @@ UNIFORM = ("blackout", "saturated", "occlusion")
 Runs = list[dict[str, Any]]
 
 
-def findings(runs: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
-    """`harmful`, `missed` and `claims` of a summary, from its `runs` and its `healthy`."""
-    harm, misses = harmful(runs), missed(runs)
+def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
+    """`harmful`, `missed` and `claims` of a summary, from `runs`, `baseline` and `healthy`."""
+    harm, misses = harmful(runs), missed(runs, baseline)
     claims = [
         _claim(
             "survival at least OP alone's minus 2 points, every setting",
@@ -32,7 +32,7 @@ def findings(runs: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
             f"{sum(miss['undetected'] for miss in misses if miss['severity'] >= SEVERE)} robots did"
             " not notice",
         ),
-        *_delay_claim(runs),
+        *_delay_claim(runs, baseline),
         _claim(
             "at most 1 false switch per healthy hour",
             healthy["false_switches_per_hour"] <= 1.0,
@@ -57,9 +57,19 @@ def harmful(runs: Runs) -> Runs:
     ]
 
 
-def missed(runs: Runs) -> Runs:
+def caused(runs: Runs, baseline: Runs) -> dict[tuple[str, int], int]:
+    """How many more robots fall under VP alone than with healthy cameras, by fault and severity."""
+    usual = {run["terrain"]: run["falls"] for run in baseline if run["mode"] == "vp"}
+    return {
+        (run["fault"], run["severity"]): run["falls"] - usual.get(run["terrain"], 0)
+        for run in runs
+        if run["mode"] == "vp"
+    }
+
+
+def missed(runs: Runs, baseline: Runs) -> Runs:
     """Faults that make VP fall and that the selector did not notice on every robot."""
-    falls = {(r["fault"], r["severity"]): r["falls"] for r in runs if r["mode"] == "vp"}
+    falls = caused(runs, baseline)
     return [
         {
             "fault": r["fault"],
@@ -78,9 +88,9 @@ def _claim(claim: str, met: bool, measured: str) -> dict[str, Any]:
     return {"claim": claim, "met": bool(met), "measured": measured}
 
 
-def _delay_claim(runs: Runs) -> Runs:
+def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
     """The median of the settings' median delays, where VP falls; of all if it never does."""
-    falls = {(r["fault"], r["severity"]) for r in runs if r["mode"] == "vp" and r["falls"] > 0}
+    falls = {setting for setting, more in caused(runs, baseline).items() if more > 0}
     noticed = [r for r in runs if r["mode"] == "renet" and r["detection_delay_s"] is not None]
     where = [r for r in noticed if (r["fault"], r["severity"]) in falls] or noticed
     if not where:

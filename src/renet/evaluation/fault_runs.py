@@ -54,6 +54,45 @@ def run_fault(cfg: FaultsCfg, lab: Lab, world: World, fault: str, name: str) -> 
     }
 
 
+def run_baseline(cfg: FaultsCfg, lab: Lab, world: World, terrain: str) -> dict[str, Any]:
+    """The same robots with cameras that never fail: what they fall over by themselves."""
+    severities, robots = cfg.effective()
+    rows = [Row(mode, (), n) for _ in severities for mode in cfg.modes for n in range(robots)]
+    with progress(f"no fault, {terrain}", cfg.steps) as advance:
+        trace = run_rollout(
+            world,
+            lab.controller(len(rows)),
+            lab.switch(len(rows)),
+            rows,
+            cfg.steps,
+            cfg.seed,
+            on_step=advance,
+        )
+    runs = []
+    for number, mode in enumerate(cfg.modes):
+        index = slice(number * robots, (number + 1) * robots)
+        upright = ~trace.fallen[-1, index]
+        low, high = metrics.bootstrap_interval(upright)
+        runs.append(
+            {
+                "mode": mode,
+                "terrain": terrain,
+                "robots": robots,
+                "falls": int((~upright).sum()),
+                "survival": float(upright.mean()),
+                "survival_ci95_low": low,
+                "survival_ci95_high": high,
+                "mean_forward_velocity": metrics.mean_forward_velocity(trace.speed[:, index]),
+                "seed": cfg.seed,
+            }
+        )
+    return {
+        "runs": runs,
+        "false_switches": metrics.false_switches(trace.trusted, trace.fallen),
+        "healthy_robot_hours": metrics.healthy_hours(trace.fallen),
+    }
+
+
 def _observe(cfg: FaultsCfg, lab: Lab, world: World, rows: list[Row], name: str) -> Batch:
     """Run a batch and score it with every monitor and the paper's selector."""
     witness = Witness(len(rows), {"paper": lab.switch(len(rows), "paper")})

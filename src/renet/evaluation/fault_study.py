@@ -7,6 +7,7 @@ not run again, so an interrupted study goes on where it stopped.
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from renet.evaluation import metrics
 from renet.evaluation.fault_cfg import FaultsCfg
 from renet.evaluation.fault_figures import draw_detection, draw_gallery, draw_roc, draw_survival
 from renet.evaluation.fault_findings import findings
-from renet.evaluation.fault_runs import run_fault, run_healthy
+from renet.evaluation.fault_runs import run_baseline, run_fault, run_healthy
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import (
     Provenance,
@@ -60,11 +61,19 @@ def run_faults(cfg: FaultsCfg, lab: Lab | None = None) -> dict[str, Any]:
             part = run_fault(cfg, lab, world(cfg.terrain_of(fault)), fault, name) | key
             write_json(path, part)
         results.append(part)
+    baseline = {}
+    for terrain in dict.fromkeys(cfg.terrain_of(fault) for fault in cfg.faults):
+        path = parts / f"no_fault_{terrain}.json"
+        part = _finished(path, key)
+        if part is None:
+            part = run_baseline(cfg, lab, world(terrain), terrain) | key
+            write_json(path, part)
+        baseline[terrain] = part
     healthy = _finished(parts / "healthy.json", key)
     if healthy is None and cfg.healthy_seconds > 0:
         healthy = run_healthy(cfg, lab) | key
         write_json(parts / "healthy.json", healthy)
-    summary = summarise(cfg, results, healthy, provenance)
+    summary = summarise(cfg, results, baseline, healthy, provenance)
     write_json(out / "summary.json", summary)
     write_csv(out / "summary.csv", summary["runs"])
     draw_survival(summary["runs"], cfg.modes, severities, out / "survival.png", provenance)
@@ -94,26 +103,32 @@ def _finished(path: Path, key: dict[str, Any]) -> dict[str, Any] | None:
 def summarise(
     cfg: FaultsCfg,
     parts: list[dict[str, Any]],
+    baseline: dict[str, dict[str, Any]],
     healthy: dict[str, Any] | None,
     provenance: Provenance,
 ) -> dict[str, Any]:
     """The content of summary.json."""
     runs = [run for part in parts for run in part["runs"]]
-    hours = sum(part["healthy_robot_hours"] for part in parts)
-    switches = sum(part["false_switches"] for part in parts)
+    usual = [run for part in baseline.values() for run in part["runs"]]
+    # On this study's terrain: where glass has to go elsewhere, its healthy time is not of it.
+    calm_parts = [part for part in parts if part["runs"][0]["terrain"] == cfg.terrain]
+    calm_parts += [part for terrain, part in baseline.items() if terrain == cfg.terrain]
+    hours = sum(part["healthy_robot_hours"] for part in calm_parts)
+    switches = sum(part["false_switches"] for part in calm_parts)
     if healthy is not None:
         hours, switches = hours + healthy["robot_hours"], switches + healthy["false_switches"]
     calm = {
         "false_switches": switches,
         "robot_hours": hours,
-        "false_switches_per_hour": switches / hours,
-        "upper_95_per_hour": metrics.poisson_upper(switches) / hours,
+        "false_switches_per_hour": switches / hours if hours else math.nan,
+        "upper_95_per_hour": metrics.poisson_upper(switches) / hours if hours else math.nan,
         "alarms_by_monitor": {} if healthy is None else healthy["alarms"],
     }
     return {
         "study": "faults",
         "runs": runs,
-        **findings(runs, calm),
+        "baseline": usual,
+        **findings(runs, usual, calm),
         "healthy": calm,
         "run_seconds": cfg.steps * CONTROL_DT,
         "settings": asdict(cfg),
