@@ -20,6 +20,7 @@ from renet.evaluation.lab import Lab
 from renet.evaluation.noise import NoiseCfg, run_noise
 from renet.evaluation.noise_page import noise_section
 from renet.evaluation.page import Page
+from renet.evaluation.pictures import PicturesCfg, run_pictures
 from renet.evaluation.results import output_folder, read_json
 from renet.evaluation.study_pages import (
     course_section,
@@ -142,6 +143,7 @@ def run_studies(cfg: ReportCfg) -> None:
         "success": lambda: run_success(SuccessCfg(**out["success"], quick=cfg.quick)),
         "course": lambda: run_course(CourseCfg(**out["course"], quick=cfg.quick)),
         "faults": lambda: run_faults(FaultsCfg(**out["faults"], quick=cfg.quick)),
+        "pictures": lambda: run_pictures(PicturesCfg(**out["pictures"])),
     }
     for number, (name, study) in enumerate(studies.items(), start=1):
         console.print(f"[bold]{number}/{len(studies)} {name}")
