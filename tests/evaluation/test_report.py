@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -124,7 +125,8 @@ def test_no_results_are_reported(tmp_path: Path) -> None:
 
 def test_incomplete_results_are_reported(tmp_path: Path) -> None:
     (tmp_path / "filter").mkdir()
-    (tmp_path / "filter" / "summary.json").write_text('{"runs": []}')
+    summary = {"runs": [], "provenance": {"bundle_hash": "b"}}
+    (tmp_path / "filter" / "summary.json").write_text(json.dumps(summary))
     with pytest.raises(RenetError, match="results of filter"):
         make_report(ReportCfg(tmp_path, tmp_path / "page.html"))
 

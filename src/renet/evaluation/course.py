@@ -82,15 +82,15 @@ def run_course(cfg: CourseCfg, lab: Lab | None = None) -> dict[str, Any]:
     Raises:
         RenetError: a bundle that cannot be used, or a folder that cannot be written to.
     """
-    lab = lab or Lab(cfg.bundle, cfg.engine, cfg.selector)
+    studied = lab or Lab(cfg.bundle, cfg.engine, cfg.selector)
     out = output_folder(cfg.out)
     parts = output_folder(out / "parts")
-    provenance = lab.provenance(cfg.seed)
+    provenance = studied.provenance(cfg.seed)
     settings = {k: v for k, v in asdict(cfg).items() if k not in ("out", "bundle", "laps")}
     key = settings | {"bundle_hash": provenance.bundle_hash}
     lap, laps, _ = cfg.effective()
     done = [
-        finished_part(parts / f"lap_{n}.json", key, lambda n=n: _run_lap(cfg, lab, n))
+        finished_part(parts / f"lap_{n}.json", key, lambda n=n: _run_lap(cfg, studied, n))
         for n in range(1, laps + 1)
     ]
     runs = [run for part in done for run in part["runs"]]

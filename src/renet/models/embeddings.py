@@ -36,7 +36,9 @@ class DepthEmbedding(nn.Module):
             nn.ELU(),
             nn.Conv2d(second, third, 3, stride=2, padding=1),
             nn.ELU(),
-        ).to(memory_format=torch.channels_last)  # A third faster on a CPU.
+        )
+        # A third faster on a CPU.
+        self.convolutions.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         rows, columns = (size // 8 for size in DEPTH_SHAPE)
         self.project = nn.Sequential(nn.Linear(third * rows * columns, width), nn.ELU())
 
