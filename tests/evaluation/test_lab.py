@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from renet.deploy.bundle import DEFAULT, Bundle, pretrained
+from renet.deploy.bundle import DEFAULT, Bundle, pretrained, read_manifest, write_bundle
 from renet.deploy.manifest import Manifest, SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
