@@ -8,6 +8,7 @@ Finished laps are kept in `parts/`, so an interrupted course goes on where it st
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from renet.evaluation.course_track import LAP, SHORT_LAP, course_env_cfg, passag
 from renet.evaluation.course_world import CourseWorld, PlaceInjector, course_length, time_limit
 from renet.evaluation.faults import SEVERITIES
 from renet.evaluation.lab import Lab
-from renet.evaluation.results import finished_part, output_folder, write_csv, write_json
+from renet.evaluation.results import Parts, output_folder, write_csv, write_json
 from renet.evaluation.rollout import MODES, Row, Trace, run_rollout
 from renet.evaluation.terminal import progress, show
 from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
@@ -82,17 +83,12 @@ def run_course(cfg: CourseCfg, lab: Lab | None = None) -> dict[str, Any]:
     Raises:
         RenetError: a bundle that cannot be used, or a folder that cannot be written to.
     """
-    studied = lab or Lab(cfg.bundle, cfg.engine, cfg.selector)
+    lab = lab or Lab(cfg.bundle, cfg.engine, cfg.selector)
     out = output_folder(cfg.out)
-    parts = output_folder(out / "parts")
-    provenance = studied.provenance(cfg.seed)
-    settings = {k: v for k, v in asdict(cfg).items() if k not in ("out", "bundle", "laps")}
-    key = settings | {"bundle_hash": provenance.bundle_hash}
+    provenance = lab.provenance(cfg.seed)
+    parts = Parts(out, cfg, provenance, free=("laps",))
     lap, laps, _ = cfg.effective()
-    done = [
-        finished_part(parts / f"lap_{n}.json", key, lambda n=n: _run_lap(cfg, studied, n))
-        for n in range(1, laps + 1)
-    ]
+    done = [parts.get(f"lap_{n}", partial(_run_lap, cfg, lab, n)) for n in range(1, laps + 1)]
     runs = [run for part in done for run in part["runs"]]
     summary = {
         "study": "course",

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from pathlib import Path
+from functools import cache, partial
 from typing import Any
 
 from renet.evaluation import metrics
@@ -18,14 +18,7 @@ from renet.evaluation.fault_figures import draw_detection, draw_gallery, draw_ro
 from renet.evaluation.fault_findings import findings
 from renet.evaluation.fault_runs import run_baseline, run_fault, run_healthy
 from renet.evaluation.lab import Lab
-from renet.evaluation.results import (
-    Provenance,
-    output_folder,
-    plain,
-    read_json,
-    write_csv,
-    write_json,
-)
+from renet.evaluation.results import Parts, Provenance, output_folder, write_csv, write_json
 from renet.evaluation.rollout import World
 from renet.evaluation.terminal import show
 from renet.vocabulary import CONTROL_DT
@@ -41,38 +34,32 @@ def run_faults(cfg: FaultsCfg, lab: Lab | None = None) -> dict[str, Any]:
     """
     lab = lab or Lab(cfg.bundle, cfg.engine, cfg.selector)
     out = output_folder(cfg.out)
-    parts = output_folder(out / "parts")
     provenance = lab.provenance(cfg.seed)
+    parts = Parts(out, cfg, provenance, free=("faults",))
     severities, robots = cfg.effective()
-    key, worlds = _key(cfg, provenance), {}
     numbers = list(range(robots)) * (len(severities) * len(cfg.modes))
 
+    @cache
     def world(terrain: str) -> World:
-        if terrain not in worlds:
-            worlds[terrain] = lab.world(cfg.task(terrain), numbers, cfg.speed, cfg.seed)
-        return worlds[terrain]
+        return lab.world(cfg.task(terrain), numbers, cfg.speed, cfg.seed)
 
-    results = []
-    for number, fault in enumerate(cfg.faults, start=1):
-        path = parts / f"{fault}.json"
-        part = _finished(path, key)
-        if part is None:
-            name = f"{number}/{len(cfg.faults)} {fault}"
-            part = run_fault(cfg, lab, world(cfg.terrain_of(fault)), fault, name) | key
-            write_json(path, part)
-        results.append(part)
-    baseline = {}
-    for terrain in dict.fromkeys(cfg.terrain_of(fault) for fault in cfg.faults):
-        path = parts / f"no_fault_{terrain}.json"
-        part = _finished(path, key)
-        if part is None:
-            part = run_baseline(cfg, lab, world(terrain), terrain) | key
-            write_json(path, part)
-        baseline[terrain] = part
-    healthy = _finished(parts / "healthy.json", key)
-    if healthy is None and cfg.healthy_seconds > 0:
-        healthy = run_healthy(cfg, lab) | key
-        write_json(parts / "healthy.json", healthy)
+    def one(fault: str, name: str) -> dict[str, Any]:
+        return run_fault(cfg, lab, world(cfg.terrain_of(fault)), fault, name)
+
+    def none(terrain: str) -> dict[str, Any]:
+        return run_baseline(cfg, lab, world(terrain), terrain)
+
+    results = [
+        parts.get(fault, partial(one, fault, f"{number}/{len(cfg.faults)} {fault}"))
+        for number, fault in enumerate(cfg.faults, start=1)
+    ]
+    baseline = {
+        terrain: parts.get(f"no_fault_{terrain}", partial(none, terrain))
+        for terrain in dict.fromkeys(cfg.terrain_of(fault) for fault in cfg.faults)
+    }
+    healthy = None
+    if cfg.healthy_seconds > 0:
+        healthy = parts.get("healthy", partial(run_healthy, cfg, lab))
     summary = summarise(cfg, results, baseline, healthy, provenance)
     write_json(out / "summary.json", summary)
     write_csv(out / "summary.csv", summary["runs"])
@@ -82,22 +69,6 @@ def run_faults(cfg: FaultsCfg, lab: Lab | None = None) -> dict[str, Any]:
     draw_roc(curves, out / "roc.png", provenance)
     draw_gallery(cfg.faults, cfg.seed, out / "gallery.png", provenance)
     return summary
-
-
-def _key(cfg: FaultsCfg, provenance: Provenance) -> dict[str, Any]:
-    """What a finished part must agree with to be used again."""
-    settings = asdict(cfg)
-    for name in ("out", "bundle", "faults"):
-        settings.pop(name)
-    return {"settings": plain(settings), "bundle_hash": provenance.bundle_hash}
-
-
-def _finished(path: Path, key: dict[str, Any]) -> dict[str, Any] | None:
-    """A part from an earlier run with the same settings and bundle, or None."""
-    if not path.exists():
-        return None
-    part = read_json(path)
-    return part if part.items() >= key.items() else None
 
 
 def summarise(

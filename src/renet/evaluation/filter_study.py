@@ -7,6 +7,7 @@ through selectors of every γ and rate. What is measured must match the document
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ from renet.evaluation import figures, metrics
 from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab, ScoreSwitch
 from renet.evaluation.results import (
+    Parts,
     Provenance,
-    finished_part,
     output_folder,
     write_csv,
     write_json,
@@ -77,12 +78,9 @@ def run_filter(cfg: FilterCfg, lab: Lab | None = None) -> dict[str, Any]:
     if cfg.quick:
         cfg = replace(cfg, robots=4, quick=False)
     out = output_folder(cfg.out)
-    parts = output_folder(out / "parts")
     provenance = lab.provenance(cfg.seed)
-    walk = {k: getattr(cfg, k) for k in ("robots", "onset", "steps", "speed", "seed", "engine")}
-    key = walk | {"bundle_hash": provenance.bundle_hash}
-    part = finished_part(parts / "scores.json", key, lambda cfg=cfg, lab=lab: _walk(cfg, lab))
-    scores = np.array(part["scores"])
+    parts = Parts(out, cfg, provenance, free=("gammas", "rates"))
+    scores = np.array(parts.get("scores", partial(_walk, cfg, lab))["scores"])
     runs = [
         _run(cfg, scores, SelectorSpec(lab.beta, gamma, rate))
         for rate in cfg.rates

@@ -9,8 +9,8 @@ import math
 import os
 import shlex
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -114,27 +114,44 @@ def read_json(path: Path) -> dict[str, Any]:
         raise RenetError(f"{path} is not valid JSON ({error}): delete it and run again") from error
 
 
-def finished_part(
-    path: Path, key: Mapping[str, Any], make: Callable[[], dict[str, Any]]
-) -> dict[str, Any]:
-    """A part of a study: from an earlier, interrupted run, or made and written now.
+class Parts:
+    """Finished parts of a study, kept in `parts/`: an interrupted study goes on where it stopped.
 
-    Args:
-        path: where it is kept.
-        key: what an earlier part must agree with to be used again: settings, bundle hash.
-        make: computes it.
-
-    Raises:
-        RenetError: there is an earlier part, and it is damaged.
+    A part is used again by a run of the same settings and bundle.
     """
-    key = plain(key)
-    if path.exists():
-        part = read_json(path)
-        if part.get("key") == key:
-            return part
-    part = plain(make()) | {"key": key}
-    write_json(path, part)
-    return part
+
+    def __init__(
+        self, out: Path, cfg: Any, provenance: Provenance, free: Collection[str] = ()
+    ) -> None:
+        """Open the folder.
+
+        Args:
+            out: the study's results.
+            cfg: its settings, a dataclass.
+            provenance: of its numbers.
+            free: settings that may differ, besides `out` and `bundle`.
+
+        Raises:
+            RenetError: the folder cannot be made.
+        """
+        self._folder = output_folder(out / "parts")
+        fixed = {k: v for k, v in asdict(cfg).items() if k not in {"out", "bundle", *free}}
+        self._key = plain(fixed | {"bundle_hash": provenance.bundle_hash})
+
+    def get(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """The part of that name: from an earlier run, or made and written now.
+
+        Raises:
+            RenetError: there is an earlier part, and it is damaged.
+        """
+        path = self._folder / f"{name}.json"
+        if path.exists():
+            part = read_json(path)
+            if part.get("key") == self._key:
+                return part
+        part = plain(make()) | {"key": self._key}
+        write_json(path, part)
+        return part
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ from renet.evaluation import figures, metrics
 from renet.evaluation.faults import Injection, Schedule
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import (
+    Parts,
     Provenance,
-    finished_part,
     output_folder,
     write_csv,
     write_json,
@@ -148,17 +149,12 @@ def run_success(cfg: SuccessCfg, lab: Lab | None = None) -> dict[str, Any]:
     """
     lab = lab or Lab(cfg.bundle, cfg.engine, cfg.selector)
     out = output_folder(cfg.out)
-    parts = output_folder(out / "parts")
     provenance = lab.provenance(cfg.seed)
-    settings = {k: v for k, v in asdict(cfg).items() if k not in ("out", "bundle", "kinds")}
-    key = settings | {"bundle_hash": provenance.bundle_hash}
+    parts = Parts(out, cfg, provenance, free=("kinds",))
     runs: list[dict[str, Any]] = []
     for number, kind in enumerate(cfg.kinds, start=1):
         name = f"{number}/{len(cfg.kinds)} {kind}"
-        part = finished_part(
-            parts / f"{kind}.json", key, lambda k=kind, n=name: {"runs": _run_kind(cfg, lab, k, n)}
-        )
-        runs += part["runs"]
+        runs += parts.get(kind, partial(_run_kind, cfg, lab, kind, name))["runs"]
     summary = {
         "study": "success",
         "runs": runs,
@@ -172,7 +168,7 @@ def run_success(cfg: SuccessCfg, lab: Lab | None = None) -> dict[str, Any]:
     return summary
 
 
-def _run_kind(cfg: SuccessCfg, lab: Lab, kind: str, name: str) -> list[dict[str, Any]]:
+def _run_kind(cfg: SuccessCfg, lab: Lab, kind: str, name: str) -> dict[str, Any]:
     """All sizes and modes of one kind of tile, side by side."""
     levels, trials = cfg.effective()
     settings = [(level, mode) for level in levels for mode in cfg.modes]
@@ -188,11 +184,12 @@ def _run_kind(cfg: SuccessCfg, lab: Lab, kind: str, name: str) -> list[dict[str,
             tried, controller, switch, rows, steps, cfg.seed, on_step=tried.watch(advance)
         )
     crossed, fell, seconds = outcome(trace)
-    return [
+    runs = [
         _run(cfg, kind, level, mode, crossed[part], fell[part], seconds[part])
         for i, (level, mode) in enumerate(settings)
         for part in [slice(i * trials, (i + 1) * trials)]
     ]
+    return {"runs": runs}
 
 
 def outcome(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -10,6 +10,7 @@ Each kind is one batch, kept in `parts/`: an interrupted study goes on where it 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,8 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import (
+    Parts,
     Provenance,
-    finished_part,
     output_folder,
     write_csv,
     write_json,
@@ -80,17 +81,10 @@ def run_terrain(cfg: TerrainCfg, lab: Lab | None = None) -> dict[str, Any]:
     """
     lab = lab or Lab(cfg.bundle, cfg.engine, cfg.selector)
     out = output_folder(cfg.out)
-    parts = output_folder(out / "parts")
     provenance = lab.provenance(cfg.seed)
-    settings = {k: v for k, v in asdict(cfg).items() if k not in ("out", "bundle", "kinds")}
-    key = settings | {"bundle_hash": provenance.bundle_hash}
-    flat = finished_part(parts / "flat.json", key, lambda lab=lab: _walk_flat(cfg, lab))
-    climbs = {
-        kind: finished_part(
-            parts / f"{kind}.json", key, lambda k=kind, lab=lab: _climb(cfg, lab, k)
-        )
-        for kind in cfg.kinds
-    }
+    parts = Parts(out, cfg, provenance, free=("kinds",))
+    flat = parts.get("flat", partial(_walk_flat, cfg, lab))
+    climbs = {kind: parts.get(kind, partial(_climb, cfg, lab, kind)) for kind in cfg.kinds}
     summary = summarise(cfg, climbs, flat, provenance)
     write_json(out / "summary.json", summary)
     write_csv(out / "summary.csv", summary["runs"])
