@@ -8,6 +8,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from renet.evaluation.lab import Lab
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import Readings
 from renet.selector.monitors import Sight
@@ -96,6 +97,7 @@ class FakeLab:
 
     beta = 0.01
     thresholds: ClassVar = {"reconstruction": 0.01, "duplicate": 3.0, "frame_age": 0.2}
+    walk = Lab.walk
 
     def __init__(self) -> None:
         spec = mujoco.MjSpec()

@@ -9,8 +9,7 @@ from renet.errors import RenetError
 from renet.evaluation.calibrate import PARKOUR, CalibrateCfg
 from renet.evaluation.healthy import ScoreLog, healthy_series
 from renet.evaluation.lab import Lab
-from renet.evaluation.rollout import Row, run_rollout
-from renet.evaluation.terminal import progress
+from renet.evaluation.rollout import Row
 from renet.evaluation.world import SimWorld
 from renet.tiles import LEVELS, tiles
 from renet.vocabulary import CONTROL_DT
@@ -46,15 +45,5 @@ def _healthy_runs(cfg: CalibrateCfg, lab: Lab, task: str) -> dict[str, list[np.n
         world.place(robot // len(tiles()) % cfg.levels, robot % len(tiles()))
     rows = [Row("vp", robot=i) for i in range(cfg.robots)]
     log = ScoreLog(cfg.robots)
-    with progress(task, steps) as advance:
-        trace = run_rollout(
-            world,
-            lab.controller(cfg.robots),
-            lab.switch(cfg.robots),
-            rows,
-            steps,
-            cfg.seed,
-            on_step=advance,
-            on_sight=log,
-        )
+    trace = lab.walk(task, world, rows, steps, cfg.seed, on_sight=log)
     return healthy_series(log, trace, cfg.speed)

@@ -12,8 +12,7 @@ from renet.evaluation.fault_measures import Batch, measure, separability
 from renet.evaluation.faults import Injection, fault_class
 from renet.evaluation.healthy import healthy_series
 from renet.evaluation.lab import Lab
-from renet.evaluation.rollout import Row, World, run_rollout
-from renet.evaluation.terminal import progress
+from renet.evaluation.rollout import Row, World
 from renet.evaluation.witness import Witness, suspicion
 from renet.selector.calibration import bursts
 from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
@@ -58,16 +57,7 @@ def run_baseline(cfg: FaultsCfg, lab: Lab, world: World, terrain: str) -> dict[s
     """The same robots with cameras that never fail: what they fall over by themselves."""
     severities, robots = cfg.effective()
     rows = [Row(mode, (), n) for _ in severities for mode in cfg.modes for n in range(robots)]
-    with progress(f"no fault, {terrain}", cfg.steps) as advance:
-        trace = run_rollout(
-            world,
-            lab.controller(len(rows)),
-            lab.switch(len(rows)),
-            rows,
-            cfg.steps,
-            cfg.seed,
-            on_step=advance,
-        )
+    trace = lab.walk(f"no fault, {terrain}", world, rows, cfg.steps, cfg.seed)
     runs = []
     for number, mode in enumerate(cfg.modes):
         index = slice(number * robots, (number + 1) * robots)
@@ -96,17 +86,7 @@ def run_baseline(cfg: FaultsCfg, lab: Lab, world: World, terrain: str) -> dict[s
 def _observe(cfg: FaultsCfg, lab: Lab, world: World, rows: list[Row], name: str) -> Batch:
     """Run a batch and score it with every monitor and the paper's selector."""
     witness = Witness(len(rows), {"paper": lab.switch(len(rows), "paper")})
-    with progress(name, cfg.steps) as advance:
-        trace = run_rollout(
-            world,
-            lab.controller(len(rows)),
-            lab.switch(len(rows)),
-            rows,
-            cfg.steps,
-            cfg.seed,
-            on_step=advance,
-            on_sight=witness,
-        )
+    trace = lab.walk(name, world, rows, cfg.steps, cfg.seed, on_sight=witness)
     scores = witness.log.scores
     return Batch(
         trace,
@@ -138,17 +118,9 @@ def run_healthy(cfg: FaultsCfg, lab: Lab) -> dict[str, Any]:
     # Another seed than the calibration's and the faults': these robots are strangers.
     seed = cfg.seed + 1000
     witness = Witness(robots, {})
-    with progress("healthy cameras", steps) as advance:
-        trace = run_rollout(
-            lab.world(cfg.task(cfg.terrain), range(robots), cfg.speed, seed),
-            lab.controller(robots),
-            lab.switch(robots),
-            [Row("renet", (), robot) for robot in range(robots)],
-            steps,
-            seed,
-            on_step=advance,
-            on_sight=witness,
-        )
+    world = lab.world(cfg.task(cfg.terrain), range(robots), cfg.speed, seed)
+    rows = [Row("renet", (), robot) for robot in range(robots)]
+    trace = lab.walk("healthy cameras", world, rows, steps, seed, on_sight=witness)
     series = healthy_series(witness.log, trace)
     return {
         "false_switches": metrics.false_switches(trace.trusted, trace.failing),

@@ -26,8 +26,8 @@ from renet.evaluation.results import (
     write_csv,
     write_json,
 )
-from renet.evaluation.rollout import UPDATES_PER_STEP, Row, run_rollout
-from renet.evaluation.terminal import progress, show
+from renet.evaluation.rollout import UPDATES_PER_STEP, Row
+from renet.evaluation.terminal import show
 from renet.selector.filter import switch_delay
 from renet.vocabulary import CONTROL_DT
 
@@ -104,9 +104,7 @@ def _walk(cfg: FilterCfg, lab: Lab) -> dict[str, Any]:
     flicker = (Injection("gaussian", 1.0, cfg.onset, duration=0.1, period=0.4),)
     rows = [Row("op", fault, robot) for fault in (steady, flicker) for robot in range(cfg.robots)]
     world = lab.world("Renet-Go1-Flat", [row.robot for row in rows], cfg.speed, cfg.seed)
-    with progress(f"{len(rows)} robots walk", cfg.steps) as advance:
-        controller, switch = lab.controller(len(rows)), lab.switch(len(rows))
-        trace = run_rollout(world, controller, switch, rows, cfg.steps, cfg.seed, on_step=advance)
+    trace = lab.walk(f"{len(rows)} robots walk", world, rows, cfg.steps, cfg.seed)
     return {"scores": trace.anomaly}
 
 

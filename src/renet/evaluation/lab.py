@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import warp as wp
@@ -11,10 +12,13 @@ import warp as wp
 from renet.deploy.bundle import Bundle
 from renet.deploy.policy import Policy
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import Controller, Switch
+from renet.evaluation.rollout import Controller, Row, Switch, World, run_rollout
 from renet.evaluation.switches import ScoreSwitch, check_selector, make_switch
+from renet.evaluation.terminal import progress
+from renet.evaluation.trace import Trace
 from renet.evaluation.world import SimWorld, study_env_cfg
 from renet.selector.defaults import default_monitors
+from renet.selector.monitors import Sight
 from renet.tasks import RenetEnvCfg
 
 __all__ = ["Lab", "ScoreSwitch"]
@@ -83,3 +87,27 @@ class Lab:
     def switch(self, num_robots: int, selector: str | None = None) -> Switch:
         """The bundle's selector, or another one with its thresholds."""
         return make_switch(selector or self.selector, self.bundle.manifest.selector, num_robots)
+
+    def walk(
+        self,
+        title: str,
+        world: World,
+        rows: Sequence[Row],
+        steps: int,
+        seed: int,
+        film: Sequence[int] = (),
+        on_sight: Callable[[Sight], Any] = lambda sight: None,
+    ) -> Trace:
+        """Drive the policy under study beside a progress bar; see `run_rollout`."""
+        with progress(title, steps) as advance:
+            return run_rollout(
+                world,
+                self.controller(len(rows)),
+                self.switch(len(rows)),
+                rows,
+                steps,
+                seed,
+                film,
+                advance,
+                on_sight=on_sight,
+            )

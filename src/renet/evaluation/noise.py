@@ -17,9 +17,9 @@ from renet.evaluation import figures, metrics
 from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import output_folder, write_csv, write_json
-from renet.evaluation.rollout import MODES, Row, Trace, run_rollout
+from renet.evaluation.rollout import MODES, Row, Trace
 from renet.evaluation.switches import check_selector
-from renet.evaluation.terminal import progress, show
+from renet.evaluation.terminal import show
 from renet.vocabulary import CONTROL_DT
 
 CLEAN = ("none", 0.0)
@@ -111,11 +111,8 @@ def run_noise(cfg: NoiseCfg, lab: Lab | None = None) -> NoiseResult:
     out = output_folder(cfg.out)
     rows = study_rows(cfg)
     world = lab.world("Renet-Go1-Flat", [row.robot for row in rows], cfg.speed, cfg.seed)
-    controller, switch = lab.controller(len(rows)), lab.switch(len(rows))
-    with progress(f"{len(rows)} robots walk", cfg.steps) as advance:
-        trace = run_rollout(
-            world, controller, switch, rows, cfg.steps, cfg.seed, range(len(rows)), advance
-        )
+    title, film = f"{len(rows)} robots walk", range(len(rows))
+    trace = lab.walk(title, world, rows, cfg.steps, cfg.seed, film)
     result = NoiseResult(cfg, {}, rows, trace, lab)
     result.summary = summarise(result)
     write_json(out / "summary.json", result.summary)

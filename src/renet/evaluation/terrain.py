@@ -27,8 +27,8 @@ from renet.evaluation.results import (
     write_csv,
     write_json,
 )
-from renet.evaluation.rollout import MODES, Row, Trace, World, run_rollout
-from renet.evaluation.terminal import progress, show
+from renet.evaluation.rollout import MODES, Row, Trace, World
+from renet.evaluation.terminal import show
 from renet.tiles import LEVELS, tiles
 from renet.vocabulary import CONTROL_DT
 
@@ -126,9 +126,7 @@ def _walk(cfg: TerrainCfg, lab: Lab, world: World, name: str) -> Trace:
     """Everybody walks for `cfg.seconds`."""
     count, steps = world.num_robots, round(cfg.seconds / CONTROL_DT)
     rows = [Row(cfg.mode, robot=i) for i in range(count)]
-    with progress(f"{name}, {count} robots", steps) as advance:
-        controller, switch = lab.controller(count), lab.switch(count)
-        return run_rollout(world, controller, switch, rows, steps, cfg.seed, on_step=advance)
+    return lab.walk(f"{name}, {count} robots", world, rows, steps, cfg.seed)
 
 
 def passed(trace: Trace) -> np.ndarray:
