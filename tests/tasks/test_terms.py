@@ -220,7 +220,8 @@ def test_foot_clearance_by_hand():
 
 def test_clearance_is_rewarded_only_on_request():
     assert env_cfg("Renet-Go1-Flat").rewards["foot_clearance"].weight == 0.0
-    assert rewarded("Renet-Go1-Flat", 15.0).rewards["foot_clearance"].weight == -15.0
+    lifted = rewarded("Renet-Go1-Flat", 15.0, 0.12).rewards["foot_clearance"]
+    assert (lifted.weight, lifted.params["lift"]) == (-15.0, 0.12)
 
 
 def test_a_robot_that_gives_up_has_stalled():

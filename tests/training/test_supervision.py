@@ -76,7 +76,7 @@ def test_loss_vp_adds_feet_height_and_height_map(model, rollout):
         assert losses[name].item() == pytest.approx(expected, rel=1e-4)
 
 
-def test_the_whole_loss_is_the_plain_sum_of_both_and_the_autoencoders(model, rollout):
+def test_the_whole_loss_is_the_sum_of_both_and_the_autoencoders_in_scaled_units(model, rollout):
     cfg = SupervisionCfg(num_learning_epochs=1, num_mini_batches=1)
     supervision = Supervision(model, cfg)
     losses = supervision.losses(rollout)
@@ -84,7 +84,9 @@ def test_the_whole_loss_is_the_plain_sum_of_both_and_the_autoencoders(model, rol
         "op_velocity", "op_him", "vp_velocity", "vp_him", "vp_feet_height", "vp_height_map",
         "anomaly",
     }  # fmt: skip
-    gradients = torch.autograd.grad(sum(losses.values()), supervision.parameters)
+    squared = {"velocity": 4.0, "feet_height": 25.0, "height_map": 25.0}
+    total = sum(squared.get(name[3:], 1.0) * loss for name, loss in losses.items())
+    gradients = torch.autograd.grad(total, supervision.parameters)
     steps = []
     supervision.optimizer.step = lambda: steps.append([p.grad for p in supervision.parameters])
     supervision.cfg.max_grad_norm = float("inf")

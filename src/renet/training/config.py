@@ -57,6 +57,11 @@ class SupervisionCfg:
     """Gradient norm limit (HIMLoco's)."""
     estimator_data: Literal["own", "all"] = "own"
     """Which environments train an estimator: those it steers (the paper's S_op and S_vp) or all."""
+    velocity_scale: float = 2.0
+    """Velocities are multiplied by this before their error is squared (Rudin et al. 2022 scale
+    observations so): beside Loss_HIM, of order 3, errors in plain SI units teach next to nothing."""
+    height_scale: float = 5.0
+    """The same for feet heights and height maps."""
     autoencoder_images: int = 128
     """Image pairs per gradient step of the autoencoder, drawn from the rollout."""
 

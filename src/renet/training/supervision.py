@@ -67,7 +67,7 @@ class Supervision:
             for index in order.chunk(self.cfg.num_mini_batches):
                 losses = self.losses(rollout.environments(index))
                 self.optimizer.zero_grad()
-                torch.stack(list(losses.values())).sum().backward()
+                self.weighted(losses).backward()
                 distributed.average_gradients(self.parameters)
                 nn.utils.clip_grad_norm_(self.parameters, self.cfg.max_grad_norm)
                 self.optimizer.step()
@@ -75,8 +75,18 @@ class Supervision:
                     totals.setdefault(name, []).append(loss.detach())
         return {name: float(torch.stack(values).mean()) for name, values in totals.items()}
 
+    def weighted(self, losses: dict[str, Tensor]) -> Tensor:
+        """Sum of the terms in the scaled units of `SupervisionCfg`; they are logged in m/s and m."""
+        weights = {
+            "velocity": self.cfg.velocity_scale**2,
+            "feet_height": self.cfg.height_scale**2,
+            "height_map": self.cfg.height_scale**2,
+        }
+        terms = [loss * weights.get(name[3:], 1.0) for name, loss in losses.items()]
+        return torch.stack(terms).sum()
+
     def losses(self, rollout: TickRollout) -> dict[str, Tensor]:
-        """All supervised terms of a batch of sequences."""
+        """All supervised terms of a batch of sequences, as `op_NAME`, `vp_NAME` and `anomaly`."""
         model, perception = self.model, self.model.cfg.perception
         losses: dict[str, Tensor] = {}
         if perception in ("renet", "op"):

@@ -51,6 +51,8 @@ class TrainCfg(LearningCfg):
     foot_clearance: float = 0.0
     """Weight of lifting the feet, 15 for a budget of millions of steps: a reward beside the paper's
     (see tasks.rewards.FootClearance)."""
+    foot_lift: float = 0.09
+    """How high feet are to be lifted under that reward, m over the ground under the trunk."""
     standing_after: int = 4000
     """Iterations after which goals ask for standing still, too: the second of the paper's two
     levels of commands. Reach it well before the end, or the robot never learns to stand."""
@@ -79,7 +81,7 @@ def train(cfg: TrainCfg) -> Path | None:
     budget = None if cfg.time_budget is None else seconds(cfg.time_budget)
     device = resolve_device(cfg.device)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
-    task = rewarded(cfg.task, cfg.foot_clearance)
+    task = rewarded(cfg.task, cfg.foot_clearance, cfg.foot_lift)
     curriculum = task.curriculum["command_stage"]
     curriculum.params["switch_step"] = cfg.standing_after * cfg.num_steps_per_env
     env = make_env(
@@ -107,7 +109,7 @@ def train(cfg: TrainCfg) -> Path | None:
     return run
 
 
-def rewarded(task: str, foot_clearance: float) -> RenetEnvCfg:
+def rewarded(task: str, foot_clearance: float, foot_lift: float) -> RenetEnvCfg:
     """The task with the optional reward; raises RenetError if it knows none of that name."""
     from renet.tasks import env_cfg
 
@@ -115,7 +117,8 @@ def rewarded(task: str, foot_clearance: float) -> RenetEnvCfg:
     if foot_clearance:
         if "foot_clearance" not in cfg.rewards:
             raise RenetError(f"{task} has no reward foot_clearance: leave --foot-clearance at 0")
-        cfg.rewards["foot_clearance"].weight = -foot_clearance
+        reward = cfg.rewards["foot_clearance"]
+        reward.weight, reward.params["lift"] = -foot_clearance, foot_lift
     return cfg
 
 
