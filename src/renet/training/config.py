@@ -59,7 +59,7 @@ class SupervisionCfg:
     """Which environments train an estimator: those it steers (the paper's S_op and S_vp) or all."""
     velocity_scale: float = 2.0
     """Velocities are multiplied by this before their error is squared (Rudin et al. 2022 scale
-    observations so): beside Loss_HIM, of order 3, errors in plain SI units teach next to nothing."""
+    observations so): beside Loss_HIM, of order 3, errors in SI units teach next to nothing."""
     height_scale: float = 5.0
     """The same for feet heights and height maps."""
     autoencoder_images: int = 128

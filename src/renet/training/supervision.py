@@ -76,7 +76,7 @@ class Supervision:
         return {name: float(torch.stack(values).mean()) for name, values in totals.items()}
 
     def weighted(self, losses: dict[str, Tensor]) -> Tensor:
-        """Sum of the terms in the scaled units of `SupervisionCfg`; they are logged in m/s and m."""
+        """Sum of the terms in the scaled units of `SupervisionCfg`; logs are in m/s and m."""
         weights = {
             "velocity": self.cfg.velocity_scale**2,
             "feet_height": self.cfg.height_scale**2,
