@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+from renet.errors import RenetError
 from renet.tasks import env_cfg, observations, rewards, terminations
 from renet.tasks.constraints import excess, outside
 from renet.tasks.curriculum import asked_distance, level_change
@@ -220,8 +221,10 @@ def test_foot_clearance_by_hand():
 
 def test_clearance_is_rewarded_only_on_request():
     assert env_cfg("Renet-Go1-Flat").rewards["foot_clearance"].weight == 0.0
-    lifted = rewarded("Renet-Go1-Flat", 15.0, 0.12).rewards["foot_clearance"]
-    assert (lifted.weight, lifted.params["lift"]) == (-15.0, 0.12)
+    rewards = rewarded("Renet-Go1-Flat", {"foot_clearance": -15.0}).rewards
+    assert (rewards["foot_clearance"].weight, rewards["collision"].weight) == (-15.0, -10.0)
+    with pytest.raises(RenetError, match="no reward 'lift': choose of linear_velocity"):
+        rewarded("Renet-Go1-Flat", {"lift": 1.0})
 
 
 def test_a_robot_that_gives_up_has_stalled():

@@ -234,11 +234,11 @@ def _rewards(robot: Robot) -> dict[str, RewardTermCfg]:
         ),
         "joint_acceleration": RewardTermCfg(func=rewards.JointAcceleration, weight=-2.5e-7),
         "orientation": RewardTermCfg(func=rewards.orientation, weight=-1.0),
-        # Not the paper's, hence off: `renet train --foot-clearance` turns it on.
+        # Not the paper's, hence off: `renet train --reward-weights` turns it on.
         "foot_clearance": RewardTermCfg(
             func=rewards.FootClearance,
             weight=0.0,
-            params={"feet": LEGS, "height": robot.map_height - robot.foot_radius, "lift": 0.09},
+            params={"feet": LEGS, "height": robot.map_height - robot.foot_radius, "lift": 0.12},
         ),
     }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -48,11 +48,9 @@ class TrainCfg(LearningCfg):
     """Machines to train on, with renet installed in the same place on each."""
     engine: str = "auto"
     """Physics engine: auto, native (C MuJoCo on threads, CPU only) or warp."""
-    foot_clearance: float = 0.0
-    """Weight of lifting the feet, 15 for a budget of millions of steps: a reward beside the paper's
-    (see tasks.rewards.FootClearance)."""
-    foot_lift: float = 0.09
-    """How high feet are to be lifted under that reward, m over the ground under the trunk."""
+    reward_weights: dict[str, float] = field(default_factory=dict)
+    """Weights in place of the task's, e.g. `--reward-weights collision -1 foot_clearance -15`; the
+    others stay. docs/training.md says which ones help a small budget."""
     standing_after: int = 4000
     """Iterations after which goals ask for standing still, too: the second of the paper's two
     levels of commands. Reach it well before the end, or the robot never learns to stand."""
@@ -81,7 +79,7 @@ def train(cfg: TrainCfg) -> Path | None:
     budget = None if cfg.time_budget is None else seconds(cfg.time_budget)
     device = resolve_device(cfg.device)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
-    task = rewarded(cfg.task, cfg.foot_clearance, cfg.foot_lift)
+    task = rewarded(cfg.task, cfg.reward_weights)
     curriculum = task.curriculum["command_stage"]
     curriculum.params["switch_step"] = cfg.standing_after * cfg.num_steps_per_env
     env = make_env(
@@ -109,16 +107,15 @@ def train(cfg: TrainCfg) -> Path | None:
     return run
 
 
-def rewarded(task: str, foot_clearance: float, foot_lift: float) -> RenetEnvCfg:
-    """The task with the optional reward; raises RenetError if it knows none of that name."""
+def rewarded(task: str, weights: dict[str, float]) -> RenetEnvCfg:
+    """The task with some rewards weighted anew; raises RenetError for one it does not have."""
     from renet.tasks import env_cfg
 
     cfg = env_cfg(task)
-    if foot_clearance:
-        if "foot_clearance" not in cfg.rewards:
-            raise RenetError(f"{task} has no reward foot_clearance: leave --foot-clearance at 0")
-        reward = cfg.rewards["foot_clearance"]
-        reward.weight, reward.params["lift"] = -foot_clearance, foot_lift
+    for name, weight in weights.items():
+        if name not in cfg.rewards:
+            raise RenetError(f"{task} has no reward {name!r}: choose of {', '.join(cfg.rewards)}")
+        cfg.rewards[name].weight = weight
     return cfg
 
 
