@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import pytest
 
@@ -73,3 +75,22 @@ def test_a_log_folder_that_cannot_be_written_is_named(capsys, tmp_path):
     code, _, err = run(capsys, "train", "Renet-Go1-Flat", "--log-root", str(tmp_path / "file"))
     assert code == 2
     assert "Choose another --log-root" in err
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["evaluate", "log", "--help"], ["nonsense"]])
+def test_a_reader_that_leaves_ends_it_quietly(tmp_path, arguments):
+    # Unbuffered, the first line already meets the closed pipe; buffered, the last flush does.
+    for unbuffered in ([], ["-u"]):
+        command = [sys.executable, *unbuffered, "-m", "renet.cli", *arguments]
+        with open(tmp_path / "errors", "w+") as errors:
+            process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors)
+            assert process.stdout is not None
+            process.stdout.close()
+            code = process.wait(60)
+            errors.seek(0)
+            said = errors.read()
+        if arguments == ["nonsense"]:
+            assert (code, len(said.splitlines())) == (2, 1)
+        else:
+            assert code in (1, cli.SIGPIPE_CODE)
+            assert said == ""

@@ -15,6 +15,9 @@ from pathlib import Path
 from renet import __version__
 from renet.errors import RenetError
 
+SIGPIPE_CODE = 141
+"""Exit code of a program whose reader left, as shells count it."""
+
 
 @dataclass(frozen=True)
 class Command:
@@ -71,7 +74,7 @@ COMMANDS = {
         "the paper's noise study: VP alone against RENet",
         "renet.evaluation.noise",
         "NoiseCfg",
-        "run_noise",
+        "main",
         "train",
     ),
     "evaluate terrain": Command(
@@ -99,7 +102,7 @@ COMMANDS = {
         "every way a depth camera fails, at every severity, in every mode",
         "renet.evaluation.fault_study",
         "FaultsCfg",
-        "run_faults",
+        "main",
         "train",
     ),
     "evaluate filter": Command(
@@ -143,6 +146,21 @@ def main(argv: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else argv
     # A spinning OpenMP team starves whatever shares the machine; must be set before torch loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    try:
+        try:
+            return _run(arguments)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # `renet … | head`: nobody reads on, and what is still held back must not raise at exit.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(nowhere, stream.fileno())
+        return SIGPIPE_CODE
+
+
+def _run(arguments: list[str]) -> int:
+    """Run a command; what the user can put right becomes one line."""
     try:
         return _dispatch(arguments)
     except RenetError as error:

@@ -2,13 +2,22 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from renet.deploy.bundle import DEFAULT, Bundle, pretrained, read_manifest, write_bundle
+from renet import cli
+from renet.deploy.bundle import (
+    DEFAULT,
+    Bundle,
+    pretrained,
+    read_manifest,
+    write_bundle,
+    write_manifest,
+)
 from renet.deploy.manifest import Manifest, SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
@@ -50,6 +59,21 @@ def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bu
     assert not trace.fallen.any()
     assert lab.scene_spec is not None
     assert lab.provenance(3).bundle_hash == lab.bundle.sha256
+
+
+def test_another_robots_bundle_is_refused_before_anything_is_built(
+    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = Path(shutil.copytree(bundle, tmp_path / "other"))
+    manifest = read_manifest(other)
+    write_manifest(other, replace(manifest, robot=replace(manifest.robot, name="Unitree A1")))
+    out = tmp_path / "out"
+    assert cli.main(["evaluate", "noise", "--bundle", str(other), "--out", str(out)]) == 2
+    said = capsys.readouterr().err.strip()
+    assert said.startswith(
+        "renet: bundle other drives a Unitree A1, this task's robot is a Unitree"
+    )
+    assert len(said.splitlines()) == 1
 
 
 def test_calibration_is_written_into_the_bundle(tmp_path: Path) -> None:

@@ -120,4 +120,3 @@ def main(cfg: FaultsCfg) -> None:
         for claim in summary["claims"]
     ]
     show("What is promised, and what was measured", ("met", "promise", "measured"), claims)
-    print(f"Results: {cfg.out}")

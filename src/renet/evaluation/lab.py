@@ -11,6 +11,7 @@ import warp as wp
 
 from renet.deploy.bundle import Bundle
 from renet.deploy.policy import Policy
+from renet.errors import RenetError
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import Controller, Row, Switch, World, run_rollout
 from renet.evaluation.switches import ScoreSwitch, check_selector, make_switch
@@ -75,10 +76,24 @@ class Lab:
             robots: one number for each row; rows of the same number are twins.
             speed: commanded, m/s.
             seed: of bodies and starts.
+
+        Raises:
+            RenetError: the bundle is another robot's than the task's.
         """
-        world = SimWorld(study_env_cfg(task, speed), robots, seed, self.engine)
+        cfg = study_env_cfg(task, speed)
+        self._check_robot(cfg.robot.name)
+        world = SimWorld(cfg, robots, seed, self.engine)
         self.scene_spec = world.scene_spec
         return world
+
+    def _check_robot(self, name: str) -> None:
+        """Raise RenetError unless the bundle is of this robot."""
+        own = self.bundle.manifest.robot.name
+        if own != name:
+            raise RenetError(
+                f"bundle {self.bundle.name} drives a {own}, this task's robot is a {name}: give a"
+                f" --bundle trained on the {name}"
+            )
 
     def controller(self, num_robots: int) -> Controller:
         """The policy under study."""

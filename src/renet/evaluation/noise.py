@@ -212,7 +212,6 @@ def draw(result: NoiseResult, out: Path) -> None:
 def main(cfg: NoiseCfg) -> None:
     """`renet evaluate noise`."""
     show_runs(run_noise(cfg).summary)
-    print(f"Results: {cfg.out}")
 
 
 def show_runs(summary: dict[str, Any]) -> None:
