@@ -91,6 +91,13 @@ COMMANDS = {
         "main",
         "train",
     ),
+    "evaluate standing": Command(
+        "whether a robot that is told to stand does, and looks still",
+        "renet.evaluation.standing",
+        "StandingCfg",
+        "main",
+        "train",
+    ),
     "evaluate course": Command(
         "a kilometre unattended: grass, stairs, slopes, platforms, gaps, an occlusion",
         "renet.evaluation.course",

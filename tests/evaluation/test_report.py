@@ -15,12 +15,14 @@ from renet.evaluation.filter_study import FilterCfg, run_filter
 from renet.evaluation.glance import WORSE
 from renet.evaluation.noise import NoiseCfg, run_noise
 from renet.evaluation.report import SECTIONS, ReportCfg, make_report
+from renet.evaluation.standing import StandingCfg, run_standing
 from renet.evaluation.success import SuccessCfg, run_success
 from renet.evaluation.terrain import TerrainCfg, run_terrain
 
 from .browser import Browser, find_browser
 from .fakes import FakeLab
 from .test_course import StillLab
+from .test_standing import QUICK, ObedientLab
 from .test_success import HurdlesLab
 from .test_terrain import LadderLab
 
@@ -44,6 +46,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     run_filter(FilterCfg(out=folder / "filter", robots=1, onset=10, steps=60), FakeLab())
     run_terrain(TerrainCfg(out=folder / "terrain", robots=2, seconds=2), LadderLab())
+    run_standing(StandingCfg(out=folder / "standing", **QUICK), ObedientLab())
     run_success(
         SuccessCfg(out=folder / "success", levels=(1, 3), trials=2, seconds=2), HurdlesLab()
     )
@@ -67,6 +70,7 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
         "Every way a depth camera fails",
         "One try at each obstacle",
         "Parkour",
+        "Standing on command",
         "The course",
         "selector's filter",
     ):
@@ -99,8 +103,19 @@ def test_results_of_different_bundles_are_pointed_out(results: Path, tmp_path: P
 
 def test_what_is_worse_than_op_alone_is_listed() -> None:
     faults = {
-        "harmful": [{"fault": "glare", "severity": 5, "renet": 0.5, "op": 1.0}],
-        "missed": [{"fault": "frozen", "severity": 3, "undetected": 2, "vp_falls": 4}],
+        "harmful": [
+            {"fault": "glare", "severity": 5, "renet": 0.5, "op": 1.0, "beyond_chance": True}
+        ],
+        "missed": [
+            {
+                "fault": "frozen",
+                "severity": 3,
+                "undetected": 2,
+                "vp_falls": 4,
+                "vp_spared": 1,
+                "beyond_chance": False,
+            }
+        ],
     }
     assert WORSE["faults"](faults) == [
         ("faults", "glare 5", "50 %", "100 %"),

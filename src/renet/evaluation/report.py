@@ -22,10 +22,12 @@ from renet.evaluation.noise_page import noise_section
 from renet.evaluation.page import Page
 from renet.evaluation.pictures import PicturesCfg, run_pictures
 from renet.evaluation.results import output_folder, read_json
+from renet.evaluation.standing import StandingCfg, run_standing
 from renet.evaluation.study_pages import (
     course_section,
     filter_section,
     pictures_section,
+    standing_section,
     success_section,
     terrain_section,
 )
@@ -38,6 +40,7 @@ SECTIONS: dict[str, Callable[[Page, dict[str, Any], Path], None]] = {
     "faults": faults_section,
     "success": success_section,
     "terrain": terrain_section,
+    "standing": standing_section,
     "course": course_section,
     "filter": filter_section,
     "pictures": pictures_section,
@@ -50,7 +53,7 @@ class ReportCfg:
     """Where the results are and the page goes."""
 
     results: Path = Path("results")
-    """Folder with the studies' folders: noise, faults, success, terrain, course, filter,
+    """Folder with the studies' folders: noise, faults, success, terrain, standing, course, filter,
     pictures."""
     out: Path | None = None
     """The page; index.html in `results` by default."""
@@ -141,6 +144,7 @@ def run_studies(cfg: ReportCfg) -> None:
         "filter": lambda: run_filter(FilterCfg(**out["filter"], quick=cfg.quick)),
         "terrain": lambda: run_terrain(TerrainCfg(**out["terrain"], quick=cfg.quick)),
         "success": lambda: run_success(SuccessCfg(**out["success"], quick=cfg.quick)),
+        "standing": lambda: run_standing(StandingCfg(**out["standing"], quick=cfg.quick)),
         "course": lambda: run_course(CourseCfg(**out["course"], quick=cfg.quick)),
         "faults": lambda: run_faults(FaultsCfg(**out["faults"], quick=cfg.quick)),
         "pictures": lambda: run_pictures(PicturesCfg(**out["pictures"])),

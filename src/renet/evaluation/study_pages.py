@@ -1,4 +1,4 @@
-"""What the report says about the terrain, success, course and filter studies."""
+"""What the report says about the terrain, success, standing, course and filter studies."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 from renet.evaluation.figures import MODE_NAMES
 from renet.evaluation.page import Cell, Page
+from renet.evaluation.standing import DRIFT, RESTLESS
 
 
 def terrain_section(page: Page, summary: dict[str, Any], folder: Path) -> None:
@@ -69,6 +70,39 @@ def _success_row(run: dict[str, Any]) -> tuple[Any, ...]:
         run["falls"],
         run["stuck"],
         f"{low:.0f} to {high:.0f} %",
+    )
+
+
+def standing_section(page: Page, summary: dict[str, Any], folder: Path) -> None:
+    """Who stands when told to."""
+    settings = summary["settings"]
+    page.heading("Standing on command")
+    page.text(
+        f"Robots walk for {settings['walk']:g} s, are then commanded 0 m/s, and have"
+        f" {settings['settle']:g} s to stop. One stands still that drifts less than"
+        f" {100 * DRIFT:.0f} cm in the next {settings['stand']:g} s with joints slower than"
+        f" {RESTLESS:g} rad/s on average. Falls count from the command on."
+    )
+    page.picture(folder / "standing.png", "How fast the joints move, before and after.")
+    page.table(
+        ["ground", "policy", "stand still", "fell", "drift (m)", "joints (rad/s)"],
+        [
+            (
+                f"{run['kind'].replace('_', ' ')}, level {run['level']}",
+                MODE_NAMES[run["mode"]],
+                Cell(
+                    f"{run['still']} of {run['robots']}",
+                    "good" if run["still"] > 0.5 * run["robots"] else "bad",
+                ),
+                run["falls"],
+                *(
+                    "–" if run[name] is None else f"{run[name]:.2f}"
+                    for name in ("drift_m", "joint_speed_rad_per_s")
+                ),
+            )
+            for run in summary["runs"]
+        ],
+        text=2,
     )
 
 

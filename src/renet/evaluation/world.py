@@ -115,6 +115,10 @@ class SimWorld:
         terrain.terrain_types[:] = torch.as_tensor(kinds)
         terrain.env_origins[:] = terrain.terrain_origins[levels, kinds]
 
+    def command(self, speed: float) -> None:
+        """Tell every robot a new c_x, m/s, from the next step on."""
+        goal(self.env).speed[:] = speed
+
     def disturb(self, view: View) -> None:
         """See `rollout.Disturbed`."""
         if view == self._view:
