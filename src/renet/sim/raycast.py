@@ -1,8 +1,12 @@
-"""Ray casting against the terrain mesh with NVIDIA Warp: one kernel set for CPU and CUDA."""
+"""Ray casting against the terrain mesh with NVIDIA Warp.
+
+The kernels run on a CPU as on a GPU. A CPU uses them only for rays that make no image: images and
+heights come from `terrain_bins`, which is thirty times as fast there.
+"""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import mujoco
@@ -11,6 +15,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from renet.sim.terrain_bins import Pinhole, TerrainBins
 from renet.sim.terrain_mesh import terrain_mesh
 from renet.sim.threads import for_chunks
 
@@ -100,24 +105,45 @@ class TerrainScanner:
 
     A robot sees a few metres of a terrain that measures a hundred, so every cell of a grid has a
     search tree of the triangles near it: the same hits as in the whole mesh, in about 2/3 the time.
+    On a CPU images are drawn instead, shape by shape.
     """
 
     def __init__(
         self, model: mujoco.MjModel, device: str, without: frozenset[int] = frozenset()
     ) -> None:
-        """Build the mesh and its search trees, save for the geoms `without`."""
-        vertices, faces = terrain_mesh(model, without)
+        """Take the terrain of a model, save for the geoms `without`.
+
+        Raises:
+            RenetError: see terrain_mesh.
+        """
+        self._vertices, self._faces = terrain_mesh(model, without)
         self.device = wp.get_device(device)
-        self.triangles = len(faces)
-        self.top = float(vertices[:, 2].max()) + 1.0
-        self.drop = self.top - float(vertices[:, 2].min()) + 1.0
-        self.grid, self._meshes = _build_grid(vertices, faces, self.device)
+        self.triangles = len(self._faces)
+        self.top = float(self._vertices[:, 2].max()) + 1.0
+        self.drop = self.top - float(self._vertices[:, 2].min()) + 1.0
+        self._bins = TerrainBins(model, without) if self.device.is_cpu else None
+
+    @cached_property
+    def _trees(self) -> tuple[Any, list[wp.Mesh]]:
+        """The grid, and the meshes it refers to."""
+        return _build_grid(self._vertices, self._faces, self.device)
+
+    @property
+    def grid(self) -> Any:
+        """Search trees, built when first asked for."""
+        return self._trees[0]
 
     def height(self, points: Tensor) -> Tensor:
         """Terrain height in metres under world points [M, 2]: [M].
 
         The highest surface; 1 m below the lowest one where there is none.
         """
+        if self._bins is not None:
+            return self._bins.height(points, self.top, self.drop)
+        return self.cast_height(points)
+
+    def cast_height(self, points: Tensor) -> Tensor:
+        """The same, by ray casting on any device."""
         height = torch.empty(len(points), device=points.device)
         inputs = wp.from_torch(points.contiguous(), dtype=wp.vec2)
         self._launch(
@@ -139,6 +165,12 @@ class TerrainScanner:
         Returns:
             [N, P] metres to the image plane; -1 where nothing was hit.
         """
+        if self._bins is not None and (image := Pinhole.of(rays)) is not None:
+            return self._bins.depth(position, rotation, image, limit)
+        return self.cast_depth(position, rotation, rays, limit)
+
+    def cast_depth(self, position: Tensor, rotation: Tensor, rays: Tensor, limit: float) -> Tensor:
+        """The same, by ray casting on any device."""
         depth = torch.empty(len(position), len(rays), device=position.device)
         arrays = (
             wp.from_torch(position.contiguous(), dtype=wp.vec3),

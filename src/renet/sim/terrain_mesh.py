@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 
@@ -32,22 +34,53 @@ def terrain_mesh(model: mujoco.MjModel, without: frozenset[int] = frozenset()) -
         RenetError: a geom is of a kind that cannot be turned into triangles, or there is none.
     """
     parts, count = [], 0
+    for geom, rotation, position in _terrain_geoms(model, without):
+        vertices, faces = _triangulate(model, geom)
+        parts.append((vertices @ rotation.T + position, faces + count))
+        count += len(vertices)
+    vertices = np.concatenate([p[0] for p in parts]).astype(np.float32)
+    return vertices, np.concatenate([p[1] for p in parts]).astype(np.int32)
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """The same terrain with its boxes whole."""
+
+    boxes: np.ndarray
+    """[B, 15]: centre, rotation by rows, half sizes."""
+    triangles: np.ndarray
+    """[T, 3, 3] corners of everything else, m, world."""
+
+
+def terrain_shapes(model: mujoco.MjModel, without: frozenset[int] = frozenset()) -> Shapes:
+    """Boxes and triangles of the terrain; raises RenetError as `terrain_mesh` does."""
+    boxes, triangles = [np.zeros((0, 15))], [np.zeros((0, 3, 3))]
+    for geom, rotation, position in _terrain_geoms(model, without):
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
+            boxes.append(np.concatenate((position, rotation.ravel(), model.geom_size[geom]))[None])
+        else:
+            vertices, faces = _triangulate(model, geom)
+            triangles.append((vertices @ rotation.T + position)[faces])
+    return Shapes(np.concatenate(boxes), np.concatenate(triangles))
+
+
+def _terrain_geoms(
+    model: mujoco.MjModel, without: frozenset[int]
+) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """World-fixed geoms that can collide, with rotation [3, 3] and position [3]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
+    found = []
     for geom in range(model.ngeom):
         body = model.geom_bodyid[geom]
         collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
         mocap = model.body_mocapid[model.body_rootid[body]] >= 0
         if model.body_weldid[body] != 0 or mocap or not collides or geom in without:
             continue
-        vertices, faces = _triangulate(model, geom)
-        rotation = data.geom_xmat[geom].reshape(3, 3)
-        parts.append((vertices @ rotation.T + data.geom_xpos[geom], faces + count))
-        count += len(vertices)
-    if not parts:
+        found.append((geom, data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]))
+    if not found:
         raise RenetError("the scene has no terrain: nothing for rays to hit")
-    vertices = np.concatenate([p[0] for p in parts]).astype(np.float32)
-    return vertices, np.concatenate([p[1] for p in parts]).astype(np.int32)
+    return found
 
 
 def _triangulate(model: mujoco.MjModel, geom: int) -> Part:
