@@ -21,6 +21,7 @@ class ToyEnv:
         self.cfg = SimpleNamespace()
         self.random = torch.Generator().manual_seed(seed)
         self.levels = torch.zeros(num_envs)
+        self.time_outs = torch.zeros(num_envs)
 
     @property
     def unwrapped(self) -> ToyEnv:
@@ -51,7 +52,8 @@ class ToyEnv:
         done = torch.rand(self.num_envs, generator=self.random) < 0.05
         reward = torch.exp(-actions.square().mean(-1))
         costs = torch.relu(actions[:, : len(CONSTRAINTS)])
-        extras = {"costs": costs, "time_outs": done.float(), "log": {}}
+        self.time_outs[:] = done  # Written anew each step, as mjlab does.
+        extras = {"costs": costs, "time_outs": self.time_outs, "log": {}}
         return self.get_observations(), reward, done.long(), extras
 
     def curriculum_state(self):

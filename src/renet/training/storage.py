@@ -77,14 +77,17 @@ class TickRollout:
 
 
 class Recorder:
-    """Collects steps or ticks as dictionaries and stacks them once, at the end of a rollout."""
+    """Collects steps or ticks as dictionaries and stacks them once, at the end of a rollout.
+
+    Values are copied: environments reuse their buffers, as mjlab does that of time-outs.
+    """
 
     def __init__(self) -> None:
         self._rows: list[dict[str, Tensor]] = []
 
     def begin(self, **values: Tensor) -> None:
         """Start a row with what is known before the environment steps."""
-        self._rows.append(values)
+        self._rows.append(_copied(values))
 
     @property
     def newest(self) -> dict[str, Tensor]:
@@ -93,9 +96,13 @@ class Recorder:
 
     def finish(self, **values: Tensor) -> None:
         """Complete the newest row with what the step brought."""
-        self.newest.update(values)
+        self.newest.update(_copied(values))
 
     def stack(self) -> dict[str, Tensor]:
         """All rows as [T, ...] tensors; the recorder is then empty."""
         rows, self._rows = self._rows, []
         return {key: torch.stack([row[key] for row in rows]) for key in rows[0]}
+
+
+def _copied(values: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {name: value.clone() for name, value in values.items()}

@@ -1,0 +1,36 @@
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import torch
+
+from renet.training.config import LearningCfg
+from renet.training.runner import RenetRunner
+from renet.training.storage import Recorder
+
+
+def test_a_record_outlives_the_buffers_it_was_taken_from() -> None:
+    recorder, buffer, flag = Recorder(), torch.zeros(2), torch.zeros(2, dtype=torch.bool)
+    for step in range(3):
+        buffer.fill_(step)
+        recorder.begin(observation=buffer)
+        flag[:] = step == 1
+        recorder.finish(time_out=flag)
+    rows = recorder.stack()
+    assert rows["observation"].tolist() == [[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]]
+    assert rows["time_out"][:, 0].tolist() == [False, True, False]
+
+
+def test_only_the_step_that_was_cut_short_is_bootstrapped(toy_env) -> None:
+    env = toy_env()
+    alg = RenetRunner(env, asdict(LearningCfg(num_steps_per_env=25)), None, "cpu").alg
+    obs, rewards = env.get_observations(), []
+    for _ in range(25):
+        obs, reward, done, extras = env.step(alg.act(obs))
+        alg.process_env_step(obs, reward, done, extras)
+        rewards.append(reward)
+    alg.compute_returns(obs)
+    rollout = alg._rollout
+    assert 0 < rollout.done.sum() < rollout.done.numel() / 2
+    bonus = alg.np3o.cfg.gamma * rollout.value[..., 0] * rollout.done
+    torch.testing.assert_close(rollout.payoff[..., 0], torch.stack(rewards) + bonus)
