@@ -99,7 +99,8 @@ def run(fault: str, severity: int, mode: str, **values) -> dict:
         "detected_by_paper": 10,
     }
     delays = {"detection_delay_s": 0.1, "detection_delay_p95_s": 0.15}
-    plain |= {"terrain": "flat"}
+    plain |= {"terrain": "flat", "falls_spared": 0, "over_op": None}
+    plain |= {"only_op_upright": None, "falls_by_fault": values.get("falls", 0)}
     return {"fault": fault, "severity": severity, "mode": mode} | plain | delays | values
 
 

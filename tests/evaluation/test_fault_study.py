@@ -7,11 +7,12 @@ import pytest
 
 from renet.errors import RenetError
 from renet.evaluation import fault_study
-from renet.evaluation.fault_findings import harmful, missed
+from renet.evaluation.fault_findings import findings, harmful, missed
 from renet.evaluation.fault_study import FaultsCfg, run_faults
 
 from .fakes import FakeLab
 
+HEALTHY = ("false_switches", "robot_hours", "false_switches_per_hour", "upper_95_per_hour")
 SMALL: dict = {"severities": (1, 5), "robots": 2, "onset": 20, "over": 90, "steps": 120}
 SMALL |= {"healthy_minutes": 0.1}
 
@@ -48,6 +49,9 @@ def test_survival_and_detection_are_those_of_the_robots(folder: Path) -> None:
     assert found["frozen", 5, "vp"]["survival"] == 1
     assert found["frozen", 5, "renet"]["detected"] == 0
     assert found["frozen", 5, "renet"]["detection_delay_s"] is None
+    assert found["gaussian", 5, "vp"]["falls_by_fault"] == 2
+    assert found["gaussian", 5, "renet"]["over_op"] == 0
+    assert found["gaussian", 5, "vp"]["over_op"] is None
     assert summary["harmful"] == []
     assert summary["missed"] == []
     assert summary["healthy"]["false_switches"] == 0
@@ -77,21 +81,55 @@ def test_a_damaged_part_is_reported(tmp_path: Path) -> None:
         run_faults(FaultsCfg(out=tmp_path, faults=("gaussian",), **SMALL), FakeLab())
 
 
-def run(fault: str, mode: str, survival: float, detected: int = 10) -> dict:
+def run(fault: str, mode: str, survival: float, detected: int = 10, **values) -> dict:
     falls = round(10 * (1 - survival))
     row = {"fault": fault, "severity": 3, "mode": mode, "survival": survival, "falls": falls}
-    row |= {"terrain": "flat"}
-    return row | {"robots": 10, "watching": 10, "detected": detected}
+    row |= {"terrain": "flat", "falls_by_fault": falls, "falls_spared": 0, "over_op": None}
+    row |= {"only_op_upright": None, "only_renet_upright": None, "detection_delay_s": None}
+    return row | {"robots": 10, "watching": 10, "detected": detected} | values
+
+
+def beside_op(more: int, fewer: int) -> dict:
+    over = (fewer - more) / 10
+    ends = {"over_op_ci95_low": over - 0.1, "over_op_ci95_high": over + 0.1}
+    return {"over_op": over, "only_op_upright": more, "only_renet_upright": fewer} | ends
+
+
+def usual(falls: int) -> list[dict]:
+    return [{"terrain": "flat", "mode": mode, "falls": falls} for mode in ("vp", "renet")]
 
 
 def test_harm_and_misses_are_published() -> None:
-    runs = [run("foam", "vp", 0.5), run("foam", "renet", 0.8, detected=7), run("foam", "op", 0.9)]
-    assert harmful(runs) == [{"fault": "foam", "severity": 3, "renet": 0.8, "op": 0.9}]
-    assert missed(runs, []) == [{"fault": "foam", "severity": 3, "undetected": 3, "vp_falls": 5}]
-    # As many fall with a healthy camera there: the fault is not why.
-    assert missed(runs, [{"terrain": "flat", "mode": "vp", "falls": 5}]) == []
-    assert harmful([run("foam", "renet", 0.89), run("foam", "op", 0.9)]) == []
-    assert missed([run("foam", "vp", 1.0), run("foam", "renet", 1.0, detected=0)], []) == []
+    vp, op = run("foam", "vp", 0.5), run("foam", "op", 0.9)
+    renet = run("foam", "renet", 0.8, detected=7, **beside_op(1, 0))
+    calm, restless = usual(0), usual(4)
+    harm = harmful([vp, renet, op], calm)
+    assert [(h["renet"], h["op"], h["beyond_chance"]) for h in harm] == [(0.8, 0.9, True)]
+    # Where healthy robots fall as well, one robot is no more than chance.
+    assert not harmful([vp, renet, op], restless)[0]["beyond_chance"]
+    found = missed([vp, renet, op], calm)
+    assert [(m["undetected"], m["vp_falls"], m["beyond_chance"]) for m in found] == [(3, 5, True)]
+    # Five who fall only with the fault and none the other way round: 1 in 32.
+    assert missed([vp, renet, op], restless)[0]["beyond_chance"]
+    four = run("foam", "vp", 0.6)
+    assert not missed([four, renet, op], restless)[0]["beyond_chance"]
+    # As many fall with a healthy camera only: the fault is not why.
+    assert missed([vp | {"falls_spared": 5}, renet, op], restless) == []
+    assert harmful([run("foam", "renet", 0.9, **beside_op(0, 0)), op], calm) == []
+    assert missed([run("foam", "vp", 1.0), renet, op], calm) == []
+
+
+def test_severities_are_judged_together() -> None:
+    three = run("foam", "vp", 0.7)
+    renet = run("foam", "renet", 1.0, detected=0)
+    rows = [three, renet, three | {"severity": 5}, renet | {"severity": 5}]
+    assert not missed(rows[:2], usual(4))[0]["beyond_chance"]
+    assert all(miss["beyond_chance"] for miss in missed(rows, usual(4)))
+    claim = findings(rows, usual(4), {k: 0 for k in HEALTHY})["claims"][1]
+    assert (claim["met"], claim["measured"]) == (
+        False,
+        "2 settings not noticed by every robot: foam 3, foam 5",
+    )
 
 
 @pytest.mark.parametrize(

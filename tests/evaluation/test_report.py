@@ -119,7 +119,12 @@ def test_what_is_worse_than_op_alone_is_listed() -> None:
     }
     assert WORSE["faults"](faults) == [
         ("faults", "glare 5", "50 %", "100 %"),
-        ("faults", "frozen 3 goes unnoticed; 4 fall with VP", "2 robots", ""),
+        (
+            "faults",
+            "frozen 3 goes unnoticed; 4 fall with VP only then, 1 only without it (within chance)",
+            "2 robots",
+            "",
+        ),
     ]
     passages = [
         {"mode": "renet", "kind": "gap", "crossed": 1, "tries": 4},

@@ -6,31 +6,38 @@ from typing import Any
 
 import numpy as np
 
+from renet.evaluation.fault_pairs import Runs, beyond_chance
+from renet.tasks.terrains import DIFFICULT
+
 MARGIN = 0.02
-"""RENet's survival may be this much below OP's before a fault is listed as harmful."""
+"""RENet's survival may be this much below OP's before a setting is listed as harmful."""
 SEVERE = 3
 """Severity from which a fault that makes VP fall must be noticed."""
 FROZEN = ("frozen",)
 UNIFORM = ("blackout", "saturated", "occlusion")
 """Faults whose severity 5 leaves one value in the whole image."""
 
-Runs = list[dict[str, Any]]
-
 
 def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
-    """`harmful`, `missed` and `claims` of a summary, from `runs`, `baseline` and `healthy`."""
-    harm, misses = harmful(runs), missed(runs, baseline)
+    """`harmful`, `missed` and `claims` of a summary, from `runs`, `baseline` and `healthy`.
+
+    Args:
+        runs: with their pairs, see `fault_pairs`. baseline: the same grounds without faults.
+        healthy: false switches and robot hours.
+    """
+    harm, misses = harmful(runs, baseline), missed(runs, baseline)
+    simple = [h for h in harm if h["terrain"] not in DIFFICULT]
+    severe = [miss for miss in misses if miss["severity"] >= SEVERE]
     claims = [
         _claim(
-            "survival at least OP alone's minus 2 points, every setting",
-            not harm,
-            f"{len(harm)} settings below",
+            "survival at least OP alone's minus 2 points, every fault on simple terrain",
+            not any(h["beyond_chance"] for h in simple),
+            _sorted_out(simple, "settings below"),
         ),
         _claim(
             f"no fault of severity >= {SEVERE} that makes VP fall goes unnoticed",
-            not [miss for miss in misses if miss["severity"] >= SEVERE],
-            f"{sum(miss['undetected'] for miss in misses if miss['severity'] >= SEVERE)} robots did"
-            " not notice",
+            not any(miss["beyond_chance"] for miss in severe),
+            _sorted_out(severe, "settings not noticed by every robot"),
         ),
         *_delay_claim(runs, baseline),
         _claim(
@@ -45,43 +52,92 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
     return {"harmful": harm, "missed": misses, "claims": claims}
 
 
-def harmful(runs: Runs) -> Runs:
-    """Faults under which RENet survives less often than OP alone would, beyond the margin."""
-    op = {(r["fault"], r["severity"]): r["survival"] for r in runs if r["mode"] == "op"}
+def harmful(runs: Runs, baseline: Runs) -> Runs:
+    """Settings in which RENet survives less often than OP alone, beyond the margin.
+
+    Chance is judged fault by fault, all severities together: one more fall among ten robots says
+    little where as many fall with healthy cameras.
+    """
+    survival = {(r["fault"], r["severity"]): r["survival"] for r in runs if r["mode"] == "op"}
+    worse = _beyond_chance(runs, baseline, "renet", "only_op_upright", "only_renet_upright")
     return [
-        {"fault": r["fault"], "severity": r["severity"], "renet": r["survival"], "op": other}
+        {
+            "fault": r["fault"],
+            "severity": r["severity"],
+            "terrain": r["terrain"],
+            "renet": r["survival"],
+            "op": survival[r["fault"], r["severity"]],
+            "over_op_ci95": [r["over_op_ci95_low"], r["over_op_ci95_high"]],
+            "beyond_chance": r["fault"] in worse,
+        }
         for r in runs
-        if r["mode"] == "renet"
-        and (other := op.get((r["fault"], r["severity"]))) is not None
-        and r["survival"] < other - MARGIN
+        if r["mode"] == "renet" and r["over_op"] is not None and r["over_op"] < -MARGIN
     ]
 
 
-def caused(runs: Runs, baseline: Runs) -> dict[tuple[str, int], int]:
-    """How many more robots fall under VP alone than with healthy cameras, by fault and severity."""
-    usual = {run["terrain"]: run["falls"] for run in baseline if run["mode"] == "vp"}
+def felling(runs: Runs, baseline: Runs) -> dict[tuple[str, int], bool]:
+    """Faults and severities with more falls under VP than its healthy twins have.
+
+    Returns:
+        Whether that is beyond chance, judged from all of a fault's severe settings together (of
+        its mild ones where it has no severe ones).
+    """
+    severe = [r for r in runs if r["severity"] >= SEVERE]
+    mild = {r["fault"] for r in runs} - {r["fault"] for r in severe}
+    judged = severe + [r for r in runs if r["fault"] in mild]
+    guilty = _beyond_chance(judged, baseline, "vp", "falls_by_fault", "falls_spared")
     return {
-        (run["fault"], run["severity"]): run["falls"] - usual.get(run["terrain"], 0)
-        for run in runs
-        if run["mode"] == "vp"
+        (r["fault"], r["severity"]): r["fault"] in guilty
+        for r in runs
+        if r["mode"] == "vp" and r["falls_by_fault"] > r["falls_spared"]
     }
 
 
 def missed(runs: Runs, baseline: Runs) -> Runs:
     """Faults that make VP fall and that the selector did not notice on every robot."""
-    falls = caused(runs, baseline)
+    fells = felling(runs, baseline)
+    falls = {
+        (r["fault"], r["severity"]): (r["falls_by_fault"], r["falls_spared"])
+        for r in runs
+        if r["mode"] == "vp"
+    }
     return [
         {
             "fault": r["fault"],
             "severity": r["severity"],
             "undetected": r["watching"] - r["detected"],
-            "vp_falls": falls[r["fault"], r["severity"]],
+            "vp_falls": falls[r["fault"], r["severity"]][0],
+            "vp_spared": falls[r["fault"], r["severity"]][1],
+            "beyond_chance": fells[r["fault"], r["severity"]],
         }
         for r in runs
         if r["mode"] == "renet"
-        and falls.get((r["fault"], r["severity"]), 0) > 0
+        and (r["fault"], r["severity"]) in fells
         and r["detected"] < r["watching"]
     ]
+
+
+def _beyond_chance(runs: Runs, baseline: Runs, mode: str, more: str, fewer: str) -> set[str]:
+    """Faults for which one count exceeds its opposite beyond chance, all severities together."""
+    restless = {run["terrain"] for run in baseline if run["mode"] == mode and run["falls"] > 0}
+    rows: dict[str, Runs] = {}
+    for run in runs:
+        if run["mode"] == mode and run[more] is not None:
+            rows.setdefault(run["fault"], []).append(run)
+    return {
+        fault
+        for fault, own in rows.items()
+        if beyond_chance([(r[more], r[fewer]) for r in own], own[0]["terrain"] not in restless)
+    }
+
+
+def _sorted_out(found: Runs, what: str) -> str:
+    """How many of the findings chance cannot explain, and which it can."""
+    clear = [f for f in found if f["beyond_chance"]]
+    unclear = [f"{f['fault']} {f['severity']}" for f in found if not f["beyond_chance"]]
+    named = ": " + ", ".join(f"{f['fault']} {f['severity']}" for f in clear) if clear else ""
+    aside = f" ({', '.join(unclear)} within chance)" if unclear else ""
+    return f"{len(clear)} {what}{named}{aside}"
 
 
 def _claim(claim: str, met: bool, measured: str) -> dict[str, Any]:
@@ -90,7 +146,7 @@ def _claim(claim: str, met: bool, measured: str) -> dict[str, Any]:
 
 def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
     """The median of the settings' median delays, where VP falls; of all if it never does."""
-    falls = {setting for setting, more in caused(runs, baseline).items() if more > 0}
+    falls = {setting for setting, clear in felling(runs, baseline).items() if clear}
     noticed = [r for r in runs if r["mode"] == "renet" and r["detection_delay_s"] is not None]
     where = [r for r in noticed if (r["fault"], r["severity"]) in falls] or noticed
     if not where:

@@ -46,6 +46,7 @@ def run_fault(cfg: FaultsCfg, lab: Lab, world: World, fault: str, name: str) -> 
     return {
         "runs": runs,
         "roc": roc,
+        "fell": batch.trace.fallen[-1].astype(int),
         "false_switches": metrics.false_switches(
             batch.trace.trusted[before], batch.trace.failing[before]
         ),
@@ -54,20 +55,20 @@ def run_fault(cfg: FaultsCfg, lab: Lab, world: World, fault: str, name: str) -> 
 
 
 def run_baseline(cfg: FaultsCfg, lab: Lab, world: World, terrain: str) -> dict[str, Any]:
-    """The same robots with cameras that never fail: what they fall over by themselves."""
+    """Every fault's twins, with cameras that never fail: what they fall over by themselves."""
     severities, robots = cfg.effective()
     rows = [Row(mode, (), n) for _ in severities for mode in cfg.modes for n in range(robots)]
     trace = lab.walk(f"no fault, {terrain}", world, rows, cfg.steps, cfg.seed)
     runs = []
-    for number, mode in enumerate(cfg.modes):
-        index = slice(number * robots, (number + 1) * robots)
+    for mode in cfg.modes:
+        index = np.array([row.mode == mode for row in rows])
         upright = ~trace.fallen[-1, index]
         low, high = metrics.bootstrap_interval(upright)
         runs.append(
             {
                 "mode": mode,
                 "terrain": terrain,
-                "robots": robots,
+                "robots": len(upright),
                 "falls": int((~upright).sum()),
                 "survival": float(upright.mean()),
                 "survival_ci95_low": low,
@@ -78,6 +79,7 @@ def run_baseline(cfg: FaultsCfg, lab: Lab, world: World, terrain: str) -> dict[s
         )
     return {
         "runs": runs,
+        "fell": trace.fallen[-1].astype(int),
         "false_switches": metrics.false_switches(trace.trusted, trace.fallen),
         "healthy_robot_hours": metrics.healthy_hours(trace.fallen),
     }

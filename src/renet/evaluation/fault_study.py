@@ -16,6 +16,7 @@ from renet.evaluation import metrics
 from renet.evaluation.fault_cfg import FaultsCfg
 from renet.evaluation.fault_figures import draw_detection, draw_gallery, draw_roc, draw_survival
 from renet.evaluation.fault_findings import findings
+from renet.evaluation.fault_pairs import paired_runs
 from renet.evaluation.fault_runs import run_baseline, run_fault, run_healthy
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import Parts, Provenance, output_folder, write_csv, write_json
@@ -79,7 +80,12 @@ def summarise(
     provenance: Provenance,
 ) -> dict[str, Any]:
     """The content of summary.json."""
-    runs = [run for part in parts for run in part["runs"]]
+    robots = cfg.effective()[1]
+    runs = [
+        run
+        for part in parts
+        for run in paired_runs(part, baseline[part["runs"][0]["terrain"]], cfg.modes, robots)
+    ]
     usual = [run for part in baseline.values() for run in part["runs"]]
     # On this study's terrain: where glass has to go elsewhere, its healthy time is not of it.
     calm_parts = [part for part in parts if part["runs"][0]["terrain"] == cfg.terrain]

@@ -114,6 +114,10 @@ def read_json(path: Path) -> dict[str, Any]:
         raise RenetError(f"{path} is not valid JSON ({error}): delete it and run again") from error
 
 
+PARTS_FORMAT = 2
+"""Raised when a study keeps other things in its parts: those of before are made anew."""
+
+
 class Parts:
     """Finished parts of a study, kept in `parts/`: an interrupted study goes on where it stopped.
 
@@ -136,7 +140,7 @@ class Parts:
         """
         self._folder = output_folder(out / "parts")
         fixed = {k: v for k, v in asdict(cfg).items() if k not in {"out", "bundle", *free}}
-        self._key = plain(fixed | {"bundle_hash": provenance.bundle_hash})
+        self._key = plain(fixed | {"bundle_hash": provenance.bundle_hash, "format": PARTS_FORMAT})
 
     def get(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """The part of that name: from an earlier run, or made and written now.
