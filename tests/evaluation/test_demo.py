@@ -7,8 +7,14 @@ from pathlib import Path
 import pytest
 
 from renet.evaluation import demo
-from renet.evaluation.demo import DemoCfg, film_comparison, run_demo, worst_of_vp
-from renet.evaluation.noise import NoiseCfg, run_noise
+from renet.evaluation.demo import (
+    DemoCfg,
+    film_comparison,
+    first_to_fall,
+    run_demo,
+    worst_of_vp,
+)
+from renet.evaluation.noise import NoiseCfg, build_world, run_noise, walk
 from renet.evaluation.video import VideoCfg
 
 from .fakes import FakeLab
@@ -73,15 +79,17 @@ def test_the_folder_holds_everything(page: Path) -> None:
         "noise.png",
         "timeline.png",
         "video.mp4",
+        "parts",
     }
     assert (page.parent / "video.mp4").read_bytes()[4:8] == b"ftyp"
 
 
 def test_the_film_shows_the_setting_vp_suffers_most_in(tmp_path: Path) -> None:
-    result = run_noise(NoiseCfg(out=tmp_path, robots=2, steps=200, onset=50), FakeLab())
-    setting, robot = worst_of_vp(result)
-    index = result.indices("vp", setting)
-    assert result.trace.fallen[-1, index].all()
-    assert robot in (0, 1)
-    path = film_comparison(result, tmp_path / "v.mp4", VideoCfg(width=64, height=48, fps=5))
+    study, lab = NoiseCfg(out=tmp_path, robots=2, steps=200, onset=50), FakeLab()
+    setting = worst_of_vp(run_noise(study, lab))
+    trace = walk(study, lab, build_world(study, lab), setting, "again")
+    assert trace.fallen[-1, study.rows_of("vp")].all()
+    assert first_to_fall(study, trace) in (0, 1)
+    small = VideoCfg(width=64, height=48, fps=5)
+    path = film_comparison(study, lab, setting, tmp_path / "v.mp4", small)
     assert path.stat().st_size > 1000

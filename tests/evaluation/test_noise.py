@@ -1,13 +1,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.noise import NoiseCfg, run_noise
+from renet.evaluation import noise
+from renet.evaluation.noise import CLEAN, NoiseCfg, run_noise, setting_rows, walk
+from renet.evaluation.results import plain
 
 from .fakes import SPEED, FakeLab
 
@@ -69,13 +72,32 @@ def test_figures_and_table_are_written_whole(folder: Path) -> None:
 
 
 def test_the_timelines_camera_recovers() -> None:
-    result_rows = NoiseCfg(steps=450, onset=150)
-    from renet.evaluation.noise import study_rows
-
-    last = study_rows(result_rows)[-1]
+    last = setting_rows(NoiseCfg(steps=450, onset=150), ("gaussian", 1.0))[-1]
     assert last.mode == "renet"
     at_work = np.array([last.schedule[0].elapsed(k) >= 0 for k in range(450)])
     np.testing.assert_array_equal(at_work, (np.arange(450) >= 150) & (np.arange(450) < 300))
+
+
+def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cfg = NoiseCfg(out=tmp_path, quick=True, steps=60, onset=10)
+    walked: list[tuple[str, float]] = []
+
+    def spy(cfg, lab, world, setting, title, film=()):
+        walked.append(setting)
+        if setting == ("gaussian", 0.7) and walked.count(setting) == 1:
+            raise KeyboardInterrupt
+        return walk(cfg, lab, world, setting, title, film)
+
+    monkeypatch.setattr(noise, "walk", spy)
+    with pytest.raises(KeyboardInterrupt):
+        run_noise(cfg, FakeLab())
+    assert not (tmp_path / "summary.json").exists()
+    summary = run_noise(cfg, FakeLab())
+    settings = [CLEAN, *cfg.settings]
+    assert walked == [*settings[:3], *settings[2:]]
+    assert {run["robots"] for run in summary["runs"]} == {5}
+    whole = run_noise(replace(cfg, out=tmp_path / "whole"), FakeLab())
+    assert plain(whole["runs"]) == plain(summary["runs"])
 
 
 @pytest.mark.parametrize(

@@ -4,15 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from renet.evaluation.figures import noise_label
 from renet.evaluation.lab import Lab
-from renet.evaluation.noise import TITLES, NoiseCfg, NoiseResult, run_noise, show_runs
+from renet.evaluation.noise import (
+    TITLES,
+    NoiseCfg,
+    Setting,
+    build_world,
+    run_noise,
+    show_runs,
+    walk,
+)
 from renet.evaluation.noise_page import facts, headline, noise_section
 from renet.evaluation.page import Page
 from renet.evaluation.terminal import progress
+from renet.evaluation.trace import Trace
 from renet.evaluation.video import Panel, VideoCfg, make_video
 from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
 
@@ -22,7 +32,7 @@ class DemoCfg:
     """Settings of the demo."""
 
     out: Path = Path("renet-demo")
-    """Folder for index.html, summary.json, summary.csv, the figures and the video."""
+    """Folder for index.html, summary.json, summary.csv, figures, video and parts/."""
     bundle: Path | None = None
     """Bundle folder; the one that ships with renet by default."""
     seed: int = 1
@@ -47,20 +57,26 @@ def run_demo(cfg: DemoCfg, lab: Lab | None = None) -> Path:
         RenetError: a bundle that cannot be used, or a folder that cannot be written to.
     """
     study = NoiseCfg(out=cfg.out, bundle=cfg.bundle, seed=cfg.seed, engine=cfg.engine)
-    result = run_noise(study, lab)
-    show_runs(result.summary)
-    film = film_comparison(result, cfg.out / "video.mp4") if cfg.video else None
-    return write_page(result, film, cfg.out)
+    lab = lab or Lab(study.bundle, study.engine, study.selector)
+    summary = run_noise(study, lab)
+    show_runs(summary)
+    setting = worst_of_vp(summary)
+    film = film_comparison(study, lab, setting, cfg.out / "video.mp4") if cfg.video else None
+    return write_page(summary, film, setting, cfg.out)
 
 
-def film_comparison(result: NoiseResult, path: Path, cfg: VideoCfg | None = None) -> Path:
-    """Film VP alone beside RENet, the same robot number, in the setting VP does worst in."""
-    cfg = cfg or VideoCfg()
-    setting, robot = worst_of_vp(result)
-    rows = [int(result.indices(mode, setting)[robot]) for mode in ("vp", "renet")]
-    film, trace = result.trace.film, result.trace
+def film_comparison(
+    study: NoiseCfg, lab: Lab, setting: Setting, path: Path, cfg: VideoCfg | None = None
+) -> Path:
+    """Film VP alone beside RENet: one setting walks again, as it did in the study."""
+    cfg, modes = cfg or VideoCfg(), ("vp", "renet")
+    everybody = range(len(study.modes) * study.each)
+    trace = walk(study, lab, build_world(study, lab), setting, "one setting, filmed", everybody)
+    robot = first_to_fall(study, trace)
+    rows = [study.rows_of(mode).start + robot for mode in modes]
+    film = trace.film
     assert film is not None
-    steps = np.arange(0, result.cfg.steps, round(1 / (cfg.fps * CONTROL_DT)))
+    steps = np.arange(0, study.steps, round(1 / (cfg.fps * CONTROL_DT)))
     label = noise_label(*setting)
     panels = [
         Panel(
@@ -71,7 +87,7 @@ def film_comparison(result: NoiseResult, path: Path, cfg: VideoCfg | None = None
             fault=[label if failing else "" for failing in trace.failing[steps, row]],
             speed=trace.speed[steps, row],
         )
-        for mode, row in zip(("vp", "renet"), rows, strict=True)
+        for mode, row in zip(modes, rows, strict=True)
     ]
     # A robot that fell is put back at its start by the simulator: its picture stops instead.
     stop = [_last_upright(trace.fallen[:, row]) for row in rows]
@@ -79,23 +95,23 @@ def film_comparison(result: NoiseResult, path: Path, cfg: VideoCfg | None = None
         [film.poses[np.minimum(steps, end), row] for row, end in zip(rows, stop, strict=True)], 1
     )
     with progress("video", len(steps)) as advance:
-        return make_video(path, result.lab.scene_spec, poses, panels, cfg, advance)
+        return make_video(path, lab.scene_spec, poses, panels, cfg, advance)
 
 
-def worst_of_vp(result: NoiseResult) -> tuple[tuple[str, float], int]:
-    """The noise setting with most VP falls, then the slowest, and the first robot it fells."""
-    fallen, speed = result.trace.fallen, result.trace.speed[-150:]
+def worst_of_vp(summary: dict[str, Any]) -> Setting:
+    """The noise setting with most VP falls, then the slowest."""
+    alone = [run for run in summary["runs"] if run["mode"] == "vp"]
+    worst = max(alone, key=lambda run: (run["falls"], -run["mean_forward_velocity"]))
+    return worst["noise"], worst["level"]
 
-    def harm(setting: tuple[str, float]) -> tuple[float, float]:
-        index = result.indices("vp", setting)
-        return fallen[-1, index].sum(), -speed[:, index].mean()
 
-    setting = max(result.cfg.settings, key=harm)
-    index = result.indices("vp", setting)
-    upright = (~fallen[:, index]).sum(axis=0)
+def first_to_fall(study: NoiseCfg, trace: Trace) -> int:
+    """The first robot that falls under VP once the noise has begun, then the slowest."""
+    index = study.rows_of("vp")
+    upright = (~trace.fallen[:, index]).sum(axis=0)
     # Who fell before the noise began says nothing about it.
-    upright = np.where(upright < result.cfg.onset, len(fallen) + 1, upright)
-    return setting, int(np.lexsort((speed[:, index].mean(axis=0), upright))[0])
+    upright = np.where(upright < study.onset, study.steps + 1, upright)
+    return int(np.lexsort((trace.speed[-150:, index].mean(axis=0), upright))[0])
 
 
 def _last_upright(fallen: np.ndarray) -> int:
@@ -103,13 +119,11 @@ def _last_upright(fallen: np.ndarray) -> int:
     return max(int((~fallen).sum()) - 1, 0)
 
 
-def write_page(result: NoiseResult, film: Path | None, out: Path) -> Path:
-    """Write index.html into `out`, from the study's figures there."""
-    summary = result.summary
+def write_page(summary: dict[str, Any], film: Path | None, setting: Setting, out: Path) -> Path:
+    """Write index.html into `out`, from the study's figures there; the film is of `setting`."""
     page = Page("A robot dog loses its eyes", headline(summary))
     page.facts(facts(summary))
     if film:
-        setting, _ = worst_of_vp(result)
         page.video(
             film,
             f"Same noise, {noise_label(*setting)}, from 3 s on. Left: the estimator that trusts"

@@ -1,12 +1,15 @@
 """The paper's noise study: robots on flat ground, VP alone against RENet ("Comparison with Only
 the VP Estimator").
 
-All settings, modes and robots run side by side as rows of one batch.
+Each setting is one batch: its modes and robots run side by side. Finished settings are kept in
+`parts/`, so an interrupted study goes on where it stopped.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +19,16 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab
-from renet.evaluation.results import output_folder, write_csv, write_json
-from renet.evaluation.rollout import MODES, Row, Trace
+from renet.evaluation.results import Parts, Provenance, output_folder, write_csv, write_json
+from renet.evaluation.rollout import MODES, Row, Trace, World
 from renet.evaluation.switches import check_selector
 from renet.evaluation.terminal import show
 from renet.vocabulary import CONTROL_DT
 
-CLEAN = ("none", 0.0)
+Setting = tuple[str, float]
+"""Noise and level."""
+CLEAN: Setting = ("none", 0.0)
+QUICK_ROBOTS = 5
 TITLES = {
     "vp": "VP estimator alone",
     "renet": "RENet",
@@ -36,11 +42,13 @@ class NoiseCfg:
     """Settings of the noise study; the defaults are the paper's."""
 
     out: Path = Path("results/noise")
-    """Folder for summary.json, summary.csv, noise.png and timeline.png."""
+    """Folder for summary.json, summary.csv, noise.png, timeline.png and parts/."""
     bundle: Path | None = None
     """Bundle folder; the one that ships with renet by default."""
     robots: int = 20
     """Robots in each setting."""
+    quick: bool = False
+    """5 robots in each setting instead: a minute."""
     steps: int = 450
     """Control steps (0.02 s)."""
     onset: int = 150
@@ -73,32 +81,30 @@ class NoiseCfg:
             )
 
     @property
-    def settings(self) -> list[tuple[str, float]]:
-        """(noise, level) of every noise setting."""
+    def settings(self) -> list[Setting]:
+        """Every noise setting."""
         return [("gaussian", level) for level in self.gaussian] + [
             ("salt_and_pepper", level) for level in self.salt_and_pepper
         ]
 
+    @property
+    def strongest(self) -> Setting:
+        """The setting of the timeline."""
+        return self.settings[len(self.gaussian) - 1]
 
-@dataclass
-class NoiseResult:
-    """What the study found, and what pictures of it need."""
+    @property
+    def each(self) -> int:
+        """Robots in each setting and mode, after `quick`."""
+        return QUICK_ROBOTS if self.quick else self.robots
 
-    cfg: NoiseCfg
-    summary: dict[str, Any]
-    rows: list[Row]
-    trace: Trace
-    lab: Lab
-
-    def indices(self, mode: str, setting: tuple[str, float]) -> np.ndarray:
-        """Rows of one mode and setting, by robot number."""
-        wanted = _schedule(setting, self.cfg.onset)
-        found = [i for i, r in enumerate(self.rows) if r.mode == mode and r.schedule == wanted]
-        return np.array(found)
+    def rows_of(self, mode: str) -> slice:
+        """Where a mode's robots are in every batch."""
+        first = self.modes.index(mode) * self.each
+        return slice(first, first + self.each)
 
 
-def run_noise(cfg: NoiseCfg, lab: Lab | None = None) -> NoiseResult:
-    """Run the study and write its results to `cfg.out`.
+def run_noise(cfg: NoiseCfg, lab: Lab | None = None) -> dict[str, Any]:
+    """Run what has not been run yet, write the results to `cfg.out` and return the summary.
 
     Args:
         cfg: settings.
@@ -109,70 +115,92 @@ def run_noise(cfg: NoiseCfg, lab: Lab | None = None) -> NoiseResult:
     """
     lab = lab or Lab(cfg.bundle, cfg.engine, cfg.selector)
     out = output_folder(cfg.out)
-    rows = study_rows(cfg)
-    world = lab.world("Renet-Go1-Flat", [row.robot for row in rows], cfg.speed, cfg.seed)
-    title, film = f"{len(rows)} robots walk", range(len(rows))
-    trace = lab.walk(title, world, rows, cfg.steps, cfg.seed, film)
-    result = NoiseResult(cfg, {}, rows, trace, lab)
-    result.summary = summarise(result)
-    write_json(out / "summary.json", result.summary)
-    write_csv(out / "summary.csv", result.summary["runs"] + result.summary["baseline"])
-    draw(result, out)
-    return result
+    provenance = lab.provenance(cfg.seed)
+    parts = Parts(out, cfg, provenance, free=("gaussian", "salt_and_pepper"))
 
+    @cache
+    def world() -> World:
+        return build_world(cfg, lab)
 
-def study_rows(cfg: NoiseCfg) -> list[Row]:
-    """Every robot of every mode and setting, and last the timeline's, whose camera recovers."""
-    rows = [
-        Row(mode, _schedule(setting, cfg.onset), robot)
-        for mode in cfg.modes
-        for setting in [CLEAN, *cfg.settings]
-        for robot in range(cfg.robots)
-    ]
-    strongest = cfg.settings[len(cfg.gaussian) - 1]
-    passing = Injection(*strongest, cfg.onset, duration=(cfg.steps - cfg.onset) * CONTROL_DT / 2)
-    return [*rows, Row("renet", (passing,))]
+    def one(setting: Setting, name: str) -> dict[str, Any]:
+        return measure(cfg, setting, walk(cfg, lab, world(), setting, name))
 
-
-def _schedule(setting: tuple[str, float], onset: int) -> tuple[Injection, ...]:
-    return () if setting == CLEAN else (Injection(*setting, onset),)
-
-
-def summarise(result: NoiseResult) -> dict[str, Any]:
-    """The content of summary.json."""
-    cfg, lab = result.cfg, result.lab
-    clean = np.concatenate([result.indices(mode, CLEAN) for mode in cfg.modes])
-    trusted, failing = result.trace.trusted[:, :, clean], result.trace.failing[:, clean]
-    return {
+    found = {}
+    for number, setting in enumerate([CLEAN, *cfg.settings], start=1):
+        name = f"{setting[0]}_{setting[1]:g}"
+        title = f"{number}/{1 + len(cfg.settings)} {name}"
+        found[setting] = parts.get(name, partial(one, setting, title))
+    summary = {
         "study": "noise",
-        "runs": [_run(result, mode, s) for mode in cfg.modes for s in cfg.settings],
-        "baseline": [_run(result, mode, CLEAN) for mode in cfg.modes],
+        "runs": [found[s]["runs"][m] for m in range(len(cfg.modes)) for s in cfg.settings],
+        "baseline": found[CLEAN]["runs"],
         "selector": cfg.selector,
         "beta": lab.beta,
+        "healthy": found[CLEAN]["healthy"],
+        "settings": asdict(cfg),
+        "provenance": vars(provenance),
+    }
+    write_json(out / "summary.json", summary)
+    write_csv(out / "summary.csv", summary["runs"] + summary["baseline"])
+    draw(cfg, found, lab.beta, provenance, out)
+    return summary
+
+
+def build_world(cfg: NoiseCfg, lab: Lab) -> World:
+    """Flat ground with room for one setting."""
+    numbers = [row.robot for row in setting_rows(cfg, CLEAN)]
+    return lab.world("Renet-Go1-Flat", numbers, cfg.speed, cfg.seed)
+
+
+def setting_rows(cfg: NoiseCfg, setting: Setting) -> list[Row]:
+    """Every robot of every mode, and last one under RENet whose camera recovers half-way."""
+    noise = () if setting == CLEAN else (Injection(*setting, cfg.onset),)
+    rest = (cfg.steps - cfg.onset) * CONTROL_DT
+    passing = () if setting == CLEAN else (Injection(*setting, cfg.onset, duration=rest / 2),)
+    rows = [Row(mode, noise, robot) for mode in cfg.modes for robot in range(cfg.each)]
+    return [*rows, Row("renet", passing)]
+
+
+def walk(
+    cfg: NoiseCfg, lab: Lab, world: World, setting: Setting, title: str, film: Sequence[int] = ()
+) -> Trace:
+    """Walk one setting; the same every time, for one bundle and seed."""
+    return lab.walk(title, world, setting_rows(cfg, setting), cfg.steps, cfg.seed, film)
+
+
+def measure(cfg: NoiseCfg, setting: Setting, trace: Trace) -> dict[str, Any]:
+    """What is kept of one setting: a row for each mode, curves, healthy time and a timeline."""
+    everybody = slice(0, len(cfg.modes) * cfg.each)
+    trusted, failing = trace.trusted[:, :, everybody], trace.failing[:, everybody]
+    return {
+        "runs": [_run(cfg, setting, mode, trace) for mode in cfg.modes],
+        "speed": {mode: trace.speed[:, cfg.rows_of(mode)].mean(axis=1) for mode in cfg.modes},
         "healthy": {
             "false_switches": metrics.false_switches(trusted, failing),
             "robot_hours": metrics.healthy_hours(failing),
         },
-        "settings": vars(cfg),
-        "provenance": vars(lab.provenance(cfg.seed)),
+        "timeline": {
+            name: getattr(trace, name)[:, -1].astype(float)
+            for name in ("anomaly", "probability", "vision")
+        },
     }
 
 
-def _run(result: NoiseResult, mode: str, setting: tuple[str, float]) -> dict[str, Any]:
+def _run(cfg: NoiseCfg, setting: Setting, mode: str, trace: Trace) -> dict[str, Any]:
     """One row of the summary."""
-    cfg, index = result.cfg, result.indices(mode, setting)
-    speed = result.trace.speed[:, index]
+    index = cfg.rows_of(mode)
+    speed = trace.speed[:, index]
     low, high = metrics.bootstrap_interval(speed[metrics.window(3.0)].mean(axis=0))
-    delay = np.full(len(index), np.nan)
+    delay = np.full(cfg.each, np.nan)
     if mode == "renet" and setting != CLEAN:
-        delay = metrics.switch_delay(result.trace.trusted[:, :, index], cfg.onset)
+        delay = metrics.switch_delay(trace.trusted[:, :, index], cfg.onset)
     detected = ~np.isnan(delay)
     return {
         "mode": mode,
         "noise": setting[0],
         "level": setting[1],
-        "robots": len(index),
-        "falls": int(result.trace.fallen[-1, index].sum()),
+        "robots": cfg.each,
+        "falls": int(trace.fallen[-1, index].sum()),
         "mean_forward_velocity": metrics.mean_forward_velocity(speed),
         "velocity_ci95_low": low,
         "velocity_ci95_high": high,
@@ -182,27 +210,27 @@ def _run(result: NoiseResult, mode: str, setting: tuple[str, float]) -> dict[str
     }
 
 
-def draw(result: NoiseResult, out: Path) -> None:
-    """Write noise.png and timeline.png."""
-    cfg, trace, lab = result.cfg, result.trace, result.lab
-    provenance, speed = lab.provenance(cfg.seed), trace.speed
+def draw(
+    cfg: NoiseCfg,
+    found: Mapping[Setting, dict[str, Any]],
+    beta: float,
+    provenance: Provenance,
+    out: Path,
+) -> None:
+    """Write noise.png and timeline.png from the parts by setting."""
     curves = {
-        mode: {
-            setting: speed[:, result.indices(mode, setting)].mean(axis=1)
-            for setting in [CLEAN, *cfg.settings]
-        }
+        mode: {setting: np.array(part["speed"][mode]) for setting, part in found.items()}
         for mode in cfg.modes
     }
     figures.speed_over_time(curves, cfg.onset, cfg.speed, TITLES, out / "noise.png", provenance)
-    noise = result.rows[-1].schedule[0]
-    label = figures.noise_label(noise.fault, noise.level)
-    start = cfg.onset * CONTROL_DT
+    line = {name: np.array(v) for name, v in found[cfg.strongest]["timeline"].items()}
+    begins, over = cfg.onset * CONTROL_DT, (cfg.onset + cfg.steps) / 2 * CONTROL_DT
     figures.timeline(
-        trace.anomaly[:, -1],
-        lab.beta,
-        trace.probability[:, -1],
-        trace.vision[:, -1],
-        [(start, f"{label} begins"), (start + noise.duration, "camera recovers")],
+        line["anomaly"],
+        beta,
+        line["probability"],
+        line["vision"] > 0,
+        [(begins, f"{figures.noise_label(*cfg.strongest)} begins"), (over, "camera recovers")],
         "One robot loses its camera and gets it back",
         out / "timeline.png",
         provenance,
@@ -211,7 +239,7 @@ def draw(result: NoiseResult, out: Path) -> None:
 
 def main(cfg: NoiseCfg) -> None:
     """`renet evaluate noise`."""
-    show_runs(run_noise(cfg).summary)
+    show_runs(run_noise(cfg))
 
 
 def show_runs(summary: dict[str, Any]) -> None:

@@ -17,8 +17,8 @@ def noise_section(page: Page, summary: dict[str, Any], folder: Path) -> None:
     settings = summary["settings"]
     page.heading("Six ways to spoil the camera")
     page.text(
-        f"{settings['robots']} robots in each row, flat ground, {settings['speed']} m/s commanded,"
-        f" noise from timestep {settings['onset']}. Speed is the mean over the last 3 s, with its"
+        f"{summary['runs'][0]['robots']} robots in each row, flat ground,"
+        f" {settings['speed']} m/s commanded, noise from timestep {settings['onset']}. Speed is the mean over the last 3 s, with its"
         " 95 % bootstrap interval; a fallen robot counts with zero. GA is Gaussian noise"
         " with that standard deviation, SP salt and pepper on that share of the pixels. Delay is"
         " the median time from the noise's begin to the switch."

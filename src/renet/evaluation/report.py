@@ -140,7 +140,7 @@ def run_studies(cfg: ReportCfg) -> None:
     common = {"bundle": cfg.bundle, "seed": cfg.seed, "engine": cfg.engine}
     out = {name: {"out": cfg.results / name, **common} for name in SECTIONS}
     studies: dict[str, Callable[[], Any]] = {
-        "noise": lambda: run_noise(NoiseCfg(**out["noise"])),
+        "noise": lambda: run_noise(NoiseCfg(**out["noise"], quick=cfg.quick)),
         "filter": lambda: run_filter(FilterCfg(**out["filter"], quick=cfg.quick)),
         "terrain": lambda: run_terrain(TerrainCfg(**out["terrain"], quick=cfg.quick)),
         "success": lambda: run_success(SuccessCfg(**out["success"], quick=cfg.quick)),
