@@ -18,7 +18,8 @@ def noise_section(page: Page, summary: dict[str, Any], folder: Path) -> None:
     page.heading("Six ways to spoil the camera")
     page.text(
         f"{summary['runs'][0]['robots']} robots in each row, flat ground,"
-        f" {settings['speed']} m/s commanded, noise from timestep {settings['onset']}. Speed is the mean over the last 3 s, with its"
+        f" {settings['speed']} m/s commanded, noise from timestep {settings['onset']}."
+        " Speed is the mean over the last 3 s, with its"
         " 95 % bootstrap interval; a fallen robot counts with zero. GA is Gaussian noise"
         " with that standard deviation, SP salt and pepper on that share of the pixels. Delay is"
         " the median time from the noise's begin to the switch."
