@@ -132,6 +132,13 @@ def test_severities_are_judged_together() -> None:
     )
 
 
+def test_without_healthy_hours_nothing_is_promised_of_them() -> None:
+    nothing = {name: 0 for name in HEALTHY}
+    for hours, promised in ((0, False), (1.0, True)):
+        claims = findings([], usual(0), nothing | {"robot_hours": hours})["claims"]
+        assert any("false switch" in claim["claim"] for claim in claims) == promised
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

@@ -40,13 +40,7 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
             _sorted_out(severe, "settings not noticed by every robot"),
         ),
         *_delay_claim(runs, baseline),
-        _claim(
-            "at most 1 false switch per healthy hour",
-            healthy["false_switches_per_hour"] <= 1.0,
-            f"{healthy['false_switches_per_hour']:.2f} ({healthy['false_switches']} in"
-            f" {healthy['robot_hours']:.2f} robot hours; 95 % limit"
-            f" {healthy['upper_95_per_hour']:.2f})",
-        ),
+        *_false_switch_claim(healthy),
         *_blind_claims(runs),
     ]
     return {"harmful": harm, "missed": misses, "claims": claims}
@@ -144,6 +138,21 @@ def _claim(claim: str, met: bool, measured: str) -> dict[str, Any]:
     return {"claim": claim, "met": bool(met), "measured": measured}
 
 
+def _false_switch_claim(healthy: dict[str, Any]) -> Runs:
+    """Nothing is said of healthy hours where there are none."""
+    if not healthy["robot_hours"]:
+        return []
+    rate, limit = healthy["false_switches_per_hour"], healthy["upper_95_per_hour"]
+    return [
+        _claim(
+            "at most 1 false switch per healthy hour",
+            rate <= 1.0,
+            f"{rate:.2f} ({healthy['false_switches']} in {healthy['robot_hours']:.2f} robot hours;"
+            f" 95 % limit {limit:.2f})",
+        )
+    ]
+
+
 def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
     """The median of the settings' median delays, where VP falls; of all if it never does."""
     falls = {setting for setting, clear in felling(runs, baseline).items() if clear}
@@ -157,8 +166,9 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
         _claim(
             "median detection within 0.2 s of faults that make VP fall",
             delay <= 0.2,
-            f"{delay:.3f} s; worst 95th percentile {worst['detection_delay_p95_s']:.2f} s"
-            f" ({worst['fault']} {worst['severity']})",
+            f"{delay:.3f} s{'' if falls else ' of all noticed, none made VP fall'}; worst 95th"
+            f" percentile {worst['detection_delay_p95_s']:.2f} s ({worst['fault']}"
+            f" {worst['severity']})",
         )
     ]
 
