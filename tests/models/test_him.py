@@ -37,20 +37,31 @@ def test_sinkhorn_and_loss_match_the_reference(seed, batch):
     )
     scores = source @ prototypes.T, target @ prototypes.T
     assignments = [reference_sinkhorn(s) for s in scores]
-    np.testing.assert_allclose(sinkhorn(torch.tensor(scores[0])), assignments[0], atol=1e-9)
+    counts = torch.ones(batch, dtype=torch.float64)
+    found = sinkhorn(torch.tensor(scores[0]), counts)
+    np.testing.assert_allclose(found, assignments[0], atol=1e-9)
 
     def log_softmax(x):
         return x - np.log(np.exp(x).sum(-1, keepdims=True))
 
     logs = [log_softmax(s / 3.0) for s in scores]
     expected = -0.5 * (assignments[0] * logs[1] + assignments[1] * logs[0]).sum(-1).mean()
-    got = swapped_prediction_loss(*map(torch.tensor, (source, target, prototypes)))
+    got = swapped_prediction_loss(*map(torch.tensor, (source, target, prototypes)), counts)
     np.testing.assert_allclose(got, expected, atol=1e-9)
 
 
 def test_rows_of_an_assignment_sum_to_one():
-    assignment = sinkhorn(torch.randn(64, 32).clamp(-1, 1))
+    assignment = sinkhorn(torch.randn(64, 32).clamp(-1, 1), torch.ones(64))
     torch.testing.assert_close(assignment.sum(1), torch.ones(64))
+
+
+def test_pairs_that_do_not_count_are_as_if_absent():
+    torch.manual_seed(0)
+    him, latent, following = HybridInternalModel(), torch.randn(9, 64), torch.randn(9, 45)
+    some = torch.tensor([1, 0, 1, 1, 0, 0, 1, 1, 0]).bool()
+    alone = him(latent[some], following[some])
+    torch.testing.assert_close(him(latent, following, some.float()), alone)
+    assert him(latent, following, torch.zeros(9)) == 0.0
 
 
 def test_training_pulls_matching_views_together():

@@ -8,7 +8,14 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from renet.training import precision
 from renet.vocabulary import ACTION_SIZE, CONSTRAINTS
+
+
+@pytest.fixture(autouse=True)
+def single_precision(monkeypatch):
+    """Unless a test asks for bfloat16, results are the same on every machine."""
+    monkeypatch.setattr(precision, "has_bfloat16", lambda device: False)
 
 
 class ToyEnv:

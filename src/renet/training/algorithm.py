@@ -14,11 +14,14 @@ from renet.models.actor_critic import fuse
 from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
+from renet.sim.engine import NativeSimulation
+from renet.sim.overflow import OverflowWatch
 from renet.training import distributed
 from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg
 from renet.training.config_io import from_dict
 from renet.training.modality import op_mask
 from renet.training.np3o import NP3O
+from renet.training.precision import Precision, learning_type
 from renet.training.storage import PolicyRollout, Recorder, TickRollout
 from renet.training.supervision import Supervision
 from renet.vocabulary import CONSTRAINTS, STEPS_PER_TICK
@@ -30,6 +33,13 @@ CRITIC_GROUPS = ("proprioception_clean", "velocity", "feet_height", "height_map"
 def critic_observation(obs: TensorDict) -> Tensor:
     """Concatenate CRITIC_GROUPS: [N, C]."""
     return torch.cat([obs[group] for group in CRITIC_GROUPS], dim=-1)
+
+
+def _overflow_watch(env: VecEnv) -> OverflowWatch | None:
+    """A watch on the engine's buffers; C MuJoCo's grow as they must."""
+    simulation = getattr(env.unwrapped, "sim", None)
+    warp = simulation is not None and not isinstance(simulation, NativeSimulation)
+    return OverflowWatch(simulation) if warp else None
 
 
 class RenetAlgorithm:
@@ -45,12 +55,15 @@ class RenetAlgorithm:
         supervision: SupervisionCfg,
         adaptation: AdaptationCfg,
         device: str,
+        precision: Precision = "auto",
+        overflow: OverflowWatch | None = None,
     ) -> None:
         self.device = device
         self.model = model.to(device)
         self.adaptation = adaptation
-        self.np3o = NP3O(model.actor, model.critics, np3o)
-        self.supervision = Supervision(model, supervision)
+        dtype = learning_type(precision, device)
+        self.np3o = NP3O(model.actor, model.critics, np3o, dtype)
+        self.supervision = Supervision(model, supervision, dtype)
         self.memory = EstimatorMemory(model.cfg, num_envs, device)
         self.iteration = 0
         self._steps = Recorder()
@@ -58,6 +71,7 @@ class RenetAlgorithm:
         self._step_count = 0
         self._initial_latents = (self.memory.latent_op, self.memory.latent_vp)
         self._cost_sum = torch.zeros(len(CONSTRAINTS), device=device)
+        self._overflow = overflow
 
     @staticmethod
     def construct_algorithm(
@@ -88,6 +102,8 @@ class RenetAlgorithm:
             from_dict(SupervisionCfg, cfg["supervision"]),
             from_dict(AdaptationCfg, cfg["adaptation"]),
             device,
+            cfg["precision"],
+            _overflow_watch(env),
         )
 
     # Rollout.
@@ -162,6 +178,8 @@ class RenetAlgorithm:
         self.model.critic_normalizer.update(rows)
         self.memory.reset(done)
         self._step_count += 1
+        if self._overflow is not None:
+            self._overflow.look()
 
     # Learning.
 
@@ -186,6 +204,8 @@ class RenetAlgorithm:
         losses |= self.supervision.update(ticks)
         for name, cost in zip(CONSTRAINTS, (self._cost_sum / length).tolist(), strict=True):
             losses[f"cost_{name}"] = cost
+        if self._overflow is not None:
+            losses |= self._overflow.report()
         self._cost_sum.zero_()
         self._initial_latents = (self.memory.latent_op, self.memory.latent_vp)
         self.iteration += 1

@@ -8,6 +8,7 @@ from typing import Literal
 from mjlab.rl import RslRlBaseRunnerCfg
 
 from renet.models.config import ModelCfg
+from renet.training.precision import Precision
 from renet.vocabulary import STEPS_PER_TICK
 
 
@@ -86,6 +87,9 @@ class LearningCfg:
     """Estimators and autoencoder."""
     adaptation: AdaptationCfg = field(default_factory=AdaptationCfg)
     """Which estimator steers where."""
+    precision: Precision = "auto"
+    """What critics and depth embedding learn in: bfloat16, float32, or auto (bfloat16 where the
+    machine multiplies it). Actor and losses are always float32, and so is what is exported."""
     seed: int = 1
     """Seed of everything random."""
     num_steps_per_env: int = 5 * STEPS_PER_TICK

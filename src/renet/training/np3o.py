@@ -8,6 +8,7 @@ A satisfied constraint contributes nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor, nn
@@ -16,6 +17,7 @@ from torch.distributions import Normal, kl_divergence
 from renet.models.actor_critic import Actor, Critics
 from renet.training import distributed
 from renet.training.config import NP3OCfg
+from renet.training.precision import computed_in, side_by_side
 from renet.training.returns import advantages
 from renet.training.storage import PolicyRollout
 
@@ -85,70 +87,105 @@ def make_targets(rollout: PolicyRollout, last_value: Tensor, cfg: NP3OCfg) -> Ta
 class NP3O:
     """Optimises actor and critics on rollouts; owns their optimiser, rate and penalties."""
 
-    def __init__(self, actor: Actor, critics: Critics, cfg: NP3OCfg) -> None:
-        self.actor, self.critics, self.cfg = actor, critics, cfg
+    def __init__(
+        self, actor: Actor, critics: Critics, cfg: NP3OCfg, dtype: torch.dtype = torch.float32
+    ) -> None:
+        """Set up for networks that are where they are to stay; critics learn in `dtype`."""
+        self.actor, self.critics, self.cfg, self.dtype = actor, critics, cfg, dtype
         self.parameters = [*actor.parameters(), *critics.parameters()]
-        self.learning_rate = cfg.learning_rate
+        # A tensor: adapting it on a GPU must not wait for the divergence to arrive on the host.
+        self._rate = torch.tensor(cfg.learning_rate, device=self.parameters[0].device)
         self.cost_weight = cfg.cost_weight
-        self.optimizer = torch.optim.Adam(self.parameters, lr=cfg.learning_rate)
+        self.optimizer = torch.optim.Adam(self.parameters, lr=self._rate, fused=True)
+
+    @property
+    def learning_rate(self) -> float:
+        """Current rate of Adam."""
+        return self._rate.item()
+
+    @learning_rate.setter
+    def learning_rate(self, rate: float) -> None:
+        self._rate.fill_(rate)
 
     def update(
         self, rollout: PolicyRollout, last_value: Tensor, iteration: int
     ) -> dict[str, float]:
         """Learn from one rollout; returns mean losses by name."""
+        losses = self.learn(rollout, last_value, iteration)
+        numbers = torch.stack(list(losses.values())).tolist()
+        return dict(zip(losses, numbers, strict=True)) | {"cost_weight": self.cost_weight}
+
+    def learn(
+        self, rollout: PolicyRollout, last_value: Tensor, iteration: int
+    ) -> dict[str, Tensor]:
+        """The same with losses as tensors: on a GPU nothing here waits for the device."""
         targets = make_targets(rollout, last_value, self.cfg)
         batch = rollout.flatten()
         growth = self.cfg.cost_weight_growth**iteration
         self.cost_weight = min(max(self.cfg.cost_weight, 1.0), self.cost_weight * growth)
         # Every transition of a rollout was drawn with the same deviation.
         old_std = self.actor.log_std.detach().exp()
-        totals: dict[str, Tensor] = {}
-        steps = 0
-        for _ in range(self.cfg.num_learning_epochs):
-            order = torch.randperm(batch.log_prob.shape[0], device=batch.log_prob.device)
-            for index in order.chunk(self.cfg.num_mini_batches):
-                for name, value in self._step(batch, targets, index, old_std).items():
-                    totals[name] = totals.get(name, 0.0) + value
-                steps += 1
-        losses = {name: float(total / steps) for name, total in totals.items()}
-        return losses | {"cost_weight": self.cost_weight}
+        steps: list[dict[str, Tensor]] = []
+        with computed_in(self.dtype, self.critics):
+            for _ in range(self.cfg.num_learning_epochs):
+                order = torch.randperm(batch.log_prob.shape[0], device=batch.log_prob.device)
+                for index in order.chunk(self.cfg.num_mini_batches):
+                    steps.append(self._step(batch, targets, index, old_std))
+        return {name: torch.stack([step[name] for step in steps]).mean() for name in steps[0]}
 
     def _step(
         self, batch: PolicyRollout, targets: Targets, index: Tensor, old_std: Tensor
     ) -> dict[str, Tensor]:
         """One gradient step on the rows in `index`."""
+        self.optimizer.zero_grad()
+        policy = partial(self._policy_gradient, batch, targets, index, old_std)
+        value = partial(self._value_gradient, batch, targets, index)
+        # In single precision the critics would take twice as long as the actor.
+        together = self.dtype != torch.float32 and index.device.type == "cpu"
+        of_policy, of_value = side_by_side(policy, value) if together else (policy(), value())
+        distributed.average_gradients(self.parameters)
+        nn.utils.clip_grad_norm_(self.parameters, self.cfg.max_grad_norm)
+        kl = distributed.mean(of_policy.pop("kl"))
+        self._adapt_rate(kl)
+        self.optimizer.step()
+        return of_policy | of_value | {"kl": kl}
+
+    def _policy_gradient(
+        self, batch: PolicyRollout, targets: Targets, index: Tensor, old_std: Tensor
+    ) -> dict[str, Tensor]:
+        """The actor's gradients; returns losses and the divergence from the old policy."""
         distribution = self.actor.distribution(batch.proprioception[index], batch.latent[index])
         log_prob = distribution.log_prob(batch.action[index]).sum(-1)
         ratio = torch.exp(log_prob - batch.log_prob[index])
         surrogate = reward_surrogate(ratio, targets.reward_advantage[index], self.cfg.clip)
         cost = cost_surrogate(ratio, targets.cost_advantage[index], self.cfg.clip)
         penalty = self.cost_weight * torch.relu(cost + targets.violation).sum()
-        value_loss = clipped_value_loss(
-            self.critics(batch.critic_observation[index]),
-            batch.value[index],
-            targets.value_target[index],
-            self.cfg.clip,
-        )
         entropy = distribution.entropy().sum(-1).mean()
-        kl = self._adapt_rate(Normal(batch.mean[index], old_std, validate_args=False), distribution)
-        loss = surrogate + penalty + self.cfg.value_loss * value_loss - self.cfg.entropy * entropy
-        self.optimizer.zero_grad()
-        loss.backward()
-        distributed.average_gradients(self.parameters)
-        nn.utils.clip_grad_norm_(self.parameters, self.cfg.max_grad_norm)
-        self.optimizer.step()
-        losses = {"surrogate": surrogate, "cost": penalty, "value": value_loss, "entropy": entropy}
-        return {name: value.detach() for name, value in losses.items()} | {"kl": kl}
+        (surrogate + penalty - self.cfg.entropy * entropy).backward()
+        losses = {"surrogate": surrogate, "cost": penalty, "entropy": entropy}
+        with torch.no_grad():
+            old = Normal(batch.mean[index], old_std, validate_args=False)
+            losses["kl"] = kl_divergence(old, distribution).sum(-1).mean()
+        return {name: value.detach() for name, value in losses.items()}
 
-    @torch.no_grad()
-    def _adapt_rate(self, old: Normal, new: Normal) -> Tensor:
+    def _value_gradient(
+        self, batch: PolicyRollout, targets: Targets, index: Tensor
+    ) -> dict[str, Tensor]:
+        """The critics' gradients; returns their loss."""
+        value = self.critics(batch.critic_observation[index])
+        old, target = batch.value[index], targets.value_target[index]
+        loss = clipped_value_loss(value, old, target, self.cfg.clip)
+        (self.cfg.value_loss * loss).backward()
+        return {"value": loss.detach()}
+
+    def _adapt_rate(self, kl: Tensor) -> None:
         """Keep the KL divergence per step near its target, as rsl_rl does."""
-        kl = distributed.mean(kl_divergence(old, new).sum(-1).mean())
         if self.cfg.desired_kl > 0:
-            if kl > 2.0 * self.cfg.desired_kl:
-                self.learning_rate = max(LEARNING_RATES[0], self.learning_rate / 1.5)
-            elif 0.0 < kl < 0.5 * self.cfg.desired_kl:
-                self.learning_rate = min(LEARNING_RATES[1], self.learning_rate * 1.5)
-            for group in self.optimizer.param_groups:
-                group["lr"] = self.learning_rate
-        return kl
+            low, high = LEARNING_RATES
+            slower = (self._rate / 1.5).clamp_min(low)
+            faster = (self._rate * 1.5).clamp_max(high)
+            close = (kl > 0.0) & (kl < 0.5 * self.cfg.desired_kl)
+            rate = torch.where(close, faster, self._rate)
+            self._rate.copy_(torch.where(kl > 2.0 * self.cfg.desired_kl, slower, rate))
+        for group in self.optimizer.param_groups:
+            group["lr"] = self._rate  # Loading a checkpoint leaves a copy there.

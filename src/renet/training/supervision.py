@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import torch
-import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from renet.models.autoencoder import anomaly_score
@@ -12,6 +14,7 @@ from renet.models.him import HybridInternalModel
 from renet.models.renet import RENet
 from renet.training import distributed
 from renet.training.config import SupervisionCfg
+from renet.training.precision import computed_in, side_by_side
 from renet.training.storage import TickRollout
 
 
@@ -21,59 +24,92 @@ def estimator_losses(
     rollout: TickRollout,
     initial: Tensor,
     chosen: Tensor,
+    compact: bool = True,
 ) -> dict[str, Tensor]:
     """Every term of an estimator's loss over the ticks in `chosen`.
 
     Args:
         rollout: sequences of B environments. initial: latent before the first tick, [B, 64].
         chosen: [K, B] bool, the ticks that count; none may.
+        compact: leave out environments of which no tick counts: half the time, most of VP's
+            images. On a GPU finding them would make the host wait.
 
     Returns:
         Named scalars; their sum is the loss. Absent heads are absent.
     """
-    mine = chosen.any(dim=0)
-    if not mine.any():
-        return {}
-    # The others contribute nothing: half the time, most of VP's images.
-    rollout, initial, chosen = rollout.environments(mine), initial[mine], chosen[:, mine]
+    if compact:
+        mine = chosen.any(dim=0)
+        if not mine.any():
+            return {}
+        rollout, initial, chosen = rollout.environments(mine), initial[mine], chosen[:, mine]
     latent = estimator.unroll(rollout.history, rollout.frames.float(), initial, rollout.fresh)
-    estimate = estimator.predict(latent[chosen])
+    estimate = estimator.predict(latent)
+    counts = chosen.to(latent.dtype)
     losses = {}
     for name in ("velocity", "feet_height", "height_map"):
         predicted = getattr(estimate, name)
         if predicted is not None:
-            losses[name] = functional.mse_loss(predicted, getattr(rollout, name)[chosen])
+            error = (predicted - getattr(rollout, name)).square().mean(-1)
+            losses[name] = (error * counts).sum() / counts.sum().clamp_min(1.0)
     if him is not None:
-        paired = chosen & rollout.next_valid
-        if paired.any():
-            losses["him"] = him(latent[paired], rollout.next_proprioception[paired])
+        paired = (counts * rollout.next_valid).flatten()
+        losses["him"] = him(latent.flatten(0, 1), rollout.next_proprioception.flatten(0, 1), paired)
     return losses
 
 
 class Supervision:
     """Trains both estimators, their HIM and the autoencoder; owns their optimiser."""
 
-    def __init__(self, model: RENet, cfg: SupervisionCfg) -> None:
-        self.model, self.cfg = model, cfg
+    def __init__(
+        self, model: RENet, cfg: SupervisionCfg, dtype: torch.dtype = torch.float32
+    ) -> None:
+        """Set up for a model that is where it is to stay; its depth embedding learns in `dtype`."""
+        self.model, self.cfg, self.dtype = model, cfg, dtype
         self.parameters = model.supervised_parameters()
-        self.optimizer = torch.optim.Adam(self.parameters, lr=cfg.learning_rate)
+        self.optimizer = torch.optim.Adam(self.parameters, lr=cfg.learning_rate, fused=True)
+        self.compact = self.parameters[0].device.type == "cpu"
+        """See `estimator_losses`."""
 
     def update(self, rollout: TickRollout) -> dict[str, float]:
         """Learn from one rollout's ticks; returns mean losses by name."""
+        losses = self.learn(rollout)
+        return dict(zip(losses, torch.stack(list(losses.values())).tolist(), strict=True))
+
+    def learn(self, rollout: TickRollout) -> dict[str, Tensor]:
+        """The same with losses as tensors: on a GPU nothing here waits for the device."""
         environments = rollout.op_mask.shape[1]
         totals: dict[str, list[Tensor]] = {}
-        for _ in range(self.cfg.num_learning_epochs):
-            order = torch.randperm(environments, device=rollout.op_mask.device)
-            for index in order.chunk(self.cfg.num_mini_batches):
-                losses = self.losses(rollout.environments(index))
-                self.optimizer.zero_grad()
-                self.weighted(losses).backward()
-                distributed.average_gradients(self.parameters)
-                nn.utils.clip_grad_norm_(self.parameters, self.cfg.max_grad_norm)
-                self.optimizer.step()
-                for name, loss in losses.items():
-                    totals.setdefault(name, []).append(loss.detach())
-        return {name: float(torch.stack(values).mean()) for name, values in totals.items()}
+        with computed_in(self.dtype, self.model.vp.depth):
+            for _ in range(self.cfg.num_learning_epochs):
+                order = torch.randperm(environments, device=rollout.op_mask.device)
+                for index in order.chunk(self.cfg.num_mini_batches):
+                    for name, loss in self._step(rollout.environments(index)).items():
+                        totals.setdefault(name, []).append(loss)
+        return {name: torch.stack(values).mean() for name, values in totals.items()}
+
+    def _step(self, rollout: TickRollout) -> dict[str, Tensor]:
+        """One gradient step; returns the losses."""
+        self.optimizer.zero_grad()
+        blind, seeing = (
+            partial(self._gradient, self._blind_losses, rollout),
+            partial(self._gradient, self._vp_losses, rollout),
+        )
+        # In single precision VP's convolutions would take twice as long as all the rest.
+        together = self.dtype != torch.float32 and self.compact
+        rest, vp = side_by_side(blind, seeing) if together else (blind(), seeing())
+        distributed.average_gradients(self.parameters)
+        nn.utils.clip_grad_norm_(self.parameters, self.cfg.max_grad_norm)
+        self.optimizer.step()
+        return rest | vp
+
+    def _gradient(
+        self, terms: Callable[[TickRollout], dict[str, Tensor]], rollout: TickRollout
+    ) -> dict[str, Tensor]:
+        """Go back through some terms; returns them."""
+        losses = terms(rollout)
+        if losses:
+            self.weighted(losses).backward()
+        return {name: loss.detach() for name, loss in losses.items()}
 
     def weighted(self, losses: dict[str, Tensor]) -> Tensor:
         """Sum of the terms in the scaled units of `SupervisionCfg`; logs are in m/s and m."""
@@ -87,17 +123,27 @@ class Supervision:
 
     def losses(self, rollout: TickRollout) -> dict[str, Tensor]:
         """All supervised terms of a batch of sequences, as `op_NAME`, `vp_NAME` and `anomaly`."""
-        model, perception = self.model, self.model.cfg.perception
-        losses: dict[str, Tensor] = {}
-        if perception in ("renet", "op"):
+        return self._blind_losses(rollout) | self._vp_losses(rollout)
+
+    def _blind_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
+        """Terms that share no parameter with VP's."""
+        model, terms = self.model, {}
+        if model.cfg.perception in ("renet", "op"):
             chosen = self._chosen(rollout.op_mask)
-            terms = estimator_losses(model.op, model.op_him, rollout, rollout.latent_op, chosen)
-            losses |= {f"op_{name}": value for name, value in terms.items()}
-        if perception in ("renet", "vp"):
-            chosen = self._chosen(~rollout.op_mask)
-            terms = estimator_losses(model.vp, model.vp_him, rollout, rollout.latent_vp, chosen)
-            losses |= {f"vp_{name}": value for name, value in terms.items()}
+            terms = estimator_losses(
+                model.op, model.op_him, rollout, rollout.latent_op, chosen, self.compact
+            )
+        losses = {f"op_{name}": value for name, value in terms.items()}
         return losses | {"anomaly": self._anomaly_loss(rollout.frames)}
+
+    def _vp_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
+        model, terms = self.model, {}
+        if model.cfg.perception in ("renet", "vp"):
+            chosen = self._chosen(~rollout.op_mask)
+            terms = estimator_losses(
+                model.vp, model.vp_him, rollout, rollout.latent_vp, chosen, self.compact
+            )
+        return {f"vp_{name}": value for name, value in terms.items()}
 
     def _chosen(self, own: Tensor) -> Tensor:
         """Ticks that train an estimator, given those it steers."""

@@ -1,0 +1,161 @@
+"""Learning in bfloat16 and side by side, and on a GPU's path without waiting for the device."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import asdict
+
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from renet.models.config import ModelCfg
+from renet.training import precision
+from renet.training.algorithm import RenetAlgorithm
+from renet.training.config import LearningCfg
+from renet.training.precision import computed_in, learning_type, side_by_side
+from renet.training.storage import TickRollout
+
+STEPS = 10
+
+
+@pytest.fixture
+def two_threads():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+def algorithm(env, kind: str) -> RenetAlgorithm:
+    torch.manual_seed(0)
+    cfg = LearningCfg(num_steps_per_env=STEPS, precision=kind)
+    cfg.model = ModelCfg(critic_hidden=(64, 64))
+    made = RenetAlgorithm.construct_algorithm(env.get_observations(), env, asdict(cfg), "cpu")
+    made.train_mode()
+    return made
+
+
+def collect(alg: RenetAlgorithm, env) -> None:
+    obs = env.get_observations()
+    for _ in range(STEPS):
+        obs, reward, done, extras = env.step(alg.act(obs))
+        alg.process_env_step(obs, reward, done, extras)
+    alg.compute_returns(obs)
+
+
+def test_bfloat16_learns_what_single_precision_learns(toy_env, two_threads):
+    losses, models = [], []
+    for kind in ("float32", "bfloat16"):
+        env = toy_env(num_envs=16)
+        alg = algorithm(env, kind)
+        before = alg.model.state_dict()["critics.reward.0.weight"].clone()
+        collect(alg, env)
+        losses.append(alg.update())
+        after = alg.model.state_dict()
+        assert all(tensor.dtype != torch.bfloat16 for tensor in after.values())
+        models.append((after["critics.reward.0.weight"] - before).flatten())
+    for name, value in losses[0].items():
+        assert losses[1][name] == pytest.approx(value, rel=0.03, abs=2e-3), name
+    assert torch.cosine_similarity(*models, dim=0) > 0.95
+
+
+def test_a_module_computes_in_another_type_only_while_it_learns():
+    layer, value = torch.nn.Linear(64, 8), torch.randn(3, 64)
+    exact = layer(value)
+    with computed_in(torch.bfloat16, layer):
+        rounded = layer(value)
+    assert rounded.dtype == torch.float32
+    assert 0 < (rounded - exact).abs().max() < 0.05
+    assert torch.equal(layer(value), exact)
+
+
+def test_automatic_precision_follows_the_hardware(monkeypatch):
+    for has, expected in ((True, torch.bfloat16), (False, torch.float32)):
+        monkeypatch.setattr(precision, "has_bfloat16", lambda device, has=has: has)
+        assert learning_type("auto", "cpu") == expected
+        assert learning_type("float32", "cpu") == torch.float32
+        assert learning_type("bfloat16", "cpu") == torch.bfloat16
+
+
+def test_work_side_by_side_shares_the_threads_and_gives_them_back(two_threads):
+    meeting = threading.Barrier(2, timeout=20)
+
+    def work() -> int:
+        meeting.wait()  # Passes only if both run at once.
+        return torch.get_num_threads()
+
+    assert side_by_side(work, work) == (1, 1)
+    assert torch.get_num_threads() == 2
+
+    def fail() -> int:
+        raise ValueError("no")
+
+    for pair in ((fail, lambda: 1), (lambda: 1, fail)):
+        with pytest.raises(ValueError, match="no"):
+            side_by_side(*pair)
+        assert torch.get_num_threads() == 2
+
+
+class Waits(TorchDispatchMode):
+    """Notes every operation whose result a host must have before it goes on."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: set[str] = set()
+        self.waits: list[str] = []
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        name = func.overloadpacket.__name__
+        self.seen.add(name)
+        masks = args[1] if name in ("index", "index_put", "index_put_") else ()
+        by_mask = any(m is not None and m.dtype == torch.bool for m in masks)
+        if by_mask or name in ("_local_scalar_dense", "nonzero", "masked_select", "equal"):
+            self.waits.append(name)
+        return func(*args, **(kwargs or {}))
+
+
+def test_nothing_on_a_gpus_path_waits_for_the_device(toy_env):
+    env = toy_env()
+    alg = algorithm(env, "float32")
+    alg.supervision.compact = False  # As on a GPU.
+    obs = env.get_observations()
+    with Waits() as watch:
+        for _ in range(STEPS):
+            action = alg.act(obs)
+            obs, reward, done, extras = env.step(action)
+            alg.process_env_step(obs, reward, done, extras)
+        alg.compute_returns(obs)
+        alg.np3o.learn(alg._rollout, alg._last_value, 0)
+        latent_op, latent_vp = alg._initial_latents
+        ticks = TickRollout(**alg._ticks.stack(), latent_op=latent_op, latent_vp=latent_vp)
+        alg.supervision.learn(ticks)
+    assert watch.waits == []
+    # It saw the way back and the optimiser, too.
+    assert {"convolution_backward", "_fused_adam_"} <= watch.seen
+
+
+def test_the_watch_would_notice():
+    with Waits() as watch:
+        value = torch.randn(4)
+        bool(value.sum() > 0)
+        value[value > 0]
+    assert watch.waits == ["_local_scalar_dense", "index"]
+
+
+def test_a_gpus_path_teaches_the_same(toy_env):
+    found = []
+    for compact in (True, False):
+        env = toy_env()
+        alg = algorithm(env, "float32")
+        alg.iteration = 20  # OP steers where terrain is simple: both estimators learn.
+        alg.supervision.compact = compact
+        alg.supervision.cfg.num_mini_batches = 1
+        collect(alg, env)
+        losses = alg.update()
+        found.append((losses, alg.model.vp.depth.convolutions[0].weight.detach().clone()))
+    (first, weight), (second, other) = found
+    assert first.keys() == second.keys()
+    for name, value in first.items():
+        assert second[name] == pytest.approx(value, rel=1e-4, abs=1e-6), name
+    torch.testing.assert_close(weight, other, atol=1e-5, rtol=1e-3)
