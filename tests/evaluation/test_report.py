@@ -79,7 +79,7 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
     assert "∞ s" in html
     # Pictures need a real bundle: test_pictures.py reports them.
     assert html.count("bundle hash") == len(SECTIONS) - 1
-    assert html.count("<img") == 11
+    assert html.count("<img") == 12
 
 
 def test_one_study_alone_makes_a_page(results: Path, tmp_path: Path) -> None:
