@@ -245,4 +245,5 @@ def main(cfg: CourseCfg) -> None:
         for total in summary["totals"]
     ]
     header = ("mode", "walked (km)", "passages crossed", "falls", "stuck", "switches")
-    show(f"{summary['laps']} laps of {summary['lap_m']:.0f} m", header, rows)
+    laps = f"{summary['laps']} lap{'s' if summary['laps'] > 1 else ''}"
+    show(f"{laps} of {summary['lap_m']:.0f} m", header, rows)
