@@ -17,7 +17,6 @@ from mjlab.utils.lab_api.math import matrix_from_quat
 
 from facts import report
 from renet.sim.depth_camera import DepthCamera
-from renet.sim.raycast import cast_depth
 from renet.sim.threads import THREADS
 from renet.tasks import make_env
 from renet.vocabulary import STEPS_PER_TICK
@@ -49,23 +48,21 @@ def seconds(cfg: Cfg, work: Callable[[], object]) -> float:
     return statistics.median(times)
 
 
-def cast_in_one_thread(camera: DepthCamera) -> torch.Tensor:
-    """All rays in one launch, which Warp runs on one core of a CPU, without noise."""
+def view(camera: DepthCamera) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, float]:
+    """What TerrainScanner is asked for, from the current poses."""
     base = matrix_from_quat(camera._data.xquat[:, camera._body])
-    eye = (
-        camera._data.xpos[:, camera._body] + (base @ camera._position.unsqueeze(-1)).squeeze(-1)
-    ).contiguous()
-    axes, rays = (base @ camera._rotation).contiguous(), camera._rays
-    depth = torch.empty(len(eye), len(rays), device=eye.device)
-    arrays = (
-        wp.from_torch(eye, dtype=wp.vec3),
-        wp.from_torch(axes, dtype=wp.mat33),
-        wp.from_torch(rays, dtype=wp.vec3),
-    )
-    scanner = camera._scanner
-    inputs = [scanner.grid, *arrays, 0, camera.cfg.range, wp.from_torch(depth)]
-    wp.launch(cast_depth, depth.shape, inputs, device=scanner.device)
-    return depth
+    eye = camera._data.xpos[:, camera._body] + (base @ camera._position.unsqueeze(-1)).squeeze(-1)
+    return eye, base @ camera._rotation, camera._rays, camera.cfg.range
+
+
+def core_seconds(cfg: Cfg, work: Callable[[], object]) -> float:
+    """CPU time of one image of every camera, summed over threads."""
+    times = []
+    for _ in range(cfg.images):
+        start = time.process_time()
+        work()
+        times.append(time.process_time() - start)
+    return statistics.median(times)
 
 
 def main(cfg: Cfg) -> None:
@@ -75,7 +72,11 @@ def main(cfg: Cfg) -> None:
     env.reset()
     camera = env.scene["depth_camera"]
     camera._render()  # Compiles kernels.
-    single_s = seconds(cfg, lambda: cast_in_one_thread(camera))
+    scanner, seen = camera._scanner, view(camera)
+    scanner.cast_depth(*seen)
+    measure = core_seconds if cfg.device == "cpu" else seconds
+    drawn_s = measure(cfg, lambda: scanner.depth(*seen))
+    cast_s = measure(cfg, lambda: scanner.cast_depth(*seen))
     image_s = seconds(cfg, camera._render)
     actions, steps = torch.zeros(cfg.num_envs, 12, device=cfg.device), 10 * STEPS_PER_TICK
     env.step(actions)
@@ -88,8 +89,9 @@ def main(cfg: Cfg) -> None:
         {
             "num_envs": cfg.num_envs,
             "device": cfg.device,
-            "triangles": camera._scanner.triangles,
-            "rays_per_s_per_core": rays / single_s,
+            "triangles": scanner.triangles,
+            "rays_per_s_per_core": rays / drawn_s,
+            "rays_cast_per_s_per_core": rays / cast_s,
             "threads": THREADS,
             "rays_per_s": rays / image_s,
             "seconds_per_image": image_s,

@@ -1,6 +1,7 @@
-"""Where a training iteration goes, in env-steps per second, seconds by part and peak memory.
+"""Where a training iteration goes, in env-steps per second, shares by part and peak memory.
 
-The same run also trains mjlab's stock flat Go1 (no camera) with its own PPO on the same engine.
+The same run also trains mjlab's stock flat Go1 (no camera) with its own PPO on the same engine, and
+takes depth images with mjlab's own ray-cast camera in the same scene.
 """
 
 from __future__ import annotations
@@ -18,14 +19,18 @@ from typing import Any
 import torch
 import tyro
 from mjlab.rl import MjlabOnPolicyRunner, RslRlVecEnvWrapper
+from mjlab.sensor import ObjRef, PinholeCameraPatternCfg, RayCastSensorCfg
 from mjlab.tasks.registry import load_env_cfg, load_rl_cfg
 from rich.progress import track
 
 from facts import report
 from renet.sim.engine import use_engine
 from renet.tasks import make_env
+from renet.tasks.env import env_cfg
+from renet.tasks.robot import TRUNK
 from renet.training.config import LearningCfg
 from renet.training.runner import RenetRunner
+from renet.vocabulary import DEPTH_RANGE, DEPTH_SHAPE
 
 STOCK = "Mjlab-Velocity-Flat-Unitree-Go1"
 
@@ -46,6 +51,8 @@ class Cfg:
     """Iterations measured, after one that warms up."""
     stock: bool = True
     """Also train mjlab's stock Go1."""
+    camera_envs: int = 16
+    """Environments in which both depth cameras are timed, on a CPU mjlab's takes long; 0: none."""
     learning: LearningCfg = field(default_factory=LearningCfg)
     """Learning settings."""
     json: Path | None = None
@@ -92,6 +99,7 @@ def profile(cfg: Cfg) -> dict[str, Any]:
         (vec_env, "step", "environment"),
         (runner.alg, "act", "inference"),
         (runner.alg, "process_env_step", "storage"),
+        (runner.alg, "compute_returns", "values"),
         (runner.alg.np3o, "update", "update: N-P3O"),
         (runner.alg.supervision, "update", "update: supervision"),
     ):
@@ -106,11 +114,14 @@ def profile(cfg: Cfg) -> dict[str, Any]:
     parts = dict(watch.seconds)
     inside = ("physics", "forward", "depth", "terrain scans")
     parts["managers"] = parts.pop("environment") - sum(parts[name] for name in inside)
+    parts["rest"] = total - sum(parts.values())
     steps = cfg.iterations * cfg.learning.num_steps_per_env * cfg.num_envs
+    vec_env.close()
     return {
         "task": cfg.task,
         "num_envs": cfg.num_envs,
         "device": cfg.device,
+        "learning_type": str(runner.alg.np3o.dtype).removeprefix("torch."),
         "env_steps_per_s": steps / total,
         "seconds_per_iteration": total / cfg.iterations,
         "profile": {name: value / total for name, value in sorted(parts.items())},
@@ -134,9 +145,47 @@ def stock_steps_per_second(cfg: Cfg) -> float:
     return steps / (time.perf_counter() - start)
 
 
+def cameras_rays_per_second(cfg: Cfg) -> dict[str, float]:
+    """RENet's camera and mjlab's, both 64 x 48 from the trunk over the same terrain."""
+    task = env_cfg(cfg.task)
+    height, width = DEPTH_SHAPE
+    task.scene.sensors += (
+        RayCastSensorCfg(
+            name="mjlab_camera",
+            frame=ObjRef(type="body", name=TRUNK, entity="robot"),
+            pattern=PinholeCameraPatternCfg(width=width, height=height, fovy=52.0),
+            max_distance=DEPTH_RANGE,
+        ),
+    )
+    with redirect_stdout(StringIO()):
+        env = make_env(task, cfg.camera_envs, cfg.device, engine=cfg.engine)
+    env.reset()
+    rays = cfg.camera_envs * height * width
+    seconds = {
+        "depth_rays_per_s": best_seconds(env.scene["depth_camera"]._render, cfg.device),
+        "mjlab_camera_rays_per_s": best_seconds(env.sim.sense, cfg.device),
+    }
+    env.close()
+    return {name: rays / value for name, value in seconds.items()}
+
+
+def best_seconds(call: Callable[[], Any], device: str, repeats: int = 5) -> float:
+    """Of a call that has already compiled what it needs."""
+    watch = Stopwatch(device)
+    call()
+    laps = []
+    for _ in range(repeats):
+        start = watch.now()
+        call()
+        laps.append(watch.now() - start)
+    return min(laps)
+
+
 def peak_memory(device: str) -> int:
+    """Bytes: of this process, or on a GPU of the whole device, for Warp's are not torch's."""
     if device.startswith("cuda"):
-        return torch.cuda.max_memory_allocated()
+        free, total = torch.cuda.mem_get_info(torch.device(device))
+        return total - free
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
@@ -148,6 +197,8 @@ def main(cfg: Cfg) -> None:
     if cfg.stock:
         results["stock_env_steps_per_s"] = stock_steps_per_second(cfg)
         results["ratio_to_stock"] = results["env_steps_per_s"] / results["stock_env_steps_per_s"]
+    if cfg.camera_envs:
+        results |= cameras_rays_per_second(cfg)
     report(results, cfg.json)
 
 
