@@ -38,10 +38,19 @@ def faults_section(page: Page, summary: dict[str, Any], folder: Path) -> None:
     page.picture(folder / "roc.png", "Detection against false alarms, fault by fault.")
     rows = [_fault_row(run) for run in summary["runs"] if run["mode"] == "renet"]
     page.table(
-        ["fault", "level", "on their feet", "95 % interval", "speed (m/s)", "delay (s)"],
+        [
+            "fault",
+            "level",
+            "on their feet",
+            "95 % interval",
+            "fell by it",
+            "speed (m/s)",
+            "delay (s)",
+        ],
         rows,
         text=2,
-        folded=f"All {len(rows)} settings under RENet",
+        folded=f"All {len(rows)} settings under RENet; “fell by it”: robots that fall only with the"
+        " fault, less those that fall only without it",
     )
     page.picture(
         folder / "gallery.png",
@@ -60,6 +69,7 @@ def _fault_row(run: dict[str, Any]) -> tuple[Any, ...]:
         fault_class(run["fault"]).describe(level),
         Cell(f"{100 * run['survival']:.0f} %", "bad" if run["falls"] else "good"),
         "{:.0f} to {:.0f} %".format(*interval),
+        f"{run['falls_by_fault'] - run['falls_spared']:d}".replace("-", "−"),
         f"{run['mean_forward_velocity']:.2f}",
         "not noticed" if delay is None else f"{delay:.3f}",
     )
