@@ -35,7 +35,7 @@ def mlp(sizes: Sequence[int]) -> nn.Sequential:
     """Linear layers with ELU between them."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
-        layers += [nn.Linear(inputs, outputs), nn.ELU()]
+        layers += [nn.Linear(inputs, outputs), nn.ELU(inplace=True)]
     return nn.Sequential(*layers[:-1])
 
 

@@ -19,22 +19,22 @@ class DepthAutoencoder(nn.Module):
         rows, columns = (size // 8 for size in DEPTH_SHAPE)
         self.encode = nn.Sequential(
             nn.Conv2d(FRAMES, first, 4, stride=2, padding=1),
-            nn.ELU(),
+            nn.ELU(inplace=True),
             nn.Conv2d(first, second, 4, stride=2, padding=1),
-            nn.ELU(),
+            nn.ELU(inplace=True),
             nn.Conv2d(second, third, 4, stride=2, padding=1),
-            nn.ELU(),
+            nn.ELU(inplace=True),
             nn.Flatten(),
             nn.Linear(third * rows * columns, BOTTLENECK),
         )
         self.decode = nn.Sequential(
             nn.Linear(BOTTLENECK, third * rows * columns),
-            nn.ELU(),
+            nn.ELU(inplace=True),
             nn.Unflatten(1, (third, rows, columns)),
             nn.ConvTranspose2d(third, second, 4, stride=2, padding=1),
-            nn.ELU(),
+            nn.ELU(inplace=True),
             nn.ConvTranspose2d(second, first, 4, stride=2, padding=1),
-            nn.ELU(),
+            nn.ELU(inplace=True),
             nn.ConvTranspose2d(first, FRAMES, 4, stride=2, padding=1),
         )
         # A seventh faster on a CPU.

@@ -16,7 +16,10 @@ class MlpEncoder(nn.Module):
     def __init__(self, inputs: int, width: int, out: int) -> None:
         super().__init__()
         self.fuse = nn.Sequential(
-            nn.Linear(inputs * width, out), nn.ELU(), nn.Linear(out, out), nn.ELU()
+            nn.Linear(inputs * width, out),
+            nn.ELU(inplace=True),
+            nn.Linear(out, out),
+            nn.ELU(inplace=True),
         )
 
     def forward(self, embeddings: list[Tensor]) -> Tensor:
@@ -38,7 +41,9 @@ class AttentionEncoder(nn.Module):
         self.position = nn.Parameter(0.02 * torch.randn(tokens, self.token_size))
         self.query_key_value = nn.Linear(self.token_size, 3 * self.token_size)
         self.norm = nn.LayerNorm(self.token_size)
-        self.compress = nn.Sequential(nn.Linear(tokens * self.token_size, out), nn.ELU())
+        self.compress = nn.Sequential(
+            nn.Linear(tokens * self.token_size, out), nn.ELU(inplace=True)
+        )
 
     def forward(self, embeddings: list[Tensor]) -> Tensor:
         """Fuse a list of [B, width] into [B, out]."""

@@ -102,7 +102,9 @@ class VPEstimator(Estimator):
         self.depth = DepthEmbedding(cfg.frames, EMBEDDING)
         self.feet_height_head = nn.Linear(LATENT, FEET) if cfg.predict_feet_height else None
         self.height_map_head = (
-            nn.Sequential(nn.Linear(LATENT, LATENT), nn.ELU(), nn.Linear(LATENT, HEIGHT_MAP_SIZE))
+            nn.Sequential(
+                nn.Linear(LATENT, LATENT), nn.ELU(inplace=True), nn.Linear(LATENT, HEIGHT_MAP_SIZE)
+            )
             if cfg.predict_height_map
             else None
         )

@@ -28,9 +28,9 @@ class HybridInternalModel(nn.Module):
         self.source = nn.Linear(LATENT, VIEW)
         self.target = nn.Sequential(
             nn.Linear(PROPRIOCEPTION_SIZE, 128),
-            nn.ELU(),
+            nn.ELU(inplace=True),
             nn.Linear(128, 64),
-            nn.ELU(),
+            nn.ELU(inplace=True),
             nn.Linear(64, VIEW),
         )
         self.prototypes = nn.Linear(VIEW, PROTOTYPES, bias=False)
