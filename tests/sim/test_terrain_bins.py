@@ -47,7 +47,7 @@ def scanner() -> TerrainScanner:
 @given(
     x=st.floats(-4, 4),
     y=st.floats(-4, 4),
-    z=st.floats(-0.4, 1.0),
+    z=st.floats(-0.395, 1.0),  # On a surface either answer would be right.
     pitch=st.floats(-1.5, 1.5),
     yaw=st.floats(-4, 4),
     limit=st.sampled_from([0.3, 2.0, 9.0]),

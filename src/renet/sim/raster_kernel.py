@@ -36,7 +36,7 @@ SHAPES = """
     float* images = (float*)head[13];
     const float* left = (const float*)head[14];
     const float* up = (const float*)head[15];
-    const float NEAR = 1e-3f, FAR = 1e30f, SLACK = 1e-5f;
+    const float NEAR = 1e-6f, FAR = 1e30f, SLACK = 1e-5f;
     const float column_step = left[1] - left[0], row_step = up[1] - up[0];
 
     for (int camera = first; camera < last; ++camera) {
