@@ -111,10 +111,16 @@ class Lab:
         steps: int,
         seed: int,
         film: Sequence[int] = (),
+        on_step: Callable[[], Any] = lambda: None,
         on_sight: Callable[[Sight], Any] = lambda sight: None,
     ) -> Trace:
         """Drive the policy under study beside a progress bar; see `run_rollout`."""
         with progress(title, steps) as advance:
+
+            def after_step() -> Any:
+                advance()
+                return on_step()
+
             return run_rollout(
                 world,
                 self.controller(len(rows)),
@@ -123,6 +129,6 @@ class Lab:
                 steps,
                 seed,
                 film,
-                advance,
+                after_step,
                 on_sight=on_sight,
             )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,8 @@ from renet.errors import RenetError
 from renet.evaluation import figures
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import Parts, Provenance, output_folder, write_csv, write_json
-from renet.evaluation.rollout import MODES, Row, run_rollout
-from renet.evaluation.terminal import progress, show
+from renet.evaluation.rollout import MODES, Row
+from renet.evaluation.terminal import show
 from renet.tiles import LEVELS, tiles
 from renet.vocabulary import CONTROL_DT
 
@@ -109,19 +110,16 @@ def _stand(cfg: StandingCfg, lab: Lab) -> dict[str, Any]:
     stop, settled, steps = np.round(
         np.cumsum((cfg.walk, cfg.settle, cfg.stand)) / CONTROL_DT
     ).astype(int)
-    poses: list[np.ndarray] = []
+    taken = count(1)
 
-    with progress(f"{len(rows)} robots walk and stand", steps) as advance:
+    def tell() -> None:
+        if next(taken) == stop:
+            world.command(0.0)
 
-        def on_step() -> None:
-            poses.append(world.poses(range(len(rows))))
-            if len(poses) == stop:
-                world.command(0.0)
-            advance()
-
-        controller, switch = lab.controller(len(rows)), lab.switch(len(rows))
-        trace = run_rollout(world, controller, switch, rows, steps, cfg.seed, on_step=on_step)
-    drift, joint_speed = stillness(np.stack(poses), settled)
+    title, everybody = f"{len(rows)} robots walk and stand", range(len(rows))
+    trace = lab.walk(title, world, rows, steps, cfg.seed, everybody, tell)
+    assert trace.film is not None
+    drift, joint_speed = stillness(trace.film.poses, settled)
     fell = np.any(trace.fell[stop:], axis=0)
     # One that fell or walked off its tile starts anew elsewhere: that is no standing.
     gone = np.any(trace.ended[stop:], axis=0)
@@ -153,7 +151,7 @@ def stillness(poses: np.ndarray, settled: int) -> tuple[np.ndarray, np.ndarray]:
     """How far and how fast robots move.
 
     Args:
-        poses: [T, N, 7 + joints] generalised positions after each control step.
+        poses: [T, N, 7 + joints] generalised positions at each control step.
         settled: the control step from which on they should stand.
 
     Returns:

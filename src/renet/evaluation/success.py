@@ -6,7 +6,7 @@ leaves the tile within the time and has not fallen, by its true pose; there is n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -26,8 +26,8 @@ from renet.evaluation.results import (
     write_csv,
     write_json,
 )
-from renet.evaluation.rollout import MODES, Readings, Row, Trace, World, run_rollout
-from renet.evaluation.terminal import progress, show
+from renet.evaluation.rollout import MODES, Readings, Row, Trace, World
+from renet.evaluation.terminal import show
 from renet.tasks import RenetEnvCfg, env_cfg
 from renet.tiles import LEVELS, tiles
 from renet.vocabulary import CONTROL_DT
@@ -131,14 +131,9 @@ class FirstTry:
         self._over |= readings.ended
         return readings
 
-    def watch(self, advance: Callable[[], Any]) -> Callable[[], bool]:
-        """A callback for rollouts that advances a progress bar and says whether all are done."""
-
-        def on_step() -> bool:
-            advance()
-            return bool(self._over.all())
-
-        return on_step
+    def over(self) -> bool:
+        """Whether every robot has ended its first try."""
+        return bool(self._over.all())
 
 
 def run_success(cfg: SuccessCfg, lab: Lab | None = None) -> dict[str, Any]:
@@ -178,11 +173,7 @@ def _run_kind(cfg: SuccessCfg, lab: Lab, kind: str, name: str) -> dict[str, Any]
     level = np.repeat([level - 1 for level, _ in settings], trials)
     world.place(level, np.full(len(rows), list(tiles()).index(kind)))
     tried = FirstTry(world)
-    with progress(name, steps) as advance:
-        controller, switch = lab.controller(len(rows)), lab.switch(len(rows))
-        trace = run_rollout(
-            tried, controller, switch, rows, steps, cfg.seed, on_step=tried.watch(advance)
-        )
+    trace = lab.walk(name, tried, rows, steps, cfg.seed, on_step=tried.over)
     crossed, fell, seconds = outcome(trace)
     runs = [
         _run(cfg, kind, level, mode, crossed[part], fell[part], seconds[part])
