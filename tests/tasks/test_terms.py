@@ -12,7 +12,7 @@ from renet.errors import RenetError
 from renet.tasks import env_cfg, observations, rewards, terminations
 from renet.tasks.constraints import excess, outside
 from renet.tasks.curriculum import asked_distance, level_change
-from renet.training.train import rewarded
+from renet.training.train import tuned
 
 from .conftest import build
 
@@ -219,12 +219,37 @@ def test_foot_clearance_by_hand():
     assert term(env, **params).item() == 0.0
 
 
-def test_clearance_is_rewarded_only_on_request():
-    assert env_cfg("Renet-Go1-Flat").rewards["foot_clearance"].weight == 0.0
-    rewards = rewarded("Renet-Go1-Flat", {"foot_clearance": -15.0}).rewards
-    assert (rewards["foot_clearance"].weight, rewards["collision"].weight) == (-15.0, -10.0)
+def test_standing_motion_counts_only_where_standing_is_asked_for():
+    data = SimpleNamespace(joint_vel=torch.tensor([[1.0, -2.0], [1.0, -2.0]]))
+    env = SimpleNamespace(
+        scene={"robot": SimpleNamespace(data=data)},
+        command_manager=SimpleNamespace(
+            get_term=lambda name: SimpleNamespace(speed=torch.tensor([0.0, 0.3]))
+        ),
+    )
+    assert rewards.standing_motion(env).tolist() == [5.0, 0.0]
+
+
+def test_rewards_beyond_the_papers_are_paid_only_on_request():
+    extra = ("foot_clearance", "standing_motion")
+    assert all(env_cfg("Renet-Go1-Flat").rewards[name].weight == 0.0 for name in extra)
+    terms = tuned("Renet-Go1-Flat", {"foot_clearance": -15.0}, {}).rewards
+    assert (terms["foot_clearance"].weight, terms["collision"].weight) == (-15.0, -10.0)
     with pytest.raises(RenetError, match="no reward 'lift': choose of linear_velocity"):
-        rewarded("Renet-Go1-Flat", {"lift": 1.0})
+        tuned("Renet-Go1-Flat", {"lift": 1.0}, {})
+
+
+def test_tiles_are_shared_out_as_asked():
+    env = build(tuned("Renet-Go1-Parkour", {}, {"rough": 1.0, "gap": 3.0}), 14)
+    assert torch.bincount(env.scene.terrain.terrain_types).tolist() == [2, 2, 2, 2, 4, 2]
+    for share, problem in (
+        ({"moat": 1.0}, "no tile 'moat': choose of rough"),
+        ({"gap": -1.0}, "0"),
+    ):
+        with pytest.raises(RenetError, match=problem):
+            tuned("Renet-Go1-Parkour", {}, share)
+    with pytest.raises(RenetError, match="no tile 'gap': it is flat"):
+        tuned("Renet-Go1-Flat", {}, {"gap": 1.0})
 
 
 def test_a_robot_that_gives_up_has_stalled():

@@ -99,6 +99,16 @@ def test_constraint_is_kept_where_plain_ppo_breaks_it(weight, low, high):
     assert low < bandit(algorithm, 120) < high
 
 
+def test_critics_keep_their_rate_while_the_actors_adapts():
+    cfg = ModelCfg(actor_hidden=(8,), critic_hidden=(8,), cost_critic_hidden=(8,))
+    # Hardly any step is as small as this divergence: the actor's rate falls.
+    algorithm = NP3O(Actor(cfg), Critics(cfg, 4), NP3OCfg(desired_kl=1e-9))
+    bandit(algorithm, 2)
+    actor, critics = (group["lr"] for group in algorithm.optimizer.param_groups)
+    assert float(actor) == algorithm.learning_rate < 1e-3
+    assert critics == NP3OCfg().critic_learning_rate
+
+
 def test_a_satisfied_constraint_contributes_nothing():
     torch.manual_seed(0)
     cfg = NP3OCfg(cost_budget=(1e6, 1e6, 1e6))

@@ -234,7 +234,8 @@ def _rewards(robot: Robot) -> dict[str, RewardTermCfg]:
         ),
         "joint_acceleration": RewardTermCfg(func=rewards.JointAcceleration, weight=-2.5e-7),
         "orientation": RewardTermCfg(func=rewards.orientation, weight=-1.0),
-        # Not the paper's, hence off: `renet train --reward-weights` turns it on.
+        # Not the paper's, hence off: `renet train --reward-weights` turns them on.
+        "standing_motion": RewardTermCfg(func=rewards.standing_motion, weight=0.0),
         "foot_clearance": RewardTermCfg(
             func=rewards.FootClearance,
             weight=0.0,

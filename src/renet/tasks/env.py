@@ -104,15 +104,14 @@ class RenetEnv(ManagerBasedRlEnv):
         return state
 
     def load_curriculum_state(self, state: dict[str, Tensor]) -> None:
-        """Restore `curriculum_state`; another number of environments resamples the levels."""
+        """Restore `curriculum_state`; other numbers of robots on the tiles resample the levels."""
         goal(self).stage = int(state["command_stage"])
         self.common_step_counter = int(state["common_step_counter"])
         terrain = self.scene.terrain
         if terrain is None or terrain.terrain_origins is None or "levels" not in state:
             return
         levels, kinds = (state[name].to(self.device) for name in ("levels", "kinds"))
-        if len(levels) == self.num_envs:
-            terrain.terrain_types[:] = kinds
+        if torch.equal(kinds, terrain.terrain_types):
             terrain.terrain_levels[:] = levels
         else:
             for kind in kinds.unique():

@@ -21,7 +21,10 @@ class NP3OCfg:
     num_mini_batches: int = 4
     """Gradient steps per pass."""
     learning_rate: float = 1e-3
-    """Initial rate; adapted to `desired_kl`."""
+    """The actor's initial rate; adapted to `desired_kl`."""
+    critic_learning_rate: float = 3e-4
+    """The critics' rate, fixed: small batches drive the actor's to its floor, where critics would
+    no longer follow the policy."""
     desired_kl: float = 0.01
     """KL divergence per step the rate is adapted to; 0 keeps the rate fixed."""
     gamma: float = 0.99

@@ -96,11 +96,15 @@ class NP3O:
         # A tensor: adapting it on a GPU must not wait for the divergence to arrive on the host.
         self._rate = torch.tensor(cfg.learning_rate, device=self.parameters[0].device)
         self.cost_weight = cfg.cost_weight
-        self.optimizer = torch.optim.Adam(self.parameters, lr=self._rate, fused=True)
+        groups = [
+            {"params": list(actor.parameters()), "lr": self._rate},
+            {"params": list(critics.parameters()), "lr": cfg.critic_learning_rate},
+        ]
+        self.optimizer = torch.optim.Adam(groups, fused=True)
 
     @property
     def learning_rate(self) -> float:
-        """Current rate of Adam."""
+        """Current rate of the actor's Adam."""
         return self._rate.item()
 
     @learning_rate.setter
@@ -179,7 +183,7 @@ class NP3O:
         return {"value": loss.detach()}
 
     def _adapt_rate(self, kl: Tensor) -> None:
-        """Keep the KL divergence per step near its target, as rsl_rl does."""
+        """Keep the actor's KL divergence per step near its target, as rsl_rl does."""
         if self.cfg.desired_kl > 0:
             low, high = LEARNING_RATES
             slower = (self._rate / 1.5).clamp_min(low)
@@ -187,5 +191,4 @@ class NP3O:
             close = (kl > 0.0) & (kl < 0.5 * self.cfg.desired_kl)
             rate = torch.where(close, faster, self._rate)
             self._rate.copy_(torch.where(kl > 2.0 * self.cfg.desired_kl, slower, rate))
-        for group in self.optimizer.param_groups:
-            group["lr"] = self._rate  # Loading a checkpoint leaves a copy there.
+        self.optimizer.param_groups[0]["lr"] = self._rate  # Loading a checkpoint leaves a copy.

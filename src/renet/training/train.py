@@ -51,6 +51,9 @@ class TrainCfg(LearningCfg):
     reward_weights: dict[str, float] = field(default_factory=dict)
     """Weights in place of the task's, e.g. `--reward-weights collision -1 foot_clearance -15`; the
     others stay. docs/training.md says which ones help a small budget."""
+    tile_shares: dict[str, float] = field(default_factory=dict)
+    """Shares of the robots in place of the task's, e.g. `--tile-shares rough 1 stairs_up 2`; the
+    others stay (rough 2, else 1)."""
     standing_after: int = 4000
     """Iterations after which goals ask for standing still, too: the second of the paper's two
     levels of commands. Reach it well before the end, or the robot never learns to stand."""
@@ -79,7 +82,7 @@ def train(cfg: TrainCfg) -> Path | None:
     budget = None if cfg.time_budget is None else seconds(cfg.time_budget)
     device = resolve_device(cfg.device)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
-    task = rewarded(cfg.task, cfg.reward_weights)
+    task = tuned(cfg.task, cfg.reward_weights, cfg.tile_shares)
     curriculum = task.curriculum["command_stage"]
     curriculum.params["switch_step"] = cfg.standing_after * cfg.num_steps_per_env
     env = make_env(
@@ -107,15 +110,29 @@ def train(cfg: TrainCfg) -> Path | None:
     return run
 
 
-def rewarded(task: str, weights: dict[str, float]) -> RenetEnvCfg:
-    """The task with some rewards weighted anew; raises RenetError for one it does not have."""
+def tuned(task: str, weights: dict[str, float], shares: dict[str, float]) -> RenetEnvCfg:
+    """The task with other weights of rewards and shares of tiles.
+
+    Raises:
+        RenetError: a reward or a tile the task does not have, or a share of nothing.
+    """
     from renet.tasks import env_cfg
 
     cfg = env_cfg(task)
+    terrain = cfg.scene.terrain
+    generator = terrain.terrain_generator if terrain else None
+    tiles = generator.sub_terrains if generator else {}
+    for what, known, asked in (("reward", cfg.rewards, weights), ("tile", tiles, shares)):
+        for name in asked:
+            if name not in known:
+                choice = f"choose of {', '.join(known)}" if known else "it is flat"
+                raise RenetError(f"{task} has no {what} {name!r}: {choice}")
     for name, weight in weights.items():
-        if name not in cfg.rewards:
-            raise RenetError(f"{task} has no reward {name!r}: choose of {', '.join(cfg.rewards)}")
         cfg.rewards[name].weight = weight
+    for name, share in shares.items():
+        if not share > 0:
+            raise RenetError(f"the share of tile {name!r} must be above 0, got {share}")
+        tiles[name].proportion = share
     return cfg
 
 
