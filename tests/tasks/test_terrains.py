@@ -10,6 +10,7 @@ import torch
 from renet.errors import RenetError
 from renet.sim.raycast import scanner
 from renet.tasks.config import tile_env_cfg
+from renet.tasks.curriculum import FIRST_LEVELS
 from renet.tasks.terrains import single_tile_terrain
 from renet.tiles import LEVELS, TILE, tiles
 
@@ -118,6 +119,21 @@ def test_levels_change_and_spawns_follow(parkour):
     parkour.curriculum_manager.compute(env_ids=torch.tensor([0, 1, 2]))
     assert terrain.terrain_levels[:4].tolist() == [5, 3, 4, 4]
     assert torch.equal(terrain.env_origins[0], terrain.terrain_origins[5, terrain.terrain_types[0]])
+
+
+def test_failing_at_the_first_level_leads_to_one_of_the_first(parkour):
+    parkour.reset()
+    terrain, reached = parkour.scene.terrain, set()
+    goal = parkour.command_manager.get_term("goal")
+    for _ in range(10):
+        terrain.terrain_levels[:] = 0
+        terrain.env_origins[:] = parkour.scene["robot"].data.root_link_pos_w
+        parkour.episode_length_buf[:] = 500
+        goal.asked[:] = 4.0
+        parkour.curriculum_manager.compute(env_ids=torch.arange(6))
+        assert (terrain.terrain_levels[6:] == 0).all()
+        reached |= set(terrain.terrain_levels[:6].tolist())
+    assert reached == set(range(FIRST_LEVELS))
 
 
 def test_the_last_level_leads_back_to_any(parkour):
