@@ -82,6 +82,25 @@ def test_models_whose_reach_is_unknown_keep_every_contact(more):
     assert all(touchable(model))
 
 
+def test_tables_come_into_reach_as_the_robot_walks():
+    model = scene()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    walking = Neighbourhood(model, data, 2)
+    qpos = np.tile(model.qpos0, (2, 1))
+    for x in np.arange(0.0, 16.0, 0.1):
+        qpos[:, 0] = x, 16.0 - x
+        walking.update(qpos)
+        alone = [Neighbourhood(model, data, 1) for _ in range(2)]
+        for robot, fresh in enumerate(alone):
+            fresh._reach = [reach - neighbourhood.TRAVEL / 2 for reach in fresh._reach]
+            fresh.update(qpos[robot : robot + 1])
+            # What is near when looked at anew, closely, is near.
+            assert (walking._masks[0][robot] >= fresh._masks[0][0]).all()
+        assert walking._masks[0].any(axis=-1).all()
+        assert not walking._masks[0][:, 1:-1].all(axis=-1).any()
+
+
 def rewards(steps: int) -> tuple[torch.Tensor, torch.Tensor]:
     with redirect_stdout(StringIO()):
         env = make_env("Renet-Go1-Parkour", 6, seed=3)

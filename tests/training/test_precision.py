@@ -13,7 +13,7 @@ from renet.models.config import ModelCfg
 from renet.training import precision
 from renet.training.algorithm import RenetAlgorithm
 from renet.training.config import LearningCfg
-from renet.training.precision import computed_in, learning_type, side_by_side
+from renet.training.precision import computed_in, learning_type, side_by_side, step_on_one_thread
 from renet.training.storage import TickRollout
 
 STEPS = 10
@@ -95,6 +95,31 @@ def test_work_side_by_side_shares_the_threads_and_gives_them_back(two_threads):
         with pytest.raises(ValueError, match="no"):
             side_by_side(*pair)
         assert torch.get_num_threads() == 2
+
+
+def test_an_optimiser_steps_on_one_thread_and_gives_the_others_back(two_threads):
+    weights = torch.ones(3, requires_grad=True)
+    used = []
+
+    class Adam(torch.optim.Adam):
+        def zero_grad(self, set_to_none: bool = True) -> None:
+            used.append(torch.get_num_threads())
+            super().zero_grad(set_to_none)
+
+        @torch.no_grad()
+        def step(self, closure=None):
+            used.append(torch.get_num_threads())
+            return super().step(closure)
+
+    optimizer = Adam([weights], lr=0.5)
+    step_on_one_thread(optimizer)
+    for _ in range(2):
+        optimizer.zero_grad()
+        weights.sum().backward()
+        optimizer.step()
+    assert used == [2, 1, 2, 1]
+    assert torch.get_num_threads() == 2
+    torch.testing.assert_close(weights.detach(), torch.zeros(3))
 
 
 class Waits(TorchDispatchMode):

@@ -86,3 +86,18 @@ def test_refuses_a_rollout_that_splits_a_tick(toy_env, tmp_path):
     cfg = asdict(RenetRunnerCfg(num_steps_per_env=24))
     with pytest.raises(RenetError, match="multiple of 5"):
         RenetRunner(toy_env(), cfg, str(tmp_path), "cpu")
+
+
+def test_a_nan_in_what_the_environment_returns_stops_training(toy_env, tmp_path):
+    env = toy_env()
+    runner = make_runner(env, tmp_path)
+    step = env.step
+
+    def broken(action):
+        obs, rewards, dones, extras = step(action)
+        obs["velocity"][1, 2] = torch.nan
+        return obs, rewards, dones, extras
+
+    env.step = broken
+    with pytest.raises(ValueError, match=r"'velocity'.* contain NaN"):
+        runner.learn(1)

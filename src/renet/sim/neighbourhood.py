@@ -15,7 +15,7 @@ from renet.sim.transfer import Transfer
 
 MASKS = ("body_contype", "body_conaffinity")
 TRAVEL = 0.5
-"""Metres nothing moves within the few physics steps of one call."""
+"""Metres nothing moves within the few physics steps of one call and since it was last looked at."""
 
 
 class Neighbourhood:
@@ -30,6 +30,9 @@ class Neighbourhood:
         self._masks = [np.tile(getattr(model, name), (num_envs, 1)) for name in MASKS]
         self._full = [mask[0].copy() for mask in self._masks]
         self._roots, self._reach = _roots(model)
+        self._columns = [address + axis for address in self._roots for axis in range(2)]
+        self._seen = np.full((num_envs, len(self._columns)), np.nan)
+        """Where each robot was when it was last looked at."""
         self._bodies = _bounded_static_bodies(model) if len(self._roots) else np.empty(0, int)
         bounds = [_bounds(model, data, body) for body in self._bodies]
         self._low = np.array([low for low, _ in bounds]).reshape(-1, 2)
@@ -48,14 +51,19 @@ class Neighbourhood:
         """Look where the robots are now; qpos is [N, nq]."""
         if not len(self._bodies):
             return
-        near = np.zeros((len(qpos), len(self._bodies)), bool)
-        for address, reach in zip(self._roots, self._reach, strict=True):
-            at = qpos[:, None, address : address + 2]
-            # A position that is not finite is near everything.
-            far = (at < self._low - reach) | (at > self._high + reach)
+        at = qpos[:, self._columns]
+        # A position that is not finite always counts as new, and is near everything.
+        moved = np.flatnonzero(~(np.abs(at - self._seen) <= TRAVEL / 2).all(axis=-1))
+        if not len(moved):
+            return
+        self._seen[moved] = at[moved]
+        near = np.zeros((len(moved), len(self._bodies)), bool)
+        roots = at[moved].reshape(len(moved), -1, 1, 2)
+        for root, reach in enumerate(self._reach):
+            far = (roots[:, root] < self._low - reach) | (roots[:, root] > self._high + reach)
             near |= ~far.any(axis=-1)
         for mask, full in zip(self._masks, self._full, strict=True):
-            mask[:, self._bodies] = np.where(near, full[self._bodies], 0)
+            mask[np.ix_(moved, self._bodies)] = np.where(near, full[self._bodies], 0)
 
 
 def _roots(model: mujoco.MjModel) -> tuple[list[int], list[float]]:

@@ -87,14 +87,13 @@ class TerrainBins:
         ends = np.cumsum(np.bincount(bins, minlength=int(count.prod())))
         self._offsets = np.concatenate(([0], ends)).astype(np.int32)
         self._frame = np.array([*start, side], np.float32)
-        self._count = count
+        own = (self._boxes, self._triangles, self._offsets, self._items, self._first, self._wide)
+        addresses = [array.ctypes.data for array in (*own, self._frame)]
+        self._head = [len(self._boxes), len(self._wide), *count.tolist(), *addresses]
 
     def _table(self, *arrays: np.ndarray) -> np.ndarray:
         """Addresses and counts, as raster_kernel reads them."""
-        own = (self._boxes, self._triangles, self._offsets, self._items, self._first, self._wide)
-        addresses = [array.ctypes.data for array in (*own, self._frame, *arrays)]
-        counts = [len(self._boxes), len(self._wide), *self._count]
-        return np.array([*counts, *addresses], np.uint64)
+        return np.array([*self._head, *(array.ctypes.data for array in arrays)], np.uint64)
 
     def depth(self, position: Tensor, rotation: Tensor, image: Pinhole, limit: float) -> Tensor:
         """See TerrainScanner.depth: [N, H * W]."""

@@ -3,19 +3,53 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
+
+import torch
 
 THREADS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-CHUNKS_PER_THREAD = 4
+CHUNKS_PER_THREAD = 8
 """Small enough chunks keep all threads busy when one is held up by a neighbour."""
 
 _pool = ThreadPoolExecutor(THREADS, thread_name_prefix="renet")
 
 
 def for_chunks(count: int, run: Callable[[int, int], None]) -> None:
-    """Call `run(first, last)` over [0, count) in parallel; exceptions are raised here."""
+    """Call `run(first, last)` over [0, count) in parallel; exceptions are raised here.
+
+    The calling thread takes chunks, too: waking a thread for each would cost more than small ones.
+    """
     chunk = max(1, -(-count // (CHUNKS_PER_THREAD * THREADS)))
-    starts = range(0, count, chunk)
-    for _ in _pool.map(lambda first: run(first, min(first + chunk, count)), starts):
-        pass
+    starts = iter(range(0, count, chunk))
+
+    def work() -> None:
+        for first in starts:  # Each start goes to the thread that asks first.
+            run(first, min(first + chunk, count))
+
+    others = [_pool.submit(work) for _ in range(THREADS - 1)]
+    try:
+        work()
+    finally:
+        wait([other for other in others if not other.cancel()])
+    for other in others:
+        if not other.cancelled():
+            other.result()
+
+
+@contextmanager
+def one_torch_thread(device: str | torch.device) -> Iterator[None]:
+    """Small tensors on a CPU: waking a second thread costs more than it computes.
+
+    Threads of this module's pool are not torch's and stay as they are.
+    """
+    threads = torch.get_num_threads()
+    if torch.device(device).type != "cpu" or threads == 1:
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)

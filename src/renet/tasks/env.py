@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import partial
@@ -18,6 +16,7 @@ from torch import Tensor
 
 from renet.errors import RenetError
 from renet.sim.engine import use_engine
+from renet.sim.threads import one_torch_thread
 from renet.tasks.constraints import ConstraintCfg, Constraints
 from renet.tasks.go1 import GO1
 from renet.tasks.rewards import goal
@@ -72,7 +71,7 @@ class RenetEnv(ManagerBasedRlEnv):
 
     def step(self, action: Tensor):
         """See ManagerBasedRlEnv.step."""
-        with _one_torch_thread(self.device):
+        with one_torch_thread(self.device):
             observation, reward, terminated, truncated, extras = super().step(action)
         extras["costs"] = self.costs
         if self.cfg.clip_reward:
@@ -122,23 +121,6 @@ class RenetEnv(ManagerBasedRlEnv):
         terrain.env_origins[:] = terrain.terrain_origins[
             terrain.terrain_levels, terrain.terrain_types
         ]
-
-
-@contextmanager
-def _one_torch_thread(device: str) -> Iterator[None]:
-    """Managers' small tensors on a CPU: waking a second thread costs more than it computes.
-
-    The engine's and the ray caster's threads are not torch's and stay as they are.
-    """
-    threads = torch.get_num_threads()
-    if torch.device(device).type != "cpu" or threads == 1:
-        yield
-        return
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _looks_at_substeps(cfg: RenetEnvCfg) -> bool:

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any, Literal, TypeVar
 
 import torch
 from torch import Tensor, nn
+
+from renet.sim.threads import one_torch_thread
 
 T = TypeVar("T")
 Precision = Literal["auto", "float32", "bfloat16"]
@@ -81,6 +83,14 @@ def side_by_side(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]
             wait([other])
     finally:
         torch.set_num_threads(threads)
+
+
+def step_on_one_thread(optimizer: torch.optim.Optimizer) -> None:
+    """Let an optimiser of small tensors on a CPU wake no other thread: its steps take a third."""
+    device = optimizer.param_groups[0]["params"][0].device
+    held = ExitStack()
+    optimizer.register_step_pre_hook(lambda *_: held.enter_context(one_torch_thread(device)))
+    optimizer.register_step_post_hook(lambda *_: held.close())
 
 
 def _on_threads(share: int, work: Callable[[], Any]) -> Any:
