@@ -99,5 +99,5 @@ def test_a_nan_in_what_the_environment_returns_stops_training(toy_env, tmp_path)
         return obs, rewards, dones, extras
 
     env.step = broken
-    with pytest.raises(ValueError, match=r"'velocity'.* contain NaN"):
+    with pytest.raises(ValueError, match=r"'velocity'.* contains NaN"):
         runner.learn(1)
