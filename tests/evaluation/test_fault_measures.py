@@ -122,10 +122,6 @@ def test_claims_are_judged_by_what_was_measured() -> None:
     met = [met for met, _ in claims.values()]
     assert met == [True, False, False, True, True, False]
     assert claims["frozen images are noticed"][1] == "10 of 10 robots; by the paper's rule alone 0"
-    assert [c["met"] for c in findings(runs[:1], [], healthy(3, 2.0))["claims"]] == [
-        True,
-        True,
-        True,
-        False,
-        True,
-    ]
+    # Where nothing makes VP fall, there is no delay to judge.
+    harmless = findings(runs[:1], [], healthy(3, 2.0))["claims"]
+    assert [c["met"] for c in harmless] == [True, True, False, True]

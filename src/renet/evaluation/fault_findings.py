@@ -154,10 +154,10 @@ def _false_switch_claim(healthy: dict[str, Any]) -> Runs:
 
 
 def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
-    """The median of the settings' median delays, where VP falls; of all if it never does."""
+    """The median of the settings' median delays where VP falls; nothing if it never does."""
     falls = {setting for setting, clear in felling(runs, baseline).items() if clear}
     noticed = [r for r in runs if r["mode"] == "renet" and r["detection_delay_s"] is not None]
-    where = [r for r in noticed if (r["fault"], r["severity"]) in falls] or noticed
+    where = [r for r in noticed if (r["fault"], r["severity"]) in falls]
     if not where:
         return []
     delay = float(np.median([r["detection_delay_s"] for r in where]))
@@ -166,9 +166,8 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
         _claim(
             "median detection within 0.2 s of faults that make VP fall",
             delay <= 0.2,
-            f"{delay:.3f} s{'' if falls else ' of all noticed, none made VP fall'}; worst 95th"
-            f" percentile {worst['detection_delay_p95_s']:.2f} s ({worst['fault']}"
-            f" {worst['severity']})",
+            f"{delay:.3f} s; worst 95th percentile {worst['detection_delay_p95_s']:.2f} s"
+            f" ({worst['fault']} {worst['severity']})",
         )
     ]
 
