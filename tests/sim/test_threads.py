@@ -26,7 +26,7 @@ def test_the_caller_works_too_and_others_help(monkeypatch):
     met = set()
 
     def run(first: int, last: int) -> None:
-        if first < 2:  # The first two chunks wait for each other: one thread alone never ends.
+        if first < 4:  # The first two chunks wait for each other: one thread alone never ends.
             meeting.wait()
             met.add(threading.get_ident())
 
@@ -45,7 +45,7 @@ def test_what_goes_wrong_in_any_thread_is_raised_after_all_have_stopped(
     ended = []
 
     def run(first: int, last: int) -> None:
-        if first >= 2:
+        if first >= 4:
             return
         both.wait()
         if (threading.get_ident() == caller) == fails_in_caller:

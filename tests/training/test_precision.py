@@ -13,7 +13,7 @@ from renet.models.config import ModelCfg
 from renet.training import precision
 from renet.training.algorithm import RenetAlgorithm
 from renet.training.config import LearningCfg
-from renet.training.precision import computed_in, learning_type, side_by_side, step_on_one_thread
+from renet.training.precision import computed_in, learning_type, side_by_side
 from renet.training.storage import TickRollout
 
 STEPS = 10
@@ -85,41 +85,32 @@ def test_work_side_by_side_shares_the_threads_and_gives_them_back(two_threads):
         meeting.wait()  # Passes only if both run at once.
         return torch.get_num_threads()
 
-    assert side_by_side(work, work) == (1, 1)
-    assert torch.get_num_threads() == 2
-
     def fail() -> int:
         raise ValueError("no")
 
-    for pair in ((fail, lambda: 1), (lambda: 1, fail)):
-        with pytest.raises(ValueError, match="no"):
-            side_by_side(*pair)
+    with computed_in(torch.bfloat16):
+        assert torch.get_num_threads() == 1
+        assert side_by_side(work, work) == (1, 1)
+        for pair in ((fail, lambda: 1), (lambda: 1, fail)):
+            with pytest.raises(ValueError, match="no"):
+                side_by_side(*pair)
+    assert torch.get_num_threads() == 2
+    for dtype in (torch.float32, torch.bfloat16):
+        with pytest.raises(ValueError, match="no"), computed_in(dtype):
+            fail()
         assert torch.get_num_threads() == 2
 
 
-def test_an_optimiser_steps_on_one_thread_and_gives_the_others_back(two_threads):
-    weights = torch.ones(3, requires_grad=True)
-    used = []
-
-    class Adam(torch.optim.Adam):
-        def zero_grad(self, set_to_none: bool = True) -> None:
-            used.append(torch.get_num_threads())
-            super().zero_grad(set_to_none)
-
-        @torch.no_grad()
-        def step(self, closure=None):
-            used.append(torch.get_num_threads())
-            return super().step(closure)
-
-    optimizer = Adam([weights], lr=0.5)
-    step_on_one_thread(optimizer)
-    for _ in range(2):
-        optimizer.zero_grad()
-        weights.sum().backward()
-        optimizer.step()
-    assert used == [2, 1, 2, 1]
-    assert torch.get_num_threads() == 2
-    torch.testing.assert_close(weights.detach(), torch.zeros(3))
+def test_one_thread_does_one_piece_of_work_after_the_other():
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(1)
+        with computed_in(torch.bfloat16):
+            done = side_by_side(threading.get_ident, threading.get_ident)
+        assert done == (threading.get_ident(),) * 2
+        assert torch.get_num_threads() == 1
+    finally:
+        torch.set_num_threads(before)
 
 
 class Waits(TorchDispatchMode):

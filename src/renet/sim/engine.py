@@ -25,7 +25,7 @@ from mjlab.sim.sim import Simulation
 from renet.errors import RenetError
 from renet.sim.native_kernel import advance
 from renet.sim.neighbourhood import Neighbourhood
-from renet.sim.threads import THREADS, for_chunks
+from renet.sim.threads import THREADS, on_all_threads
 from renet.sim.transfer import Transfer, load_rows, model_rows, store_rows
 
 ENGINES = ("auto", "native", "warp")
@@ -138,7 +138,7 @@ class NativeSimulation(Simulation):
         return field[ids] if field.shape[0] == self.num_envs else field[0]
 
     def _run(self, program: Callable[[Worker], np.ndarray], repeats: int) -> None:
-        """Spread the environments over the threads in chunks small enough to balance them."""
+        """Let all threads take one environment after another."""
         if self._workers is None:
             self._workers = SimpleQueue()
             for _ in range(THREADS):
@@ -146,15 +146,17 @@ class NativeSimulation(Simulation):
         workers = self._workers
         self.neighbourhood.update(self.wp_data.qpos.numpy())
 
-        def run(first: int, last: int) -> None:
+        next_env = np.zeros(1, np.int32)
+
+        def work() -> None:
             worker = workers.get()
             try:
-                table = program(worker).ctypes.data
-                wp.launch(advance, dim=1, inputs=[table, first, last, repeats], device="cpu")
+                inputs = [program(worker).ctypes.data, next_env.ctypes.data, self.num_envs, repeats]
+                wp.launch(advance, dim=1, inputs=inputs, device="cpu")
             finally:
                 workers.put(worker)
 
-        for_chunks(self.num_envs, run)
+        on_all_threads(work)
 
 
 @contextmanager

@@ -27,27 +27,29 @@ FLOAT, INT, BYTE = 0, 1, 2
     const int loads = (int)head[3], stores = (int)head[4], guarded = (int)head[5];
     const u64* rows = head + 6;
 
-    for (int env = first; env < last; ++env) {
+    int* const queue = (int*)(u64)next;
+    int env;
+    while ((env = __atomic_fetch_add(queue, 1, __ATOMIC_RELAXED)) < count) {
         bool finite = true;
         for (int r = 0; r < loads; ++r) {
             const u64* row = rows + 5 * r;
             const char* source = (const char*)row[0] + row[1] * (u64)env;
-            const int count = (int)row[3];
+            const int size = (int)row[3];
             if (row[4] == 0) {
                 const float* from = (const float*)source;
                 double* to = (double*)row[2];
-                for (int i = 0; i < count; ++i) to[i] = (double)from[i];
+                for (int i = 0; i < size; ++i) to[i] = (double)from[i];
                 if (r < guarded) {
-                    for (int i = 0; i < count; ++i) finite = finite && (from[i] - from[i] == 0.0f);
+                    for (int i = 0; i < size; ++i) finite = finite && (from[i] - from[i] == 0.0f);
                 }
             } else if (row[4] == 1) {
                 const int* from = (const int*)source;
                 int* to = (int*)row[2];
-                for (int i = 0; i < count; ++i) to[i] = from[i];
+                for (int i = 0; i < size; ++i) to[i] = from[i];
             } else {
                 const unsigned char* from = (const unsigned char*)source;
                 unsigned char* to = (unsigned char*)row[2];
-                for (int i = 0; i < count; ++i) to[i] = from[i];
+                for (int i = 0; i < size; ++i) to[i] = from[i];
             }
         }
         if (!finite) continue;
@@ -56,21 +58,22 @@ FLOAT, INT, BYTE = 0, 1, 2
             const u64* row = rows + 5 * r;
             float* to = (float*)((char*)row[0] + row[1] * (u64)env);
             const double* from = (const double*)row[2];
-            const int count = (int)row[3];
-            for (int i = 0; i < count; ++i) to[i] = (float)from[i];
+            const int size = (int)row[3];
+            for (int i = 0; i < size; ++i) to[i] = (float)from[i];
         }
     }
     """
 )
-def _advance(program: wp.uint64, first: int, last: int, repeats: int): ...
+def _advance(program: wp.uint64, next: wp.uint64, count: int, repeats: int): ...
 
 
 @wp.kernel
-def advance(program: wp.uint64, first: int, last: int, repeats: int):
-    """Run a transfer program over environments [first, last), calling MuJoCo `repeats` times.
+def advance(program: wp.uint64, next: wp.uint64, count: int, repeats: int):
+    """Run a transfer program over `count` environments, calling MuJoCo `repeats` times for each.
 
+    `next` is the address of an int32, 0 at first, by which calls on several threads share them out.
     `program` is the address of a uint64 table: model, data, function, number of loads, number of
     stores, number of leading loads that must be finite, then the rows. An environment whose state
     is not finite is left alone: its NaN stays for the task to see.
     """
-    _advance(program, first, last, repeats)
+    _advance(program, next, count, repeats)

@@ -5,7 +5,8 @@ Compiled by Warp's bundled clang, like native_kernel. Called through ctypes, wit
 Tables are uint64: number of boxes, of wide shapes, of bins along x and along y; then addresses of
 boxes (centre, rotation by rows, half sizes: 15 floats), triangles (9 floats), bins' offsets, bins'
 items, each shape's first bin (2 ints), wide shapes, and the bins' corner and side (3 floats); then
-what each kernel documents. Shape s is box s, or triangle s - boxes.
+what each kernel documents. Shape s is box s, or triangle s - boxes. `next` is the address of an
+int32, 0 at first, by which calls on several threads share out what there is to do.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ SHAPES = """
     const float NEAR = 1e-6f, FAR = 1e30f, SLACK = 1e-5f;
     const float column_step = left[1] - left[0], row_step = up[1] - up[0];
 
-    for (int camera = first; camera < last; ++camera) {
+    int* const queue = (int*)(u64)next;
+    int camera;
+    while ((camera = __atomic_fetch_add(queue, 1, __ATOMIC_RELAXED)) < count) {
         const float* eye = eyes + 3 * camera;
         const float* rotation = rotations + 9 * camera;
         float* image = images + (long long)camera * width * height;
@@ -183,11 +186,11 @@ SHAPES = """
         if (whole == 0.0f) {
             for (int k = 0; k < wides; ++k) draw_shape(wide[k]);
             int from[2], to[2];
-            const int count[2] = {nx, ny};
+            const int bins[2] = {nx, ny};
             for (int j = 0; j < 2; ++j) {
                 const float a = (low[j] - frame[j]) / frame[2], b = (high[j] - frame[j]) / frame[2];
-                from[j] = clamp(a, count[j]);
-                to[j] = b < 0.0f ? 0 : clamp(b + 1.0f, count[j]);
+                from[j] = clamp(a, bins[j]);
+                to[j] = b < 0.0f ? 0 : clamp(b + 1.0f, bins[j]);
             }
             for (int x = from[0]; x < to[0]; ++x)
                 for (int y = from[1]; y < to[1]; ++y)
@@ -202,17 +205,19 @@ SHAPES = """
     }
     """
 )
-def _draw(program: wp.uint64, first: int, last: int, width: int, height: int, limit: float): ...
+def _draw(
+    program: wp.uint64, next: wp.uint64, count: int, width: int, height: int, limit: float
+): ...
 
 
 @wp.kernel
-def draw(program: wp.uint64, first: int, last: int, width: int, height: int, limit: float):
-    """Depth images of cameras [first, last); -1 where nothing is within `limit`.
+def draw(program: wp.uint64, next: wp.uint64, count: int, width: int, height: int, limit: float):
+    """Depth images of `count` cameras; -1 where nothing is within `limit`.
 
     The table goes on with positions [N, 3], rotations [N, 3, 3], images [N, height, width], and
     what rays' left [width] and up [height] components are; both evenly spaced.
     """
-    _draw(program, first, last, width, height, limit)
+    _draw(program, next, count, width, height, limit)
 
 
 @wp.func_native(
@@ -221,7 +226,11 @@ def draw(program: wp.uint64, first: int, last: int, width: int, height: int, lim
     const float* points = (const float*)head[11];
     float* heights = (float*)head[12];
     const float SLACK = 1e-6f;
-    for (int point = first; point < last; ++point) {
+    int* const queue = (int*)(u64)next;
+    const int BLOCK = 256;
+    int first;
+    while ((first = __atomic_fetch_add(queue, BLOCK, __ATOMIC_RELAXED)) < count)
+    for (int point = first; point < first + BLOCK && point < count; ++point) {
         const float x = points[2 * point], y = points[2 * point + 1];
         float highest = top - limit;
         auto look = [&](int shape) {
@@ -269,13 +278,13 @@ def draw(program: wp.uint64, first: int, last: int, width: int, height: int, lim
     }
     """
 )
-def _probe(program: wp.uint64, first: int, last: int, top: float, limit: float): ...
+def _probe(program: wp.uint64, next: wp.uint64, count: int, top: float, limit: float): ...
 
 
 @wp.kernel
-def probe(program: wp.uint64, first: int, last: int, top: float, limit: float):
-    """Height of the highest surface under points [first, last); top - limit where there is none.
+def probe(program: wp.uint64, next: wp.uint64, count: int, top: float, limit: float):
+    """Height of the highest surface under `count` points; top - limit where there is none.
 
     The table goes on with points [M, 2] and heights [M].
     """
-    _probe(program, first, last, top, limit)
+    _probe(program, next, count, top, limit)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,7 +15,7 @@ from torch import Tensor
 from renet.sim import raster_kernel
 from renet.sim.raster_kernel import draw, probe
 from renet.sim.terrain_mesh import terrain_shapes
-from renet.sim.threads import for_chunks
+from renet.sim.threads import on_all_threads
 
 BIN = 0.25
 """Side of a bin, m: about a step of stairs."""
@@ -22,6 +23,8 @@ WIDE = 20.0
 """Shapes wider than this (planes, the border) are looked at from everywhere, m."""
 MAX_BINS = 1 << 20
 """About; larger terrains get larger bins."""
+FEW = 4096
+"""Points that one thread looks at before another would have woken."""
 
 
 @dataclass(frozen=True)
@@ -101,27 +104,27 @@ class TerrainBins:
         inputs = (position.contiguous().numpy(), rotation.contiguous().numpy(), depth.numpy())
         table = self._table(*inputs, image.left, image.up)
         size = len(image.left), len(image.up)
-        _launch(
-            len(position),
-            lambda first, last: (draw, [table.ctypes.data, first, last, *size, limit]),
-        )
+        on_all_threads(_launch(draw, table, len(position), *size, limit))
         return depth
 
     def height(self, points: Tensor, top: float, drop: float) -> Tensor:
         """Highest surface under points [M, 2]; top - drop where there is none, [M] m."""
         height = torch.empty(len(points))
         table = self._table(points.contiguous().numpy(), height.numpy())
-        _launch(
-            len(points), lambda first, last: (probe, [table.ctypes.data, first, last, top, drop])
-        )
+        work = _launch(probe, table, len(points), top, drop)
+        if len(points) < FEW:
+            work()
+        else:
+            on_all_threads(work)
         return height
 
 
-def _launch(count: int, call: Callable) -> None:
-    """Run a kernel over `count` rows in parallel chunks."""
+def _launch(kernel: Any, table: np.ndarray, count: int, *more: float) -> Callable[[], None]:
+    """Work on `count` rows that several threads may share."""
+    following = np.zeros(1, np.int32)
 
-    def run(first: int, last: int) -> None:
-        kernel, inputs = call(first, last)
+    def work() -> None:
+        inputs = [table.ctypes.data, following.ctypes.data, count, *more]
         wp.launch(kernel, dim=1, inputs=inputs, device="cpu")
 
-    for_chunks(count, run)
+    return work

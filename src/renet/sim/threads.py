@@ -10,17 +10,14 @@ from contextlib import contextmanager
 import torch
 
 THREADS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-CHUNKS_PER_THREAD = 8
+CHUNKS_PER_THREAD = 4
 """Small enough chunks keep all threads busy when one is held up by a neighbour."""
 
 _pool = ThreadPoolExecutor(THREADS, thread_name_prefix="renet")
 
 
 def for_chunks(count: int, run: Callable[[int, int], None]) -> None:
-    """Call `run(first, last)` over [0, count) in parallel; exceptions are raised here.
-
-    The calling thread takes chunks, too: waking a thread for each would cost more than small ones.
-    """
+    """Call `run(first, last)` over [0, count) in parallel; exceptions are raised here."""
     chunk = max(1, -(-count // (CHUNKS_PER_THREAD * THREADS)))
     starts = iter(range(0, count, chunk))
 
@@ -28,6 +25,15 @@ def for_chunks(count: int, run: Callable[[int, int], None]) -> None:
         for first in starts:  # Each start goes to the thread that asks first.
             run(first, min(first + chunk, count))
 
+    on_all_threads(work)
+
+
+def on_all_threads(work: Callable[[], None]) -> None:
+    """Call `work` on several threads, the calling one among them; exceptions are raised here.
+
+    The calls share out what there is to do. There may be as few as one: a thread that does not wake
+    before another has finished is too late.
+    """
     others = [_pool.submit(work) for _ in range(THREADS - 1)]
     try:
         work()

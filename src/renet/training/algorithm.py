@@ -21,7 +21,7 @@ from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg
 from renet.training.config_io import from_dict
 from renet.training.modality import op_mask
 from renet.training.np3o import NP3O
-from renet.training.precision import Precision, learning_type, step_on_one_thread
+from renet.training.precision import Precision, learning_type
 from renet.training.storage import PolicyRollout, Recorder, TickRollout
 from renet.training.supervision import Supervision
 from renet.vocabulary import CONSTRAINTS, STEPS_PER_TICK
@@ -64,8 +64,6 @@ class RenetAlgorithm:
         dtype = learning_type(precision, device)
         self.np3o = NP3O(model.actor, model.critics, np3o, dtype)
         self.supervision = Supervision(model, supervision, dtype)
-        for optimizer in (self.np3o.optimizer, self.supervision.optimizer):
-            step_on_one_thread(optimizer)
         self.memory = EstimatorMemory(model.cfg, num_envs, device)
         self.iteration = 0
         self._steps = Recorder()

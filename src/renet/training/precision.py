@@ -8,19 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, Literal, TypeVar
 
 import torch
 from torch import Tensor, nn
 
-from renet.sim.threads import one_torch_thread
-
 T = TypeVar("T")
 Precision = Literal["auto", "float32", "bfloat16"]
 
 _second = ThreadPoolExecutor(1, thread_name_prefix="renet-learn")
+_spare = 0
+"""Threads of torch's that are left to the second piece of work of `side_by_side`."""
 
 
 def has_bfloat16(device: torch.device) -> bool:
@@ -46,17 +46,35 @@ def learning_type(precision: Precision, device: str | torch.device) -> torch.dty
 
 @contextmanager
 def computed_in(dtype: torch.dtype, *modules: nn.Module) -> Iterator[None]:
-    """Let modules compute in `dtype` while inside; what they return is single precision."""
+    """Let modules compute in `dtype` while inside; what they return is single precision.
+
+    Other than in single precision, learning on a CPU then runs `side_by_side`, on half of torch's
+    threads; so does what stands between, for small tensors are done before more threads wake.
+    """
     if dtype == torch.float32:
         yield
         return
     for module in modules:
         module.forward = partial(_autocast, module.forward, dtype)
     try:
-        yield
+        with _half_of_the_threads():
+            yield
     finally:
         for module in modules:
             del module.forward
+
+
+@contextmanager
+def _half_of_the_threads() -> Iterator[None]:
+    global _spare
+    threads = torch.get_num_threads()
+    _spare = threads // 2
+    torch.set_num_threads(threads - _spare)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+        _spare = 0
 
 
 def _autocast(forward: Callable[..., Tensor], dtype: torch.dtype, value: Tensor) -> Tensor:
@@ -65,32 +83,18 @@ def _autocast(forward: Callable[..., Tensor], dtype: torch.dtype, value: Tensor)
 
 
 def side_by_side(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]:
-    """Run two pieces of work on a CPU, each on half of torch's threads.
+    """Run two pieces of work on a CPU, inside `computed_in` each on half of torch's threads.
 
     They may each build a graph and go back through it if they share no parameters; only one of
     them may draw random numbers. Half as many threads per layer wait less for each other.
     """
-    threads = torch.get_num_threads()
-    if threads == 1:
+    if not _spare:
         return first(), second()
-    share = threads // 2
-    torch.set_num_threads(share)
+    other = _second.submit(_on_threads, _spare, second)
     try:
-        other = _second.submit(_on_threads, share, second)
-        try:
-            return first(), other.result()
-        finally:
-            wait([other])
+        return first(), other.result()
     finally:
-        torch.set_num_threads(threads)
-
-
-def step_on_one_thread(optimizer: torch.optim.Optimizer) -> None:
-    """Let an optimiser of small tensors on a CPU wake no other thread: its steps take a third."""
-    device = optimizer.param_groups[0]["params"][0].device
-    held = ExitStack()
-    optimizer.register_step_pre_hook(lambda *_: held.enter_context(one_torch_thread(device)))
-    optimizer.register_step_post_hook(lambda *_: held.close())
+        wait([other])
 
 
 def _on_threads(share: int, work: Callable[[], Any]) -> Any:
