@@ -106,3 +106,17 @@ def test_a_step_that_ended_the_episode_teaches_him_nothing(model, rollout):
     assert torch.isfinite(after["him"])
     assert after["velocity"] == before["velocity"]
     assert after["him"] < 2 * before["him"]
+
+
+@pytest.mark.parametrize(("robots", "learned"), [(4, 5), (40, 16)])
+def test_the_autoencoder_learns_from_a_share_of_the_images(model, monkeypatch, robots, learned):
+    seen = []
+    forward = model.autoencoder.forward
+    monkeypatch.setattr(
+        model.autoencoder, "forward", lambda pairs: seen.append(len(pairs)) or forward(pairs)
+    )
+    supervision = Supervision(model, SupervisionCfg(autoencoder_images=16))
+    # 3 ticks: 12 pairs, of which two fifths are 4.8, or 120, of which the setting takes fewer.
+    loss = supervision._anomaly_loss(torch.rand(3, robots, 2, 48, 64))
+    assert seen == [learned]
+    assert torch.isfinite(loss)

@@ -92,6 +92,8 @@ class NativeSimulation(Simulation):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         self._workers: SimpleQueue[Worker] | None = None
+        self.runs = 0
+        """How often it has stepped or recomputed: what follows from poses is as new as this."""
         super().__init__(*args, **kwargs)
         self.neighbourhood = Neighbourhood(self.mj_model, self.mj_data, self.num_envs)
         if not self.wp_device.is_cpu:
@@ -144,6 +146,7 @@ class NativeSimulation(Simulation):
             for _ in range(THREADS):
                 self._workers.put(Worker(self))
         workers = self._workers
+        self.runs += 1
         self.neighbourhood.update(self.wp_data.qpos.numpy())
 
         next_env = np.zeros(1, np.int32)

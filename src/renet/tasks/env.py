@@ -15,9 +15,10 @@ from mjlab.tasks.registry import list_tasks, load_env_cfg
 from torch import Tensor
 
 from renet.errors import RenetError
-from renet.sim.engine import use_engine
+from renet.sim.engine import NativeSimulation, use_engine
 from renet.sim.threads import one_torch_thread
 from renet.tasks.constraints import ConstraintCfg, Constraints
+from renet.tasks.env_data import DerivedOnce
 from renet.tasks.go1 import GO1
 from renet.tasks.rewards import goal
 from renet.tasks.robot import Robot
@@ -48,6 +49,9 @@ class RenetEnv(ManagerBasedRlEnv):
         super().__init__(cfg, device, render_mode)
         self.constraints = Constraints(cfg.constraints, self)
         self._fuse_substeps()
+        if isinstance(self.sim, NativeSimulation):
+            for entity in self.scene.entities.values():
+                entity._data = DerivedOnce(entity.data, self.sim)
 
     def _fuse_substeps(self) -> None:
         """Let the native engine take all substeps of a control step in one call.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 
@@ -16,6 +17,10 @@ from renet.training import distributed
 from renet.training.config import SupervisionCfg
 from renet.training.precision import computed_in, side_by_side
 from renet.training.storage import TickRollout
+
+AUTOENCODER_SHARE = 0.4
+"""Of a mini-batch's image pairs, at most: with few robots, whose pairs are much alike, the
+autoencoder would else learn from each and take longer than both estimators."""
 
 
 def estimator_losses(
@@ -152,6 +157,6 @@ class Supervision:
     def _anomaly_loss(self, frames: Tensor) -> Tensor:
         """Loss_ad on randomly drawn image pairs."""
         pairs = frames.flatten(0, 1)
-        count = min(self.cfg.autoencoder_images, pairs.shape[0])
+        count = min(self.cfg.autoencoder_images, math.ceil(AUTOENCODER_SHARE * pairs.shape[0]))
         pairs = pairs[torch.randperm(pairs.shape[0], device=pairs.device)[:count]].float()
         return anomaly_score(pairs, self.model.autoencoder(pairs)).mean()
