@@ -23,7 +23,11 @@ PANELS = (
     ("constraint costs", "Loss/cost_joint"),
     ("velocity loss (m²/s²)", ("Loss/op_velocity", "Loss/vp_velocity")),
     ("map and feet loss (m²)", ("Loss/vp_height_map", "Loss/vp_feet_height")),
+    ("HIM loss", ("Loss/op_him", "Loss/vp_him")),
     ("anomaly loss", ("Loss/anomaly",)),
+    ("actor's learning rate", ("Loss/learning_rate",)),
+    ("divergence per gradient step", ("Loss/kl",)),
+    ("penalty for constraints", ("Loss/cost",)),
     ("env-steps/s", ("Perf/total_fps",)),
 )
 """Panel titles and their curves: names, or a prefix of names."""
@@ -31,10 +35,10 @@ SMOOTHING = 0.9
 """Weight of the past in the drawn moving average."""
 
 
-def write_run_report(run: Path, num_envs: int, steps_per_iteration: int) -> Path:
+def write_run_report(run: Path) -> Path:
     """Draw `curves.png` and write `report.json` (last smoothed values); returns the figure."""
     curves = read_curves(run)
-    figure, axes = plt.subplots(3, 4, figsize=(16, 9), constrained_layout=True)
+    figure, axes = plt.subplots(4, 4, figsize=(16, 12), constrained_layout=True)
     last = {}
     for axis, (title, wanted) in zip(axes.flat, PANELS, strict=True):
         names = sorted(
@@ -44,10 +48,9 @@ def write_run_report(run: Path, num_envs: int, steps_per_iteration: int) -> Path
             iterations, values = curves[name]
             smooth = _smooth(values)
             last[name] = smooth[-1]
-            steps = [i * num_envs * steps_per_iteration / 1e6 for i in iterations]
-            axis.plot(steps, smooth, label=name.split("/")[-1])
+            axis.plot(iterations, smooth, label=name.split("/")[-1])
         axis.set_title(title)
-        axis.set_xlabel("million environment steps")
+        axis.set_xlabel("iteration")
         axis.grid(alpha=0.3)
         if len(names) > 1:
             axis.legend(fontsize=7)

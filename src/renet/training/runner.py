@@ -167,12 +167,13 @@ class RenetRunner(OnPolicyRunner):
         )
 
     def _status(self) -> str:
-        """Steps, speed and the two curves one watches."""
+        """Steps, speed and the curves one watches."""
         latest = getattr(self.logger.writer, "latest", {})
         shown = {
             "steps/s": ("Perf/total_fps", ".0f"),
             "reward": ("Train/mean_reward", ".2f"),
             "length": ("Train/mean_episode_length", ".0f"),
+            "rate": ("Loss/learning_rate", ".0e"),
         }
         parts = [f"{self.logger.tot_timesteps / 1e6:.2f} M steps"]
         parts += [

@@ -106,7 +106,7 @@ def train(cfg: TrainCfg) -> Path | None:
     finally:
         vec_env.close()
     if run and (run / CURVES).exists():
-        print(f"Curves: {write_run_report(run, cfg.num_envs, cfg.num_steps_per_env)}")
+        print(f"Curves: {write_run_report(run)}")
     return run
 
 
