@@ -13,7 +13,7 @@ from renet.models.config import ModelCfg
 from renet.training import precision
 from renet.training.algorithm import RenetAlgorithm
 from renet.training.config import LearningCfg
-from renet.training.precision import computed_in, learning_type, side_by_side
+from renet.training.precision import computed_in, in_halves, learning_type, side_by_side
 from renet.training.storage import TickRollout
 
 STEPS = 10
@@ -111,6 +111,18 @@ def test_one_thread_does_one_piece_of_work_after_the_other():
         assert torch.get_num_threads() == 1
     finally:
         torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 7])
+def test_rows_in_halves_are_those_of_the_whole_and_carry_no_gradients(two_threads, rows: int):
+    layer = torch.nn.Bilinear(4, 4, 3)
+    left, right = torch.randn(rows, 4), torch.randn(rows, 4)
+    with torch.no_grad():
+        together = layer(left, right)
+        halves = in_halves(layer, left, right)
+    assert not halves.requires_grad
+    torch.testing.assert_close(halves, together)
+    assert torch.get_num_threads() == 2
 
 
 class Waits(TorchDispatchMode):

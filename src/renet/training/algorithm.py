@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from functools import partial
+from types import SimpleNamespace
+from typing import Any, cast
 
 import torch
 from rsl_rl.env import VecEnv
@@ -21,7 +23,7 @@ from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg
 from renet.training.config_io import from_dict
 from renet.training.modality import op_mask
 from renet.training.np3o import NP3O
-from renet.training.precision import Precision, learning_type
+from renet.training.precision import Precision, in_halves, learning_type
 from renet.training.storage import PolicyRollout, Recorder, TickRollout
 from renet.training.supervision import Supervision
 from renet.vocabulary import CONSTRAINTS, STEPS_PER_TICK
@@ -64,6 +66,9 @@ class RenetAlgorithm:
         dtype = learning_type(precision, device)
         self.np3o = NP3O(model.actor, model.critics, np3o, dtype)
         self.supervision = Supervision(model, supervision, dtype)
+        self._acting = cast(
+            RENet, SimpleNamespace(op=self.model.op, vp=partial(in_halves, self.model.vp))
+        )
         self.memory = EstimatorMemory(model.cfg, num_envs, device)
         self.iteration = 0
         self._steps = Recorder()
@@ -144,7 +149,7 @@ class RenetAlgorithm:
         memory = self.memory
         fresh = memory.fresh.clone()
         memory.see(obs["depth"])
-        memory.tick(self.model)
+        memory.tick(self._acting)
         self._ticks.begin(
             history=memory.history,
             frames=memory.frames,
