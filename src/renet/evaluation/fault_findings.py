@@ -154,8 +154,9 @@ def _false_switch_claim(healthy: dict[str, Any]) -> Runs:
 
 
 def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
-    """The median of the settings' median delays where VP falls; nothing if it never does."""
-    falls = {setting for setting, clear in felling(runs, baseline).items() if clear}
+    """The median of the severe settings' median delays where VP falls; nothing if it never does."""
+    felled = felling(runs, baseline).items()
+    falls = {setting for setting, clear in felled if clear and setting[1] >= SEVERE}
     noticed = [r for r in runs if r["mode"] == "renet" and r["detection_delay_s"] is not None]
     where = [r for r in noticed if (r["fault"], r["severity"]) in falls]
     if not where:
@@ -164,7 +165,7 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
     worst = max(where, key=lambda r: r["detection_delay_p95_s"])
     return [
         _claim(
-            "median detection within 0.2 s of faults that make VP fall",
+            f"median detection within 0.2 s of faults of severity >= {SEVERE} that make VP fall",
             delay <= 0.2,
             f"{delay:.3f} s; worst 95th percentile {worst['detection_delay_p95_s']:.2f} s"
             f" ({worst['fault']} {worst['severity']})",
