@@ -219,15 +219,22 @@ def test_foot_clearance_by_hand():
     assert term(env, **params).item() == 0.0
 
 
-def test_standing_motion_counts_only_where_standing_is_asked_for():
+def test_standing_motion_is_smoothed_and_counts_only_where_standing_is_asked_for():
     data = SimpleNamespace(joint_vel=torch.tensor([[1.0, -2.0], [1.0, -2.0]]))
     env = SimpleNamespace(
         scene={"robot": SimpleNamespace(data=data)},
         command_manager=SimpleNamespace(
             get_term=lambda name: SimpleNamespace(speed=torch.tensor([0.0, 0.3]))
         ),
+        step_dt=0.02,
     )
-    assert rewards.standing_motion(env).tolist() == [5.0, 0.0]
+    term = rewards.StandingMotion(None, env)
+    first = term(env, time_constant=0.2)
+    torch.testing.assert_close(first, torch.tensor([0.05, 0.0]))  # A tenth of each velocity.
+    data.joint_vel = -data.joint_vel  # Shaking: 0.9 * 0.1 - 0.1 of each is left.
+    torch.testing.assert_close(term(env, time_constant=0.2), torch.tensor([0.0005, 0.0]))
+    term.reset(torch.tensor([0]))
+    torch.testing.assert_close(term(env, time_constant=0.2), first)
 
 
 def test_rewards_beyond_the_papers_are_paid_only_on_request():

@@ -235,7 +235,9 @@ def _rewards(robot: Robot) -> dict[str, RewardTermCfg]:
         "joint_acceleration": RewardTermCfg(func=rewards.JointAcceleration, weight=-2.5e-7),
         "orientation": RewardTermCfg(func=rewards.orientation, weight=-1.0),
         # Not the paper's, hence off: `renet train --reward-weights` turns them on.
-        "standing_motion": RewardTermCfg(func=rewards.standing_motion, weight=0.0),
+        "standing_motion": RewardTermCfg(
+            func=rewards.StandingMotion, weight=0.0, params={"time_constant": 0.2}
+        ),
         "foot_clearance": RewardTermCfg(
             func=rewards.FootClearance,
             weight=0.0,
