@@ -96,6 +96,22 @@ def test_a_robot_that_is_not_finite_is_reset_alone(flat):
     assert flat.episode_length_buf.tolist() == [2, 2, 0, 2]
 
 
+def test_critics_see_what_randomisation_drew_and_draws_again(flat):
+    trunk = flat.scene["robot"].indexing.body_ids[:1]
+
+    def payload() -> torch.Tensor:
+        return flat.sim.model.body_mass[:, trunk] - flat.sim.get_default_field("body_mass")[trunk]
+
+    obs, _ = flat.reset()
+    drawn = payload().clone()
+    assert drawn.unique().numel() > 1
+    torch.testing.assert_close(obs["privileged"][:, 4:5], drawn)
+    flat.sim.model.body_mass[:, trunk] += 1.0
+    obs, _ = flat.reset()
+    flat.sim.model.body_mass[:, trunk] -= 1.0
+    torch.testing.assert_close(obs["privileged"][:, 4:5], drawn + 1.0)
+
+
 def test_fallen_robot_terminates(flat):
     flat.reset()
     flat.sim.data.qpos[1, 3:7] = torch.tensor([0.0, 1.0, 0.0, 0.0])

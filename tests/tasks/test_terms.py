@@ -198,20 +198,20 @@ def test_joint_acceleration_starts_each_episode_at_rest():
 
 def test_foot_clearance_by_hand():
     class Robot:
-        data = SimpleNamespace(
-            site_pos_w=torch.tensor([[[0.0, 0.0, 0.05], [0.0, 0.0, 0.30], [0.0, 0.0, 0.0]]]),
-            root_link_pos_w=torch.tensor([[0.0, 0.0, 0.30]]),
-        )
+        data = SimpleNamespace(root_link_pos_w=torch.tensor([[0.0, 0.0, 0.30]]))
+        indexing = SimpleNamespace(site_ids=torch.tensor([1, 2, 3]))  # Of the whole scene.
 
         def find_sites(self, names, preserve_order):
             assert preserve_order
             return list(range(len(names))), list(names)
 
+    feet = [[9.0, 9.0, 9.0], [0.0, 0.0, 0.05], [0.0, 0.0, 0.30], [0.0, 0.0, 0.0]]
     env = SimpleNamespace(scene={"robot": Robot()}, num_envs=1, device="cpu", step_dt=0.02)
+    env.sim = SimpleNamespace(data=SimpleNamespace(site_xpos=torch.tensor([feet])))
     params = {"feet": ("FR", "FL", "RR"), "height": 0.30, "lift": 0.09}
     term = rewards.FootClearance(SimpleNamespace(params=params), env)
     assert term(env, **params).item() == 0.0  # No speed is known yet.
-    Robot.data.site_pos_w = Robot.data.site_pos_w + torch.tensor([0.003, 0.004, 0.0])
+    env.sim.data.site_xpos = env.sim.data.site_xpos + torch.tensor([0.003, 0.004, 0.0])
     # 0.25 m/s; lifted by 5 cm of 9, high up, and not at all.
     expected = 0.25 * (0.04**2 + 0.0 + 0.09**2)
     assert term(env, **params).item() == pytest.approx(expected, rel=1e-4)

@@ -97,7 +97,7 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: Robot) -> RenetEnvCfg:
         terminations={
             "time_out": TerminationTermCfg(func=mdp.time_out, time_out=True),
             "fallen": TerminationTermCfg(func=terminations.fallen),
-            "not_finite": TerminationTermCfg(func=mdp.nan_detection),
+            "not_finite": TerminationTermCfg(func=terminations.not_finite),
             "stalled": TerminationTermCfg(
                 func=terminations.Stalled, params={"window": 3.0, "progress": 0.15}
             ),
@@ -199,7 +199,7 @@ def _observations() -> dict[str, ObservationGroupCfg]:
         terms={
             "feet_contact": ObservationTermCfg(func=observations.feet_contact),
             "physical_parameters": ObservationTermCfg(
-                func=observations.physical_parameters,
+                func=observations.PhysicalParameters,
                 params={
                     "trunk": SceneEntityCfg("robot", body_names=(TRUNK,)),
                     "foot": SceneEntityCfg("robot", geom_names=FEET[:1]),

@@ -52,21 +52,38 @@ def difficult(env: ManagerBasedRlEnv) -> Tensor:
     return hard[terrain.terrain_types].unsqueeze(-1)
 
 
-def physical_parameters(
-    env: ManagerBasedRlEnv, trunk: SceneEntityCfg, foot: SceneEntityCfg
-) -> Tensor:
+class PhysicalParameters:
     """What randomisation drew: trunk mass change (kg), CoM offset (m), foot friction, servo gains.
 
-    [N, 1 + 3 + 1 + 12 + 12], gains as a ratio of the nominal ones.
+    [N, 1 + 3 + 1 + 12 + 12], gains as a ratio of the nominal ones. Events change them at most at a
+    reset, so they are gathered anew only then.
     """
-    robot, model = env.scene["robot"], env.sim.model
-    body = robot.indexing.body_ids[trunk.body_ids]
-    geom = robot.indexing.geom_ids[foot.geom_ids][:1]
-    mass = model.body_mass[:, body] - env.sim.get_default_field("body_mass")[body]
-    com = (
-        model.body_ipos[:, body].flatten(1) - env.sim.get_default_field("body_ipos")[body].flatten()
-    )
-    gain, bias = model.actuator_gainprm, model.actuator_biasprm
-    stiffness = gain[:, :, 0] / env.sim.get_default_field("actuator_gainprm")[:, 0]
-    damping = bias[:, :, 2] / env.sim.get_default_field("actuator_biasprm")[:, 2]
-    return torch.cat((mass, com, model.geom_friction[:, geom, 0], stiffness, damping), dim=-1)
+
+    def __init__(self, cfg, env: ManagerBasedRlEnv) -> None:
+        del cfg, env
+        self._gathered: Tensor | None = None
+
+    def __call__(
+        self, env: ManagerBasedRlEnv, trunk: SceneEntityCfg, foot: SceneEntityCfg
+    ) -> Tensor:
+        """[N, 29]."""
+        if self._gathered is None:
+            self._gathered = self._gather(env, trunk, foot)
+        return self._gathered
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> None:
+        """Parameters may have been drawn again."""
+        del env_ids
+        self._gathered = None
+
+    @staticmethod
+    def _gather(env: ManagerBasedRlEnv, trunk: SceneEntityCfg, foot: SceneEntityCfg) -> Tensor:
+        robot, model, nominal = env.scene["robot"], env.sim.model, env.sim.get_default_field
+        body = robot.indexing.body_ids[trunk.body_ids]
+        geom = robot.indexing.geom_ids[foot.geom_ids][:1]
+        mass = model.body_mass[:, body] - nominal("body_mass")[body]
+        com = model.body_ipos[:, body].flatten(1) - nominal("body_ipos")[body].flatten()
+        stiffness = model.actuator_gainprm[:, :, 0] / nominal("actuator_gainprm")[:, 0]
+        damping = model.actuator_biasprm[:, :, 2] / nominal("actuator_biasprm")[:, 2]
+        friction = model.geom_friction[:, geom, 0]
+        return torch.cat((mass, com, friction, stiffness, damping), dim=-1)

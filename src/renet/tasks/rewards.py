@@ -158,7 +158,7 @@ class FootClearance:
     def __init__(self, cfg, env: ManagerBasedRlEnv) -> None:
         robot: Entity = env.scene["robot"]
         sites, _ = robot.find_sites(cfg.params["feet"], preserve_order=True)
-        self._sites = torch.tensor(sites, device=env.device)
+        self._sites = robot.indexing.site_ids[sites]
         self._previous = torch.full((env.num_envs, len(sites), 2), torch.nan, device=env.device)
 
     def __call__(
@@ -172,7 +172,8 @@ class FootClearance:
             lift: wanted of a foot in swing, m.
         """
         robot = env.scene["robot"].data
-        feet_position = robot.site_pos_w[:, self._sites]
+        # Not `robot.site_pos_w`, which derives every site's rotation, too.
+        feet_position = env.sim.data.site_xpos[:, self._sites]
         ground = robot.root_link_pos_w[:, None, 2] - height
         lack = (lift - (feet_position[..., 2] - ground)).clamp(0.0, lift)
         # NaN where an episode has just begun: no speed is known yet.

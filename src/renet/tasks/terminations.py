@@ -26,6 +26,13 @@ def fallen(env: ManagerBasedRlEnv) -> Tensor:
     return env.scene["robot"].data.projected_gravity_b[:, 2] > TILT
 
 
+def not_finite(env: ManagerBasedRlEnv) -> Tensor:
+    """NaN or infinity in the physics state: one of them makes the sum so."""
+    data = env.sim.data
+    sums = data.qpos.sum(-1) + data.qvel.sum(-1) + data.qacc.sum(-1) + data.sensordata.sum(-1)
+    return ~sums.isfinite()
+
+
 def in_gap(env: ManagerBasedRlEnv) -> Tensor:
     """Base below the surface of a gap tile."""
     terrain = env.scene.terrain
