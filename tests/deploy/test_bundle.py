@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import pytest
 
@@ -77,6 +78,8 @@ def test_tampered_model(bundle_path):
         (lambda m: m["selector"].update(rate_hz=-200.0), r"selector\.rate_hz must be positive"),
         (lambda m: m["selector"].update(gamma=2), r"gamma must be within 0 and 1"),
         (lambda m: m.update(history=0), "history must be positive"),
+        (lambda m: m.update(frames=3), "frames must be 2, got 3"),
+        (lambda m: m["robot"].update(joints=[]), r"robot\.joints must not be empty"),
     ],
 )
 def test_wrong_manifest(bundle_path, change, message):
@@ -104,3 +107,11 @@ def test_a_folder_that_is_not_a_bundle_is_never_replaced(tmp_path, manifest, mod
     with pytest.raises(RenetError, match="not a bundle"):
         write_bundle(tmp_path / "thesis", models, manifest)
     assert (tmp_path / "thesis" / "chapter.txt").read_text() == "years"
+    with pytest.raises(RenetError, match="not a bundle"):
+        write_bundle(tmp_path / "thesis" / "chapter.txt", models, manifest)
+
+
+def test_the_current_folder_can_become_a_bundle(tmp_path, manifest, models, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    Bundle.load(write_bundle(Path(), models, manifest))

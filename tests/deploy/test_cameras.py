@@ -143,3 +143,16 @@ def test_a_flight_is_shown_again_on_another_clock():
     camera.close()
     with pytest.raises(RenetError, match="without a camera"):
         ReplayCamera(Flight({}, ticks, {}, [], True), source.now)
+
+
+def test_onsets_count_from_the_first_look():
+    source = Source()
+    camera = FaultyCamera(source, [parse_fault("blackout@1s")], source.now, seed=1)
+    camera.start()
+    source.step = 500  # A controller takes its time to load.
+    dark = []
+    for _ in range(60):
+        dark.append(not camera.latest().image.any())
+        source.step += 1
+    assert not any(dark[:50])
+    assert all(dark[50:])

@@ -86,6 +86,7 @@ def test_a_lost_terminal_stops():
     os.close(master)
     assert keyboard.request(0.0).stop
     assert keyboard.quit
+    keyboard.close()
 
 
 def test_no_terminal():

@@ -15,7 +15,7 @@ from renet.deploy.bundle import Bundle, write_bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller, Event
 from renet.deploy.manifest import SelectorSpec
-from renet.deploy.observation import observe
+from renet.deploy.observation import heading, observe
 from renet.deploy.operator import Request
 from renet.deploy.perception import InlinePerception, ThreadedPerception
 from renet.deploy.robots.base import RobotState
@@ -327,6 +327,43 @@ def test_10_000_hostile_inputs_never_raise_and_never_leave_the_limits(bundle):
     assert walked > 500, "the abuse must reach the walking controller"
 
 
+def facing(yaw: float) -> np.ndarray:
+    return np.array([math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
+
+
+def wished(run: Run) -> float:
+    """Heading that the policy was last asked for, relative to the robot's, rad."""
+    return run.controller._yaw - heading(run.controller._newest.quaternion)  # type: ignore[union-attr]
+
+
+def test_a_robot_that_cannot_follow_is_asked_for_a_quarter_turn_at_most(bundle):
+    run = Run(bundle)
+    run.ticks(20)
+    for step in range(300):
+        run.tick(request=Request(turn=0.02 * step))
+    assert wished(run) == pytest.approx(math.pi / 2)
+    run.tick(request=Request(turn=0.02 * 299), quaternion=facing(1.0))
+    assert wished(run) == pytest.approx(math.pi / 2 - 1.0), "the way round does not change"
+
+
+def test_only_changes_of_the_turn_count(bundle):
+    run = Run(bundle)
+    for _ in range(20):
+        run.tick(request=Request(turn=2.0))
+    assert wished(run) == 0.0, "what was asked for before it walked"
+    run.tick(request=Request(turn=2.1), quaternion=facing(3.1))
+    run.tick(request=Request(turn=2.2), quaternion=facing(-3.1))
+    assert abs(wished(run)) <= math.pi / 2 + 1e-9
+
+
+def test_one_reading_from_the_future_is_forgotten(bundle):
+    run = Run(bundle)
+    run.tick(time=1e9)
+    run.ticks(30)
+    assert run.controller.decision.mode is not Mode.RISING
+    assert run.whats()[0] == "rising"
+
+
 def reading_of(controller: Controller) -> tuple[np.ndarray, np.ndarray]:
     newest = controller._newest
     assert newest is not None
@@ -380,6 +417,17 @@ def test_a_dead_vision_thread_is_replaced_and_costs_one_tick_of_vision(bundle, s
     assert run.events[-1].what == "op"
     run.controller._perception._patience = 5.0  # type: ignore[attr-defined]
     assert all(run.ticks(150)[-50:]), "vision comes back"
+    assert run.controller.decision.mode is Mode.WALKING
+    run.controller.close()
+
+
+def test_a_result_that_is_late_by_a_whole_tick_costs_vision(bundle, sabotage):
+    """It is there when the next tick begins, but nobody has acted on it."""
+    run = Run(bundle, perception=threaded(bundle, sabotage))
+    run.ticks(60)
+    perception = run.controller._perception
+    perception.take = lambda: None  # type: ignore[method-assign]
+    assert not any(run.ticks(40)[10:])
     assert run.controller.decision.mode is Mode.WALKING
     run.controller.close()
 

@@ -106,6 +106,17 @@ def test_another_bundle_is_refused(bundle, tmp_path):
         next(replay(flight, bundle))
 
 
+def test_a_header_without_limits_cannot_be_replayed(bundle, tmp_path):
+    fly(bundle, tmp_path / "a.flight")
+    flight = read_log(tmp_path / "a.flight")
+    flight.header["safety"] = {"max_height": 1.0}
+    with pytest.raises(RenetError, match="does not say how it was flown"):
+        next(replay(flight, bundle))
+    del flight.header["safety"]
+    with pytest.raises(RenetError, match="does not say how it was flown: 'safety'"):
+        next(replay(flight, bundle))
+
+
 def test_a_torn_flight_is_read_up_to_the_tear(bundle, tmp_path):
     fly(bundle, tmp_path / "a.flight")
     data = (tmp_path / "a.flight").read_bytes()

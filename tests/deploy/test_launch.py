@@ -131,7 +131,7 @@ def test_a_real_robots_operator_must_show_signs_of_life():
 
 def test_the_go1s_address_and_power_level_are_options():
     cfg = DeployCfg(robot="go1", host="10.0.0.1", power_level=5, dry_run=True)
-    assert crew.make_crew(cfg, Bundle.load()).robot._address == ("10.0.0.1", 8007, 8080, 5)  # type: ignore[attr-defined]
+    assert crew.make_crew(cfg, Bundle.load(), print).robot._address == ("10.0.0.1", 8007, 8080, 5)  # type: ignore[attr-defined]
 
 
 def test_operators_fly_in_real_time_and_without_an_end():
@@ -175,6 +175,9 @@ def test_the_replay_camera_shows_a_flights_images(tmp_path):
     [
         ("--seconds 0", "--seconds must be positive"),
         ("--seed -1", "--seed must not be negative"),
+        ("--speed 1.5", "--speed must be from 0 to 1 m/s"),
+        ("--speed nan", "--speed must be from 0 to 1 m/s"),
+        ("--safety.max-tilt 45", "max_tilt is in rad"),
         ("--deadman 0", "--deadman must be positive"),
         ("--robot go1 --dry-run --power-level 11", "power level must be 1 to 10"),
         ("--fault lightning@5", "lightning"),

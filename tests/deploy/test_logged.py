@@ -62,6 +62,8 @@ def test_a_walk_that_ended_in_trouble_does_not_count(flight):
     end = next(event for event in flight.events if event.why == "the flight ends")
     fallen = replace(end, why="tilted by more than 70 degrees")
     assert list(healthy_walks(replace(flight, events=[*flight.events[:-1], fallen]))) == []
+    torn = replace(flight, events=flight.events[:-1], complete=False)
+    assert list(healthy_walks(torn)) == [], "nobody knows how it ended"
 
 
 def test_a_walk_without_a_camera_does_not_count(flight):

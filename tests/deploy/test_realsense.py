@@ -177,8 +177,10 @@ def test_a_camera_is_chosen_by_its_serial_number(monkeypatch):
     camera.start()
     received(camera, bus.plugged[1], 600)
     camera.close()
-    with pytest.raises(RenetError, match=r"no RealSense camera 333: only 111, 222 connected"):
+    with pytest.raises(RenetError, match=r"no RealSense camera 333: 111, 222 connected"):
         RealSenseCamera(camera_spec(), time.monotonic, serial="333").start()
+    with pytest.raises(RenetError, match="several .*222 connected: choose one with --serial"):
+        RealSenseCamera(camera_spec(), time.monotonic).start()
 
 
 def test_what_cannot_work_is_refused_with_its_cause(monkeypatch):

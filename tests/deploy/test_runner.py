@@ -196,3 +196,13 @@ def test_without_a_camera_it_walks_on_op_and_replays(bundle, tmp_path):
     flight = read_log(tmp_path / "flight.log")
     assert not flight.ticks["vision"].any()
     assert mismatch(flight, bundle) == 0.0
+
+
+def test_what_a_device_complains_of_is_told_once(bundle):
+    rig = Rig(bundle)
+    rig.on_read = during(0.2, 0.3, boom)
+    rig.problem = "connect it by USB 3"  # type: ignore[attr-defined]
+    rig.fly(0.5)
+    told = [(event.what, event.why) for event in rig.events]
+    assert told.count(("robot", "OSError: unplugged")) == 1
+    assert told.count(("camera", "connect it by USB 3")) == 1

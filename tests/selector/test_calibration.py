@@ -117,3 +117,9 @@ def test_a_bundle_without_thresholds_gets_the_documented_ones() -> None:
     calibrated = default_monitors(0.01, {"reconstruction": 0.02, "disagreement": 0.3}, 2)
     assert [monitor.name for monitor in calibrated] == list(MONITORS)
     assert {m.name: m.threshold for m in calibrated}["reconstruction"] == 0.02
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, math.nan, math.inf])
+def test_a_rate_that_is_none_is_refused(rate) -> None:
+    with pytest.raises(RenetError, match="must be positive"):
+        calibrate_monitors({"uniformity": hours(0.1)}, rate)

@@ -104,7 +104,7 @@ class Bundle:
 
     @property
     def sha256(self) -> str:
-        """One digest for the whole bundle: of its models' digests and its selector."""
+        """One digest for how the bundle decides: of its models' digests and its selector."""
         digests = json.dumps(
             [self.manifest.sha256, to_json(self.manifest.selector)], sort_keys=True
         )
@@ -136,7 +136,10 @@ def write_bundle(path: Path, models: dict[str, bytes], manifest: Manifest) -> Pa
     Raises:
         RenetError: `path` holds something that is not a bundle, or cannot be written.
     """
-    if path.exists() and not (path / MANIFEST).is_file() and any(path.iterdir()):
+    path = path.resolve()  # "." has no name to rename to.
+    if path.is_file() or (
+        path.is_dir() and not (path / MANIFEST).is_file() and any(path.iterdir())
+    ):
         raise RenetError(f"{path} exists and is not a bundle: choose another folder")
     digests = {f"{name}.onnx": hashlib.sha256(data).hexdigest() for name, data in models.items()}
     manifest = dataclasses.replace(manifest, sha256=digests)

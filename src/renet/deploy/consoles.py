@@ -9,6 +9,7 @@ import struct
 import sys
 import termios
 import tty
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,7 @@ class KeyboardOperator:
             tty.setcbreak(self._descriptor)
         except (termios.error, OSError, ValueError) as error:
             raise RenetError(
-                "the keyboard operator needs a terminal: use --operator auto"
+                "the keyboard operator needs a terminal: run renet in one, or take a joystick"
             ) from error
         self.speed = self.turn = 0.0
         self._deadman = Deadman(deadman)
@@ -79,7 +80,7 @@ class KeyboardOperator:
             elif key == b"d":
                 self.turn -= TURN_STEP
             elif key == b"r":
-                arm, self.speed, self.turn = True, 0.0, 0.0
+                arm, self.speed = True, 0.0
             elif key in (b" ", b"q", b""):  # The last is a lost terminal.
                 stop, self.quit = True, key != b" "
                 if self.quit:
@@ -91,7 +92,8 @@ class KeyboardOperator:
 
     def close(self) -> None:
         """Give the terminal back."""
-        termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
+        with suppress(termios.error):  # A terminal that is lost has nothing to be given back.
+            termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
 
 
 class JoystickOperator:
@@ -136,8 +138,6 @@ class JoystickOperator:
             pass
         except OSError:
             stop = True
-        if arm:
-            self._turn = 0.0
         passed = 0.0 if self._time is None else max(now - self._time, 0.0)
         self._time = now
         grip = self._deadman.grip(heard, now)

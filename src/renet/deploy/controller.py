@@ -6,6 +6,7 @@ inputs give the same commands on a robot, in a simulator and in a replay. It nev
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -37,6 +38,8 @@ from renet.errors import RenetError
 from renet.vocabulary import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE
 
 LATE = "the vision thread is late or dead"
+MAX_LEAD = math.pi / 2
+"""rad; farthest that the wished heading is from the robot's, as in training."""
 BLACK = np.zeros((1, *DEPTH_SHAPE), np.float32)
 
 
@@ -47,7 +50,8 @@ class Event:
     time: float
     """Seconds on the robot's clock."""
     what: str
-    """A mode of the safety machine, or `refused` (to rise), `vp`, `op`, `perception`."""
+    """A mode of the safety machine, or `refused` (to rise), `vp`, `op`, `perception`, or the device
+    that complains: `robot`, `camera`, `operator`."""
     why: str
 
 
@@ -74,7 +78,7 @@ class Decision:
     velocity_vp: np.ndarray
     """[3] m/s, base frame."""
     image: np.ndarray | None
-    """[48, 64] given to the policy in this step; None between vision ticks and without camera."""
+    """[48, 64] taken from the camera in this step; None between vision ticks and without camera."""
     perceived: bool
     """The result of a vision tick was taken over in this step."""
     fallback: bool
@@ -113,10 +117,10 @@ class Controller:
         self._newest: RobotState | None = None
         self._state_error = "no state from the robot"
         self._start = self._target = np.array(self.robot.default_position)
-        self._yaw = 0.0
+        self._yaw = self._turn = 0.0
         self._image = BLACK
         self._forget()
-        self.decision = self._decide(damping_command(self.robot, safety))
+        self.decision = self._decide(damping_command(self.robot, safety), 0.0)
         """What the last tick decided."""
 
     def tick(
@@ -138,16 +142,16 @@ class Controller:
         except Exception as error:  # Whatever it is, a robot must be left braked.
             self.machine.trip(f"{type(error).__name__}: {error}", now)
             command = damping_command(self.robot, self.cfg)
-            self.decision = self._decide(command)
+            self.decision = self._decide(command, now)
         if self.machine.mode is not mode:
-            self._tell(now, self.machine.mode, self.machine.reason)
+            self.tell(now, self.machine.mode, self.machine.reason)
         return command
 
     def trip(self, reason: str, now: float) -> None:
         """Go to DAMPING from outside; the next tick only brakes."""
         if self.machine.mode is not Mode.DAMPING:
             self.machine.trip(reason, now)
-            self._tell(now, Mode.DAMPING, reason)
+            self.tell(now, Mode.DAMPING, reason)
 
     def close(self) -> None:
         """Stop the vision thread, if there is one."""
@@ -157,35 +161,35 @@ class Controller:
         self, raw: RobotState | None, frame: DepthFrame | None, request: Request, now: float
     ) -> JointCommand:
         before = self.machine.mode
-        self._read(raw)
+        self._read(raw, now)
         self._keeper.offer(frame, now)
         mode = self.machine.update(self._problem(request, now), request, now)
         if self.machine.refused:
-            self._tell(now, "refused", self.machine.refused)
+            self.tell(now, "refused", self.machine.refused)
         state = self._newest
         if mode is Mode.DAMPING or state is None:
             self._target = self._start if state is None else state.joint_position
             command = damping_command(self.robot, self.cfg)
-            self.decision = self._decide(command)
+            self.decision = self._decide(command, now)
         elif mode is Mode.RISING:
             if before is not Mode.RISING:
                 self._start = self._target = state.joint_position
             share = (now - self.machine.since) / self.cfg.rise_seconds
             command = self._limited(rising_target(self._start, self.robot, share), state)
-            self.decision = self._decide(command)
+            self.decision = self._decide(command, now)
         else:
             if before is not Mode.WALKING:
                 self._forget()
-                self._yaw = heading(state.quaternion)
+                self._yaw, self._turn = heading(state.quaternion), request.turn
             command = self._walk(state, limited_request(request), now)
         return command
 
-    def _read(self, raw: RobotState | None) -> None:
+    def _read(self, raw: RobotState | None, now: float) -> None:
         """Keep the newest good reading; one that is malformed or out of order is none."""
         if raw is None:
             return
         try:
-            state = clean_state(raw)
+            state = clean_state(raw, now)
         except RenetError as error:
             self._state_error, self._newest = str(error), None
             return
@@ -212,8 +216,8 @@ class Controller:
         self._image = BLACK
 
     def _walk(self, state: RobotState, request: Request, now: float) -> JointCommand:
-        yaw = self._yaw + request.turn
-        observation = observe(state, self.robot, request.speed, yaw, self._action)[None]
+        self._steer(request.turn, heading(state.quaternion))
+        observation = observe(state, self.robot, request.speed, self._yaw, self._action)[None]
         self.policy.remember(observation)
         image, fresh, fallback = None, False, False
         due = self.policy.due
@@ -233,15 +237,20 @@ class Controller:
             self._image = image[None]
         self._switch(fresh, now)
         perceived = percept is not None or fallback
-        self.decision = self._decide(command, vision, image, perceived, fallback, now)
+        self.decision = self._decide(command, now, vision, image, perceived, fallback)
         return command
+
+    def _steer(self, turn: float, here: float) -> None:
+        """Turn the wished heading on; a robot that cannot follow is not asked for ever more."""
+        lead = math.remainder(self._yaw + turn - self._turn - here, math.tau)
+        self._yaw, self._turn = here + min(max(lead, -MAX_LEAD), MAX_LEAD), turn
 
     def _begin_tick(self, image: np.ndarray | None, now: float) -> bool:
         """Start a tick of vision and estimators; returns whether it had to run here, blind."""
         fallback = self._blind = not self._perception.ready()
         inputs = self.policy.look(None if image is None or fallback else image[None])
         if fallback:
-            self._tell(now, "perception", f"{LATE}: this tick runs blind")
+            self.tell(now, "perception", f"{LATE}: this tick runs blind")
             self.policy.accept(perceive(self.policy.sessions, inputs))
         else:
             self._perception.begin(inputs)
@@ -253,7 +262,7 @@ class Controller:
         vision = self._trust.update(self.policy, self._keeper, self._image, fresh, age)
         if vision is not self._vision:
             why = self._keeper.problem or (LATE if self._blind else self._trust.reason)
-            self._tell(now, "vp" if vision else "op", "vision is healthy" if vision else why)
+            self.tell(now, "vp" if vision else "op", "vision is healthy" if vision else why)
         self._vision = vision
 
     def _limited(self, target: np.ndarray, state: RobotState) -> JointCommand:
@@ -264,11 +273,11 @@ class Controller:
     def _decide(
         self,
         command: JointCommand,
+        now: float,
         vision: bool = False,
         image: np.ndarray | None = None,
         perceived: bool = False,
         fallback: bool = False,
-        now: float = 0.0,
     ) -> Decision:
         policy, walking = self.policy, self.machine.mode is Mode.WALKING
         latent = (policy.latent_vp if vision else policy.latent_op)[0]
@@ -288,6 +297,7 @@ class Controller:
             fallback=fallback,
         )
 
-    def _tell(self, now: float, what: str, why: str) -> None:
+    def tell(self, now: float, what: str, why: str) -> None:
+        """Tell the listener; see `Event`."""
         with suppress(Exception):  # A full disk must not brake a robot.
             self._on_event(Event(now, str(what), why))

@@ -57,8 +57,8 @@ class Crew:
             stack.callback(self.robot.close)
 
 
-def make_crew(cfg: DeployCfg, bundle: Bundle) -> Crew:
-    """Set up, without touching a device yet except the operator's.
+def make_crew(cfg: DeployCfg, bundle: Bundle, say: Callable[[str], None]) -> Crew:
+    """Set up, without touching a device yet except the operator's; `say` tells the user a line.
 
     Raises:
         RenetError: a bundle for another robot, or a package or a file that is missing.
@@ -66,7 +66,7 @@ def make_crew(cfg: DeployCfg, bundle: Bundle) -> Crew:
     name = bundle.manifest.robot.name
     if name != GO1:
         raise RenetError(f"the bundle drives a {name}, --robot {cfg.robot} is a {GO1}")
-    robot, truth, show = _robot(cfg, bundle)
+    robot, truth, show = _robot(cfg, bundle, say)
     camera = _camera(cfg, bundle, robot)
     if cfg.fault and camera is not None:
         faults = [parse_fault(text) for text in cfg.fault]
@@ -74,13 +74,15 @@ def make_crew(cfg: DeployCfg, bundle: Bundle) -> Crew:
     return Crew(robot, camera, _operator(cfg), truth, show)
 
 
-def _robot(cfg: DeployCfg, bundle: Bundle) -> tuple[Robot, Any, Callable[[], None]]:
+def _robot(
+    cfg: DeployCfg, bundle: Bundle, say: Callable[[str], None]
+) -> tuple[Robot, Any, Callable[[], None]]:
     if cfg.robot == "go1":
         from renet.deploy.robots.go1 import Go1Robot
         from renet.deploy.robots.joint_watch import JointWatch
 
         go1 = Go1Robot(host=cfg.host, power_level=cfg.power_level)
-        return go1, lambda: None, JointWatch(go1.read).look if cfg.dry_run else lambda: None
+        return go1, lambda: None, JointWatch(go1.read, say).look if cfg.dry_run else lambda: None
     try:
         from renet.deploy.robots.mujoco import MujocoRobot
         from renet.deploy.robots.scene import build_scene
@@ -107,7 +109,7 @@ def _camera(cfg: DeployCfg, bundle: Bundle, robot: Robot) -> Camera | None:
     if kind == "realsense":
         from renet.deploy.cameras.realsense import RealSenseCamera
 
-        return RealSenseCamera(spec, robot.now)
+        return RealSenseCamera(spec, robot.now, serial=cfg.serial)
     if kind == "replay":
         from renet.deploy.cameras.replay import ReplayCamera
 

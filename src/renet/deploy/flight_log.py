@@ -23,7 +23,7 @@ from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Decision, Event
 from renet.deploy.operator import Request
 from renet.deploy.robots.base import RobotState
-from renet.deploy.safety import Mode
+from renet.deploy.safety import VECTORS, Mode
 from renet.errors import RenetError
 from renet.vocabulary import ACTION_SIZE, DEPTH_SHAPE, LATENT
 
@@ -36,13 +36,7 @@ NONE, GOOD, BAD = 0, 1, 2
 """Whether a reading or a frame was there at a tick, and whether it could be stored."""
 MODES = tuple(Mode)
 
-READING: list[tuple[str, Any, Any]] = [
-    ("joint_position", "f8", ACTION_SIZE),
-    ("joint_velocity", "f8", ACTION_SIZE),
-    ("joint_torque", "f8", ACTION_SIZE),
-    ("quaternion", "f8", 4),
-    ("angular_velocity", "f8", 3),
-]
+READING: list[tuple[str, Any, Any]] = [(name, "f8", size) for name, size in VECTORS.items()]
 TICK = np.dtype(
     [
         ("now", "f8"),

@@ -20,6 +20,7 @@ from renet.deploy.cameras.faulty import parse_fault
 from renet.deploy.controller import Controller, Event
 from renet.deploy.crew import Crew, make_crew
 from renet.deploy.flight_log import FlightLog, read_log
+from renet.deploy.operator import MAX_SPEED
 from renet.deploy.perception import InlinePerception, ThreadedPerception
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.go1 import POWER_LEVEL, ROBOT_HOST
@@ -63,7 +64,7 @@ class DeployCfg:
     """Length of the flight on the robot's clock; 15 s by default, with an operator no end. Ctrl-C
     and the keyboard's q end it earlier, braked and logged."""
     speed: float = 0.6
-    """Forward speed of the auto operator, m/s."""
+    """Forward speed of the auto operator, 0 to 1 m/s."""
     terrain: str = "flat"
     """Simulation: flat, rough, obstacles, stairs (down from a summit; stairs_up: out of a pit),
     gap, platform."""
@@ -80,6 +81,8 @@ class DeployCfg:
     """guarded: all monitors, slow to trust again. paper: the reconstruction loss alone."""
     real_time: bool = False
     """Simulation: pace it to the wall clock, as operators and the viewer always do."""
+    serial: str = ""
+    """RealSense: serial number of the one to use; the only one by default."""
     viewer: bool = False
     """Simulation: show it in a browser."""
     dry_run: bool = False
@@ -125,11 +128,11 @@ def deploy(cfg: DeployCfg) -> Path:
     _check(cfg)
     bundle = Bundle.load(cfg.bundle)
     with ExitStack() as stack:
-        crew = make_crew(cfg, bundle)
-        stack.callback(crew.close)
-        crew.start()
         speaker = Speaker()
         stack.callback(speaker.close)
+        crew = make_crew(cfg, bundle, speaker.say)
+        stack.callback(crew.close)
+        crew.start()
         log = FlightLog(_free_folder(cfg.out) / FLIGHT, _header(cfg, bundle))
         stack.callback(log.close)
         begun = crew.robot.now()
@@ -226,6 +229,8 @@ def _check(cfg: DeployCfg) -> None:
         raise RenetError(f"--seconds must be positive, got {cfg.seconds}")
     if not cfg.patience > 0:
         raise RenetError(f"--deadman must be positive, got {cfg.deadman}")
+    if not 0.0 <= cfg.speed <= MAX_SPEED:
+        raise RenetError(f"--speed must be from 0 to {MAX_SPEED:g} m/s, got {cfg.speed}")
     if cfg.seed < 0:
         raise RenetError(f"--seed must not be negative, got {cfg.seed}")
     if cfg.robot == "go1":

@@ -45,7 +45,10 @@ def logged_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np.n
 
 
 def healthy_walks(flight: Flight) -> Iterator[range]:
-    """Rows of each stretch of seeing walking that did not end in trouble, without its start."""
+    """Rows of each stretch of seeing walking that an operator ended, without its start.
+
+    One that the log does not see the end of may have ended in a fall, or the battery's pulling.
+    """
     ticks = flight.ticks
     walking = np.concatenate([[False], ticks["mode"] == MODES.index(Mode.WALKING), [False]])
     edges = np.flatnonzero(walking[1:] != walking[:-1])
@@ -53,7 +56,7 @@ def healthy_walks(flight: Flight) -> Iterator[range]:
         after = [e for e in flight.events if e.time > ticks["now"][end - 1] and e.what in MODES]
         first = start + WARM_UP
         last = first + (end - first) // STEPS_PER_TICK * STEPS_PER_TICK
-        healthy = not after or after[0].why in HEALTHY_ENDS
+        healthy = bool(after) and after[0].why in HEALTHY_ENDS
         seen = (ticks["frame"][first:last] == GOOD) & (ticks["frame_age"][first:last] < AWAY)
         if healthy and last > first and seen.all():
             yield range(first, last)

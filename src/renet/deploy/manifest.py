@@ -51,6 +51,7 @@ class RobotSpec:
     """Policy units."""
 
     def __post_init__(self) -> None:
+        _demand(self.joints, "robot.joints must not be empty")
         for name in ("default_position", "stiffness", "damping", "torque_limit", "lower", "upper"):
             found, wanted = len(getattr(self, name)), len(self.joints)
             _demand(found == wanted, f"robot.{name} must have {wanted} numbers, it has {found}")
@@ -151,6 +152,7 @@ class Manifest:
 
     def __post_init__(self) -> None:
         _demand(self.history > 0, "history must be positive")
+        _demand(self.frames == FRAMES, f"frames must be {FRAMES}, got {self.frames}")
         if self.robot.joints != JOINTS:
             raise RenetError(
                 f"the bundle's joint order is {', '.join(self.robot.joints)}; this renet uses "

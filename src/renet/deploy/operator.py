@@ -16,7 +16,8 @@ class Request:
     speed: float = 0.0
     """Forward speed c_x, m/s."""
     turn: float = 0.0
-    """Target yaw relative to the heading when the robot began to walk, rad, left positive."""
+    """Sum of all turns asked for, rad, left positive. Only its changes count, and what they ask for
+    is never more than a quarter turn from the robot's heading."""
     arm: bool = False
     """Leave damping: stand up and walk."""
     stop: bool = False

@@ -86,18 +86,18 @@ class ThreadedPerception:
         self._thread.start()
 
     def ready(self) -> bool:
-        """False if the thread died, which starts another, or has not finished the last tick.
+        """False if the thread died, which starts another, or was too late with the last tick.
 
-        A result that comes after that is of no use and thrown away.
+        Its result, when it comes, is thrown away: the policy goes on without it.
         """
         if not self._thread.is_alive():
             self._start()
             return False
         if self._outstanding:
-            # Discard the result when it comes: the policy has moved on without it.
-            self._deadline = 0.0
-            if self._collect(0.0) is None:
-                return False
+            # A result that nobody took is late even if it is here by now, unless the tick that it
+            # was for has been made up for already.
+            late, self._deadline = self._deadline > 0.0, 0.0
+            return self._collect(0.0) is not None and not late
         return True
 
     def begin(self, inputs: TickInputs) -> None:

@@ -104,8 +104,6 @@ class Policy:
         self.reconstruction = np.zeros((n, FRAMES, *DEPTH_SHAPE), np.float32)
         self.anomaly_score = np.zeros(n, np.float32)
         """Loss_ad of the newest images, [N]; infinite without a camera."""
-        self.ticked = False
-        """Whether the last step was a tick."""
         self._blank = np.ones(n, bool)
         self._fresh = np.ones(n, bool)
         self._step = 0
@@ -181,7 +179,6 @@ class Policy:
 
     def act(self, proprioception: np.ndarray, op_mask: np.ndarray) -> np.ndarray:
         """Actions [N, 12] under the paper's mask [N] bool; ends the control step."""
-        self.ticked = self.due
         inputs = {
             "proprioception": proprioception,
             "latent_op": self.latent_op,

@@ -43,7 +43,8 @@ def replay(flight: Flight, bundle: Bundle) -> Iterator[Decision]:
     """What the controller decides at each tick of a flight, given the same inputs.
 
     Raises:
-        RenetError: the flight was made with another bundle.
+        RenetError: the flight was made with another bundle, or its log does not say with which
+        limits.
     """
     made_with = flight.header.get("bundle_sha256")
     if made_with != bundle.sha256:
@@ -51,12 +52,11 @@ def replay(flight: Flight, bundle: Bundle) -> Iterator[Decision]:
             f"the flight was made with bundle {str(made_with)[:12]}, not {bundle.sha256[:12]}"
         )
     perception = ScriptedPerception(bundle.sessions, flight.ticks)
-    controller = Controller(
-        bundle,
-        SafetyCfg(**flight.header["safety"]),
-        perception,
-        flight.header["paper_selector"],
-    )
+    try:
+        safety, paper = SafetyCfg(**flight.header["safety"]), flight.header["paper_selector"]
+    except (KeyError, TypeError) as error:
+        raise RenetError(f"the log's header does not say how it was flown: {error}") from error
+    controller = Controller(bundle, safety, perception, paper)
     image = UNREADABLE
     # The only thing that came from outside the controller's inputs.
     refused = {event.time for event in flight.events if event.why.startswith(REFUSED)}

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
@@ -45,13 +46,21 @@ def fly(
         dry_run: never write to the robot.
     """
     due, braking = robot.now(), 0
+    complaints: dict[str, str] = {}
+
+    def complain(device: str, why: str) -> None:
+        """Tell what a device has to say when it says something else than before."""
+        if why and complaints.get(device) != why:
+            controller.tell(robot.now(), device, why)
+        complaints[device] = why
+
     while braking < BRAKING:
         ending = braking > 0 or done()
         braking += ending
         now = robot.now()
         if ending:
             controller.trip("the flight ends", now)
-        state, frame, request = _inputs(robot, camera, operator, now)
+        state, frame, request = _inputs(robot, camera, operator, now, complain)
         if ending:
             request = Request(stop=True)  # Also so that a replay of the log brakes here.
         begun = time.perf_counter()
@@ -67,18 +76,25 @@ def fly(
 
 
 def _inputs(
-    robot: Robot, camera: Camera | None, operator: Operator, now: float
+    robot: Robot,
+    camera: Camera | None,
+    operator: Operator,
+    now: float,
+    complain: Callable[[str, str], None],
 ) -> tuple[RobotState | None, DepthFrame | None, Request]:
     """What the devices say; one that fails says nothing, an operator that fails says stop."""
-    state = frame = None
-    with suppress(Exception):
-        state = robot.read()
-    with suppress(Exception):
-        frame = None if camera is None else camera.latest()
-    try:
-        request = operator.request(now)
-    except Exception:
-        request = Request(stop=True)
+
+    def ask(device: str, question: Callable[[], Any], otherwise: Any) -> Any:
+        try:
+            return question()
+        except Exception as error:
+            complain(device, f"{type(error).__name__}: {error}")
+            return otherwise
+
+    state = ask("robot", robot.read, None)
+    frame = None if camera is None else ask("camera", camera.latest, None)
+    complain("camera", getattr(camera, "problem", ""))
+    request = ask("operator", lambda: operator.request(now), Request(stop=True))
     return state, frame, request
 
 

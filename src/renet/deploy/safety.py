@@ -64,6 +64,10 @@ class SafetyCfg:
         for name, value in vars(self).items():
             if not (math.isfinite(value) and value > 0):
                 raise RenetError(f"the safety limit {name} must be positive, got {value}")
+        if self.max_tilt > math.pi:
+            raise RenetError(
+                f"the safety limit max_tilt is in rad, at most pi, got {self.max_tilt}"
+            )
 
 
 VECTORS = {
@@ -77,12 +81,12 @@ FUTURE = 0.01
 """Seconds by which a reading may seem to come from the future: clocks are read one by one."""
 
 
-def clean_state(raw: RobotState) -> RobotState:
-    """A reading as float arrays; raises RenetError naming what cannot be one."""
+def clean_state(raw: RobotState, now: float) -> RobotState:
+    """A reading as float arrays of its own; raises RenetError naming what cannot be one."""
     arrays = {}
     for name, size in VECTORS.items():
         try:
-            value = np.asarray(getattr(raw, name), float)
+            value = np.array(getattr(raw, name), float)  # Drivers reuse their buffers.
         except (TypeError, ValueError) as error:
             raise RenetError(f"{name} is not made of numbers") from error
         if value.shape != (size,):
@@ -92,6 +96,8 @@ def clean_state(raw: RobotState) -> RobotState:
         arrays[name] = value
     if not math.isfinite(raw.time):
         raise RenetError("the state's time is not finite")
+    if raw.time > now + FUTURE:
+        raise RenetError("the state's time lies in the future")
     if abs(np.linalg.norm(arrays["quaternion"]) - 1.0) > 0.1:
         raise RenetError("the quaternion's length is not 1")
     return RobotState(float(raw.time), **arrays)
@@ -101,8 +107,6 @@ def state_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg, now: floa
     """Why a clean reading forbids motion; empty if it does not."""
     if now - state.time > cfg.max_state_age:
         return f"the state is {1000 * (now - state.time):.0f} ms old"
-    if state.time > now + FUTURE:
-        return "the state's time lies in the future"
     if projected_gravity(state.quaternion)[2] > -math.cos(cfg.max_tilt):
         return f"tilted by more than {math.degrees(cfg.max_tilt):.0f} degrees"
     low = np.asarray(robot.lower) - cfg.joint_margin
@@ -190,8 +194,8 @@ class SafetyMachine:
         last, self._last = self._last, now
         if last is None:
             return ""
-        if now < last:
-            return "the clock went backwards"
+        if now <= last:
+            return "the clock went backwards" if now < last else "the clock stands"
         if now - last > self.cfg.max_gap:
             return f"no control tick for {1000 * (now - last):.0f} ms"
         self._late = self._late + 1 if now - last > 1.5 * CONTROL_DT else 0
@@ -218,7 +222,7 @@ def limited_command(
 
     The target moves at most `target_rate` and stays in the joints' ranges. Where the servo would
     ask for more torque than the motor gives, its gains shrink: at this instant that equals the
-    saturation of training, and the limit holds whatever the motor does.
+    saturation of training. Between two commands the motor's own limit is the last.
 
     Raises:
         RenetError: the target is not finite.

@@ -16,7 +16,7 @@ from renet.deploy.flight_log import GOOD, MODES, Flight, read_log
 from renet.deploy.observation import heading, projected_gravity
 from renet.deploy.replay import mismatch
 from renet.deploy.safety import Mode
-from renet.deploy.timeline import write_timeline
+from renet.deploy.timeline import timeline
 from renet.errors import RenetError
 from renet.vocabulary import CONTROL_DT
 
@@ -63,7 +63,7 @@ def write_score(flight: Flight, folder: Path, onsets: Sequence[float] = ()) -> d
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / SCORE).write_text(json.dumps(result, indent=1) + "\n")
-        write_timeline(flight, folder / TIMELINE, onsets)
+        (folder / TIMELINE).write_text(timeline(flight, onsets))
     except OSError as error:
         raise RenetError(f"cannot write to {folder}: {error}") from error
     return result

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
@@ -44,14 +43,8 @@ class Panel:
     """A dashed level."""
 
 
-def write_timeline(flight: Flight, path: Path, onsets: Sequence[float] = ()) -> Path:
-    """Draw a flight, with the times in s at which its camera was spoilt; returns the file."""
-    path.write_text(timeline(flight, onsets))
-    return path
-
-
 def timeline(flight: Flight, onsets: Sequence[float] = ()) -> str:
-    """The SVG."""
+    """A flight as SVG, with the times in s at which its camera was spoilt."""
     ticks = flight.ticks
     time = ticks["now"] - ticks["now"][0] if len(ticks) else np.zeros(0)
     end = float(time[-1]) if len(time) and time[-1] > 0 else 1.0

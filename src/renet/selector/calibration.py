@@ -76,8 +76,10 @@ def calibrate_monitors(
     Raises:
         RenetError: no scores, one that is not finite, or a rate that is not positive.
     """
-    if false_alarms_per_hour <= 0.0 or not scores:
+    if not 0.0 < false_alarms_per_hour < math.inf:
         raise RenetError(f"false alarms per hour must be positive, got {false_alarms_per_hour}")
+    if not scores:
+        raise RenetError("calibration needs the scores of at least one monitor")
     hours = sum(len(run) for run in next(iter(scores.values()))) / rate_hz / 3600.0
     varied = [
         n

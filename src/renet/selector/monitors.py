@@ -51,10 +51,6 @@ class Monitor:
         """How suspicious vision is, [N]; larger is worse."""
         raise NotImplementedError
 
-    def healthy(self, sight: Sight) -> np.ndarray:
-        """Score below threshold, [N] bool; a score that is not finite is not."""
-        return np.asarray(self.score(sight)) < self.threshold
-
     def reset(self, mask: np.ndarray) -> None:
         """Forget the past of the masked robots."""
 
@@ -73,9 +69,6 @@ class FrameAge(Monitor):
     """No image arrives; at 10 Hz a threshold of 0.2 s is two missed frames."""
 
     name, reason = "frame_age", "no new image"
-
-    def __init__(self, threshold: float = 0.2) -> None:
-        super().__init__(threshold)
 
     def score(self, sight: Sight) -> np.ndarray:
         """Seconds."""
@@ -107,7 +100,7 @@ class Duplicate(Monitor):
 
     name, reason = "duplicate", "the image is frozen"
 
-    def __init__(self, num_robots: int, threshold: float = 3.0) -> None:
+    def __init__(self, num_robots: int, threshold: float) -> None:
         super().__init__(threshold)
         self._last: np.ndarray | None = None
         self._run = np.zeros(num_robots)

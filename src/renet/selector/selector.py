@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from renet.errors import RenetError
-from renet.selector.filter import LowPassFilter, switch_delay
+from renet.selector.filter import LowPassFilter
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,6 @@ class SelectorCfg:
             raise RenetError(f"the selector's beta must be positive, got {self.beta}")
         if self.rate_hz <= 0.0:
             raise RenetError(f"the selector's rate must be positive, got {self.rate_hz}")
-
-    @property
-    def delay(self) -> float:
-        """Seconds from a first bad verdict to OP."""
-        return switch_delay(self.gamma, self.rate_hz)
 
 
 class Selector:

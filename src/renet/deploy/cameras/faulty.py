@@ -9,7 +9,7 @@ from dataclasses import replace
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.errors import RenetError
 
-# The one place where the runtime borrows from the evaluation: its fault models need only NumPy.
+# Here and in `sim.py` the runtime borrows from the evaluation: its fault models need only NumPy.
 from renet.evaluation.faults import TICK, Frames, Injection, Injector, View
 from renet.vocabulary import CONTROL_DT
 
@@ -37,7 +37,7 @@ class FaultyCamera:
     """Passes a camera's frames, at most ten a second, through a fault injector.
 
     Faults spoil images, hold them back or leave holes; those of the scene (foam, glass, a knocked
-    mount) need a simulated camera. Onsets count from `start`.
+    mount) need a simulated camera. Onsets count from the first look.
     """
 
     def __init__(
@@ -60,19 +60,20 @@ class FaultyCamera:
             for fault in faults:  # Refused now rather than in flight.
                 self._disturb(self._injector.view(fault.onset))
             self._disturb(View.true(1))
-        self._begun = 0.0
+        self._begun: float | None = None
         self._due = float("-inf")
         self._shown: DepthFrame | None = None
 
     def start(self) -> None:
         """See Camera.start."""
         self._camera.start()
-        self._begun = self._now()
 
     def latest(self) -> DepthFrame | None:
         """See Camera.latest."""
+        now = self._now()
+        self._begun = now if self._begun is None else self._begun
         if self._disturb is not None:
-            self._disturb(self._injector.view(self._step(self._now())))
+            self._disturb(self._injector.view(self._step(now)))
         frame = self._camera.latest()
         # Fault models know frames at 10 Hz; a faster camera is thinned out.
         if frame is None or frame.time < self._due - CONTROL_DT / 2:
@@ -89,10 +90,15 @@ class FaultyCamera:
             )
         return self._shown
 
+    @property
+    def problem(self) -> str:
+        """What the camera itself complains of."""
+        return getattr(self._camera, "problem", "")
+
     def close(self) -> None:
         """See Camera.close."""
         self._camera.close()
 
     def _step(self, time: float) -> int:
-        """Control steps since `start`."""
-        return max(round((time - self._begun) / CONTROL_DT), 0)
+        """Control steps since the first look."""
+        return max(round((time - (self._begun or 0.0)) / CONTROL_DT), 0)

@@ -140,10 +140,12 @@ class RealSenseCamera:
     def _find(self) -> Any:
         devices = list(self._rs.context().query_devices())
         serials = [device.get_info(self._rs.camera_info.serial_number) for device in devices]
-        for device, serial in zip(devices, serials, strict=True):
-            if self._serial in ("", serial):
-                return device
-        seen = f"only {', '.join(serials)} connected" if serials else "none is connected"
+        found = [d for d, s in zip(devices, serials, strict=True) if self._serial in ("", s)]
+        if len(found) == 1:
+            return found[0]
+        seen = f"{', '.join(serials)} connected" if serials else "none is connected"
+        if found:
+            raise RenetError(f"several RealSense cameras, {seen}: choose one with --serial")
         wanted = f"RealSense camera {self._serial}".rstrip()
         raise RenetError(f"no {wanted}: {seen}; check its USB 3 cable")
 

@@ -26,9 +26,7 @@ LEANS = ((0, "nose", "tail"), (1, "left side", "right side"))
 class JointWatch:
     """Compares readings with those before; meant for a limp robot moved by hand."""
 
-    def __init__(
-        self, read: Callable[[], RobotState | None], say: Callable[[str], None] = print
-    ) -> None:
+    def __init__(self, read: Callable[[], RobotState | None], say: Callable[[str], None]) -> None:
         """Set up.
 
         Args:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import mujoco
@@ -26,7 +28,8 @@ def build_scene(
 ) -> tuple[mujoco.MjModel, float]:
     """The compiled `scene_spec`, and the height in m of the ground at x = y = 0."""
     spec, start = scene_spec(terrain, level, file, seed)
-    return spec.compile(), start
+    with _readable(file):
+        return spec.compile(), start
 
 
 def scene_spec(
@@ -72,10 +75,19 @@ def _ground(body: mujoco.MjsBody, position: tuple[float, float], half: tuple[flo
 
 
 def _add_file(spec: mujoco.MjSpec, file: Path) -> None:
-    try:
+    with _readable(file):
         other = mujoco.MjSpec.from_file(str(file))
         spec.attach(other, prefix="scene/", frame=spec.worldbody.add_frame())
+
+
+@contextmanager
+def _readable(file: Path | None) -> Iterator[None]:
+    """Turn what MuJoCo says of somebody's scene into a RenetError."""
+    try:
+        yield
     except ValueError as error:
+        if file is None:
+            raise
         raise RenetError(f"cannot use the scene {file}: {str(error).splitlines()[0]}") from error
 
 
