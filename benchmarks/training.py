@@ -27,7 +27,7 @@ from facts import report
 from renet.sim.engine import use_engine
 from renet.tasks import make_env
 from renet.tasks.env import env_cfg
-from renet.tasks.robot import TRUNK
+from renet.tasks.robot import ACTION_CLIP, TRUNK
 from renet.training.config import LearningCfg
 from renet.training.runner import RenetRunner
 from renet.vocabulary import DEPTH_RANGE, DEPTH_SHAPE
@@ -87,7 +87,7 @@ class Stopwatch:
 def profile(cfg: Cfg) -> dict[str, Any]:
     with redirect_stdout(StringIO()):
         env = make_env(cfg.task, cfg.num_envs, cfg.device, engine=cfg.engine)
-        vec_env = RslRlVecEnvWrapper(env, clip_actions=cfg.learning.clip_actions)
+        vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
         runner = RenetRunner(vec_env, asdict(cfg.learning), None, cfg.device)
     watch = Stopwatch(cfg.device)
     for owner, method, part in (

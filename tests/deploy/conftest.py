@@ -11,7 +11,7 @@ from renet.deploy.bundle import write_bundle
 from renet.deploy.manifest import Manifest, SelectorSpec
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
-from renet.training.bundle import camera_spec, go1_spec
+from renet.training.bundle import camera_spec, robot_spec
 from renet.training.export import export_models
 
 
@@ -23,7 +23,7 @@ def networks() -> RENet:
 
 @pytest.fixture(scope="session")
 def manifest() -> Manifest:
-    return Manifest(go1_spec(), camera_spec(), SelectorSpec(beta=0.02))
+    return Manifest(robot_spec(), camera_spec(), SelectorSpec(beta=0.02))
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.go1 import PERIOD
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
-from renet.training.bundle import go1_spec
+from renet.training.bundle import robot_spec
 from renet.vocabulary import JOINTS
 
 JOINT_NAMES = ("hip", "thigh", "calf")
@@ -66,7 +66,7 @@ class Peer:
         self.port = self._socket.getsockname()[1]
         model, ground = build_scene("flat")
         model.opt.timestep = PERIOD
-        self.robot = MujocoRobot(model, go1_spec(), ground)
+        self.robot = MujocoRobot(model, robot_spec(), ground)
         self.commands: list[np.ndarray] = []
         self.silent = self.overloaded = self.garbled = False
         self.ticks = 0

@@ -33,13 +33,13 @@ from renet.deploy.robots.go1 import (  # noqa: E402
 )
 from renet.deploy.safety import Mode, SafetyCfg, limited_command  # noqa: E402
 from renet.errors import RenetError  # noqa: E402
-from renet.training.bundle import go1_spec  # noqa: E402
+from renet.training.bundle import robot_spec  # noqa: E402
 from renet.vocabulary import CONTROL_DT, JOINTS  # noqa: E402
 
 from .go1_peer import VENDOR, Peer, free_port  # noqa: E402
 from .waiting import until  # noqa: E402
 
-ROBOT = go1_spec()
+ROBOT = robot_spec()
 STEP = round(CONTROL_DT / PERIOD)
 
 

@@ -25,10 +25,10 @@ from renet.sim.camera_model import Intrinsics, mount_rotation
 from renet.sim.raycast import TerrainScanner
 from renet.tasks import make_env
 from renet.tasks.config import flat_env_cfg
-from renet.training.bundle import camera_spec, go1_spec
+from renet.training.bundle import camera_spec, robot_spec
 from renet.vocabulary import CONTROL_DT, JOINTS
 
-ROBOT, CAMERA = go1_spec(), camera_spec()
+ROBOT, CAMERA = robot_spec(), camera_spec()
 
 
 def robot_on(terrain: str = "flat", level: int = 3, real_time: bool = False) -> MujocoRobot:

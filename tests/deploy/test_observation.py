@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from renet.deploy.observation import heading, observe, projected_gravity
 from renet.deploy.robots.base import RobotState
-from renet.training.bundle import go1_spec
+from renet.training.bundle import robot_spec
 from renet.vocabulary import proprioception_slices
 
 AT = proprioception_slices()
@@ -23,7 +23,7 @@ NOSE_DOWN_90 = (HALF, 0.0, HALF, 0.0)
 def state(**changes) -> RobotState:
     values = {
         "time": 0.0,
-        "joint_position": np.array(go1_spec().default_position),
+        "joint_position": np.array(robot_spec().default_position),
         "joint_velocity": np.zeros(12),
         "joint_torque": np.zeros(12),
         "quaternion": np.array([1.0, 0, 0, 0]),
@@ -33,7 +33,7 @@ def state(**changes) -> RobotState:
 
 
 def test_every_block_by_hand():
-    joints = np.array(go1_spec().default_position)
+    joints = np.array(robot_spec().default_position)
     joints[4] += 0.2  # FL thigh.
     reading = state(
         joint_position=joints,
@@ -42,7 +42,7 @@ def test_every_block_by_hand():
         quaternion=np.array(LEFT_90),
     )
     action = np.linspace(-1, 1, 12)
-    o = observe(reading, go1_spec(), speed=0.6, yaw=0.0, last_action=action)
+    o = observe(reading, robot_spec(), speed=0.6, yaw=0.0, last_action=action)
     assert o.shape == (45,)
     assert o.dtype == np.float32
     np.testing.assert_allclose(o[AT["base_angular_velocity"]], [0.25, -0.5, 1.0])

@@ -179,7 +179,7 @@ def test_a_camera_is_chosen_by_its_serial_number(monkeypatch):
     camera.close()
     with pytest.raises(RenetError, match=r"no RealSense camera 333: 111, 222 connected"):
         RealSenseCamera(camera_spec(), time.monotonic, serial="333").start()
-    with pytest.raises(RenetError, match="several .*222 connected: choose one with --serial"):
+    with pytest.raises(RenetError, match=r"several .*222 connected: choose one with --serial"):
         RealSenseCamera(camera_spec(), time.monotonic).start()
 
 

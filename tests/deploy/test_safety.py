@@ -24,12 +24,12 @@ from renet.deploy.safety import (
     state_problem,
 )
 from renet.errors import RenetError
-from renet.training.bundle import go1_spec
+from renet.training.bundle import robot_spec
 from renet.vocabulary import CONTROL_DT
 
 from .fakes import STANDING, state, time_of
 
-GO1, CFG = go1_spec(), SafetyCfg()
+GO1, CFG = robot_spec(), SafetyCfg()
 IDLE = Request()
 
 

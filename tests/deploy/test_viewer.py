@@ -9,14 +9,14 @@ import pytest
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.viewer import BrowserViewer
-from renet.training.bundle import go1_spec
+from renet.training.bundle import robot_spec
 
 pytest.importorskip("mjviser")
 
 
 def test_the_robot_is_served_and_followed():
     model, ground = build_scene("stairs_up", 1)
-    robot = MujocoRobot(model, go1_spec(), ground)
+    robot = MujocoRobot(model, robot_spec(), ground)
     viewer = BrowserViewer(model, robot.data)
     server = viewer._scene.server
     try:

@@ -22,12 +22,13 @@ from renet.deploy.manifest import Manifest, SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
 from renet.evaluation.faults import Injection
-from renet.evaluation.lab import Lab, ScoreSwitch
+from renet.evaluation.lab import Lab
 from renet.evaluation.rollout import Row, run_rollout
+from renet.evaluation.switches import ScoreSwitch
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.selector.filter import switch_delay
-from renet.training.bundle import camera_spec, go1_spec
+from renet.training.bundle import camera_spec, robot_spec
 from renet.training.export import export_models
 
 
@@ -38,7 +39,7 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Their reconstruction is about 0.5 everywhere: 0.25 from black and white, less from ground.
     """
     torch.manual_seed(0)
-    manifest = Manifest(robot=go1_spec(), camera=camera_spec(), selector=SelectorSpec(beta=0.18))
+    manifest = Manifest(robot=robot_spec(), camera=camera_spec(), selector=SelectorSpec(beta=0.18))
     return write_bundle(
         tmp_path_factory.mktemp("lab") / "bundle", export_models(RENet(ModelCfg(), 8)), manifest
     )
@@ -115,9 +116,23 @@ def test_a_missing_bundle_is_reported(tmp_path: Path) -> None:
         Lab(tmp_path / "nothing")
 
 
-def test_calibration_needs_robots(bundle: Path) -> None:
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"robots": 0},
+        {"tasks": ()},
+        {"tasks": ("Renet-Go1-Flat", "Renet-Go1-Park")},
+        {"speed": 0.0},
+        {"false_alarm": 2.0},
+        {"false_alarms_per_hour": 0.0},
+    ],
+)
+def test_calibration_refuses_mistakes_before_anybody_walks(
+    bundle: Path, wrong, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Lab, "walk", lambda *args, **kwargs: pytest.fail("walked"))
     with pytest.raises(RenetError):
-        run_calibrate(CalibrateCfg(bundle, robots=0))
+        run_calibrate(CalibrateCfg(bundle, **wrong))
 
 
 def test_twins_have_one_body_and_one_start_and_every_run_is_the_same(bundle: Path) -> None:

@@ -96,7 +96,8 @@ def test_an_estimator_learns_from_the_environments_it_steers_or_from_all(
 
 def test_the_policy_gradient_stops_at_the_latent(toy_env):
     alg, _ = algorithm(toy_env, iteration=0)
-    policy = {id(p) for p in alg.model.policy_parameters()}
+    networks = (alg.model.actor, alg.model.critics)
+    policy = {id(p) for network in networks for p in network.parameters()}
     supervised = {id(p) for p in alg.model.supervised_parameters()}
     assert not policy & supervised
     trained = {id(p) for group in alg.np3o.optimizer.param_groups for p in group["params"]}

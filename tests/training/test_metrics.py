@@ -22,3 +22,21 @@ def test_a_full_disk_is_named(tmp_path):
     writer.add_scalar("Loss/value", 1.0, 1)
     with pytest.raises(RenetError, match=r"cannot write the curves .*No space left"):
         writer.flush()
+
+
+def test_a_row_torn_by_a_power_cut_costs_itself_alone(tmp_path):
+    writer = MetricsWriter(str(tmp_path))
+    writer.add_scalar("Loss/value", 1.0, 1)
+    writer.stop()
+    with (tmp_path / CURVES).open("a") as file:
+        file.write("2,Loss/val")
+    writer = MetricsWriter(str(tmp_path))
+    writer.add_scalar("Loss/value", 3.0, 3)
+    writer.stop()
+    assert read_curves(tmp_path) == {"Loss/value": ([1, 3], [1.0, 3.0])}
+
+
+def test_curves_that_cannot_be_opened_are_named(tmp_path):
+    (tmp_path / CURVES).mkdir()
+    with pytest.raises(RenetError, match="cannot write the curves"):
+        MetricsWriter(str(tmp_path))

@@ -10,7 +10,7 @@ import torch
 from renet.errors import RenetError
 from renet.models.config import ModelCfg
 from renet.training import checkpoint as checkpoints
-from renet.training.config import RenetRunnerCfg
+from renet.training.config import AdaptationCfg, NP3OCfg, RenetRunnerCfg, SupervisionCfg
 from renet.training.metrics import read_curves
 from renet.training.runner import RenetRunner
 
@@ -78,14 +78,66 @@ def test_time_budget_stops_with_a_checkpoint(toy_env, tmp_path):
 def test_refuses_a_checkpoint_of_another_architecture(toy_env, tmp_path):
     make_runner(toy_env(), tmp_path).learn(1)
     other = make_runner(toy_env(), tmp_path / "other", model=ModelCfg(encoder="mlp"))
-    with pytest.raises(RenetError, match="another architecture"):
+    with pytest.raises(RenetError, match="encoder was attention, now mlp"):
         other.load(str(tmp_path))
 
 
-def test_refuses_a_rollout_that_splits_a_tick(toy_env, tmp_path):
-    cfg = asdict(RenetRunnerCfg(num_steps_per_env=24))
-    with pytest.raises(RenetError, match="multiple of 5"):
-        RenetRunner(toy_env(), cfg, str(tmp_path), "cpu")
+def test_refuses_a_checkpoint_of_another_model_that_would_fit(toy_env, tmp_path):
+    make_runner(toy_env(), tmp_path, model=ModelCfg(perception="vp")).learn(1)
+    other = make_runner(toy_env(), tmp_path / "other")
+    with pytest.raises(RenetError, match="perception was vp, now renet"):
+        other.load(str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: RenetRunnerCfg(num_steps_per_env=24), "multiple of 5"),
+        (lambda: RenetRunnerCfg(num_steps_per_env=0), "num-steps-per-env must be at least 1"),
+        (lambda: RenetRunnerCfg(save_interval=0), "save-interval must be at least 1"),
+        (lambda: RenetRunnerCfg(keep_checkpoints=-1), "keep-checkpoints must be at least 1"),
+        (lambda: NP3OCfg(num_mini_batches=0), "num-mini-batches must be at least 1"),
+        (lambda: SupervisionCfg(num_learning_epochs=0), "num-learning-epochs must be at least 1"),
+        (lambda: AdaptationCfg(period=0), "period must be at least 1"),
+        (lambda: ModelCfg(perception="vip"), "must be one of renet, vp, op, oracle"),  # type: ignore[arg-type]
+        (lambda: ModelCfg(initial_std=0.0), "initial_std must be above 0"),
+    ],
+)
+def test_impossible_settings_are_refused_before_anything_is_built(make, message):
+    with pytest.raises(RenetError, match=message):
+        make()
+
+
+def test_a_policy_that_diverged_is_not_saved(toy_env, tmp_path):
+    runner = make_runner(toy_env(), tmp_path)
+    runner.learn(2)
+    update = runner.alg.update
+    runner.alg.update = lambda: update() | {"surrogate": float("nan")}
+    with pytest.raises(RenetError, match="diverged in iteration 3: surrogate is not finite"):
+        runner.learn(4)
+    assert checkpoints.find(tmp_path).name == "it_00000002"
+
+
+def test_only_rank_0_goes_on_with_rank_0s_random_numbers(toy_env, tmp_path):
+    make_runner(toy_env(), tmp_path).learn(1)
+    drawn = []
+    for rank in (0, 1):
+        runner = make_runner(toy_env(), tmp_path)
+        torch.manual_seed(100 + rank)
+        runner.gpu_global_rank = rank
+        runner.load(str(tmp_path))
+        drawn.append(torch.rand(3))
+    assert not torch.equal(*drawn)
+
+
+def test_going_back_does_not_remove_what_was_just_written(toy_env, tmp_path):
+    runner = make_runner(toy_env(), tmp_path, keep_checkpoints=3)
+    runner.learn(8)
+    runner.alg.iteration = 1
+    runner.save()
+    assert checkpoints.find(tmp_path).name == "it_00000001"
+    kept = [path.name for path in checkpoints.checkpoints(tmp_path / "checkpoints")]
+    assert kept == ["it_00000001", "it_00000006", "it_00000008"]
 
 
 def test_a_nan_in_what_the_environment_returns_stops_training(toy_env, tmp_path):

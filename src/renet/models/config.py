@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from renet.errors import RenetError
 from renet.vocabulary import FRAMES, HISTORY
+
+Perception = Literal["renet", "vp", "op", "oracle"]
 
 
 @dataclass
 class ModelCfg:
     """Networks of RENet (paper, Method A) and the switches of its Table I."""
 
-    perception: Literal["renet", "vp", "op", "oracle"] = "renet"
+    perception: Perception = "renet"
     """Which latents the actor reads: both estimators in turn (paper), VP only, OP only, or the
     true height map and velocity in their place (Oracle)."""
     encoder: Literal["attention", "mlp"] = "attention"
@@ -42,5 +44,11 @@ class ModelCfg:
     def __post_init__(self) -> None:
         if not 1 <= self.frames <= FRAMES:
             raise RenetError(f"model.frames must be 1..{FRAMES}, got {self.frames}")
+        if self.perception not in (known := get_args(Perception)):
+            raise RenetError(
+                f"model.perception must be one of {', '.join(known)}, got {self.perception!r}"
+            )
+        if not self.initial_std > 0:
+            raise RenetError(f"model.initial_std must be above 0, got {self.initial_std}")
         if self.history < 1:
             raise RenetError(f"model.history must be at least 1, got {self.history}")

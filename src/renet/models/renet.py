@@ -27,10 +27,6 @@ class RENet(nn.Module):
         self.critics = Critics(cfg, critic_size)
         self.critic_normalizer = EmpiricalNormalization(critic_size)
 
-    def policy_parameters(self) -> list[nn.Parameter]:
-        """Parameters N-P3O trains."""
-        return [*self.actor.parameters(), *self.critics.parameters()]
-
     def supervised_parameters(self) -> list[nn.Parameter]:
         """Parameters trained by supervision: estimators, HIM, autoencoder."""
         modules = (self.op, self.vp, self.op_him, self.vp_him, self.autoencoder)

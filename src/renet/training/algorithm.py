@@ -91,11 +91,6 @@ class RenetAlgorithm:
                 f"the task lacks the observation groups {', '.join(missing)}: RENet trains on "
                 "tasks built like renet.tasks (Renet-Go1-Flat, Renet-Go1-Parkour)"
             )
-        if cfg["num_steps_per_env"] % STEPS_PER_TICK:
-            raise RenetError(
-                f"num_steps_per_env must be a multiple of {STEPS_PER_TICK} (10 Hz ticks of a 50 Hz "
-                f"policy), got {cfg['num_steps_per_env']}"
-            )
         algorithm = {
             k: v for k, v in cfg["algorithm"].items() if k not in ("class_name", "rnd_cfg")
         }
@@ -117,7 +112,9 @@ class RenetAlgorithm:
     def act(self, obs: TensorDict) -> Tensor:
         """Sample actions [N, 12]; ticks the estimators when they are due."""
         proprioception = obs["proprioception"]
-        mask = op_mask(self.model.cfg, self.iteration, obs["difficult"], self.adaptation.period)
+        mask = op_mask(
+            self.model.cfg.perception, self.iteration, obs["difficult"], self.adaptation.period
+        )
         self.memory.push(proprioception)
         if self._is_tick():
             self._tick(obs, mask)
@@ -231,10 +228,6 @@ class RenetAlgorithm:
     def train_mode(self) -> None:
         """Switch networks to training mode."""
         self.model.train()
-
-    def eval_mode(self) -> None:
-        """Switch networks to evaluation mode."""
-        self.model.eval()
 
     def broadcast_parameters(self) -> None:
         """Start all ranks from rank 0's networks."""

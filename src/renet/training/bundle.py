@@ -72,7 +72,7 @@ def load_networks(checkpoint: Checkpoint, path: Path) -> RENet:
     return model.eval()
 
 
-def robot_spec(robot: Robot) -> RobotSpec:
+def robot_spec(robot: Robot = GO1) -> RobotSpec:
     """A robot as the tasks drive it, read from the model they compile."""
     cfg = robot.entity()
     model = Entity(cfg).spec.compile()
@@ -90,11 +90,6 @@ def robot_spec(robot: Robot) -> RobotSpec:
         action_scale=robot.action_scale,
         action_clip=ACTION_CLIP,
     )
-
-
-def go1_spec() -> RobotSpec:
-    """The Go1's `robot_spec`."""
-    return robot_spec(GO1)
 
 
 def camera_spec(robot: Robot = GO1) -> CameraSpec:

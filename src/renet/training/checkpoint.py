@@ -39,7 +39,7 @@ class Checkpoint:
 
 
 def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Path:
-    """Write atomically and remove all but the newest `keep`; raises RenetError if it cannot."""
+    """Write atomically and keep it and the `keep` - 1 farthest others; raises RenetError."""
     final = folder / f"{PREFIX}{iteration:08d}"
     partial = folder / f".{final.name}.partial"
     try:
@@ -52,6 +52,9 @@ def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Pat
             save_file(tensors, partial / f"{name}.safetensors")
         state = {"format": FORMAT, "iteration": iteration, **checkpoint.state}
         (partial / "state.json").write_text(json.dumps(state, indent=1) + "\n")
+        for file in partial.iterdir():  # On the disk before it counts as a checkpoint.
+            with file.open("rb") as handle:
+                os.fsync(handle.fileno())
         shutil.rmtree(final, ignore_errors=True)
         os.replace(partial, final)
     except (OSError, SafetensorError) as error:
@@ -60,7 +63,8 @@ def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Pat
             f"cannot write checkpoint {final}: {error}. Free the disk or choose a writable "
             "--log-root; earlier checkpoints are intact"
         ) from error
-    for old in checkpoints(folder)[:-keep]:
+    others = [path for path in checkpoints(folder) if path != final]
+    for old in others[: max(len(others) - keep + 1, 0)]:
         shutil.rmtree(old, ignore_errors=True)
     return final
 
@@ -88,10 +92,9 @@ def load(path: Path, device: str | torch.device = "cpu") -> Checkpoint:
     """Read a checkpoint; raises RenetError naming the file that is missing or damaged."""
     try:
         state = json.loads((path / "state.json").read_text())
-        if state.get("format") != FORMAT:
-            raise RenetError(
-                f"{path} has checkpoint format {state.get('format')}, this renet reads {FORMAT}"
-            )
+        written = state.get("format") if isinstance(state, dict) else None
+        if written != FORMAT:
+            raise RenetError(f"{path} has checkpoint format {written}, this renet reads {FORMAT}")
         tensors = {
             name: load_file(path / f"{name}.safetensors", device=str(device))
             for name in ("model", "environment")
@@ -101,6 +104,17 @@ def load(path: Path, device: str | torch.device = "cpu") -> Checkpoint:
     except (OSError, ValueError, SafetensorError) as error:
         raise RenetError(f"checkpoint {path} is incomplete or damaged: {error}") from error
     return Checkpoint(**tensors, state=state)
+
+
+def check_config(ours: dict[str, Any], theirs: dict[str, Any], path: Path) -> None:
+    """Refuse weights of another model, even where they would fit; raises RenetError."""
+    ours = json.loads(json.dumps(ours))  # Tuples are lists there.
+    changed = [f"{k} was {v}, now {ours[k]}" for k, v in theirs.items() if ours.get(k, v) != v]
+    if changed:
+        raise RenetError(
+            f"{path} was trained with another model, so repeat its --model options: "
+            f"{'; '.join(changed)}"
+        )
 
 
 def load_model(module: nn.Module, tensors: dict[str, Tensor], path: Path) -> None:

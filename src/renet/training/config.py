@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from mjlab.rl import RslRlBaseRunnerCfg
 
+from renet.errors import RenetError
 from renet.models.config import ModelCfg
 from renet.training.precision import Precision
 from renet.vocabulary import STEPS_PER_TICK
+
+
+def _at_least_one(cfg: Any, *names: str) -> None:
+    for name in names:
+        number = getattr(cfg, name)
+        if number < 1:
+            raise RenetError(f"{name.replace('_', '-')} must be at least 1, got {number}")
 
 
 @dataclass
@@ -46,6 +54,9 @@ class NP3OCfg:
     cost_weight_growth: float = 1.0004
     """kappa is multiplied by this to the power of the iteration, each iteration, up to 1."""
 
+    def __post_init__(self) -> None:
+        _at_least_one(self, "num_learning_epochs", "num_mini_batches")
+
 
 @dataclass
 class SupervisionCfg:
@@ -69,6 +80,9 @@ class SupervisionCfg:
     autoencoder_images: int = 128
     """Image pairs per gradient step of the autoencoder, drawn from the rollout."""
 
+    def __post_init__(self) -> None:
+        _at_least_one(self, "num_learning_epochs", "num_mini_batches", "autoencoder_images")
+
 
 @dataclass
 class AdaptationCfg:
@@ -76,6 +90,9 @@ class AdaptationCfg:
 
     period: int = 20
     """Iterations before simple terrain changes its estimator."""
+
+    def __post_init__(self) -> None:
+        _at_least_one(self, "period")
 
 
 @dataclass(kw_only=True)
@@ -92,7 +109,8 @@ class LearningCfg:
     """Which estimator steers where."""
     precision: Precision = "auto"
     """What critics and depth embedding learn in: bfloat16, float32, or auto (bfloat16 where the
-    machine multiplies it). Actor and losses are always float32, and so is what is exported."""
+    machine multiplies it). All else is float32 (on a GPU by TF32 unless float32 is asked for), and
+    so is what is exported."""
     seed: int = 1
     """Seed of everything random."""
     num_steps_per_env: int = 5 * STEPS_PER_TICK
@@ -103,10 +121,14 @@ class LearningCfg:
     """Iterations between checkpoints: the most a killed run can lose."""
     keep_checkpoints: int = 3
     """Older checkpoints are removed."""
-    clip_actions: float = 4.8
-    """Actions are clipped to this many policy units; must equal tasks.robot.ACTION_CLIP."""
-    logger: str = "renet.training.metrics:MetricsWriter"
-    """rsl_rl log writer: TensorBoard and CSV by default, `WandbLogWriter` for W&B."""
+
+    def __post_init__(self) -> None:
+        _at_least_one(self, "num_steps_per_env", "save_interval", "keep_checkpoints")
+        if self.num_steps_per_env % STEPS_PER_TICK:
+            raise RenetError(
+                f"num-steps-per-env must be a multiple of {STEPS_PER_TICK} (10 Hz ticks of a 50 Hz "
+                f"policy), got {self.num_steps_per_env}"
+            )
 
 
 @dataclass(kw_only=True)
@@ -114,3 +136,4 @@ class RenetRunnerCfg(LearningCfg, RslRlBaseRunnerCfg):  # type: ignore[misc]
     """LearningCfg in the shape mjlab's task registry asks for."""
 
     experiment_name: str = "renet"
+    clip_actions: float | None = 4.8  # tasks.robot.ACTION_CLIP

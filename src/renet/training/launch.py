@@ -37,7 +37,11 @@ def launch(cfg: TrainCfg) -> Path | None:
         extra_env_vars={"OMP_NUM_THREADS": str(max(1, (os.cpu_count() or 1) // cfg.processes))},
     )
     launcher.set_logging_handlers(partial(_handlers, cfg))
-    return launcher.run(train, cfg).rank(0)
+    try:
+        return launcher.run(train, cfg).rank(0)
+    except (OSError, torchrunx.AgentFailedError, torchrunx.WorkerFailedError) as error:
+        why = str(error) or type(error).__name__
+        raise RenetError(f"training on {', '.join(cfg.hosts)} failed: {why}") from error
 
 
 def _handlers(cfg: TrainCfg) -> list[logging.Handler]:

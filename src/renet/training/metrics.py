@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import csv
+import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rsl_rl.utils.log_writer import LogWriter
@@ -22,13 +23,16 @@ class MetricsWriter(LogWriter):
     """
 
     def __init__(self, log_dir: str) -> None:
-        self._board = SummaryWriter(log_dir=log_dir, flush_secs=10)
-        path = Path(log_dir) / CURVES
-        header = not path.exists()
-        self._file = path.open("a", newline="")
-        self._rows = csv.writer(self._file)
-        if header:
-            self._rows.writerow(("iteration", "name", "value"))
+        self._path = Path(log_dir) / CURVES
+        with self._writing():
+            self._board = SummaryWriter(log_dir=log_dir, flush_secs=10)
+            torn = _torn(self._path)
+            self._file = self._path.open("a", newline="")
+            self._rows = csv.writer(self._file)
+            if self._file.tell() == 0:
+                self._rows.writerow(("iteration", "name", "value"))
+            elif torn:
+                self._file.write("\n")
         self.latest: dict[str, float] = {}
 
     def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None:
@@ -58,15 +62,28 @@ class MetricsWriter(LogWriter):
             yield
         except OSError as error:
             raise RenetError(
-                f"cannot write the curves {self._file.name}: {error}. Free the disk and go on with "
+                f"cannot write the curves {self._path}: {error}. Free the disk and go on with "
                 "--resume; checkpoints are intact"
             ) from error
 
 
+def _torn(path: Path) -> bool:
+    """Whether the last row lacks its end: the run was killed while it was written."""
+    if not path.exists() or path.stat().st_size == 0:
+        return False
+    with path.open("rb") as file:
+        file.seek(-1, os.SEEK_END)
+        return file.read() != b"\n"
+
+
 def read_curves(run: Path) -> dict[str, tuple[list[int], list[float]]]:
-    """Curves of a run by name: iterations and values; a resumed iteration's last value counts."""
+    """Curves of a run by name: iterations and values; a resumed iteration's last value counts.
+
+    A row that was torn when the run was killed is left out.
+    """
     points: dict[str, dict[int, float]] = {}
     with (run / CURVES).open(newline="") as file:
         for row in csv.DictReader(file):
-            points.setdefault(row["name"], {})[int(row["iteration"])] = float(row["value"])
+            with suppress(TypeError, ValueError):
+                points.setdefault(row["name"], {})[int(row["iteration"])] = float(row["value"])
     return {name: (sorted(c), [c[i] for i in sorted(c)]) for name, c in points.items()}

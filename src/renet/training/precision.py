@@ -1,7 +1,7 @@
 """How learning uses the machine: bfloat16 where it is faster, independent networks side by side.
 
-Actor, log-probabilities and losses always stay in single precision; what acts and what is exported
-is not touched.
+Actor, log-probabilities and losses stay in single precision, on a GPU by TF32 unless `float32` is
+asked for; what is exported is not touched.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ def learning_type(precision: Precision, device: str | torch.device) -> torch.dty
     On a GPU anything but `float32` also lets the other layers use TF32.
     """
     device = torch.device(device)
-    if device.type == "cuda" and precision != "float32":
-        torch.set_float32_matmul_precision("high")
-        torch.backends.cudnn.allow_tf32 = True
+    if device.type == "cuda":
+        torch.set_float32_matmul_precision("highest" if precision == "float32" else "high")
+        torch.backends.cudnn.allow_tf32 = precision != "float32"
     if precision == "float32" or (precision == "auto" and not has_bfloat16(device)):
         return torch.float32
     return torch.bfloat16

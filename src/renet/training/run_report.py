@@ -10,7 +10,9 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+from renet.errors import RenetError
 from renet.training.metrics import read_curves
+from renet.vocabulary import CONSTRAINTS
 
 PANELS = (
     ("reward per episode", ("Train/mean_reward",)),
@@ -20,7 +22,7 @@ PANELS = (
     ("collisions", ("Episode_Metrics/collisions",)),
     ("falls per reset step", ("Episode_Termination/fallen", "Episode_Termination/in_gap")),
     ("action noise", ("Policy/mean_std",)),
-    ("constraint costs", "Loss/cost_joint"),
+    ("constraint costs", tuple(f"Loss/cost_{name}" for name in CONSTRAINTS)),
     ("velocity loss (m²/s²)", ("Loss/op_velocity", "Loss/vp_velocity")),
     ("map and feet loss (m²)", ("Loss/vp_height_map", "Loss/vp_feet_height")),
     ("HIM loss", ("Loss/op_him", "Loss/vp_him")),
@@ -55,9 +57,13 @@ def write_run_report(run: Path) -> Path:
         if len(names) > 1:
             axis.legend(fontsize=7)
     path = run / "curves.png"
-    figure.savefig(path, dpi=70)
-    plt.close(figure)
-    (run / "report.json").write_text(json.dumps(last, indent=1) + "\n")
+    try:
+        figure.savefig(path, dpi=70)
+        (run / "report.json").write_text(json.dumps(last, indent=1) + "\n")
+    except OSError as error:
+        raise RenetError(f"cannot write the report of {run}: {error}") from error
+    finally:
+        plt.close(figure)
     return path
 
 

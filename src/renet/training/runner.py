@@ -18,6 +18,7 @@ from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils import check_nan
 from torch import Tensor
 
+from renet.errors import RenetError
 from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import RenetAlgorithm
 from renet.training.checkpoint import Checkpoint
@@ -44,7 +45,6 @@ class RenetRunner(OnPolicyRunner):
             "class_name": "renet.training.algorithm:RenetAlgorithm",
             "rnd_cfg": None,
         }
-        train_cfg["logger"] = {"class_name": train_cfg["logger"]}
         super().__init__(env, train_cfg, log_dir, device)
         self.logger.git_status_repos = []
         self.folder = Path(log_dir) / CHECKPOINTS if log_dir else None
@@ -60,7 +60,7 @@ class RenetRunner(OnPolicyRunner):
             return
         on_gpu = self.device.startswith("cuda")
         if on_gpu:
-            torch.cuda.set_device(self.gpu_local_rank)
+            torch.cuda.set_device(self.device)
         if not dist.is_initialized():
             dist.init_process_group("nccl" if on_gpu else "gloo")
 
@@ -75,7 +75,8 @@ class RenetRunner(OnPolicyRunner):
         Args:
             num_learning_iterations: upper bound of additional iterations.
             init_at_random_ep_len: spread episode ends over time from the start.
-            time_budget_s: stop cleanly, with a checkpoint, before this many seconds have passed.
+            time_budget_s: stop cleanly, with a checkpoint, before this many seconds have passed;
+            one iteration is done in any case.
         """
         began = time.monotonic()
         if init_at_random_ep_len:
@@ -85,6 +86,7 @@ class RenetRunner(OnPolicyRunner):
         obs = self.env.get_observations().to(self.device)
         self.alg.train_mode()
         self.alg.broadcast_parameters()
+        self.cfg["logger"] = {"class_name": "renet.training.metrics:MetricsWriter"}  # Consumed.
         with contextlib.redirect_stdout(io.StringIO()):
             self.logger.init_logging_writer()
         first = self.alg.iteration
@@ -107,7 +109,8 @@ class RenetRunner(OnPolicyRunner):
                 left = np.inf if time_budget_s is None else began + time_budget_s - time.monotonic()
                 if self._agree(left < 2.0 * longest):
                     break
-                if self.alg.iteration % self.cfg["save_interval"] == 0:
+                iteration = self.alg.iteration
+                if iteration % self.cfg["save_interval"] == 0 and iteration < last:
                     self.save()
         self.save()
         self.logger.stop_logging_writer()
@@ -128,6 +131,7 @@ class RenetRunner(OnPolicyRunner):
         collected = time.monotonic()
         self.alg.compute_returns(obs)
         losses = self.alg.update()
+        self._check_learning(losses)
         self.current_learning_iteration = self.alg.iteration
         # rsl_rl's logger prints a page per iteration; the progress bar says it in a line.
         with contextlib.redirect_stdout(io.StringIO()):
@@ -146,8 +150,20 @@ class RenetRunner(OnPolicyRunner):
             self.logger.writer.flush()
         return obs
 
+    def _check_learning(self, losses: dict[str, float]) -> None:
+        """Stop before a policy that is no longer one is saved; raises RenetError."""
+        bad = [name for name, loss in losses.items() if not np.isfinite(loss)]
+        if not self.alg.action_std.isfinite().all():
+            bad.append("action noise")
+        if self._agree(bool(bad)):
+            raise RenetError(
+                f"learning diverged in iteration {self.alg.iteration}: "
+                f"{', '.join(bad) or 'a loss'} is not finite. Nothing of it was saved: go on with "
+                "--resume and a smaller --algorithm.learning-rate"
+            )
+
     def _agree(self, stop: bool) -> bool:
-        """All ranks stop together: one rank's clock decides for all."""
+        """All ranks stop together: one that wants to decides for all."""
         if not self.is_distributed:
             return stop
         flag = torch.tensor(float(stop), device=self.device)
@@ -206,8 +222,8 @@ class RenetRunner(OnPolicyRunner):
             "task": self.cfg.get("task", ""),
         }
         environment = dict(self._curriculum(), torch_rng=torch.get_rng_state())
-        if torch.cuda.is_available():
-            environment["cuda_rng"] = torch.cuda.get_rng_state()
+        if self.device.startswith("cuda"):
+            environment["cuda_rng"] = torch.cuda.get_rng_state(self.device)
         checkpoint = Checkpoint(algorithm.model.state_dict(), optimizer, environment, state)
         checkpoints.save(checkpoint, folder, algorithm.iteration, self.cfg["keep_checkpoints"])
 
@@ -216,6 +232,7 @@ class RenetRunner(OnPolicyRunner):
         found = checkpoints.find(Path(path))
         checkpoint = checkpoints.load(found, self.device)
         algorithm, state = self.alg, checkpoint.state
+        checkpoints.check_config(self.cfg["model"], state["config"]["model"], found)
         checkpoints.load_model(algorithm.model, checkpoint.model, found)
         checkpoints.load_optimizer(algorithm.np3o.optimizer, checkpoint.optimizer, "np3o")
         checkpoints.load_optimizer(
@@ -226,12 +243,12 @@ class RenetRunner(OnPolicyRunner):
         algorithm.iteration = self.current_learning_iteration = state["iteration"]
         self.logger.tot_timesteps, self.logger.tot_time = state["steps"], state["seconds"]
         environment = checkpoint.environment
-        torch.set_rng_state(environment.pop("torch_rng").cpu())
-        if (
-            cuda_rng := environment.pop("cuda_rng", None)
-        ) is not None and torch.cuda.is_available():
-            torch.cuda.set_rng_state(cuda_rng.cpu())
-        _set_numpy_state(state["numpy_rng"])
+        torch_rng, cuda_rng = environment.pop("torch_rng"), environment.pop("cuda_rng", None)
+        if self.gpu_global_rank == 0:  # Others draw numbers of their own.
+            torch.set_rng_state(torch_rng.cpu())
+            _set_numpy_state(state["numpy_rng"])
+            if cuda_rng is not None and self.device.startswith("cuda"):
+                torch.cuda.set_rng_state(cuda_rng.cpu(), self.device)
         self._restore_curriculum(environment)
         return state
 

@@ -126,10 +126,6 @@ class Supervision:
         terms = [loss * weights.get(name[3:], 1.0) for name, loss in losses.items()]
         return torch.stack(terms).sum()
 
-    def losses(self, rollout: TickRollout) -> dict[str, Tensor]:
-        """All supervised terms of a batch of sequences, as `op_NAME`, `vp_NAME` and `anomaly`."""
-        return self._blind_losses(rollout) | self._vp_losses(rollout)
-
     def _blind_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
         """Terms that share no parameter with VP's."""
         model, terms = self.model, {}

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import os
 import re
+import time
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
+from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 import tyro
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from renet.tasks import RenetEnvCfg
 
 LATEST = "latest"
+CONFIG = "config.json"
 
 
 @dataclass(kw_only=True)
@@ -60,7 +63,8 @@ class TrainCfg(LearningCfg):
     resume: str | None = None
     """Run folder or checkpoint to go on from; `latest` takes the newest run of this task."""
     time_budget: str | None = None
-    """Stop cleanly, with a checkpoint, before this much time has passed: 90s, 25m, 8h."""
+    """Stop cleanly, with a checkpoint, before this much time has passed (90s, 25m, 8h), but not
+    before one iteration is done."""
     log_root: Path = Path("logs")
     """Folder that receives a folder per run."""
 
@@ -75,7 +79,9 @@ def train(cfg: TrainCfg) -> Path | None:
         RenetError: anything a user can put right.
     """
     from renet.tasks import make_env
+    from renet.tasks.robot import ACTION_CLIP
 
+    began = time.monotonic()
     if cfg.num_envs < 1:
         raise RenetError(f"--num-envs must be at least 1, got {cfg.num_envs}")
     rank = int(os.getenv("RANK", "0"))
@@ -83,8 +89,7 @@ def train(cfg: TrainCfg) -> Path | None:
     device = resolve_device(cfg.device)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
     task = tuned(cfg.task, cfg.reward_weights, cfg.tile_shares)
-    curriculum = task.curriculum["command_stage"]
-    curriculum.params["switch_step"] = cfg.standing_after * cfg.num_steps_per_env
+    task.curriculum["command_stage"].params["switch_step"] = _switch_step(cfg, resume)
     env = make_env(
         task,
         num_envs=cfg.num_envs,
@@ -92,17 +97,22 @@ def train(cfg: TrainCfg) -> Path | None:
         seed=cfg.seed + rank,
         engine=cfg.engine,
     )
-    vec_env = RslRlVecEnvWrapper(env, clip_actions=cfg.clip_actions)
-    run = None if rank else resumed_run(resume) or new_run(cfg.log_root, cfg.task)
+    vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
+    run = None if rank else resumed_run(resume, cfg.task) or new_run(cfg.log_root, cfg.task)
     runner = RenetRunner(vec_env, asdict(cfg), str(run) if run else None, device)
     if resume:
         runner.load(str(resume))
-    elif run:
-        (run / "config.json").write_text(json.dumps(asdict(cfg), indent=1, default=str) + "\n")
+    if runner.alg.iteration >= cfg.max_iterations:
+        raise RenetError(
+            f"{resume} is at iteration {runner.alg.iteration}: --max-iterations counts from the "
+            "very first one and must be above that"
+        )
     if run:
         print(f"{'Resuming' if resume else 'Training'} {cfg.task} in {run}")
+        record_config(cfg, run)
     try:
-        runner.learn(max(0, cfg.max_iterations - runner.alg.iteration), time_budget_s=budget)
+        left = None if budget is None else budget - (time.monotonic() - began)
+        runner.learn(cfg.max_iterations - runner.alg.iteration, time_budget_s=left)
     finally:
         vec_env.close()
     if run and (run / CURVES).exists():
@@ -136,11 +146,49 @@ def tuned(task: str, weights: dict[str, float], shares: dict[str, float]) -> Ren
     return cfg
 
 
-def resumed_run(checkpoint: Path | None) -> Path | None:
-    """The run a checkpoint belongs to, which then goes on; None for one kept elsewhere."""
+def _switch_step(cfg: TrainCfg, resume: Path | None) -> int:
+    """Control step of the environment at which iteration `standing_after` begins."""
+    taken, iteration = 0, 0
+    if resume is not None:
+        earlier = checkpoints.load(resume)
+        taken = int(earlier.environment.get("common_step_counter", 0))
+        iteration = earlier.state["iteration"]
+    return taken + (cfg.standing_after - iteration) * cfg.num_steps_per_env
+
+
+def record_config(cfg: TrainCfg, run: Path) -> None:
+    """Write `config.json`, and say in which settings a run that goes on differs from before."""
+    file = run / CONFIG
+    settings = json.loads(json.dumps(asdict(cfg), default=str))
+    try:
+        before = _flat(json.loads(file.read_text())) if file.exists() else _flat(settings)
+        now = _flat(settings)
+        for name in sorted(set(before) | set(now)):
+            old, new = before.get(name, "default"), now.get(name, "default")
+            if old != new and name not in ("resume", "time_budget"):
+                print(f"{name} was {old}, now {new}")
+        file.write_text(json.dumps(settings, indent=1) + "\n")
+    except (OSError, ValueError) as error:
+        raise RenetError(f"cannot use {file}: {error}") from error
+
+
+def _flat(settings: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings by dotted names."""
+    flat = {}
+    for name, value in settings.items():
+        inner = isinstance(value, dict)
+        flat |= _flat(value, f"{prefix}{name}.") if inner else {f"{prefix}{name}": value}
+    return flat
+
+
+def resumed_run(checkpoint: Path | None, task: str) -> Path | None:
+    """The run a checkpoint belongs to, which then goes on.
+
+    None for one kept elsewhere, or of another task: its run stays as it is.
+    """
     if checkpoint is None or checkpoint.parent.name != CHECKPOINTS:
         return None
-    return checkpoint.parent.parent
+    return checkpoint.parent.parent if checkpoints.load(checkpoint).state["task"] == task else None
 
 
 def seconds(text: str) -> float:
@@ -152,10 +200,11 @@ def seconds(text: str) -> float:
 
 
 def resolve_device(name: str) -> str:
-    """Turn `auto` into a device and refuse one that is absent."""
+    """Turn `auto` and `cuda` into this process's device and refuse one that is absent."""
     if name == "auto":
-        local_rank = os.getenv("LOCAL_RANK", "0")
-        return f"cuda:{local_rank}" if torch.cuda.is_available() else "cpu"
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    if name == "cuda":
+        name = f"cuda:{os.getenv('LOCAL_RANK', '0')}"
     try:
         device = torch.device(name)
     except RuntimeError as error:
@@ -163,7 +212,7 @@ def resolve_device(name: str) -> str:
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         raise RenetError(
             f"device {name} is absent: {torch.cuda.device_count()} CUDA devices are visible; "
-            "use --device cpu"
+            "use --device cpu, or cuda:0 where each process sees a GPU of its own"
         )
     if device.type not in ("cpu", "cuda"):
         raise RenetError(f"device {name!r} is not supported: use cpu, cuda or cuda:N")
@@ -172,15 +221,18 @@ def resolve_device(name: str) -> str:
 
 def new_run(root: Path, task: str) -> Path:
     """Create `root/task/date_time`; raises RenetError where nothing can be written."""
-    run = root / task / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    try:
-        run.mkdir(parents=True, exist_ok=True)
-        probe = run / ".writable"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise RenetError(f"cannot write to {run}: {error}. Choose another --log-root") from error
-    return run
+    run = first = root / task / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    for number in count(2):
+        try:
+            run.mkdir(parents=True)
+            return run
+        except FileExistsError:  # Two runs begun in the same second.
+            run = first.with_name(f"{first.name}_{number}")
+        except OSError as error:
+            raise RenetError(
+                f"cannot write to {run}: {error}. Choose another --log-root"
+            ) from error
+    raise AssertionError
 
 
 def resolve_resume(resume: str, root: Path, task: str) -> Path:
