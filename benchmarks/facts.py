@@ -11,6 +11,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+LOAD_BEFORE = os.getloadavg()[0]
+"""Taken at import: later the benchmark's own work counts."""
+
 
 def facts() -> dict[str, Any]:
     packages = ("mujoco", "mujoco-warp", "warp-lang", "mjlab", "torch", "onnxruntime", "numpy")
@@ -19,7 +22,7 @@ def facts() -> dict[str, Any]:
         "date": date.today().isoformat(),
         "cpus": os.cpu_count(),
         "machine": platform.machine(),
-        "load_before": os.getloadavg()[0],
+        "load_before": LOAD_BEFORE,
         "versions": {name: found for name in packages if (found := version_of(name))},
     }
 

@@ -188,7 +188,7 @@ class Stairs(Tile):
     tread: float = 0.30
     steps: int = 9
     landing: float = 1.2
-    """Half-width of the square in the middle, m."""
+    """Half-width of the square at the bottom of a pit, m; a summit's is a tread wider."""
     descend: bool = True
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:

@@ -9,11 +9,13 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+import warp as wp
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.sim.sim import MujocoCfg, Simulation, SimulationCfg
 from mjlab.tasks.registry import load_env_cfg
 
 from renet.errors import RenetError
+from renet.sim import engine, native_kernel
 from renet.sim.engine import NativeSimulation, use_engine
 
 FLAT = "Mjlab-Velocity-Flat-Unitree-Go1"
@@ -87,6 +89,22 @@ def test_randomised_mass_is_honoured_per_environment():
     warp, native = (sim.data.qvel[:, 0].numpy() for sim in sims)
     np.testing.assert_allclose(native, warp, rtol=1e-4)
     assert native[0] > 1.5 * native[1] > 2.0 * native[2]
+
+
+def test_randomised_colours_are_left_to_viewers():
+    plain, coloured = free_body(NativeSimulation), free_body(NativeSimulation)
+    coloured.expand_model_fields(("geom_rgba",))
+    for sim in (plain, coloured):
+        spin(sim)
+        sim.step()
+    assert torch.equal(plain.data.qpos[:], coloured.data.qpos[:])
+
+
+def test_the_kernel_is_compiled_before_threads_need_it():
+    module = wp.get_module(native_kernel.__name__)
+    module.unload()
+    free_body(NativeSimulation)
+    assert module.execs
 
 
 def test_partial_reset_touches_only_its_environments():
@@ -171,3 +189,12 @@ def test_unknown_or_impossible_engine_is_refused():
         pass
     with pytest.raises(RenetError, match="runs on the CPU"), use_engine("native", "cuda:0"):
         pass
+
+
+def test_a_platform_without_a_known_library_is_refused(monkeypatch, tmp_path):
+    monkeypatch.setattr(mujoco, "__file__", str(tmp_path / "__init__.py"))
+    with pytest.raises(RenetError, match="Linux and macOS"):
+        engine._library()
+    (tmp_path / "libmujoco.9.dylib").touch()
+    with pytest.raises(OSError, match="dylib"):  # Found, but empty.
+        engine._library()

@@ -123,6 +123,13 @@ def test_cells_change_nothing(monkeypatch):
         assert (seen[0] >= 0).any()
 
 
+def test_trees_are_there_before_threads_share_them(monkeypatch):
+    scanner, ready = TerrainScanner(scene(CLUTTER, SOLID), "cpu"), []
+    monkeypatch.setattr(raycast, "for_chunks", lambda *_: ready.append("_trees" in vars(scanner)))
+    scanner.cast_height(torch.zeros(1, 2))
+    assert ready == [True]
+
+
 def test_rays_see_only_what_is_fixed_and_collides():
     model = scene(
         '<geom type="box" size="1 1 .1"/>'

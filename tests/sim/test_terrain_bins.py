@@ -93,6 +93,16 @@ def test_heights_are_those_rays_find(scanner):
     torch.testing.assert_close(scanner.height(far), torch.tensor([-0.6]))
 
 
+def test_it_takes_views_and_double_precision(scanner):
+    points = torch.rand(4000, 2, generator=torch.Generator().manual_seed(1)) * 10 - 5
+    heights = scanner.height(points)
+    for same in (points.double(), points.T.contiguous().T):
+        assert torch.equal(scanner.height(same), heights)
+    eyes, rotation = torch.tensor([[0.0, -2.0, 0.8]]), mount_rotation(torch.ones(1), torch.ones(1))
+    doubles = scanner.depth(eyes.double(), rotation.double(), RAYS.double(), 2.0)
+    assert torch.equal(doubles, scanner.depth(eyes, rotation, RAYS, 2.0))
+
+
 def test_boxes_that_touch_leave_no_gap_between_them():
     pair = "".join(f'<geom type="box" size="1 1 .1" pos="{x} 0 0"/>' for x in (-1, 1))
     xml = f"<mujoco><worldbody>{pair}</worldbody></mujoco>"

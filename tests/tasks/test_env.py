@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from mjlab.managers.metrics_manager import MetricsTermCfg
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from renet.errors import RenetError
 from renet.tasks import env_cfg, make_env, observations, rewards
@@ -72,6 +73,35 @@ def test_depth_changes_at_the_global_tick_only(flat):
         same = torch.equal(obs["depth"], held)
         assert same == (step % STEPS_PER_TICK != 0)
         held = obs["depth"].clone()
+
+
+class Waits(TorchDispatchMode):
+    """Notes what makes a GPU's host wait: results that it needs, and copies of its own data."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        name = func.overloadpacket.__name__
+        masks = args[1] if name in ("index", "index_put_") else ()
+        by_mask = any(m is not None and m.dtype == torch.bool for m in masks)
+        of_list = name == "lift_fresh" and args[0].ndim > 0
+        if by_mask or of_list or name in ("_local_scalar_dense", "nonzero", "equal"):
+            self.found.append(name)
+        return func(*args, **(kwargs or {}))
+
+
+def test_a_control_step_waits_for_a_gpu_only_where_mjlab_does(parkour):
+    parkour.reset()
+    parkour.step(torch.zeros(12, 12))  # At first use Warp's arrays are wrapped.
+    with Waits() as watch:
+        for _ in range(STEPS_PER_TICK):
+            parkour.step(torch.zeros(12, 12))
+        # Whom to push, to reset, and to give a new goal.
+        assert watch.found == 3 * STEPS_PER_TICK * ["nonzero"]
+        torch.ones(2)[[0]]
+    assert watch.found[-1] == "lift_fresh"
 
 
 def test_reward_is_clipped_and_costs_come_along(flat):

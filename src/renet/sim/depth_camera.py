@@ -99,6 +99,7 @@ class DepthCamera(RaySensor[DepthImage]):
         super().initialize(mj_model, model, data, device)
         self._model = mj_model
         self._rays = self.cfg.intrinsics.rays(device)
+        self._nominal = torch.tensor(self.cfg.mount.position, device=device)
         count = data.qpos.shape[0]
         self._position = torch.empty(count, 3, device=device)
         self._rotation = torch.empty(count, 3, 3, device=device)
@@ -114,8 +115,7 @@ class DepthCamera(RaySensor[DepthImage]):
         """Draw mount errors and latency for new episodes."""
         mount, count = self.cfg.mount, len(env_ids)
         error = torch.empty(count, 5, device=self._device).uniform_(-1.0, 1.0)
-        nominal = torch.tensor(mount.position, device=self._device)
-        self._position[env_ids] = nominal + mount.position_error * error[:, :3]
+        self._position[env_ids] = self._nominal + mount.position_error * error[:, :3]
         pitch, yaw = (mount.angle_error * error[:, 3:]).unbind(-1)
         self._rotation[env_ids] = mount_rotation(mount.pitch + pitch, yaw)
         low, high = self.cfg.latency

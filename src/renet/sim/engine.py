@@ -23,6 +23,7 @@ import warp as wp
 from mjlab.sim.sim import Simulation
 
 from renet.errors import RenetError
+from renet.sim import native_kernel
 from renet.sim.native_kernel import advance
 from renet.sim.neighbourhood import Neighbourhood
 from renet.sim.threads import THREADS, on_all_threads
@@ -30,7 +31,17 @@ from renet.sim.transfer import Transfer, load_rows, model_rows, store_rows
 
 ENGINES = ("auto", "native", "warp")
 
-LIBRARY = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco.so*"))))
+
+def _library() -> ctypes.CDLL:
+    """MuJoCo's own, which its Python package has loaded."""
+    folder = Path(mujoco.__file__).parent
+    for pattern in ("libmujoco.so*", "libmujoco*.dylib"):
+        for path in folder.glob(pattern):
+            return ctypes.CDLL(str(path))
+    raise RenetError(f"no MuJoCo library in {folder}: renet simulates on Linux and macOS")
+
+
+LIBRARY = _library()
 
 
 @ctypes.CFUNCTYPE(None, ctypes.c_char_p)
@@ -44,6 +55,8 @@ RESET_TO_ZERO += ("time", "sensordata")
 
 FRAMES = {"body_ipos", "body_iquat", "geom_pos", "geom_quat", "site_pos", "site_quat"}
 """Model fields whose randomisation breaks the compiler's coinciding frames."""
+INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_armature"}
+"""Model fields that MuJoCo does not look at in a body on its own: its inertia is compiled."""
 
 
 def _address(function: str) -> int:
@@ -55,6 +68,11 @@ class Worker:
 
     def __init__(self, simulation: NativeSimulation) -> None:
         self.model = simulation.mj_model.__copy__()
+        if simulation.expanded_fields & INERTIAL and self.model.dof_simplenum.any():
+            raise RenetError(
+                "the native engine cannot randomise inertia in a scene with a lone free or sliding "
+                "body: use the warp engine"
+            )
         # A diverged environment must keep its NaN for the task to see, not restart by itself.
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         # Same results; a legged robot's contacts each touch few joints, and the solver gains 16 %.
@@ -94,6 +112,7 @@ class NativeSimulation(Simulation):
         self._workers: SimpleQueue[Worker] | None = None
         self.runs = 0
         """How often it has stepped or recomputed: what follows from poses is as new as this."""
+        wp.load_module(native_kernel, device="cpu")  # Else every thread compiles it.
         super().__init__(*args, **kwargs)
         self.neighbourhood = Neighbourhood(self.mj_model, self.mj_data, self.num_envs)
         if not self.wp_device.is_cpu:
@@ -142,9 +161,10 @@ class NativeSimulation(Simulation):
     def _run(self, program: Callable[[Worker], np.ndarray], repeats: int) -> None:
         """Let all threads take one environment after another."""
         if self._workers is None:
-            self._workers = SimpleQueue()
+            ready: SimpleQueue[Worker] = SimpleQueue()
             for _ in range(THREADS):
-                self._workers.put(Worker(self))
+                ready.put(Worker(self))
+            self._workers = ready  # Not before it is full: threads wait for what is missing.
         workers = self._workers
         self.runs += 1
         self.neighbourhood.update(self.wp_data.qpos.numpy())

@@ -125,13 +125,9 @@ class TerrainScanner:
 
     @cached_property
     def _trees(self) -> tuple[Any, list[wp.Mesh]]:
-        """The grid, and the meshes it refers to."""
+        """The grid, and the meshes it refers to; built when rays are first cast."""
+        wp.load_module(__name__, device=self.device)  # Else every thread compiles it.
         return _build_grid(self._vertices, self._faces, self.device)
-
-    @property
-    def grid(self) -> Any:
-        """Search trees, built when first asked for."""
-        return self._trees[0]
 
     def height(self, points: Tensor) -> Tensor:
         """Terrain height in metres under world points [M, 2]: [M].
@@ -150,7 +146,7 @@ class TerrainScanner:
             cast_down,
             len(points),
             (),
-            lambda first: [self.grid, inputs, first, self.top, self.drop, wp.from_torch(height)],
+            lambda grid, first: [grid, inputs, first, self.top, self.drop, wp.from_torch(height)],
         )
         return height
 
@@ -181,15 +177,16 @@ class TerrainScanner:
             cast_depth,
             len(position),
             (len(rays),),
-            lambda first: [self.grid, *arrays, first, limit, wp.from_torch(depth)],
+            lambda grid, first: [grid, *arrays, first, limit, wp.from_torch(depth)],
         )
         return depth
 
     def _launch(self, kernel: Any, count: int, inner: tuple[int, ...], inputs: Any) -> None:
         """Launch over `count` rows: at once on a GPU, in parallel chunks on a CPU."""
+        grid, _ = self._trees  # Here, before threads share it.
 
         def run(first: int, last: int) -> None:
-            wp.launch(kernel, (last - first, *inner), inputs(first), device=self.device)
+            wp.launch(kernel, (last - first, *inner), inputs(grid, first), device=self.device)
 
         if self.device.is_cpu:
             for_chunks(count, run)

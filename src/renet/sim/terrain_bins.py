@@ -39,7 +39,7 @@ class Pinhole:
     @staticmethod
     def of(rays: Tensor) -> Pinhole | None:
         """The image that rays [P, 3] with forward component 1 make; None if they make none."""
-        forward, left, up = rays.numpy().T
+        forward, left, up = rays.float().numpy().T
         width = int(np.argmax(up != up[0])) or len(up)
         if len(up) % width or width < 2 or len(up) < 2 * width:
             return None
@@ -101,7 +101,8 @@ class TerrainBins:
     def depth(self, position: Tensor, rotation: Tensor, image: Pinhole, limit: float) -> Tensor:
         """See TerrainScanner.depth: [N, H * W]."""
         depth = torch.empty(len(position), len(image.up) * len(image.left))
-        inputs = (position.contiguous().numpy(), rotation.contiguous().numpy(), depth.numpy())
+        poses = (position.contiguous().float(), rotation.contiguous().float())
+        inputs = (*(pose.numpy() for pose in poses), depth.numpy())
         table = self._table(*inputs, image.left, image.up)
         size = len(image.left), len(image.up)
         on_all_threads(_launch(draw, table, len(position), *size, limit))
@@ -110,7 +111,8 @@ class TerrainBins:
     def height(self, points: Tensor, top: float, drop: float) -> Tensor:
         """Highest surface under points [M, 2]; top - drop where there is none, [M] m."""
         height = torch.empty(len(points))
-        table = self._table(points.contiguous().numpy(), height.numpy())
+        points = points.contiguous().float()  # Held: the table has only its address.
+        table = self._table(points.numpy(), height.numpy())
         work = _launch(probe, table, len(points), top, drop)
         if len(points) < FEW:
             work()

@@ -32,6 +32,9 @@ PER_SITE = ("site_xpos", "site_xmat")
 PER_JOINT = ("xanchor", "xaxis")
 PER_CAMERA = ("cam_xpos", "cam_xmat")
 
+LOOKS = ("geom_rgba", "light_", "mat_")
+"""Beginnings of model fields that only viewers read, and from Warp."""
+
 
 @dataclass(frozen=True)
 class Transfer:
@@ -60,7 +63,7 @@ def model_rows(wp_model: Any, mj_model: mujoco.MjModel, names: list[str]) -> lis
     for name in names:
         source: Any = getattr(wp_model, name)
         target = getattr(mj_model, name)
-        if not hasattr(source, "ptr") or target.size == 0:
+        if not hasattr(source, "ptr") or target.size == 0 or name.startswith(LOOKS):
             continue
         per_env = source.numpy()[0].size
         if per_env != target.size:

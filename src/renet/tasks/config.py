@@ -29,7 +29,7 @@ from renet.tasks.commands import COMMAND, GoalCommandCfg
 from renet.tasks.constraints import violated
 from renet.tasks.env import RenetEnvCfg
 from renet.tasks.go1 import GO1
-from renet.tasks.robot import FEET, TRUNK, Robot
+from renet.tasks.robot import CALVES, FEET, TRUNK, Robot
 from renet.tasks.terrains import parkour_terrain
 from renet.vocabulary import CONSTRAINTS, CONTROL_DT, JOINTS, LEGS, PHYSICS_DT, PROPRIOCEPTION
 
@@ -150,11 +150,10 @@ def _contact_sensors() -> tuple[ContactSensorCfg, ...]:
         )
 
     thighs = tuple(f"{leg}_thigh" for leg in LEGS)
-    calves = tuple(rf"{leg}_calf_collision\d*" for leg in LEGS)
     return (
         touching(observations.FEET_CONTACT, "geom", FEET),
         touching(observations.THIGH_TRUNK_CONTACT, "body", (*thighs, TRUNK)),
-        touching(observations.CALF_CONTACT, "geom", calves),
+        touching(observations.CALF_CONTACT, "geom", CALVES),
     )
 
 
@@ -215,13 +214,12 @@ def _observations() -> dict[str, ObservationGroupCfg]:
         "height_map": single(observations.sensor, name=observations.HEIGHT_MAP),
         "privileged": privileged,
         "depth": single(observations.depth),
-        "difficult": single(observations.difficult),
+        "difficult": single(observations.Difficult),
     }
 
 
 def _rewards(robot: Robot) -> dict[str, RewardTermCfg]:
     """Paper's scales; mjlab multiplies each by the step's 0.02 s."""
-    hips = SceneEntityCfg("robot", joint_names=(".*_hip_joint",))
     return {
         "linear_velocity": RewardTermCfg(func=rewards.linear_velocity, weight=1.5),
         "yaw": RewardTermCfg(func=rewards.yaw, weight=0.5),
@@ -229,9 +227,7 @@ def _rewards(robot: Robot) -> dict[str, RewardTermCfg]:
         "joint_energy": RewardTermCfg(func=rewards.joint_energy, weight=-1e-5),
         "action_rate": RewardTermCfg(func=rewards.action_rate, weight=-0.1),
         "default_position": RewardTermCfg(func=rewards.default_position, weight=-0.04),
-        "hip_position": RewardTermCfg(
-            func=rewards.hip_position, weight=-0.5, params={"asset_cfg": hips}
-        ),
+        "hip_position": RewardTermCfg(func=rewards.HipPosition, weight=-0.5),
         "joint_acceleration": RewardTermCfg(func=rewards.JointAcceleration, weight=-2.5e-7),
         "orientation": RewardTermCfg(func=rewards.orientation, weight=-1.0),
         # Not the paper's, hence off: `renet train --reward-weights` turns them on.

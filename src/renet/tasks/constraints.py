@@ -59,7 +59,10 @@ class Constraints:
         self.low, self.high = middle - reach, middle + reach
 
     def __call__(self) -> Tensor:
-        """[N, 3]: rad, rad/s (each joint counts at most 1), N m."""
+        """[N, 3]: rad, rad/s (each joint counts at most 1), N m.
+
+        Torque is what the nominal gains ask for, whatever gains a robot's servos have drawn.
+        """
         data, kind = self.robot.data, self.kind
         error = data.joint_pos_target - data.joint_pos
         torque = kind.stiffness * error - kind.damping * data.joint_vel

@@ -42,14 +42,22 @@ def feet_contact(env: ManagerBasedRlEnv) -> Tensor:
     return (env.scene[FEET_CONTACT].data.found > 0).float()
 
 
-def difficult(env: ManagerBasedRlEnv) -> Tensor:
-    """1 where the tile forces vision, [N, 1]."""
-    terrain = env.scene.terrain
-    if terrain is None or terrain.cfg.terrain_generator is None:
-        return torch.zeros(env.num_envs, 1, device=env.device)
-    kinds = terrain.cfg.terrain_generator.sub_terrains
-    hard = torch.tensor([float(kind in DIFFICULT) for kind in kinds], device=env.device)
-    return hard[terrain.terrain_types].unsqueeze(-1)
+class Difficult:
+    """1 where the tile forces vision."""
+
+    def __init__(self, cfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        terrain = env.scene.terrain
+        generator = terrain.cfg.terrain_generator if terrain else None
+        kinds = generator.sub_terrains if generator else ()
+        self._hard = torch.tensor([[float(kind in DIFFICULT)] for kind in kinds], device=env.device)
+
+    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
+        """[N, 1]."""
+        terrain = env.scene.terrain
+        if terrain is None or not len(self._hard):
+            return torch.zeros(env.num_envs, 1, device=env.device)
+        return self._hard[terrain.terrain_types]
 
 
 class PhysicalParameters:

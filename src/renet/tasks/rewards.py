@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import torch
 from mjlab.entity import Entity
-from mjlab.managers.scene_entity_config import SceneEntityCfg
 from torch import Tensor
 
 from renet.tasks.commands import COMMAND, GoalCommand
@@ -90,11 +89,19 @@ def default_position(env: ManagerBasedRlEnv) -> Tensor:
     return (data.joint_pos - data.default_joint_pos).square().sum(-1)
 
 
-def hip_position(env: ManagerBasedRlEnv, asset_cfg: SceneEntityCfg) -> Tensor:
+class HipPosition:
     """Squared distance of the hips to the default pose, rad^2."""
-    data = env.scene["robot"].data
-    offset = data.joint_pos - data.default_joint_pos
-    return offset[:, asset_cfg.joint_ids].square().sum(-1)
+
+    def __init__(self, cfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        hips, _ = env.scene["robot"].find_joints(".*_hip_joint")
+        self._hips = torch.tensor(hips, device=env.device)
+
+    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
+        """[N]."""
+        data = env.scene["robot"].data
+        offset = data.joint_pos - data.default_joint_pos
+        return offset[:, self._hips].square().sum(-1)
 
 
 class JointAcceleration:
@@ -108,7 +115,7 @@ class JointAcceleration:
         """Update and return [N]."""
         velocity = env.scene["robot"].data.joint_vel
         acceleration = (velocity - self._previous) / env.step_dt
-        self._previous = velocity.clone()
+        self._previous = velocity
         return acceleration.square().sum(-1)
 
     def reset(self, env_ids: Tensor | slice | None = None) -> None:

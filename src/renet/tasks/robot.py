@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -16,8 +17,13 @@ from renet.vocabulary import JOINTS, LEGS
 
 TRUNK = "trunk"
 """Name of the base body."""
+PARTS = ("hip", "thigh", "calf")
+BODIES = (TRUNK, *(f"{leg}_{part}" for leg in LEGS for part in PARTS))
+"""Names of all bodies the tasks look for."""
 FEET = tuple(f"{leg}_foot_collision" for leg in LEGS)
 """Names of the feet's geoms; a site at each foot's middle is named as its leg."""
+CALVES = tuple(rf"{leg}_calf_collision\d*" for leg in LEGS)
+"""Patterns of the calves' other colliding geoms."""
 ACTION_CLIP = 4.8
 """Policy units beyond which actions are cut: 1.2 rad of the Go1's joints (Extreme Parkour)."""
 
@@ -54,7 +60,8 @@ class Robot:
     spec: Callable[[], mujoco.MjSpec]
     """A fresh MJCF in renet's names (see `rename_parts`): bodies `trunk`, `FR_hip`, `FR_thigh`,
     `FR_calf`, …, the joints of vocabulary.JOINTS in any order, colliding geoms `*_collision*`,
-    feet `FR_foot_collision`, …, with a site `FR`, … in the middle of each; no actuators."""
+    feet `FR_foot_collision`, …, with a site `FR`, … in the middle of each; no actuators.
+    All calves have equally many colliding geoms, at least one beside the foot."""
     height: float
     """Of the base at the start, m above flat ground."""
     pose: Mapping[str, float]
@@ -81,12 +88,29 @@ class Robot:
                 pos=(0.0, 0.0, self.height), joint_pos=dict(self.pose), joint_vel={".*": 0.0}
             ),
             collisions=(COLLISION,),
-            spec_fn=self.spec,
+            spec_fn=self.checked_spec,
             articulation=EntityArticulationInfoCfg(
                 actuators=tuple(self._servos()),
                 soft_joint_pos_limit_factor=0.9,
             ),
         )
+
+    def checked_spec(self) -> mujoco.MjSpec:
+        """A fresh MJCF with all that tasks look for; raises RenetError naming what is not there."""
+        if set(self.motors) != set(PARTS):
+            raise RenetError(f"motors must be of {', '.join(PARTS)}, not {', '.join(self.motors)}")
+        spec = self.spec()
+        wanted = (spec.body, BODIES), (spec.joint, JOINTS), (spec.geom, FEET), (spec.site, LEGS)
+        for lookup, names in wanted:
+            for name in names:
+                _part(lookup, name)
+        calves = [sum(bool(re.fullmatch(calf, g.name)) for g in spec.geoms) for calf in CALVES]
+        if 0 in calves or len(set(calves)) > 1:
+            counts = ", ".join(f"{leg} {n}" for leg, n in zip(LEGS, calves, strict=True))
+            raise RenetError(
+                f"calves must have equally many colliding geoms beside the foot, not none: {counts}"
+            )
+        return spec
 
     def motor(self, joint: str) -> Motor:
         """What drives a joint of vocabulary.JOINTS."""
@@ -124,13 +148,14 @@ def rename_parts(
     Raises:
         RenetError: a part is missing.
     """
-    wanted = {f"{leg}_{part}": spec.body for leg in LEGS for part in ("hip", "thigh", "calf")}
     own = {TRUNK: trunk, **(bodies or {}), **(joints or {})}
     found = {}
-    for name, lookup in {TRUNK: spec.body, **wanted, **dict.fromkeys(JOINTS, spec.joint)}.items():
-        found[name] = _part(lookup, own.get(name, name))
+    for lookup, names in ((spec.body, BODIES), (spec.joint, JOINTS)):
+        found |= {name: _part(lookup, own.get(name, name)) for name in names}
     for name, part in found.items():
         part.name = name
+    if set(feet) != set(LEGS):
+        raise RenetError(f"feet must be of {', '.join(LEGS)}, not {', '.join(feet) or 'none'}")
     for leg, foot in feet.items():
         geom = _part(spec.geom, foot)
         geom.parent.add_site(name=leg, pos=geom.pos)

@@ -18,37 +18,34 @@ def as_mjlab(kinds: dict[str, Tile]) -> dict[str, SubTerrainCfg]:
     return cast(dict[str, SubTerrainCfg], kinds)
 
 
-def parkour_terrain(max_init_level: int = 1, seed: int = 0) -> TerrainEntityCfg:
+def parkour_terrain() -> TerrainEntityCfg:
     """The curriculum: one column per kind, one row per level."""
     generator = TerrainGeneratorCfg(
-        seed=seed,
+        seed=0,
         curriculum=True,
         size=(TILE, TILE),
         border_width=TILE,
         num_rows=LEVELS,
-        num_cols=len(tiles()),
         color_scheme="none",
         sub_terrains=as_mjlab(tiles()),
         add_lights=True,
     )
     return TerrainEntityCfg(
-        terrain_type="generator",
-        terrain_generator=generator,
-        max_init_terrain_level=max_init_level,
+        terrain_type="generator", terrain_generator=generator, max_init_terrain_level=1
     )
 
 
-def single_tile_terrain(kind: str, level: int, seed: int = 0) -> TerrainEntityCfg:
+def single_tile_terrain(kind: str, level: int) -> TerrainEntityCfg:
     """One tile of `kind` at `level` (1 to 10) with a flat border, for evaluation.
 
     Raises:
         RenetError: unknown kind or level.
     """
     tile, difficulty = find_tile(kind, level)
-    cfg = parkour_terrain(seed=seed)
+    cfg = parkour_terrain()
     generator = cfg.terrain_generator
     assert generator is not None
-    generator.num_rows = generator.num_cols = 1
+    generator.num_rows = 1
     generator.difficulty_range = (difficulty, difficulty)
     generator.sub_terrains = as_mjlab({kind: tile})
     return cfg

@@ -1,0 +1,47 @@
+"""A robot's description with a mistake is refused in words that name it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import pytest
+
+from renet.errors import RenetError
+from renet.tasks.config import flat_env_cfg
+from renet.tasks.go1 import GO1
+from renet.tasks.robot import Robot, rename_parts
+
+from .conftest import build
+
+
+def without(*geoms: str, site: str | None = None) -> Robot:
+    """A Go1 whose MJCF lacks something."""
+
+    def spec() -> mujoco.MjSpec:
+        made = GO1.spec()
+        for part in (*map(made.geom, geoms), *([made.site(site)] if site else [])):
+            made.delete(part)
+        return made
+
+    return replace(GO1, spec=spec)
+
+
+@pytest.mark.parametrize(
+    ("robot", "problem"),
+    [
+        (without("RL_foot_collision"), "no geom named 'RL_foot_collision'"),
+        (without(site="FL"), "no site named 'FL'"),
+        (without("FR_calf_collision2"), "beside the foot, not none: FR 1, FL 2, RR 2, RL 2"),
+        (without("RR_calf_collision1", "RR_calf_collision2"), "RR 0"),
+        (replace(GO1, motors={"hip": GO1.motors["hip"]}), "motors must be of hip, thigh, calf"),
+    ],
+)
+def test_what_is_missing_is_named(robot, problem):
+    with pytest.raises(RenetError, match=problem):
+        build(flat_env_cfg(robot=robot), 1)
+
+
+def test_all_feet_must_be_named():
+    with pytest.raises(RenetError, match="feet must be of FR, FL, RR, RL, not none"):
+        rename_parts(GO1.spec(), trunk="trunk", feet={})
