@@ -7,7 +7,14 @@ import pytest
 
 from renet.evaluation import metrics
 from renet.evaluation.fault_findings import findings
-from renet.evaluation.fault_measures import Batch, detection, end_of, measure, separability
+from renet.evaluation.fault_measures import (
+    Batch,
+    detection,
+    end_of,
+    measure,
+    recovery,
+    separability,
+)
 from renet.evaluation.trace import Trace
 
 ONSET, OVER, STEPS = 20, 60, 100
@@ -67,6 +74,16 @@ def test_noticing_after_the_fall_is_a_miss() -> None:
     delay = detection(trusted, fallen, 20, 50)
     assert np.isnan(delay[0])
     assert delay[1] == pytest.approx(0.205)
+
+
+def test_starting_anew_is_no_return_to_vision() -> None:
+    trusted = np.ones((50, 4, 2), bool)
+    trusted[10:31] = False
+    fallen = np.zeros((50, 2), bool)
+    fallen[30:, 0] = True
+    delay = recovery(trusted, fallen, 20)
+    assert np.isnan(delay[0])
+    assert delay[1] == pytest.approx(0.225)
 
 
 def test_areas_match_counting_pairs() -> None:

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from renet.evaluation.disturb import rotation
-from renet.evaluation.fault_scene import BLOCKS, EYE, FOCAL, TILT, example, scene, turned
-from renet.evaluation.faults import FAULTS, View
+from renet.evaluation.fault_scene import BLOCKS, EYE, TILT, example, scene, turned
+from renet.evaluation.faults import FAULTS, Frames, Injection, Injector, View
+from renet.evaluation.faults.image import FOCAL_PIXELS
 from renet.vocabulary import DEPTH_SHAPE
 
 
@@ -28,7 +29,7 @@ def by_mujoco(view: View, blocks: np.ndarray) -> np.ndarray:
     ) @ turned(view.turn[0])
     for row in range(DEPTH_SHAPE[0]):
         for column in range(DEPTH_SHAPE[1]):
-            ray = axes @ (1.0, (31.5 - column) / FOCAL, (23.5 - row) / FOCAL)
+            ray = axes @ (1.0, (31.5 - column) / FOCAL_PIXELS, (23.5 - row) / FOCAL_PIXELS)
             length = float(np.linalg.norm(ray))
             far = mujoco.mj_ray(model, data, eye, ray / length, None, 1, -1, np.zeros(1, np.int32))
             depth[row, column] = far / length if far >= 0 else np.inf
@@ -54,6 +55,21 @@ def test_turned_is_the_matrix_exponential() -> None:
     for vector in np.random.default_rng(0).normal(0, 1, (5, 3)):
         np.testing.assert_allclose(turned(vector), rotation(vector[None])[0], atol=1e-6)
     np.testing.assert_array_equal(turned(np.zeros(3)), np.eye(3))
+
+
+def test_motion_blur_is_the_mean_of_what_a_turning_camera_sees() -> None:
+    seconds, rates = 0.04, np.array([0.0, 4.0, 4.0])
+    turns = np.linspace(-0.5, 0.5, 9)[:, None] * seconds * rates
+    views = [View(np.zeros(1), turn[None], np.zeros(1)) for turn in turns]
+    seen = np.mean([scene(view) for view in views], axis=0)
+    blur = Injector([(Injection("motion_blur", 1000 * seconds, 0),)], [0], 0)
+
+    def error(rate: np.ndarray) -> float:
+        blurred = blur.apply(Frames.healthy(scene()[None], rate[None]), 0).image[0]
+        return float(np.abs(blurred - seen)[4:-4, 4:-4].mean())
+
+    assert error(rates) < 0.5 * error(rates * (1.0, -1.0, 1.0))
+    assert error(rates) < 0.5 * error(np.zeros(3))
 
 
 @pytest.mark.parametrize("fault", FAULTS)

@@ -20,7 +20,7 @@ from renet.vocabulary import JOINTS
 @pytest.fixture(scope="module")
 def log(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("flight")
-    fault = ("blackout@1s+0.2s",)
+    fault = ("blackout@1s+0.2s", "frozen:1@0.4s")
     safety = SafetyCfg(rise_seconds=0.4)
     deploy(DeployCfg(out=out, terrain="stairs_down", seconds=1.5, fault=fault, safety=safety))
     return out / "flight.log"
@@ -52,6 +52,8 @@ def test_the_film_shows_the_flight(log, drawn):
     np.testing.assert_array_equal(panel.vision, flight.ticks["vision"][rows])
     assert panel.fault[25:30] == ["blackout"] * 5
     assert panel.fault[24] == panel.fault[30] == ""
+    assert panel.fault[10:15] == ["frozen"] * 5, "it ends by itself"
+    assert panel.fault[9] == panel.fault[15] == ""
     assert not panel.depth[27].any()
     assert panel.depth[20].any()
     assert not panel.fallen.any()

@@ -104,6 +104,11 @@ def test_every_fault_has_a_button_that_breaks_the_camera(viewer, session):
     viewer.panels.heal.value = True
     advance(viewer, 5)
     assert session.moment.fault == ""
+    session.inject("frozen", 1)
+    advance(viewer, 9)
+    assert session.moment.fault == "frozen"
+    advance(viewer, 2)
+    assert session.moment.fault == "", "it ends by itself after 0.2 s"
 
 
 def test_noise_hands_over_to_op_and_the_panels_say_why(viewer, session):

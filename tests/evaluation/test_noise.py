@@ -104,6 +104,8 @@ def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.Monkey
     "wrong",
     [
         {"modes": ("blind",)},
+        {"modes": ()},
+        {"speed": 0.0},
         {"robots": 0},
         {"onset": 450},
         {"gaussian": (), "salt_and_pepper": ()},
@@ -119,3 +121,9 @@ def test_a_file_in_the_way_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(RenetError, match="cannot write"):
         run_noise(NoiseCfg(out=tmp_path / "file"), FakeLab())
+
+
+def test_a_folder_that_is_not_ours_is_reported(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    with pytest.raises(RenetError, match="permission denied"):
+        run_noise(NoiseCfg(out=tmp_path), FakeLab())

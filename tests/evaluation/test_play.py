@@ -23,6 +23,7 @@ CHECKPOINT = Path(str(files("renet"))) / "pretrained" / "checkpoint"
         ({"terrain": "gap", "level": 11}, "1 to 10"),
         ({"fault": "gremlins"}, "unknown fault 'gremlins'"),
         ({"modes": ("eyes",)}, "unknown mode 'eyes'"),
+        ({"modes": ()}, "no mode given"),
         ({"seconds": 0.1}, "at least one second"),
         ({"bundle": Path("nowhere")}, "nowhere"),
     ],

@@ -12,7 +12,7 @@ from renet.evaluation import report
 from renet.evaluation.course import CourseCfg, run_course
 from renet.evaluation.fault_study import FaultsCfg, run_faults
 from renet.evaluation.filter_study import FilterCfg, run_filter
-from renet.evaluation.glance import WORSE
+from renet.evaluation.glance import FACTS, WORSE
 from renet.evaluation.noise import NoiseCfg, run_noise
 from renet.evaluation.report import SECTIONS, ReportCfg, make_report
 from renet.evaluation.standing import StandingCfg, run_standing
@@ -66,7 +66,7 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
     html = re.sub(r"base64,[A-Za-z0-9+/=]+", "", page.read_text()).replace("&#x27;", "'")
     for heading in (
         "Where RENet does worse",
-        "Six ways to spoil",
+        "Noise in the camera",
         "Every way a depth camera fails",
         "One try at each obstacle",
         "Parkour",
@@ -135,6 +135,19 @@ def test_what_is_worse_than_op_alone_is_listed() -> None:
     assert WORSE["course"]({"passages": passages}) == [("course", "gap", "1 of 4", "2 of 4")]
     worse = [{"kind": "gap", "size_m": 0.1, "renet": 0.2, "op": 0.3}]
     assert WORSE["success"]({"worse": worse}) == [("obstacles", "gap 10 cm", "20 %", "30 %")]
+
+
+def test_what_was_not_measured_is_no_large_number() -> None:
+    calm = {"false_switches": 0, "false_switches_per_hour": None}
+    blind = {"mode": "op", "robots": 2, "falls": 1, "watching": 2, "detected": 0}
+    faults = {"runs": [blind], "healthy": calm}
+    assert FACTS["noise"]({"runs": [blind], "healthy": calm}) == []
+    assert FACTS["faults"](faults) == []
+    off = blind | {"mode": "renet", "watching": 0, "falls": 0}
+    seen = blind | {"mode": "renet", "watching": 1, "detected": 1, "falls": 0}
+    assert [value for value, _ in FACTS["faults"](faults | {"runs": [off]})] == ["100 %"]
+    both = FACTS["faults"](faults | {"runs": [off, seen]})
+    assert [value for value, _ in both] == ["100 %", "100 %"]
 
 
 def test_no_results_are_reported(tmp_path: Path) -> None:

@@ -41,6 +41,31 @@ def test_a_fall_is_latched_and_stops_the_count() -> None:
     np.testing.assert_array_equal(controller.resets[0], [True, False])
 
 
+def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
+    class Doubtful(FakeSwitch):
+        """Trusts nobody but a robot that has just started anew."""
+
+        trusted = np.zeros(1, bool)
+
+        def update(self, sight):
+            trusted, self.trusted = self.trusted, np.zeros(1, bool)
+            return trusted
+
+        def reset(self, mask):
+            self.trusted = mask.copy()
+
+    class Stumbling(FakeWorld):
+        steps = 0
+
+        def step(self, action):
+            self.steps += 1
+            fell = np.array([self.steps == 10])
+            return self.readings(np.full(1, SPEED), fell)
+
+    trace = run_rollout(Stumbling(1), FakeController(1), Doubtful(1, 1.0), [Row("renet")], 15, 0)
+    assert np.flatnonzero(trace.vision[:, 0]).tolist() == [0, 10]
+
+
 def test_faults_act_at_ticks_and_hold_between_them() -> None:
     trace, *_ = roll([Row("op", NOISE)], film=[0])
     assert trace.film is not None

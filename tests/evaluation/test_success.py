@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from renet.errors import RenetError
+from renet.evaluation.faults import View
 from renet.evaluation.rollout import Trace
 from renet.evaluation.success import SuccessCfg, outcome, run_success, worse_than_blind
 from renet.tiles import tiles
@@ -82,11 +83,12 @@ def test_every_size_and_mode_has_its_row(tmp_path: Path) -> None:
 
 def test_finished_kinds_are_not_run_again(tmp_path: Path) -> None:
     first = run_success(cfg(tmp_path), HurdlesLab())
-    (tmp_path / "parts" / "stairs_up.json").unlink()
+    next((tmp_path / "parts").glob("stairs_up-*.json")).unlink()
     Hurdles.worlds = 0
     assert run_success(cfg(tmp_path), HurdlesLab())["runs"] == first["runs"]
     assert Hurdles.worlds == 1
     run_success(cfg(tmp_path, seed=2), HurdlesLab())
+    run_success(cfg(tmp_path), HurdlesLab())
     assert Hurdles.worlds == 3
 
 
@@ -111,6 +113,8 @@ def test_where_renet_crosses_less_often_than_op_alone_is_listed() -> None:
         {"levels": (0,)},
         {"levels": ()},
         {"modes": ("x",)},
+        {"speed": 0.0},
+        {"speed": -0.6, "fault": "foam"},
         {"trials": 0},
         {"fault": "gremlins"},
         {"fault": "frozen", "severity": 9},
@@ -119,6 +123,22 @@ def test_where_renet_crosses_less_often_than_op_alone_is_listed() -> None:
 def test_bad_settings_are_refused(wrong) -> None:
     with pytest.raises(RenetError):
         SuccessCfg(**wrong)
+
+
+def test_faults_of_the_scene_reach_the_cameras(tmp_path: Path) -> None:
+    seen = []
+
+    class Hall(Hurdles):
+        def disturb(self, view: View) -> None:
+            seen.append(float(view.lift.max()))
+
+    class HallLab(FakeLab):
+        def world(self, task, robots, speed, seed):
+            return Hall(len(robots))
+
+    run_success(cfg(tmp_path, fault="foam", speed=1.5), HallLab())
+    assert seen[0] == 0
+    assert max(seen) == pytest.approx(0.07)
 
 
 def test_a_fault_begins_before_the_obstacle() -> None:

@@ -5,6 +5,7 @@ From flight logs this needs nothing but the runtime; simulated runs are in `cali
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,16 +16,15 @@ import tyro
 
 from renet.deploy.bundle import Bundle, write_manifest
 from renet.deploy.logged import logged_scores
-from renet.evaluation.healthy import TICK_RATE, successful_runs
+from renet.errors import RenetError
+from renet.evaluation.healthy import TICK_RATE
 from renet.evaluation.terminal import show
-from renet.evaluation.trace import Trace
 from renet.selector.calibration import calibrate, calibrate_monitors, conformal_threshold
-from renet.vocabulary import STEPS_PER_TICK
 
 if TYPE_CHECKING:
     from renet.evaluation.lab import Lab
 
-FLAT, PARKOUR = "Renet-Go1-Flat", "Renet-Go1-Parkour"
+PARKOUR = "Renet-Go1-Parkour"
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class CalibrateCfg:
     """Simulated time of each robot."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
-    tasks: tuple[str, ...] = (FLAT, PARKOUR)
+    tasks: tuple[str, ...] = ("Renet-Go1-Flat", PARKOUR)
     """Tasks to run."""
     levels: int = 10
     """Highest terrain level, 1 to 10; episodes that fail do not count."""
@@ -57,6 +57,14 @@ class CalibrateCfg:
     """Of the robots' starts."""
     engine: str = "auto"
     """Physics engine: auto, native or warp."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.false_alarm < 1.0:
+            raise RenetError(f"false alarm must be at least 0 and below 1, got {self.false_alarm}")
+        if not 0.0 < self.false_alarms_per_hour < math.inf:
+            raise RenetError(
+                f"false alarms per hour must be positive, got {self.false_alarms_per_hour}"
+            )
 
 
 def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
@@ -102,14 +110,3 @@ def _store(
         rows,
     )
     return beta
-
-
-def successful_scores(trace: Trace) -> np.ndarray:
-    """Anomaly scores of the vision ticks of every episode that did not end in a fall, [M].
-
-    A robot still on its feet when the run ends succeeded, too. The steps between a restart and
-    the next tick have no score of their own and are left out.
-    """
-    scores = trace.anomaly[::STEPS_PER_TICK]
-    kept = [scores[ticks, robot] for robot, ticks in successful_runs(trace)]
-    return np.concatenate(kept) if kept else np.zeros(0)

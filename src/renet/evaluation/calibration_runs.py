@@ -9,8 +9,9 @@ from renet.errors import RenetError
 from renet.evaluation.calibrate import PARKOUR, CalibrateCfg
 from renet.evaluation.healthy import ScoreLog, healthy_series
 from renet.evaluation.lab import Lab
-from renet.evaluation.rollout import Row
+from renet.evaluation.rollout import Row, check_speed
 from renet.evaluation.world import SimWorld
+from renet.tasks import env_cfg
 from renet.tiles import LEVELS, tiles
 from renet.vocabulary import CONTROL_DT
 
@@ -21,13 +22,18 @@ def simulated_scores(
     """The bundle, and every monitor's scores in successful episodes, by name.
 
     Raises:
-        RenetError: impossible numbers of robots or levels, or a policy that never succeeds.
+        RenetError: settings that cannot be run, or a policy that never succeeds.
     """
     if cfg.robots < 1 or cfg.seconds < 1 or not 1 <= cfg.levels <= LEVELS:
         raise RenetError(
             f"robots {cfg.robots} and seconds {cfg.seconds} must be >= 1, levels {cfg.levels}"
             f" between 1 and {LEVELS}"
         )
+    if not cfg.tasks:
+        raise RenetError("give at least one task")
+    check_speed(cfg.speed)
+    for task in cfg.tasks:
+        env_cfg(task)
     lab = lab or Lab(cfg.bundle, cfg.engine)
     tasks = [_healthy_runs(cfg, lab, task) for task in cfg.tasks]
     series = {name: [run for task in tasks for run in task[name]] for name in tasks[0]}

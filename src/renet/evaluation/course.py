@@ -21,7 +21,7 @@ from renet.evaluation.course_world import CourseWorld, PlaceInjector, course_len
 from renet.evaluation.faults import SEVERITIES
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import Parts, output_folder, write_csv, write_json
-from renet.evaluation.rollout import MODES, Row, Trace, run_rollout
+from renet.evaluation.rollout import Row, Trace, check_modes, check_speed, run_rollout
 from renet.evaluation.terminal import progress, show
 from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
 
@@ -64,13 +64,12 @@ class CourseCfg:
             raise RenetError("the lap has no passages")
         for kind in self.lap:
             passage(kind, self.level)
-        unknown = [mode for mode in self.modes if mode not in MODES]
-        if unknown or not self.modes:
-            raise RenetError(f"modes {self.modes}: choose among {', '.join(MODES)}")
+        check_modes(self.modes)
+        check_speed(self.speed)
         if self.severity not in SEVERITIES:
             raise RenetError(f"severity {self.severity}: choose 1 to 5")
-        if self.laps < 1 or self.robots < 1 or self.patience <= 0 or self.speed <= 0:
-            raise RenetError("laps and robots must be at least 1, patience and speed positive")
+        if self.laps < 1 or self.robots < 1 or self.patience <= 0:
+            raise RenetError("laps and robots must be at least 1, patience positive")
 
     def effective(self) -> tuple[tuple[str, ...], int, int]:
         """Lap, number of laps and robots after `quick`."""

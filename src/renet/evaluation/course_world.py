@@ -98,8 +98,6 @@ class PlaceInjector(Injector):
         """One stream of noise for each robot number; see `Injector`."""
         super().__init__([()] * len(streams), streams, seed)
         self._world = world
-        self._since = np.full(len(streams), -1.0)
-        self._was = np.full(len(streams), -1)
         self._faults = {
             kind: FAULTS[name](
                 fault_class(name).level_of(severity),

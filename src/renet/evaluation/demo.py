@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from renet.evaluation.figures import noise_label
+from renet.evaluation.figures import MODE_NAMES, noise_label
 from renet.evaluation.lab import Lab
 from renet.evaluation.noise import (
-    TITLES,
     NoiseCfg,
     Setting,
     build_world,
@@ -23,8 +22,7 @@ from renet.evaluation.noise_page import facts, headline, noise_section
 from renet.evaluation.page import Page
 from renet.evaluation.terminal import progress
 from renet.evaluation.trace import Trace
-from renet.evaluation.video import Panel, VideoCfg, make_video
-from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
+from renet.evaluation.video import VideoCfg, make_video, panels_of
 
 
 @dataclass(frozen=True)
@@ -73,28 +71,9 @@ def film_comparison(
     everybody = range(len(study.modes) * study.each)
     trace = walk(study, lab, build_world(study, lab), setting, "one setting, filmed", everybody)
     robot = first_to_fall(study, trace)
-    rows = [study.rows_of(mode).start + robot for mode in modes]
-    film = trace.film
-    assert film is not None
-    steps = np.arange(0, study.steps, round(1 / (cfg.fps * CONTROL_DT)))
-    label = noise_label(*setting)
-    panels = [
-        Panel(
-            title=TITLES[mode],
-            depth=film.images[steps // STEPS_PER_TICK, row],
-            vision=trace.vision[steps, row],
-            fallen=trace.fallen[steps, row],
-            fault=[label if failing else "" for failing in trace.failing[steps, row]],
-            speed=trace.speed[steps, row],
-        )
-        for mode, row in zip(modes, rows, strict=True)
-    ]
-    # A robot that fell is put back at its start by the simulator: its picture stops instead.
-    stop = [_last_upright(trace.fallen[:, row]) for row in rows]
-    poses = np.stack(
-        [film.poses[np.minimum(steps, end), row] for row, end in zip(rows, stop, strict=True)], 1
-    )
-    with progress("video", len(steps)) as advance:
+    titles = {study.rows_of(mode).start + robot: MODE_NAMES[mode] for mode in modes}
+    panels, poses = panels_of(trace, titles, noise_label(*setting), cfg.fps)
+    with progress("video", len(poses)) as advance:
         return make_video(path, lab.scene_spec, poses, panels, cfg, advance)
 
 
@@ -112,11 +91,6 @@ def first_to_fall(study: NoiseCfg, trace: Trace) -> int:
     # Who fell before the noise began says nothing about it.
     upright = np.where(upright < study.onset, study.steps + 1, upright)
     return int(np.lexsort((trace.speed[-150:, index].mean(axis=0), upright))[0])
-
-
-def _last_upright(fallen: np.ndarray) -> int:
-    """The last control step of [T] at which a robot has not fallen yet."""
-    return max(int((~fallen).sum()) - 1, 0)
 
 
 def write_page(summary: dict[str, Any], film: Path | None, setting: Setting, out: Path) -> Path:

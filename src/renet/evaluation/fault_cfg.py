@@ -8,13 +8,12 @@ from pathlib import Path
 from renet.errors import RenetError
 from renet.evaluation.faults import FAULTS, SEVERITIES, fault_class
 from renet.evaluation.faults.physical import Glass
-from renet.evaluation.rollout import MODES
+from renet.evaluation.rollout import check_modes, check_speed
 from renet.evaluation.switches import check_selector
+from renet.evaluation.world import FLAT
 from renet.tasks import RenetEnvCfg
 from renet.tasks.config import tile_env_cfg
 from renet.tasks.terrains import single_tile_terrain
-
-FLAT = "flat"
 
 
 @dataclass(frozen=True)
@@ -34,8 +33,8 @@ class FaultsCfg:
     robots: int = 20
     """Robots in each setting."""
     quick: bool = False
-    """Severities 1, 3, 5, 10 robots and 40 healthy minutes at most instead."""
-    terrain: str = "flat"
+    """Severities 1, 3, 5 and 10 robots instead."""
+    terrain: str = FLAT
     """"flat", or a kind of tile: rough, obstacles, stairs_up, stairs_down, gap, platform."""
     level: int = 3
     """Level of the tile, 1 to 10."""
@@ -47,7 +46,7 @@ class FaultsCfg:
     """Control step at which it is over at the latest."""
     steps: int = 400
     """Control steps of each run."""
-    healthy_minutes: float = 60.0
+    healthy_minutes: float = 80.0
     """Robot minutes with a healthy camera, in which false switches are counted; 0: none."""
     selector: str = "guarded"
     """What `renet` trusts: guarded (all monitors, dwell) or paper (reconstruction alone)."""
@@ -60,11 +59,10 @@ class FaultsCfg:
         for fault in self.faults:
             for severity in self.severities:
                 fault_class(fault).level_of(severity)
-        unknown = [mode for mode in self.modes if mode not in MODES]
-        if unknown:
-            raise RenetError(f"unknown mode '{unknown[0]}': choose among {', '.join(MODES)}")
-        if not (self.faults and self.severities and self.modes):
-            raise RenetError("give at least one fault, one severity and one mode")
+        check_modes(self.modes)
+        check_speed(self.speed)
+        if not (self.faults and self.severities):
+            raise RenetError("give at least one fault and one severity")
         if self.robots < 1 or not 0 < self.onset < self.over < self.steps:
             raise RenetError(
                 f"robots {self.robots} must be >= 1 and 0 < onset {self.onset} < over {self.over}"
@@ -89,8 +87,3 @@ class FaultsCfg:
     def effective(self) -> tuple[tuple[int, ...], int]:
         """Severities and robots after `quick`."""
         return ((1, 3, 5), 10) if self.quick else (self.severities, self.robots)
-
-    @property
-    def healthy_seconds(self) -> float:
-        """Robot seconds without a fault, after `quick`."""
-        return 60.0 * (min(self.healthy_minutes, 40.0) if self.quick else self.healthy_minutes)

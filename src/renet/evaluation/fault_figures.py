@@ -43,13 +43,19 @@ def draw_detection(
     """Two tables: share of robots that noticed, under the selector used and the paper's rule."""
     ours = [run for run in runs if run["mode"] == "renet"] or runs
     panels = {
-        "RENet's selector": _table(ours, lambda run: 100 * run["detected"] / run["robots"]),
-        "the paper's rule alone": _table(
-            ours, lambda run: 100 * run["detected_by_paper"] / run["robots"]
-        ),
+        name: _table(ours, lambda run, key=key: 100 * _share(run[key], run["watching"]))
+        for name, key in (
+            ("RENet's selector", "detected"),
+            ("the paper's rule alone", "detected_by_paper"),
+        )
     }
-    title = "Robots that noticed the fault while it lasted (%)"
+    title = "Robots with vision that noticed the fault while it lasted (%)"
     return _draw_tables(panels, severities, title, path, provenance)
+
+
+def _share(count: int, total: int) -> float:
+    """`count` of `total`; NaN of nothing."""
+    return count / total if total else np.nan
 
 
 def _table(runs: Runs, value: Any) -> dict[tuple[str, int], float]:
@@ -73,9 +79,8 @@ def _draw_tables(
             axis.imshow(table, vmin=0, vmax=100, cmap="RdYlGn", aspect="auto")
             for (row, column), value in np.ndenumerate(table):
                 ink = "white" if value < 15 or value > 85 else figures.INK
-                axis.text(
-                    column, row, f"{value:.0f}", ha="center", va="center", fontsize=8, color=ink
-                )
+                text = "–" if np.isnan(value) else f"{value:.0f}"
+                axis.text(column, row, text, ha="center", va="center", fontsize=8, color=ink)
             axis.set_xticks(range(len(severities)), [str(s) for s in severities])
             axis.set_yticks(range(len(faults)), [f.replace("_", " ") for f in faults])
             axis.tick_params(length=0)

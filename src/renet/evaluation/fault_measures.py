@@ -36,7 +36,7 @@ class Batch:
 def end_of(fault: str, severity: int, onset: int, over: int) -> int:
     """The control step at which a fault is over: by itself, or because the study ends it."""
     model = fault_class(fault)
-    lasts = model(model.level_of(severity), []).lasts
+    lasts = model.lasts(model.level_of(severity))
     return over if np.isinf(lasts) else min(over, onset + round(lasts / CONTROL_DT))
 
 
@@ -56,6 +56,7 @@ def measure(batch: Batch, rows: slice, fault: str, severity: int) -> dict[str, A
     watching = ~away(trace.trusted[:, :, rows], trace.fallen[:, rows], batch.onset)
     watching &= ~trace.fallen[batch.onset - 1, rows]
     paper = detection(batch.paper[:, :, rows], trace.fallen[:, rows], batch.onset, until)
+    paper[~watching] = np.nan
     back = recovery(trace.trusted[:, :, rows], trace.fallen[:, rows], end)
     return {
         "robots": len(upright),
@@ -89,18 +90,25 @@ def detection(trusted: np.ndarray, fallen: np.ndarray, onset: int, end: int) -> 
         trusted: [T, U, N] bool. fallen: [T, N] bool. onset, end: control steps.
     """
     delay = metrics.switch_delay(trusted, onset, end)
-    fall = np.where(fallen.any(axis=0), fallen.argmax(axis=0) - onset + 1, np.inf) * CONTROL_DT
-    return np.where((delay <= fall) & trusted[onset - 1, -1], delay, np.nan)
+    return np.where(trusted[onset - 1, -1], _upright(delay, fallen, onset), np.nan)
 
 
 def recovery(trusted: np.ndarray, fallen: np.ndarray, over: int) -> np.ndarray:
-    """[N] seconds from the end of a fault to the return; NaN where vision was not left or fell.
+    """[N] seconds from the end of a fault to the return to vision.
+
+    NaN where vision was not left, or the robot fell first: one that starts anew trusts vision.
 
     Args:
         trusted: [T, U, N] bool. fallen: [T, N] bool. over: control step.
     """
-    gone = away(trusted, fallen, over)
-    return np.where(gone, metrics.recovery_delay(trusted, over), np.nan)
+    delay = _upright(metrics.recovery_delay(trusted, over), fallen, over)
+    return np.where(away(trusted, fallen, over), delay, np.nan)
+
+
+def _upright(delay: np.ndarray, fallen: np.ndarray, start: int) -> np.ndarray:
+    """`delay` [N] s from the control step `start`; NaN where the robot fell before it was over."""
+    fall = np.where(fallen.any(axis=0), fallen.argmax(axis=0) - start + 1, np.inf) * CONTROL_DT
+    return np.where(delay <= fall, delay, np.nan)
 
 
 def away(trusted: np.ndarray, fallen: np.ndarray, over: int) -> np.ndarray:

@@ -15,8 +15,8 @@ def faults_section(page: Page, summary: dict[str, Any], folder: Path) -> None:
     page.heading("Every way a depth camera fails")
     page.text(
         f"Terrain {settings['terrain']}, {settings['speed']} m/s commanded, each run"
-        f" {summary['run_seconds']:g} s, faults from {settings['onset'] * 0.02:g} s on. While their"
-        f" cameras were healthy the robots left vision {healthy['false_switches']} times in"
+        f" {summary['run_seconds']:g} s, faults from {settings['onset'] * 0.02:g} s on. In the runs"
+        f" without faults the robots left vision {healthy['false_switches']} times in"
         f" {healthy['robot_hours']:.2f} robot hours."
     )
     page.table(
@@ -32,7 +32,8 @@ def faults_section(page: Page, summary: dict[str, Any], folder: Path) -> None:
     )
     page.picture(
         folder / "detection.png",
-        "Robots that noticed the fault, in percent: RENet's monitors, and the paper's rule alone.",
+        "Robots that noticed the fault, in percent of those that trusted vision until then: RENet's"
+        " monitors, and the paper's rule alone.",
         photo=True,
     )
     page.picture(folder / "roc.png", "Detection against false alarms, fault by fault.")

@@ -10,14 +10,13 @@ import numpy as np
 
 from renet.evaluation.disturb import spread
 from renet.evaluation.faults import TICK, Frames, Injection, Injector, View
+from renet.evaluation.faults.image import FOCAL_PIXELS
 from renet.vocabulary import CONTROL_DT, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TICK
 
 EYE = 0.3
 """Height of the camera above the ground, m."""
 TILT = np.radians(30.0)
 """By which it looks down."""
-FOCAL = 0.5 * DEPTH_SHAPE[1] / np.tan(np.radians(43.5))
-"""Pixels."""
 BLOCKS = np.array(
     [
         # ahead, left, height of the lower and upper corner, m
@@ -67,8 +66,8 @@ def scene(view: View | None = None, walked: float = 0.0) -> np.ndarray:
 def _rays(turn: np.ndarray) -> np.ndarray:
     """Directions [48, 64, 3] in the world (ahead, left, up), one metre of depth long."""
     rows, columns = DEPTH_SHAPE
-    up = (rows / 2 - 0.5 - np.arange(rows)) / FOCAL
-    left = (columns / 2 - 0.5 - np.arange(columns)) / FOCAL
+    up = (rows / 2 - 0.5 - np.arange(rows)) / FOCAL_PIXELS
+    left = (columns / 2 - 0.5 - np.arange(columns)) / FOCAL_PIXELS
     up, left = np.meshgrid(up, left, indexing="ij")
     rays = np.stack((np.ones(DEPTH_SHAPE), left, up), axis=-1)
     sine, cosine = np.sin(TILT), np.cos(TILT)

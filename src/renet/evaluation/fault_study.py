@@ -59,7 +59,7 @@ def run_faults(cfg: FaultsCfg, lab: Lab | None = None) -> dict[str, Any]:
         for terrain in dict.fromkeys(cfg.terrain_of(fault) for fault in cfg.faults)
     }
     healthy = None
-    if cfg.healthy_seconds > 0:
+    if cfg.healthy_minutes > 0:
         healthy = parts.get("healthy", partial(run_healthy, cfg, lab))
     summary = summarise(cfg, results, baseline, healthy, provenance)
     write_json(out / "summary.json", summary)
@@ -87,9 +87,9 @@ def summarise(
         for run in paired_runs(part, baseline[part["runs"][0]["terrain"]], cfg.modes, robots)
     ]
     usual = [run for part in baseline.values() for run in part["runs"]]
-    # On this study's terrain: where glass has to go elsewhere, its healthy time is not of it.
-    calm_parts = [part for part in parts if part["runs"][0]["terrain"] == cfg.terrain]
-    calm_parts += [part for terrain, part in baseline.items() if terrain == cfg.terrain]
+    # Not the seconds before the faults: they are the same as without, to the bit. Not the ground
+    # that glass has to go to.
+    calm_parts = [part for terrain, part in baseline.items() if terrain == cfg.terrain]
     hours = sum(part["healthy_robot_hours"] for part in calm_parts)
     switches = sum(part["false_switches"] for part in calm_parts)
     if healthy is not None:

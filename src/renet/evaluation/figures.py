@@ -61,13 +61,13 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def save(figure: Figure, path: Path, provenance: Provenance) -> Path:
+def save(figure: Figure, path: Path, provenance: Provenance, dpi: int = 150) -> Path:
     """Write a PNG, atomically, with its provenance as last line and in its metadata."""
     line = provenance.line
     shown = line if len(line) <= 150 else line[:149] + "…"
     figure.supxlabel(shown, fontsize=6.5, color=FAINT, x=0.01, ha="left")
     part = path.with_name(path.name + ".part")
-    figure.savefig(part, format="png", dpi=150, metadata={"Description": line})
+    figure.savefig(part, format="png", dpi=dpi, metadata={"Description": line})
     plt.close(figure)
     os.replace(part, path)
     return path
@@ -83,7 +83,6 @@ def speed_over_time(
     curves: Mapping[str, Mapping[tuple[str, float], np.ndarray]],
     onset: int,
     command: float,
-    titles: Mapping[str, str],
     path: Path,
     provenance: Provenance,
 ) -> Path:
@@ -93,7 +92,6 @@ def speed_over_time(
         curves: mode → (noise, level) → [T] m/s, mean over the robots.
         onset: timestep the noise begins at.
         command: commanded speed, m/s.
-        titles: of each mode's panel.
         path: of the PNG.
         provenance: of the numbers.
     """
@@ -117,7 +115,7 @@ def speed_over_time(
                 fontsize=8,
                 color=INK,
             )
-            axis.set(title=f"({letter}) {titles[mode]}", xlabel="timestep (0.02 s)")
+            axis.set(title=f"({letter}) {MODE_NAMES[mode]}", xlabel="timestep (0.02 s)")
         axes[0][0].set_ylabel("mean forward velocity (m/s)")
         handles, labels = axes[0][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=9)

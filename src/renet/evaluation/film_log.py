@@ -79,19 +79,14 @@ def _panel(flight: Flight, frames: np.ndarray) -> Panel:
             clean = np.nan_to_num(flight.images[row].astype(np.float32), posinf=1.0)
             shown = (255 * np.clip(clean, 0.0, 1.0)).astype(np.uint8)
         images[row] = shown
+    faults = [parse_fault(text) for text in flight.header.get("fault", [])]
+    steps = np.round((ticks["now"][frames] - ticks["now"][0]) / CONTROL_DT).astype(int).tolist()
     velocity = np.where(ticks["vision"][:, None], ticks["velocity_vp"], ticks["velocity_op"])
     return Panel(
         title=str(flight.header.get("bundle", "flight")),
         depth=images[frames],
         vision=ticks["vision"][frames],
         fallen=fallen(ticks)[frames],
-        fault=[_failing(flight, row) for row in frames.tolist()],
+        fault=[", ".join(f.fault for f in faults if f.at_work(step)) for step in steps],
         speed=velocity[frames, 0],
     )
-
-
-def _failing(flight: Flight, row: int) -> str:
-    """The injected faults at work, by name."""
-    step = round(float(flight.ticks["now"][row] - flight.ticks["now"][0]) / CONTROL_DT)
-    faults = [parse_fault(text) for text in flight.header.get("fault", [])]
-    return ", ".join(fault.fault for fault in faults if fault.elapsed(step) >= 0)

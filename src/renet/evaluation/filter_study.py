@@ -18,7 +18,7 @@ from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.faults import Injection
-from renet.evaluation.lab import Lab, ScoreSwitch
+from renet.evaluation.lab import Lab
 from renet.evaluation.results import (
     Parts,
     Provenance,
@@ -26,9 +26,10 @@ from renet.evaluation.results import (
     write_csv,
     write_json,
 )
-from renet.evaluation.rollout import UPDATES_PER_STEP, Row
+from renet.evaluation.rollout import UPDATES_PER_STEP, Row, check_speed
+from renet.evaluation.switches import ScoreSwitch, updates_apart
 from renet.evaluation.terminal import show
-from renet.selector.filter import switch_delay
+from renet.selector.filter import LowPassFilter, switch_delay
 from renet.vocabulary import CONTROL_DT
 
 
@@ -64,17 +65,23 @@ class FilterCfg:
             raise RenetError(
                 f"robots {self.robots} must be >= 1 and 0 < onset {self.onset} < steps {self.steps}"
             )
+        check_speed(self.speed)
         if not (self.gammas and self.rates):
             raise RenetError("give at least one gamma and one rate")
+        for gamma in self.gammas:
+            LowPassFilter(gamma)
+        for rate in self.rates:
+            updates_apart(rate)
 
 
 def run_filter(cfg: FilterCfg, lab: Lab | None = None) -> dict[str, Any]:
     """Run the study, write its results to `cfg.out` and return the summary.
 
     Raises:
-        RenetError: a bundle that cannot be used, a bad γ or rate, or a folder not to be written.
+        RenetError: a bundle that cannot be used, or a folder that cannot be written to.
     """
     lab = lab or Lab(cfg.bundle, cfg.engine, "paper")
+    given = cfg
     if cfg.quick:
         cfg = replace(cfg, robots=4, quick=False)
     out = output_folder(cfg.out)
@@ -89,7 +96,7 @@ def run_filter(cfg: FilterCfg, lab: Lab | None = None) -> dict[str, Any]:
     summary = {
         "study": "filter",
         "runs": runs,
-        "settings": asdict(cfg),
+        "settings": asdict(given),
         "provenance": vars(provenance),
     }
     write_json(out / "summary.json", summary)
@@ -135,10 +142,10 @@ def _run(cfg: FilterCfg, scores: np.ndarray, spec: SelectorSpec) -> dict[str, An
 
 def draw(cfg: FilterCfg, runs: list[dict[str, Any]], path: Path, provenance: Provenance) -> None:
     """Write filter.png: delay and switches against γ, one line for each rate."""
-    palette = ("#d9602b", "#3f8f63", "#3c3ca0", "#8a6bbd")
+    palette = plt.get_cmap("plasma")(np.linspace(0, 0.85, len(cfg.rates)))
     with plt.rc_context(figures.STYLE):
         figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.8))
-        for colour, rate in zip(palette, cfg.rates, strict=False):
+        for colour, rate in zip(palette, cfg.rates, strict=True):
             line = [run for run in runs if run["rate_hz"] == rate]
             gamma = [run["gamma"] for run in line]
             delay = [np.nan if run["delay_s"] is None else run["delay_s"] for run in line]

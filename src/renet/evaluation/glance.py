@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from renet.evaluation.figures import MODE_NAMES
 from renet.evaluation.noise_page import facts as noise_facts
 from renet.evaluation.page import Page
 
@@ -43,26 +44,26 @@ def worse_section(page: Page, found: Found) -> None:
 
 
 def _faults(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    healthy = summary["healthy"]
-    noticed = [r["detected"] / r["robots"] for r in summary["runs"] if r["mode"] == "renet"]
-    standing = [r["survival"] for r in summary["runs"] if r["mode"] == "renet"]
-    return [
-        (
-            f"{100 * sum(standing) / max(len(standing), 1):.0f} %",
-            "of RENet's robots survive a camera fault",
-        ),
-        (
-            f"{100 * sum(noticed) / max(len(noticed), 1):.0f} %",
-            "of failing cameras are noticed",
-        ),
-        (f"{healthy['false_switches_per_hour']:.1f}", "false switches per healthy robot hour"),
-    ]
+    """What was not measured is left out."""
+    renet = [run for run in summary["runs"] if run["mode"] == "renet"]
+    total = {name: sum(run[name] for run in renet) for name in ("robots", "falls", "watching")}
+    rate = summary["healthy"]["false_switches_per_hour"]
+    facts = []
+    if total["robots"]:
+        share = 1 - total["falls"] / total["robots"]
+        facts.append((_percent(share), "of RENet's robots survive a camera fault"))
+    if total["watching"]:
+        share = sum(run["detected"] for run in renet) / total["watching"]
+        facts.append((_percent(share), "of failing cameras are noticed"))
+    if rate is not None:
+        facts.append((f"{rate:.1f}", "false switches per healthy robot hour"))
+    return facts
 
 
 def _terrain(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    levels = summary["levels"].values()
-    text = " / ".join(f"{level:.1f}" for level in levels)
-    return [(text, f"levels of 10 on {', '.join(summary['levels'])}")] if text else []
+    text = " / ".join(f"{level:.1f}" for level in summary["levels"].values())
+    policy = MODE_NAMES[summary["settings"]["mode"]]
+    return [(text, f"{policy}'s levels of 10 on {', '.join(summary['levels'])}")] if text else []
 
 
 def _course(summary: dict[str, Any]) -> list[tuple[str, str]]:

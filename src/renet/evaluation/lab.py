@@ -14,15 +14,13 @@ from renet.deploy.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import Controller, Row, Switch, World, run_rollout
-from renet.evaluation.switches import ScoreSwitch, check_selector, make_switch
+from renet.evaluation.switches import check_selector, make_switch
 from renet.evaluation.terminal import progress
 from renet.evaluation.trace import Trace
 from renet.evaluation.world import SimWorld, study_env_cfg
 from renet.selector.defaults import default_monitors
 from renet.selector.monitors import Sight
 from renet.tasks import RenetEnvCfg
-
-__all__ = ["Lab", "ScoreSwitch"]
 
 
 class Lab:

@@ -68,6 +68,8 @@ class Session:
         self.beta = lab.beta
         self.mode = MODES[0]
         self._seed = seed
+        self._clock = 0
+        """Control steps so far; a fault goes on where the robot starts anew."""
         self.heal()
         self.reset()
 
@@ -75,13 +77,13 @@ class Session:
 
     def inject(self, fault: str, severity: int) -> None:
         """Let the camera fail from the next step on; raises RenetError for an unknown fault."""
-        injection = Injection.of(fault, severity, onset=0)
-        self._fault, self._fault_step = fault, 0
+        injection = Injection.of(fault, severity, onset=self._clock)
+        self._fault = fault
         self._injector = Injector([(injection,)], [0], self._seed, physical=True)
 
     def heal(self) -> None:
         """Make the camera whole again."""
-        self._fault, self._fault_step = "", 0
+        self._fault = ""
         self._injector = Injector([()], [0], self._seed)
 
     def choose(self, mode: str) -> None:
@@ -137,9 +139,10 @@ class Session:
         injector, fault, k = self._injector, self._fault, self._step
         if k % STEPS_PER_TICK == 0:
             live = Frames.healthy(readings.depth, readings.angular_velocity)
-            self._frames = injector.apply(live, self._fault_step)
-            self._fault_step += STEPS_PER_TICK
-        self.world.disturb(injector.view(self._fault_step))
+            self._frames = injector.apply(live, self._clock)
+        failing = injector.at_work(self._clock)[0]
+        self._clock += 1
+        self.world.disturb(injector.view(self._clock))
         vision = {"renet": bool(self._trusted[0]), "vp": True, "op": False}[self.mode]
         action = self.policy.step(
             readings.proprioception, self._frames.image, np.array([not vision])
@@ -154,7 +157,7 @@ class Session:
             probability=float(self.switch.probability[0]),
             vision=vision,
             reason=str(getattr(getattr(self.switch, "selector", None), "reason", [""])[0]),
-            fault=fault,
+            fault=fault if failing else "",
             predicted=self.policy.height_map[0],
             true=self.env.scene[HEIGHT_MAP].data[0].numpy().copy(),
         )

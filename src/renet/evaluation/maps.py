@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
 from renet.deploy.policy import Policy
+from renet.evaluation import figures
 from renet.evaluation.imagery import RELIEF, as_seen
+from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import UPDATES_PER_STEP
 from renet.evaluation.world import SimWorld
 from renet.selector.monitors import Sight
@@ -67,12 +66,14 @@ def errors(maps: np.ndarray, kinds: Sequence[str]) -> list[dict[str, Any]]:
     ]
 
 
-def draw_height_maps(maps: np.ndarray, kinds: Sequence[str], path: Path, foot: str) -> None:
+def draw_height_maps(
+    maps: np.ndarray, kinds: Sequence[str], path: Path, provenance: Provenance
+) -> None:
     """True and predicted ground where each robot had the most relief around it.
 
     Args:
         maps: [T, N, 2, 132] m, as `MapLog.maps`. kinds: N tiles. path: of the picture.
-        foot: line that tells where it comes from.
+        provenance: of the numbers.
     """
     later = maps[WARM_UP:]
     steps = np.ptp(later[:, :, 1], axis=-1).argmax(axis=0)
@@ -97,6 +98,4 @@ def draw_height_maps(maps: np.ndarray, kinds: Sequence[str], path: Path, foot: s
     axes[0, 0].set_ylabel("m ahead", fontsize=8)
     axes[1, 0].set_ylabel("m ahead", fontsize=8)
     figure.colorbar(image, ax=axes, shrink=0.7, label="ground over the robot's own, m")
-    figure.text(0.005, -0.01, foot, fontsize=6, va="top", color="0.4")
-    figure.savefig(path, dpi=90, bbox_inches="tight")
-    plt.close(figure)
+    figures.save(figure, path, provenance, dpi=90)

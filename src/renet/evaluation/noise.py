@@ -17,10 +17,11 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
+from renet.evaluation.fault_measures import detection
 from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import Parts, Provenance, output_folder, write_csv, write_json
-from renet.evaluation.rollout import MODES, Row, Trace, World
+from renet.evaluation.rollout import Row, Trace, World, check_modes, check_speed
 from renet.evaluation.switches import check_selector
 from renet.evaluation.terminal import show
 from renet.vocabulary import CONTROL_DT
@@ -29,12 +30,6 @@ Setting = tuple[str, float]
 """Noise and level."""
 CLEAN: Setting = ("none", 0.0)
 QUICK_ROBOTS = 5
-TITLES = {
-    "vp": "VP estimator alone",
-    "renet": "RENet",
-    "op": "OP estimator alone",
-    "oracle-switch": "switch that knows the fault",
-}
 
 
 @dataclass(frozen=True)
@@ -69,9 +64,8 @@ class NoiseCfg:
     """Physics engine: auto, native or warp."""
 
     def __post_init__(self) -> None:
-        unknown = [mode for mode in self.modes if mode not in MODES]
-        if unknown:
-            raise RenetError(f"unknown mode '{unknown[0]}': choose among {', '.join(MODES)}")
+        check_modes(self.modes)
+        check_speed(self.speed)
         check_selector(self.selector)
         if not self.settings:
             raise RenetError("no noise level given: set gaussian or salt_and_pepper")
@@ -193,7 +187,7 @@ def _run(cfg: NoiseCfg, setting: Setting, mode: str, trace: Trace) -> dict[str, 
     low, high = metrics.bootstrap_interval(speed[metrics.window(3.0)].mean(axis=0))
     delay = np.full(cfg.each, np.nan)
     if mode == "renet" and setting != CLEAN:
-        delay = metrics.switch_delay(trace.trusted[:, :, index], cfg.onset)
+        delay = detection(trace.trusted[:, :, index], trace.fallen[:, index], cfg.onset, cfg.steps)
     detected = ~np.isnan(delay)
     return {
         "mode": mode,
@@ -222,7 +216,7 @@ def draw(
         mode: {setting: np.array(part["speed"][mode]) for setting, part in found.items()}
         for mode in cfg.modes
     }
-    figures.speed_over_time(curves, cfg.onset, cfg.speed, TITLES, out / "noise.png", provenance)
+    figures.speed_over_time(curves, cfg.onset, cfg.speed, out / "noise.png", provenance)
     line = {name: np.array(v) for name, v in found[cfg.strongest]["timeline"].items()}
     begins, over = cfg.onset * CONTROL_DT, (cfg.onset + cfg.steps) / 2 * CONTROL_DT
     figures.timeline(
@@ -246,7 +240,7 @@ def show_runs(summary: dict[str, Any]) -> None:
     """Print the study's table."""
     rows = [
         (
-            TITLES[run["mode"]],
+            figures.MODE_NAMES[run["mode"]],
             figures.noise_label(run["noise"], run["level"]),
             f"{run['falls']} of {run['robots']}",
             f"{run['mean_forward_velocity']:.2f}",

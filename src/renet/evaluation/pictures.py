@@ -7,9 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
@@ -18,10 +15,11 @@ from matplotlib.patches import Rectangle
 
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
+from renet.evaluation import figures
 from renet.evaluation.lab import Lab
 from renet.evaluation.maps import MapLog, draw_height_maps, errors
 from renet.evaluation.play import robot_of
-from renet.evaluation.results import output_folder, write_json
+from renet.evaluation.results import Provenance, output_folder, write_json
 from renet.evaluation.rollout import Row, run_rollout
 from renet.evaluation.terminal import progress, show
 from renet.sim.camera_model import Intrinsics, mount_rotation
@@ -84,8 +82,9 @@ def run_pictures(cfg: PicturesCfg) -> Path:
     assert terrain.terrain_origins is not None
     rays = scanner(world.env.sim.mj_model, "cpu")
     torch.manual_seed(cfg.seed)
-    draw_tiles(rays, terrain.terrain_origins, out / "tiles.png")
-    draw_camera(rays, terrain.terrain_origins, out / "camera.png")
+    provenance = lab.provenance(cfg.seed)
+    draw_tiles(rays, terrain.terrain_origins, out / "tiles.png", provenance)
+    draw_camera(rays, terrain.terrain_origins, out / "camera.png", provenance)
     world.place(np.full(len(kinds), cfg.level - 1), np.arange(len(kinds)))
     policy, rows = Policy(lab.bundle, len(kinds)), [Row("vp") for _ in kinds]
     log, steps = MapLog(policy, world), round(cfg.seconds / CONTROL_DT)
@@ -100,8 +99,7 @@ def run_pictures(cfg: PicturesCfg) -> Path:
             on_step=advance,
             on_sight=log.note,
         )
-    provenance = lab.provenance(cfg.seed)
-    draw_height_maps(log.maps, kinds, out / "height_map.png", provenance.line)
+    draw_height_maps(log.maps, kinds, out / "height_map.png", provenance)
     found = errors(log.maps, kinds)
     write_json(
         out / "summary.json",
@@ -125,7 +123,9 @@ def _show(found: list[dict[str, Any]]) -> None:
     show("Height maps of the VP estimator", ("terrain", "error (cm)", "of flat ground (cm)"), rows)
 
 
-def draw_tiles(rays: TerrainScanner, origins: torch.Tensor, path: Path) -> None:
+def draw_tiles(
+    rays: TerrainScanner, origins: torch.Tensor, path: Path, provenance: Provenance
+) -> None:
     """Shaded relief of every kind of tile at three levels."""
     kinds = list(tiles())
     figure, axes = plt.subplots(
@@ -146,11 +146,12 @@ def draw_tiles(rays: TerrainScanner, origins: torch.Tensor, path: Path) -> None:
             axis.set_title(f"{kind}, level {level}\n{low:+.2f} to {high:+.2f} m", fontsize=9)
             axis.set_xticks([-4, 0, 4])
             axis.set_yticks([-4, 0, 4])
-    figure.savefig(path, dpi=80)
-    plt.close(figure)
+    figures.save(figure, path, provenance, dpi=80)
 
 
-def draw_camera(rays: TerrainScanner, origins: torch.Tensor, path: Path) -> None:
+def draw_camera(
+    rays: TerrainScanner, origins: torch.Tensor, path: Path, provenance: Provenance
+) -> None:
     """One view per tile: true, then with range noise, then with mount errors as well."""
     kinds = list(tiles())
     mount = MountCfg()
@@ -183,8 +184,7 @@ def draw_camera(rays: TerrainScanner, origins: torch.Tensor, path: Path) -> None
             axis.set_xticks([])
             axis.set_yticks([])
             axis.set_title(f"{kind}: {rows[row]}" if row == 0 else rows[row], fontsize=9)
-    figure.savefig(path, dpi=80)
-    plt.close(figure)
+    figures.save(figure, path, provenance, dpi=80)
 
 
 def _kept() -> tuple[tuple[float, float], float, float]:

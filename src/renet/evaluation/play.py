@@ -10,7 +10,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
 
-import numpy as np
 import tyro
 
 from renet.deploy.bundle import MANIFEST
@@ -21,17 +20,16 @@ from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab
 from renet.evaluation.maps import MapLog
 from renet.evaluation.results import output_folder
-from renet.evaluation.rollout import Film, Row, Trace, run_rollout
+from renet.evaluation.rollout import Row, check_modes, run_rollout
 from renet.evaluation.terminal import progress
-from renet.evaluation.video import Panel, VideoCfg, make_video
+from renet.evaluation.video import VideoCfg, make_video, panels_of
+from renet.evaluation.world import FLAT
 from renet.tasks import RenetEnvCfg, Robot, env_cfg
 from renet.tasks.config import flat_env_cfg, tile_env_cfg
 from renet.tasks.go1 import GO1
 from renet.tasks.terrains import single_tile_terrain
 from renet.training.bundle import ExportCfg, export
-from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
-
-FLAT = "flat"
+from renet.vocabulary import CONTROL_DT
 
 
 @dataclass(frozen=True)
@@ -141,6 +139,7 @@ def _film(cfg: PlayCfg) -> Path:
     """Drive the robots and film them."""
     if cfg.seconds < 1.0:
         raise RenetError(f"a film needs at least one second, got {cfg.seconds}")
+    check_modes(cfg.modes)
     schedule = ()
     if cfg.fault is not None:
         schedule = (Injection.of(cfg.fault, cfg.severity, round(cfg.onset / CONTROL_DT)),)
@@ -165,29 +164,9 @@ def _film(cfg: PlayCfg) -> Path:
             advance,
             on_sight=log.note,
         )
-    assert trace.film is not None
-    return _draw(cfg, out, lab, trace, trace.film, log.maps)
-
-
-def _draw(cfg: PlayCfg, out: Path, lab: Lab, trace: Trace, film: Film, maps: np.ndarray) -> Path:
-    """Stamp and write the frames."""
     look = VideoCfg()
-    frames = np.arange(0, len(trace.fallen), round(1 / (look.fps * CONTROL_DT)))
-    panels = [
-        Panel(
-            title=mode,
-            depth=film.images[frames // STEPS_PER_TICK, row],
-            vision=trace.vision[frames, row],
-            fallen=trace.fallen[frames, row],
-            fault=[(cfg.fault or "") if failing else "" for failing in trace.failing[frames, row]],
-            speed=trace.speed[frames, row],
-            maps=maps[frames, row],
-        )
-        for row, mode in enumerate(cfg.modes)
-    ]
+    titles = dict(enumerate(cfg.modes))
+    panels, poses = panels_of(trace, titles, cfg.fault or "", look.fps, log.maps)
     assert lab.scene_spec is not None
-    # A robot that fell is put back at its start by the simulator: its picture stops instead.
-    upright = np.maximum((~trace.fallen).sum(axis=0) - 1, 0)
-    poses = np.stack([film.poses[np.minimum(frames, end), r] for r, end in enumerate(upright)], 1)
-    with progress("video", len(frames)) as advance:
+    with progress("video", len(poses)) as advance:
         return make_video(out, lab.scene_spec, poses, panels, look, advance)

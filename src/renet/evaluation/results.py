@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
 import math
@@ -28,7 +29,7 @@ class Provenance:
     bundle: str
     """Name of the bundle."""
     bundle_hash: str
-    """SHA-256 over the hashes of its ONNX files."""
+    """See `Bundle.sha256`: of its models and its selector."""
     engine: str
     """Physics engine of the rollouts."""
     seed: int
@@ -58,12 +59,14 @@ def output_folder(path: Path) -> Path:
     """`path` as an existing folder that can be written to.
 
     Raises:
-        RenetError: it is a file, or cannot be made.
+        RenetError: it is a file, cannot be made, or cannot be written to.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RenetError(f"cannot write results to {path}: {error.strerror}") from error
+    if not os.access(path, os.W_OK):
+        raise RenetError(f"cannot write results to {path}: permission denied")
     return path
 
 
@@ -114,14 +117,14 @@ def read_json(path: Path) -> dict[str, Any]:
         raise RenetError(f"{path} is not valid JSON ({error}): delete it and run again") from error
 
 
-PARTS_FORMAT = 2
+PARTS_FORMAT = 3
 """Raised when a study keeps other things in its parts: those of before are made anew."""
 
 
 class Parts:
     """Finished parts of a study, kept in `parts/`: an interrupted study goes on where it stopped.
 
-    A part is used again by a run of the same settings and bundle.
+    A part is used again by a run of the same settings, bundle and renet; others keep theirs.
     """
 
     def __init__(
@@ -140,7 +143,8 @@ class Parts:
         """
         self._folder = output_folder(out / "parts")
         fixed = {k: v for k, v in asdict(cfg).items() if k not in {"out", "bundle", *free}}
-        self._key = plain(fixed | {"bundle_hash": provenance.bundle_hash, "format": PARTS_FORMAT})
+        fixed |= {name: getattr(provenance, name) for name in ("bundle_hash", "renet_version")}
+        self._key = plain(fixed | {"format": PARTS_FORMAT})
 
     def get(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """The part of that name: from an earlier run, or made and written now.
@@ -148,11 +152,10 @@ class Parts:
         Raises:
             RenetError: there is an earlier part, and it is damaged.
         """
-        path = self._folder / f"{name}.json"
+        key = json.dumps(self._key, sort_keys=True).encode()
+        path = self._folder / f"{name}-{hashlib.sha256(key).hexdigest()[:8]}.json"
         if path.exists():
-            part = read_json(path)
-            if part.get("key") == self._key:
-                return part
+            return read_json(path)
         part = plain(make()) | {"key": self._key}
         write_json(path, part)
         return part

@@ -21,7 +21,7 @@ from renet.selector.monitors import Sight
 from renet.vocabulary import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 
 __all__ = ["MODES", "UPDATES_PER_STEP", "Controller", "Film", "Readings", "Row", "Switch", "Trace"]
-__all__ += ["World", "run_rollout"]
+__all__ += ["World", "check_modes", "check_speed", "run_rollout"]
 
 MODES = ("vp", "renet", "op", "oracle-switch")
 """Policy modes: vision always, the selector's choice, never, and a switch that knows the fault."""
@@ -126,8 +126,21 @@ class Row:
     """Number within its setting; robots of the same number are twins that draw the same noise."""
 
     def __post_init__(self) -> None:
-        if self.mode not in MODES:
-            raise RenetError(f"unknown mode '{self.mode}': choose one of {', '.join(MODES)}")
+        check_modes((self.mode,))
+
+
+def check_modes(modes: Sequence[str]) -> None:
+    """Raise RenetError where there is no mode, or one that is unknown."""
+    unknown = [mode for mode in modes if mode not in MODES]
+    if unknown or not modes:
+        said = f"unknown mode '{unknown[0]}'" if unknown else "no mode given"
+        raise RenetError(f"{said}: choose among {', '.join(MODES)}")
+
+
+def check_speed(speed: float) -> None:
+    """Raise RenetError unless robots are told to walk, `speed` m/s."""
+    if not speed > 0:
+        raise RenetError(f"speed must be positive, got {speed}")
 
 
 def run_rollout(
@@ -209,6 +222,7 @@ def run_rollout(
         if readings.ended.any():
             controller.reset(readings.ended)
             switch.reset(readings.ended)
+            trusted = trusted | readings.ended
         if on_step() is True:
             trace = trace.until(k + 1)
             break

@@ -19,13 +19,12 @@ from renet.errors import RenetError
 from renet.evaluation import figures
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import Parts, Provenance, output_folder, write_csv, write_json
-from renet.evaluation.rollout import MODES, Row
+from renet.evaluation.rollout import Row, check_modes, check_speed
 from renet.evaluation.terminal import show
+from renet.evaluation.world import FLAT
 from renet.tiles import LEVELS, tiles
 from renet.vocabulary import CONTROL_DT
 
-FLAT = "flat"
-"""The first level of rough ground has no relief."""
 DRIFT, RESTLESS = 0.1, 0.2
 """A robot stands still that drifts less than this, m, with joints slower than this on average,
 rad/s, from the moment it has had time to stop."""
@@ -66,9 +65,8 @@ class StandingCfg:
         unknown = [kind for kind in self.kinds if kind not in (FLAT, *tiles())]
         if unknown or not self.kinds:
             raise RenetError(f"kinds {self.kinds}: choose among {FLAT}, {', '.join(tiles())}")
-        unknown = [mode for mode in self.modes if mode not in MODES]
-        if unknown or not self.modes:
-            raise RenetError(f"modes {self.modes}: choose among {', '.join(MODES)}")
+        check_modes(self.modes)
+        check_speed(self.speed)
         if not 1 <= self.level <= LEVELS:
             raise RenetError(f"level must be 1 to {LEVELS}, got {self.level}")
         if self.robots < 1 or min(self.walk, self.settle, self.stand) < 0.1:
@@ -82,6 +80,7 @@ def run_standing(cfg: StandingCfg, lab: Lab | None = None) -> dict[str, Any]:
         RenetError: a bundle that cannot be used, or a folder that cannot be written to.
     """
     lab = lab or Lab(cfg.bundle, cfg.engine)
+    given = cfg
     if cfg.quick:
         cfg = replace(cfg, robots=5, quick=False)
     out = output_folder(cfg.out)
@@ -90,7 +89,7 @@ def run_standing(cfg: StandingCfg, lab: Lab | None = None) -> dict[str, Any]:
     summary = {
         "study": "standing",
         "runs": part["runs"],
-        "settings": asdict(cfg),
+        "settings": asdict(given),
         "provenance": vars(provenance),
     }
     write_json(out / "summary.json", summary)
@@ -104,6 +103,7 @@ def _stand(cfg: StandingCfg, lab: Lab) -> dict[str, Any]:
     settings = [(kind, mode) for kind in cfg.kinds for mode in cfg.modes]
     rows = [Row(mode, robot=robot) for _, mode in settings for robot in range(cfg.robots)]
     world = lab.world("Renet-Go1-Parkour", [row.robot for row in rows], cfg.speed, cfg.seed)
+    # The first level of rough ground has no relief.
     kinds = np.repeat(["rough" if kind == FLAT else kind for kind, _ in settings], cfg.robots)
     levels = np.repeat([0 if kind == FLAT else cfg.level - 1 for kind, _ in settings], cfg.robots)
     world.place(levels, np.array([list(tiles()).index(kind) for kind in kinds]))

@@ -26,7 +26,15 @@ from renet.evaluation.results import (
     write_csv,
     write_json,
 )
-from renet.evaluation.rollout import MODES, Readings, Row, Trace, World
+from renet.evaluation.rollout import (
+    Disturbed,
+    Readings,
+    Row,
+    Trace,
+    World,
+    check_modes,
+    check_speed,
+)
 from renet.evaluation.terminal import show
 from renet.tasks import RenetEnvCfg, env_cfg
 from renet.tiles import LEVELS, tiles
@@ -84,9 +92,8 @@ class SuccessCfg:
             raise RenetError(f"kinds {self.kinds}: choose among {', '.join(tiles())}")
         if not self.levels or not all(1 <= level <= LEVELS for level in self.levels):
             raise RenetError(f"levels {self.levels}: choose among 1 to {LEVELS}")
-        unknown = [mode for mode in self.modes if mode not in MODES]
-        if unknown or not self.modes:
-            raise RenetError(f"modes {self.modes}: choose among {', '.join(MODES)}")
+        check_modes(self.modes)
+        check_speed(self.speed)
         if self.trials < 1 or self.seconds < 1:
             raise RenetError(f"trials {self.trials} and seconds {self.seconds} must be at least 1")
         _ = self.schedule
@@ -118,6 +125,8 @@ class FirstTry:
         self._world = world
         self.num_robots = world.num_robots
         self.poses = world.poses
+        if isinstance(world, Disturbed):
+            self.disturb = world.disturb
         self._over = np.zeros(self.num_robots, bool)
 
     def reset(self) -> Readings:

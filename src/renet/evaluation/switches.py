@@ -39,7 +39,7 @@ class GuardSwitch:
 
     def __init__(self, spec: SelectorSpec, num_robots: int) -> None:
         """Set up; raises RenetError for a rate that is no whole fraction of the physics rate."""
-        self._every = updates_apart(spec)
+        self._every = updates_apart(spec.rate_hz)
         found = default_monitors(spec.beta, spec.thresholds, num_robots)
         cfg = GuardCfg(spec.gamma, spec.rate_hz)
         self.selector = GuardedSelector(found, num_robots, cfg)
@@ -71,7 +71,7 @@ class ScoreSwitch:
 
     def __init__(self, spec: SelectorSpec, num_robots: int) -> None:
         """Set up; raises RenetError for a rate that is no whole fraction of the physics rate."""
-        self._every = updates_apart(spec)
+        self._every = updates_apart(spec.rate_hz)
         self._selector = Selector(SelectorCfg(spec.beta, spec.gamma, spec.rate_hz), num_robots)
         self._trusted = np.ones(num_robots, bool)
         self._calls = 0
@@ -98,16 +98,15 @@ class ScoreSwitch:
         self._trusted = self._trusted | mask
 
 
-def updates_apart(spec: SelectorSpec) -> int:
+def updates_apart(rate_hz: float) -> int:
     """Physics steps between two updates of a selector.
 
     Raises:
         RenetError: its rate is no whole fraction of the physics rate.
     """
-    every = round(1.0 / (PHYSICS_DT * spec.rate_hz))
-    if every < 1 or abs(every * PHYSICS_DT * spec.rate_hz - 1.0) > 1e-6:
+    every = round(1.0 / (PHYSICS_DT * rate_hz)) if rate_hz > 0 else 0
+    if every < 1 or abs(every * PHYSICS_DT * rate_hz - 1.0) > 1e-6:
         raise RenetError(
-            f"selector rate {spec.rate_hz} Hz: rollouts update it at 200 Hz or a whole"
-            " fraction of that"
+            f"selector rate {rate_hz} Hz: rollouts update it at 200 Hz or a whole fraction of that"
         )
     return every

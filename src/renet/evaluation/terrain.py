@@ -27,7 +27,7 @@ from renet.evaluation.results import (
     write_csv,
     write_json,
 )
-from renet.evaluation.rollout import MODES, Row, Trace, World
+from renet.evaluation.rollout import Row, Trace, World, check_modes, check_speed
 from renet.evaluation.terminal import show
 from renet.tiles import LEVELS, tiles
 from renet.vocabulary import CONTROL_DT
@@ -69,8 +69,8 @@ class TerrainCfg:
             raise RenetError(f"kinds {self.kinds}: choose among {', '.join(tiles())}")
         if self.robots < 1 or self.seconds < 1:
             raise RenetError(f"robots {self.robots} and seconds {self.seconds} must be at least 1")
-        if self.mode not in MODES:
-            raise RenetError(f"unknown mode '{self.mode}': choose one of {', '.join(MODES)}")
+        check_modes((self.mode,))
+        check_speed(self.speed)
 
 
 def run_terrain(cfg: TerrainCfg, lab: Lab | None = None) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,9 +16,11 @@ from PIL import Image, ImageDraw, ImageFont
 
 from renet.errors import RenetError
 from renet.evaluation.imagery import beside, map_picture
+from renet.evaluation.trace import Trace
+from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
 
 CAMERA = "renet_tracking_camera"
-GREEN, RED, WHITE, GREY = (126, 200, 120), (235, 92, 80), (245, 245, 245), (70, 74, 82)
+GREEN, RED, WHITE = (126, 200, 120), (235, 92, 80), (245, 245, 245)
 
 
 @dataclass(frozen=True)
@@ -158,6 +160,40 @@ class Panel:
         colour = RED if self.fault[frame] else GREEN
         draw.text((width - 8, height - 19), fault, font=_font(13), fill=colour, anchor="ra")
         return np.asarray(image)
+
+
+def panels_of(
+    trace: Trace, titles: Mapping[int, str], fault: str, fps: int, maps: np.ndarray | None = None
+) -> tuple[list[Panel], np.ndarray]:
+    """Panels and poses [F, R, nq] of some rows of a filmed trace, whose rows are all on the film.
+
+    A robot that fell is put back at its start by the simulator: its picture stops instead.
+
+    Args:
+        trace: with its film.
+        titles: by row.
+        fault: what to call a failing camera.
+        fps: frames per second.
+        maps: [T, N, 2, 132] m, see `MapLog.maps`.
+    """
+    film = trace.film
+    assert film is not None
+    frames = np.arange(0, len(trace.fallen), round(1 / (fps * CONTROL_DT)))
+    panels = [
+        Panel(
+            title=title,
+            depth=film.images[frames // STEPS_PER_TICK, row],
+            vision=trace.vision[frames, row],
+            fallen=trace.fallen[frames, row],
+            fault=[fault if failing else "" for failing in trace.failing[frames, row]],
+            speed=trace.speed[frames, row],
+            maps=None if maps is None else maps[frames, row],
+        )
+        for row, title in titles.items()
+    ]
+    upright = np.maximum((~trace.fallen).sum(axis=0) - 1, 0)
+    poses = [film.poses[np.minimum(frames, upright[row]), row] for row in titles]
+    return panels, np.stack(poses, axis=1)
 
 
 def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:

@@ -20,6 +20,8 @@ from renet.tasks.commands import COMMAND, GoalCommandCfg
 from renet.tasks.observations import DEPTH_CAMERA
 from renet.tasks.rewards import collision, goal
 
+FLAT = "flat"
+"""Ground that is no tile."""
 NEVER = 1e9
 """Seconds no run lasts."""
 

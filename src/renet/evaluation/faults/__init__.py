@@ -1,13 +1,7 @@
 """Every way a depth camera fails, in five severities: pure NumPy, for any policy."""
 
 from renet.evaluation.faults.catalogue import FAULTS, fault_class
-from renet.evaluation.faults.injection import (
-    VERBS,
-    Injection,
-    Injector,
-    Schedule,
-    injection_of_verb,
-)
+from renet.evaluation.faults.injection import Injection, Injector, Schedule
 from renet.evaluation.faults.stream import SEVERITIES, TICK, Fault, Frames
 from renet.evaluation.faults.view import PhysicalFault, View
 
@@ -15,7 +9,6 @@ __all__ = [
     "FAULTS",
     "SEVERITIES",
     "TICK",
-    "VERBS",
     "Fault",
     "Frames",
     "Injection",
@@ -24,5 +17,4 @@ __all__ = [
     "Schedule",
     "View",
     "fault_class",
-    "injection_of_verb",
 ]

@@ -257,7 +257,9 @@ class MotionBlur(ImageFault):
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """The mean of the image along the way it moves during the exposure."""
         image = frames.image.copy()
-        travel = frames.angular_velocity[:, 1:] * (self.level * 1e-3 * FOCAL_PIXELS)
+        # Nose down moves the picture up, a turn to the left moves it right.
+        pixels = np.array((-1.0, 1.0)) * (self.level * 1e-3 * FOCAL_PIXELS)
+        travel = frames.angular_velocity[:, 1:] * pixels
         for i in np.flatnonzero(elapsed >= 0).tolist():
             shifts = np.linspace(-0.5, 0.5, self.samples)[:, None] * travel[i]
             image[i] = np.mean([shifted(image[i], *shift) for shift in shifts], axis=0)

@@ -9,11 +9,9 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation.faults.catalogue import FAULTS, fault_class
-from renet.evaluation.faults.stream import Fault, Frames
+from renet.evaluation.faults.stream import FOREVER, Fault, Frames
 from renet.evaluation.faults.view import PhysicalFault, View
 from renet.vocabulary import CONTROL_DT
-
-FOREVER = float("inf")
 
 
 @dataclass(frozen=True)
@@ -48,12 +46,17 @@ class Injection:
 
     def elapsed(self, step: int) -> float:
         """Seconds since the (latest) onset at a control step; -1 where it is not at work."""
-        time = (step - self.onset) * CONTROL_DT
-        if time < 0:
+        steps = step - self.onset
+        if steps < 0:
             return -1.0
         if self.period < FOREVER:
-            time %= self.period
-        return time if time < self.duration else -1.0
+            steps %= max(round(self.period / CONTROL_DT), 1)
+        time = steps * CONTROL_DT
+        return time if time < min(self.duration, FAULTS[self.fault].lasts(self.level)) else -1.0
+
+    def at_work(self, step: int) -> bool:
+        """Whether it spoils the camera's frames at a control step."""
+        return self.elapsed(step) >= 0
 
 
 Schedule = tuple[Injection, ...]
@@ -81,8 +84,7 @@ class Injector:
         Raises:
             RenetError: a physical fault for any other camera.
         """
-        self._num_robots, self._physical = len(schedules), physical
-        self._streams, self._seed = list(streams), seed
+        self._num_robots = len(schedules)
         self._stages: list[tuple[Injection, Fault, np.ndarray]] = []
         for place in range(max((len(s) for s in schedules), default=0)):
             groups: dict[Injection, list[int]] = {}
@@ -90,45 +92,27 @@ class Injector:
                 if place < len(schedule):
                     groups.setdefault(schedule[place], []).append(row)
             for injection, rows in groups.items():
-                self._add(injection, rows, place)
-
-    def _add(self, injection: Injection, rows: Sequence[int], place: int) -> None:
-        rngs = [np.random.default_rng([self._seed, place, self._streams[row]]) for row in rows]
-        fault = FAULTS[injection.fault](injection.level, rngs)
-        if isinstance(fault, PhysicalFault) and not self._physical:
-            raise RenetError(
-                f"fault '{fault.name}' acts on the scene, not on the image: only a"
-                " simulated world can carry it out"
-            )
-        self._stages.append((injection, fault, np.array(rows)))
-
-    def add(self, injection: Injection, rows: Sequence[int] | None = None) -> None:
-        """Let the cameras of `rows`, of all robots by default, fail from `injection.onset` on.
-
-        May be called at any time, so that faults can be commanded while robots walk; see
-        `injection_of_verb`. Acts after the faults that are there already.
-
-        Raises:
-            RenetError: a physical fault for a camera whose world cannot carry it out.
-        """
-        self._add(injection, range(self._num_robots) if rows is None else rows, len(self._stages))
-
-    def clear(self) -> None:
-        """Heal every camera at once: PX4's `ok`."""
-        self._stages = []
+                rngs = [np.random.default_rng([seed, place, streams[row]]) for row in rows]
+                fault = FAULTS[injection.fault](injection.level, rngs)
+                if isinstance(fault, PhysicalFault) and not physical:
+                    raise RenetError(
+                        f"fault '{fault.name}' acts on the scene, not on the image: only a"
+                        " simulated world can carry it out"
+                    )
+                self._stages.append((injection, fault, np.array(rows)))
 
     def at_work(self, step: int) -> np.ndarray:
         """[n] bool: the robots whose camera is failing at a control step."""
         failing = np.zeros(self._num_robots, bool)
-        for injection, fault, rows in self._stages:
-            failing[rows] |= 0 <= injection.elapsed(step) < fault.lasts
+        for injection, _, rows in self._stages:
+            failing[rows] |= injection.at_work(step)
         return failing
 
     def view(self, step: int) -> View:
         """How the cameras see their scene at a control step."""
         view = View.true(self._num_robots)
         for injection, fault, rows in self._stages:
-            if isinstance(fault, PhysicalFault) and injection.elapsed(step) >= 0:
+            if isinstance(fault, PhysicalFault) and injection.at_work(step):
                 fault.bend(view, rows)
         return view
 
@@ -137,44 +121,7 @@ class Injector:
         frames = frames.copy()
         for injection, fault, rows in self._stages:
             time = injection.elapsed(step)
-            time = time if time < fault.lasts else -1.0
             spoilt = fault.corrupt(frames.rows(rows), np.full(len(rows), time))
             if time >= 0:
                 frames.write(rows, spoilt)
         return frames
-
-
-VERBS = {
-    "off": "unplugged",
-    "stuck": "frozen",
-    "garbage": "gaussian",
-    "wrong": "wrong_scale",
-    "slow": "dropped",
-    "delayed": "latency",
-    "intermittent": "unplugged",
-}
-"""PX4's failure injection verbs, and the fault each one is for a depth camera."""
-
-
-def injection_of_verb(
-    verb: str, severity: int = 5, onset: int = 0, sensor: str = "depth"
-) -> Injection:
-    """The injection a failure verb asks for; refuses what no fault model stands for.
-
-    Args:
-        verb: one of `VERBS`.
-        severity: 1 to 5. `intermittent`: the share of every 2 s without frames, in steps of 15 %.
-        onset: control step.
-        sensor: only "depth" can fail.
-
-    Raises:
-        RenetError: unknown verb, or a sensor that has no fault models.
-    """
-    if sensor != "depth":
-        raise RenetError(f"failure '{verb}' of sensor '{sensor}': only 'depth' can be made to fail")
-    if verb not in VERBS:
-        raise RenetError(f"unknown failure verb '{verb}': choose one of {', '.join(VERBS)}")
-    injection = Injection.of(VERBS[verb], severity, onset)
-    if verb == "intermittent":
-        return Injection("unplugged", FOREVER, onset, duration=0.3 * severity, period=2.0)
-    return injection

@@ -14,6 +14,8 @@ from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
 TICK = CONTROL_DT * STEPS_PER_TICK
 """Seconds between two frames of the depth camera (10 Hz, paper)."""
 SEVERITIES = (1, 2, 3, 4, 5)
+FOREVER = float("inf")
+"""Seconds."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +85,10 @@ class Fault:
         """
         raise NotImplementedError
 
-    @property
-    def lasts(self) -> float:
+    @classmethod
+    def lasts(cls, level: float) -> float:
         """Seconds after which the fault ends by itself; infinity where it does not."""
-        return float("inf")
+        return FOREVER
 
     @classmethod
     def describe(cls, level: float) -> str:

@@ -8,9 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from renet.evaluation.faults.stream import TICK, Fault, Frames
-
-FOREVER = float("inf")
+from renet.evaluation.faults.stream import FOREVER, TICK, Fault, Frames
 
 
 class Frozen(Fault):
@@ -25,10 +23,10 @@ class Frozen(Fault):
         super().__init__(level, rngs)
         self._last: np.ndarray | None = None
 
-    @property
-    def lasts(self) -> float:
+    @classmethod
+    def lasts(cls, level: float) -> float:
         """See `Fault.lasts`."""
-        return self.level
+        return level
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """Hold the last image from before the fault."""
@@ -88,10 +86,10 @@ class Unplugged(Stale):
     unit = "s"
     levels = (1.0, 2.0, 5.0, 10.0, FOREVER)
 
-    @property
-    def lasts(self) -> float:
+    @classmethod
+    def lasts(cls, level: float) -> float:
         """See `Fault.lasts`."""
-        return self.level
+        return level
 
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
         """See `Stale.missing`."""
@@ -127,9 +125,7 @@ class Latency(Fault):
         image = np.stack([self._past[k][0][i] for i, k in enumerate(newest.tolist())])
         capture = taken[newest]
         fresh = (
-            np.ones(len(elapsed), bool)
-            if self._served is None
-            else capture > np.maximum(self._served, -np.inf) + 1e-9
+            np.ones(len(elapsed), bool) if self._served is None else capture > self._served + 1e-9
         )
         self._served = capture
         age = np.where(fresh, 0.0, self._now - arrivals[newest, np.arange(len(newest))])
