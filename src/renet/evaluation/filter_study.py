@@ -168,5 +168,5 @@ def main(cfg: FilterCfg) -> None:
     """`renet evaluate filter`."""
     runs = run_filter(cfg)["runs"]
     header = ("rate_hz", "gamma", "delay_s", "formula_s", "switches_per_minute")
-    rows = [[run[name] if run[name] is not None else "-" for name in header] for run in runs]
+    rows = [["-" if run[name] is None else f"{run[name]:g}" for name in header] for run in runs]
     show("The selector's filter", header, rows)
