@@ -1,13 +1,14 @@
-"""A bundle with untrained networks."""
+"""Bundles with untrained networks."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
-from renet.deploy.bundle import write_bundle
+from renet.deploy.bundle import Bundle, write_bundle
 from renet.deploy.manifest import Manifest, SelectorSpec
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
@@ -34,3 +35,10 @@ def models(networks) -> dict[str, bytes]:
 @pytest.fixture
 def bundle_path(tmp_path, models, manifest) -> Path:
     return write_bundle(tmp_path / "bundle", models, manifest)
+
+
+@pytest.fixture(scope="session")
+def bundle(tmp_path_factory, models, manifest) -> Bundle:
+    """Untrained networks reconstruct badly: beta is large, so that only real faults count."""
+    easy = replace(manifest, selector=SelectorSpec(beta=1.0))
+    return Bundle.load(write_bundle(tmp_path_factory.mktemp("b") / "bundle", models, easy))

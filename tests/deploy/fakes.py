@@ -1,4 +1,4 @@
-"""Healthy readings and frames to spoil."""
+"""Healthy readings and frames to spoil, and a controller that is fed with them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.controller import Controller, Event
+from renet.deploy.operator import Request
 from renet.deploy.robots.base import RobotState
+from renet.deploy.safety import SafetyCfg
 from renet.vocabulary import CONTROL_DT
 
 STANDING = np.tile([0.1, 0.9, -1.8, -0.1, 0.9, -1.8], 2)
@@ -34,3 +38,37 @@ def frame(number: int, time: float, seed: int = 0) -> DepthFrame:
 
 def time_of(step: int) -> float:
     return round(step * CONTROL_DT, 6)
+
+
+ARM, GO = Request(arm=True), Request(speed=0.6)
+QUICK = SafetyCfg(rise_seconds=0.1)
+WALKS_AT = 7
+"""Control step at which `Run` walks: armed at step 1, risen 0.1 s later."""
+
+
+class Run:
+    """A controller and what happened to it."""
+
+    def __init__(self, bundle: Bundle, **options) -> None:
+        self.events: list[Event] = []
+        self.controller = Controller(bundle, QUICK, on_event=self.events.append, **options)
+        self.step = 0
+
+    def tick(self, frame=None, request=GO, **changes):
+        now = time_of(self.step)
+        request = ARM if self.step == 1 else request
+        command = self.controller.tick(replace(state(now), **changes), frame, request, now)
+        self.step += 1
+        return command
+
+    def ticks(self, count: int, camera: bool = True, **changes) -> list[bool]:
+        """Vision at each step, with a new frame every fifth one."""
+        seen = []
+        for _ in range(count):
+            last = self.step - self.step % 5
+            self.tick(frame(last, time_of(last)) if camera else None, **changes)
+            seen.append(self.controller.decision.vision)
+        return seen
+
+    def whats(self) -> list[str]:
+        return [event.what for event in self.events]

@@ -4,66 +4,22 @@ from __future__ import annotations
 
 import itertools
 import math
-import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from renet.deploy.bundle import Bundle, write_bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller, Event
-from renet.deploy.manifest import SelectorSpec
 from renet.deploy.observation import heading, observe
 from renet.deploy.operator import Request
-from renet.deploy.perception import InlinePerception, ThreadedPerception
 from renet.deploy.robots.base import RobotState
 from renet.deploy.safety import Mode, SafetyCfg
 from renet.models.actor_critic import fuse
 from renet.models.memory import EstimatorMemory
 
-from .fakes import STANDING, frame, state, time_of
-
-ARM, GO = Request(arm=True), Request(speed=0.6)
-QUICK = SafetyCfg(rise_seconds=0.1)
-WALKS_AT = 7
-"""Control step at which `Run` walks: armed at step 1, risen 0.1 s later."""
-
-
-@pytest.fixture(scope="module")
-def bundle(tmp_path_factory, models, manifest) -> Bundle:
-    """Untrained networks reconstruct badly: beta is large, so that only real faults count."""
-    easy = replace(manifest, selector=SelectorSpec(beta=1.0))
-    return Bundle.load(write_bundle(tmp_path_factory.mktemp("b") / "bundle", models, easy))
-
-
-class Run:
-    """A controller and what happened to it."""
-
-    def __init__(self, bundle: Bundle, **options) -> None:
-        self.events: list[Event] = []
-        self.controller = Controller(bundle, QUICK, on_event=self.events.append, **options)
-        self.step = 0
-
-    def tick(self, frame=None, request=GO, **changes):
-        now = time_of(self.step)
-        request = ARM if self.step == 1 else request
-        command = self.controller.tick(replace(state(now), **changes), frame, request, now)
-        self.step += 1
-        return command
-
-    def ticks(self, count: int, camera: bool = True, **changes) -> list[bool]:
-        """Vision at each step, with a new frame every fifth one."""
-        seen = []
-        for _ in range(count):
-            last = self.step - self.step % 5
-            self.tick(frame(last, time_of(last)) if camera else None, **changes)
-            seen.append(self.controller.decision.vision)
-        return seen
-
-    def whats(self) -> list[str]:
-        return [event.what for event in self.events]
+from .fakes import ARM, GO, STANDING, WALKS_AT, Run, frame, state, time_of
 
 
 def test_it_rises_and_then_walks(bundle):
@@ -368,80 +324,3 @@ def reading_of(controller: Controller) -> tuple[np.ndarray, np.ndarray]:
     newest = controller._newest
     assert newest is not None
     return newest.joint_position, newest.joint_velocity
-
-
-class Sabotage:
-    """A session that fails or hangs off the main thread, on demand."""
-
-    def __init__(self, session) -> None:
-        self.session, self.mood = session, "well"
-        self.released = threading.Event()
-
-    def run(self, *arguments):
-        if threading.current_thread() is not threading.main_thread():
-            if self.mood == "dies":
-                raise MemoryError
-            if self.mood == "hangs":
-                self.released.wait(30)
-        return self.session.run(*arguments)
-
-
-@pytest.fixture
-def sabotage(bundle) -> Sabotage:
-    return Sabotage(bundle.sessions["estimator"])
-
-
-def threaded(bundle: Bundle, sabotage: Sabotage) -> ThreadedPerception:
-    return ThreadedPerception({**bundle.sessions, "estimator": sabotage}, patience=5.0)  # type: ignore[dict-item]
-
-
-def test_the_second_thread_gives_the_same_commands(bundle, sabotage):
-    inline = Run(bundle, perception=InlinePerception(bundle.sessions))
-    thread = Run(bundle, perception=threaded(bundle, sabotage))
-    for _ in range(60):
-        picture = frame(inline.step, time_of(inline.step)) if inline.step % 5 == 0 else None
-        a, b = inline.tick(picture), thread.tick(picture)
-        np.testing.assert_array_equal(a.position, b.position)
-    thread.controller.close()
-
-
-def test_a_dead_vision_thread_is_replaced_and_costs_one_tick_of_vision(bundle, sabotage):
-    run = Run(bundle, perception=threaded(bundle, sabotage))
-    run.ticks(60)
-    run.controller._perception._patience = 0.05  # type: ignore[attr-defined]
-    sabotage.mood = "dies"
-    run.ticks(6)
-    sabotage.mood = "well"
-    run.ticks(20)
-    assert "perception" in run.whats()
-    assert run.events[-1].what == "op"
-    run.controller._perception._patience = 5.0  # type: ignore[attr-defined]
-    assert all(run.ticks(150)[-50:]), "vision comes back"
-    assert run.controller.decision.mode is Mode.WALKING
-    run.controller.close()
-
-
-def test_a_result_that_is_late_by_a_whole_tick_costs_vision(bundle, sabotage):
-    """It is there when the next tick begins, but nobody has acted on it."""
-    run = Run(bundle, perception=threaded(bundle, sabotage))
-    run.ticks(60)
-    perception = run.controller._perception
-    perception.take = lambda: None  # type: ignore[method-assign]
-    assert not any(run.ticks(40)[10:])
-    assert run.controller.decision.mode is Mode.WALKING
-    run.controller.close()
-
-
-def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(bundle, sabotage):
-    run = Run(bundle, perception=threaded(bundle, sabotage))
-    run.ticks(60)
-    run.controller._perception._patience = 0.001  # type: ignore[attr-defined]
-    sabotage.mood = "hangs"
-    before = run.controller.policy.latent_op.copy()
-    assert not any(run.ticks(40)[20:])
-    assert run.controller.decision.mode is Mode.WALKING
-    assert not np.array_equal(before, run.controller.policy.latent_op), "OP's estimator goes on"
-    sabotage.released.set()
-    run.controller._perception._patience = 5.0  # type: ignore[attr-defined]
-    assert all(run.ticks(200)[-50:]), "vision comes back"
-    run.controller.close()

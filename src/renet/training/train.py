@@ -8,7 +8,7 @@ import re
 import time
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from mjlab.rl import RslRlVecEnvWrapper
 
 from renet.errors import RenetError
 from renet.training import checkpoint as checkpoints
+from renet.training.checkpoint import Checkpoint
 from renet.training.config import LearningCfg
 from renet.training.metrics import CURVES
 from renet.training.run_report import write_run_report
@@ -88,8 +89,9 @@ def train(cfg: TrainCfg) -> Path | None:
     budget = None if cfg.time_budget is None else seconds(cfg.time_budget)
     device = resolve_device(cfg.device)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
+    earlier = None if resume is None else checkpoints.load(resume)
     task = tuned(cfg.task, cfg.reward_weights, cfg.tile_shares)
-    task.curriculum["command_stage"].params["switch_step"] = _switch_step(cfg, resume)
+    task.curriculum["command_stage"].params["switch_step"] = _switch_step(cfg, earlier)
     env = make_env(
         task,
         num_envs=cfg.num_envs,
@@ -98,7 +100,9 @@ def train(cfg: TrainCfg) -> Path | None:
         engine=cfg.engine,
     )
     vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
-    run = None if rank else resumed_run(resume, cfg.task) or new_run(cfg.log_root, cfg.task)
+    # Another task's run stays as it is.
+    own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
+    run = None if rank else resumed_run(own) or new_run(cfg.log_root, cfg.task)
     runner = RenetRunner(vec_env, asdict(cfg), str(run) if run else None, device)
     if resume:
         runner.load(str(resume))
@@ -146,11 +150,10 @@ def tuned(task: str, weights: dict[str, float], shares: dict[str, float]) -> Ren
     return cfg
 
 
-def _switch_step(cfg: TrainCfg, resume: Path | None) -> int:
+def _switch_step(cfg: TrainCfg, earlier: Checkpoint | None) -> int:
     """Control step of the environment at which iteration `standing_after` begins."""
     taken, iteration = 0, 0
-    if resume is not None:
-        earlier = checkpoints.load(resume)
+    if earlier is not None:
         taken = int(earlier.environment.get("common_step_counter", 0))
         iteration = earlier.state["iteration"]
     return taken + (cfg.standing_after - iteration) * cfg.num_steps_per_env
@@ -181,14 +184,11 @@ def _flat(settings: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def resumed_run(checkpoint: Path | None, task: str) -> Path | None:
-    """The run a checkpoint belongs to, which then goes on.
-
-    None for one kept elsewhere, or of another task: its run stays as it is.
-    """
+def resumed_run(checkpoint: Path | None) -> Path | None:
+    """The run a checkpoint belongs to, which then goes on; None for one kept elsewhere."""
     if checkpoint is None or checkpoint.parent.name != CHECKPOINTS:
         return None
-    return checkpoint.parent.parent if checkpoints.load(checkpoint).state["task"] == task else None
+    return checkpoint.parent.parent
 
 
 def seconds(text: str) -> float:
@@ -221,18 +221,15 @@ def resolve_device(name: str) -> str:
 
 def new_run(root: Path, task: str) -> Path:
     """Create `root/task/date_time`; raises RenetError where nothing can be written."""
-    run = first = root / task / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    for number in count(2):
-        try:
-            run.mkdir(parents=True)
-            return run
-        except FileExistsError:  # Two runs begun in the same second.
-            run = first.with_name(f"{first.name}_{number}")
-        except OSError as error:
-            raise RenetError(
-                f"cannot write to {run}: {error}. Choose another --log-root"
-            ) from error
-    raise AssertionError
+    stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    # A second number for runs begun in the same second.
+    names = chain([stamp], (f"{stamp}_{n}" for n in count(2)))
+    run = next(path for name in names if not (path := root / task / name).exists())
+    try:
+        run.mkdir(parents=True)
+    except OSError as error:
+        raise RenetError(f"cannot write to {run}: {error}. Choose another --log-root") from error
+    return run
 
 
 def resolve_resume(resume: str, root: Path, task: str) -> Path:

@@ -1,0 +1,91 @@
+"""Ticks on a second thread: the same commands, and a thread that dies, hangs or is late."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from renet.deploy.bundle import Bundle
+from renet.deploy.perception import InlinePerception, ThreadedPerception
+from renet.deploy.safety import Mode
+
+from .fakes import Run, frame, time_of
+
+
+class Sabotage:
+    """A session that fails or hangs off the main thread, on demand."""
+
+    def __init__(self, session) -> None:
+        self.session, self.mood = session, "well"
+        self.released = threading.Event()
+
+    def run(self, *arguments):
+        if threading.current_thread() is not threading.main_thread():
+            if self.mood == "dies":
+                raise MemoryError
+            if self.mood == "hangs":
+                self.released.wait(30)
+        return self.session.run(*arguments)
+
+
+@pytest.fixture
+def sabotage(bundle) -> Sabotage:
+    return Sabotage(bundle.sessions["estimator"])
+
+
+def threaded(bundle: Bundle, sabotage: Sabotage) -> ThreadedPerception:
+    return ThreadedPerception({**bundle.sessions, "estimator": sabotage}, patience=5.0)  # type: ignore[dict-item]
+
+
+def test_the_second_thread_gives_the_same_commands(bundle, sabotage):
+    inline = Run(bundle, perception=InlinePerception(bundle.sessions))
+    thread = Run(bundle, perception=threaded(bundle, sabotage))
+    for _ in range(60):
+        picture = frame(inline.step, time_of(inline.step)) if inline.step % 5 == 0 else None
+        a, b = inline.tick(picture), thread.tick(picture)
+        np.testing.assert_array_equal(a.position, b.position)
+    thread.controller.close()
+
+
+def test_a_dead_vision_thread_is_replaced_and_costs_one_tick_of_vision(bundle, sabotage):
+    run = Run(bundle, perception=threaded(bundle, sabotage))
+    run.ticks(60)
+    run.controller._perception._patience = 0.05  # type: ignore[attr-defined]
+    sabotage.mood = "dies"
+    run.ticks(6)
+    sabotage.mood = "well"
+    run.ticks(20)
+    assert "perception" in run.whats()
+    assert run.events[-1].what == "op"
+    run.controller._perception._patience = 5.0  # type: ignore[attr-defined]
+    assert all(run.ticks(150)[-50:]), "vision comes back"
+    assert run.controller.decision.mode is Mode.WALKING
+    run.controller.close()
+
+
+def test_a_result_that_is_late_by_a_whole_tick_costs_vision(bundle, sabotage):
+    """It is there when the next tick begins, but nobody has acted on it."""
+    run = Run(bundle, perception=threaded(bundle, sabotage))
+    run.ticks(60)
+    perception = run.controller._perception
+    perception.take = lambda: None  # type: ignore[method-assign]
+    assert not any(run.ticks(40)[10:])
+    assert run.controller.decision.mode is Mode.WALKING
+    run.controller.close()
+
+
+def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(bundle, sabotage):
+    run = Run(bundle, perception=threaded(bundle, sabotage))
+    run.ticks(60)
+    run.controller._perception._patience = 0.001  # type: ignore[attr-defined]
+    sabotage.mood = "hangs"
+    before = run.controller.policy.latent_op.copy()
+    assert not any(run.ticks(40)[20:])
+    assert run.controller.decision.mode is Mode.WALKING
+    assert not np.array_equal(before, run.controller.policy.latent_op), "OP's estimator goes on"
+    sabotage.released.set()
+    run.controller._perception._patience = 5.0  # type: ignore[attr-defined]
+    assert all(run.ticks(200)[-50:]), "vision comes back"
+    run.controller.close()
