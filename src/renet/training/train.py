@@ -224,11 +224,11 @@ def new_run(root: Path, task: str) -> Path:
     stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     # A second number for runs begun in the same second.
     names = chain([stamp], (f"{stamp}_{n}" for n in count(2)))
-    run = next(path for name in names if not (path := root / task / name).exists())
     try:
+        run = next(path for name in names if not (path := root / task / name).exists())
         run.mkdir(parents=True)
     except OSError as error:
-        raise RenetError(f"cannot write to {run}: {error}. Choose another --log-root") from error
+        raise RenetError(f"cannot write to {root}: {error}. Choose another --log-root") from error
     return run
 
 
