@@ -130,7 +130,7 @@ def test_a_real_robots_operator_must_show_signs_of_life():
 
 
 def test_the_go1s_address_and_power_level_are_options():
-    cfg = DeployCfg(robot="go1", host="10.0.0.1", power_level=5, dry_run=True)
+    cfg = DeployCfg(robot="go1", camera="none", host="10.0.0.1", power_level=5, dry_run=True)
     assert crew.make_crew(cfg, Bundle.load(), print).robot._address == ("10.0.0.1", 8007, 8080, 5)  # type: ignore[attr-defined]
 
 
