@@ -222,7 +222,7 @@ def test_leaving_the_tile_is_a_time_out_and_a_gap_is_not(parkour):
     kinds = list(parkour.scene.terrain.cfg.terrain_generator.sub_terrains)
     gap = int((parkour.scene.terrain.terrain_types == kinds.index("gap")).nonzero()[0])
     parkour.reset()
-    parkour.sim.data.qpos[0, 1] += 4.2
+    parkour.sim.data.qpos[0, 1] += 4.5
     parkour.sim.data.qpos[gap, :3] = parkour.scene.env_origins[gap] + torch.tensor([1.25, 0, -0.4])
     _, _, terminated, truncated, extras = parkour.step(torch.zeros(12, 12))
     assert (terminated[0], truncated[0]) == (False, True)
