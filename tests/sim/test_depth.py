@@ -46,6 +46,8 @@ class State:
 
     def __getattr__(self, name: str) -> torch.Tensor:
         array = torch.tensor(getattr(self.data, name), dtype=torch.float32)
+        if name == "xmat":  # As MuJoCo Warp shapes it.
+            array = array.unflatten(-1, (3, 3))
         return array.expand(self.robots, *array.shape)
 
 

@@ -16,7 +16,7 @@ def test_images_keep_their_rate_when_the_period_is_no_multiple_of_the_step():
         "</worldbody></mujoco>"
     )
     state = SimpleNamespace(
-        qpos=torch.zeros(1, 0), xpos=torch.ones(1, 2, 3), xquat=torch.eye(4)[:1].expand(1, 2, 4)
+        qpos=torch.zeros(1, 0), xpos=torch.ones(1, 2, 3), xmat=torch.eye(3).expand(1, 2, 3, 3)
     )
     camera = DepthCameraCfg(name="depth", body="robot", period=0.05).build()
     camera.initialize(model, None, state, "cpu")

@@ -10,7 +10,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mjlab.utils.lab_api.math import quat_from_euler_xyz
+from mjlab.utils.lab_api.math import matrix_from_quat, quat_from_euler_xyz
 
 from renet.sim.terrain_scan import FeetHeight, FeetHeightCfg, HeightMap, HeightMapCfg
 from renet.vocabulary import HEIGHT_MAP_X, HEIGHT_MAP_Y
@@ -27,11 +27,11 @@ def scene(terrain: str) -> mujoco.MjModel:
 def height_map(model: mujoco.MjModel, position, rotation=(0.0, 0.0, 0.0)) -> HeightMap:
     """The sensor on one robot with the given base position and roll, pitch, yaw."""
     body = model.body("robot").id
-    xpos, xquat = torch.zeros(1, model.nbody, 3), torch.zeros(1, model.nbody, 4)
+    xpos, xmat = torch.zeros(1, model.nbody, 3), torch.zeros(1, model.nbody, 3, 3)
     xpos[0, body] = torch.tensor(position)
-    xquat[0, body] = quat_from_euler_xyz(*torch.tensor(rotation))
+    xmat[0, body] = matrix_from_quat(quat_from_euler_xyz(*torch.tensor(rotation)))
     sensor = HeightMapCfg(name="map", body="robot").build()
-    sensor.initialize(model, None, SimpleNamespace(xpos=xpos, xquat=xquat), "cpu")
+    sensor.initialize(model, None, SimpleNamespace(xpos=xpos, xmat=xmat), "cpu")
     return sensor
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ import torch
 from renet.errors import RenetError
 from renet.sim.raycast import scanner
 from renet.tasks.config import tile_env_cfg
-from renet.tasks.curriculum import FIRST_LEVELS, mean_levels
+from renet.tasks.curriculum import FIRST_LEVELS, TerrainLevels
 from renet.tasks.terrains import single_tile_terrain
 from renet.tiles import LEVELS, TILE, tiles
 
@@ -151,8 +153,14 @@ def test_every_eighth_robot_walks_any_level_up_to_the_mean_of_the_others(parkour
 
 
 def test_the_mean_level_leaves_out_robots_that_revisit():
-    levels, kinds = torch.tensor([4, 5, 1, 9, 9, 9, 9, 0]), torch.tensor([0, 0, 1, 2, 2, 2, 2, 0])
-    assert mean_levels(levels, kinds, 4).tolist() == [4.5, 1.0, 9.0, 0.0]
+    generator = SimpleNamespace(sub_terrains=dict.fromkeys(("rough", "gap", "platform", "empty")))
+    terrain = SimpleNamespace(
+        cfg=SimpleNamespace(terrain_generator=generator),
+        terrain_types=torch.tensor([0, 0, 1, 2, 2, 2, 2, 0]),
+    )
+    env = SimpleNamespace(scene=SimpleNamespace(terrain=terrain), num_envs=8, device="cpu")
+    means = TerrainLevels(None, env).means(torch.tensor([4, 5, 1, 9, 9, 9, 9, 0]))
+    assert means.tolist() == [4.5, 1.0, 9.0, 0.0]
 
 
 def test_the_last_level_leads_back_to_any(parkour):

@@ -56,7 +56,14 @@ class Actor(nn.Module):
 
     def distribution(self, proprioception: Tensor, latent: Tensor) -> Normal:
         """Action distribution; independent over joints."""
-        return Normal(self(proprioception, latent), self.log_std.exp(), validate_args=False)
+        return self._around(self(proprioception, latent))
+
+    def log_prob(self, mean: Tensor, action: Tensor) -> Tensor:
+        """Log density [...] of actions [..., 12] drawn around a mean."""
+        return self._around(mean).log_prob(action).sum(-1)
+
+    def _around(self, mean: Tensor) -> Normal:
+        return Normal(mean, self.log_std.exp(), validate_args=False)
 
 
 class Critics(nn.Module):

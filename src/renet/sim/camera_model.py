@@ -39,11 +39,6 @@ class Intrinsics:
 
 def mount_rotation(pitch: Tensor, yaw: Tensor) -> Tensor:
     """Camera axes in the base frame, [N, 3, 3]: yaw about z, then pitch about y (down positive)."""
-    zero, one = torch.zeros_like(pitch), torch.ones_like(pitch)
-    about_y = torch.stack(
-        (pitch.cos(), zero, pitch.sin(), zero, one, zero, -pitch.sin(), zero, pitch.cos()), -1
-    )
-    about_z = torch.stack(
-        (yaw.cos(), -yaw.sin(), zero, yaw.sin(), yaw.cos(), zero, zero, zero, one), -1
-    )
-    return about_z.unflatten(-1, (3, 3)) @ about_y.unflatten(-1, (3, 3))
+    cp, sp, cy, sy = pitch.cos(), pitch.sin(), yaw.cos(), yaw.sin()
+    entries = (cy * cp, -sy, cy * sp, sy * cp, cy, sy * sp, -sp)
+    return torch.stack((*entries, torch.zeros_like(pitch), cp), dim=-1).unflatten(-1, (3, 3))

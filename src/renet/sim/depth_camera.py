@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import mujoco
 import torch
 from mjlab.sensor.sensor import SensorCfg
-from mjlab.utils.lab_api.math import matrix_from_quat
 from torch import Tensor
 
 from renet.errors import RenetError
@@ -151,8 +150,7 @@ class DepthCamera(RaySensor[DepthImage]):
 
     def _render(self) -> DepthImage:
         """Cast all rays from the current poses."""
-        position, quaternion = self._data.xpos[:, self._body], self._data.xquat[:, self._body]
-        base = matrix_from_quat(quaternion)
+        position, base = self._data.xpos[:, self._body], self._data.xmat[:, self._body]
         eye = position + (base @ self._position.unsqueeze(-1)).squeeze(-1)
         raw = self._cast(eye, base @ self._rotation)
         raw = raw.unflatten(-1, (self.cfg.intrinsics.height, self.cfg.intrinsics.width))

@@ -110,8 +110,6 @@ class NativeSimulation(Simulation):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         self._workers: SimpleQueue[Worker] | None = None
-        self.runs = 0
-        """How often it has stepped or recomputed: what follows from poses is as new as this."""
         wp.load_module(native_kernel, device="cpu")  # Else every thread compiles it.
         super().__init__(*args, **kwargs)
         self.neighbourhood = Neighbourhood(self.mj_model, self.mj_data, self.num_envs)
@@ -166,7 +164,6 @@ class NativeSimulation(Simulation):
                 ready.put(Worker(self))
             self._workers = ready  # Not before it is full: threads wait for what is missing.
         workers = self._workers
-        self.runs += 1
         self.neighbourhood.update(self.wp_data.qpos.numpy())
 
         next_env = np.zeros(1, np.int32)

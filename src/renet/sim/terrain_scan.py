@@ -71,12 +71,10 @@ class HeightMap(TerrainSensor):
         self._grid = torch.cartesian_prod(x, y)
 
     def _compute_data(self) -> Tensor:
-        position, quaternion = self._data.xpos[:, self._body], self._data.xquat[:, self._body]
-        w, x, y, z = quaternion.unbind(-1)
-        yaw = torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        forward = torch.stack((yaw.cos(), yaw.sin()), dim=-1)
-        left = torch.stack((-yaw.sin(), yaw.cos()), dim=-1)
-        offset = self._grid[:, :1] * forward[:, None] + self._grid[:, 1:] * left[:, None]
+        position, rotation = self._data.xpos[:, self._body], self._data.xmat[:, self._body]
+        forward = torch.nn.functional.normalize(rotation[:, :2, 0], dim=-1)
+        left = torch.stack((-forward[:, 1], forward[:, 0]), dim=-1)
+        offset = self._grid @ torch.stack((forward, left), dim=1)
         heights = self._heights(position[:, None, :2] + offset)
         limit = self.cfg.limit
         return (position[:, 2:] - self.cfg.base_height - heights).clamp(-limit, limit)

@@ -129,7 +129,5 @@ class GoalCommand(CommandTerm):
 
     def _update_command(self, env_ids: Tensor | None) -> None:
         del env_ids  # The error follows from the current heading everywhere.
-        error = self.heading_error
-        self._command[:, 0] = self.speed
-        self._command[:, 1] = error.sin()
-        self._command[:, 2] = error.cos()
+        error = self.yaw - self.robot.data.heading_w
+        self._command = torch.stack((self.speed, error.sin(), error.cos()), dim=-1)

@@ -28,10 +28,11 @@ from renet.tasks.actions import JointTargetCfg
 from renet.tasks.commands import COMMAND, GoalCommandCfg
 from renet.tasks.constraints import violated
 from renet.tasks.env import RenetEnvCfg
+from renet.tasks.events import spawn
 from renet.tasks.go1 import GO1
 from renet.tasks.robot import CALVES, FEET, TRUNK, Robot
 from renet.tasks.terrains import parkour_terrain
-from renet.vocabulary import CONSTRAINTS, CONTROL_DT, JOINTS, LEGS, PHYSICS_DT, PROPRIOCEPTION
+from renet.vocabulary import CONSTRAINTS, CONTROL_DT, LEGS, PHYSICS_DT, PROPRIOCEPTION
 
 NOISE = {
     "base_angular_velocity": 0.2,
@@ -64,7 +65,7 @@ def tile_env_cfg(terrain: TerrainEntityCfg, play: bool = False, robot: Robot = G
     cfg.terminations["in_gap"] = TerminationTermCfg(func=terminations.in_gap)
     cfg.terminations["below_map"] = TerminationTermCfg(func=terminations.below_map)
     cfg.terminations["left_tile"] = TerminationTermCfg(func=terminations.left_tile, time_out=True)
-    cfg.curriculum["level"] = CurriculumTermCfg(func=curriculum.terrain_levels)
+    cfg.curriculum["level"] = CurriculumTermCfg(func=curriculum.TerrainLevels)
     return _play(cfg) if play else cfg
 
 
@@ -140,20 +141,20 @@ def _play(cfg: RenetEnvCfg) -> RenetEnvCfg:
 
 
 def _contact_sensors() -> tuple[ContactSensorCfg, ...]:
-    def touching(name: str, mode, pattern: tuple[str, ...]) -> ContactSensorCfg:
+    def touching(name: str, mode, pattern: tuple[str, ...], field: str) -> ContactSensorCfg:
         return ContactSensorCfg(
             name=name,
             primary=ContactMatch(mode=mode, pattern=pattern, entity="robot"),
             secondary=ContactMatch(mode="subtree", pattern="terrain"),
-            fields=("found", "force"),
+            fields=(field,),
             reduce="netforce",
         )
 
     thighs = tuple(f"{leg}_thigh" for leg in LEGS)
     return (
-        touching(observations.FEET_CONTACT, "geom", FEET),
-        touching(observations.THIGH_TRUNK_CONTACT, "body", (*thighs, TRUNK)),
-        touching(observations.CALF_CONTACT, "geom", CALVES),
+        touching(observations.FEET_CONTACT, "geom", FEET, "found"),
+        touching(observations.THIGH_TRUNK_CONTACT, "body", (*thighs, TRUNK), "force"),
+        touching(observations.CALF_CONTACT, "geom", CALVES, "force"),
     )
 
 
@@ -166,28 +167,16 @@ def _terrain_sensors(robot: Robot) -> tuple[DepthCameraCfg, HeightMapCfg, FeetHe
 
 
 def _observations() -> dict[str, ObservationGroupCfg]:
-    joints = SceneEntityCfg("robot", joint_names=JOINTS, preserve_order=True)
-    functions = {
-        "base_angular_velocity": (mdp.base_ang_vel, {}),
-        "projected_gravity": (mdp.projected_gravity, {}),
-        "command": (mdp.generated_commands, {"command_name": COMMAND}),
-        "joint_position": (mdp.joint_pos_rel, {"asset_cfg": joints}),
-        "joint_velocity": (mdp.joint_vel_rel, {"asset_cfg": joints}),
-        "last_action": (mdp.last_action, {}),
-    }
+    scale = tuple(term.scale for term in PROPRIOCEPTION for _ in range(term.size))
+    noise = tuple(NOISE.get(term.name, 0.0) for term in PROPRIOCEPTION for _ in range(term.size))
 
     def proprioception(noisy: bool) -> ObservationGroupCfg:
-        terms = {}
-        for term in PROPRIOCEPTION:
-            function, params = functions[term.name]
-            width = NOISE.get(term.name, 0.0)
-            terms[term.name] = ObservationTermCfg(
-                func=function,
-                params=dict(params),
-                scale=term.scale,
-                noise=UniformNoiseCfg(n_min=-width, n_max=width) if width else None,
-            )
-        return ObservationGroupCfg(terms=terms, enable_corruption=noisy)
+        term = ObservationTermCfg(
+            func=observations.Proprioception,
+            scale=scale,
+            noise=UniformNoiseCfg(n_min=tuple(-half for half in noise), n_max=noise),
+        )
+        return ObservationGroupCfg(terms={"value": term}, enable_corruption=noisy)
 
     def single(function, **params) -> ObservationGroupCfg:
         return ObservationGroupCfg(
@@ -245,8 +234,10 @@ def _rewards(robot: Robot) -> dict[str, RewardTermCfg]:
 def _metrics() -> dict[str, MetricsTermCfg]:
     """Logged as means over an episode's steps, beside the rewards."""
     return {
-        "collisions": MetricsTermCfg(func=rewards.collision),
-        "lin_vel_reward": MetricsTermCfg(func=rewards.linear_velocity),
+        "collisions": MetricsTermCfg(func=rewards.unweighted, params={"reward": "collision"}),
+        "lin_vel_reward": MetricsTermCfg(
+            func=rewards.unweighted, params={"reward": "linear_velocity"}
+        ),
         **{
             f"violated_{name}": MetricsTermCfg(func=violated, params={"constraint": name})
             for name in CONSTRAINTS
@@ -259,7 +250,7 @@ def _events() -> dict[str, EventTermCfg]:
     trunk = SceneEntityCfg("robot", body_names=(TRUNK,))
     return {
         "spawn": EventTermCfg(
-            func=mdp.reset_root_state_uniform,
+            func=spawn,
             mode="reset",
             params={
                 "pose_range": {
@@ -268,15 +259,7 @@ def _events() -> dict[str, EventTermCfg]:
                     "z": (0.02, 0.04),
                     "yaw": (-math.pi, math.pi),
                 },
-            },
-        ),
-        "spawn_joints": EventTermCfg(
-            func=mdp.reset_joints_by_offset,
-            mode="reset",
-            params={
-                "position_range": (-0.1, 0.1),
-                "velocity_range": (0.0, 0.0),
-                "asset_cfg": SceneEntityCfg("robot", joint_names=(".*",)),
+                "joint_offset": 0.1,
             },
         ),
         "push": EventTermCfg(

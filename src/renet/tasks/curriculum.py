@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from renet.tasks.rewards import goal
 from renet.tasks.terminations import tile_distance
@@ -49,44 +50,45 @@ def asked_distance(env: ManagerBasedRlEnv) -> Tensor:
     return command.asked + env.termination_manager.terminated * command.speed * left
 
 
-def terrain_levels(env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]:
-    """Move robots between rows; the mean level of each kind of tile is logged."""
-    terrain = env.scene.terrain
-    assert terrain is not None
-    assert terrain.cfg.terrain_generator is not None
-    up, down = level_change(tile_distance(env), asked_distance(env))
-    # A robot that has not walked, as after loading a checkpoint, may stand on any other tile.
-    walked = env.episode_length_buf > 0
-    up, down = (up & walked)[env_ids], (down & walked)[env_ids]
-    before = terrain.terrain_levels[env_ids]
-    failed = down & (before == 0)
-    first = torch.randint_like(before, FIRST_LEVELS)
-    kinds = terrain.cfg.terrain_generator.sub_terrains
-    means = mean_levels(terrain.terrain_levels, terrain.terrain_types, len(kinds))
-    revisits = revisiting(env_ids) & walked[env_ids]
-    up_to = means[terrain.terrain_types[env_ids]] + 1
-    any_level = (torch.rand_like(up_to) * up_to).long()
-    start = torch.where(revisits, any_level, torch.where(failed, first, before))
-    terrain.terrain_levels[env_ids] = start
-    terrain.update_env_origins(env_ids, up & ~revisits, down & ~failed & ~revisits)
-    means = mean_levels(terrain.terrain_levels, terrain.terrain_types, len(kinds))
-    return dict(zip(kinds, means, strict=True))
+class TerrainLevels:
+    """Moves robots between rows; the mean level of each kind of tile is logged."""
 
+    def __init__(self, cfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        terrain = env.scene.terrain
+        assert terrain is not None
+        assert terrain.cfg.terrain_generator is not None
+        self.kinds = list(terrain.cfg.terrain_generator.sub_terrains)
+        robots = torch.arange(env.num_envs, device=env.device)
+        self._revisits = robots % REVISITS == REVISITS - 1
+        climbing = one_hot(terrain.terrain_types, len(self.kinds)) * ~self._revisits.unsqueeze(-1)
+        self._share = climbing / climbing.sum(0).clamp_min(1)
+        """What each robot counts in each kind's mean, [N, kinds]."""
 
-def revisiting(env_ids: Tensor) -> Tensor:
-    """Which of the robots [N] walk tiles of any level, mask [N]."""
-    return env_ids % REVISITS == REVISITS - 1
+    def means(self, levels: Tensor) -> Tensor:
+        """Mean level of each kind, [kinds], of those that climb; levels is [N]."""
+        return levels.float() @ self._share
 
-
-def mean_levels(levels: Tensor, kinds: Tensor, count: int) -> Tensor:
-    """Mean level of each of `count` kinds of tile, [count], without the robots that revisit.
-
-    Args:
-        levels, kinds: each robot's, [N].
-    """
-    climbing = ~revisiting(torch.arange(len(levels), device=levels.device))
-    here = torch.nn.functional.one_hot(kinds, count) * climbing.unsqueeze(-1)
-    return (levels.unsqueeze(-1) * here).sum(0) / here.sum(0).clamp_min(1)
+    def __call__(self, env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]:
+        """Move the robots in `env_ids`, whose episodes end."""
+        terrain = env.scene.terrain
+        assert terrain is not None
+        up, down = level_change(tile_distance(env), asked_distance(env))
+        # A robot that has not walked, as after loading a checkpoint, may stand on any other tile.
+        walked = env.episode_length_buf > 0
+        climbs = (walked & ~self._revisits)[env_ids]
+        revisits = (walked & self._revisits)[env_ids]
+        up, down = up[env_ids] & climbs, down[env_ids] & climbs
+        before = terrain.terrain_levels[env_ids]
+        failed = down & (before == 0)
+        first = torch.randint_like(before, FIRST_LEVELS)
+        up_to = self.means(terrain.terrain_levels)[terrain.terrain_types[env_ids]] + 1
+        any_level = (torch.rand_like(up_to) * up_to).long()
+        start = torch.where(revisits, any_level, torch.where(failed, first, before))
+        terrain.terrain_levels[env_ids] = start
+        terrain.update_env_origins(env_ids, up, down & ~failed)
+        means = self.means(terrain.terrain_levels)
+        return dict(zip(self.kinds, means.unbind(), strict=True))
 
 
 def command_stage(env: ManagerBasedRlEnv, env_ids: Tensor, switch_step: int) -> Tensor:

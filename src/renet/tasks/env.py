@@ -15,11 +15,12 @@ from mjlab.tasks.registry import list_tasks, load_env_cfg
 from torch import Tensor
 
 from renet.errors import RenetError
-from renet.sim.engine import NativeSimulation, use_engine
+from renet.sim.engine import use_engine
 from renet.sim.threads import one_torch_thread
 from renet.tasks.constraints import ConstraintCfg, Constraints
-from renet.tasks.env_data import DerivedOnce
+from renet.tasks.env_data import FloatingBase
 from renet.tasks.go1 import GO1
+from renet.tasks.managers import StackedMetrics, StackedRewards, StackedTerminations
 from renet.tasks.rewards import goal
 from renet.tasks.robot import Robot
 
@@ -40,6 +41,7 @@ class RenetEnv(ManagerBasedRlEnv):
     """Adds `extras["costs"]`: [N, 3], order of vocabulary.CONSTRAINTS, times the step's dt."""
 
     cfg: RenetEnvCfg
+    reward_manager: StackedRewards
     costs: Tensor
     """Of the last step, [N, 3]; see `extras["costs"]`."""
 
@@ -49,9 +51,8 @@ class RenetEnv(ManagerBasedRlEnv):
         super().__init__(cfg, device, render_mode)
         self.constraints = Constraints(cfg.constraints, self)
         self._fuse_substeps()
-        if isinstance(self.sim, NativeSimulation):
-            for entity in self.scene.entities.values():
-                entity._data = DerivedOnce(entity.data, self.sim)
+        robot = self.scene["robot"]
+        robot._data = FloatingBase(robot.data)
 
     def _fuse_substeps(self) -> None:
         """Let the native engine take all substeps of a control step in one call.
@@ -83,8 +84,14 @@ class RenetEnv(ManagerBasedRlEnv):
         return observation, reward, terminated, truncated, extras
 
     def load_managers(self) -> None:
-        """Load mjlab's managers and measure costs where rewards are: before any reset."""
+        """Load the managers, and measure costs where rewards are: before any reset."""
         super().load_managers()
+        self.reward_manager = StackedRewards(
+            self.cfg.rewards, self, scale_by_dt=self.cfg.scale_rewards_by_dt
+        )
+        self.termination_manager = StackedTerminations(self.cfg.terminations, self)
+        if self.cfg.metrics:
+            self.metrics_manager = StackedMetrics(self.cfg.metrics, self)
         compute = self.reward_manager.compute
 
         def compute_with_costs(dt: float) -> Tensor:

@@ -1,45 +1,60 @@
-"""A robot's state that is derived once for each run of the engine, not for each term that asks."""
+"""A floating base's state, read from MuJoCo's arrays in few operations."""
 
 from __future__ import annotations
 
-from typing import Any
-
+import torch
 from mjlab.entity import EntityData
-
-from renet.sim.engine import NativeSimulation
-
-
-def _once(name: str) -> property:
-    """EntityData's property `name`, remembered until the engine has run again."""
-    derive = getattr(EntityData, name).fget
-
-    def get(self: DerivedOnce) -> Any:
-        if self.runs != self.simulation.runs:
-            self.runs = self.simulation.runs
-            self.known.clear()
-        if name not in self.known:
-            self.known[name] = derive(self)
-        return self.known[name]
-
-    return property(get, doc=getattr(EntityData, name).__doc__)
+from torch import Tensor
 
 
-class DerivedOnce(EntityData):
-    """What follows from the poses and velocities that the native engine computed.
+class FloatingBase(EntityData):
+    """EntityData whose base's position, rotation and velocity are not derived from quaternions.
 
-    They change only when it runs: writing a state does not touch them. Callers must not change what
-    they get in place.
+    A free joint's velocities are the base's: linear in the world frame, angular in its own. They
+    are as new as the state; positions and rotations are those of the engine's last run.
     """
 
-    root_link_pose_w = _once("root_link_pose_w")  # type: ignore[assignment]
-    root_link_vel_w = _once("root_link_vel_w")  # type: ignore[assignment]
-    root_link_lin_vel_b = _once("root_link_lin_vel_b")  # type: ignore[assignment]
-    root_link_ang_vel_b = _once("root_link_ang_vel_b")  # type: ignore[assignment]
-    projected_gravity_b = _once("projected_gravity_b")  # type: ignore[assignment]
-    heading_w = _once("heading_w")  # type: ignore[assignment]
-
-    def __init__(self, data: EntityData, simulation: NativeSimulation) -> None:
-        """Stand in for an entity's data."""
+    def __init__(self, data: EntityData) -> None:
+        """Stand in for the data of an entity with a free joint."""
         super().__init__(**vars(data))
-        self.simulation, self.runs = simulation, simulation.runs
-        self.known: dict[str, Any] = {}
+        self._body = int(self.indexing.root_body_id)
+        address = self.indexing.free_joint_v_adr.tolist()
+        self._linear, self._angular = (
+            slice(address[0], address[3]),
+            slice(address[3], address[5] + 1),
+        )
+
+    @property
+    def root_link_pos_w(self) -> Tensor:
+        """m, [N, 3]."""
+        return self.data.xpos[:, self._body].clone()
+
+    @property
+    def root_link_lin_vel_w(self) -> Tensor:
+        """m/s, [N, 3]."""
+        return self.data.qvel[:, self._linear].clone()
+
+    @property
+    def root_link_lin_vel_b(self) -> Tensor:
+        """m/s, [N, 3]."""
+        return (self.data.qvel[:, None, self._linear] @ self._rotation).squeeze(1)
+
+    @property
+    def root_link_ang_vel_b(self) -> Tensor:
+        """rad/s, [N, 3]."""
+        return self.data.qvel[:, self._angular].clone()
+
+    @property
+    def projected_gravity_b(self) -> Tensor:
+        """Downward unit vector, [N, 3]."""
+        return -self._rotation[:, 2]
+
+    @property
+    def heading_w(self) -> Tensor:
+        """Yaw of the base's forward axis, rad, [N]."""
+        return torch.atan2(self._rotation[:, 1, 0], self._rotation[:, 0, 0])
+
+    @property
+    def _rotation(self) -> Tensor:
+        """Base to world, [N, 3, 3]."""
+        return self.data.xmat[:, self._body]

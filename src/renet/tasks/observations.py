@@ -1,4 +1,4 @@
-"""Observation terms beyond mjlab's: true quantities for critics and estimators, and depth."""
+"""Observation terms: proprioception, true quantities for critics and estimators, and depth."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from mjlab.managers.scene_entity_config import SceneEntityCfg
 from torch import Tensor
 
 from renet.sim.depth_camera import DepthCamera
+from renet.tasks.commands import COMMAND
 from renet.tasks.terrains import DIFFICULT
+from renet.vocabulary import JOINTS, PROPRIOCEPTION
 
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv
@@ -20,6 +22,28 @@ FEET_HEIGHT = "feet_height"
 FEET_CONTACT = "feet_contact"
 THIGH_TRUNK_CONTACT = "thigh_trunk_contact"
 CALF_CONTACT = "calf_contact"
+
+
+class Proprioception:
+    """What the robot's own sensors say, order and units of vocabulary.PROPRIOCEPTION."""
+
+    def __init__(self, cfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        joints, _ = env.scene["robot"].find_joints(JOINTS, preserve_order=True)
+        self._joints = torch.tensor(joints, device=env.device)
+
+    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
+        """[N, 45], before scaling."""
+        data = env.scene["robot"].data
+        terms = {
+            "base_angular_velocity": data.root_link_ang_vel_b,
+            "projected_gravity": data.projected_gravity_b,
+            "command": env.command_manager.get_command(COMMAND),
+            "joint_position": (data.joint_pos - data.default_joint_pos)[:, self._joints],
+            "joint_velocity": data.joint_vel[:, self._joints],
+            "last_action": env.action_manager.action,
+        }
+        return torch.cat([terms[term.name] for term in PROPRIOCEPTION], dim=-1)
 
 
 def velocity(env: ManagerBasedRlEnv) -> Tensor:

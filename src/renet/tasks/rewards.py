@@ -17,6 +17,8 @@ from renet.tasks.observations import CALF_CONTACT, THIGH_TRUNK_CONTACT
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv
 
+    from renet.tasks.env import RenetEnv
+
 CONTACT_FORCE = 0.1
 """N above which a touch is a collision (Extreme Parkour)."""
 
@@ -24,6 +26,11 @@ CONTACT_FORCE = 0.1
 def goal(env: ManagerBasedRlEnv) -> GoalCommand:
     """The task's command term."""
     return env.command_manager.get_term(COMMAND)  # type: ignore[return-value]
+
+
+def unweighted(env: RenetEnv, reward: str) -> Tensor:
+    """A reward of this step before its weight, [N], to log."""
+    return env.reward_manager.value(reward)
 
 
 def goal_velocity(velocity: Tensor, direction: Tensor, speed: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
@@ -18,6 +19,7 @@ from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
 from renet.sim.engine import NativeSimulation
 from renet.sim.overflow import OverflowWatch
+from renet.sim.threads import one_torch_thread
 from renet.training import distributed
 from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg
 from renet.training.config_io import from_dict
@@ -30,6 +32,10 @@ from renet.vocabulary import CONSTRAINTS, STEPS_PER_TICK
 
 CRITIC_GROUPS = ("proprioception_clean", "velocity", "feet_height", "height_map", "privileged")
 """Observation groups the critics see; the actor sees `proprioception` and the latent."""
+FEW = 128
+"""Robots whose actions a second thread does not hasten: waking it takes longer than its half."""
+NORMALIZED_AT_ONCE = 65_536
+"""Rows of a rollout whose statistics ranks exchange in one message (80 MB)."""
 
 
 def critic_observation(obs: TensorDict) -> Tensor:
@@ -119,15 +125,14 @@ class RenetAlgorithm:
         if self._is_tick():
             self._tick(obs, mask)
         latent = self.latent(obs, mask)
-        distribution = self.model.actor.distribution(proprioception, latent)
-        action = distribution.sample()
-        observation = self.model.critic_normalizer(critic_observation(obs))
+        with one_torch_thread(self.device) if len(latent) <= FEW else nullcontext():
+            distribution = self.model.actor.distribution(proprioception, latent)
+            action = distribution.sample()
         self._steps.begin(
             proprioception=proprioception,
             latent=latent,
-            critic_observation=observation,
+            critic_observation=critic_observation(obs),
             action=action,
-            log_prob=distribution.log_prob(action).sum(-1),
             mean=distribution.mean,
         )
         return action
@@ -176,8 +181,6 @@ class RenetAlgorithm:
         if self._is_tick():
             self._ticks.finish(next_proprioception=obs["proprioception_clean"], next_valid=~done)
         self._cost_sum += costs.mean(0)
-        rows = distributed.gather_rows(critic_observation(obs))
-        self.model.critic_normalizer.update(rows)
         self.memory.reset(done)
         self._step_count += 1
         if self._overflow is not None:
@@ -188,10 +191,14 @@ class RenetAlgorithm:
     @torch.no_grad()
     def compute_returns(self, obs: TensorDict) -> None:
         """Value every state of the rollout in one batch, and the state after the last step."""
-        observation = self.model.critic_normalizer(critic_observation(obs))
-        self._last_value = self.model.critics(observation)
         steps = self._steps.stack()
+        normalize = self.model.critic_normalizer
+        for rows in steps["critic_observation"].flatten(0, 1).split(NORMALIZED_AT_ONCE):
+            normalize.update(distributed.gather_rows(rows))
+        steps["critic_observation"] = normalize(steps["critic_observation"])
         steps["value"] = self.model.critics(steps["critic_observation"])
+        self._last_value = self.model.critics(normalize(critic_observation(obs)))
+        steps["log_prob"] = self.model.actor.log_prob(steps["mean"], steps["action"])
         # An episode cut short would have gone on: bootstrap rewards and costs alike.
         cut = steps.pop("time_out").unsqueeze(-1)
         steps["payoff"] += self.np3o.cfg.gamma * steps["value"] * cut
