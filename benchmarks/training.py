@@ -22,15 +22,16 @@ from mjlab.rl import MjlabOnPolicyRunner, RslRlVecEnvWrapper
 from mjlab.sensor import ObjRef, PinholeCameraPatternCfg, RayCastSensorCfg
 from mjlab.tasks.registry import load_env_cfg, load_rl_cfg
 from rich.progress import track
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from facts import report
 from renet.sim.engine import use_engine
-from renet.tasks import make_env
+from renet.tasks import RenetEnv, make_env
 from renet.tasks.env import env_cfg
 from renet.tasks.robot import ACTION_CLIP, TRUNK
 from renet.training.config import LearningCfg
 from renet.training.runner import RenetRunner
-from renet.vocabulary import DEPTH_RANGE, DEPTH_SHAPE
+from renet.vocabulary import ACTION_SIZE, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TICK
 
 STOCK = "Mjlab-Velocity-Flat-Unitree-Go1"
 
@@ -84,6 +85,30 @@ class Stopwatch:
         return time.perf_counter()
 
 
+class Operations(TorchDispatchMode):
+    """Counts torch's operations, each a launch on a GPU and some microseconds on a CPU."""
+
+    count = 0
+
+    def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None):
+        self.count += 1
+        return function(*args, **(kwargs or {}))
+
+
+def operations(env: RenetEnv) -> dict[str, float]:
+    """Of a control step in which nobody is reset, and of a reset."""
+    env.reset()
+    with Operations() as steps:
+        for _ in range(STEPS_PER_TICK):
+            env.step(torch.zeros(env.num_envs, ACTION_SIZE, device=env.device))
+    with Operations() as reset:
+        env._reset_idx(torch.tensor([0], device=env.device))
+    return {
+        "operations_per_step": steps.count / STEPS_PER_TICK,
+        "operations_per_reset": reset.count,
+    }
+
+
 def profile(cfg: Cfg) -> dict[str, Any]:
     with redirect_stdout(StringIO()):
         env = make_env(cfg.task, cfg.num_envs, cfg.device, engine=cfg.engine)
@@ -116,16 +141,18 @@ def profile(cfg: Cfg) -> dict[str, Any]:
     parts["managers"] = parts.pop("environment") - sum(parts[name] for name in inside)
     parts["rest"] = total - sum(parts.values())
     steps = cfg.iterations * cfg.learning.num_steps_per_env * cfg.num_envs
-    vec_env.close()
-    return {
+    results = {
         "task": cfg.task,
         "num_envs": cfg.num_envs,
         "device": cfg.device,
         "learning_type": str(runner.alg.np3o.dtype).removeprefix("torch."),
         "env_steps_per_s": steps / total,
         "seconds_per_iteration": total / cfg.iterations,
+        **operations(env),
         "profile": {name: value / total for name, value in sorted(parts.items())},
     }
+    vec_env.close()
+    return results
 
 
 def stock_steps_per_second(cfg: Cfg) -> float:
