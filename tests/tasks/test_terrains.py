@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import mujoco
 import numpy as np
 import pytest
@@ -12,7 +10,7 @@ import torch
 from renet.errors import RenetError
 from renet.sim.raycast import scanner
 from renet.tasks.config import tile_env_cfg
-from renet.tasks.curriculum import FIRST_LEVELS, TerrainLevels
+from renet.tasks.curriculum import FIRST_LEVELS
 from renet.tasks.terrains import single_tile_terrain
 from renet.tiles import LEVELS, TILE, tiles
 
@@ -136,31 +134,6 @@ def test_failing_at_the_first_level_leads_to_one_of_the_first(parkour):
         assert (terrain.terrain_levels[6:] == 0).all()
         reached |= set(terrain.terrain_levels[:6].tolist())
     assert reached == set(range(FIRST_LEVELS))
-
-
-def test_every_eighth_robot_walks_any_level_up_to_the_mean_of_the_others(parkour):
-    parkour.reset()
-    terrain, reached = parkour.scene.terrain, set()
-    for _ in range(20):
-        terrain.terrain_levels[:] = 3
-        parkour.episode_length_buf[:] = 500
-        parkour.curriculum_manager.compute(env_ids=torch.tensor([7]))
-        reached.add(terrain.terrain_levels[7].item())
-        assert (np.delete(terrain.terrain_levels.numpy(), 7) == 3).all()
-        origin = terrain.terrain_origins[terrain.terrain_levels[7], terrain.terrain_types[7]]
-        assert torch.equal(terrain.env_origins[7], origin)
-    assert reached == {0, 1, 2, 3}
-
-
-def test_the_mean_level_leaves_out_robots_that_revisit():
-    generator = SimpleNamespace(sub_terrains=dict.fromkeys(("rough", "gap", "platform", "empty")))
-    terrain = SimpleNamespace(
-        cfg=SimpleNamespace(terrain_generator=generator),
-        terrain_types=torch.tensor([0, 0, 1, 2, 2, 2, 2, 0]),
-    )
-    env = SimpleNamespace(scene=SimpleNamespace(terrain=terrain), num_envs=8, device="cpu")
-    means = TerrainLevels(None, env).means(torch.tensor([4, 5, 1, 9, 9, 9, 9, 0]))
-    assert means.tolist() == [4.5, 1.0, 9.0, 0.0]
 
 
 def test_the_last_level_leads_back_to_any(parkour):

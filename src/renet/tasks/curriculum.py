@@ -19,9 +19,6 @@ FIRST_LEVELS = 4
 """A robot that fails at the first level tries one of so many next. The narrowest gap is all but
 invisible (10 cm, seen from 30 cm above through the camera's noise): where all robots start over at
 it, VP never learns what a gap looks like."""
-REVISITS = 8
-"""Every so many-th robot walks tiles of any level up to its kind's mean. What all have left behind
-is forgotten: robots that leapt gaps of 43 cm fell into those of 10."""
 
 
 def level_change(distance: Tensor, asked: Tensor) -> tuple[Tensor, Tensor]:
@@ -59,15 +56,9 @@ class TerrainLevels:
         assert terrain is not None
         assert terrain.cfg.terrain_generator is not None
         self.kinds = list(terrain.cfg.terrain_generator.sub_terrains)
-        robots = torch.arange(env.num_envs, device=env.device)
-        self._revisits = robots % REVISITS == REVISITS - 1
-        climbing = one_hot(terrain.terrain_types, len(self.kinds)) * ~self._revisits.unsqueeze(-1)
-        self._share = climbing / climbing.sum(0).clamp_min(1)
+        here = one_hot(terrain.terrain_types, len(self.kinds))
+        self._share = here / here.sum(0).clamp_min(1)
         """What each robot counts in each kind's mean, [N, kinds]."""
-
-    def means(self, levels: Tensor) -> Tensor:
-        """Mean level of each kind, [kinds], of those that climb; levels is [N]."""
-        return levels.float() @ self._share
 
     def __call__(self, env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]:
         """Move the robots in `env_ids`, whose episodes end."""
@@ -76,18 +67,13 @@ class TerrainLevels:
         up, down = level_change(tile_distance(env), asked_distance(env))
         # A robot that has not walked, as after loading a checkpoint, may stand on any other tile.
         walked = env.episode_length_buf > 0
-        climbs = (walked & ~self._revisits)[env_ids]
-        revisits = (walked & self._revisits)[env_ids]
-        up, down = up[env_ids] & climbs, down[env_ids] & climbs
+        up, down = (up & walked)[env_ids], (down & walked)[env_ids]
         before = terrain.terrain_levels[env_ids]
         failed = down & (before == 0)
         first = torch.randint_like(before, FIRST_LEVELS)
-        up_to = self.means(terrain.terrain_levels)[terrain.terrain_types[env_ids]] + 1
-        any_level = (torch.rand_like(up_to) * up_to).long()
-        start = torch.where(revisits, any_level, torch.where(failed, first, before))
-        terrain.terrain_levels[env_ids] = start
+        terrain.terrain_levels[env_ids] = torch.where(failed, first, before)
         terrain.update_env_origins(env_ids, up, down & ~failed)
-        means = self.means(terrain.terrain_levels)
+        means = terrain.terrain_levels.float() @ self._share
         return dict(zip(self.kinds, means.unbind(), strict=True))
 
 
