@@ -59,6 +59,19 @@ def test_robots_begin_near_the_middle_looking_anywhere(everywhere):
     assert set(quarters.int().tolist()) == {0, 1, 2, 3}
 
 
+def test_robots_begin_at_rest_upright_and_about_in_the_default_pose(everywhere):
+    everywhere.step(torch.ones(everywhere.num_envs, 12))
+    everywhere.reset(seed=5)
+    robot = everywhere.scene["robot"].data
+    bent = (robot.joint_pos - robot.default_joint_pos).abs()
+    assert 0.09 < bent.max() <= 0.1 + 1e-6
+    low, high = robot.soft_joint_pos_limits.unbind(-1)
+    assert ((low <= robot.joint_pos) & (robot.joint_pos <= high)).all()
+    assert (everywhere.sim.data.qvel[:] == 0.0).all()
+    upright = torch.tensor([0.0, 0.0, -1.0]).expand(everywhere.num_envs, 3)
+    torch.testing.assert_close(robot.projected_gravity_b, upright)
+
+
 @pytest.mark.parametrize(
     ("shift", "why"),
     [((60.0, 0.0, 0.0), "left_tile"), ((0.0, 0.0, -5.0), "below_map")],
