@@ -198,3 +198,46 @@ def test_a_platform_without_a_known_library_is_refused(monkeypatch, tmp_path):
     (tmp_path / "libmujoco.9.dylib").touch()
     with pytest.raises(OSError, match="dylib"):  # Found, but empty.
         engine._library()
+
+
+FRAMES = """
+<mujoco><worldbody>
+  <body name="moved" pos="0 0 1"><freejoint/>
+    <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.02 0.03"/>
+    <geom name="turned" type="box" size=".1 .2 .3" pos="0.2 0 0" euler="0 0 30"/>
+    <geom name="shifted" type="box" size=".1 .2 .3" pos="0.2 0 0"/>
+    <geom name="inertial" type="box" size=".1 .2 .3" pos="0.1 0 0"/>
+    <geom name="same" type="box" size=".1 .2 .3"/>
+  </body>
+</worldbody></mujoco>
+"""
+
+
+@pytest.mark.parametrize("randomised", [set(), {"body_ipos"}, {"geom_quat"}, {"geom_pos"}])
+def test_frames_that_randomisation_parts_are_computed(randomised):
+    """A compiled model with fields written afterwards moves as one compiled with them."""
+    model = mujoco.MjModel.from_xml_string(FRAMES)
+    compiled = model.geom_sameframe.copy()
+    assert np.count_nonzero(compiled) >= 2
+    engine._forget_coinciding_frames(model, randomised)
+    if not randomised:
+        assert (model.geom_sameframe == compiled).all()
+    if "body_ipos" in randomised:
+        model.body_ipos[1] = 0.0, 0.3, 0.0
+    if "geom_quat" in randomised:
+        model.geom_quat[:] = 0.6, 0.0, 0.8, 0.0
+    if "geom_pos" in randomised:
+        model.geom_pos[:] = 0.0, 0.0, 0.4
+    data = mujoco.MjData(model)
+    data.qpos[3:7] = 0.5, 0.5, -0.5, 0.5
+    mujoco.mj_kinematics(model, data)
+    base = data.xmat[1].reshape(3, 3)
+    for geom in range(model.ngeom):
+        own = np.zeros(9)
+        mujoco.mju_quat2Mat(own, model.geom_quat[geom])
+        np.testing.assert_allclose(
+            data.geom_xmat[geom].reshape(3, 3), base @ own.reshape(3, 3), atol=1e-12
+        )
+        at = data.xpos[1] + base @ model.geom_pos[geom]
+        np.testing.assert_allclose(data.geom_xpos[geom], at, atol=1e-12)
+    np.testing.assert_allclose(data.xipos[1], data.xpos[1] + base @ model.body_ipos[1], atol=1e-12)

@@ -53,14 +53,30 @@ RESET_TO_ZERO = ("qvel", "act", "qacc", "qacc_warmstart", "ctrl", "qfrc_applied"
 RESET_TO_ZERO += ("time", "sensordata")
 
 
-FRAMES = {"body_ipos", "body_iquat", "geom_pos", "geom_quat", "site_pos", "site_quat"}
-"""Model fields whose randomisation breaks the compiler's coinciding frames."""
 INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_armature"}
 """Model fields that MuJoCo does not look at in a body on its own: its inertia is compiled."""
 
 
 def _address(function: str) -> int:
     return ctypes.cast(getattr(LIBRARY, function), ctypes.c_void_p).value or 0
+
+
+def _forget_coinciding_frames(model: mujoco.MjModel, randomised: set[str]) -> None:
+    """Clear the compiler's marks of frames that coincide, whose fields kinematics does not read.
+
+    Only where randomisation may part the frames: most of a terrain's geoms keep theirs.
+    """
+    marks = mujoco.mjtSameFrame
+    inertial = bool({"body_ipos", "body_iquat"} & randomised)
+    if inertial:
+        model.body_sameframe[:] = marks.mjSAMEFRAME_NONE
+    for kind in ("geom", "site"):
+        same = getattr(model, f"{kind}_sameframe")
+        if {f"{kind}_pos", f"{kind}_quat"} & randomised:
+            same[:] = marks.mjSAMEFRAME_NONE
+        elif inertial:
+            of_inertia = (marks.mjSAMEFRAME_INERTIA, marks.mjSAMEFRAME_INERTIAROT)
+            same[np.isin(same, of_inertia)] = marks.mjSAMEFRAME_NONE
 
 
 class Worker:
@@ -77,10 +93,9 @@ class Worker:
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         # Same results; a legged robot's contacts each touch few joints, and the solver gains 16 %.
         self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
-        if simulation.expanded_fields & FRAMES:
-            # The compiler marks frames that coincide, and kinematics then skips the fields.
-            for marks in ("body_sameframe", "geom_sameframe", "site_sameframe"):
-                getattr(self.model, marks)[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        # Marks for a viewer, cleared each step: 0.4 MB with the meshes that only a viewer draws.
+        self.model.vis.global_.bvactive = 0
+        _forget_coinciding_frames(self.model, simulation.expanded_fields)
         self.data = mujoco.MjData(self.model)
         mujoco.mj_forward(self.model, self.data)
         loads = load_rows(simulation.wp_data, self.data, simulation.num_envs)
