@@ -103,3 +103,14 @@ def test_a_metric_of_a_reward_that_is_off_is_still_measured():
     assert logged[0] == pytest.approx(linear_velocity(env)[0].item(), abs=0.2)
     assert logged[0] != 0.0
     env.close()
+
+
+def test_a_task_without_rewards_ends_and_metrics_goes_on():
+    cfg = env_cfg("Renet-Go1-Flat")
+    cfg.rewards, cfg.terminations, cfg.metrics = {}, {}, {}
+    env = build(cfg, 2)
+    env.reset()
+    _, reward, terminated, truncated, _ = env.step(torch.zeros(2, 12))
+    assert not reward.any()
+    assert not (terminated | truncated).any()
+    env.close()

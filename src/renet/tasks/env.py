@@ -86,10 +86,13 @@ class RenetEnv(ManagerBasedRlEnv):
     def load_managers(self) -> None:
         """Load the managers, and measure costs where rewards are: before any reset."""
         super().load_managers()
-        self.reward_manager = StackedRewards(
-            self.cfg.rewards, self, scale_by_dt=self.cfg.scale_rewards_by_dt
-        )
-        self.termination_manager = StackedTerminations(self.cfg.terminations, self)
+        # Where there is nothing to stack, mjlab's own will do.
+        if self.cfg.rewards:
+            self.reward_manager = StackedRewards(
+                self.cfg.rewards, self, scale_by_dt=self.cfg.scale_rewards_by_dt
+            )
+        if self.cfg.terminations:
+            self.termination_manager = StackedTerminations(self.cfg.terminations, self)
         if self.cfg.metrics:
             self.metrics_manager = StackedMetrics(self.cfg.metrics, self)
         compute = self.reward_manager.compute
