@@ -39,6 +39,15 @@ def threaded(bundle: Bundle, sabotage: Sabotage) -> ThreadedPerception:
     return ThreadedPerception({**bundle.sessions, "estimator": sabotage}, patience=5.0)  # type: ignore[dict-item]
 
 
+def troubled(bundle, sabotage, mood: str, patience: float) -> Run:
+    """A robot that walks, and whose vision thread is in that mood from now on."""
+    run = Run(bundle, perception=threaded(bundle, sabotage))
+    run.ticks(60)
+    run.controller._perception._patience = patience  # type: ignore[attr-defined]
+    sabotage.mood = mood
+    return run
+
+
 def test_the_second_thread_gives_the_same_commands(bundle, sabotage):
     inline = Run(bundle, perception=InlinePerception(bundle.sessions))
     thread = Run(bundle, perception=threaded(bundle, sabotage))
@@ -50,10 +59,7 @@ def test_the_second_thread_gives_the_same_commands(bundle, sabotage):
 
 
 def test_a_dead_vision_thread_is_replaced_and_costs_one_tick_of_vision(bundle, sabotage):
-    run = Run(bundle, perception=threaded(bundle, sabotage))
-    run.ticks(60)
-    run.controller._perception._patience = 0.05  # type: ignore[attr-defined]
-    sabotage.mood = "dies"
+    run = troubled(bundle, sabotage, "dies", patience=0.05)
     run.ticks(6)
     sabotage.mood = "well"
     run.ticks(20)
@@ -77,10 +83,7 @@ def test_a_result_that_is_late_by_a_whole_tick_costs_vision(bundle, sabotage):
 
 
 def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(bundle, sabotage):
-    run = Run(bundle, perception=threaded(bundle, sabotage))
-    run.ticks(60)
-    run.controller._perception._patience = 0.001  # type: ignore[attr-defined]
-    sabotage.mood = "hangs"
+    run = troubled(bundle, sabotage, "hangs", patience=0.001)
     before = run.controller.policy.latent_op.copy()
     assert not any(run.ticks(40)[20:])
     assert run.controller.decision.mode is Mode.WALKING
