@@ -9,13 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-import warp as wp
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.sim.sim import MujocoCfg, Simulation, SimulationCfg
 from mjlab.tasks.registry import load_env_cfg
 
 from renet.errors import RenetError
-from renet.sim import engine, native_kernel
+from renet.sim import engine
 from renet.sim.engine import NativeSimulation, use_engine
 
 FLAT = "Mjlab-Velocity-Flat-Unitree-Go1"
@@ -79,6 +78,60 @@ def test_fused_steps_equal_single_steps():
     torch.testing.assert_close(one.data.qpos[:], many.data.qpos[:], atol=1e-6, rtol=1e-6)
 
 
+DERIVED = ("xpos", "xquat", "xmat", "site_xpos", "cvel", "subtree_com", "sensordata")
+
+
+def test_a_control_step_ends_with_poses_and_velocities_of_the_state_it_leads_to():
+    sim = free_body(NativeSimulation)
+    spin(sim)
+    sim.step_n(4)
+    derived = {name: getattr(sim.data, name)[:].clone() for name in DERIVED}
+    sim.forward()
+    for name, value in derived.items():
+        torch.testing.assert_close(value, getattr(sim.data, name)[:], msg=name)
+
+
+def test_only_what_was_written_is_derived_anew():
+    sim = free_body(NativeSimulation)
+    spin(sim)
+    sim.step_n(4)
+    sim.data.xpos[:] = 7.0
+    sim.forward_written()
+    assert (sim.data.xpos[:] == 7.0).all()
+    sim.data.qpos[1, 2] = 3.0
+    sim.data.qvel[2, 0] = 5.0
+    sim.forward_written()
+    assert (sim.data.xpos[0] == 7.0).all()
+    assert sim.data.xpos[1, 1, 2] == 3.0
+    assert sim.data.cvel[2, 1, 3] == pytest.approx(5.0, abs=0.1)
+    sim.forward()
+    assert (sim.data.xpos[0] != 7.0).all()
+
+
+@pytest.mark.parametrize("lost", ["a physics step", "other fields"])
+def test_what_is_known_is_forgotten(lost):
+    sim = free_body(NativeSimulation)
+    spin(sim)
+    sim.step_n(4)
+    if lost == "a physics step":
+        sim.step()
+    else:
+        sim.expand_model_fields(("body_pos",))
+    sim.data.xpos[:] = 7.0
+    sim.forward_written()
+    assert (sim.data.xpos[:, 1] != 7.0).any(-1).all()
+
+
+def test_bodies_moved_by_hand_count_as_written():
+    xml = '<mujoco><worldbody><body mocap="true"><geom size=".1"/></body></worldbody></mujoco>'
+    model = mujoco.MjModel.from_xml_string(xml)
+    sim = NativeSimulation(NUM_ENVS, SimulationCfg(), model, "cpu")
+    sim.step_n(4)
+    sim.data.mocap_pos[1, 0] = torch.tensor([1.0, 2.0, 3.0])
+    sim.forward_written()
+    assert sim.data.xpos[:, 1].tolist() == [[0, 0, 0], [1, 2, 3], [0, 0, 0]]
+
+
 def test_randomised_mass_is_honoured_per_environment():
     sims = pair(lambda sim: sim.expand_model_fields(("body_mass", "body_inertia")))
     for sim in sims:
@@ -98,13 +151,6 @@ def test_randomised_colours_are_left_to_viewers():
         spin(sim)
         sim.step()
     assert torch.equal(plain.data.qpos[:], coloured.data.qpos[:])
-
-
-def test_the_kernel_is_compiled_before_threads_need_it():
-    module = wp.get_module(native_kernel.__name__)
-    module.unload()
-    free_body(NativeSimulation)
-    assert module.execs
 
 
 def test_partial_reset_touches_only_its_environments():

@@ -114,7 +114,8 @@ def test_cells_change_nothing(monkeypatch):
     monkeypatch.undo()
     assert len(many._trees[1]) > 20
     points = torch.from_numpy(random.uniform(-15, 15, (3000, 2))).float()
-    assert torch.equal(many.cast_height(points), one.cast_height(points))
+    origin = torch.zeros(1, 3)
+    assert torch.equal(*(s.cast_clearance(origin, None, points) for s in (many, one)))
     eyes = torch.cat((points[:40], torch.rand(40, 1) + 0.2), dim=-1)
     rotation = mount_rotation(torch.rand(40), torch.rand(40) * 6)
     for limit in (RANGE, 10.0):  # Within a cell's reach, and beyond it.
@@ -126,7 +127,7 @@ def test_cells_change_nothing(monkeypatch):
 def test_trees_are_there_before_threads_share_them(monkeypatch):
     scanner, ready = TerrainScanner(scene(CLUTTER, SOLID), "cpu"), []
     monkeypatch.setattr(raycast, "for_chunks", lambda *_: ready.append("_trees" in vars(scanner)))
-    scanner.cast_height(torch.zeros(1, 2))
+    scanner.cast_clearance(torch.zeros(1, 3), None, torch.zeros(1, 2))
     assert ready == [True]
 
 

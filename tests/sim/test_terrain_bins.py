@@ -85,10 +85,23 @@ def test_a_pose_that_is_not_finite_sees_nothing_and_harms_nobody(scanner, number
     assert ground[1] > -0.61
 
 
-def test_heights_are_those_rays_find(scanner):
-    points = torch.rand(4000, 2, generator=torch.Generator().manual_seed(1)) * 10 - 5
-    found, cast = scanner.height(points), scanner.cast_height(points)
+@pytest.mark.parametrize("turned", [True, False])
+@pytest.mark.parametrize("frames", [3, 600])  # One thread, and all.
+def test_clearances_are_those_rays_find(scanner, frames, turned):
+    random = torch.Generator().manual_seed(1)
+    position = torch.rand(frames, 3, generator=random) * 6 - 3
+    pattern = torch.rand(7, 2, generator=random) * 2 - 1
+    rotation = mount_rotation(*torch.rand(2, frames, generator=random) * 3) if turned else None
+    found = scanner.clearance(position, rotation, pattern)
+    cast = scanner.cast_clearance(position, rotation, pattern)
+    assert found.shape == (frames, 7)
     assert ((found - cast).abs() > 1e-4).float().mean() < 0.002
+
+
+def test_heights_do_not_depend_on_the_point_they_are_asked_from(scanner):
+    points = torch.rand(400, 2, generator=torch.Generator().manual_seed(1)) * 10 - 5
+    over = scanner.clearance(torch.zeros(1, 3), None, points)[0]
+    torch.testing.assert_close(scanner.height(points), -over)
     far = torch.tensor([[120.0, -150.0]])
     torch.testing.assert_close(scanner.height(far), torch.tensor([-0.6]))
 
@@ -98,6 +111,11 @@ def test_it_takes_views_and_double_precision(scanner):
     heights = scanner.height(points)
     for same in (points.double(), points.T.contiguous().T):
         assert torch.equal(scanner.height(same), heights)
+    frames = torch.rand(5, 4, 3, generator=torch.Generator().manual_seed(2))
+    turns = torch.eye(3).repeat(5, 4, 1, 1)
+    third = scanner.clearance(frames[:, 2], turns[:, 1], points[:9])
+    copies = frames[:, 2].clone(), turns[:, 1].clone(), points[:9].double()
+    assert torch.equal(scanner.clearance(*copies), third)
     eyes, rotation = torch.tensor([[0.0, -2.0, 0.8]]), mount_rotation(torch.ones(1), torch.ones(1))
     doubles = scanner.depth(eyes.double(), rotation.double(), RAYS.double(), 2.0)
     assert torch.equal(doubles, scanner.depth(eyes, rotation, RAYS, 2.0))

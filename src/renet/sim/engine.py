@@ -4,15 +4,18 @@ Managers and sensors keep reading and writing the same Warp arrays through `sim.
 `sim.model`. On a CPU those arrays are plain memory; `step` and `forward` copy each environment's
 state and randomised model fields into a thread's `MjModel`/`MjData`, let C MuJoCo do the work, and
 copy back what can have changed. Poses of static geoms never change and are not copied.
+
+MuJoCo's step ends with poses and velocities of the state before it. A control step (`step_n`)
+derives them of the state it leads to, while that is at hand, and `forward_written` all else of the
+few environments that were written to since.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any
 
 import mjlab.envs.manager_based_rl_env as mjlab_env
@@ -23,11 +26,11 @@ import warp as wp
 from mjlab.sim.sim import Simulation
 
 from renet.errors import RenetError
-from renet.sim import native_kernel
 from renet.sim.native_kernel import advance
+from renet.sim.native_threads import Call
 from renet.sim.neighbourhood import Neighbourhood
-from renet.sim.threads import THREADS, on_all_threads
-from renet.sim.transfer import Transfer, load_rows, model_rows, store_rows
+from renet.sim.threads import THREADS
+from renet.sim.transfer import POSE, load_rows, model_rows, store_rows
 
 ENGINES = ("auto", "native", "warp")
 
@@ -52,6 +55,9 @@ def _ignore_warning(message: bytes) -> None:
 RESET_TO_ZERO = ("qvel", "act", "qacc", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied")
 RESET_TO_ZERO += ("time", "sensordata")
 
+DERIVE = ("mj_kinematics", "mj_comPos", "mj_camlight", "mj_tendon", "mj_transmission")
+DERIVE += ("mj_sensorPos", "mj_fwdVelocity", "mj_sensorVel")
+"""`mj_forward` without contacts and accelerations: a third of its time."""
 
 INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_armature"}
 """Model fields that MuJoCo does not look at in a body on its own: its inertia is compiled."""
@@ -82,7 +88,8 @@ def _forget_coinciding_frames(model: mujoco.MjModel, randomised: set[str]) -> No
 class Worker:
     """One thread's model and data, and the transfer programs that use them."""
 
-    def __init__(self, simulation: NativeSimulation) -> None:
+    def __init__(self, simulation: NativeSimulation, known: np.ndarray) -> None:
+        """Set up a thread; `known` [N, ...] keeps the POSE that all else was derived of."""
         self.model = simulation.mj_model.__copy__()
         if simulation.expanded_fields & INERTIAL and self.model.dof_simplenum.any():
             raise RenetError(
@@ -98,22 +105,23 @@ class Worker:
         _forget_coinciding_frames(self.model, simulation.expanded_fields)
         self.data = mujoco.MjData(self.model)
         mujoco.mj_forward(self.model, self.data)
+        watched = load_rows(simulation.wp_data, self.data, simulation.num_envs, POSE)
         loads = load_rows(simulation.wp_data, self.data, simulation.num_envs)
         guarded = len(loads)
         loads += simulation.neighbourhood.rows(self.model)
         loads += model_rows(simulation.wp_model, self.model, sorted(simulation.expanded_fields))
         stores = store_rows(simulation.wp_data, self.data, self.model, simulation.num_envs)
-        self.step = self._program("mj_step", loads, stores, guarded)
-        self.forward = self._program("mj_forward", loads, stores, guarded)
-
-    def _program(
-        self, function: str, loads: list[Transfer], stores: list[Transfer], guarded: int
-    ) -> np.ndarray:
-        """Table read by native_kernel.advance."""
-        head = [self.model._address, self.data._address, _address(function)]
-        head += [len(loads), len(stores), guarded]
         rows = [number for row in (*loads, *stores) for number in row.numbers()]
-        return np.array(head + rows, dtype=np.uint64)
+
+        def program(function: str, *derivations: str) -> np.ndarray:
+            """Table read by native_kernel.advance."""
+            head = [self.model._address, self.data._address, _address(function)]
+            head += [len(loads), len(stores), guarded]
+            head += [known.ctypes.data, len(watched), known.strides[0], len(derivations)]
+            return np.array([*head, *map(_address, derivations), *rows], np.uint64)
+
+        self.step = program("mj_step", *DERIVE)
+        self.forward = program("mj_forward")
 
 
 class NativeSimulation(Simulation):
@@ -124,8 +132,8 @@ class NativeSimulation(Simulation):
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        self._workers: SimpleQueue[Worker] | None = None
-        wp.load_module(native_kernel, device="cpu")  # Else every thread compiles it.
+        self._workers: list[Worker] = []
+        self._calls: dict[tuple, Call] = {}
         super().__init__(*args, **kwargs)
         self.neighbourhood = Neighbourhood(self.mj_model, self.mj_data, self.num_envs)
         if not self.wp_device.is_cpu:
@@ -137,20 +145,28 @@ class NativeSimulation(Simulation):
     def expand_model_fields(self, fields: tuple[str, ...]) -> None:
         """See Simulation.expand_model_fields; transfer programs are rebuilt at the next step."""
         super().expand_model_fields(fields)
-        self._workers = None
+        self._workers, self._calls = [], {}
 
     def step(self) -> None:
         """One physics step of every environment."""
-        self.step_n(1)
+        with self.nan_guard.watch(self.data):
+            self._run("step")
 
     def step_n(self, steps: int) -> None:
-        """Several physics steps under the same controls, in one call."""
+        """Several physics steps under the same controls, and the poses they lead to.
+
+        Contacts, forces and accelerations are those at the last step's start.
+        """
         with self.nan_guard.watch(self.data):
-            self._run(lambda worker: worker.step, steps)
+            self._run("step", steps, derive=True)
 
     def forward(self) -> None:
         """Recompute everything derived from the current state of every environment."""
-        self._run(lambda worker: worker.forward, 1)
+        self._run("forward", derive=True)
+
+    def forward_written(self) -> None:
+        """The same, but only of environments whose state is not as `step_n` or this left it."""
+        self._run("forward", derive=True, only_written=True)
 
     def reset(self, env_ids: torch.Tensor | None = None) -> None:
         """Put environments at the model's reference state, at rest and unforced."""
@@ -171,27 +187,22 @@ class NativeSimulation(Simulation):
         field = getattr(self.model, name)
         return field[ids] if field.shape[0] == self.num_envs else field[0]
 
-    def _run(self, program: Callable[[Worker], np.ndarray], repeats: int) -> None:
+    def _run(
+        self, program: str, steps: int = 1, derive: bool = False, only_written: bool = False
+    ) -> None:
         """Let all threads take one environment after another."""
-        if self._workers is None:
-            ready: SimpleQueue[Worker] = SimpleQueue()
-            for _ in range(THREADS):
-                ready.put(Worker(self))
-            self._workers = ready  # Not before it is full: threads wait for what is missing.
-        workers = self._workers
+        if not self._workers:
+            model = self.mj_model
+            size = model.nq + model.nv + 7 * model.nmocap
+            self._known = np.full((self.num_envs, size), np.nan, np.float32)
+            self._workers = [Worker(self, self._known) for _ in range(THREADS)]
         self.neighbourhood.update(self.wp_data.qpos.numpy())
-
-        next_env = np.zeros(1, np.int32)
-
-        def work() -> None:
-            worker = workers.get()
-            try:
-                inputs = [program(worker).ctypes.data, next_env.ctypes.data, self.num_envs, repeats]
-                wp.launch(advance, dim=1, inputs=inputs, device="cpu")
-            finally:
-                workers.put(worker)
-
-        on_all_threads(work)
+        kind = (program, steps, only_written, derive)
+        if kind not in self._calls:
+            programs = [getattr(worker, program).ctypes.data for worker in self._workers]
+            numbers = (self.num_envs, steps, only_written, derive, *programs)
+            self._calls[kind] = Call(advance, numbers)
+        self._calls[kind]()
 
 
 @contextmanager

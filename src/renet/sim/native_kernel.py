@@ -2,13 +2,14 @@
 
 Warp's bundled clang compiles the snippet below at first use. It is handed raw addresses: for each
 environment it loads single-precision Warp arrays into a double-precision `MjData`, calls MuJoCo
-through a function pointer, and stores the results back. Called through ctypes, it runs without the
-GIL, so that several Python threads step in parallel.
+through function pointers, and stores the results back.
 """
 
 from __future__ import annotations
 
 import warp as wp
+
+from renet.sim.native_threads import in_threads
 
 ROW = 5
 """Numbers per transfer: Warp address, bytes per environment, MuJoCo address, count, type."""
@@ -17,63 +18,93 @@ FLOAT, INT, BYTE = 0, 1, 2
 
 
 @wp.func_native(
-    """
-    typedef unsigned long long u64;
-    typedef void (*mj_function)(const void*, void*);
-    const u64* head = (const u64*)(u64)program;
-    const void* model = (const void*)head[0];
-    void* data = (void*)head[1];
-    mj_function call = (mj_function)head[2];
-    const int loads = (int)head[3], stores = (int)head[4], guarded = (int)head[5];
-    const u64* rows = head + 6;
+    in_threads(
+        """
+        typedef void (*mj_function)(const void*, void*);
+        const int count = (int)own[0], repeats = (int)own[1];
+        const bool only_written = own[2], derive = own[3];
+        const u64* program = (const u64*)own[4 + thread];
+        const void* model = (const void*)program[0];
+        void* data = (void*)program[1];
+        mj_function function = (mj_function)program[2];
+        const int loads = (int)program[3], stores = (int)program[4], guarded = (int)program[5];
+        char* const known = (char*)program[6];
+        const int watched = (int)program[7], size_known = (int)program[8];
+        const int derivations = (int)program[9];
+        const u64* derivation = program + 10;
+        const u64* rows = derivation + derivations;
 
-    int* const queue = (int*)(u64)next;
-    int env;
-    while ((env = __atomic_fetch_add(queue, 1, __ATOMIC_RELAXED)) < count) {
-        bool finite = true;
-        for (int r = 0; r < loads; ++r) {
-            const u64* row = rows + 5 * r;
-            const char* source = (const char*)row[0] + row[1] * (u64)env;
-            const int size = (int)row[3];
-            if (row[4] == 0) {
-                const float* from = (const float*)source;
-                double* to = (double*)row[2];
-                for (int i = 0; i < size; ++i) to[i] = (double)from[i];
-                if (r < guarded) {
-                    for (int i = 0; i < size; ++i) finite = finite && (from[i] - from[i] == 0.0f);
+        int env;
+        while ((env = take(1)) < count) {
+            char* const state = known + (u64)size_known * env;
+            auto written = [&]() {
+                const char* before = state;
+                for (int r = 0; r < watched; ++r) {
+                    const u64* row = rows + 5 * r;
+                    const char* now = (const char*)row[0] + row[1] * (u64)env;
+                    for (u64 i = 0; i < 4 * row[3]; ++i) if (now[i] != before[i]) return true;
+                    before += 4 * row[3];
                 }
-            } else if (row[4] == 1) {
-                const int* from = (const int*)source;
-                int* to = (int*)row[2];
-                for (int i = 0; i < size; ++i) to[i] = from[i];
-            } else {
-                const unsigned char* from = (const unsigned char*)source;
-                unsigned char* to = (unsigned char*)row[2];
-                for (int i = 0; i < size; ++i) to[i] = from[i];
+                return false;
+            };
+            if (only_written && !written()) continue;
+            bool finite = true;
+            for (int r = 0; r < loads; ++r) {
+                const u64* row = rows + 5 * r;
+                const char* source = (const char*)row[0] + row[1] * (u64)env;
+                const int size = (int)row[3];
+                if (row[4] == 0) {
+                    const float* from = (const float*)source;
+                    double* to = (double*)row[2];
+                    for (int i = 0; i < size; ++i) to[i] = (double)from[i];
+                    if (r < guarded) {
+                        for (int i = 0; i < size; ++i)
+                            finite = finite && (from[i] - from[i] == 0.0f);
+                    }
+                } else if (row[4] == 1) {
+                    const int* from = (const int*)source;
+                    int* to = (int*)row[2];
+                    for (int i = 0; i < size; ++i) to[i] = from[i];
+                } else {
+                    const unsigned char* from = (const unsigned char*)source;
+                    unsigned char* to = (unsigned char*)row[2];
+                    for (int i = 0; i < size; ++i) to[i] = from[i];
+                }
+            }
+            if (!finite) continue;
+            for (int i = 0; i < repeats; ++i) function(model, data);
+            if (derive)
+                for (int i = 0; i < derivations; ++i) ((mj_function)derivation[i])(model, data);
+            for (int r = loads; r < loads + stores; ++r) {
+                const u64* row = rows + 5 * r;
+                float* to = (float*)((char*)row[0] + row[1] * (u64)env);
+                const double* from = (const double*)row[2];
+                const int size = (int)row[3];
+                for (int i = 0; i < size; ++i) to[i] = (float)from[i];
+            }
+            char* keep = state;
+            for (int r = 0; derive && r < watched; ++r) {
+                const u64* row = rows + 5 * r;
+                const char* now = (const char*)row[0] + row[1] * (u64)env;
+                for (u64 i = 0; i < 4 * row[3]; ++i) *keep++ = now[i];
             }
         }
-        if (!finite) continue;
-        for (int i = 0; i < repeats; ++i) call(model, data);
-        for (int r = loads; r < loads + stores; ++r) {
-            const u64* row = rows + 5 * r;
-            float* to = (float*)((char*)row[0] + row[1] * (u64)env);
-            const double* from = (const double*)row[2];
-            const int size = (int)row[3];
-            for (int i = 0; i < size; ++i) to[i] = (float)from[i];
-        }
-    }
-    """
+        """
+    )
 )
-def _advance(program: wp.uint64, next: wp.uint64, count: int, repeats: int): ...
+def _advance(call: wp.uint64): ...
 
 
 @wp.kernel
-def advance(program: wp.uint64, next: wp.uint64, count: int, repeats: int):
-    """Run a transfer program over `count` environments, calling MuJoCo `repeats` times for each.
+def advance(call: wp.uint64):
+    """Load, step or derive, and store environments.
 
-    `next` is the address of an int32, 0 at first, by which calls on several threads share them out.
-    `program` is the address of a uint64 table: model, data, function, number of loads, number of
-    stores, number of leading loads that must be finite, then the rows. An environment whose state
-    is not finite is left alone: its NaN stays for the task to see.
+    The call's numbers: environments; how often MuJoCo's function is called for each; whether only
+    those whose state was written since the last time are looked at; whether to derive what the last
+    step left behind; then the address of each thread's program: model, data, function, numbers of
+    loads, of stores and of leading loads that must be finite; where states as they are left are
+    kept, number of leading loads they are made of and bytes of an environment; number of functions
+    that derive, and these; then the rows. An environment whose state is not finite is left alone:
+    its NaN stays for the task to see.
     """
-    _advance(program, next, count, repeats)
+    _advance(call)

@@ -1,48 +1,49 @@
 """Depth images and terrain heights on the CPU, in C but without a compiler to install.
 
-Compiled by Warp's bundled clang, like native_kernel. Called through ctypes, without the GIL.
+Compiled by Warp's bundled clang, like native_kernel.
 
-Tables are uint64: number of boxes, of wide shapes, of bins along x and along y; then addresses of
-boxes (centre, rotation by rows, half sizes: 15 floats), triangles (9 floats), bins' offsets, bins'
-items, each shape's first bin (2 ints), wide shapes, and the bins' corner and side (3 floats); then
-what each kernel documents. Shape s is box s, or triangle s - boxes. `next` is the address of an
-int32, 0 at first, by which calls on several threads share out what there is to do.
+A call's numbers: boxes, wide shapes, bins along x and along y; then addresses of boxes (centre,
+rotation by rows, half sizes: 15 floats), triangles (9 floats), bins' offsets, bins' items, each
+shape's first bin (2 ints), wide shapes, and the bins' corner and side (3 floats); then what each
+kernel documents. Shape s is box s, or triangle s - boxes.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
+from renet.sim.native_threads import in_threads
+
 wp.set_module_options({"enable_backward": False})
 
 SHAPES = """
-    typedef unsigned long long u64;
-    const u64* head = (const u64*)(u64)program;
-    const int boxes = (int)head[0], wides = (int)head[1], nx = (int)head[2], ny = (int)head[3];
-    const float* box_data = (const float*)head[4];
-    const float* triangle_data = (const float*)head[5];
-    const int* offsets = (const int*)head[6];
-    const int* items = (const int*)head[7];
-    const int* corner = (const int*)head[8];
-    const int* wide = (const int*)head[9];
-    const float* frame = (const float*)head[10];
+    const int boxes = (int)own[0], wides = (int)own[1], nx = (int)own[2], ny = (int)own[3];
+    const float* box_data = (const float*)own[4];
+    const float* triangle_data = (const float*)own[5];
+    const int* offsets = (const int*)own[6];
+    const int* items = (const int*)own[7];
+    const int* corner = (const int*)own[8];
+    const int* wide = (const int*)own[9];
+    const float* frame = (const float*)own[10];
 """
 
 
 @wp.func_native(
-    SHAPES
-    + """
-    const float* eyes = (const float*)head[11];
-    const float* rotations = (const float*)head[12];
-    float* images = (float*)head[13];
-    const float* left = (const float*)head[14];
-    const float* up = (const float*)head[15];
+    in_threads(
+        SHAPES
+        + """
+    const float* eyes = (const float*)own[11];
+    const float* rotations = (const float*)own[12];
+    float* images = (float*)own[13];
+    const float* left = (const float*)own[14];
+    const float* up = (const float*)own[15];
+    const int count = (int)own[16], width = (int)own[17], height = (int)own[18];
+    const float limit = *(const float*)own[19];
     const float NEAR = 1e-6f, FAR = 1e30f, SLACK = 1e-5f;
     const float column_step = left[1] - left[0], row_step = up[1] - up[0];
 
-    int* const queue = (int*)(u64)next;
     int camera;
-    while ((camera = __atomic_fetch_add(queue, 1, __ATOMIC_RELAXED)) < count) {
+    while ((camera = take(1)) < count) {
         const float* eye = eyes + 3 * camera;
         const float* rotation = rotations + 9 * camera;
         float* image = images + (long long)camera * width * height;
@@ -204,87 +205,106 @@ SHAPES = """
         for (int i = 0; i < width * height; ++i) image[i] = image[i] <= limit ? image[i] : -1.0f;
     }
     """
+    )
 )
-def _draw(
-    program: wp.uint64, next: wp.uint64, count: int, width: int, height: int, limit: float
-): ...
+def _draw(call: wp.uint64): ...
 
 
 @wp.kernel
-def draw(program: wp.uint64, next: wp.uint64, count: int, width: int, height: int, limit: float):
-    """Depth images of `count` cameras; -1 where nothing is within `limit`.
+def draw(call: wp.uint64):
+    """Depth images; -1 where nothing is within a limit.
 
-    The table goes on with positions [N, 3], rotations [N, 3, 3], images [N, height, width], and
-    what rays' left [width] and up [height] components are; both evenly spaced.
+    The call goes on with addresses of positions [N, 3], rotations [N, 3, 3], images [N, height,
+    width], and what rays' left [width] and up [height] components are, both evenly spaced; then N,
+    width, height, and the address of the limit.
     """
-    _draw(program, next, count, width, height, limit)
+    _draw(call)
 
 
 @wp.func_native(
-    SHAPES
-    + """
-    const float* points = (const float*)head[11];
-    float* heights = (float*)head[12];
+    in_threads(
+        SHAPES
+        + """
+    const float* positions = (const float*)own[11];
+    const float* rotations = (const float*)own[13];
+    const long long stride = (long long)own[12], turn = (long long)own[14];
+    const float* pattern = (const float*)own[15];
+    float* clearances = (float*)own[16];
+    const int count = (int)own[17], points = (int)own[18];
+    const float top = ((const float*)own[19])[0], drop = ((const float*)own[19])[1];
     const float SLACK = 1e-6f;
-    int* const queue = (int*)(u64)next;
-    const int BLOCK = 256;
-    int first;
-    while ((first = __atomic_fetch_add(queue, BLOCK, __ATOMIC_RELAXED)) < count)
-    for (int point = first; point < first + BLOCK && point < count; ++point) {
-        const float x = points[2 * point], y = points[2 * point + 1];
-        float highest = top - limit;
-        auto look = [&](int shape) {
-            if (shape < boxes) {
-                const float* box = box_data + 15 * shape;
-                const float p[3] = {x - box[0], y - box[1], top - box[2]};
-                float in = -1e30f, out = 1e30f;
-                for (int k = 0; k < 3; ++k) {
-                    const float o = p[0] * box[3 + k] + p[1] * box[6 + k] + p[2] * box[9 + k];
-                    const float d = -box[9 + k], half = box[12 + k] + SLACK;
-                    if (d > -1e-9f && d < 1e-9f) {
-                        if (o < -half || o > half) return;
-                        continue;
-                    }
-                    const float a = (-box[12 + k] - o) / d, b = (box[12 + k] - o) / d;
-                    const float l = a < b ? a : b, h = a < b ? b : a;
-                    in = l > in ? l : in; out = h < out ? h : out;
-                }
-                if (in <= out && top - in > highest) highest = top - in;
-                return;
-            }
-            const float* t = triangle_data + 9 * (shape - boxes);
-            float weight[3], sum = 0.0f;
-            for (int k = 0; k < 3; ++k) {
-                const float* a = t + 3 * ((k + 1) % 3);
-                const float* b = t + 3 * ((k + 2) % 3);
-                weight[k] = (a[0] - x) * (b[1] - y) - (a[1] - y) * (b[0] - x);
-                sum += weight[k];
-            }
-            if (sum == 0.0f) return;
-            const float scale = 1.0f / sum;
-            for (int k = 0; k < 3; ++k) if (weight[k] * scale < -SLACK) return;
-            const float z = (weight[0] * t[2] + weight[1] * t[5] + weight[2] * t[8]) * scale;
-            highest = z > highest ? z : highest;
-        };
-        if (x - x == 0.0f && y - y == 0.0f) {
-            for (int k = 0; k < wides; ++k) look(wide[k]);
-            const float u = (x - frame[0]) / frame[2], v = (y - frame[1]) / frame[2];
-            if (u >= 0.0f && v >= 0.0f && u < (float)nx && v < (float)ny) {
-                const int bin = (int)u * ny + (int)v;
-                for (int k = offsets[bin]; k < offsets[bin + 1]; ++k) look(items[k]);
-            }
+    int frame_number;
+    while ((frame_number = take(1)) < count) {
+        const float* origin = positions + stride * frame_number;
+        float cosine = 1.0f, sine = 0.0f;
+        if (rotations) {
+            const float* rotation = rotations + turn * frame_number;
+            const float a = rotation[0], b = rotation[3], size = __builtin_sqrtf(a * a + b * b);
+            cosine = a / (size > 1e-12f ? size : 1e-12f);
+            sine = b / (size > 1e-12f ? size : 1e-12f);
         }
-        heights[point] = highest;
+        for (int point = 0; point < points; ++point) {
+            const float* at = pattern + 2 * point;
+            const float x = origin[0] + cosine * at[0] - sine * at[1];
+            const float y = origin[1] + sine * at[0] + cosine * at[1];
+            float highest = top - drop;
+            auto look = [&](int shape) {
+                if (shape < boxes) {
+                    const float* box = box_data + 15 * shape;
+                    const float p[3] = {x - box[0], y - box[1], top - box[2]};
+                    float in = -1e30f, out = 1e30f;
+                    for (int k = 0; k < 3; ++k) {
+                        const float o = p[0] * box[3 + k] + p[1] * box[6 + k] + p[2] * box[9 + k];
+                        const float d = -box[9 + k], half = box[12 + k] + SLACK;
+                        if (d > -1e-9f && d < 1e-9f) {
+                            if (o < -half || o > half) return;
+                            continue;
+                        }
+                        const float a = (-box[12 + k] - o) / d, b = (box[12 + k] - o) / d;
+                        const float l = a < b ? a : b, h = a < b ? b : a;
+                        in = l > in ? l : in; out = h < out ? h : out;
+                    }
+                    if (in <= out && top - in > highest) highest = top - in;
+                    return;
+                }
+                const float* t = triangle_data + 9 * (shape - boxes);
+                float weight[3], sum = 0.0f;
+                for (int k = 0; k < 3; ++k) {
+                    const float* a = t + 3 * ((k + 1) % 3);
+                    const float* b = t + 3 * ((k + 2) % 3);
+                    weight[k] = (a[0] - x) * (b[1] - y) - (a[1] - y) * (b[0] - x);
+                    sum += weight[k];
+                }
+                if (sum == 0.0f) return;
+                const float scale = 1.0f / sum;
+                for (int k = 0; k < 3; ++k) if (weight[k] * scale < -SLACK) return;
+                const float z = (weight[0] * t[2] + weight[1] * t[5] + weight[2] * t[8]) * scale;
+                highest = z > highest ? z : highest;
+            };
+            if (x - x == 0.0f && y - y == 0.0f) {
+                for (int k = 0; k < wides; ++k) look(wide[k]);
+                const float u = (x - frame[0]) / frame[2], v = (y - frame[1]) / frame[2];
+                if (u >= 0.0f && v >= 0.0f && u < (float)nx && v < (float)ny) {
+                    const int bin = (int)u * ny + (int)v;
+                    for (int k = offsets[bin]; k < offsets[bin + 1]; ++k) look(items[k]);
+                }
+            }
+            clearances[(long long)frame_number * points + point] = origin[2] - highest;
+        }
     }
     """
+    )
 )
-def _probe(program: wp.uint64, next: wp.uint64, count: int, top: float, limit: float): ...
+def _scan(call: wp.uint64): ...
 
 
 @wp.kernel
-def probe(program: wp.uint64, next: wp.uint64, count: int, top: float, limit: float):
-    """Height of the highest surface under `count` points; top - limit where there is none.
+def scan(call: wp.uint64):
+    """Height of frames over the highest surface at each point of a pattern around them.
 
-    The table goes on with points [M, 2] and heights [M].
+    Where there is no surface it is taken to be at top - drop. The call goes on with the address of
+    positions and the floats from one to the next; the same of rotations, whose yaw turns the
+    pattern, or 0; addresses of the pattern [P, 2] and of the results [N, P]; N, P, and the address
+    of top and drop.
     """
-    _probe(program, next, count, top, limit)
+    _scan(call)

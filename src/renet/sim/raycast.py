@@ -83,21 +83,36 @@ def cast_depth(
 @wp.kernel
 def cast_down(
     grid: Grid,  # type: ignore[valid-type]
-    points: wp.array(dtype=wp.vec2),  # type: ignore[valid-type]
+    position: wp.array(dtype=wp.vec3),  # type: ignore[valid-type]
+    rotation: wp.array(dtype=wp.mat33),  # type: ignore[valid-type]
+    pattern: wp.array(dtype=wp.vec2),  # type: ignore[valid-type]
     first: int,
     top: float,
     limit: float,
-    height: wp.array(dtype=float),  # type: ignore[valid-type]
+    clearance: wp.array2d(dtype=float),  # type: ignore[valid-type]
 ):
-    """Height of the highest surface under each (x, y); far below where there is none."""
-    point = wp.tid() + first  # type: ignore[operator]
-    start = wp.vec3(points[point][0], points[point][1], top)
-    mesh = mesh_around(grid, start[0], start[1])  # type: ignore[arg-type]
-    hit = wp.mesh_query_ray(mesh, start, wp.vec3(0.0, 0.0, -1.0), limit)  # type: ignore[arg-type]
+    """Height of frames over the highest surface at points around them, far where there is none.
+
+    The pattern turns with the yaw of rotations; where there are none, it does not.
+    """
+    row, point = wp.tid()  # type: ignore[misc]
+    frame = row + first
+    origin = position[frame]
+    at = pattern[point]
+    cosine, sine = float(1.0), float(0.0)
+    if rotation:
+        a, b = rotation[frame][0, 0], rotation[frame][1, 0]
+        size = wp.max(wp.sqrt(a * a + b * b), 1.0e-12)
+        cosine, sine = a / size, b / size
+    x = origin[0] + cosine * at[0] - sine * at[1]
+    y = origin[1] + sine * at[0] + cosine * at[1]
+    mesh = mesh_around(grid, x, y)  # type: ignore[arg-type]
+    start, down = wp.vec3(x, y, top), wp.vec3(0.0, 0.0, -1.0)
+    hit = wp.mesh_query_ray(mesh, start, down, limit)  # type: ignore[arg-type]
     if hit.result:
-        height[point] = top - hit.t
+        clearance[frame, point] = origin[2] - (top - hit.t)
     else:
-        height[point] = top - limit
+        clearance[frame, point] = origin[2] - (top - limit)
 
 
 class TerrainScanner:
@@ -134,21 +149,41 @@ class TerrainScanner:
 
         The highest surface; 1 m below the lowest one where there is none.
         """
-        if self._bins is not None:
-            return self._bins.height(points, self.top, self.drop)
-        return self.cast_height(points)
+        position = torch.nn.functional.pad(points, (0, 1))
+        return -self.clearance(position, None, position.new_zeros(1, 2)).squeeze(-1)
 
-    def cast_height(self, points: Tensor) -> Tensor:
+    def clearance(self, position: Tensor, rotation: Tensor | None, pattern: Tensor) -> Tensor:
+        """Height of frames over the terrain at points around them.
+
+        Args:
+            position: [N, 3] m, world. rotation: [N, 3, 3], frame to world; its yaw turns the
+            pattern. None keeps it as it is. pattern: [P, 2] m from the position.
+
+        Returns:
+            [N, P] m; see `height` for where there is no terrain.
+        """
+        if self._bins is not None:
+            return self._bins.clearance(position, rotation, pattern, self.top, self.drop)
+        return self.cast_clearance(position, rotation, pattern)
+
+    def cast_clearance(self, position: Tensor, rotation: Tensor | None, pattern: Tensor) -> Tensor:
         """The same, by ray casting on any device."""
-        height = torch.empty(len(points), device=points.device)
-        inputs = wp.from_torch(points.contiguous(), dtype=wp.vec2)
+        clearance = torch.empty(len(position), len(pattern), device=position.device)
+        frames = wp.from_torch(position.float().contiguous(), dtype=wp.vec3)
+        turns = (
+            None
+            if rotation is None
+            else wp.from_torch(rotation.float().contiguous(), dtype=wp.mat33)
+        )
+        around = wp.from_torch(pattern.float().contiguous(), dtype=wp.vec2)
+        limits, results = (self.top, self.drop), wp.from_torch(clearance)
         self._launch(
             cast_down,
-            len(points),
-            (),
-            lambda grid, first: [grid, inputs, first, self.top, self.drop, wp.from_torch(height)],
+            len(position),
+            (len(pattern),),
+            lambda grid, first: [grid, frames, turns, around, first, *limits, results],
         )
-        return height
+        return clearance
 
     def depth(self, position: Tensor, rotation: Tensor, rays: Tensor, limit: float) -> Tensor:
         """Planar depth of cameras.

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,9 +11,10 @@ import warp as wp
 from torch import Tensor
 
 from renet.sim import raster_kernel
-from renet.sim.raster_kernel import draw, probe
+from renet.sim.native_threads import Call
+from renet.sim.raster_kernel import draw, scan
 from renet.sim.terrain_mesh import terrain_shapes
-from renet.sim.threads import on_all_threads
+from renet.sim.threads import THREADS
 
 BIN = 0.25
 """Side of a bin, m: about a step of stairs."""
@@ -23,8 +22,8 @@ WIDE = 20.0
 """Shapes wider than this (planes, the border) are looked at from everywhere, m."""
 MAX_BINS = 1 << 20
 """About; larger terrains get larger bins."""
-FEW = 4096
-"""Points that one thread looks at before another would have woken."""
+FEW = 500
+"""Points that one thread looks at before another would have begun."""
 
 
 @dataclass(frozen=True)
@@ -94,39 +93,36 @@ class TerrainBins:
         addresses = [array.ctypes.data for array in (*own, self._frame)]
         self._head = [len(self._boxes), len(self._wide), *count.tolist(), *addresses]
 
-    def _table(self, *arrays: np.ndarray) -> np.ndarray:
-        """Addresses and counts, as raster_kernel reads them."""
-        return np.array([*self._head, *(array.ctypes.data for array in arrays)], np.uint64)
-
     def depth(self, position: Tensor, rotation: Tensor, image: Pinhole, limit: float) -> Tensor:
         """See TerrainScanner.depth: [N, H * W]."""
         depth = torch.empty(len(position), len(image.up) * len(image.left))
-        poses = (position.contiguous().float(), rotation.contiguous().float())
-        inputs = (*(pose.numpy() for pose in poses), depth.numpy())
-        table = self._table(*inputs, image.left, image.up)
-        size = len(image.left), len(image.up)
-        on_all_threads(_launch(draw, table, len(position), *size, limit))
+        # Held: a call has only addresses.
+        inputs = (position.contiguous().float(), rotation.contiguous().float())
+        arrays = (*(pose.numpy() for pose in inputs), depth.numpy(), image.left, image.up)
+        sizes = (len(position), len(image.left), len(image.up))
+        most = np.array([limit], np.float32)
+        numbers = (*(array.ctypes.data for array in arrays), *sizes, most.ctypes.data)
+        Call(draw, (*self._head, *numbers))()
         return depth
 
-    def height(self, points: Tensor, top: float, drop: float) -> Tensor:
-        """Highest surface under points [M, 2]; top - drop where there is none, [M] m."""
-        height = torch.empty(len(points))
-        points = points.contiguous().float()  # Held: the table has only its address.
-        table = self._table(points.numpy(), height.numpy())
-        work = _launch(probe, table, len(points), top, drop)
-        if len(points) < FEW:
-            work()
-        else:
-            on_all_threads(work)
-        return height
+    def clearance(
+        self, position: Tensor, rotation: Tensor | None, pattern: Tensor, top: float, drop: float
+    ) -> Tensor:
+        """See TerrainScanner.clearance; there is nothing below top - drop."""
+        count, points = len(position), len(pattern)
+        clearance = torch.empty(count, points)
+        position, pattern = _rows(position), pattern.contiguous().float()
+        rotation = None if rotation is None else _rows(rotation)
+        turn = (0, 0) if rotation is None else (rotation.data_ptr(), rotation.stride(0))
+        limits = np.array([top, drop], np.float32)
+        numbers = (position.data_ptr(), position.stride(0), *turn, pattern.data_ptr())
+        numbers += (clearance.data_ptr(), count, points, limits.ctypes.data)
+        threads = 1 if count * points < FEW else THREADS
+        Call(scan, (*self._head, *numbers), threads)()
+        return clearance
 
 
-def _launch(kernel: Any, table: np.ndarray, count: int, *more: float) -> Callable[[], None]:
-    """Work on `count` rows that several threads may share."""
-    following = np.zeros(1, np.int32)
-
-    def work() -> None:
-        inputs = [table.ctypes.data, following.ctypes.data, count, *more]
-        wp.launch(kernel, dim=1, inputs=inputs, device="cpu")
-
-    return work
+def _rows(values: Tensor) -> Tensor:
+    """The same as float32, each row in one piece; a view where it is so already."""
+    values = values.float()
+    return values if values[0:1].is_contiguous() else values.contiguous()

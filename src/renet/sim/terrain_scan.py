@@ -48,15 +48,7 @@ class FeetHeightCfg(SensorCfg):
         return FeetHeight(self)
 
 
-class TerrainSensor(RaySensor[Tensor]):
-    """Reads terrain heights."""
-
-    def _heights(self, points: Tensor) -> Tensor:
-        """Terrain height under [..., 2] world points."""
-        return self._scanner.height(points.reshape(-1, 2)).reshape(points.shape[:-1])
-
-
-class HeightMap(TerrainSensor):
+class HeightMap(RaySensor[Tensor]):
     """`data` is [N, len(x) * len(y)]: base over terrain less `base_height`, m; y varies fastest."""
 
     def __init__(self, cfg: HeightMapCfg) -> None:
@@ -72,15 +64,11 @@ class HeightMap(TerrainSensor):
 
     def _compute_data(self) -> Tensor:
         position, rotation = self._data.xpos[:, self._body], self._data.xmat[:, self._body]
-        forward = torch.nn.functional.normalize(rotation[:, :2, 0], dim=-1)
-        left = torch.stack((-forward[:, 1], forward[:, 0]), dim=-1)
-        offset = self._grid @ torch.stack((forward, left), dim=1)
-        heights = self._heights(position[:, None, :2] + offset)
-        limit = self.cfg.limit
-        return (position[:, 2:] - self.cfg.base_height - heights).clamp(-limit, limit)
+        over = self._scanner.clearance(position, rotation, self._grid)
+        return over.sub_(self.cfg.base_height).clamp_(-self.cfg.limit, self.cfg.limit)
 
 
-class FeetHeight(TerrainSensor):
+class FeetHeight(RaySensor[Tensor]):
     """`data` is [N, feet]: mean height of each foot above the terrain under it, m."""
 
     def __init__(self, cfg: FeetHeightCfg) -> None:
@@ -97,5 +85,7 @@ class FeetHeight(TerrainSensor):
 
     def _compute_data(self) -> Tensor:
         feet = self._data.site_xpos[:, self._sites]
-        under = self._heights(feet[:, :, None, :2] + self._patch).mean(-1)
-        return (feet[..., 2] - self.cfg.radius - under).clamp(*self.cfg.limits)
+        over = self._scanner.clearance(feet.flatten(0, 1), None, self._patch)
+        return (
+            (over.mean(-1) - self.cfg.radius).clamp_(*self.cfg.limits).unflatten(0, feet.shape[:2])
+        )

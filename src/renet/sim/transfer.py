@@ -18,8 +18,9 @@ from renet.sim.native_kernel import BYTE, FLOAT, INT
 
 DOUBLE_POINTER = ctypes.POINTER(ctypes.c_double)
 
-STATE = ("qpos", "qvel", "act", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied")
-STATE += ("mocap_pos", "mocap_quat", "time")
+POSE = ("qpos", "qvel", "mocap_pos", "mocap_quat")
+"""What poses and velocities follow from."""
+STATE = (*POSE, "act", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied", "time")
 """Inputs of a step. All must be finite for an environment to be stepped."""
 
 INTEGRATED = ("qpos", "qvel", "act", "time", "qacc_warmstart", "qacc", "act_dot")
@@ -52,9 +53,11 @@ class Transfer:
         return (self.warp, self.stride, self.mujoco, self.count, self.kind)
 
 
-def load_rows(wp_data: Any, mj_data: mujoco.MjData, num_envs: int) -> list[Transfer]:
+def load_rows(
+    wp_data: Any, mj_data: mujoco.MjData, num_envs: int, names: tuple[str, ...] = STATE
+) -> list[Transfer]:
     """State and inputs into an MjData."""
-    return [row for name in STATE for row in _whole(wp_data, mj_data, name, num_envs)]
+    return [row for name in names for row in _whole(wp_data, mj_data, name, num_envs)]
 
 
 def model_rows(wp_model: Any, mj_model: mujoco.MjModel, names: list[str]) -> list[Transfer]:

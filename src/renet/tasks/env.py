@@ -55,7 +55,7 @@ class RenetEnv(ManagerBasedRlEnv):
         robot._data = FloatingBase(robot.data)
 
     def _fuse_substeps(self) -> None:
-        """Let the native engine take all substeps of a control step in one call.
+        """Let the native engine take all substeps of a control step in one call, poses included.
 
         Done only where it changes nothing: servos hold their target and nobody looks in between.
         """
@@ -63,6 +63,7 @@ class RenetEnv(ManagerBasedRlEnv):
         if hasattr(self.sim, "step_n") and not _looks_at_substeps(self.cfg):
             self._substeps, self.cfg.decimation = self.cfg.decimation, 1
             self.sim.step = partial(self.sim.step_n, self._substeps)  # type: ignore[method-assign]
+            self.sim.forward = self.sim.forward_written  # type: ignore[method-assign]
 
     @property
     def physics_dt(self) -> float:
