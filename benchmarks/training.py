@@ -140,7 +140,7 @@ def profile(cfg: Cfg) -> dict[str, Any]:
     inside = ("physics", "forward", "depth", "terrain scans")
     parts["managers"] = parts.pop("environment") - sum(parts[name] for name in inside)
     parts["rest"] = total - sum(parts.values())
-    steps = cfg.iterations * cfg.learning.num_steps_per_env * cfg.num_envs
+    steps = cfg.iterations * runner.cfg["num_steps_per_env"] * cfg.num_envs
     results = {
         "task": cfg.task,
         "num_envs": cfg.num_envs,

@@ -9,9 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from mjlab.sim.sim import SimulationCfg
 
 from renet.sim import neighbourhood
-from renet.sim.neighbourhood import MASKS, Neighbourhood
+from renet.sim.engine import NativeSimulation
 from renet.tasks import make_env
 
 ROW_OF_TABLES = """
@@ -32,39 +33,42 @@ def scene(more: str = "") -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(ROW_OF_TABLES.format(tables=tables, more=more))
 
 
-def look(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[Neighbourhood, mujoco.MjModel]:
-    """The neighbourhood of one robot, and the model with its masks loaded."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    here = Neighbourhood(model, data, 1)
-    here.update(qpos[None])
-    for name, mask in zip(MASKS, here._masks, strict=True):
-        getattr(model, name)[:] = mask[0]
-    return here, model
+def look(model: mujoco.MjModel, *qpos: np.ndarray) -> NativeSimulation:
+    """A simulation that has looked where robots are."""
+    sim = NativeSimulation(len(qpos), SimulationCfg(), model, "cpu")
+    move(sim, *qpos)
+    return sim
 
 
-def touchable(model: mujoco.MjModel) -> list[bool]:
-    """Whether each table can collide."""
-    return [bool(model.body_contype[model.body(f"t{i}").id]) for i in range(5)]
+def move(sim: NativeSimulation, *qpos: np.ndarray) -> None:
+    sim.data.qpos[:] = torch.tensor(np.array(qpos), dtype=torch.float32)
+    sim.forward()
+
+
+def touchable(sim: NativeSimulation, robot: int = 0) -> list[bool]:
+    """Whether a robot's world lets each table collide."""
+    contype, conaffinity = (masks[robot] for masks in sim.neighbourhood._masks)
+    tables = [sim.mj_model.body(f"t{i}").id for i in range(5)]
+    assert (contype[tables] == conaffinity[tables]).all()
+    return contype[tables].astype(bool).tolist()
 
 
 def test_only_tables_within_reach_can_be_touched():
     model = scene()
     qpos = model.qpos0.copy()
     qpos[0] = 4.0
-    here, model = look(model, qpos)
+    here = look(model, qpos)
     # Radius 0.3 + 0.2 + 0.1 around the root, and the travel; tables are up to 1 m long.
-    assert here._reach == pytest.approx([0.6 + neighbourhood.TRAVEL])
-    assert touchable(model) == [False, True, False, False, False]
-    assert model.body_contype[model.body("robot").id]
+    assert here.neighbourhood._reach == pytest.approx([0.6 + neighbourhood.TRAVEL])
+    assert touchable(here) == [False, True, False, False, False]
+    assert here.neighbourhood._masks[0][0, model.body("robot").id]
 
 
 def test_a_lost_position_is_near_everything():
     model = scene()
     qpos = model.qpos0.copy()
     qpos[0] = np.nan
-    _, model = look(model, qpos)
-    assert all(touchable(model))
+    assert all(touchable(look(model, qpos)))
 
 
 @pytest.mark.parametrize(
@@ -77,28 +81,28 @@ def test_a_lost_position_is_near_everything():
 )
 def test_models_whose_reach_is_unknown_keep_every_contact(more):
     model = scene(more)
-    here, model = look(model, model.qpos0)
-    assert here.rows(model) == []
-    assert all(touchable(model))
+    here = look(model, model.qpos0)
+    assert here.neighbourhood.rows(model) == []
+    assert all(touchable(here))
 
 
 def test_tables_come_into_reach_as_the_robot_walks():
     model = scene()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    walking = Neighbourhood(model, data, 2)
-    qpos = np.tile(model.qpos0, (2, 1))
+    sim = look(model, model.qpos0, model.qpos0)
+    robots = np.tile(model.qpos0, (2, 1))
     for x in np.arange(0.0, 16.0, 0.1):
-        qpos[:, 0] = x, 16.0 - x
-        walking.update(qpos)
-        alone = [Neighbourhood(model, data, 1) for _ in range(2)]
-        for robot, fresh in enumerate(alone):
-            fresh._reach = [reach - neighbourhood.TRAVEL / 2 for reach in fresh._reach]
-            fresh.update(qpos[robot : robot + 1])
-            # What is near when looked at anew, closely, is near.
-            assert (walking._masks[0][robot] >= fresh._masks[0][0]).all()
-        assert walking._masks[0].any(axis=-1).all()
-        assert not walking._masks[0][:, 1:-1].all(axis=-1).any()
+        robots[:, 0] = x, 16.0 - x
+        move(sim, *robots)
+        for robot, at in enumerate(robots[:, 0]):
+            half = [
+                1.0 * abs(np.cos(np.pi / 6 * i)) + 0.5 * abs(np.sin(np.pi / 6 * i))
+                for i in range(5)
+            ]
+            gap = [abs(at - 4 * i) - half[i] for i in range(5)]
+            here = touchable(sim, robot)
+            # Looked at again each 25 cm: between the two either is right.
+            assert all(touches for touches, g in zip(here, gap, strict=True) if g < 0.84)
+            assert not any(touches for touches, g in zip(here, gap, strict=True) if g > 1.36)
 
 
 def rewards(steps: int) -> tuple[torch.Tensor, torch.Tensor]:

@@ -10,7 +10,13 @@ import torch
 from renet.errors import RenetError
 from renet.models.config import ModelCfg
 from renet.training import checkpoint as checkpoints
-from renet.training.config import AdaptationCfg, NP3OCfg, RenetRunnerCfg, SupervisionCfg
+from renet.training.config import (
+    AdaptationCfg,
+    NP3OCfg,
+    RenetRunnerCfg,
+    SupervisionCfg,
+    steps_per_env,
+)
 from renet.training.metrics import read_curves
 from renet.training.runner import RenetRunner
 
@@ -106,6 +112,14 @@ def test_refuses_a_checkpoint_of_another_model_that_would_fit(toy_env, tmp_path)
 def test_impossible_settings_are_refused_before_anything_is_built(make, message):
     with pytest.raises(RenetError, match=message):
         make()
+
+
+@pytest.mark.parametrize(
+    ("robots", "steps"), [(1, 6400), (64, 100), (250, 30), (256, 25), (4096, 25)]
+)
+def test_few_robots_take_more_steps_each_unless_told_otherwise(robots, steps):
+    assert steps_per_env(None, robots) == steps
+    assert steps_per_env(10, robots) == 10
 
 
 def test_a_policy_that_diverged_is_not_saved(toy_env, tmp_path):

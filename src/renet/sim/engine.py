@@ -22,7 +22,6 @@ import mjlab.envs.manager_based_rl_env as mjlab_env
 import mujoco
 import numpy as np
 import torch
-import warp as wp
 from mjlab.sim.sim import Simulation
 
 from renet.errors import RenetError
@@ -118,7 +117,8 @@ class Worker:
             head = [self.model._address, self.data._address, _address(function)]
             head += [len(loads), len(stores), guarded]
             head += [known.ctypes.data, len(watched), known.strides[0], len(derivations)]
-            return np.array([*head, *map(_address, derivations), *rows], np.uint64)
+            head += [*map(_address, derivations), *simulation.neighbourhood.numbers()]
+            return np.array(head + rows, np.uint64)
 
         self.step = program("mj_step", *DERIVE)
         self.forward = program("mj_forward")
@@ -196,12 +196,12 @@ class NativeSimulation(Simulation):
             size = model.nq + model.nv + 7 * model.nmocap
             self._known = np.full((self.num_envs, size), np.nan, np.float32)
             self._workers = [Worker(self, self._known) for _ in range(THREADS)]
-        self.neighbourhood.update(self.wp_data.qpos.numpy())
         kind = (program, steps, only_written, derive)
         if kind not in self._calls:
             programs = [getattr(worker, program).ctypes.data for worker in self._workers]
             numbers = (self.num_envs, steps, only_written, derive, *programs)
-            self._calls[kind] = Call(advance, numbers)
+            # What was written is little: another thread would begin too late.
+            self._calls[kind] = Call(advance, numbers, threads=1 if only_written else THREADS)
         self._calls[kind]()
 
 

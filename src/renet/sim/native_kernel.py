@@ -32,7 +32,15 @@ FLOAT, INT, BYTE = 0, 1, 2
         const int watched = (int)program[7], size_known = (int)program[8];
         const int derivations = (int)program[9];
         const u64* derivation = program + 10;
-        const u64* rows = derivation + derivations;
+        const u64* near = derivation + derivations;
+        const int bodies = (int)near[0], roots = (int)near[1], all_bodies = (int)near[2];
+        const int* columns = (const int*)near[3];
+        const float* reach = (const float*)near[4];
+        float* const seen = (float*)near[5];
+        const int* body = (const int*)near[6];
+        const float* bounds = (const float*)near[7];
+        const float half_travel = *(const float*)near[12];
+        const u64* rows = near + 13;
 
         int env;
         while ((env = take(1)) < count) {
@@ -48,6 +56,31 @@ FLOAT, INT, BYTE = 0, 1, 2
                 return false;
             };
             if (only_written && !written()) continue;
+
+            // Which static bodies can collide; a position that is not finite is near them all.
+            const float* qpos = (const float*)((const char*)rows[0] + rows[1] * (u64)env);
+            float* const last = seen + 2 * roots * (u64)env;
+            bool moved = false;
+            for (int r = 0; bodies && r < 2 * roots; ++r) {
+                const float by = qpos[columns[r / 2] + r % 2] - last[r];
+                moved = moved || !(by <= half_travel && by >= -half_travel);
+            }
+            if (moved) {
+                for (int r = 0; r < 2 * roots; ++r) last[r] = qpos[columns[r / 2] + r % 2];
+                for (int b = 0; b < bodies; ++b) {
+                    const float* low = bounds + 4 * b;
+                    bool touches = false;
+                    for (int r = 0; r < roots; ++r) {
+                        const float x = last[2 * r], y = last[2 * r + 1], far = reach[r];
+                        touches = touches || !(x < low[0] - far || x > low[2] + far
+                                               || y < low[1] - far || y > low[3] + far);
+                    }
+                    for (int k = 0; k < 2; ++k)
+                        ((int*)near[8 + k])[all_bodies * (u64)env + body[b]]
+                            = touches ? ((const int*)near[10 + k])[body[b]] : 0;
+                }
+            }
+
             bool finite = true;
             for (int r = 0; r < loads; ++r) {
                 const u64* row = rows + 5 * r;
@@ -104,7 +137,8 @@ def advance(call: wp.uint64):
     step left behind; then the address of each thread's program: model, data, function, numbers of
     loads, of stores and of leading loads that must be finite; where states as they are left are
     kept, number of leading loads they are made of and bytes of an environment; number of functions
-    that derive, and these; then the rows. An environment whose state is not finite is left alone:
-    its NaN stays for the task to see.
+    that derive, and these; Neighbourhood.numbers; then the rows, that of qpos first.
+
+    An environment whose state is not finite is left alone: its NaN stays for the task to see.
     """
     _advance(call)

@@ -7,7 +7,7 @@ then out of the cache, takes ten times as long.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -57,9 +57,12 @@ def in_threads(body: str) -> str:
 
 
 class Call:
-    """A kernel around a function of `in_threads`, and the numbers it reads."""
+    """A kernel around a function of `in_threads`, and the numbers it reads.
 
-    def __init__(self, kernel: Any, numbers: Iterable[int], threads: int = THREADS) -> None:
+    To be made once and called often: making it takes Warp longer than a small call.
+    """
+
+    def __init__(self, kernel: Any, numbers: Sequence[int], threads: int = THREADS) -> None:
         """Prepare a call.
 
         Args:
@@ -74,8 +77,10 @@ class Call:
             kernel, dim=1, inputs=[self._table.ctypes.data], device="cpu", record_cmd=True
         )
 
-    def __call__(self) -> None:
-        """Run it to its end, without the GIL."""
+    def __call__(self, last: Sequence[int] = ()) -> None:
+        """Run it to its end, without the GIL; the last numbers can be replaced."""
+        if last:
+            self._table[-len(last) :] = last
         self._launch.launch()
 
 

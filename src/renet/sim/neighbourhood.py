@@ -15,7 +15,8 @@ from renet.sim.transfer import Transfer
 
 MASKS = ("body_contype", "body_conaffinity")
 TRAVEL = 0.5
-"""Metres nothing moves within the few physics steps of one call and since it was last looked at."""
+"""Metres nothing moves within the few physics steps of one call and since it was last looked at,
+which native_kernel.advance does where a robot has moved half of it."""
 
 
 class Neighbourhood:
@@ -29,14 +30,25 @@ class Neighbourhood:
         """Set up from a model, and its data after `mj_forward`."""
         self._masks = [np.tile(getattr(model, name), (num_envs, 1)) for name in MASKS]
         self._full = [mask[0].copy() for mask in self._masks]
-        self._roots, self._reach = _roots(model)
-        self._columns = [address + axis for address in self._roots for axis in range(2)]
-        self._seen = np.full((num_envs, len(self._columns)), np.nan)
+        roots, reach = _roots(model)
+        self._columns = np.array(roots, np.int32)
+        self._reach = np.array(reach, np.float32)
+        self._seen = np.full((num_envs, len(roots), 2), np.nan, np.float32)
         """Where each robot was when it was last looked at."""
-        self._bodies = _bounded_static_bodies(model) if len(self._roots) else np.empty(0, int)
-        bounds = [_bounds(model, data, body) for body in self._bodies]
-        self._low = np.array([low for low, _ in bounds]).reshape(-1, 2)
-        self._high = np.array([high for _, high in bounds]).reshape(-1, 2)
+        bodies = _bounded_static_bodies(model) if roots else np.empty(0, int)
+        self._bodies = bodies.astype(np.int32)
+        bounds = [_bounds(model, data, body) for body in bodies]
+        self._bounds = np.array(bounds, np.float32).reshape(-1, 2, 2)
+        """Low and high corners."""
+        self._half_travel = np.array([TRAVEL / 2], np.float32)
+
+    def numbers(self) -> list[int]:
+        """What native_kernel.advance reads; those of environments it writes."""
+        sizes = [len(self._bodies), len(self._columns), self._masks[0].shape[1]]
+        arrays = (self._columns, self._reach, self._seen, self._bodies, self._bounds)
+        return sizes + [
+            array.ctypes.data for array in (*arrays, *self._masks, *self._full, self._half_travel)
+        ]
 
     def rows(self, model: mujoco.MjModel) -> list[Transfer]:
         """Loads of the masks into a worker's model; none where nothing is culled."""
@@ -46,24 +58,6 @@ class Neighbourhood:
             for target in [getattr(model, name)]
             if len(self._bodies)
         ]
-
-    def update(self, qpos: np.ndarray) -> None:
-        """Look where the robots are now; qpos is [N, nq]."""
-        if not len(self._bodies):
-            return
-        at = qpos[:, self._columns]
-        # A position that is not finite always counts as new, and is near everything.
-        moved = np.flatnonzero(~(np.abs(at - self._seen) <= TRAVEL / 2).all(axis=-1))
-        if not len(moved):
-            return
-        self._seen[moved] = at[moved]
-        near = np.zeros((len(moved), len(self._bodies)), bool)
-        roots = at[moved].reshape(len(moved), -1, 1, 2)
-        for root, reach in enumerate(self._reach):
-            far = (roots[:, root] < self._low - reach) | (roots[:, root] > self._high + reach)
-            near |= ~far.any(axis=-1)
-        for mask, full in zip(self._masks, self._full, strict=True):
-            mask[np.ix_(moved, self._bodies)] = np.where(near, full[self._bodies], 0)
 
 
 def _roots(model: mujoco.MjModel) -> tuple[list[int], list[float]]:
@@ -77,7 +71,7 @@ def _roots(model: mujoco.MjModel) -> tuple[list[int], list[float]]:
     ):
         return [], []
     bodies = model.jnt_bodyid[free].tolist()
-    return list(model.jnt_qposadr[free]), [_extent(model, body) + TRAVEL for body in bodies]
+    return model.jnt_qposadr[free].tolist(), [_extent(model, body) + TRAVEL for body in bodies]
 
 
 def _extent(model: mujoco.MjModel, body: int) -> float:

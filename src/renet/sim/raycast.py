@@ -99,7 +99,7 @@ def cast_down(
     frame = row + first
     origin = position[frame]
     at = pattern[point]
-    cosine, sine = float(1.0), float(0.0)
+    cosine, sine = 1.0, 0.0
     if rotation:
         a, b = rotation[frame][0, 0], rotation[frame][1, 0]
         size = wp.max(wp.sqrt(a * a + b * b), 1.0e-12)

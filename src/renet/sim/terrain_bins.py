@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from threading import local
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -22,8 +25,8 @@ WIDE = 20.0
 """Shapes wider than this (planes, the border) are looked at from everywhere, m."""
 MAX_BINS = 1 << 20
 """About; larger terrains get larger bins."""
-FEW = 500
-"""Points that one thread looks at before another would have begun."""
+FEW = 4096
+"""Points that one thread looks at before another would have been of help."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,7 @@ class TerrainBins:
     def __init__(self, model: mujoco.MjModel, without: frozenset[int] = frozenset()) -> None:
         """Sort the shapes of a model's terrain, save for the geoms `without`, into bins."""
         wp.load_module(raster_kernel, device="cpu")  # Else every thread compiles it.
+        self._calls = local()
         shapes = terrain_shapes(model, without)
         self._boxes = np.ascontiguousarray(shapes.boxes, np.float32)
         self._triangles = np.ascontiguousarray(shapes.triangles, np.float32)
@@ -102,7 +106,7 @@ class TerrainBins:
         sizes = (len(position), len(image.left), len(image.up))
         most = np.array([limit], np.float32)
         numbers = (*(array.ctypes.data for array in arrays), *sizes, most.ctypes.data)
-        Call(draw, (*self._head, *numbers))()
+        self._run(draw, numbers)
         return depth
 
     def clearance(
@@ -117,9 +121,16 @@ class TerrainBins:
         limits = np.array([top, drop], np.float32)
         numbers = (position.data_ptr(), position.stride(0), *turn, pattern.data_ptr())
         numbers += (clearance.data_ptr(), count, points, limits.ctypes.data)
-        threads = 1 if count * points < FEW else THREADS
-        Call(scan, (*self._head, *numbers), threads)()
+        self._run(scan, numbers, threads=1 if count * points < FEW else THREADS)
         return clearance
+
+    def _run(self, kernel: Any, numbers: Sequence[int], threads: int = THREADS) -> None:
+        """Call a kernel on the shapes and `numbers`."""
+        calls = vars(self._calls)  # Of this thread alone.
+        kind = f"{kernel.key} in {threads}"
+        if kind not in calls:
+            calls[kind] = Call(kernel, (*self._head, *numbers), threads)
+        calls[kind](numbers)
 
 
 def _rows(values: Tensor) -> Tensor:

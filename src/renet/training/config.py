@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import ceil
 from typing import Any, Literal
 
 from mjlab.rl import RslRlBaseRunnerCfg
@@ -11,6 +12,10 @@ from renet.errors import RenetError
 from renet.models.config import ModelCfg
 from renet.training.precision import Precision
 from renet.vocabulary import STEPS_PER_TICK
+
+SMALLEST_BATCH = 6_400
+"""Control steps of all robots in an iteration: fewer make gradients of little but noise, and cost
+more each."""
 
 
 def _at_least_one(cfg: Any, *names: str) -> None:
@@ -113,8 +118,9 @@ class LearningCfg:
     so is what is exported."""
     seed: int = 1
     """Seed of everything random."""
-    num_steps_per_env: int = 5 * STEPS_PER_TICK
-    """Control steps per iteration; a multiple of the 5 steps between ticks."""
+    num_steps_per_env: int | None = None
+    """Control steps per iteration; a multiple of the 5 steps between ticks. By default 25, or as
+    many as fewer than 256 robots need for 6,400 in all."""
     max_iterations: int = 15_000
     """Iterations in all (the paper's budget, at 4,096 environments)."""
     save_interval: int = 50
@@ -123,12 +129,22 @@ class LearningCfg:
     """Older checkpoints are removed."""
 
     def __post_init__(self) -> None:
-        _at_least_one(self, "num_steps_per_env", "save_interval", "keep_checkpoints")
+        _at_least_one(self, "save_interval", "keep_checkpoints")
+        if self.num_steps_per_env is None:
+            return
+        _at_least_one(self, "num_steps_per_env")
         if self.num_steps_per_env % STEPS_PER_TICK:
             raise RenetError(
                 f"num-steps-per-env must be a multiple of {STEPS_PER_TICK} (10 Hz ticks of a 50 Hz "
                 f"policy), got {self.num_steps_per_env}"
             )
+
+
+def steps_per_env(asked: int | None, num_envs: int) -> int:
+    """Control steps per iteration of `num_envs` robots; see LearningCfg.num_steps_per_env."""
+    if asked is not None:
+        return asked
+    return STEPS_PER_TICK * max(5, ceil(SMALLEST_BATCH / num_envs / STEPS_PER_TICK))
 
 
 @dataclass(kw_only=True)

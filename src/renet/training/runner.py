@@ -22,6 +22,7 @@ from renet.errors import RenetError
 from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import RenetAlgorithm
 from renet.training.checkpoint import Checkpoint
+from renet.training.config import steps_per_env
 from renet.training.metrics import MetricsWriter
 
 CHECKPOINTS = "checkpoints"
@@ -39,6 +40,8 @@ class RenetRunner(OnPolicyRunner):
         log_dir: str | None = None,
         device: str = "cpu",
     ) -> None:
+        steps = steps_per_env(train_cfg["num_steps_per_env"], env.num_envs)
+        train_cfg["num_steps_per_env"] = steps
         # Keys rsl_rl reads unconditionally; constructing the algorithm consumes the class name.
         train_cfg["algorithm"] = {
             **train_cfg["algorithm"],

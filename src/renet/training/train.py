@@ -19,7 +19,7 @@ from mjlab.rl import RslRlVecEnvWrapper
 from renet.errors import RenetError
 from renet.training import checkpoint as checkpoints
 from renet.training.checkpoint import Checkpoint
-from renet.training.config import LearningCfg
+from renet.training.config import LearningCfg, steps_per_env
 from renet.training.metrics import CURVES
 from renet.training.run_report import write_run_report
 from renet.training.runner import CHECKPOINTS, RenetRunner
@@ -156,7 +156,8 @@ def _switch_step(cfg: TrainCfg, earlier: Checkpoint | None) -> int:
     if earlier is not None:
         taken = int(earlier.environment.get("common_step_counter", 0))
         iteration = earlier.state["iteration"]
-    return taken + (cfg.standing_after - iteration) * cfg.num_steps_per_env
+    steps = steps_per_env(cfg.num_steps_per_env, cfg.num_envs)
+    return taken + (cfg.standing_after - iteration) * steps
 
 
 def record_config(cfg: TrainCfg, run: Path) -> None:
