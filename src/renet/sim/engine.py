@@ -25,8 +25,8 @@ import torch
 from mjlab.sim.sim import Simulation
 
 from renet.errors import RenetError
+from renet.sim.native_call import Call
 from renet.sim.native_kernel import advance
-from renet.sim.native_threads import Call
 from renet.sim.neighbourhood import Neighbourhood
 from renet.sim.threads import THREADS
 from renet.sim.transfer import POSE, load_rows, model_rows, store_rows
@@ -201,7 +201,7 @@ class NativeSimulation(Simulation):
             programs = [getattr(worker, program).ctypes.data for worker in self._workers]
             numbers = (self.num_envs, steps, only_written, derive, *programs)
             # What was written is little: another thread would begin too late.
-            self._calls[kind] = Call(advance, numbers, threads=1 if only_written else THREADS)
+            self._calls[kind] = Call(advance, numbers, alone=only_written)
         self._calls[kind]()
 
 

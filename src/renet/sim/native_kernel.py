@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from renet.sim.native_threads import in_threads
+from renet.sim.native_call import SHARED
 
 ROW = 5
 """Numbers per transfer: Warp address, bytes per environment, MuJoCo address, count, type."""
@@ -18,112 +18,111 @@ FLOAT, INT, BYTE = 0, 1, 2
 
 
 @wp.func_native(
-    in_threads(
-        """
-        typedef void (*mj_function)(const void*, void*);
-        const int count = (int)own[0], repeats = (int)own[1];
-        const bool only_written = own[2], derive = own[3];
-        const u64* program = (const u64*)own[4 + thread];
-        const void* model = (const void*)program[0];
-        void* data = (void*)program[1];
-        mj_function function = (mj_function)program[2];
-        const int loads = (int)program[3], stores = (int)program[4], guarded = (int)program[5];
-        char* const known = (char*)program[6];
-        const int watched = (int)program[7], size_known = (int)program[8];
-        const int derivations = (int)program[9];
-        const u64* derivation = program + 10;
-        const u64* near = derivation + derivations;
-        const int bodies = (int)near[0], roots = (int)near[1], all_bodies = (int)near[2];
-        const int* columns = (const int*)near[3];
-        const float* reach = (const float*)near[4];
-        float* const seen = (float*)near[5];
-        const int* body = (const int*)near[6];
-        const float* bounds = (const float*)near[7];
-        const float half_travel = *(const float*)near[12];
-        const u64* rows = near + 13;
+    SHARED
+    + """
+    typedef void (*mj_function)(const void*, void*);
+    const int count = (int)own[0], repeats = (int)own[1];
+    const bool only_written = own[2], derive = own[3];
+    const u64* program = (const u64*)own[4 + thread];
+    const void* model = (const void*)program[0];
+    void* data = (void*)program[1];
+    mj_function function = (mj_function)program[2];
+    const int loads = (int)program[3], stores = (int)program[4], guarded = (int)program[5];
+    char* const known = (char*)program[6];
+    const int watched = (int)program[7], size_known = (int)program[8];
+    const int derivations = (int)program[9];
+    const u64* derivation = program + 10;
+    const u64* near = derivation + derivations;
+    const int bodies = (int)near[0], roots = (int)near[1], all_bodies = (int)near[2];
+    const int* columns = (const int*)near[3];
+    const float* reach = (const float*)near[4];
+    float* const seen = (float*)near[5];
+    const int* body = (const int*)near[6];
+    const float* bounds = (const float*)near[7];
+    const float half_travel = *(const float*)near[12];
+    const u64* rows = near + 13;
 
-        int env;
-        while ((env = take(1)) < count) {
-            char* const state = known + (u64)size_known * env;
-            auto written = [&]() {
-                const char* before = state;
-                for (int r = 0; r < watched; ++r) {
-                    const u64* row = rows + 5 * r;
-                    const char* now = (const char*)row[0] + row[1] * (u64)env;
-                    for (u64 i = 0; i < 4 * row[3]; ++i) if (now[i] != before[i]) return true;
-                    before += 4 * row[3];
-                }
-                return false;
-            };
-            if (only_written && !written()) continue;
-
-            // Which static bodies can collide; a position that is not finite is near them all.
-            const float* qpos = (const float*)((const char*)rows[0] + rows[1] * (u64)env);
-            float* const last = seen + 2 * roots * (u64)env;
-            bool moved = false;
-            for (int r = 0; bodies && r < 2 * roots; ++r) {
-                const float by = qpos[columns[r / 2] + r % 2] - last[r];
-                moved = moved || !(by <= half_travel && by >= -half_travel);
-            }
-            if (moved) {
-                for (int r = 0; r < 2 * roots; ++r) last[r] = qpos[columns[r / 2] + r % 2];
-                for (int b = 0; b < bodies; ++b) {
-                    const float* low = bounds + 4 * b;
-                    bool touches = false;
-                    for (int r = 0; r < roots; ++r) {
-                        const float x = last[2 * r], y = last[2 * r + 1], far = reach[r];
-                        touches = touches || !(x < low[0] - far || x > low[2] + far
-                                               || y < low[1] - far || y > low[3] + far);
-                    }
-                    for (int k = 0; k < 2; ++k)
-                        ((int*)near[8 + k])[all_bodies * (u64)env + body[b]]
-                            = touches ? ((const int*)near[10 + k])[body[b]] : 0;
-                }
-            }
-
-            bool finite = true;
-            for (int r = 0; r < loads; ++r) {
-                const u64* row = rows + 5 * r;
-                const char* source = (const char*)row[0] + row[1] * (u64)env;
-                const int size = (int)row[3];
-                if (row[4] == 0) {
-                    const float* from = (const float*)source;
-                    double* to = (double*)row[2];
-                    for (int i = 0; i < size; ++i) to[i] = (double)from[i];
-                    if (r < guarded) {
-                        for (int i = 0; i < size; ++i)
-                            finite = finite && (from[i] - from[i] == 0.0f);
-                    }
-                } else if (row[4] == 1) {
-                    const int* from = (const int*)source;
-                    int* to = (int*)row[2];
-                    for (int i = 0; i < size; ++i) to[i] = from[i];
-                } else {
-                    const unsigned char* from = (const unsigned char*)source;
-                    unsigned char* to = (unsigned char*)row[2];
-                    for (int i = 0; i < size; ++i) to[i] = from[i];
-                }
-            }
-            if (!finite) continue;
-            for (int i = 0; i < repeats; ++i) function(model, data);
-            if (derive)
-                for (int i = 0; i < derivations; ++i) ((mj_function)derivation[i])(model, data);
-            for (int r = loads; r < loads + stores; ++r) {
-                const u64* row = rows + 5 * r;
-                float* to = (float*)((char*)row[0] + row[1] * (u64)env);
-                const double* from = (const double*)row[2];
-                const int size = (int)row[3];
-                for (int i = 0; i < size; ++i) to[i] = (float)from[i];
-            }
-            char* keep = state;
-            for (int r = 0; derive && r < watched; ++r) {
+    int env;
+    while ((env = take(1)) < count) {
+        char* const state = known + (u64)size_known * env;
+        auto written = [&]() {
+            const char* before = state;
+            for (int r = 0; r < watched; ++r) {
                 const u64* row = rows + 5 * r;
                 const char* now = (const char*)row[0] + row[1] * (u64)env;
-                for (u64 i = 0; i < 4 * row[3]; ++i) *keep++ = now[i];
+                for (u64 i = 0; i < 4 * row[3]; ++i) if (now[i] != before[i]) return true;
+                before += 4 * row[3];
+            }
+            return false;
+        };
+        if (only_written && !written()) continue;
+
+        // Which static bodies can collide; a position that is not finite is near them all.
+        const float* qpos = (const float*)((const char*)rows[0] + rows[1] * (u64)env);
+        float* const last = seen + 2 * roots * (u64)env;
+        bool moved = false;
+        for (int r = 0; bodies && r < 2 * roots; ++r) {
+            const float by = qpos[columns[r / 2] + r % 2] - last[r];
+            moved = moved || !(by <= half_travel && by >= -half_travel);
+        }
+        if (moved) {
+            for (int r = 0; r < 2 * roots; ++r) last[r] = qpos[columns[r / 2] + r % 2];
+            for (int b = 0; b < bodies; ++b) {
+                const float* low = bounds + 4 * b;
+                bool touches = false;
+                for (int r = 0; r < roots; ++r) {
+                    const float x = last[2 * r], y = last[2 * r + 1], far = reach[r];
+                    touches = touches || !(x < low[0] - far || x > low[2] + far
+                                           || y < low[1] - far || y > low[3] + far);
+                }
+                for (int k = 0; k < 2; ++k)
+                    ((int*)near[8 + k])[all_bodies * (u64)env + body[b]]
+                        = touches ? ((const int*)near[10 + k])[body[b]] : 0;
             }
         }
-        """
-    )
+
+        bool finite = true;
+        for (int r = 0; r < loads; ++r) {
+            const u64* row = rows + 5 * r;
+            const char* source = (const char*)row[0] + row[1] * (u64)env;
+            const int size = (int)row[3];
+            if (row[4] == 0) {
+                const float* from = (const float*)source;
+                double* to = (double*)row[2];
+                for (int i = 0; i < size; ++i) to[i] = (double)from[i];
+                if (r < guarded) {
+                    for (int i = 0; i < size; ++i)
+                        finite = finite && (from[i] - from[i] == 0.0f);
+                }
+            } else if (row[4] == 1) {
+                const int* from = (const int*)source;
+                int* to = (int*)row[2];
+                for (int i = 0; i < size; ++i) to[i] = from[i];
+            } else {
+                const unsigned char* from = (const unsigned char*)source;
+                unsigned char* to = (unsigned char*)row[2];
+                for (int i = 0; i < size; ++i) to[i] = from[i];
+            }
+        }
+        if (!finite) continue;
+        for (int i = 0; i < repeats; ++i) function(model, data);
+        if (derive)
+            for (int i = 0; i < derivations; ++i) ((mj_function)derivation[i])(model, data);
+        for (int r = loads; r < loads + stores; ++r) {
+            const u64* row = rows + 5 * r;
+            float* to = (float*)((char*)row[0] + row[1] * (u64)env);
+            const double* from = (const double*)row[2];
+            const int size = (int)row[3];
+            for (int i = 0; i < size; ++i) to[i] = (float)from[i];
+        }
+        char* keep = state;
+        for (int r = 0; derive && r < watched; ++r) {
+            const u64* row = rows + 5 * r;
+            const char* now = (const char*)row[0] + row[1] * (u64)env;
+            for (u64 i = 0; i < 4 * row[3]; ++i) *keep++ = now[i];
+        }
+    }
+    """
 )
 def _advance(call: wp.uint64): ...
 

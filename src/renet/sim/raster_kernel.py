@@ -12,11 +12,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from renet.sim.native_threads import in_threads
+from renet.sim.native_call import SHARED
 
 wp.set_module_options({"enable_backward": False})
 
-SHAPES = """
+SHAPES = (
+    SHARED
+    + """
     const int boxes = (int)own[0], wides = (int)own[1], nx = (int)own[2], ny = (int)own[3];
     const float* box_data = (const float*)own[4];
     const float* triangle_data = (const float*)own[5];
@@ -26,12 +28,12 @@ SHAPES = """
     const int* wide = (const int*)own[9];
     const float* frame = (const float*)own[10];
 """
+)
 
 
 @wp.func_native(
-    in_threads(
-        SHAPES
-        + """
+    SHAPES
+    + """
     const float* eyes = (const float*)own[11];
     const float* rotations = (const float*)own[12];
     float* images = (float*)own[13];
@@ -205,7 +207,6 @@ SHAPES = """
         for (int i = 0; i < width * height; ++i) image[i] = image[i] <= limit ? image[i] : -1.0f;
     }
     """
-    )
 )
 def _draw(call: wp.uint64): ...
 
@@ -222,9 +223,8 @@ def draw(call: wp.uint64):
 
 
 @wp.func_native(
-    in_threads(
-        SHAPES
-        + """
+    SHAPES
+    + """
     const float* positions = (const float*)own[11];
     const float* rotations = (const float*)own[13];
     const long long stride = (long long)own[12], turn = (long long)own[14];
@@ -293,7 +293,6 @@ def draw(call: wp.uint64):
         }
     }
     """
-    )
 )
 def _scan(call: wp.uint64): ...
 

@@ -14,10 +14,9 @@ import warp as wp
 from torch import Tensor
 
 from renet.sim import raster_kernel
-from renet.sim.native_threads import Call
+from renet.sim.native_call import Call
 from renet.sim.raster_kernel import draw, scan
 from renet.sim.terrain_mesh import terrain_shapes
-from renet.sim.threads import THREADS
 
 BIN = 0.25
 """Side of a bin, m: about a step of stairs."""
@@ -121,15 +120,15 @@ class TerrainBins:
         limits = np.array([top, drop], np.float32)
         numbers = (position.data_ptr(), position.stride(0), *turn, pattern.data_ptr())
         numbers += (clearance.data_ptr(), count, points, limits.ctypes.data)
-        self._run(scan, numbers, threads=1 if count * points < FEW else THREADS)
+        self._run(scan, numbers, alone=count * points < FEW)
         return clearance
 
-    def _run(self, kernel: Any, numbers: Sequence[int], threads: int = THREADS) -> None:
+    def _run(self, kernel: Any, numbers: Sequence[int], alone: bool = False) -> None:
         """Call a kernel on the shapes and `numbers`."""
-        calls = vars(self._calls)  # Of this thread alone.
-        kind = f"{kernel.key} in {threads}"
+        calls = vars(self._calls)  # Of this thread only.
+        kind = f"{kernel.key} {alone}"
         if kind not in calls:
-            calls[kind] = Call(kernel, (*self._head, *numbers), threads)
+            calls[kind] = Call(kernel, (*self._head, *numbers), alone)
         calls[kind](numbers)
 
 
