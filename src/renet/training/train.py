@@ -6,7 +6,7 @@ import json
 import os
 import re
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from itertools import chain, count
 from pathlib import Path
@@ -113,7 +113,7 @@ def train(cfg: TrainCfg) -> Path | None:
         )
     if run:
         print(f"{'Resuming' if resume else 'Training'} {cfg.task} in {run}")
-        record_config(cfg, run)
+        record_config(replace(cfg, num_steps_per_env=runner.cfg["num_steps_per_env"]), run)
     try:
         left = None if budget is None else budget - (time.monotonic() - began)
         runner.learn(cfg.max_iterations - runner.alg.iteration, time_budget_s=left)
