@@ -56,7 +56,7 @@ RESET_TO_ZERO += ("time", "sensordata")
 
 DERIVE = ("mj_kinematics", "mj_comPos", "mj_camlight", "mj_tendon", "mj_transmission")
 DERIVE += ("mj_sensorPos", "mj_fwdVelocity", "mj_sensorVel")
-"""`mj_forward` without contacts and accelerations: a third of its time."""
+"""`mj_forward` without contacts and accelerations."""
 
 INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_armature"}
 """Model fields that MuJoCo does not look at in a body on its own: its inertia is compiled."""
