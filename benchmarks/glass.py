@@ -24,7 +24,7 @@ from renet.evaluation.metrics import roc
 from renet.evaluation.rollout import Row
 from renet.evaluation.world import SimWorld
 from renet.tasks.go1 import GO1
-from renet.tasks.observations import FEET_CONTACT
+from renet.tasks.sensors import FEET_CONTACT
 from renet.tiles import tiles
 from renet.vocabulary import (
     DEPTH_RANGE,

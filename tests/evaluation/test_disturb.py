@@ -12,7 +12,7 @@ from renet.evaluation.faults import Frames, Injection, Injector, PhysicalFault, 
 from renet.evaluation.rollout import Row, run_rollout
 from renet.evaluation.world import SimWorld, study_env_cfg
 from renet.tasks.config import tile_env_cfg
-from renet.tasks.observations import DEPTH_CAMERA
+from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.terrains import single_tile_terrain
 
 from .fakes import FakeController, FakeSwitch, FakeWorld

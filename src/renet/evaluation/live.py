@@ -16,8 +16,8 @@ from renet.evaluation.rollout import UPDATES_PER_STEP, Readings, seen
 from renet.evaluation.world import SimWorld
 from renet.tasks.commands import GoalCommandCfg
 from renet.tasks.env import RenetEnv, RenetEnvCfg
-from renet.tasks.observations import HEIGHT_MAP
 from renet.tasks.rewards import goal
+from renet.tasks.sensors import HEIGHT_MAP
 from renet.vocabulary import STEPS_PER_TICK
 
 MODES = ("renet", "vp", "op")

@@ -16,7 +16,7 @@ from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import UPDATES_PER_STEP
 from renet.evaluation.world import SimWorld
 from renet.selector.monitors import Sight
-from renet.tasks.observations import HEIGHT_MAP
+from renet.tasks.sensors import HEIGHT_MAP
 from renet.vocabulary import HEIGHT_MAP_X, HEIGHT_MAP_Y
 
 WARM_UP = 50

@@ -17,8 +17,8 @@ from renet.evaluation.rollout import Readings
 from renet.sim.depth_camera import DepthCamera
 from renet.tasks import RenetEnv, RenetEnvCfg, env_cfg, make_env
 from renet.tasks.commands import COMMAND, GoalCommandCfg
-from renet.tasks.observations import DEPTH_CAMERA
 from renet.tasks.rewards import collision, goal
+from renet.tasks.sensors import DEPTH_CAMERA
 
 FLAT = "flat"
 """Ground that is no tile."""

@@ -130,4 +130,4 @@ class GoalCommand(CommandTerm):
     def _update_command(self, env_ids: Tensor | None) -> None:
         del env_ids  # The error follows from the current heading everywhere.
         error = self.yaw - self.robot.data.heading_w  # Sine and cosine need no wrapping.
-        self._command = torch.stack((self.speed, error.sin(), error.cos()), dim=-1)
+        torch.stack((self.speed, error.sin(), error.cos()), dim=-1, out=self._command)

@@ -15,24 +15,22 @@ from mjlab.managers.reward_manager import RewardTermCfg
 from mjlab.managers.scene_entity_config import SceneEntityCfg
 from mjlab.managers.termination_manager import TerminationTermCfg
 from mjlab.scene import SceneCfg
-from mjlab.sensor import ContactMatch, ContactSensorCfg
 from mjlab.sim import MujocoCfg, SimulationCfg
 from mjlab.terrains import TerrainEntityCfg
 from mjlab.utils.noise import UniformNoiseCfg
 from mjlab.viewer import ViewerConfig
 
-from renet.sim.depth_camera import DepthCameraCfg
-from renet.sim.terrain_scan import FeetHeightCfg, HeightMapCfg
 from renet.tasks import curriculum, observations, rewards, terminations
 from renet.tasks.actions import JointTargetCfg
 from renet.tasks.commands import COMMAND, GoalCommandCfg
-from renet.tasks.constraints import violated
+from renet.tasks.constraints import VIOLATED
 from renet.tasks.env import RenetEnvCfg
 from renet.tasks.events import spawn
 from renet.tasks.go1 import GO1
-from renet.tasks.robot import CALVES, FEET, TRUNK, Robot
+from renet.tasks.robot import FEET, TRUNK, Robot
+from renet.tasks.sensors import FEET_HEIGHT, HEIGHT_MAP, contact_sensors, terrain_sensors
 from renet.tasks.terrains import parkour_terrain
-from renet.vocabulary import CONSTRAINTS, CONTROL_DT, LEGS, PHYSICS_DT, PROPRIOCEPTION
+from renet.vocabulary import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION
 
 NOISE = {
     "base_angular_velocity": 0.2,
@@ -85,7 +83,7 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: Robot) -> RenetEnvCfg:
         scene=SceneCfg(
             terrain=terrain,
             entities={"robot": robot.entity()},
-            sensors=(*_contact_sensors(), *_terrain_sensors(robot)),
+            sensors=(*contact_sensors(), *terrain_sensors(robot)),
         ),
         observations=_observations(),
         actions={
@@ -94,14 +92,12 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: Robot) -> RenetEnvCfg:
             )
         },
         commands={COMMAND: GoalCommandCfg()},
-        rewards=_rewards(robot),
+        rewards=_rewards(),
         terminations={
-            "time_out": TerminationTermCfg(func=mdp.time_out, time_out=True),
+            "time_out": TerminationTermCfg(func=terminations.time_out, time_out=True),
             "fallen": TerminationTermCfg(func=terminations.fallen),
             "not_finite": TerminationTermCfg(func=terminations.not_finite),
-            "stalled": TerminationTermCfg(
-                func=terminations.Stalled, params={"window": 3.0, "progress": 0.15}
-            ),
+            "stalled": TerminationTermCfg(func=terminations.stalled),
         },
         curriculum={
             "command_stage": CurriculumTermCfg(
@@ -140,39 +136,13 @@ def _play(cfg: RenetEnvCfg) -> RenetEnvCfg:
     return cfg
 
 
-def _contact_sensors() -> tuple[ContactSensorCfg, ...]:
-    def touching(name: str, mode, pattern: tuple[str, ...], field: str) -> ContactSensorCfg:
-        return ContactSensorCfg(
-            name=name,
-            primary=ContactMatch(mode=mode, pattern=pattern, entity="robot"),
-            secondary=ContactMatch(mode="subtree", pattern="terrain"),
-            fields=(field,),
-            reduce="netforce",
-        )
-
-    thighs = tuple(f"{leg}_thigh" for leg in LEGS)
-    return (
-        touching(observations.FEET_CONTACT, "geom", FEET, "found"),
-        touching(observations.THIGH_TRUNK_CONTACT, "body", (*thighs, TRUNK), "force"),
-        touching(observations.CALF_CONTACT, "geom", CALVES, "force"),
-    )
-
-
-def _terrain_sensors(robot: Robot) -> tuple[DepthCameraCfg, HeightMapCfg, FeetHeightCfg]:
-    return (
-        DepthCameraCfg(name=observations.DEPTH_CAMERA, mount=robot.camera),
-        HeightMapCfg(name=observations.HEIGHT_MAP, base_height=robot.map_height),
-        FeetHeightCfg(name=observations.FEET_HEIGHT, radius=robot.foot_radius),
-    )
-
-
 def _observations() -> dict[str, ObservationGroupCfg]:
     scale = tuple(term.scale for term in PROPRIOCEPTION for _ in range(term.size))
     noise = tuple(NOISE.get(term.name, 0.0) for term in PROPRIOCEPTION for _ in range(term.size))
 
     def proprioception(noisy: bool) -> ObservationGroupCfg:
         term = ObservationTermCfg(
-            func=observations.Proprioception,
+            func=observations.proprioception,
             scale=scale,
             noise=UniformNoiseCfg(n_min=tuple(-half for half in noise), n_max=noise),
         )
@@ -199,15 +169,15 @@ def _observations() -> dict[str, ObservationGroupCfg]:
         "proprioception": proprioception(noisy=True),
         "proprioception_clean": proprioception(noisy=False),
         "velocity": single(observations.velocity),
-        "feet_height": single(observations.sensor, name=observations.FEET_HEIGHT),
-        "height_map": single(observations.sensor, name=observations.HEIGHT_MAP),
+        "feet_height": single(observations.sensor, name=FEET_HEIGHT),
+        "height_map": single(observations.sensor, name=HEIGHT_MAP),
         "privileged": privileged,
         "depth": single(observations.depth),
-        "difficult": single(observations.Difficult),
+        "difficult": single(observations.difficult),
     }
 
 
-def _rewards(robot: Robot) -> dict[str, RewardTermCfg]:
+def _rewards() -> dict[str, RewardTermCfg]:
     """Paper's scales; mjlab multiplies each by the step's 0.02 s."""
     return {
         "linear_velocity": RewardTermCfg(func=rewards.linear_velocity, weight=1.5),
@@ -216,32 +186,21 @@ def _rewards(robot: Robot) -> dict[str, RewardTermCfg]:
         "joint_energy": RewardTermCfg(func=rewards.joint_energy, weight=-1e-5),
         "action_rate": RewardTermCfg(func=rewards.action_rate, weight=-0.1),
         "default_position": RewardTermCfg(func=rewards.default_position, weight=-0.04),
-        "hip_position": RewardTermCfg(func=rewards.HipPosition, weight=-0.5),
-        "joint_acceleration": RewardTermCfg(func=rewards.JointAcceleration, weight=-2.5e-7),
+        "hip_position": RewardTermCfg(func=rewards.hip_position, weight=-0.5),
+        "joint_acceleration": RewardTermCfg(func=rewards.joint_acceleration, weight=-2.5e-7),
         "orientation": RewardTermCfg(func=rewards.orientation, weight=-1.0),
         # Not the paper's, hence off: `renet train --reward-weights` turns them on.
-        "standing_motion": RewardTermCfg(
-            func=rewards.StandingMotion, weight=0.0, params={"time_constant": 0.2}
-        ),
-        "foot_clearance": RewardTermCfg(
-            func=rewards.FootClearance,
-            weight=0.0,
-            params={"feet": LEGS, "height": robot.map_height - robot.foot_radius, "lift": 0.12},
-        ),
+        "standing_motion": RewardTermCfg(func=rewards.standing_motion, weight=0.0),
+        "foot_clearance": RewardTermCfg(func=rewards.foot_clearance, weight=0.0),
     }
 
 
 def _metrics() -> dict[str, MetricsTermCfg]:
     """Logged as means over an episode's steps, beside the rewards."""
     return {
-        "collisions": MetricsTermCfg(func=rewards.unweighted, params={"reward": "collision"}),
-        "lin_vel_reward": MetricsTermCfg(
-            func=rewards.unweighted, params={"reward": "linear_velocity"}
-        ),
-        **{
-            f"violated_{name}": MetricsTermCfg(func=violated, params={"constraint": name})
-            for name in CONSTRAINTS
-        },
+        "collisions": MetricsTermCfg(func=rewards.collision),
+        "lin_vel_reward": MetricsTermCfg(func=rewards.linear_velocity),
+        **{f"violated_{name}": MetricsTermCfg(func=term) for name, term in VIOLATED.items()},
     }
 
 

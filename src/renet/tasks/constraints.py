@@ -7,15 +7,14 @@ clipped torque never violates anything.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
+import warp as wp
 
+from renet.tasks.step import Step, joint_speed
+from renet.tasks.terms import per_robot
 from renet.vocabulary import CONSTRAINTS
 
-if TYPE_CHECKING:
-    from renet.tasks.env import RenetEnv
+wp.set_module_options({"enable_backward": False})
 
 
 @dataclass
@@ -30,46 +29,44 @@ class ConstraintCfg:
     """Share of the motor's effort limit."""
 
 
-def excess(value: Tensor, limit: Tensor) -> Tensor:
-    """sum relu(|value| - limit) over joints, [N]."""
-    return torch.relu(value.abs() - limit).sum(-1)
+@wp.func
+def constraint_costs(step: Step, robot: int) -> wp.vec3:  # type: ignore[valid-type]
+    """Sums over joints of what is beyond a limit, order of vocabulary.CONSTRAINTS.
+
+    In rad, rad/s (each joint counts at most 1) and N m. Torque is what the nominal gains ask for,
+    whatever gains a robot's servos have drawn.
+    """
+    position, velocity, torque = wp.float32(0.0), wp.float32(0.0), wp.float32(0.0)
+    for joint in range(step.joint.shape[0]):
+        angle = step.qpos[robot, step.joint[joint]]
+        speed = joint_speed(step, robot, joint)
+        asked = step.stiffness * (step.target[robot, joint] - angle) - step.damping * speed
+        position += wp.max(step.lowest[robot, joint] - angle, 0.0)
+        position += wp.max(angle - step.highest[robot, joint], 0.0)
+        velocity += wp.clamp(wp.abs(speed) - step.fastest[joint], 0.0, 1.0)
+        torque += wp.max(wp.abs(asked) - step.strongest[joint], 0.0)
+    return wp.vec3(position, velocity, torque)
 
 
-def outside(value: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """sum of distances outside [low, high] over joints, [N]."""
-    return (torch.relu(low - value) + torch.relu(value - high)).sum(-1)
+@per_robot
+def position_violated(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+    """1 where the joint positions cost something in this step."""
+    return wp.where(step.costs[robot, 0] > 0.0, 1.0, 0.0)
 
 
-def violated(env: RenetEnv, constraint: str) -> Tensor:
-    """1 where a constraint of vocabulary.CONSTRAINTS cost something in this step, [N]."""
-    return (env.costs[:, CONSTRAINTS.index(constraint)] > 0.0).float()
+@per_robot
+def velocity_violated(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+    """1 where the joint velocities cost something in this step."""
+    return wp.where(step.costs[robot, 1] > 0.0, 1.0, 0.0)
 
 
-class Constraints:
-    """Evaluates all three costs of an environment, order of vocabulary.CONSTRAINTS."""
+@per_robot
+def torque_violated(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+    """1 where the torques cost something in this step."""
+    return wp.where(step.costs[robot, 2] > 0.0, 1.0, 0.0)
 
-    def __init__(self, cfg: ConstraintCfg, env: RenetEnv) -> None:
-        self.robot, self.kind = env.scene["robot"], env.cfg.robot
-        motors = [self.kind.motor(name) for name in self.robot.joint_names]
-        limits = torch.tensor([(m.velocity, m.torque) for m in motors], device=env.device)
-        self.velocity_limit = cfg.velocity * limits[:, 0]
-        self.torque_limit = cfg.torque * limits[:, 1]
-        low, high = self.robot.data.joint_pos_limits.unbind(-1)
-        middle, reach = (low + high) / 2, cfg.position * (high - low) / 2
-        self.low, self.high = middle - reach, middle + reach
 
-    def __call__(self) -> Tensor:
-        """[N, 3]: rad, rad/s (each joint counts at most 1), N m.
-
-        Torque is what the nominal gains ask for, whatever gains a robot's servos have drawn.
-        """
-        data, kind = self.robot.data, self.kind
-        error = data.joint_pos_target - data.joint_pos
-        torque = kind.stiffness * error - kind.damping * data.joint_vel
-        velocity = torch.relu(data.joint_vel.abs() - self.velocity_limit).clamp_max(1.0).sum(-1)
-        costs = (
-            outside(data.joint_pos, self.low, self.high),
-            velocity,
-            excess(torque, self.torque_limit),
-        )
-        return torch.nan_to_num(torch.stack(costs, dim=-1), nan=0.0, posinf=0.0, neginf=0.0)
+VIOLATED = dict(
+    zip(CONSTRAINTS, (position_violated, velocity_violated, torque_violated), strict=True)
+)
+"""Terms by the name of the constraint."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from copy import deepcopy
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
+from typing import Any
 
 import torch
 import warp as wp
@@ -17,12 +18,15 @@ from torch import Tensor
 from renet.errors import RenetError
 from renet.sim.engine import use_engine
 from renet.sim.threads import one_torch_thread
-from renet.tasks.constraints import ConstraintCfg, Constraints
+from renet.tasks.constraints import ConstraintCfg
 from renet.tasks.env_data import FloatingBase
 from renet.tasks.go1 import GO1
+from renet.tasks.judge import Judge
 from renet.tasks.managers import StackedMetrics, StackedRewards, StackedTerminations
+from renet.tasks.observing import StackedObservations
 from renet.tasks.rewards import goal
 from renet.tasks.robot import Robot
+from renet.tasks.step import watch
 
 
 @dataclass(kw_only=True)
@@ -42,14 +46,13 @@ class RenetEnv(ManagerBasedRlEnv):
 
     cfg: RenetEnvCfg
     reward_manager: StackedRewards
-    costs: Tensor
-    """Of the last step, [N, 3]; see `extras["costs"]`."""
+    termination_manager: StackedTerminations
+    metrics_manager: StackedMetrics
 
     def __init__(self, cfg: RenetEnvCfg, device: str, render_mode: str | None = None) -> None:
         # A copy: this environment's decimation changes below, and callers reuse configurations.
         cfg = deepcopy(cfg)
         super().__init__(cfg, device, render_mode)
-        self.constraints = Constraints(cfg.constraints, self)
         self._fuse_substeps()
         robot = self.scene["robot"]
         robot._data = FloatingBase(robot.data)
@@ -85,24 +88,49 @@ class RenetEnv(ManagerBasedRlEnv):
         return observation, reward, terminated, truncated, extras
 
     def load_managers(self) -> None:
-        """Load the managers, and measure costs where rewards are: before any reset."""
+        """Load the managers, and judge a step before they ask: before any reset."""
         super().load_managers()
-        # Where there is nothing to stack, mjlab's own will do.
-        if self.cfg.rewards:
-            self.reward_manager = StackedRewards(
-                self.cfg.rewards, self, scale_by_dt=self.cfg.scale_rewards_by_dt
-            )
-        if self.cfg.terminations:
-            self.termination_manager = StackedTerminations(self.cfg.terminations, self)
-        if self.cfg.metrics:
-            self.metrics_manager = StackedMetrics(self.cfg.metrics, self)
-        compute = self.reward_manager.compute
+        self.observation_manager = StackedObservations(self.cfg.observations, self)
+        self.reward_manager = StackedRewards(
+            self.cfg.rewards, self, scale_by_dt=self.cfg.scale_rewards_by_dt
+        )
+        self.termination_manager = StackedTerminations(self.cfg.terminations, self)
+        self.metrics_manager = StackedMetrics(self.cfg.metrics, self)
+        self.judge = Judge(self)
+        conclude = self.termination_manager.compute
 
-        def compute_with_costs(dt: float) -> Tensor:
-            self.costs = self.constraints() * self.step_dt
-            return compute(dt)
+        def judge_and_conclude() -> Tensor:
+            self.judge()
+            return conclude()
 
-        self.reward_manager.compute = compute_with_costs  # type: ignore[method-assign]
+        self.termination_manager.compute = judge_and_conclude  # type: ignore[method-assign]
+
+    def _reset_idx(self, env_ids: Tensor) -> None:
+        super()._reset_idx(env_ids)
+        self.judge.forget(env_ids)
+
+    @property
+    def episode_length_buf(self) -> Tensor:
+        """Control steps of each robot's episode so far, [N]."""
+        return self._episode_length
+
+    @episode_length_buf.setter
+    def episode_length_buf(self, value: Tensor) -> None:  # type: ignore[override]
+        # Runners assign one of their own, but the judge reads the first.
+        if not hasattr(self, "_episode_length"):
+            self._episode_length = value
+        elif value is not self._episode_length:
+            self._episode_length[:] = value
+
+    @cached_property
+    def watched(self) -> Any:
+        """What terms in Warp read."""
+        return watch(self)
+
+    @property
+    def costs(self) -> Tensor:
+        """Of the last step, [N, 3]; see `extras["costs"]`."""
+        return self.judge.costs
 
     # Checkpoints.
 

@@ -1,6 +1,7 @@
 """mjlab's managers, all terms in one tensor: a step of few robots costs its number of operations.
 
-Results are mjlab's; a term of one of them is added up with the others instead of on its own.
+Results are mjlab's. Terms that are functions in Warp (`terms.per_robot`) have been evaluated by one
+kernel before (`judge.Judge`), others are by torch, one by one.
 """
 
 from __future__ import annotations
@@ -13,35 +14,41 @@ from mjlab.managers.reward_manager import RewardManager
 from mjlab.managers.termination_manager import TerminationManager
 from torch import Tensor
 
+from renet.tasks.judge import conclude, pay, tally
+from renet.tasks.terms import Launch, is_in_warp
+
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv
 
 
 class StackedRewards(RewardManager):
-    """Rewards, and each term as it was before its weight."""
+    """Sums of weighted terms."""
 
     def __init__(self, cfg: dict, env: ManagerBasedRlEnv, *, scale_by_dt: bool = True) -> None:
         super().__init__(cfg, env, scale_by_dt=scale_by_dt)
+        self.values = torch.zeros_like(self._step_reward)
+        """Terms before their weights, [N, terms]; `judge.Judge` fills those written in Warp."""
+        self._by_torch = _by_torch(self)
         self._sums = torch.zeros_like(self._step_reward)
         self._episode_sums = dict(zip(self._term_names, self._sums.unbind(-1), strict=True))
-        self._none = torch.zeros(env.num_envs, device=env.device)
-        self._values = list(self._step_reward.unbind(-1))
-        self._weights: list[float] = []
+        self._weights = [0.0] * len(self._term_cfgs)
+        self._weight = torch.zeros(len(self._term_cfgs), device=self.device)
+        self._pay: dict[float, Launch] = {}
 
     def compute(self, dt: float) -> Tensor:
         """See RewardManager.compute."""
         weights = [term.weight for term in self._term_cfgs]
         if weights != self._weights:  # A curriculum may change them.
-            self._weights, self._weight = weights, torch.tensor(weights, device=self.device)
-        self._values = [
-            self._evaluate(term) if weight else self._none for term, weight in enumerate(weights)
-        ]
-        rates = torch.stack(self._values, dim=-1) * self._weight
-        # Broken physics gives NaN; its robot is reset, its reward must not spread.
-        self._step_reward = rates.nan_to_num(nan=0.0, posinf=0.0, neginf=0.0)
-        rewards = self._step_reward * (dt if self._scale_by_dt else 1.0)
-        self._sums += rewards
-        self._reward_buf = rewards.sum(-1)
+            self._weights = weights
+            self._weight.copy_(torch.tensor(weights))
+        for term in self._by_torch:
+            if weights[term]:
+                self.values[:, term] = self._evaluate(term)
+        scale = dt if self._scale_by_dt else 1.0
+        if scale not in self._pay:
+            inputs = [self.values, self._weight, scale, self._step_reward, self._sums]
+            self._pay[scale] = Launch(pay, self.num_envs, [*inputs, self._reward_buf], self.device)
+        self._pay[scale]()
         return self._reward_buf
 
     def reset(self, env_ids: Tensor | slice | None = None) -> dict[str, Tensor]:
@@ -51,11 +58,6 @@ class StackedRewards(RewardManager):
         self._sums[ids] = 0.0
         _reset_terms(self, ids)
         return _named("Episode_Reward", self._term_names, means)
-
-    def value(self, name: str) -> Tensor:
-        """A term in the step just rewarded, before its weight, [N]."""
-        term = self._term_names.index(name)
-        return self._values[term] if self._weights[term] else self._evaluate(term)
 
     def _evaluate(self, term: int) -> Tensor:
         cfg = self._term_cfgs[term]
@@ -69,27 +71,31 @@ class StackedTerminations(TerminationManager):
 
     def __init__(self, cfg: dict, env: ManagerBasedRlEnv) -> None:
         super().__init__(cfg, env)
-        time_outs = [term.time_out for term in self._term_cfgs]
-        self._time_out = torch.tensor(time_outs, device=env.device)
-        self._dones = torch.zeros(env.num_envs, len(time_outs), dtype=torch.bool, device=env.device)
+        device, terms = env.device, len(self._term_cfgs)
+        time_out = torch.tensor([term.time_out for term in self._term_cfgs], device=device)
+        self.values = torch.zeros(env.num_envs, terms, dtype=torch.bool, device=device)
+        """Terms, [N, terms]; `judge.Judge` fills those written in Warp."""
+        self._by_torch = _by_torch(self)
+        self._term_dones = dict(zip(self._term_names, self.values.unbind(-1), strict=True))
+        self._done = torch.zeros_like(self._terminated_buf)
+        results = [self._terminated_buf, self._truncated_buf, self._done]
+        self._conclude = Launch(conclude, env.num_envs, [self.values, time_out, *results], device)
 
     def compute(self) -> Tensor:
         """See TerminationManager.compute."""
-        values = []
-        for name, cfg in zip(self._term_names, self._term_cfgs, strict=True):
-            values.append(cfg.func(self._env, **cfg.params))
-            self._check_term_shape(name, values[-1])
-        self._term_dones = dict(zip(self._term_names, values, strict=True))
-        self._dones = torch.stack(values, dim=-1)
-        self._truncated_buf = (self._dones & self._time_out).any(-1)
-        self._terminated_buf = (self._dones & ~self._time_out).any(-1)
-        return self._truncated_buf | self._terminated_buf
+        for term in self._by_torch:
+            cfg = self._term_cfgs[term]
+            value = cfg.func(self._env, **cfg.params)
+            self._check_term_shape(self._term_names[term], value)
+            self.values[:, term] = value
+        self._conclude()
+        return self._done
 
     def reset(self, env_ids: Tensor | slice | None = None) -> dict[str, Tensor]:
         """See TerminationManager.reset; counts stay on the device."""
         ids = slice(None) if env_ids is None else env_ids
         _reset_terms(self, ids)
-        return _named("Episode_Termination", self._term_names, self._dones[ids].sum(0))
+        return _named("Episode_Termination", self._term_names, self.values[ids].sum(0))
 
 
 class StackedMetrics(MetricsManager):
@@ -98,18 +104,22 @@ class StackedMetrics(MetricsManager):
     def __init__(self, cfg: dict, env: ManagerBasedRlEnv) -> None:
         super().__init__(cfg, env)
         self._simple = all(term.reduce == "mean" and not term.per_substep for term in cfg.values())
+        self.values = self._step_values
+        """Terms, [N, terms]; `judge.Judge` fills those written in Warp."""
+        self._by_torch = _by_torch(self)
         self._sums = torch.zeros_like(self._step_values)
         self._episode_sums = dict(zip(self._term_names, self._sums.unbind(-1), strict=True))
+        inputs = [self.values, self._sums, self._step_count]
+        self._tally = Launch(tally, env.num_envs, inputs, env.device)
 
     def compute(self) -> None:
         """See MetricsManager.compute."""
         if not self._simple:
             super().compute()
             return
-        self._step_count += 1
-        values = [self._compute_term(term) for term in self._step_term_indices]
-        self._step_values = torch.stack(values, dim=-1)
-        self._sums += self._step_values
+        for term in self._by_torch:
+            self.values[:, term] = self._compute_term(term)
+        self._tally()
 
     def reset(self, env_ids: Tensor | slice | None = None) -> dict[str, Tensor]:
         """See MetricsManager.reset."""
@@ -121,6 +131,11 @@ class StackedMetrics(MetricsManager):
         self._sums[ids], self._step_count[ids] = 0.0, 0
         _reset_terms(self, ids)
         return _named("Episode_Metrics", self._term_names, means)
+
+
+def _by_torch(manager: Any) -> list[int]:
+    """Numbers of the terms that are not written in Warp."""
+    return [i for i, term in enumerate(manager._term_cfgs) if not is_in_warp(term.func)]
 
 
 def _reset_terms(manager: Any, ids: Tensor | slice) -> None:

@@ -5,50 +5,48 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, cast
 
 import torch
+import warp as wp
 from mjlab.managers.scene_entity_config import SceneEntityCfg
 from torch import Tensor
 
 from renet.sim.depth_camera import DepthCamera
-from renet.tasks.commands import COMMAND
-from renet.tasks.terrains import DIFFICULT
-from renet.vocabulary import JOINTS, PROPRIOCEPTION
+from renet.tasks.sensors import DEPTH_CAMERA
+from renet.tasks.step import Step, joint_speed, offset, world_velocity
+from renet.tasks.terms import fills
+from renet.vocabulary import FEET, PROPRIOCEPTION_SIZE
 
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv
 
-DEPTH_CAMERA = "depth_camera"
-HEIGHT_MAP = "height_map"
-FEET_HEIGHT = "feet_height"
-FEET_CONTACT = "feet_contact"
-THIGH_TRUNK_CONTACT = "thigh_trunk_contact"
-CALF_CONTACT = "calf_contact"
+wp.set_module_options({"enable_backward": False})
 
 
-class Proprioception:
-    """What the robot's own sensors say, order and units of vocabulary.PROPRIOCEPTION."""
+@fills(PROPRIOCEPTION_SIZE)
+def proprioception(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):  # type: ignore[valid-type]
+    """What the robot's own sensors say, order and units of vocabulary.PROPRIOCEPTION.
 
-    def __init__(self, cfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
-        joints, _ = env.scene["robot"].find_joints(JOINTS, preserve_order=True)
-        self._joints = torch.tensor(joints, device=env.device)
-
-    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
-        """[N, 45], before scaling."""
-        data = env.scene["robot"].data
-        terms = {
-            "base_angular_velocity": data.root_link_ang_vel_b,
-            "projected_gravity": data.projected_gravity_b,
-            "command": env.command_manager.get_command(COMMAND),
-            "joint_position": (data.joint_pos - data.default_joint_pos)[:, self._joints],
-            "joint_velocity": data.joint_vel[:, self._joints],
-            "last_action": env.action_manager.action,
-        }
-        return torch.cat([terms[term.name] for term in PROPRIOCEPTION], dim=-1)
+    [N, 45], before scaling.
+    """
+    down = step.rotation[robot, step.base]
+    for i in range(3):
+        row[robot, first + i] = step.qvel[robot, step.base_velocity + 3 + i]
+        row[robot, first + 3 + i] = -down[2, i]
+        row[robot, first + 6 + i] = step.command[robot, i]
+    count = step.order.shape[0]
+    for i in range(count):
+        joint = step.order[i]
+        row[robot, first + 9 + i] = offset(step, robot, joint)
+        row[robot, first + 9 + count + i] = joint_speed(step, robot, joint)
+        row[robot, first + 9 + 2 * count + i] = step.action[robot, i]
 
 
-def velocity(env: ManagerBasedRlEnv) -> Tensor:
+@fills(3)
+def velocity(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):  # type: ignore[valid-type]
     """True base linear velocity, [N, 3] m/s, base frame."""
-    return env.scene["robot"].data.root_link_lin_vel_b
+    turned = wp.transpose(step.rotation[robot, step.base])
+    own = turned * world_velocity(step, robot)
+    for i in range(3):
+        row[robot, first + i] = own[i]
 
 
 def sensor(env: ManagerBasedRlEnv, name: str) -> Tensor:
@@ -61,27 +59,18 @@ def depth(env: ManagerBasedRlEnv) -> Tensor:
     return cast(DepthCamera, env.scene[DEPTH_CAMERA]).normalised()
 
 
-def feet_contact(env: ManagerBasedRlEnv) -> Tensor:
+@fills(FEET)
+def feet_contact(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):  # type: ignore[valid-type]
     """1 where a foot touches, [N, 4]."""
-    return (env.scene[FEET_CONTACT].data.found > 0).float()
+    for foot in range(step.foot_contact.shape[0]):
+        found = step.sensed[robot, step.foot_contact[foot]] > 0.0
+        row[robot, first + foot] = wp.where(found, 1.0, 0.0)
 
 
-class Difficult:
-    """1 where the tile forces vision."""
-
-    def __init__(self, cfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
-        terrain = env.scene.terrain
-        generator = terrain.cfg.terrain_generator if terrain else None
-        kinds = generator.sub_terrains if generator else ()
-        self._hard = torch.tensor([[float(kind in DIFFICULT)] for kind in kinds], device=env.device)
-
-    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
-        """[N, 1]."""
-        terrain = env.scene.terrain
-        if terrain is None or not len(self._hard):
-            return torch.zeros(env.num_envs, 1, device=env.device)
-        return self._hard[terrain.terrain_types]
+@fills(1)
+def difficult(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):  # type: ignore[valid-type]
+    """1 where the tile forces vision, [N, 1]."""
+    row[robot, first] = step.difficult[int(step.tile[robot])]
 
 
 class PhysicalParameters:

@@ -7,20 +7,23 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import torch
-from mjlab.entity import Entity
-from torch import Tensor
+import warp as wp
 
 from renet.tasks.commands import COMMAND, GoalCommand
-from renet.tasks.observations import CALF_CONTACT, THIGH_TRUNK_CONTACT
+from renet.tasks.step import Step, horizontal, joint_speed, offset, touches, world_velocity
+from renet.tasks.terms import per_robot
 
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv
 
-    from renet.tasks.env import RenetEnv
-
-CONTACT_FORCE = 0.1
+CONTACT_FORCE = wp.constant(0.1)
 """N above which a touch is a collision (Extreme Parkour)."""
+SMOOTHING = wp.constant(0.2)
+"""Time constant of joint velocities by which standing is judged, s."""
+LIFT = wp.constant(0.12)
+"""Wanted of a foot in swing, m."""
+
+wp.set_module_options({"enable_backward": False})
 
 
 def goal(env: ManagerBasedRlEnv) -> GoalCommand:
@@ -28,173 +31,142 @@ def goal(env: ManagerBasedRlEnv) -> GoalCommand:
     return env.command_manager.get_term(COMMAND)  # type: ignore[return-value]
 
 
-def unweighted(env: RenetEnv, reward: str) -> Tensor:
-    """A reward of this step before its weight, [N], to log."""
-    return env.reward_manager.value(reward)
+@per_robot
+def linear_velocity(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+    """Goal-guided linear velocity tracking, r_lin_vel (RENet eq. 6).
 
-
-def goal_velocity(velocity: Tensor, direction: Tensor, speed: Tensor) -> Tensor:
-    """r_lin_vel (RENet eq. 6).
-
-    Args:
-        velocity: [N, 2] m/s, world. direction: [N, 2], n_yaw. speed: [N], c_x in m/s.
-
-    Returns:
-        [N]; at most 1: there is no bonus, and no penalty, for overshooting.
+    At most 1: there is no bonus, and no penalty, for overshooting.
     """
-    along = (velocity * direction).sum(-1)
-    moving = torch.minimum(along, speed) / (speed + 1e-5)
-    standing = 1.0 / (1.0 + velocity.norm(dim=-1))
-    return torch.where(speed > 0.0, moving, standing)
+    velocity = horizontal(world_velocity(step, robot))
+    speed = step.speed[robot]
+    if speed > 0.0:
+        direction = wp.vec2(wp.cos(step.yaw[robot]), wp.sin(step.yaw[robot]))
+        return wp.min(wp.dot(velocity, direction), speed) / (speed + 1.0e-5)
+    return 1.0 / (1.0 + wp.length(velocity))
 
 
-def linear_velocity(env: ManagerBasedRlEnv) -> Tensor:
-    """Goal-guided linear velocity tracking."""
-    command = goal(env)
-    velocity = env.scene["robot"].data.root_link_lin_vel_w[:, :2]
-    return goal_velocity(velocity, command.direction, command.speed)
-
-
-def yaw(env: ManagerBasedRlEnv) -> Tensor:
+@per_robot
+def yaw(step: Step, robot: int) -> float:  # type: ignore[valid-type]
     """exp(-|c_yaw - yaw|): angular tracking in Extreme Parkour's form."""
-    return torch.exp(-goal(env).heading_error.abs())
+    turned = step.rotation[robot, step.base]
+    error = step.yaw[robot] - wp.atan2(turned[1, 0], turned[0, 0])
+    return wp.exp(-wp.abs(wp.atan2(wp.sin(error), wp.cos(error))))
 
 
-def collision_count(thigh_trunk: Tensor, calf: Tensor) -> Tensor:
-    """Bodies that touch something they should not, [N].
-
-    Args:
-        thigh_trunk: contact forces [N, 5, 3] of four thighs and the trunk, N.
-        calf: [N, 4 G, 3], G geoms per calf (the foot is not one of them).
-    """
-    bodies = (thigh_trunk.norm(dim=-1) > CONTACT_FORCE).sum(-1)
-    calves = (calf.norm(dim=-1) > CONTACT_FORCE).unflatten(-1, (4, -1)).any(-1).sum(-1)
-    return (bodies + calves).float()
-
-
-def collision(env: ManagerBasedRlEnv) -> Tensor:
-    """Number of thighs, calves and trunk in contact."""
-    return collision_count(
-        env.scene[THIGH_TRUNK_CONTACT].data.force, env.scene[CALF_CONTACT].data.force
-    )
+@per_robot
+def collision(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+    """Number of thighs, calves and trunk in contact, whatever the number of geoms."""
+    count = wp.float32(0.0)
+    for body in range(step.body_contact.shape[0]):
+        if touches(step, robot, step.body_contact[body], CONTACT_FORCE):
+            count += 1.0
+    for calf in range(step.calf_contact.shape[0]):
+        geoms = wp.int32(0)
+        for geom in range(step.calf_contact.shape[1]):
+            if touches(step, robot, step.calf_contact[calf, geom], CONTACT_FORCE):
+                geoms += 1
+        if geoms > 0:
+            count += 1.0
+    return count
 
 
-def joint_energy(env: ManagerBasedRlEnv) -> Tensor:
+@per_robot
+def joint_energy(step: Step, robot: int) -> float:  # type: ignore[valid-type]
     """Sum of |torque * joint velocity|, W (our reading of "joint energy")."""
-    data = env.scene["robot"].data
-    return (data.qfrc_actuator * data.joint_vel).abs().sum(-1)
+    power = wp.float32(0.0)
+    for joint in range(step.joint.shape[0]):
+        torque = step.joint_force[robot, step.joint_velocity[joint]]
+        power += wp.abs(torque * joint_speed(step, robot, joint))
+    return power
 
 
-def action_rate(env: ManagerBasedRlEnv) -> Tensor:
+@per_robot
+def action_rate(step: Step, robot: int) -> float:  # type: ignore[valid-type]
     """Euclidean norm of the change of action (Extreme Parkour: not squared)."""
-    return (env.action_manager.action - env.action_manager.prev_action).norm(dim=-1)
+    squares = wp.float32(0.0)
+    for i in range(step.action.shape[1]):
+        change = step.action[robot, i] - step.action_before[robot, i]
+        squares += change * change
+    return wp.sqrt(squares)
 
 
-def default_position(env: ManagerBasedRlEnv) -> Tensor:
+@per_robot
+def default_position(step: Step, robot: int) -> float:  # type: ignore[valid-type]
     """Squared distance of all joints to the default pose, rad^2."""
-    data = env.scene["robot"].data
-    return (data.joint_pos - data.default_joint_pos).square().sum(-1)
+    squares = wp.float32(0.0)
+    for joint in range(step.joint.shape[0]):
+        squares += wp.pow(offset(step, robot, joint), 2.0)
+    return squares
 
 
-class HipPosition:
+@per_robot
+def hip_position(step: Step, robot: int) -> float:  # type: ignore[valid-type]
     """Squared distance of the hips to the default pose, rad^2."""
-
-    def __init__(self, cfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
-        hips, _ = env.scene["robot"].find_joints(".*_hip_joint")
-        self._hips = torch.tensor(hips, device=env.device)
-
-    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
-        """[N]."""
-        data = env.scene["robot"].data
-        offset = data.joint_pos - data.default_joint_pos
-        return offset[:, self._hips].square().sum(-1)
+    squares = wp.float32(0.0)
+    for hip in range(step.hip.shape[0]):
+        squares += wp.pow(offset(step, robot, step.hip[hip]), 2.0)
+    return squares
 
 
-class JointAcceleration:
-    """Sum of squared joint accelerations from control-step differences, (rad/s^2)^2."""
+@per_robot
+def joint_acceleration(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+    """Sum of squared joint accelerations from control-step differences, (rad/s^2)^2.
 
-    def __init__(self, cfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
-        self._previous = torch.zeros_like(env.scene["robot"].data.joint_vel)
-
-    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
-        """Update and return [N]."""
-        velocity = env.scene["robot"].data.joint_vel
-        acceleration = (velocity - self._previous) / env.step_dt
-        self._previous = velocity
-        return acceleration.square().sum(-1)
-
-    def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """A new episode starts at rest."""
-        self._previous[slice(None) if env_ids is None else env_ids] = 0.0
+    An episode starts at rest.
+    """
+    squares = wp.float32(0.0)
+    for joint in range(step.joint.shape[0]):
+        before = wp.float32(0.0)
+        if step.begun[robot]:
+            before = step.joint_velocity_before[robot, joint]
+        now = joint_speed(step, robot, joint)
+        squares += wp.pow((now - before) / step.dt, 2.0)
+        step.joint_velocity_before[robot, joint] = now
+    return squares
 
 
-def orientation(env: ManagerBasedRlEnv) -> Tensor:
+@per_robot
+def orientation(step: Step, robot: int) -> float:  # type: ignore[valid-type]
     """Squared horizontal part of gravity in the base frame: sin^2 of the tilt."""
-    return env.scene["robot"].data.projected_gravity_b[:, :2].square().sum(-1)
+    tilt = step.rotation[robot, step.base]
+    return tilt[2, 0] * tilt[2, 0] + tilt[2, 1] * tilt[2, 1]
 
 
-class StandingMotion:
+@per_robot
+def standing_motion(step: Step, robot: int) -> float:  # type: ignore[valid-type]
     """Sum of squared, smoothed joint velocities of robots told to stand, (rad/s)^2.
 
     Not in the paper, whose reward is all but flat at rest: 7 cm/s of creeping cost it 7 %.
     Smoothed, because exploration shakes the joints as fast as steps move them, but to and fro.
     """
-
-    def __init__(self, cfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
-        self._velocity = torch.zeros_like(env.scene["robot"].data.joint_vel)
-
-    def __call__(self, env: ManagerBasedRlEnv, time_constant: float) -> Tensor:
-        """Update and return [N].
-
-        Args:
-            time_constant: of the smoothing, s.
-        """
-        velocity = env.scene["robot"].data.joint_vel
-        self._velocity = self._velocity.lerp(velocity, env.step_dt / time_constant)
-        return torch.where(goal(env).speed > 0.0, 0.0, self._velocity.square().sum(-1))
-
-    def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """A new episode starts at rest."""
-        self._velocity[slice(None) if env_ids is None else env_ids] = 0.0
+    squares = wp.float32(0.0)
+    for joint in range(step.joint.shape[0]):
+        smooth = wp.float32(0.0)
+        if step.begun[robot]:
+            smooth = step.joint_velocity_smooth[robot, joint]
+        smooth += (joint_speed(step, robot, joint) - smooth) * step.dt / SMOOTHING
+        step.joint_velocity_smooth[robot, joint] = smooth
+        squares += smooth * smooth
+    if step.speed[robot] > 0.0:
+        return 0.0
+    return squares
 
 
-class FootClearance:
+@per_robot
+def foot_clearance(step: Step, robot: int) -> float:  # type: ignore[valid-type]
     """Low feet that move: lack of lift squared times horizontal speed, summed over feet, m^3/s.
 
     Not in the paper (HIMLoco rewards clearance likewise): millions of steps on a CPU, instead of
     billions on a GPU, otherwise end in a shuffle that trips over the first stair. Lift is measured
     against the trunk, so that it means the same on stairs.
     """
-
-    def __init__(self, cfg, env: ManagerBasedRlEnv) -> None:
-        robot: Entity = env.scene["robot"]
-        sites, _ = robot.find_sites(cfg.params["feet"], preserve_order=True)
-        self._sites = robot.indexing.site_ids[sites]
-        self._previous = torch.full((env.num_envs, len(sites), 2), torch.nan, device=env.device)
-
-    def __call__(
-        self, env: ManagerBasedRlEnv, feet: tuple[str, ...], height: float, lift: float
-    ) -> Tensor:
-        """Update and return [N].
-
-        Args:
-            feet: names of the feet's sites.
-            height: of the trunk over feet that stand, m.
-            lift: wanted of a foot in swing, m.
-        """
-        robot = env.scene["robot"].data
-        # Not `robot.site_pos_w`, which derives every site's rotation, too.
-        feet_position = env.sim.data.site_xpos[:, self._sites]
-        ground = robot.root_link_pos_w[:, None, 2] - height
-        lack = (lift - (feet_position[..., 2] - ground)).clamp(0.0, lift)
-        # NaN where an episode has just begun: no speed is known yet.
-        speed = (feet_position[..., :2] - self._previous).norm(dim=-1).nan_to_num() / env.step_dt
-        self._previous = feet_position[..., :2].clone()
-        return (lack.square() * speed).sum(-1)
-
-    def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """Forget where the feet were."""
-        self._previous[slice(None) if env_ids is None else env_ids] = torch.nan
+    ground = step.position[robot, step.base][2] - step.standing_height
+    total = wp.float32(0.0)
+    for foot in range(step.foot.shape[0]):
+        at = step.site[robot, step.foot[foot]]
+        lack = wp.clamp(LIFT - (at[2] - ground), 0.0, LIFT)
+        if step.begun[robot]:
+            moved = at - step.feet_before[robot, foot]
+            total += lack * lack * wp.length(horizontal(moved)) / step.dt
+        step.feet_before[robot, foot] = at
+    return total

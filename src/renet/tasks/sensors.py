@@ -1,0 +1,46 @@
+"""The sensors of every RENet task, and their names."""
+
+from __future__ import annotations
+
+from mjlab.sensor import ContactMatch, ContactSensorCfg
+
+from renet.sim.depth_camera import DepthCameraCfg
+from renet.sim.terrain_scan import FeetHeightCfg, HeightMapCfg
+from renet.tasks.robot import CALVES, FEET, TRUNK, Robot
+from renet.vocabulary import LEGS
+
+DEPTH_CAMERA = "depth_camera"
+HEIGHT_MAP = "height_map"
+FEET_HEIGHT = "feet_height"
+FEET_CONTACT = "feet_contact"
+THIGH_TRUNK_CONTACT = "thigh_trunk_contact"
+CALF_CONTACT = "calf_contact"
+
+
+def contact_sensors() -> tuple[ContactSensorCfg, ...]:
+    """Of feet, of thighs and trunk, and of calves, with the terrain."""
+
+    def touching(name: str, mode, pattern: tuple[str, ...], field: str) -> ContactSensorCfg:
+        return ContactSensorCfg(
+            name=name,
+            primary=ContactMatch(mode=mode, pattern=pattern, entity="robot"),
+            secondary=ContactMatch(mode="subtree", pattern="terrain"),
+            fields=(field,),
+            reduce="netforce",
+        )
+
+    thighs = tuple(f"{leg}_thigh" for leg in LEGS)
+    return (
+        touching(FEET_CONTACT, "geom", FEET, "found"),
+        touching(THIGH_TRUNK_CONTACT, "body", (*thighs, TRUNK), "force"),
+        touching(CALF_CONTACT, "geom", CALVES, "force"),
+    )
+
+
+def terrain_sensors(robot: Robot) -> tuple[DepthCameraCfg, HeightMapCfg, FeetHeightCfg]:
+    """The depth camera, and the true terrain."""
+    return (
+        DepthCameraCfg(name=DEPTH_CAMERA, mount=robot.camera),
+        HeightMapCfg(name=HEIGHT_MAP, base_height=robot.map_height),
+        FeetHeightCfg(name=FEET_HEIGHT, radius=robot.foot_radius),
+    )
