@@ -63,6 +63,7 @@ def test_standing_earns_more_than_walking_where_it_is_asked_for(asked_to_stand):
     env.sim.forward()
     env.scene.update(0.0)
     term = env.reward_manager.get_term_cfg("linear_velocity")
+    env.judge()
     earned = term.func(env)
     # 1 / (1 + |v|) asked to stand, <v, n> / c_x asked to walk (RENet eq. 6).
     expected = torch.tensor([1.0, 1 / 1.5, 0.0, 1.0])

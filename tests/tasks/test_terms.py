@@ -3,42 +3,48 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 
 import pytest
 import torch
 
 from renet.errors import RenetError
-from renet.tasks import env_cfg, observations, rewards, terminations
-from renet.tasks.constraints import excess, outside
+from renet.tasks import env_cfg, observations, rewards
 from renet.tasks.curriculum import asked_distance, level_change
 from renet.training.train import tuned
 
 from .conftest import build
 
 
-def test_goal_velocity_is_equation_6():
-    velocity = torch.tensor([[0.3, 0.0], [2.0, 0.0], [-0.5, 0.0], [0.0, 0.0], [3.0, 4.0]])
-    direction = torch.tensor([[1.0, 0.0]]).repeat(5, 1)
-    speed = torch.tensor([0.6, 0.6, 0.5, 0.0, 0.0])
-    got = rewards.goal_velocity(velocity, direction, speed)
-    expected = torch.tensor([0.5, 1.0, -1.0, 1.0, 1.0 / 6.0])
+def judged(env, name: str) -> torch.Tensor:
+    """A reward of the present state, before its weight."""
+    env.judge()
+    return env.reward_manager.get_term_cfg(name).func(env)
+
+
+def test_goal_velocity_is_equation_6(flat):
+    flat.reset()
+    goal = flat.command_manager.get_term("goal")
+    velocity = torch.tensor([[0.3, 0.0], [2.0, 0.0], [-0.5, 0.0], [0.0, 0.0]])
+    flat.sim.data.qvel[:, :2], goal.yaw[:] = velocity, 0.0
+    goal.speed[:] = torch.tensor([0.6, 0.6, 0.5, 0.0])
+    expected = torch.tensor([0.5, 1.0, -1.0, 1.0])
+    got = judged(flat, "linear_velocity")
     torch.testing.assert_close(got, expected, atol=1e-4, rtol=0)
+    flat.sim.data.qvel[3, :2] = torch.tensor([3.0, 4.0])
+    assert judged(flat, "linear_velocity")[3].item() == pytest.approx(1.0 / 6.0)
 
 
-def test_collision_counts_bodies_not_geoms():
-    thigh_trunk, calf = torch.zeros(2, 5, 3), torch.zeros(2, 8, 3)
-    thigh_trunk[0, 4, 2] = 5.0
-    calf[0, 0, 2] = calf[0, 1, 2] = 3.0  # Both geoms of one calf.
-    calf[0, 6, 0] = 0.2
-    thigh_trunk[1, 0, 1] = 0.05  # Below 0.1 N.
-    assert rewards.collision_count(thigh_trunk, calf).tolist() == [3.0, 0.0]
-
-
-def test_costs_by_hand():
-    low, high = torch.tensor([[-1.0, -1.0]]), torch.tensor([[1.0, 1.0]])
-    assert outside(torch.tensor([[1.5, -1.25]]), low, high).item() == 0.75
-    assert excess(torch.tensor([[-12.0, 9.0]]), torch.tensor([10.0, 10.0])).item() == 2.0
+def test_collision_counts_bodies_not_geoms(flat):
+    flat.reset()
+    flat.sim.data.sensordata[:] = 0.0
+    bodies, calves = flat.scene["thigh_trunk_contact"], flat.scene["calf_contact"]
+    views = [slot.data_view for slot in calves._slots]
+    assert len(views) == 8
+    bodies._slots[4].data_view[0, 2] = 5.0
+    views[0][0, 2] = views[1][0, 2] = 3.0  # Both geoms of one calf.
+    views[6][0, 0] = 0.2
+    bodies._slots[0].data_view[1, 1] = 0.05  # Below 0.1 N.
+    assert judged(flat, "collision").tolist() == [3.0, 0.0, 0.0, 0.0]
 
 
 def test_who_falls_owes_the_whole_episode(parkour):
@@ -81,8 +87,8 @@ def test_penalties_by_hand(flat):
     goal.yaw[:] = 0.5
 
     def weigh(name: str) -> float:
-        term = flat.reward_manager.get_term_cfg(name)
-        return term.weight * term.func(flat, **term.params)[0].item()
+        weight = flat.reward_manager.get_term_cfg(name).weight
+        return weight * judged(flat, name)[0].item()
 
     assert weigh("orientation") == pytest.approx(-(math.sin(angle) ** 2), rel=1e-4)
     assert weigh("yaw") == pytest.approx(0.5 * math.exp(-0.5), rel=1e-4)
@@ -104,18 +110,23 @@ def test_torque_is_judged_before_the_motor_saturates(flat):
     flat.sim.forward()
     target = robot.data.default_joint_pos.clone()
     robot.set_joint_position_target(target)
-    assert (flat.constraints() == 0.0).all()
+
+    def costs() -> torch.Tensor:
+        flat.judge()
+        return flat.costs[0] / 0.02
+
+    assert (costs() == 0.0).all()
     target[:, 2] += 1.0
     robot.set_joint_position_target(target)
     # 40 N m/rad x 1 rad on a calf whose motor gives 35.55 N m at most.
     expected = torch.tensor([0.0, 0.0, 40.0 - 0.8 * 35.55])
-    torch.testing.assert_close(flat.constraints()[0], expected, atol=1e-3, rtol=0)
+    torch.testing.assert_close(costs(), expected, atol=1e-3, rtol=0)
     data.qvel[:, 6] = -25.0
     flat.sim.forward()
     robot.set_joint_position_target(robot.data.default_joint_pos)
     # Hip: 25 - 0.8 * 30.1 = 0.92 rad/s too fast; damping asks for 25 - 0.8 * 23.7 N m too much.
     expected = torch.tensor([0.0, 0.92, 25.0 - 0.8 * 23.7])
-    torch.testing.assert_close(flat.constraints()[0], expected, atol=1e-2, rtol=0)
+    torch.testing.assert_close(costs(), expected, atol=1e-2, rtol=0)
 
 
 def test_a_standing_robot_costs_nothing_and_a_lying_one_collides(flat):
@@ -130,6 +141,7 @@ def test_a_standing_robot_costs_nothing_and_a_lying_one_collides(flat):
     for _ in range(10):  # On its back before the environment would reset it.
         flat.sim.step()
     flat.scene.update(0.2)
+    flat.judge()
     assert rewards.collision(flat)[0] >= 1.0
     assert (rewards.collision(flat)[1:] == 0.0).all()
 
@@ -181,60 +193,48 @@ def test_a_fixed_goal_is_kept():
     assert goal.heading_error.abs().max() < 1e-3
 
 
-def test_joint_acceleration_starts_each_episode_at_rest():
-    env = build("Renet-Go1-Flat", 2)
-    env.reset()
-    env.step(torch.full((2, 12), 1.0))
-    term = rewards.JointAcceleration(None, env)
-    velocity = env.scene["robot"].data.joint_vel
-    expected = (velocity / 0.02).square().sum(-1)
-    torch.testing.assert_close(term(env), expected)
-    assert (term(env) == 0.0).all()
-    term.reset(torch.tensor([0]))
-    again = term(env)
-    torch.testing.assert_close(again[0], expected[0])
-    assert again[1] == 0.0
+def test_joint_acceleration_starts_each_episode_at_rest(flat):
+    flat.reset()
+    flat.sim.data.qvel[:, 6:] = 1.5
+    expected = 12 * (1.5 / 0.02) ** 2
+    assert judged(flat, "joint_acceleration").tolist() == pytest.approx([expected] * 4)
+    assert (judged(flat, "joint_acceleration") == 0.0).all()
+    flat.judge.forget(torch.tensor([0]))
+    again = judged(flat, "joint_acceleration")
+    assert again.tolist() == pytest.approx([expected, 0.0, 0.0, 0.0])
 
 
-def test_foot_clearance_by_hand():
-    class Robot:
-        data = SimpleNamespace(root_link_pos_w=torch.tensor([[0.0, 0.0, 0.30]]))
-        indexing = SimpleNamespace(site_ids=torch.tensor([1, 2, 3]))  # Of the whole scene.
-
-        def find_sites(self, names, preserve_order):
-            assert preserve_order
-            return list(range(len(names))), list(names)
-
-    feet = [[9.0, 9.0, 9.0], [0.0, 0.0, 0.05], [0.0, 0.0, 0.30], [0.0, 0.0, 0.0]]
-    env = SimpleNamespace(scene={"robot": Robot()}, num_envs=1, device="cpu", step_dt=0.02)
-    env.sim = SimpleNamespace(data=SimpleNamespace(site_xpos=torch.tensor([feet])))
-    params = {"feet": ("FR", "FL", "RR"), "height": 0.30, "lift": 0.09}
-    term = rewards.FootClearance(SimpleNamespace(params=params), env)
-    assert term(env, **params).item() == 0.0  # No speed is known yet.
-    env.sim.data.site_xpos = env.sim.data.site_xpos + torch.tensor([0.003, 0.004, 0.0])
-    # 0.25 m/s; lifted by 5 cm of 9, high up, and not at all.
-    expected = 0.25 * (0.04**2 + 0.0 + 0.09**2)
-    assert term(env, **params).item() == pytest.approx(expected, rel=1e-4)
-    term.reset(torch.tensor([0]))
-    assert term(env, **params).item() == 0.0
+def test_foot_clearance_by_hand(flat):
+    flat.reset()
+    data, kind = flat.sim.data, flat.cfg.robot
+    sites, _ = flat.scene["robot"].find_sites(("FR", "FL", "RR", "RL"), preserve_order=True)
+    columns = flat.scene["robot"].indexing.site_ids[sites]
+    standing = data.xpos[:, flat.watched.base, 2] - (kind.map_height - kind.foot_radius)
+    feet = torch.zeros(4, 4, 3)
+    feet[..., 2] = standing[:, None] + torch.tensor([0.05, 0.30, 0.0, 0.12])
+    data.site_xpos[:, columns] = feet
+    assert (judged(flat, "foot_clearance") == 0.0).all()  # No speed is known yet.
+    data.site_xpos[:, columns] = feet + torch.tensor([0.003, 0.004, 0.0])
+    # 0.25 m/s; lifted by 5 cm of 12, high up, not at all, just enough.
+    expected = 0.25 * (0.07**2 + 0.12**2)
+    assert judged(flat, "foot_clearance").tolist() == pytest.approx([expected] * 4, rel=1e-3)
+    flat.judge.forget(torch.arange(4))
+    assert (judged(flat, "foot_clearance") == 0.0).all()
 
 
-def test_standing_motion_is_smoothed_and_counts_only_where_standing_is_asked_for():
-    data = SimpleNamespace(joint_vel=torch.tensor([[1.0, -2.0], [1.0, -2.0]]))
-    env = SimpleNamespace(
-        scene={"robot": SimpleNamespace(data=data)},
-        command_manager=SimpleNamespace(
-            get_term=lambda name: SimpleNamespace(speed=torch.tensor([0.0, 0.3]))
-        ),
-        step_dt=0.02,
-    )
-    term = rewards.StandingMotion(None, env)
-    first = term(env, time_constant=0.2)
-    torch.testing.assert_close(first, torch.tensor([0.05, 0.0]))  # A tenth of each velocity.
-    data.joint_vel = -data.joint_vel  # Shaking: 0.9 * 0.1 - 0.1 of each is left.
-    torch.testing.assert_close(term(env, time_constant=0.2), torch.tensor([0.0005, 0.0]))
-    term.reset(torch.tensor([0]))
-    torch.testing.assert_close(term(env, time_constant=0.2), first)
+def test_standing_motion_is_smoothed_and_counts_only_where_standing_is_asked_for(flat):
+    flat.reset()
+    goal, data = flat.command_manager.get_term("goal"), flat.sim.data
+    goal.speed[:] = torch.tensor([0.0, 0.3, 0.0, 0.3])
+    data.qvel[:] = 0.0
+    data.qvel[:, 6], data.qvel[:, 8] = 1.0, -2.0
+    # A tenth of each velocity.
+    assert judged(flat, "standing_motion").tolist() == pytest.approx([0.05, 0.0, 0.05, 0.0])
+    data.qvel[:] = -data.qvel[:]  # Shaking: 0.9 * 0.1 - 0.1 of each is left.
+    left = judged(flat, "standing_motion").tolist()
+    assert left == pytest.approx([0.0005, 0.0, 0.0005, 0.0], rel=1e-4)
+    flat.judge.forget(torch.tensor([0]))
+    assert judged(flat, "standing_motion")[0].item() == pytest.approx(0.05)
 
 
 def test_rewards_beyond_the_papers_are_paid_only_on_request():
@@ -259,24 +259,19 @@ def test_tiles_are_shared_out_as_asked():
         tuned("Renet-Go1-Flat", {}, {"gap": 1.0})
 
 
-def test_a_robot_that_gives_up_has_stalled():
-    data = SimpleNamespace(root_link_pos_w=torch.zeros(3, 3))
-    speed = torch.tensor([0.5, 0.5, 0.0])  # Walks, gives up, was told to stand.
-    env = SimpleNamespace(
-        scene={"robot": SimpleNamespace(data=data)},
-        command_manager=SimpleNamespace(get_term=lambda name: SimpleNamespace(speed=speed)),
-        num_envs=3,
-        device="cpu",
-        step_dt=0.02,
-    )
-    term = terminations.Stalled(None, env)
+def test_a_robot_that_gives_up_has_stalled(flat):
+    flat.reset()
+    goal, data, base = flat.command_manager.get_term("goal"), flat.sim.data, flat.watched.base
+    # Walks, gives up, was told to stand, gives up but is set down anew.
+    goal.speed[:] = torch.tensor([0.5, 0.5, 0.0, 0.5])
+    stalled = flat.termination_manager.get_term_cfg("stalled").func
     seen = []
-    for step in range(60):
-        data.root_link_pos_w[0, 0] = 0.01 * step
-        seen.append(term(env, window=1.0, progress=0.15))
-    stalled = torch.stack(seen)
-    # Its first step marks where it stands, then 1 s and a step must pass.
-    assert stalled.int().argmax(0).tolist() == [0, 51, 0]
-    assert stalled.any(0).tolist() == [False, True, False]
-    term.reset(torch.tensor([1]))
-    assert not term(env, window=1.0, progress=0.15).any()
+    for step in range(170):
+        data.xpos[0, base, 0] = 0.01 * step
+        if step == 100:
+            flat.judge.forget(torch.tensor([3]))
+        flat.judge()
+        seen.append(stalled(flat).clone())
+    # Its first step marks where it stands, then 3 s and a step must pass.
+    assert torch.stack(seen).int().argmax(0).tolist() == [0, 151, 0, 0]
+    assert torch.stack(seen).any(0).tolist() == [False, True, False, False]

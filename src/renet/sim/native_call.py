@@ -29,14 +29,18 @@ class Call:
     than a small call, for between two runs of physics all of it has left the cache.
     """
 
-    def __init__(self, kernel: Any, numbers: Sequence[int], alone: bool = False) -> None:
+    def __init__(
+        self, kernel: Any, numbers: Sequence[int], alone: bool = False, held: Any = None
+    ) -> None:
         """Prepare a call.
 
         Args:
             kernel: its one argument is the call's address.
             numbers: counts and addresses; what they point to must outlive the call.
             alone: leave it to the calling thread, without the GIL in any case.
+            held: what to keep alive for that.
         """
+        self._held = held
         self._table = np.array([0, 0, *numbers], np.uint64)
         address = self._table.ctypes.data
         self._launch = wp.launch(kernel, dim=1, inputs=[address], device="cpu", record_cmd=True)

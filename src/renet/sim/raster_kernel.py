@@ -228,17 +228,20 @@ def draw(call: wp.uint64):
     const float* positions = (const float*)own[11];
     const float* rotations = (const float*)own[13];
     const long long stride = (long long)own[12], turn = (long long)own[14];
-    const float* pattern = (const float*)own[15];
-    float* clearances = (float*)own[16];
-    const int count = (int)own[17], points = (int)own[18];
-    const float top = ((const float*)own[19])[0], drop = ((const float*)own[19])[1];
+    const int parts = (int)own[15];
+    const long long* part = (const long long*)own[16];
+    const float* pattern = (const float*)own[17];
+    float* clearances = (float*)own[18];
+    const int count = (int)own[19], points = (int)own[20];
+    const float top = ((const float*)own[21])[0], drop = ((const float*)own[21])[1];
     const float SLACK = 1e-6f;
     int frame_number;
     while ((frame_number = take(1)) < count) {
-        const float* origin = positions + stride * frame_number;
+        const long long row = frame_number / parts, column = part[frame_number % parts];
+        const float* origin = positions + stride * row + 3 * column;
         float cosine = 1.0f, sine = 0.0f;
         if (rotations) {
-            const float* rotation = rotations + turn * frame_number;
+            const float* rotation = rotations + turn * row + 9 * column;
             const float a = rotation[0], b = rotation[3], size = __builtin_sqrtf(a * a + b * b);
             cosine = a / (size > 1e-12f ? size : 1e-12f);
             sine = b / (size > 1e-12f ? size : 1e-12f);
@@ -302,8 +305,9 @@ def scan(call: wp.uint64):
     """Height of frames over the highest surface at each point of a pattern around them.
 
     Where there is no surface it is taken to be at top - drop. The call goes on with the address of
-    positions and the floats from one to the next; the same of rotations, whose yaw turns the
-    pattern, or 0; addresses of the pattern [P, 2] and of the results [N, P]; N, P, and the address
-    of top and drop.
+    positions [N, B, 3] and the floats from one row to the next; the same of rotations [N, B, 3, 3],
+    whose yaw turns the pattern, or 0; how many of the B are looked at, and the address of which;
+    addresses of the pattern [P, 2] and of the results [frames, P]; frames, P, and the address of
+    top and drop.
     """
     _scan(call)

@@ -6,6 +6,7 @@ heights come from `terrain_bins`, which is thirty times as fast there.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -162,9 +163,37 @@ class TerrainScanner:
         Returns:
             [N, P] m; see `height` for where there is no terrain.
         """
+        frames = _rows(position).unsqueeze(1)
+        turns = None if rotation is None else _rows(rotation).unsqueeze(1)
+        return self.watch(frames, turns, (0,), pattern)().squeeze(1)
+
+    def watch(
+        self,
+        position: Tensor,
+        rotation: Tensor | None,
+        parts: Sequence[int],
+        pattern: Tensor,
+    ) -> Callable[[], Tensor]:
+        """Prepare `clearance` of some frames in arrays that stay where they are.
+
+        Args:
+            position: [N, B, 3]. rotation: [N, B, 3, 3], or None. parts: P of the B.
+            pattern: as in `clearance`.
+
+        Returns:
+            A function of none that gives [N, parts, P], which its next call may overwrite.
+        """
         if self._bins is not None:
-            return self._bins.clearance(position, rotation, pattern, self.top, self.drop)
-        return self.cast_clearance(position, rotation, pattern)
+            limits = (self.top, self.drop)
+            return self._bins.watch(position, rotation, parts, pattern, limits)
+        index = torch.tensor(parts, device=position.device)
+
+        def look() -> Tensor:
+            frames = position[:, index].flatten(0, 1)
+            turns = None if rotation is None else rotation[:, index].flatten(0, 1)
+            return self.cast_clearance(frames, turns, pattern).unflatten(0, (-1, len(index)))
+
+        return look
 
     def cast_clearance(self, position: Tensor, rotation: Tensor | None, pattern: Tensor) -> Tensor:
         """The same, by ray casting on any device."""
@@ -229,6 +258,12 @@ class TerrainScanner:
             stream = torch.cuda.current_stream(wp.device_to_torch(self.device))
             with wp.ScopedStream(wp.stream_from_torch(stream)):
                 run(0, count)
+
+
+def _rows(values: Tensor) -> Tensor:
+    """The same as float32, each row in one piece; a view where it is so already."""
+    values = values.float()
+    return values if values[0:1].is_contiguous() else values.contiguous()
 
 
 @lru_cache(maxsize=8)

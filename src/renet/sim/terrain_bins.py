@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from threading import local
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -105,34 +104,33 @@ class TerrainBins:
         sizes = (len(position), len(image.left), len(image.up))
         most = np.array([limit], np.float32)
         numbers = (*(array.ctypes.data for array in arrays), *sizes, most.ctypes.data)
-        self._run(draw, numbers)
+        calls = vars(self._calls)  # Of this thread only.
+        if "draw" not in calls:
+            calls["draw"] = Call(draw, (*self._head, *numbers))
+        calls["draw"](numbers)
         return depth
 
-    def clearance(
-        self, position: Tensor, rotation: Tensor | None, pattern: Tensor, top: float, drop: float
-    ) -> Tensor:
-        """See TerrainScanner.clearance; there is nothing below top - drop."""
-        count, points = len(position), len(pattern)
-        clearance = torch.empty(count, points)
-        position, pattern = _rows(position), pattern.contiguous().float()
-        rotation = None if rotation is None else _rows(rotation)
+    def watch(
+        self,
+        position: Tensor,
+        rotation: Tensor | None,
+        parts: Sequence[int],
+        pattern: Tensor,
+        limits: tuple[float, float],
+    ) -> Callable[[], Tensor]:
+        """See TerrainScanner.watch; limits are its top and its drop."""
+        chosen, around = np.array(parts, np.int64), pattern.contiguous().float()
+        extent = np.array(limits, np.float32)
+        count, points = len(position) * len(parts), len(pattern)
+        clearance = torch.empty(len(position), len(parts), points)
         turn = (0, 0) if rotation is None else (rotation.data_ptr(), rotation.stride(0))
-        limits = np.array([top, drop], np.float32)
-        numbers = (position.data_ptr(), position.stride(0), *turn, pattern.data_ptr())
-        numbers += (clearance.data_ptr(), count, points, limits.ctypes.data)
-        self._run(scan, numbers, alone=count * points < FEW)
-        return clearance
+        numbers = (position.data_ptr(), position.stride(0), *turn, len(parts), chosen.ctypes.data)
+        numbers += (around.data_ptr(), clearance.data_ptr(), count, points, extent.ctypes.data)
+        held = (self, position, rotation, chosen, around, extent)
+        call = Call(scan, (*self._head, *numbers), count * points < FEW, held)
 
-    def _run(self, kernel: Any, numbers: Sequence[int], alone: bool = False) -> None:
-        """Call a kernel on the shapes and `numbers`."""
-        calls = vars(self._calls)  # Of this thread only.
-        kind = f"{kernel.key} {alone}"
-        if kind not in calls:
-            calls[kind] = Call(kernel, (*self._head, *numbers), alone)
-        calls[kind](numbers)
+        def look() -> Tensor:
+            call()
+            return clearance
 
-
-def _rows(values: Tensor) -> Tensor:
-    """The same as float32, each row in one piece; a view where it is so already."""
-    values = values.float()
-    return values if values[0:1].is_contiguous() else values.contiguous()
+        return look

@@ -60,12 +60,12 @@ class HeightMap(RaySensor[Tensor]):
         self._body = object_id(mj_model, mujoco.mjtObj.mjOBJ_BODY, self.cfg.body)
         super().initialize(mj_model, model, data, device)
         x, y = (torch.tensor(axis, device=device) for axis in (self.cfg.x, self.cfg.y))
-        self._grid = torch.cartesian_prod(x, y)
+        grid = torch.cartesian_prod(x, y)
+        self._look = self._scanner.watch(data.xpos[:], data.xmat[:], [self._body], grid)
 
     def _compute_data(self) -> Tensor:
-        position, rotation = self._data.xpos[:, self._body], self._data.xmat[:, self._body]
-        over = self._scanner.clearance(position, rotation, self._grid)
-        return over.sub_(self.cfg.base_height).clamp_(-self.cfg.limit, self.cfg.limit)
+        over = self._look().squeeze(1) - self.cfg.base_height
+        return over.clamp_(-self.cfg.limit, self.cfg.limit)
 
 
 class FeetHeight(RaySensor[Tensor]):
@@ -79,13 +79,9 @@ class FeetHeight(RaySensor[Tensor]):
         """See RaySensor.initialize; raises RenetError for an unknown site."""
         sites = [object_id(mj_model, mujoco.mjtObj.mjOBJ_SITE, name) for name in self.cfg.sites]
         super().initialize(mj_model, model, data, device)
-        self._sites = torch.tensor(sites, device=device)
         step = torch.linspace(-self.cfg.patch / 2, self.cfg.patch / 2, 3, device=device)
-        self._patch = torch.cartesian_prod(step, step)
+        patch = torch.cartesian_prod(step, step)
+        self._look = self._scanner.watch(data.site_xpos[:], None, sites, patch)
 
     def _compute_data(self) -> Tensor:
-        feet = self._data.site_xpos[:, self._sites]
-        over = self._scanner.clearance(feet.flatten(0, 1), None, self._patch)
-        return (
-            (over.mean(-1) - self.cfg.radius).clamp_(*self.cfg.limits).unflatten(0, feet.shape[:2])
-        )
+        return (self._look().mean(-1) - self.cfg.radius).clamp_(*self.cfg.limits)

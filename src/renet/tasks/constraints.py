@@ -4,6 +4,10 @@ Each is zero for motion inside its soft limit. Torque is judged before the actua
 clipped torque never violates anything.
 """
 
+# Warp compiles annotations and arithmetic that pyright takes for Python's.
+# pyright: reportGeneralTypeIssues=false, reportInvalidTypeForm=false, reportArgumentType=false
+# pyright: reportCallIssue=false, reportOperatorIssue=false, reportReturnType=false
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -30,7 +34,7 @@ class ConstraintCfg:
 
 
 @wp.func
-def constraint_costs(step: Step, robot: int) -> wp.vec3:  # type: ignore[valid-type]
+def constraint_costs(step: Step, robot: int) -> wp.vec3:
     """Sums over joints of what is beyond a limit, order of vocabulary.CONSTRAINTS.
 
     In rad, rad/s (each joint counts at most 1) and N m. Torque is what the nominal gains ask for,
@@ -49,19 +53,19 @@ def constraint_costs(step: Step, robot: int) -> wp.vec3:  # type: ignore[valid-t
 
 
 @per_robot
-def position_violated(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def position_violated(step: Step, robot: int) -> float:
     """1 where the joint positions cost something in this step."""
     return wp.where(step.costs[robot, 0] > 0.0, 1.0, 0.0)
 
 
 @per_robot
-def velocity_violated(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def velocity_violated(step: Step, robot: int) -> float:
     """1 where the joint velocities cost something in this step."""
     return wp.where(step.costs[robot, 1] > 0.0, 1.0, 0.0)
 
 
 @per_robot
-def torque_violated(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def torque_violated(step: Step, robot: int) -> float:
     """1 where the torques cost something in this step."""
     return wp.where(step.costs[robot, 2] > 0.0, 1.0, 0.0)
 

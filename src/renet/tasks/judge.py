@@ -1,5 +1,9 @@
 """One kernel that judges a control step: costs, reasons to end, rewards and metrics."""
 
+# Warp compiles annotations and arithmetic that pyright takes for Python's.
+# pyright: reportGeneralTypeIssues=false, reportInvalidTypeForm=false, reportArgumentType=false
+# pyright: reportCallIssue=false, reportOperatorIssue=false, reportReturnType=false
+
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -57,10 +61,10 @@ def judging(ends: Columns, rewards: Columns, metrics: Columns) -> Any:
 
     @wp.kernel(module="unique", enable_backward=False)
     def judge(
-        step: Step,  # type: ignore[valid-type]
-        end: wp.array2d(dtype=wp.bool),  # type: ignore[valid-type]
-        reward: wp.array2d(dtype=float),  # type: ignore[valid-type]
-        metric: wp.array2d(dtype=float),  # type: ignore[valid-type]
+        step: Step,
+        end: wp.array2d(dtype=wp.bool),
+        reward: wp.array2d(dtype=float),
+        metric: wp.array2d(dtype=float),
     ):
         robot = wp.tid()
         cost = constraint_costs(step, robot)
@@ -75,80 +79,3 @@ def judging(ends: Columns, rewards: Columns, metrics: Columns) -> Any:
         step.begun[robot] = True
 
     return judge
-
-
-@wp.kernel(enable_backward=False)
-def conclude(
-    ends: wp.array2d(dtype=wp.bool),  # type: ignore[valid-type]
-    time_out: wp.array(dtype=wp.bool),  # type: ignore[valid-type]
-    terminated: wp.array(dtype=wp.bool),  # type: ignore[valid-type]
-    truncated: wp.array(dtype=wp.bool),  # type: ignore[valid-type]
-    done: wp.array(dtype=wp.bool),  # type: ignore[valid-type]
-):
-    """Tell failures from time-outs."""
-    robot = wp.tid()
-    failures, time_outs = wp.int32(0), wp.int32(0)
-    for term in range(ends.shape[1]):
-        if ends[robot, term]:
-            if time_out[term]:
-                time_outs += 1
-            else:
-                failures += 1
-    terminated[robot] = failures > 0
-    truncated[robot] = time_outs > 0
-    done[robot] = failures + time_outs > 0
-
-
-@wp.kernel(enable_backward=False)
-def pay(
-    values: wp.array2d(dtype=float),  # type: ignore[valid-type]
-    weights: wp.array(dtype=float),  # type: ignore[valid-type]
-    scale: float,
-    rates: wp.array2d(dtype=float),  # type: ignore[valid-type]
-    sums: wp.array2d(dtype=float),  # type: ignore[valid-type]
-    rewards: wp.array(dtype=float),  # type: ignore[valid-type]
-):
-    """Weigh the terms of rewards and add them up, over terms and over episodes.
-
-    Broken physics gives NaN; its robot is reset, its reward must not spread.
-    """
-    robot = wp.tid()
-    total = wp.float32(0.0)
-    for term in range(values.shape[1]):
-        rate = values[robot, term] * weights[term]
-        if weights[term] == 0.0 or not wp.isfinite(rate):
-            rate = 0.0
-        rates[robot, term] = rate
-        sums[robot, term] = sums[robot, term] + rate * scale
-        total += rate * scale
-    rewards[robot] = total
-
-
-@wp.kernel(enable_backward=False)
-def tally(
-    values: wp.array2d(dtype=float),  # type: ignore[valid-type]
-    sums: wp.array2d(dtype=float),  # type: ignore[valid-type]
-    steps: wp.array(dtype=wp.int64),  # type: ignore[valid-type]
-):
-    """Add metrics up over episodes."""
-    robot = wp.tid()
-    for term in range(values.shape[1]):
-        sums[robot, term] = sums[robot, term] + values[robot, term]
-    steps[robot] = steps[robot] + wp.int64(1)
-
-
-@wp.kernel(enable_backward=False)
-def sense(
-    table: wp.array2d(dtype=float),  # type: ignore[valid-type]
-    noise: wp.array2d(dtype=float),  # type: ignore[valid-type]
-    draw: wp.array(dtype=int),  # type: ignore[valid-type]
-    low: wp.array(dtype=float),  # type: ignore[valid-type]
-    span: wp.array(dtype=float),  # type: ignore[valid-type]
-    scale: wp.array(dtype=float),  # type: ignore[valid-type]
-):
-    """Add noise, drawn from [0, 1), to some columns of observations, and scale all."""
-    robot, column = wp.tid()
-    value = table[robot, column]
-    if draw[column] >= 0:
-        value += low[column] + span[column] * noise[robot, draw[column]]
-    table[robot, column] = value * scale[column]

@@ -4,17 +4,20 @@ Results are mjlab's. Terms that are functions in Warp (`terms.per_robot`) have b
 kernel before (`judge.Judge`), others are by torch, one by one.
 """
 
+# Warp compiles annotations and arithmetic that pyright takes for Python's.
+# pyright: reportGeneralTypeIssues=false, reportInvalidTypeForm=false
+
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
 import torch
+import warp as wp
 from mjlab.managers.metrics_manager import MetricsManager
 from mjlab.managers.reward_manager import RewardManager
 from mjlab.managers.termination_manager import TerminationManager
 from torch import Tensor
 
-from renet.tasks.judge import conclude, pay, tally
 from renet.tasks.terms import Launch, is_in_warp
 
 if TYPE_CHECKING:
@@ -72,7 +75,9 @@ class StackedTerminations(TerminationManager):
     def __init__(self, cfg: dict, env: ManagerBasedRlEnv) -> None:
         super().__init__(cfg, env)
         device, terms = env.device, len(self._term_cfgs)
-        time_out = torch.tensor([term.time_out for term in self._term_cfgs], device=device)
+        time_out = torch.tensor(
+            [term.time_out for term in self._term_cfgs], dtype=torch.bool, device=device
+        )
         self.values = torch.zeros(env.num_envs, terms, dtype=torch.bool, device=device)
         """Terms, [N, terms]; `judge.Judge` fills those written in Warp."""
         self._by_torch = _by_torch(self)
@@ -146,3 +151,63 @@ def _reset_terms(manager: Any, ids: Tensor | slice) -> None:
 
 def _named(title: str, names: list[str], values: Tensor) -> dict[str, Tensor]:
     return {f"{title}/{name}": value for name, value in zip(names, values.unbind(), strict=True)}
+
+
+@wp.kernel(enable_backward=False)
+def conclude(
+    ends: wp.array2d(dtype=wp.bool),
+    time_out: wp.array(dtype=wp.bool),
+    terminated: wp.array(dtype=wp.bool),
+    truncated: wp.array(dtype=wp.bool),
+    done: wp.array(dtype=wp.bool),
+):
+    """Tell failures from time-outs."""
+    robot = wp.tid()
+    failures, time_outs = wp.int32(0), wp.int32(0)
+    for term in range(ends.shape[1]):
+        if ends[robot, term]:
+            if time_out[term]:
+                time_outs += 1
+            else:
+                failures += 1
+    terminated[robot] = failures > 0
+    truncated[robot] = time_outs > 0
+    done[robot] = failures + time_outs > 0
+
+
+@wp.kernel(enable_backward=False)
+def pay(
+    values: wp.array2d(dtype=float),
+    weights: wp.array(dtype=float),
+    scale: float,
+    rates: wp.array2d(dtype=float),
+    sums: wp.array2d(dtype=float),
+    rewards: wp.array(dtype=float),
+):
+    """Weigh the terms of rewards and add them up, over terms and over episodes.
+
+    Broken physics gives NaN; its robot is reset, its reward must not spread.
+    """
+    robot = wp.tid()
+    total = wp.float32(0.0)
+    for term in range(values.shape[1]):
+        rate = values[robot, term] * weights[term]
+        if weights[term] == 0.0 or not wp.isfinite(rate):
+            rate = 0.0
+        rates[robot, term] = rate
+        sums[robot, term] = sums[robot, term] + rate * scale
+        total += rate * scale
+    rewards[robot] = total
+
+
+@wp.kernel(enable_backward=False)
+def tally(
+    values: wp.array2d(dtype=float),
+    sums: wp.array2d(dtype=float),
+    steps: wp.array(dtype=wp.int64),
+):
+    """Add metrics up over episodes."""
+    robot = wp.tid()
+    for term in range(values.shape[1]):
+        sums[robot, term] = sums[robot, term] + values[robot, term]
+    steps[robot] = steps[robot] + wp.int64(1)

@@ -1,5 +1,9 @@
 """Observation terms: proprioception, true quantities for critics and estimators, and depth."""
 
+# Warp compiles annotations and arithmetic that pyright takes for Python's.
+# pyright: reportGeneralTypeIssues=false, reportInvalidTypeForm=false, reportArgumentType=false
+# pyright: reportCallIssue=false, reportOperatorIssue=false, reportReturnType=false
+
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, cast
@@ -22,7 +26,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @fills(PROPRIOCEPTION_SIZE)
-def proprioception(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):  # type: ignore[valid-type]
+def proprioception(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):
     """What the robot's own sensors say, order and units of vocabulary.PROPRIOCEPTION.
 
     [N, 45], before scaling.
@@ -41,7 +45,7 @@ def proprioception(step: Step, robot: int, row: wp.array2d(dtype=float), first: 
 
 
 @fills(3)
-def velocity(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):  # type: ignore[valid-type]
+def velocity(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):
     """True base linear velocity, [N, 3] m/s, base frame."""
     turned = wp.transpose(step.rotation[robot, step.base])
     own = turned * world_velocity(step, robot)
@@ -60,7 +64,7 @@ def depth(env: ManagerBasedRlEnv) -> Tensor:
 
 
 @fills(FEET)
-def feet_contact(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):  # type: ignore[valid-type]
+def feet_contact(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):
     """1 where a foot touches, [N, 4]."""
     for foot in range(step.foot_contact.shape[0]):
         found = step.sensed[robot, step.foot_contact[foot]] > 0.0
@@ -68,7 +72,7 @@ def feet_contact(step: Step, robot: int, row: wp.array2d(dtype=float), first: in
 
 
 @fills(1)
-def difficult(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):  # type: ignore[valid-type]
+def difficult(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):
     """1 where the tile forces vision, [N, 1]."""
     row[robot, first] = step.difficult[int(step.tile[robot])]
 

@@ -1,15 +1,18 @@
 """mjlab's observation manager with one table for all terms that are written in Warp."""
 
+# Warp compiles annotations and arithmetic that pyright takes for Python's.
+# pyright: reportGeneralTypeIssues=false, reportInvalidTypeForm=false
+
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import torch
+import warp as wp
 from mjlab.managers.observation_manager import ObservationManager, ObservationTermCfg
 from mjlab.utils.noise import UniformNoiseCfg
 from torch import Tensor
 
-from renet.tasks.judge import sense
 from renet.tasks.terms import Launch, filling, is_in_warp
 
 if TYPE_CHECKING:
@@ -106,3 +109,20 @@ def _bounds(term: ObservationTermCfg, one: Tensor) -> list[tuple[float, float] |
     assert isinstance(term.noise, UniformNoiseCfg)
     low, high = (one * torch.as_tensor(end) for end in (term.noise.n_min, term.noise.n_max))
     return list(zip(low.tolist(), high.tolist(), strict=True))
+
+
+@wp.kernel(enable_backward=False)
+def sense(
+    table: wp.array2d(dtype=float),
+    noise: wp.array2d(dtype=float),
+    draw: wp.array(dtype=int),
+    low: wp.array(dtype=float),
+    span: wp.array(dtype=float),
+    scale: wp.array(dtype=float),
+):
+    """Add noise, drawn from [0, 1), to some columns of observations, and scale all."""
+    robot, column = wp.tid()  # type: ignore[misc]
+    value = table[robot, column]
+    if draw[column] >= 0:
+        value += low[column] + span[column] * noise[robot, draw[column]]
+    table[robot, column] = value * scale[column]

@@ -3,6 +3,10 @@
 World-frame quantities use the horizontal plane: <v, n_yaw> has no vertical part.
 """
 
+# Warp compiles annotations and arithmetic that pyright takes for Python's.
+# pyright: reportGeneralTypeIssues=false, reportInvalidTypeForm=false, reportArgumentType=false
+# pyright: reportCallIssue=false, reportOperatorIssue=false, reportReturnType=false
+
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
@@ -32,7 +36,7 @@ def goal(env: ManagerBasedRlEnv) -> GoalCommand:
 
 
 @per_robot
-def linear_velocity(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def linear_velocity(step: Step, robot: int) -> float:
     """Goal-guided linear velocity tracking, r_lin_vel (RENet eq. 6).
 
     At most 1: there is no bonus, and no penalty, for overshooting.
@@ -46,7 +50,7 @@ def linear_velocity(step: Step, robot: int) -> float:  # type: ignore[valid-type
 
 
 @per_robot
-def yaw(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def yaw(step: Step, robot: int) -> float:
     """exp(-|c_yaw - yaw|): angular tracking in Extreme Parkour's form."""
     turned = step.rotation[robot, step.base]
     error = step.yaw[robot] - wp.atan2(turned[1, 0], turned[0, 0])
@@ -54,7 +58,7 @@ def yaw(step: Step, robot: int) -> float:  # type: ignore[valid-type]
 
 
 @per_robot
-def collision(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def collision(step: Step, robot: int) -> float:
     """Number of thighs, calves and trunk in contact, whatever the number of geoms."""
     count = wp.float32(0.0)
     for body in range(step.body_contact.shape[0]):
@@ -71,7 +75,7 @@ def collision(step: Step, robot: int) -> float:  # type: ignore[valid-type]
 
 
 @per_robot
-def joint_energy(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def joint_energy(step: Step, robot: int) -> float:
     """Sum of |torque * joint velocity|, W (our reading of "joint energy")."""
     power = wp.float32(0.0)
     for joint in range(step.joint.shape[0]):
@@ -81,7 +85,7 @@ def joint_energy(step: Step, robot: int) -> float:  # type: ignore[valid-type]
 
 
 @per_robot
-def action_rate(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def action_rate(step: Step, robot: int) -> float:
     """Euclidean norm of the change of action (Extreme Parkour: not squared)."""
     squares = wp.float32(0.0)
     for i in range(step.action.shape[1]):
@@ -91,7 +95,7 @@ def action_rate(step: Step, robot: int) -> float:  # type: ignore[valid-type]
 
 
 @per_robot
-def default_position(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def default_position(step: Step, robot: int) -> float:
     """Squared distance of all joints to the default pose, rad^2."""
     squares = wp.float32(0.0)
     for joint in range(step.joint.shape[0]):
@@ -100,7 +104,7 @@ def default_position(step: Step, robot: int) -> float:  # type: ignore[valid-typ
 
 
 @per_robot
-def hip_position(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def hip_position(step: Step, robot: int) -> float:
     """Squared distance of the hips to the default pose, rad^2."""
     squares = wp.float32(0.0)
     for hip in range(step.hip.shape[0]):
@@ -109,7 +113,7 @@ def hip_position(step: Step, robot: int) -> float:  # type: ignore[valid-type]
 
 
 @per_robot
-def joint_acceleration(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def joint_acceleration(step: Step, robot: int) -> float:
     """Sum of squared joint accelerations from control-step differences, (rad/s^2)^2.
 
     An episode starts at rest.
@@ -126,14 +130,14 @@ def joint_acceleration(step: Step, robot: int) -> float:  # type: ignore[valid-t
 
 
 @per_robot
-def orientation(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def orientation(step: Step, robot: int) -> float:
     """Squared horizontal part of gravity in the base frame: sin^2 of the tilt."""
     tilt = step.rotation[robot, step.base]
     return tilt[2, 0] * tilt[2, 0] + tilt[2, 1] * tilt[2, 1]
 
 
 @per_robot
-def standing_motion(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def standing_motion(step: Step, robot: int) -> float:
     """Sum of squared, smoothed joint velocities of robots told to stand, (rad/s)^2.
 
     Not in the paper, whose reward is all but flat at rest: 7 cm/s of creeping cost it 7 %.
@@ -153,7 +157,7 @@ def standing_motion(step: Step, robot: int) -> float:  # type: ignore[valid-type
 
 
 @per_robot
-def foot_clearance(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def foot_clearance(step: Step, robot: int) -> float:
     """Low feet that move: lack of lift squared times horizontal speed, summed over feet, m^3/s.
 
     Not in the paper (HIMLoco rewards clearance likewise): millions of steps on a CPU, instead of

@@ -5,6 +5,10 @@ Observations, rewards, costs and reasons to end are functions of this struct and
 operation, on a CPU code that stays quick however seldom it runs.
 """
 
+# Warp compiles annotations and arithmetic that pyright takes for Python's.
+# pyright: reportGeneralTypeIssues=false, reportInvalidTypeForm=false, reportArgumentType=false
+# pyright: reportCallIssue=false, reportOperatorIssue=false, reportReturnType=false
+
 from __future__ import annotations
 
 from collections.abc import Iterable
@@ -30,75 +34,75 @@ class Step:
     """Arrays of N robots, world frame, SI units; J joints in the MJCF's order, F feet."""
 
     # Where the simulation has arrived.
-    qpos: wp.array2d(dtype=float)  # type: ignore[valid-type]
-    qvel: wp.array2d(dtype=float)  # type: ignore[valid-type]
-    position: wp.array2d(dtype=wp.vec3)  # type: ignore[valid-type]
+    qpos: wp.array2d(dtype=float)
+    qvel: wp.array2d(dtype=float)
+    position: wp.array2d(dtype=wp.vec3)
     """Of bodies."""
-    rotation: wp.array2d(dtype=wp.mat33)  # type: ignore[valid-type]
+    rotation: wp.array2d(dtype=wp.mat33)
     """Of bodies, to world."""
-    site: wp.array2d(dtype=wp.vec3)  # type: ignore[valid-type]
-    joint_force: wp.array2d(dtype=float)  # type: ignore[valid-type]
+    site: wp.array2d(dtype=wp.vec3)
+    joint_force: wp.array2d(dtype=float)
     """Of actuators, by degree of freedom."""
-    sensed: wp.array2d(dtype=float)  # type: ignore[valid-type]
+    sensed: wp.array2d(dtype=float)
     """MuJoCo's sensors, at the last physics step's start."""
 
     # What was asked for.
-    action: wp.array2d(dtype=float)  # type: ignore[valid-type]
-    action_before: wp.array2d(dtype=float)  # type: ignore[valid-type]
-    target: wp.array2d(dtype=float)  # type: ignore[valid-type]
+    action: wp.array2d(dtype=float)
+    action_before: wp.array2d(dtype=float)
+    target: wp.array2d(dtype=float)
     """Of servos, rad [N, J]."""
-    speed: wp.array(dtype=float)  # type: ignore[valid-type]
-    yaw: wp.array(dtype=float)  # type: ignore[valid-type]
-    command: wp.array2d(dtype=float)  # type: ignore[valid-type]
+    speed: wp.array(dtype=float)
+    yaw: wp.array(dtype=float)
+    command: wp.array2d(dtype=float)
     """As policies read it [N, 3]."""
 
     # The episode.
-    origin: wp.array(dtype=wp.vec3)  # type: ignore[valid-type]
+    origin: wp.array(dtype=wp.vec3)
     """The start on a robot's tile."""
-    tile: wp.array(dtype=wp.int64)  # type: ignore[valid-type]
+    tile: wp.array(dtype=wp.int64)
     """Kind of a robot's tile."""
-    length: wp.array(dtype=wp.int64)  # type: ignore[valid-type]
+    length: wp.array(dtype=wp.int64)
     """Control steps so far."""
-    begun: wp.array(dtype=wp.bool)  # type: ignore[valid-type]
+    begun: wp.array(dtype=wp.bool)
     """Whether this episode was judged before: what is remembered below is of it."""
-    costs: wp.array2d(dtype=float)  # type: ignore[valid-type]
+    costs: wp.array2d(dtype=float)
     """Of constraints [N, 3]."""
-    joint_velocity_before: wp.array2d(dtype=float)  # type: ignore[valid-type]
-    joint_velocity_smooth: wp.array2d(dtype=float)  # type: ignore[valid-type]
-    feet_before: wp.array2d(dtype=wp.vec3)  # type: ignore[valid-type]
-    stall_origin: wp.array(dtype=wp.vec2)  # type: ignore[valid-type]
-    stall_seconds: wp.array(dtype=float)  # type: ignore[valid-type]
+    joint_velocity_before: wp.array2d(dtype=float)
+    joint_velocity_smooth: wp.array2d(dtype=float)
+    feet_before: wp.array2d(dtype=wp.vec3)
+    stall_origin: wp.array(dtype=wp.vec2)
+    stall_seconds: wp.array(dtype=float)
 
     # Which numbers are whose.
     base: int
     base_velocity: int
     """First of six degrees of freedom."""
-    joint: wp.array(dtype=int)  # type: ignore[valid-type]
+    joint: wp.array(dtype=int)
     """Columns of `qpos` [J]."""
-    joint_velocity: wp.array(dtype=int)  # type: ignore[valid-type]
+    joint_velocity: wp.array(dtype=int)
     """Columns of `qvel` and `joint_force` [J]."""
-    order: wp.array(dtype=int)  # type: ignore[valid-type]
+    order: wp.array(dtype=int)
     """Joints in the order of vocabulary.JOINTS."""
-    hip: wp.array(dtype=int)  # type: ignore[valid-type]
+    hip: wp.array(dtype=int)
     """Joints [4]."""
-    foot: wp.array(dtype=int)  # type: ignore[valid-type]
+    foot: wp.array(dtype=int)
     """Sites [F]."""
-    foot_contact: wp.array(dtype=int)  # type: ignore[valid-type]
+    foot_contact: wp.array(dtype=int)
     """Columns of `sensed`."""
-    body_contact: wp.array(dtype=int)  # type: ignore[valid-type]
+    body_contact: wp.array(dtype=int)
     """First of three columns of `sensed` for each thigh and the trunk."""
-    calf_contact: wp.array2d(dtype=int)  # type: ignore[valid-type]
+    calf_contact: wp.array2d(dtype=int)
     """The same for each calf's geoms [4, G]."""
 
     # What does not change.
-    pose: wp.array2d(dtype=float)  # type: ignore[valid-type]
+    pose: wp.array2d(dtype=float)
     """Default joint positions [N, J]."""
-    lowest: wp.array2d(dtype=float)  # type: ignore[valid-type]
+    lowest: wp.array2d(dtype=float)
     """Soft limits of joint positions [N, J]."""
-    highest: wp.array2d(dtype=float)  # type: ignore[valid-type]
-    fastest: wp.array(dtype=float)  # type: ignore[valid-type]
+    highest: wp.array2d(dtype=float)
+    fastest: wp.array(dtype=float)
     """Soft limits of joint speeds [J]."""
-    strongest: wp.array(dtype=float)  # type: ignore[valid-type]
+    strongest: wp.array(dtype=float)
     """Soft limits of joint torques [J]."""
     stiffness: float
     damping: float
@@ -106,7 +110,7 @@ class Step:
     """Of the base over feet that stand, m."""
     longest: int
     """Control steps of an episode."""
-    difficult: wp.array(dtype=float)  # type: ignore[valid-type]
+    difficult: wp.array(dtype=float)
     """1 for each kind of tile that forces vision."""
     gap: int
     """Kind of tile that is a gap; -1 without any."""
@@ -195,19 +199,19 @@ def _columns(env: RenetEnv, sensor: str) -> Tensor:
 
 
 @wp.func
-def offset(step: Step, robot: int, joint: int) -> float:  # type: ignore[valid-type]
+def offset(step: Step, robot: int, joint: int) -> float:
     """Of a joint from its default position, rad."""
     return step.qpos[robot, step.joint[joint]] - step.pose[robot, joint]
 
 
 @wp.func
-def joint_speed(step: Step, robot: int, joint: int) -> float:  # type: ignore[valid-type]
+def joint_speed(step: Step, robot: int, joint: int) -> float:
     """Velocity of a joint, rad/s."""
     return step.qvel[robot, step.joint_velocity[joint]]
 
 
 @wp.func
-def world_velocity(step: Step, robot: int) -> wp.vec3:  # type: ignore[valid-type]
+def world_velocity(step: Step, robot: int) -> wp.vec3:
     """Of the base, m/s."""
     first = step.base_velocity
     return wp.vec3(
@@ -222,13 +226,13 @@ def horizontal(vector: wp.vec3) -> wp.vec2:
 
 
 @wp.func
-def height(step: Step, robot: int) -> float:  # type: ignore[valid-type]
+def height(step: Step, robot: int) -> float:
     """Of the base over the start on its tile, m."""
     return step.position[robot, step.base][2] - step.origin[robot][2]
 
 
 @wp.func
-def touches(step: Step, robot: int, column: int, least: float) -> bool:  # type: ignore[valid-type]
+def touches(step: Step, robot: int, column: int, least: float) -> bool:
     """Whether a part's contact force exceeds `least`, N."""
     force = wp.vec3(
         step.sensed[robot, column], step.sensed[robot, column + 1], step.sensed[robot, column + 2]

@@ -1,5 +1,9 @@
 """When an episode ends; leaving the tile is success, hence a time-out, not a failure."""
 
+# Warp compiles annotations and arithmetic that pyright takes for Python's.
+# pyright: reportGeneralTypeIssues=false, reportInvalidTypeForm=false, reportArgumentType=false
+# pyright: reportCallIssue=false, reportOperatorIssue=false, reportReturnType=false
+
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
@@ -30,19 +34,19 @@ wp.set_module_options({"enable_backward": False})
 
 
 @per_robot
-def time_out(step: Step, robot: int) -> bool:  # type: ignore[valid-type]
+def time_out(step: Step, robot: int) -> bool:
     """The episode has lasted as long as one does."""
     return int(step.length[robot]) >= step.longest
 
 
 @per_robot
-def fallen(step: Step, robot: int) -> bool:  # type: ignore[valid-type]
+def fallen(step: Step, robot: int) -> bool:
     """Rolled or pitched over."""
     return -step.rotation[robot, step.base][2, 2] > TILT
 
 
 @per_robot
-def not_finite(step: Step, robot: int) -> bool:  # type: ignore[valid-type]
+def not_finite(step: Step, robot: int) -> bool:
     """NaN or infinity in the physics state, which those of forces end in: one makes the sum so."""
     total = wp.float32(0.0)
     for i in range(step.qpos.shape[1]):
@@ -53,26 +57,26 @@ def not_finite(step: Step, robot: int) -> bool:  # type: ignore[valid-type]
 
 
 @per_robot
-def in_gap(step: Step, robot: int) -> bool:  # type: ignore[valid-type]
+def in_gap(step: Step, robot: int) -> bool:
     """Base below the surface of a gap tile."""
     return int(step.tile[robot]) == step.gap and height(step, robot) < -PIT_DEPTH
 
 
 @per_robot
-def below_map(step: Step, robot: int) -> bool:  # type: ignore[valid-type]
+def below_map(step: Step, robot: int) -> bool:
     """Base below everything a robot can stand on: it was pressed through the ground."""
     return height(step, robot) < -MAP_DEPTH
 
 
 @per_robot
-def left_tile(step: Step, robot: int) -> bool:  # type: ignore[valid-type]
+def left_tile(step: Step, robot: int) -> bool:
     """Walked off its tile in any direction."""
     away = step.position[robot, step.base] - step.origin[robot]
     return wp.max(wp.abs(away[0]), wp.abs(away[1])) > HALF_TILE
 
 
 @per_robot
-def stalled(step: Step, robot: int) -> bool:  # type: ignore[valid-type]
+def stalled(step: Step, robot: int) -> bool:
     """Stands where it was told to walk.
 
     Training only. Giving up in front of a stair otherwise earns the yaw reward for the rest of the

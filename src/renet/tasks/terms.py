@@ -1,5 +1,9 @@
 """Terms of mjlab's managers that are written in Warp, for one robot, and run for all at once."""
 
+# Warp compiles annotations and arithmetic that pyright takes for Python's.
+# pyright: reportGeneralTypeIssues=false, reportInvalidTypeForm=false, reportArgumentType=false
+# pyright: reportCallIssue=false, reportOperatorIssue=false, reportReturnType=false
+
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
@@ -90,7 +94,7 @@ def filling(terms: Columns) -> Any:
     """The kernel of some observations."""
 
     @wp.kernel(module="unique", enable_backward=False)
-    def fill(step: Step, table: wp.array2d(dtype=float)):  # type: ignore[valid-type]
+    def fill(step: Step, table: wp.array2d(dtype=float)):
         robot = wp.tid()
         for i in range(wp.static(len(terms))):
             wp.static(terms[i][1])(step, robot, table, wp.static(terms[i][0]))
