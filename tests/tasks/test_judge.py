@@ -12,7 +12,7 @@ from mjlab.managers.termination_manager import TerminationTermCfg
 from renet.tasks import env_cfg, observations, rewards
 from renet.tasks.config import NOISE
 from renet.tasks.constraints import VIOLATED
-from renet.tasks.terminations import left_tile, tile_distance
+from renet.tasks.terminations import left_tile
 from renet.vocabulary import JOINTS, LEGS, PROPRIOCEPTION, proprioception_slices
 
 from .conftest import build
@@ -98,7 +98,7 @@ class Reference:
             "fallen": data.projected_gravity_b[:, 2] > -0.17,
             "in_gap": (env.scene.terrain.terrain_types == kinds.index("gap")) & (height < -0.25),
             "below_map": height < -3.0,
-            "left_tile": tile_distance(env) > 4.0,
+            "left_tile": (data.root_link_pos_w - env.scene.env_origins)[:, :2].abs().amax(-1) > 4.0,
         }
 
     def costs(self) -> torch.Tensor:

@@ -9,7 +9,6 @@ import torch
 
 from renet.errors import RenetError
 from renet.tasks import env_cfg, observations, rewards
-from renet.tasks.curriculum import asked_distance, level_change
 from renet.training.train import tuned
 
 from .conftest import build
@@ -45,19 +44,6 @@ def test_collision_counts_bodies_not_geoms(flat):
     views[6][0, 0] = 0.2
     bodies._slots[0].data_view[1, 1] = 0.05  # Below 0.1 N.
     assert judged(flat, "collision").tolist() == [3.0, 0.0, 0.0, 0.0]
-
-
-def test_who_falls_owes_the_whole_episode(parkour):
-    parkour.reset()
-    goal, done = parkour.command_manager.get_term("goal"), torch.zeros(12, dtype=torch.bool)
-    goal.asked[:], goal.speed[:] = 0.5, 0.8
-    parkour.episode_length_buf[:] = parkour.max_episode_length - 100
-    done[3] = True
-    parkour.termination_manager._terminated_buf[:] = done
-    owed = asked_distance(parkour)
-    # 100 steps of 0.02 s at 0.8 m/s remained.
-    assert owed[3].item() == pytest.approx(0.5 + 1.6)
-    assert (owed[~done] == 0.5).all()
 
 
 def test_asked_distance_is_the_integral_of_the_command(flat):
@@ -154,15 +140,6 @@ def test_violation_rates_are_logged(flat):
     log = extras["log"]
     assert log["Episode_Metrics/violated_torque"] >= 0.5
     assert log["Episode_Metrics/violated_joint_position"] >= 0.0
-
-
-def test_walk_in_minutes_rule():
-    distance = torch.tensor([4.1, 3.0, 1.5, 1.5, 0.1])
-    asked = torch.tensor([4.0, 20.0, 20.0, 2.0, 0.0])
-    up, down = level_change(distance, asked)
-    # Below half of what was asked, at most half of 4 m, means down.
-    assert up.tolist() == [True, False, False, False, False]
-    assert down.tolist() == [False, False, True, False, False]
 
 
 def test_goals_are_drawn_and_the_second_level_asks_for_standing():

@@ -135,6 +135,7 @@ class NativeSimulation(Simulation):
         self._workers: list[Worker] = []
         self._calls: dict[tuple, Call] = {}
         super().__init__(*args, **kwargs)
+        self._zeroed = [getattr(self.wp_data, name).numpy() for name in RESET_TO_ZERO]
         self.neighbourhood = Neighbourhood(self.mj_model, self.mj_data, self.num_envs)
         if not self.wp_device.is_cpu:
             raise RenetError(f"the native engine runs on the CPU, not on {self.device}")
@@ -171,10 +172,9 @@ class NativeSimulation(Simulation):
     def reset(self, env_ids: torch.Tensor | None = None) -> None:
         """Put environments at the model's reference state, at rest and unforced."""
         ids = slice(None) if env_ids is None else env_ids
-        for name in RESET_TO_ZERO:
-            field = getattr(self.data, name)
-            if field.numel():
-                field[ids] = 0
+        rows = slice(None) if env_ids is None else env_ids.numpy()
+        for field in self._zeroed:
+            field[rows] = 0.0
         self.data.qpos[ids] = self._model_rows("qpos0", ids)
         if self.mj_model.nmocap:
             bodies = np.flatnonzero(self.mj_model.body_mocapid >= 0)

@@ -22,7 +22,12 @@ from renet.tasks.constraints import ConstraintCfg
 from renet.tasks.env_data import FloatingBase
 from renet.tasks.go1 import GO1
 from renet.tasks.judge import Judge
-from renet.tasks.managers import StackedMetrics, StackedRewards, StackedTerminations
+from renet.tasks.managers import (
+    DeviceCurriculum,
+    StackedMetrics,
+    StackedRewards,
+    StackedTerminations,
+)
 from renet.tasks.observing import StackedObservations
 from renet.tasks.rewards import goal
 from renet.tasks.robot import Robot
@@ -96,6 +101,7 @@ class RenetEnv(ManagerBasedRlEnv):
         )
         self.termination_manager = StackedTerminations(self.cfg.terminations, self)
         self.metrics_manager = StackedMetrics(self.cfg.metrics, self)
+        self.curriculum_manager = DeviceCurriculum(self.cfg.curriculum, self)
         self.judge = Judge(self)
         conclude = self.termination_manager.compute
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 import warp as wp
+from mjlab.managers.curriculum_manager import CurriculumManager
 from mjlab.managers.metrics_manager import MetricsManager
 from mjlab.managers.reward_manager import RewardManager
 from mjlab.managers.termination_manager import TerminationManager
@@ -136,6 +137,20 @@ class StackedMetrics(MetricsManager):
         self._sums[ids], self._step_count[ids] = 0.0, 0
         _reset_terms(self, ids)
         return _named("Episode_Metrics", self._term_names, means)
+
+
+class DeviceCurriculum(CurriculumManager):
+    """What it logs stays on the device."""
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> dict[str, Any]:
+        """See CurriculumManager.reset."""
+        logged = {}
+        for name, state in self._curriculum_state.items():
+            values = state if isinstance(state, dict) else {"": state}
+            for kind, value in values.items():
+                logged["/".join(filter(None, ("Curriculum", name, kind)))] = value
+        _reset_terms(self, slice(None) if env_ids is None else env_ids)
+        return logged
 
 
 def _by_torch(manager: Any) -> list[int]:

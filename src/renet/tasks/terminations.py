@@ -6,17 +6,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import warp as wp
-from torch import Tensor
 
 from renet.tasks.step import Step, height, horizontal
 from renet.tasks.terms import per_robot
 from renet.tiles import TILE
-
-if TYPE_CHECKING:
-    from mjlab.envs import ManagerBasedRlEnv
 
 TILT = wp.constant(-0.17)
 """Vertical part of gravity in the base frame above which the robot lies: tilted over 80 degrees."""
@@ -68,11 +62,17 @@ def below_map(step: Step, robot: int) -> bool:
     return height(step, robot) < -MAP_DEPTH
 
 
+@wp.func
+def from_middle(step: Step, robot: int) -> float:
+    """Distance from the tile's middle in the tile's (square) norm, m."""
+    away = step.position[robot, step.base] - step.origin[robot]
+    return wp.max(wp.abs(away[0]), wp.abs(away[1]))
+
+
 @per_robot
 def left_tile(step: Step, robot: int) -> bool:
     """Walked off its tile in any direction."""
-    away = step.position[robot, step.base] - step.origin[robot]
-    return wp.max(wp.abs(away[0]), wp.abs(away[1])) > HALF_TILE
+    return from_middle(step, robot) > HALF_TILE
 
 
 @per_robot
@@ -90,9 +90,3 @@ def stalled(step: Step, robot: int) -> bool:
         step.stall_origin[robot] = at
         step.stall_seconds[robot] = 0.0
     return step.stall_seconds[robot] > PATIENCE
-
-
-def tile_distance(env: ManagerBasedRlEnv) -> Tensor:
-    """Distance from the tile's middle in the tile's (square) norm, [N] m."""
-    offset = env.scene["robot"].data.root_link_pos_w - env.scene.env_origins
-    return offset[:, :2].abs().amax(-1)
