@@ -7,12 +7,15 @@ import math
 import pytest
 import torch
 from mjlab.managers.observation_manager import ObservationManager
+from mjlab.managers.reward_manager import RewardTermCfg
 from mjlab.managers.termination_manager import TerminationTermCfg
 
 from renet.tasks import env_cfg, observations, rewards
 from renet.tasks.config import NOISE
 from renet.tasks.constraints import VIOLATED
+from renet.tasks.step import Step, offset
 from renet.tasks.terminations import left_tile
+from renet.tasks.terms import per_robot
 from renet.vocabulary import JOINTS, LEGS, PROPRIOCEPTION, proprioception_slices
 
 from .conftest import build
@@ -197,6 +200,27 @@ def test_noise_is_within_its_bounds_and_scaled_with_what_it_is_added_to(parkour)
     assert (error.abs() <= most + 1e-6).all()
     for side in (error, -error):
         assert (side[:, most > 0.0].amax(0) > 0.8 * most[most > 0.0]).all()
+
+
+@per_robot
+def calf_position(step: Step, robot: int) -> float:
+    """The example of docs/robots.md."""
+    return offset(step, robot, 2) * offset(step, robot, 2)
+
+
+def test_a_task_adds_a_term_of_its_own_in_warp():
+    cfg = env_cfg("Renet-Go1-Flat")
+    cfg.rewards = {"calf_position": RewardTermCfg(func=calf_position, weight=-0.5)}
+    cfg.clip_reward = False
+    env = build(cfg, 3)
+    env.reset()
+    _, reward, *_ = env.step(torch.ones(3, 12))
+    data = env.scene["robot"].data
+    squares = (data.joint_pos - data.default_joint_pos)[:, 2].square()
+    assert (squares > 0.0).all()
+    torch.testing.assert_close(calf_position(env), squares)
+    torch.testing.assert_close(reward, -0.5 * 0.02 * squares)
+    env.close()
 
 
 def test_torchs_terms_stand_beside_warps():
