@@ -31,7 +31,7 @@ class GoalCommandCfg(CommandTermCfg):
     """Range of c_x in m/s at stage 0 (paper's first level)."""
     later_speed: tuple[float, float] = (0.0, 1.0)
     """Range of c_x at stage 1 (paper's second level)."""
-    standing_share: float = 0.1
+    standing_share: float = 0.2
     """Share of stage 1's goals with c_x = 0: a uniform draw alone would never ask for it."""
     slowest: float = 0.1
     """Smaller c_x mean standing still, m/s: eq. 6 divides by c_x, and sensor noise hides them."""
