@@ -186,6 +186,15 @@ def test_observations_are_mjlabs(delayed):
     env.close()
 
 
+def test_a_task_may_observe_by_torch_alone():
+    cfg = env_cfg("Renet-Go1-Flat")
+    cfg.observations = {"feet_height": cfg.observations["feet_height"]}
+    env = build(cfg, 2)
+    env.reset()
+    assert env.step(torch.zeros(2, 12))[0]["feet_height"].shape == (2, 4)
+    env.close()
+
+
 def test_noise_is_within_its_bounds_and_scaled_with_what_it_is_added_to(parkour):
     parkour.reset()
     most = torch.zeros(45)

@@ -46,7 +46,7 @@ class StackedObservations(ObservationManager):
                 self._columns[name].append(slice(first, len(scales)))
         noisy = [bounds is not None for bounds in noises]
         draws = [sum(noisy[:i]) if is_noisy else -1 for i, is_noisy in enumerate(noisy)]
-        low, high = torch.tensor([bounds or (0.0, 0.0) for bounds in noises]).view(-1, 2).T
+        low, high = torch.tensor([b or (0.0, 0.0) for b in noises]).reshape(len(noises), 2).T
         count, device = env.num_envs, env.device
         self._table = torch.zeros(count, len(scales), device=device)
         self._noise = torch.zeros(count, sum(noisy), device=device)

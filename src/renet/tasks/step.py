@@ -132,7 +132,7 @@ def watch(env: RenetEnv) -> Any:
     def floats(values: Iterable[float]) -> wp.array:
         return wp.array(list(values), dtype=float, device=device)
 
-    def limits(values: Any) -> wp.array:
+    def per_joint(values: Tensor) -> wp.array:
         return wp.from_torch(values.expand(env.num_envs, -1).contiguous())
 
     step: Any = Step()
@@ -151,11 +151,9 @@ def watch(env: RenetEnv) -> Any:
     generator = terrain.cfg.terrain_generator if terrain is not None else None
     kinds = list(generator.sub_terrains) if generator is not None else []
     step.gap = kinds.index("gap") if "gap" in kinds else -1
-    step.tile = (
-        wp.from_torch(terrain.terrain_types) if kinds else zeros(env.num_envs, dtype=wp.int64)
-    )
-    difficult = [float(kind in DIFFICULT) for kind in kinds] or [0.0]
-    step.difficult = wp.array(difficult, dtype=float, device=device)
+    nowhere = zeros(env.num_envs, dtype=wp.int64)
+    step.tile = wp.from_torch(terrain.terrain_types) if kinds else nowhere
+    step.difficult = floats([kind in DIFFICULT for kind in kinds] or [False])
     step.origin = wp.from_torch(env.scene.env_origins, dtype=wp.vec3)
     step.length = wp.from_torch(env.episode_length_buf)
     step.begun = zeros(env.num_envs, dtype=wp.bool)
@@ -179,13 +177,11 @@ def watch(env: RenetEnv) -> Any:
     kind, soft = env.cfg.robot, env.cfg.constraints
     low, high = entity.joint_pos_limits.unbind(-1)
     middle, reach = (low + high) / 2, soft.position * (high - low) / 2
-    step.pose = limits(entity.default_joint_pos)
-    step.lowest, step.highest = limits(middle - reach), limits(middle + reach)
+    step.pose = per_joint(entity.default_joint_pos)
+    step.lowest, step.highest = per_joint(middle - reach), per_joint(middle + reach)
     motors = [kind.motor(name) for name in joints]
-    step.fastest = wp.array(
-        [soft.velocity * m.velocity for m in motors], dtype=float, device=device
-    )
-    step.strongest = wp.array([soft.torque * m.torque for m in motors], dtype=float, device=device)
+    step.fastest = floats(soft.velocity * motor.velocity for motor in motors)
+    step.strongest = floats(soft.torque * motor.torque for motor in motors)
     step.stiffness, step.damping = kind.stiffness, kind.damping
     step.standing_height = kind.map_height - kind.foot_radius
     step.longest, step.dt = env.max_episode_length, env.step_dt

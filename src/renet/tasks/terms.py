@@ -68,21 +68,19 @@ def is_in_warp(term: Callable) -> bool:
 class Launch:
     """A kernel whose arguments are packed once; its threads are robots, or their columns, too."""
 
-    def __init__(self, kernel: Any, shape: Any, inputs: Sequence[Any], device: str) -> None:
+    def __init__(
+        self, kernel: Any, shape: int | tuple[int, ...], inputs: Sequence[Any], device: str
+    ) -> None:
         """Pack arguments: numbers, structs and tensors, which must stay where they are."""
         inputs = [wp.from_torch(i) if isinstance(i, Tensor) else i for i in inputs]
         self._keep = inputs  # What is packed are addresses.
         self._device = torch.device(device)
-        self._launch = wp.launch(
-            kernel,
-            tuple(shape) if isinstance(shape, Sequence) else shape,
-            inputs,
-            device=str(device),
-            record_cmd=True,
-        )
+        self._launch = wp.launch(kernel, shape, inputs, device=str(device), record_cmd=True)
 
     def __call__(self) -> None:
         """Launch on torch's current stream."""
+        if self._launch is None:  # A table without columns.
+            return
         if self._device.type == "cpu":
             self._launch.launch()
         else:
