@@ -18,8 +18,6 @@ from renet.tasks.step import Step, joint_speed
 from renet.tasks.terms import per_robot
 from renet.vocabulary import CONSTRAINTS
 
-wp.set_module_options({"enable_backward": False})
-
 
 @dataclass
 class ConstraintCfg:

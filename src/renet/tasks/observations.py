@@ -22,8 +22,6 @@ from renet.vocabulary import FEET, PROPRIOCEPTION_SIZE
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv
 
-wp.set_module_options({"enable_backward": False})
-
 
 @fills(PROPRIOCEPTION_SIZE)
 def proprioception(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):

@@ -27,8 +27,6 @@ SMOOTHING = wp.constant(0.2)
 LIFT = wp.constant(0.12)
 """Wanted of a foot in swing, m."""
 
-wp.set_module_options({"enable_backward": False})
-
 
 def goal(env: ManagerBasedRlEnv) -> GoalCommand:
     """The task's command term."""

@@ -26,8 +26,6 @@ from renet.vocabulary import CONSTRAINTS, JOINTS, LEGS
 if TYPE_CHECKING:
     from renet.tasks.env import RenetEnv
 
-wp.set_module_options({"enable_backward": False})
-
 
 @wp.struct
 class Step:

@@ -24,8 +24,6 @@ PROGRESS = wp.constant(0.15)
 """Metres."""
 HALF_TILE = wp.constant(TILE / 2)
 
-wp.set_module_options({"enable_backward": False})
-
 
 @per_robot
 def time_out(step: Step, robot: int) -> bool:
