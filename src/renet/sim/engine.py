@@ -135,10 +135,10 @@ class NativeSimulation(Simulation):
         self._workers: list[Worker] = []
         self._calls: dict[tuple, Call] = {}
         super().__init__(*args, **kwargs)
-        self._zeroed = [getattr(self.wp_data, name).numpy() for name in RESET_TO_ZERO]
         self.neighbourhood = Neighbourhood(self.mj_model, self.mj_data, self.num_envs)
         if not self.wp_device.is_cpu:
             raise RenetError(f"the native engine runs on the CPU, not on {self.device}")
+        self._zeroed = [getattr(self.wp_data, name).numpy() for name in RESET_TO_ZERO]
         ctypes.c_void_p.in_dll(LIBRARY, "mju_user_warning").value = ctypes.cast(
             _ignore_warning, ctypes.c_void_p
         ).value

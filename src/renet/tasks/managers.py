@@ -47,7 +47,7 @@ class StackedRewards(RewardManager):
             self._weight.copy_(torch.tensor(weights))
         for term in self._by_torch:
             if weights[term]:
-                self.values[:, term] = self._evaluate(term)
+                self.values[:, term] = _evaluate(self, term)
         scale = dt if self._scale_by_dt else 1.0
         if scale not in self._pay:
             inputs = [self.values, self._weight, scale, self._step_reward, self._sums]
@@ -62,12 +62,6 @@ class StackedRewards(RewardManager):
         self._sums[ids] = 0.0
         _reset_terms(self, ids)
         return _named("Episode_Reward", self._term_names, means)
-
-    def _evaluate(self, term: int) -> Tensor:
-        cfg = self._term_cfgs[term]
-        value = cfg.func(self._env, **cfg.params)
-        self._check_term_shape(self._term_names[term], value)
-        return value
 
 
 class StackedTerminations(TerminationManager):
@@ -90,10 +84,7 @@ class StackedTerminations(TerminationManager):
     def compute(self) -> Tensor:
         """See TerminationManager.compute."""
         for term in self._by_torch:
-            cfg = self._term_cfgs[term]
-            value = cfg.func(self._env, **cfg.params)
-            self._check_term_shape(self._term_names[term], value)
-            self.values[:, term] = value
+            self.values[:, term] = _evaluate(self, term)
         self._conclude()
         return self._done
 
@@ -156,6 +147,14 @@ class DeviceCurriculum(CurriculumManager):
 def _by_torch(manager: Any) -> list[int]:
     """Numbers of the terms that are not written in Warp."""
     return [i for i, term in enumerate(manager._term_cfgs) if not is_in_warp(term.func)]
+
+
+def _evaluate(manager: Any, term: int) -> Tensor:
+    """A term by torch, [N]."""
+    cfg = manager._term_cfgs[term]
+    value = cfg.func(manager._env, **cfg.params)
+    manager._check_term_shape(manager._term_names[term], value)
+    return value
 
 
 def _reset_terms(manager: Any, ids: Tensor | slice) -> None:

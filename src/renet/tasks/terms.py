@@ -72,6 +72,7 @@ class Launch:
         self, kernel: Any, shape: int | tuple[int, ...], inputs: Sequence[Any], device: str
     ) -> None:
         """Pack arguments: numbers, structs and tensors, which must stay where they are."""
+        wp.init()  # `from_torch` does not.
         inputs = [wp.from_torch(i) if isinstance(i, Tensor) else i for i in inputs]
         self._keep = inputs  # What is packed are addresses.
         self._device = torch.device(device)
