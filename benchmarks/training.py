@@ -14,6 +14,7 @@ from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass, field
 from io import StringIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
@@ -48,6 +49,8 @@ class Cfg:
     """cpu or cuda:N."""
     engine: str = "auto"
     """auto, native or warp."""
+    resume: Path | None = None
+    """Checkpoint to go on from: robots that walk are reset less often than untrained ones."""
     iterations: int = 6
     """Iterations measured, after one that warms up."""
     stock: bool = True
@@ -109,11 +112,14 @@ def operations(env: RenetEnv) -> dict[str, float]:
     }
 
 
-def profile(cfg: Cfg) -> dict[str, Any]:
+def profile(cfg: Cfg, folder: str) -> dict[str, Any]:
     with redirect_stdout(StringIO()):
         env = make_env(cfg.task, cfg.num_envs, cfg.device, engine=cfg.engine)
         vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
-        runner = RenetRunner(vec_env, asdict(cfg.learning), None, cfg.device)
+        runner = RenetRunner(vec_env, asdict(cfg.learning), folder, cfg.device)
+    runner.open_log()
+    if cfg.resume:
+        runner.load(str(cfg.resume))
     watch = Stopwatch(cfg.device)
     for owner, method, part in (
         (env.sim, "step", "physics"),
@@ -124,6 +130,8 @@ def profile(cfg: Cfg) -> dict[str, Any]:
         (vec_env, "step", "environment"),
         (runner.alg, "act", "inference"),
         (runner.alg, "process_env_step", "storage"),
+        (runner.logger, "process_env_step", "log"),
+        (runner.logger, "log", "log"),
         (runner.alg, "compute_returns", "values"),
         (runner.alg.np3o, "update", "update: N-P3O"),
         (runner.alg.supervision, "update", "update: supervision"),
@@ -217,7 +225,8 @@ def peak_memory(device: str) -> int:
 
 
 def main(cfg: Cfg) -> None:
-    results = profile(cfg)
+    with TemporaryDirectory() as folder:  # Curves are written, as in training.
+        results = profile(cfg, folder)
     results["peak_memory_bytes"] = peak_memory(cfg.device)
     for name, share in results["profile"].items():
         print(f"  {name:<22} {share:6.1%}")

@@ -81,7 +81,7 @@ def test_equals_the_training_side_over_20_seconds_with_switching(bundle, network
         memory.push(torch.tensor(observation))
         if step % 5 == 0:
             memory.see(torch.tensor(shown.image[None]).half())
-            memory.tick(networks)
+            memory.tick(networks.advance)
         with torch.no_grad():
             mask = torch.tensor([not decision.vision])
             latent = fuse(memory.latent_op, memory.latent_vp, mask)

@@ -55,7 +55,7 @@ def test_the_shipped_checkpoint_acts_alike_in_torch_and_on_the_robot(tmp_path):
         memory.push(torch.tensor(observation))
         if walked % 5 == 0:
             memory.see(torch.tensor(shown.image[None]).half())
-            memory.tick(networks)
+            memory.tick(networks.advance)
         with torch.no_grad():
             latent = fuse(memory.latent_op, memory.latent_vp, torch.tensor([not decision.vision]))
             action = networks.actor(torch.tensor(observation), latent)[0].numpy()

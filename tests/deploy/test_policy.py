@@ -31,7 +31,7 @@ def test_equals_the_training_side_over_20_seconds_with_switching_and_resets(poli
         memory.push(torch.tensor(observation))
         if step % 5 == 0:
             memory.see(torch.tensor(image))
-            memory.tick(networks)
+            memory.tick(networks.advance)
         with torch.no_grad():
             latent = fuse(memory.latent_op, memory.latent_vp, torch.tensor(use_op))
             expected = networks.actor(torch.tensor(observation), latent)

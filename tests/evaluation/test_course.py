@@ -17,7 +17,7 @@ from renet.evaluation.course_world import CourseWorld, PlaceInjector, time_limit
 from renet.evaluation.faults import Frames
 from renet.evaluation.world import SimWorld, study_env_cfg
 from renet.sim.raycast import scanner
-from renet.tasks.rewards import goal
+from renet.tasks.commands import goal
 from renet.tiles import TILE
 
 from .fakes import FakeLab

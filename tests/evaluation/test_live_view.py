@@ -17,8 +17,8 @@ from renet.evaluation.lab import Lab
 from renet.evaluation.live import Session
 from renet.evaluation.live_view import LiveViewer, serve, watch
 from renet.evaluation.play import ground
+from renet.tasks.commands import goal
 from renet.tasks.go1 import GO1
-from renet.tasks.rewards import goal
 
 HOST = "127.0.0.1"
 

@@ -75,7 +75,7 @@ def test_memory_fills_on_the_first_observation_and_forgets_on_reset(model):
     image = torch.rand(2, 48, 64)
     memory.see(image)
     assert torch.equal(memory.frames[:, 0], memory.frames[:, 1])
-    memory.tick(model)
+    memory.tick(model.advance)
     assert memory.latent_op.abs().sum() > 0
     memory.reset(torch.tensor([True, False]))
     assert memory.latent_op[0].abs().sum() == 0

@@ -122,9 +122,9 @@ def test_a_standing_robot_costs_nothing_and_a_lying_one_collides(flat):
     assert (extras["costs"] == 0.0).all()
     assert (rewards.collision(flat) == 0.0).all()
     assert observations.feet_contact(flat).all()
-    flat.sim.data.qpos[0, 2] = 0.1
-    flat.sim.data.qpos[0, 3:7] = torch.tensor([0.0, 1.0, 0.0, 0.0])
-    for _ in range(10):  # On its back before the environment would reset it.
+    flat.sim.data.qpos[0, 2] = 0.15
+    flat.sim.data.qpos[0, 3:7] = torch.tensor([0.7071, 0.7071, 0.0, 0.0])
+    for _ in range(10):  # On its side before the environment would reset it.
         flat.sim.step()
     flat.scene.update(0.2)
     flat.judge()
@@ -162,7 +162,7 @@ def test_a_fixed_goal_is_kept():
     from renet.tasks import env_cfg
 
     cfg = env_cfg("Renet-Go1-Flat", play=True)
-    cfg.commands["goal"].fixed = (0.6, None)
+    cfg.commands["goal"].fixed_speed = 0.6
     env = build(cfg, 8)
     env.reset()
     goal = env.command_manager.get_term("goal")

@@ -45,7 +45,7 @@ def test_sequence_matches_pytorch(fields):
         mask = torch.tensor([1.0, 0.0, float(tick % 2)])
         memory.push(observation)
         memory.see(image)
-        memory.tick(model)
+        memory.tick(model.advance)
         inputs = {
             "proprioception_history": memory.history.numpy(),
             "depth": memory.frames.float().numpy(),

@@ -12,7 +12,7 @@ from renet.evaluation.course_track import AHEAD, FAULTS_HERE
 from renet.evaluation.faults import FAULTS, Frames, Injector, fault_class
 from renet.evaluation.rollout import Readings
 from renet.evaluation.world import SimWorld
-from renet.tasks.rewards import goal
+from renet.tasks.commands import goal
 from renet.tiles import TILE
 from renet.vocabulary import CONTROL_DT
 

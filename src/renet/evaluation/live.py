@@ -14,9 +14,8 @@ from renet.evaluation.faults import Frames, Injection, Injector
 from renet.evaluation.lab import Lab
 from renet.evaluation.rollout import UPDATES_PER_STEP, Readings, seen
 from renet.evaluation.world import SimWorld
-from renet.tasks.commands import GoalCommandCfg
+from renet.tasks.commands import GoalCommandCfg, goal
 from renet.tasks.env import RenetEnv, RenetEnvCfg
-from renet.tasks.rewards import goal
 from renet.tasks.sensors import HEIGHT_MAP
 from renet.vocabulary import STEPS_PER_TICK
 
@@ -96,7 +95,7 @@ class Session:
         """Command `speed` m/s, and a goal yaw `turn` rad to the left of the present one."""
         command = goal(self.env)
         assert isinstance(command.cfg, GoalCommandCfg)
-        command.cfg.fixed = (speed, None)
+        command.cfg.fixed_speed = speed
         command.speed[:] = speed
         command.yaw += turn
 

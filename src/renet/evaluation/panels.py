@@ -36,7 +36,7 @@ class VisionPanels:
             self.trust = _curve(gui, "vision probability P_t", ("P_t", "switch"), (-0.05, 1.05))
         with gui.add_folder("Drive"):
             self.mode = gui.add_dropdown("estimator", MODES)
-            speed = session.cfg.commands["goal"].fixed[0]  # type: ignore[attr-defined]
+            speed = session.cfg.commands["goal"].fixed_speed  # type: ignore[attr-defined]
             self.speed = gui.add_slider("m/s", 0.0, 1.0, 0.05, initial_value=speed)
             self.turn = gui.add_button_group("turn", ("left", "right"))
         with gui.add_folder("Break the camera"):

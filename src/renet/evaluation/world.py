@@ -16,8 +16,8 @@ from renet.evaluation.faults import View
 from renet.evaluation.rollout import Readings
 from renet.sim.depth_camera import DepthCamera
 from renet.tasks import RenetEnv, RenetEnvCfg, env_cfg, make_env
-from renet.tasks.commands import COMMAND, GoalCommandCfg
-from renet.tasks.rewards import collision, goal
+from renet.tasks.commands import COMMAND, GoalCommandCfg, goal
+from renet.tasks.rewards import collision
 from renet.tasks.sensors import DEPTH_CAMERA
 
 FLAT = "flat"
@@ -36,7 +36,7 @@ def study_env_cfg(task: str | RenetEnvCfg, speed: float) -> RenetEnvCfg:
     cfg = env_cfg(task, play=True) if isinstance(task, str) else task
     command = cfg.commands[COMMAND]
     assert isinstance(command, GoalCommandCfg)
-    command.fixed = (speed, None)
+    command.fixed_speed = speed
     command.resampling_time_range = (NEVER, NEVER)
     cfg.terminations.pop("time_out", None)
     return cfg

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
 from renet.models.config import ModelCfg
-from renet.models.renet import RENet
 from renet.vocabulary import DEPTH_SHAPE, FRAMES, LATENT, PROPRIOCEPTION_SIZE
 
 
@@ -52,9 +53,8 @@ class EstimatorMemory:
         self.frames = torch.stack((depth, previous), dim=1)
 
     @torch.no_grad()
-    def tick(self, model: RENet) -> None:
-        """Advance both estimators by one 10 Hz step."""
-        depth = self.frames.to(self.history.dtype)
-        self.latent_op = model.op(self.history, depth, self.latent_op)
-        self.latent_vp = model.vp(self.history, depth, self.latent_vp)
+    def tick(self, advance: Callable[..., Tensor]) -> None:
+        """Advance both estimators by one 10 Hz step, by `RENet.advance`."""
+        latents = advance(self.history, self.frames, self.latent_op, self.latent_vp)
+        self.latent_op, self.latent_vp = latents[:, :LATENT], latents[:, LATENT:]
         self.fresh.zero_()

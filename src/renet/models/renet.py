@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import torch
 from rsl_rl.modules import EmpiricalNormalization
-from torch import nn
+from torch import Tensor, nn
 
 from renet.models.actor_critic import Actor, Critics
 from renet.models.autoencoder import DepthAutoencoder
@@ -26,6 +27,14 @@ class RENet(nn.Module):
         self.actor = Actor(cfg)
         self.critics = Critics(cfg, critic_size)
         self.critic_normalizer = EmpiricalNormalization(critic_size)
+
+    def advance(
+        self, history: Tensor, depth: Tensor, latent_op: Tensor, latent_vp: Tensor
+    ) -> Tensor:
+        """One 10 Hz tick of both estimators: see Estimator.forward. [B, 128], OP's 64 first."""
+        depth = depth.to(history.dtype)
+        next_op = self.op(history, depth, latent_op)
+        return torch.cat((next_op, self.vp(history, depth, latent_vp)), dim=-1)
 
     def supervised_parameters(self) -> list[nn.Parameter]:
         """Parameters trained by supervision: estimators, HIM, autoencoder."""

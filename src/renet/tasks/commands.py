@@ -1,22 +1,26 @@
 """The goal: a forward speed c_x and a world yaw c_yaw, sampled at random (RENet, Method C)."""
 
+# Warp compiles annotations and arithmetic that pyright takes for Python's.
+# pyright: reportGeneralTypeIssues=false, reportInvalidTypeForm=false, reportArgumentType=false
+
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
+import warp as wp
 from mjlab.entity import Entity
 from mjlab.managers.command_manager import CommandTerm, CommandTermCfg
 from mjlab.utils.lab_api.math import wrap_to_pi
 from torch import Tensor
 
+from renet.tasks.step import COMMAND, Step, heading
+from renet.tasks.terms import Launch
+
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv
-
-COMMAND = "goal"
-"""Name of the command term in every RENet task."""
 
 
 @dataclass(kw_only=True)
@@ -39,16 +43,29 @@ class GoalCommandCfg(CommandTermCfg):
     """|c_yaw - yaw| at an episode's start is uniform up to this, rad."""
     later_turn: float = math.pi / 3
     """Largest change of c_yaw when a goal is redrawn, rad: a robot on a tile keeps leaving it."""
-    fixed: tuple[float, float | None] | None = None
-    """(c_x, c_yaw) for evaluation; c_yaw None keeps each robot's starting yaw."""
+    fixed_speed: float | None = None
+    """c_x for evaluation, m/s; c_yaw then stays each robot's starting yaw."""
 
     def build(self, env: ManagerBasedRlEnv) -> GoalCommand:
         """Instantiate the term."""
         return GoalCommand(self, env)
 
+    def ranges(self, stage: int) -> tuple[float, float, float, float, float, float]:
+        """What `pursue` draws from at a stage: see there."""
+        if self.fixed_speed is not None:
+            return (self.fixed_speed, self.fixed_speed, 0.0, 0.0, 0.0, 0.0)
+        if stage == 0:
+            return (*self.speed, 0.0, 0.0, self.first_turn, self.later_turn)
+        standing = (self.standing_share, self.slowest)
+        return (*self.later_speed, *standing, self.first_turn, self.later_turn)
+
 
 class GoalCommand(CommandTerm):
-    """Holds c_x and c_yaw; `command` is (c_x, sin, cos of the heading error), [N, 3]."""
+    """Holds c_x and c_yaw; `command` is (c_x, sin, cos of the heading error), [N, 3].
+
+    All robots' goals are drawn by one kernel, without asking the device whose time is up. Those of
+    robots that begin an episode are drawn by the `compute` after it, where their yaw is known.
+    """
 
     cfg: GoalCommandCfg
 
@@ -64,17 +81,31 @@ class GoalCommand(CommandTerm):
         self.asked = torch.zeros(self.num_envs, device=self.device)
         """Metres a robot should have walked in its episode so far: the integral of c_x, [N]."""
         self._command = torch.zeros(self.num_envs, 3, device=self.device)
+        self._draws = torch.zeros(self.num_envs, 4, device=self.device)
+        self._ranges: tuple[float, ...] = ()
+        self._range = torch.zeros(8, device=self.device)
+        self._pursue: dict[float, Launch] = {}
 
     def reset(self, env_ids: Tensor | slice | None) -> dict[str, float]:
-        """See CommandTerm.reset."""
-        self.asked[slice(None) if env_ids is None else env_ids] = 0.0
-        return super().reset(env_ids)
+        """Leave these robots without a goal."""
+        ids = slice(None) if env_ids is None else env_ids
+        self.asked[ids] = self.time_left[ids] = 0.0
+        return {}
 
     def compute(self, dt: float | Tensor, env_ids: Tensor | None = None) -> None:
-        """See CommandTerm.compute."""
-        if env_ids is None:
-            self.asked += self.speed * dt
-        super().compute(dt, env_ids)
+        """See CommandTerm.compute: zero in a tensor `dt` belongs to robots that begin."""
+        del env_ids
+        seconds = self._env.step_dt if isinstance(dt, Tensor) else dt
+        ranges = (*self.cfg.ranges(self.stage), *self.cfg.resampling_time_range)
+        if ranges != self._ranges:
+            self._ranges = ranges
+            self._range.copy_(torch.tensor(ranges))
+        if seconds not in self._pursue:
+            watched: Any = self._env.watched  # type: ignore[attr-defined]
+            inputs = [watched, seconds, self._range, self._draws, self.time_left, self.asked]
+            self._pursue[seconds] = Launch(pursue, self.num_envs, inputs, self.device)
+        self._draws.uniform_()
+        self._pursue[seconds]()
 
     @property
     def command(self) -> Tensor:
@@ -91,43 +122,56 @@ class GoalCommand(CommandTerm):
         """n_yaw = (cos c_yaw, sin c_yaw), [N, 2] (RENet eq. 6)."""
         return torch.stack((self.yaw.cos(), self.yaw.sin()), dim=-1)
 
-    def _update_metrics(self) -> None:
-        pass
+    # mjlab's steps of `compute`, which `pursue` takes.
 
-    def _resample_command(self, env_ids: Tensor) -> None:
-        count = len(env_ids)
-        first = self.command_counter[env_ids] == 0
-        if self.cfg.fixed is not None:
-            speed, yaw = self.cfg.fixed
-            self.speed[env_ids] = speed
-            start = (
-                self._spawn_yaw(env_ids) if yaw is None else torch.full_like(self.yaw[env_ids], yaw)
-            )
-            self.yaw[env_ids] = torch.where(first, start, self.yaw[env_ids])
-            return
-        self.speed[env_ids] = self._draw_speed(count)
-        origin = torch.where(first, self._spawn_yaw(env_ids), self.yaw[env_ids])
-        reach = torch.where(first, self.cfg.first_turn, self.cfg.later_turn)
-        self.yaw[env_ids] = wrap_to_pi(origin + reach * self._uniform(count, -1.0, 1.0))
+    def _update_metrics(self) -> None: ...
 
-    def _draw_speed(self, count: int) -> Tensor:
-        """c_x of new goals at the current stage, [count] m/s."""
-        if self.stage == 0:
-            return self._uniform(count, *self.cfg.speed)
-        speed = self._uniform(count, *self.cfg.later_speed)
-        standing = self._uniform(count, 0.0, 1.0) < self.cfg.standing_share
-        return torch.where(standing | (speed < self.cfg.slowest), 0.0, speed)
+    def _resample_command(self, env_ids: Tensor) -> None: ...
 
-    def _uniform(self, count: int, low: float, high: float) -> Tensor:
-        return torch.empty(count, device=self.device).uniform_(low, high)
+    def _update_command(self, env_ids: Tensor | None) -> None: ...
 
-    def _spawn_yaw(self, env_ids: Tensor) -> Tensor:
-        """Yaw in the state just written: derived poses still show the last episode's end."""
-        address = self.robot.indexing.free_joint_q_adr
-        w, x, y, z = self.robot.data.data.qpos[env_ids][:, address[3:7]].unbind(-1)
-        return torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
-    def _update_command(self, env_ids: Tensor | None) -> None:
-        del env_ids  # The error follows from the current heading everywhere.
-        error = self.yaw - self.robot.data.heading_w  # Sine and cosine need no wrapping.
-        torch.stack((self.speed, error.sin(), error.cos()), dim=-1, out=self._command)
+def goal(env: ManagerBasedRlEnv) -> GoalCommand:
+    """The task's command term."""
+    return env.command_manager.get_term(COMMAND)  # type: ignore[return-value]
+
+
+@wp.kernel(enable_backward=False)
+def pursue(
+    step: Step,
+    seconds: float,
+    ranges: wp.array(dtype=float),
+    draws: wp.array2d(dtype=float),
+    time_left: wp.array(dtype=float),
+    asked: wp.array(dtype=float),
+):
+    """Let time pass, draw goals where it is up, and tell all robots how far they are from theirs.
+
+    Args:
+        ranges: slowest and fastest c_x, m/s; share of goals that ask for standing; c_x below which
+            they do, too; largest turn at an episode's start and later, rad; seconds between goals.
+        draws: [N, 4] from [0, 1).
+        time_left: [N] s, zero where an episode begins.
+        asked: [N] m.
+    """
+    robot = wp.tid()
+    now = heading(step, robot)
+    origin = step.yaw[robot]
+    turn = ranges[5]
+    if time_left[robot] <= 0.0:
+        origin = now
+        turn = ranges[4]
+    else:
+        asked[robot] = asked[robot] + step.speed[robot] * seconds
+        time_left[robot] = time_left[robot] - seconds
+    if time_left[robot] <= 0.0:
+        speed = ranges[0] + (ranges[1] - ranges[0]) * draws[robot, 0]
+        stands = draws[robot, 1] < ranges[2] or speed < ranges[3]
+        step.speed[robot] = wp.where(stands, 0.0, speed)
+        aim = origin + turn * (2.0 * draws[robot, 2] - 1.0)
+        step.yaw[robot] = wp.atan2(wp.sin(aim), wp.cos(aim))
+        time_left[robot] = ranges[6] + (ranges[7] - ranges[6]) * draws[robot, 3]
+    error = step.yaw[robot] - now
+    step.command[robot, 0] = step.speed[robot]
+    step.command[robot, 1] = wp.sin(error)
+    step.command[robot, 2] = wp.cos(error)

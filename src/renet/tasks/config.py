@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import mujoco
-from mjlab.envs import mdp
 from mjlab.envs.mdp import dr
 from mjlab.managers.curriculum_manager import CurriculumTermCfg
 from mjlab.managers.event_manager import EventTermCfg
@@ -25,7 +24,7 @@ from renet.tasks.actions import JointTargetCfg
 from renet.tasks.commands import COMMAND, GoalCommandCfg
 from renet.tasks.constraints import VIOLATED
 from renet.tasks.env import RenetEnvCfg
-from renet.tasks.events import spawn
+from renet.tasks.events import Push, spawn
 from renet.tasks.go1 import GO1
 from renet.tasks.robot import FEET, TRUNK, Robot
 from renet.tasks.sensors import FEET_HEIGHT, HEIGHT_MAP, contact_sensors, terrain_sensors
@@ -221,12 +220,7 @@ def _events() -> dict[str, EventTermCfg]:
                 "joint_offset": 0.1,
             },
         ),
-        "push": EventTermCfg(
-            func=mdp.push_by_setting_velocity,
-            mode="interval",
-            interval_range_s=(6.0, 10.0),
-            params={"velocity_range": {"x": (-0.5, 0.5), "y": (-0.5, 0.5)}},
-        ),
+        "push": EventTermCfg(func=Push, mode="step", params={"speed": 0.5, "every": (6.0, 10.0)}),
         "foot_friction": EventTermCfg(
             func=dr.geom_friction,
             mode="startup",

@@ -9,7 +9,7 @@ import warp as wp
 from torch import Tensor
 from torch.nn.functional import one_hot
 
-from renet.tasks.rewards import goal
+from renet.tasks.commands import goal
 from renet.tasks.step import Step
 from renet.tasks.terminations import HALF_TILE, from_middle
 from renet.tasks.terms import Launch

@@ -18,6 +18,7 @@ from torch import Tensor
 from renet.errors import RenetError
 from renet.sim.engine import use_engine
 from renet.sim.threads import one_torch_thread
+from renet.tasks.commands import goal
 from renet.tasks.constraints import ConstraintCfg
 from renet.tasks.env_data import FloatingBase
 from renet.tasks.go1 import GO1
@@ -29,7 +30,6 @@ from renet.tasks.managers import (
     StackedTerminations,
 )
 from renet.tasks.observing import StackedObservations
-from renet.tasks.rewards import goal
 from renet.tasks.robot import Robot
 from renet.tasks.step import watch
 

@@ -1,14 +1,24 @@
-"""How episodes begin."""
+"""How episodes begin, and what happens in them."""
+
+# Warp compiles annotations and arithmetic that pyright takes for Python's.
+# pyright: reportGeneralTypeIssues=false, reportInvalidTypeForm=false
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import torch
+import warp as wp
 from torch import Tensor
+
+from renet.tasks.step import Step
+from renet.tasks.terms import Launch
 
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv
+    from mjlab.managers.event_manager import EventTermCfg
+
+    from renet.tasks.env import RenetEnv
 
 
 def spawn(
@@ -39,3 +49,52 @@ def spawn(
     low, high = data.soft_joint_pos_limits[env_ids].unbind(-1)
     joints = pose + draw(-joint_offset, joint_offset, pose.shape[-1])
     robot.write_joint_position_to_sim(joints.clamp(low, high), env_ids=env_ids)
+
+
+class Push:
+    """Bases are given another horizontal velocity now and then, each at its own time."""
+
+    def __init__(self, cfg: EventTermCfg, env: RenetEnv) -> None:
+        """Parameters: `speed`, at most so much is added along x and y, m/s; `every`, s."""
+        del cfg
+        self._left = torch.zeros(env.num_envs, device=env.device)
+        self._draws = torch.zeros(env.num_envs, 3, device=env.device)
+        self._push: Launch | None = None
+
+    def reset(self, env_ids: Tensor | None = None) -> None:
+        """These robots begin a new episode: their time is drawn anew."""
+        self._left[slice(None) if env_ids is None else env_ids] = 0.0
+
+    def __call__(self, env: RenetEnv, env_ids: None, speed: float, every: tuple) -> None:
+        """Push those whose time is up."""
+        if self._push is None:
+            inputs = [env.watched, self._draws, speed, *every, self._left]
+            self._push = Launch(push, env.num_envs, inputs, env.device)
+        self._draws.uniform_()
+        self._push()
+
+
+@wp.kernel(enable_backward=False)
+def push(
+    step: Step,
+    draws: wp.array2d(dtype=float),
+    speed: float,
+    soonest: float,
+    latest: float,
+    left: wp.array(dtype=float),
+):
+    """Add up to `speed` to the base's velocity along x and y where the time `left` [N] is up.
+
+    Where it is zero an episode begins, with another time and without a push.
+    """
+    robot = wp.tid()
+    begins = left[robot] <= 0.0
+    left[robot] = left[robot] - step.dt
+    if left[robot] > 0.0:
+        return
+    left[robot] = soonest + (latest - soonest) * draws[robot, 2]
+    if not begins:
+        for axis in range(2):
+            column = step.base_velocity + axis
+            by = speed * (2.0 * draws[robot, axis] - 1.0)
+            step.qvel[robot, column] = step.qvel[robot, column] + by

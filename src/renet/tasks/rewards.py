@@ -9,16 +9,10 @@ World-frame quantities use the horizontal plane: <v, n_yaw> has no vertical part
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import warp as wp
 
-from renet.tasks.commands import COMMAND, GoalCommand
-from renet.tasks.step import Step, horizontal, joint_speed, offset, touches, world_velocity
+from renet.tasks.step import Step, heading, horizontal, joint_speed, offset, touches, world_velocity
 from renet.tasks.terms import per_robot
-
-if TYPE_CHECKING:
-    from mjlab.envs import ManagerBasedRlEnv
 
 CONTACT_FORCE = wp.constant(0.1)
 """N above which a touch is a collision (Extreme Parkour)."""
@@ -26,11 +20,6 @@ SMOOTHING = wp.constant(0.2)
 """Time constant of joint velocities by which standing is judged, s."""
 LIFT = wp.constant(0.12)
 """Wanted of a foot in swing, m."""
-
-
-def goal(env: ManagerBasedRlEnv) -> GoalCommand:
-    """The task's command term."""
-    return env.command_manager.get_term(COMMAND)  # type: ignore[return-value]
 
 
 @per_robot
@@ -50,8 +39,7 @@ def linear_velocity(step: Step, robot: int) -> float:
 @per_robot
 def yaw(step: Step, robot: int) -> float:
     """exp(-|c_yaw - yaw|): angular tracking in Extreme Parkour's form."""
-    turned = step.rotation[robot, step.base]
-    error = step.yaw[robot] - wp.atan2(turned[1, 0], turned[0, 0])
+    error = step.yaw[robot] - heading(step, robot)
     return wp.exp(-wp.abs(wp.atan2(wp.sin(error), wp.cos(error))))
 
 

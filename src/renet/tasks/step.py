@@ -18,13 +18,15 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from renet.tasks.commands import COMMAND
 from renet.tasks.sensors import CALF_CONTACT, FEET_CONTACT, THIGH_TRUNK_CONTACT
 from renet.tasks.terrains import DIFFICULT
 from renet.vocabulary import CONSTRAINTS, JOINTS, LEGS
 
 if TYPE_CHECKING:
     from renet.tasks.env import RenetEnv
+
+COMMAND = "goal"
+"""Name of the command term in every RENet task."""
 
 
 @wp.struct
@@ -211,6 +213,13 @@ def world_velocity(step: Step, robot: int) -> wp.vec3:
     return wp.vec3(
         step.qvel[robot, first], step.qvel[robot, first + 1], step.qvel[robot, first + 2]
     )
+
+
+@wp.func
+def heading(step: Step, robot: int) -> float:
+    """Yaw of the base's forward axis, rad."""
+    turned = step.rotation[robot, step.base]
+    return wp.atan2(turned[1, 0], turned[0, 0])
 
 
 @wp.func

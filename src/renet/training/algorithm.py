@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from functools import partial
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import torch
 from rsl_rl.env import VecEnv
@@ -72,9 +71,6 @@ class RenetAlgorithm:
         dtype = learning_type(precision, device)
         self.np3o = NP3O(model.actor, model.critics, np3o, dtype)
         self.supervision = Supervision(model, supervision, dtype)
-        self._acting = cast(
-            RENet, SimpleNamespace(op=self.model.op, vp=partial(in_halves, self.model.vp))
-        )
         self.memory = EstimatorMemory(model.cfg, num_envs, device)
         self.iteration = 0
         self._steps = Recorder()
@@ -151,7 +147,7 @@ class RenetAlgorithm:
         memory = self.memory
         fresh = memory.fresh.clone()
         memory.see(obs["depth"])
-        memory.tick(self._acting)
+        memory.tick(partial(in_halves, self.model.advance))
         self._ticks.begin(
             history=memory.history,
             frames=memory.frames,
@@ -219,6 +215,16 @@ class RenetAlgorithm:
         self._initial_latents = (self.memory.latent_op, self.memory.latent_vp)
         self.iteration += 1
         return losses
+
+    def not_finite(self, obs: TensorDict) -> list[str]:
+        """Names of what the environment reported in the last rollout and is no number."""
+        rollout = self._rollout
+        sizes = [obs[group].shape[-1] for group in CRITIC_GROUPS]
+        columns = rollout.critic_observation.split(sizes, dim=-1)
+        names, values = ("proprioception", *CRITIC_GROUPS), (rollout.proprioception, *columns)
+        broken = [n for n, v in zip(names, values, strict=True) if not v.isfinite().all()]
+        # Pay-offs hold critics' values, too.
+        return broken or ([] if rollout.payoff.isfinite().all() else ["rewards or costs"])
 
     # What rsl_rl's runner and logger ask for.
 

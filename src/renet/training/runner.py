@@ -15,7 +15,6 @@ import torch.distributed as dist
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rsl_rl.env import VecEnv
 from rsl_rl.runners import OnPolicyRunner
-from rsl_rl.utils import check_nan
 from torch import Tensor
 
 from renet.errors import RenetError
@@ -23,6 +22,8 @@ from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import RenetAlgorithm
 from renet.training.checkpoint import Checkpoint
 from renet.training.config import steps_per_env
+from renet.training.episode_log import EpisodeLog
+from renet.training.heap import keep_freed_memory
 from renet.training.metrics import MetricsWriter
 
 CHECKPOINTS = "checkpoints"
@@ -40,6 +41,8 @@ class RenetRunner(OnPolicyRunner):
         log_dir: str | None = None,
         device: str = "cpu",
     ) -> None:
+        if not device.startswith("cuda"):
+            keep_freed_memory()
         steps = steps_per_env(train_cfg["num_steps_per_env"], env.num_envs)
         train_cfg["num_steps_per_env"] = steps
         # Keys rsl_rl reads unconditionally; constructing the algorithm consumes the class name.
@@ -49,6 +52,16 @@ class RenetRunner(OnPolicyRunner):
             "rnd_cfg": None,
         }
         super().__init__(env, train_cfg, log_dir, device)
+        self.logger = EpisodeLog(
+            log_dir=log_dir,
+            cfg=self.cfg,
+            env_cfg=env.cfg,
+            num_envs=env.num_envs,
+            is_distributed=self.is_distributed,
+            gpu_world_size=self.gpu_world_size,
+            gpu_global_rank=self.gpu_global_rank,
+            device=self.device,
+        )
         self.logger.git_status_repos = []
         self.folder = Path(log_dir) / CHECKPOINTS if log_dir else None
 
@@ -89,9 +102,7 @@ class RenetRunner(OnPolicyRunner):
         obs = self.env.get_observations().to(self.device)
         self.alg.train_mode()
         self.alg.broadcast_parameters()
-        self.cfg["logger"] = {"class_name": "renet.training.metrics:MetricsWriter"}  # Consumed.
-        with contextlib.redirect_stdout(io.StringIO()):
-            self.logger.init_logging_writer()
+        self.open_log()
         first = self.alg.iteration
         last = first + num_learning_iterations
         longest = told = 0.0
@@ -118,6 +129,12 @@ class RenetRunner(OnPolicyRunner):
         self.save()
         self.logger.stop_logging_writer()
 
+    def open_log(self) -> None:
+        """Begin to write curves, if there is a folder for them."""
+        self.cfg["logger"] = {"class_name": "renet.training.metrics:MetricsWriter"}  # Consumed.
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.logger.init_logging_writer()
+
     def _iterate(self, obs: Any, first: int, last: int) -> Any:
         """One rollout and one update, logged."""
         iteration = self.alg.iteration
@@ -125,8 +142,6 @@ class RenetRunner(OnPolicyRunner):
         for _ in range(self.cfg["num_steps_per_env"]):
             actions = self.alg.act(obs)
             obs, rewards, dones, extras = self.env.step(actions.to(self.env.device))
-            if self.cfg.get("check_for_nan", True):
-                _check_nan(obs, rewards, dones)
             obs, rewards = obs.to(self.device), rewards.to(self.device)
             dones = dones.to(self.device)
             self.alg.process_env_step(obs, rewards, dones, extras)
@@ -134,7 +149,7 @@ class RenetRunner(OnPolicyRunner):
         collected = time.monotonic()
         self.alg.compute_returns(obs)
         losses = self.alg.update()
-        self._check_learning(losses)
+        self._check_learning(losses, obs)
         self.current_learning_iteration = self.alg.iteration
         # rsl_rl's logger prints a page per iteration; the progress bar says it in a line.
         with contextlib.redirect_stdout(io.StringIO()):
@@ -153,12 +168,22 @@ class RenetRunner(OnPolicyRunner):
             self.logger.writer.flush()
         return obs
 
-    def _check_learning(self, losses: dict[str, float]) -> None:
-        """Stop before a policy that is no longer one is saved; raises RenetError."""
+    def _check_learning(self, losses: dict[str, float], obs: Any) -> None:
+        """Stop before a policy that is no longer one is saved; raises RenetError.
+
+        What is not finite in a rollout shows in the losses, so that nobody looks at each step.
+        """
         bad = [name for name, loss in losses.items() if not np.isfinite(loss)]
         if not self.alg.action_std.isfinite().all():
             bad.append("action noise")
         if self._agree(bool(bad)):
+            broken = self.alg.not_finite(obs)
+            if broken:
+                raise RenetError(
+                    f"the task's {', '.join(broken)} became NaN or infinite in iteration "
+                    f"{self.alg.iteration}. Nothing of it was saved: mend the task, go on with "
+                    "--resume"
+                )
             raise RenetError(
                 f"learning diverged in iteration {self.alg.iteration}: "
                 f"{', '.join(bad) or 'a loss'} is not finite. Nothing of it was saved: go on with "
@@ -264,16 +289,6 @@ class RenetRunner(OnPolicyRunner):
         if tensors and hasattr(env, "load_curriculum_state"):
             env.load_curriculum_state(tensors)
             self.env.reset()
-
-
-def _check_nan(obs: Any, rewards: Tensor, dones: Tensor) -> None:
-    """rsl_rl's check, only where one look says that it will find something.
-
-    Depth, which is most of what there is to look at, comes from a camera that delivers no NaN.
-    """
-    small = [value.flatten(1) for name, value in obs.items() if name != "depth"]
-    if not torch.cat((*small, rewards.unsqueeze(-1)), dim=-1).sum().isfinite():
-        check_nan(obs, rewards, dones)
 
 
 def _numpy_state() -> list:
