@@ -81,7 +81,7 @@ def test_goals_change_after_their_time_and_turn_no_further_than_they_may(walkers
     walkers.step(STILL)
     assert (goal.speed != speed).all()
     turned = (goal.yaw - yaw + math.pi) % (2 * math.pi) - math.pi
-    assert 0.2 < turned.abs().max() <= 0.3
+    assert 0.2 < turned.abs().max() <= 0.3001
     goal.cfg.later_turn = math.pi
 
 
