@@ -100,6 +100,8 @@ def test_a_control_step_waits_for_a_gpu_only_where_mjlab_does(parkour):
             parkour.step(torch.zeros(12, 12))
         # Whom to reset.
         assert watch.found == STEPS_PER_TICK * ["nonzero"]
+        parkour._reset_idx(torch.arange(3))
+        assert watch.found == STEPS_PER_TICK * ["nonzero"], "a reset waits for nothing"
         torch.ones(2)[[0]]
     assert watch.found[-1] == "lift_fresh"
 

@@ -17,7 +17,7 @@ def pushed():
     """Robots on a plane, and their pushes: every 0.1 to 0.2 s, up to 0.5 m/s."""
     env = build("Renet-Go1-Flat", 64)
     env.reset()
-    term = next(cfg for cfg in env.event_manager._mode_term_cfgs["step"])
+    (term,) = env.event_manager._mode_term_cfgs["step"]
     assert isinstance(term.func, Push)
     yield env, lambda: term.func(env, None, 0.5, (0.1, 0.2))
     env.close()
