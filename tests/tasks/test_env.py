@@ -8,6 +8,7 @@ from mjlab.managers.metrics_manager import MetricsTermCfg
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from renet.errors import RenetError
+from renet.sim.pipeline import moving_part
 from renet.tasks import env_cfg, make_env, observations
 from renet.vocabulary import (
     JOINTS,
@@ -248,3 +249,10 @@ def test_errors_name_what_is_wrong():
         make_env("Renet-Go1-Flat", 0)
     with pytest.raises(RenetError, match="not a RENet task"):
         make_env("Mjlab-Velocity-Flat-Unitree-Go1", 1)
+
+
+def test_stages_of_a_step_are_spared_the_terrain(parkour):
+    model = parkour.sim.mj_model
+    bodies, geoms = moving_part(model)
+    assert bodies == model.body("robot/trunk").id + 13
+    assert geoms < 0.1 * model.ngeom

@@ -15,35 +15,24 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import mjlab.envs.manager_based_rl_env as mjlab_env
 import mujoco
 import numpy as np
 import torch
+from mjlab.scene import Scene
 from mjlab.sim.sim import Simulation
 
 from renet.errors import RenetError
 from renet.sim.native_call import Call
 from renet.sim.native_kernel import advance
 from renet.sim.neighbourhood import Neighbourhood
+from renet.sim.pipeline import LIBRARY, Pipeline
 from renet.sim.threads import THREADS
 from renet.sim.transfer import POSE, load_rows, model_rows, store_rows
 
 ENGINES = ("auto", "native", "warp")
-
-
-def _library() -> ctypes.CDLL:
-    """MuJoCo's own, which its Python package has loaded."""
-    folder = Path(mujoco.__file__).parent
-    for pattern in ("libmujoco.so*", "libmujoco*.dylib"):
-        for path in folder.glob(pattern):
-            return ctypes.CDLL(str(path))
-    raise RenetError(f"no MuJoCo library in {folder}: renet simulates on Linux and macOS")
-
-
-LIBRARY = _library()
 
 
 @ctypes.CFUNCTYPE(None, ctypes.c_char_p)
@@ -54,16 +43,8 @@ def _ignore_warning(message: bytes) -> None:
 RESET_TO_ZERO = ("qvel", "act", "qacc", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied")
 RESET_TO_ZERO += ("time", "sensordata")
 
-DERIVE = ("mj_kinematics", "mj_comPos", "mj_camlight", "mj_tendon", "mj_transmission")
-DERIVE += ("mj_sensorPos", "mj_fwdVelocity", "mj_sensorVel")
-"""`mj_forward` without contacts and accelerations."""
-
 INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_armature"}
 """Model fields that MuJoCo does not look at in a body on its own: its inertia is compiled."""
-
-
-def _address(function: str) -> int:
-    return ctypes.cast(getattr(LIBRARY, function), ctypes.c_void_p).value or 0
 
 
 def _forget_coinciding_frames(model: mujoco.MjModel, randomised: set[str]) -> None:
@@ -99,6 +80,8 @@ class Worker:
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         # Same results; a legged robot's contacts each touch few joints, and the solver gains 16 %.
         self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
+        if self.model.ntree == 1:  # Which makes one island, without looking for it.
+            self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
         # Marks for a viewer, cleared each step: 0.4 MB with the meshes that only a viewer draws.
         self.model.vis.global_.bvactive = 0
         _forget_coinciding_frames(self.model, simulation.expanded_fields)
@@ -112,16 +95,19 @@ class Worker:
         stores = store_rows(simulation.wp_data, self.data, self.model, simulation.num_envs)
         rows = [number for row in (*loads, *stores) for number in row.numbers()]
 
-        def program(function: str, *derivations: str) -> np.ndarray:
-            """Table read by native_kernel.advance."""
-            head = [self.model._address, self.data._address, _address(function)]
-            head += [len(loads), len(stores), guarded]
-            head += [known.ctypes.data, len(watched), known.strides[0], len(derivations)]
-            head += [*map(_address, derivations), *simulation.neighbourhood.numbers()]
-            return np.array(head + rows, np.uint64)
+        pipeline = Pipeline(self.model)
 
-        self.step = program("mj_step", *DERIVE)
-        self.forward = program("mj_forward")
+        def program(step: list[int], last_step: list[int]) -> np.ndarray:
+            """Table read by native_kernel.advance."""
+            head = [self.model._address, self.data._address, *pipeline.counts]
+            head += [len(loads), len(stores), guarded]
+            head += [known.ctypes.data, len(watched), known.strides[0]]
+            for stages in (step, last_step, pipeline.derive):
+                head += [len(stages) // 3, *stages]
+            return np.array(head + simulation.neighbourhood.numbers() + rows, np.uint64)
+
+        self.step = program(pipeline.step, pipeline.last_step)
+        self.forward = program([], pipeline.forward)
 
 
 class NativeSimulation(Simulation):
@@ -205,6 +191,17 @@ class NativeSimulation(Simulation):
         self._calls[kind]()
 
 
+class MovingFirst(Scene):
+    """mjlab's Scene with the terrain after all that moves on it, as Pipeline likes it."""
+
+    def _add_terrain(self) -> None:
+        """Not yet."""
+
+    def _add_entities(self) -> None:
+        super()._add_entities()
+        super()._add_terrain()
+
+
 @contextmanager
 def use_engine(name: str, device: str) -> Iterator[None]:
     """Build mjlab environments with the named engine while inside.
@@ -221,9 +218,10 @@ def use_engine(name: str, device: str) -> Iterator[None]:
     if name == "native" and not on_cpu:
         raise RenetError(f"the native engine runs on the CPU, not on {device}: use --engine warp")
     chosen = Simulation if name == "warp" or not on_cpu else NativeSimulation
-    # mjlab's environment names its simulation class in the module, not in a configuration.
-    original, mjlab_env.Simulation = mjlab_env.Simulation, chosen
+    # mjlab's environment names these classes in the module, not in a configuration.
+    originals = mjlab_env.Simulation, mjlab_env.Scene
+    mjlab_env.Simulation, mjlab_env.Scene = chosen, MovingFirst
     try:
         yield
     finally:
-        mjlab_env.Simulation = original
+        mjlab_env.Simulation, mjlab_env.Scene = originals

@@ -26,13 +26,23 @@ FLOAT, INT, BYTE = 0, 1, 2
     const u64* program = (const u64*)own[4 + thread];
     const void* model = (const void*)program[0];
     void* data = (void*)program[1];
-    mj_function function = (mj_function)program[2];
-    const int loads = (int)program[3], stores = (int)program[4], guarded = (int)program[5];
-    char* const known = (char*)program[6];
-    const int watched = (int)program[7], size_known = (int)program[8];
-    const int derivations = (int)program[9];
-    const u64* derivation = program + 10;
-    const u64* near = derivation + derivations;
+    u64* const shown_bodies = (u64*)program[2];
+    u64* const shown_geoms = (u64*)program[3];
+    const u64 whole[2] = {*shown_bodies, *shown_geoms};
+    const int loads = (int)program[4], stores = (int)program[5], guarded = (int)program[6];
+    char* const known = (char*)program[7];
+    const int watched = (int)program[8], size_known = (int)program[9];
+    const u64* const step = program + 10;
+    const u64* const last_step = step + 1 + 3 * step[0];
+    const u64* const derivation = last_step + 1 + 3 * last_step[0];
+    const u64* const near = derivation + 1 + 3 * derivation[0];
+    auto call_stages = [&](const u64* stages) {
+        for (const u64* s = stages + 1; s < stages + 1 + 3 * stages[0]; s += 3) {
+            *shown_bodies = s[1];
+            *shown_geoms = s[2];
+            ((mj_function)s[0])(model, data);
+        }
+    };
     const int bodies = (int)near[0], roots = (int)near[1], all_bodies = (int)near[2];
     const int* columns = (const int*)near[3];
     const float* reach = (const float*)near[4];
@@ -105,9 +115,11 @@ FLOAT, INT, BYTE = 0, 1, 2
             }
         }
         if (!finite) continue;
-        for (int i = 0; i < repeats; ++i) function(model, data);
-        if (derive)
-            for (int i = 0; i < derivations; ++i) ((mj_function)derivation[i])(model, data);
+        for (int i = 1; i < repeats; ++i) call_stages(step);
+        call_stages(last_step);
+        if (derive) call_stages(derivation);
+        *shown_bodies = whole[0];
+        *shown_geoms = whole[1];
         for (int r = loads; r < loads + stores; ++r) {
             const u64* row = rows + 5 * r;
             float* to = (float*)((char*)row[0] + row[1] * (u64)env);
@@ -131,12 +143,13 @@ def _advance(call: wp.uint64): ...
 def advance(call: wp.uint64):
     """Load, step or derive, and store environments.
 
-    The call's numbers: environments; how often MuJoCo's function is called for each; whether only
-    those whose state was written since the last time are looked at; whether to derive what the last
-    step left behind; then the address of each thread's program: model, data, function, numbers of
-    loads, of stores and of leading loads that must be finite; where states as they are left are
-    kept, number of leading loads they are made of and bytes of an environment; number of functions
-    that derive, and these; Neighbourhood.numbers; then the rows, that of qpos first.
+    The call's numbers: environments; how many steps each takes; whether only those whose state was
+    written since the last time are looked at; whether to derive what the last step left behind;
+    then the address of each thread's program: model, data, addresses of the model's numbers of
+    bodies and geoms, numbers of loads, of stores and of leading loads that must be finite; where
+    states as they are left are kept, number of leading loads they are made of and bytes of an
+    environment; number of stages and Pipeline's stages of a step, the same of the last, the same of
+    what derives; Neighbourhood.numbers; then the rows, that of qpos first.
 
     An environment whose state is not finite is left alone: its NaN stays for the task to see.
     """

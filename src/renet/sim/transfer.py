@@ -15,6 +15,7 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.sim.native_kernel import BYTE, FLOAT, INT
+from renet.sim.pipeline import moving_bodies
 
 DOUBLE_POINTER = ctypes.POINTER(ctypes.c_double)
 
@@ -86,7 +87,7 @@ def store_rows(
     wp_data: Any, mj_data: mujoco.MjData, mj_model: mujoco.MjModel, num_envs: int
 ) -> list[Transfer]:
     """Results out of an MjData; rows of static bodies are left out."""
-    moving = _moving_bodies(mj_model)
+    moving = moving_bodies(mj_model)
     rows = [
         row
         for name in (*INTEGRATED, *SENSED, *FORCES)
@@ -136,14 +137,6 @@ def _slice(wp_data: Any, mj_data: mujoco.MjData, name: str, start: int, stop: in
         target.ctypes.data + 8 * width * start,
         width * (stop - start),
     )
-
-
-def _moving_bodies(mj_model: mujoco.MjModel) -> np.ndarray:
-    """[nbody] bool: bodies that can move, mocap included. The world's own sums move too."""
-    moving = mj_model.body_weldid != 0
-    moving |= mj_model.body_mocapid[mj_model.body_rootid] >= 0
-    moving[0] = True
-    return moving
 
 
 def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
