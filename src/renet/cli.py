@@ -42,6 +42,13 @@ COMMANDS = {
     "train": Command(
         "train RENet on a CPU or GPUs", "renet.training.launch", "TrainCfg", "launch", "train"
     ),
+    "average": Command(
+        "the mean of a run's last checkpoints, steadier than each of them",
+        "renet.training.average",
+        "AverageCfg",
+        "average",
+        "train",
+    ),
     "export": Command(
         "turn a checkpoint into a bundle of three ONNX models",
         "renet.training.bundle",

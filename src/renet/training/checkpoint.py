@@ -119,7 +119,14 @@ def check_config(ours: dict[str, Any], theirs: dict[str, Any], path: Path) -> No
 
 def load_model(module: nn.Module, tensors: dict[str, Tensor], path: Path) -> None:
     """Load weights; raises RenetError naming the first difference of architecture."""
-    expected = module.state_dict()
+    check_same_architecture(module.state_dict(), tensors, path)
+    module.load_state_dict(tensors)
+
+
+def check_same_architecture(
+    expected: dict[str, Tensor], tensors: dict[str, Tensor], path: Path
+) -> None:
+    """Refuse weights of other names or shapes than expected; raises RenetError with the first."""
     for name, tensor in expected.items():
         if name not in tensors:
             raise RenetError(f"{path} is of another architecture: it lacks {name}")
@@ -131,7 +138,6 @@ def load_model(module: nn.Module, tensors: dict[str, Tensor], path: Path) -> Non
     surplus = sorted(set(tensors) - set(expected))
     if surplus:
         raise RenetError(f"{path} is of another architecture: unexpected {surplus[0]}")
-    module.load_state_dict(tensors)
 
 
 def optimizer_tensors(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, Tensor]:
