@@ -75,11 +75,12 @@ def test_steps_are_mujocos_own(order, integrator):
         np.testing.assert_array_equal(mine, np.float32(np.stack([own] * NUM_ENVS)), err_msg=name)
 
 
-ENERGY, SUM = "<e_potential/>", '<subtreecom body="world"/>'
+ENERGY, SUM, RAY = "<e_potential/>", '<subtreecom body="world"/>', '<rangefinder site="imu"/>'
 
 
 @pytest.mark.parametrize(
-    ("sensors", "trimmed"), [(SENSORS, True), (SENSORS + SUM, False), (SENSORS + ENERGY, False)]
+    ("sensors", "trimmed"),
+    [(SENSORS, True), (SENSORS + SUM, False), (SENSORS + ENERGY, False), (SENSORS + RAY, False)],
 )
 def test_what_looks_at_the_whole_world_is_shown_all_of_it(sensors, trimmed):
     model = scene(WALKER, TILES, sensors=sensors)

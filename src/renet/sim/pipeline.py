@@ -8,6 +8,7 @@ Results are the same, but for sums over the whole world.
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -29,7 +30,9 @@ INTEGRATORS = {
     mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "mj_implicit",
 }
 SUMS = ("SUBTREECOM", "SUBTREELINVEL", "SUBTREEANGMOM", "E_POTENTIAL", "E_KINETIC")
-"""Sensors that can look at the whole world."""
+"""Sensors that can be of the whole world."""
+UNBOUND = ("RANGEFINDER", "TACTILE", "PLUGIN", "USER")
+"""Sensors that may look at any geom."""
 
 
 def _library() -> ctypes.CDLL:
@@ -57,22 +60,20 @@ class Pipeline:
         # these are the world's axes, along which tiles lie: fewer bounding boxes overlap.
         of_world = int((model.geom_bodyid == 0).sum())
         self._colliding = [model.nbody, min(of_world + 1, model.ngeom)]
-        self.derive = self._stages(DERIVE)
         self.forward = self._stages(["mj_forward"], self._whole)
+        self.derive = self._stages(DERIVE, self._moving)
         self.step = self.last_step = self._stages(["mj_step"], self._whole)
         if self._moving != self._whole:
-            integrate = INTEGRATORS[model.opt.integrator]
-            self.step = self._stages([*POSITION, *CONTACTS, *UNSENSED, integrate])
-            """Sensors are left out: another step follows."""
-            self.last_step = self._stages([*POSITION, *CONTACTS, *SENSED, "mj_step2"])
+            # Sensors wait for the last step.
+            step = (*POSITION, *CONTACTS, *UNSENSED, INTEGRATORS[model.opt.integrator])
+            self.step = self._stages(step, self._moving)
+            self.last_step = self._stages((*POSITION, *CONTACTS, *SENSED, "mj_step2"), self._moving)
 
-    def _stages(self, functions: list[str] | tuple[str, ...], shown: list[int] | None = None):
+    def _stages(self, functions: Sequence[str], shown: list[int]) -> list[int]:
         """Address, number of bodies and number of geoms of each."""
-        own = {"mj_collision": self._colliding}
+        special = {"mj_collision": self._colliding}
         return [
-            number
-            for name in functions
-            for number in (_address(name), *own.get(name, shown or self._moving))
+            number for name in functions for number in (_address(name), *special.get(name, shown))
         ]
 
 
@@ -80,14 +81,17 @@ def moving_part(model: mujoco.MjModel) -> list[int]:
     """Numbers of bodies and geoms up to the last that moves; of all where that could matter.
 
     It could to MuJoCo's rarer features, whose stages are not among those above, and to sensors
-    that sum up the world.
+    that look at the terrain.
     """
-    sums = [getattr(mujoco.mjtSensor, f"mjSENS_{name}") for name in SUMS]
+    sums, unbound = (
+        np.isin(model.sensor_type, [getattr(mujoco.mjtSensor, f"mjSENS_{name}") for name in names])
+        for names in (SUMS, UNBOUND)
+    )
     if (
         model.nflex
         or model.opt.enableflags
         or model.opt.integrator not in INTEGRATORS
-        or (np.isin(model.sensor_type, sums) & (model.sensor_objid <= 0)).any()
+        or (unbound | sums & (model.sensor_objid <= 0)).any()
     ):
         return [model.nbody, model.ngeom]
     moving = moving_bodies(model)
