@@ -3,7 +3,8 @@
 Managers and sensors keep reading and writing the same Warp arrays through `sim.data` and
 `sim.model`. On a CPU those arrays are plain memory; `step` and `forward` copy each environment's
 state and randomised model fields into a thread's `MjModel`/`MjData`, let C MuJoCo do the work, and
-copy back what can have changed. Poses of static geoms never change and are not copied.
+copy back what can have changed. Poses of static geoms never change and are not copied, nor are sums
+over the whole world.
 
 MuJoCo's step ends with poses and velocities of the state before it. A control step (`step_n`)
 derives them of the state it leads to, while that is at hand, and `forward_written` all else of the
