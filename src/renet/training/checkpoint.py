@@ -61,7 +61,7 @@ def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Pat
         shutil.rmtree(partial, ignore_errors=True)
         raise RenetError(
             f"cannot write checkpoint {final}: {error}. Free the disk or choose a writable "
-            "--log-root; earlier checkpoints are intact"
+            "folder (--log-root, --out); earlier checkpoints are intact"
         ) from error
     others = [path for path in checkpoints(folder) if path != final]
     for old in others[: max(len(others) - keep + 1, 0)]:
