@@ -30,15 +30,15 @@ def expected(goal, before: dict, heading: np.ndarray, ranges: tuple, dt: float) 
     """What `pursue` should make of a state and its draws, robot by robot in plain Python."""
     after = {name: value.copy() for name, value in before.items()}
     for i, draw in enumerate(goal._draws.numpy().astype(float)):
-        origin, turn = before["yaw"][i], ranges[5]
+        origin, turn, share = before["yaw"][i], ranges[5], ranges[2]
         if before["time_left"][i] <= 0.0:
-            origin, turn = heading[i], ranges[4]
+            origin, turn, share = heading[i], ranges[4], 0.0
         else:
             after["asked"][i] += before["speed"][i] * dt
             after["time_left"][i] -= dt
         if after["time_left"][i] <= 0.0:
             speed = ranges[0] + (ranges[1] - ranges[0]) * draw[0]
-            standing = draw[1] < ranges[2] or speed < ranges[3]
+            standing = draw[1] < share or speed < ranges[3]
             after["speed"][i] = 0.0 if standing else speed
             aim = origin + turn * (2.0 * draw[2] - 1.0)
             after["yaw"][i] = (aim + math.pi) % (2.0 * math.pi) - math.pi

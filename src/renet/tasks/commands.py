@@ -35,8 +35,9 @@ class GoalCommandCfg(CommandTermCfg):
     """Range of c_x in m/s at stage 0 (paper's first level)."""
     later_speed: tuple[float, float] = (0.0, 1.0)
     """Range of c_x at stage 1 (paper's second level)."""
-    standing_share: float = 0.2
-    """Share of stage 1's goals with c_x = 0: a uniform draw alone would never ask for it."""
+    standing_share: float = 0.3
+    """Share of stage 1's redrawn goals with c_x = 0: a uniform draw alone would never ask for it.
+    None at an episode's start: to stop is harder than to stand."""
     slowest: float = 0.1
     """Smaller c_x mean standing still, m/s: eq. 6 divides by c_x, and sensor noise hides them."""
     first_turn: float = math.pi / 2
@@ -148,8 +149,8 @@ def pursue(
     """Let time pass, draw goals where it is up, and tell all robots how far they are from theirs.
 
     Args:
-        ranges: slowest and fastest c_x, m/s; share of goals that ask for standing; c_x below which
-            they do, too; largest turn at an episode's start and later, rad; seconds between goals.
+        ranges: slowest and fastest c_x, m/s; share of redrawn goals that ask for standing; c_x
+            below which all do; largest turn at an episode's start and later, rad; seconds between goals.
         draws: [N, 4] from [0, 1).
         time_left: [N] s, zero where an episode begins.
         asked: [N] m.
@@ -158,15 +159,17 @@ def pursue(
     now = heading(step, robot)
     origin = step.yaw[robot]
     turn = ranges[5]
+    standing = ranges[2]
     if time_left[robot] <= 0.0:
         origin = now
         turn = ranges[4]
+        standing = 0.0
     else:
         asked[robot] = asked[robot] + step.speed[robot] * seconds
         time_left[robot] = time_left[robot] - seconds
     if time_left[robot] <= 0.0:
         speed = ranges[0] + (ranges[1] - ranges[0]) * draws[robot, 0]
-        stands = draws[robot, 1] < ranges[2] or speed < ranges[3]
+        stands = draws[robot, 1] < standing or speed < ranges[3]
         step.speed[robot] = wp.where(stands, 0.0, speed)
         aim = origin + turn * (2.0 * draws[robot, 2] - 1.0)
         step.yaw[robot] = wp.atan2(wp.sin(aim), wp.cos(aim))
