@@ -150,7 +150,8 @@ def pursue(
 
     Args:
         ranges: slowest and fastest c_x, m/s; share of redrawn goals that ask for standing; c_x
-            below which all do; largest turn at an episode's start and later, rad; seconds between goals.
+            below which all do; largest turn at an episode's start and later, rad; seconds between
+            goals.
         draws: [N, 4] from [0, 1).
         time_left: [N] s, zero where an episode begins.
         asked: [N] m.
