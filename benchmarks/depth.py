@@ -16,10 +16,10 @@ import warp as wp
 from mjlab.utils.lab_api.math import matrix_from_quat
 
 from facts import report
+from renet.interface import STEPS_PER_TICK
 from renet.sim.depth_camera import DepthCamera
 from renet.sim.threads import THREADS
 from renet.tasks import make_env
-from renet.vocabulary import STEPS_PER_TICK
 
 
 @dataclass

@@ -18,15 +18,12 @@ import tyro
 from facts import report
 from renet.deploy.policy import Policy
 from renet.evaluation.fault_cfg import FaultsCfg
-from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab
 from renet.evaluation.metrics import roc
 from renet.evaluation.rollout import Row
 from renet.evaluation.world import SimWorld
-from renet.tasks.go1 import GO1
-from renet.tasks.sensors import FEET_CONTACT
-from renet.tiles import tiles
-from renet.vocabulary import (
+from renet.faults import Injection
+from renet.interface import (
     DEPTH_RANGE,
     DEPTH_SHAPE,
     HEIGHT_MAP_X,
@@ -34,11 +31,14 @@ from renet.vocabulary import (
     STEPS_PER_TICK,
     proprioception_slices,
 )
+from renet.tasks.go1 import GO1
+from renet.tasks.sensors import FEET_CONTACT
+from renet.tiles import tiles
 
 LINK, HIP, SIDE = 0.213, (0.1881, 0.04675), 0.08
 """The Go1's thigh and calf, its hips beside the base's middle, thighs beside the hips, m."""
 LEFT, FRONT = np.array([-1, 1, -1, 1]), np.array([1, 1, -1, -1])
-"""Signs of the legs in vocabulary.LEGS."""
+"""Signs of the legs in interface.LEGS."""
 HEAVY = 18.0
 """N on a foot, reckoned from the joints' torques, above which it stands."""
 BLOCK = (6, 8)

@@ -28,7 +28,7 @@ from renet.deploy.policy import Percept, TickInputs, perceive
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.runner import fly
 from renet.deploy.safety import Mode, SafetyCfg
-from renet.vocabulary import CONTROL_DT, DEPTH_SHAPE
+from renet.interface import CONTROL_DT, DEPTH_SHAPE
 
 WARM_UP = 3.0
 """Seconds of rising and first ticks that do not count."""

@@ -12,7 +12,7 @@ from renet.deploy.controller import Controller, Event
 from renet.deploy.operator import Request
 from renet.deploy.robots.base import RobotState
 from renet.deploy.safety import SafetyCfg
-from renet.vocabulary import CONTROL_DT
+from renet.interface import CONTROL_DT
 
 STANDING = np.tile([0.1, 0.9, -1.8, -0.1, 0.9, -1.8], 2)
 

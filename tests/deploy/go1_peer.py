@@ -16,8 +16,8 @@ from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.go1 import PERIOD
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
+from renet.interface import JOINTS
 from renet.training.bundle import robot_spec
-from renet.vocabulary import JOINTS
 
 JOINT_NAMES = ("hip", "thigh", "calf")
 COMMAND_BYTES, STATE_BYTES = 614, 792

@@ -10,10 +10,10 @@ import pytest
 
 from renet.deploy.bundle import MANIFEST, Bundle, write_bundle, write_manifest
 from renet.errors import RenetError
+from renet.interface import JOINTS
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.training.export import export_models
-from renet.vocabulary import JOINTS
 
 
 def edit(path, change) -> None:

@@ -10,8 +10,8 @@ from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
 from renet.deploy.cameras.replay import ReplayCamera
 from renet.deploy.flight_log import TICK, Flight
 from renet.errors import RenetError
-from renet.evaluation.faults import FAULTS, PhysicalFault
-from renet.vocabulary import CONTROL_DT
+from renet.faults import FAULTS, PhysicalFault
+from renet.interface import CONTROL_DT
 
 from .fakes import frame, time_of
 

@@ -33,8 +33,8 @@ from renet.deploy.robots.go1 import (  # noqa: E402
 )
 from renet.deploy.safety import Mode, SafetyCfg, limited_command  # noqa: E402
 from renet.errors import RenetError  # noqa: E402
+from renet.interface import CONTROL_DT, JOINTS  # noqa: E402
 from renet.training.bundle import robot_spec  # noqa: E402
-from renet.vocabulary import CONTROL_DT, JOINTS  # noqa: E402
 
 from .go1_peer import VENDOR, Peer, free_port  # noqa: E402
 from .waiting import until  # noqa: E402

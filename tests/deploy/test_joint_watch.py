@@ -8,7 +8,7 @@ import pytest
 
 from renet.deploy.robots.joint_watch import TURN, WAYS, JointWatch
 from renet.deploy.robots.scene import GO1
-from renet.vocabulary import JOINTS
+from renet.interface import JOINTS
 
 from .fakes import STANDING, state
 

@@ -20,13 +20,13 @@ from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import GO1, build_scene
 from renet.errors import RenetError
 from renet.evaluation.disturb import disturbance
-from renet.evaluation.faults import View
+from renet.faults import View
+from renet.interface import CONTROL_DT, JOINTS
 from renet.sim.camera_model import Intrinsics, mount_rotation
 from renet.sim.raycast import TerrainScanner
 from renet.tasks import make_env
 from renet.tasks.config import flat_env_cfg
 from renet.training.bundle import camera_spec, robot_spec
-from renet.vocabulary import CONTROL_DT, JOINTS
 
 ROBOT, CAMERA = robot_spec(), camera_spec()
 

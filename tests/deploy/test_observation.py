@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from renet.deploy.observation import heading, observe, projected_gravity
 from renet.deploy.robots.base import RobotState
+from renet.interface import proprioception_slices
 from renet.training.bundle import robot_spec
-from renet.vocabulary import proprioception_slices
 
 AT = proprioception_slices()
 HALF = math.sqrt(0.5)

@@ -17,11 +17,11 @@ from renet.deploy.operator import Request
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.safety import Mode, SafetyCfg
+from renet.interface import CONTROL_DT
 from renet.models.actor_critic import fuse
 from renet.models.memory import EstimatorMemory
 from renet.training import checkpoint as checkpoints
 from renet.training.bundle import ExportCfg, export, load_networks
-from renet.vocabulary import CONTROL_DT
 
 CHECKPOINT = Path(str(files("renet").joinpath("pretrained", "checkpoint")))
 SECONDS = 20.0

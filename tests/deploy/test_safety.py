@@ -24,8 +24,8 @@ from renet.deploy.safety import (
     state_problem,
 )
 from renet.errors import RenetError
+from renet.interface import CONTROL_DT
 from renet.training.bundle import robot_spec
-from renet.vocabulary import CONTROL_DT
 
 from .fakes import STANDING, state, time_of
 

@@ -16,7 +16,7 @@ from renet.deploy.safety import Mode
 from renet.deploy.score import score, track, write_score
 from renet.deploy.timeline import BANDS, timeline
 from renet.errors import RenetError
-from renet.vocabulary import CONTROL_DT
+from renet.interface import CONTROL_DT
 
 STEPS, RISEN, BLIND = 500, 100, 300
 

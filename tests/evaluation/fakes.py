@@ -11,8 +11,8 @@ import numpy as np
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import Readings
+from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
 from renet.selector.monitors import Sight
-from renet.vocabulary import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
 
 GROUND = np.full(DEPTH_SHAPE, 0.5, np.float32)
 SPEED = 0.62

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from renet.errors import RenetError
 from renet.evaluation.disturb import rotation, spread
-from renet.evaluation.faults import Frames, Injection, Injector, PhysicalFault, View
 from renet.evaluation.rollout import Row, run_rollout
 from renet.evaluation.world import SimWorld, study_env_cfg
+from renet.faults import Frames, Injection, Injector, PhysicalFault, View
 from renet.tasks.config import tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.terrains import single_tile_terrain

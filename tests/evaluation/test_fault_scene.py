@@ -6,9 +6,9 @@ import pytest
 
 from renet.evaluation.disturb import rotation
 from renet.evaluation.fault_scene import BLOCKS, EYE, TILT, example, scene, turned
-from renet.evaluation.faults import FAULTS, Frames, Injection, Injector, View
-from renet.evaluation.faults.image import FOCAL_PIXELS
-from renet.vocabulary import DEPTH_SHAPE
+from renet.faults import FAULTS, Frames, Injection, Injector, View
+from renet.faults.image import FOCAL_PIXELS
+from renet.interface import DEPTH_SHAPE
 
 
 def by_mujoco(view: View, blocks: np.ndarray) -> np.ndarray:

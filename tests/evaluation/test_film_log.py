@@ -14,7 +14,7 @@ from renet.deploy.safety import SafetyCfg
 from renet.errors import RenetError
 from renet.evaluation import film_log
 from renet.evaluation.film_log import film_log as film
-from renet.vocabulary import JOINTS
+from renet.interface import JOINTS
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from renet.evaluation.imagery import RELIEF, beside, depth_picture, map_picture
-from renet.vocabulary import HEIGHT_MAP_SIZE, HEIGHT_MAP_X, HEIGHT_MAP_Y
+from renet.interface import HEIGHT_MAP_SIZE, HEIGHT_MAP_X, HEIGHT_MAP_Y
 
 
 def test_near_is_dark_and_far_is_bright():

@@ -21,10 +21,10 @@ from renet.deploy.bundle import (
 from renet.deploy.manifest import Manifest, SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
-from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab
 from renet.evaluation.rollout import Row, run_rollout
 from renet.evaluation.switches import ScoreSwitch
+from renet.faults import Injection
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.selector.filter import switch_delay

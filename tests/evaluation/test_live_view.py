@@ -12,11 +12,11 @@ import zstandard
 from websockets.sync.client import connect
 
 from renet.errors import RenetError
-from renet.evaluation.faults import FAULTS
 from renet.evaluation.lab import Lab
 from renet.evaluation.live import Session
 from renet.evaluation.live_view import LiveViewer, serve, watch
 from renet.evaluation.play import ground
+from renet.faults import FAULTS
 from renet.tasks.commands import goal
 from renet.tasks.go1 import GO1
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.faults import Injection
 from renet.evaluation.rollout import Row, run_rollout
+from renet.faults import Injection
 
 from .fakes import SPEED, FakeController, FakeSwitch, FakeWorld
 

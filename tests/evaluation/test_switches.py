@@ -7,12 +7,12 @@ import pytest
 
 from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
-from renet.evaluation.faults import Injection
 from renet.evaluation.healthy import successful_runs
 from renet.evaluation.rollout import Row, run_rollout
 from renet.evaluation.switches import GuardSwitch, make_switch
 from renet.evaluation.trace import Trace
 from renet.evaluation.witness import Witness, suspicion
+from renet.faults import Injection
 from renet.selector.monitors import Sight
 
 from .fakes import GROUND, FakeController, FakeWorld

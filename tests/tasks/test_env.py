@@ -8,14 +8,14 @@ from mjlab.managers.metrics_manager import MetricsTermCfg
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from renet.errors import RenetError
-from renet.sim.pipeline import moving_part
-from renet.tasks import env_cfg, make_env, observations
-from renet.vocabulary import (
+from renet.interface import (
     JOINTS,
     PROPRIOCEPTION_SIZE,
     STEPS_PER_TICK,
     proprioception_slices,
 )
+from renet.sim.pipeline import moving_part
+from renet.tasks import env_cfg, make_env, observations
 
 from .conftest import build
 

@@ -10,13 +10,13 @@ from mjlab.managers.observation_manager import ObservationManager
 from mjlab.managers.reward_manager import RewardTermCfg
 from mjlab.managers.termination_manager import TerminationTermCfg
 
+from renet.interface import JOINTS, LEGS, PROPRIOCEPTION, proprioception_slices
 from renet.tasks import env_cfg, observations, rewards
 from renet.tasks.config import NOISE
 from renet.tasks.constraints import VIOLATED
 from renet.tasks.step import Step, offset
 from renet.tasks.terminations import left_tile
 from renet.tasks.terms import per_robot
-from renet.vocabulary import JOINTS, LEGS, PROPRIOCEPTION, proprioception_slices
 
 from .conftest import build
 

@@ -7,8 +7,8 @@ import torch
 
 from renet.cli import main
 from renet.errors import RenetError
+from renet.interface import proprioception_slices
 from renet.tasks import curriculum
-from renet.vocabulary import proprioception_slices
 
 from .conftest import build
 

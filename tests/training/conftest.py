@@ -8,8 +8,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from renet.interface import ACTION_SIZE, CONSTRAINTS
 from renet.training import precision
-from renet.vocabulary import ACTION_SIZE, CONSTRAINTS
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,7 @@ import onnxruntime as ort
 
 from renet.deploy.manifest import SCHEMA, Manifest, from_json, to_json
 from renet.errors import RenetError
-from renet.vocabulary import (
+from renet.interface import (
     ACTION_SIZE,
     DEPTH_SHAPE,
     FEET,

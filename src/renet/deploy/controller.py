@@ -35,7 +35,7 @@ from renet.deploy.safety import (
 )
 from renet.deploy.sight import FrameKeeper, Trust
 from renet.errors import RenetError
-from renet.vocabulary import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE
+from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE
 
 LATE = "the vision thread is late or dead"
 MAX_LEAD = math.pi / 2

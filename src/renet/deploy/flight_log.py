@@ -25,7 +25,7 @@ from renet.deploy.operator import Request
 from renet.deploy.robots.base import RobotState
 from renet.deploy.safety import VECTORS, Mode
 from renet.errors import RenetError
-from renet.vocabulary import ACTION_SIZE, DEPTH_SHAPE, LATENT
+from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT
 
 MAGIC = b"RENETLOG1\n"
 CHUNK = struct.Struct("<4sII")

@@ -29,7 +29,7 @@ from renet.deploy.safety import Mode, SafetyCfg
 from renet.deploy.score import SCORE, TIMELINE, write_score
 from renet.deploy.speaker import Speaker
 from renet.errors import RenetError
-from renet.vocabulary import CONTROL_DT, JOINTS
+from renet.interface import CONTROL_DT, JOINTS
 
 FLIGHT = "flight.log"
 SHORT_FLIGHT = 15.0

@@ -11,9 +11,9 @@ from renet.deploy.bundle import Bundle
 from renet.deploy.flight_log import GOOD, MODES, Flight, read_log
 from renet.deploy.safety import Mode
 from renet.errors import RenetError
+from renet.interface import STEPS_PER_TICK
 from renet.selector.defaults import MONITORS, default_monitors
 from renet.selector.monitors import Sight
-from renet.vocabulary import STEPS_PER_TICK
 
 AWAY = 1.0
 """Seconds without a new image after which the camera was unplugged, not late."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from renet.errors import RenetError
-from renet.vocabulary import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION
+from renet.interface import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION
 
 SCHEMA = 1
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from renet.deploy.manifest import RobotSpec
 from renet.deploy.robots.base import RobotState
-from renet.vocabulary import PROPRIOCEPTION
+from renet.interface import PROPRIOCEPTION
 
 
 def observe(

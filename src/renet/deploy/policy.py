@@ -10,7 +10,7 @@ import onnxruntime as ort
 
 from renet.deploy.bundle import Bundle
 from renet.errors import RenetError
-from renet.vocabulary import (
+from renet.interface import (
     ACTION_SIZE,
     DEPTH_SHAPE,
     FEET,

@@ -16,7 +16,7 @@ from renet.deploy.robots.base import RobotState
 from renet.deploy.runner import REFUSED
 from renet.deploy.safety import SafetyCfg
 from renet.errors import RenetError
-from renet.vocabulary import DEPTH_SHAPE
+from renet.interface import DEPTH_SHAPE
 
 UNREADABLE = np.full(DEPTH_SHAPE, np.nan, np.float32)
 

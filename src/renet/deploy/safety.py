@@ -21,7 +21,7 @@ from renet.deploy.observation import projected_gravity
 from renet.deploy.operator import MAX_SPEED, Request
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.errors import RenetError
-from renet.vocabulary import ACTION_SIZE, CONTROL_DT
+from renet.interface import ACTION_SIZE, CONTROL_DT
 
 
 class Mode(StrEnum):

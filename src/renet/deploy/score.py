@@ -18,7 +18,7 @@ from renet.deploy.replay import mismatch
 from renet.deploy.safety import Mode
 from renet.deploy.timeline import timeline
 from renet.errors import RenetError
-from renet.vocabulary import CONTROL_DT
+from renet.interface import CONTROL_DT
 
 SCORE, TIMELINE = "score.json", "timeline.svg"
 UPRIGHT = np.cos(np.radians(60.0))

@@ -14,11 +14,11 @@ from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.manifest import SelectorSpec
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
+from renet.interface import CONTROL_DT, DEPTH_SHAPE
 from renet.selector.defaults import default_monitors
 from renet.selector.guard import GuardCfg, GuardedSelector
 from renet.selector.monitors import Reconstruction, Sight
 from renet.selector.selector import Selector, SelectorCfg
-from renet.vocabulary import CONTROL_DT, DEPTH_SHAPE
 
 FUTURE = 0.05
 """Seconds by which a frame's time may run ahead of the robot's clock."""

@@ -11,9 +11,9 @@ from renet.evaluation.healthy import ScoreLog, healthy_series
 from renet.evaluation.lab import Lab
 from renet.evaluation.rollout import Row, check_speed
 from renet.evaluation.world import SimWorld
+from renet.interface import CONTROL_DT
 from renet.tasks import env_cfg
 from renet.tiles import LEVELS, tiles
-from renet.vocabulary import CONTROL_DT
 
 
 def simulated_scores(

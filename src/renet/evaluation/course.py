@@ -18,12 +18,12 @@ from renet.errors import RenetError
 from renet.evaluation import course_figures, metrics
 from renet.evaluation.course_track import LAP, SHORT_LAP, course_env_cfg, passage
 from renet.evaluation.course_world import CourseWorld, PlaceInjector, course_length, time_limit
-from renet.evaluation.faults import SEVERITIES
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import Parts, output_folder, write_csv, write_json
 from renet.evaluation.rollout import Row, Trace, check_modes, check_speed, run_rollout
 from renet.evaluation.terminal import progress, show
-from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
+from renet.faults import SEVERITIES
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from renet.evaluation import figures
 from renet.evaluation.results import Provenance
-from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
 
 ENDS = {"crossed": "#7fb98d", "stuck": "#e9c46a", "fell": "#d1584b"}
 """How a passage ends, and its colour."""

@@ -9,12 +9,12 @@ import numpy as np
 import torch
 
 from renet.evaluation.course_track import AHEAD, FAULTS_HERE
-from renet.evaluation.faults import FAULTS, Frames, Injector, fault_class
 from renet.evaluation.rollout import Readings
 from renet.evaluation.world import SimWorld
+from renet.faults import FAULTS, Frames, Injector, fault_class
+from renet.interface import CONTROL_DT
 from renet.tasks.commands import goal
 from renet.tiles import TILE
-from renet.vocabulary import CONTROL_DT
 
 LOOK_AHEAD = 3.0
 """The goal yaw points at the course's middle line this far ahead, m, as an operator would steer."""

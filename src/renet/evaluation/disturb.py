@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import torch
 
-from renet.evaluation.faults import View
-from renet.evaluation.obstacles import obstacles, spread
+from renet.faults import View
+from renet.faults.obstacles import obstacles, spread
 from renet.sim.depth_camera import Disturbance
 
 

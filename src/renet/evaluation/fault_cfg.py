@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from renet.errors import RenetError
-from renet.evaluation.faults import FAULTS, SEVERITIES, fault_class
-from renet.evaluation.faults.physical import Glass
 from renet.evaluation.rollout import check_modes, check_speed
 from renet.evaluation.switches import check_selector
 from renet.evaluation.world import FLAT
+from renet.faults import FAULTS, SEVERITIES, fault_class
+from renet.faults.physical import Glass
 from renet.tasks import RenetEnvCfg
 from renet.tasks.config import tile_env_cfg
 from renet.tasks.terrains import single_tile_terrain

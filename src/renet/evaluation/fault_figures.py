@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 
 from renet.evaluation import figures
 from renet.evaluation.fault_scene import example
-from renet.evaluation.faults import FAULTS, SEVERITIES
 from renet.evaluation.results import Provenance
+from renet.faults import FAULTS, SEVERITIES
 
 Runs = list[dict[str, Any]]
 SHADES = ("#b7b2e0", "#7d76c9", "#3c3ca0", "#2a2a78", "#14143f")

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from renet.evaluation import metrics
-from renet.evaluation.faults import fault_class
 from renet.evaluation.trace import Trace
-from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
+from renet.faults import fault_class
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
 
 ROC_POINTS = 60
 """Points kept of a curve."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from renet.evaluation.faults import fault_class
 from renet.evaluation.page import Cell, Page
+from renet.faults import fault_class
 
 
 def faults_section(page: Page, summary: dict[str, Any], folder: Path) -> None:

@@ -9,13 +9,13 @@ import numpy as np
 from renet.evaluation import metrics
 from renet.evaluation.fault_cfg import FaultsCfg
 from renet.evaluation.fault_measures import Batch, measure, separability
-from renet.evaluation.faults import Injection, fault_class
 from renet.evaluation.healthy import healthy_series
 from renet.evaluation.lab import Lab
 from renet.evaluation.rollout import Row, World
 from renet.evaluation.witness import Witness, suspicion
+from renet.faults import Injection, fault_class
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.selector.calibration import bursts
-from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
 
 HEALTHY_ROBOTS = 64
 """Robots side by side in the run without faults."""

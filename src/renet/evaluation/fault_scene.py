@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from renet.evaluation.disturb import spread
-from renet.evaluation.faults import TICK, Frames, Injection, Injector, View
-from renet.evaluation.faults.image import FOCAL_PIXELS
-from renet.vocabulary import CONTROL_DT, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TICK
+from renet.faults import TICK, Frames, Injection, Injector, View
+from renet.faults.image import FOCAL_PIXELS
+from renet.interface import CONTROL_DT, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TICK
 
 EYE = 0.3
 """Height of the camera above the ground, m."""

@@ -22,7 +22,7 @@ from renet.evaluation.lab import Lab
 from renet.evaluation.results import Parts, Provenance, output_folder, write_csv, write_json
 from renet.evaluation.rollout import World
 from renet.evaluation.terminal import show
-from renet.vocabulary import CONTROL_DT
+from renet.interface import CONTROL_DT
 
 __all__ = ["FaultsCfg", "main", "run_faults"]
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from renet.evaluation.results import Provenance
-from renet.vocabulary import CONTROL_DT
+from renet.interface import CONTROL_DT
 
 VP_BAND, OP_BAND = "#bed5b4", "#f3c1bb"
 LOSS, PROBABILITY = "#3c3ca0", "#64aa5f"

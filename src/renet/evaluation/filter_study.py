@@ -17,7 +17,6 @@ import numpy as np
 from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import (
     Parts,
@@ -29,8 +28,9 @@ from renet.evaluation.results import (
 from renet.evaluation.rollout import UPDATES_PER_STEP, Row, check_speed
 from renet.evaluation.switches import ScoreSwitch, updates_apart
 from renet.evaluation.terminal import show
+from renet.faults import Injection
+from renet.interface import CONTROL_DT
 from renet.selector.filter import LowPassFilter, switch_delay
-from renet.vocabulary import CONTROL_DT
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 
 from renet.evaluation.trace import UPDATES_PER_STEP, Trace
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.selector.defaults import MONITORS, default_monitors
 from renet.selector.monitors import Sight
-from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
 
 UPDATES_PER_TICK = UPDATES_PER_STEP * STEPS_PER_TICK
 TICK_RATE = 1.0 / (CONTROL_DT * STEPS_PER_TICK)

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from matplotlib import colormaps
 
-from renet.vocabulary import HEIGHT_MAP_X, HEIGHT_MAP_Y
+from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
 
 RELIEF = 0.5
 """Metres of ground above or below the robot's own that end a height map's colours."""

@@ -10,14 +10,14 @@ from torch import Tensor
 
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
-from renet.evaluation.faults import Frames, Injection, Injector
 from renet.evaluation.lab import Lab
 from renet.evaluation.rollout import UPDATES_PER_STEP, Readings, seen
 from renet.evaluation.world import SimWorld
+from renet.faults import Frames, Injection, Injector
+from renet.interface import STEPS_PER_TICK
 from renet.tasks.commands import GoalCommandCfg, goal
 from renet.tasks.env import RenetEnv, RenetEnvCfg
 from renet.tasks.sensors import HEIGHT_MAP
-from renet.vocabulary import STEPS_PER_TICK
 
 MODES = ("renet", "vp", "op")
 """The selector's choice, vision always, vision never."""

@@ -15,7 +15,7 @@ from mjlab.viewer import ViserPlayViewer
 from renet.errors import RenetError
 from renet.evaluation.live import Session
 from renet.evaluation.panels import VisionPanels
-from renet.vocabulary import STEPS_PER_TICK
+from renet.interface import STEPS_PER_TICK
 
 
 class LiveViewer(ViserPlayViewer):

@@ -15,9 +15,9 @@ from renet.evaluation.imagery import RELIEF, as_seen
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import UPDATES_PER_STEP
 from renet.evaluation.world import SimWorld
+from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
 from renet.selector.monitors import Sight
 from renet.tasks.sensors import HEIGHT_MAP
-from renet.vocabulary import HEIGHT_MAP_X, HEIGHT_MAP_Y
 
 WARM_UP = 50
 """Control steps after which a map counts: the estimator's memory begins empty."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from renet.vocabulary import CONTROL_DT
+from renet.interface import CONTROL_DT
 
 
 def window(seconds: float) -> slice:

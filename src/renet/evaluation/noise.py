@@ -18,13 +18,13 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.fault_measures import detection
-from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import Parts, Provenance, output_folder, write_csv, write_json
 from renet.evaluation.rollout import Row, Trace, World, check_modes, check_speed
 from renet.evaluation.switches import check_selector
 from renet.evaluation.terminal import show
-from renet.vocabulary import CONTROL_DT
+from renet.faults import Injection
+from renet.interface import CONTROL_DT
 
 Setting = tuple[str, float]
 """Noise and level."""

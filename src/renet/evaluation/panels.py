@@ -7,10 +7,10 @@ from collections import deque
 import numpy as np
 import viser
 
-from renet.evaluation.faults import FAULTS, SEVERITIES
 from renet.evaluation.imagery import beside, depth_picture, map_picture
 from renet.evaluation.live import MODES, Moment, Session
-from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
+from renet.faults import FAULTS, SEVERITIES
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
 
 SECONDS = 10.0
 """Length of the curves."""

@@ -22,6 +22,7 @@ from renet.evaluation.play import robot_of
 from renet.evaluation.results import Provenance, output_folder, write_json
 from renet.evaluation.rollout import Row, run_rollout
 from renet.evaluation.terminal import progress, show
+from renet.interface import CONTROL_DT, DEPTH_RANGE
 from renet.sim.camera_model import Intrinsics, mount_rotation
 from renet.sim.depth_camera import MountCfg
 from renet.sim.depth_noise import DepthNoiseCfg, add_noise
@@ -29,7 +30,6 @@ from renet.sim.raycast import TerrainScanner, scanner
 from renet.tasks.config import parkour_env_cfg
 from renet.tiles import LEVELS as TOP
 from renet.tiles import TILE, tiles
-from renet.vocabulary import CONTROL_DT, DEPTH_RANGE
 
 LEVELS = (1, 5, 10)
 EYE = (0.55, 0.0, 0.33)

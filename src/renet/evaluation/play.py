@@ -16,7 +16,6 @@ from renet.deploy.bundle import MANIFEST
 from renet.deploy.manifest import Manifest
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
-from renet.evaluation.faults import Injection
 from renet.evaluation.lab import Lab
 from renet.evaluation.maps import MapLog
 from renet.evaluation.results import output_folder
@@ -24,12 +23,13 @@ from renet.evaluation.rollout import Row, check_modes, run_rollout
 from renet.evaluation.terminal import progress
 from renet.evaluation.video import VideoCfg, make_video, panels_of
 from renet.evaluation.world import FLAT
+from renet.faults import Injection
+from renet.interface import CONTROL_DT
 from renet.tasks import RenetEnvCfg, Robot, env_cfg
 from renet.tasks.config import flat_env_cfg, tile_env_cfg
 from renet.tasks.go1 import GO1
 from renet.tasks.terrains import single_tile_terrain
 from renet.training.bundle import ExportCfg, export
-from renet.vocabulary import CONTROL_DT
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from renet.errors import RenetError
-from renet.evaluation.faults import TICK, Frames, Injector, Schedule, View
 from renet.evaluation.trace import UPDATES_PER_STEP, Film, Trace
+from renet.faults import TICK, Frames, Injector, Schedule, View
+from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import Sight
-from renet.vocabulary import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 
 __all__ = ["MODES", "UPDATES_PER_STEP", "Controller", "Film", "Readings", "Row", "Switch", "Trace"]
 __all__ += ["World", "check_modes", "check_speed", "run_rollout"]

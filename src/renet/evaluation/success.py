@@ -17,7 +17,6 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.faults import Injection, Schedule
 from renet.evaluation.lab import Lab
 from renet.evaluation.results import (
     Parts,
@@ -36,9 +35,10 @@ from renet.evaluation.rollout import (
     check_speed,
 )
 from renet.evaluation.terminal import show
+from renet.faults import Injection, Schedule
+from renet.interface import CONTROL_DT
 from renet.tasks import RenetEnvCfg, env_cfg
 from renet.tiles import LEVELS, tiles
-from renet.vocabulary import CONTROL_DT
 
 SIZES = {
     "gap": "gap width",

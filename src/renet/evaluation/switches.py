@@ -7,11 +7,11 @@ import numpy as np
 from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.rollout import Switch
+from renet.interface import PHYSICS_DT
 from renet.selector.defaults import default_monitors
 from renet.selector.guard import GuardCfg, GuardedSelector
 from renet.selector.monitors import Sight
 from renet.selector.selector import Selector, SelectorCfg
-from renet.vocabulary import PHYSICS_DT
 
 SELECTORS = ("guarded", "paper")
 """All monitors with a dwell before vision is trusted again; or the reconstruction score against β,

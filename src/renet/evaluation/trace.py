@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from renet.vocabulary import CONTROL_DT, PHYSICS_DT
+from renet.interface import CONTROL_DT, PHYSICS_DT
 
 UPDATES_PER_STEP = round(CONTROL_DT / PHYSICS_DT)
 """Selector updates in one control step."""

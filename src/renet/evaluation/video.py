@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 from renet.errors import RenetError
 from renet.evaluation.imagery import beside, map_picture
 from renet.evaluation.trace import Trace
-from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
 
 CAMERA = "renet_tracking_camera"
 GREEN, RED, WHITE = (126, 200, 120), (235, 92, 80), (245, 245, 245)

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 
 from renet.evaluation.disturb import disturbance
-from renet.evaluation.faults import View
 from renet.evaluation.rollout import Readings
+from renet.faults import View
 from renet.sim.depth_camera import DepthCamera
 from renet.tasks import RenetEnv, RenetEnvCfg, env_cfg, make_env
 from renet.tasks.commands import COMMAND, GoalCommandCfg, goal

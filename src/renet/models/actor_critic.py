@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import Normal
 
+from renet.interface import ACTION_SIZE, CONSTRAINTS, HEIGHT_MAP_SIZE, LATENT, PROPRIOCEPTION_SIZE
 from renet.models.config import ModelCfg
-from renet.vocabulary import ACTION_SIZE, CONSTRAINTS, HEIGHT_MAP_SIZE, LATENT, PROPRIOCEPTION_SIZE
 
 
 def fuse(latent_op: Tensor, latent_vp: Tensor, op_mask: Tensor) -> Tensor:
@@ -75,6 +75,6 @@ class Critics(nn.Module):
         self.costs = nn.ModuleList(mlp((inputs, *cfg.cost_critic_hidden, 1)) for _ in CONSTRAINTS)
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Column 0 is the reward's value, then vocabulary.CONSTRAINTS in order."""
+        """Column 0 is the reward's value, then interface.CONSTRAINTS in order."""
         values = [self.reward(observation), *(critic(observation) for critic in self.costs)]
         return torch.cat(values, dim=-1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from renet.vocabulary import DEPTH_SHAPE, FRAMES
+from renet.interface import DEPTH_SHAPE, FRAMES
 
 BOTTLENECK = 32
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from renet.errors import RenetError
-from renet.vocabulary import FRAMES, HISTORY
+from renet.interface import FRAMES, HISTORY
 
 Perception = Literal["renet", "vp", "op", "oracle"]
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from renet.interface import FEET, HEIGHT_MAP_SIZE, LATENT
 from renet.models.config import ModelCfg
 from renet.models.embeddings import DepthEmbedding, ProprioceptionEmbedding
 from renet.models.encoders import make_encoder
-from renet.vocabulary import FEET, HEIGHT_MAP_SIZE, LATENT
 
 EMBEDDING = 64
 """Width of every embedded vector."""
@@ -30,9 +30,9 @@ class Estimate:
     velocity: Tensor | None
     """[..., 3] m/s, base frame."""
     feet_height: Tensor | None = None
-    """[..., 4] m, order of vocabulary.LEGS."""
+    """[..., 4] m, order of interface.LEGS."""
     height_map: Tensor | None = None
-    """[..., 132] m below the nominal base height, vocabulary.HEIGHT_MAP_X by HEIGHT_MAP_Y."""
+    """[..., 132] m below the nominal base height, interface.HEIGHT_MAP_X by HEIGHT_MAP_Y."""
 
 
 class Estimator(nn.Module):

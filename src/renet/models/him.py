@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
-from renet.vocabulary import LATENT, PROPRIOCEPTION_SIZE
+from renet.interface import LATENT, PROPRIOCEPTION_SIZE
 
 SINKHORN_EPSILON = 0.05
 SINKHORN_ITERATIONS = 3

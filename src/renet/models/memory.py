@@ -7,8 +7,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from renet.interface import DEPTH_SHAPE, FRAMES, LATENT, PROPRIOCEPTION_SIZE
 from renet.models.config import ModelCfg
-from renet.vocabulary import DEPTH_SHAPE, FRAMES, LATENT, PROPRIOCEPTION_SIZE
 
 
 class EstimatorMemory:

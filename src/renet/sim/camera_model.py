@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from renet.vocabulary import DEPTH_SHAPE
+from renet.interface import DEPTH_SHAPE
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from mjlab.sensor.sensor import SensorCfg
 from torch import Tensor
 
 from renet.errors import RenetError
+from renet.interface import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK
 from renet.sim.camera_model import Intrinsics, mount_rotation
 from renet.sim.depth_noise import DepthNoiseCfg, add_noise
 from renet.sim.ray_sensor import RaySensor, object_id
 from renet.sim.raycast import scanner
-from renet.vocabulary import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK
 
 
 @dataclass

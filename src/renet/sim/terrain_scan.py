@@ -9,8 +9,8 @@ import torch
 from mjlab.sensor.sensor import SensorCfg
 from torch import Tensor
 
+from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, LEGS
 from renet.sim.ray_sensor import RaySensor, object_id
-from renet.vocabulary import HEIGHT_MAP_X, HEIGHT_MAP_Y, LEGS
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Joint-position actions in the vocabulary's order, whatever the order of the robot's MJCF."""
+"""Joint-position actions in the interface's order, whatever the order of the robot's MJCF."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.envs.mdp.actions import JointPositionAction, JointPositionActionCfg
 
-from renet.vocabulary import JOINTS
+from renet.interface import JOINTS
 
 
 @dataclass(kw_only=True)
 class JointTargetCfg(JointPositionActionCfg):
-    """Action i moves joint i of vocabulary.JOINTS."""
+    """Action i moves joint i of interface.JOINTS."""
 
     actuator_names: tuple[str, ...] | list[str] = JOINTS
 

@@ -19,6 +19,7 @@ from mjlab.terrains import TerrainEntityCfg
 from mjlab.utils.noise import UniformNoiseCfg
 from mjlab.viewer import ViewerConfig
 
+from renet.interface import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION
 from renet.tasks import curriculum, observations, rewards, terminations
 from renet.tasks.actions import JointTargetCfg
 from renet.tasks.commands import COMMAND, GoalCommandCfg
@@ -29,7 +30,6 @@ from renet.tasks.go1 import GO1
 from renet.tasks.robot import FEET, TRUNK, Robot
 from renet.tasks.sensors import FEET_HEIGHT, HEIGHT_MAP, contact_sensors, terrain_sensors
 from renet.tasks.terrains import parkour_terrain
-from renet.vocabulary import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION
 
 NOISE = {
     "base_angular_velocity": 0.2,

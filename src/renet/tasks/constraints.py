@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from renet.interface import CONSTRAINTS
 from renet.tasks.step import Step, joint_speed
 from renet.tasks.terms import per_robot
-from renet.vocabulary import CONSTRAINTS
 
 
 @dataclass
@@ -33,7 +33,7 @@ class ConstraintCfg:
 
 @wp.func
 def constraint_costs(step: Step, robot: int) -> wp.vec3:
-    """Sums over joints of what is beyond a limit, order of vocabulary.CONSTRAINTS.
+    """Sums over joints of what is beyond a limit, order of interface.CONSTRAINTS.
 
     In rad, rad/s (each joint counts at most 1) and N m. Torque is what the nominal gains ask for,
     whatever gains a robot's servos have drawn.

@@ -47,7 +47,7 @@ class RenetEnvCfg(ManagerBasedRlEnvCfg):
 
 
 class RenetEnv(ManagerBasedRlEnv):
-    """Adds `extras["costs"]`: [N, 3], order of vocabulary.CONSTRAINTS, times the step's dt."""
+    """Adds `extras["costs"]`: [N, 3], order of interface.CONSTRAINTS, times the step's dt."""
 
     cfg: RenetEnvCfg
     reward_manager: StackedRewards

@@ -37,7 +37,7 @@ class Judge:
         self._launch = Launch(judging(*columns), env.num_envs, inputs, env.device)
         self._begun = wp.to_torch(env.watched.begun)
         self.costs = wp.to_torch(env.watched.costs)
-        """Of the last step times its dt, order of vocabulary.CONSTRAINTS, [N, 3]."""
+        """Of the last step times its dt, order of interface.CONSTRAINTS, [N, 3]."""
 
     def __call__(self) -> None:
         """Judge the step that the simulation has just taken, once."""

@@ -13,11 +13,11 @@ import warp as wp
 from mjlab.managers.scene_entity_config import SceneEntityCfg
 from torch import Tensor
 
+from renet.interface import FEET, PROPRIOCEPTION_SIZE
 from renet.sim.depth_camera import DepthCamera
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.step import Step, joint_speed, offset, world_velocity
 from renet.tasks.terms import fills
-from renet.vocabulary import FEET, PROPRIOCEPTION_SIZE
 
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @fills(PROPRIOCEPTION_SIZE)
 def proprioception(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):
-    """What the robot's own sensors say, order and units of vocabulary.PROPRIOCEPTION.
+    """What the robot's own sensors say, order and units of interface.PROPRIOCEPTION.
 
     [N, 45], before scaling.
     """

@@ -12,8 +12,8 @@ from mjlab.entity import EntityArticulationInfoCfg, EntityCfg
 from mjlab.utils.spec_config import CollisionCfg
 
 from renet.errors import RenetError
+from renet.interface import JOINTS, LEGS
 from renet.sim.depth_camera import MountCfg
-from renet.vocabulary import JOINTS, LEGS
 
 TRUNK = "trunk"
 """Name of the base body."""
@@ -59,13 +59,13 @@ class Robot:
     """As bundles show it."""
     spec: Callable[[], mujoco.MjSpec]
     """A fresh MJCF in renet's names (see `rename_parts`): bodies `trunk`, `FR_hip`, `FR_thigh`,
-    `FR_calf`, …, the joints of vocabulary.JOINTS in any order, colliding geoms `*_collision*`,
+    `FR_calf`, …, the joints of interface.JOINTS in any order, colliding geoms `*_collision*`,
     feet `FR_foot_collision`, …, with a site `FR`, … in the middle of each; no actuators.
     All calves have equally many colliding geoms, at least one beside the foot."""
     height: float
     """Of the base at the start, m above flat ground."""
     pose: Mapping[str, float]
-    """Default joint positions, rad, by regular expression over vocabulary.JOINTS."""
+    """Default joint positions, rad, by regular expression over interface.JOINTS."""
     motors: Mapping[str, Motor]
     """Of `hip`, `thigh` and `calf` joints."""
     foot_radius: float
@@ -113,7 +113,7 @@ class Robot:
         return spec
 
     def motor(self, joint: str) -> Motor:
-        """What drives a joint of vocabulary.JOINTS."""
+        """What drives a joint of interface.JOINTS."""
         return self.motors[joint.split("_")[1]]
 
     def _servos(self) -> Iterator[BuiltinPositionActuatorCfg]:
@@ -141,9 +141,9 @@ def rename_parts(
     Args:
         spec: the robot alone, without ground.
         trunk: its name of the base body.
-        feet: its names of the feet's geoms, by leg of vocabulary.LEGS.
+        feet: its names of the feet's geoms, by leg of interface.LEGS.
         bodies: its name of each body FR_hip, FR_thigh, FR_calf, …, where it is another.
-        joints: its name of each joint of vocabulary.JOINTS, where it is another.
+        joints: its name of each joint of interface.JOINTS, where it is another.
 
     Raises:
         RenetError: a part is missing.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from mjlab.sensor import ContactMatch, ContactSensorCfg
 
+from renet.interface import LEGS
 from renet.sim.depth_camera import DepthCameraCfg
 from renet.sim.terrain_scan import FeetHeightCfg, HeightMapCfg
 from renet.tasks.robot import CALVES, FEET, TRUNK, Robot
-from renet.vocabulary import LEGS
 
 DEPTH_CAMERA = "depth_camera"
 HEIGHT_MAP = "height_map"

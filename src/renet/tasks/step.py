@@ -18,9 +18,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from renet.interface import CONSTRAINTS, JOINTS, LEGS
 from renet.tasks.sensors import CALF_CONTACT, FEET_CONTACT, THIGH_TRUNK_CONTACT
 from renet.tasks.terrains import DIFFICULT
-from renet.vocabulary import CONSTRAINTS, JOINTS, LEGS
 
 if TYPE_CHECKING:
     from renet.tasks.env import RenetEnv
@@ -82,7 +82,7 @@ class Step:
     joint_velocity: wp.array(dtype=int)
     """Columns of `qvel` and `joint_force` [J]."""
     order: wp.array(dtype=int)
-    """Joints in the order of vocabulary.JOINTS."""
+    """Joints in the order of interface.JOINTS."""
     hip: wp.array(dtype=int)
     """Joints [4]."""
     foot: wp.array(dtype=int)

@@ -12,6 +12,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from renet.errors import RenetError
+from renet.interface import CONSTRAINTS, STEPS_PER_TICK
 from renet.models.actor_critic import fuse
 from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
@@ -27,7 +28,6 @@ from renet.training.np3o import NP3O
 from renet.training.precision import Precision, in_halves, learning_type
 from renet.training.storage import PolicyRollout, Recorder, TickRollout
 from renet.training.supervision import Supervision
-from renet.vocabulary import CONSTRAINTS, STEPS_PER_TICK
 
 CRITIC_GROUPS = ("proprioception_clean", "velocity", "feet_height", "height_map", "privileged")
 """Observation groups the critics see; the actor sees `proprioception` and the latent."""

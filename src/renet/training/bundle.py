@@ -15,6 +15,7 @@ from renet import __version__
 from renet.deploy.bundle import write_bundle
 from renet.deploy.manifest import CameraSpec, Manifest, Provenance, RobotSpec, SelectorSpec
 from renet.errors import RenetError
+from renet.interface import JOINTS
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.sim.depth_camera import DepthCameraCfg
@@ -25,7 +26,6 @@ from renet.training import checkpoint as checkpoints
 from renet.training.checkpoint import Checkpoint
 from renet.training.config_io import from_dict
 from renet.training.export import export_models
-from renet.vocabulary import JOINTS
 
 
 @dataclass(kw_only=True)

@@ -9,9 +9,9 @@ from typing import Any, Literal
 from mjlab.rl import RslRlBaseRunnerCfg
 
 from renet.errors import RenetError
+from renet.interface import STEPS_PER_TICK
 from renet.models.config import ModelCfg
 from renet.training.precision import Precision
-from renet.vocabulary import STEPS_PER_TICK
 
 SMALLEST_BATCH = 6_400
 """Control steps of all robots in an iteration: fewer make gradients of little but noise, and cost
@@ -53,7 +53,7 @@ class NP3OCfg:
     max_grad_norm: float = 1.0
     """Gradient norm limit."""
     cost_budget: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Allowed discounted cost d_i per constraint, order of vocabulary.CONSTRAINTS."""
+    """Allowed discounted cost d_i per constraint, order of interface.CONSTRAINTS."""
     cost_weight: float = 0.1
     """Initial penalty kappa of every constraint; 0 is plain PPO."""
     cost_weight_growth: float = 1.0004

@@ -9,10 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from renet.errors import RenetError
-from renet.models.actor_critic import fuse
-from renet.models.autoencoder import anomaly_score
-from renet.models.renet import RENet
-from renet.vocabulary import (
+from renet.interface import (
     DEPTH_SHAPE,
     FEET,
     FRAMES,
@@ -20,6 +17,9 @@ from renet.vocabulary import (
     LATENT,
     PROPRIOCEPTION_SIZE,
 )
+from renet.models.actor_critic import fuse
+from renet.models.autoencoder import anomaly_score
+from renet.models.renet import RENet
 
 OPSET = 17
 """Old enough for the ONNX Runtime of a robot's computer, new enough for LayerNormalization."""

@@ -11,8 +11,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 from renet.errors import RenetError
+from renet.interface import CONSTRAINTS
 from renet.training.metrics import read_curves
-from renet.vocabulary import CONSTRAINTS
 
 PANELS = (
     ("reward per episode", ("Train/mean_reward",)),

@@ -10,8 +10,8 @@ from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.errors import RenetError
 
 # Here and in `sim.py` the runtime borrows from the evaluation: its fault models need only NumPy.
-from renet.evaluation.faults import TICK, Frames, Injection, Injector, View
-from renet.vocabulary import CONTROL_DT
+from renet.faults import TICK, Frames, Injection, Injector, View
+from renet.interface import CONTROL_DT
 
 FAULT = re.compile(
     r"(?P<name>[a-z_]+)(:(?P<severity>\d))?@(?P<onset>\d+(\.\d+)?)s?(\+(?P<length>\d+(\.\d+)?)s?)?"

@@ -10,8 +10,8 @@ from renet.deploy.manifest import CameraSpec
 from renet.deploy.robots.mujoco import BASE, MujocoRobot
 from renet.deploy.robots.scene import TERRAIN
 from renet.errors import RenetError
-from renet.evaluation.faults import View
-from renet.evaluation.obstacles import obstacles, spread
+from renet.faults import View
+from renet.faults.obstacles import obstacles, spread
 
 SEEN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
 """MuJoCo geom groups of the terrain; robots' collision geoms are in group 3."""

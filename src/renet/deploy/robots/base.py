@@ -1,4 +1,4 @@
-"""What every robot driver offers; joints are always in the order of `vocabulary.JOINTS`."""
+"""What every robot driver offers; joints are always in the order of `interface.JOINTS`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from renet.vocabulary import CONTROL_DT
+from renet.interface import CONTROL_DT
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.errors import RenetError
-from renet.vocabulary import JOINTS
+from renet.interface import JOINTS
 
 ROBOT_HOST, ROBOT_PORT, LOCAL_PORT = "192.168.123.10", 8007, 8080
 LOW_LEVEL = 0xFF

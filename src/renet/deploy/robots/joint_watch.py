@@ -8,7 +8,7 @@ import numpy as np
 
 from renet.deploy.observation import projected_gravity
 from renet.deploy.robots.base import RobotState
-from renet.vocabulary import JOINTS
+from renet.interface import JOINTS
 
 TURN = 0.25
 """rad a joint must turn, and sine of the angle the base must lean, to be worth a line."""

@@ -10,7 +10,7 @@ import numpy as np
 from renet.deploy.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.errors import RenetError
-from renet.vocabulary import JOINTS
+from renet.interface import JOINTS
 
 START_HEIGHT = 0.30
 """Of the trunk above the ground at the start, m."""

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from renet.evaluation.faults.stream import FixedPattern, Frames, ImageFault
-from renet.vocabulary import DEPTH_RANGE, DEPTH_SHAPE
+from renet.faults.stream import FixedPattern, Frames, ImageFault
+from renet.interface import DEPTH_RANGE, DEPTH_SHAPE
 
 ROWS, COLUMNS = DEPTH_SHAPE
 FOCAL_PIXELS = 0.5 * COLUMNS / np.tan(np.radians(87.0) / 2)

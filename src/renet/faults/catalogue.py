@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from renet.errors import RenetError
-from renet.evaluation.faults import image, physical, timing
-from renet.evaluation.faults.stream import Fault
+from renet.faults import image, physical, timing
+from renet.faults.stream import Fault
 
 FAULTS: dict[str, type[Fault]] = {
     fault.name: fault

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renet.errors import RenetError
-from renet.evaluation.faults import (
+from renet.faults import (
     FAULTS,
     SEVERITIES,
     TICK,
@@ -15,8 +15,8 @@ from renet.evaluation.faults import (
     Injector,
     PhysicalFault,
 )
-from renet.evaluation.faults.image import FOCAL_PIXELS, fill_holes, shifted
-from renet.vocabulary import DEPTH_SHAPE
+from renet.faults.image import FOCAL_PIXELS, fill_holes, shifted
+from renet.interface import DEPTH_SHAPE
 
 SENSOR_FAULTS = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
 

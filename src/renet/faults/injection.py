@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from renet.errors import RenetError
-from renet.evaluation.faults.catalogue import FAULTS, fault_class
-from renet.evaluation.faults.stream import FOREVER, Fault, Frames
-from renet.evaluation.faults.view import PhysicalFault, View
-from renet.vocabulary import CONTROL_DT
+from renet.faults.catalogue import FAULTS, fault_class
+from renet.faults.stream import FOREVER, Fault, Frames
+from renet.faults.view import PhysicalFault, View
+from renet.interface import CONTROL_DT
 
 
 @dataclass(frozen=True)

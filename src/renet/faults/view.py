@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from renet.evaluation.faults.stream import Fault, Frames
+from renet.faults.stream import Fault, Frames
 
 
 @dataclass(frozen=True)

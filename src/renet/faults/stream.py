@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from renet.errors import RenetError
-from renet.vocabulary import CONTROL_DT, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
 
 TICK = CONTROL_DT * STEPS_PER_TICK
 """Seconds between two frames of the depth camera (10 Hz, paper)."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from renet.evaluation.faults.view import PhysicalFault, View
+from renet.faults.view import PhysicalFault, View
 
 
 class Glass(PhysicalFault):
