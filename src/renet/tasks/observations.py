@@ -22,6 +22,8 @@ from renet.tasks.terms import fills
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv
 
+    from renet.tasks.env import RenetEnv
+
 
 @fills(PROPRIOCEPTION_SIZE)
 def proprioception(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):
@@ -73,6 +75,19 @@ def feet_contact(step: Step, robot: int, row: wp.array2d(dtype=float), first: in
 def difficult(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):
     """1 where the tile forces vision, [N, 1]."""
     row[robot, first] = step.difficult[int(step.tile[robot])]
+
+
+def stalled_seconds(env: RenetEnv) -> Tensor:
+    """Seconds since the robot last made progress: `terminations.stalled` ends the episode at 3.
+
+    [N, 1].
+    """
+    return wp.to_torch(env.watched.stall_seconds).unsqueeze(-1)
+
+
+def smoothed_joint_velocity(env: RenetEnv) -> Tensor:
+    """Joint velocities as the reward `standing_motion` smooths them, [N, J] rad/s."""
+    return wp.to_torch(env.watched.joint_velocity_smooth)
 
 
 class PhysicalParameters:

@@ -68,7 +68,7 @@ def load_networks(checkpoint: Checkpoint, path: Path) -> RENet:
     except KeyError as error:
         raise RenetError(f"{path} is not a checkpoint of RENet: it lacks {error}") from error
     model = RENet(cfg, critic_size)
-    checkpoints.load_model(model, checkpoint.model, path)
+    checkpoints.load_model(model, checkpoint.exported, path)
     return model.eval()
 
 
