@@ -22,9 +22,8 @@ NOTICE = (
     "MuJoCo Menagerie's (BSD-3-Clause, Copyright (c) 2016-2022 HangZhou YuShu TECHNOLOGY CO.,LTD. "
     '("Unitree Robotics"), All rights reserved).'
 )
-CELL = {"trunk": 0.009}
-"""Side of a cell, m; `FINE` for other meshes."""
-FINE = 0.0065
+CELL = 0.009
+"""Side of a cell, m."""
 STEP = 1e-4
 """Positions are stored in these steps, m."""
 
@@ -73,7 +72,7 @@ def look() -> dict[str, Any]:
             start, faces = int(mesh.faceadr[0]), int(mesh.facenum[0])
             vertices = model.mesh_vert[first : first + number]
             triangles = model.mesh_face[start : start + faces]
-            meshes[name] = decimate(vertices, triangles, CELL.get(name, FINE))
+            meshes[name] = decimate(vertices, triangles, CELL)
     return {
         "notice": NOTICE,
         "step": STEP,

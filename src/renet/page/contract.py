@@ -36,9 +36,9 @@ MAP_HEIGHT = 0.3
 """Metres of the base above the ground that read as zero in a height map, as in training."""
 SCENES = {
     FLAT: ("Flat ground", 1),
-    "stairs_up": ("Stairs out of a pit", 3),
-    "stairs_down": ("Stairs down", 4),
-    "platform": ("Platform", 5),
+    "stairs_up": ("Stairs up", 2),
+    "stairs_down": ("Stairs down", 2),
+    "platform": ("Platform", 3),
     "gap": ("Gap", 4),
 }
 """Terrains of the page: what they are called, and their level of 1 to 10."""

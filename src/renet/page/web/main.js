@@ -11,7 +11,7 @@ const OPENING = { terrain: "stairs_down", fault: "blackout", at: 4 };
 /** The scene that opens the page: cameras fail by themselves, unless the visitor is faster. */
 const PUSH = 1.0;
 /** m/s to the left. */
-const MOST_BEHIND = 0.1;
+const MOST_BEHIND = 0.4;
 /** Seconds of simulation that are made up for; beyond, time runs slower than the clock. */
 
 const $ = (selector) => document.querySelector(selector);
@@ -48,11 +48,9 @@ class Page {
     this.addTerrains(contract.scenes);
     $("#about").textContent =
       `Bundle ${contract.bundle} of ${manifest.provenance.date}, renet ${contract.renet}. ` +
-      "Physics: MuJoCo. Models: ONNX Runtime. Drawing: three.js. Discs: the ground that the " +
-      "vision estimator believes in, blue where right, red where 12 cm wrong. Lines at the head: " +
-      "what the camera covers.";
+      "Physics: MuJoCo. Models: ONNX Runtime. Drawing: three.js. Nothing leaves this page.";
     this.scene = contract.scenes.find(({ name }) => name === OPENING.terrain);
-    this.reset();
+    this.start();
     this.opening = true;
   }
 
@@ -88,8 +86,13 @@ class Page {
     panel.estimator = names[(names.indexOf(panel.estimator) + 1) % names.length];
   }
 
-  /** Start again, with other noise. */
+  /** Start again, with other noise, after the control step that is under way. */
   reset() {
+    this.wanted = true;
+  }
+
+  start() {
+    this.wanted = false;
     for (const simulation of this.simulations ?? []) simulation.delete();
     const seed = Math.floor(2 ** 31 * Math.random());
     this.simulations = this.panels.map((panel) => {
@@ -147,12 +150,11 @@ class Page {
       this.breakCamera(contract.faults.findIndex(({ name }) => name === OPENING.fault));
       this.story = "Both cameras just went black.";
     }
-    const { simulations } = this;
-    for (const [n, simulation] of simulations.entries()) {
+    for (const [n, simulation] of this.simulations.entries()) {
       await simulation.step(request);
-      // A reset during the step has put others in their place.
-      if (simulations === this.simulations) this.panels[n].note(simulation);
+      this.panels[n].note(simulation);
     }
+    if (this.wanted) this.start();
   }
 
   draw(seconds) {
@@ -182,24 +184,35 @@ function title(name) {
   return words[0].toUpperCase() + words.slice(1);
 }
 
-/** Simulate in real time and draw, for ever; `stats` says how well that goes. */
-async function run(page, stats) {
+/** Simulate in real time, however long pictures take; time stands still while nobody looks. */
+async function simulate(page, stats) {
   const { controlDt } = page.runtime.contract;
   let last = performance.now();
   let debt = 0;
   for (;;) {
-    const now = await new Promise(requestAnimationFrame);
-    const seconds = Math.max(now - last, 0) / 1000;
+    await new Promise((resolve) => setTimeout(resolve, 4));
+    const now = performance.now();
+    const passed = (now - last) / 1000;
     last = now;
-    debt = Math.min(debt + seconds, MOST_BEHIND);
+    if (document.hidden) continue;
+    stats.seconds += passed;
+    debt = Math.min(debt + passed, MOST_BEHIND);
     for (; debt >= controlDt; debt -= controlDt) {
       await page.step();
       stats.simulated += controlDt;
     }
-    page.draw(seconds);
+  }
+}
+
+/** Draw whenever the browser shows a picture. */
+async function draw(page, stats) {
+  let last = performance.now();
+  for (;;) {
+    const now = await new Promise(requestAnimationFrame);
+    page.draw(Math.max(now - last, 1) / 1000);
+    last = now;
     stats.pictures += 1;
     stats.first ??= performance.now();
-    stats.seconds += seconds;
   }
 }
 
@@ -211,7 +224,7 @@ try {
   ]);
   const page = new Page(runtime, look);
   globalThis.renetPage = { page, stats };
-  await run(page, stats);
+  await Promise.all([draw(page, stats), simulate(page, stats)]);
 } catch (error) {
   $("#message").textContent = `The page cannot run here: ${error.message}`;
   throw error;

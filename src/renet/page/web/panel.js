@@ -70,7 +70,7 @@ export class Panel {
     driver.className = `driver ${fell ? "bad" : walking ? driving : ""}`;
     pace.textContent = walking ? `${speed.toFixed(2)} m/s` : "";
     const objects = walking && !selector.vision;
-    why.textContent = objects ? (estimator === "renet" ? "" : "would say: ") + selector.reason : "";
+    why.textContent = objects ? (estimator === "renet" ? "" : "the selector would object: ") + selector.reason : "";
     drawDepth(this.depth, camera.frame?.image);
     drawDepth(this.reconstruction, walking ? controller.policy.reconstruction : null);
     this.curves.draw(selector.threshold("reconstruction"));

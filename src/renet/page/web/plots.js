@@ -4,7 +4,7 @@ const SPAN = 12;
 /** Seconds that the curves show. */
 const LOSS = [1e-5, 1];
 /** Ends of the loss's logarithmic axis. */
-const NEAR_TO_FAR = ["#fcfdbf", "#fe9f6d", "#de4968", "#8c2981", "#3b0f70", "#000004"];
+const NEAR_TO_FAR = ["#000004", "#3b0f70", "#8c2981", "#de4968", "#fe9f6d", "#fcfdbf"];
 const style = getComputedStyle(document.documentElement);
 const colour = (name) => style.getPropertyValue(`--${name}`).trim();
 const table = colourTable();

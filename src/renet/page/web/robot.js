@@ -37,7 +37,8 @@ export class Robot {
       const [w, x, y, z] = quaternion;
       part.position.set(...position);
       part.quaternion.set(x, y, z, w);
-      part.castShadow = true;
+      part.castShadow = part.receiveShadow = true;
+      part.renderOrder = 2;
       this.body(body).add(part);
     }
     for (const leg of ["FR", "FL", "RR", "RL"]) {
@@ -47,6 +48,7 @@ export class Robot {
       );
       foot.position.set(0, 0, -0.213);
       foot.castShadow = true;
+      foot.renderOrder = 2;
       this.body(`${leg}_calf`).add(foot);
     }
     this.lamp = this.addLamp();
@@ -68,6 +70,7 @@ export class Robot {
   addLamp() {
     const lamp = new THREE.Mesh(new THREE.BoxGeometry(0.2, 0.035, 0.012), new THREE.MeshBasicMaterial());
     lamp.position.set(0, 0, 0.062);
+    lamp.renderOrder = 2;
     this.body(this.contract.base.body).add(lamp);
     return lamp.material;
   }
@@ -91,6 +94,9 @@ export class Robot {
     const disc = new THREE.CylinderGeometry(0.032, 0.032, 0.008, 10).rotateX(Math.PI / 2);
     const map = new THREE.InstancedMesh(disc, new THREE.MeshBasicMaterial(), x.length * y.length);
     map.frustumCulled = false;
+    // Over the ground, wherever it is believed to be, and under the robot.
+    map.material.depthTest = map.material.depthWrite = false;
+    map.renderOrder = 1;
     this.group.add(map);
     return map;
   }
@@ -166,7 +172,7 @@ export class Robot {
         const z = position[2] - baseHeight - heightMap[n];
         const wrong = Math.min(Math.abs(z - heightAt(x, y)) / WRONG, 1);
         this.map.setMatrixAt(n, place.setPosition(x, y, z + 0.005));
-        this.map.setColorAt(n, colour.setHSL(0.55 * (1 - wrong), 0.85, 0.45));
+        this.map.setColorAt(n, colour.setHSL(0.58 * (1 - wrong), 0.9, 0.5));
       });
     });
     this.map.instanceMatrix.needsUpdate = true;

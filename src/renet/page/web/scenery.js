@@ -4,15 +4,15 @@ import * as THREE from "three";
 
 const TEXTURE_METRES = 2;
 /** Side of the ground that the texture covers once. */
-const FLOOR = 0x9aa3ab;
+const FLOOR = 0xb9c2c9;
 const WIDE = 5;
 /** Half-size in m from which a box is ground rather than an obstacle, and gets no edges. */
 
 /** Meshes of every geom that the camera can see, and a function for the height of the ground. */
-export function buildTerrain(world, mujoco, seenGroups) {
+export function buildTerrain(world, mujoco, seenGroups, fine) {
   const { model, data } = world;
   const group = new THREE.Group();
-  const texture = groundTexture();
+  const texture = groundTexture(fine);
   const boxes = [];
   for (let geom = 0; geom < model.ngeom; geom += 1) {
     if (!seenGroups[model.geom_group[geom]]) continue;
@@ -69,7 +69,7 @@ function edges(at, half) {
 }
 
 /** Speckled concrete with slabs of half a metre. */
-function groundTexture() {
+function groundTexture(fine) {
   const size = 512;
   const canvas = new OffscreenCanvas(size, size);
   const context = canvas.getContext("2d");
@@ -88,7 +88,8 @@ function groundTexture() {
   }
   const texture = new THREE.CanvasTexture(canvas);
   texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
-  texture.anisotropy = 4;
+  texture.anisotropy = fine ? 8 : 1;
+  if (!fine) texture.minFilter = THREE.LinearMipmapNearestFilter;
   texture.colorSpace = THREE.SRGBColorSpace;
   return texture;
 }

@@ -18,12 +18,13 @@ export class View {
     this.renderer.shadowMap.enabled = true;
     this.renderer.setScissorTest(true);
     this.finest = software ? 1 : Math.min(devicePixelRatio, 2);
-    this.ratio = software ? 0.8 : this.finest;
+    this.ratio = software ? 0.6 : this.finest;
+    this.finerTextures = !software;
     this.took = 0.03;
     this.scene = new THREE.Scene();
     this.scene.background = new THREE.Color(SKY);
     this.scene.fog = new THREE.Fog(SKY, 6, 24);
-    this.scene.add(new THREE.HemisphereLight(0xf4f8ff, 0x6d6a63, 1.9));
+    this.scene.add(new THREE.HemisphereLight(0xf4f8ff, 0x8d887e, 2.1));
     this.sun = this.addSun(software ? 512 : 1024);
     const geometries = unpackMeshes(look);
     this.robots = slots.map(() => new Robot(look, geometries, manifest, contract));
@@ -34,7 +35,7 @@ export class View {
   }
 
   addSun(size) {
-    const sun = new THREE.DirectionalLight(0xfff3df, 2.3);
+    const sun = new THREE.DirectionalLight(0xfff3df, 2.6);
     sun.castShadow = true;
     sun.shadow.mapSize.set(size, size);
     Object.assign(sun.shadow.camera, { left: -2.5, right: 2.5, top: 2.5, bottom: -2.5, near: 0.5, far: 12 });
@@ -65,7 +66,8 @@ export class View {
   /** Show other simulations, all on the same ground. */
   reset(simulations) {
     if (this.terrain) this.scene.remove(this.terrain.group);
-    this.terrain = buildTerrain(simulations[0].world, this.mujoco, this.contract.camera.seenGroups);
+    const { seenGroups } = this.contract.camera;
+    this.terrain = buildTerrain(simulations[0].world, this.mujoco, seenGroups, this.finerTextures);
     this.scene.add(this.terrain.group);
     for (const robot of this.robots) robot.clear();
     this.followed.fill(null);
