@@ -3,12 +3,14 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from renet.page.writer import PageCfg, WEB, write_page
+from renet.page.writer import WEB, PageCfg, make_server, write_page
 
 LIMIT = 300.0
 """Seconds after which a Node.js that does not end fails its test."""
@@ -36,3 +38,15 @@ def node_page(page: Path) -> Path:
     if shutil.which("node") is None:
         pytest.skip("no Node.js on this machine")
     return page
+
+
+@pytest.fixture(scope="session")
+def address(page: Path) -> Iterator[str]:
+    """Where the page is served."""
+    server = make_server(page, 0)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_port}/"
+    server.shutdown()
+    server.server_close()
+    thread.join()

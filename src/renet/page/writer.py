@@ -112,21 +112,28 @@ def _fill(folder: Path, bundle: Bundle, vendor: list[Path]) -> None:
 
 
 def serve(folder: Path, port: int) -> None:
-    """Serve a page on loopback and open it, until interrupted.
-
-    Raises:
-        RenetError: the port is taken.
-    """
-    handler = partial(QuietHandler, directory=str(folder))
-    try:
-        server = ThreadingHTTPServer((LOOPBACK, port), handler)
-    except (OSError, OverflowError) as error:
-        raise RenetError(f"cannot serve on port {port}: {error}") from error
-    with server:
+    """Serve a page on loopback and open it, until interrupted; raises as `make_server`."""
+    with make_server(folder, port) as server:
         address = f"http://{LOOPBACK}:{server.server_port}/"
         print(f"{address} (Ctrl-C ends it)", flush=True)
         webbrowser.open(address)
         server.serve_forever()
+
+
+def make_server(folder: Path, port: int) -> ThreadingHTTPServer:
+    """A server of a page on loopback.
+
+    Args:
+        folder: the page.
+        port: 0 is any that is free.
+
+    Raises:
+        RenetError: the port is taken.
+    """
+    try:
+        return ThreadingHTTPServer((LOOPBACK, port), partial(QuietHandler, directory=str(folder)))
+    except (OSError, OverflowError) as error:
+        raise RenetError(f"cannot serve on port {port}: {error}") from error
 
 
 class QuietHandler(SimpleHTTPRequestHandler):

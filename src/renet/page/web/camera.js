@@ -4,7 +4,7 @@ import { FAULTS } from "./faults.js";
 import { Random } from "./random.js";
 
 const HISTORY = 12;
-/** Frames kept so that a fault may know the past, as one that was there from the beginning. */
+/** Frames kept so that a fault may know the past as if it had been there from the beginning. */
 
 /** Looks at the terrain from the robot's base, at the camera's rate on the robot's clock. */
 export class DepthCamera {

@@ -105,7 +105,7 @@ export class View {
     last.yaw += share * 0.25 * turn;
     const [x, y, z] = last.position;
     const { turn: aside, lift, distance } = this.orbit;
-    const away = distance * Math.max(1, 1.15 / aspect);
+    const away = distance * Math.max(1, aspect ** -0.6);
     const angle = last.yaw + aside;
     const camera = new THREE.PerspectiveCamera(42, aspect, 0.05, 60);
     camera.up.set(0, 0, 1);
