@@ -41,11 +41,9 @@ def press(browser: Browser, key: str) -> None:
 
 
 def errors(browser: Browser) -> list[str]:
-    """What the console complains of; the browser's own notes on drawing without a GPU do not count."""
-    browser.ask("1")
-    return [
-        c for c in browser.complaints if json.loads(c).get("entry", {}).get("level") != "warning"
-    ]
+    """What the console complains of, without the browser's notes on drawing without a GPU."""
+    said = [json.loads(complaint) for complaint in browser.complaints]
+    return [str(one) for one in said if one.get("entry", {}).get("level") != "warning"]
 
 
 def robots(browser: Browser) -> list[dict[str, Any]]:
@@ -63,7 +61,6 @@ def test_renet_walks_on_when_it_is_blinded(browser: Browser, address: str):
     until(browser, "renetPage.page.now >= 5")
     vp, renet = robots(browser)
     assert (vp["driving"], renet["driving"]) == ("vp", "vp")
-    before = renet["speed"]
     press(browser, "3")
     assert browser.ask("renetPage.page.simulations[1].camera.fault.name") == "blackout"
 
@@ -73,7 +70,7 @@ def test_renet_walks_on_when_it_is_blinded(browser: Browser, address: str):
     assert (vp["driving"] or "vp", renet["driving"]) == ("vp", "op")
     assert renet["upright"]
     assert renet["walking"]
-    assert renet["speed"] == pytest.approx(before, abs=0.25)
+    assert 0.5 < renet["speed"] < 0.9
     assert errors(browser) == []
     assert all(url.startswith((address, "blob:")) for url in browser.requests)
 

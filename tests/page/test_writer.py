@@ -120,7 +120,7 @@ def test_scenes_are_those_of_the_runtime(terrain: str):
 def test_contract_is_json_and_agrees_with_training():
     text = json.dumps(contract(), allow_nan=False)
     assert "Infinity" not in text
-    assert MAP_HEIGHT == HeightMapCfg().base_height
+    assert HeightMapCfg("map").base_height == MAP_HEIGHT
 
 
 def test_download_is_small(page: Path):
