@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.evaluation.browser import Browser, find_browser
 
 from renet.page.writer import make_server
-from tests.evaluation.browser import Browser, find_browser
 
 AFTER = 10.0
 """Seconds from the fault to the look at the robots."""
