@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from renet.errors import RenetError
-from renet.sim.raycast import scanner
+from renet.sim.depth.raycast import scanner
 from renet.tasks.config import tile_env_cfg
 from renet.tasks.curriculum import FIRST_LEVELS
 from renet.tasks.terrains import parkour_terrain, single_tile_terrain

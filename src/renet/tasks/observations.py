@@ -14,7 +14,7 @@ from mjlab.managers.scene_entity_config import SceneEntityCfg
 from torch import Tensor
 
 from renet.interface import FEET, PROPRIOCEPTION_SIZE
-from renet.sim.depth_camera import DepthCamera
+from renet.sim.depth.camera import DepthCamera
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.step import Step, joint_speed, offset, world_velocity
 from renet.tasks.terms import fills

@@ -235,7 +235,7 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
     Raises:
         RenetError: a reward or a tile the task does not have, or a share of nothing.
     """
-    from renet.sim.depth_camera import DepthCameraCfg
+    from renet.sim.depth.camera import DepthCameraCfg
     from renet.tasks import env_cfg
     from renet.tasks.terrains import as_mjlab
     from renet.tiles import dense_tiles

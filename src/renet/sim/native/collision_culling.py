@@ -10,16 +10,15 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from renet.sim.native_kernel import INT
-from renet.sim.transfer import Transfer
+from renet.sim.native.copy_tables import FieldCopy
 
 MASKS = ("body_contype", "body_conaffinity")
 TRAVEL = 0.5
 """Metres nothing moves within the few physics steps of one call and since it was last looked at,
-which native_kernel.advance does where a robot has moved half of it."""
+which engine.cpp does where a robot has moved half of it."""
 
 
-class Neighbourhood:
+class CollisionCulling:
     """Collision masks of each environment's bodies, zero for static bodies out of reach.
 
     Culls where that is safe to decide from the positions of free-floating roots; in other models
@@ -28,36 +27,33 @@ class Neighbourhood:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, num_envs: int) -> None:
         """Set up from a model, and its data after `mj_forward`."""
-        self._masks = [np.tile(getattr(model, name), (num_envs, 1)) for name in MASKS]
-        self._full = [mask[0].copy() for mask in self._masks]
-        roots, reach = _roots(model)
-        self._columns = np.array(roots, np.int32)
-        self._reach = np.array(reach, np.float32)
-        self._seen = np.full((num_envs, len(roots), 2), np.nan, np.float32)
-        """Where each robot was when it was last looked at."""
+        self.masks = [np.tile(getattr(model, name), (num_envs, 1)) for name in MASKS]
+        """[N, nbody] each, which engine.cpp writes."""
+        whole = [mask[0].copy() for mask in self.masks]
+        roots, self.reach = _roots(model)
         bodies = _bounded_static_bodies(model) if roots else np.empty(0, int)
-        self._bodies = bodies.astype(np.int32)
         bounds = [_bounds(model, data, body) for body in bodies]
-        self._bounds = np.array(bounds, np.float32).reshape(-1, 2, 2)
-        """Low and high corners."""
-        self._half_travel = np.array([TRAVEL / 2], np.float32)
+        self.is_active = len(bodies) > 0
+        self.fields = {
+            "bodies": len(bodies),
+            "roots": len(roots),
+            "model_bodies": model.nbody,
+            "body": bodies.astype(np.int32),
+            "bounds": np.array(bounds, np.float32),
+            "column": np.array(roots, np.int32),
+            "reach": np.array(self.reach, np.float32),
+            "half_travel": TRAVEL / 2,
+            "last": np.full((num_envs, len(roots), 2), np.nan, np.float32),
+            **dict(zip(("contype", "conaffinity"), self.masks, strict=True)),
+            **dict(zip(("whole_contype", "whole_conaffinity"), whole, strict=True)),
+        }
+        """The struct Culling of engine.cpp."""
 
-    def numbers(self) -> list[int]:
-        """What native_kernel.advance reads; those of environments it writes."""
-        sizes = [len(self._bodies), len(self._columns), self._masks[0].shape[1]]
-        arrays = (self._columns, self._reach, self._seen, self._bodies, self._bounds)
-        return sizes + [
-            array.ctypes.data for array in (*arrays, *self._masks, *self._full, self._half_travel)
-        ]
-
-    def rows(self, model: mujoco.MjModel) -> list[Transfer]:
-        """Loads of the masks into a worker's model; none where nothing is culled."""
-        return [
-            Transfer(mask.ctypes.data, mask.strides[0], target.ctypes.data, target.size, INT)
-            for name, mask in zip(MASKS, self._masks, strict=True)
-            for target in [getattr(model, name)]
-            if len(self._bodies)
-        ]
+    def load_masks(self, model: mujoco.MjModel) -> list[FieldCopy]:
+        """Copies of the masks into a worker's model; none where nothing is culled."""
+        if not self.is_active:
+            return []
+        return [FieldCopy(m, getattr(model, n)) for m, n in zip(self.masks, MASKS, strict=True)]
 
 
 def _roots(model: mujoco.MjModel) -> tuple[list[int], list[float]]:

@@ -11,8 +11,8 @@ from mjlab.sim.sim import MujocoCfg, SimulationCfg
 
 from renet.errors import RenetError
 from renet.sim import pipeline
-from renet.sim.engine import NativeSimulation
-from renet.sim.pipeline import moving_part
+from renet.sim.native.engine import NativeSimulation
+from renet.sim.native.stages import moving_part
 
 NUM_ENVS = 2
 STEPS = 300

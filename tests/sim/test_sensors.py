@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from mjlab.utils.lab_api.math import matrix_from_quat, quat_from_euler_xyz
 
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
-from renet.sim.terrain_scan import FeetHeight, FeetHeightCfg, HeightMap, HeightMapCfg
+from renet.sim.sensors import FeetHeight, FeetHeightCfg, HeightMap, HeightMapCfg
 
 ROBOT = '<body name="robot"><freejoint/><site name="foot"/><geom size="0.05"/></body>'
 

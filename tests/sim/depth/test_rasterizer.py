@@ -9,9 +9,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from renet.sim.camera_model import Intrinsics, mount_rotation
-from renet.sim.raycast import TerrainScanner
-from renet.sim.terrain_bins import Pinhole
+from renet.camera import Intrinsics
+from renet.sim.depth.camera import mount_rotation
+from renet.sim.depth.rasterizer import Pinhole
+from renet.sim.depth.raycast import TerrainScanner
 
 RAYS = Intrinsics().rays()
 

@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 from renet.sim import threads
-from renet.sim.native_call import SHARED, Call
+from renet.sim.native.compiler import SHARED, Call
 
 
 @wp.func_native(

@@ -12,7 +12,7 @@ import torch
 from mjlab.sim.sim import SimulationCfg
 
 from renet.sim import neighbourhood
-from renet.sim.engine import NativeSimulation
+from renet.sim.native.engine import NativeSimulation
 from renet.tasks import make_env
 
 ROW_OF_TABLES = """

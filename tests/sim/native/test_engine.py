@@ -15,7 +15,7 @@ from mjlab.tasks.registry import load_env_cfg
 
 from renet.errors import RenetError
 from renet.sim import engine
-from renet.sim.engine import NativeSimulation, use_engine
+from renet.sim.native.engine import NativeSimulation, use_engine
 
 FLAT = "Mjlab-Velocity-Flat-Unitree-Go1"
 NUM_ENVS = 3

@@ -10,12 +10,14 @@ from torch import Tensor
 
 @dataclass
 class DepthNoiseCfg:
-    """The paper states 1 % distance noise and Gaussian noise of variance 0.01, without a unit."""
+    """Gaussian errors of every pixel: one in proportion to distance, one constant."""
 
     relative_std: float = 0.01
-    """Standard deviation of the error proportional to distance (Gaussian), m/m."""
+    """Standard deviation of the error in proportion to distance, m/m (paper: 1 %)."""
     gaussian_std: float = 0.1
-    """Standard deviation of the constant error, m: variance 0.01 read literally as m^2."""
+    """Standard deviation of the constant error, m. The paper says "variance 0.01" without a unit:
+    0.1 reads it as m²; 0.01 would read it as a standard deviation in m, and 0.2 as the variance of
+    depth divided by its 2 m range."""
 
 
 def add_noise(depth: Tensor, cfg: DepthNoiseCfg) -> Tensor:

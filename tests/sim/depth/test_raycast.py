@@ -9,10 +9,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from renet.camera import Intrinsics
 from renet.sim import raycast
-from renet.sim.camera_model import Intrinsics, mount_rotation
-from renet.sim.raycast import TerrainScanner
-from renet.sim.terrain_mesh import terrain_mesh
+from renet.sim.depth.camera import mount_rotation
+from renet.sim.depth.raycast import TerrainScanner
+from renet.sim.depth.terrain_mesh import terrain_mesh
 
 RANGE = 2.0
 

@@ -14,14 +14,14 @@ from mjlab.envs import ManagerBasedRlEnv
 from mjlab.tasks.registry import load_env_cfg
 from mjlab.utils.lab_api.math import matrix_from_quat
 
+from renet.camera import Intrinsics
 from renet.errors import RenetError
-from renet.sim.camera_model import Intrinsics, mount_rotation
-from renet.sim.depth_camera import DepthCamera, DepthCameraCfg, MountCfg
-from renet.sim.depth_noise import DepthNoiseCfg, add_noise
-from renet.sim.engine import use_engine
-from renet.sim.raycast import TerrainScanner
-from renet.sim.terrain_mesh import terrain_mesh
-from renet.sim.terrain_scan import FeetHeightCfg, HeightMapCfg
+from renet.sim.depth.camera import DepthCamera, DepthCameraCfg, MountCfg, mount_rotation
+from renet.sim.depth.noise import DepthNoiseCfg, add_noise
+from renet.sim.depth.raycast import TerrainScanner
+from renet.sim.depth.terrain_mesh import terrain_mesh
+from renet.sim.native.engine import use_engine
+from renet.sim.sensors import FeetHeightCfg, HeightMapCfg
 
 QUIET = DepthNoiseCfg(relative_std=0.0, gaussian_std=0.0)
 EXACT = MountCfg(position=(0.0, 0.0, 0.0), pitch=0.0, position_error=0.0, angle_error=0.0)

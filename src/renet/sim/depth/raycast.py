@@ -1,7 +1,7 @@
 """Ray casting against the terrain mesh with NVIDIA Warp.
 
 The kernels run on a CPU as on a GPU. A CPU uses them only for rays that make no image: images and
-heights come from `terrain_bins`, which is thirty times as fast there.
+heights come from the rasterizer, which is thirty times as fast there.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from renet.sim.terrain_bins import Pinhole, TerrainBins
-from renet.sim.terrain_mesh import terrain_mesh
+from renet.camera import Intrinsics
+from renet.sim.depth.rasterizer import Rasterizer
+from renet.sim.depth.terrain_mesh import terrain_mesh
 from renet.sim.threads import for_chunks
 
 CELL = 4.0
@@ -130,14 +131,14 @@ class TerrainScanner:
         """Take the terrain of a model, save for the geoms `without`.
 
         Raises:
-            RenetError: see terrain_mesh.
+            RenetError: the terrain has a shape that cannot be turned into triangles, or none.
         """
         self._vertices, self._faces = terrain_mesh(model, without)
         self.device = wp.get_device(device)
         self.triangles = len(self._faces)
         self.top = float(self._vertices[:, 2].max()) + 1.0
         self.drop = self.top - float(self._vertices[:, 2].min()) + 1.0
-        self._bins = TerrainBins(model, without) if self.device.is_cpu else None
+        self._rasterizer = Rasterizer(model, without) if self.device.is_cpu else None
 
     @cached_property
     def _trees(self) -> tuple[Any, list[wp.Mesh]]:
@@ -157,11 +158,12 @@ class TerrainScanner:
         """Height of frames over the terrain at points around them.
 
         Args:
-            position: [N, 3] m, world. rotation: [N, 3, 3], frame to world; its yaw turns the
-            pattern. None keeps it as it is. pattern: [P, 2] m from the position.
+            position: [N, 3] m, world.
+            rotation: [N, 3, 3], frame to world; its yaw turns the pattern. None does not.
+            pattern: [P, 2] m from the position.
 
         Returns:
-            [N, P] m; see `height` for where there is no terrain.
+            [N, P] m; terrain is taken to be 1 m below its lowest where there is none.
         """
         frames = _rows(position).unsqueeze(1)
         turns = None if rotation is None else _rows(rotation).unsqueeze(1)
@@ -177,15 +179,17 @@ class TerrainScanner:
         """Prepare `clearance` of some frames in arrays that stay where they are.
 
         Args:
-            position: [N, B, 3]. rotation: [N, B, 3, 3], or None. parts: P of the B.
-            pattern: as in `clearance`.
+            position: [N, B, 3] m, world.
+            rotation: [N, B, 3, 3], frames to world; their yaw turns the pattern. None does not.
+            parts: which of the B.
+            pattern: [P, 2] m from each position.
 
         Returns:
-            A function of none that gives [N, parts, P], which its next call may overwrite.
+            A function of none that gives [N, parts, P] m, which its next call may overwrite.
         """
-        if self._bins is not None:
+        if self._rasterizer is not None:
             limits = (self.top, self.drop)
-            return self._bins.watch(position, rotation, parts, pattern, limits)
+            return self._rasterizer.watch(position, rotation, parts, pattern, limits)
         index = torch.tensor(parts, device=position.device)
 
         def look() -> Tensor:
@@ -214,23 +218,25 @@ class TerrainScanner:
         )
         return clearance
 
-    def depth(self, position: Tensor, rotation: Tensor, rays: Tensor, limit: float) -> Tensor:
+    def depth(self, position: Tensor, rotation: Tensor, lens: Intrinsics, limit: float) -> Tensor:
         """Planar depth of cameras.
 
         Args:
-            position: [N, 3] m, world. rotation: [N, 3, 3], camera axes (forward, left, up) as
-            columns, world. rays: [P, 3] in the camera frame with forward component 1.
-            limit: metres beyond which nothing is seen.
+            position: [N, 3] m, world.
+            rotation: [N, 3, 3], camera axes (forward, left, up) as columns, world.
+            lens: rays of every camera.
+            limit: m beyond which nothing is seen.
 
         Returns:
-            [N, P] metres to the image plane; -1 where nothing was hit.
+            [N, H * W] metres to the image plane; -1 where nothing was hit.
         """
-        if self._bins is not None and (image := Pinhole.of(rays)) is not None:
-            return self._bins.depth(position, rotation, image, limit)
+        if self._rasterizer is not None:
+            return self._rasterizer.depth(position, rotation, lens, limit)
+        rays = torch.from_numpy(lens.rays(np.float32)).to(position.device)
         return self.cast_depth(position, rotation, rays, limit)
 
     def cast_depth(self, position: Tensor, rotation: Tensor, rays: Tensor, limit: float) -> Tensor:
-        """The same, by ray casting on any device."""
+        """The same along any rays [P, 3] with forward component 1: [N, P]."""
         depth = torch.empty(len(position), len(rays), device=position.device)
         arrays = (
             wp.from_torch(position.contiguous(), dtype=wp.vec3),

@@ -7,7 +7,8 @@ import math
 import pytest
 import torch
 
-from renet.sim.camera_model import Intrinsics, mount_rotation
+from renet.camera import Intrinsics
+from renet.sim.depth.camera import mount_rotation
 
 
 def test_each_intrinsic_acts_on_its_own_axis():

@@ -14,7 +14,7 @@ from mjlab.sim.sim import MujocoCfg, Simulation, SimulationCfg
 from mjlab.tasks.registry import load_env_cfg
 
 from renet.errors import RenetError
-from renet.sim.engine import NativeSimulation, use_engine
+from renet.sim.native.engine import NativeSimulation, use_engine
 
 NUM_ENVS = 3
 ROUGH = "Mjlab-Velocity-Rough-Unitree-Go1"

@@ -1,16 +1,49 @@
-"""True terrain around a robot, for critics and as the estimators' targets."""
+"""Sensors of the true terrain around a robot, for critics and as the estimators' targets."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import mujoco
 import torch
-from mjlab.sensor.sensor import SensorCfg
+from mjlab.sensor.sensor import Sensor, SensorCfg
 from torch import Tensor
 
+from renet.errors import RenetError
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, LEGS
-from renet.sim.ray_sensor import RaySensor, object_id
+from renet.sim.depth.raycast import scanner
+
+T = TypeVar("T")
+
+
+class RaySensor(Sensor[T]):
+    """An mjlab sensor that casts rays against the static terrain."""
+
+    _data: Any
+
+    def edit_spec(self, scene_spec, entities) -> None:
+        """Rays need nothing in the model."""
+
+    def initialize(self, mj_model, model, data, device) -> None:
+        """Find the terrain's mesh, which is built once for each model."""
+        self._data, self._device = data, device
+        self._scanner = scanner(mj_model, device)
+
+
+def object_id(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
+    """Number of a body or site.
+
+    Raises:
+        RenetError: there is none of that name; lists those there are.
+    """
+    found = mujoco.mj_name2id(model, kind, name)
+    if found >= 0:
+        return found
+    count = {mujoco.mjtObj.mjOBJ_BODY: model.nbody, mujoco.mjtObj.mjOBJ_SITE: model.nsite}[kind]
+    known = filter(None, (mujoco.mj_id2name(model, kind, i) for i in range(count)))
+    label = kind.name.removeprefix("mjOBJ_").lower()
+    raise RenetError(f"the scene has no {label} {name!r}: choose one of {', '.join(known)}")
 
 
 @dataclass
@@ -56,7 +89,7 @@ class HeightMap(RaySensor[Tensor]):
         self.cfg = cfg
 
     def initialize(self, mj_model, model, data, device) -> None:
-        """See RaySensor.initialize; raises RenetError for an unknown body."""
+        """Find the body and the terrain; raises RenetError for an unknown body."""
         self._body = object_id(mj_model, mujoco.mjtObj.mjOBJ_BODY, self.cfg.body)
         super().initialize(mj_model, model, data, device)
         x, y = (torch.tensor(axis, device=device) for axis in (self.cfg.x, self.cfg.y))
@@ -76,7 +109,7 @@ class FeetHeight(RaySensor[Tensor]):
         self.cfg = cfg
 
     def initialize(self, mj_model, model, data, device) -> None:
-        """See RaySensor.initialize; raises RenetError for an unknown site."""
+        """Find the sites and the terrain; raises RenetError for an unknown site."""
         sites = [object_id(mj_model, mujoco.mjtObj.mjOBJ_SITE, name) for name in self.cfg.sites]
         super().initialize(mj_model, model, data, device)
         step = torch.linspace(-self.cfg.patch / 2, self.cfg.patch / 2, 3, device=device)
