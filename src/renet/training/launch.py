@@ -54,4 +54,7 @@ def _handlers(cfg: TrainCfg) -> list[logging.Handler]:
     terminal = RedirectHandler()
     terminal.addFilter(get_handler_filter(cfg.hosts[0], local_rank=0))
     workers = [cfg.processes] * len(cfg.hosts)
-    return [terminal, *file_handlers(list(cfg.hosts), workers, log_dir=(cfg.log_root or LOGS) / "workers")]
+    return [
+        terminal,
+        *file_handlers(list(cfg.hosts), workers, log_dir=(cfg.log_root or LOGS) / "workers"),
+    ]
