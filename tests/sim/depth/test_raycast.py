@@ -16,6 +16,7 @@ from renet.sim.depth.raycast import TerrainScanner
 from renet.sim.depth.terrain_mesh import terrain_mesh
 
 RANGE = 2.0
+RAYS = torch.from_numpy(Intrinsics().rays(np.float32))
 
 
 def scene(worldbody: str, assets: str = "") -> mujoco.MjModel:
@@ -37,11 +38,11 @@ def assert_sees_what_mujoco_sees(model: mujoco.MjModel, eye, rotation: torch.Ten
 
     Images drawn and rays cast, which are not the same code.
     """
-    rays, scanner, eyes = Intrinsics().rays(), TerrainScanner(model, "cpu"), torch.tensor(eye)[None]
-    expected = mujoco_rays(model, np.array(eye), (rays[::5] @ rotation[0].T).numpy())
+    scanner, eyes = TerrainScanner(model, "cpu"), torch.tensor(eye)[None]
+    expected = mujoco_rays(model, np.array(eye), (RAYS[::5] @ rotation[0].T).numpy())
     expected[expected > RANGE] = -1.0
-    drawn = scanner.depth(eyes, rotation, rays, RANGE)[0, ::5]
-    cast = scanner.depth(eyes, rotation, rays[::5], RANGE)[0]
+    drawn = scanner.depth(eyes, rotation, Intrinsics(), RANGE)[0, ::5]
+    cast = scanner.cast_depth(eyes, rotation, RAYS[::5], RANGE)[0]
     for got in (drawn, cast):
         differs = np.abs(got.numpy() - expected) > 1e-3
         assert differs.mean() <= 0.02
@@ -120,7 +121,7 @@ def test_cells_change_nothing(monkeypatch):
     eyes = torch.cat((points[:40], torch.rand(40, 1) + 0.2), dim=-1)
     rotation = mount_rotation(torch.rand(40), torch.rand(40) * 6)
     for limit in (RANGE, 10.0):  # Within a cell's reach, and beyond it.
-        seen = [s.cast_depth(eyes, rotation, Intrinsics().rays(), limit) for s in (many, one)]
+        seen = [s.cast_depth(eyes, rotation, RAYS, limit) for s in (many, one)]
         assert torch.equal(*seen)
         assert (seen[0] >= 0).any()
 
@@ -149,9 +150,9 @@ def test_a_gpu_sees_what_the_cpu_sees():
     model = scene(CLUTTER, SOLID)
     eyes = torch.tensor([[-1.6, 0.1, 0.5], [float("nan"), 0.0, 0.5]])
     rotation = mount_rotation(torch.tensor([0.5, 0.5]), torch.zeros(2))
-    inputs = eyes, rotation, Intrinsics().rays()
-    cpu = TerrainScanner(model, "cpu").depth(*inputs, RANGE)
-    gpu = TerrainScanner(model, "cuda:0").depth(*(tensor.cuda() for tensor in inputs), RANGE)
+    cpu = TerrainScanner(model, "cpu").depth(eyes, rotation, Intrinsics(), RANGE)
+    poses = eyes.cuda(), rotation.cuda()
+    gpu = TerrainScanner(model, "cuda:0").depth(*poses, Intrinsics(), RANGE)
     assert (cpu[0] >= 0).any()
     assert (gpu[1] < 0).all()
     assert ((gpu.cpu() - cpu).abs() > 1e-4).float().mean() < 0.01
