@@ -258,7 +258,7 @@ def test_a_reset_between_steps_restarts_the_clock_and_one_inside_a_step_does_not
     sensor = camera(scene(PLANE))
     assert ticks(sensor, 13) == [5, 10]
     sensor.update(0.02)
-    old = sensor.data.depth
+    old = sensor._image.depth
     sensor.reset(torch.tensor([0]))  # The only robot falls in step 14 ...
     assert sensor.data.depth is old
     assert ticks(sensor, 8) == [1, 6]  # ... and consumers still tick at steps 15 and 20.

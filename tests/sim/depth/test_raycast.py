@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renet.camera import Intrinsics
-from renet.sim import raycast
+from renet.sim.depth import raycast
 from renet.sim.depth.camera import mount_rotation
 from renet.sim.depth.raycast import TerrainScanner
 from renet.sim.depth.terrain_mesh import terrain_mesh

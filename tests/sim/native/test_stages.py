@@ -191,7 +191,7 @@ def test_plain_steps_are_the_native_ones(doubted):
 
 
 def test_time_is_found_and_nothing_is_changed_in_looking_for_it():
-    data = mujoco.MjData(scene(WALKER))
+    data = mujoco.MjData(scene(WALKER, TILES))
     data.time = 2.5
     assert mujoco_memory.time(data) == [2.5]
     data.time = 3.0
