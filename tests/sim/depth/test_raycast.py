@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renet.camera import Intrinsics
-from renet.sim.depth import raycast
 from renet.sim.depth.camera import mount_rotation
 from renet.sim.depth.raycast import TerrainScanner
 from renet.sim.depth.terrain_mesh import terrain_mesh
@@ -97,40 +96,6 @@ def test_a_plane_goes_on_beyond_its_drawn_size():
     far = torch.tensor([[50.0, -80.0]])
     height = TerrainScanner(scene('<geom type="plane" size="1 1 1" pos="0 0 .1"/>'), "cpu")
     torch.testing.assert_close(height.height(far), torch.tensor([0.1]), atol=1e-4, rtol=0)
-
-
-def test_cells_change_nothing(monkeypatch):
-    random = np.random.default_rng(1)
-    middles, sizes = random.uniform(-9, 9, (150, 2)), random.uniform(0.05, 1.5, (150, 3))
-    model = scene(
-        '<geom type="plane" size="0 0 1"/>'
-        + "".join(
-            f'<geom type="box" size="{a} {b} {c}" pos="{x} {y} 0"/>'
-            for (x, y), (a, b, c) in zip(middles, sizes, strict=True)
-        )
-    )
-    many = TerrainScanner(model, "cpu")
-    monkeypatch.setattr(raycast, "FINE", 0.0)
-    one = TerrainScanner(model, "cpu")
-    assert len(one._trees[1]) == 1
-    monkeypatch.undo()
-    assert len(many._trees[1]) > 20
-    points = torch.from_numpy(random.uniform(-15, 15, (3000, 2))).float()
-    origin = torch.zeros(1, 3)
-    assert torch.equal(*(s.cast_clearance(origin, None, points) for s in (many, one)))
-    eyes = torch.cat((points[:40], torch.rand(40, 1) + 0.2), dim=-1)
-    rotation = mount_rotation(torch.rand(40), torch.rand(40) * 6)
-    for limit in (RANGE, 10.0):  # Within a cell's reach, and beyond it.
-        seen = [s.cast_depth(eyes, rotation, RAYS, limit) for s in (many, one)]
-        assert torch.equal(*seen)
-        assert (seen[0] >= 0).any()
-
-
-def test_trees_are_there_before_threads_share_them(monkeypatch):
-    scanner, ready = TerrainScanner(scene(CLUTTER, SOLID), "cpu"), []
-    monkeypatch.setattr(raycast, "for_chunks", lambda *_: ready.append("_trees" in vars(scanner)))
-    scanner.cast_clearance(torch.zeros(1, 3), None, torch.zeros(1, 2))
-    assert ready == [True]
 
 
 def test_rays_see_only_what_is_fixed_and_collides():
