@@ -39,6 +39,13 @@ COMMANDS = {
         "run_demo",
         "train",
     ),
+    "page": Command(
+        "the page that runs a bundle in the browser, and lets visitors break its camera",
+        "renet.page.writer",
+        "PageCfg",
+        "run_page",
+        "sim",
+    ),
     "train": Command(
         "train RENet on a CPU or GPUs", "renet.training.launch", "TrainCfg", "launch", "train"
     ),
