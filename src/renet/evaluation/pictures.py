@@ -27,9 +27,9 @@ from renet.sim.camera_model import Intrinsics, mount_rotation
 from renet.sim.depth_camera import MountCfg
 from renet.sim.depth_noise import DepthNoiseCfg, add_noise
 from renet.sim.raycast import TerrainScanner, scanner
-from renet.tasks.config import parkour_env_cfg
-from renet.tiles import LEVELS as TOP
-from renet.tiles import TILE, tiles
+from renet.tasks.parkour_env_cfg import parkour_env_cfg
+from renet.terrain.tiles import LEVELS as TOP
+from renet.terrain.tiles import TILE, tiles
 
 LEVELS = (1, 5, 10)
 EYE = (0.55, 0.0, 0.33)

@@ -175,7 +175,7 @@ def train(cfg: TrainCfg) -> Path | None:
         RenetError: anything a user can put right.
     """
     from renet.tasks import make_env
-    from renet.tasks.robot import ACTION_CLIP
+    from renet.tasks.robot_cfg import ACTION_CLIP
 
     began = time.monotonic()
     rank = int(os.getenv("RANK", "0"))
@@ -238,7 +238,7 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
     from renet.sim.depth_camera import DepthCameraCfg
     from renet.tasks import env_cfg
     from renet.tasks.terrains import as_mjlab
-    from renet.tiles import dense_tiles
+    from renet.terrain.tiles import dense_tiles
 
     task = env_cfg(cfg.task)
     weights, shares = (dict(preset(cfg.preset)[n]) | dict(getattr(cfg, n)) for n in MERGED)

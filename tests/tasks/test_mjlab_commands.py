@@ -1,0 +1,44 @@
+"""mjlab's own commands run the tasks, without anything of `renet`'s."""
+
+from __future__ import annotations
+
+import csv
+
+import mjlab.scripts.play as play
+import mjlab.scripts.train as train
+import pytest
+from mjlab.viewer import NativeMujocoViewer
+
+TASK = "Renet-Go1-Flat"
+
+
+def test_train_takes_two_iterations(tmp_path, monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
+    options = ["--env.scene.num-envs", "4", "--agent.max-iterations", "2", "--gpu-ids", "None"]
+    options += ["--agent.num-steps-per-env", "5", "--log-root", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", ["train", TASK, *options])
+    train.main()
+    (run,) = tmp_path.glob("renet/*")
+    (checkpoint,) = (run / "checkpoints").iterdir()
+    assert checkpoint.name.endswith("2")
+    (curves,) = run.rglob("curves.csv")
+    rows = list(csv.DictReader(curves.open()))
+    assert len(rows) == 2
+    assert float(rows[-1]["Loss/cost_torque"]) >= 0.0
+
+
+@pytest.mark.parametrize("task", [TASK, "Renet-Go1-Parkour"])
+def test_play_steps_a_policy_of_zeros(task, monkeypatch):
+    steps = []
+
+    def run(viewer: NativeMujocoViewer) -> None:
+        for _ in range(3):
+            observation = viewer.env.get_observations()
+            steps.append(viewer.env.step(viewer.policy(observation)))
+
+    monkeypatch.setattr(NativeMujocoViewer, "run", run)
+    options = ["--agent", "zero", "--viewer", "native", "--num-envs", "2", "--device", "cpu"]
+    monkeypatch.setattr("sys.argv", ["play", task, *options])
+    play.main()
+    assert len(steps) == 3
+    assert all(reward.shape == (2,) for _, reward, *_ in steps)
