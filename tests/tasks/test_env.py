@@ -319,12 +319,12 @@ def test_mjlabs_own_environment_runs_a_task_as_ours_does():
         last = {**steps[-1][0], "costs": env.extras["costs"]}
         rollouts.append((last, torch.stack([step[1] for step in steps])))
         env.close()
-    (plain, plain_rewards), (ours, our_rewards) = rollouts
-    assert plain.keys() == ours.keys()
-    for name, value in plain.items():
-        torch.testing.assert_close(value, ours[name], msg=name)
-    torch.testing.assert_close(plain_rewards, our_rewards)
-    assert (plain["costs"] > 0.0).any()
+    (seen, rewards), (expected, expected_rewards) = rollouts
+    assert seen.keys() == expected.keys()
+    for name, value in seen.items():
+        torch.testing.assert_close(value, expected[name], msg=name)
+    torch.testing.assert_close(rewards, expected_rewards)
+    assert (seen["costs"] > 0.0).any()
 
 
 def test_errors_name_what_is_wrong():

@@ -9,14 +9,14 @@ import mjlab.scripts.train as train
 import pytest
 from mjlab.viewer import NativeMujocoViewer
 
-TASK = "Renet-Go1-Flat"
+from renet.sim.engine import use_engine
 
 
 def test_train_takes_two_iterations(tmp_path, monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
     options = ["--env.scene.num-envs", "4", "--agent.max-iterations", "2", "--gpu-ids", "None"]
     options += ["--agent.num-steps-per-env", "5", "--log-root", str(tmp_path)]
-    monkeypatch.setattr("sys.argv", ["train", TASK, *options])
+    monkeypatch.setattr("sys.argv", ["train", "Renet-Go1-Flat", *options])
     train.main()
     (run,) = tmp_path.glob("renet/*")
     (checkpoint,) = (run / "checkpoints").iterdir()
@@ -24,10 +24,10 @@ def test_train_takes_two_iterations(tmp_path, monkeypatch):
     (curves,) = run.rglob("curves.csv")
     rows = list(csv.DictReader(curves.open()))
     assert len(rows) == 2
-    assert float(rows[-1]["Loss/cost_torque"]) >= 0.0
+    assert all(float(row["Perf/total_fps"]) > 0.0 for row in rows)
 
 
-@pytest.mark.parametrize("task", [TASK, "Renet-Go1-Parkour"])
+@pytest.mark.parametrize("task", ["Renet-Go1-Flat", "Renet-Go1-Parkour"])
 def test_play_steps_a_policy_of_zeros(task, monkeypatch):
     steps = []
 
@@ -39,6 +39,7 @@ def test_play_steps_a_policy_of_zeros(task, monkeypatch):
     monkeypatch.setattr(NativeMujocoViewer, "run", run)
     options = ["--agent", "zero", "--viewer", "native", "--num-envs", "2", "--device", "cpu"]
     monkeypatch.setattr("sys.argv", ["play", task, *options])
-    play.main()
+    with use_engine("native", "cpu"):  # MuJoCo Warp compiles a height field for minutes.
+        play.main()
     assert len(steps) == 3
     assert all(reward.shape == (2,) for _, reward, *_ in steps)

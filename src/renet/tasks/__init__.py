@@ -30,7 +30,7 @@ def register_tasks(name: str, robot: RobotCfg) -> None:
             task_id=f"Renet-{name}-{terrain}",
             env_cfg=cfg(robot=robot),
             play_env_cfg=cfg(play=True, robot=robot),
-            rl_cfg=RenetRunnerCfg(),
+            rl_cfg=RenetRunnerCfg(num_steps_per_env=25),  # As many as mjlab's own, in whole ticks.
             runner_cls=RenetRunner,
         )
 
