@@ -8,7 +8,7 @@ import numpy as np
 import onnxruntime as ort
 
 from renet.evaluation import fault_study, noise
-from renet.evaluation.lab import Lab
+from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 
 
@@ -26,7 +26,7 @@ class TheirPolicy:
         return self.model.run(["action"], {"observation": proprioception, "depth": depth})[0]
 
 
-class TheirLab(Lab):
+class TheirLab(Evaluator):
     def __init__(self, model: Path):
         super().__init__()
         digest = hashlib.sha256(model.read_bytes()).hexdigest()
@@ -35,6 +35,6 @@ class TheirLab(Lab):
 
 
 if __name__ == "__main__":
-    lab = TheirLab(Path(sys.argv[1]))
-    noise.run_noise(noise.NoiseCfg(), lab)
-    fault_study.run_faults(fault_study.FaultsCfg(quick=True), lab)
+    evaluator = TheirLab(Path(sys.argv[1]))
+    noise.run_noise(noise.NoiseCfg(), evaluator)
+    fault_study.run_faults(fault_study.FaultsCfg(quick=True), evaluator)

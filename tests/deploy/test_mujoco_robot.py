@@ -19,8 +19,8 @@ from renet.deploy.robots.base import JointCommand, next_step
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import GO1, build_scene
 from renet.errors import RenetError
-from renet.evaluation.disturb import disturbance
-from renet.faults import View
+from renet.evaluation.env import disturbance
+from renet.faults import CameraPerturbation
 from renet.interface import CONTROL_DT, JOINTS
 from renet.sim.camera_model import Intrinsics, mount_rotation
 from renet.sim.raycast import TerrainScanner
@@ -105,10 +105,10 @@ def test_same_start_same_actions_same_steps_as_the_training_environment(env):
         observation = env.step(torch.from_numpy(action)[None])[0]
 
 
-SEEN = View.true(1)
-FOAM = View(np.array([0.1]), np.zeros((1, 3)), np.zeros(1))
-KNOCKED = View(np.zeros(1), np.array([[0.1, 0.2, -0.15]]), np.zeros(1))
-GLASS = View(np.zeros(1), np.zeros((1, 3)), np.array([1.0]))
+SEEN = CameraPerturbation.none(1)
+FOAM = CameraPerturbation(np.array([0.1]), np.zeros((1, 3)), np.zeros(1))
+KNOCKED = CameraPerturbation(np.zeros(1), np.array([[0.1, 0.2, -0.15]]), np.zeros(1))
+GLASS = CameraPerturbation(np.zeros(1), np.zeros((1, 3)), np.array([1.0]))
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,10 @@ from renet.evaluation.demo import (
     run_demo,
     worst_of_vp,
 )
-from renet.evaluation.noise import NoiseCfg, build_world, run_noise, walk
-from renet.evaluation.video import VideoCfg
+from renet.evaluation.studies.noise import NoiseCfg, build_world, run_noise, walk
+from renet.evaluation.report.video import VideoCfg
 
-from .fakes import FakeLab
+from .fakes import FakeEvaluator
 
 
 class Links(HTMLParser):
@@ -46,7 +46,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     patch.setattr(demo, "VideoCfg", lambda: VideoCfg(width=96, height=72, fps=5))
     assert small.robots == 2
     try:
-        return run_demo(DemoCfg(out=tmp_path_factory.mktemp("demo")), FakeLab())
+        return run_demo(DemoCfg(out=tmp_path_factory.mktemp("demo")), FakeEvaluator())
     finally:
         patch.undo()
 
@@ -85,11 +85,11 @@ def test_the_folder_holds_everything(page: Path) -> None:
 
 
 def test_the_film_shows_the_setting_vp_suffers_most_in(tmp_path: Path) -> None:
-    study, lab = NoiseCfg(out=tmp_path, robots=2, steps=200, onset=50), FakeLab()
-    setting = worst_of_vp(run_noise(study, lab))
-    trace = walk(study, lab, build_world(study, lab), setting, "again")
+    study, evaluator = NoiseCfg(out=tmp_path, robots=2, steps=200, onset=50), FakeEvaluator()
+    setting = worst_of_vp(run_noise(study, evaluator))
+    trace = walk(study, evaluator, build_world(study, evaluator), setting, "again")
     assert trace.fallen[-1, study.rows_of("vp")].all()
     assert first_to_fall(study, trace) in (0, 1)
     small = VideoCfg(width=64, height=48, fps=5)
-    path = film_comparison(study, lab, setting, tmp_path / "v.mp4", small)
+    path = film_comparison(study, evaluator, setting, tmp_path / "v.mp4", small)
     assert path.stat().st_size > 1000

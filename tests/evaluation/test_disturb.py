@@ -7,15 +7,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from renet.errors import RenetError
-from renet.evaluation.disturb import rotation, spread
-from renet.evaluation.rollout import Row, run_rollout
-from renet.evaluation.world import SimWorld, study_env_cfg
-from renet.faults import Frames, Injection, Injector, PhysicalFault, View
+from renet.evaluation.env import rotation, spread
+from renet.evaluation.rollout import Trial, run_rollout
+from renet.evaluation.env import SimEnv, study_env_cfg
+from renet.faults import Frames, Injection, Injector, PhysicalFault, CameraPerturbation
 from renet.tasks.config import tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.terrains import single_tile_terrain
 
-from .fakes import FakeController, FakeSwitch, FakeWorld
+from .fakes import FakeController, FakeSwitch, FakeEnv
 
 
 def quiet(cfg):
@@ -27,29 +27,29 @@ def quiet(cfg):
 
 
 @pytest.fixture(scope="module")
-def tile() -> SimWorld:
+def tile() -> SimEnv:
     cfg = tile_env_cfg(single_tile_terrain("platform", 8), play=True)
-    return SimWorld(quiet(study_env_cfg(cfg, 0.5)), [0, 0, 0, 0], 3, "native")
+    return SimEnv(quiet(study_env_cfg(cfg, 0.5)), [0, 0, 0, 0], 3, "native")
 
 
-def seen(world: SimWorld, view: View) -> np.ndarray:
+def seen(world: SimEnv, view: CameraPerturbation) -> np.ndarray:
     world.disturb(view)
     depth = world.reset().depth.astype(np.float32)
-    world.disturb(View.true(world.num_robots))
+    world.disturb(CameraPerturbation.none(world.num_robots))
     return depth
 
 
-def view(**rows: dict[int, object]) -> View:
-    changed = View.true(4)
+def view(**rows: dict[int, object]) -> CameraPerturbation:
+    changed = CameraPerturbation.none(4)
     for name, values in rows.items():
         for row, value in values.items():
             getattr(changed, name)[row] = value
     return changed
 
 
-def test_foam_brings_the_ground_nearer_by_what_it_is_high(tile: SimWorld) -> None:
-    flat = SimWorld(quiet(study_env_cfg("Renet-Go1-Flat", 0.5)), [0, 0], 3, "native")
-    flat.disturb(View(np.array([0.0, 0.1]), np.zeros((2, 3)), np.zeros(2)))
+def test_foam_brings_the_ground_nearer_by_what_it_is_high(tile: SimEnv) -> None:
+    flat = SimEnv(quiet(study_env_cfg("Renet-Go1-Flat", 0.5)), [0, 0], 3, "native")
+    flat.disturb(CameraPerturbation(np.array([0.0, 0.1]), np.zeros((2, 3)), np.zeros(2)))
     depth = flat.reset().depth.astype(np.float32)
     eye = flat.env.sim.data.qpos[0, 2].item() + 0.03  # The head is level with the trunk, about.
     both = (depth < 1.0).all(axis=0)
@@ -61,25 +61,25 @@ def test_foam_brings_the_ground_nearer_by_what_it_is_high(tile: SimWorld) -> Non
     assert 0.4 < ratio.mean() < 0.85
 
 
-def test_only_the_disturbed_robots_see_it(tile: SimWorld) -> None:
+def test_only_the_disturbed_robots_see_it(tile: SimEnv) -> None:
     depth = seen(tile, view(lift={1: 0.1}, turn={2: (0.0, 0.2, 0.0)}, glass={3: 1.0}))
-    true = seen(tile, View.true(4))
+    true = seen(tile, CameraPerturbation.none(4))
     np.testing.assert_array_equal(depth[0], true[0])
     for robot in (1, 2, 3):
         assert (np.abs(depth[robot] - true[robot]) > 0.02).mean() > 0.05, robot
 
 
-def test_a_pitched_camera_sees_what_was_rows_away(tile: SimWorld) -> None:
+def test_a_pitched_camera_sees_what_was_rows_away(tile: SimEnv) -> None:
     down = seen(tile, view(turn={0: (0.0, 0.1, 0.0)}))[0]
-    true = seen(tile, View.true(4))[0]
+    true = seen(tile, CameraPerturbation.none(4))[0]
     # Pitch is positive downwards: the picture's lower rows move up.
     shift = int(np.argmin([np.abs(down[:40] - true[k : 40 + k]).mean() for k in range(9)]))
     assert shift == pytest.approx(0.1 * 24.0 / 0.4875, abs=1.1)
 
 
-def test_glass_shows_the_ground_behind_and_leaves_the_physics(tile: SimWorld) -> None:
+def test_glass_shows_the_ground_behind_and_leaves_the_physics(tile: SimEnv) -> None:
     clear = seen(tile, view(glass={0: 1.0}))[0]
-    true = seen(tile, View.true(4))[0]
+    true = seen(tile, CameraPerturbation.none(4))[0]
     assert (clear >= true - 2e-3).all()
     assert (clear > true + 0.05).any()
     contacts = tile.env.sim.mj_model.ngeom
@@ -88,14 +88,14 @@ def test_glass_shows_the_ground_behind_and_leaves_the_physics(tile: SimWorld) ->
 
 
 def test_glass_needs_obstacles() -> None:
-    flat = SimWorld(study_env_cfg("Renet-Go1-Flat", 0.5), [0], 3, "native")
+    flat = SimEnv(study_env_cfg("Renet-Go1-Flat", 0.5), [0], 3, "native")
     with pytest.raises(RenetError, match="no obstacle that could be glass"):
-        flat.disturb(View(np.zeros(1), np.zeros((1, 3)), np.ones(1)))
+        flat.disturb(CameraPerturbation(np.zeros(1), np.zeros((1, 3)), np.ones(1)))
 
 
-def test_a_physical_fault_comes_and_goes_with_its_schedule(tile: SimWorld) -> None:
+def test_a_physical_fault_comes_and_goes_with_its_schedule(tile: SimEnv) -> None:
     foam = (Injection("foam", 0.15, onset=10, duration=0.2),)
-    rows = [Row("op", foam), Row("op"), Row("op", foam), Row("op")]
+    rows = [Trial("op", foam), Trial("op"), Trial("op", foam), Trial("op")]
     film = run_rollout(tile, FakeController(4), FakeSwitch(4, 1.0), rows, 30, 0, film=[0, 1]).film
     assert film is not None
     gap = np.abs(film.images[:, 0].astype(float) - film.images[:, 1]).mean(axis=(1, 2))
@@ -110,7 +110,7 @@ def test_cameras_without_a_simulator_refuse_physical_faults() -> None:
             Injector([schedule], [0], 0)
         with pytest.raises(RenetError, match="only a simulated world"):
             run_rollout(
-                FakeWorld(1), FakeController(1), FakeSwitch(1, 1.0), [Row("vp", schedule)], 5, 0
+                FakeEnv(1), FakeController(1), FakeSwitch(1, 1.0), [Trial("vp", schedule)], 5, 0
             )
 
 
@@ -122,8 +122,8 @@ def test_views_compose_and_images_pass_untouched() -> None:
         Injection("mount_knocked", 10.0, 0),
     )
     injector = Injector([schedule, ()], [0, 1], 5, physical=True)
-    late = injector.view(10)
-    np.testing.assert_allclose(injector.view(0).lift, [0.1, 0.0])
+    late = injector.perturbation(10)
+    np.testing.assert_allclose(injector.perturbation(0).lift, [0.1, 0.0])
     np.testing.assert_allclose(late.lift, [0.12, 0.0])
     np.testing.assert_allclose(late.glass, [0.4, 0.0])
     assert np.degrees(np.linalg.norm(late.turn[0])) == pytest.approx(10.0)

@@ -13,8 +13,8 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
-from renet.evaluation.fault_study import FaultsCfg, run_faults
-from renet.evaluation.noise import NoiseCfg, run_noise
+from renet.evaluation.studies.faults import FaultsCfg, run_faults
+from renet.evaluation.studies.noise import NoiseCfg, run_noise
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "third_party_policy.py"
 
@@ -73,9 +73,9 @@ def test_a_blind_policy_sees_nothing_near(example: ModuleType, model: Path) -> N
 
 
 def test_noise_and_faults_run_on_it(example: ModuleType, model: Path, tmp_path: Path) -> None:
-    lab = example.TheirLab(model)
+    evaluator = example.TheirLab(model)
     run_noise(
-        NoiseCfg(out=tmp_path / "noise", robots=1, steps=20, onset=5, salt_and_pepper=()), lab
+        NoiseCfg(out=tmp_path / "noise", robots=1, steps=20, onset=5, salt_and_pepper=()), evaluator
     )
     run_faults(
         FaultsCfg(
@@ -88,7 +88,7 @@ def test_noise_and_faults_run_on_it(example: ModuleType, model: Path, tmp_path: 
             steps=25,
             healthy_minutes=0,
         ),
-        lab,
+        evaluator,
     )
     for study in ("noise", "faults"):
         summary = json.loads((tmp_path / study / "summary.json").read_text())

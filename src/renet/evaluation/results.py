@@ -117,11 +117,11 @@ def read_json(path: Path) -> dict[str, Any]:
         raise RenetError(f"{path} is not valid JSON ({error}): delete it and run again") from error
 
 
-PARTS_FORMAT = 3
+PARTS_FORMAT = 4
 """Raised when a study keeps other things in its parts: those of before are made anew."""
 
 
-class Parts:
+class ResultCache:
     """Finished parts of a study, kept in `parts/`: an interrupted study goes on where it stopped.
 
     A part is used again by a run of the same settings, bundle and renet; others keep theirs.

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from renet.faults.stream import FixedPattern, Frames, ImageFault
+from renet.faults.base import FixedPattern, Frames, ImageFault
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE
 
 ROWS, COLUMNS = DEPTH_SHAPE

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from renet.faults.stream import FOREVER, TICK, Fault, Frames
+from renet.faults.base import FOREVER, TICK, Fault, Frames
 
 
 class Frozen(Fault):
