@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from renet.evaluation.noise_page import facts as noise_facts
 from renet.evaluation.report.figures import MODE_NAMES
 from renet.evaluation.report.page import Section, render
 

@@ -44,8 +44,8 @@ def measure(batch: Batch, rows: slice, fault: str, severity: int) -> dict[str, A
     """The measured half of one row of the summary.
 
     A fault that is noticed only after it is over, or after the robot fell, was missed; one that
-    comes while vision is not trusted anyway can be neither noticed nor missed: `vision_active_at_onset` counts
-    the robots it came to.
+    comes while vision is not trusted can be neither noticed nor missed: `vision_active_at_onset`
+    counts the robots that trusted vision.
     """
     trace, end = batch.trace, end_of(fault, severity, batch.onset, batch.over)
     upright = ~trace.fallen[-1, rows]
