@@ -19,7 +19,7 @@ from mjlab.tasks.registry import load_env_cfg
 from rich.progress import track
 
 from facts import report
-from renet.sim.engine import use_engine
+from renet.sim.native.engine import use_engine
 
 TASKS = {"": "Mjlab-Velocity-Flat-Unitree-Go1", "rough_": "Mjlab-Velocity-Rough-Unitree-Go1"}
 

@@ -43,14 +43,21 @@ COMMANDS = {
         "run_demo",
         "train",
     ),
+    "page": Command(
+        "the page that runs a bundle in the browser, and lets visitors break its camera",
+        "renet.page.writer",
+        "PageCfg",
+        "run_page",
+        "sim",
+    ),
     "train": Command(
         "train RENet on a CPU or GPUs", "renet.training.launch", "TrainCfg", "launch", "train"
     ),
-    "average": Command(
-        "the mean of a run's last checkpoints, steadier than each of them",
-        "renet.training.average",
-        "AverageCfg",
-        "average",
+    "recipe": Command(
+        "print the whole recipe: of a checkpoint, or of a run that would begin now",
+        "renet.training.provenance",
+        "RecipeCfg",
+        "show",
         "train",
     ),
     "export": Command(
@@ -191,7 +198,9 @@ def _dispatch(arguments: list[str]) -> int:
         module = importlib.import_module(command.module)
         import tyro
 
-        cfg = tyro.cli(config or getattr(module, command.config), args=rest, prog=f"renet {name}")
+        config = config or getattr(module, command.config)
+        given = {"default": config.defaults(rest)} if hasattr(config, "defaults") else {}
+        cfg = tyro.cli(config, args=rest, prog=f"renet {name}", **given)
         result = attrgetter(command.run)(module)(cfg)
     except ModuleNotFoundError as error:
         # Also of imports that wait until an option needs them.

@@ -17,6 +17,8 @@ from renet.errors import RenetError
 
 TILE = 8.0
 """Side of a tile, m."""
+FLAT = 1e-3
+"""Height of edges on a flat first level, m: geoms must have a size."""
 LEVELS = 10
 """Rows of the curriculum (paper)."""
 
@@ -53,11 +55,15 @@ class Tile:
     high: float = 0.0
     proportion: float = 1.0
     """Share of the robots, relative to the other kinds'."""
+    flat_start: bool = False
+    """Whether the first level is flat, for robots that cannot walk yet."""
     size: tuple[float, float] = (TILE, TILE)
     flat_patch_sampling: None = None
 
     def measure(self, difficulty: float) -> float:
         """Size of the obstacle, m, at a difficulty in [0, 1]."""
+        if self.flat_start and difficulty == 0.0:
+            return FLAT
         return self.low + difficulty * (self.high - self.low)
 
     def function(
@@ -212,37 +218,48 @@ class Stairs(Tile):
         return -top
 
 
+LANDING = 0.6
+"""Least width of the ground outside the last gap, m."""
+
+
 @dataclass
 class Gap(Tile):
-    """An island surrounded by a ring `measure` metres wide and 1 m deep."""
+    """An island surrounded by rings `measure` metres wide and 1 m deep."""
 
     low: float = 0.10
     high: float = 0.70
     island: float = 1.2
     """Half-width of the island, m."""
+    ground: float | None = None
+    """Width of the ground between one gap and the next, m; None: a single gap."""
     depth: float = 1.0
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See Tile.build."""
+        """Add the island and the ground outside each gap; the start is at height 0."""
         builder.square(self.island, (-self.depth, 0.0))
-        builder.ring(self.island + measure, TILE / 2, (-self.depth, 0.0))
+        inner = self.island + measure
+        while self.ground is not None and inner + self.ground + measure + LANDING <= TILE / 2:
+            builder.ring(inner, inner + self.ground, (-self.depth, 0.0))
+            inner += self.ground + measure
+        builder.ring(inner, TILE / 2, (-self.depth, 0.0))
         builder.square(TILE / 2, (-self.depth - 0.2, -self.depth), PIT)
         return 0.0
 
 
 @dataclass
 class Platform(Tile):
-    """A raised ring of height `measure` to climb onto and down from."""
+    """Raised rings of height `measure` to climb onto and down from."""
 
     low: float = 0.05
     high: float = 0.50
-    inner: float = 1.4
-    outer: float = 2.8
+    rings: tuple[tuple[float, float], ...] = ((1.4, 2.8),)
+    """Inner and outer half-width of each ring, m."""
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See Tile.build."""
+        """Add the floor and the rings; the start is at height 0."""
         builder.square(TILE / 2, FLOOR)
-        builder.ring(self.inner, self.outer, (-0.1, measure), ACCENT)
+        for inner, outer in self.rings:
+            builder.ring(inner, outer, (-0.1, measure), ACCENT)
         return 0.0
 
 
@@ -255,6 +272,21 @@ def tiles() -> dict[str, Tile]:
         "stairs_down": Stairs(descend=True),
         "gap": Gap(),
         "platform": Platform(),
+    }
+
+
+def dense_tiles() -> dict[str, Tile]:
+    """The same kinds with two to three times as many edges on the way out, and a flat first level.
+
+    On the other tiles 65 to 91 % of the way out of a gap or platform tile is plain ground.
+    """
+    return {
+        "rough": Rough(),
+        "obstacles": Obstacles(count=40, flat_start=True),
+        "stairs_up": Stairs(descend=False, flat_start=True),
+        "stairs_down": Stairs(descend=True, flat_start=True),
+        "gap": Gap(island=0.9, ground=0.9, flat_start=True),
+        "platform": Platform(rings=((0.9, 1.7), (2.4, 3.2)), flat_start=True),
     }
 
 

@@ -14,8 +14,8 @@ from renet.evaluation.demo import (
     run_demo,
     worst_of_vp,
 )
-from renet.evaluation.studies.noise import NoiseCfg, build_world, run_noise, walk
 from renet.evaluation.report.video import VideoCfg
+from renet.evaluation.studies.noise import NoiseCfg, build_world, run_noise, walk
 
 from .fakes import FakeEvaluator
 

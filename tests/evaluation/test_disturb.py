@@ -7,15 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from renet.errors import RenetError
-from renet.evaluation.env import rotation, spread
+from renet.evaluation.env import SimEnv, rotation, spread, study_env_cfg
 from renet.evaluation.rollout import Trial, run_rollout
-from renet.evaluation.env import SimEnv, study_env_cfg
-from renet.faults import Frames, Injection, Injector, PhysicalFault, CameraPerturbation
+from renet.faults import Frames, Injection, Injector, PhysicalFault, ViewPerturbation
 from renet.tasks.config import tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.terrains import single_tile_terrain
 
-from .fakes import FakeController, FakeSwitch, FakeEnv
+from .fakes import FakeController, FakeEnv, FakeSwitch
 
 
 def quiet(cfg):
@@ -32,15 +31,15 @@ def tile() -> SimEnv:
     return SimEnv(quiet(study_env_cfg(cfg, 0.5)), [0, 0, 0, 0], 3, "native")
 
 
-def seen(world: SimEnv, view: CameraPerturbation) -> np.ndarray:
+def seen(world: SimEnv, view: ViewPerturbation) -> np.ndarray:
     world.disturb(view)
     depth = world.reset().depth.astype(np.float32)
-    world.disturb(CameraPerturbation.none(world.num_robots))
+    world.disturb(ViewPerturbation.none(world.num_robots))
     return depth
 
 
-def view(**rows: dict[int, object]) -> CameraPerturbation:
-    changed = CameraPerturbation.none(4)
+def view(**rows: dict[int, object]) -> ViewPerturbation:
+    changed = ViewPerturbation.none(4)
     for name, values in rows.items():
         for row, value in values.items():
             getattr(changed, name)[row] = value
@@ -49,7 +48,7 @@ def view(**rows: dict[int, object]) -> CameraPerturbation:
 
 def test_foam_brings_the_ground_nearer_by_what_it_is_high(tile: SimEnv) -> None:
     flat = SimEnv(quiet(study_env_cfg("Renet-Go1-Flat", 0.5)), [0, 0], 3, "native")
-    flat.disturb(CameraPerturbation(np.array([0.0, 0.1]), np.zeros((2, 3)), np.zeros(2)))
+    flat.disturb(ViewPerturbation(np.array([0.0, 0.1]), np.zeros((2, 3)), np.zeros(2)))
     depth = flat.reset().depth.astype(np.float32)
     eye = flat.env.sim.data.qpos[0, 2].item() + 0.03  # The head is level with the trunk, about.
     both = (depth < 1.0).all(axis=0)
@@ -63,7 +62,7 @@ def test_foam_brings_the_ground_nearer_by_what_it_is_high(tile: SimEnv) -> None:
 
 def test_only_the_disturbed_robots_see_it(tile: SimEnv) -> None:
     depth = seen(tile, view(lift={1: 0.1}, turn={2: (0.0, 0.2, 0.0)}, glass={3: 1.0}))
-    true = seen(tile, CameraPerturbation.none(4))
+    true = seen(tile, ViewPerturbation.none(4))
     np.testing.assert_array_equal(depth[0], true[0])
     for robot in (1, 2, 3):
         assert (np.abs(depth[robot] - true[robot]) > 0.02).mean() > 0.05, robot
@@ -71,7 +70,7 @@ def test_only_the_disturbed_robots_see_it(tile: SimEnv) -> None:
 
 def test_a_pitched_camera_sees_what_was_rows_away(tile: SimEnv) -> None:
     down = seen(tile, view(turn={0: (0.0, 0.1, 0.0)}))[0]
-    true = seen(tile, CameraPerturbation.none(4))[0]
+    true = seen(tile, ViewPerturbation.none(4))[0]
     # Pitch is positive downwards: the picture's lower rows move up.
     shift = int(np.argmin([np.abs(down[:40] - true[k : 40 + k]).mean() for k in range(9)]))
     assert shift == pytest.approx(0.1 * 24.0 / 0.4875, abs=1.1)
@@ -79,7 +78,7 @@ def test_a_pitched_camera_sees_what_was_rows_away(tile: SimEnv) -> None:
 
 def test_glass_shows_the_ground_behind_and_leaves_the_physics(tile: SimEnv) -> None:
     clear = seen(tile, view(glass={0: 1.0}))[0]
-    true = seen(tile, CameraPerturbation.none(4))[0]
+    true = seen(tile, ViewPerturbation.none(4))[0]
     assert (clear >= true - 2e-3).all()
     assert (clear > true + 0.05).any()
     contacts = tile.env.sim.mj_model.ngeom
@@ -90,7 +89,7 @@ def test_glass_shows_the_ground_behind_and_leaves_the_physics(tile: SimEnv) -> N
 def test_glass_needs_obstacles() -> None:
     flat = SimEnv(study_env_cfg("Renet-Go1-Flat", 0.5), [0], 3, "native")
     with pytest.raises(RenetError, match="no obstacle that could be glass"):
-        flat.disturb(CameraPerturbation(np.zeros(1), np.zeros((1, 3)), np.ones(1)))
+        flat.disturb(ViewPerturbation(np.zeros(1), np.zeros((1, 3)), np.ones(1)))
 
 
 def test_a_physical_fault_comes_and_goes_with_its_schedule(tile: SimEnv) -> None:

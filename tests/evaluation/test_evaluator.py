@@ -41,7 +41,9 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     torch.manual_seed(0)
     manifest = Manifest(robot=robot_spec(), camera=camera_spec(), selector=SelectorSpec(beta=0.18))
     return write_bundle(
-        tmp_path_factory.mktemp("evaluator") / "bundle", export_models(RENet(ModelCfg(), 8)), manifest
+        tmp_path_factory.mktemp("evaluator") / "bundle",
+        export_models(RENet(ModelCfg(), 8)),
+        manifest,
     )
 
 
@@ -50,7 +52,9 @@ def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bu
     noise = (Injection("salt_and_pepper", 1.0, onset=10),)
     rows = [Trial("renet"), Trial("renet", noise), Trial("vp", noise)]
     world = evaluator.make_env("Renet-Go1-Flat", range(3), 0.6, 1)
-    trace = run_rollout(world, evaluator.make_policy(3), evaluator.make_selector(3), rows, 30, 1, film=[1])
+    trace = run_rollout(
+        world, evaluator.make_policy(3), evaluator.make_selector(3), rows, 30, 1, film=[1]
+    )
     assert np.isfinite(trace.forward_velocity).all()
     assert trace.vision[:, [0, 2]].all()
     # The first spoilt image comes with a clean one before it; the next tick has two.
@@ -141,7 +145,9 @@ def test_twins_have_one_body_and_one_start_and_every_run_is_the_same(bundle: Pat
     world = evaluator.make_env("Renet-Go1-Flat", [row.robot for row in rows], 0.6, 1)
 
     def run() -> np.ndarray:
-        trace = run_rollout(world, evaluator.make_policy(3), evaluator.make_selector(3), rows, 40, 1)
+        trace = run_rollout(
+            world, evaluator.make_policy(3), evaluator.make_selector(3), rows, 40, 1
+        )
         return np.stack([trace.height, trace.forward_velocity, trace.travelled])
 
     once, again = run(), run()

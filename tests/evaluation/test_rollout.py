@@ -7,7 +7,7 @@ from renet.errors import RenetError
 from renet.evaluation.rollout import Trial, run_rollout
 from renet.faults import Injection
 
-from .fakes import SPEED, FakeController, FakeSwitch, FakeEnv
+from .fakes import SPEED, FakeController, FakeEnv, FakeSwitch
 
 NOISE = (Injection("gaussian", 1.0, onset=20),)
 MODES = ("vp", "renet", "op", "oracle-switch")
@@ -77,7 +77,9 @@ def test_faults_act_at_ticks_and_hold_between_them() -> None:
 
 
 def test_robots_of_one_number_get_the_same_noise_in_every_mode() -> None:
-    trace, *_ = roll([Trial("op", NOISE, 0), Trial("oracle-switch", NOISE, 0), Trial("op", NOISE, 1)])
+    trace, *_ = roll(
+        [Trial("op", NOISE, 0), Trial("oracle-switch", NOISE, 0), Trial("op", NOISE, 1)]
+    )
     np.testing.assert_array_equal(trace.anomaly[:, 0], trace.anomaly[:, 1])
     assert (trace.anomaly[20:, 0] != trace.anomaly[20:, 2]).any()
 

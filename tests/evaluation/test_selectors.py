@@ -7,11 +7,10 @@ import pytest
 
 from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
-from renet.evaluation.monitor_log import successful_runs
+from renet.evaluation.monitor_log import SelectorProbe, successful_runs, suspicion
 from renet.evaluation.rollout import Trial, run_rollout
 from renet.evaluation.selectors import MonitorsInStep, make_switch
 from renet.evaluation.trace import Trace
-from renet.evaluation.monitor_log import SelectorProbe, suspicion
 from renet.faults import Injection
 from renet.selector.monitors import Sight
 
@@ -31,7 +30,9 @@ class LiveWorld(FakeEnv):
         return type(result)(**(vars(result) | {"depth": result.depth + grain}))
 
 
-def roll(kind: str, fault: str, level: float, duration: float = 2.0) -> tuple[np.ndarray, SelectorProbe]:
+def roll(
+    kind: str, fault: str, level: float, duration: float = 2.0
+) -> tuple[np.ndarray, SelectorProbe]:
     switches = {"paper": make_switch("paper", SPEC, 2)}
     witness = SelectorProbe(2, switches)
     rows = [Trial("renet", (Injection(fault, level, 50, duration),)), Trial("renet")]

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import mujoco
 import torch
 
-from renet.sim.depth_camera import DepthCameraCfg
+from renet.sim.depth.camera import DepthCameraCfg
 
 
 def test_images_keep_their_rate_when_the_period_is_no_multiple_of_the_step():

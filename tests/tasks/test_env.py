@@ -14,7 +14,7 @@ from renet.interface import (
     STEPS_PER_TICK,
     proprioception_slices,
 )
-from renet.sim.pipeline import moving_part
+from renet.sim.native.stages import moving_part
 from renet.tasks import env_cfg, make_env, observations
 
 from .conftest import build

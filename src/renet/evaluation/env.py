@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from renet.deploy.manifest import Manifest
 from renet.errors import RenetError
 from renet.evaluation.rollout import StepResult
-from renet.faults import CameraPerturbation
+from renet.faults import ViewPerturbation
 from renet.faults.physical import obstacles, spread
-from renet.sim.depth_camera import DepthCamera, Disturbance
+from renet.sim.depth.camera import CameraPerturbation, DepthCamera
 from renet.tasks import RenetEnv, RenetEnvCfg, Robot, env_cfg, make_env
 from renet.tasks.commands import COMMAND, GoalCommandCfg, goal
 from renet.tasks.config import flat_env_cfg, parkour_env_cfg, tile_env_cfg
@@ -94,7 +94,7 @@ class SimEnv:
         self._seed = seed
         self._robot = self.env.scene["robot"].data
         self._start = np.zeros((self.num_robots, 2))
-        self._view = CameraPerturbation.none(self.num_robots)
+        self._view = ViewPerturbation.none(self.num_robots)
         _, first, number = np.unique(np.asarray(robots), return_index=True, return_inverse=True)
         self._twin = torch.from_numpy(first[number])
         """The row each row is a twin of, [N]."""
@@ -157,7 +157,7 @@ class SimEnv:
         """Tell every robot a new c_x, m/s, from the next step on."""
         goal(self.env).speed[:] = speed
 
-    def perturb_cameras(self, view: CameraPerturbation) -> None:
+    def perturb_cameras(self, view: ViewPerturbation) -> None:
         """See `rollout.PerturbableEnv`."""
         if view == self._view:
             return
@@ -166,7 +166,7 @@ class SimEnv:
         assert isinstance(camera, DepthCamera)
         origins = terrain.terrain_origins
         middles = np.zeros((0, 2)) if origins is None else origins[..., :2].reshape(-1, 2).numpy()
-        camera.disturbance = ray_perturbation(view, self.env.sim.mj_model, middles)
+        camera.perturbation = ray_perturbation(view, self.env.sim.mj_model, middles)
         self._view = view
 
     def poses(self, rows: Sequence[int]) -> np.ndarray:
@@ -194,8 +194,8 @@ class SimEnv:
 
 
 def ray_perturbation(
-    view: CameraPerturbation, model: mujoco.MjModel, middles: np.ndarray
-) -> Disturbance | None:
+    view: ViewPerturbation, model: mujoco.MjModel, middles: np.ndarray
+) -> CameraPerturbation | None:
     """Translate a camera perturbation into what the ray caster does; None if nothing changes.
 
     Args:
@@ -204,7 +204,7 @@ def ray_perturbation(
     Raises:
         RenetError: obstacles are to be glass where there are none.
     """
-    if view == CameraPerturbation.none(len(view.lift)):
+    if view == ViewPerturbation.none(len(view.lift)):
         return None
     shares = [float(share) for share in np.unique(view.glass) if share > 0]
     unseen = []
@@ -216,4 +216,4 @@ def ray_perturbation(
         ]
     lift = torch.as_tensor(view.lift, dtype=torch.float32)
     turn = torch.as_tensor(Rotation.from_rotvec(view.turn).as_matrix(), dtype=torch.float32)
-    return Disturbance(lift, turn, unseen)
+    return CameraPerturbation(lift, turn, unseen)

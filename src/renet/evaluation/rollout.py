@@ -16,7 +16,7 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation.trace import UPDATES_PER_STEP, Film, Trace
-from renet.faults import TICK, CameraPerturbation, Frames, Injector, Schedule
+from renet.faults import TICK, Frames, Injector, Schedule, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import Sight
 
@@ -70,7 +70,7 @@ class EvalEnv(Protocol):
 class PerturbableEnv(Protocol):
     """A world whose cameras can be made to see what is not there."""
 
-    def perturb_cameras(self, view: CameraPerturbation) -> None:
+    def perturb_cameras(self, view: ViewPerturbation) -> None:
         """Let the cameras see the scene so from their next image on."""
         ...
 

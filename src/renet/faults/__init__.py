@@ -3,19 +3,19 @@
 from renet.faults.base import SEVERITIES, TICK, Fault, Frames
 from renet.faults.catalogue import FAULTS, fault_class
 from renet.faults.injection import Injection, Injector, Schedule, parse_fault
-from renet.faults.physical import CameraPerturbation, PhysicalFault
+from renet.faults.physical import PhysicalFault, ViewPerturbation
 
 __all__ = [
     "FAULTS",
     "SEVERITIES",
     "TICK",
-    "CameraPerturbation",
     "Fault",
     "Frames",
     "Injection",
     "Injector",
     "PhysicalFault",
     "Schedule",
+    "ViewPerturbation",
     "fault_class",
     "parse_fault",
 ]

@@ -11,7 +11,7 @@ import numpy as np
 from renet.errors import RenetError
 from renet.faults.base import FOREVER, Fault, Frames
 from renet.faults.catalogue import FAULTS, fault_class
-from renet.faults.physical import CameraPerturbation, PhysicalFault
+from renet.faults.physical import PhysicalFault, ViewPerturbation
 from renet.interface import CONTROL_DT
 
 
@@ -138,9 +138,9 @@ class Injector:
             failing[rows] |= injection.at_work(step)
         return failing
 
-    def perturbation(self, step: int) -> CameraPerturbation:
+    def perturbation(self, step: int) -> ViewPerturbation:
         """How the cameras see their scene at a control step."""
-        view = CameraPerturbation.none(self._num_robots)
+        view = ViewPerturbation.none(self._num_robots)
         for injection, fault, rows in self._stages:
             if isinstance(fault, PhysicalFault) and injection.at_work(step):
                 fault.apply(view, rows)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class CameraPerturbation:
+class ViewPerturbation:
     """How each of n cameras sees its scene."""
 
     lift: np.ndarray
@@ -31,13 +31,13 @@ class CameraPerturbation:
     """[n] share of the obstacles that rays pass through; feet do not."""
 
     @classmethod
-    def none(cls, n: int) -> CameraPerturbation:
+    def none(cls, n: int) -> ViewPerturbation:
         """Every camera sees what is there."""
         return cls(np.zeros(n), np.zeros((n, 3)), np.zeros(n))
 
     def __eq__(self, other: object) -> bool:
         """Whether all cameras see the same in both."""
-        return isinstance(other, CameraPerturbation) and all(
+        return isinstance(other, ViewPerturbation) and all(
             np.array_equal(mine, theirs)
             for mine, theirs in zip(vars(self).values(), vars(other).values(), strict=True)
         )
@@ -50,7 +50,7 @@ class PhysicalFault(Fault):
         """The frames as they are: the rays were already cast into the wrong scene."""
         return frames
 
-    def apply(self, view: CameraPerturbation, rows: np.ndarray) -> None:
+    def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
         """Add the fault to the view of the robots `rows`; the random streams are in that order."""
         raise NotImplementedError
 
@@ -68,7 +68,7 @@ class Glass(PhysicalFault):
     terrains = ("obstacles", "stairs_up", "platform")
     """Kinds of tile with obstacles that can be glass."""
 
-    def apply(self, view: CameraPerturbation, rows: np.ndarray) -> None:
+    def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
         """See `PhysicalFault.apply`."""
         view.glass[rows] = np.maximum(view.glass[rows], self.level)
 
@@ -81,7 +81,7 @@ class Foam(PhysicalFault):
     unit = "m"
     levels = (0.02, 0.04, 0.07, 0.1, 0.15)
 
-    def apply(self, view: CameraPerturbation, rows: np.ndarray) -> None:
+    def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
         """See `PhysicalFault.apply`."""
         view.lift[rows] += self.level
 
@@ -101,7 +101,7 @@ class MountKnocked(PhysicalFault):
         self._turn = np.radians(level) * axes
         """[n, 3]"""
 
-    def apply(self, view: CameraPerturbation, rows: np.ndarray) -> None:
+    def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
         """See `PhysicalFault.apply`."""
         view.turn[rows] += self._turn
 

@@ -155,6 +155,10 @@ def _observations() -> dict[str, ObservationGroupCfg]:
     privileged = ObservationGroupCfg(
         terms={
             "feet_contact": ObservationTermCfg(func=observations.feet_contact),
+            "stalled_seconds": ObservationTermCfg(func=observations.stalled_seconds),
+            "smoothed_joint_velocity": ObservationTermCfg(
+                func=observations.smoothed_joint_velocity
+            ),
             "physical_parameters": ObservationTermCfg(
                 func=observations.PhysicalParameters,
                 params={
@@ -191,6 +195,8 @@ def _rewards() -> dict[str, RewardTermCfg]:
         # Not the paper's, hence off: `renet train --reward-weights` turns them on.
         "standing_motion": RewardTermCfg(func=rewards.standing_motion, weight=0.0),
         "foot_clearance": RewardTermCfg(func=rewards.foot_clearance, weight=0.0),
+        "overspeed": RewardTermCfg(func=rewards.overspeed, weight=0.0),
+        "low_trunk": RewardTermCfg(func=rewards.low_trunk, weight=0.0),
     }
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Warp compiles annotations and arithmetic that pyright takes for Python's.
 # pyright: reportGeneralTypeIssues=false, reportInvalidTypeForm=false, reportOperatorIssue=false
 
-FIRST_LEVELS = 4
+FIRST_LEVELS = 2
 """A robot that fails at the first level tries one of so many next. The narrowest gap is all but
 invisible (10 cm, seen from 30 cm above through the camera's noise): where all robots start over at
 it, VP never learns what a gap looks like."""

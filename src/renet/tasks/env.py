@@ -16,7 +16,7 @@ from mjlab.tasks.registry import list_tasks, load_env_cfg
 from torch import Tensor
 
 from renet.errors import RenetError
-from renet.sim.engine import use_engine
+from renet.sim.native.engine import use_engine
 from renet.sim.threads import one_torch_thread
 from renet.tasks.commands import goal
 from renet.tasks.constraints import ConstraintCfg
@@ -200,7 +200,7 @@ def make_env(
 
     Args:
         task: task id, or a configuration, which is left as it is.
-        engine: auto, native or warp (see renet.sim.engine).
+        engine: auto, native or warp (see renet.sim.native.engine).
         play: the task's evaluation variant, without noise, pushes and curriculum.
 
     Raises:

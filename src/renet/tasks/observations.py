@@ -14,13 +14,15 @@ from mjlab.managers.scene_entity_config import SceneEntityCfg
 from torch import Tensor
 
 from renet.interface import FEET, PROPRIOCEPTION_SIZE
-from renet.sim.depth_camera import DepthCamera
+from renet.sim.depth.camera import DepthCamera
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.step import Step, joint_speed, offset, world_velocity
 from renet.tasks.terms import fills
 
 if TYPE_CHECKING:
     from mjlab.envs import ManagerBasedRlEnv
+
+    from renet.tasks.env import RenetEnv
 
 
 @fills(PROPRIOCEPTION_SIZE)
@@ -73,6 +75,19 @@ def feet_contact(step: Step, robot: int, row: wp.array2d(dtype=float), first: in
 def difficult(step: Step, robot: int, row: wp.array2d(dtype=float), first: int):
     """1 where the tile forces vision, [N, 1]."""
     row[robot, first] = step.difficult[int(step.tile[robot])]
+
+
+def stalled_seconds(env: RenetEnv) -> Tensor:
+    """Seconds since the robot last made progress: `terminations.stalled` ends the episode at 3.
+
+    [N, 1].
+    """
+    return wp.to_torch(env.watched.stall_seconds).unsqueeze(-1)
+
+
+def smoothed_joint_velocity(env: RenetEnv) -> Tensor:
+    """Joint velocities as the reward `standing_motion` smooths them, [N, J] rad/s."""
+    return wp.to_torch(env.watched.joint_velocity_smooth)
 
 
 class PhysicalParameters:

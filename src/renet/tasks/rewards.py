@@ -9,10 +9,28 @@ World-frame quantities use the horizontal plane: <v, n_yaw> has no vertical part
 
 from __future__ import annotations
 
-import warp as wp
+from typing import TYPE_CHECKING
 
-from renet.tasks.step import Step, heading, horizontal, joint_speed, offset, touches, world_velocity
+import torch
+import warp as wp
+from torch import Tensor
+
+from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
+from renet.tasks.sensors import HEIGHT_MAP
+from renet.tasks.step import (
+    COMMAND,
+    Step,
+    heading,
+    horizontal,
+    joint_speed,
+    offset,
+    touches,
+    world_velocity,
+)
 from renet.tasks.terms import per_robot
+
+if TYPE_CHECKING:
+    from renet.tasks.env import RenetEnv
 
 CONTACT_FORCE = wp.constant(0.1)
 """N above which a touch is a collision (Extreme Parkour)."""
@@ -160,3 +178,33 @@ def foot_clearance(step: Step, robot: int) -> float:
             total += lack * lack * wp.length(horizontal(moved)) / step.dt
         step.feet_before[robot, foot] = at
     return total
+
+
+def overspeed(env: RenetEnv, tolerance: float = 0.2) -> Tensor:
+    """Speed towards the goal beyond c_x by more than a share `tolerance`, [N] m/s.
+
+    Not in the paper, whose reward does not mind overshoot (eq. 6): early in training the policy
+    otherwise runs at one speed, whatever it is asked for. Robots told to stand pay nothing here.
+    """
+    goal = env.command_manager.get_term(COMMAND)
+    velocity = env.scene["robot"].data.root_link_lin_vel_w[:, :2]
+    towards = (velocity * goal.direction).sum(-1)  # type: ignore[attr-defined]
+    speed: Tensor = goal.speed  # type: ignore[attr-defined]
+    return torch.relu(towards - (1.0 + tolerance) * speed) * (speed > 0)
+
+
+def low_trunk(env: RenetEnv, height: float = 0.27, reach: float = 0.16) -> Tensor:
+    """Square of what the trunk lacks to a height over the ground below it, [N] m^2.
+
+    Not in the paper: without it the policy crouches at 0.21 to 0.23 m.
+
+    Args:
+        env: environment with the height-map sensor.
+        height: wanted of the base over the mean ground below it, m.
+        reach: half-width of the square of the map that counts as below, m.
+    """
+    sensor = env.scene[HEIGHT_MAP]
+    below = [abs(x) < reach and abs(y) < reach for x in HEIGHT_MAP_X for y in HEIGHT_MAP_Y]
+    columns = [index for index, inside in enumerate(below) if inside]
+    above_ground = sensor.data[:, columns].mean(-1) + sensor.cfg.base_height
+    return torch.relu(height - above_ground).square()

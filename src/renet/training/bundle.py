@@ -18,7 +18,7 @@ from renet.errors import RenetError
 from renet.interface import JOINTS
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
-from renet.sim.depth_camera import DepthCameraCfg
+from renet.sim.depth.camera import DepthCameraCfg
 from renet.tasks import env_cfg
 from renet.tasks.go1 import GO1
 from renet.tasks.robot import ACTION_CLIP, Robot
@@ -68,7 +68,7 @@ def load_networks(checkpoint: Checkpoint, path: Path) -> RENet:
     except KeyError as error:
         raise RenetError(f"{path} is not a checkpoint of RENet: it lacks {error}") from error
     model = RENet(cfg, critic_size)
-    checkpoints.load_model(model, checkpoint.model, path)
+    checkpoints.load_model(model, checkpoint.exported, path)
     return model.eval()
 
 

@@ -25,13 +25,14 @@ def find_browser() -> str | None:
 class Browser:
     """One page of one browser; speaks the DevTools protocol over file descriptors 3 and 4."""
 
-    def __init__(self, program: str) -> None:
+    def __init__(self, program: str, patience: float = PATIENCE) -> None:
         self.events: list[dict[str, Any]] = []
         self._number = 0
         self._profile = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         there, self._out = os.pipe()
         self._in, back = os.pipe()
         options = "--headless --no-sandbox --disable-gpu --disable-dev-shm-usage --hide-scrollbars"
+        options += " --enable-unsafe-swiftshader --disable-background-networking"
         options += f" --remote-debugging-pipe --no-first-run --user-data-dir={self._profile.name}"
         self._process = subprocess.Popen(
             ["bash", "-c", f'exec "$0" {options} about:blank 3<&{there} 4>&{back}', program],
@@ -42,7 +43,7 @@ class Browser:
         os.close(there)
         os.close(back)
         self._rest = b""
-        self._watchdog = threading.Timer(PATIENCE, self._process.kill)
+        self._watchdog = threading.Timer(patience, self._process.kill)
         self._watchdog.start()
         self._session = ""
         targets = self.call("Target.getTargets")["targetInfos"]
@@ -74,14 +75,15 @@ class Browser:
         message, self._rest = self._rest.split(b"\0", 1)
         return json.loads(message)
 
-    def open(self, page: Path, width: int, dark: bool) -> None:
-        """Load a file at a window width, in a colour scheme."""
+    def open(self, page: Path | str, width: int, dark: bool) -> None:
+        """Load a file or an address at a window width, in a colour scheme."""
         size = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 600}
         self.call("Emulation.setDeviceMetricsOverride", **size)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
         self.events.clear()
-        self.call("Page.navigate", url=page.resolve().as_uri())
+        address = page if isinstance(page, str) else page.resolve().as_uri()
+        self.call("Page.navigate", url=address)
         while not any(event["method"] == "Page.loadEventFired" for event in self.events):
             self.events.append(self._read())
 

@@ -6,12 +6,12 @@ import pytest
 
 from renet.evaluation.env import rotation
 from renet.evaluation.report.example_scene import BLOCKS, EYE, TILT, example, scene, turned
-from renet.faults import FAULTS, Frames, Injection, Injector, CameraPerturbation
+from renet.faults import FAULTS, Frames, Injection, Injector, ViewPerturbation
 from renet.faults.image import FOCAL_PIXELS
 from renet.interface import DEPTH_SHAPE
 
 
-def by_mujoco(view: CameraPerturbation, blocks: np.ndarray) -> np.ndarray:
+def by_mujoco(view: ViewPerturbation, blocks: np.ndarray) -> np.ndarray:
     """The same picture by MuJoCo's ray caster."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1))
@@ -39,13 +39,13 @@ def by_mujoco(view: CameraPerturbation, blocks: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("view", "blocks"),
     [
-        (CameraPerturbation.none(1), BLOCKS),
-        (CameraPerturbation(np.array([0.15]), np.zeros((1, 3)), np.zeros(1)), BLOCKS),
-        (CameraPerturbation(np.zeros(1), np.array([[0.1, -0.2, 0.15]]), np.zeros(1)), BLOCKS),
-        (CameraPerturbation(np.zeros(1), np.zeros((1, 3)), np.array([0.4])), BLOCKS[[1, 3, 4]]),
+        (ViewPerturbation.none(1), BLOCKS),
+        (ViewPerturbation(np.array([0.15]), np.zeros((1, 3)), np.zeros(1)), BLOCKS),
+        (ViewPerturbation(np.zeros(1), np.array([[0.1, -0.2, 0.15]]), np.zeros(1)), BLOCKS),
+        (ViewPerturbation(np.zeros(1), np.zeros((1, 3)), np.array([0.4])), BLOCKS[[1, 3, 4]]),
     ],
 )
-def test_the_scene_is_what_mujoco_sees(view: CameraPerturbation, blocks: np.ndarray) -> None:
+def test_the_scene_is_what_mujoco_sees(view: ViewPerturbation, blocks: np.ndarray) -> None:
     wrong = np.abs(scene(view) - by_mujoco(view, blocks)) > 1e-4
     # A ray that grazes an edge may fall on either side of it.
     assert wrong.mean() < 0.002
@@ -60,7 +60,7 @@ def test_turned_is_the_matrix_exponential() -> None:
 def test_motion_blur_is_the_mean_of_what_a_turning_camera_sees() -> None:
     seconds, rates = 0.04, np.array([0.0, 4.0, 4.0])
     turns = np.linspace(-0.5, 0.5, 9)[:, None] * seconds * rates
-    views = [CameraPerturbation(np.zeros(1), turn[None], np.zeros(1)) for turn in turns]
+    views = [ViewPerturbation(np.zeros(1), turn[None], np.zeros(1)) for turn in turns]
     seen = np.mean([scene(view) for view in views], axis=0)
     blur = Injector([(Injection("motion_blur", 1000 * seconds, 0),)], [0], 0)
 

@@ -9,15 +9,14 @@ import pytest
 
 from renet.errors import RenetError
 from renet.evaluation import report
+from renet.evaluation.report.report import SECTIONS, ReportCfg, make_report
+from renet.evaluation.report.summary import FACTS, WORSE
 from renet.evaluation.studies.course import CourseCfg, run_course
 from renet.evaluation.studies.faults import FaultsCfg, run_faults
 from renet.evaluation.studies.filter import FilterCfg, run_filter
-from renet.evaluation.report.summary import FACTS, WORSE
 from renet.evaluation.studies.noise import NoiseCfg, run_noise
-from renet.evaluation.report.report import SECTIONS, ReportCfg, make_report
 from renet.evaluation.studies.standing import StandingCfg, run_standing
-from renet.evaluation.studies.terrain import SuccessCfg, run_success
-from renet.evaluation.studies.terrain import TerrainCfg, run_terrain
+from renet.evaluation.studies.terrain import SuccessCfg, TerrainCfg, run_success, run_terrain
 
 from .browser import Browser, find_browser
 from .fakes import FakeEvaluator

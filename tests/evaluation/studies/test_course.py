@@ -11,12 +11,12 @@ import torch
 
 from renet.errors import RenetError
 from renet.evaluation import course
-from renet.evaluation.studies.course import CourseCfg, run_course
-from renet.evaluation.studies.course_terrain import AHEAD, LAP, SET_DOWN, course_env_cfg, passage
-from renet.evaluation.studies.course_env import CourseEnv, PlaceInjector, time_limit
 from renet.evaluation.env import SimEnv, study_env_cfg
+from renet.evaluation.studies.course import CourseCfg, run_course
+from renet.evaluation.studies.course_env import CourseEnv, PlaceInjector, time_limit
+from renet.evaluation.studies.course_terrain import AHEAD, LAP, SET_DOWN, course_env_cfg, passage
 from renet.faults import Frames
-from renet.sim.raycast import scanner
+from renet.sim.depth.raycast import scanner
 from renet.tasks.commands import goal
 from renet.tiles import TILE
 

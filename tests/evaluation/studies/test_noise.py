@@ -9,8 +9,8 @@ import pytest
 
 from renet.errors import RenetError
 from renet.evaluation import noise
-from renet.evaluation.studies.noise import CLEAN, NoiseCfg, run_noise, setting_rows, walk
 from renet.evaluation.results import plain
+from renet.evaluation.studies.noise import CLEAN, NoiseCfg, run_noise, setting_rows, walk
 
 from .fakes import SPEED, FakeEvaluator
 

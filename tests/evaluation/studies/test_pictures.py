@@ -10,8 +10,8 @@ from PIL import Image
 
 from renet.errors import RenetError
 from renet.evaluation.report.height_maps import WARM_UP, errors
-from renet.evaluation.studies.pictures import SENSOR, PicturesCfg, _kept, run_pictures
 from renet.evaluation.report.report import ReportCfg, make_report
+from renet.evaluation.studies.pictures import SENSOR, PicturesCfg, _kept, run_pictures
 from renet.interface import HEIGHT_MAP_SIZE
 from renet.tiles import tiles
 

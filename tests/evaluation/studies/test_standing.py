@@ -9,7 +9,7 @@ import pytest
 from renet.errors import RenetError
 from renet.evaluation.studies.standing import StandingCfg, run_standing, stillness
 
-from .fakes import FakeEvaluator, FakeEnv
+from .fakes import FakeEnv, FakeEvaluator
 
 QUICK = {"robots": 2, "walk": 0.2, "settle": 0.2, "stand": 0.4}
 

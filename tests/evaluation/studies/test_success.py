@@ -9,10 +9,10 @@ import pytest
 from renet.errors import RenetError
 from renet.evaluation.rollout import Trace
 from renet.evaluation.studies.terrain import SuccessCfg, outcome, run_success, worse_than_blind
-from renet.faults import CameraPerturbation
+from renet.faults import ViewPerturbation
 from renet.tiles import tiles
 
-from .fakes import FakeEvaluator, FakeEnv
+from .fakes import FakeEnv, FakeEvaluator
 
 
 class Hurdles(FakeEnv):
@@ -129,7 +129,7 @@ def test_faults_of_the_scene_reach_the_cameras(tmp_path: Path) -> None:
     seen = []
 
     class Hall(Hurdles):
-        def disturb(self, view: CameraPerturbation) -> None:
+        def disturb(self, view: ViewPerturbation) -> None:
             seen.append(float(view.lift.max()))
 
     class HallLab(FakeEvaluator):

@@ -8,11 +8,11 @@ import pytest
 
 from renet.errors import RenetError
 from renet.evaluation.monitor_log import successful_runs
-from renet.evaluation.rollout import Trial, Trace, run_rollout
+from renet.evaluation.rollout import Trace, Trial, run_rollout
 from renet.evaluation.studies.terrain import TerrainCfg, highest_level, passed, run_terrain
 from renet.tiles import LEVELS, tiles
 
-from .fakes import FakeController, FakeEvaluator, FakeSwitch, FakeEnv
+from .fakes import FakeController, FakeEnv, FakeEvaluator, FakeSwitch
 
 
 class Ladder(FakeEnv):

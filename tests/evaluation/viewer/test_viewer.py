@@ -13,9 +13,9 @@ from websockets.sync.client import connect
 
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.play import ground
 from renet.evaluation.viewer.session import ViewerSession
 from renet.evaluation.viewer.viewer import LiveViewer, serve, watch
-from renet.evaluation.play import ground
 from renet.faults import FAULTS
 from renet.tasks.commands import goal
 from renet.tasks.go1 import GO1

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from renet.deploy.cameras.base import Camera, DepthFrame
-from renet.faults import TICK, CameraPerturbation, Frames, Injection, Injector, parse_fault
+from renet.faults import TICK, Frames, Injection, Injector, ViewPerturbation, parse_fault
 from renet.interface import CONTROL_DT
 
 __all__ = ["FaultyCamera", "parse_fault"]
@@ -38,7 +38,7 @@ class FaultyCamera:
         if self._disturb is not None:
             for fault in faults:  # Refused now rather than in flight.
                 self._disturb(self._injector.perturbation(fault.onset))
-            self._disturb(CameraPerturbation.none(1))
+            self._disturb(ViewPerturbation.none(1))
         self._begun: float | None = None
         self._due = float("-inf")
         self._shown: DepthFrame | None = None

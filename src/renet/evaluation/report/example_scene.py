@@ -7,10 +7,12 @@ bundle and can be drawn in a second.
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from renet.evaluation.env import spread
-from renet.faults import TICK, CameraPerturbation, Frames, Injection, Injector
+from renet.camera import Intrinsics
+from renet.faults import TICK, Frames, Injection, Injector, ViewPerturbation
 from renet.faults.image import FOCAL_PIXELS
+from renet.faults.physical import spread
 from renet.interface import CONTROL_DT, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TICK
 
 EYE = 0.3
@@ -46,12 +48,12 @@ def example(fault: str, severity: int, seed: int) -> np.ndarray:
     return frames.image[0]
 
 
-def scene(view: CameraPerturbation | None = None, walked: float = 0.0) -> np.ndarray:
+def scene(view: ViewPerturbation | None = None, walked: float = 0.0) -> np.ndarray:
     """Normalised depth [48, 64] of ground and blocks, `walked` metres on, seen as one camera does.
 
     A `view` of one camera; by default it sees what is there.
     """
-    view = view or CameraPerturbation.none(1)
+    view = view or ViewPerturbation.none(1)
     hidden = spread(list(range(len(BLOCKS))), float(view.glass[0])) if view.glass[0] else set()
     rays = _rays(view.turn[0])
     eye = np.array([walked, 0.0, EYE - view.lift[0]])
@@ -65,24 +67,10 @@ def scene(view: CameraPerturbation | None = None, walked: float = 0.0) -> np.nda
 
 def _rays(turn: np.ndarray) -> np.ndarray:
     """Directions [48, 64, 3] in the world (ahead, left, up), one metre of depth long."""
-    rows, columns = DEPTH_SHAPE
-    up = (rows / 2 - 0.5 - np.arange(rows)) / FOCAL_PIXELS
-    left = (columns / 2 - 0.5 - np.arange(columns)) / FOCAL_PIXELS
-    up, left = np.meshgrid(up, left, indexing="ij")
-    rays = np.stack((np.ones(DEPTH_SHAPE), left, up), axis=-1)
+    rays = Intrinsics(fx=FOCAL_PIXELS, fy=FOCAL_PIXELS).rays().reshape(*DEPTH_SHAPE, 3)
     sine, cosine = np.sin(TILT), np.cos(TILT)
     tilt = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
-    return rays @ (tilt @ turned(turn)).T
-
-
-def turned(vector: np.ndarray) -> np.ndarray:
-    """Rotation matrix [3, 3] of a rotation vector [3] in rad (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    return rays @ (tilt @ Rotation.from_rotvec(turn).as_matrix()).T
 
 
 def _box(eye: np.ndarray, rays: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ import torch
 from matplotlib.colors import LightSource
 from matplotlib.patches import Rectangle
 
+from renet.camera import Intrinsics
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.env import PARKOUR
@@ -23,10 +24,9 @@ from renet.evaluation.results import Provenance, output_folder, plain, write_jso
 from renet.evaluation.rollout import Trial
 from renet.evaluation.study import Study, Table
 from renet.interface import CONTROL_DT, DEPTH_RANGE
-from renet.sim.camera_model import Intrinsics, mount_rotation
-from renet.sim.depth_camera import MountCfg
-from renet.sim.depth_noise import DepthNoiseCfg, add_noise
-from renet.sim.raycast import TerrainScanner, scanner
+from renet.sim.depth.camera import MountCfg, mount_rotation
+from renet.sim.depth.noise import DepthNoiseCfg, add_noise
+from renet.sim.depth.raycast import TerrainScanner, scanner
 from renet.tiles import LEVELS as TOP
 from renet.tiles import TILE, tiles
 
@@ -183,6 +183,6 @@ def _view(
 ) -> torch.Tensor:
     """Planar depth [rows, columns] m, the range where nothing is hit."""
     lens = lens or Intrinsics()
-    depth = rays.depth(eye[None], rotation, lens.rays(), DEPTH_RANGE)
+    depth = rays.depth(eye[None], rotation, lens, DEPTH_RANGE)
     depth = depth.reshape(lens.height, lens.width)
     return torch.where(depth >= 0.0, depth, DEPTH_RANGE)
