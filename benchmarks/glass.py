@@ -17,11 +17,10 @@ import tyro
 
 from facts import report
 from renet.deploy.policy import Policy
-from renet.evaluation.env import SimEnv
+from renet.evaluation.env import SimEnv, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.metrics import roc
 from renet.evaluation.rollout import Trial
-from renet.evaluation.studies.faults import FaultsCfg
 from renet.faults import Injection
 from renet.interface import (
     DEPTH_RANGE,
@@ -88,11 +87,11 @@ def walk(cfg: Cfg, evaluator: Evaluator, glass: bool) -> tuple[dict[str, np.ndar
     """Record a walk over obstacles, the second half of the robots on glass, or over all tiles."""
     if glass:
         numbers, steps = [*range(cfg.robots)] * 2, 400
-        task = FaultsCfg(terrain="obstacles", level=cfg.level).task("obstacles")
+        task = terrain_env_cfg("obstacles", cfg.level, evaluator.robot)
         faults = [()] * cfg.robots + [(Injection.of("glass", 5, 0),)] * cfg.robots
     else:
         numbers, steps = [*range(cfg.healthy_robots)], round(cfg.healthy_seconds * 50)
-        task, faults = "Renet-Go1-Parkour", [()] * cfg.healthy_robots
+        task, faults = "parkour", [()] * cfg.healthy_robots
     world = evaluator.make_env(task, numbers, 0.6, cfg.seed)
     if not glass:
         robot = np.arange(cfg.healthy_robots)

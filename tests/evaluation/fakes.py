@@ -13,6 +13,7 @@ from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import StepResult
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
 from renet.selector.monitors import Sight
+from renet.tasks.go1 import GO1
 
 GROUND = np.full(DEPTH_SHAPE, 0.5, np.float32)
 SPEED = 0.62
@@ -58,7 +59,7 @@ class FakeEnv:
         )
 
 
-class FakeController:
+class FakePolicy:
     """Scores an image by its distance from the ground; VP acts as badly as its image is."""
 
     def __init__(self, num_robots: int) -> None:
@@ -76,7 +77,7 @@ class FakeController:
         return action
 
 
-class FakeSwitch:
+class FakeSelector:
     """The paper's filter."""
 
     def __init__(self, num_robots: int, beta: float) -> None:
@@ -97,7 +98,8 @@ class FakeEvaluator:
 
     beta = 0.01
     thresholds: ClassVar = {"reconstruction": 0.01, "duplicate": 3.0, "frame_age": 0.2}
-    walk = Evaluator.rollout
+    robot = GO1
+    rollout = Evaluator.rollout
 
     def __init__(self) -> None:
         spec = mujoco.MjSpec()
@@ -111,11 +113,11 @@ class FakeEvaluator:
     def provenance(self, seed: int) -> Provenance:
         return Provenance.now("fake", "0" * 64, "none", seed)
 
-    def world(self, task, robots: Sequence[int], speed: float, seed: int) -> FakeEnv:
+    def make_env(self, task, robots: Sequence[int], speed: float, seed: int) -> FakeEnv:
         return FakeEnv(len(robots))
 
-    def controller(self, num_robots: int) -> FakeController:
-        return FakeController(num_robots)
+    def make_policy(self, num_robots: int) -> FakePolicy:
+        return FakePolicy(num_robots)
 
-    def switch(self, num_robots: int, selector: str = "paper") -> FakeSwitch:
-        return FakeSwitch(num_robots, self.beta)
+    def make_selector(self, num_robots: int, selector: str = "paper") -> FakeSelector:
+        return FakeSelector(num_robots, self.beta)

@@ -15,9 +15,11 @@ from renet.evaluation.demo import (
     worst_of_vp,
 )
 from renet.evaluation.report.video import VideoCfg
-from renet.evaluation.studies.noise import NoiseCfg, build_world, run_noise, walk
+from renet.evaluation.studies.noise import NoiseStudy
 
 from .fakes import FakeEvaluator
+
+SMALL: dict = {"robots": 2, "onset": 1.0, "seconds": 4.0, "fault_end": 4.0}
 
 
 class Links(HTMLParser):
@@ -40,11 +42,9 @@ class Links(HTMLParser):
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    small = NoiseCfg(robots=2, steps=200, onset=50)
     patch = pytest.MonkeyPatch()
-    patch.setattr(demo, "NoiseCfg", lambda **kw: NoiseCfg(robots=2, steps=200, onset=50, **kw))
+    patch.setattr(demo, "NoiseStudy", lambda **kw: NoiseStudy(**SMALL, **kw))
     patch.setattr(demo, "VideoCfg", lambda: VideoCfg(width=96, height=72, fps=5))
-    assert small.robots == 2
     try:
         return run_demo(DemoCfg(out=tmp_path_factory.mktemp("demo")), FakeEvaluator())
     finally:
@@ -85,10 +85,11 @@ def test_the_folder_holds_everything(page: Path) -> None:
 
 
 def test_the_film_shows_the_setting_vp_suffers_most_in(tmp_path: Path) -> None:
-    study, evaluator = NoiseCfg(out=tmp_path, robots=2, steps=200, onset=50), FakeEvaluator()
-    setting = worst_of_vp(run_noise(study, evaluator))
-    trace = walk(study, evaluator, build_world(study, evaluator), setting, "again")
-    assert trace.fallen[-1, study.rows_of("vp")].all()
+    study, evaluator = NoiseStudy(out=tmp_path, **SMALL), FakeEvaluator()
+    setting = worst_of_vp(study.run(evaluator))
+    env, trials = study.make_env(evaluator, "flat"), study.trials([setting])
+    trace = evaluator.rollout("again", env, trials, study.steps, study.seed)
+    assert trace.fallen[-1, :2].all()
     assert first_to_fall(study, trace) in (0, 1)
     small = VideoCfg(width=64, height=48, fps=5)
     path = film_comparison(study, evaluator, setting, tmp_path / "v.mp4", small)

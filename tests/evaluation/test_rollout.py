@@ -7,14 +7,14 @@ from renet.errors import RenetError
 from renet.evaluation.rollout import Trial, run_rollout
 from renet.faults import Injection
 
-from .fakes import SPEED, FakeController, FakeEnv, FakeSwitch
+from .fakes import SPEED, FakeEnv, FakePolicy, FakeSelector
 
 NOISE = (Injection("gaussian", 1.0, onset=20),)
 MODES = ("vp", "renet", "op", "oracle-switch")
 
 
 def roll(rows: list[Trial], steps: int = 60, **kwargs):
-    controller, switch = FakeController(len(rows)), FakeSwitch(len(rows), 0.01)
+    controller, switch = FakePolicy(len(rows)), FakeSelector(len(rows), 0.01)
     trace = run_rollout(FakeEnv(len(rows)), controller, switch, rows, steps, 0, **kwargs)
     return trace, controller, switch
 
@@ -42,7 +42,7 @@ def test_a_fall_is_latched_and_stops_the_count() -> None:
 
 
 def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
-    class Doubtful(FakeSwitch):
+    class Doubtful(FakeSelector):
         """Trusts nobody but a robot that has just started anew."""
 
         trusted = np.zeros(1, bool)
@@ -62,7 +62,7 @@ def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
             fell = np.array([self.steps == 10])
             return self.result(np.full(1, SPEED), fell)
 
-    trace = run_rollout(Stumbling(1), FakeController(1), Doubtful(1, 1.0), [Trial("renet")], 15, 0)
+    trace = run_rollout(Stumbling(1), FakePolicy(1), Doubtful(1, 1.0), [Trial("renet")], 15, 0)
     assert np.flatnonzero(trace.vision[:, 0]).tolist() == [0, 10]
 
 
@@ -93,4 +93,4 @@ def test_wrong_input_is_refused() -> None:
     with pytest.raises(RenetError, match="unknown mode 'blind'"):
         Trial("blind")
     with pytest.raises(RenetError, match="2 rows"):
-        run_rollout(FakeEnv(1), FakeController(1), FakeSwitch(1, 1), [Trial("vp")] * 2, 5, 0)
+        run_rollout(FakeEnv(1), FakePolicy(1), FakeSelector(1, 1), [Trial("vp")] * 2, 5, 0)

@@ -7,19 +7,19 @@ import pytest
 
 from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
-from renet.evaluation.monitor_log import SelectorProbe, successful_runs, suspicion
+from renet.evaluation.monitor_log import SelectorProbe, combined_score, successful_runs
 from renet.evaluation.rollout import Trial, run_rollout
-from renet.evaluation.selectors import MonitorsInStep, make_switch
+from renet.evaluation.selectors import MonitorSelectorAdapter, make_selector
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
 from renet.selector.monitors import Sight
 
-from .fakes import GROUND, FakeController, FakeEnv
+from .fakes import GROUND, FakeEnv, FakePolicy
 
 SPEC = SelectorSpec(beta=1.0, thresholds={"disagreement": 0.3, "uniformity": -0.001})
 
 
-class LiveWorld(FakeEnv):
+class LiveEnv(FakeEnv):
     """Its camera has the grain of a live one."""
 
     def result(self, speed, fell):
@@ -33,13 +33,13 @@ class LiveWorld(FakeEnv):
 def roll(
     kind: str, fault: str, level: float, duration: float = 2.0
 ) -> tuple[np.ndarray, SelectorProbe]:
-    switches = {"paper": make_switch("paper", SPEC, 2)}
+    switches = {"paper": make_selector("paper", SPEC, 2)}
     witness = SelectorProbe(2, switches)
     rows = [Trial("renet", (Injection(fault, level, 50, duration),)), Trial("renet")]
     trace = run_rollout(
-        LiveWorld(2),
-        FakeController(2),
-        make_switch(kind, SPEC, 2),
+        LiveEnv(2),
+        FakePolicy(2),
+        make_selector(kind, SPEC, 2),
         rows,
         300,
         0,
@@ -65,7 +65,7 @@ def test_monitors_notice_what_the_papers_rule_cannot(fault, level, delay) -> Non
 
 
 def test_a_slow_selector_sees_every_frame_once() -> None:
-    switch = MonitorsInStep(SelectorSpec(beta=1.0, gamma=0.6, rate_hz=10.0), 1)
+    switch = MonitorSelectorAdapter(SelectorSpec(beta=1.0, gamma=0.6, rate_hz=10.0), 1)
     image = np.random.default_rng(0).random((1, 48, 64))
     visions = []
     for update in range(200):
@@ -85,19 +85,19 @@ def test_a_slow_selector_sees_every_frame_once() -> None:
 
 
 def test_disagreeing_estimators_are_noticed() -> None:
-    controller = FakeController(2)
+    controller = FakePolicy(2)
     controller.velocity_op = np.zeros((2, 3))
     controller.velocity_vp = np.array([[0.4, 0.0, 0.0], [0.2, 0.0, 0.0]])
     trace = run_rollout(
-        LiveWorld(2), controller, make_switch("guarded", SPEC, 2), [Trial("renet")] * 2, 10, 0
+        LiveEnv(2), controller, make_selector("guarded", SPEC, 2), [Trial("renet")] * 2, 10, 0
     )
     assert trace.trusted[-1, -1].tolist() == [False, True]
 
 
-def test_suspicion_is_one_at_any_threshold_and_zero_as_usual() -> None:
+def test_the_combined_score_is_one_at_any_threshold_and_zero_as_usual() -> None:
     calm = np.zeros((10, 1))
     risen = np.concatenate([np.zeros((5, 1)), np.full((5, 1), 0.5)])
-    whole = suspicion({"a": calm, "b": 2 + risen}, {"a": 1.0, "b": 2.5}, 5)
+    whole = combined_score({"a": calm, "b": 2 + risen}, {"a": 1.0, "b": 2.5}, 5)
     np.testing.assert_allclose(whole, 2 * risen)
 
 
@@ -115,9 +115,9 @@ def test_the_log_keeps_the_highest_score_of_a_tick() -> None:
 
 def test_unknown_selectors_and_rates_are_refused() -> None:
     with pytest.raises(RenetError, match="unknown selector 'coin'"):
-        make_switch("coin", SPEC, 1)
+        make_selector("coin", SPEC, 1)
     with pytest.raises(RenetError, match="selector rate 33"):
-        make_switch("guarded", SelectorSpec(beta=1.0, rate_hz=33.0), 1)
+        make_selector("guarded", SelectorSpec(beta=1.0, rate_hz=33.0), 1)
 
 
 def test_calibration_learns_from_robots_that_get_somewhere() -> None:

@@ -8,51 +8,47 @@ from pathlib import Path
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation import report
-from renet.evaluation.report.report import SECTIONS, ReportCfg, make_report
+from renet.evaluation.report import report
+from renet.evaluation.report.report import STUDIES, ReportCfg, make_report
 from renet.evaluation.report.summary import FACTS, WORSE
-from renet.evaluation.studies.course import CourseCfg, run_course
-from renet.evaluation.studies.faults import FaultsCfg, run_faults
-from renet.evaluation.studies.filter import FilterCfg, run_filter
-from renet.evaluation.studies.noise import NoiseCfg, run_noise
-from renet.evaluation.studies.standing import StandingCfg, run_standing
-from renet.evaluation.studies.terrain import SuccessCfg, TerrainCfg, run_success, run_terrain
+from renet.evaluation.studies.course import CourseStudy
+from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.studies.filter import FilterStudy
+from renet.evaluation.studies.noise import NoiseStudy
+from renet.evaluation.studies.standing import StandingStudy
+from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
+from renet.evaluation.study import Study
 
+from ..fakes import FakeEvaluator
+from ..studies.test_course import StillEvaluator
+from ..studies.test_standing import QUICK, ObedientEvaluator
+from ..studies.test_terrain import HurdlesEvaluator, LadderEvaluator
 from .browser import Browser, find_browser
-from .fakes import FakeEvaluator
-from .test_course import StillLab
-from .test_standing import QUICK, ObedientLab
-from .test_success import HurdlesLab
-from .test_terrain import LadderLab
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Every study, tiny."""
     folder = tmp_path_factory.mktemp("results")
-    run_noise(NoiseCfg(out=folder / "noise", robots=1, steps=170, onset=10), FakeEvaluator())
-    run_faults(
-        FaultsCfg(
-            out=folder / "faults",
-            faults=("gaussian", "unplugged", "wrong_scale"),
-            robots=1,
-            onset=10,
-            over=40,
-            steps=60,
-            healthy_minutes=0,
-        ),
-        FakeEvaluator(),
-    )
-    run_filter(FilterCfg(out=folder / "filter", robots=1, onset=10, steps=60), FakeEvaluator())
-    run_terrain(TerrainCfg(out=folder / "terrain", robots=2, seconds=2), LadderLab())
-    run_standing(StandingCfg(out=folder / "standing", **QUICK), ObedientLab())
-    run_success(
-        SuccessCfg(out=folder / "success", levels=(1, 3), trials=2, seconds=2), HurdlesLab()
-    )
-    run_course(
-        CourseCfg(out=folder / "course", lap=("flat", "grass"), laps=1, robots=1, patience=0.2),
-        StillLab(),
-    )
+    noise = NoiseStudy(out=folder / "noise", robots=1, onset=0.2, seconds=3.4, fault_end=3.4)
+    noise.run(FakeEvaluator())
+    FaultStudy(
+        out=folder / "faults",
+        faults=("gaussian", "unplugged", "wrong_scale"),
+        robots=1,
+        onset=0.2,
+        fault_end=0.8,
+        seconds=1.2,
+        healthy_minutes=0,
+    ).run(FakeEvaluator())
+    FilterStudy(out=folder / "filter", robots=1, onset=0.2, seconds=1.2).run(FakeEvaluator())
+    TerrainStudy(out=folder / "terrain", robots=2, seconds=2).run(LadderEvaluator())
+    StandingStudy(out=folder / "standing", **QUICK).run(ObedientEvaluator())
+    success = SuccessStudy(out=folder / "success", levels=(1, 3), robots=2, seconds=2)
+    success.run(HurdlesEvaluator())
+    lap = ("flat", "grass")
+    course = CourseStudy(out=folder / "course", lap=lap, laps=1, robots=1, stuck_after=0.2)
+    course.run(StillEvaluator())
     return folder
 
 
@@ -62,7 +58,7 @@ def page(results: Path) -> Path:
 
 
 def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
-    html = re.sub(r"base64,[A-Za-z0-9+/=]+", "", page.read_text()).replace("&#x27;", "'")
+    html = re.sub(r"base64,[A-Za-z0-9+/=]+", "", page.read_text()).replace("&#39;", "'")
     for heading in (
         "Where RENet does worse",
         "Noise in the camera",
@@ -77,7 +73,7 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
     assert "http" not in html
     assert "∞ s" in html
     # Pictures need a real bundle: test_pictures.py reports them.
-    assert html.count("bundle hash") == len(SECTIONS) - 1
+    assert html.count("bundle hash") == len(STUDIES) - 1
     assert html.count("<img") == 12
 
 
@@ -163,22 +159,52 @@ def test_incomplete_results_are_reported(tmp_path: Path) -> None:
         make_report(ReportCfg(tmp_path, tmp_path / "page.html"))
 
 
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "[" * 100_000,
+        '{"runs": "text"}',
+        "[1, 2]",
+        "null",
+        '{"half',
+        pytest.param("number", id="text for a number"),
+        pytest.param("inner", id="a list for a row"),
+    ],
+)
+def test_damaged_results_end_in_one_line(results: Path, tmp_path: Path, damage: str) -> None:
+    shutil.copytree(results / "standing", tmp_path / "standing")
+    path = tmp_path / "standing" / "summary.json"
+    content = json.loads(path.read_text())
+    if damage == "number":
+        content["runs"][0]["still"] = "many"
+        damage = json.dumps(content)
+    elif damage == "inner":
+        content["runs"][0] = [1]
+        damage = json.dumps(content)
+    path.write_text(damage)
+    with pytest.raises(RenetError, match="standing") as caught:
+        make_report(ReportCfg(tmp_path))
+    assert "\n" not in str(caught.value)
+
+
+def test_text_of_a_summary_is_escaped(results: Path, tmp_path: Path) -> None:
+    shutil.copytree(results / "filter", tmp_path / "filter")
+    path = tmp_path / "filter" / "summary.json"
+    content = json.loads(path.read_text())
+    content["provenance"]["command"] = "<script>alert(1)</script>"
+    path.write_text(json.dumps(content))
+    html = make_report(ReportCfg(tmp_path)).read_text()
+    assert "<script" not in html
+    assert "&lt;script&gt;" in html
+
+
 def test_run_runs_every_study_into_its_folder(tmp_path: Path, monkeypatch) -> None:
     ran = {}
-
-    def study(name: str):
-        def run(cfg) -> None:
-            ran[name] = (cfg.out, cfg.seed, getattr(cfg, "quick", None))
-
-        return run
-
-    for name in SECTIONS:
-        monkeypatch.setattr(report, f"run_{name}", study(name))
+    monkeypatch.setattr(Study, "main", lambda self: ran.update({self.name: self}))
     report.run_studies(ReportCfg(tmp_path, run=True, quick=True, seed=7))
-    assert set(ran) == set(SECTIONS)
-    for name, (out, seed, quick) in ran.items():
-        assert (out, seed) == (tmp_path / name, 7)
-        assert quick is not False
+    assert list(ran) == list(STUDIES)
+    for name, study in ran.items():
+        assert (study.out, study.seed, study.quick) == (tmp_path / name, 7, True)
 
 
 @pytest.fixture(scope="module")

@@ -10,23 +10,23 @@ import pytest
 import torch
 
 from renet.errors import RenetError
-from renet.evaluation import course
 from renet.evaluation.env import SimEnv, study_env_cfg
-from renet.evaluation.studies.course import CourseCfg, run_course
+from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.course_env import CourseEnv, PlaceInjector, time_limit
 from renet.evaluation.studies.course_terrain import AHEAD, LAP, SET_DOWN, course_env_cfg, passage
 from renet.faults import Frames
 from renet.sim.depth.raycast import scanner
 from renet.tasks.commands import goal
+from renet.tasks.go1 import GO1
 from renet.tiles import TILE
 
-from .fakes import FakeEvaluator
+from ..fakes import FakeEvaluator
 
 KINDS = ("flat", "stairs", "slope", "platform", "gap")
 
 
-def sim(lap: Sequence[str], levels: Sequence[int], robots: int, patience: float) -> SimEnv:
-    cfg = study_env_cfg(course_env_cfg(lap, levels, patience, seed=1), 0.6)
+def sim(lap: Sequence[str], levels: Sequence[int], robots: int, stuck_after: float) -> SimEnv:
+    cfg = study_env_cfg(course_env_cfg(lap, levels, stuck_after, 1, GO1), 0.6)
     return SimEnv(cfg, range(robots), 1, "auto")
 
 
@@ -125,26 +125,31 @@ def test_cameras_fail_where_the_grass_is() -> None:
     np.testing.assert_array_equal(injector.apply(Frames.healthy(healthy), 5).image, healthy)
 
 
-class StillLab(FakeEvaluator):
+class StillEvaluator(FakeEvaluator):
     """Real physics, and robots that stand still."""
 
     worlds = 0
 
-    def world(self, task, robots, speed, seed):
-        StillLab.worlds += 1
+    def make_env(self, task, robots, speed, seed):
+        StillEvaluator.worlds += 1
         return SimEnv(study_env_cfg(task, speed), robots, seed, "auto")
 
-    def controller(self, num_robots):
-        controller = super().controller(num_robots)
-        controller.step = lambda o, depth, op: np.zeros((num_robots, 12), np.float32)
-        return controller
+    def make_policy(self, num_robots):
+        policy = super().make_policy(num_robots)
+        policy.step = lambda o, depth, op: np.zeros((num_robots, 12), np.float32)
+        return policy
 
 
 def test_a_course_is_reported_robot_by_robot_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    cfg = CourseCfg(
-        out=tmp_path, lap=("flat", "grass"), laps=2, robots=1, modes=("renet", "op"), patience=0.3
+    cfg = CourseStudy(
+        out=tmp_path,
+        lap=("flat", "grass"),
+        laps=2,
+        robots=1,
+        modes=("renet", "op"),
+        stuck_after=0.3,
     )
-    run_course(cfg, StillLab())
+    cfg.run(StillEvaluator())
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert len(summary["runs"]) == 4
     for run in summary["runs"]:
@@ -166,14 +171,14 @@ def test_a_course_is_reported_robot_by_robot_and_goes_on_where_it_stopped(tmp_pa
     for name in ("course.png", "passages.png", "summary.csv"):
         assert (tmp_path / name).stat().st_size > 100
     next((tmp_path / "parts").glob("lap_2-*.json")).unlink()
-    StillLab.worlds = 0
-    assert run_course(cfg, StillLab())["runs"] == summary["runs"]
-    assert StillLab.worlds == 1
+    StillEvaluator.worlds = 0
+    assert cfg.run(StillEvaluator())["runs"] == summary["runs"]
+    assert StillEvaluator.worlds == 1
 
 
 def test_quick_is_short_and_the_whole_is_a_kilometre() -> None:
-    assert CourseCfg(quick=True).effective()[1] == 1
-    lap, laps, _ = CourseCfg().effective()
+    assert CourseStudy(quick=True).effective()[1] == 1
+    lap, laps, _ = CourseStudy().effective()
     assert laps * len(lap) * TILE == pytest.approx(1040)
     assert set(LAP) >= {"grass", "stairs", "slope", "platform", "gap", "occlusion"}
     assert time_limit(lap, 25.0) >= len(lap) * 1250
@@ -188,16 +193,15 @@ def test_quick_is_short_and_the_whole_is_a_kilometre() -> None:
         {"modes": ("x",)},
         {"severity": 0},
         {"laps": 0},
-        {"patience": 0.0},
+        {"stuck_after": 0.0},
     ],
 )
 def test_bad_settings_are_refused(wrong) -> None:
     with pytest.raises(RenetError):
-        CourseCfg(**wrong)
+        CourseStudy(**wrong)
 
 
 def test_every_passage_of_every_level_can_be_built() -> None:
-    assert course.passage is passage
     assert {type(passage(kind, 3)).__name__ for kind in set(LAP)} == {
         "Passage",
         "Relief",

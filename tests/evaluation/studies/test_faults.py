@@ -6,21 +6,20 @@ from pathlib import Path
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation import fault_study
 from renet.evaluation.studies.fault_findings import findings, harmful, missed
-from renet.evaluation.studies.faults import FaultsCfg, run_faults
+from renet.evaluation.studies.faults import FaultStudy
 
-from .fakes import FakeEvaluator
+from ..fakes import FakeEvaluator
 
 HEALTHY = ("false_switches", "robot_hours", "false_switches_per_hour", "upper_95_per_hour")
-SMALL: dict = {"severities": (1, 5), "robots": 2, "onset": 20, "over": 90, "steps": 120}
+SMALL: dict = {"severities": (1, 5), "robots": 2, "onset": 0.4, "fault_end": 1.8, "seconds": 2.4}
 SMALL |= {"healthy_minutes": 0.1}
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("faults")
-    run_faults(FaultsCfg(out=out, faults=("gaussian", "frozen"), **SMALL), FakeEvaluator())
+    FaultStudy(out=out, faults=("gaussian", "frozen"), **SMALL).run(FakeEvaluator())
     return out
 
 
@@ -59,27 +58,27 @@ def test_survival_and_detection_are_those_of_the_robots(folder: Path) -> None:
 
 def test_finished_faults_are_not_run_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran = []
-    real = fault_study.run_fault
+    real = FaultStudy._run_batch
 
-    def spy(cfg, evaluator, world, fault, name):
-        ran.append(fault)
-        return real(cfg, evaluator, world, fault, name)
+    def spy(study, evaluator, env, name):
+        ran.append(name)
+        return real(study, evaluator, env, name)
 
-    monkeypatch.setattr(fault_study, "run_fault", spy)
+    monkeypatch.setattr(FaultStudy, "_run_batch", spy)
     faults = ("gaussian", "frozen", "dropped")
-    summary = run_faults(FaultsCfg(out=folder, faults=faults, **SMALL), FakeEvaluator())
+    summary = FaultStudy(out=folder, faults=faults, **SMALL).run(FakeEvaluator())
     assert ran == ["dropped"]
     assert len(summary["runs"]) == 18
-    run_faults(FaultsCfg(out=folder, faults=faults, **(SMALL | {"seed": 2})), FakeEvaluator())
+    FaultStudy(out=folder, faults=faults, **(SMALL | {"seed": 2})).run(FakeEvaluator())
     assert ran == ["dropped", *faults]
 
 
 def test_a_damaged_part_is_reported(tmp_path: Path) -> None:
-    cfg = FaultsCfg(out=tmp_path, faults=("gaussian",), **SMALL)
-    run_faults(cfg, FakeEvaluator())
+    cfg = FaultStudy(out=tmp_path, faults=("gaussian",), **SMALL)
+    cfg.run(FakeEvaluator())
     next((tmp_path / "parts").glob("gaussian-*.json")).write_text('{"half')
     with pytest.raises(RenetError, match=r"gaussian-\w+\.json is not valid JSON"):
-        run_faults(cfg, FakeEvaluator())
+        cfg.run(FakeEvaluator())
 
 
 def run(fault: str, mode: str, survival: float, detected: int = 10, **values) -> dict:
@@ -151,26 +150,32 @@ def test_without_healthy_hours_nothing_is_promised_of_them() -> None:
         {"robots": 0},
         {"terrain": "lava"},
         {"terrain": "gap", "level": 11},
-        {"over": 100},
+        {"fault_end": 2.0},
+        {"faults": ("gaussian:9",)},
+        {"faults": ("gaussian:x",)},
+        {"faults": ("gaussian:1", "frozen")},
+        {"faults": ()},
         {"healthy_minutes": -1.0},
         {"selector": "coin"},
     ],
 )
 def test_bad_settings_are_refused(wrong) -> None:
     with pytest.raises(RenetError):
-        FaultsCfg(**wrong)
+        FaultStudy(**wrong)
 
 
 def test_glass_is_studied_where_there_are_obstacles() -> None:
-    flat, stairs = FaultsCfg(), FaultsCfg(terrain="stairs_up", level=2)
+    flat, stairs = FaultStudy(), FaultStudy(terrain="stairs_up", level=2)
     assert (flat.terrain_of("glass"), flat.terrain_of("foam")) == ("obstacles", "flat")
     assert stairs.terrain_of("glass") == "stairs_up"
 
 
 def test_quick_is_smaller() -> None:
-    quick, full = FaultsCfg(quick=True), FaultsCfg()
-    assert quick.effective() == ((1, 3, 5), 10)
-    assert full.effective() == ((1, 2, 3, 4, 5), 20)
+    quick, full = FaultStudy(quick=True), FaultStudy()
+    assert [s for _, s in quick.batches["frozen"]] == [1, 3, 5]
+    assert quick.robots_each == 10
+    assert [s for _, s in full.batches["frozen"]] == [1, 2, 3, 4, 5]
+    assert full.robots_each == 20
 
 
 def test_healthy_time_is_that_of_robots_whose_cameras_never_fail(folder: Path) -> None:

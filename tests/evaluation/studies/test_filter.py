@@ -9,13 +9,13 @@ import pytest
 
 from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
-from renet.evaluation.studies.filter import FilterCfg, replay, run_filter
+from renet.evaluation.studies.filter import FilterStudy, replay
 
-from .fakes import FakeEvaluator
+from ..fakes import FakeEvaluator
 
 
 def test_measured_delay_is_the_formulas_at_every_rate(tmp_path: Path) -> None:
-    run_filter(FilterCfg(out=tmp_path, robots=2, onset=100, steps=300), FakeEvaluator())
+    FilterStudy(out=tmp_path, robots=2, onset=2.0, seconds=6.0).run(FakeEvaluator())
     runs = json.loads((tmp_path / "summary.json").read_text())["runs"]
     assert len(runs) == 21
     for run in runs:
@@ -32,15 +32,15 @@ def test_measured_delay_is_the_formulas_at_every_rate(tmp_path: Path) -> None:
 
 def test_quick_is_fewer_robots_and_new_gammas_need_no_new_walk(tmp_path: Path) -> None:
     class Busy(FakeEvaluator):
-        def world(self, *args):
+        def make_env(self, *args):
             raise AssertionError("walked again")
 
-    quick = FilterCfg(out=tmp_path, quick=True, onset=10, steps=40, gammas=(0.1,))
-    summary = run_filter(quick, FakeEvaluator())
+    quick = FilterStudy(out=tmp_path, quick=True, onset=0.2, seconds=0.8, gammas=(0.1,))
+    summary = quick.run(FakeEvaluator())
     runs = summary["runs"]
     assert summary["settings"]["quick"]
     assert [run["robots"] for run in runs] == [4, 4, 4]
-    assert run_filter(replace(quick, gammas=(0.1, 1.0)), Busy())["runs"][::2] == runs
+    assert replace(quick, gammas=(0.1, 1.0)).run(Busy())["runs"][::2] == runs
 
 
 def test_replay_is_the_papers_recursion() -> None:
@@ -61,10 +61,10 @@ def test_replay_is_the_papers_recursion() -> None:
         {"gammas": (0.1, 2.0)},
         {"rates": (200.0, 30.0)},
         {"rates": (0.0,)},
-        {"onset": 700},
+        {"onset": 14.0},
         {"speed": 0.0},
     ],
 )
 def test_bad_settings_are_refused(wrong) -> None:
     with pytest.raises(RenetError):
-        FilterCfg(**wrong)
+        FilterStudy(**wrong)

@@ -11,13 +11,14 @@ from PIL import Image
 from renet.errors import RenetError
 from renet.evaluation.report.height_maps import WARM_UP, errors
 from renet.evaluation.report.report import ReportCfg, make_report
-from renet.evaluation.studies.pictures import SENSOR, PicturesCfg, _kept, run_pictures
+from renet.evaluation.studies.pictures import SENSOR, PicturesStudy, _kept
 from renet.interface import HEIGHT_MAP_SIZE
 from renet.tiles import tiles
 
 
 def test_every_picture_is_written_and_the_numbers_are_those_of_the_robots(tmp_path):
-    out = run_pictures(PicturesCfg(out=tmp_path / "pictures", seconds=2.0, level=8))
+    out = tmp_path / "pictures"
+    PicturesStudy(out=out, seconds=2.0, level=8).run()
     names = {path.name for path in out.iterdir()}
     assert names == {"tiles.png", "camera.png", "height_map.png", "summary.json"}
     for name in names - {"summary.json"}:
@@ -30,7 +31,7 @@ def test_every_picture_is_written_and_the_numbers_are_those_of_the_robots(tmp_pa
     assert flat["stairs_up"] > 2 * flat["rough"]
     assert summary["provenance"]["bundle_hash"]
     page = make_report(ReportCfg(tmp_path)).read_text()
-    assert "The ground as the robot believes it to be" in page
+    assert "The ground as the VP estimator predicts it" in page
     assert page.count("<img") == 3
 
 
@@ -58,4 +59,4 @@ def test_the_kept_part_is_inside_the_sensors_view():
 )
 def test_mistakes_are_named(fields, message):
     with pytest.raises(RenetError, match=message):
-        PicturesCfg(**fields)
+        PicturesStudy(**fields)

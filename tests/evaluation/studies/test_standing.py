@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.studies.standing import StandingCfg, run_standing, stillness
+from renet.evaluation.studies.standing import StandingStudy, stillness
 
-from .fakes import FakeEnv, FakeEvaluator
+from ..fakes import FakeEnv, FakeEvaluator
 
 QUICK = {"robots": 2, "walk": 0.2, "settle": 0.2, "stand": 0.4}
 
@@ -41,8 +41,8 @@ class Obedient(FakeEnv):
         return pose
 
 
-class ObedientLab(FakeEvaluator):
-    def world(self, task, robots, speed, seed):
+class ObedientEvaluator(FakeEvaluator):
+    def make_env(self, task, robots, speed, seed):
         return Obedient(len(robots))
 
 
@@ -58,8 +58,8 @@ def test_drift_counts_from_when_robots_should_stand_and_joints_all_along() -> No
 
 def test_robots_that_stop_stand_and_restless_ones_do_not(tmp_path: Path) -> None:
     Obedient.told = 0
-    cfg = StandingCfg(out=tmp_path, kinds=("flat", "stairs_up"), **QUICK)
-    run_standing(cfg, ObedientLab())
+    cfg = StandingStudy(out=tmp_path, kinds=("flat", "stairs_up"), **QUICK)
+    cfg.run(ObedientEvaluator())
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert [(run["kind"], run["level"], run["mode"]) for run in summary["runs"]] == [
         ("flat", 1, "vp"), ("flat", 1, "op"), ("stairs_up", 3, "vp"), ("stairs_up", 3, "op")
@@ -67,7 +67,7 @@ def test_robots_that_stop_stand_and_restless_ones_do_not(tmp_path: Path) -> None
     assert {(run["robots"], run["still"], run["falls"]) for run in summary["runs"]} == {(2, 1, 0)}
     assert all(run["drift_m"] == 0 for run in summary["runs"])
     assert (tmp_path / "standing.png").stat().st_size > 10_000
-    run_standing(cfg, ObedientLab())
+    cfg.run(ObedientEvaluator())
     assert Obedient.told == 1, "a finished study is not run again"
 
 
@@ -86,4 +86,4 @@ def test_the_simulated_world_obeys() -> None:
 )
 def test_bad_settings_are_refused(wrong) -> None:
     with pytest.raises(RenetError):
-        StandingCfg(**wrong)
+        StandingStudy(**wrong)

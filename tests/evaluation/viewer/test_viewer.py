@@ -12,11 +12,11 @@ import zstandard
 from websockets.sync.client import connect
 
 from renet.errors import RenetError
+from renet.evaluation.env import terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.play import ground
 from renet.evaluation.viewer.session import ViewerSession
 from renet.evaluation.viewer.viewer import LiveViewer, serve, watch
-from renet.faults import FAULTS
+from renet.faults import FAULTS, Injection
 from renet.tasks.commands import goal
 from renet.tasks.go1 import GO1
 
@@ -31,7 +31,7 @@ def free_port() -> int:
 
 @pytest.fixture(scope="module")
 def session():
-    made = ViewerSession(Evaluator(), ground("platform", 3, GO1), speed=0.5, seed=1)
+    made = ViewerSession(Evaluator(), terrain_env_cfg("platform", 3, GO1), speed=0.5, seed=1)
     yield made
     made.close()
 
@@ -104,7 +104,7 @@ def test_every_fault_has_a_button_that_breaks_the_camera(viewer, session):
     viewer.panels.clear_fault.value = True
     advance(viewer, 5)
     assert session.snapshot.fault == ""
-    session.inject("frozen", 1)
+    session.inject(Injection.of("frozen", 1, onset=0))
     advance(viewer, 9)
     assert session.snapshot.fault == "frozen"
     advance(viewer, 2)
@@ -149,7 +149,7 @@ def test_a_fall_restarts_policy_and_selector(viewer, session):
     session.env.sim.data.qpos[0, 3:7] = session.env.sim.data.qpos.new_tensor([0.0, 1.0, 0.0, 0.0])
     advance(viewer, 1)
     assert (session.policy.latent_op == 0.0).all()
-    assert session.switch.probability[0] == 1.0
+    assert session.loop.selector.probability[0] == 1.0
 
 
 def test_a_taken_port_is_named(session):
@@ -162,7 +162,10 @@ def test_a_taken_port_is_named(session):
 
 
 def test_watch_runs_and_says_where(capsys):
-    made, port = ViewerSession(Evaluator(), ground("flat", 1, GO1), speed=0.5, seed=1), free_port()
+    made, port = (
+        ViewerSession(Evaluator(), terrain_env_cfg("flat", 1, GO1), speed=0.5, seed=1),
+        free_port(),
+    )
     watch(made, HOST, port, steps=3)
     assert f"http://{HOST}:{port}" in capsys.readouterr().out
     with pytest.raises(OSError, match="refused"):

@@ -85,7 +85,7 @@ class CourseStudy(Study):
         seed = self.seed + number - 1
         trials = [Trial(mode, robot=robot) for mode in self.modes for robot in range(robots)]
         streams = [trial.robot for trial in trials]
-        task = course_env_cfg(lap, self.level, self.stuck_after, seed, evaluator.robot)
+        task = course_env_cfg(lap, [self.level] * len(lap), self.stuck_after, seed, evaluator.robot)
         env = CourseEnv(evaluator.make_env(task, streams, self.speed, seed), lap)
 
         def everybody_finished(result: StepResult) -> bool:

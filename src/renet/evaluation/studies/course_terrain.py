@@ -206,13 +206,13 @@ def passage(kind: str, level: int) -> Tile:
 
 
 def course_env_cfg(
-    lap: Sequence[str], level: int, stuck_after: float, seed: int, robot: Robot
+    lap: Sequence[str], levels: Sequence[int], stuck_after: float, seed: int, robot: Robot
 ) -> RenetEnvCfg:
     """A lap as an environment.
 
     Args:
         lap: kinds of passage, in order.
-        level: of all obstacles, 1 to 10.
+        levels: of each passage, 1 to 10.
         stuck_after: seconds on one passage after which a robot counts as stuck.
         seed: of relief and blocks.
         robot: to walk it.
@@ -220,7 +220,7 @@ def course_env_cfg(
     Raises:
         RenetError: unknown kind or level.
     """
-    passages = {f"{i}_{kind}": passage(kind, level) for i, kind in enumerate(lap)}
+    passages = {f"{i}_{kind}": passage(kind, levels[i]) for i, kind in enumerate(lap)}
     generator = TerrainGeneratorCfg(
         seed=seed,
         curriculum=True,
