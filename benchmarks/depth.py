@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import torch
 import tyro
-import warp as wp
 from mjlab.utils.lab_api.math import matrix_from_quat
 
 from facts import report
@@ -67,7 +66,6 @@ def core_seconds(cfg: Cfg, work: Callable[[], object]) -> float:
 
 
 def main(cfg: Cfg) -> None:
-    wp.config.quiet = True
     with redirect_stdout(StringIO()):
         env = make_env("Renet-Go1-Parkour", cfg.num_envs, cfg.device)
     env.reset()

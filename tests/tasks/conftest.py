@@ -6,11 +6,8 @@ from contextlib import redirect_stdout
 from io import StringIO
 
 import pytest
-import warp as wp
 
 from renet.tasks import RenetEnv, make_env
-
-wp.config.quiet = True
 
 
 def build(*args, **kwargs) -> RenetEnv:

@@ -8,7 +8,6 @@ from functools import cached_property, partial
 from typing import Any
 
 import torch
-import warp as wp
 from mjlab.actuator import BuiltinPositionActuatorCfg
 from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
 from mjlab.sensor import ContactSensorCfg
@@ -211,7 +210,6 @@ def make_env(
     cfg = env_cfg(task, play) if isinstance(task, str) else deepcopy(task)
     cfg.scene.num_envs = num_envs
     cfg.seed = seed
-    wp.config.quiet = True  # A line per compiled kernel would bury everything else.
     with use_engine(engine, device):
         return RenetEnv(cfg, device)
 

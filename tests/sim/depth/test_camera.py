@@ -67,21 +67,18 @@ PLANE = '<geom type="plane" size="0 0 1"/>'
 def test_plane_at_a_known_pitch(pitch):
     mount = MountCfg((0.0, 0.0, 0.0), pitch, 0.0, 0.0)
     image = camera(scene(PLANE), mount).data
-    intrinsics = Intrinsics()
-    row, column = np.mgrid[:48, :64]
     # A pixel (1, left, up) of the camera pitched down by `pitch`; height 0.5 m.
-    up = (intrinsics.cy - 0.5 - row) / intrinsics.fy
+    up = Intrinsics().axes()[1][:, None].repeat(64, 1)
     drop = math.sin(pitch) - up * math.cos(pitch)
     expected = np.where(drop > 0.5 / 2.0, 0.5 / np.maximum(drop, 1e-9), 2.0)
     np.testing.assert_allclose(image.depth[0], expected, atol=1e-3)
-    np.testing.assert_array_equal(image.valid[0], (drop > 0.5 / 2.0) & (column >= 0))
+    np.testing.assert_array_equal(image.valid[0], drop > 0.5 / 2.0)
 
 
 def test_wall_is_at_one_planar_depth_and_edges_are_where_they_should_be():
     wall = '<geom type="box" size="0.1 0.3 5" pos="1.1 0 0"/>'
     image = camera(scene(wall)).data
-    intrinsics = Intrinsics()
-    seen = np.abs((intrinsics.cx - 0.5 - np.arange(64)) / intrinsics.fx) < 0.3
+    seen = np.abs(Intrinsics().axes()[0]) < 0.3
     expected = np.where(seen, 1.0, 2.0)[None].repeat(48, 0)
     np.testing.assert_allclose(image.depth[0], expected, atol=1e-3)
 
@@ -105,7 +102,7 @@ def test_height_field_ramp():
     mount = MountCfg((0.0, 0.0, 0.0), 0.8, 0.0, 0.0)
     image = camera(model, mount).data
     # Surface z = (x + 2) / 4; ray from (-1, 0, 1) along (cos - up' ...) in the vertical plane.
-    up = ((24 - 0.5 - np.arange(48)) / Intrinsics().fy)[:, None]
+    up = Intrinsics().axes()[1][:, None]
     forward, climb = math.cos(0.8) + up * math.sin(0.8), -math.sin(0.8) + up * math.cos(0.8)
     expected = np.broadcast_to((1.0 - 0.25) / (0.25 * forward - climb), (48, 64))
     inside = expected < 1.5
@@ -128,6 +125,15 @@ def test_mesh_agrees_with_mujocos_rays_on_a_bumpy_field():
             model, data, np.array([x, y, 4.0]), np.array([0.0, 0.0, -1.0]), None, 1, body, geom
         )
         assert 4.0 - distance == pytest.approx(height, abs=1e-3)
+
+
+def test_the_mount_is_a_rotation():
+    pitch, yaw = torch.linspace(-1.0, 1.0, 9), torch.linspace(2.0, -2.0, 9)
+    rotation = mount_rotation(pitch, yaw)
+    eye = torch.eye(3).expand(9, 3, 3)
+    torch.testing.assert_close(rotation @ rotation.mT, eye, atol=1e-6, rtol=0)
+    torch.testing.assert_close(torch.linalg.det(rotation), torch.ones(9))
+    torch.testing.assert_close(rotation[:, 2, 1], torch.zeros(9))  # It never rolls.
 
 
 def test_mount_moves_and_turns_the_camera():
@@ -177,35 +183,64 @@ def test_an_image_is_held_until_the_next_is_due():
     assert 0.0 <= sensor.normalised().min() <= sensor.normalised().max() <= 1.0
 
 
-def test_late_images_are_older_ones():
-    sensor = camera(scene(PLANE), noise=DepthNoiseCfg(), latency=(1, 1))
-    images = []
-    for _ in range(3):
-        images.append(sensor.data.depth.clone())
-        newest = sensor._frames[0].depth
-        sensor.update(0.1)
-    assert torch.equal(images[0], images[1])
-    assert not torch.equal(images[1], images[2])
-    assert not torch.equal(images[2], newest)
+class Walk:
+    """Robots at x = 0.1 m per control step, on each their own line, in front of a wall at 2 m."""
+
+    def __init__(self, robots: int, delay: tuple[float, float], mount: MountCfg = EXACT) -> None:
+        self.xpos, self.step = torch.zeros(robots, 3, 3), 0
+        self.xmat, self.qpos = torch.eye(3).expand(robots, 3, 3, 3), torch.zeros(robots, 7)
+        self.xpos[..., 2] = 0.5
+        self.camera = DepthCameraCfg(
+            name="depth", body="robot", mount=mount, noise=QUIET, range=9.0, delay=delay
+        ).build()
+        wall = '<geom type="box" size="0.1 9 9" pos="2.1 0 0"/>'
+        self.camera.initialize(scene(wall), None, self, "cpu")
+
+    def take(self, steps: int, dt: float = 0.02) -> torch.Tensor:
+        """Walk on; m from where each robot's image was taken to the wall, in its middle."""
+        for _ in range(steps):
+            self.step += 1
+            self.xpos[..., 0] += 0.1 * dt / 0.02
+            self.camera.update(dt)
+        return self.camera.data.depth[:, 24, 32]
+
+
+@pytest.mark.parametrize("late", [0, 1, 3, 5, 7])
+@pytest.mark.parametrize("dt", [0.02, 0.005])  # Whether time passes by control or physics steps.
+def test_a_late_image_shows_the_view_from_where_the_camera_was(late, dt):
+    walk = Walk(1, (0.02 * late, 0.02 * late))
+    substeps = round(0.02 / dt)
+    walk.take(5 * substeps, dt)
+    got = walk.take(5 * substeps, dt)  # The image of step 10.
+    assert got.item() == pytest.approx(2.0 - 0.1 * (10 - late), abs=1e-4)
 
 
 def test_a_late_camera_never_shows_an_earlier_episode():
-    sensor = camera(scene(PLANE), robots=2, noise=DepthNoiseCfg(), latency=(2, 2))
-    for _ in range(4):
-        sensor.update(0.1)
-        held = sensor.data.depth
-    sensor.reset(torch.tensor([1]))
-    assert sensor.data.depth is held
-    images = []
-    for _ in range(4):
-        sensor.update(0.1)
-        images.append((sensor.data.depth, sensor._frames[0].depth))
-    first = images[0][1]
-    for delivered, _ in images[:3]:  # Robot 1 has nothing older than its episode's first image.
-        assert torch.equal(delivered[1], first[1])
-    assert torch.equal(images[3][0][1], images[1][1][1])
-    assert torch.equal(images[2][0][0], first[0])
-    assert not torch.equal(images[1][0][0], first[0])
+    walk = Walk(2, (0.1, 0.1))
+    walk.take(8)
+    walk.xpos[1, :, 0] = -3.0
+    walk.camera.reset(torch.tensor([1]))
+    of_robot_0, of_robot_1 = walk.take(2)
+    assert of_robot_0 == pytest.approx(2.0 - 0.5, abs=1e-4)
+    # Two steps into the new episode: the first of them is all there is to show.
+    assert of_robot_1 == pytest.approx(2.0 - (-3.0 + 0.1), abs=1e-4)
+
+
+def test_delays_are_drawn_for_each_episode_from_all_whole_control_steps():
+    walk = Walk(400, (0.0, 0.1))
+    for _ in range(2):
+        walk.take(5)
+        steps = ((walk.take(5) - 2.0) / 0.1 + walk.step).round().int()
+        assert steps.unique().tolist() == [0, 1, 2, 3, 4, 5]
+        before = walk.camera._delay.clone()
+        walk.xpos[..., 0], walk.step = 0.0, 0
+        walk.camera.reset()
+        assert (before != walk.camera._delay).any()
+        walk.take(0)
+
+
+def test_no_delay_is_the_default():
+    assert DepthCameraCfg(name="d").delay == (0.0, 0.0)
 
 
 def ticks(sensor: DepthCamera, steps: int) -> list[int]:
@@ -223,12 +258,16 @@ def test_a_reset_between_steps_restarts_the_clock_and_one_inside_a_step_does_not
     sensor = camera(scene(PLANE))
     assert ticks(sensor, 13) == [5, 10]
     sensor.update(0.02)
-    old = sensor._frames[0].depth
+    old = sensor._image.depth
     sensor.reset(torch.tensor([0]))  # The only robot falls in step 14 ...
     assert sensor.data.depth is old
     assert ticks(sensor, 8) == [1, 6]  # ... and consumers still tick at steps 15 and 20.
     sensor.reset()
     assert ticks(sensor, 11) == [5, 10]
+
+
+def test_images_keep_their_rate_when_the_period_is_no_multiple_of_the_step():
+    assert ticks(camera(scene(PLANE), period=0.05), 10) == [3, 5, 8, 10]
 
 
 def test_any_mjlab_task_can_carry_the_camera():
@@ -241,6 +280,7 @@ def test_any_mjlab_task_can_carry_the_camera():
     sensor = env.scene["depth"]
     assert isinstance(sensor, DepthCamera)
     shown, changed = sensor.normalised(), []
+    directions = torch.from_numpy(Intrinsics().rays(np.float32))
     assert shown.shape == (2, 48, 64)
     for step in range(1, 12):
         env.step(torch.zeros(2, 12))
@@ -251,7 +291,7 @@ def test_any_mjlab_task_can_carry_the_camera():
             pose = env.sim.data.xpos[:, sensor._body], env.sim.data.xquat[:, sensor._body]
             base = matrix_from_quat(pose[1])
             eye = pose[0] + (base @ sensor._position[..., None])[..., 0]
-            rays = (base @ sensor._rotation) @ sensor._rays.T
+            rays = (base @ sensor._rotation) @ directions.T
             expected = -eye[:, 2, None] / rays[:, 2]
             expected = torch.where((expected > 0) & (expected < 2), expected, 2.0)
             got = sensor.data.depth.flatten(1)
@@ -294,5 +334,6 @@ def test_scenes_that_cannot_be_seen_are_refused():
     feet = FeetHeightCfg(name="f", sites=("paw",)).build()
     with pytest.raises(RenetError, match=r"no site 'paw'.*foot"):
         feet.initialize(scene(PLANE), None, None, "cpu")
-    with pytest.raises(RenetError, match="latency"):
-        DepthCameraCfg(name="d", latency=(0, 3)).build()
+    for delay in ((0.1, 0.0), (-0.02, 0.0), (0.0, math.inf)):
+        with pytest.raises(RenetError, match="camera delay"):
+            DepthCameraCfg(name="d", delay=delay).build()

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renet.camera import Intrinsics
-from renet.sim import raycast
 from renet.sim.depth.camera import mount_rotation
 from renet.sim.depth.raycast import TerrainScanner
 from renet.sim.depth.terrain_mesh import terrain_mesh
 
 RANGE = 2.0
+RAYS = torch.from_numpy(Intrinsics().rays(np.float32))
 
 
 def scene(worldbody: str, assets: str = "") -> mujoco.MjModel:
@@ -37,11 +37,11 @@ def assert_sees_what_mujoco_sees(model: mujoco.MjModel, eye, rotation: torch.Ten
 
     Images drawn and rays cast, which are not the same code.
     """
-    rays, scanner, eyes = Intrinsics().rays(), TerrainScanner(model, "cpu"), torch.tensor(eye)[None]
-    expected = mujoco_rays(model, np.array(eye), (rays[::5] @ rotation[0].T).numpy())
+    scanner, eyes = TerrainScanner(model, "cpu"), torch.tensor(eye)[None]
+    expected = mujoco_rays(model, np.array(eye), (RAYS[::5] @ rotation[0].T).numpy())
     expected[expected > RANGE] = -1.0
-    drawn = scanner.depth(eyes, rotation, rays, RANGE)[0, ::5]
-    cast = scanner.depth(eyes, rotation, rays[::5], RANGE)[0]
+    drawn = scanner.depth(eyes, rotation, Intrinsics(), RANGE)[0, ::5]
+    cast = scanner.cast_depth(eyes, rotation, RAYS[::5], RANGE)[0]
     for got in (drawn, cast):
         differs = np.abs(got.numpy() - expected) > 1e-3
         assert differs.mean() <= 0.02
@@ -98,40 +98,6 @@ def test_a_plane_goes_on_beyond_its_drawn_size():
     torch.testing.assert_close(height.height(far), torch.tensor([0.1]), atol=1e-4, rtol=0)
 
 
-def test_cells_change_nothing(monkeypatch):
-    random = np.random.default_rng(1)
-    middles, sizes = random.uniform(-9, 9, (150, 2)), random.uniform(0.05, 1.5, (150, 3))
-    model = scene(
-        '<geom type="plane" size="0 0 1"/>'
-        + "".join(
-            f'<geom type="box" size="{a} {b} {c}" pos="{x} {y} 0"/>'
-            for (x, y), (a, b, c) in zip(middles, sizes, strict=True)
-        )
-    )
-    many = TerrainScanner(model, "cpu")
-    monkeypatch.setattr(raycast, "FINE", 0.0)
-    one = TerrainScanner(model, "cpu")
-    assert len(one._trees[1]) == 1
-    monkeypatch.undo()
-    assert len(many._trees[1]) > 20
-    points = torch.from_numpy(random.uniform(-15, 15, (3000, 2))).float()
-    origin = torch.zeros(1, 3)
-    assert torch.equal(*(s.cast_clearance(origin, None, points) for s in (many, one)))
-    eyes = torch.cat((points[:40], torch.rand(40, 1) + 0.2), dim=-1)
-    rotation = mount_rotation(torch.rand(40), torch.rand(40) * 6)
-    for limit in (RANGE, 10.0):  # Within a cell's reach, and beyond it.
-        seen = [s.cast_depth(eyes, rotation, Intrinsics().rays(), limit) for s in (many, one)]
-        assert torch.equal(*seen)
-        assert (seen[0] >= 0).any()
-
-
-def test_trees_are_there_before_threads_share_them(monkeypatch):
-    scanner, ready = TerrainScanner(scene(CLUTTER, SOLID), "cpu"), []
-    monkeypatch.setattr(raycast, "for_chunks", lambda *_: ready.append("_trees" in vars(scanner)))
-    scanner.cast_clearance(torch.zeros(1, 3), None, torch.zeros(1, 2))
-    assert ready == [True]
-
-
 def test_rays_see_only_what_is_fixed_and_collides():
     model = scene(
         '<geom type="box" size="1 1 .1"/>'
@@ -149,9 +115,9 @@ def test_a_gpu_sees_what_the_cpu_sees():
     model = scene(CLUTTER, SOLID)
     eyes = torch.tensor([[-1.6, 0.1, 0.5], [float("nan"), 0.0, 0.5]])
     rotation = mount_rotation(torch.tensor([0.5, 0.5]), torch.zeros(2))
-    inputs = eyes, rotation, Intrinsics().rays()
-    cpu = TerrainScanner(model, "cpu").depth(*inputs, RANGE)
-    gpu = TerrainScanner(model, "cuda:0").depth(*(tensor.cuda() for tensor in inputs), RANGE)
+    cpu = TerrainScanner(model, "cpu").depth(eyes, rotation, Intrinsics(), RANGE)
+    poses = eyes.cuda(), rotation.cuda()
+    gpu = TerrainScanner(model, "cuda:0").depth(*poses, Intrinsics(), RANGE)
     assert (cpu[0] >= 0).any()
     assert (gpu[1] < 0).all()
     assert ((gpu.cpu() - cpu).abs() > 1e-4).float().mean() < 0.01

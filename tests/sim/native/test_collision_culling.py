@@ -11,7 +11,7 @@ import pytest
 import torch
 from mjlab.sim.sim import SimulationCfg
 
-from renet.sim import neighbourhood
+from renet.sim.native import collision_culling
 from renet.sim.native.engine import NativeSimulation
 from renet.tasks import make_env
 
@@ -47,7 +47,7 @@ def move(sim: NativeSimulation, *qpos: np.ndarray) -> None:
 
 def touchable(sim: NativeSimulation, robot: int = 0) -> list[bool]:
     """Whether a robot's world lets each table collide."""
-    contype, conaffinity = (masks[robot] for masks in sim.neighbourhood._masks)
+    contype, conaffinity = (masks[robot] for masks in sim.culling.masks)
     tables = [sim.mj_model.body(f"t{i}").id for i in range(5)]
     assert (contype[tables] == conaffinity[tables]).all()
     return contype[tables].astype(bool).tolist()
@@ -59,9 +59,9 @@ def test_only_tables_within_reach_can_be_touched():
     qpos[0] = 4.0
     here = look(model, qpos)
     # Radius 0.3 + 0.2 + 0.1 around the root, and the travel; tables are up to 1 m long.
-    assert here.neighbourhood._reach == pytest.approx([0.6 + neighbourhood.TRAVEL])
+    assert here.culling.reach == pytest.approx([0.6 + collision_culling.TRAVEL])
     assert touchable(here) == [False, True, False, False, False]
-    assert here.neighbourhood._masks[0][0, model.body("robot").id]
+    assert here.culling.masks[0][0, model.body("robot").id]
 
 
 def test_a_lost_position_is_near_everything():
@@ -82,7 +82,7 @@ def test_a_lost_position_is_near_everything():
 def test_models_whose_reach_is_unknown_keep_every_contact(more):
     model = scene(more)
     here = look(model, model.qpos0)
-    assert here.neighbourhood.rows(model) == []
+    assert here.culling.load_masks(model) == []
     assert all(touchable(here))
 
 
@@ -118,7 +118,7 @@ def rewards(steps: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 def test_robots_on_tiles_fall_alike_with_and_without_the_tiles_out_of_reach(monkeypatch):
     culled = rewards(40)
-    monkeypatch.setattr(neighbourhood, "_bounded_static_bodies", lambda model: np.empty(0, int))
+    monkeypatch.setattr(collision_culling, "_bounded_static_bodies", lambda model: np.empty(0, int))
     whole = rewards(40)
     assert torch.equal(culled[0], whole[0])
     assert torch.equal(culled[1], whole[1])

@@ -14,7 +14,7 @@ from mjlab.sim.sim import MujocoCfg, Simulation, SimulationCfg
 from mjlab.tasks.registry import load_env_cfg
 
 from renet.errors import RenetError
-from renet.sim import engine
+from renet.sim.native import engine
 from renet.sim.native.engine import NativeSimulation, use_engine
 
 FLAT = "Mjlab-Velocity-Flat-Unitree-Go1"
@@ -256,7 +256,7 @@ def test_frames_that_randomisation_parts_are_computed(randomised):
     model = mujoco.MjModel.from_xml_string(FRAMES)
     compiled = model.geom_sameframe.copy()
     assert np.count_nonzero(compiled) >= 2
-    engine._forget_coinciding_frames(model, randomised)
+    engine.forget_coinciding_frames(model, randomised)
     if not randomised:
         assert (model.geom_sameframe == compiled).all()
     if "body_ipos" in randomised:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import mujoco
 import numpy as np
 import pytest
+import torch
 from mjlab.sim.sim import MujocoCfg, SimulationCfg
 
-from renet.errors import RenetError
-from renet.sim import pipeline
+from renet.sim.native import mujoco_memory, stages
 from renet.sim.native.engine import NativeSimulation
 from renet.sim.native.stages import moving_part
 
@@ -59,7 +57,7 @@ def test_steps_are_mujocos_own(order, integrator):
     model = simulation.mj_model
     assert (moving_part(model)[0] < model.nbody) == (order[-1] is TILES)
     simulation.data.ctrl[:, 0], simulation.data.ctrl[:, 1] = 0.5, -0.5
-    simulation._run("step", STEPS)
+    simulation._advance(STEPS)
     assert all(worker.model.nbody == model.nbody for worker in simulation._workers)
 
     reference = model.__copy__()
@@ -95,7 +93,7 @@ def test_rare_features_are_left_to_mujocos_step(feature):
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     else:
         model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
-    assert moving_part(model) == [model.nbody, model.ngeom]
+    assert moving_part(model) == (model.nbody, model.ngeom)
 
 
 def test_bodies_moved_by_hand_are_among_what_moves():
@@ -103,18 +101,98 @@ def test_bodies_moved_by_hand_are_among_what_moves():
     assert moving_part(scene(WALKER, TILES, moved))[0] == scene(WALKER, TILES, moved).nbody
 
 
-def test_a_model_laid_out_otherwise_is_refused():
-    model = scene(WALKER, TILES)
-    constant = SimpleNamespace(_address=model._address, nbody=model.nbody)
-    with pytest.raises(RenetError, match="does not know mjModel"):
-        pipeline._count(constant, "nbody")  # Its number of bodies does not change when written.
-    assert model.nbody == 10
+@pytest.fixture
+def doubted(monkeypatch):
+    """The check of MuJoCo, made anew; afterwards its usual result."""
+    stages.are_mujocos.cache_clear()
+    mujoco_memory.library.cache_clear()
+    yield monkeypatch
+    monkeypatch.undo()
+    stages.are_mujocos.cache_clear()
+    mujoco_memory.library.cache_clear()
 
 
-def test_a_platform_without_a_known_library_is_refused(monkeypatch, tmp_path):
-    monkeypatch.setattr(mujoco, "__file__", str(tmp_path / "__init__.py"))
-    with pytest.raises(RenetError, match="Linux and macOS"):
-        pipeline._library()
+def another_version(patch, tmp_path):
+    patch.setattr(mujoco, "__version__", "3.99.1")
+
+
+def no_library(patch, tmp_path):
+    patch.setattr(mujoco, "__file__", str(tmp_path / "__init__.py"))
+
+
+def an_empty_library(patch, tmp_path):
+    no_library(patch, tmp_path)
     (tmp_path / "libmujoco.9.dylib").touch()
-    with pytest.raises(OSError, match="dylib"):  # Found, but empty.
-        pipeline._library()
+
+
+def another_model(patch, tmp_path):
+    patch.setattr(mujoco_memory, "SIZES", 1)
+
+
+def another_order(patch, tmp_path):
+    patch.setattr(stages, "CONTACTS", stages.CONTACTS[:2])
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (another_version, "3.99.1: the native engine knows versions 3.11"),
+        (no_library, "no MuJoCo library in"),
+        (an_empty_library, "dylib"),
+        (another_model, "mjModel.nbody is not among"),
+        (another_order, "its stages do not make its step"),
+    ],
+)
+def test_an_unknown_mujoco_is_stepped_plainly_and_that_is_logged_once(
+    doubted, caplog, tmp_path, change, told
+):
+    change(doubted, tmp_path)
+    for simulation in [walkers() for _ in range(2)]:
+        simulation.step_n(2)
+    assert len(caplog.messages) == 1
+    assert told in caplog.messages[0]
+    assert "mj_step" in caplog.messages[0]
+    assert len(simulation._workers) == 1
+
+
+def walkers() -> NativeSimulation:
+    """Robots on tiles that differ in what they do and in one model field."""
+    cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005, integrator="implicitfast"))
+    simulation = NativeSimulation(3, cfg, scene(WALKER, TILES), "cpu")
+    simulation.expand_model_fields(("geom_friction",))
+    simulation.model.geom_friction[1, :, 0] = 0.2
+    simulation.data.ctrl[:] = torch.tensor([[0.5, -0.5], [-0.5, 0.5], [0.0, 0.0]])
+    return simulation
+
+
+def test_plain_steps_are_the_native_ones(doubted):
+    native = walkers()
+    states = []
+    for simulation in (native, walkers()):
+        for _ in range(60):
+            simulation.step_n(4)
+        simulation.step()
+        simulation.data.qpos[2, 0] += 0.01
+        simulation.data.qvel[0, 3] = float("nan")
+        simulation.step_n(2)  # Leaves the first robot alone.
+        simulation.data.xpos[1] = 7.0
+        simulation.data.qpos[2, 1] -= 0.01
+        simulation.forward_written()
+        states.append(
+            [getattr(simulation.data, n)[:].clone() for n in ("qpos", "qvel", "time", "xpos")]
+            + [simulation.data.sensordata[:].clone(), simulation.data.qfrc_constraint[:].clone()]
+        )
+        doubted.setattr(mujoco, "__version__", "3.99.1")
+        stages.are_mujocos.cache_clear()
+    for one, other in zip(*states, strict=True):
+        assert torch.equal(one.nan_to_num(9e9), other.nan_to_num(9e9))
+    assert (states[0][3][1] == 7.0).all()
+    assert (states[0][3][2] != 7.0).all()
+
+
+def test_time_is_found_and_nothing_is_changed_in_looking_for_it():
+    data = mujoco.MjData(scene(WALKER, TILES))
+    data.time = 2.5
+    assert mujoco_memory.time(data) == [2.5]
+    data.time = 3.0
+    assert mujoco_memory.time(data) == [3.0]

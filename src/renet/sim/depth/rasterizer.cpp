@@ -131,7 +131,7 @@ static bool find_pixels(Span& span, const Draw& call) {
 }
 
 static bool find_box_pixels(
-    Span& span, const Draw& call, const float* centre, const float (*axis)[3], const float* half
+    Span& span, const Draw& call, const float* centre, const float axis[3][3], const float* half
 ) {
     float at[8][3];
     span = nothing();
@@ -150,7 +150,7 @@ static bool find_box_pixels(
 
 // Slabs: `low` and `high` are the box's faces as seen along its axes, from the camera.
 static void fill_box(
-    const View& view, const Span& span, const float (*axis)[3], const float* low, const float* high
+    const View& view, const Span& span, const float axis[3][3], const float* low, const float* high
 ) {
     const float slack = 1e-5f;
     const float *left = view.call->left, *up = view.call->up;
@@ -202,7 +202,7 @@ static void draw_box(const View& view, const Box& box) {
 
 // `edge` are the normals of the planes through the eye and each edge, `size` is positive.
 static void fill_triangle(
-    const View& view, const Span& span, const float (*edge)[3], float size
+    const View& view, const Span& span, const float edge[3][3], float size
 ) {
     const float slack = 1e-5f;
     const float *left = view.call->left, *up = view.call->up;
@@ -331,12 +331,11 @@ static float over_box(const Box& box, float x, float y, float top, float highest
     return in <= out && top - in > highest ? top - in : highest;
 }
 
-static float over_triangle(const Triangle& triangle, float x, float y, float highest) {
+static float over_triangle(const Triangle& t, float x, float y, float highest) {
     const float slack = 1e-6f;
-    const float(*t)[3] = triangle.corner;
     float weight[3], sum = 0.0f;
     for (int k = 0; k < 3; ++k) {
-        const float *a = t[(k + 1) % 3], *b = t[(k + 2) % 3];
+        const float *a = t.corner[(k + 1) % 3], *b = t.corner[(k + 2) % 3];
         weight[k] = (a[0] - x) * (b[1] - y) - (a[1] - y) * (b[0] - x);
         sum += weight[k];
     }
@@ -344,7 +343,8 @@ static float over_triangle(const Triangle& triangle, float x, float y, float hig
     const float scale = 1.0f / sum;
     for (int k = 0; k < 3; ++k)
         if (weight[k] * scale < -slack) return highest;
-    const float z = (weight[0] * t[0][2] + weight[1] * t[1][2] + weight[2] * t[2][2]) * scale;
+    const float z = (weight[0] * t.corner[0][2] + weight[1] * t.corner[1][2]
+                     + weight[2] * t.corner[2][2]) * scale;
     return z > highest ? z : highest;
 }
 

@@ -19,48 +19,16 @@ from torch import Tensor
 from renet.camera import Intrinsics
 from renet.sim.depth.rasterizer import Rasterizer
 from renet.sim.depth.terrain_mesh import terrain_mesh
-from renet.sim.threads import for_chunks
-
-CELL = 4.0
-"""Side in metres of the squares that get their own search tree."""
-REACH = wp.constant(3.0)
-"""Metres around its cell that a cell's tree covers; longer rays search the whole mesh."""
-FINE = 20.0
-"""Triangles wider than this (a ground plane's) do not extend the grid of cells, m."""
-MAX_CELLS = 4096
-"""About; larger terrains get larger cells."""
 
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.struct
-class Grid:
-    """Cells over the terrain. `meshes[0]` is all of it; cell (i, j) is `meshes[1 + i * ny + j]`."""
-
-    meshes: wp.array(dtype=wp.uint64)  # type: ignore[valid-type]
-    low: wp.vec2
-    cell: float
-    nx: int
-    ny: int
-
-
-@wp.func
-def mesh_around(grid: Grid, x: float, y: float):  # type: ignore[valid-type]
-    """The mesh that holds everything within REACH of a point; NaN gets all of it."""
-    u = (x - grid.low[0]) / grid.cell
-    v = (y - grid.low[1]) / grid.cell
-    if u >= 0.0 and v >= 0.0 and u < float(grid.nx) and v < float(grid.ny):
-        return grid.meshes[1 + int(u) * grid.ny + int(v)]
-    return grid.meshes[0]
-
-
 @wp.kernel
 def cast_depth(
-    grid: Grid,  # type: ignore[valid-type]
+    mesh: wp.uint64,
     position: wp.array(dtype=wp.vec3),  # type: ignore[valid-type]
     rotation: wp.array(dtype=wp.mat33),  # type: ignore[valid-type]
     rays: wp.array(dtype=wp.vec3),  # type: ignore[valid-type]
-    first: int,
     limit: float,
     depth: wp.array2d(dtype=float),  # type: ignore[valid-type]
 ):
@@ -68,14 +36,9 @@ def cast_depth(
 
     Rays have unit forward component, so that the ray parameter is the distance to the image plane.
     """
-    row, pixel = wp.tid()  # type: ignore[misc]
-    camera = row + first
-    eye = position[camera]
+    camera, pixel = wp.tid()  # type: ignore[misc]
     ray = rotation[camera] * rays[pixel]
-    mesh = grid.meshes[0]
-    if wp.length(ray) * limit <= REACH:
-        mesh = mesh_around(grid, eye[0], eye[1])  # type: ignore[arg-type]
-    hit = wp.mesh_query_ray(mesh, eye, ray, limit)
+    hit = wp.mesh_query_ray(mesh, position[camera], ray, limit)
     if hit.result:
         depth[camera, pixel] = hit.t
     else:
@@ -84,11 +47,10 @@ def cast_depth(
 
 @wp.kernel
 def cast_down(
-    grid: Grid,  # type: ignore[valid-type]
+    mesh: wp.uint64,
     position: wp.array(dtype=wp.vec3),  # type: ignore[valid-type]
     rotation: wp.array(dtype=wp.mat33),  # type: ignore[valid-type]
     pattern: wp.array(dtype=wp.vec2),  # type: ignore[valid-type]
-    first: int,
     top: float,
     limit: float,
     clearance: wp.array2d(dtype=float),  # type: ignore[valid-type]
@@ -97,8 +59,7 @@ def cast_down(
 
     The pattern turns with the yaw of rotations; where there are none, it does not.
     """
-    row, point = wp.tid()  # type: ignore[misc]
-    frame = row + first
+    frame, point = wp.tid()  # type: ignore[misc]
     origin = position[frame]
     at = pattern[point]
     cosine, sine = 1.0, 0.0
@@ -108,7 +69,6 @@ def cast_down(
         cosine, sine = a / size, b / size
     x = origin[0] + cosine * at[0] - sine * at[1]
     y = origin[1] + sine * at[0] + cosine * at[1]
-    mesh = mesh_around(grid, x, y)  # type: ignore[arg-type]
     start, down = wp.vec3(x, y, top), wp.vec3(0.0, 0.0, -1.0)
     hit = wp.mesh_query_ray(mesh, start, down, limit)  # type: ignore[arg-type]
     if hit.result:
@@ -118,12 +78,7 @@ def cast_down(
 
 
 class TerrainScanner:
-    """Casts rays against a model's terrain; shared by every sensor on that model.
-
-    A robot sees a few metres of a terrain that measures a hundred, so every cell of a grid has a
-    search tree of the triangles near it: the same hits as in the whole mesh, in about 2/3 the time.
-    On a CPU images are drawn instead, shape by shape.
-    """
+    """Depth images and heights of a model's terrain; shared by every sensor on that model."""
 
     def __init__(
         self, model: mujoco.MjModel, device: str, without: frozenset[int] = frozenset()
@@ -141,10 +96,10 @@ class TerrainScanner:
         self._rasterizer = Rasterizer(model, without) if self.device.is_cpu else None
 
     @cached_property
-    def _trees(self) -> tuple[Any, list[wp.Mesh]]:
-        """The grid, and the meshes it refers to; built when rays are first cast."""
-        wp.load_module(__name__, device=self.device)  # Else every thread compiles it.
-        return _build_grid(self._vertices, self._faces, self.device)
+    def _mesh(self) -> wp.Mesh:
+        """The terrain with a search tree, built when rays are first cast."""
+        points = wp.array(self._vertices, dtype=wp.vec3, device=self.device)
+        return wp.Mesh(points, wp.array(self._faces.ravel(), dtype=wp.int32, device=self.device))
 
     def height(self, points: Tensor) -> Tensor:
         """Terrain height in metres under world points [M, 2]: [M].
@@ -200,22 +155,11 @@ class TerrainScanner:
         return look
 
     def cast_clearance(self, position: Tensor, rotation: Tensor | None, pattern: Tensor) -> Tensor:
-        """The same, by ray casting on any device."""
+        """`clearance` by ray casting on any device."""
         clearance = torch.empty(len(position), len(pattern), device=position.device)
-        frames = wp.from_torch(position.float().contiguous(), dtype=wp.vec3)
-        turns = (
-            None
-            if rotation is None
-            else wp.from_torch(rotation.float().contiguous(), dtype=wp.mat33)
-        )
-        around = wp.from_torch(pattern.float().contiguous(), dtype=wp.vec2)
-        limits, results = (self.top, self.drop), wp.from_torch(clearance)
-        self._launch(
-            cast_down,
-            len(position),
-            (len(pattern),),
-            lambda grid, first: [grid, frames, turns, around, first, *limits, results],
-        )
+        turns = None if rotation is None else _warp(rotation, wp.mat33)
+        inputs = (_warp(position, wp.vec3), turns, _warp(pattern, wp.vec2), self.top, self.drop)
+        self._launch(cast_down, clearance, *inputs)
         return clearance
 
     def depth(self, position: Tensor, rotation: Tensor, lens: Intrinsics, limit: float) -> Tensor:
@@ -236,34 +180,25 @@ class TerrainScanner:
         return self.cast_depth(position, rotation, rays, limit)
 
     def cast_depth(self, position: Tensor, rotation: Tensor, rays: Tensor, limit: float) -> Tensor:
-        """The same along any rays [P, 3] with forward component 1: [N, P]."""
+        """The same along any rays [P, 3] with forward component 1, on any device: [N, P]."""
         depth = torch.empty(len(position), len(rays), device=position.device)
-        arrays = (
-            wp.from_torch(position.contiguous(), dtype=wp.vec3),
-            wp.from_torch(rotation.contiguous(), dtype=wp.mat33),
-            wp.from_torch(rays.contiguous(), dtype=wp.vec3),
-        )
-        self._launch(
-            cast_depth,
-            len(position),
-            (len(rays),),
-            lambda grid, first: [grid, *arrays, first, limit, wp.from_torch(depth)],
-        )
+        inputs = (_warp(position, wp.vec3), _warp(rotation, wp.mat33), _warp(rays, wp.vec3), limit)
+        self._launch(cast_depth, depth, *inputs)
         return depth
 
-    def _launch(self, kernel: Any, count: int, inner: tuple[int, ...], inputs: Any) -> None:
-        """Launch over `count` rows: at once on a GPU, in parallel chunks on a CPU."""
-        grid, _ = self._trees  # Here, before threads share it.
-
-        def run(first: int, last: int) -> None:
-            wp.launch(kernel, (last - first, *inner), inputs(grid, first), device=self.device)
-
+    def _launch(self, kernel: Any, results: Tensor, *inputs: Any) -> None:
+        """Fill `results`, on the stream that torch uses."""
+        arguments = [self._mesh.id, *inputs, wp.from_torch(results)]
         if self.device.is_cpu:
-            for_chunks(count, run)
-        else:
-            stream = torch.cuda.current_stream(wp.device_to_torch(self.device))
-            with wp.ScopedStream(wp.stream_from_torch(stream)):
-                run(0, count)
+            wp.launch(kernel, results.shape, arguments, device=self.device)
+            return
+        stream = torch.cuda.current_stream(wp.device_to_torch(self.device))
+        with wp.ScopedStream(wp.stream_from_torch(stream)):
+            wp.launch(kernel, results.shape, arguments, device=self.device)
+
+
+def _warp(values: Tensor, dtype: Any) -> Any:
+    return wp.from_torch(values.float().contiguous(), dtype=dtype)
 
 
 def _rows(values: Tensor) -> Tensor:
@@ -276,47 +211,5 @@ def _rows(values: Tensor) -> Tensor:
 def scanner(
     model: mujoco.MjModel, device: str, without: frozenset[int] = frozenset()
 ) -> TerrainScanner:
-    """The scanner of a model: its mesh and search trees are built once."""
+    """The scanner of a model: its mesh is built once."""
     return TerrainScanner(model, device, without)
-
-
-def _build_grid(vertices: np.ndarray, faces: np.ndarray, device: Any) -> tuple[Any, list[wp.Mesh]]:
-    """The grid, and its meshes, which the caller must keep alive."""
-    points = wp.array(vertices, dtype=wp.vec3, device=device)
-
-    def mesh(of: np.ndarray) -> wp.Mesh:
-        return wp.Mesh(points, wp.array(of.ravel(), dtype=wp.int32, device=device))
-
-    low, cell, (nx, ny) = _cells(vertices, faces)
-    corners = vertices[faces, :2]
-    lower, upper = corners.min(1), corners.max(1)
-    meshes = [mesh(faces)]
-    ids = [meshes[0].id]
-    for i in range(nx):
-        left = low[0] + i * cell
-        column = (lower[:, 0] <= left + cell + REACH) & (upper[:, 0] >= left - REACH)
-        for j in range(ny):
-            front = low[1] + j * cell
-            row = (lower[:, 1] <= front + cell + REACH) & (upper[:, 1] >= front - REACH)
-            if (column & row).any():
-                meshes.append(mesh(faces[column & row]))
-                ids.append(meshes[-1].id)
-            else:
-                ids.append(ids[0])
-    grid: Any = Grid()
-    grid.meshes = wp.array(ids, dtype=wp.uint64, device=device)
-    grid.low, grid.cell, grid.nx, grid.ny = wp.vec2(*low), cell, nx, ny
-    return grid, meshes
-
-
-def _cells(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, float, tuple[int, int]]:
-    """Lower corner [2], side in metres and numbers of cells; none where all triangles are wide."""
-    corners = vertices[faces, :2]
-    fine = corners[(np.ptp(corners, axis=1) <= FINE).all(-1)]
-    if not len(fine):
-        return np.zeros(2), CELL, (0, 0)
-    low = fine.min((0, 1)).astype(float)
-    size = fine.max((0, 1)) - low
-    cell = max(CELL, float(np.sqrt(size.prod() / MAX_CELLS)))
-    nx, ny = (max(1, int(np.ceil(s / cell))) for s in size)
-    return low, cell, (nx, ny)
