@@ -20,7 +20,7 @@ from renet.deploy.robots.base import JointCommand, next_step
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import GO1, build_scene
 from renet.errors import RenetError
-from renet.evaluation.env import disturbance
+from renet.evaluation.env import ray_perturbation
 from renet.faults import ViewPerturbation
 from renet.interface import CONTROL_DT, JOINTS
 from renet.sim.depth.camera import mount_rotation
@@ -134,7 +134,7 @@ def test_the_camera_sees_what_the_training_camera_sees(kind, view):
     mine = camera.depth()
     assert (view is SEEN) == np.array_equal(true, mine)
     np.testing.assert_array_equal(robot.model.geom_group, groups)
-    wrong = disturbance(view, robot.model, np.zeros((1, 2)))
+    wrong = ray_perturbation(view, robot.model, np.zeros((1, 2)))
     body = robot.data.body("trunk")
     base = torch.tensor(body.xmat.reshape(3, 3), dtype=torch.float32)
     eye = torch.tensor(body.xpos, dtype=torch.float32) + base @ torch.tensor(CAMERA.position)

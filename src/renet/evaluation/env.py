@@ -108,7 +108,7 @@ class SimEnv:
         return self.env.scene.spec
 
     def reset(self) -> StepResult:
-        """See `EvalEnv.reset`; every run of one world begins alike."""
+        """Put every robot at its start; every run of one environment begins alike."""
         with redirect_stdout(io.StringIO()):
             self.env.reset(seed=self._seed)
         observation = self._start_as_twins()
@@ -133,7 +133,7 @@ class SimEnv:
         return env.observation_manager.compute(update_history=True)
 
     def step(self, action: np.ndarray) -> StepResult:
-        """See `EvalEnv.step`."""
+        """Act [N, 12] for one control step."""
         with torch.no_grad():
             observation, _, terminated, truncated, _ = self.env.step(torch.from_numpy(action))
         fell, ended = terminated.numpy(), (terminated | truncated).numpy()
@@ -158,7 +158,7 @@ class SimEnv:
         goal(self.env).speed[:] = speed
 
     def perturb_cameras(self, view: ViewPerturbation) -> None:
-        """See `rollout.PerturbableEnv`."""
+        """Let the cameras see the scene so from their next image on."""
         if view == self._view:
             return
         terrain, camera = self.env.scene.terrain, self.env.scene[DEPTH_CAMERA]
@@ -170,7 +170,7 @@ class SimEnv:
         self._view = view
 
     def poses(self, rows: Sequence[int]) -> np.ndarray:
-        """See `EvalEnv.poses`."""
+        """Generalised positions [len(rows), nq], for pictures."""
         return self.env.sim.data.qpos[list(rows)].numpy().copy()
 
     def _position(self) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Closed-loop runs: robots, camera faults, policy and selector, all settings side by side.
 
-Every robot of every setting is one row of one batched world, so a whole study costs one run.
+Every robot of every setting is one row of one batched environment, so a whole study costs one run.
 One control step goes as on the robot: the newest frame is taken at the 10 Hz tick, the policy acts
 under the modality the selector last chose, then the selector's filter is updated
 (200 Hz, paper) with the anomaly score the tick produced.
@@ -68,7 +68,7 @@ class EvalEnv(Protocol):
 
 @runtime_checkable
 class PerturbableEnv(Protocol):
-    """A world whose cameras can be made to see what is not there."""
+    """An environment whose cameras can be made to see what is not there."""
 
     def perturb_cameras(self, view: ViewPerturbation) -> None:
         """Let the cameras see the scene so from their next image on."""

@@ -52,7 +52,7 @@ class MonitorSelectorAdapter:
         return self.selector.probability
 
     def update(self, sight: Sight) -> np.ndarray:
-        """See `EvalSelector.update`; the selector acts at the end of each of its own periods."""
+        """Take one input; the selector acts at the end of each of its own periods."""
         self._calls += 1
         self._fresh = self._fresh | sight.fresh
         if self._calls % self._every == 0:
@@ -62,7 +62,7 @@ class MonitorSelectorAdapter:
         return self.selector.vision
 
     def reset(self, mask: np.ndarray) -> None:
-        """See `EvalSelector.reset`."""
+        """Start anew for the masked robots [N]."""
         self.selector.reset(mask)
 
 
@@ -82,7 +82,7 @@ class PaperSelector:
         return self._selector.probability
 
     def update(self, sight: Sight) -> np.ndarray:
-        """See `EvalSelector.update`; the selector acts at the end of each of its own periods."""
+        """Take one input; the selector acts at the end of each of its own periods."""
         return self.judge(sight.anomaly_score)
 
     def judge(self, anomaly_score: np.ndarray) -> np.ndarray:
@@ -93,7 +93,7 @@ class PaperSelector:
         return self._trusted
 
     def reset(self, mask: np.ndarray) -> None:
-        """See `EvalSelector.reset`."""
+        """Start anew for the masked robots [N]."""
         self._selector.reset(mask)
         self._trusted = self._trusted | mask
 

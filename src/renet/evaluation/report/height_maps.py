@@ -28,8 +28,8 @@ EXTENT = (-HEIGHT_MAP_Y[-1], -HEIGHT_MAP_Y[0], HEIGHT_MAP_X[0], HEIGHT_MAP_X[-1]
 class MapLog:
     """Height maps of all robots at each control step of a rollout, predicted and true."""
 
-    def __init__(self, policy: Policy, world: SimEnv) -> None:
-        self._policy, self._sensor = policy, world.env.scene[HEIGHT_MAP]
+    def __init__(self, policy: Policy, env: SimEnv) -> None:
+        self._policy, self._sensor = policy, env.env.scene[HEIGHT_MAP]
         self._calls, self._maps = 0, []
 
     def note(self, sight: Sight) -> None:

@@ -26,11 +26,11 @@ class CourseEnv:
     A robot that has fallen or is stuck goes on at the beginning of the next passage.
     """
 
-    def __init__(self, world: SimEnv, lap: Sequence[str]) -> None:
-        """Take over `world`, built from `course_env_cfg`."""
-        self._world, self._env = world, world.env
-        self.num_robots = world.num_robots
-        self.poses = world.poses
+    def __init__(self, env: SimEnv, lap: Sequence[str]) -> None:
+        """Take over `env`, built from `course_env_cfg`."""
+        self._inner, self._env = env, env.env
+        self.num_robots = env.num_robots
+        self.poses = env.poses
         self.lap = tuple(lap)
         self.passage = np.zeros(self.num_robots, int)
         """The passage each robot is on, [N]."""
@@ -39,22 +39,22 @@ class CourseEnv:
         self.log: dict[str, list[np.ndarray]] = {}
 
     def reset(self) -> StepResult:
-        """See `EvalEnv.reset`; everybody stands at the beginning."""
+        """Put every robot at the beginning of the course."""
         nowhere = np.zeros(self.num_robots, int)
-        self._world.place(nowhere, nowhere)
+        self._inner.place(nowhere, nowhere)
         self.passage[:], self.finished[:] = 0, False
         self.log = {name: [] for name in ("passage", "metres", "fell", "stuck", "finished")}
-        result = self._world.reset()
+        result = self._inner.reset()
         self._steer()
         return result
 
     def step(self, action: np.ndarray) -> StepResult:
-        """See `EvalEnv.step`."""
+        """Act [N, 12] for one control step."""
         last = len(self.lap) - 1
         before, metres, over = self.passage.copy(), self._metres(), self.finished.copy()
         following = np.minimum(self.passage + 1, last)
-        self._world.place(np.zeros_like(following), following)
-        result = self._world.step(action)
+        self._inner.place(np.zeros_like(following), following)
+        result = self._inner.step(action)
         stuck = self._env.termination_manager.get_term("stuck").numpy() & ~result.fell
         failed = result.fell | stuck
         end = result.ended & ~failed
@@ -92,10 +92,10 @@ class CourseEnv:
 class PlaceInjector(Injector):
     """Camera faults that are at work where the robot is, not when."""
 
-    def __init__(self, world: CourseEnv, streams: Sequence[int], severity: int, seed: int) -> None:
+    def __init__(self, env: CourseEnv, streams: Sequence[int], severity: int, seed: int) -> None:
         """One stream of noise for each robot number; see `Injector`."""
         super().__init__([()] * len(streams), streams, seed)
-        self._world = world
+        self._inner = env
         self._faults = {
             kind: FAULTS[name](
                 fault_class(name).level_of(severity),
@@ -109,7 +109,7 @@ class PlaceInjector(Injector):
         return self._here(tuple(self._faults))
 
     def apply(self, frames: Frames, step: int) -> Frames:
-        """See `Injector.apply`."""
+        """Spoil the frames of the robots where the camera fails."""
         frames = frames.copy()
         for kind, fault in self._faults.items():
             here = self._here((kind,))
@@ -120,8 +120,8 @@ class PlaceInjector(Injector):
 
     def _here(self, kinds: Sequence[str]) -> np.ndarray:
         """[N] bool: on a passage of one of the kinds."""
-        matches = np.array([kind in kinds for kind in self._world.lap])
-        return matches[self._world.passage]
+        matches = np.array([kind in kinds for kind in self._inner.lap])
+        return matches[self._inner.passage]
 
 
 def course_length(lap: Sequence[str]) -> float:

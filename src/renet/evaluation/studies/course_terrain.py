@@ -76,7 +76,7 @@ class Passage(Tile):
     def function(
         self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
     ) -> BuiltTile:
-        """See `Tile.function`."""
+        """Build the tile with its origin at the beginning."""
         built = super().function(difficulty, spec, rng)
         return BuiltTile(np.array([HALF, SET_DOWN, 0.0]), built.geometries)
 
@@ -90,7 +90,7 @@ class Stairs(Passage):
     """Six steps of rise `measure` up, a landing, six down."""
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See `Tile.build`."""
+        """Build the obstacle of size `measure`; returns the height of the origin, m."""
         builder.square(HALF, FLOOR)
         for step in range(1, 7):
             far = 2.6 - (step - 1) * 0.3
@@ -103,7 +103,7 @@ class Slope(Passage):
     """A ramp that rises by `measure` over 2 m, a landing of 1.2 m, a ramp down."""
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See `Tile.build`."""
+        """Build the obstacle of size `measure`; returns the height of the origin, m."""
         run, landing, thick = 2.0, 0.6, 0.2
         builder.square(HALF, FLOOR)
         builder.box((-HALF, HALF), (-landing, landing), (0.0, measure), STEEL)
@@ -128,7 +128,7 @@ class Platforms(Passage):
     """Two platforms `measure` high and 1.5 m long."""
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See `Tile.build`."""
+        """Build the obstacle of size `measure`; returns the height of the origin, m."""
         builder.square(HALF, FLOOR)
         for start in (-2.2, 0.9):
             builder.box((-HALF, HALF), (start, start + 1.5), (-0.1, measure), ACCENT)
@@ -139,7 +139,7 @@ class Gaps(Passage):
     """Two gaps `measure` wide and 1 m deep, 2 m of ground between them."""
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See `Tile.build`."""
+        """Build the obstacle of size `measure`; returns the height of the origin, m."""
         builder.square(HALF, (-1.2, -1.0), PIT)
         start = -1.0 - measure
         stretches = ((-HALF, start), (-1.0, 1.0), (1.0 + measure, HALF))
@@ -152,7 +152,7 @@ class Blocks(Passage, Obstacles):
     """Scattered blocks, as in training."""
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See `Tile.build`."""
+        """Build the obstacle of size `measure`; returns the height of the origin, m."""
         return Obstacles.build(self, builder, measure, rng)
 
     def place(self, a: float, b: float, rng: np.random.Generator) -> tuple[float, float]:
@@ -168,7 +168,7 @@ class Relief(Rough):
     def function(
         self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
     ) -> BuiltTile:
-        """See `Tile.function`."""
+        """Build the tile with its origin at the beginning."""
         built = super().function(difficulty, spec, rng)
         return BuiltTile(np.array([HALF, SET_DOWN, 0.0]), built.geometries)
 

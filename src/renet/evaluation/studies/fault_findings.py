@@ -32,12 +32,12 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
         _claim(
             "survival at least OP alone's minus 2 points, every fault on simple terrain",
             not any(h["beyond_chance"] for h in simple),
-            _sorted_out(simple, "settings below"),
+            _beyond_and_within(simple, "settings below"),
         ),
         _claim(
             f"no fault of severity >= {SEVERE} that makes VP fall goes unnoticed",
             not any(miss["beyond_chance"] for miss in severe),
-            _sorted_out(severe, "settings not noticed by every robot"),
+            _beyond_and_within(severe, "settings not noticed by every robot"),
         ),
         *_delay_claim(runs, baseline),
         *_false_switch_claim(healthy),
@@ -69,7 +69,7 @@ def harmful(runs: Runs, baseline: Runs) -> Runs:
     ]
 
 
-def felling(runs: Runs, baseline: Runs) -> dict[tuple[str, int], bool]:
+def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[tuple[str, int], bool]:
     """Faults and severities with more falls under VP than its healthy twins have.
 
     Returns:
@@ -79,9 +79,9 @@ def felling(runs: Runs, baseline: Runs) -> dict[tuple[str, int], bool]:
     severe = [r for r in runs if r["severity"] >= SEVERE]
     mild = {r["fault"] for r in runs} - {r["fault"] for r in severe}
     judged = severe + [r for r in runs if r["fault"] in mild]
-    guilty = _beyond_chance(judged, baseline, "vp", "falls_by_fault", "falls_spared")
+    worse = _beyond_chance(judged, baseline, "vp", "falls_by_fault", "falls_spared")
     return {
-        (r["fault"], r["severity"]): r["fault"] in guilty
+        (r["fault"], r["severity"]): r["fault"] in worse
         for r in runs
         if r["mode"] == "vp" and r["falls_by_fault"] > r["falls_spared"]
     }
@@ -89,7 +89,7 @@ def felling(runs: Runs, baseline: Runs) -> dict[tuple[str, int], bool]:
 
 def missed(runs: Runs, baseline: Runs) -> Runs:
     """Faults that make VP fall and that the selector did not notice on every robot."""
-    fells = felling(runs, baseline)
+    falls_more = settings_vp_falls_in(runs, baseline)
     falls = {
         (r["fault"], r["severity"]): (r["falls_by_fault"], r["falls_spared"])
         for r in runs
@@ -102,18 +102,18 @@ def missed(runs: Runs, baseline: Runs) -> Runs:
             "undetected": r["vision_active_at_onset"] - r["detected"],
             "vp_falls": falls[r["fault"], r["severity"]][0],
             "vp_spared": falls[r["fault"], r["severity"]][1],
-            "beyond_chance": fells[r["fault"], r["severity"]],
+            "beyond_chance": falls_more[r["fault"], r["severity"]],
         }
         for r in runs
         if r["mode"] == "renet"
-        and (r["fault"], r["severity"]) in fells
+        and (r["fault"], r["severity"]) in falls_more
         and r["detected"] < r["vision_active_at_onset"]
     ]
 
 
 def _beyond_chance(runs: Runs, baseline: Runs, mode: str, more: str, fewer: str) -> set[str]:
     """Faults for which one count exceeds its opposite beyond chance, all severities together."""
-    restless = {run["terrain"] for run in baseline if run["mode"] == mode and run["falls"] > 0}
+    with_falls = {run["terrain"] for run in baseline if run["mode"] == mode and run["falls"] > 0}
     rows: dict[str, Runs] = {}
     for run in runs:
         if run["mode"] == mode and run[more] is not None:
@@ -121,11 +121,11 @@ def _beyond_chance(runs: Runs, baseline: Runs, mode: str, more: str, fewer: str)
     return {
         fault
         for fault, own in rows.items()
-        if beyond_chance([(r[more], r[fewer]) for r in own], own[0]["terrain"] not in restless)
+        if beyond_chance([(r[more], r[fewer]) for r in own], own[0]["terrain"] not in with_falls)
     }
 
 
-def _sorted_out(found: Runs, what: str) -> str:
+def _beyond_and_within(found: Runs, what: str) -> str:
     """How many of the findings chance cannot explain, and which it can."""
     clear = [f for f in found if f["beyond_chance"]]
     unclear = [f"{f['fault']} {f['severity']}" for f in found if not f["beyond_chance"]]
@@ -155,8 +155,8 @@ def _false_switch_claim(healthy: dict[str, Any]) -> Runs:
 
 def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
     """The median of the severe settings' median delays where VP falls; nothing if it never does."""
-    felled = felling(runs, baseline).items()
-    falls = {setting for setting, clear in felled if clear and setting[1] >= SEVERE}
+    worse = settings_vp_falls_in(runs, baseline).items()
+    falls = {setting for setting, clear in worse if clear and setting[1] >= SEVERE}
     noticed = [r for r in runs if r["mode"] == "renet" and r["detection_delay_s"] is not None]
     where = [r for r in noticed if (r["fault"], r["severity"]) in falls]
     if not where:

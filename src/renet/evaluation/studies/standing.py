@@ -26,7 +26,7 @@ from renet.evaluation.study import Part, Study, Table
 from renet.interface import CONTROL_DT
 from renet.tiles import LEVELS, tiles
 
-DRIFT, RESTLESS = 0.1, 0.2
+DRIFT, MOVING = 0.1, 0.2
 """A robot stands still that drifts less than this, m, with joints slower than this on average,
 rad/s, from the moment it has had time to stop."""
 
@@ -105,7 +105,7 @@ class StandingStudy(Study):
         fell = np.any(trace.fell[stop:], axis=0)
         # One that fell or left its tile starts anew elsewhere, which is not standing.
         gone = np.any(trace.ended[stop:], axis=0)
-        still = ~gone & (drift[-1] < DRIFT) & (joint_speed[settled:].mean(axis=0) < RESTLESS)
+        still = ~gone & (drift[-1] < DRIFT) & (joint_speed[settled:].mean(axis=0) < MOVING)
         runs = []
         for number, (kind, mode) in enumerate(settings):
             own = np.arange(number * each, (number + 1) * each)
@@ -129,7 +129,7 @@ class StandingStudy(Study):
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """The rows, and the criteria of standing still."""
-        return {"runs": parts["runs"]["runs"], "drift_m": DRIFT, "restless_rad_per_s": RESTLESS}
+        return {"runs": parts["runs"]["runs"], "drift_m": DRIFT, "moving_rad_per_s": MOVING}
 
     def draw(
         self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance

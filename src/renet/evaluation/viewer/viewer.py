@@ -30,12 +30,12 @@ class LiveViewer(ViserPlayViewer):
         self._shown = -1
 
     def setup(self) -> None:
-        """See BaseViewer.setup."""
+        """Add the panels, then set up as mjlab does."""
         self.panels = VisionPanels(self._server, self.session)
         super().setup()
 
     def sync_env_to_viewer(self) -> None:
-        """See BaseViewer.sync_env_to_viewer."""
+        """Update the scene, and at every tick the panels."""
         super().sync_env_to_viewer()
         tick = math.ceil(self._step_count / STEPS_PER_TICK)
         if tick != self._shown:
@@ -43,7 +43,7 @@ class LiveViewer(ViserPlayViewer):
             self.panels.update(self._step_count)
 
     def reset_environment(self) -> None:
-        """See BaseViewer.reset_environment."""
+        """Put the robot back and empty the curves."""
         super().reset_environment()
         self.panels.clear()
 
