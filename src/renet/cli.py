@@ -49,11 +49,11 @@ COMMANDS = {
     "train": Command(
         "train RENet on a CPU or GPUs", "renet.training.launch", "TrainCfg", "launch", "train"
     ),
-    "average": Command(
-        "the mean of a run's last checkpoints, steadier than each of them",
-        "renet.training.average",
-        "AverageCfg",
-        "average",
+    "recipe": Command(
+        "print the whole recipe: of a checkpoint, or of a run that would begin now",
+        "renet.training.provenance",
+        "RecipeCfg",
+        "show",
         "train",
     ),
     "export": Command(
@@ -205,7 +205,9 @@ def _dispatch(arguments: list[str]) -> int:
         module = importlib.import_module(command.module)
         import tyro
 
-        cfg = tyro.cli(getattr(module, command.config), args=rest, prog=f"renet {name}")
+        config = getattr(module, command.config)
+        given = {"default": config.defaults(rest)} if hasattr(config, "defaults") else {}
+        cfg = tyro.cli(config, args=rest, prog=f"renet {name}", **given)
         result = getattr(module, command.run)(cfg)
     except ModuleNotFoundError as error:
         # Also of imports that wait until an option needs them.

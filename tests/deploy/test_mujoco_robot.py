@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 
+from renet.camera import Intrinsics
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import JointCommand, next_step
@@ -22,10 +23,10 @@ from renet.errors import RenetError
 from renet.evaluation.disturb import disturbance
 from renet.faults import View
 from renet.interface import CONTROL_DT, JOINTS
-from renet.sim.camera_model import Intrinsics, mount_rotation
-from renet.sim.raycast import TerrainScanner
+from renet.sim.depth.camera import mount_rotation
+from renet.sim.depth.raycast import TerrainScanner
 from renet.tasks import make_env
-from renet.tasks.config import flat_env_cfg
+from renet.tasks.parkour_env_cfg import flat_env_cfg
 from renet.training.bundle import camera_spec, robot_spec
 
 ROBOT, CAMERA = robot_spec(), camera_spec()
@@ -143,7 +144,7 @@ def test_the_camera_sees_what_the_training_camera_sees(kind, view):
         eye, mount = eye - wrong.lift * torch.eye(3)[2], mount @ wrong.turn[0]
         unseen = wrong.unseen[0][0] if wrong.unseen else unseen
     raw = TerrainScanner(robot.model, "cpu", unseen).depth(
-        eye[None], (base @ mount)[None], Intrinsics().rays(), CAMERA.range
+        eye[None], (base @ mount)[None], Intrinsics(), CAMERA.range
     )
     theirs = torch.where(raw < 0, CAMERA.range, raw).reshape(48, 64).numpy()
     error = np.abs(mine - theirs)

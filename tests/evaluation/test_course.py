@@ -16,9 +16,9 @@ from renet.evaluation.course_track import AHEAD, LAP, SET_DOWN, course_env_cfg, 
 from renet.evaluation.course_world import CourseWorld, PlaceInjector, time_limit
 from renet.evaluation.world import SimWorld, study_env_cfg
 from renet.faults import Frames
-from renet.sim.raycast import scanner
-from renet.tasks.commands import goal
-from renet.tiles import TILE
+from renet.sim.depth.raycast import scanner
+from renet.tasks.mdp.commands import goal
+from renet.terrain.tiles import TILE
 
 from .fakes import FakeLab
 

@@ -18,7 +18,7 @@ from renet.deploy.robots.scene import build_scene
 from renet.errors import RenetError
 from renet.page.contract import MAP_HEIGHT, SCENES, contract
 from renet.page.writer import VENDOR, WEB, PageCfg, make_server, write_page
-from renet.sim.terrain_scan import HeightMapCfg
+from renet.sim.sensors import HeightMapCfg
 
 MEGABYTE = 1e6
 

@@ -8,10 +8,12 @@ import torch
 
 from renet.faults import View
 from renet.faults.obstacles import obstacles, spread
-from renet.sim.depth_camera import Disturbance
+from renet.sim.depth.camera import CameraPerturbation
 
 
-def disturbance(view: View, model: mujoco.MjModel, middles: np.ndarray) -> Disturbance | None:
+def disturbance(
+    view: View, model: mujoco.MjModel, middles: np.ndarray
+) -> CameraPerturbation | None:
     """What the cameras of `view` do with their rays; None where all see what is there.
 
     Args:
@@ -31,7 +33,7 @@ def disturbance(view: View, model: mujoco.MjModel, middles: np.ndarray) -> Distu
             for share in shares
         ]
     lift = torch.as_tensor(view.lift, dtype=torch.float32)
-    return Disturbance(lift, rotation(view.turn), unseen)
+    return CameraPerturbation(lift, rotation(view.turn), unseen)
 
 
 def rotation(turn: np.ndarray) -> torch.Tensor:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from renet.camera import Intrinsics
 from renet.evaluation.disturb import spread
 from renet.faults import TICK, Frames, Injection, Injector, View
 from renet.faults.image import FOCAL_PIXELS
@@ -65,11 +66,7 @@ def scene(view: View | None = None, walked: float = 0.0) -> np.ndarray:
 
 def _rays(turn: np.ndarray) -> np.ndarray:
     """Directions [48, 64, 3] in the world (ahead, left, up), one metre of depth long."""
-    rows, columns = DEPTH_SHAPE
-    up = (rows / 2 - 0.5 - np.arange(rows)) / FOCAL_PIXELS
-    left = (columns / 2 - 0.5 - np.arange(columns)) / FOCAL_PIXELS
-    up, left = np.meshgrid(up, left, indexing="ij")
-    rays = np.stack((np.ones(DEPTH_SHAPE), left, up), axis=-1)
+    rays = Intrinsics(fx=FOCAL_PIXELS, fy=FOCAL_PIXELS).rays().reshape(*DEPTH_SHAPE, 3)
     sine, cosine = np.sin(TILT), np.cos(TILT)
     tilt = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
     return rays @ (tilt @ turned(turn)).T

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-import warp as wp
 
 from renet.deploy.bundle import Bundle
 from renet.deploy.policy import Policy
@@ -40,7 +39,6 @@ class Lab:
             RenetError: a missing, damaged or incompatible bundle, or an unknown selector.
         """
         check_selector(selector)
-        wp.config.quiet = True
         self.bundle = Bundle.load(bundle, threads=2)
         self.engine, self.selector = engine, selector
         self.scene_spec: mujoco.MjSpec | None = None

@@ -13,6 +13,7 @@ import torch
 from matplotlib.colors import LightSource
 from matplotlib.patches import Rectangle
 
+from renet.camera import Intrinsics
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation import figures
@@ -23,13 +24,12 @@ from renet.evaluation.results import Provenance, output_folder, write_json
 from renet.evaluation.rollout import Row, run_rollout
 from renet.evaluation.terminal import progress, show
 from renet.interface import CONTROL_DT, DEPTH_RANGE
-from renet.sim.camera_model import Intrinsics, mount_rotation
-from renet.sim.depth_camera import MountCfg
-from renet.sim.depth_noise import DepthNoiseCfg, add_noise
-from renet.sim.raycast import TerrainScanner, scanner
-from renet.tasks.config import parkour_env_cfg
-from renet.tiles import LEVELS as TOP
-from renet.tiles import TILE, tiles
+from renet.sim.depth.camera import MountCfg, mount_rotation
+from renet.sim.depth.noise import DepthNoiseCfg, add_noise
+from renet.sim.depth.raycast import TerrainScanner, scanner
+from renet.tasks.parkour_env_cfg import parkour_env_cfg
+from renet.terrain.tiles import LEVELS as TOP
+from renet.terrain.tiles import TILE, tiles
 
 LEVELS = (1, 5, 10)
 EYE = (0.55, 0.0, 0.33)
@@ -202,6 +202,6 @@ def _view(
 ) -> torch.Tensor:
     """Planar depth [rows, columns] m, the range where nothing is hit."""
     lens = lens or Intrinsics()
-    depth = rays.depth(eye[None], rotation, lens.rays(), DEPTH_RANGE)
+    depth = rays.depth(eye[None], rotation, lens, DEPTH_RANGE)
     depth = depth.reshape(lens.height, lens.width)
     return torch.where(depth >= 0.0, depth, DEPTH_RANGE)

@@ -60,7 +60,6 @@ class Painter:
         self._host = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._host)
         self._camera = self._model.camera(CAMERA).id
-        wp.config.quiet = True
         with wp.ScopedDevice("cpu"):
             self._warp_model = mjw.put_model(self._model)
             self._data = mjw.put_data(self._model, self._host, nworld=num_robots)

@@ -14,10 +14,10 @@ import torch
 from renet.evaluation.disturb import disturbance
 from renet.evaluation.rollout import Readings
 from renet.faults import View
-from renet.sim.depth_camera import DepthCamera
+from renet.sim.depth.camera import DepthCamera
 from renet.tasks import RenetEnv, RenetEnvCfg, env_cfg, make_env
-from renet.tasks.commands import COMMAND, GoalCommandCfg, goal
-from renet.tasks.rewards import collision
+from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg, goal
+from renet.tasks.mdp.rewards import collision
 from renet.tasks.sensors import DEPTH_CAMERA
 
 FLAT = "flat"
@@ -130,7 +130,7 @@ class SimWorld:
         assert isinstance(camera, DepthCamera)
         origins = terrain.terrain_origins
         middles = np.zeros((0, 2)) if origins is None else origins[..., :2].reshape(-1, 2).numpy()
-        camera.disturbance = disturbance(view, self.env.sim.mj_model, middles)
+        camera.perturbation = disturbance(view, self.env.sim.mj_model, middles)
         self._view = view
 
     def poses(self, rows: Sequence[int]) -> np.ndarray:

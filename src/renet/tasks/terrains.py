@@ -7,7 +7,7 @@ from typing import cast
 from mjlab.terrains import TerrainEntityCfg, TerrainGeneratorCfg
 from mjlab.terrains.terrain_generator import SubTerrainCfg
 
-from renet.tiles import LEVELS, TILE, Tile, find_tile, tiles
+from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
 
 DIFFICULT = ("gap", "platform")
 """Kinds of tile that force vision; all others are simple."""
@@ -16,6 +16,10 @@ DIFFICULT = ("gap", "platform")
 def as_mjlab(kinds: dict[str, Tile]) -> dict[str, SubTerrainCfg]:
     """Tiles as mjlab's sub-terrains, whose fields and method they have."""
     return cast(dict[str, SubTerrainCfg], kinds)
+
+
+UNSEEN = 1
+"""Seed of evaluation's tiles; training's is 0."""
 
 
 def parkour_terrain() -> TerrainEntityCfg:
@@ -38,6 +42,9 @@ def parkour_terrain() -> TerrainEntityCfg:
 def single_tile_terrain(kind: str, level: int) -> TerrainEntityCfg:
     """One tile of `kind` at `level` (1 to 10) with a flat border, for evaluation.
 
+    No training saw it: random tiles are drawn from another seed, and gaps and platforms are single
+    rings where the default recipe trains on several.
+
     Raises:
         RenetError: unknown kind or level.
     """
@@ -45,7 +52,7 @@ def single_tile_terrain(kind: str, level: int) -> TerrainEntityCfg:
     cfg = parkour_terrain()
     generator = cfg.terrain_generator
     assert generator is not None
-    generator.num_rows = 1
+    generator.num_rows, generator.seed = 1, UNSEEN
     generator.difficulty_range = (difficulty, difficulty)
     generator.sub_terrains = as_mjlab({kind: tile})
     return cfg

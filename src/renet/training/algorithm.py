@@ -17,10 +17,11 @@ from renet.models.actor_critic import fuse
 from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
-from renet.sim.engine import NativeSimulation
+from renet.sim.native.engine import NativeSimulation
 from renet.sim.overflow import OverflowWatch
 from renet.sim.threads import one_torch_thread
 from renet.training import distributed
+from renet.training.average import WeightAverage
 from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg
 from renet.training.config_io import from_dict
 from renet.training.modality import op_mask
@@ -37,9 +38,18 @@ NORMALIZED_AT_ONCE = 65_536
 """Rows of a rollout whose statistics ranks exchange in one message (80 MB)."""
 
 
-def critic_observation(obs: TensorDict) -> Tensor:
-    """Concatenate CRITIC_GROUPS: [N, C]."""
-    return torch.cat([obs[group] for group in CRITIC_GROUPS], dim=-1)
+def critic_observation(obs: TensorDict, op_mask: Tensor) -> Tensor:
+    """What the critics see: CRITIC_GROUPS, and which estimator drives, on which the policy depends.
+
+    Args:
+        obs: the task's observations.
+        op_mask: true where the OP estimator drives, [N] bool.
+
+    Returns:
+        [N, C].
+    """
+    groups = [obs[group] for group in CRITIC_GROUPS]
+    return torch.cat((*groups, op_mask.unsqueeze(-1).to(groups[0].dtype)), dim=-1)
 
 
 def _overflow_watch(env: VecEnv) -> OverflowWatch | None:
@@ -64,6 +74,7 @@ class RenetAlgorithm:
         device: str,
         precision: Precision = "auto",
         overflow: OverflowWatch | None = None,
+        average_over: int = 1,
     ) -> None:
         self.device = device
         self.model = model.to(device)
@@ -72,7 +83,10 @@ class RenetAlgorithm:
         self.np3o = NP3O(model.actor, model.critics, np3o, dtype)
         self.supervision = Supervision(model, supervision, dtype)
         self.memory = EstimatorMemory(model.cfg, num_envs, device)
+        self.average = WeightAverage(self.model, average_over)
         self.iteration = 0
+        self.steps = 0
+        """Environment steps taken, of all robots and processes."""
         self._steps = Recorder()
         self._ticks = Recorder()
         self._step_count = 0
@@ -96,7 +110,8 @@ class RenetAlgorithm:
         algorithm = {
             k: v for k, v in cfg["algorithm"].items() if k not in ("class_name", "rnd_cfg")
         }
-        model = RENet(from_dict(ModelCfg, cfg["model"]), critic_observation(obs).shape[-1])
+        critic_size = critic_observation(obs, torch.zeros_like(obs["difficult"][:, 0])).shape[-1]
+        model = RENet(from_dict(ModelCfg, cfg["model"]), critic_size)
         return RenetAlgorithm(
             model,
             env.num_envs,
@@ -106,6 +121,7 @@ class RenetAlgorithm:
             device,
             cfg["precision"],
             _overflow_watch(env),
+            cfg["average_over"],
         )
 
     # Rollout.
@@ -114,9 +130,7 @@ class RenetAlgorithm:
     def act(self, obs: TensorDict) -> Tensor:
         """Sample actions [N, 12]; ticks the estimators when they are due."""
         proprioception = obs["proprioception"]
-        mask = op_mask(
-            self.model.cfg.perception, self.iteration, obs["difficult"], self.adaptation.period
-        )
+        mask = self.op_mask(obs)
         self.memory.push(proprioception)
         if self._is_tick():
             self._tick(obs, mask)
@@ -127,11 +141,17 @@ class RenetAlgorithm:
         self._steps.begin(
             proprioception=proprioception,
             latent=latent,
-            critic_observation=critic_observation(obs),
+            critic_observation=critic_observation(obs, mask),
             action=action,
             mean=distribution.mean,
         )
         return action
+
+    def op_mask(self, obs: TensorDict) -> Tensor:
+        """True where the OP estimator drives in this iteration, [N] bool."""
+        return op_mask(
+            self.model.cfg.perception, self.iteration, obs["difficult"], self.adaptation.period
+        )
 
     def latent(self, obs: TensorDict, mask: Tensor) -> Tensor:
         """What stands beside o_t at the actor's input (RENet eq. 3, or the Oracle's truth)."""
@@ -175,7 +195,11 @@ class RenetAlgorithm:
             time_out=extras.get("time_outs", torch.zeros_like(done)),
         )
         if self._is_tick():
-            self._ticks.finish(next_proprioception=obs["proprioception_clean"], next_valid=~done)
+            self._ticks.finish(
+                next_proprioception=obs["proprioception_clean"],
+                next_velocity=obs["velocity"],
+                next_valid=~done,
+            )
         self._cost_sum += costs.mean(0)
         self.memory.reset(done)
         self._step_count += 1
@@ -193,7 +217,7 @@ class RenetAlgorithm:
             normalize.update(distributed.gather_rows(rows))
         steps["critic_observation"] = normalize(steps["critic_observation"])
         steps["value"] = self.model.critics(steps["critic_observation"])
-        self._last_value = self.model.critics(normalize(critic_observation(obs)))
+        self._last_value = self.model.critics(normalize(critic_observation(obs, self.op_mask(obs))))
         steps["log_prob"] = self.model.actor.log_prob(steps["mean"], steps["action"])
         # An episode cut short would have gone on: bootstrap rewards and costs alike.
         cut = steps.pop("time_out").unsqueeze(-1)
@@ -203,10 +227,11 @@ class RenetAlgorithm:
     def update(self) -> dict[str, float]:
         """Learn from the rollout; returns losses and mean costs by name."""
         length = self._rollout.done.shape[0]
-        losses = self.np3o.update(self._rollout, self._last_value, self.iteration)
+        losses = self.np3o.update(self._rollout, self._last_value, self.iteration, self.steps)
         latent_op, latent_vp = self._initial_latents
         ticks = TickRollout(**self._ticks.stack(), latent_op=latent_op, latent_vp=latent_vp)
-        losses |= self.supervision.update(ticks)
+        losses |= self.supervision.update(ticks, self.steps)
+        self.average.update(self.model)
         for name, cost in zip(CONSTRAINTS, (self._cost_sum / length).tolist(), strict=True):
             losses[f"cost_{name}"] = cost
         if self._overflow is not None:
@@ -214,14 +239,18 @@ class RenetAlgorithm:
         self._cost_sum.zero_()
         self._initial_latents = (self.memory.latent_op, self.memory.latent_vp)
         self.iteration += 1
+        self.steps += self._rollout.done.numel() * distributed.world_size()
         return losses
 
     def not_finite(self, obs: TensorDict) -> list[str]:
         """Names of what the environment reported in the last rollout and is no number."""
         rollout = self._rollout
-        sizes = [obs[group].shape[-1] for group in CRITIC_GROUPS]
+        sizes = [*(obs[group].shape[-1] for group in CRITIC_GROUPS), 1]
         columns = rollout.critic_observation.split(sizes, dim=-1)
-        names, values = ("proprioception", *CRITIC_GROUPS), (rollout.proprioception, *columns)
+        names, values = (
+            ("proprioception", *CRITIC_GROUPS, "modality"),
+            (rollout.proprioception, *columns),
+        )
         broken = [n for n, v in zip(names, values, strict=True) if not v.isfinite().all()]
         # Pay-offs hold critics' values, too.
         return broken or ([] if rollout.payoff.isfinite().all() else ["rewards or costs"])

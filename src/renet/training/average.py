@@ -1,59 +1,42 @@
-"""`renet average`: the mean of a run's last checkpoints.
+"""The mean of a run's last weights, which is what a checkpoint exports.
 
-Each gradient step leaves its own noise in the weights. Their mean along a run has less of it
-(Izmailov et al. 2018, arXiv 1803.05407) and often walks better than any checkpoint it is made of.
+Each gradient step leaves noise of its own in the weights. Their mean along a run has less of it
+(Izmailov et al. 2018, arXiv 1803.05407) and often walks better than any of those it is made of.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import torch
-import tyro
-from torch import Tensor
-
-from renet.errors import RenetError
-from renet.training import checkpoint as checkpoints
-from renet.training.checkpoint import Checkpoint
+from torch import Tensor, nn
 
 
-@dataclass(kw_only=True)
-class AverageCfg:
-    """Make one checkpoint of several: the mean of their weights. All else is the newest's."""
+class WeightAverage:
+    """Exponential moving average of a model's parameters and buffers."""
 
-    run: tyro.conf.Positional[Path]
-    """Run folder, or a folder of checkpoints."""
-    last: int | None = None
-    """How many of its newest checkpoints to take; None: all. `renet train` keeps as many as
-    --keep-checkpoints says."""
-    out: Path = Path("average")
-    """Folder for the new checkpoint, which `renet export` and `renet train --resume` take."""
+    def __init__(self, model: nn.Module, over: int) -> None:
+        """Start with the model's weights.
 
+        Args:
+            model: network on the device where it is to stay.
+            over: updates the average reaches back, about; 1 keeps the newest weights alone.
+        """
+        self.over, self.updates = over, 0
+        self.tensors = {name: value.clone() for name, value in model.state_dict().items()}
 
-def average(cfg: AverageCfg) -> Path:
-    """Write the mean and return its folder; raises RenetError for checkpoints that do not fit."""
-    inside = cfg.run / "checkpoints"
-    found = checkpoints.checkpoints(inside if inside.is_dir() else cfg.run)
-    last = len(found) if cfg.last is None else cfg.last
-    if not 2 <= last <= len(found):
-        raise RenetError(
-            f"cannot average {last} checkpoints: {cfg.run} has {len(found)}, and it takes two"
-        )
-    if checkpoints.checkpoints(cfg.out):
-        raise RenetError(f"{cfg.out} holds a checkpoint already: choose another --out")
-    paths = found[-last:]
-    loaded = [checkpoints.load(path) for path in paths]
-    newest = loaded[-1]
-    for path, other in zip(paths, loaded, strict=True):
-        checkpoints.check_same_architecture(newest.model, other.model, path)
-    model = {name: _mean([each.model[name] for each in loaded]) for name in newest.model}
-    mean = Checkpoint(model, {}, newest.environment, newest.state)
-    return checkpoints.save(mean, cfg.out, newest.state["iteration"], keep=1)
+    @torch.no_grad()
+    def update(self, model: nn.Module) -> None:
+        """Take in the model's present weights; counts such as a normaliser's are taken over."""
+        self.updates += 1
+        # Reaches back a quarter of the run at most: early weights say nothing about later ones.
+        share = 1.0 / max(1.0, min(self.over, self.updates / 4))
+        for name, value in model.state_dict().items():
+            if value.is_floating_point():
+                self.tensors[name].lerp_(value, share)
+            else:
+                self.tensors[name].copy_(value)
 
-
-def _mean(tensors: list[Tensor]) -> Tensor:
-    """Element by element; counts are the newest's."""
-    if not tensors[-1].is_floating_point():
-        return tensors[-1]
-    return torch.stack(tensors).mean(0)
+    def load(self, tensors: dict[str, Tensor], updates: int) -> None:
+        """Go on with an average that was saved after so many updates."""
+        self.updates = updates
+        for name, value in tensors.items():
+            self.tensors[name].copy_(value)

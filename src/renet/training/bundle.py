@@ -18,10 +18,10 @@ from renet.errors import RenetError
 from renet.interface import JOINTS
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
-from renet.sim.depth_camera import DepthCameraCfg
+from renet.sim.depth.camera import DepthCameraCfg
 from renet.tasks import env_cfg
-from renet.tasks.go1 import GO1
-from renet.tasks.robot import ACTION_CLIP, Robot
+from renet.tasks.config.go1 import GO1
+from renet.tasks.robot_cfg import ACTION_CLIP, RobotCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.checkpoint import Checkpoint
 from renet.training.config_io import from_dict
@@ -68,11 +68,11 @@ def load_networks(checkpoint: Checkpoint, path: Path) -> RENet:
     except KeyError as error:
         raise RenetError(f"{path} is not a checkpoint of RENet: it lacks {error}") from error
     model = RENet(cfg, critic_size)
-    checkpoints.load_model(model, checkpoint.model, path)
+    checkpoints.load_model(model, checkpoint.exported, path)
     return model.eval()
 
 
-def robot_spec(robot: Robot = GO1) -> RobotSpec:
+def robot_spec(robot: RobotCfg = GO1) -> RobotSpec:
     """A robot as the tasks drive it, read from the model they compile."""
     cfg = robot.entity()
     model = Entity(cfg).spec.compile()
@@ -92,7 +92,7 @@ def robot_spec(robot: Robot = GO1) -> RobotSpec:
     )
 
 
-def camera_spec(robot: Robot = GO1) -> CameraSpec:
+def camera_spec(robot: RobotCfg = GO1) -> CameraSpec:
     """The tasks' camera without its errors."""
     camera = DepthCameraCfg(name="depth_camera", mount=robot.camera)
     intrinsics, mount = camera.intrinsics, camera.mount

@@ -1,7 +1,8 @@
 """Checkpoints: safetensors and JSON, so that loading a file never runs code in it.
 
-A checkpoint is a folder `it_00001234` with `model.safetensors`, `optimizer.safetensors`,
-`environment.safetensors` and `state.json`. It is written beside its final name and renamed, so that
+A checkpoint is a folder `it_00001234` with `model.safetensors`, `average.safetensors` (the mean of
+the last weights, which is exported), `optimizer.safetensors`, `environment.safetensors` and
+`state.json`. It is written beside its final name and renamed, so that
 a killed process or a full disk leaves earlier checkpoints whole.
 """
 
@@ -35,7 +36,14 @@ class Checkpoint:
     environment: dict[str, Tensor]
     """Curriculum levels, command stage, and random-number state."""
     state: dict[str, Any] = field(default_factory=dict)
-    """Iteration, steps, adaptive learning rate, penalties, configuration."""
+    """Iteration, steps, adaptive learning rate, penalties, and the whole recipe."""
+    average: dict[str, Tensor] = field(default_factory=dict)
+    """Mean of the last weights; empty in a checkpoint that has none."""
+
+    @property
+    def exported(self) -> dict[str, Tensor]:
+        """The weights to judge and to export: the average where there is one."""
+        return self.average or self.model
 
 
 def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Path:
@@ -45,7 +53,9 @@ def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Pat
     try:
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
-        for name in ("model", "optimizer", "environment"):
+        for name in ("model", "average", "optimizer", "environment"):
+            if not getattr(checkpoint, name) and name == "average":
+                continue
             tensors = {
                 k: v.detach().cpu().contiguous() for k, v in getattr(checkpoint, name).items()
             }
@@ -78,32 +88,49 @@ def find(path: Path) -> Path:
     """The checkpoint `path` is, or the newest below it (a run folder or a folder of runs)."""
     if (path / "state.json").is_file():
         return path
-    found = sorted(
-        (p.parent for p in path.glob(f"**/{PREFIX}*/state.json")), key=lambda p: p.stat().st_mtime
-    )
+    found = [p.parent for p in path.glob(f"**/{PREFIX}*/state.json")]
     if not found:
         raise RenetError(
             f"no checkpoint in {path}: give a run folder or one of its {PREFIX}* folders"
         )
-    return found[-1]
+    runs = {p.parent.parent for p in found}
+    newest = max(runs, key=_date)
+    # A copy or a checkout changes the times of files, but not their iterations.
+    return max((p for p in found if p.parent.parent == newest), key=lambda p: p.name)
+
+
+def _date(run: Path) -> tuple[str, float]:
+    """Sorts runs: by their folders' names, which begin with date and time; others come first."""
+    dated = run.name[:4].isdigit()
+    return (run.name if dated else "", run.stat().st_mtime)
 
 
 def load(path: Path, device: str | torch.device = "cpu") -> Checkpoint:
     """Read a checkpoint; raises RenetError naming the file that is missing or damaged."""
+    state = load_state(path)
     try:
-        state = json.loads((path / "state.json").read_text())
-        written = state.get("format") if isinstance(state, dict) else None
-        if written != FORMAT:
-            raise RenetError(f"{path} has checkpoint format {written}, this renet reads {FORMAT}")
         tensors = {
             name: load_file(path / f"{name}.safetensors", device=str(device))
             for name in ("model", "environment")
         }
-        moments = path / "optimizer.safetensors"
-        tensors["optimizer"] = load_file(moments, device=str(device)) if moments.exists() else {}
+        for name in ("optimizer", "average"):
+            file = path / f"{name}.safetensors"
+            tensors[name] = load_file(file, device=str(device)) if file.exists() else {}
     except (OSError, ValueError, SafetensorError) as error:
         raise RenetError(f"checkpoint {path} is incomplete or damaged: {error}") from error
     return Checkpoint(**tensors, state=state)
+
+
+def load_state(path: Path) -> dict[str, Any]:
+    """Read a checkpoint's `state.json` alone; raises RenetError where it is no such file."""
+    try:
+        state = json.loads((path / "state.json").read_text())
+    except (OSError, ValueError) as error:
+        raise RenetError(f"checkpoint {path} is incomplete or damaged: {error}") from error
+    written = state.get("format") if isinstance(state, dict) else None
+    if written != FORMAT:
+        raise RenetError(f"{path} has checkpoint format {written}, this renet reads {FORMAT}")
+    return state
 
 
 def check_config(ours: dict[str, Any], theirs: dict[str, Any], path: Path) -> None:

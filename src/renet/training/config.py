@@ -12,10 +12,7 @@ from renet.errors import RenetError
 from renet.interface import STEPS_PER_TICK
 from renet.models.config import ModelCfg
 from renet.training.precision import Precision
-
-SMALLEST_BATCH = 6_400
-"""Control steps of all robots in an iteration: fewer make gradients of little but noise, and cost
-more each."""
+from renet.training.schedule import Schedule, value_at
 
 
 def _at_least_one(cfg: Any, *names: str) -> None:
@@ -38,7 +35,7 @@ class NP3OCfg:
     critic_learning_rate: float = 3e-4
     """The critics' rate, fixed: small batches drive the actor's to its floor, where critics would
     no longer follow the policy."""
-    desired_kl: float = 0.01
+    desired_kl: Schedule = 0.01
     """KL divergence per step the rate is adapted to; 0 keeps the rate fixed."""
     gamma: float = 0.99
     """Discount per 20 ms control step."""
@@ -46,13 +43,14 @@ class NP3OCfg:
     """Lambda of generalised advantage estimation."""
     clip: float = 0.2
     """Clipping range of ratio and value."""
-    entropy: float = 0.01
+    entropy: Schedule = 0.01
     """Weight of the entropy bonus."""
     value_loss: float = 1.0
     """Weight of the critics' loss."""
     max_grad_norm: float = 1.0
-    """Gradient norm limit."""
-    cost_budget: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Gradient norm limit of the actor, and of the critics: each is clipped on its own, so that
+    noisy critics do not shorten the actor's step."""
+    cost_budget: tuple[Schedule, Schedule, Schedule] = (0.0, 0.0, 0.0)
     """Allowed discounted cost d_i per constraint, order of interface.CONSTRAINTS."""
     cost_weight: float = 0.1
     """Initial penalty kappa of every constraint; 0 is plain PPO."""
@@ -61,13 +59,15 @@ class NP3OCfg:
 
     def __post_init__(self) -> None:
         _at_least_one(self, "num_learning_epochs", "num_mini_batches")
+        for schedule in (self.desired_kl, self.entropy, *self.cost_budget):
+            value_at(schedule, 0.0)
 
 
 @dataclass
 class SupervisionCfg:
     """Supervised training of estimators and autoencoder beside the policy (paper, Method A)."""
 
-    learning_rate: float = 1e-3
+    learning_rate: Schedule = 1e-3
     """Adam's rate (HIMLoco's)."""
     num_learning_epochs: int = 1
     """Passes over each rollout's ticks."""
@@ -79,7 +79,7 @@ class SupervisionCfg:
     """Which environments train an estimator: those it steers (the paper's S_op and S_vp) or all."""
     velocity_scale: float = 2.0
     """Velocities are multiplied by this before their error is squared (Rudin et al. 2022 scale
-    observations so): beside Loss_HIM, of order 3, errors in SI units teach next to nothing."""
+    observations so)."""
     height_scale: float = 5.0
     """The same for feet heights and height maps."""
     autoencoder_images: int = 128
@@ -87,6 +87,7 @@ class SupervisionCfg:
 
     def __post_init__(self) -> None:
         _at_least_one(self, "num_learning_epochs", "num_mini_batches", "autoencoder_images")
+        value_at(self.learning_rate, 0.0)
 
 
 @dataclass
@@ -118,18 +119,26 @@ class LearningCfg:
     so is what is exported."""
     seed: int = 1
     """Seed of everything random."""
+    batch_size: Schedule = 6_400
+    """Environment steps of all robots of a process in an iteration, at least: 25 control steps of
+    each, or as many more as fewer robots need (rounded up to a multiple of the 5 between ticks)."""
     num_steps_per_env: int | None = None
-    """Control steps per iteration; a multiple of the 5 steps between ticks. By default 25, or as
-    many as fewer than 256 robots need for 6,400 in all."""
+    """Control steps per iteration in place of those that follow from `batch_size`; a multiple of
+    the 5 steps between ticks."""
     max_iterations: int = 15_000
     """Iterations in all (the paper's budget, at 4,096 environments)."""
+    average_over: int = 100
+    """Iterations over which the weights that are exported are averaged (an exponential moving
+    average: each gradient step leaves noise of its own, which their mean has less of); 1 exports
+    the newest weights."""
     save_interval: int = 50
     """Iterations between checkpoints: the most a killed run can lose."""
     keep_checkpoints: int = 3
     """Older checkpoints are removed."""
 
     def __post_init__(self) -> None:
-        _at_least_one(self, "save_interval", "keep_checkpoints")
+        _at_least_one(self, "save_interval", "keep_checkpoints", "average_over")
+        value_at(self.batch_size, 0.0)
         if self.num_steps_per_env is None:
             return
         _at_least_one(self, "num_steps_per_env")
@@ -140,11 +149,19 @@ class LearningCfg:
             )
 
 
-def steps_per_env(asked: int | None, num_envs: int) -> int:
-    """Control steps per iteration of `num_envs` robots; see LearningCfg.num_steps_per_env."""
+def steps_per_env(asked: int | None, batch_size: Schedule, num_envs: int, steps: float) -> int:
+    """Control steps of each robot in the iteration that begins after `steps` environment steps.
+
+    Args:
+        asked: fixed number, which `batch_size` then does not change.
+        batch_size: LearningCfg.batch_size.
+        num_envs: robots of this process.
+        steps: environment steps taken so far.
+    """
     if asked is not None:
         return asked
-    return STEPS_PER_TICK * max(5, ceil(SMALLEST_BATCH / num_envs / STEPS_PER_TICK))
+    ticks = ceil(value_at(batch_size, steps) / num_envs / STEPS_PER_TICK)
+    return STEPS_PER_TICK * max(5, ticks)
 
 
 @dataclass(kw_only=True)

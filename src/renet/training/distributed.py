@@ -14,6 +14,11 @@ def is_distributed() -> bool:
     return dist.is_available() and dist.is_initialized() and dist.get_world_size() > 1
 
 
+def world_size() -> int:
+    """Number of processes that train one model."""
+    return dist.get_world_size() if is_distributed() else 1
+
+
 def mean(value: Tensor) -> Tensor:
     """Average a tensor over ranks."""
     if not is_distributed():
@@ -31,12 +36,14 @@ def moments(value: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
-    """Replace each gradient by its mean over ranks, in one message."""
+    """Replace each gradient by its mean over ranks; what no rank has a gradient of keeps none."""
     if not is_distributed():
         return
     parameters = list(parameters)
-    for parameter in parameters:
-        if parameter.grad is None:  # Another rank may have one: all must send the same layout.
+    has = torch.tensor([p.grad is not None for p in parameters], dtype=torch.float32)
+    has = mean(has.to(parameters[0].device)).tolist()
+    for parameter, share in zip(parameters, has, strict=True):
+        if parameter.grad is None and share:  # All must send the same layout.
             parameter.grad = torch.zeros_like(parameter)
     gradients = [p.grad for p in parameters if p.grad is not None]
     flat = mean(torch.cat([g.reshape(-1) for g in gradients]))

@@ -19,6 +19,7 @@ from renet.training import distributed
 from renet.training.config import NP3OCfg
 from renet.training.precision import computed_in, side_by_side
 from renet.training.returns import advantages
+from renet.training.schedule import value_at
 from renet.training.storage import PolicyRollout
 
 STD_FLOOR = 1e-3
@@ -66,7 +67,9 @@ class Targets:
     """[B, 1 + K]."""
 
 
-def make_targets(rollout: PolicyRollout, last_value: Tensor, cfg: NP3OCfg) -> Targets:
+def make_targets(
+    rollout: PolicyRollout, last_value: Tensor, cfg: NP3OCfg, steps: float = 0.0
+) -> Targets:
     """Advantages, violations and returns of a rollout; statistics span all ranks."""
     advantage = advantages(
         rollout.payoff, rollout.value, last_value, rollout.done, cfg.gamma, cfg.lam
@@ -75,7 +78,8 @@ def make_targets(rollout: PolicyRollout, last_value: Tensor, cfg: NP3OCfg) -> Ta
     mean, std = distributed.moments(advantage)
     std = std.clamp_min(STD_FLOOR)
     cost_return = distributed.mean(value_target[:, 1:].mean(0))
-    budget = torch.tensor(cfg.cost_budget, device=advantage.device)
+    budgets = [value_at(budget, steps) for budget in cfg.cost_budget]
+    budget = torch.tensor(budgets, device=advantage.device)
     return Targets(
         reward_advantage=(advantage[:, 0] - mean[0]) / std[0],
         cost_advantage=(advantage[:, 1:] - mean[1:]) / std[1:],
@@ -93,6 +97,7 @@ class NP3O:
         """Set up for networks that are where they are to stay; critics learn in `dtype`."""
         self.actor, self.critics, self.cfg, self.dtype = actor, critics, cfg, dtype
         self.parameters = [*actor.parameters(), *critics.parameters()]
+        self._entropy = self._desired_kl = 0.0
         # A tensor: adapting it on a GPU must not wait for the divergence to arrive on the host.
         self._rate = torch.tensor(cfg.learning_rate, device=self.parameters[0].device)
         self.cost_weight = cfg.cost_weight
@@ -112,30 +117,42 @@ class NP3O:
         self._rate.fill_(rate)
 
     def update(
-        self, rollout: PolicyRollout, last_value: Tensor, iteration: int
+        self, rollout: PolicyRollout, last_value: Tensor, iteration: int, steps: float = 0.0
     ) -> dict[str, float]:
-        """Learn from one rollout; returns mean losses by name."""
-        losses = self.learn(rollout, last_value, iteration)
+        """Learn from one rollout.
+
+        Args:
+            rollout: what the policy did.
+            last_value: values of the states after the last step, [N, 1 + K].
+            iteration: learning iteration, which the penalties' weight grows with.
+            steps: environment steps taken before the rollout, for `Schedule` settings.
+
+        Returns:
+            Mean losses by name.
+        """
+        losses = self.learn(rollout, last_value, iteration, steps)
         numbers = torch.stack(list(losses.values())).tolist()
         return dict(zip(losses, numbers, strict=True)) | {"cost_weight": self.cost_weight}
 
     def learn(
-        self, rollout: PolicyRollout, last_value: Tensor, iteration: int
+        self, rollout: PolicyRollout, last_value: Tensor, iteration: int, steps: float = 0.0
     ) -> dict[str, Tensor]:
-        """The same with losses as tensors: on a GPU nothing here waits for the device."""
-        targets = make_targets(rollout, last_value, self.cfg)
+        """`update` with losses as tensors: on a GPU nothing here waits for the device."""
+        self._entropy = value_at(self.cfg.entropy, steps)
+        self._desired_kl = value_at(self.cfg.desired_kl, steps)
+        targets = make_targets(rollout, last_value, self.cfg, steps)
         batch = rollout.flatten()
         growth = self.cfg.cost_weight_growth**iteration
         self.cost_weight = min(max(self.cfg.cost_weight, 1.0), self.cost_weight * growth)
         # Every transition of a rollout was drawn with the same deviation.
         old_std = self.actor.log_std.detach().exp()
-        steps: list[dict[str, Tensor]] = []
+        taken: list[dict[str, Tensor]] = []
         with computed_in(self.dtype, self.critics):
             for _ in range(self.cfg.num_learning_epochs):
                 order = torch.randperm(batch.log_prob.shape[0], device=batch.log_prob.device)
                 for index in order.chunk(self.cfg.num_mini_batches):
-                    steps.append(self._step(batch, targets, index, old_std))
-        return {name: torch.stack([step[name] for step in steps]).mean() for name in steps[0]}
+                    taken.append(self._step(batch, targets, index, old_std))
+        return {name: torch.stack([step[name] for step in taken]).mean() for name in taken[0]}
 
     def _step(
         self, batch: PolicyRollout, targets: Targets, index: Tensor, old_std: Tensor
@@ -148,11 +165,16 @@ class NP3O:
         together = self.dtype != torch.float32 and index.device.type == "cpu"
         of_policy, of_value = side_by_side(policy, value) if together else (policy(), value())
         distributed.average_gradients(self.parameters)
-        nn.utils.clip_grad_norm_(self.parameters, self.cfg.max_grad_norm)
+        norms = {
+            f"{name}_grad_norm": nn.utils.clip_grad_norm_(
+                network.parameters(), self.cfg.max_grad_norm
+            )
+            for name, network in (("actor", self.actor), ("critics", self.critics))
+        }
         kl = distributed.mean(of_policy.pop("kl"))
         self._adapt_rate(kl)
         self.optimizer.step()
-        return of_policy | of_value | {"kl": kl}
+        return of_policy | of_value | norms | {"kl": kl}
 
     def _policy_gradient(
         self, batch: PolicyRollout, targets: Targets, index: Tensor, old_std: Tensor
@@ -165,7 +187,7 @@ class NP3O:
         cost = cost_surrogate(ratio, targets.cost_advantage[index], self.cfg.clip)
         penalty = self.cost_weight * torch.relu(cost + targets.violation).sum()
         entropy = distribution.entropy().sum(-1).mean()
-        (surrogate + penalty - self.cfg.entropy * entropy).backward()
+        (surrogate + penalty - self._entropy * entropy).backward()
         losses = {"surrogate": surrogate, "cost": penalty, "entropy": entropy}
         with torch.no_grad():
             old = Normal(batch.mean[index], old_std, validate_args=False)
@@ -184,11 +206,11 @@ class NP3O:
 
     def _adapt_rate(self, kl: Tensor) -> None:
         """Keep the actor's KL divergence per step near its target, as rsl_rl does."""
-        if self.cfg.desired_kl > 0:
+        if self._desired_kl > 0:
             low, high = LEARNING_RATES
             slower = (self._rate / 1.5).clamp_min(low)
             faster = (self._rate * 1.5).clamp_max(high)
-            close = (kl > 0.0) & (kl < 0.5 * self.cfg.desired_kl)
+            close = (kl > 0.0) & (kl < 0.5 * self._desired_kl)
             rate = torch.where(close, faster, self._rate)
-            self._rate.copy_(torch.where(kl > 2.0 * self.cfg.desired_kl, slower, rate))
+            self._rate.copy_(torch.where(kl > 2.0 * self._desired_kl, slower, rate))
         self.optimizer.param_groups[0]["lr"] = self._rate  # Loading a checkpoint leaves a copy.

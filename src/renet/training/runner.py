@@ -6,6 +6,7 @@ import contextlib
 import io
 import os
 import time
+from copy import deepcopy
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,6 +26,7 @@ from renet.training.config import steps_per_env
 from renet.training.episode_log import EpisodeLog
 from renet.training.heap import keep_freed_memory
 from renet.training.metrics import MetricsWriter
+from renet.training.provenance import code_version, described
 
 CHECKPOINTS = "checkpoints"
 
@@ -43,8 +45,11 @@ class RenetRunner(OnPolicyRunner):
     ) -> None:
         if not device.startswith("cuda"):
             keep_freed_memory()
-        steps = steps_per_env(train_cfg["num_steps_per_env"], env.num_envs)
-        train_cfg["num_steps_per_env"] = steps
+        self._recipe = deepcopy(train_cfg)
+        self._asked_steps = train_cfg["num_steps_per_env"]
+        train_cfg["num_steps_per_env"] = steps_per_env(
+            self._asked_steps, train_cfg["batch_size"], env.num_envs, 0.0
+        )
         # Keys rsl_rl reads unconditionally; constructing the algorithm consumes the class name.
         train_cfg["algorithm"] = {
             **train_cfg["algorithm"],
@@ -139,6 +144,9 @@ class RenetRunner(OnPolicyRunner):
         """One rollout and one update, logged."""
         iteration = self.alg.iteration
         start = time.monotonic()
+        self.cfg["num_steps_per_env"] = steps_per_env(
+            self._asked_steps, self.cfg["batch_size"], self.env.num_envs, self.alg.steps
+        )
         for _ in range(self.cfg["num_steps_per_env"]):
             actions = self.alg.act(obs)
             obs, rewards, dones, extras = self.env.step(actions.to(self.env.device))
@@ -219,7 +227,7 @@ class RenetRunner(OnPolicyRunner):
             "length": ("Train/mean_episode_length", ".0f"),
             "rate": ("Loss/learning_rate", ".0e"),
         }
-        parts = [f"{self.logger.tot_timesteps / 1e6:.2f} M steps"]
+        parts = [f"{self.alg.steps / 1e6:.2f} M steps"]
         parts += [
             f"{name} {latest[tag]:{fmt}}" for name, (tag, fmt) in shown.items() if tag in latest
         ]
@@ -239,21 +247,28 @@ class RenetRunner(OnPolicyRunner):
         state = {
             "learning_rate": algorithm.np3o.learning_rate,
             "cost_weight": algorithm.np3o.cost_weight,
-            "steps": self.logger.tot_timesteps,
+            "steps": algorithm.steps,
+            "averaged": algorithm.average.updates,
             "seconds": self.logger.tot_time,
             "numpy_rng": _numpy_state(),
-            "config": {
-                key: self.cfg[key]
-                for key in ("model", "supervision", "adaptation", "seed")
-                if key in self.cfg
-            },
             "task": self.cfg.get("task", ""),
+            **self.provenance(),
         }
         environment = dict(self._curriculum(), torch_rng=torch.get_rng_state())
         if self.device.startswith("cuda"):
             environment["cuda_rng"] = torch.cuda.get_rng_state(self.device)
-        checkpoint = Checkpoint(algorithm.model.state_dict(), optimizer, environment, state)
+        checkpoint = Checkpoint(
+            algorithm.model.state_dict(), optimizer, environment, state, algorithm.average.tensors
+        )
         checkpoints.save(checkpoint, folder, algorithm.iteration, self.cfg["keep_checkpoints"])
+
+    def provenance(self) -> dict[str, Any]:
+        """Everything that shaped the policy: settings, the task's rules, the code's version."""
+        return {
+            "config": self._recipe,
+            "task_cfg": described(cast(Any, self.env).unwrapped.cfg),
+            "code": code_version(),
+        }
 
     def load(self, path: str, **_: Any) -> dict:  # type: ignore[override]
         """Go on from a checkpoint folder; raises RenetError if it does not fit."""
@@ -269,6 +284,8 @@ class RenetRunner(OnPolicyRunner):
         algorithm.np3o.learning_rate = state["learning_rate"]
         algorithm.np3o.cost_weight = state["cost_weight"]
         algorithm.iteration = self.current_learning_iteration = state["iteration"]
+        algorithm.steps = state["steps"]
+        algorithm.average.load(checkpoint.exported, state.get("averaged", algorithm.iteration))
         self.logger.tot_timesteps, self.logger.tot_time = state["steps"], state["seconds"]
         environment = checkpoint.environment
         torch_rng, cuda_rng = environment.pop("torch_rng"), environment.pop("cuda_rng", None)

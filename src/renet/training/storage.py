@@ -56,6 +56,8 @@ class TickRollout:
     """[K, N, 132]."""
     next_proprioception: Tensor
     """Noise-free proprioception one control step later, [K, N, 45]."""
+    next_velocity: Tensor
+    """Base velocity of that moment, base frame, [K, N, 3] m/s."""
     next_valid: Tensor
     """False where that step ended the episode, [K, N] bool."""
     latent_op: Tensor

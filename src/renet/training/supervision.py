@@ -9,13 +9,13 @@ from functools import partial
 import torch
 from torch import Tensor, nn
 
-from renet.models.autoencoder import anomaly_score
 from renet.models.estimators import Estimator
-from renet.models.him import HybridInternalModel
+from renet.models.him import HybridInternalModel, target_view
 from renet.models.renet import RENet
 from renet.training import distributed
 from renet.training.config import SupervisionCfg
 from renet.training.precision import computed_in, side_by_side
+from renet.training.schedule import value_at
 from renet.training.storage import TickRollout
 
 AUTOENCODER_SHARE = 0.4
@@ -29,24 +29,25 @@ def estimator_losses(
     rollout: TickRollout,
     initial: Tensor,
     chosen: Tensor,
-    compact: bool = True,
 ) -> dict[str, Tensor]:
     """Every term of an estimator's loss over the ticks in `chosen`.
 
     Args:
-        rollout: sequences of B environments. initial: latent before the first tick, [B, 64].
+        estimator: OP or VP.
+        him: its hybrid internal model; None leaves Loss_HIM out.
+        rollout: sequences of K ticks of B environments.
+        initial: latent before the first tick, [B, 64].
         chosen: [K, B] bool, the ticks that count; none may.
-        compact: leave out environments of which no tick counts: half the time, most of VP's
-            images. On a GPU finding them would make the host wait.
 
     Returns:
-        Named scalars; their sum is the loss. Absent heads are absent.
+        Named scalars; their sum is the loss. Absent heads are absent, and nothing is returned where
+        no tick counts: gradients of zero would let Adam's momentum move an estimator that does not
+        learn.
     """
-    if compact:
-        mine = chosen.any(dim=0)
-        if not mine.any():
-            return {}
-        rollout, initial, chosen = rollout.environments(mine), initial[mine], chosen[:, mine]
+    mine = chosen.any(dim=0)
+    if not mine.any():
+        return {}
+    rollout, initial, chosen = rollout.environments(mine), initial[mine], chosen[:, mine]
     latent = estimator.unroll(rollout.history, rollout.frames.float(), initial, rollout.fresh)
     estimate = estimator.predict(latent)
     counts = chosen.to(latent.dtype)
@@ -58,7 +59,8 @@ def estimator_losses(
             losses[name] = (error * counts).sum() / counts.sum().clamp_min(1.0)
     if him is not None:
         paired = (counts * rollout.next_valid).flatten()
-        losses["him"] = him(latent.flatten(0, 1), rollout.next_proprioception.flatten(0, 1), paired)
+        following = target_view(rollout.next_proprioception, rollout.next_velocity)
+        losses["him"] = him(latent.flatten(0, 1), following.flatten(0, 1), paired)
     return losses
 
 
@@ -71,17 +73,32 @@ class Supervision:
         """Set up for a model that is where it is to stay; its depth embedding learns in `dtype`."""
         self.model, self.cfg, self.dtype = model, cfg, dtype
         self.parameters = model.supervised_parameters()
-        self.optimizer = torch.optim.Adam(self.parameters, lr=cfg.learning_rate, fused=True)
-        self.compact = self.parameters[0].device.type == "cpu"
-        """See `estimator_losses`."""
+        rate = value_at(cfg.learning_rate, 0.0)
+        self.optimizer = torch.optim.Adam(self.parameters, lr=rate, fused=True)
 
-    def update(self, rollout: TickRollout) -> dict[str, float]:
-        """Learn from one rollout's ticks; returns mean losses by name."""
+    def update(self, rollout: TickRollout, steps: float = 0.0) -> dict[str, float]:
+        """Learn from one rollout's ticks.
+
+        Args:
+            rollout: what the estimators saw.
+            steps: environment steps taken before the rollout, for `Schedule` settings.
+
+        Returns:
+            Mean losses by name, and of each HIM the prototypes' effective rank and usage.
+        """
+        self.optimizer.param_groups[0]["lr"] = value_at(self.cfg.learning_rate, steps)
         losses = self.learn(rollout)
+        for name in ("op", "vp"):
+            him = getattr(self.model, f"{name}_him")
+            if f"{name}_him" in losses:
+                losses[f"{name}_him_rank"], losses[f"{name}_him_usage"] = (
+                    him.effective_rank(),
+                    him.usage,
+                )
         return dict(zip(losses, torch.stack(list(losses.values())).tolist(), strict=True))
 
     def learn(self, rollout: TickRollout) -> dict[str, Tensor]:
-        """The same with losses as tensors: on a GPU nothing here waits for the device."""
+        """Take every gradient step of an iteration; returns mean losses as tensors."""
         environments = rollout.op_mask.shape[1]
         totals: dict[str, list[Tensor]] = {}
         with computed_in(self.dtype, self.model.vp.depth):
@@ -100,10 +117,14 @@ class Supervision:
             partial(self._gradient, self._vp_losses, rollout),
         )
         # In single precision VP's convolutions would take twice as long as all the rest.
-        together = self.dtype != torch.float32 and self.compact
+        together = self.dtype != torch.float32 and rollout.frames.device.type == "cpu"
         rest, vp = side_by_side(blind, seeing) if together else (blind(), seeing())
         distributed.average_gradients(self.parameters)
-        nn.utils.clip_grad_norm_(self.parameters, self.cfg.max_grad_norm)
+        # Apart: the detector's likelihood must not shorten the estimators' steps.
+        detector = list(self.model.autoencoder.parameters())
+        estimators = self.parameters[: -len(detector)]
+        for parameters in (estimators, detector):
+            nn.utils.clip_grad_norm_(parameters, self.cfg.max_grad_norm)
         self.optimizer.step()
         return rest | vp
 
@@ -131,28 +152,24 @@ class Supervision:
         model, terms = self.model, {}
         if model.cfg.perception in ("renet", "op"):
             chosen = self._chosen(rollout.op_mask)
-            terms = estimator_losses(
-                model.op, model.op_him, rollout, rollout.latent_op, chosen, self.compact
-            )
+            terms = estimator_losses(model.op, model.op_him, rollout, rollout.latent_op, chosen)
         losses = {f"op_{name}": value for name, value in terms.items()}
-        return losses | {"anomaly": self._anomaly_loss(rollout.frames)}
+        return losses | self._anomaly_losses(rollout.frames)
 
     def _vp_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
         model, terms = self.model, {}
         if model.cfg.perception in ("renet", "vp"):
             chosen = self._chosen(~rollout.op_mask)
-            terms = estimator_losses(
-                model.vp, model.vp_him, rollout, rollout.latent_vp, chosen, self.compact
-            )
+            terms = estimator_losses(model.vp, model.vp_him, rollout, rollout.latent_vp, chosen)
         return {f"vp_{name}": value for name, value in terms.items()}
 
     def _chosen(self, own: Tensor) -> Tensor:
         """Ticks that train an estimator, given those it steers."""
         return own if self.cfg.estimator_data == "own" else torch.ones_like(own)
 
-    def _anomaly_loss(self, frames: Tensor) -> Tensor:
-        """Loss_ad on randomly drawn image pairs."""
+    def _anomaly_losses(self, frames: Tensor) -> dict[str, Tensor]:
+        """The detector's losses on randomly drawn image pairs."""
         pairs = frames.flatten(0, 1)
         count = min(self.cfg.autoencoder_images, math.ceil(AUTOENCODER_SHARE * pairs.shape[0]))
         pairs = pairs[torch.randperm(pairs.shape[0], device=pairs.device)[:count]].float()
-        return anomaly_score(pairs, self.model.autoencoder(pairs)).mean()
+        return self.model.autoencoder.loss(pairs)

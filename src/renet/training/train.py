@@ -2,48 +2,80 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import re
 import time
-from dataclasses import asdict, dataclass, field, replace
+import warnings
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import datetime
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 import tyro
 from mjlab.rl import RslRlVecEnvWrapper
 
 from renet.errors import RenetError
+from renet.models.config import ModelCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.checkpoint import Checkpoint
-from renet.training.config import LearningCfg, steps_per_env
+from renet.training.config import AdaptationCfg, LearningCfg, NP3OCfg, SupervisionCfg
+from renet.training.config_io import from_dict
 from renet.training.metrics import CURVES
+from renet.training.recipe import RENET, preset
 from renet.training.run_report import write_run_report
 from renet.training.runner import CHECKPOINTS, RenetRunner
+from renet.training.schedule import Schedule
 
 if TYPE_CHECKING:
     from renet.tasks import RenetEnvCfg
 
 LATEST = "latest"
 CONFIG = "config.json"
+LOGS = Path("logs")
+DEFAULT_ENVS = {"cpu": 512, "cuda": 4096}
+Pairs = tuple[tuple[str, float], ...]
+NESTED: dict[str, type] = {
+    "model": ModelCfg,
+    "algorithm": NP3OCfg,
+    "supervision": SupervisionCfg,
+    "adaptation": AdaptationCfg,
+}
+MERGED = ("reward_weights", "terrain_proportions")
+"""Settings whose entries replace those of the preset one by one."""
+PER_SESSION = ("resume", "time_budget", "log_root", "device", "processes", "hosts", "task_cfg.seed")
+"""Settings that say how a run is carried out, not what it learns, or that are told elsewhere."""
+
+
+def _from(preset_: str, name: str) -> Any:
+    """A fresh copy of a preset's setting."""
+    return deepcopy(preset(preset_)[name])
 
 
 @dataclass(kw_only=True)
 class TrainCfg(LearningCfg):
     """Train RENet. On a CPU the native engine steps C MuJoCo; on a GPU MuJoCo Warp.
 
-    One GPU: `renet train TASK --num-envs 4096`. Four: add `--processes 4`; each trains its own
-    4096. Two machines of four, reached by ssh: add `--hosts first second`. docs/training.md says
-    how to use torchrun or Slurm instead.
+    Without options but size and time this is the recipe of the shipped policy
+    (`training/recipe.py`). One GPU: `renet train TASK --num-envs 4096`. Four: add `--processes 4`;
+    each trains its own 4096. Two machines of four, reached by ssh: add `--hosts first second`.
+    docs/training.md says how to use torchrun or Slurm instead.
     """
 
     task: tyro.conf.Positional[str]
     """Task id: Renet-Go1-Flat, Renet-Go1-Parkour, or one registered by a plug-in."""
-    num_envs: int = 256
-    """Parallel environments of each process (the paper trains with 4096 on a GPU)."""
+    preset: Literal["renet", "paper"] = "renet"
+    """Where the defaults of all other settings come from: our recipe, or the paper to the letter
+    (for 1.5 billion steps)."""
+    num_envs: int | None = None
+    """Parallel environments of each process; by default 512 on a CPU and 4096 on a GPU (paper)."""
     device: str = "auto"
     """cpu, cuda:0, ... or auto (a GPU if there is one)."""
     processes: int = 1
@@ -52,22 +84,88 @@ class TrainCfg(LearningCfg):
     """Machines to train on, with renet installed in the same place on each."""
     engine: str = "auto"
     """Physics engine: auto, native (C MuJoCo on threads, CPU only) or warp."""
-    reward_weights: dict[str, float] = field(default_factory=dict)
-    """Weights in place of the task's, e.g. `--reward-weights collision -1 foot_clearance -15`; the
-    others stay. docs/training.md says which ones help a small budget."""
-    tile_shares: dict[str, float] = field(default_factory=dict)
-    """Shares of the robots in place of the task's, e.g. `--tile-shares rough 1 stairs_up 2`; the
-    others stay (rough 2, else 1)."""
-    standing_after: int = 4000
-    """Iterations after which goals ask for standing still, too: the second of the paper's two
-    levels of commands. Reach it well before the end, or the robot never learns to stand."""
+    model: ModelCfg = field(default_factory=partial(_from, "renet", "model"))
+    """Networks and the paper's ablations."""
+    algorithm: NP3OCfg = field(default_factory=partial(_from, "renet", "algorithm"))
+    """Policy optimisation."""
+    supervision: SupervisionCfg = field(default_factory=partial(_from, "renet", "supervision"))
+    """Estimators and autoencoder."""
+    adaptation: AdaptationCfg = field(default_factory=partial(_from, "renet", "adaptation"))
+    """Which estimator steers where."""
+    batch_size: Schedule = RENET["batch_size"]
+    """Environment steps of all robots of a process in an iteration, at least: 25 control steps of
+    each, or as many more as fewer robots need (rounded up to a multiple of the 5 between ticks)."""
+    reward_weights: Pairs = ()
+    """Weights in place of the preset's, e.g. `--reward-weights collision -10 yaw 1`; the others
+    stay."""
+    terrain_proportions: Pairs = ()
+    """Share of the robots on each kind of tile, relative to the others', in place of the preset's,
+    e.g. `--terrain-proportions gap 3`; the others stay."""
+    dense_tiles: bool = RENET["dense_tiles"]
+    """Train on tiles with two to three times as many edges on the way out (`terrain/tiles.py`)."""
+    depth_noise_std: float = RENET["depth_noise_std"]
+    """Standard deviation of the constant part of the depth error, m."""
+    standing_after: float = RENET["standing_after"]
+    """Environment steps after which goals ask for standing still, too: the second of the paper's
+    two levels of commands."""
     resume: str | None = None
-    """Run folder or checkpoint to go on from; `latest` takes the newest run of this task."""
+    """Run folder or checkpoint to go on from, with its settings; `latest` takes the newest run of
+    this task."""
     time_budget: str | None = None
     """Stop cleanly, with a checkpoint, before this much time has passed (90s, 25m, 8h), but not
     before one iteration is done."""
-    log_root: Path = Path("logs")
-    """Folder that receives a folder per run."""
+    log_root: Path | None = None
+    """Folder that receives a folder per run; by default `logs`, or where the run to go on from is.
+    Another one than that run's branches off: the run itself stays as it is."""
+
+    @classmethod
+    def defaults(cls, arguments: Sequence[str]) -> TrainCfg:
+        """What a command line starts from: its `--preset`, or the run it resumes.
+
+        Args:
+            arguments: command line of `renet train`.
+
+        Raises:
+            RenetError: unknown preset, or nothing to resume.
+        """
+        asked = _options(arguments, "preset", "resume", "log-root")
+        task = next((a for a in arguments[:1] if not a.startswith("-")), tyro.MISSING)
+        if "resume" in asked:
+            root = Path(asked["log-root"]) if "log-root" in asked else None
+            found = resolve_resume(asked["resume"], root, task)
+            return restored(checkpoints.load_state(found), task)
+        name: Any = asked.get("preset", "renet")
+        own = {key: value for key, value in deepcopy(preset(name)).items() if key not in MERGED}
+        return cls(task=task, preset=name, **own)
+
+
+def _options(arguments: Sequence[str], *names: str) -> dict[str, str]:
+    """Values of some options of a command line, in the forms `--name value` and `--name=value`."""
+    found = {}
+    for argument, following in zip(arguments, [*arguments[1:], ""], strict=True):
+        name, equals, value = argument.removeprefix("--").partition("=")
+        if argument.startswith("--") and (name := name.replace("_", "-")) in names:
+            found[name] = value if equals else following
+    return found
+
+
+def restored(state: dict[str, Any], task: Any = tyro.MISSING) -> TrainCfg:
+    """The settings a checkpoint was trained with.
+
+    Args:
+        state: of the checkpoint; settings it lacks have their defaults.
+        task: in place of the checkpoint's own.
+    """
+    own = {f.name for f in fields(TrainCfg)} - {"task", "resume", "time_budget", "log_root"}
+    settings = {name: value for name, value in state["config"].items() if name in own}
+    for name, kind in NESTED.items():
+        if name in settings:
+            settings[name] = from_dict(kind, settings[name])
+    for name in ("hosts", *MERGED):
+        if name in settings:
+            settings[name] = tuple(tuple(x) if isinstance(x, list) else x for x in settings[name])
+    task = state["task"] if task is tyro.MISSING else task
+    return TrainCfg(task=task, **settings)
 
 
 def train(cfg: TrainCfg) -> Path | None:
@@ -80,30 +178,29 @@ def train(cfg: TrainCfg) -> Path | None:
         RenetError: anything a user can put right.
     """
     from renet.tasks import make_env
-    from renet.tasks.robot import ACTION_CLIP
+    from renet.tasks.robot_cfg import ACTION_CLIP
 
     began = time.monotonic()
-    if cfg.num_envs < 1:
-        raise RenetError(f"--num-envs must be at least 1, got {cfg.num_envs}")
     rank = int(os.getenv("RANK", "0"))
     budget = None if cfg.time_budget is None else seconds(cfg.time_budget)
     device = resolve_device(cfg.device)
+    num_envs = DEFAULT_ENVS[device.partition(":")[0]] if cfg.num_envs is None else cfg.num_envs
+    if num_envs < 1:
+        raise RenetError(f"--num-envs must be at least 1, got {num_envs}")
+    cfg = replace(cfg, num_envs=num_envs)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
     earlier = None if resume is None else checkpoints.load(resume)
-    task = tuned(cfg.task, cfg.reward_weights, cfg.tile_shares)
+    task = task_cfg(cfg)
     task.curriculum["command_stage"].params["switch_step"] = _switch_step(cfg, earlier)
-    env = make_env(
-        task,
-        num_envs=cfg.num_envs,
-        device=device,
-        seed=cfg.seed + rank,
-        engine=cfg.engine,
-    )
+    # mjlab prints tables of terms and warns of its own randomisation.
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        env = make_env(task, num_envs, device, cfg.seed + rank, cfg.engine)
     vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
     # Another task's run stays as it is.
     own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
-    run = None if rank else resumed_run(own) or new_run(cfg.log_root, cfg.task)
-    runner = RenetRunner(vec_env, asdict(cfg), str(run) if run else None, device)
+    run = None if rank else resumed_run(own, cfg.log_root) or new_run(cfg.log_root, cfg.task)
+    runner = RenetRunner(vec_env, settings(cfg), str(run) if run else None, device)
     if resume:
         runner.load(str(resume))
     if runner.alg.iteration >= cfg.max_iterations:
@@ -112,8 +209,11 @@ def train(cfg: TrainCfg) -> Path | None:
             "very first one and must be above that"
         )
     if run:
-        print(f"{'Resuming' if resume else 'Training'} {cfg.task} in {run}")
-        record_config(replace(cfg, num_steps_per_env=runner.cfg["num_steps_per_env"]), run)
+        if earlier is not None:
+            print(f"Going on from {resume} ({runner.alg.steps / 1e6:.2f} M steps)")
+            say_differences(earlier.state, runner.provenance())
+        print(f"Training {cfg.task} with {num_envs} robots in {run}")
+        record_config(cfg, run)
     try:
         left = None if budget is None else budget - (time.monotonic() - began)
         runner.learn(cfg.max_iterations - runner.alg.iteration, time_budget_s=left)
@@ -124,56 +224,79 @@ def train(cfg: TrainCfg) -> Path | None:
     return run
 
 
-def tuned(task: str, weights: dict[str, float], shares: dict[str, float]) -> RenetEnvCfg:
-    """The task with other weights of rewards and shares of tiles.
+def settings(cfg: TrainCfg) -> dict[str, Any]:
+    """The configuration as the runner takes it and a checkpoint keeps it: plain JSON."""
+    return json.loads(json.dumps(asdict(cfg), default=str))
+
+
+def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
+    """The task as the recipe sets it: weights, tiles and their shares, depth noise.
 
     Raises:
         RenetError: a reward or a tile the task does not have, or a share of nothing.
     """
+    from renet.sim.depth.camera import DepthCameraCfg
     from renet.tasks import env_cfg
+    from renet.tasks.terrains import as_mjlab
+    from renet.terrain.tiles import dense_tiles
 
-    cfg = env_cfg(task)
-    terrain = cfg.scene.terrain
-    generator = terrain.terrain_generator if terrain else None
-    tiles = generator.sub_terrains if generator else {}
-    for what, known, asked in (("reward", cfg.rewards, weights), ("tile", tiles, shares)):
-        for name in asked:
-            if name not in known:
-                choice = f"choose of {', '.join(known)}" if known else "it is flat"
-                raise RenetError(f"{task} has no {what} {name!r}: {choice}")
+    task = env_cfg(cfg.task)
+    weights, shares = (dict(preset(cfg.preset)[n]) | dict(getattr(cfg, n)) for n in MERGED)
     for name, weight in weights.items():
-        cfg.rewards[name].weight = weight
+        if name not in task.rewards:
+            known = ", ".join(task.rewards)
+            raise RenetError(f"{cfg.task} has no reward {name!r}: choose one of {known}")
+        task.rewards[name].weight = weight
+    for sensor in task.scene.sensors:
+        if isinstance(sensor, DepthCameraCfg):
+            sensor.noise.gaussian_std = cfg.depth_noise_std
+    generator = task.scene.terrain.terrain_generator if task.scene.terrain else None
+    if generator is None:
+        return task
+    if cfg.dense_tiles:
+        generator.sub_terrains = as_mjlab(dense_tiles())
     for name, share in shares.items():
+        if name not in generator.sub_terrains:
+            known = ", ".join(generator.sub_terrains)
+            raise RenetError(f"{cfg.task} has no tile {name!r}: choose one of {known}")
         if not share > 0:
             raise RenetError(f"the share of tile {name!r} must be above 0, got {share}")
-        tiles[name].proportion = share
-    return cfg
+        generator.sub_terrains[name].proportion = share
+    return task
 
 
 def _switch_step(cfg: TrainCfg, earlier: Checkpoint | None) -> int:
-    """Control step of the environment at which iteration `standing_after` begins."""
-    taken, iteration = 0, 0
+    """Control step of the environment at which `standing_after` environment steps are done."""
+    taken = steps = 0
     if earlier is not None:
         taken = int(earlier.environment.get("common_step_counter", 0))
-        iteration = earlier.state["iteration"]
-    steps = steps_per_env(cfg.num_steps_per_env, cfg.num_envs)
-    return taken + (cfg.standing_after - iteration) * steps
+        steps = earlier.state["steps"]
+    robots = (cfg.num_envs or 1) * int(os.getenv("WORLD_SIZE", "1"))
+    return taken + round((cfg.standing_after - steps) / robots)
 
 
 def record_config(cfg: TrainCfg, run: Path) -> None:
-    """Write `config.json`, and say in which settings a run that goes on differs from before."""
-    file = run / CONFIG
-    settings = json.loads(json.dumps(asdict(cfg), default=str))
+    """Write `config.json`."""
     try:
-        before = _flat(json.loads(file.read_text())) if file.exists() else _flat(settings)
-        now = _flat(settings)
-        for name in sorted(set(before) | set(now)):
-            old, new = before.get(name, "default"), now.get(name, "default")
-            if old != new and name not in ("resume", "time_budget"):
-                print(f"{name} was {old}, now {new}")
-        file.write_text(json.dumps(settings, indent=1) + "\n")
-    except (OSError, ValueError) as error:
-        raise RenetError(f"cannot use {file}: {error}") from error
+        (run / CONFIG).write_text(json.dumps(settings(cfg), indent=1) + "\n")
+    except OSError as error:
+        raise RenetError(f"cannot write {run / CONFIG}: {error}") from error
+
+
+def say_differences(before: dict[str, Any], now: dict[str, Any]) -> None:
+    """Print in which settings, task rules and code two states of checkpoints differ.
+
+    Args:
+        before: state of the checkpoint that is resumed; what it does not tell is passed over.
+        now: provenance of the run that goes on.
+    """
+    for part in ("config", "task_cfg", "code"):
+        if part not in before:
+            continue
+        old, new = _flat({part: before[part]}), _flat({part: now[part]})
+        for name in sorted(set(old) | set(new)):
+            if old.get(name) != new.get(name) and name.removeprefix("config.") not in PER_SESSION:
+                print(f"{name} was {old.get(name, 'absent')}, now {new.get(name, 'absent')}")
 
 
 def _flat(settings: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -185,11 +308,18 @@ def _flat(settings: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def resumed_run(checkpoint: Path | None) -> Path | None:
-    """The run a checkpoint belongs to, which then goes on; None for one kept elsewhere."""
+def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
+    """The run that goes on; None where a new one begins.
+
+    Args:
+        checkpoint: to go on from; one that is not in a run's folder begins a run of its own.
+        root: `--log-root`; another one than the run's branches off.
+    """
     if checkpoint is None or checkpoint.parent.name != CHECKPOINTS:
         return None
-    return checkpoint.parent.parent
+    run = checkpoint.parent.parent
+    branches = root is not None and run.resolve().parent.parent != root.resolve()
+    return None if branches else run
 
 
 def seconds(text: str) -> float:
@@ -220,8 +350,9 @@ def resolve_device(name: str) -> str:
     return name
 
 
-def new_run(root: Path, task: str) -> Path:
-    """Create `root/task/date_time`; raises RenetError where nothing can be written."""
+def new_run(root: Path | None, task: str) -> Path:
+    """Create `root/task/date_time`, by default in `logs`; raises RenetError where it cannot."""
+    root = root or LOGS
     stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     # A second number for runs begun in the same second.
     names = chain([stamp], (f"{stamp}_{n}" for n in count(2)))
@@ -233,9 +364,9 @@ def new_run(root: Path, task: str) -> Path:
     return run
 
 
-def resolve_resume(resume: str, root: Path, task: str) -> Path:
+def resolve_resume(resume: str, root: Path | None, task: str) -> Path:
     """The checkpoint folder that `--resume` names."""
-    folder = root / task if resume == LATEST else Path(resume)
+    folder = (root or LOGS) / str(task) if resume == LATEST else Path(resume)
     if not folder.exists():
         raise RenetError(f"nothing to resume: {folder} does not exist")
     return checkpoints.find(folder)

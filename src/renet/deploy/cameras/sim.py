@@ -34,7 +34,7 @@ class SimCamera:
     ) -> None:
         self._robot, self._spec = robot, camera
         self._random = np.random.default_rng(seed) if noise else None
-        self._rays = pixel_rays(camera)
+        self._rays = camera.intrinsics.rays()
         self._period, self._due = 1.0 / camera.rate_hz, 0.0
         self._frame: DepthFrame | None = None
         self._number = 0
@@ -111,14 +111,6 @@ class SimCamera:
             return depth
         std = np.hypot(RELATIVE_STD * depth, GAUSSIAN_STD)
         return depth + std * self._random.standard_normal(depth.shape)
-
-
-def pixel_rays(camera: CameraSpec) -> np.ndarray:
-    """Directions (forward, left, up) through pixel centres, forward component 1, [H * W, 3]."""
-    up = (camera.cy - 0.5 - np.arange(camera.height)) / camera.fy
-    left = (camera.cx - 0.5 - np.arange(camera.width)) / camera.fx
-    rows, columns = np.meshgrid(up, left, indexing="ij")
-    return np.stack((np.ones_like(rows), columns, rows), axis=-1).reshape(-1, 3)
 
 
 def tilt(pitch: float) -> np.ndarray:

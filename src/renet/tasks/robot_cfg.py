@@ -1,0 +1,181 @@
+"""What the tasks need to know of a robot. The Go1 is in config/go1.py, a Go2 in docs/robots.md."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import mujoco
+from mjlab.actuator import BuiltinPositionActuatorCfg
+from mjlab.entity import EntityArticulationInfoCfg, EntityCfg
+from mjlab.utils.spec_config import CollisionCfg
+
+from renet.errors import RenetError
+from renet.interface import JOINTS, LEGS
+from renet.sim.depth.camera import MountCfg
+
+TRUNK = "trunk"
+"""Name of the base body."""
+PARTS = ("hip", "thigh", "calf")
+BODIES = (TRUNK, *(f"{leg}_{part}" for leg in LEGS for part in PARTS))
+"""Names of all bodies the tasks look for."""
+FEET = tuple(f"{leg}_foot_collision" for leg in LEGS)
+"""Names of the feet's geoms; a site at each foot's middle is named as its leg."""
+CALVES = tuple(rf"{leg}_calf_collision\d*" for leg in LEGS)
+"""Patterns of the calves' other colliding geoms."""
+ACTION_CLIP = 4.8
+"""Policy units beyond which actions are cut: 1.2 rad of the Go1's joints (Extreme Parkour)."""
+
+# Robot geoms touch the terrain (contype 1) but not each other: self-collision costs a third of the
+# physics and a policy inside its joint limits does not need it.
+COLLISION = CollisionCfg(
+    geom_names_expr=(r".*_collision\d*",),
+    contype=0,
+    conaffinity=1,
+    condim={r".*_foot_collision": 3, r".*_collision\d*": 1},
+    priority={r".*_foot_collision": 1, r".*_collision\d*": 0},
+    friction={r".*_foot_collision": (1.0,)},
+)
+
+
+@dataclass(frozen=True)
+class Motor:
+    """What drives a joint, from the vendor's model."""
+
+    torque: float
+    """Limit, N m."""
+    velocity: float
+    """Limit, rad/s."""
+    armature: float | None = None
+    """Reflected rotor inertia, kg m^2; None keeps the MJCF's."""
+
+
+@dataclass(frozen=True)
+class RobotCfg:
+    """A quadruped of twelve joints."""
+
+    name: str
+    """As bundles show it."""
+    spec: Callable[[], mujoco.MjSpec]
+    """A fresh MJCF in renet's names (see `rename_parts`): bodies `trunk`, `FR_hip`, `FR_thigh`,
+    `FR_calf`, …, the joints of interface.JOINTS in any order, colliding geoms `*_collision*`,
+    feet `FR_foot_collision`, …, with a site `FR`, … in the middle of each; no actuators.
+    All calves have equally many colliding geoms, at least one beside the foot."""
+    height: float
+    """Of the base at the start, m above flat ground."""
+    pose: Mapping[str, float]
+    """Default joint positions, rad, by regular expression over interface.JOINTS."""
+    motors: Mapping[str, Motor]
+    """Of `hip`, `thigh` and `calf` joints."""
+    foot_radius: float
+    """m"""
+    camera: MountCfg = field(default_factory=MountCfg)
+    """Where the depth camera sits on the trunk."""
+    stiffness: float = 40.0
+    """Kp of every joint, N m/rad."""
+    damping: float = 1.0
+    """Kd of every joint, N m s/rad."""
+    action_scale: float = 0.25
+    """Radians of joint target per policy unit."""
+    map_height: float = 0.3
+    """Height of the base over flat ground that reads as zero in the height map, m."""
+
+    def entity(self) -> EntityCfg:
+        """A fresh configuration for mjlab."""
+        return EntityCfg(
+            init_state=EntityCfg.InitialStateCfg(
+                pos=(0.0, 0.0, self.height), joint_pos=dict(self.pose), joint_vel={".*": 0.0}
+            ),
+            collisions=(COLLISION,),
+            spec_fn=self.checked_spec,
+            articulation=EntityArticulationInfoCfg(
+                actuators=tuple(self._servos()),
+                soft_joint_pos_limit_factor=0.9,
+            ),
+        )
+
+    def checked_spec(self) -> mujoco.MjSpec:
+        """A fresh MJCF with all that tasks look for; raises RenetError naming what is not there."""
+        if set(self.motors) != set(PARTS):
+            raise RenetError(f"motors must be of {', '.join(PARTS)}, not {', '.join(self.motors)}")
+        spec = self.spec()
+        wanted = (spec.body, BODIES), (spec.joint, JOINTS), (spec.geom, FEET), (spec.site, LEGS)
+        for lookup, names in wanted:
+            for name in names:
+                _part(lookup, name)
+        calves = [sum(bool(re.fullmatch(calf, g.name)) for g in spec.geoms) for calf in CALVES]
+        if 0 in calves or len(set(calves)) > 1:
+            counts = ", ".join(f"{leg} {n}" for leg, n in zip(LEGS, calves, strict=True))
+            raise RenetError(
+                f"calves must have equally many colliding geoms beside the foot, not none: {counts}"
+            )
+        return spec
+
+    def motor(self, joint: str) -> Motor:
+        """What drives a joint of interface.JOINTS."""
+        return self.motors[joint.split("_")[1]]
+
+    def _servos(self) -> Iterator[BuiltinPositionActuatorCfg]:
+        """One group for each kind of motor."""
+        for motor in dict.fromkeys(self.motors.values()):
+            kinds = [kind for kind, own in self.motors.items() if own == motor]
+            yield BuiltinPositionActuatorCfg(
+                target_names_expr=(f".*_({'|'.join(kinds)})_joint",),
+                stiffness=self.stiffness,
+                damping=self.damping,
+                effort_limit=motor.torque,
+                armature=motor.armature,
+            )
+
+
+def rename_parts(
+    spec: mujoco.MjSpec,
+    trunk: str,
+    feet: Mapping[str, str],
+    bodies: Mapping[str, str] | None = None,
+    joints: Mapping[str, str] | None = None,
+) -> mujoco.MjSpec:
+    """Turn a vendor's MJCF into what `RobotCfg.spec` promises, in place.
+
+    Args:
+        spec: the robot alone, without ground.
+        trunk: its name of the base body.
+        feet: its names of the feet's geoms, by leg of interface.LEGS.
+        bodies: its name of each body FR_hip, FR_thigh, FR_calf, …, where it is another.
+        joints: its name of each joint of interface.JOINTS, where it is another.
+
+    Raises:
+        RenetError: a part is missing.
+    """
+    own = {TRUNK: trunk, **(bodies or {}), **(joints or {})}
+    found = {}
+    for lookup, names in ((spec.body, BODIES), (spec.joint, JOINTS)):
+        found |= {name: _part(lookup, own.get(name, name)) for name in names}
+    for name, part in found.items():
+        part.name = name
+    if set(feet) != set(LEGS):
+        raise RenetError(f"feet must be of {', '.join(LEGS)}, not {', '.join(feet) or 'none'}")
+    for leg, foot in feet.items():
+        geom = _part(spec.geom, foot)
+        geom.parent.add_site(name=leg, pos=geom.pos)
+        geom.name = f"{leg}_foot_collision"
+    for body in spec.bodies:
+        colliding = [geom for geom in body.geoms if geom.contype or geom.conaffinity]
+        others = [geom for geom in colliding if geom.name not in FEET]
+        for number, geom in enumerate(others, start=1):
+            geom.name = f"{body.name}_collision{number}"
+    # Servos are mjlab's; physics options and poses are the task's.
+    spec.option = mujoco.MjSpec().option
+    for group in (spec.actuators, spec.sensors, spec.keys):
+        for item in list(group):
+            spec.delete(item)
+    return spec
+
+
+def _part(lookup: Callable, name: str):
+    """A named part of a spec."""
+    part = lookup(name)
+    if part is None:
+        raise RenetError(f"the robot's MJCF has no {lookup.__name__} named {name!r}")
+    return part

@@ -1,0 +1,307 @@
+"""Parkour tiles: 8 x 8 m, radially symmetric, so that any goal yaw must work.
+
+The robot starts in the middle and must leave. Tiles meet at z = 0 and are built from few boxes.
+"Simple" tiles can be walked blind; "difficult" ones (gap, platform) force vision (RENet, Method A).
+
+Plain MuJoCo: training (mjlab takes a `Tile` as a sub-terrain) and `renet deploy` share them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from renet.errors import RenetError
+
+TILE = 8.0
+"""Side of a tile, m."""
+FLAT = 1e-3
+"""Height of edges on a flat first level, m: geoms must have a size."""
+LEVELS = 10
+"""Rows of the curriculum (paper)."""
+
+STEEL = (0.42, 0.48, 0.55, 1.0)
+STONE = (0.62, 0.60, 0.56, 1.0)
+ACCENT = (0.80, 0.55, 0.30, 1.0)
+PIT = (0.16, 0.18, 0.22, 1.0)
+
+
+@dataclass(frozen=True)
+class TileGeom:
+    """One geom of a tile; fields as mjlab's generator reads them."""
+
+    geom: mujoco.MjsGeom
+    color: tuple[float, float, float, float]
+    hfield: mujoco.MjsHField | None = None
+
+
+@dataclass(frozen=True)
+class BuiltTile:
+    """A tile in a scene; fields as mjlab's generator reads them."""
+
+    origin: np.ndarray
+    """Where a robot starts, [3] m from the tile's corner."""
+    geometries: list[TileGeom]
+    flat_patches: None = None
+
+
+@dataclass
+class Tile:
+    """Base of all tiles; `low` and `high` are the size that matters at the first and last level."""
+
+    low: float = 0.0
+    high: float = 0.0
+    proportion: float = 1.0
+    """Share of the robots, relative to the other kinds'."""
+    flat_start: bool = False
+    """Whether the first level is flat, for robots that cannot walk yet."""
+    size: tuple[float, float] = (TILE, TILE)
+    flat_patch_sampling: None = None
+
+    def measure(self, difficulty: float) -> float:
+        """Size of the obstacle, m, at a difficulty in [0, 1]."""
+        if self.flat_start and difficulty == 0.0:
+            return FLAT
+        return self.low + difficulty * (self.high - self.low)
+
+    def function(
+        self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
+    ) -> BuiltTile:
+        """Build the tile with its corner at the origin (mjlab moves it into place)."""
+        builder = TileBuilder(tile_body(spec))
+        height = self.build(builder, self.measure(difficulty), rng)
+        return BuiltTile(np.array([TILE / 2, TILE / 2, height]), builder.geometries)
+
+    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
+        """Add the geoms; returns the height of the start in the middle."""
+        raise NotImplementedError
+
+
+def tile_body(spec: mujoco.MjSpec) -> mujoco.MjsBody:
+    """A new body of a tile's own: engines can tell tiles apart by it and skip those far away."""
+    return spec.body("terrain").add_body(name=f"tile_{len(spec.bodies)}")
+
+
+class TileBuilder:
+    """Adds boxes given in tile coordinates centred on the tile's middle."""
+
+    def __init__(self, body: mujoco.MjsBody) -> None:
+        self.body = body
+        self.geometries: list[TileGeom] = []
+
+    def box(
+        self,
+        x: tuple[float, float],
+        y: tuple[float, float],
+        z: tuple[float, float],
+        color: tuple[float, float, float, float] = STONE,
+    ) -> None:
+        """Axis-aligned box between two corners, m."""
+        low, high = np.array([x[0], y[0], z[0]]), np.array([x[1], y[1], z[1]])
+        middle = (low + high) / 2 + (TILE / 2, TILE / 2, 0.0)
+        geom = self.body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX, size=(high - low) / 2, pos=middle, rgba=color
+        )
+        self.geometries.append(TileGeom(geom, color))
+
+    def square(self, half: float, z: tuple[float, float], color=STONE) -> None:
+        """Square slab around the middle."""
+        self.box((-half, half), (-half, half), z, color)
+
+    def ring(self, inner: float, outer: float, z: tuple[float, float], color=STONE) -> None:
+        """Square ring around the middle, from half-width `inner` to `outer`."""
+        self.box((-outer, outer), (inner, outer), z, color)
+        self.box((-outer, outer), (-outer, -inner), z, color)
+        self.box((inner, outer), (-inner, inner), z, color)
+        self.box((-outer, -inner), (-inner, inner), z, color)
+
+
+FLOOR = (-0.2, 0.0)
+
+
+@dataclass
+class Rough(Tile):
+    """Random relief of `measure` metres on a 0.2 m grid; flat at level 1 and in the middle."""
+
+    high: float = 0.06
+    proportion: float = 2.0
+    """Twice as many robots as on other kinds: most ground is of this kind."""
+
+    def function(
+        self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
+    ) -> BuiltTile:
+        """Height field instead of boxes; see Tile.function."""
+        relief, nodes = max(self.measure(difficulty), 1e-3), int(TILE / 0.2) + 1
+        heights = rng.uniform(0.0, 1.0, (nodes, nodes)) * (self.measure(difficulty) > 0)
+        middle, clear = nodes // 2, 4
+        inside = slice(middle - clear, middle + clear + 1)
+        heights[inside, inside] = heights[0] = heights[-1] = 0.0
+        heights[:, 0] = heights[:, -1] = 0.0
+        field = spec.add_hfield(
+            name=f"rough_{len(spec.hfields)}",
+            size=(TILE / 2, TILE / 2, relief, 0.2),
+            nrow=nodes,
+            ncol=nodes,
+            userdata=heights.flatten(),
+        )
+        geom = tile_body(spec).add_geom(
+            type=mujoco.mjtGeom.mjGEOM_HFIELD,
+            hfieldname=field.name,
+            pos=(TILE / 2, TILE / 2, 0.0),
+            rgba=STONE,
+        )
+        origin = np.array([TILE / 2, TILE / 2, 0.0])
+        return BuiltTile(origin, [TileGeom(geom, STONE, field)])
+
+
+@dataclass
+class Obstacles(Tile):
+    """Scattered blocks up to `measure` metres high; the middle is free."""
+
+    low: float = 0.05
+    high: float = 0.25
+    count: int = 24
+    clear: float = 0.8
+    """Half-width of the free square in the middle, m."""
+
+    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
+        """See Tile.build."""
+        builder.square(TILE / 2, FLOOR)
+        for _ in range(self.count):
+            a, b = rng.uniform(0.2, 0.5, 2)
+            x, y = self.place(a, b, rng)
+            height = measure * rng.uniform(0.5, 1.0)
+            builder.box((x - a, x + a), (y - b, y + b), (-0.1, height), ACCENT)
+        return 0.0
+
+    def place(self, a: float, b: float, rng: np.random.Generator) -> tuple[float, float]:
+        """Middle of a block of half-sizes a, b that leaves the start free, m."""
+        while True:
+            radius, angle = rng.uniform(1.2, 3.4), rng.uniform(0.0, 2.0 * np.pi)
+            x, y = radius * np.cos(angle), radius * np.sin(angle)
+            if abs(x) - a > self.clear or abs(y) - b > self.clear:
+                return x, y
+
+
+@dataclass
+class Stairs(Tile):
+    """Pyramid stairs of rise `measure`: down from a summit, or up out of a pit."""
+
+    low: float = 0.05
+    high: float = 0.23
+    tread: float = 0.30
+    steps: int = 9
+    landing: float = 1.2
+    """Half-width of the square at the bottom of a pit, m; a summit's is a tread wider."""
+    descend: bool = True
+
+    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
+        """See Tile.build."""
+        edge = self.landing + self.steps * self.tread
+        top = self.steps * measure
+        if self.descend:
+            builder.square(TILE / 2, FLOOR)
+            for step in range(1, self.steps + 1):
+                color = STONE if step % 2 else STEEL
+                half = edge - (step - 1) * self.tread
+                builder.square(half, (0.0, step * measure), color)
+            return top
+        builder.square(self.landing, (-top - 0.2, -top), STEEL)
+        for step in range(1, self.steps + 1):
+            color = STONE if step % 2 else STEEL
+            inner = self.landing + (step - 1) * self.tread
+            height = -top + step * measure
+            builder.ring(inner, inner + self.tread, (-top - 0.2, height), color)
+        builder.ring(edge, TILE / 2, (-top - 0.2, 0.0))
+        return -top
+
+
+LANDING = 0.6
+"""Least width of the ground outside the last gap, m."""
+
+
+@dataclass
+class Gap(Tile):
+    """An island surrounded by rings `measure` metres wide and 1 m deep."""
+
+    low: float = 0.10
+    high: float = 0.70
+    island: float = 1.2
+    """Half-width of the island, m."""
+    ground: float | None = None
+    """Width of the ground between one gap and the next, m; None: a single gap."""
+    depth: float = 1.0
+
+    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
+        """Add the island and the ground outside each gap; the start is at height 0."""
+        builder.square(self.island, (-self.depth, 0.0))
+        inner = self.island + measure
+        while self.ground is not None and inner + self.ground + measure + LANDING <= TILE / 2:
+            builder.ring(inner, inner + self.ground, (-self.depth, 0.0))
+            inner += self.ground + measure
+        builder.ring(inner, TILE / 2, (-self.depth, 0.0))
+        builder.square(TILE / 2, (-self.depth - 0.2, -self.depth), PIT)
+        return 0.0
+
+
+@dataclass
+class Platform(Tile):
+    """Raised rings of height `measure` to climb onto and down from."""
+
+    low: float = 0.05
+    high: float = 0.50
+    rings: tuple[tuple[float, float], ...] = ((1.4, 2.8),)
+    """Inner and outer half-width of each ring, m."""
+
+    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
+        """Add the floor and the rings; the start is at height 0."""
+        builder.square(TILE / 2, FLOOR)
+        for inner, outer in self.rings:
+            builder.ring(inner, outer, (-0.1, measure), ACCENT)
+        return 0.0
+
+
+def tiles() -> dict[str, Tile]:
+    """Every kind of tile by name, in column order."""
+    return {
+        "rough": Rough(),
+        "obstacles": Obstacles(),
+        "stairs_up": Stairs(descend=False),
+        "stairs_down": Stairs(descend=True),
+        "gap": Gap(),
+        "platform": Platform(),
+    }
+
+
+def dense_tiles() -> dict[str, Tile]:
+    """The same kinds with two to three times as many edges on the way out, and a flat first level.
+
+    On the other tiles 65 to 91 % of the way out of a gap or platform tile is plain ground.
+    """
+    return {
+        "rough": Rough(),
+        "obstacles": Obstacles(count=40, flat_start=True),
+        "stairs_up": Stairs(descend=False, flat_start=True),
+        "stairs_down": Stairs(descend=True, flat_start=True),
+        "gap": Gap(island=0.9, ground=0.9, flat_start=True),
+        "platform": Platform(rings=((0.9, 1.7), (2.4, 3.2)), flat_start=True),
+    }
+
+
+def find_tile(kind: str, level: int) -> tuple[Tile, float]:
+    """A tile by name, and the difficulty of a level of 1 to 10.
+
+    Args:
+        kind: of `tiles`, or `stairs`, which go down. level: 1 to 10.
+
+    Raises:
+        RenetError: unknown kind or level.
+    """
+    known = {"stairs": Stairs(descend=True), **tiles()}
+    if kind not in known:  # All callers know flat ground, which is no tile.
+        raise RenetError(f"unknown terrain {kind!r}: choose one of flat, {', '.join(known)}")
+    if not 1 <= level <= LEVELS:
+        raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")
+    return known[kind], (level - 1) / (LEVELS - 1)
