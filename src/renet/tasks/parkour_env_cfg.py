@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import mujoco
 from mjlab.managers.curriculum_manager import CurriculumTermCfg
@@ -61,6 +60,7 @@ def tile_env_cfg(
     cfg.terminations["in_gap"] = TerminationTermCfg(func=mdp.in_gap)
     cfg.terminations["below_map"] = TerminationTermCfg(func=mdp.below_map)
     cfg.terminations["left_tile"] = TerminationTermCfg(func=mdp.left_tile, time_out=True)
+    cfg.metrics["near_edge"] = MetricsTermCfg(func=mdp.near_edge)
     cfg.curriculum["level"] = CurriculumTermCfg(func=mdp.terrain_levels)
     return _play(cfg) if play else cfg
 
@@ -139,27 +139,17 @@ def _play(cfg: RenetEnvCfg) -> RenetEnvCfg:
 
 
 def _observations() -> dict[str, ObservationGroupCfg]:
-    joints = SceneEntityCfg("robot", joint_names=JOINTS, preserve_order=True)
-    sources = {
-        "base_angular_velocity": (mdp.base_angular_velocity, {}),
-        "projected_gravity": (mdp.base_gravity, {}),
-        "command": (mdp.generated_commands, {"command_name": COMMAND}),
-        "joint_position": (mdp.joint_pos_rel, {"asset_cfg": joints}),
-        "joint_velocity": (mdp.joint_vel_rel, {"asset_cfg": joints}),
-        "last_action": (mdp.last_action, {}),
-    }
-
-    def noise(name: str) -> UniformNoiseCfg | None:
-        return UniformNoiseCfg(n_min=-NOISE[name], n_max=NOISE[name]) if name in NOISE else None
+    scale = tuple(term.scale for term in PROPRIOCEPTION for _ in range(term.size))
+    noise = tuple(NOISE.get(term.name, 0.0) for term in PROPRIOCEPTION for _ in range(term.size))
 
     def proprioception(noisy: bool) -> ObservationGroupCfg:
-        terms = {}
-        for term in PROPRIOCEPTION:
-            function, params = sources[term.name]
-            terms[term.name] = ObservationTermCfg(
-                func=function, params=params, scale=term.scale, noise=noise(term.name)
-            )
-        return ObservationGroupCfg(terms=terms, enable_corruption=noisy)
+        term = ObservationTermCfg(
+            func=mdp.proprioception,
+            scale=scale,
+            noise=UniformNoiseCfg(n_min=tuple(-half for half in noise), n_max=noise),
+            params={"joints": SceneEntityCfg("robot", joint_names=JOINTS, preserve_order=True)},
+        )
+        return ObservationGroupCfg(terms={"value": term}, enable_corruption=noisy)
 
     def single(function, **params) -> ObservationGroupCfg:
         return ObservationGroupCfg(
@@ -222,37 +212,25 @@ def _rewards(robot: RobotCfg) -> dict[str, RewardTermCfg]:
 
 def _metrics(robot: RobotCfg) -> dict[str, MetricsTermCfg]:
     """Logged as means over an episode's steps, beside the rewards."""
-    return {
-        "collisions": MetricsTermCfg(func=mdp.collision),
-        "lin_vel_reward": MetricsTermCfg(func=mdp.linear_velocity),
-        "reward_clipped": MetricsTermCfg(func=mdp.reward_clipped),
-        **{
-            f"violated_{name}": MetricsTermCfg(
-                func=mdp.constraint_violated, params={"constraint": name, **params}
-            )
-            for name, params in _constraints(robot).items()
-        },
-    }
-
-
-def _constraints(robot: RobotCfg) -> dict[str, dict[str, Any]]:
-    """Costs of the cMDP, above a share of each motor's limits (RENet, Method A)."""
     motors = {f".*_{part}_joint": motor for part, motor in robot.motors.items()}
     costs = {
-        # The robot's soft limits are 0.9 of its joint ranges.
-        "joint_position": {"cost": mdp.joint_pos_limits},
-        "joint_velocity": {
-            "cost": mdp.joint_vel_limits,
-            "limit": {joint: 0.8 * motor.velocity for joint, motor in motors.items()},
-        },
-        "torque": {
-            "cost": mdp.torque_limits,
-            "limit": {joint: 0.8 * motor.torque for joint, motor in motors.items()},
-            "stiffness": robot.stiffness,
-            "damping": robot.damping,
+        "joint_vel_limit": {joint: 0.8 * motor.velocity for joint, motor in motors.items()},
+        "torque_limit": {joint: 0.8 * motor.torque for joint, motor in motors.items()},
+        "stiffness": robot.stiffness,
+        "damping": robot.damping,
+    }
+    return {
+        "collisions": MetricsTermCfg(func=mdp.reward_term, params={"name": "collision"}),
+        "lin_vel_reward": MetricsTermCfg(func=mdp.reward_term, params={"name": "linear_velocity"}),
+        "reward_clipped": MetricsTermCfg(func=mdp.reward_clipped),
+        "violated": MetricsTermCfg(func=mdp.constraint_costs, params=costs),
+        **{
+            f"violated_{name}": MetricsTermCfg(
+                func=mdp.constraint_violated, params={"constraint": name}
+            )
+            for name in CONSTRAINTS
         },
     }
-    return {name: costs[name] for name in CONSTRAINTS}
 
 
 def _events() -> dict[str, EventTermCfg]:
