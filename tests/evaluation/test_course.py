@@ -17,8 +17,8 @@ from renet.evaluation.course_world import CourseWorld, PlaceInjector, time_limit
 from renet.evaluation.world import SimWorld, study_env_cfg
 from renet.faults import Frames
 from renet.sim.depth.raycast import scanner
-from renet.tasks.commands import goal
-from renet.tiles import TILE
+from renet.tasks.mdp.commands import goal
+from renet.terrain.tiles import TILE
 
 from .fakes import FakeLab
 

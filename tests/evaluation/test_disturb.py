@@ -11,7 +11,7 @@ from renet.evaluation.disturb import rotation, spread
 from renet.evaluation.rollout import Row, run_rollout
 from renet.evaluation.world import SimWorld, study_env_cfg
 from renet.faults import Frames, Injection, Injector, PhysicalFault, View
-from renet.tasks.config import tile_env_cfg
+from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.terrains import single_tile_terrain
 

@@ -17,8 +17,8 @@ from renet.evaluation.live import Session
 from renet.evaluation.live_view import LiveViewer, serve, watch
 from renet.evaluation.play import ground
 from renet.faults import FAULTS
-from renet.tasks.commands import goal
-from renet.tasks.go1 import GO1
+from renet.tasks.config.go1 import GO1
+from renet.tasks.mdp.commands import goal
 
 HOST = "127.0.0.1"
 

@@ -13,7 +13,7 @@ from renet.evaluation.maps import WARM_UP, errors
 from renet.evaluation.pictures import SENSOR, PicturesCfg, _kept, run_pictures
 from renet.evaluation.report import ReportCfg, make_report
 from renet.interface import HEIGHT_MAP_SIZE
-from renet.tiles import tiles
+from renet.terrain.tiles import tiles
 
 
 def test_every_picture_is_written_and_the_numbers_are_those_of_the_robots(tmp_path):

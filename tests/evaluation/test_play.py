@@ -11,7 +11,7 @@ import pytest
 from renet.deploy.bundle import Bundle
 from renet.errors import RenetError
 from renet.evaluation.play import PlayCfg, opened, robot_of, run_play
-from renet.tasks.go1 import GO1
+from renet.tasks.config.go1 import GO1
 
 CHECKPOINT = Path(str(files("renet"))) / "pretrained" / "checkpoint"
 

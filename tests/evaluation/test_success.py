@@ -10,7 +10,7 @@ from renet.errors import RenetError
 from renet.evaluation.rollout import Trace
 from renet.evaluation.success import SuccessCfg, outcome, run_success, worse_than_blind
 from renet.faults import View
-from renet.tiles import tiles
+from renet.terrain.tiles import tiles
 
 from .fakes import FakeLab, FakeWorld
 

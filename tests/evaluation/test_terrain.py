@@ -10,7 +10,7 @@ from renet.errors import RenetError
 from renet.evaluation.healthy import successful_runs
 from renet.evaluation.rollout import Row, Trace, run_rollout
 from renet.evaluation.terrain import TerrainCfg, highest_level, passed, run_terrain
-from renet.tiles import LEVELS, tiles
+from renet.terrain.tiles import LEVELS, tiles
 
 from .fakes import FakeController, FakeLab, FakeSwitch, FakeWorld
 

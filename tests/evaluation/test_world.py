@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from renet.evaluation.world import SimWorld, study_env_cfg
-from renet.tiles import LEVELS, TILE, tiles
+from renet.terrain.tiles import LEVELS, TILE, tiles
 
 
 def test_robots_stand_on_the_tiles_they_are_placed_on() -> None:

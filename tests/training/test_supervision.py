@@ -132,12 +132,12 @@ def test_the_rate_follows_its_schedule_and_him_is_watched(model, rollout):
 @pytest.mark.parametrize(("robots", "learned"), [(4, 5), (40, 16)])
 def test_the_autoencoder_learns_from_a_share_of_the_images(model, monkeypatch, robots, learned):
     seen = []
-    forward = model.autoencoder.forward
+    predict = model.autoencoder.predict
     monkeypatch.setattr(
-        model.autoencoder, "forward", lambda pairs: seen.append(len(pairs)) or forward(pairs)
+        model.autoencoder, "predict", lambda pairs: seen.append(len(pairs)) or predict(pairs)
     )
     supervision = Supervision(model, SupervisionCfg(autoencoder_images=16))
     # 3 ticks: 12 pairs, of which two fifths are 4.8, or 120, of which the setting takes fewer.
-    loss = supervision._anomaly_loss(torch.rand(3, robots, 2, 48, 64))
+    losses = supervision._anomaly_losses(torch.rand(3, robots, 2, 48, 64))
     assert seen == [learned]
-    assert torch.isfinite(loss)
+    assert torch.isfinite(losses["anomaly"])

@@ -13,7 +13,7 @@ from renet.evaluation.rollout import Row, check_speed
 from renet.evaluation.world import SimWorld
 from renet.interface import CONTROL_DT
 from renet.tasks import env_cfg
-from renet.tiles import LEVELS, tiles
+from renet.terrain.tiles import LEVELS, tiles
 
 
 def simulated_scores(

@@ -20,10 +20,10 @@ from torch import Tensor
 
 from renet.errors import RenetError
 from renet.tasks import RenetEnvCfg
-from renet.tasks.config import tile_env_cfg
-from renet.tasks.terminations import PIT_DEPTH
+from renet.tasks.mdp.terminations import PIT_DEPTH
+from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.terrains import as_mjlab
-from renet.tiles import (
+from renet.terrain.tiles import (
     ACCENT,
     FLOOR,
     LEVELS,

@@ -12,7 +12,7 @@ from renet.evaluation.world import FLAT
 from renet.faults import FAULTS, SEVERITIES, fault_class
 from renet.faults.physical import Glass
 from renet.tasks import RenetEnvCfg
-from renet.tasks.config import tile_env_cfg
+from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.terrains import single_tile_terrain
 
 

@@ -15,8 +15,8 @@ from renet.evaluation.rollout import UPDATES_PER_STEP, Readings, seen
 from renet.evaluation.world import SimWorld
 from renet.faults import Frames, Injection, Injector
 from renet.interface import STEPS_PER_TICK
-from renet.tasks.commands import GoalCommandCfg, goal
 from renet.tasks.env import RenetEnv, RenetEnvCfg
+from renet.tasks.mdp.commands import GoalCommandCfg, goal
 from renet.tasks.sensors import HEIGHT_MAP
 
 MODES = ("renet", "vp", "op")

@@ -25,9 +25,9 @@ from renet.evaluation.video import VideoCfg, make_video, panels_of
 from renet.evaluation.world import FLAT
 from renet.faults import Injection
 from renet.interface import CONTROL_DT
-from renet.tasks import RenetEnvCfg, Robot, env_cfg
-from renet.tasks.config import flat_env_cfg, tile_env_cfg
-from renet.tasks.go1 import GO1
+from renet.tasks import RenetEnvCfg, RobotCfg, env_cfg
+from renet.tasks.config.go1 import GO1
+from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
 from renet.tasks.terrains import single_tile_terrain
 from renet.training.bundle import ExportCfg, export
 
@@ -102,7 +102,7 @@ def opened(path: Path | None) -> Iterator[Path | None]:
         yield export(ExportCfg(checkpoint=path, out=Path(folder) / path.name))
 
 
-def robot_of(manifest: Manifest) -> Robot:
+def robot_of(manifest: Manifest) -> RobotCfg:
     """The robot a bundle was trained on; raises RenetError if its task is not registered here."""
     task = manifest.provenance.task
     try:
@@ -114,7 +114,7 @@ def robot_of(manifest: Manifest) -> Robot:
         ) from error
 
 
-def ground(terrain: str, level: int, robot: Robot) -> RenetEnvCfg:
+def ground(terrain: str, level: int, robot: RobotCfg) -> RenetEnvCfg:
     """The task on flat ground or on one tile; raises RenetError for an unknown tile or level."""
     if terrain == FLAT:
         return flat_env_cfg(play=True, robot=robot)

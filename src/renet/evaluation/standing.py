@@ -23,7 +23,7 @@ from renet.evaluation.rollout import Row, check_modes, check_speed
 from renet.evaluation.terminal import show
 from renet.evaluation.world import FLAT
 from renet.interface import CONTROL_DT
-from renet.tiles import LEVELS, tiles
+from renet.terrain.tiles import LEVELS, tiles
 
 DRIFT, RESTLESS = 0.1, 0.2
 """A robot stands still that drifts less than this, m, with joints slower than this on average,

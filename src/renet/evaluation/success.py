@@ -38,7 +38,7 @@ from renet.evaluation.terminal import show
 from renet.faults import Injection, Schedule
 from renet.interface import CONTROL_DT
 from renet.tasks import RenetEnvCfg, env_cfg
-from renet.tiles import LEVELS, tiles
+from renet.terrain.tiles import LEVELS, tiles
 
 SIZES = {
     "gap": "gap width",

@@ -30,7 +30,7 @@ from renet.evaluation.results import (
 from renet.evaluation.rollout import Row, Trace, World, check_modes, check_speed
 from renet.evaluation.terminal import show
 from renet.interface import CONTROL_DT
-from renet.tiles import LEVELS, tiles
+from renet.terrain.tiles import LEVELS, tiles
 
 TABLE = {"gap": ("gap",), "platform": ("platform",), "stairs": ("stairs_up", "stairs_down")}
 """The paper's columns, and the tiles each is the mean of."""

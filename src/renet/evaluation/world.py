@@ -16,8 +16,8 @@ from renet.evaluation.rollout import Readings
 from renet.faults import View
 from renet.sim.depth.camera import DepthCamera
 from renet.tasks import RenetEnv, RenetEnvCfg, env_cfg, make_env
-from renet.tasks.commands import COMMAND, GoalCommandCfg, goal
-from renet.tasks.rewards import collision
+from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg, goal
+from renet.tasks.mdp.rewards import collision
 from renet.tasks.sensors import DEPTH_CAMERA
 
 FLAT = "flat"

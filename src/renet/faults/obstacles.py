@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from renet.errors import RenetError
-from renet.tiles import TILE
+from renet.terrain.tiles import TILE
 
 
 def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[int]:
