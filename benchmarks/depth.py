@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 
+import numpy as np
 import torch
 import tyro
-import warp as wp
 from mjlab.utils.lab_api.math import matrix_from_quat
 
 from facts import report
 from renet.interface import STEPS_PER_TICK
-from renet.sim.depth_camera import DepthCamera
+from renet.sim.depth.camera import DepthCamera
 from renet.sim.threads import THREADS
 from renet.tasks import make_env
 
@@ -48,11 +48,11 @@ def seconds(cfg: Cfg, work: Callable[[], object]) -> float:
     return statistics.median(times)
 
 
-def view(camera: DepthCamera) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, float]:
-    """What TerrainScanner is asked for, from the current poses."""
+def view(camera: DepthCamera) -> tuple[torch.Tensor, torch.Tensor]:
+    """Positions and rotations of the cameras at the current poses."""
     base = matrix_from_quat(camera._data.xquat[:, camera._body])
     eye = camera._data.xpos[:, camera._body] + (base @ camera._position.unsqueeze(-1)).squeeze(-1)
-    return eye, base @ camera._rotation, camera._rays, camera.cfg.range
+    return eye, base @ camera._rotation
 
 
 def core_seconds(cfg: Cfg, work: Callable[[], object]) -> float:
@@ -66,17 +66,18 @@ def core_seconds(cfg: Cfg, work: Callable[[], object]) -> float:
 
 
 def main(cfg: Cfg) -> None:
-    wp.config.quiet = True
     with redirect_stdout(StringIO()):
         env = make_env("Renet-Go1-Parkour", cfg.num_envs, cfg.device)
     env.reset()
     camera = env.scene["depth_camera"]
     camera._render()  # Compiles kernels.
-    scanner, seen = camera._scanner, view(camera)
-    scanner.cast_depth(*seen)
+    scanner, poses, limit = camera._scanner, view(camera), camera.cfg.range
+    lens = camera.cfg.intrinsics
+    rays = torch.from_numpy(lens.rays(np.float32)).to(cfg.device)
+    scanner.cast_depth(*poses, rays, limit)
     measure = core_seconds if cfg.device == "cpu" else seconds
-    drawn_s = measure(cfg, lambda: scanner.depth(*seen))
-    cast_s = measure(cfg, lambda: scanner.cast_depth(*seen))
+    drawn_s = measure(cfg, lambda: scanner.depth(*poses, lens, limit))
+    cast_s = measure(cfg, lambda: scanner.cast_depth(*poses, rays, limit))
     image_s = seconds(cfg, camera._render)
     actions, steps = torch.zeros(cfg.num_envs, 12, device=cfg.device), 10 * STEPS_PER_TICK
     env.step(actions)
@@ -84,16 +85,16 @@ def main(cfg: Cfg) -> None:
     for _ in range(steps):
         env.step(actions)
     step_s = (time.perf_counter() - start) / steps
-    rays = cfg.num_envs * len(camera._rays)
+    count = cfg.num_envs * len(rays)
     report(
         {
             "num_envs": cfg.num_envs,
             "device": cfg.device,
             "triangles": scanner.triangles,
-            "rays_per_s_per_core": rays / drawn_s,
-            "rays_cast_per_s_per_core": rays / cast_s,
+            "rays_per_s_per_core": count / drawn_s,
+            "rays_cast_per_s_per_core": count / cast_s,
             "threads": THREADS,
-            "rays_per_s": rays / image_s,
+            "rays_per_s": count / image_s,
             "seconds_per_image": image_s,
             "seconds_per_env_step": step_s,
             "share_of_env_step": image_s / STEPS_PER_TICK / step_s,

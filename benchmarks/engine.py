@@ -13,13 +13,12 @@ from pathlib import Path
 
 import torch
 import tyro
-import warp as wp
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.tasks.registry import load_env_cfg
 from rich.progress import track
 
 from facts import report
-from renet.sim.engine import use_engine
+from renet.sim.native.engine import use_engine
 
 TASKS = {"": "Mjlab-Velocity-Flat-Unitree-Go1", "rough_": "Mjlab-Velocity-Rough-Unitree-Go1"}
 
@@ -53,7 +52,6 @@ def steps_per_second(task: str, engine: str, num_envs: int, steps: int) -> float
 
 
 def main(cfg: Cfg) -> None:
-    wp.config.quiet = True
     # Both engines alike: a second torch thread for small tensors costs more than it computes.
     torch.set_num_threads(1)
     results: dict[str, float] = {"num_envs": cfg.num_envs}

@@ -27,7 +27,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from facts import report
 from renet.interface import ACTION_SIZE, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TICK
-from renet.sim.engine import use_engine
+from renet.sim.native.engine import use_engine
 from renet.tasks import RenetEnv, make_env
 from renet.tasks.env import env_cfg
 from renet.tasks.robot_cfg import ACTION_CLIP, TRUNK

@@ -12,7 +12,7 @@ from importlib.resources import files
 import mujoco
 
 from renet.cli import main
-from renet.sim.depth_camera import MountCfg
+from renet.sim.depth.camera import MountCfg
 from renet.tasks import Motor, RobotCfg, register_tasks, rename_parts
 
 

@@ -13,17 +13,18 @@ import numpy as np
 import pytest
 import torch
 
+from renet.camera import Intrinsics
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import JointCommand, next_step
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import GO1, build_scene
 from renet.errors import RenetError
-from renet.evaluation.disturb import disturbance
-from renet.faults import View
+from renet.evaluation.env import ray_perturbation
+from renet.faults import ViewPerturbation
 from renet.interface import CONTROL_DT, JOINTS
-from renet.sim.camera_model import Intrinsics, mount_rotation
-from renet.sim.raycast import TerrainScanner
+from renet.sim.depth.camera import mount_rotation
+from renet.sim.depth.raycast import TerrainScanner
 from renet.tasks import make_env
 from renet.tasks.parkour_env_cfg import flat_env_cfg
 from renet.training.bundle import camera_spec, robot_spec
@@ -105,10 +106,10 @@ def test_same_start_same_actions_same_steps_as_the_training_environment(env):
         observation = env.step(torch.from_numpy(action)[None])[0]
 
 
-SEEN = View.true(1)
-FOAM = View(np.array([0.1]), np.zeros((1, 3)), np.zeros(1))
-KNOCKED = View(np.zeros(1), np.array([[0.1, 0.2, -0.15]]), np.zeros(1))
-GLASS = View(np.zeros(1), np.zeros((1, 3)), np.array([1.0]))
+SEEN = ViewPerturbation.none(1)
+FOAM = ViewPerturbation(np.array([0.1]), np.zeros((1, 3)), np.zeros(1))
+KNOCKED = ViewPerturbation(np.zeros(1), np.array([[0.1, 0.2, -0.15]]), np.zeros(1))
+GLASS = ViewPerturbation(np.zeros(1), np.zeros((1, 3)), np.array([1.0]))
 
 
 @pytest.mark.parametrize(
@@ -133,7 +134,7 @@ def test_the_camera_sees_what_the_training_camera_sees(kind, view):
     mine = camera.depth()
     assert (view is SEEN) == np.array_equal(true, mine)
     np.testing.assert_array_equal(robot.model.geom_group, groups)
-    wrong = disturbance(view, robot.model, np.zeros((1, 2)))
+    wrong = ray_perturbation(view, robot.model, np.zeros((1, 2)))
     body = robot.data.body("trunk")
     base = torch.tensor(body.xmat.reshape(3, 3), dtype=torch.float32)
     eye = torch.tensor(body.xpos, dtype=torch.float32) + base @ torch.tensor(CAMERA.position)
@@ -143,7 +144,7 @@ def test_the_camera_sees_what_the_training_camera_sees(kind, view):
         eye, mount = eye - wrong.lift * torch.eye(3)[2], mount @ wrong.turn[0]
         unseen = wrong.unseen[0][0] if wrong.unseen else unseen
     raw = TerrainScanner(robot.model, "cpu", unseen).depth(
-        eye[None], (base @ mount)[None], Intrinsics().rays(), CAMERA.range
+        eye[None], (base @ mount)[None], Intrinsics(), CAMERA.range
     )
     theirs = torch.where(raw < 0, CAMERA.range, raw).reshape(48, 64).numpy()
     error = np.abs(mine - theirs)

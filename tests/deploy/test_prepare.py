@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from renet.camera import Intrinsics
 from renet.deploy.cameras.prepare import Pinhole, Sampler, invalid_share
 from renet.errors import RenetError
-from renet.sim.camera_model import Intrinsics
 from renet.training.bundle import camera_spec
 
 LENS = Pinhole(848, 480, 446.8, 446.8, 423.5, 239.5)
@@ -18,7 +18,7 @@ LENS = Pinhole(848, 480, 446.8, 446.8, 423.5, 239.5)
 def test_every_pixel_is_taken_where_training_casts_its_ray():
     rows, columns = np.mgrid[: LENS.height, : LENS.width]
     sampler = Sampler(LENS, camera_spec())
-    rays = Intrinsics().rays().numpy().reshape(48, 64, 3)
+    rays = Intrinsics().rays().reshape(48, 64, 3)
     left = (LENS.cx - columns) / LENS.fx
     up = (LENS.cy - rows) / LENS.fy
     half_pixel = 0.5 / LENS.fx
@@ -36,7 +36,7 @@ def test_a_tilted_plane_looks_as_it_does_to_the_ray_caster():
 
     image = Sampler(LENS, camera_spec()).image(depth((LENS.cy - rows) / LENS.fy))
     rays = Intrinsics().rays()[:, 2].reshape(48, 64)
-    expected = torch.as_tensor(depth(rays.numpy())).clamp(max=2.0) / 2.0
+    expected = torch.as_tensor(depth(rays)).clamp(max=2.0) / 2.0
     np.testing.assert_allclose(image, expected, atol=0.01)
 
 

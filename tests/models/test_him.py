@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from renet.models.him import HybridInternalModel, sinkhorn, swapped_prediction_loss
+from renet.models.him import (
+    HybridInternalModel,
+    sinkhorn,
+    swapped_prediction_loss,
+    target_view,
+)
 
 
 def reference_sinkhorn(score: np.ndarray) -> np.ndarray:
@@ -44,8 +50,9 @@ def test_sinkhorn_and_loss_match_the_reference(seed, batch):
     def log_softmax(x):
         return x - np.log(np.exp(x).sum(-1, keepdims=True))
 
-    logs = [log_softmax(s / 3.0) for s in scores]
-    expected = -0.5 * (assignments[0] * logs[1] + assignments[1] * logs[0]).sum(-1).mean()
+    # HIMLoco's code takes the mean of a [batch, 32] table; the temperature is SwAV's.
+    logs = [log_softmax(s / 0.1) for s in scores]
+    expected = -0.5 * (assignments[0] * logs[1] + assignments[1] * logs[0]).mean()
     got = swapped_prediction_loss(*map(torch.tensor, (source, target, prototypes)), counts)
     np.testing.assert_allclose(got, expected, atol=1e-9)
 
@@ -77,4 +84,33 @@ def test_training_pulls_matching_views_together():
         loss.backward()
         optimizer.step()
         losses.append(loss.item())
-    assert losses[-1] < losses[0] - 0.02
+    chance = np.log(32) / 32
+    assert losses[0] > 0.9 * chance
+    assert losses[-1] < 0.5 * chance
+    # At HIMLoco's temperature of 3 the prototypes collapse onto one line in as many steps.
+    assert him.effective_rank() > 8
+    assert him.usage is not None
+    assert him.usage > 16
+
+
+def test_a_collapsed_module_shows_in_rank_and_usage():
+    torch.manual_seed(0)
+    him = HybridInternalModel()
+    with torch.no_grad():
+        line = torch.randn(16)
+        him.prototypes.weight.copy_(torch.outer(torch.randn(32).sign(), line))
+        him.source.weight.zero_()
+        him.source.bias.copy_(line)
+    him(torch.randn(64, 64), torch.randn(64, 45))
+    sides = (him.prototypes.weight @ line > 0).sum().item()
+    torch.testing.assert_close(him.effective_rank(), torch.tensor(1.0), atol=1e-3, rtol=0)
+    assert him.usage is not None
+    assert him.usage.item() == pytest.approx(sides, rel=1e-3)
+
+
+def test_the_target_sees_the_velocity_and_not_the_command():
+    state, velocity = torch.arange(45.0).repeat(2, 1), torch.tensor([[7.0, 8.0, 9.0]] * 2)
+    view = target_view(state, velocity)
+    # Angular velocity and gravity (0 to 5), joints and actions (9 to 44), then the velocity.
+    expected = [*range(6), *range(9, 45), 7, 8, 9]
+    torch.testing.assert_close(view, torch.tensor([expected] * 2, dtype=torch.float32))

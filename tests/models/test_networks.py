@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as functional
 from torch import nn
 
-from renet.models.autoencoder import DepthAutoencoder, anomaly_score
+from renet.models.autoencoder import DepthAutoencoder, anomaly_score, variance_score
 from renet.models.config import ModelCfg
 from renet.models.embeddings import DepthEmbedding, ProprioceptionEmbedding
 from renet.models.encoders import AttentionEncoder, MlpEncoder
@@ -56,3 +56,28 @@ def test_loss_ad_is_the_mean_squared_error_over_both_images():
     images, found = torch.zeros(2, 2, 48, 64), torch.zeros(2, 2, 48, 64)
     found[0, 0] = 0.3  # One of two images is off by 0.3 everywhere.
     assert anomaly_score(images, found).tolist() == pytest.approx([0.045, 0.0])
+
+
+def test_the_variance_detectors_loss_is_least_at_the_error_it_makes(monkeypatch):
+    detector = DepthAutoencoder("variance")
+    depth = torch.rand(4, 2, 48, 64)
+    error = torch.rand(2, 48, 64) * 0.2 + 0.05
+    log_variance = torch.zeros(2, 48, 64, requires_grad=True)
+    monkeypatch.setattr(
+        detector, "predict", lambda x: (x + error, log_variance.expand(len(x), -1, -1, -1))
+    )
+    optimizer = torch.optim.Adam([log_variance], lr=0.1)
+    for _ in range(300):
+        losses = detector.loss(depth)
+        optimizer.zero_grad()
+        losses["anomaly_nll"].backward()
+        optimizer.step()
+    torch.testing.assert_close(log_variance.detach(), (error**2).log(), atol=0.02, rtol=0)
+    assert not losses["anomaly"].requires_grad
+    assert losses["anomaly"].item() == pytest.approx((error**2).mean().item(), rel=1e-4)
+
+
+def test_the_variance_score_by_hand():
+    depth, drawn = torch.full((1, 2, 48, 64), 0.5), torch.full((1, 2, 48, 64), 0.3)
+    log_variance = torch.full_like(depth, 0.04).log()
+    torch.testing.assert_close(variance_score(depth, drawn, log_variance), torch.tensor([1.0]))

@@ -1,4 +1,4 @@
-"""Work in chunks on several threads, and torch on one."""
+"""Work on several threads, and torch on one."""
 
 from __future__ import annotations
 
@@ -6,31 +6,21 @@ import threading
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
 from renet.sim import threads
-from renet.sim.threads import for_chunks, one_torch_thread
-
-
-@given(st.integers(0, 300))
-def test_every_row_is_visited_once(count: int):
-    seen = []
-    for_chunks(count, lambda first, last: seen.extend(range(first, last)))
-    assert sorted(seen) == list(range(count))
+from renet.sim.threads import on_all_threads, one_torch_thread
 
 
 def test_the_caller_works_too_and_others_help(monkeypatch):
     monkeypatch.setattr(threads, "THREADS", 2)
-    meeting = threading.Barrier(2, timeout=20)
+    meeting = threading.Barrier(2, timeout=20)  # One thread alone never ends.
     met = set()
 
-    def run(first: int, last: int) -> None:
-        if first < 4:  # The first two chunks wait for each other: one thread alone never ends.
-            meeting.wait()
-            met.add(threading.get_ident())
+    def work() -> None:
+        meeting.wait()
+        met.add(threading.get_ident())
 
-    for_chunks(16, run)
+    on_all_threads(work)
     assert len(met) == 2
     assert threading.get_ident() in met
 
@@ -44,16 +34,14 @@ def test_what_goes_wrong_in_any_thread_is_raised_after_all_have_stopped(
     both = threading.Barrier(2, timeout=20)
     ended = []
 
-    def run(first: int, last: int) -> None:
-        if first >= 4:
-            return
+    def work() -> None:
         both.wait()
         if (threading.get_ident() == caller) == fails_in_caller:
             raise ValueError("broken")
-        ended.append(first)
+        ended.append(threading.get_ident())
 
     with pytest.raises(ValueError, match="broken"):
-        for_chunks(16, run)
+        on_all_threads(work)
     assert len(ended) == 1
 
 

@@ -8,11 +8,8 @@ from io import StringIO
 
 import pytest
 import torch
-import warp as wp
 
 from renet.tasks import RenetEnv, make_env
-
-wp.config.quiet = True
 
 
 def build(*args, **kwargs) -> RenetEnv:

@@ -22,7 +22,7 @@ from renet.interface import (
     STEPS_PER_TICK,
     proprioception_slices,
 )
-from renet.sim.pipeline import moving_part
+from renet.sim.native.stages import moving_part
 from renet.tasks import env_cfg, make_env, mdp
 from renet.tasks.parkour_env_cfg import NOISE
 

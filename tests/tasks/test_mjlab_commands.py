@@ -10,7 +10,7 @@ import mjlab.scripts.train as train
 import pytest
 from mjlab.viewer import NativeMujocoViewer
 
-from renet.sim.engine import use_engine
+from renet.sim.native.engine import use_engine
 
 
 def test_train_takes_two_iterations(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 
 
 @pytest.mark.parametrize(
-    "first", ["mjlab.tasks", "renet.sim.depth_camera", "renet.training.config", "renet.tasks"]
+    "first", ["mjlab.tasks", "renet.sim.depth.camera", "renet.training.config", "renet.tasks"]
 )
 def test_tasks_are_registered_whatever_is_imported_first(first):
     code = (

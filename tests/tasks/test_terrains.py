@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from renet.errors import RenetError
-from renet.sim.raycast import scanner
+from renet.sim.depth.raycast import scanner
 from renet.tasks.mdp.curriculums import FIRST_LEVELS
 from renet.tasks.parkour_env_cfg import tile_env_cfg
-from renet.tasks.terrains import single_tile_terrain
-from renet.terrain.tiles import LEVELS, TILE, tiles
+from renet.tasks.terrains import parkour_terrain, single_tile_terrain
+from renet.terrain.tiles import LEVELS, TILE, Tile, dense_tiles, tiles
 
 from .conftest import build
 
@@ -197,3 +197,31 @@ def test_single_tiles_for_evaluation():
         single_tile_terrain("lava", 1)
     with pytest.raises(RenetError, match="1 to 10"):
         single_tile_terrain("gap", 11)
+
+
+def edges(tile: Tile, difficulty: float) -> np.ndarray:
+    """Distances from the middle, m, at which the ground changes by over 2 cm on the way out."""
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_body(name="terrain")
+    origin = tile.function(difficulty, spec, np.random.default_rng(0)).origin
+    terrain = scanner(spec.compile(), "cpu")
+    out = torch.arange(0, 380) * 0.01 + 0.003
+    line = torch.stack((out, torch.zeros_like(out)), dim=-1) + torch.tensor(origin[:2]).float()
+    heights = terrain.height(line).numpy()
+    return out[1:].numpy()[np.abs(np.diff(heights)) > 0.02]
+
+
+@pytest.mark.parametrize("kind", ["gap", "platform"])
+def test_dense_tiles_have_more_edges_and_begin_flat(kind):
+    sparse, dense = edges(tiles()[kind], 0.5), edges(dense_tiles()[kind], 0.5)
+    assert len(sparse) == 2
+    assert len(dense) == 4
+    assert np.diff(dense).min() > 0.39  # A foot finds room between any two.
+    assert len(edges(dense_tiles()[kind], 0.0)) == 0
+    # The first edge is as large as on the tile that policies are judged on.
+    assert dense_tiles()[kind].measure(1 / 9) == tiles()[kind].measure(1 / 9)
+
+
+def test_evaluation_draws_other_tiles_than_training():
+    assert single_tile_terrain("obstacles", 5).terrain_generator.seed != 0
+    assert parkour_terrain().terrain_generator.seed == 0

@@ -25,6 +25,7 @@ ABLATIONS = {
     "one image": {"frames": 1},
     "vp": {"perception": "vp"},
     "op": {"perception": "op"},
+    "variance detector": {"detector": "variance"},
 }
 
 
@@ -71,7 +72,9 @@ def test_sequence_matches_pytorch(fields):
             {"proprioception": observation.numpy(), "op_mask": mask[:, None].numpy(), **latents},
         )
         np.testing.assert_allclose(got, action.numpy(), atol=1e-4)
-        got, score = onnx["vision"].run(None, {"depth": memory.frames.float().numpy()})
+        got, score = onnx["vision"].run(
+            ("reconstruction", "anomaly_score"), {"depth": memory.frames.float().numpy()}
+        )
         np.testing.assert_allclose(got, reconstruction.numpy(), atol=1e-4)
         expected = np.mean((memory.frames.float().numpy() - got) ** 2, axis=(1, 2, 3))
         np.testing.assert_allclose(score, expected, rtol=1e-4)

@@ -123,3 +123,60 @@ def test_a_satisfied_constraint_contributes_nothing():
     targets = make_targets(rollout, torch.zeros(8, 4), cfg)
     cost = cost_surrogate(torch.full((32,), 1.1), targets.cost_advantage, cfg.clip)
     assert torch.relu(cost + targets.violation).sum() == 0.0
+
+
+def test_a_noisy_critic_does_not_change_the_actors_step():
+    moved = []
+    for noise in (0.0, 1e4):
+        torch.manual_seed(0)
+        actor, critics = Actor(ModelCfg()), Critics(ModelCfg(), 4)
+        algorithm = NP3O(actor, critics, NP3OCfg(num_learning_epochs=1, num_mini_batches=1))
+        rollout, last = random_rollout(actor)
+        targets = make_targets(rollout, last, algorithm.cfg)
+        targets.value_target += noise
+        order = torch.arange(rollout.done.numel())
+        deviation = actor.log_std.detach().exp()
+        losses = algorithm._step(rollout.flatten(), targets, order, deviation)
+        moved.append([p.detach().clone() for p in actor.parameters()])
+    assert losses["critics_grad_norm"] > 100 * losses["actor_grad_norm"]
+    assert all(torch.equal(a, b) for a, b in zip(*moved, strict=True))
+
+
+def random_rollout(actor: Actor) -> tuple[PolicyRollout, torch.Tensor]:
+    """Ten steps of three robots, and the values after the last."""
+    proprioception, latent = torch.randn(10, 3, 45), torch.randn(10, 3, 128)
+    with torch.no_grad():
+        mean = actor(proprioception.flatten(0, 1), latent.flatten(0, 1)).unflatten(0, (10, 3))
+        action = mean + torch.randn(10, 3, 12)
+        log_prob = actor.log_prob(mean, action)
+    rollout = PolicyRollout(
+        proprioception=proprioception,
+        latent=latent,
+        critic_observation=torch.randn(10, 3, 4),
+        action=action,
+        log_prob=log_prob,
+        mean=mean,
+        value=torch.randn(10, 3, 4),
+        payoff=torch.randn(10, 3, 4),
+        done=torch.zeros(10, 3, dtype=torch.bool),
+    )
+    return rollout, torch.randn(3, 4)
+
+
+def test_entropy_divergence_and_budgets_follow_their_schedules():
+    actor = Actor(ModelCfg())
+    cfg = NP3OCfg(
+        entropy="0.01@0,0.0@10M",
+        desired_kl="0.01@0,0.02@10M",
+        cost_budget=("0@0,4@10M", 1.0, "2"),
+        num_learning_epochs=1,
+    )
+    algorithm = NP3O(actor, Critics(ModelCfg(), 4), cfg)
+    rollout, last = random_rollout(actor)
+    late, early = (make_targets(rollout, last, cfg, steps) for steps in (5e6, 0))
+    gap = (early.violation - late.violation) * torch.tensor([1.0, 0.0, 0.0])
+    torch.testing.assert_close(early.violation - late.violation, gap)
+    assert gap[0] > 0
+    algorithm.learn(rollout, last, 0, steps=5e6)
+    assert algorithm._entropy == pytest.approx(0.005)
+    assert algorithm._desired_kl == pytest.approx(0.015)

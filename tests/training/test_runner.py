@@ -10,6 +10,7 @@ import torch
 from renet.errors import RenetError
 from renet.models.config import ModelCfg
 from renet.training import checkpoint as checkpoints
+from renet.training.algorithm import critic_observation
 from renet.training.config import (
     AdaptationCfg,
     NP3OCfg,
@@ -118,8 +119,48 @@ def test_impossible_settings_are_refused_before_anything_is_built(make, message)
     ("robots", "steps"), [(1, 6400), (64, 100), (250, 30), (256, 25), (4096, 25)]
 )
 def test_few_robots_take_more_steps_each_unless_told_otherwise(robots, steps):
-    assert steps_per_env(None, robots) == steps
-    assert steps_per_env(10, robots) == 10
+    assert steps_per_env(None, 6_400, robots, 0) == steps
+    assert steps_per_env(10, 6_400, robots, 0) == 10
+
+
+def test_batches_grow_with_the_steps_taken(toy_env, tmp_path):
+    runner = make_runner(toy_env(), tmp_path)
+    runner._asked_steps, runner.cfg["batch_size"] = None, "200@200,400@600"
+    steps = []
+    for _ in range(4):
+        runner.learn(1)
+        steps.append(runner.alg.steps)
+    # Eight robots: 25 steps, 25, then 300 / 8 = 37.5 rounded up to 40, then 395 / 8 to 50.
+    assert steps == [200, 400, 720, 1120]
+
+
+def test_a_checkpoint_tells_its_settings_rules_and_code(toy_env, tmp_path):
+    runner = make_runner(toy_env(), tmp_path)
+    runner.learn(2)
+    found = checkpoints.load(checkpoints.find(tmp_path))
+    assert found.state["config"]["algorithm"] == asdict(NP3OCfg()) | {"cost_budget": [0.0] * 3}
+    assert found.state["steps"] == 2 * 10 * 8
+    assert found.state["code"].startswith("0.")
+    assert "task_cfg" in found.state
+    # What is exported is the average, not the newest weights.
+    assert found.exported is found.average
+    newest = found.model["actor.log_std"]
+    assert not torch.equal(
+        found.exported["actor.mean.0.weight"], found.model["actor.mean.0.weight"]
+    )
+    assert newest.shape == found.exported["actor.log_std"].shape
+
+
+def test_the_critics_see_who_drives(toy_env, tmp_path):
+    alg = make_runner(toy_env(), tmp_path).alg
+    obs = alg_obs = toy_env().get_observations()
+    simple, difficult = (critic_observation(alg_obs, m) for m in (torch.ones(8), torch.zeros(8)))
+    assert (simple[:, -1] == 1).all()
+    assert (difficult[:, -1] == 0).all()
+    alg.iteration = 20
+    alg.act(obs)
+    seen = alg._steps.newest["critic_observation"][:, -1]
+    assert torch.equal(seen, 1 - obs["difficult"][:, 0])
 
 
 def test_a_policy_that_diverged_is_not_saved(toy_env, tmp_path):

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from renet.models.config import ModelCfg
+from renet.models.him import target_view
 from renet.models.renet import RENet
 from renet.training.config import SupervisionCfg
 from renet.training.storage import TickRollout
@@ -28,6 +29,7 @@ def rollout() -> TickRollout:
         feet_height=torch.rand(TICKS, ROBOTS, 4),
         height_map=torch.randn(TICKS, ROBOTS, 132),
         next_proprioception=torch.randn(TICKS, ROBOTS, 45),
+        next_velocity=torch.randn(TICKS, ROBOTS, 3),
         next_valid=torch.ones(TICKS, ROBOTS, dtype=torch.bool),
         latent_op=torch.randn(ROBOTS, 64),
         latent_vp=torch.randn(ROBOTS, 64),
@@ -61,7 +63,8 @@ def test_loss_op_is_velocity_and_him_of_its_own_robots(model, rollout):
     expected = mean_square(zip(velocity, rollout.velocity[:, :2], strict=True))
     assert losses["velocity"].item() == pytest.approx(expected, rel=1e-4)
     own = torch.cat([latent[:2] for latent in latents])
-    him = model.op_him(own, rollout.next_proprioception[:, :2].flatten(0, 1))
+    following = target_view(rollout.next_proprioception, rollout.next_velocity)
+    him = model.op_him(own, following[:, :2].flatten(0, 1))
     assert losses["him"].item() == pytest.approx(him.item(), rel=1e-4)
 
 
@@ -108,15 +111,33 @@ def test_a_step_that_ended_the_episode_teaches_him_nothing(model, rollout):
     assert after["him"] < 2 * before["him"]
 
 
+def test_an_estimator_that_does_not_drive_is_not_moved_by_momentum(model, rollout):
+    supervision = Supervision(model, SupervisionCfg(num_mini_batches=1))
+    supervision.update(rollout)  # Both drive: both optimisers have momentum.
+    rollout.op_mask[:] = True
+    before = [p.clone() for p in model.vp.parameters()]
+    supervision.update(rollout)
+    assert all(torch.equal(a, b) for a, b in zip(before, model.vp.parameters(), strict=True))
+
+
+def test_the_rate_follows_its_schedule_and_him_is_watched(model, rollout):
+    supervision = Supervision(model, SupervisionCfg(learning_rate="1e-3@1M,1e-4@3M"))
+    losses = supervision.update(rollout, steps=2_000_000)
+    assert supervision.optimizer.param_groups[0]["lr"] == pytest.approx(5.5e-4)
+    for name in ("op", "vp"):
+        assert 8 < losses[f"{name}_him_rank"] <= 16  # Random prototypes point everywhere.
+        assert 1 <= losses[f"{name}_him_usage"] <= 32
+
+
 @pytest.mark.parametrize(("robots", "learned"), [(4, 5), (40, 16)])
 def test_the_autoencoder_learns_from_a_share_of_the_images(model, monkeypatch, robots, learned):
     seen = []
-    forward = model.autoencoder.forward
+    predict = model.autoencoder.predict
     monkeypatch.setattr(
-        model.autoencoder, "forward", lambda pairs: seen.append(len(pairs)) or forward(pairs)
+        model.autoencoder, "predict", lambda pairs: seen.append(len(pairs)) or predict(pairs)
     )
     supervision = Supervision(model, SupervisionCfg(autoencoder_images=16))
     # 3 ticks: 12 pairs, of which two fifths are 4.8, or 120, of which the setting takes fewer.
-    loss = supervision._anomaly_loss(torch.rand(3, robots, 2, 48, 64))
+    losses = supervision._anomaly_losses(torch.rand(3, robots, 2, 48, 64))
     assert seen == [learned]
-    assert torch.isfinite(loss)
+    assert torch.isfinite(losses["anomaly"])

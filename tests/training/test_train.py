@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+import tyro
 
 from renet.errors import RenetError
 from renet.training import checkpoint as checkpoints
 from renet.training import train as training
 from renet.training.checkpoint import Checkpoint
+from renet.training.config import NP3OCfg, SupervisionCfg
+from renet.training.recipe import RENET
 from renet.training.train import (
     TrainCfg,
     _switch_step,
     new_run,
-    record_config,
     resolve_device,
     resumed_run,
+    task_cfg,
     train,
 )
 
@@ -33,7 +36,7 @@ def test_another_task_leaves_the_run_it_goes_on_from_alone(tmp_path):
     assert flat is not None
     checkpoint = flat / "checkpoints" / "it_00000001"
     before = sorted(flat.rglob("*"))
-    assert resumed_run(checkpoint) == flat
+    assert resumed_run(checkpoint, tmp_path) == resumed_run(checkpoint, None) == flat
     parkour = train(cfg(tmp_path, "Renet-Go1-Parkour", resume=str(checkpoint), max_iterations=2))
     assert parkour is not None
     assert sorted(flat.rglob("*")) == before
@@ -43,24 +46,70 @@ def test_another_task_leaves_the_run_it_goes_on_from_alone(tmp_path):
         train(cfg(tmp_path, "Renet-Go1-Parkour", resume="latest", max_iterations=2))
 
 
-def test_the_second_level_of_commands_keeps_its_iteration_when_rollouts_get_longer(tmp_path):
-    counter = torch.tensor(2000 * 25)
-    resumed = Checkpoint({}, {}, {"common_step_counter": counter}, {"task": ""})
-    resumed.state["iteration"] = 2000
-    longer = cfg(tmp_path, num_steps_per_env=50, standing_after=4000)
-    assert _switch_step(longer, None) == 4000 * 50
-    assert _switch_step(longer, resumed) == 2000 * 25 + 2000 * 50
+def test_another_log_root_branches_off_and_leaves_the_run_alone(tmp_path, capsys):
+    run = train(cfg(tmp_path / "first"))
+    assert run is not None
+    before = {p: p.stat().st_mtime_ns for p in run.rglob("*")}
+    elsewhere = train(cfg(tmp_path / "second", resume=str(run), max_iterations=2))
+    assert elsewhere is not None
+    assert elsewhere.is_relative_to(tmp_path / "second")
+    assert {p: p.stat().st_mtime_ns for p in run.rglob("*")} == before
+    assert f"Going on from {run / 'checkpoints' / 'it_00000001'}" in capsys.readouterr().out
 
 
-def test_what_changes_in_a_run_that_goes_on_is_said_and_kept(tmp_path, capsys):
-    record_config(cfg(tmp_path, reward_weights={"collision": -1.0}), tmp_path)
-    assert capsys.readouterr().out == ""
-    record_config(cfg(tmp_path, seed=3, resume="latest"), tmp_path)
-    assert capsys.readouterr().out.splitlines() == [
-        "reward_weights.collision was -1.0, now default",
-        "seed was 1, now 3",
-    ]
-    assert json.loads((tmp_path / "config.json").read_text())["seed"] == 3
+def test_standing_is_asked_for_after_so_many_steps_however_many_robots(tmp_path):
+    resumed = Checkpoint({}, {}, {"common_step_counter": torch.tensor(5000)}, {"steps": 1e6})
+    fresh = cfg(tmp_path, num_envs=500, standing_after=4e6)
+    assert _switch_step(fresh, None) == 8000
+    assert _switch_step(fresh, resumed) == 5000 + 6000
+
+
+def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(tmp_path, capsys):
+    asked = cfg(tmp_path, reward_weights=(("collision", -3.0),), supervision=SupervisionCfg(5e-4))
+    run = train(asked)
+    line = ["Renet-Go1-Flat", "--resume", str(run), "--seed", "3"]
+    again = tyro.cli(TrainCfg, args=line, default=TrainCfg.defaults(line))
+    assert again.num_envs == 4
+    assert again.reward_weights == (("collision", -3.0),)
+    assert again.supervision.learning_rate == 5e-4
+    assert again.seed == 3
+    capsys.readouterr()
+    train(replace(again, max_iterations=2))
+    out = capsys.readouterr().out.splitlines()
+    assert "config.seed was 1, now 3" in out
+    assert sum(" was " in row for row in out) == 2  # And the number of iterations.
+
+
+def test_presets_are_what_a_command_line_starts_from():
+    paper = TrainCfg.defaults(["Renet-Go1-Parkour", "--preset=paper"])
+    assert (paper.algorithm, paper.supervision) == (NP3OCfg(), SupervisionCfg())
+    task = task_cfg(paper)
+    assert task.rewards["collision"].weight == -10.0
+    assert task.rewards["foot_clearance"].weight == 0.0
+    ours = task_cfg(TrainCfg.defaults(["Renet-Go1-Parkour"]))
+    assert ours.rewards["collision"].weight == RENET["reward_weights"]["collision"]
+    own = replace(TrainCfg(task="Renet-Go1-Parkour"), reward_weights=(("collision", -2.0),))
+    assert task_cfg(own).rewards["collision"].weight == -2.0
+    assert task_cfg(own).rewards["foot_clearance"] == ours.rewards["foot_clearance"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"reward_weights": (("speed", 1.0),)}, "has no reward 'speed'"),
+        ({"terrain_proportions": (("lava", 1.0),)}, "has no tile 'lava'"),
+        ({"terrain_proportions": (("gap", 0.0),)}, "must be above 0"),
+    ],
+)
+def test_what_the_task_does_not_have_is_refused(changes, message):
+    with pytest.raises(RenetError, match=message):
+        task_cfg(TrainCfg(task="Renet-Go1-Parkour", **changes))
+
+
+def test_the_newest_checkpoint_is_the_one_of_the_latest_iteration(tmp_path):
+    for iteration in (631, 550):  # Written last: as after a copy.
+        checkpoints.save(Checkpoint({}, {}, {}, {}), tmp_path / "checkpoints", iteration, keep=9)
+    assert checkpoints.find(tmp_path).name == "it_00000631"
 
 
 def test_runs_begun_in_the_same_second_have_folders_of_their_own(tmp_path):

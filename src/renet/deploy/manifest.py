@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from renet.camera import Intrinsics
 from renet.errors import RenetError
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION
 
@@ -94,6 +95,11 @@ class CameraSpec:
         for name in ("fx", "fy", "range", "rate_hz"):
             _demand(getattr(self, name) > 0.0, f"camera.{name} must be positive")
         _demand(len(self.position) == 3, "camera.position must have 3 numbers")
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """The rays of its pixels."""
+        return Intrinsics(self.height, self.width, self.fx, self.fy, self.cx, self.cy)
 
 
 @dataclass(frozen=True)

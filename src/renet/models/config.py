@@ -9,6 +9,7 @@ from renet.errors import RenetError
 from renet.interface import FRAMES, HISTORY
 
 Perception = Literal["renet", "vp", "op", "oracle"]
+Detector = Literal["reconstruction", "variance"]
 
 
 @dataclass
@@ -32,6 +33,9 @@ class ModelCfg:
     """False is the row "w/o HF"."""
     him: bool = True
     """Hybrid internal model loss on both estimators; False is the row "w/o HIM"."""
+    detector: Detector = "reconstruction"
+    """Anomaly detector: the paper's, scored by its squared error (eq. 4), or one that also predicts
+    the variance of its error and is scored by their ratio."""
     actor_hidden: tuple[int, ...] = (256, 256, 128)
     """Hidden units of the actor; with the other two ONNX models it must stay below 3 MB."""
     critic_hidden: tuple[int, ...] = (256, 256, 128)
@@ -44,10 +48,11 @@ class ModelCfg:
     def __post_init__(self) -> None:
         if not 1 <= self.frames <= FRAMES:
             raise RenetError(f"model.frames must be 1..{FRAMES}, got {self.frames}")
-        if self.perception not in (known := get_args(Perception)):
-            raise RenetError(
-                f"model.perception must be one of {', '.join(known)}, got {self.perception!r}"
-            )
+        for name, kind in (("perception", Perception), ("detector", Detector)):
+            if getattr(self, name) not in (known := get_args(kind)):
+                raise RenetError(
+                    f"model.{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}"
+                )
         if not self.initial_std > 0:
             raise RenetError(f"model.initial_std must be above 0, got {self.initial_std}")
         if self.history < 1:

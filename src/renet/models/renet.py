@@ -23,7 +23,7 @@ class RENet(nn.Module):
         self.vp = VPEstimator(cfg)
         self.op_him = HybridInternalModel() if cfg.him else None
         self.vp_him = HybridInternalModel() if cfg.him else None
-        self.autoencoder = DepthAutoencoder()
+        self.autoencoder = DepthAutoencoder(cfg.detector)
         self.actor = Actor(cfg)
         self.critics = Critics(cfg, critic_size)
         self.critic_normalizer = EmpiricalNormalization(critic_size)

@@ -10,22 +10,8 @@ from contextlib import contextmanager
 import torch
 
 THREADS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-CHUNKS_PER_THREAD = 4
-"""Small enough chunks keep all threads busy when one is held up by a neighbour."""
 
 _pool = ThreadPoolExecutor(THREADS, thread_name_prefix="renet")
-
-
-def for_chunks(count: int, run: Callable[[int, int], None]) -> None:
-    """Call `run(first, last)` over [0, count) in parallel; exceptions are raised here."""
-    chunk = max(1, -(-count // (CHUNKS_PER_THREAD * THREADS)))
-    starts = iter(range(0, count, chunk))
-
-    def work() -> None:
-        for first in starts:  # Each start goes to the thread that asks first.
-            run(first, min(first + chunk, count))
-
-    on_all_threads(work)
 
 
 def on_all_threads(work: Callable[[], None]) -> None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import torch
-import warp as wp
 from mjlab.actuator import BuiltinPositionActuatorCfg
 from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
 from mjlab.sensor import ContactSensorCfg
@@ -15,7 +14,7 @@ from mjlab.tasks.registry import list_tasks, load_env_cfg
 from torch import Tensor
 
 from renet.errors import RenetError
-from renet.sim.engine import use_engine
+from renet.sim.native.engine import use_engine
 from renet.sim.threads import one_torch_thread
 from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.commands import goal
@@ -128,7 +127,7 @@ def make_env(
 
     Args:
         task: task id, or a configuration, which is left as it is.
-        engine: auto, native or warp (see renet.sim.engine).
+        engine: auto, native or warp (see renet.sim.native.engine).
         play: the task's evaluation variant, without noise, pushes and curriculum.
 
     Raises:
@@ -139,7 +138,6 @@ def make_env(
     cfg = env_cfg(task, play) if isinstance(task, str) else deepcopy(task)
     cfg.scene.num_envs = num_envs
     cfg.seed = seed
-    wp.config.quiet = True  # A line per compiled kernel would bury everything else.
     with use_engine(engine, device):
         return RenetEnv(cfg, device)
 

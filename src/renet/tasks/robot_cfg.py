@@ -13,7 +13,7 @@ from mjlab.utils.spec_config import CollisionCfg
 
 from renet.errors import RenetError
 from renet.interface import JOINTS, LEGS
-from renet.sim.depth_camera import MountCfg
+from renet.sim.depth.camera import MountCfg
 
 TRUNK = "trunk"
 """Name of the base body."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from mjlab.sensor import ContactMatch, ContactSensorCfg
 
 from renet.interface import LEGS
-from renet.sim.depth_camera import DepthCameraCfg
-from renet.sim.terrain_scan import FeetHeightCfg, HeightMapCfg
+from renet.sim.depth.camera import DepthCameraCfg
+from renet.sim.sensors import FeetHeightCfg, HeightMapCfg
 from renet.tasks.robot_cfg import CALVES, FEET, TRUNK, RobotCfg
 
 DEPTH_CAMERA = "depth_camera"

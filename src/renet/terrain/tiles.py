@@ -17,6 +17,8 @@ from renet.errors import RenetError
 
 TILE = 8.0
 """Side of a tile, m."""
+FLAT = 1e-3
+"""Height of edges on a flat first level, m: geoms must have a size."""
 LEVELS = 10
 """Rows of the curriculum (paper)."""
 
@@ -53,11 +55,15 @@ class Tile:
     high: float = 0.0
     proportion: float = 1.0
     """Share of the robots, relative to the other kinds'."""
+    flat_start: bool = False
+    """Whether the first level is flat, for robots that cannot walk yet."""
     size: tuple[float, float] = (TILE, TILE)
     flat_patch_sampling: None = None
 
     def measure(self, difficulty: float) -> float:
         """Size of the obstacle, m, at a difficulty in [0, 1]."""
+        if self.flat_start and difficulty == 0.0:
+            return FLAT
         return self.low + difficulty * (self.high - self.low)
 
     def function(
@@ -270,14 +276,17 @@ def tiles() -> dict[str, Tile]:
 
 
 def dense_tiles() -> dict[str, Tile]:
-    """The same kinds with two to three times as many edges on the way out.
+    """The same kinds with two to three times as many edges on the way out, and a flat first level.
 
     On the other tiles 65 to 91 % of the way out of a gap or platform tile is plain ground.
     """
-    return tiles() | {
-        "obstacles": Obstacles(count=40),
-        "gap": Gap(island=0.9, ground=0.9),
-        "platform": Platform(rings=((0.9, 1.7), (2.4, 3.2))),
+    return {
+        "rough": Rough(),
+        "obstacles": Obstacles(count=40, flat_start=True),
+        "stairs_up": Stairs(descend=False, flat_start=True),
+        "stairs_down": Stairs(descend=True, flat_start=True),
+        "gap": Gap(island=0.9, ground=0.9, flat_start=True),
+        "platform": Platform(rings=((0.9, 1.7), (2.4, 3.2)), flat_start=True),
     }
 
 

@@ -17,7 +17,7 @@ from renet.models.actor_critic import fuse
 from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
-from renet.sim.engine import NativeSimulation
+from renet.sim.native.engine import NativeSimulation
 from renet.sim.overflow import OverflowWatch
 from renet.sim.threads import one_torch_thread
 from renet.training import distributed

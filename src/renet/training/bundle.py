@@ -18,7 +18,7 @@ from renet.errors import RenetError
 from renet.interface import JOINTS
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
-from renet.sim.depth_camera import DepthCameraCfg
+from renet.sim.depth.camera import DepthCameraCfg
 from renet.tasks import env_cfg
 from renet.tasks.config.go1 import GO1
 from renet.tasks.robot_cfg import ACTION_CLIP, RobotCfg

@@ -119,7 +119,7 @@ class LearningCfg:
     so is what is exported."""
     seed: int = 1
     """Seed of everything random."""
-    batch_size: Schedule = 102_400
+    batch_size: Schedule = 6_400
     """Environment steps of all robots of a process in an iteration, at least: 25 control steps of
     each, or as many more as fewer robots need (rounded up to a multiple of the 5 between ticks)."""
     num_steps_per_env: int | None = None

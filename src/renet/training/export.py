@@ -18,7 +18,7 @@ from renet.interface import (
     PROPRIOCEPTION_SIZE,
 )
 from renet.models.actor_critic import fuse
-from renet.models.autoencoder import anomaly_score
+from renet.models.autoencoder import anomaly_score, variance_score
 from renet.models.renet import RENet
 
 OPSET = 17
@@ -81,19 +81,23 @@ class EstimatorGraph(nn.Module):
 
 
 class VisionGraph(nn.Module):
-    """10 Hz: the autoencoder and its anomaly score."""
+    """10 Hz: the autoencoder, its anomaly score, and that of the variance detector."""
 
     inputs = ("depth",)
-    outputs = ("reconstruction", "anomaly_score")
 
     def __init__(self, model: RENet) -> None:
         super().__init__()
         self.autoencoder = model.autoencoder
+        variance = ("variance_score",) if model.cfg.detector == "variance" else ()
+        self.outputs = ("reconstruction", "anomaly_score", *variance)
 
-    def forward(self, depth: Tensor) -> tuple[Tensor, Tensor]:
-        """Reconstruction [N, 2, 48, 64] and Loss_ad [N]."""
-        reconstruction = self.autoencoder(depth)
-        return reconstruction, anomaly_score(depth, reconstruction)
+    def forward(self, depth: Tensor) -> tuple[Tensor, ...]:
+        """Reconstruction [N, 2, 48, 64], Loss_ad [N], perhaps the variance score [N]."""
+        reconstruction, log_variance = self.autoencoder.predict(depth)
+        score = anomaly_score(depth, reconstruction)
+        if log_variance is None:
+            return reconstruction, score
+        return reconstruction, score, variance_score(depth, reconstruction, log_variance)
 
 
 def export_models(model: RENet) -> dict[str, bytes]:

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from renet.errors import RenetError
-from renet.training.train import TrainCfg, train
+from renet.training.train import LOGS, TrainCfg, train
 
 COPIED = ("MUJOCO*", "OMP*", "CUDA*", "NCCL*", "GLOO*")
 """Environment variables every worker inherits, besides torchrunx's own choice."""
@@ -54,4 +54,7 @@ def _handlers(cfg: TrainCfg) -> list[logging.Handler]:
     terminal = RedirectHandler()
     terminal.addFilter(get_handler_filter(cfg.hosts[0], local_rank=0))
     workers = [cfg.processes] * len(cfg.hosts)
-    return [terminal, *file_handlers(list(cfg.hosts), workers, log_dir=cfg.log_root / "workers")]
+    return [
+        terminal,
+        *file_handlers(list(cfg.hosts), workers, log_dir=(cfg.log_root or LOGS) / "workers"),
+    ]

@@ -146,13 +146,13 @@ class NP3O:
         self.cost_weight = min(max(self.cfg.cost_weight, 1.0), self.cost_weight * growth)
         # Every transition of a rollout was drawn with the same deviation.
         old_std = self.actor.log_std.detach().exp()
-        steps: list[dict[str, Tensor]] = []
+        taken: list[dict[str, Tensor]] = []
         with computed_in(self.dtype, self.critics):
             for _ in range(self.cfg.num_learning_epochs):
                 order = torch.randperm(batch.log_prob.shape[0], device=batch.log_prob.device)
                 for index in order.chunk(self.cfg.num_mini_batches):
-                    steps.append(self._step(batch, targets, index, old_std))
-        return {name: torch.stack([step[name] for step in steps]).mean() for name in steps[0]}
+                    taken.append(self._step(batch, targets, index, old_std))
+        return {name: torch.stack([step[name] for step in taken]).mean() for name in taken[0]}
 
     def _step(
         self, batch: PolicyRollout, targets: Targets, index: Tensor, old_std: Tensor

@@ -9,7 +9,6 @@ from functools import partial
 import torch
 from torch import Tensor, nn
 
-from renet.models.autoencoder import anomaly_score
 from renet.models.estimators import Estimator
 from renet.models.him import HybridInternalModel, target_view
 from renet.models.renet import RENet
@@ -121,7 +120,11 @@ class Supervision:
         together = self.dtype != torch.float32 and rollout.frames.device.type == "cpu"
         rest, vp = side_by_side(blind, seeing) if together else (blind(), seeing())
         distributed.average_gradients(self.parameters)
-        nn.utils.clip_grad_norm_(self.parameters, self.cfg.max_grad_norm)
+        # Apart: the detector's likelihood must not shorten the estimators' steps.
+        detector = list(self.model.autoencoder.parameters())
+        estimators = self.parameters[: -len(detector)]
+        for parameters in (estimators, detector):
+            nn.utils.clip_grad_norm_(parameters, self.cfg.max_grad_norm)
         self.optimizer.step()
         return rest | vp
 
@@ -151,7 +154,7 @@ class Supervision:
             chosen = self._chosen(rollout.op_mask)
             terms = estimator_losses(model.op, model.op_him, rollout, rollout.latent_op, chosen)
         losses = {f"op_{name}": value for name, value in terms.items()}
-        return losses | {"anomaly": self._anomaly_loss(rollout.frames)}
+        return losses | self._anomaly_losses(rollout.frames)
 
     def _vp_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
         model, terms = self.model, {}
@@ -164,9 +167,9 @@ class Supervision:
         """Ticks that train an estimator, given those it steers."""
         return own if self.cfg.estimator_data == "own" else torch.ones_like(own)
 
-    def _anomaly_loss(self, frames: Tensor) -> Tensor:
-        """Loss_ad on randomly drawn image pairs."""
+    def _anomaly_losses(self, frames: Tensor) -> dict[str, Tensor]:
+        """The detector's losses on randomly drawn image pairs."""
         pairs = frames.flatten(0, 1)
         count = min(self.cfg.autoencoder_images, math.ceil(AUTOENCODER_SHARE * pairs.shape[0]))
         pairs = pairs[torch.randperm(pairs.shape[0], device=pairs.device)[:count]].float()
-        return anomaly_score(pairs, self.model.autoencoder(pairs)).mean()
+        return self.model.autoencoder.loss(pairs)

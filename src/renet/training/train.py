@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import re
 import time
+import warnings
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -47,8 +50,8 @@ NESTED: dict[str, type] = {
 }
 MERGED = ("reward_weights", "terrain_proportions")
 """Settings whose entries replace those of the preset one by one."""
-PER_SESSION = ("resume", "time_budget", "log_root", "device", "processes", "hosts")
-"""Settings that say how a run is carried out, not what it learns."""
+PER_SESSION = ("resume", "time_budget", "log_root", "device", "processes", "hosts", "task_cfg.seed")
+"""Settings that say how a run is carried out, not what it learns, or that are told elsewhere."""
 
 
 def _from(preset_: str, name: str) -> Any:
@@ -189,13 +192,10 @@ def train(cfg: TrainCfg) -> Path | None:
     earlier = None if resume is None else checkpoints.load(resume)
     task = task_cfg(cfg)
     task.curriculum["command_stage"].params["switch_step"] = _switch_step(cfg, earlier)
-    env = make_env(
-        task,
-        num_envs=num_envs,
-        device=device,
-        seed=cfg.seed + rank,
-        engine=cfg.engine,
-    )
+    # mjlab prints tables of terms and warns of its own randomisation.
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        env = make_env(task, num_envs, device, cfg.seed + rank, cfg.engine)
     vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
     # Another task's run stays as it is.
     own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
@@ -235,7 +235,7 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
     Raises:
         RenetError: a reward or a tile the task does not have, or a share of nothing.
     """
-    from renet.sim.depth_camera import DepthCameraCfg
+    from renet.sim.depth.camera import DepthCameraCfg
     from renet.tasks import env_cfg
     from renet.tasks.terrains import as_mjlab
     from renet.terrain.tiles import dense_tiles

@@ -33,8 +33,7 @@ class Sampler:
 
     def __init__(self, lens: Pinhole, spec: CameraSpec) -> None:
         """Find the pixels; raises RenetError if the camera's view is too narrow."""
-        left = (spec.cx - 0.5 - np.arange(spec.width)) / spec.fx
-        up = (spec.cy - 0.5 - np.arange(spec.height)) / spec.fy
+        left, up = spec.intrinsics.axes()
         self._columns = np.rint(lens.cx - lens.fx * left).astype(int)
         self._rows = np.rint(lens.cy - lens.fy * up).astype(int)
         for name, index, size in (

@@ -10,7 +10,7 @@ from renet.tasks.mdp.base_state import distance_from_start
 from renet.tasks.mdp.commands import goal
 from renet.terrain.tiles import TILE
 
-FIRST_LEVELS = 4
+FIRST_LEVELS = 2
 """A robot that fails at the first level tries one of so many next. The narrowest gap is all but
 invisible (10 cm, seen from 30 cm above through the camera's noise): where all robots start over at
 it, VP never learns what a gap looks like."""

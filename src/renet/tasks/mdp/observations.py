@@ -10,7 +10,7 @@ from mjlab.managers.observation_manager import ObservationTermCfg
 from mjlab.managers.scene_entity_config import SceneEntityCfg
 from torch import Tensor
 
-from renet.sim.depth_camera import DepthCamera
+from renet.sim.depth.camera import DepthCamera
 from renet.tasks.mdp.base_state import base_rotation, base_velocity
 from renet.tasks.mdp.commands import goal
 from renet.tasks.mdp.rewards import VelocityFilter

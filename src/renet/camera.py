@@ -1,0 +1,47 @@
+"""Pinhole geometry that the simulated and the real depth camera share.
+
+Camera frame: x forward, y left, z up. Images have the top row first; rays go through pixel centres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from renet.interface import DEPTH_SHAPE
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Focal lengths and principal point, in pixels, of an image with straight rows and columns.
+
+    Default: an Intel RealSense D435i at 848 x 480 (87 x 58 degrees) loses its noisy edges to a
+    central 4:3 crop with square pixels, 66.0 x 52.0 degrees, and is resized to 64 x 48 (RENet,
+    Method C: truncate edges, then resize). The rays of that crop are cast directly.
+    """
+
+    height: int = DEPTH_SHAPE[0]
+    width: int = DEPTH_SHAPE[1]
+    fx: float = 32.0 / 0.650
+    fy: float = 24.0 / 0.4875
+    cx: float = 32.0
+    cy: float = 24.0
+
+    def axes(self, dtype: Any = np.float64) -> tuple[np.ndarray, np.ndarray]:
+        """Left [width] and up [height] components of rays with forward component 1."""
+        left, up = (
+            (dtype(centre - 0.5) - np.arange(size, dtype=dtype)) / dtype(focal)
+            for centre, size, focal in (
+                (self.cx, self.width, self.fx),
+                (self.cy, self.height, self.fy),
+            )
+        )
+        return left, up
+
+    def rays(self, dtype: Any = np.float64) -> np.ndarray:
+        """Directions (forward, left, up) with forward component 1, row-major: [H * W, 3]."""
+        left, up = self.axes(dtype)
+        ups, lefts = np.meshgrid(up, left, indexing="ij")
+        return np.stack((np.ones_like(ups), lefts, ups), axis=-1).reshape(-1, 3)

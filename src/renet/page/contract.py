@@ -1,0 +1,106 @@
+"""What the page's modules share with the runtime, as one JSON file: JavaScript keeps no copies."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+from renet import __version__
+from renet.deploy.cameras import sim
+from renet.deploy.controller import MAX_LEAD
+from renet.deploy.manifest import InputTerm
+from renet.deploy.operator import MAX_SPEED
+from renet.deploy.robots.mujoco import BASE, START_HEIGHT
+from renet.deploy.robots.scene import FLAT, scene_spec
+from renet.deploy.safety import SafetyCfg
+from renet.faults import FAULTS, SEVERITIES, Fault, PhysicalFault
+from renet.faults.image import FOCAL_PIXELS
+from renet.interface import (
+    CONTROL_DT,
+    DEPTH_RANGE,
+    DEPTH_SHAPE,
+    HEIGHT_MAP_X,
+    HEIGHT_MAP_Y,
+    LATENT,
+    PHYSICS_DT,
+    PROPRIOCEPTION,
+    STEPS_PER_TICK,
+)
+from renet.selector.defaults import FALLBACK, MONITORS
+from renet.selector.filter import VISION_THRESHOLD
+from renet.selector.guard import GuardCfg
+from renet.selector.monitors import NEAR
+
+MAP_HEIGHT = 0.3
+"""Metres of the base above the ground that read as zero in a height map, as in training."""
+SCENES = {
+    FLAT: ("Flat ground", 1),
+    "stairs_up": ("Stairs up", 2),
+    "stairs_down": ("Stairs down", 2),
+    "platform": ("Platform", 3),
+    "gap": ("Gap", 4),
+}
+"""Terrains of the page: what they are called, and their level of 1 to 10."""
+
+
+def contract() -> dict[str, Any]:
+    """Sizes, limits and thresholds of the runtime, the scenes, and the catalogue of faults.
+
+    Returns:
+        JSON values; infinite durations are null.
+    """
+    guard = GuardCfg()
+    return {
+        "renet": __version__,
+        "controlDt": CONTROL_DT,
+        "physicsDt": PHYSICS_DT,
+        "stepsPerTick": STEPS_PER_TICK,
+        "depthShape": DEPTH_SHAPE,
+        "depthRange": DEPTH_RANGE,
+        "latent": LATENT,
+        "proprioception": [asdict(InputTerm(**asdict(term))) for term in PROPRIOCEPTION],
+        "heightMap": {"x": HEIGHT_MAP_X, "y": HEIGHT_MAP_Y, "baseHeight": MAP_HEIGHT},
+        "safety": asdict(SafetyCfg()),
+        "maxLead": MAX_LEAD,
+        "maxSpeed": MAX_SPEED,
+        "base": {"body": BASE, "height": START_HEIGHT},
+        "camera": {
+            "relativeStd": sim.RELATIVE_STD,
+            "gaussianStd": sim.GAUSSIAN_STD,
+            "seenGroups": sim.SEEN_GROUPS.tolist(),
+            "focalPixels": FOCAL_PIXELS,
+        },
+        "selector": {
+            "visionThreshold": VISION_THRESHOLD,
+            "dwell": guard.dwell,
+            "betweenReturns": guard.between_returns,
+            "near": NEAR,
+            "monitors": [
+                {"name": name, "reason": monitor.reason, "fallback": FALLBACK.get(name)}
+                for name, monitor in MONITORS.items()
+            ],
+        },
+        "faults": [_fault(f) for f in FAULTS.values() if not issubclass(f, PhysicalFault)],
+        "scenes": [_scene(terrain, *SCENES[terrain]) for terrain in SCENES],
+    }
+
+
+def _fault(fault: type[Fault]) -> dict[str, Any]:
+    return {
+        "name": fault.name,
+        "summary": fault.summary,
+        "levels": [_finite(level) for level in fault.levels],
+        "described": [fault.describe(fault.level_of(severity)) for severity in SEVERITIES],
+        "lasts": [_finite(fault.lasts(level)) for level in fault.levels],
+    }
+
+
+def _scene(terrain: str, title: str, level: int) -> dict[str, Any]:
+    spec, start = scene_spec(terrain, level)
+    spec.compile()
+    return {"name": terrain, "title": title, "xml": spec.to_xml(), "start": start}
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

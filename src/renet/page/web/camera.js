@@ -1,0 +1,125 @@
+// A simulated depth camera: MuJoCo's ray caster, the training camera's geometry and noise.
+
+import { FAULTS } from "./faults.js";
+import { Random } from "./random.js";
+
+const HISTORY = 12;
+/** Frames kept so that a fault may know the past as if it had been there from the beginning. */
+
+/** Looks at the terrain from the robot's base, at the camera's rate on the robot's clock. */
+export class DepthCamera {
+  /**
+   * @param {object} world a `World`.
+   * @param {object} spec `camera` of the bundle's manifest.
+   * @param {object} contract `camera` of the contract.
+   * @param {number} seed of its noise and of its faults.
+   */
+  constructor(world, spec, contract, seed) {
+    Object.assign(this, { world, spec, contract, seed });
+    this.random = new Random(seed);
+    this.rays = pixelRays(spec);
+    this.lengths = this.rays.map((ray) => Math.hypot(...ray));
+    this.due = 0;
+    this.clean = null;
+    this.frame = null;
+    this.fault = null;
+    this.past = [];
+  }
+
+  /** Break the camera: a fault of the catalogue at a severity of 1 to 5. */
+  break(fault, severity, now) {
+    const level = fault.levels[severity - 1] ?? Infinity;
+    const lasts = fault.lasts[severity - 1] ?? Infinity;
+    const random = new Random(this.seed ^ 0x5eed);
+    const model = new FAULTS[fault.name](level, random, this.contract);
+    for (const frame of this.past) model.corrupt(frame, -1);
+    this.fault = { name: fault.name, severity, model, onset: now, lasts };
+  }
+
+  /** Repair the camera. */
+  repair() {
+    this.fault = null;
+  }
+
+  /** Whether a fault is at work. */
+  broken(now) {
+    return this.fault !== null && now - this.fault.onset < this.fault.lasts;
+  }
+
+  /** Newest frame; casts rays when an image is due. */
+  latest(now, angularVelocity) {
+    if (this.frame && now < this.due - 1e-6) return this.frame;
+    const period = 1 / this.spec.rate_hz;
+    this.due = Math.max(this.due, now - period) + period;
+    this.clean = this.depth();
+    const image = Float32Array.from(this.clean, (depth) => this.noisy(depth) / this.spec.range);
+    const healthy = {
+      image: image.map((value) => Math.min(Math.max(value, 0), 1)),
+      fresh: true,
+      age: 0,
+      invalid: 0,
+      angularVelocity: Array.from(angularVelocity),
+    };
+    const delivered = this.spoilt(healthy, now);
+    this.past = [...this.past.slice(1 - HISTORY), healthy];
+    if (delivered.fresh || !this.frame) {
+      const { image: shown, invalid, age } = delivered;
+      this.frame = { image: shown, invalid, time: now - age };
+    }
+    return this.frame;
+  }
+
+  spoilt(frame, now) {
+    if (this.fault === null) return frame;
+    const elapsed = this.broken(now) ? now - this.fault.onset : -1;
+    const spoilt = this.fault.model.corrupt(frame, elapsed);
+    return elapsed < 0 ? frame : spoilt;
+  }
+
+  /** Planar metres [48 * 64] without noise, capped at the range. */
+  depth() {
+    const { position, rotation } = this.world.pose();
+    const { spec, rays, lengths } = this;
+    const eye = position.map((value, i) => value + dot(rotation[i], spec.position));
+    const mount = multiply(rotation, tilt(spec.pitch));
+    const directions = rays.flatMap((ray, n) => mount.map((row) => dot(row, ray) / lengths[n]));
+    const { distance, hit } = this.world.castRays(eye, directions, this.contract.seenGroups);
+    return lengths.map((length, n) =>
+      hit[n] >= 0 ? Math.min(distance[n] / length, spec.range) : spec.range,
+    );
+  }
+
+  noisy(depth) {
+    const { relativeStd, gaussianStd } = this.contract;
+    return depth + Math.hypot(relativeStd * depth, gaussianStd) * this.random.normal();
+  }
+}
+
+/** Directions (forward, left, up) through pixel centres, forward component 1, row by row. */
+export function pixelRays({ width, height, fx, fy, cx, cy }) {
+  const rays = [];
+  for (let row = 0; row < height; row += 1) {
+    for (let column = 0; column < width; column += 1) {
+      rays.push([1, (cx - 0.5 - column) / fx, (cy - 0.5 - row) / fy]);
+    }
+  }
+  return rays;
+}
+
+/** Rotation of a camera that looks down by `pitch` rad. */
+function tilt(pitch) {
+  const [sine, cosine] = [Math.sin(pitch), Math.cos(pitch)];
+  return [
+    [cosine, 0, sine],
+    [0, 1, 0],
+    [-sine, 0, cosine],
+  ];
+}
+
+function dot(a, b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+function multiply(a, b) {
+  return a.map((row) => [0, 1, 2].map((j) => row[0] * b[0][j] + row[1] * b[1][j] + row[2] * b[2][j]));
+}

@@ -1,0 +1,195 @@
+// The onboard controller: robot state and depth frames in, joint commands out, at 50 Hz.
+
+import { FrameBuffer } from "./frames.js";
+import { heading, observe, projectedGravity } from "./observation.js";
+import { Policy } from "./policy.js";
+import { Selector } from "./selector.js";
+
+export const DAMPING = "damping";
+export const RISING = "rising";
+export const WALKING = "walking";
+
+/** Who drives: the auto selector's choice (RENet), or always the same estimator. */
+export const ESTIMATORS = { vp: "VP alone", renet: "RENet", op: "OP alone" };
+
+/** Drives one robot with a bundle. */
+export class Controller {
+  /**
+   * @param {object} manifest of the bundle.
+   * @param {object} contract shared with the runtime.
+   * @param {object} sessions ONNX Runtime sessions of the three models.
+   * @param {"monitors" | "paper"} kind of selector.
+   */
+  constructor(manifest, contract, sessions, kind = "monitors") {
+    this.robot = manifest.robot;
+    this.contract = contract;
+    this.cfg = contract.safety;
+    this.policy = new Policy(manifest, contract, sessions);
+    this.selector = new Selector(kind, manifest.selector, contract.selector);
+    this.frames = new FrameBuffer();
+    this.black = new Float32Array(this.policy.pixels);
+    this.estimator = "renet";
+    this.mode = DAMPING;
+    this.reason = "start";
+    this.armed = false;
+    this.target = this.start = Array.from(this.robot.default_position);
+    this.forget();
+  }
+
+  /** Start walking as training starts an episode. */
+  forget() {
+    this.policy.reset();
+    this.selector.reset();
+    this.action = new Float32Array(this.robot.joints.length);
+    this.vision = true;
+    this.driving = "";
+    this.image = this.black;
+  }
+
+  /**
+   * One control step.
+   * @param {object} state time, jointPosition, jointVelocity, quaternion, angularVelocity.
+   * @param {object | null} frame newest of the camera: image, time, invalid.
+   * @param {object} request speed, turn (sum of all turns asked for, rad), arm.
+   * @param {number} now seconds on the robot's clock.
+   * @returns {Promise<object>} command: position, stiffness, damping, [12] each.
+   */
+  async tick(state, frame, request, now) {
+    this.frames.offer(frame);
+    const before = this.mode;
+    this.changeMode(this.problem(state, now), request, now);
+    if (this.mode === DAMPING) {
+      this.target = Array.from(state.jointPosition);
+      return this.damped();
+    }
+    if (this.mode === RISING) {
+      if (before !== RISING) this.start = this.target = Array.from(state.jointPosition);
+      return this.limited(this.risingTarget((now - this.since) / this.cfg.rise_seconds), state);
+    }
+    if (before !== WALKING) {
+      this.forget();
+      this.yaw = heading(state.quaternion);
+      this.turn = request.turn;
+    }
+    return this.walk(state, request, now);
+  }
+
+  async walk(state, request, now) {
+    this.steer(request.turn, heading(state.quaternion));
+    const speed = Math.min(Math.max(request.speed, 0), this.contract.maxSpeed);
+    const terms = this.contract.proprioception;
+    this.observation = observe(state, this.robot, terms, speed, this.yaw, this.action);
+    this.policy.remember(this.observation);
+    let fresh = false;
+    if (this.policy.due) {
+      const taken = this.frames.take();
+      fresh = taken.fresh;
+      await this.policy.tick(taken.image);
+      if (taken.image) this.image = taken.image;
+    }
+    const chosen = { vp: true, renet: this.vision, op: false }[this.estimator];
+    const vision = chosen && this.frames.image !== null;
+    this.driving = vision ? "vp" : "op";
+    this.action = await this.policy.act(this.observation, vision);
+    const command = this.limited(this.policy.jointTarget(this.action), state);
+    this.vision = this.selector.update(this.seen(fresh, now), now);
+    return command;
+  }
+
+  seen(fresh, now) {
+    const { image, policy, frames } = this;
+    const { anomalyScore, velocityOp, velocityVp } = policy;
+    const { invalid } = frames;
+    const age = frames.age(now);
+    return { anomalyScore, image, fresh, age, invalid, velocityOp, velocityVp };
+  }
+
+  /** Turn the wished heading on; a robot that cannot follow is not asked for ever more. */
+  steer(turn, here) {
+    const { maxLead } = this.contract;
+    const lead = wrap(this.yaw + turn - this.turn - here);
+    this.yaw = here + Math.min(Math.max(lead, -maxLead), maxLead);
+    this.turn = turn;
+  }
+
+  changeMode(problem, request, now) {
+    const arm = request.arm && !this.armed;
+    this.armed = Boolean(request.arm);
+    if (problem) {
+      if (this.mode !== DAMPING) this.enter(DAMPING, problem, now);
+    } else if (this.mode === DAMPING && arm) {
+      this.enter(RISING, "armed", now);
+    } else if (this.risen(now)) {
+      this.enter(WALKING, "risen", now);
+    }
+  }
+
+  enter(mode, reason, now) {
+    Object.assign(this, { mode, reason, since: now });
+  }
+
+  risen(now) {
+    return this.mode === RISING && now - this.since >= this.cfg.rise_seconds;
+  }
+
+  /** Why a state forbids motion; empty if it does not. */
+  problem(state, now) {
+    const { cfg, robot } = this;
+    if (projectedGravity(state.quaternion)[2] > -Math.cos(cfg.max_tilt)) {
+      return `tilted by more than ${((cfg.max_tilt * 180) / Math.PI).toFixed(0)} degrees`;
+    }
+    for (const [i, q] of state.jointPosition.entries()) {
+      if (q < robot.lower[i] - cfg.joint_margin || q > robot.upper[i] + cfg.joint_margin) {
+        return `${robot.joints[i]} is out of its range`;
+      }
+      if (Math.abs(state.jointVelocity[i]) > cfg.max_joint_speed) {
+        return `${robot.joints[i]} is too fast`;
+      }
+      if (this.risen(now) && Math.abs(q - robot.default_position[i]) > cfg.max_rise_error) {
+        return `${robot.joints[i]} did not rise`;
+      }
+    }
+    const turning = Math.max(...state.angularVelocity.map(Math.abs));
+    return turning > cfg.max_turn_rate ? "the base turns too fast" : "";
+  }
+
+  damped() {
+    const { default_position: position } = this.robot;
+    return {
+      position,
+      stiffness: position.map(() => 0),
+      damping: position.map(() => this.cfg.damping),
+    };
+  }
+
+  risingTarget(share) {
+    const x = Math.min(Math.max(share, 0), 1);
+    const smooth = x * x * (3 - 2 * x);
+    return this.start.map((q, i) => q + smooth * (this.robot.default_position[i] - q));
+  }
+
+  /** Servo command for joint positions [12] rad, within all limits of the safety layer. */
+  limited(wished, state) {
+    const { robot, cfg, contract } = this;
+    const reach = cfg.target_rate * contract.controlDt;
+    const stiffness = [];
+    const damping = [];
+    this.target = Array.from(wished, (value, i) => {
+      const near = Math.min(Math.max(value, this.target[i] - reach), this.target[i] + reach);
+      const position = Math.min(Math.max(near, robot.lower[i]), robot.upper[i]);
+      const torque =
+        robot.stiffness[i] * (position - state.jointPosition[i]) -
+        robot.damping[i] * state.jointVelocity[i];
+      const scale = Math.min(1, robot.torque_limit[i] / Math.max(Math.abs(torque), 1e-9));
+      stiffness.push(scale * robot.stiffness[i]);
+      damping.push(scale * robot.damping[i]);
+      return position;
+    });
+    return { position: this.target, stiffness, damping };
+  }
+}
+
+/** An angle between -pi and pi, rad. */
+export function wrap(angle) {
+  return angle - 2 * Math.PI * Math.round(angle / (2 * Math.PI));
+}

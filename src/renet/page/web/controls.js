@@ -1,0 +1,147 @@
+// What the visitor asks for: keys, buttons, sliders, touch and gamepad.
+
+const TURN_RATE = 0.8;
+/** rad/s while a key, a button or a stick is held. */
+const DEAD_ZONE = 0.15;
+
+/** Speed and heading that are asked for; everything else is told to `handlers`. */
+export class Controls {
+  /** @param {object} handlers push, reset, breakCamera(index or null), severity, terrain, mode. */
+  constructor(handlers) {
+    this.handlers = handlers;
+    this.held = new Set();
+    this.stick = 0;
+    this.turn = 0;
+    this.pressed = [];
+    this.speedSlider = document.querySelector("#speed");
+    this.severitySlider = document.querySelector("#severity");
+    this.bindKeys();
+    this.bindButtons();
+    this.bindPad(document.querySelector("#pad"));
+    this.showSpeed();
+  }
+
+  get speed() {
+    return Number(this.speedSlider.value);
+  }
+
+  get severity() {
+    return Number(this.severitySlider.value);
+  }
+
+  /** Called once a control step of `dt` seconds; returns speed and the sum of all turns. */
+  request(dt) {
+    const side = Number(this.held.has("left")) - Number(this.held.has("right"));
+    const way = Math.min(Math.max(side + this.stick, -1), 1);
+    this.turn += way * TURN_RATE * dt;
+    return { speed: this.speed, turn: this.turn };
+  }
+
+  /** Read the first gamepad; called once a picture. */
+  poll() {
+    const pad = navigator.getGamepads().find(Boolean);
+    if (!pad) return;
+    const axis = (n) => (Math.abs(pad.axes[n] ?? 0) > DEAD_ZONE ? pad.axes[n] : 0);
+    this.stick = -(axis(2) || axis(0));
+    if (axis(1)) this.setSpeed(this.speed - 0.02 * axis(1));
+    const now = pad.buttons.map((button) => button.pressed);
+    const [push, spoil] = [0, 1].map((n) => now[n] && !this.pressed[n]);
+    this.pressed = now;
+    if (push) this.handlers.push();
+    if (spoil) this.handlers.toggle();
+  }
+
+  setSpeed(value) {
+    this.speedSlider.value = Math.min(Math.max(value, 0), 1);
+    this.showSpeed();
+  }
+
+  setSeverity(value) {
+    this.severitySlider.value = value;
+    this.handlers.severity();
+  }
+
+  showSpeed() {
+    document.querySelector("#speed-value").textContent = `${this.speed.toFixed(1)} m/s`;
+  }
+
+  bindKeys() {
+    const { handlers } = this;
+    const once = {
+      w: () => this.setSpeed(this.speed + 0.1),
+      s: () => this.setSpeed(this.speed - 0.1),
+      p: handlers.push,
+      r: handlers.reset,
+      h: () => handlers.breakCamera(null),
+      t: handlers.nextTerrain,
+      m: handlers.nextMode,
+      "+": () => this.setSeverity(this.severity + 1),
+      "-": () => this.setSeverity(this.severity - 1),
+    };
+    const names = { arrowup: "w", arrowdown: "s", arrowleft: "a", arrowright: "d", "=": "+" };
+    const sides = { a: "left", d: "right" };
+    addEventListener("keydown", (event) => {
+      const inField = event.target.matches("input, select");
+      const given = event.key.toLowerCase();
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      if (inField && given.startsWith("arrow")) return;
+      const key = names[given] ?? given;
+      if (sides[key]) this.held.add(sides[key]);
+      else if (once[key] && (!event.repeat || "ws+-".includes(key))) once[key]();
+      else if (/^[1-9]$/.test(key) && !event.repeat) handlers.breakCamera(Number(key) - 1);
+      else return;
+      event.preventDefault();
+    });
+    addEventListener("keyup", (event) => {
+      const key = event.key.toLowerCase();
+      this.held.delete(sides[names[key] ?? key]);
+    });
+    addEventListener("blur", () => this.held.clear());
+  }
+
+  bindButtons() {
+    for (const side of ["left", "right"]) {
+      const button = document.querySelector(`#${side}`);
+      const release = () => this.held.delete(side);
+      button.addEventListener("pointerdown", () => this.held.add(side));
+      for (const end of ["pointerup", "pointerleave", "pointercancel", "blur"]) {
+        button.addEventListener(end, release);
+      }
+      button.addEventListener("keydown", (event) => {
+        if (event.key === "Enter" || event.key === " ") this.held.add(side);
+      });
+      button.addEventListener("keyup", release);
+    }
+    document.querySelector("#push").addEventListener("click", this.handlers.push);
+    document.querySelector("#reset").addEventListener("click", this.handlers.reset);
+    this.speedSlider.addEventListener("input", () => this.showSpeed());
+    this.severitySlider.addEventListener("input", this.handlers.severity);
+  }
+
+  /** A thumb stick: up and down for speed, sideways to turn. */
+  bindPad(pad) {
+    const knob = pad.querySelector("span");
+    const move = (event) => {
+      const box = pad.getBoundingClientRect();
+      const across = ((event.clientX - box.left) / box.width) * 2 - 1;
+      const down = ((event.clientY - box.top) / box.height) * 2 - 1;
+      const [x, y] = [across, down].map((part) => Math.min(Math.max(part, -1), 1));
+      this.stick = Math.abs(x) > DEAD_ZONE ? -x : 0;
+      if (Math.abs(y) > DEAD_ZONE) this.setSpeed((1 - y) / 2);
+      knob.style.transform = `translate(${x * 40}px, ${y * 40}px)`;
+    };
+    pad.addEventListener("pointerdown", (event) => {
+      pad.setPointerCapture(event.pointerId);
+      move(event);
+    });
+    pad.addEventListener("pointermove", (event) => {
+      if (pad.hasPointerCapture(event.pointerId)) move(event);
+    });
+    for (const end of ["pointerup", "pointercancel"]) {
+      pad.addEventListener(end, () => {
+        this.stick = 0;
+        knob.style.transform = "";
+      });
+    }
+  }
+}

@@ -1,0 +1,116 @@
+// The deployed policy for one robot: three ONNX models and the memory between their ticks.
+
+import { Tensor } from "onnxruntime-web";
+
+const ESTIMATES = {
+  latentOp: "next_latent_op",
+  latentVp: "next_latent_vp",
+  velocityOp: "velocity_op",
+  velocityVp: "velocity_vp",
+  feetHeight: "feet_height",
+  heightMap: "height_map",
+};
+
+/**
+ * Runs a bundle at 50 Hz; every fifth step is a 10 Hz tick of vision and both estimators.
+ *
+ * After a reset latents are zero, the history is filled with the first o_t and both frames with
+ * the first image, as at the start of a training episode.
+ */
+export class Policy {
+  /**
+   * @param {object} manifest of the bundle.
+   * @param {object} contract sizes shared with the runtime.
+   * @param {object} sessions ONNX Runtime sessions `actor`, `estimator` and `vision`.
+   */
+  constructor(manifest, contract, sessions) {
+    const [rows, columns] = contract.depthShape;
+    this.robot = manifest.robot;
+    this.sessions = sessions;
+    this.stepsPerTick = contract.stepsPerTick;
+    this.size = contract.proprioception.reduce((sum, term) => sum + term.size, 0);
+    this.history = new Float32Array(manifest.history * this.size);
+    this.pixels = rows * columns;
+    this.frames = new Float32Array(manifest.frames * this.pixels);
+    this.shapes = {
+      history: [1, manifest.history, this.size],
+      frames: [1, manifest.frames, rows, columns],
+      latent: [1, contract.latent],
+    };
+    this.heightMap = null;
+    this.reconstruction = null;
+    this.velocityOp = this.velocityVp = new Float32Array(3);
+    this.reset();
+  }
+
+  reset() {
+    this.latentOp = new Float32Array(this.shapes.latent[1]);
+    this.latentVp = new Float32Array(this.shapes.latent[1]);
+    this.anomalyScore = 0;
+    this.blank = this.fresh = true;
+    this.steps = 0;
+  }
+
+  /** Whether the next step is a tick. */
+  get due() {
+    return this.steps % this.stepsPerTick === 0;
+  }
+
+  /** Push o_t onto the history. */
+  remember(proprioception) {
+    this.history.copyWithin(0, this.size);
+    const first = this.blank ? 0 : this.history.length - this.size;
+    for (let at = first; at < this.history.length; at += this.size) {
+      this.history.set(proprioception, at);
+    }
+    this.blank = false;
+  }
+
+  /** One tick with the newest image [48 * 64] in [0, 1], or null without a camera. */
+  async tick(image) {
+    if (image) {
+      this.frames.copyWithin(this.pixels, 0, this.pixels);
+      this.frames.set(image, 0);
+      if (this.fresh) this.frames.set(image, this.pixels);
+      this.fresh = false;
+    }
+    const depth = new Tensor("float32", this.frames, this.shapes.frames);
+    this.anomalyScore = Infinity;
+    if (image) {
+      const seen = await this.sessions.vision.run({ depth });
+      this.anomalyScore = seen.anomaly_score.data[0];
+      this.reconstruction = seen.reconstruction.data;
+    }
+    const found = await this.sessions.estimator.run({
+      proprioception_history: new Tensor("float32", this.history, this.shapes.history),
+      depth,
+      latent_op: new Tensor("float32", this.latentOp, this.shapes.latent),
+      latent_vp: new Tensor("float32", this.latentVp, this.shapes.latent),
+    });
+    for (const [mine, name] of Object.entries(ESTIMATES)) this[mine] = found[name].data;
+  }
+
+  /**
+   * The action under the paper's mask; ends the control step.
+   * @param {Float32Array} proprioception [45]
+   * @param {boolean} vision whether VP's latent drives the actor.
+   * @returns {Promise<Float32Array>} [12] policy units, clipped as in training.
+   */
+  async act(proprioception, vision) {
+    const { action } = await this.sessions.actor.run({
+      proprioception: new Tensor("float32", proprioception, [1, this.size]),
+      latent_op: new Tensor("float32", this.latentOp, this.shapes.latent),
+      latent_vp: new Tensor("float32", this.latentVp, this.shapes.latent),
+      op_mask: new Tensor("float32", [vision ? 0 : 1], [1, 1]),
+    });
+    this.steps += 1;
+    const clip = this.robot.action_clip;
+    return action.data.map((value) => Math.min(Math.max(value, -clip), clip));
+  }
+
+  /** Joint positions [12] in rad that an action asks for. */
+  jointTarget(action) {
+    const { default_position: zero, action_scale: scale } = this.robot;
+    return zero.map((position, joint) => position + scale * action[joint]);
+  }
+}

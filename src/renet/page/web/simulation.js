@@ -1,0 +1,151 @@
+// One simulated robot in MuJoCo's WebAssembly build, with its camera and its controller.
+
+import { DepthCamera } from "./camera.js";
+import { Controller, WALKING } from "./controller.js";
+
+/** The scene and the robot in it: state in, joint commands out. */
+export class World {
+  /**
+   * @param {object} mujoco the loaded WebAssembly module.
+   * @param {object} scene xml and start (height of the ground at x = y = 0).
+   * @param {object} robot `robot` of the bundle's manifest.
+   * @param {object} contract shared with the runtime.
+   */
+  constructor(mujoco, scene, robot, contract) {
+    this.mujoco = mujoco;
+    this.model = mujoco.MjModel.from_xml_string(scene.xml);
+    this.data = new mujoco.MjData(this.model);
+    this.steps = Math.round(contract.controlDt / contract.physicsDt);
+    const { model, data } = this;
+    const { mjOBJ_BODY, mjOBJ_JOINT, mjOBJ_ACTUATOR } = mujoco.mjtObj;
+    const find = (kind, name) => mujoco.mj_name2id(model, kind.value, name);
+    this.base = find(mjOBJ_BODY, contract.base.body);
+    const joints = robot.joints.map((name) => find(mjOBJ_JOINT, name));
+    this.servos = robot.joints.map((name) => find(mjOBJ_ACTUATOR, name));
+    this.position = joints.map((joint) => model.jnt_qposadr[joint]);
+    this.velocity = joints.map((joint) => model.jnt_dofadr[joint]);
+    const free = model.body_jntadr[this.base];
+    [this.free, this.spin] = [model.jnt_qposadr[free], model.jnt_dofadr[free] + 3];
+    data.qpos.set([0, 0, scene.start + contract.base.height, 1, 0, 0, 0], this.free);
+    this.position.forEach((at, i) => (data.qpos[at] = robot.default_position[i]));
+    const limp = robot.joints.map(() => 0);
+    this.write({ position: robot.default_position, stiffness: limp, damping: limp });
+    mujoco.mj_forward(model, data);
+  }
+
+  get now() {
+    return this.data.time;
+  }
+
+  /** Sensors, as a robot's driver reports them. */
+  read() {
+    const { qpos, qvel, time } = this.data;
+    return {
+      time,
+      jointPosition: this.position.map((at) => qpos[at]),
+      jointVelocity: this.velocity.map((at) => qvel[at]),
+      quaternion: Array.from(qpos.slice(this.free + 3, this.free + 7)),
+      angularVelocity: Array.from(qvel.slice(this.spin, this.spin + 3)),
+    };
+  }
+
+  /** Hand a command to the joint servos, which hold it until the next. */
+  write({ position, stiffness, damping }) {
+    const { ctrl } = this.data;
+    const { actuator_gainprm: gain, actuator_biasprm: bias, nu } = this.model;
+    const [gains, biases] = [gain.length / nu, bias.length / nu];
+    this.servos.forEach((servo, i) => {
+      ctrl[servo] = position[i];
+      gain[servo * gains] = stiffness[i];
+      bias[servo * biases + 1] = -stiffness[i];
+      bias[servo * biases + 2] = -damping[i];
+    });
+  }
+
+  /** One control period. */
+  advance() {
+    for (let n = 0; n < this.steps; n += 1) this.mujoco.mj_step(this.model, this.data);
+    this.mujoco.mj_forward(this.model, this.data);
+  }
+
+  /** Add to the base's velocity, m/s in the world frame. */
+  push(velocity) {
+    const at = this.spin - 3;
+    velocity.forEach((value, i) => (this.data.qvel[at + i] += value));
+  }
+
+  /** The base's position [3] m and rotation, three rows. */
+  pose() {
+    const at = 9 * this.base;
+    const matrix = Array.from(this.data.xmat.slice(at, at + 9));
+    return {
+      position: Array.from(this.data.xpos.slice(3 * this.base, 3 * this.base + 3)),
+      rotation: [matrix.slice(0, 3), matrix.slice(3, 6), matrix.slice(6, 9)],
+    };
+  }
+
+  /** Distances and geoms hit by rays from one point; `groups` are the geom groups that are seen. */
+  castRays(eye, directions, groups) {
+    const { mujoco, model, data } = this;
+    const rays = directions.length / 3;
+    if (this.rays !== rays) {
+      this.rays = rays;
+      this.hits = new mujoco.IntBuffer(rays);
+      this.distances = new mujoco.DoubleBuffer(rays);
+    }
+    const { hits, distances } = this;
+    const [fixed, nobody, noNormals, anyDistance] = [true, -1, null, 1e10];
+    mujoco.mj_multiRay(
+      model, data, eye, directions, groups, fixed, nobody,
+      hits, distances, noNormals, rays, anyDistance,
+    );
+    return { hit: hits.GetView(), distance: distances.GetView() };
+  }
+
+  /** Give the memory back. */
+  delete() {
+    for (const owned of [this.hits, this.distances, this.data, this.model]) owned?.delete();
+  }
+}
+
+/** A robot that is stood up and then walks as it is asked to. */
+export class Simulation {
+  /** Like World's and Controller's; `seed` is of the camera's noise and faults. */
+  constructor({ mujoco, sessions, manifest, contract }, scene, seed) {
+    this.world = new World(mujoco, scene, manifest.robot, contract);
+    this.camera = new DepthCamera(this.world, manifest.camera, contract.camera, seed);
+    this.controller = new Controller(manifest, contract, sessions);
+    this.speed = 0;
+    this.smoothing = contract.controlDt / 0.5;
+  }
+
+  get now() {
+    return this.world.now;
+  }
+
+  get walking() {
+    return this.controller.mode === WALKING;
+  }
+
+  get upright() {
+    return this.world.pose().rotation[2][2] > 0.5;
+  }
+
+  /** One control step, 0.02 s. */
+  async step({ speed, turn }) {
+    const { world, now } = this;
+    const before = world.pose().position;
+    const state = world.read();
+    const frame = this.camera.latest(now, state.angularVelocity);
+    const request = { speed, turn, arm: now === 0 };
+    world.write(await this.controller.tick(state, frame, request, now));
+    world.advance();
+    const { position } = world.pose();
+    const moved = Math.hypot(position[0] - before[0], position[1] - before[1]);
+    this.speed += this.smoothing * (moved / (world.now - now) - this.speed);
+  }
+
+  delete() {
+    this.world.delete();
+  }
+}

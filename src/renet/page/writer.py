@@ -1,0 +1,150 @@
+"""`renet page`: the page "Break its camera" for any bundle, as one folder of static files."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import webbrowser
+from dataclasses import dataclass
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import tyro
+
+from renet.deploy.bundle import MANIFEST, MODELS, Bundle
+from renet.errors import RenetError
+from renet.page.contract import contract
+
+WEB = Path(__file__).with_name("web")
+"""The page's own files, and the lock of the npm packages it runs on."""
+MARK = "contract.json"
+"""A folder with this file is a page, and may be written anew."""
+VENDOR = (
+    "@mujoco/mujoco/mujoco.js",
+    "@mujoco/mujoco/mujoco.wasm",
+    "onnxruntime-web/dist/ort.wasm.min.mjs",
+    "onnxruntime-web/dist/ort-wasm-simd-threaded.mjs",
+    "onnxruntime-web/dist/ort-wasm-simd-threaded.wasm",
+    "three/build/three.core.js",
+    "three/build/three.module.js",
+)
+"""Files of the npm packages that a visitor's browser loads."""
+OWN = ("*.js", "*.html", "*.css", "go1.json")
+"""The page's own files in `WEB`."""
+LOOPBACK = "127.0.0.1"
+
+
+@dataclass(frozen=True)
+class PageCfg:
+    """Write the page "Break its camera": a bundle walks, and loses its sight, in the browser."""
+
+    bundle: tyro.conf.Positional[Path | None] = None
+    """Bundle folder; the one that ships with renet by default."""
+    out: Path = Path("renet-page")
+    """Folder to write; must be empty, absent, or an earlier page."""
+    runtime: Path = WEB / "node_modules"
+    """Folder of the npm packages of the page's package.json."""
+    open: bool = False
+    """Serve the folder on this machine alone and open it in the browser, until Ctrl-C."""
+    port: int = 0
+    """Port to serve on; 0: any that is free."""
+
+
+def run_page(cfg: PageCfg) -> Path:
+    """Write the page, and serve it if asked to; returns its folder.
+
+    Raises:
+        RenetError: a bad bundle, a folder that holds something else, missing npm packages, or a
+            port that is taken.
+    """
+    folder = write_page(cfg)
+    if cfg.open:
+        serve(folder, cfg.port)
+    return folder
+
+
+def write_page(cfg: PageCfg) -> Path:
+    """Write the folder beside its final place and rename it: nobody sees half of one.
+
+    Args:
+        cfg: what to write where.
+
+    Returns:
+        The folder.
+
+    Raises:
+        RenetError: a bad bundle, a folder that holds something else, or missing npm packages.
+    """
+    out = cfg.out.resolve()
+    if out.exists() and not (out / MARK).is_file() and (out.is_file() or any(out.iterdir())):
+        raise RenetError(f"{cfg.out} exists and is not a page: choose another folder")
+    vendor = [cfg.runtime / name for name in VENDOR]
+    missing = next((path for path in vendor if not path.is_file()), None)
+    if missing is not None:
+        raise RenetError(
+            f"{missing} is missing: run `npm ci --prefix {WEB}`, or give the folder of the npm "
+            "packages with --runtime"
+        )
+    bundle = Bundle.load(cfg.bundle)
+    partial_folder = out.with_name(f".{out.name}.partial")
+    try:
+        shutil.rmtree(partial_folder, ignore_errors=True)
+        _fill(partial_folder, bundle, vendor)
+        shutil.rmtree(out, ignore_errors=True)
+        partial_folder.rename(out)
+    except OSError as error:
+        raise RenetError(f"cannot write the page {cfg.out}: {error}") from error
+    return cfg.out
+
+
+def _fill(folder: Path, bundle: Bundle, vendor: list[Path]) -> None:
+    for sub in ("vendor", "bundle"):
+        (folder / sub).mkdir(parents=True)
+    for path in vendor:
+        shutil.copyfile(path, folder / "vendor" / path.name)
+    for name in (MANIFEST, *(f"{model}.onnx" for model in MODELS)):
+        shutil.copyfile(bundle.path / name, folder / "bundle" / name)
+    for pattern in OWN:
+        for path in sorted(WEB.glob(pattern)):
+            shutil.copyfile(path, folder / path.name)
+    (folder / MARK).write_text(json.dumps({**contract(), "bundle": bundle.name}))
+
+
+def serve(folder: Path, port: int) -> None:
+    """Serve a page on loopback and open it, until interrupted; raises as `make_server`."""
+    with make_server(folder, port) as server:
+        address = f"http://{LOOPBACK}:{server.server_port}/"
+        print(f"{address} (Ctrl-C ends it)", flush=True)
+        webbrowser.open(address)
+        server.serve_forever()
+
+
+def make_server(folder: Path, port: int) -> ThreadingHTTPServer:
+    """A server of a page on loopback.
+
+    Args:
+        folder: the page.
+        port: 0 is any that is free.
+
+    Raises:
+        RenetError: the port is taken.
+    """
+    try:
+        return ThreadingHTTPServer((LOOPBACK, port), partial(QuietHandler, directory=str(folder)))
+    except (OSError, OverflowError) as error:
+        raise RenetError(f"cannot serve on port {port}: {error}") from error
+
+
+class QuietHandler(SimpleHTTPRequestHandler):
+    """Serves files with the types that browsers ask of modules and WebAssembly."""
+
+    extensions_map = {  # noqa: RUF012
+        **SimpleHTTPRequestHandler.extensions_map,
+        ".js": "text/javascript",
+        ".mjs": "text/javascript",
+        ".wasm": "application/wasm",
+    }
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Print nothing."""

@@ -1,0 +1,1 @@
+"""The depth camera: rays, images and their errors."""

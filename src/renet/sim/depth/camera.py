@@ -1,0 +1,214 @@
+"""Depth camera on a robot, as an mjlab sensor: planar metres from one static terrain mesh."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import mujoco
+import torch
+from mjlab.sensor.sensor import SensorCfg
+from torch import Tensor
+
+from renet.camera import Intrinsics
+from renet.errors import RenetError
+from renet.interface import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK
+from renet.sim.depth.noise import DepthNoiseCfg, add_noise
+from renet.sim.depth.raycast import scanner
+from renet.sim.sensors import RaySensor, object_id
+
+
+@dataclass
+class MountCfg:
+    """Where the camera sits on its body, and how much that varies from episode to episode."""
+
+    position: tuple[float, float, float] = (0.27, 0.0, 0.03)
+    """Metres in the body frame (published Go1 parkour policies: on the head)."""
+    pitch: float = math.radians(30.0)
+    """Downward tilt, rad."""
+    position_error: float = 0.01
+    """Uniform, plus or minus, m (paper)."""
+    angle_error: float = math.radians(5.0)
+    """Uniform pitch and yaw error, plus or minus, rad (paper)."""
+
+
+def mount_rotation(pitch: Tensor, yaw: Tensor) -> Tensor:
+    """Camera axes in the base frame, [N, 3, 3]: yaw about z, then pitch about y (down positive)."""
+    cp, sp, cy, sy = pitch.cos(), pitch.sin(), yaw.cos(), yaw.sin()
+    entries = (cy * cp, -sy, cy * sp, sy * cp, cy, sy * sp, -sp)
+    return torch.stack((*entries, torch.zeros_like(pitch), cp), dim=-1).unflatten(-1, (3, 3))
+
+
+@dataclass
+class DepthCameraCfg(SensorCfg):
+    """A 10 Hz depth camera; usable in any mjlab task."""
+
+    body: str = "robot/trunk"
+    """MuJoCo body that carries the camera."""
+    intrinsics: Intrinsics = field(default_factory=Intrinsics)
+    mount: MountCfg = field(default_factory=MountCfg)
+    noise: DepthNoiseCfg = field(default_factory=DepthNoiseCfg)
+    range: float = DEPTH_RANGE
+    """Depth is capped here, m (paper)."""
+    period: float = CONTROL_DT * STEPS_PER_TICK
+    """Seconds between images."""
+    delay: tuple[float, float] = (0.0, 0.0)
+    """Age of an image when it is delivered, s, in whole control steps, uniform per episode. It
+    shows the view from where the camera was then, but never from before the episode began."""
+
+    def build(self) -> DepthCamera:
+        """Instantiate the sensor; raises RenetError for a delay that is no range."""
+        if not 0.0 <= self.delay[0] <= self.delay[1] < math.inf:
+            raise RenetError(f"camera delay must be (least, most) in s, from 0, got {self.delay}")
+        return DepthCamera(self)
+
+
+@dataclass
+class DepthImage:
+    """What the camera delivers."""
+
+    depth: Tensor
+    """[N, H, W] metres to the image plane, top row first, capped at the range."""
+    valid: Tensor
+    """[N, H, W] bool, false where no surface was hit within range."""
+
+
+@dataclass
+class CameraPerturbation:
+    """How cameras see a scene that is not so: for faults that act on rays, not on images."""
+
+    lift: Tensor
+    """[N] m by which every surface appears higher than it is."""
+    turn: Tensor
+    """[N, 3, 3] rotation of the camera in its mount, camera axes."""
+    unseen: list[tuple[frozenset[int], Tensor]]
+    """Geoms that rays pass through, and the environments [n] whose rays do."""
+
+
+class DepthCamera(RaySensor[DepthImage]):
+    """Renders when an image is due and somebody looks, and holds it until the next is due.
+
+    All environments share one clock. Resetting all of them between two steps restarts it; a reset
+    inside a step, of some or by chance of all, does not, for consumers count their ticks on. The
+    image of those environments is then the old one until the next tick: consumers read at ticks.
+    """
+
+    def __init__(self, cfg: DepthCameraCfg) -> None:
+        super().__init__()
+        self.cfg = cfg
+        self.perturbation: CameraPerturbation | None = None
+        """What is wrong with the view, from the next image on."""
+
+    def initialize(self, mj_model, model, data, device) -> None:
+        """Draw the mounts; raises RenetError for an unknown body or a scene without terrain."""
+        self._body = object_id(mj_model, mujoco.mjtObj.mjOBJ_BODY, self.cfg.body)
+        super().initialize(mj_model, model, data, device)
+        self._model = mj_model
+        self._nominal = torch.tensor(self.cfg.mount.position, device=device)
+        count = data.qpos.shape[0]
+        self._position = torch.empty(count, 3, device=device)
+        self._rotation = torch.empty(count, 3, 3, device=device)
+        self._delay = torch.zeros(count, dtype=torch.long, device=device)
+        """Control steps by which images are late."""
+        self._age = torch.zeros_like(self._delay)
+        """Control steps since the episode began."""
+        self._most = round(self.cfg.delay[1] / CONTROL_DT)
+        self._poses: list[tuple[Tensor, Tensor]] = []
+        """The body's positions and rotations at the last control steps, newest first."""
+        self._elapsed, self._since_pose, self._due = 0.0, 0.0, True
+        self._remount(torch.arange(count, device=device))
+
+    def _remount(self, env_ids: Tensor) -> None:
+        """Draw mount errors and delays of new episodes."""
+        mount, count = self.cfg.mount, len(env_ids)
+        error = torch.empty(count, 5, device=self._device).uniform_(-1.0, 1.0)
+        self._position[env_ids] = self._nominal + mount.position_error * error[:, :3]
+        pitch, yaw = (mount.angle_error * error[:, 3:]).unbind(-1)
+        self._rotation[env_ids] = mount_rotation(mount.pitch + pitch, yaw)
+        least = round(self.cfg.delay[0] / CONTROL_DT)
+        drawn = torch.randint(least, self._most + 1, (count,), device=self._device)
+        self._delay[env_ids] = drawn
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> None:
+        """Begin episodes with new mounts and delays."""
+        between_steps = self._cache_valid
+        super().reset(env_ids)
+        ids = torch.arange(len(self._delay), device=self._device)
+        ids = ids if env_ids is None else ids[env_ids]
+        self._remount(ids)
+        self._age[ids] = 0
+        if between_steps and len(ids) == len(self._delay):
+            self._elapsed, self._since_pose, self._due = 0.0, 0.0, True
+
+    def update(self, dt: float) -> None:
+        """Let `dt` seconds pass."""
+        super().update(dt)
+        if self._most:
+            self._remember_pose(dt)
+        self._elapsed += dt
+        if self._elapsed >= self.cfg.period - 1e-6:
+            self._elapsed -= self.cfg.period
+            self._due = True
+
+    def _remember_pose(self, dt: float) -> None:
+        """Keep the body's pose once in a control step."""
+        self._since_pose += dt
+        if self._since_pose < CONTROL_DT - 1e-6:
+            return
+        self._since_pose -= CONTROL_DT
+        self._age += 1
+        position, rotation = self._pose()
+        self._poses = [(position.clone(), rotation.clone()), *self._poses[: self._most]]
+
+    def _pose(self) -> tuple[Tensor, Tensor]:
+        """The body's position [N, 3] and rotation [N, 3, 3] of now."""
+        return self._data.xpos[:, self._body], self._data.xmat[:, self._body]
+
+    def _delayed_pose(self) -> tuple[Tensor, Tensor]:
+        """The same of when the images that are due were taken."""
+        if not self._most:
+            return self._pose()
+        steps = torch.minimum(self._delay, (self._age - 1).clamp(min=0))
+        robots = torch.arange(len(steps), device=self._device)
+        poses = (self._pose(), *self._poses[1:])
+        position, rotation = (
+            torch.stack(field)[steps, robots] for field in zip(*poses, strict=True)
+        )
+        return position, rotation
+
+    def _compute_data(self) -> DepthImage:
+        if self._due:
+            self._due = False
+            self._image = self._render()
+            self._normalised = (self._image.depth / self.cfg.range).half()
+        return self._image
+
+    def _render(self) -> DepthImage:
+        """Cast all rays from the poses of when the images were taken."""
+        position, base = self._delayed_pose()
+        eye = position + (base @ self._position.unsqueeze(-1)).squeeze(-1)
+        raw = self._cast(eye, base @ self._rotation)
+        raw = raw.unflatten(-1, (self.cfg.intrinsics.height, self.cfg.intrinsics.width))
+        # A ray from a pose that is not finite hits nothing sensible; NaN fails this comparison.
+        valid = raw >= 0.0
+        depth = torch.where(valid, raw, self.cfg.range)
+        return DepthImage(add_noise(depth, self.cfg.noise).clamp_(0.0, self.cfg.range), valid)
+
+    def _cast(self, eye: Tensor, rotation: Tensor) -> Tensor:
+        """Depth [N, H * W] from `eye` [N, 3] and axes [N, 3, 3] as they truly are; -1: nothing."""
+        wrong, lens, limit = self.perturbation, self.cfg.intrinsics, self.cfg.range
+        if wrong is None:
+            return self._scanner.depth(eye, rotation, lens, limit)
+        # A scene that appears higher is one seen from lower.
+        eye = eye - wrong.lift.unsqueeze(-1) * torch.eye(3, device=self._device)[2]
+        rotation = rotation @ wrong.turn
+        raw = self._scanner.depth(eye, rotation, lens, limit)
+        for geoms, robots in wrong.unseen:
+            bare = scanner(self._model, self._device, geoms)
+            raw[robots] = bare.depth(eye[robots], rotation[robots], lens, limit)
+        return raw
+
+    def normalised(self) -> Tensor:
+        """The delivered depth divided by the range, [N, H, W] float16 in [0, 1]."""
+        _ = self.data
+        return self._normalised

@@ -1,0 +1,1 @@
+"""mjlab's simulation on C MuJoCo: many environments, stepped on threads of a CPU."""

@@ -1,0 +1,135 @@
+"""What the native engine copies between Warp's arrays and MuJoCo's, before and after its steps.
+
+Names are the same on both sides (mujoco_warp mirrors mjData and mjModel), so the tables are lists
+of names; sizes and types are derived and checked.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from renet.errors import RenetError
+from renet.sim.native.stages import moving_bodies
+
+POSE = ("qpos", "qvel", "mocap_pos", "mocap_quat")
+"""What poses and velocities follow from."""
+STATE = (*POSE, "act", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied")
+"""Inputs of a step beside the time. All must be finite for an environment to be stepped."""
+
+INTEGRATED = ("qpos", "qvel", "act", "qacc_warmstart", "qacc", "act_dot")
+SENSED = ("sensordata", "actuator_length", "actuator_velocity", "actuator_force", "ten_length")
+FORCES = ("qfrc_actuator", "qfrc_bias", "qfrc_passive", "qfrc_constraint", "qfrc_smooth", "energy")
+PER_BODY = ("xpos", "xquat", "xmat", "xipos", "ximat", "subtree_com", "cvel", "subtree_linvel")
+PER_BODY += ("subtree_angmom", "cacc", "cfrc_int", "cfrc_ext")
+PER_GEOM = ("geom_xpos", "geom_xmat")
+PER_SITE = ("site_xpos", "site_xmat")
+PER_JOINT = ("xanchor", "xaxis")
+PER_CAMERA = ("cam_xpos", "cam_xmat")
+
+VIEWER_FIELDS = ("geom_rgba", "light_", "mat_")
+"""Beginnings of model fields that only viewers read, and from Warp."""
+
+
+class FieldCopy(NamedTuple):
+    """A field, or part of one, of every environment in Warp and of one model or data in MuJoCo."""
+
+    warp: np.ndarray
+    """[N, ...] a view of Warp's memory."""
+    mujoco: np.ndarray
+    """A view of MuJoCo's memory with as many elements."""
+
+    @property
+    def is_float(self) -> bool:
+        """Single precision in Warp and double in MuJoCo; otherwise both have the same bytes."""
+        return self.mujoco.dtype == np.float64
+
+    def load(self, env: int) -> None:
+        """From an environment to MuJoCo."""
+        self.mujoco.flat = self.warp[env]
+
+    def store(self, env: int) -> None:
+        """From MuJoCo to an environment."""
+        self.warp[env].flat = self.mujoco.ravel()
+
+
+def load_data(
+    wp_data: Any, mj_data: mujoco.MjData, num_envs: int, names: tuple[str, ...] = STATE
+) -> list[FieldCopy]:
+    """State and inputs into an MjData."""
+    return [copy for name in names for copy in _whole(wp_data, name, mj_data, num_envs)]
+
+
+def load_model(wp_model: Any, mj_model: mujoco.MjModel, names: list[str]) -> list[FieldCopy]:
+    """Per-environment model fields into an MjModel.
+
+    Raises:
+        RenetError: a field has another size or type in MuJoCo.
+    """
+    copies = []
+    for name in names:
+        source, target = getattr(wp_model, name), getattr(mj_model, name)
+        if not hasattr(source, "ptr") or target.size == 0 or name.startswith(VIEWER_FIELDS):
+            continue
+        copy = FieldCopy(source.numpy(), target)
+        if copy.warp[0].size != target.size:
+            raise RenetError(
+                f"model field {name} has {copy.warp[0].size} numbers per environment in Warp and "
+                f"{target.size} in MuJoCo: the native engine cannot randomise it"
+            )
+        if not copy.is_float and target.itemsize != copy.warp.itemsize:
+            raise RenetError(f"model field {name} has type {target.dtype}: it cannot be randomised")
+        copies.append(copy)
+    return copies
+
+
+def store_data(
+    wp_data: Any, mj_data: mujoco.MjData, mj_model: mujoco.MjModel, num_envs: int
+) -> list[FieldCopy]:
+    """Results out of an MjData; rows of static bodies are left out."""
+    moving = moving_bodies(mj_model)
+    copies = [
+        copy
+        for name in (*INTEGRATED, *SENSED, *FORCES)
+        for copy in _whole(wp_data, name, mj_data, num_envs)
+    ]
+    for names, owner in (
+        (PER_BODY, np.arange(mj_model.nbody)),
+        (PER_GEOM, mj_model.geom_bodyid),
+        (PER_SITE, mj_model.site_bodyid),
+        (PER_JOINT, mj_model.jnt_bodyid),
+        (PER_CAMERA, mj_model.cam_bodyid),
+    ):
+        for start, stop in _runs(moving[owner]):
+            copies += [
+                FieldCopy(
+                    getattr(wp_data, name).numpy()[:, start:stop],
+                    getattr(mj_data, name)[start:stop],
+                )
+                for name in names
+            ]
+    return copies
+
+
+def time_copy(wp_data: Any, time: np.ndarray) -> FieldCopy:
+    """The time, which MuJoCo keeps at `time` [1]."""
+    return FieldCopy(wp_data.time.numpy(), time)
+
+
+def _whole(wp_data: Any, name: str, mj_data: mujoco.MjData, num_envs: int) -> list[FieldCopy]:
+    """All of one field, or nothing where the model has none of it."""
+    source, target = getattr(wp_data, name), getattr(mj_data, name)
+    if target.size == 0 or source.size == 0:
+        return []
+    rows = source.numpy().reshape(source.shape[0], -1)
+    if len(rows) != num_envs or rows.shape[1] < target.size:
+        raise RenetError(f"data field {name} does not match between Warp and MuJoCo")
+    return [FieldCopy(rows[:, : target.size], target)]
+
+
+def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """Half-open ranges of consecutive true entries."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(int), [0]))))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

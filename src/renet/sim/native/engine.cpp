@@ -1,0 +1,189 @@
+// Steps many environments with C MuJoCo: for each one, copies single-precision Warp arrays into a
+// double-precision mjData, calls MuJoCo's functions, and copies the results back.
+#include "work.h"
+
+typedef long long int64;
+typedef void (*mj_function)(const void* model, void* data);
+
+// One field of an environment, in a Warp array and in MuJoCo's memory.
+struct Copy {
+    char* warp;    // Of environment 0.
+    int64 stride;  // Bytes from one environment to the next.
+    char* mujoco;
+    int64 count;
+    bool convert;  // float in Warp and double in MuJoCo; else plain bytes, `count` of them.
+};
+
+// A function of MuJoCo's, and how many bodies and geoms of the model it is shown.
+struct Stage {
+    void* function;
+    int64 bodies;
+    int64 geoms;
+};
+
+struct Stages {
+    const Stage* stages;
+    int count;
+};
+
+// One thread's model and data.
+struct Worker {
+    void* model;
+    void* data;
+    int64* nbody;  // In the model; written while stages are shown a part of it.
+    int64* ngeom;
+    int64 bodies;  // What they really are.
+    int64 geoms;
+    Stages step;
+    Stages last_step;
+    Stages derive;   // What the last step leaves to be computed from the state it leads to.
+    Stages forward;
+    const Copy* loads;
+    int num_loads;
+    int num_finite;  // Leading loads that must be finite.
+    const Copy* stores;
+    int num_stores;
+};
+
+// Static bodies that are kept out of collision detection while no root of a robot is near.
+struct Culling {
+    int bodies;        // 0: nothing is culled.
+    int roots;         // Of an environment.
+    int model_bodies;
+    const int* body;       // [bodies] their ids.
+    const float* bounds;   // [bodies, 4] low x, low y, high x, high y, m.
+    const int* column;     // [roots] where in qpos a root's position begins.
+    const float* reach;    // [roots] m.
+    float half_travel;     // m that a root may move before bodies are looked at again.
+    float* last;           // [N, roots, 2] where roots were when that was last done.
+    int* contype;          // [N, model_bodies] masks of collision.
+    int* conaffinity;
+    const int* whole_contype;      // [model_bodies] the model's own.
+    const int* whole_conaffinity;
+};
+
+struct Advance {
+    Work work;
+    int environments;
+    int steps;          // 0: only forward.
+    bool derive;        // After the last step.
+    bool only_written;  // Leave environments alone whose pose is as it was left.
+    Culling culling;
+    const Worker* workers;  // One for each thread.
+    const Copy* pose;       // qpos first.
+    int num_pose;
+    char* known;            // [N, known_stride] poses that all else was derived from.
+    int64 known_stride;
+};
+
+static char* in_warp(const Copy& copy, int env) { return copy.warp + copy.stride * env; }
+
+static bool is_written(const Advance& call, int env) {
+    const char* before = call.known + call.known_stride * env;
+    for (int c = 0; c < call.num_pose; ++c) {
+        const char* now = in_warp(call.pose[c], env);
+        const int64 bytes = sizeof(float) * call.pose[c].count;
+        for (int64 i = 0; i < bytes; ++i)
+            if (now[i] != before[i]) return true;
+        before += bytes;
+    }
+    return false;
+}
+
+static void remember(const Advance& call, int env) {
+    char* known = call.known + call.known_stride * env;
+    for (int c = 0; c < call.num_pose; ++c) {
+        const char* now = in_warp(call.pose[c], env);
+        const int64 bytes = sizeof(float) * call.pose[c].count;
+        for (int64 i = 0; i < bytes; ++i) *known++ = now[i];
+    }
+}
+
+// Whether a root has moved; a position that is not finite has.
+static bool has_moved(const Culling& culling, const float* qpos, const float* last) {
+    for (int r = 0; r < 2 * culling.roots; ++r) {
+        const float by = qpos[culling.column[r / 2] + r % 2] - last[r];
+        if (!(by <= culling.half_travel && by >= -culling.half_travel)) return true;
+    }
+    return false;
+}
+
+// Whether a body is within reach of a root; a position that is not finite is near them all.
+static bool is_near(const Culling& culling, const float* roots, const float* bounds) {
+    for (int r = 0; r < culling.roots; ++r) {
+        const float x = roots[2 * r], y = roots[2 * r + 1], reach = culling.reach[r];
+        if (!(x < bounds[0] - reach || x > bounds[2] + reach || y < bounds[1] - reach
+              || y > bounds[3] + reach)) return true;
+    }
+    return false;
+}
+
+static void cull(const Advance& call, int env) {
+    const Culling& culling = call.culling;
+    if (!culling.bodies) return;
+    const float* qpos = (const float*)in_warp(call.pose[0], env);
+    float* const last = culling.last + 2 * (int64)culling.roots * env;
+    if (!has_moved(culling, qpos, last)) return;
+    for (int r = 0; r < 2 * culling.roots; ++r) last[r] = qpos[culling.column[r / 2] + r % 2];
+    for (int b = 0; b < culling.bodies; ++b) {
+        const bool near = is_near(culling, last, culling.bounds + 4 * b);
+        const int body = culling.body[b];
+        const int64 at = (int64)culling.model_bodies * env + body;
+        culling.contype[at] = near ? culling.whole_contype[body] : 0;
+        culling.conaffinity[at] = near ? culling.whole_conaffinity[body] : 0;
+    }
+}
+
+// False if the state is not finite: MuJoCo must not see it.
+static bool load(const Worker& worker, int env) {
+    for (int c = 0; c < worker.num_loads; ++c) {
+        const Copy& copy = worker.loads[c];
+        if (!copy.convert) {
+            __builtin_memcpy(copy.mujoco, in_warp(copy, env), copy.count);
+            continue;
+        }
+        const float* from = (const float*)in_warp(copy, env);
+        double* to = (double*)copy.mujoco;
+        bool finite = true;
+        for (int64 i = 0; i < copy.count; ++i) {
+            to[i] = (double)from[i];
+            finite = finite && (from[i] - from[i] == 0.0f);
+        }
+        if (!finite && c < worker.num_finite) return false;
+    }
+    return true;
+}
+
+static void store(const Worker& worker, int env) {
+    for (int c = 0; c < worker.num_stores; ++c) {
+        const Copy& copy = worker.stores[c];
+        float* to = (float*)in_warp(copy, env);
+        const double* from = (const double*)copy.mujoco;
+        for (int64 i = 0; i < copy.count; ++i) to[i] = (float)from[i];
+    }
+}
+
+static void run(const Worker& worker, const Stages& stages) {
+    for (int s = 0; s < stages.count; ++s) {
+        *worker.nbody = stages.stages[s].bodies;
+        *worker.ngeom = stages.stages[s].geoms;
+        ((mj_function)stages.stages[s].function)(worker.model, worker.data);
+    }
+    *worker.nbody = worker.bodies;
+    *worker.ngeom = worker.geoms;
+}
+
+// An environment whose state is not finite is left alone: its NaN stays for the task to see.
+static void advance(Advance& call) {
+    const Worker& worker = call.workers[join(call.work)];
+    for (int env; (env = take(call.work, 1)) < call.environments;) {
+        if (call.only_written && !is_written(call, env)) continue;
+        cull(call, env);
+        if (!load(worker, env)) continue;
+        for (int i = 1; i < call.steps; ++i) run(worker, worker.step);
+        run(worker, call.steps ? worker.last_step : worker.forward);
+        if (call.steps && call.derive) run(worker, worker.derive);
+        store(worker, env);
+        if (call.derive || !call.steps) remember(call, env);
+    }
+}

@@ -1,0 +1,333 @@
+"""Native CPU engine: C MuJoCo on threads behind mjlab's Simulation interface.
+
+Managers and sensors keep reading and writing the same Warp arrays through `sim.data` and
+`sim.model`. On a CPU those arrays are plain memory; `step` and `forward` copy each environment's
+state and randomised model fields into a thread's `MjModel`/`MjData`, let C MuJoCo do the work, and
+copy back what can have changed. Poses of static geoms never change and are not copied, nor are sums
+over the whole world.
+
+MuJoCo's step ends with poses and velocities of the state before it. A control step (`step_n`)
+derives them from the state it leads to, while that is at hand, and `forward_written` all else of
+the few environments that were written to since.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import mjlab.envs.manager_based_rl_env as mjlab_env
+import mujoco
+import numpy as np
+import torch
+import warp as wp
+from mjlab.scene import Scene
+from mjlab.sim.sim import Simulation
+
+from renet.errors import RenetError
+from renet.sim.native import mujoco_memory, stages
+from renet.sim.native.collision_culling import CollisionCulling
+from renet.sim.native.compiler import Call, Source, Struct
+from renet.sim.native.copy_tables import (
+    POSE,
+    FieldCopy,
+    load_data,
+    load_model,
+    store_data,
+    time_copy,
+)
+from renet.sim.native.stages import DERIVE, StepStages
+from renet.sim.threads import THREADS
+
+ENGINES = ("auto", "native", "warp")
+SOURCE = Source(Path(__file__).with_name("engine.cpp"))
+
+RESET_TO_ZERO = ("qvel", "act", "qacc", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied")
+RESET_TO_ZERO += ("time", "sensordata")
+
+INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_armature"}
+"""Model fields that MuJoCo does not look at in a body on its own: its inertia is compiled."""
+
+
+@wp.func_native(SOURCE.snippet("advance", "Advance"))
+def _advance(call: wp.uint64): ...
+
+
+@wp.kernel
+def advance(call: wp.uint64):
+    """Step environments; `call` is the address of a struct Advance of engine.cpp."""
+    _advance(call)
+
+
+def forget_coinciding_frames(model: mujoco.MjModel, randomised: set[str]) -> None:
+    """Clear the compiler's marks of frames that coincide, whose fields kinematics does not read.
+
+    Only where randomisation may part the frames: most of a terrain's geoms keep theirs.
+
+    Args:
+        model: changed in place.
+        randomised: names of its fields that differ between environments.
+    """
+    marks = mujoco.mjtSameFrame
+    inertial = bool({"body_ipos", "body_iquat"} & randomised)
+    if inertial:
+        model.body_sameframe[:] = marks.mjSAMEFRAME_NONE
+    for kind in ("geom", "site"):
+        same = getattr(model, f"{kind}_sameframe")
+        if {f"{kind}_pos", f"{kind}_quat"} & randomised:
+            same[:] = marks.mjSAMEFRAME_NONE
+        elif inertial:
+            of_inertia = (marks.mjSAMEFRAME_INERTIA, marks.mjSAMEFRAME_INERTIAROT)
+            same[np.isin(same, of_inertia)] = marks.mjSAMEFRAME_NONE
+
+
+class Worker:
+    """One thread's model and data, and what is copied into and out of them."""
+
+    def __init__(self, simulation: NativeSimulation) -> None:
+        """Copy a simulation's model.
+
+        Raises:
+            RenetError: the native engine cannot randomise what the simulation does.
+        """
+        self.model = model = simulation.mj_model.__copy__()
+        if simulation.expanded_fields & INERTIAL and model.dof_simplenum.any():
+            raise RenetError(
+                "the native engine cannot randomise inertia in a scene with a lone free or sliding "
+                "body: use the warp engine"
+            )
+        # A diverged environment must keep its NaN for the task to see, not restart by itself.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        # Same results; a legged robot's contacts each touch few joints, and the solver gains 16 %.
+        model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
+        if model.ntree == 1:  # Which makes one island, without looking for it.
+            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+        # Marks for a viewer, cleared each step: 0.4 MB with the meshes that only a viewer draws.
+        model.vis.global_.bvactive = 0
+        forget_coinciding_frames(model, simulation.expanded_fields)
+        self.data = mujoco.MjData(model)
+        mujoco.mj_forward(model, self.data)
+        wp_data, num_envs = simulation.wp_data, simulation.num_envs
+        self.pose = load_data(wp_data, self.data, num_envs, POSE)
+        self.state = load_data(wp_data, self.data, num_envs)
+        self.fields = load_model(simulation.wp_model, model, sorted(simulation.expanded_fields))
+        self.stores = store_data(wp_data, self.data, model, num_envs)
+
+    def pose_of(self, env: int) -> np.ndarray:
+        """An environment's POSE in Warp, one field after another."""
+        return np.concatenate([np.zeros(0), *(copy.warp[env].ravel() for copy in self.pose)])
+
+    def struct(self, wp_data: Any, culling: CollisionCulling) -> Struct:
+        """The struct Worker of engine.cpp."""
+        model, staged = self.model, StepStages(self.model)
+        self.time = [time_copy(wp_data, mujoco_memory.time(self.data))]
+        loads = [*self.state, *self.time, *culling.load_masks(model), *self.fields]
+        stores = [*self.stores, *self.time]
+        return SOURCE.struct("Worker")(
+            model=model._address,
+            data=self.data._address,
+            nbody=mujoco_memory.model_size(model, "nbody"),
+            ngeom=mujoco_memory.model_size(model, "ngeom"),
+            bodies=model.nbody,
+            geoms=model.ngeom,
+            **{
+                name: _stages(getattr(staged, name))
+                for name in ("step", "last_step", "derive", "forward")
+            },
+            loads=_copies(loads),
+            num_loads=len(loads),
+            num_finite=len(self.state) + len(self.time),
+            stores=_copies(stores),
+            num_stores=len(stores),
+        )
+
+
+def _stages(listed: list[stages.Stage]) -> Struct:
+    kind, library = SOURCE.struct("Stage"), mujoco_memory.library()
+    table = [kind(function=getattr(library, s[0]), bodies=s[1], geoms=s[2]) for s in listed]
+    return SOURCE.struct("Stages")(stages=(kind * len(table))(*table), count=len(table))
+
+
+def _copies(listed: list[FieldCopy]) -> Any:
+    """An array of the struct Copy of engine.cpp."""
+    kind = SOURCE.struct("Copy")
+    table = [
+        kind(
+            warp=copy.warp,
+            stride=copy.warp.strides[0],
+            mujoco=copy.mujoco,
+            count=copy.mujoco.size if copy.is_float else copy.mujoco.nbytes,
+            convert=copy.is_float,
+        )
+        for copy in listed
+    ]
+    return (kind * len(table))(*table)
+
+
+class NativeSimulation(Simulation):
+    """mjlab's Simulation stepped by C MuJoCo; CPU only.
+
+    Contact and constraint arrays of the Warp data are not filled: read contacts through MuJoCo
+    contact sensors, as mjlab's ContactSensor does.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self._workers: list[Worker] = []
+        self._call: Any = None
+        self._alone: Any = None
+        super().__init__(*args, **kwargs)
+        if not self.wp_device.is_cpu:
+            raise RenetError(f"the native engine runs on the CPU, not on {self.device}")
+        self.culling = CollisionCulling(self.mj_model, self.mj_data, self.num_envs)
+        self._zeroed = [getattr(self.wp_data, name).numpy() for name in RESET_TO_ZERO]
+        if stages.are_mujocos():
+            mujoco_memory.ignore_warnings()
+
+    def expand_model_fields(self, fields: tuple[str, ...]) -> None:
+        """Give each environment its own values of model fields, as Simulation does."""
+        super().expand_model_fields(fields)
+        self._workers = []
+
+    def step(self) -> None:
+        """One physics step of every environment."""
+        with self.nan_guard.watch(self.data):
+            self._advance(1, derive=False)
+
+    def step_n(self, steps: int) -> None:
+        """Several physics steps under the same controls, and the poses they lead to.
+
+        Contacts, forces and accelerations are those at the last step's start.
+        """
+        with self.nan_guard.watch(self.data):
+            self._advance(steps, derive=True)
+
+    def forward(self) -> None:
+        """Recompute everything derived from the current state of every environment."""
+        self._advance(0)
+
+    def forward_written(self) -> None:
+        """The same, but only of environments whose state is not as `step_n` or this left it."""
+        self._advance(0, only_written=True)
+
+    def reset(self, env_ids: torch.Tensor | None = None) -> None:
+        """Put environments at the model's reference state, at rest and unforced."""
+        ids = slice(None) if env_ids is None else env_ids
+        rows = slice(None) if env_ids is None else env_ids.numpy()
+        for field in self._zeroed:
+            field[rows] = 0.0
+        self.data.qpos[ids] = self._model_rows("qpos0", ids)
+        if self.mj_model.nmocap:
+            bodies = np.flatnonzero(self.mj_model.body_mocapid >= 0)
+            order = bodies[np.argsort(self.mj_model.body_mocapid[bodies])]
+            self.data.mocap_pos[ids] = self._model_rows("body_pos", ids)[..., order, :]
+            self.data.mocap_quat[ids] = self._model_rows("body_quat", ids)[..., order, :]
+
+    def _model_rows(self, name: str, ids: slice | torch.Tensor) -> torch.Tensor:
+        """A model field of the environments in `ids`, or the one they share."""
+        field = getattr(self.model, name)
+        return field[ids] if field.shape[0] == self.num_envs else field[0]
+
+    def _advance(self, steps: int, derive: bool = False, only_written: bool = False) -> None:
+        """Take `steps` physics steps, or compute all that follows from the state if 0."""
+        if not self._workers:
+            self._prepare()
+        if not stages.are_mujocos():
+            self._advance_plainly(steps, derive, only_written)
+            return
+        # What was written is little: another thread would begin too late.
+        call = self._alone if only_written else self._call
+        call.argument.set(steps=steps, derive=derive, only_written=only_written)
+        call()
+
+    def _prepare(self) -> None:
+        """Set up the threads, and forget which poses are known."""
+        native = stages.are_mujocos()
+        workers = [Worker(self) for _ in range(THREADS if native else 1)]
+        pose = workers[0].pose
+        size = sum(copy.mujoco.size for copy in pose)
+        self._known = np.full((self.num_envs, size), np.nan, np.float32)
+        if native:
+            structs = [worker.struct(self.wp_data, self.culling) for worker in workers]
+            argument = SOURCE.struct("Advance")(
+                work=SOURCE.struct("Work")(threads=0, taken=0),
+                environments=self.num_envs,
+                steps=0,
+                derive=False,
+                only_written=False,
+                culling=SOURCE.struct("Culling")(**self.culling.fields),
+                workers=(SOURCE.struct("Worker") * len(structs))(*structs),
+                pose=_copies(pose),
+                num_pose=len(pose),
+                known=self._known,
+                known_stride=self._known.strides[0],
+            )
+            self._structs = structs  # The array above has copies, which keep nothing alive.
+            self._call, self._alone = (Call(advance, argument, alone) for alone in (False, True))
+        self._workers = workers
+
+    def _advance_plainly(self, steps: int, derive: bool, only_written: bool) -> None:
+        """The same by MuJoCo's Python functions, one environment after another."""
+        worker, time = self._workers[0], self.wp_data.time.numpy()
+        for env in range(self.num_envs):
+            if only_written and np.array_equal(worker.pose_of(env), self._known[env]):
+                continue
+            if not all(np.isfinite(copy.warp[env]).all() for copy in worker.state):
+                continue
+            for copy in (*worker.state, *worker.fields):
+                copy.load(env)
+            worker.data.time = time[env]
+            _compute(worker.model, worker.data, steps, derive)
+            for copy in worker.stores:
+                copy.store(env)
+            time[env] = worker.data.time
+            if derive or not steps:
+                self._known[env] = worker.pose_of(env)
+
+
+def _compute(model: mujoco.MjModel, data: mujoco.MjData, steps: int, derive: bool) -> None:
+    """Step one environment, or compute all that follows from its state if `steps` is 0."""
+    if not steps:
+        mujoco.mj_forward(model, data)
+        return
+    mujoco.mj_step(model, data, steps)
+    if derive:
+        for stage in DERIVE:
+            getattr(mujoco, stage)(model, data)
+
+
+class MovingFirst(Scene):
+    """mjlab's Scene with the terrain after all that moves, where StepStages can leave it out."""
+
+    def _add_terrain(self) -> None:
+        """Not yet."""
+
+    def _add_entities(self) -> None:
+        super()._add_entities()
+        super()._add_terrain()
+
+
+@contextmanager
+def use_engine(name: str, device: str) -> Iterator[None]:
+    """Build mjlab environments with the named engine while inside.
+
+    Args:
+        name: `native` (C MuJoCo), `warp` (MuJoCo Warp), or `auto`: native on a CPU, else warp.
+
+    Raises:
+        RenetError: unknown engine, or the native one off the CPU.
+    """
+    if name not in ENGINES:
+        raise RenetError(f"unknown engine {name!r}: choose one of {', '.join(ENGINES)}")
+    on_cpu = torch.device(device).type == "cpu"
+    if name == "native" and not on_cpu:
+        raise RenetError(f"the native engine runs on the CPU, not on {device}: use --engine warp")
+    chosen = Simulation if name == "warp" or not on_cpu else NativeSimulation
+    # mjlab's environment names these classes in the module, not in a configuration.
+    originals = mjlab_env.Simulation, mjlab_env.Scene
+    mjlab_env.Simulation, mjlab_env.Scene = chosen, MovingFirst
+    try:
+        yield
+    finally:
+        mjlab_env.Simulation, mjlab_env.Scene = originals

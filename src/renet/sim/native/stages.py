@@ -1,0 +1,151 @@
+"""The stages of a physics step, and how much of the model each of them looks at.
+
+MuJoCo's stages go through all bodies and geoms. A terrain's are most of these and never move, so
+where they come last, every stage but collision detection is shown a model that ends before them.
+Results are the same, but for sums over the whole world.
+"""
+
+from __future__ import annotations
+
+import logging
+from ctypes import c_void_p
+from functools import cache
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from renet.sim.native import mujoco_memory
+
+POSITION = ("mj_kinematics", "mj_comPos", "mj_camlight", "mj_tendon")
+CONTACTS = ("mj_makeM", "mj_factorM", "mj_collision")
+CONTACTS += ("mj_makeConstraint", "mj_island", "mj_projectConstraint")
+SENSED = ("mj_transmission", "mj_sensorPos", "mj_fwdVelocity", "mj_sensorVel")
+UNSENSED = ("mj_transmission", "mj_fwdVelocity")
+UNSENSED += ("mj_fwdActuation", "mj_fwdAcceleration", "mj_fwdConstraint")
+DERIVE = (*POSITION, *SENSED)
+"""`mj_forward` without contacts and accelerations."""
+INTEGRATORS = {
+    mujoco.mjtIntegrator.mjINT_EULER: "mj_Euler",
+    mujoco.mjtIntegrator.mjINT_IMPLICIT: "mj_implicit",
+    mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "mj_implicit",
+}
+SUMS = ("SUBTREECOM", "SUBTREELINVEL", "SUBTREEANGMOM", "E_POTENTIAL", "E_KINETIC")
+"""Sensors that can be of the whole world."""
+UNBOUND = ("RANGEFINDER", "TACTILE", "PLUGIN", "USER")
+"""Sensors that may look at any geom."""
+SELF_CHECK = """
+<mujoco><option integrator="implicitfast"/><worldbody><geom type="plane" size="1 1 1"/>
+<body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1"/>
+  <body pos=".1 0 0"><joint name="hinge" axis="0 1 0"/><geom size=".05" pos=".1 0 0"/></body></body>
+<body><geom type="box" size=".1 .2 .05" pos=".2 0 0"/></body></worldbody>
+<actuator><position joint="hinge" kp="2"/></actuator><sensor><jointvel joint="hinge"/></sensor>
+</mujoco>
+"""
+
+
+class Stage(NamedTuple):
+    """A function of MuJoCo's, and how many bodies and geoms of the model it is shown."""
+
+    function: str
+    bodies: int
+    geoms: int
+
+
+class StepStages:
+    """What one physics step, or part of it, calls for a model."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        """Split a model's step."""
+        whole, moving = (model.nbody, model.ngeom), moving_part(model)
+        # MuJoCo sweeps along principal axes of all geoms' positions but the world's. With one geom
+        # these are the world's axes, along which tiles lie: fewer bounding boxes overlap.
+        of_world = int((model.geom_bodyid == 0).sum())
+        colliding = (model.nbody, min(of_world + 1, model.ngeom))
+
+        def staged(*functions: str) -> list[Stage]:
+            return [
+                Stage(name, *(colliding if name == "mj_collision" else moving))
+                for name in functions
+            ]
+
+        self.forward = [Stage("mj_forward", *whole)]
+        self.derive = staged(*DERIVE)
+        self.step = self.last_step = [Stage("mj_step", *whole)]
+        if moving != whole:
+            integrator = INTEGRATORS[model.opt.integrator]
+            self.step = staged(*POSITION, *CONTACTS, *UNSENSED, integrator)
+            # Sensors wait for the last step.
+            self.last_step = staged(*POSITION, *CONTACTS, *SENSED, "mj_step2")
+
+
+def moving_part(model: mujoco.MjModel) -> tuple[int, int]:
+    """Numbers of bodies and geoms up to the last that moves; of all where that could matter.
+
+    It could to MuJoCo's rarer features, whose stages are not among those above, and to sensors
+    that look at the terrain.
+    """
+    sums, unbound = (
+        np.isin(model.sensor_type, [getattr(mujoco.mjtSensor, f"mjSENS_{name}") for name in names])
+        for names in (SUMS, UNBOUND)
+    )
+    if (
+        model.nflex
+        or model.opt.enableflags
+        or model.opt.integrator not in INTEGRATORS
+        or (unbound | sums & (model.sensor_objid <= 0)).any()
+    ):
+        return model.nbody, model.ngeom
+    bodies = int(np.flatnonzero(moving_bodies(model)).max(initial=0)) + 1
+    return bodies, int((model.geom_bodyid < bodies).sum())
+
+
+def moving_bodies(model: mujoco.MjModel) -> np.ndarray:
+    """[nbody] bool: bodies that can move, mocap included."""
+    return (model.body_weldid != 0) | (model.body_mocapid[model.body_rootid] >= 0)
+
+
+@cache
+def are_mujocos() -> bool:
+    """Whether the installed MuJoCo can be stepped stage by stage; logs a line where it cannot.
+
+    Its version is looked at, then fields are found in its memory, then the stages of a small scene
+    are compared with `mj_step`.
+    """
+    problem = _problem()
+    if problem:
+        logging.getLogger(__name__).warning(
+            "MuJoCo %s: %s. Physics is stepped by plain mj_step, more slowly.",
+            mujoco.__version__,
+            problem,
+        )
+    return not problem
+
+
+def _problem() -> str:
+    """Why a step cannot be split into stages; empty if it can."""
+    if not mujoco.__version__.startswith(mujoco_memory.VERSION):
+        return f"the native engine knows versions {mujoco_memory.VERSION}*"
+    model = mujoco.MjModel.from_xml_string(SELF_CHECK)
+    own, staged = mujoco.MjData(model), mujoco.MjData(model)
+    try:
+        sizes = [mujoco_memory.model_size(model, name) for name in ("nbody", "ngeom")]
+        library, time = mujoco_memory.library(), mujoco_memory.time(staged)
+        stages = StepStages(model)
+        mujoco.mj_forward(model, staged)  # Poses of what never moves.
+        for stage in (*stages.step, *stages.last_step):
+            for size, shown in zip(sizes, stage[1:], strict=True):
+                size.value = shown
+            function = getattr(library, stage.function)
+            function.argtypes, function.restype = [c_void_p] * 2, None
+            function(model._address, staged._address)
+    except (LookupError, AttributeError, OSError) as error:
+        return str(error)
+    for size, whole in zip(sizes, (stages.forward[0][1:]), strict=True):
+        size.value = whole
+    mujoco.mj_step(model, own, 2)
+    same = all(
+        np.array_equal(getattr(own, name), getattr(staged, name))
+        for name in ("qpos", "qvel", "sensordata", "qfrc_constraint")
+    )
+    return "" if same and time[0] == own.time else "its stages do not make its step"

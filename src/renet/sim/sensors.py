@@ -1,0 +1,120 @@
+"""Sensors of the true terrain around a robot, for critics and as the estimators' targets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import mujoco
+import torch
+from mjlab.sensor.sensor import Sensor, SensorCfg
+from torch import Tensor
+
+from renet.errors import RenetError
+from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, LEGS
+from renet.sim.depth.raycast import scanner
+
+T = TypeVar("T")
+
+
+class RaySensor(Sensor[T]):
+    """An mjlab sensor that casts rays against the static terrain."""
+
+    _data: Any
+
+    def edit_spec(self, scene_spec, entities) -> None:
+        """Rays need nothing in the model."""
+
+    def initialize(self, mj_model, model, data, device) -> None:
+        """Find the terrain's mesh, which is built once for each model."""
+        self._data, self._device = data, device
+        self._scanner = scanner(mj_model, device)
+
+
+def object_id(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
+    """Number of a body or site.
+
+    Raises:
+        RenetError: there is none of that name; lists those there are.
+    """
+    found = mujoco.mj_name2id(model, kind, name)
+    if found >= 0:
+        return found
+    count = {mujoco.mjtObj.mjOBJ_BODY: model.nbody, mujoco.mjtObj.mjOBJ_SITE: model.nsite}[kind]
+    known = filter(None, (mujoco.mj_id2name(model, kind, i) for i in range(count)))
+    label = kind.name.removeprefix("mjOBJ_").lower()
+    raise RenetError(f"the scene has no {label} {name!r}: choose one of {', '.join(known)}")
+
+
+@dataclass
+class HeightMapCfg(SensorCfg):
+    """2.5D map m_t on a yaw-aligned grid around the base."""
+
+    body: str = "robot/trunk"
+    x: tuple[float, ...] = HEIGHT_MAP_X
+    y: tuple[float, ...] = HEIGHT_MAP_Y
+    base_height: float = 0.3
+    """Metres of the base above flat ground that read as zero (Extreme Parkour)."""
+    limit: float = 1.0
+    """Values are clipped to plus or minus this, m."""
+
+    def build(self) -> HeightMap:
+        """Instantiate the sensor."""
+        return HeightMap(self)
+
+
+@dataclass
+class FeetHeightCfg(SensorCfg):
+    """Feet height h_f: each foot's mean clearance over a 5 x 5 cm patch (RENet, Method A)."""
+
+    sites: tuple[str, ...] = tuple(f"robot/{leg}" for leg in LEGS)
+    """The feet's middles."""
+    radius: float = 0.023
+    """Of a foot, m (Go1)."""
+    patch: float = 0.05
+    """Side of the square under each foot, m (paper), scanned at 3 x 3 points."""
+    limits: tuple[float, float] = (-0.2, 1.0)
+    """Values are clipped to this range, m."""
+
+    def build(self) -> FeetHeight:
+        """Instantiate the sensor."""
+        return FeetHeight(self)
+
+
+class HeightMap(RaySensor[Tensor]):
+    """`data` is [N, len(x) * len(y)]: base over terrain less `base_height`, m; y varies fastest."""
+
+    def __init__(self, cfg: HeightMapCfg) -> None:
+        super().__init__()
+        self.cfg = cfg
+
+    def initialize(self, mj_model, model, data, device) -> None:
+        """Find the body and the terrain; raises RenetError for an unknown body."""
+        self._body = object_id(mj_model, mujoco.mjtObj.mjOBJ_BODY, self.cfg.body)
+        super().initialize(mj_model, model, data, device)
+        x, y = (torch.tensor(axis, device=device) for axis in (self.cfg.x, self.cfg.y))
+        grid = torch.cartesian_prod(x, y)
+        self._look = self._scanner.watch(data.xpos[:], data.xmat[:], [self._body], grid)
+
+    def _compute_data(self) -> Tensor:
+        over = self._look().squeeze(1) - self.cfg.base_height
+        return over.clamp_(-self.cfg.limit, self.cfg.limit)
+
+
+class FeetHeight(RaySensor[Tensor]):
+    """`data` is [N, feet]: mean height of each foot above the terrain under it, m."""
+
+    def __init__(self, cfg: FeetHeightCfg) -> None:
+        super().__init__()
+        self.cfg = cfg
+
+    def initialize(self, mj_model, model, data, device) -> None:
+        """Find the sites and the terrain; raises RenetError for an unknown site."""
+        sites = [object_id(mj_model, mujoco.mjtObj.mjOBJ_SITE, name) for name in self.cfg.sites]
+        super().initialize(mj_model, model, data, device)
+        step = torch.linspace(-self.cfg.patch / 2, self.cfg.patch / 2, 3, device=device)
+        patch = torch.cartesian_prod(step, step)
+        self._look = self._scanner.watch(data.site_xpos[:], None, sites, patch)
+
+    def _compute_data(self) -> Tensor:
+        return (self._look().mean(-1) - self.cfg.radius).clamp_(*self.cfg.limits)

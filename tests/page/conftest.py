@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from renet.page.writer import WEB, PageCfg, make_server, write_page
+
+LIMIT = 300.0
+"""Seconds after which a Node.js that does not end fails its test."""
+
+
+def run_node(script: str, *arguments: object) -> Any:
+    """What a script of this folder prints, read as JSON."""
+    command = ["node", str(Path(__file__).with_name(script)), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="session")
+def page(tmp_path_factory) -> Path:
+    """The page of the shipped bundle."""
+    if not (WEB / "node_modules" / "three").is_dir():
+        pytest.skip(f"the page's npm packages are missing: npm ci --prefix {WEB}")
+    return write_page(PageCfg(out=tmp_path_factory.mktemp("page") / "page"))
+
+
+@pytest.fixture(scope="session")
+def node_page(page: Path) -> Path:
+    """The same, where there is a Node.js to run its modules."""
+    if shutil.which("node") is None:
+        pytest.skip("no Node.js on this machine")
+    return page
+
+
+@pytest.fixture(scope="session")
+def address(page: Path) -> Iterator[str]:
+    """Where the page is served."""
+    server = make_server(page, 0)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_port}/"
+    server.shutdown()
+    server.server_close()
+    thread.join()

@@ -1,0 +1,42 @@
+// Replays a recorded sequence through the page's controller; prints what it decided as JSON.
+// Usage: node replay.mjs WEB PAGE SEQUENCE
+
+import { readFile } from "node:fs/promises";
+import { pathToFileURL } from "node:url";
+
+const [web, page, file] = process.argv.slice(2);
+const load = (name) => import(pathToFileURL(`${web}/${name}`));
+const { loadRuntime } = await load("runtime.js");
+const { Controller } = await load("controller.js");
+
+const read = async (path) => new Uint8Array(await readFile(`${page}/${path}`));
+const runtime = await loadRuntime(read);
+const { kind, ticks } = JSON.parse(await readFile(file));
+const controller = new Controller(runtime.manifest, runtime.contract, runtime.sessions, kind);
+
+function image(text) {
+  const { buffer, byteOffset, length } = Buffer.from(text, "base64");
+  return new Float32Array(buffer.slice(byteOffset, byteOffset + length));
+}
+
+const decided = [];
+let frame = null;
+for (const { state, frame: next, request, now } of ticks) {
+  if (next) frame = { ...next, image: image(next.image) };
+  const command = await controller.tick(state, frame, request, now);
+  const { mode, policy, selector, observation, action, driving } = controller;
+  decided.push({
+    mode,
+    ...command,
+    observation: Array.from(observation ?? []),
+    action: Array.from(action),
+    latent_op: Array.from(policy.latentOp),
+    latent_vp: Array.from(policy.latentVp),
+    height_map: Array.from(policy.heightMap ?? []),
+    anomaly: policy.anomalyScore,
+    probability: selector.probability,
+    vision: driving === "vp",
+    reason: selector.reason,
+  });
+}
+console.log(JSON.stringify(decided));

@@ -1,0 +1,105 @@
+"""The page's faults do to images what the catalogue's do."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from renet.faults import FAULTS, Frames, PhysicalFault
+from renet.page.writer import WEB
+from tests.page.conftest import run_node
+
+STREAMS = 12
+CERTAIN = (
+    "blackout",
+    "saturated",
+    "near_field",
+    "wrong_scale",
+    "motion_blur",
+    "frozen",
+    "unplugged",
+)
+"""Faults without randomness: the same image, up to rounding."""
+NAMES = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
+
+
+def frames() -> list[dict[str, Any]]:
+    """Ground that comes nearer, with noise: two frames before a fault, twelve during it."""
+    rng = np.random.default_rng(3)
+    rows, columns = np.mgrid[:48, :64]
+    out = []
+    for tick in range(14):
+        image = 0.9 - 0.015 * rows + 0.002 * columns - 0.01 * tick
+        image = np.clip(image + 0.02 * rng.standard_normal((48, 64)), 0.0, 1.0)
+        out.append(
+            {
+                "image": image.astype(np.float32),
+                "angularVelocity": rng.normal(0.0, 1.5, 3),
+                "elapsed": 0.1 * (tick - 2) if tick >= 2 else -1.0,
+            }
+        )
+    return out
+
+
+def summary(before: np.ndarray, after: Frames) -> list[float]:
+    image = after.image[0].astype(float)
+    rows, columns = np.mgrid[:48, :64]
+    return [
+        image.mean(),
+        image.std(),
+        (image == 0).mean(),
+        (image == 1).mean(),
+        (np.abs(image - before) > 1e-6).mean(),
+        (image * rows).mean() / 48,
+        (image * columns).mean() / 64,
+        float(after.invalid[0]),
+        float(after.fresh[0]),
+        float(after.age[0]),
+    ]
+
+
+def catalogue(name: str, level: float, seed: int, given: list[dict[str, Any]]) -> np.ndarray:
+    fault = FAULTS[name](level, [np.random.default_rng(seed)])
+    out = []
+    for frame in given:
+        image = frame["image"]
+        healthy = Frames.healthy(image[None], frame["angularVelocity"][None])
+        after = fault.corrupt(healthy, np.array([frame["elapsed"]]))
+        if frame["elapsed"] >= 0:
+            out.append(summary(image, after))
+    return np.array(out)
+
+
+@pytest.fixture(scope="module")
+def delivered(node_page: Path, tmp_path_factory) -> dict[str, Any]:
+    """Of each fault and severity [streams, frames, numbers], by the page."""
+    path = tmp_path_factory.mktemp("faults") / "input.json"
+    given = [{**f, "image": f["image"].ravel(), "elapsed": f["elapsed"]} for f in frames()]
+    listed = [{k: v.tolist() if hasattr(v, "tolist") else v for k, v in f.items()} for f in given]
+    path.write_text(json.dumps({"frames": listed, "streams": STREAMS}))
+    return run_node("faults.mjs", WEB, node_page, path)
+
+
+@pytest.mark.parametrize("severity", [1, 3, 5])
+@pytest.mark.parametrize("name", NAMES)
+def test_fault_does_what_the_catalogue_says(delivered, name: str, severity: int):
+    level, given = FAULTS[name].level_of(severity), frames()
+    its = np.stack([catalogue(name, level, seed, given) for seed in range(STREAMS)])
+    mine = np.array(delivered[name][severity - 1])
+    if name in CERTAIN:
+        np.testing.assert_allclose(mine, its, atol=1e-5)
+        return
+    # Means over frames of each stream; five standard errors of the difference between streams.
+    mine, its = mine.mean(axis=1), its.mean(axis=1)
+    error = np.hypot(mine.std(axis=0), its.std(axis=0)) / np.sqrt(STREAMS)
+    far = np.abs(mine.mean(axis=0) - its.mean(axis=0)) - (5.0 * error + 2e-3)
+    assert (far <= 0.0).all(), far
+
+
+def test_page_offers_every_fault_that_needs_no_scene(node_page: Path):
+    offered = json.loads((node_page / "contract.json").read_text())["faults"]
+    assert [fault["name"] for fault in offered] == NAMES

@@ -1,0 +1,132 @@
+"""The page's modules decide as the runtime does, on sequences that the runtime recorded."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from renet.deploy.bundle import Bundle
+from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
+from renet.deploy.cameras.sim import SimCamera
+from renet.deploy.controller import Controller
+from renet.deploy.operator import Request
+from renet.deploy.robots.base import next_step
+from renet.deploy.robots.mujoco import MujocoRobot
+from renet.deploy.robots.scene import build_scene
+from renet.page.writer import WEB
+from tests.page.conftest import run_node
+
+TOLERANCE = 1e-4
+NUMBERS = (
+    "observation",
+    "action",
+    "position",
+    "stiffness",
+    "damping",
+    "latent_op",
+    "latent_vp",
+    "height_map",
+    "anomaly",
+    "probability",
+)
+
+
+class Recorder:
+    """Walks the simulated robot, and keeps what its controller was given and what it decided."""
+
+    def __init__(self, terrain: str, faults: Sequence[str], selector: str) -> None:
+        self.selector = selector
+        bundle = Bundle.load()
+        model, ground = build_scene(terrain)
+        self.robot = MujocoRobot(model, bundle.manifest.robot, ground)
+        camera = SimCamera(self.robot, bundle.manifest.camera, seed=4)
+        self.camera = FaultyCamera(camera, [parse_fault(f) for f in faults], self.robot.now, 5)
+        self.controller = Controller(bundle, paper_selector=selector == "paper")
+        self.given: list[dict[str, Any]] = []
+        self.decided: list[dict[str, Any]] = []
+
+    def walk(self, seconds: float) -> None:
+        self.camera.start()
+        due, shown = self.robot.now(), None
+        for step in range(round(seconds / 0.02)):
+            now, state, frame = self.robot.now(), self.robot.read(), self.camera.latest()
+            request = Request(speed=0.6, turn=0.2 * np.sin(now), arm=step == 0)
+            command = self.controller.tick(state, frame, request, now)
+            new, shown = frame is not shown, frame
+            self.given.append(
+                {
+                    "state": {
+                        "time": state.time,
+                        "jointPosition": state.joint_position.tolist(),
+                        "jointVelocity": state.joint_velocity.tolist(),
+                        "quaternion": state.quaternion.tolist(),
+                        "angularVelocity": state.angular_velocity.tolist(),
+                    },
+                    "frame": _frame(frame) if new else None,
+                    "request": {"speed": 0.6, "turn": request.turn, "arm": request.arm},
+                    "now": now,
+                }
+            )
+            self.decided.append(self._decision(command))
+            self.robot.write(command)
+            due = next_step(self.robot, due)
+
+    def _decision(self, command) -> dict[str, Any]:
+        decision, policy = self.controller.decision, self.controller.policy
+        return {
+            "mode": str(decision.mode),
+            "vision": decision.vision,
+            "position": command.position,
+            "stiffness": command.stiffness,
+            "damping": command.damping,
+            "observation": policy._history[0, -1].copy(),
+            "action": decision.action,
+            "latent_op": policy.latent_op[0],
+            "latent_vp": policy.latent_vp[0],
+            "height_map": policy.height_map[0],
+            "anomaly": decision.anomaly,
+            "probability": decision.probability,
+        }
+
+
+def _frame(frame) -> dict[str, Any]:
+    image = base64.b64encode(frame.image.astype("<f4").tobytes()).decode()
+    return {"image": image, "time": frame.time, "invalid": frame.invalid}
+
+
+@pytest.mark.parametrize(
+    ("terrain", "faults", "selector"),
+    [
+        ("flat", ["gaussian:5@4s+2s"], "monitors"),
+        ("flat", ["salt_and_pepper:5@4s+2s"], "paper"),
+        ("platform", ["frozen@3.5s"], "monitors"),
+        ("flat", ["unplugged:2@4s"], "monitors"),
+    ],
+)
+def test_controller_decides_as_the_runtime(node_page: Path, tmp_path, terrain, faults, selector):
+    recorder = Recorder(terrain, faults, selector)
+    recorder.walk(9.0)
+    sequence = tmp_path / "sequence.json"
+    sequence.write_text(json.dumps({"kind": selector, "ticks": recorder.given}))
+
+    replayed = run_node("replay.mjs", WEB, node_page, sequence)
+
+    walking = [d["mode"] == "walking" for d in recorder.decided]
+    assert [d["mode"] for d in replayed] == [d["mode"] for d in recorder.decided]
+    assert sum(walking) > 300
+    assert {d["vision"] for d in recorder.decided[150:]} == {True, False}
+    for tick, (mine, its) in enumerate(zip(replayed, recorder.decided, strict=True)):
+        if its["mode"] == "walking":
+            where = f"at tick {tick}"
+            assert mine["vision"] == its["vision"], where
+            for name in NUMBERS:
+                message = f"{name} {where}"
+                np.testing.assert_allclose(mine[name], its[name], atol=TOLERANCE, err_msg=message)
+        else:
+            np.testing.assert_allclose(mine["position"], its["position"], atol=TOLERANCE)

@@ -1,0 +1,134 @@
+"""`renet page` writes one folder, for any bundle, and nothing over what is not a page."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import shutil
+import urllib.request
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from renet import cli
+from renet.deploy.bundle import pretrained, read_manifest, write_manifest
+from renet.deploy.robots.scene import build_scene
+from renet.errors import RenetError
+from renet.page.contract import MAP_HEIGHT, SCENES, contract
+from renet.page.writer import VENDOR, WEB, PageCfg, make_server, write_page
+from renet.sim.sensors import HeightMapCfg
+
+MEGABYTE = 1e6
+
+
+@pytest.fixture
+def runtime(tmp_path: Path) -> Path:
+    """A folder that holds a file for each of the npm packages'."""
+    folder = tmp_path / "packages"
+    for name in VENDOR:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(name)
+    return folder
+
+
+def test_page_has_the_bundle_the_packages_and_the_modules(tmp_path, runtime):
+    bundle = tmp_path / "mine"
+    shutil.copytree(pretrained("go1-parkour"), bundle)
+    manifest = read_manifest(bundle)
+    write_manifest(
+        bundle, replace(manifest, selector=replace(manifest.selector, calibration="mine"))
+    )
+
+    page = write_page(PageCfg(bundle, tmp_path / "page", runtime))
+
+    assert json.loads((page / "contract.json").read_text())["bundle"] == "mine"
+    assert read_manifest(page / "bundle").selector.calibration == "mine"
+    for name in VENDOR:
+        assert (page / "vendor" / Path(name).name).read_text() == name
+    for path in [*WEB.glob("*.js"), WEB / "index.html", WEB / "style.css"]:
+        assert (page / path.name).read_bytes() == path.read_bytes()
+    assert not [
+        path for path in page.iterdir() if path.suffix == ".json" and "package" in path.name
+    ]
+
+
+def test_page_may_be_written_again_but_nothing_else_is_overwritten(tmp_path, runtime):
+    cfg = PageCfg(out=tmp_path / "page", runtime=runtime)
+    write_page(cfg)
+    (cfg.out / "old.js").write_text("old")
+    write_page(cfg)
+    assert not (cfg.out / "old.js").exists()
+
+    other = tmp_path / "thesis"
+    other.mkdir()
+    (other / "chapter.tex").write_text("years of work")
+    with pytest.raises(RenetError, match="is not a page"):
+        write_page(replace(cfg, out=other))
+    with pytest.raises(RenetError, match="is not a page"):
+        write_page(replace(cfg, out=other / "chapter.tex"))
+    assert (other / "chapter.tex").read_text() == "years of work"
+
+
+@pytest.mark.parametrize("missing", VENDOR)
+def test_missing_package_is_one_line_that_says_what_to_run(capsys, tmp_path, runtime, missing):
+    (runtime / missing).unlink()
+    out = tmp_path / "page"
+    assert cli.main(["page", "--out", str(out), "--runtime", str(runtime)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert Path(missing).name in lines[0]
+    assert "npm ci --prefix" in lines[0]
+    assert not out.exists()
+
+
+def test_bad_bundle_leaves_the_earlier_page_as_it_was(tmp_path, runtime):
+    cfg = PageCfg(out=tmp_path / "page", runtime=runtime)
+    write_page(cfg)
+    before = sorted(path.name for path in cfg.out.rglob("*"))
+    with pytest.raises(RenetError, match="no bundle"):
+        write_page(replace(cfg, bundle=tmp_path / "nowhere"))
+    assert sorted(path.name for path in cfg.out.rglob("*")) == before
+    assert [path.name for path in tmp_path.iterdir() if "partial" in path.name] == []
+
+
+def test_server_listens_on_loopback_and_names_types_that_browsers_ask_for(tmp_path, runtime):
+    page = write_page(PageCfg(out=tmp_path / "page", runtime=runtime))
+    with make_server(page, 0) as server:
+        assert server.server_address[0] == "127.0.0.1"
+        with pytest.raises(RenetError, match="cannot serve on port"):
+            make_server(page, server.server_port)
+        handler = server.RequestHandlerClass
+        types = handler.func.extensions_map  # type: ignore[attr-defined]
+    assert types[".wasm"] == "application/wasm"
+    assert types[".mjs"] == types[".js"] == "text/javascript"
+
+
+@pytest.mark.parametrize("terrain", SCENES)
+def test_scenes_are_those_of_the_runtime(terrain: str):
+    scene = next(scene for scene in contract()["scenes"] if scene["name"] == terrain)
+    mine = mujoco.MjModel.from_xml_string(scene["xml"])
+    its, start = build_scene(terrain, SCENES[terrain][1])
+    assert scene["start"] == start
+    for name in ("geom_pos", "geom_size", "geom_group", "body_mass", "actuator_gainprm"):
+        assert getattr(mine, name) == pytest.approx(getattr(its, name), abs=1e-6), name
+    assert mine.opt.timestep == its.opt.timestep
+    assert mine.opt.integrator == its.opt.integrator
+
+
+def test_contract_is_json_and_agrees_with_training():
+    text = json.dumps(contract(), allow_nan=False)
+    assert "Infinity" not in text
+    assert HeightMapCfg("map").base_height == MAP_HEIGHT
+
+
+def test_download_is_small(page: Path):
+    compressed = sum(len(gzip.compress(p.read_bytes())) for p in page.rglob("*") if p.is_file())
+    assert compressed < 12 * MEGABYTE
+
+
+def test_served_module_arrives(address: str):
+    with urllib.request.urlopen(address + "main.js") as answer:
+        assert answer.headers["Content-Type"] == "text/javascript"
+        assert answer.read() == (WEB / "main.js").read_bytes()

@@ -1,0 +1,339 @@
+"""Depth and terrain scans against closed-form scenes, MuJoCo's own rays and stated statistics."""
+
+from __future__ import annotations
+
+import math
+from contextlib import redirect_stdout
+from io import StringIO
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab.envs import ManagerBasedRlEnv
+from mjlab.tasks.registry import load_env_cfg
+from mjlab.utils.lab_api.math import matrix_from_quat
+
+from renet.camera import Intrinsics
+from renet.errors import RenetError
+from renet.sim.depth.camera import DepthCamera, DepthCameraCfg, MountCfg, mount_rotation
+from renet.sim.depth.noise import DepthNoiseCfg, add_noise
+from renet.sim.depth.raycast import TerrainScanner
+from renet.sim.depth.terrain_mesh import terrain_mesh
+from renet.sim.native.engine import use_engine
+from renet.sim.sensors import FeetHeightCfg, HeightMapCfg
+
+QUIET = DepthNoiseCfg(relative_std=0.0, gaussian_std=0.0)
+EXACT = MountCfg(position=(0.0, 0.0, 0.0), pitch=0.0, position_error=0.0, angle_error=0.0)
+ROBOT = """<body name="robot" pos="{x} {y} {z}"><freejoint/>
+  <site name="foot" pos="0 0 -0.2"/><geom size="0.05" mass="1"/></body>"""
+
+
+def scene(terrain: str, assets: str = "", **pose: float) -> mujoco.MjModel:
+    at = {"x": 0.0, "y": 0.0, "z": 0.5, **pose}
+    return mujoco.MjModel.from_xml_string(
+        f"<mujoco><asset>{assets}</asset><worldbody>{terrain}{ROBOT.format(**at)}"
+        "</worldbody></mujoco>"
+    )
+
+
+class State:
+    """The arrays a sensor reads, for robots that all do the same."""
+
+    def __init__(self, model: mujoco.MjModel, robots: int = 1) -> None:
+        self.data, self.robots = mujoco.MjData(model), robots
+        mujoco.mj_forward(model, self.data)
+
+    def __getattr__(self, name: str) -> torch.Tensor:
+        array = torch.tensor(getattr(self.data, name), dtype=torch.float32)
+        if name == "xmat":  # As MuJoCo Warp shapes it.
+            array = array.unflatten(-1, (3, 3))
+        return array.expand(self.robots, *array.shape)
+
+
+def camera(
+    model: mujoco.MjModel, mount: MountCfg = EXACT, robots: int = 1, **fields
+) -> DepthCamera:
+    fields = {"noise": QUIET, **fields}
+    sensor = DepthCameraCfg(name="depth", body="robot", mount=mount, **fields).build()
+    sensor.initialize(model, None, State(model, robots), "cpu")
+    return sensor
+
+
+PLANE = '<geom type="plane" size="0 0 1"/>'
+
+
+@pytest.mark.parametrize("pitch", [0.3, 0.6, 1.2])
+def test_plane_at_a_known_pitch(pitch):
+    mount = MountCfg((0.0, 0.0, 0.0), pitch, 0.0, 0.0)
+    image = camera(scene(PLANE), mount).data
+    # A pixel (1, left, up) of the camera pitched down by `pitch`; height 0.5 m.
+    up = Intrinsics().axes()[1][:, None].repeat(64, 1)
+    drop = math.sin(pitch) - up * math.cos(pitch)
+    expected = np.where(drop > 0.5 / 2.0, 0.5 / np.maximum(drop, 1e-9), 2.0)
+    np.testing.assert_allclose(image.depth[0], expected, atol=1e-3)
+    np.testing.assert_array_equal(image.valid[0], drop > 0.5 / 2.0)
+
+
+def test_wall_is_at_one_planar_depth_and_edges_are_where_they_should_be():
+    wall = '<geom type="box" size="0.1 0.3 5" pos="1.1 0 0"/>'
+    image = camera(scene(wall)).data
+    seen = np.abs(Intrinsics().axes()[0]) < 0.3
+    expected = np.where(seen, 1.0, 2.0)[None].repeat(48, 0)
+    np.testing.assert_allclose(image.depth[0], expected, atol=1e-3)
+
+
+def test_top_row_comes_first_and_left_is_left():
+    high_left = '<geom type="box" size="0.1 0.2 0.2" pos="1.1 0.3 0.8"/>'
+    image = camera(scene(high_left)).data
+    rows, columns = np.nonzero(image.valid[0].numpy())
+    assert rows.max() < 24
+    assert columns.max() < 32
+
+
+RAMP = (
+    '<hfield name="ramp" nrow="2" ncol="5" size="2 2 1 0.1" '
+    'elevation="0 .25 .5 .75 1 0 .25 .5 .75 1"/>'
+)
+
+
+def test_height_field_ramp():
+    model = scene('<geom type="hfield" hfield="ramp"/>', RAMP, z=1.0, x=-1.0)
+    mount = MountCfg((0.0, 0.0, 0.0), 0.8, 0.0, 0.0)
+    image = camera(model, mount).data
+    # Surface z = (x + 2) / 4; ray from (-1, 0, 1) along (cos - up' ...) in the vertical plane.
+    up = Intrinsics().axes()[1][:, None]
+    forward, climb = math.cos(0.8) + up * math.sin(0.8), -math.sin(0.8) + up * math.cos(0.8)
+    expected = np.broadcast_to((1.0 - 0.25) / (0.25 * forward - climb), (48, 64))
+    inside = expected < 1.5
+    np.testing.assert_allclose(image.depth[0].numpy()[inside], expected[inside], atol=1e-3)
+
+
+def test_mesh_agrees_with_mujocos_rays_on_a_bumpy_field():
+    random = np.random.default_rng(0)
+    heights = " ".join(map(str, random.random(49)))
+    field = f'<hfield name="f" nrow="7" ncol="7" size="2 1.5 0.5 0.1" elevation="{heights}"/>'
+    box = '<geom type="box" size="0.3 0.2 0.4" pos="0.5 0.2 0.3" euler="10 20 30"/>'
+    model = scene(f'<geom type="hfield" hfield="f" pos="0.1 0 0.2"/>{box}', field, z=5.0)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    points = random.uniform(-1.3, 1.3, (200, 2))
+    got = TerrainScanner(model, "cpu").height(torch.tensor(points, dtype=torch.float32))
+    body, geom = model.body("robot").id, np.zeros(1, np.int32)
+    for (x, y), height in zip(points, got.tolist(), strict=True):
+        distance = mujoco.mj_ray(
+            model, data, np.array([x, y, 4.0]), np.array([0.0, 0.0, -1.0]), None, 1, body, geom
+        )
+        assert 4.0 - distance == pytest.approx(height, abs=1e-3)
+
+
+def test_the_mount_is_a_rotation():
+    pitch, yaw = torch.linspace(-1.0, 1.0, 9), torch.linspace(2.0, -2.0, 9)
+    rotation = mount_rotation(pitch, yaw)
+    eye = torch.eye(3).expand(9, 3, 3)
+    torch.testing.assert_close(rotation @ rotation.mT, eye, atol=1e-6, rtol=0)
+    torch.testing.assert_close(torch.linalg.det(rotation), torch.ones(9))
+    torch.testing.assert_close(rotation[:, 2, 1], torch.zeros(9))  # It never rolls.
+
+
+def test_mount_moves_and_turns_the_camera():
+    down_left = mount_rotation(torch.tensor([math.pi / 2]), torch.tensor([0.0]))[0]
+    torch.testing.assert_close(
+        down_left @ torch.tensor([1.0, 0, 0]), torch.tensor([0, 0, -1.0]), atol=1e-6, rtol=0
+    )
+    left = mount_rotation(torch.tensor([0.0]), torch.tensor([math.pi / 2]))[0]
+    torch.testing.assert_close(
+        left @ torch.tensor([1.0, 0, 0]), torch.tensor([0, 1.0, 0]), atol=1e-6, rtol=0
+    )
+
+
+def test_mount_errors_stay_in_the_papers_bounds_and_change_with_the_episode():
+    sensor = camera(scene(PLANE), MountCfg(), robots=500)
+    offset = sensor._position - torch.tensor(MountCfg().position)
+    assert 0.009 < offset.abs().max() <= 0.01
+    forward = sensor._rotation[:, :, 0]
+    pitch = torch.rad2deg(-torch.asin(forward[:, 2])) - 30.0
+    yaw = torch.rad2deg(torch.atan2(forward[:, 1], forward[:, 0]))
+    for angle in (pitch, yaw):
+        assert 4.5 < angle.abs().max() <= 5.001
+    before = sensor._position.clone()
+    sensor.reset(torch.tensor([3]))
+    changed = (before != sensor._position).any(-1)
+    assert changed.nonzero().flatten().tolist() == [3]
+
+
+def test_noise_has_the_stated_statistics():
+    torch.manual_seed(0)
+    depth = torch.full((400, 500), 1.5)
+    error = add_noise(depth, DepthNoiseCfg()) - depth
+    assert error.mean().abs() < 1e-3
+    assert error.var() == pytest.approx(0.01 + 0.015**2, rel=0.02)
+    assert torch.equal(add_noise(depth, QUIET), depth)
+
+
+def test_an_image_is_held_until_the_next_is_due():
+    sensor = camera(scene(PLANE), noise=DepthNoiseCfg())
+    first = sensor.normalised().clone()
+    for _ in range(19):
+        sensor.update(0.005)
+        assert torch.equal(sensor.normalised(), first)
+    sensor.update(0.005)
+    assert not torch.equal(sensor.normalised(), first)
+    assert sensor.normalised().dtype == torch.float16
+    assert 0.0 <= sensor.normalised().min() <= sensor.normalised().max() <= 1.0
+
+
+class Walk:
+    """Robots at x = 0.1 m per control step, on each their own line, in front of a wall at 2 m."""
+
+    def __init__(self, robots: int, delay: tuple[float, float], mount: MountCfg = EXACT) -> None:
+        self.xpos, self.step = torch.zeros(robots, 3, 3), 0
+        self.xmat, self.qpos = torch.eye(3).expand(robots, 3, 3, 3), torch.zeros(robots, 7)
+        self.xpos[..., 2] = 0.5
+        self.camera = DepthCameraCfg(
+            name="depth", body="robot", mount=mount, noise=QUIET, range=9.0, delay=delay
+        ).build()
+        wall = '<geom type="box" size="0.1 9 9" pos="2.1 0 0"/>'
+        self.camera.initialize(scene(wall), None, self, "cpu")
+
+    def take(self, steps: int, dt: float = 0.02) -> torch.Tensor:
+        """Walk on; m from where each robot's image was taken to the wall, in its middle."""
+        for _ in range(steps):
+            self.step += 1
+            self.xpos[..., 0] += 0.1 * dt / 0.02
+            self.camera.update(dt)
+        return self.camera.data.depth[:, 24, 32]
+
+
+@pytest.mark.parametrize("late", [0, 1, 3, 5, 7])
+@pytest.mark.parametrize("dt", [0.02, 0.005])  # Whether time passes by control or physics steps.
+def test_a_late_image_shows_the_view_from_where_the_camera_was(late, dt):
+    walk = Walk(1, (0.02 * late, 0.02 * late))
+    substeps = round(0.02 / dt)
+    walk.take(5 * substeps, dt)
+    got = walk.take(5 * substeps, dt)  # The image of step 10.
+    assert got.item() == pytest.approx(2.0 - 0.1 * (10 - late), abs=1e-4)
+
+
+def test_a_late_camera_never_shows_an_earlier_episode():
+    walk = Walk(2, (0.1, 0.1))
+    walk.take(8)
+    walk.xpos[1, :, 0] = -3.0
+    walk.camera.reset(torch.tensor([1]))
+    of_robot_0, of_robot_1 = walk.take(2)
+    assert of_robot_0 == pytest.approx(2.0 - 0.5, abs=1e-4)
+    # Two steps into the new episode: the first of them is all there is to show.
+    assert of_robot_1 == pytest.approx(2.0 - (-3.0 + 0.1), abs=1e-4)
+
+
+def test_delays_are_drawn_for_each_episode_from_all_whole_control_steps():
+    walk = Walk(400, (0.0, 0.1))
+    for _ in range(2):
+        walk.take(5)
+        steps = ((walk.take(5) - 2.0) / 0.1 + walk.step).round().int()
+        assert steps.unique().tolist() == [0, 1, 2, 3, 4, 5]
+        before = walk.camera._delay.clone()
+        walk.xpos[..., 0], walk.step = 0.0, 0
+        walk.camera.reset()
+        assert (before != walk.camera._delay).any()
+        walk.take(0)
+
+
+def test_no_delay_is_the_default():
+    assert DepthCameraCfg(name="d").delay == (0.0, 0.0)
+
+
+def ticks(sensor: DepthCamera, steps: int) -> list[int]:
+    """Control steps of 0.02 s after which there is another image."""
+    found, last = [], sensor.data.depth
+    for step in range(1, steps + 1):
+        sensor.update(0.02)
+        if sensor.data.depth is not last:
+            found.append(step)
+            last = sensor.data.depth
+    return found
+
+
+def test_a_reset_between_steps_restarts_the_clock_and_one_inside_a_step_does_not():
+    sensor = camera(scene(PLANE))
+    assert ticks(sensor, 13) == [5, 10]
+    sensor.update(0.02)
+    old = sensor._image.depth
+    sensor.reset(torch.tensor([0]))  # The only robot falls in step 14 ...
+    assert sensor.data.depth is old
+    assert ticks(sensor, 8) == [1, 6]  # ... and consumers still tick at steps 15 and 20.
+    sensor.reset()
+    assert ticks(sensor, 11) == [5, 10]
+
+
+def test_images_keep_their_rate_when_the_period_is_no_multiple_of_the_step():
+    assert ticks(camera(scene(PLANE), period=0.05), 10) == [3, 5, 8, 10]
+
+
+def test_any_mjlab_task_can_carry_the_camera():
+    cfg = load_env_cfg("Mjlab-Velocity-Flat-Unitree-Go1")
+    cfg.scene.num_envs = 2
+    cfg.scene.sensors += (DepthCameraCfg(name="depth", noise=QUIET),)
+    with redirect_stdout(StringIO()), use_engine("auto", "cpu"):
+        env = ManagerBasedRlEnv(cfg, "cpu")
+        env.reset()
+    sensor = env.scene["depth"]
+    assert isinstance(sensor, DepthCamera)
+    shown, changed = sensor.normalised(), []
+    directions = torch.from_numpy(Intrinsics().rays(np.float32))
+    assert shown.shape == (2, 48, 64)
+    for step in range(1, 12):
+        env.step(torch.zeros(2, 12))
+        if sensor.normalised() is not shown:
+            shown = sensor.normalised()
+            changed.append(step)
+            # The image is of now: flat ground straight below the principal point, closed form.
+            pose = env.sim.data.xpos[:, sensor._body], env.sim.data.xquat[:, sensor._body]
+            base = matrix_from_quat(pose[1])
+            eye = pose[0] + (base @ sensor._position[..., None])[..., 0]
+            rays = (base @ sensor._rotation) @ directions.T
+            expected = -eye[:, 2, None] / rays[:, 2]
+            expected = torch.where((expected > 0) & (expected < 2), expected, 2.0)
+            got = sensor.data.depth.flatten(1)
+            torch.testing.assert_close(got, expected, atol=1e-3, rtol=0)
+    assert changed == [5, 10]
+    env.close()
+
+
+def test_a_pose_that_is_not_finite_sees_nothing():
+    model = scene(PLANE)
+    sensor = camera(model)
+    sensor._data.data.xpos[model.body("robot").id] = np.nan
+    image = sensor.data
+    assert not image.valid.any()
+    assert torch.isfinite(image.depth).all()
+
+
+def test_height_map_and_feet_height_over_a_step():
+    step = '<geom type="box" size="1 3 0.1" pos="1.2 0 0"/>'
+    model = scene(PLANE + step, z=0.3)
+    state = State(model)
+    height_map = HeightMapCfg(name="map", body="robot").build()
+    height_map.initialize(model, None, state, "cpu")
+    grid = height_map.data.reshape(12, 11)
+    # The step begins at x = 0.2: grid columns at 0.3 m and beyond are 0.1 m higher.
+    expected = np.where(np.arange(-0.45, 1.3, 0.15)[:12] > 0.2, -0.1, 0.0)
+    np.testing.assert_allclose(grid, expected[:, None].repeat(11, 1), atol=1e-4)
+    feet = FeetHeightCfg(name="feet", sites=("foot",)).build()
+    feet.initialize(model, None, state, "cpu")
+    assert feet.data.item() == pytest.approx(0.3 - 0.2 - 0.023, abs=1e-4)
+
+
+def test_scenes_that_cannot_be_seen_are_refused():
+    with pytest.raises(RenetError, match="no terrain"):
+        terrain_mesh(scene(""))
+    with pytest.raises(RenetError, match=r"ball.*sphere"):
+        terrain_mesh(scene('<geom name="ball" size="0.3"/>'))
+    with pytest.raises(RenetError, match=r"no body 'head'.*robot"):
+        DepthCameraCfg(name="d", body="head").build().initialize(scene(PLANE), None, None, "cpu")
+    feet = FeetHeightCfg(name="f", sites=("paw",)).build()
+    with pytest.raises(RenetError, match=r"no site 'paw'.*foot"):
+        feet.initialize(scene(PLANE), None, None, "cpu")
+    for delay in ((0.1, 0.0), (-0.02, 0.0), (0.0, math.inf)):
+        with pytest.raises(RenetError, match="camera delay"):
+            DepthCameraCfg(name="d", delay=delay).build()

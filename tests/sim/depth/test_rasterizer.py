@@ -1,0 +1,133 @@
+"""What a CPU draws from bins of shapes against rays cast through a mesh of the same terrain."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from renet.camera import Intrinsics
+from renet.sim.depth.camera import mount_rotation
+from renet.sim.depth.raycast import TerrainScanner
+
+LENS = Intrinsics()
+RAYS = torch.from_numpy(LENS.rays(np.float32))
+
+
+@pytest.fixture(scope="module")
+def scanner() -> TerrainScanner:
+    """A plane, a wide box, a height field, and boxes that overlap at all angles."""
+    random = np.random.default_rng(4)
+    boxes = "".join(
+        '<geom type="box" size="{} {} {}" pos="{} {} {}" euler="{} {} {}"/>'.format(
+            *random.uniform(0.02, 0.6, 3),
+            *random.uniform(-3, 3, 2),
+            random.uniform(-0.2, 0.6),
+            *(random.uniform(-40, 40, 3) * (i % 2)),
+        )
+        for i in range(60)
+    )
+    bumps = " ".join(map(str, random.random(81)))
+    return TerrainScanner(
+        mujoco.MjModel.from_xml_string(
+            f"""<mujoco>
+            <asset><hfield name="f" nrow="9" ncol="9" size="1 1 .3 .2" elevation="{bumps}"/></asset>
+            <worldbody><geom type="plane" size="0 0 1" pos="0 0 -.6"/>
+            <geom type="box" size="30 30 .1" pos="5 0 -.5"/>
+            <geom type="hfield" hfield="f" pos="1 1 -.1" euler="5 -10 30"/>{boxes}</worldbody>
+            </mujoco>"""
+        ),
+        "cpu",
+    )
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    x=st.floats(-4, 4),
+    y=st.floats(-4, 4),
+    z=st.floats(-0.395, 1.0),  # On a surface either answer would be right.
+    pitch=st.floats(-1.5, 1.5),
+    yaw=st.floats(-4, 4),
+    limit=st.sampled_from([0.3, 2.0, 9.0]),
+)
+def test_an_image_shows_what_rays_hit_also_from_inside_a_box(scanner, x, y, z, pitch, yaw, limit):
+    eye = torch.tensor([[x, y, z]])
+    rotation = mount_rotation(torch.tensor([pitch]), torch.tensor([yaw]))
+    drawn = scanner.depth(eye, rotation, LENS, limit)
+    cast = scanner.cast_depth(eye, rotation, RAYS, limit)
+    # Rays that graze a surface or an edge may differ.
+    assert ((drawn - cast).abs() > 1e-3).float().mean() < 0.002
+
+
+def test_cameras_see_for_themselves_wherever_they_are_in_the_batch(scanner):
+    random = torch.Generator().manual_seed(0)
+    eyes = torch.rand(37, 3, generator=random) * torch.tensor([6.0, 6.0, 0.5]) - 3.0
+    rotation = mount_rotation(*torch.rand(2, 37, generator=random))
+    together = scanner.depth(eyes, rotation, LENS, 2.0)
+    alone = [scanner.depth(eyes[i : i + 1], rotation[i : i + 1], LENS, 2.0) for i in range(37)]
+    assert torch.equal(together, torch.cat(alone))
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_a_pose_that_is_not_finite_sees_nothing_and_harms_nobody(scanner, number):
+    eyes = torch.tensor([[0.0, -2.0, 0.8]] * 3)
+    rotation = mount_rotation(torch.full((3,), 0.5), torch.zeros(3))
+    whole = scanner.depth(eyes, rotation, LENS, 2.0)[0]
+    eyes[0, 1] = rotation[1, 2, 0] = number
+    first, second, third = scanner.depth(eyes, rotation, LENS, 2.0)
+    assert (first == -1.0).all()
+    assert (second == -1.0).all()
+    assert torch.equal(third, whole)
+    ground = scanner.height(torch.tensor([[number, 0.0], [0.0, -2.0]]))
+    assert ground[0] == pytest.approx(scanner.top - scanner.drop)
+    assert ground[1] > -0.61
+
+
+@pytest.mark.parametrize("turned", [True, False])
+@pytest.mark.parametrize("frames", [3, 600])  # One thread, and all.
+def test_clearances_are_those_rays_find(scanner, frames, turned):
+    random = torch.Generator().manual_seed(1)
+    position = torch.rand(frames, 3, generator=random) * 6 - 3
+    pattern = torch.rand(7, 2, generator=random) * 2 - 1
+    rotation = mount_rotation(*torch.rand(2, frames, generator=random) * 3) if turned else None
+    found = scanner.clearance(position, rotation, pattern)
+    cast = scanner.cast_clearance(position, rotation, pattern)
+    assert found.shape == (frames, 7)
+    assert ((found - cast).abs() > 1e-4).float().mean() < 0.002
+
+
+def test_heights_do_not_depend_on_the_point_they_are_asked_from(scanner):
+    points = torch.rand(400, 2, generator=torch.Generator().manual_seed(1)) * 10 - 5
+    over = scanner.clearance(torch.zeros(1, 3), None, points)[0]
+    torch.testing.assert_close(scanner.height(points), -over)
+    far = torch.tensor([[120.0, -150.0]])
+    torch.testing.assert_close(scanner.height(far), torch.tensor([-0.6]))
+
+
+def test_it_takes_views_and_double_precision(scanner):
+    points = torch.rand(4000, 2, generator=torch.Generator().manual_seed(1)) * 10 - 5
+    heights = scanner.height(points)
+    for same in (points.double(), points.T.contiguous().T):
+        assert torch.equal(scanner.height(same), heights)
+    frames = torch.rand(5, 4, 3, generator=torch.Generator().manual_seed(2))
+    turns = torch.eye(3).repeat(5, 4, 1, 1)
+    third = scanner.clearance(frames[:, 2], turns[:, 1], points[:9])
+    copies = frames[:, 2].clone(), turns[:, 1].clone(), points[:9].double()
+    assert torch.equal(scanner.clearance(*copies), third)
+    eyes, rotation = torch.tensor([[0.0, -2.0, 0.8]]), mount_rotation(torch.ones(1), torch.ones(1))
+    doubles = scanner.depth(eyes.double(), rotation.double(), LENS, 2.0)
+    assert torch.equal(doubles, scanner.depth(eyes, rotation, LENS, 2.0))
+
+
+def test_boxes_that_touch_leave_no_gap_between_them():
+    pair = "".join(f'<geom type="box" size="1 1 .1" pos="{x} 0 0"/>' for x in (-1, 1))
+    xml = f"<mujoco><worldbody>{pair}</worldbody></mujoco>"
+    touching = TerrainScanner(mujoco.MjModel.from_xml_string(xml), "cpu")
+    seam = torch.stack((torch.zeros(50), torch.linspace(-1, 1, 50)), -1)
+    torch.testing.assert_close(touching.height(seam), torch.full((50,), 0.1))
+    down = mount_rotation(torch.full((50,), torch.pi / 2), torch.zeros(50))
+    eyes = torch.cat((seam * 0.3, torch.full((50, 1), 0.5)), dim=-1)
+    torch.testing.assert_close(touching.depth(eyes, down, LENS, 2.0), torch.full((50, 3072), 0.4))

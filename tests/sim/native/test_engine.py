@@ -1,0 +1,280 @@
+"""The native engine against MuJoCo Warp: same start, same actions, same results."""
+
+from __future__ import annotations
+
+from contextlib import redirect_stdout
+from io import StringIO
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab.envs import ManagerBasedRlEnv
+from mjlab.sim.sim import MujocoCfg, Simulation, SimulationCfg
+from mjlab.tasks.registry import load_env_cfg
+
+from renet.errors import RenetError
+from renet.sim.native import engine
+from renet.sim.native.engine import NativeSimulation, use_engine
+
+FLAT = "Mjlab-Velocity-Flat-Unitree-Go1"
+NUM_ENVS = 3
+FREE_BODY = """
+<mujoco>
+  <option timestep="0.005"/>
+  <worldbody>
+    <body name="top" pos="0 0 50"><freejoint/>
+      <inertial pos="0.01 0 0" mass="1" diaginertia="0.01 0.02 0.03"/>
+      <body pos="0.1 0 0"><joint name="hinge" axis="0 1 0"/>
+        <geom type="capsule" size="0.02 0.1" contype="0" conaffinity="0"/></body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="hinge" ctrlrange="-1 1"/></actuator>
+  <sensor><gyro site="s"/><jointpos joint="hinge"/></sensor>
+</mujoco>
+""".replace('<geom type="capsule"', '<site name="s"/><geom type="capsule"')
+
+
+def free_body(kind: type[Simulation]) -> Simulation:
+    cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005))
+    return kind(NUM_ENVS, cfg, mujoco.MjModel.from_xml_string(FREE_BODY), "cpu")
+
+
+def pair(kind_of_start) -> list[Simulation]:
+    sims = [free_body(kind) for kind in (Simulation, NativeSimulation)]
+    for sim in sims:
+        kind_of_start(sim)
+    return sims
+
+
+def spin(sim: Simulation) -> None:
+    sim.data.qvel[:] = torch.linspace(-0.5, 0.5, 7).repeat(NUM_ENVS, 1)
+    sim.data.ctrl[:] = torch.tensor([[0.02], [-0.01], [0.0]])
+
+
+def test_free_flight_is_equal_to_1e5_over_100_control_steps():
+    sims = pair(spin)
+    for sim in sims:
+        for _ in range(400):
+            sim.step()
+        sim.forward()
+    # What is derived from the state as differences of large terms loses digits in Warp's single
+    # precision.
+    derived = {"sensordata": 1e-4, "cvel": 1e-4, "qacc": 1e-3}
+    for name in ("qpos", "qvel", "xpos", "xquat", "time", *derived):
+        warp, native = (getattr(sim.data, name)[:].numpy() for sim in sims)
+        error = np.max(np.abs(warp - native) / np.maximum(1.0, np.abs(warp)))
+        assert error < derived.get(name, 1e-5), name
+
+
+def test_fused_steps_equal_single_steps():
+    one, many = free_body(NativeSimulation), free_body(NativeSimulation)
+    for sim in (one, many):
+        spin(sim)
+    for _ in range(4):
+        one.step()
+    many.step_n(4)
+    # Between single steps the state is rounded to single precision.
+    torch.testing.assert_close(one.data.qpos[:], many.data.qpos[:], atol=1e-6, rtol=1e-6)
+
+
+DERIVED = ("xpos", "xquat", "xmat", "site_xpos", "cvel", "subtree_com", "sensordata")
+
+
+def test_a_control_step_ends_with_poses_and_velocities_of_the_state_it_leads_to():
+    sim = free_body(NativeSimulation)
+    spin(sim)
+    sim.step_n(4)
+    derived = {name: getattr(sim.data, name)[:].clone() for name in DERIVED}
+    sim.forward()
+    for name, value in derived.items():
+        torch.testing.assert_close(value, getattr(sim.data, name)[:], msg=name)
+
+
+def test_only_what_was_written_is_derived_anew():
+    sim = free_body(NativeSimulation)
+    spin(sim)
+    sim.step_n(4)
+    sim.data.xpos[:] = 7.0
+    sim.forward_written()
+    assert (sim.data.xpos[:] == 7.0).all()
+    sim.data.qpos[1, 2] = 3.0
+    sim.data.qvel[2, 0] = 5.0
+    sim.forward_written()
+    assert (sim.data.xpos[0] == 7.0).all()
+    assert sim.data.xpos[1, 1, 2] == 3.0
+    assert sim.data.cvel[2, 1, 3] == pytest.approx(5.0, abs=0.1)
+    sim.forward()
+    assert (sim.data.xpos[0, 1:] != 7.0).all()
+
+
+@pytest.mark.parametrize("lost", ["a physics step", "other fields"])
+def test_what_is_known_is_forgotten(lost):
+    sim = free_body(NativeSimulation)
+    spin(sim)
+    sim.step_n(4)
+    if lost == "a physics step":
+        sim.step()
+    else:
+        sim.expand_model_fields(("body_pos",))
+    sim.data.xpos[:] = 7.0
+    sim.forward_written()
+    assert (sim.data.xpos[:, 1] != 7.0).any(-1).all()
+
+
+def test_bodies_moved_by_hand_count_as_written():
+    xml = '<mujoco><worldbody><body mocap="true"><geom size=".1"/></body></worldbody></mujoco>'
+    model = mujoco.MjModel.from_xml_string(xml)
+    sim = NativeSimulation(NUM_ENVS, SimulationCfg(), model, "cpu")
+    sim.step_n(4)
+    sim.data.mocap_pos[1, 0] = torch.tensor([1.0, 2.0, 3.0])
+    sim.forward_written()
+    assert sim.data.xpos[:, 1].tolist() == [[0, 0, 0], [1, 2, 3], [0, 0, 0]]
+
+
+def test_randomised_mass_is_honoured_per_environment():
+    sims = pair(lambda sim: sim.expand_model_fields(("body_mass", "body_inertia")))
+    for sim in sims:
+        sim.model.body_mass[:, 1] = torch.tensor([1.0, 2.0, 4.0])
+        sim.data.xfrc_applied[:, 1, 0] = 1.0
+        for _ in range(20):
+            sim.step()
+    warp, native = (sim.data.qvel[:, 0].numpy() for sim in sims)
+    np.testing.assert_allclose(native, warp, rtol=1e-4)
+    assert native[0] > 1.5 * native[1] > 2.0 * native[2]
+
+
+def test_randomised_colours_are_left_to_viewers():
+    plain, coloured = free_body(NativeSimulation), free_body(NativeSimulation)
+    coloured.expand_model_fields(("geom_rgba",))
+    for sim in (plain, coloured):
+        spin(sim)
+        sim.step()
+    assert torch.equal(plain.data.qpos[:], coloured.data.qpos[:])
+
+
+def test_partial_reset_touches_only_its_environments():
+    sims = pair(spin)
+    for sim in sims:
+        for _ in range(10):
+            sim.step()
+        sim.reset(torch.tensor([1]))
+        sim.forward()
+    for name in ("qpos", "qvel", "ctrl", "time", "xpos", "sensordata"):
+        warp, native = (getattr(sim.data, name)[:].numpy() for sim in sims)
+        np.testing.assert_allclose(native, warp, atol=1e-4, rtol=1e-5, err_msg=name)
+    assert sims[1].data.time[1] == 0.0
+    assert sims[1].data.time[0] > 0.0
+
+
+def test_an_environment_that_is_not_finite_keeps_its_nan_and_leaves_the_others_alone(tmp_path):
+    broken, whole = free_body(NativeSimulation), free_body(NativeSimulation)
+    for sim in (broken, whole):
+        spin(sim)
+    broken.data.qpos[1, 3] = float("nan")
+    for sim in (broken, whole):
+        sim.step_n(4)
+        sim.forward()
+    assert torch.isnan(broken.data.qpos[1]).any()
+    for env in (0, 2):
+        assert torch.equal(broken.data.qpos[env], whole.data.qpos[env])
+    broken.reset(torch.tensor([1]))
+    broken.step()
+    assert torch.isfinite(broken.data.qpos[:]).all()
+
+
+def make(engine: str) -> ManagerBasedRlEnv:
+    cfg = load_env_cfg(FLAT)
+    cfg.scene.num_envs, cfg.seed = NUM_ENVS, 3
+    cfg.terminations, cfg.curriculum = {}, {}
+    cfg.observations["actor"].enable_corruption = False
+    del cfg.events["push_robot"]
+    with redirect_stdout(StringIO()), use_engine(engine, "cpu"):
+        return ManagerBasedRlEnv(cfg, "cpu")
+
+
+def test_the_stock_go1_walks_alike_on_both_engines():
+    """100 control steps of small actions under randomised friction and centre of mass.
+
+    Contact makes trajectories diverge from rounding: single against double precision, and solvers
+    that stop at the same tolerance but not at the same iterate. The robots stand and sway, so
+    5 mm and 0.03 rad bound the difference; contact forces agree on the robot's weight.
+    """
+    envs = [make(engine) for engine in ("warp", "native")]
+    start = None
+    for env in envs:
+        env.reset(seed=3)
+        state = {n: getattr(env.sim.data, n)[:].clone() for n in ("qpos", "qvel")}
+        start = start or state
+        for name, value in start.items():
+            getattr(env.sim.data, name)[:] = value
+        env.sim.forward()
+    friction, com = (
+        [getattr(env.sim.model, name)[:] for env in envs] for name in ("geom_friction", "body_ipos")
+    )
+    for field in (friction, com):
+        field[1][:] = field[0]
+    actions = torch.Generator().manual_seed(0)
+    for _ in range(100):
+        action = 0.1 * torch.randn(NUM_ENVS, 12, generator=actions)
+        for env in envs:
+            env.step(action)
+    warp, native = (env.scene["robot"].data for env in envs)
+    assert (warp.root_link_pos_w - native.root_link_pos_w).abs().max() < 5e-3
+    assert (warp.joint_pos - native.joint_pos).abs().max() < 3e-2
+    force = [env.scene["feet_ground_contact"].data.force[..., 2].abs().sum(1) for env in envs]
+    weight = envs[0].sim.mj_model.body_mass.sum() * 9.81
+    for value in force:
+        assert (value - weight).abs().max() < 0.35 * weight
+    found = [env.scene["feet_ground_contact"].data.found > 0 for env in envs]
+    assert (found[0] == found[1]).float().mean() > 0.7
+
+
+def test_unknown_or_impossible_engine_is_refused():
+    with pytest.raises(RenetError, match="auto, native, warp"), use_engine("fast", "cpu"):
+        pass
+    with pytest.raises(RenetError, match="runs on the CPU"), use_engine("native", "cuda:0"):
+        pass
+
+
+FRAMES = """
+<mujoco><worldbody>
+  <body name="moved" pos="0 0 1"><freejoint/>
+    <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.02 0.03"/>
+    <geom name="turned" type="box" size=".1 .2 .3" pos="0.2 0 0" euler="0 0 30"/>
+    <geom name="shifted" type="box" size=".1 .2 .3" pos="0.2 0 0"/>
+    <geom name="inertial" type="box" size=".1 .2 .3" pos="0.1 0 0"/>
+    <geom name="same" type="box" size=".1 .2 .3"/>
+  </body>
+</worldbody></mujoco>
+"""
+
+
+@pytest.mark.parametrize("randomised", [set(), {"body_ipos"}, {"geom_quat"}, {"geom_pos"}])
+def test_frames_that_randomisation_parts_are_computed(randomised):
+    """A compiled model with fields written afterwards moves as one compiled with them."""
+    model = mujoco.MjModel.from_xml_string(FRAMES)
+    compiled = model.geom_sameframe.copy()
+    assert np.count_nonzero(compiled) >= 2
+    engine.forget_coinciding_frames(model, randomised)
+    if not randomised:
+        assert (model.geom_sameframe == compiled).all()
+    if "body_ipos" in randomised:
+        model.body_ipos[1] = 0.0, 0.3, 0.0
+    if "geom_quat" in randomised:
+        model.geom_quat[:] = 0.6, 0.0, 0.8, 0.0
+    if "geom_pos" in randomised:
+        model.geom_pos[:] = 0.0, 0.0, 0.4
+    data = mujoco.MjData(model)
+    data.qpos[3:7] = 0.5, 0.5, -0.5, 0.5
+    mujoco.mj_kinematics(model, data)
+    base = data.xmat[1].reshape(3, 3)
+    for geom in range(model.ngeom):
+        own = np.zeros(9)
+        mujoco.mju_quat2Mat(own, model.geom_quat[geom])
+        np.testing.assert_allclose(
+            data.geom_xmat[geom].reshape(3, 3), base @ own.reshape(3, 3), atol=1e-12
+        )
+        at = data.xpos[1] + base @ model.geom_pos[geom]
+        np.testing.assert_allclose(data.geom_xpos[geom], at, atol=1e-12)
+    np.testing.assert_allclose(data.xipos[1], data.xpos[1] + base @ model.body_ipos[1], atol=1e-12)

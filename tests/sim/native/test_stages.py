@@ -1,0 +1,198 @@
+"""Stages shown a part of the model, against MuJoCo's own step on all of it."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from mjlab.sim.sim import MujocoCfg, SimulationCfg
+
+from renet.sim.native import mujoco_memory, stages
+from renet.sim.native.engine import NativeSimulation
+from renet.sim.native.stages import moving_part
+
+NUM_ENVS = 2
+STEPS = 300
+WALKER = """
+<body name="trunk" pos="0.3 0.2 0.35"><freejoint/>
+  <geom type="box" size=".2 .1 .05" mass="4"/><site name="imu"/>
+  <body pos="0.2 0.1 0"><joint name="hip" axis="0 1 0" damping=".1"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".5"/>
+    <geom name="foot" type="sphere" pos="0 0 -.3" size=".03" mass=".1"/></body>
+  <body pos="-0.2 -0.1 0"><joint name="knee" axis="0 1 0" damping=".1"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".5"/></body>
+</body>
+"""
+TILES = "".join(
+    f'<body name="tile_{x}{y}" pos="{x} {y} 0" euler="0 0 {10 * x}">'
+    f'<geom type="box" size=".5 .5 {0.05 + 0.03 * x}"/>'
+    f'<geom type="box" pos=".2 0 .1" size=".1 .5 .1"/></body>'
+    for x in range(3)
+    for y in range(2)
+)
+PLANE = '<geom type="plane" size="9 9 1"/>'
+SENSORS = """
+<accelerometer site="imu"/><gyro site="imu"/><framezaxis objtype="site" objname="imu"/>
+<subtreeangmom body="trunk"/><framepos objtype="body" objname="tile_21"/>
+<contact geom1="foot" data="found force" num="1"/>
+"""
+
+
+def scene(*bodies: str, sensors: str = SENSORS) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(
+        '<mujoco><option integrator="implicitfast"/>'
+        f"<worldbody>{''.join(bodies)}</worldbody>"
+        '<actuator><position joint="hip" kp="20"/><position joint="knee" kp="20"/></actuator>'
+        f"<sensor>{sensors}</sensor></mujoco>"
+    )
+
+
+@pytest.mark.parametrize("order", [(PLANE, WALKER, TILES), (WALKER, TILES), (TILES, WALKER)])
+@pytest.mark.parametrize("integrator", ["implicitfast", "euler"])
+def test_steps_are_mujocos_own(order, integrator):
+    """Also while limbs touch the tiles; state, forces and every sensor."""
+    cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005, integrator=integrator))
+    simulation = NativeSimulation(NUM_ENVS, cfg, scene(*order), "cpu")
+    model = simulation.mj_model
+    assert (moving_part(model)[0] < model.nbody) == (order[-1] is TILES)
+    simulation.data.ctrl[:, 0], simulation.data.ctrl[:, 1] = 0.5, -0.5
+    simulation._advance(STEPS)
+    assert all(worker.model.nbody == model.nbody for worker in simulation._workers)
+
+    reference = model.__copy__()
+    reference.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
+    data = mujoco.MjData(reference)
+    data.qpos[:] = np.float32(data.qpos)
+    data.ctrl[:] = 0.5, -0.5
+    mujoco.mj_step(reference, data, STEPS)
+    assert data.ncon > 2
+    assert data.sensordata[-4] > 0.0  # The foot touches something.
+    for name in ("qpos", "qvel", "qacc", "qfrc_constraint", "sensordata", "xpos", "geom_xpos"):
+        mine, own = getattr(simulation.data, name)[:].numpy(), getattr(data, name)
+        np.testing.assert_array_equal(mine, np.float32(np.stack([own] * NUM_ENVS)), err_msg=name)
+
+
+ENERGY, SUM, RAY = "<e_potential/>", '<subtreecom body="world"/>', '<rangefinder site="imu"/>'
+
+
+@pytest.mark.parametrize(
+    ("sensors", "trimmed"),
+    [(SENSORS, True), (SENSORS + SUM, False), (SENSORS + ENERGY, False), (SENSORS + RAY, False)],
+)
+def test_what_looks_at_the_whole_world_is_shown_all_of_it(sensors, trimmed):
+    model = scene(WALKER, TILES, sensors=sensors)
+    bodies, geoms = moving_part(model)
+    assert (bodies, geoms) == ((4, 4) if trimmed else (model.nbody, model.ngeom))
+
+
+@pytest.mark.parametrize("feature", ["RK4", "energy"])
+def test_rare_features_are_left_to_mujocos_step(feature):
+    model = scene(WALKER, TILES)
+    if feature == "RK4":
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    else:
+        model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    assert moving_part(model) == (model.nbody, model.ngeom)
+
+
+def test_bodies_moved_by_hand_are_among_what_moves():
+    moved = '<body name="moved" mocap="true"><geom size=".1"/></body>'
+    assert moving_part(scene(WALKER, TILES, moved))[0] == scene(WALKER, TILES, moved).nbody
+
+
+@pytest.fixture
+def doubted(monkeypatch):
+    """The check of MuJoCo, made anew; afterwards its usual result."""
+    stages.are_mujocos.cache_clear()
+    mujoco_memory.library.cache_clear()
+    yield monkeypatch
+    monkeypatch.undo()
+    stages.are_mujocos.cache_clear()
+    mujoco_memory.library.cache_clear()
+
+
+def another_version(patch, tmp_path):
+    patch.setattr(mujoco, "__version__", "3.99.1")
+
+
+def no_library(patch, tmp_path):
+    patch.setattr(mujoco, "__file__", str(tmp_path / "__init__.py"))
+
+
+def an_empty_library(patch, tmp_path):
+    no_library(patch, tmp_path)
+    (tmp_path / "libmujoco.9.dylib").touch()
+
+
+def another_model(patch, tmp_path):
+    patch.setattr(mujoco_memory, "SIZES", 1)
+
+
+def another_order(patch, tmp_path):
+    patch.setattr(stages, "CONTACTS", stages.CONTACTS[:2])
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (another_version, "3.99.1: the native engine knows versions 3.11"),
+        (no_library, "no MuJoCo library in"),
+        (an_empty_library, "dylib"),
+        (another_model, "mjModel.nbody is not among"),
+        (another_order, "its stages do not make its step"),
+    ],
+)
+def test_an_unknown_mujoco_is_stepped_plainly_and_that_is_logged_once(
+    doubted, caplog, tmp_path, change, told
+):
+    change(doubted, tmp_path)
+    for simulation in [walkers() for _ in range(2)]:
+        simulation.step_n(2)
+    assert len(caplog.messages) == 1
+    assert told in caplog.messages[0]
+    assert "mj_step" in caplog.messages[0]
+    assert len(simulation._workers) == 1
+
+
+def walkers() -> NativeSimulation:
+    """Robots on tiles that differ in what they do and in one model field."""
+    cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005, integrator="implicitfast"))
+    simulation = NativeSimulation(3, cfg, scene(WALKER, TILES), "cpu")
+    simulation.expand_model_fields(("geom_friction",))
+    simulation.model.geom_friction[1, :, 0] = 0.2
+    simulation.data.ctrl[:] = torch.tensor([[0.5, -0.5], [-0.5, 0.5], [0.0, 0.0]])
+    return simulation
+
+
+def test_plain_steps_are_the_native_ones(doubted):
+    native = walkers()
+    states = []
+    for simulation in (native, walkers()):
+        for _ in range(60):
+            simulation.step_n(4)
+        simulation.step()
+        simulation.data.qpos[2, 0] += 0.01
+        simulation.data.qvel[0, 3] = float("nan")
+        simulation.step_n(2)  # Leaves the first robot alone.
+        simulation.data.xpos[1] = 7.0
+        simulation.data.qpos[2, 1] -= 0.01
+        simulation.forward_written()
+        states.append(
+            [getattr(simulation.data, n)[:].clone() for n in ("qpos", "qvel", "time", "xpos")]
+            + [simulation.data.sensordata[:].clone(), simulation.data.qfrc_constraint[:].clone()]
+        )
+        doubted.setattr(mujoco, "__version__", "3.99.1")
+        stages.are_mujocos.cache_clear()
+    for one, other in zip(*states, strict=True):
+        assert torch.equal(one.nan_to_num(9e9), other.nan_to_num(9e9))
+    assert (states[0][3][1] == 7.0).all()
+    assert (states[0][3][2] != 7.0).all()
+
+
+def test_time_is_found_and_nothing_is_changed_in_looking_for_it():
+    data = mujoco.MjData(scene(WALKER, TILES))
+    data.time = 2.5
+    assert mujoco_memory.time(data) == [2.5]
+    data.time = 3.0
+    assert mujoco_memory.time(data) == [3.0]
