@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import mujoco
 from mjlab.managers.curriculum_manager import CurriculumTermCfg
@@ -34,6 +35,47 @@ NOISE = {
     "joint_velocity": 1.5,
 }
 """Half-widths of uniform sensor noise, in each term's unit before scaling (mjlab's Go1 task)."""
+
+
+@dataclass
+class RandomizationCfg:
+    """Randomisation beyond the task's own, all of it off by default; each robot draws once."""
+
+    motor_strength: float = 0.0
+    """Largest relative change of each motor's torque limit, e.g. 0.2."""
+    action_delay: float = 0.0
+    """Longest delay of joint targets, s, in whole physics steps, e.g. 0.02; drawn anew each step.
+    The native engine then no longer fuses physics steps."""
+    joint_offset: float = 0.0
+    """Largest error of each joint's zero position, rad, in observations and targets, e.g. 0.03."""
+
+
+def randomize(cfg: RenetEnvCfg, how: RandomizationCfg) -> None:
+    """Add randomisation to a task's configuration, in place.
+
+    Args:
+        cfg: the task.
+        how: ranges; what is zero is not added.
+    """
+    if how.motor_strength:
+        cfg.events["motor_strength"] = EventTermCfg(
+            func=mdp.dr.effort_limits,
+            mode="startup",
+            params={
+                "asset_cfg": SceneEntityCfg("robot", actuator_names=[".*"]),
+                "effort_limit_range": (1.0 - how.motor_strength, 1.0 + how.motor_strength),
+            },
+        )
+    if how.joint_offset:
+        cfg.events["joint_offset"] = EventTermCfg(
+            func=mdp.dr.encoder_bias,
+            mode="startup",
+            params={"bias_range": (-how.joint_offset, how.joint_offset)},
+        )
+    articulation = cfg.scene.entities["robot"].articulation
+    assert articulation is not None
+    for actuator in articulation.actuators:
+        actuator.delay_max_lag = round(how.action_delay / PHYSICS_DT)
 
 
 def flat_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:

@@ -33,7 +33,7 @@ def proprioception(env: ManagerBasedRlEnv, joints: SceneEntityCfg) -> Tensor:
         env.sim.data.qvel[:, robot.indexing.free_joint_v_adr[3:]],
         -base_rotation(env)[:, 2],
         goal(env).command,
-        (robot.data.joint_pos - robot.data.default_joint_pos)[:, order],
+        (robot.data.joint_pos_biased - robot.data.default_joint_pos)[:, order],
         robot.data.joint_vel[:, order],
         env.action_manager.action,
     )
