@@ -30,9 +30,9 @@ from renet.interface import (
     STEPS_PER_TICK,
     proprioception_slices,
 )
-from renet.tasks.go1 import GO1
+from renet.tasks.config.go1 import GO1
 from renet.tasks.sensors import FEET_CONTACT
-from renet.tiles import tiles
+from renet.terrain.tiles import tiles
 
 LINK, HIP, SIDE = 0.213, (0.1881, 0.04675), 0.08
 """The Go1's thigh and calf, its hips beside the base's middle, thighs beside the hips, m."""

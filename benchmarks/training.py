@@ -30,7 +30,7 @@ from renet.interface import ACTION_SIZE, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TIC
 from renet.sim.native.engine import use_engine
 from renet.tasks import RenetEnv, make_env
 from renet.tasks.env import env_cfg
-from renet.tasks.robot import ACTION_CLIP, TRUNK
+from renet.tasks.robot_cfg import ACTION_CLIP, TRUNK
 from renet.training.config import LearningCfg
 from renet.training.runner import RenetRunner
 

@@ -13,7 +13,7 @@ import mujoco
 
 from renet.cli import main
 from renet.sim.depth.camera import MountCfg
-from renet.tasks import Motor, Robot, register_tasks, rename_parts
+from renet.tasks import Motor, RobotCfg, register_tasks, rename_parts
 
 
 def spec() -> mujoco.MjSpec:
@@ -23,7 +23,7 @@ def spec() -> mujoco.MjSpec:
     return rename_parts(mujoco.MjSpec.from_file(str(path)), trunk="base", feet=feet)
 
 
-GO2 = Robot(
+GO2 = RobotCfg(
     name="Unitree Go2",
     spec=spec,
     height=0.30,

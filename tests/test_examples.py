@@ -13,7 +13,7 @@ from renet.cli import main
 from renet.errors import RenetError
 from renet.interface import JOINTS, LEGS, proprioception_slices
 from renet.tasks import make_env
-from renet.tasks.robot import rename_parts
+from renet.tasks.robot_cfg import rename_parts
 
 GO2 = Path(__file__).parents[1] / "examples" / "go2.py"
 

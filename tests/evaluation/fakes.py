@@ -13,7 +13,7 @@ from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import StepResult
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
 from renet.selector.monitors import Sight
-from renet.tasks.go1 import GO1
+from renet.tasks.config.go1 import GO1
 
 GROUND = np.full(DEPTH_SHAPE, 0.5, np.float32)
 SPEED = 0.62

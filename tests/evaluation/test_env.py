@@ -10,10 +10,10 @@ from renet.evaluation.env import SimEnv, study_env_cfg
 from renet.evaluation.rollout import Trial, run_rollout
 from renet.faults import Frames, Injection, Injector, PhysicalFault, ViewPerturbation
 from renet.faults.physical import spread
-from renet.tasks.config import tile_env_cfg
+from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.terrains import single_tile_terrain
-from renet.tiles import LEVELS, TILE, tiles
+from renet.terrain.tiles import LEVELS, TILE, tiles
 
 from .fakes import FakeEnv, FakePolicy, FakeSelector
 

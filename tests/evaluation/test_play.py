@@ -12,7 +12,7 @@ from renet.deploy.bundle import Bundle
 from renet.errors import RenetError
 from renet.evaluation.env import robot_of
 from renet.evaluation.play import PlayCfg, opened, run_play
-from renet.tasks.go1 import GO1
+from renet.tasks.config.go1 import GO1
 
 CHECKPOINT = Path(str(files("renet"))) / "pretrained" / "checkpoint"
 

@@ -17,7 +17,7 @@ from renet.evaluation.env import FLAT, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import MAX_JSON, read_json
 from renet.tasks import register_tasks
-from renet.tasks.go1 import GO1
+from renet.tasks.config.go1 import GO1
 
 from .fakes import SPEED, FakeEvaluator
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import redirect_stdout
 from io import StringIO
 
 import pytest
+import torch
 
 from renet.tasks import RenetEnv, make_env
 
@@ -27,3 +29,32 @@ def parkour() -> RenetEnv:
     env = build("Renet-Go1-Parkour", 12)
     env.reset()
     return env
+
+
+def evaluate(env: RenetEnv, name: str) -> torch.Tensor:
+    """A reward of the present state, before its weight, [N]."""
+    cfg = env.reward_manager.get_term_cfg(name)
+    return cfg.func(env, **cfg.params)
+
+
+def scatter(env: RenetEnv, generator: torch.Generator) -> None:
+    """Put robots anywhere, in any motion, touching anything, under any command."""
+
+    def draw(*shape: int) -> torch.Tensor:
+        return torch.randn(shape, generator=generator)
+
+    count, data, goal = env.num_envs, env.sim.data, env.command_manager.get_term("goal")
+    robot = env.scene["robot"]
+    position = 1.5 * draw(count, 3) + env.scene.env_origins
+    turn = 0.6 * draw(count, 4) + torch.tensor([1.0, 0.0, 0.0, 0.0])
+    joints = robot.data.default_joint_pos + 0.4 * draw(count, 12)
+    data.qpos[:] = torch.cat((position, turn / turn.norm(dim=-1, keepdim=True), joints), dim=-1)
+    data.qvel[:] = 12.0 * draw(count, 18)
+    env.sim.forward()
+    env.scene.update(0.02)
+    data.sensordata[:] = draw(*data.sensordata.shape).clamp_min(0.0).floor()
+    data.qfrc_actuator[:] = draw(count, 18)
+    env.action_manager.process_action(draw(count, 12))
+    robot.set_joint_position_target(draw(count, 12))
+    goal.speed[:] = draw(count).clamp(0.0, 1.0)
+    goal.yaw[:] = draw(count).clamp(-math.pi, math.pi)

@@ -1,54 +1,73 @@
-"""Pushes: whom, when, and how hard."""
+"""What happens to robots during an episode: pushes, and the clipping of their rewards."""
 
 from __future__ import annotations
-
-from itertools import pairwise
 
 import pytest
 import torch
 
-from renet.tasks.events import Push
+from renet.tasks import env_cfg
 
 from .conftest import build
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def pushed():
-    """Robots on a plane, and their pushes: every 0.1 to 0.2 s, up to 0.5 m/s."""
-    env = build("Renet-Go1-Flat", 64)
-    env.reset()
-    (term,) = env.event_manager._mode_term_cfgs["step"]
-    assert isinstance(term.func, Push)
-    yield env, lambda: term.func(env, None, 0.5, (0.1, 0.2))
+    """64 robots that are pushed every 0.1 to 0.2 s."""
+    cfg = env_cfg("Renet-Go1-Flat")
+    assert cfg.events["push"].interval_range_s == (6.0, 10.0)
+    cfg.events["push"].interval_range_s = (0.1, 0.2)
+    env = build(cfg, 64)
+    yield env
     env.close()
 
 
+def push(env, steps: int) -> torch.Tensor:
+    """Changes of the bases' velocities by pushes alone, [steps, N, 6] m/s and rad/s."""
+    changes = []
+    for _ in range(steps):
+        env.sim.forward()
+        before = env.sim.data.qvel[:].clone()
+        env.event_manager.apply(mode="interval", dt=0.02)
+        changes.append((env.sim.data.qvel[:] - before)[:, :6])
+    return torch.stack(changes)
+
+
 def test_each_robot_is_pushed_sideways_at_its_own_time(pushed):
-    env, push = pushed
-    velocity, times = env.sim.data.qvel, [[] for _ in range(64)]
-    for step in range(40):
-        before = velocity[:].clone()
-        push()
-        change = velocity[:] - before
-        assert (change[:, 2:] == 0.0).all(), "only along x and y"
-        assert change.abs().max() <= 0.5
-        for robot in change[:, 0].nonzero().flatten().tolist():
-            times[robot].append(step)
-    waits = [b - a for steps in times for a, b in pairwise(steps)]
-    # 0.1 to 0.2 s end within the sixth to tenth step, at a start as later.
-    assert {6, 10} <= set(waits) <= set(range(6, 12))
-    assert {6, 10} <= {steps[0] for steps in times} <= set(range(6, 12))
-    assert len({steps[0] for steps in times}) > 3
+    pushed.reset(seed=1)
+    changes = push(pushed, 10)
+    assert 0.4 < changes[..., :2].abs().max() <= 0.5 + 1e-5
+    assert changes[..., 2:].abs().max() < 1e-4, "only along x and y"
+    hit = changes[..., :2].abs().amax(-1) > 1e-4
+    assert hit.any(0).all()
+    assert not hit[:4].any(), "an episode begins without a push"
+    assert len(set(hit.int().argmax(0).tolist())) > 3
 
 
 def test_an_episode_begins_without_a_push(pushed):
-    env, push = pushed
-    for _ in range(4):
-        push()
-    env.event_manager.reset(torch.arange(32))
-    before = env.sim.data.qvel[:].clone()
-    for _ in range(5):
-        push()
-    changed = (env.sim.data.qvel[:] != before).any(-1)
-    assert not changed[:32].any()
-    assert changed[32:].any()
+    pushed.reset(seed=2)
+    push(pushed, 4)
+    pushed.event_manager.reset(torch.arange(32))
+    hit = (push(pushed, 4)[..., :2].abs() > 1e-4).any(-1).any(0)
+    assert not hit[:32].any()
+    assert hit[32:].any()
+
+
+def test_a_step_never_pays_less_than_nothing_and_how_often_it_would_is_logged():
+    cfg = env_cfg("Renet-Go1-Flat")
+    cfg.events.pop("push")
+    for name, term in cfg.rewards.items():
+        term.weight = {"linear_velocity": 1.5, "action_rate": -100.0}.get(name, 0.0)
+    envs = [build(cfg, 3, seed=2)]
+    cfg.events.pop("clip_reward")
+    envs.append(build(cfg, 3, seed=2))
+    for env in envs:
+        env.reset(seed=3)
+    for action in (torch.ones(3, 12), torch.ones(3, 12), torch.zeros(3, 12)):
+        clipped, summed = (env.step(action)[1] for env in envs)
+        torch.testing.assert_close(clipped, summed.clamp_min(0.0))
+        if action[0, 0] == 0.0 or envs[0].common_step_counter == 1:
+            assert (summed < 0.0).all(), "actions changed"
+    logged = envs[0].metrics_manager.reset()
+    negative = envs[1].metrics_manager.reset()["Episode_Metrics/reward_clipped"]
+    assert logged["Episode_Metrics/reward_clipped"] == negative
+    assert negative >= 2 / 3

@@ -8,14 +8,14 @@ import mujoco
 import pytest
 
 from renet.errors import RenetError
-from renet.tasks.config import flat_env_cfg
-from renet.tasks.go1 import GO1
-from renet.tasks.robot import Robot, rename_parts
+from renet.tasks.config.go1 import GO1
+from renet.tasks.parkour_env_cfg import flat_env_cfg
+from renet.tasks.robot_cfg import RobotCfg, rename_parts
 
 from .conftest import build
 
 
-def without(*geoms: str, site: str | None = None) -> Robot:
+def without(*geoms: str, site: str | None = None) -> RobotCfg:
     """A Go1 whose MJCF lacks something."""
 
     def spec() -> mujoco.MjSpec:

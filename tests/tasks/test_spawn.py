@@ -6,7 +6,7 @@ import mujoco
 import pytest
 import torch
 
-from renet.tiles import LEVELS, tiles
+from renet.terrain.tiles import LEVELS, tiles
 
 from .conftest import build
 
@@ -96,7 +96,7 @@ def test_every_kind_of_tile_logs_its_level():
     env = build("Renet-Go1-Parkour", 12)
     env.reset()
     env.scene.terrain.terrain_levels[:] = env.scene.terrain.terrain_types + 1
-    env.command_manager.get_term("goal").asked[:] = 10.0
+    env.command_manager.get_term("goal").commanded_distance[:] = 10.0
     env.episode_length_buf[:] = env.max_episode_length
     *_, extras = env.step(torch.zeros(12, 12))
     logged = {name: extras["log"][f"Curriculum/level/{name}"] for name in KINDS}

@@ -8,9 +8,10 @@ import torch
 from renet.cli import main
 from renet.errors import RenetError
 from renet.interface import proprioception_slices
-from renet.tasks import curriculum
+from renet.tasks import mdp
+from renet.training.train import TrainCfg
 
-from .conftest import build
+from .conftest import build, evaluate
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +27,7 @@ def asked_to_stand():
 
 
 def test_the_second_level_begins_at_its_switch_point(flat):
-    command, term = flat.command_manager.get_term("goal"), curriculum.command_stage
+    command, term = flat.command_manager.get_term("goal"), mdp.command_stage
     everyone = torch.arange(4)
     assert flat.cfg.curriculum["command_stage"].params["switch_step"] > 0
     for step, stage in ((0, 0), (99, 0), (100, 1), (5000, 1)):
@@ -47,9 +48,9 @@ def test_the_switch_point_is_an_option_of_training(monkeypatch):
         raise RenetError("that is all")
 
     monkeypatch.setattr("renet.tasks.make_env", refuse)
-    command = ["train", "Renet-Go1-Flat", "--num-steps-per-env", "5"]
-    assert main(command) == main([*command, "--standing-after", "300"]) == 2
-    assert asked == [4000 * 5, 300 * 5]
+    command = ["train", "Renet-Go1-Flat", "--num-envs", "100"]
+    assert main(command) == main([*command, "--standing-after", "30000"]) == 2
+    assert asked == [TrainCfg(task="").standing_after / 100, 300]
 
 
 def test_standing_earns_more_than_walking_where_it_is_asked_for(asked_to_stand):
@@ -62,9 +63,7 @@ def test_standing_earns_more_than_walking_where_it_is_asked_for(asked_to_stand):
     env.sim.data.qvel[3, :2] = 0.5 * direction[3]
     env.sim.forward()
     env.scene.update(0.0)
-    term = env.reward_manager.get_term_cfg("linear_velocity")
-    env.judge()
-    earned = term.func(env)
+    earned = evaluate(env, "linear_velocity")
     # 1 / (1 + |v|) asked to stand, <v, n> / c_x asked to walk (RENet eq. 6).
     expected = torch.tensor([1.0, 1 / 1.5, 0.0, 1.0])
     torch.testing.assert_close(earned, expected, atol=0.05, rtol=0)

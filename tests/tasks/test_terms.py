@@ -8,16 +8,11 @@ import pytest
 import torch
 
 from renet.errors import RenetError
-from renet.tasks import env_cfg, observations, rewards
-from renet.training.train import tuned
+from renet.tasks import env_cfg, mdp
+from renet.terrain.tiles import tiles
+from renet.training.train import TrainCfg, task_cfg
 
-from .conftest import build
-
-
-def judged(env, name: str) -> torch.Tensor:
-    """A reward of the present state, before its weight."""
-    env.judge()
-    return env.reward_manager.get_term_cfg(name).func(env)
+from .conftest import build, evaluate
 
 
 def test_goal_velocity_is_equation_6(flat):
@@ -27,10 +22,10 @@ def test_goal_velocity_is_equation_6(flat):
     flat.sim.data.qvel[:, :2], goal.yaw[:] = velocity, 0.0
     goal.speed[:] = torch.tensor([0.6, 0.6, 0.5, 0.0])
     expected = torch.tensor([0.5, 1.0, -1.0, 1.0])
-    got = judged(flat, "linear_velocity")
+    got = evaluate(flat, "linear_velocity")
     torch.testing.assert_close(got, expected, atol=1e-4, rtol=0)
     flat.sim.data.qvel[3, :2] = torch.tensor([3.0, 4.0])
-    assert judged(flat, "linear_velocity")[3].item() == pytest.approx(1.0 / 6.0)
+    assert evaluate(flat, "linear_velocity")[3].item() == pytest.approx(1.0 / 6.0)
 
 
 def test_collision_counts_bodies_not_geoms(flat):
@@ -43,18 +38,19 @@ def test_collision_counts_bodies_not_geoms(flat):
     views[0][0, 2] = views[1][0, 2] = 3.0  # Both geoms of one calf.
     views[6][0, 0] = 0.2
     bodies._slots[0].data_view[1, 1] = 0.05  # Below 0.1 N.
-    assert judged(flat, "collision").tolist() == [3.0, 0.0, 0.0, 0.0]
+    flat.scene.update(0.0)
+    assert evaluate(flat, "collision").tolist() == [3.0, 0.0, 0.0, 0.0]
 
 
-def test_asked_distance_is_the_integral_of_the_command(flat):
+def test_commanded_distance_is_the_integral_of_the_command(flat):
     flat.reset()
     goal = flat.command_manager.get_term("goal")
     goal.speed[:] = torch.tensor([0.0, 0.25, 0.5, 1.0])
     for _ in range(5):
         flat.step(torch.zeros(4, 12))
-    torch.testing.assert_close(goal.asked, 0.1 * goal.speed)
+    torch.testing.assert_close(goal.commanded_distance, 0.1 * goal.speed)
     flat.reset(env_ids=torch.tensor([2]))
-    assert goal.asked.tolist() == pytest.approx([0.0, 0.025, 0.0, 0.1])
+    assert goal.commanded_distance.tolist() == pytest.approx([0.0, 0.025, 0.0, 0.1])
 
 
 def test_penalties_by_hand(flat):
@@ -74,7 +70,7 @@ def test_penalties_by_hand(flat):
 
     def weigh(name: str) -> float:
         weight = flat.reward_manager.get_term_cfg(name).weight
-        return weight * judged(flat, name)[0].item()
+        return weight * evaluate(flat, name)[0].item()
 
     assert weigh("orientation") == pytest.approx(-(math.sin(angle) ** 2), rel=1e-4)
     assert weigh("yaw") == pytest.approx(0.5 * math.exp(-0.5), rel=1e-4)
@@ -98,8 +94,8 @@ def test_torque_is_judged_before_the_motor_saturates(flat):
     robot.set_joint_position_target(target)
 
     def costs() -> torch.Tensor:
-        flat.judge()
-        return flat.costs[0] / 0.02
+        flat.metrics_manager.compute()
+        return flat.extras["costs"][0] / 0.02
 
     assert (costs() == 0.0).all()
     target[:, 2] += 1.0
@@ -120,16 +116,15 @@ def test_a_standing_robot_costs_nothing_and_a_lying_one_collides(flat):
     for _ in range(50):
         *_, extras = flat.step(torch.zeros(4, 12))
     assert (extras["costs"] == 0.0).all()
-    assert (rewards.collision(flat) == 0.0).all()
-    assert observations.feet_contact(flat).all()
+    assert (mdp.collision(flat) == 0.0).all()
+    assert mdp.feet_contact(flat).all()
     flat.sim.data.qpos[0, 2] = 0.15
     flat.sim.data.qpos[0, 3:7] = torch.tensor([0.7071, 0.7071, 0.0, 0.0])
     for _ in range(10):  # On its side before the environment would reset it.
         flat.sim.step()
     flat.scene.update(0.2)
-    flat.judge()
-    assert rewards.collision(flat)[0] >= 1.0
-    assert (rewards.collision(flat)[1:] == 0.0).all()
+    assert mdp.collision(flat)[0] >= 1.0
+    assert (mdp.collision(flat)[1:] == 0.0).all()
 
 
 def test_violation_rates_are_logged(flat):
@@ -142,46 +137,14 @@ def test_violation_rates_are_logged(flat):
     assert log["Episode_Metrics/violated_joint_position"] >= 0.0
 
 
-def test_goals_are_drawn_and_the_second_level_asks_for_standing():
-    env = build("Renet-Go1-Flat", 256)
-    env.reset()
-    goal = env.command_manager.get_term("goal")
-    assert 0.2 <= goal.speed.min() <= goal.speed.max() <= 1.0
-    assert goal.heading_error.abs().max() <= math.pi / 2 + 1e-3
-    goal.stage = 1
-    env.reset()
-    # A tenth of an episode's first goals is too slow to be walking.
-    assert 0.04 < (goal.speed == 0.0).float().mean() < 0.18
-    goal.time_left[:] = 0.01
-    goal.compute(dt=0.02)
-    # Of those that replace them three tenths by choice, and a tenth of the rest.
-    assert 0.27 < (goal.speed == 0.0).float().mean() < 0.47
-    walking = goal.speed[goal.speed > 0.0]
-    assert 0.1 <= walking.min() < 0.2 < walking.max() <= 1.0
-    command = goal.command
-    torch.testing.assert_close(command[:, 1] ** 2 + command[:, 2] ** 2, torch.ones(256))
-
-
-def test_a_fixed_goal_is_kept():
-    from renet.tasks import env_cfg
-
-    cfg = env_cfg("Renet-Go1-Flat", play=True)
-    cfg.commands["goal"].fixed_speed = 0.6
-    env = build(cfg, 8)
-    env.reset()
-    goal = env.command_manager.get_term("goal")
-    assert (goal.speed == 0.6).all()
-    assert goal.heading_error.abs().max() < 1e-3
-
-
 def test_joint_acceleration_starts_each_episode_at_rest(flat):
     flat.reset()
     flat.sim.data.qvel[:, 6:] = 1.5
     expected = 12 * (1.5 / 0.02) ** 2
-    assert judged(flat, "joint_acceleration").tolist() == pytest.approx([expected] * 4)
-    assert (judged(flat, "joint_acceleration") == 0.0).all()
-    flat.judge.forget(torch.tensor([0]))
-    again = judged(flat, "joint_acceleration")
+    assert evaluate(flat, "joint_acceleration").tolist() == pytest.approx([expected] * 4)
+    assert (evaluate(flat, "joint_acceleration") == 0.0).all()
+    flat.reward_manager.reset(torch.tensor([0]))
+    again = evaluate(flat, "joint_acceleration")
     assert again.tolist() == pytest.approx([expected, 0.0, 0.0, 0.0])
 
 
@@ -190,17 +153,18 @@ def test_foot_clearance_by_hand(flat):
     data, kind = flat.sim.data, flat.cfg.robot
     sites, _ = flat.scene["robot"].find_sites(("FR", "FL", "RR", "RL"), preserve_order=True)
     columns = flat.scene["robot"].indexing.site_ids[sites]
-    standing = data.xpos[:, flat.watched.base, 2] - (kind.map_height - kind.foot_radius)
+    base = flat.scene["robot"].indexing.root_body_id
+    standing = data.xpos[:, base, 2] - (kind.map_height - kind.foot_radius)
     feet = torch.zeros(4, 4, 3)
     feet[..., 2] = standing[:, None] + torch.tensor([0.05, 0.30, 0.0, 0.12])
     data.site_xpos[:, columns] = feet
-    assert (judged(flat, "foot_clearance") == 0.0).all()  # No speed is known yet.
+    assert (evaluate(flat, "foot_clearance") == 0.0).all()  # No speed is known yet.
     data.site_xpos[:, columns] = feet + torch.tensor([0.003, 0.004, 0.0])
     # 0.25 m/s; lifted by 5 cm of 12, high up, not at all, just enough.
     expected = 0.25 * (0.07**2 + 0.12**2)
-    assert judged(flat, "foot_clearance").tolist() == pytest.approx([expected] * 4, rel=1e-3)
-    flat.judge.forget(torch.arange(4))
-    assert (judged(flat, "foot_clearance") == 0.0).all()
+    assert evaluate(flat, "foot_clearance").tolist() == pytest.approx([expected] * 4, rel=1e-3)
+    flat.reward_manager.reset(torch.arange(4))
+    assert (evaluate(flat, "foot_clearance") == 0.0).all()
 
 
 def test_standing_motion_is_smoothed_and_counts_only_where_standing_is_asked_for(flat):
@@ -210,49 +174,90 @@ def test_standing_motion_is_smoothed_and_counts_only_where_standing_is_asked_for
     data.qvel[:] = 0.0
     data.qvel[:, 6], data.qvel[:, 8] = 1.0, -2.0
     # A tenth of each velocity.
-    assert judged(flat, "standing_motion").tolist() == pytest.approx([0.05, 0.0, 0.05, 0.0])
+    assert evaluate(flat, "standing_motion").tolist() == pytest.approx([0.05, 0.0, 0.05, 0.0])
     data.qvel[:] = -data.qvel[:]  # Shaking: 0.9 * 0.1 - 0.1 of each is left.
-    left = judged(flat, "standing_motion").tolist()
+    left = evaluate(flat, "standing_motion").tolist()
     assert left == pytest.approx([0.0005, 0.0, 0.0005, 0.0], rel=1e-4)
-    flat.judge.forget(torch.tensor([0]))
-    assert judged(flat, "standing_motion")[0].item() == pytest.approx(0.05)
+    flat.reward_manager.reset(torch.tensor([0]))
+    assert evaluate(flat, "standing_motion")[0].item() == pytest.approx(0.05)
+
+
+def recipe(task: str, weights: dict | None = None, shares: dict | None = None):
+    """The task as training sets it."""
+    weights, shares = (tuple((asked or {}).items()) for asked in (weights, shares))
+    return task_cfg(TrainCfg(task=task, reward_weights=weights, terrain_proportions=shares))
 
 
 def test_rewards_beyond_the_papers_are_paid_only_on_request():
-    extra = ("foot_clearance", "standing_motion")
+    extra = ("foot_clearance", "standing_motion", "overspeed", "low_trunk")
     assert all(env_cfg("Renet-Go1-Flat").rewards[name].weight == 0.0 for name in extra)
-    terms = tuned("Renet-Go1-Flat", {"foot_clearance": -15.0}, {}).rewards
-    assert (terms["foot_clearance"].weight, terms["collision"].weight) == (-15.0, -10.0)
-    with pytest.raises(RenetError, match="no reward 'lift': choose of linear_velocity"):
-        tuned("Renet-Go1-Flat", {"lift": 1.0}, {})
+    terms = recipe("Renet-Go1-Flat", {"foot_clearance": -16.0}).rewards
+    assert (terms["foot_clearance"].weight, terms["yaw"].weight) == (-16.0, 0.5)
+    with pytest.raises(RenetError, match="no reward 'lift': choose one of linear_velocity"):
+        recipe("Renet-Go1-Flat", {"lift": 1.0})
 
 
 def test_tiles_are_shared_out_as_asked():
-    env = build(tuned("Renet-Go1-Parkour", {}, {"rough": 1.0, "gap": 3.0}), 14)
-    assert torch.bincount(env.scene.terrain.terrain_types).tolist() == [2, 2, 2, 2, 4, 2]
+    cfg = recipe("Renet-Go1-Parkour", shares=dict.fromkeys(tiles(), 1.0) | {"gap": 3.0})
+    env = build(cfg, 14)
+    found = torch.bincount(env.scene.terrain.terrain_types).tolist()
+    assert found == [2, 2, 2, 2, 4, 2]
     for share, problem in (
-        ({"moat": 1.0}, "no tile 'moat': choose of rough"),
+        ({"moat": 1.0}, "no tile 'moat': choose one of rough"),
         ({"gap": -1.0}, "0"),
     ):
         with pytest.raises(RenetError, match=problem):
-            tuned("Renet-Go1-Parkour", {}, share)
-    with pytest.raises(RenetError, match="no tile 'gap': it is flat"):
-        tuned("Renet-Go1-Flat", {}, {"gap": 1.0})
+            recipe("Renet-Go1-Parkour", shares=share)
+
+
+def test_overspeed_counts_what_is_beyond_the_tolerance(flat):
+    flat.reset()
+    goal = flat.command_manager.get_term("goal")
+    goal.speed[:], goal.yaw[:] = torch.tensor([0.5, 0.5, 0.0, 0.5]), 0.0
+    flat.sim.data.qvel[:, 0] = torch.tensor([1.0, 0.6, 2.0, -3.0])
+    expected = torch.tensor([0.4, 0.0, 0.0, 0.0])
+    torch.testing.assert_close(evaluate(flat, "overspeed"), expected, atol=1e-5, rtol=0)
+
+
+def test_a_low_trunk_is_measured_against_the_ground_below_it(flat):
+    flat.reset()
+    data, base = flat.sim.data, int(flat.scene["robot"].indexing.root_body_id)
+    data.xpos[:, base, 2] = torch.tensor([0.35, 0.27, 0.22, 0.17])
+    flat.scene.update(0.0)
+    expected = torch.tensor([0.0, 0.0, 0.05**2, 0.1**2])
+    torch.testing.assert_close(evaluate(flat, "low_trunk"), expected, atol=1e-5, rtol=0)
+
+
+def test_critics_see_how_long_a_robot_stalls_and_its_smoothed_motion(flat):
+    flat.reset()
+    goal, data = flat.command_manager.get_term("goal"), flat.sim.data
+    goal.speed[:], goal.time_left[:] = torch.tensor([0.5, 0.5, 0.0, 0.0]), 10.0
+    smooth = torch.zeros(4, 12)
+    for step in range(6):
+        if step == 3:
+            flat.reset(env_ids=torch.tensor([0]))
+            goal.speed[0], smooth[0] = 0.5, 0.0
+        seen = flat.step(torch.full((4, 12), 0.3))[0]["privileged"]
+        smooth = smooth + 0.1 * (data.qvel[:, 6:] - smooth)
+        torch.testing.assert_close(seen[:, 5:17], smooth, atol=1e-4, rtol=1e-4)
+    # The first step of an episode marks where it stands.
+    assert seen[:, 4].tolist() == pytest.approx([0.04, 0.1, 0.0, 0.0])
 
 
 def test_a_robot_that_gives_up_has_stalled(flat):
     flat.reset()
-    goal, data, base = flat.command_manager.get_term("goal"), flat.sim.data, flat.watched.base
+    goal, data = flat.command_manager.get_term("goal"), flat.sim.data
+    base = int(flat.scene["robot"].indexing.root_body_id)
     # Walks, gives up, was told to stand, gives up but is set down anew.
     goal.speed[:] = torch.tensor([0.5, 0.5, 0.0, 0.5])
-    stalled = flat.termination_manager.get_term_cfg("stalled").func
+    ends = flat.termination_manager
     seen = []
     for step in range(170):
         data.xpos[0, base, 0] = 0.01 * step
         if step == 100:
-            flat.judge.forget(torch.tensor([3]))
-        flat.judge()
-        seen.append(stalled(flat).clone())
+            ends.reset(torch.tensor([3]))
+        ends.compute()
+        seen.append(ends.get_term("stalled").clone())
     # Its first step marks where it stands, then 3 s and a step must pass.
     assert torch.stack(seen).int().argmax(0).tolist() == [0, 151, 0, 0]
     assert torch.stack(seen).any(0).tolist() == [False, True, False, False]

@@ -9,10 +9,10 @@ import torch
 
 from renet.errors import RenetError
 from renet.sim.depth.raycast import scanner
-from renet.tasks.config import tile_env_cfg
-from renet.tasks.curriculum import FIRST_LEVELS
+from renet.tasks.mdp.curriculums import FIRST_LEVELS
+from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.terrains import parkour_terrain, single_tile_terrain
-from renet.tiles import LEVELS, TILE, Tile, dense_tiles, tiles
+from renet.terrain.tiles import LEVELS, TILE, Tile, dense_tiles, tiles
 
 from .conftest import build
 
@@ -102,28 +102,32 @@ def test_neighbours_meet_at_ground_level(world):
     assert terrain.height(corners).abs().max() < 1e-3
 
 
+def base(env) -> torch.Tensor:
+    """Positions of the bases, which may be written, [N, 3]."""
+    return env.sim.data.xpos[:, int(env.scene["robot"].indexing.root_body_id)]
+
+
 def at_level(env, level: int, steps: int = 500) -> torch.Tensor:
     """Put everybody at the start of a level, after some steps; the levels, which change later."""
     env.reset()
     terrain = env.scene.terrain
     terrain.terrain_levels[:] = level
     terrain.env_origins[:] = terrain.terrain_origins[level, terrain.terrain_types]
-    base = env.watched.base
-    env.sim.data.xpos[:, base] = terrain.env_origins + torch.tensor([0.0, 0.0, 0.3])
+    base(env)[:] = terrain.env_origins + torch.tensor([0.0, 0.0, 0.3])
     env.episode_length_buf[:] = steps
     env.termination_manager.terminated[:] = False
     goal = env.command_manager.get_term("goal")
-    goal.asked[:], goal.speed[:] = 0.0, 0.8
+    goal.commanded_distance[:], goal.speed[:] = 0.0, 0.8
     return terrain.terrain_levels
 
 
 def test_walk_in_minutes_rule(parkour):
     levels = at_level(parkour, 4)
     goal, terrain = parkour.command_manager.get_term("goal"), parkour.scene.terrain
-    where = parkour.sim.data.xpos[:, parkour.watched.base]
+    where = base(parkour)
     distance = torch.tensor([4.1, 3.0, 1.5, 1.5, 0.1, 0.1])
     where[:6, 0] += distance
-    goal.asked[:6] = torch.tensor([4.0, 20.0, 20.0, 2.0, 0.0, 4.0])
+    goal.commanded_distance[:6] = torch.tensor([4.0, 20.0, 20.0, 2.0, 0.0, 4.0])
     parkour.curriculum_manager.compute(env_ids=torch.arange(5))
     # Below half of what was asked, at most half of 4 m, means down; robot 5 walks on.
     assert levels[:6].tolist() == [5, 4, 3, 4, 4, 4]
@@ -131,15 +135,15 @@ def test_walk_in_minutes_rule(parkour):
         start = terrain.terrain_origins[level, terrain.terrain_types[robot]]
         assert torch.equal(terrain.env_origins[robot], start)
     logged = parkour.curriculum_manager.reset()
-    assert logged["Curriculum/level/rough"].item() == pytest.approx(4.5)
-    assert logged["Curriculum/command_stage"].item() in (0.0, 1.0)
+    assert logged["Curriculum/level/rough"] == pytest.approx(4.5)
+    assert logged["Curriculum/command_stage"] in (0.0, 1.0)
 
 
 def test_who_falls_owes_the_whole_episode(parkour):
     # 200 steps of 0.02 s at 0.8 m/s remain, 3.2 m; both have covered 1 m of the 0.5 asked so far.
     levels = at_level(parkour, 4, steps=parkour.max_episode_length - 200)
-    parkour.command_manager.get_term("goal").asked[:] = 0.5
-    parkour.sim.data.xpos[:2, parkour.watched.base, 0] += 1.0
+    parkour.command_manager.get_term("goal").commanded_distance[:] = 0.5
+    base(parkour)[:2, 0] += 1.0
     parkour.termination_manager.terminated[1] = True
     parkour.curriculum_manager.compute(env_ids=torch.tensor([0, 1]))
     assert levels[:2].tolist() == [4, 3]
@@ -147,8 +151,8 @@ def test_who_falls_owes_the_whole_episode(parkour):
 
 def test_who_has_not_walked_stays_at_its_level(parkour):
     levels = at_level(parkour, 4, steps=0)
-    parkour.sim.data.xpos[0, parkour.watched.base, 0] += 50.0
-    parkour.command_manager.get_term("goal").asked[1] = 4.0
+    base(parkour)[0, 0] += 50.0
+    parkour.command_manager.get_term("goal").commanded_distance[1] = 4.0
     parkour.curriculum_manager.compute(env_ids=torch.arange(12))
     assert (levels == 4).all()
 
@@ -157,7 +161,7 @@ def test_failing_at_the_first_level_leads_to_one_of_the_first(parkour):
     reached = set()
     for _ in range(10):
         levels = at_level(parkour, 0)
-        parkour.command_manager.get_term("goal").asked[:] = 4.0
+        parkour.command_manager.get_term("goal").commanded_distance[:] = 4.0
         parkour.curriculum_manager.compute(env_ids=torch.arange(6))
         assert (levels[6:] == 0).all()
         reached |= set(levels[:6].tolist())
@@ -168,7 +172,7 @@ def test_the_last_level_leads_back_to_any(parkour):
     reached = set()
     for _ in range(10):
         levels = at_level(parkour, LEVELS - 1)
-        parkour.sim.data.xpos[:, parkour.watched.base, 1] -= 4.1
+        base(parkour)[:, 1] -= 4.1
         parkour.curriculum_manager.compute(env_ids=torch.arange(12))
         reached |= set(levels.tolist())
     assert reached == set(range(LEVELS))

@@ -120,7 +120,7 @@ def _simulated_scores(
     from renet.evaluation.env import FLAT, PARKOUR
     from renet.evaluation.evaluator import Evaluator
     from renet.evaluation.rollout import check_speed
-    from renet.tiles import LEVELS
+    from renet.terrain.tiles import LEVELS
 
     if cfg.robots < 1 or cfg.seconds < 1 or not 1 <= cfg.levels <= LEVELS:
         raise RenetError(
@@ -144,7 +144,7 @@ def _healthy_runs(
     """Every monitor's scores in one terrain's successful episodes, VP in charge throughout."""
     from renet.evaluation.env import PARKOUR
     from renet.evaluation.rollout import Trial
-    from renet.tiles import tiles
+    from renet.terrain.tiles import tiles
 
     env = evaluator.make_env(terrain, range(cfg.robots), cfg.speed, cfg.seed)
     if terrain == PARKOUR:

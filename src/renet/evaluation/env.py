@@ -18,11 +18,11 @@ from renet.evaluation.rollout import StepResult
 from renet.faults import ViewPerturbation
 from renet.faults.physical import obstacles, spread
 from renet.sim.depth.camera import CameraPerturbation, DepthCamera
-from renet.tasks import RenetEnv, RenetEnvCfg, Robot, env_cfg, make_env
-from renet.tasks.commands import COMMAND, GoalCommandCfg, goal
-from renet.tasks.config import flat_env_cfg, parkour_env_cfg, tile_env_cfg
-from renet.tasks.go1 import GO1
-from renet.tasks.rewards import collision
+from renet.tasks import RenetEnv, RenetEnvCfg, RobotCfg, env_cfg, make_env
+from renet.tasks.config.go1 import GO1
+from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg, goal
+from renet.tasks.mdp.rewards import collision
+from renet.tasks.parkour_env_cfg import flat_env_cfg, parkour_env_cfg, tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.terrains import single_tile_terrain
 
@@ -32,7 +32,7 @@ NEVER = 1e9
 """Seconds no run lasts."""
 
 
-def robot_of(manifest: Manifest) -> Robot:
+def robot_of(manifest: Manifest) -> RobotCfg:
     """The robot a bundle was trained on; raises RenetError if its task is not registered here."""
     task = manifest.provenance.task
     try:
@@ -44,7 +44,7 @@ def robot_of(manifest: Manifest) -> Robot:
         ) from error
 
 
-def terrain_env_cfg(terrain: str, level: int, robot: Robot) -> RenetEnvCfg:
+def terrain_env_cfg(terrain: str, level: int, robot: RobotCfg) -> RenetEnvCfg:
     """A task to measure in.
 
     Args:

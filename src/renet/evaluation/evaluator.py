@@ -27,7 +27,7 @@ from renet.evaluation.trace import Trace
 from renet.faults import Injector
 from renet.selector.defaults import default_monitors
 from renet.selector.monitors import Sight
-from renet.tasks import RenetEnvCfg, Robot
+from renet.tasks import RenetEnvCfg, RobotCfg
 
 
 class Evaluator:
@@ -53,7 +53,7 @@ class Evaluator:
         """The scene of the latest environment, for pictures."""
 
     @property
-    def robot(self) -> Robot:
+    def robot(self) -> RobotCfg:
         """The robot the bundle was trained on; raises RenetError if it is unknown here."""
         return robot_of(self.bundle.manifest)
 

@@ -114,7 +114,7 @@ def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[int]:
     """
     import mujoco
 
-    from renet.tiles import TILE
+    from renet.terrain.tiles import TILE
 
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

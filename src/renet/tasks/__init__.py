@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from mjlab.tasks.registry import register_mjlab_task
 
-from renet.tasks.config import flat_env_cfg, parkour_env_cfg
+from renet.tasks.config.go1 import GO1
 from renet.tasks.env import RenetEnv, RenetEnvCfg, env_cfg, make_env
-from renet.tasks.go1 import GO1
-from renet.tasks.robot import Motor, Robot, rename_parts
+from renet.tasks.parkour_env_cfg import flat_env_cfg, parkour_env_cfg
+from renet.tasks.robot_cfg import Motor, RobotCfg, rename_parts
 from renet.training.config import RenetRunnerCfg
 from renet.training.runner import RenetRunner
 
@@ -15,7 +15,7 @@ __all__ = [
     "Motor",
     "RenetEnv",
     "RenetEnvCfg",
-    "Robot",
+    "RobotCfg",
     "env_cfg",
     "make_env",
     "register_tasks",
@@ -23,14 +23,14 @@ __all__ = [
 ]
 
 
-def register_tasks(name: str, robot: Robot) -> None:
+def register_tasks(name: str, robot: RobotCfg) -> None:
     """Give a robot the tasks Renet-`name`-Flat and Renet-`name`-Parkour."""
     for terrain, cfg in (("Flat", flat_env_cfg), ("Parkour", parkour_env_cfg)):
         register_mjlab_task(
             task_id=f"Renet-{name}-{terrain}",
             env_cfg=cfg(robot=robot),
             play_env_cfg=cfg(play=True, robot=robot),
-            rl_cfg=RenetRunnerCfg(),
+            rl_cfg=RenetRunnerCfg(num_steps_per_env=25),  # As many as mjlab's own, in whole ticks.
             runner_cls=RenetRunner,
         )
 

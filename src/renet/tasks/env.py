@@ -1,11 +1,10 @@
-"""mjlab's environment with constraint costs, a clipped reward and a resumable curriculum."""
+"""mjlab's environment with fused physics steps on the CPU and a resumable curriculum."""
 
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import dataclass, field
-from functools import cached_property, partial
-from typing import Any
+from dataclasses import dataclass
+from functools import partial
 
 import torch
 from mjlab.actuator import BuiltinPositionActuatorCfg
@@ -17,49 +16,28 @@ from torch import Tensor
 from renet.errors import RenetError
 from renet.sim.native.engine import use_engine
 from renet.sim.threads import one_torch_thread
-from renet.tasks.commands import goal
-from renet.tasks.constraints import ConstraintCfg
-from renet.tasks.env_data import FloatingBase
-from renet.tasks.go1 import GO1
-from renet.tasks.judge import Judge
-from renet.tasks.managers import (
-    DeviceCurriculum,
-    StackedMetrics,
-    StackedRewards,
-    StackedTerminations,
-)
-from renet.tasks.observing import StackedObservations
-from renet.tasks.robot import Robot
-from renet.tasks.step import watch
+from renet.tasks.config.go1 import GO1
+from renet.tasks.mdp.commands import goal
+from renet.tasks.robot_cfg import RobotCfg
 
 
 @dataclass(kw_only=True)
 class RenetEnvCfg(ManagerBasedRlEnvCfg):
-    """ManagerBasedRlEnvCfg plus what RENet's constrained problem needs."""
+    """ManagerBasedRlEnvCfg that knows its robot."""
 
-    robot: Robot = GO1
-    """Whose limits the constraints are, and what `renet export` writes into a bundle."""
-    constraints: ConstraintCfg = field(default_factory=ConstraintCfg)
-    clip_reward: bool = True
-    """Keep each step's summed reward at or above zero (Extreme Parkour does): dying early never
-    pays."""
+    robot: RobotCfg = GO1
+    """Of which the scene was built; `renet export` writes its gains and pose into a bundle."""
 
 
 class RenetEnv(ManagerBasedRlEnv):
-    """Adds `extras["costs"]`: [N, 3], order of interface.CONSTRAINTS, times the step's dt."""
+    """mjlab's environment, quicker on the native CPU engine, with a curriculum that is resumed."""
 
     cfg: RenetEnvCfg
-    reward_manager: StackedRewards
-    termination_manager: StackedTerminations
-    metrics_manager: StackedMetrics
 
     def __init__(self, cfg: RenetEnvCfg, device: str, render_mode: str | None = None) -> None:
         # A copy: this environment's decimation changes below, and callers reuse configurations.
-        cfg = deepcopy(cfg)
-        super().__init__(cfg, device, render_mode)
+        super().__init__(deepcopy(cfg), device, render_mode)
         self._fuse_substeps()
-        robot = self.scene["robot"]
-        robot._data = FloatingBase(robot.data)
 
     def _fuse_substeps(self) -> None:
         """Let the native engine take all substeps of a control step in one call, poses included.
@@ -83,59 +61,9 @@ class RenetEnv(ManagerBasedRlEnv):
         return self.physics_dt * self.cfg.decimation
 
     def step(self, action: Tensor):
-        """See ManagerBasedRlEnv.step."""
+        """Take a control step; torch's operations are too small for more than one thread."""
         with one_torch_thread(self.device):
-            observation, reward, terminated, truncated, extras = super().step(action)
-        extras["costs"] = self.costs
-        if self.cfg.clip_reward:
-            reward = reward.clamp_min(0.0)
-        return observation, reward, terminated, truncated, extras
-
-    def load_managers(self) -> None:
-        """Load the managers, and judge a step before they ask: before any reset."""
-        super().load_managers()
-        self.observation_manager = StackedObservations(self.cfg.observations, self)
-        self.reward_manager = StackedRewards(
-            self.cfg.rewards, self, scale_by_dt=self.cfg.scale_rewards_by_dt
-        )
-        self.termination_manager = StackedTerminations(self.cfg.terminations, self)
-        self.metrics_manager = StackedMetrics(self.cfg.metrics, self)
-        self.curriculum_manager = DeviceCurriculum(self.cfg.curriculum, self)
-        self.judge = Judge(self)
-        conclude = self.termination_manager.compute
-
-        def judge_and_conclude() -> Tensor:
-            self.judge()
-            return conclude()
-
-        self.termination_manager.compute = judge_and_conclude  # type: ignore[method-assign]
-
-    def _reset_idx(self, env_ids: Tensor) -> None:
-        super()._reset_idx(env_ids)
-        self.judge.forget(env_ids)
-
-    @property
-    def episode_length_buf(self) -> Tensor:
-        """Control steps of each robot's episode so far, [N]."""
-        return self._episode_length
-
-    @episode_length_buf.setter
-    def episode_length_buf(self, value: Tensor) -> None:  # type: ignore[override]
-        # Runners assign one of their own, but the judge reads the first.
-        if not hasattr(self, "_episode_length"):
-            self._episode_length = value
-        elif value is not self._episode_length:
-            self._episode_length[:] = value
-
-    @cached_property
-    def watched(self) -> Any:
-        """What terms in Warp read."""
-        return watch(self)
-
-    @property
-    def costs(self) -> Tensor:
-        """Of the last step, [N, 3]; see `extras["costs"]`."""
-        return self.judge.costs
+            return super().step(action)
 
     # Checkpoints.
 

@@ -7,7 +7,7 @@ from mjlab.sensor import ContactMatch, ContactSensorCfg
 from renet.interface import LEGS
 from renet.sim.depth.camera import DepthCameraCfg
 from renet.sim.sensors import FeetHeightCfg, HeightMapCfg
-from renet.tasks.robot import CALVES, FEET, TRUNK, Robot
+from renet.tasks.robot_cfg import CALVES, FEET, TRUNK, RobotCfg
 
 DEPTH_CAMERA = "depth_camera"
 HEIGHT_MAP = "height_map"
@@ -37,7 +37,7 @@ def contact_sensors() -> tuple[ContactSensorCfg, ...]:
     )
 
 
-def terrain_sensors(robot: Robot) -> tuple[DepthCameraCfg, HeightMapCfg, FeetHeightCfg]:
+def terrain_sensors(robot: RobotCfg) -> tuple[DepthCameraCfg, HeightMapCfg, FeetHeightCfg]:
     """The depth camera, and the true terrain."""
     return (
         DepthCameraCfg(name=DEPTH_CAMERA, mount=robot.camera),

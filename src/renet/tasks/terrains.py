@@ -7,7 +7,7 @@ from typing import cast
 from mjlab.terrains import TerrainEntityCfg, TerrainGeneratorCfg
 from mjlab.terrains.terrain_generator import SubTerrainCfg
 
-from renet.tiles import LEVELS, TILE, Tile, find_tile, tiles
+from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
 
 DIFFICULT = ("gap", "platform")
 """Kinds of tile that force vision; all others are simple."""

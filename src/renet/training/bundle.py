@@ -20,8 +20,8 @@ from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.sim.depth.camera import DepthCameraCfg
 from renet.tasks import env_cfg
-from renet.tasks.go1 import GO1
-from renet.tasks.robot import ACTION_CLIP, Robot
+from renet.tasks.config.go1 import GO1
+from renet.tasks.robot_cfg import ACTION_CLIP, RobotCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.checkpoint import Checkpoint
 from renet.training.config_io import from_dict
@@ -72,7 +72,7 @@ def load_networks(checkpoint: Checkpoint, path: Path) -> RENet:
     return model.eval()
 
 
-def robot_spec(robot: Robot = GO1) -> RobotSpec:
+def robot_spec(robot: RobotCfg = GO1) -> RobotSpec:
     """A robot as the tasks drive it, read from the model they compile."""
     cfg = robot.entity()
     model = Entity(cfg).spec.compile()
@@ -92,7 +92,7 @@ def robot_spec(robot: Robot = GO1) -> RobotSpec:
     )
 
 
-def camera_spec(robot: Robot = GO1) -> CameraSpec:
+def camera_spec(robot: RobotCfg = GO1) -> CameraSpec:
     """The tasks' camera without its errors."""
     camera = DepthCameraCfg(name="depth_camera", mount=robot.camera)
     intrinsics, mount = camera.intrinsics, camera.mount

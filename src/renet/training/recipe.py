@@ -39,7 +39,7 @@ RENET: dict[str, Any] = {
     "batch_size": "12800@5M,51200@40M",
     "reward_weights": {
         # At the paper's -10 a touch outweighs all else and the clipped sum says nothing where a
-        # robot tries to climb. The others are not the paper's: `tasks/rewards.py` says what for.
+        # robot tries to climb. The others are not the paper's: `tasks/mdp/rewards.py` says so.
         "collision": -1.0,
         "foot_clearance": -20.0,
         "standing_motion": -0.5,

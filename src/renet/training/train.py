@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import re
 import time
+import warnings
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -47,8 +50,8 @@ NESTED: dict[str, type] = {
 }
 MERGED = ("reward_weights", "terrain_proportions")
 """Settings whose entries replace those of the preset one by one."""
-PER_SESSION = ("resume", "time_budget", "log_root", "device", "processes", "hosts")
-"""Settings that say how a run is carried out, not what it learns."""
+PER_SESSION = ("resume", "time_budget", "log_root", "device", "processes", "hosts", "task_cfg.seed")
+"""Settings that say how a run is carried out, not what it learns, or that are told elsewhere."""
 
 
 def _from(preset_: str, name: str) -> Any:
@@ -99,7 +102,7 @@ class TrainCfg(LearningCfg):
     """Share of the robots on each kind of tile, relative to the others', in place of the preset's,
     e.g. `--terrain-proportions gap 3`; the others stay."""
     dense_tiles: bool = RENET["dense_tiles"]
-    """Train on tiles with two to three times as many edges on the way out (`tiles.py`)."""
+    """Train on tiles with two to three times as many edges on the way out (`terrain/tiles.py`)."""
     depth_noise_std: float = RENET["depth_noise_std"]
     """Standard deviation of the constant part of the depth error, m."""
     standing_after: float = RENET["standing_after"]
@@ -175,7 +178,7 @@ def train(cfg: TrainCfg) -> Path | None:
         RenetError: anything a user can put right.
     """
     from renet.tasks import make_env
-    from renet.tasks.robot import ACTION_CLIP
+    from renet.tasks.robot_cfg import ACTION_CLIP
 
     began = time.monotonic()
     rank = int(os.getenv("RANK", "0"))
@@ -189,13 +192,10 @@ def train(cfg: TrainCfg) -> Path | None:
     earlier = None if resume is None else checkpoints.load(resume)
     task = task_cfg(cfg)
     task.curriculum["command_stage"].params["switch_step"] = _switch_step(cfg, earlier)
-    env = make_env(
-        task,
-        num_envs=num_envs,
-        device=device,
-        seed=cfg.seed + rank,
-        engine=cfg.engine,
-    )
+    # mjlab prints tables of terms and warns of its own randomisation.
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        env = make_env(task, num_envs, device, cfg.seed + rank, cfg.engine)
     vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
     # Another task's run stays as it is.
     own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
@@ -238,7 +238,7 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
     from renet.sim.depth.camera import DepthCameraCfg
     from renet.tasks import env_cfg
     from renet.tasks.terrains import as_mjlab
-    from renet.tiles import dense_tiles
+    from renet.terrain.tiles import dense_tiles
 
     task = env_cfg(cfg.task)
     weights, shares = (dict(preset(cfg.preset)[n]) | dict(getattr(cfg, n)) for n in MERGED)

@@ -16,9 +16,9 @@ from renet.evaluation.studies.course_env import CourseEnv, PlaceInjector, time_l
 from renet.evaluation.studies.course_terrain import AHEAD, LAP, SET_DOWN, course_env_cfg, passage
 from renet.faults import Frames
 from renet.sim.depth.raycast import scanner
-from renet.tasks.commands import goal
-from renet.tasks.go1 import GO1
-from renet.tiles import TILE
+from renet.tasks.config.go1 import GO1
+from renet.tasks.mdp.commands import goal
+from renet.terrain.tiles import TILE
 
 from ..fakes import FakeEvaluator
 

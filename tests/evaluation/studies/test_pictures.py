@@ -13,7 +13,7 @@ from renet.evaluation.report.height_maps import WARM_UP, errors
 from renet.evaluation.report.report import ReportCfg, make_report
 from renet.evaluation.studies.pictures import SENSOR, PicturesStudy, _kept
 from renet.interface import HEIGHT_MAP_SIZE
-from renet.tiles import tiles
+from renet.terrain.tiles import tiles
 
 
 def test_every_picture_is_written_and_the_numbers_are_those_of_the_robots(tmp_path):

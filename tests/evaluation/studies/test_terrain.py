@@ -18,7 +18,7 @@ from renet.evaluation.studies.terrain import (
     worse_than_op,
 )
 from renet.faults import ViewPerturbation
-from renet.tiles import LEVELS, tiles
+from renet.terrain.tiles import LEVELS, tiles
 
 from ..fakes import FakeEnv, FakeEvaluator, FakePolicy, FakeSelector
 

@@ -17,8 +17,8 @@ from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.viewer.session import ViewerSession
 from renet.evaluation.viewer.viewer import LiveViewer, serve, watch
 from renet.faults import FAULTS, Injection
-from renet.tasks.commands import goal
-from renet.tasks.go1 import GO1
+from renet.tasks.config.go1 import GO1
+from renet.tasks.mdp.commands import goal
 
 HOST = "127.0.0.1"
 

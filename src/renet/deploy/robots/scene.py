@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from renet.errors import RenetError
-from renet.tiles import TILE, find_tile
+from renet.terrain.tiles import TILE, find_tile
 
 GO1 = Path(__file__).with_name("go1.xml")
 TERRAIN_GROUP = 0

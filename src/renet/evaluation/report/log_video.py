@@ -18,7 +18,7 @@ from renet.evaluation.report.video import Panel, VideoCfg, make_video
 from renet.evaluation.results import output_folder
 from renet.evaluation.terminal import progress
 from renet.interface import CONTROL_DT, DEPTH_SHAPE, JOINTS
-from renet.tasks.go1 import GO1
+from renet.tasks.config.go1 import GO1
 
 
 def film_log(log: Path, out: Path | None = None) -> Path:

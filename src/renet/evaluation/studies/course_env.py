@@ -13,8 +13,8 @@ from renet.evaluation.rollout import StepResult
 from renet.evaluation.studies.course_terrain import AHEAD, FAULTS_HERE
 from renet.faults import FAULTS, Frames, Injector, fault_class
 from renet.interface import CONTROL_DT
-from renet.tasks.commands import goal
-from renet.tiles import TILE
+from renet.tasks.mdp.commands import goal
+from renet.terrain.tiles import TILE
 
 LOOK_AHEAD = 3.0
 """The goal yaw points at the course's middle line this far ahead, m, as an operator would steer."""

@@ -19,11 +19,11 @@ from mjlab.terrains import TerrainEntityCfg, TerrainGeneratorCfg
 from torch import Tensor
 
 from renet.errors import RenetError
-from renet.tasks import RenetEnvCfg, Robot
-from renet.tasks.config import tile_env_cfg
-from renet.tasks.terminations import PIT_DEPTH
+from renet.tasks import RenetEnvCfg, RobotCfg
+from renet.tasks.mdp.terminations import PIT_DEPTH
+from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.terrains import as_mjlab
-from renet.tiles import (
+from renet.terrain.tiles import (
     ACCENT,
     FLOOR,
     LEVELS,
@@ -206,7 +206,7 @@ def passage(kind: str, level: int) -> Tile:
 
 
 def course_env_cfg(
-    lap: Sequence[str], levels: Sequence[int], stuck_after: float, seed: int, robot: Robot
+    lap: Sequence[str], levels: Sequence[int], stuck_after: float, seed: int, robot: RobotCfg
 ) -> RenetEnvCfg:
     """A lap as an environment.
 

@@ -34,7 +34,7 @@ from renet.faults import FAULTS, SEVERITIES, Injection, fault_class
 from renet.faults.physical import Glass
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.selector.calibration import bursts
-from renet.tasks.go1 import GO1
+from renet.tasks.config.go1 import GO1
 
 HEALTHY_ROBOTS = 64
 """Robots side by side in the run without faults."""

@@ -27,8 +27,8 @@ from renet.interface import CONTROL_DT, DEPTH_RANGE
 from renet.sim.depth.camera import MountCfg, mount_rotation
 from renet.sim.depth.noise import DepthNoiseCfg, add_noise
 from renet.sim.depth.raycast import TerrainScanner, scanner
-from renet.tiles import LEVELS as TOP
-from renet.tiles import TILE, tiles
+from renet.terrain.tiles import LEVELS as TOP
+from renet.terrain.tiles import TILE, tiles
 
 LEVELS = (1, 5, 10)
 EYE = (0.55, 0.0, 0.33)

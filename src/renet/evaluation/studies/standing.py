@@ -24,7 +24,7 @@ from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import StepResult, Trial, check_modes, check_speed
 from renet.evaluation.study import Part, Study, Table
 from renet.interface import CONTROL_DT
-from renet.tiles import LEVELS, tiles
+from renet.terrain.tiles import LEVELS, tiles
 
 DRIFT, MOVING = 0.1, 0.2
 """A robot stands still that drifts less than this, m, with joints slower than this on average,

@@ -33,7 +33,7 @@ from renet.evaluation.study import Part, Study, Table
 from renet.evaluation.trace import Trace
 from renet.faults import Schedule, parse_fault
 from renet.interface import CONTROL_DT
-from renet.tiles import LEVELS, tiles
+from renet.terrain.tiles import LEVELS, tiles
 
 TABLE = {"gap": ("gap",), "platform": ("platform",), "stairs": ("stairs_up", "stairs_down")}
 """The paper's columns, and the tiles each is the mean of."""

@@ -13,8 +13,8 @@ from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import ClosedLoop, StepResult
 from renet.faults import Injection, Injector, Schedule
-from renet.tasks.commands import GoalCommandCfg, goal
 from renet.tasks.env import RenetEnv, RenetEnvCfg
+from renet.tasks.mdp.commands import GoalCommandCfg, goal
 from renet.tasks.sensors import HEIGHT_MAP
 
 MODES = ("renet", "vp", "op")

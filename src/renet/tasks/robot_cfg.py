@@ -1,4 +1,4 @@
-"""What the tasks need to know of a robot; go1.py describes the paper's, docs/robots.md another."""
+"""What the tasks need to know of a robot. The Go1 is in config/go1.py, a Go2 in docs/robots.md."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Motor:
 
 
 @dataclass(frozen=True)
-class Robot:
+class RobotCfg:
     """A quadruped of twelve joints."""
 
     name: str
@@ -136,7 +136,7 @@ def rename_parts(
     bodies: Mapping[str, str] | None = None,
     joints: Mapping[str, str] | None = None,
 ) -> mujoco.MjSpec:
-    """Turn a vendor's MJCF into what `Robot.spec` promises, in place.
+    """Turn a vendor's MJCF into what `RobotCfg.spec` promises, in place.
 
     Args:
         spec: the robot alone, without ground.

@@ -11,18 +11,18 @@ from renet.interface import JOINTS
 
 
 @dataclass(kw_only=True)
-class JointTargetCfg(JointPositionActionCfg):
-    """Action i moves joint i of interface.JOINTS."""
+class OrderedJointPositionActionCfg(JointPositionActionCfg):
+    """Action i is the position target of joint i of interface.JOINTS."""
 
     actuator_names: tuple[str, ...] | list[str] = JOINTS
 
-    def build(self, env: ManagerBasedRlEnv) -> JointTarget:
+    def build(self, env: ManagerBasedRlEnv) -> OrderedJointPositionAction:
         """Instantiate the term."""
-        return JointTarget(self, env)
+        return OrderedJointPositionAction(self, env)
 
 
-class JointTarget(JointPositionAction):
-    """mjlab's own keeps the order of the MJCF."""
+class OrderedJointPositionAction(JointPositionAction):
+    """mjlab's JointPositionAction keeps the order of the MJCF instead."""
 
-    def _find_targets(self, cfg: JointTargetCfg) -> tuple[list[int], list[str]]:  # type: ignore[override]
+    def _find_targets(self, cfg: OrderedJointPositionActionCfg) -> tuple[list[int], list[str]]:  # type: ignore[override]
         return self._entity.find_joints(cfg.actuator_names, preserve_order=True)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from mjlab.asset_zoo.robots.unitree_go1 import go1_constants as go1
 from mjlab.utils.actuator import ElectricActuator
 
-from renet.tasks.robot import Motor, Robot
+from renet.tasks.robot_cfg import Motor, RobotCfg
 
 
 def _motor(actuator: ElectricActuator) -> Motor:
     return Motor(actuator.effort_limit, actuator.velocity_limit, actuator.reflected_inertia)
 
 
-GO1 = Robot(
+GO1 = RobotCfg(
     name="Unitree Go1",
     spec=go1.get_spec,
     height=go1.INIT_STATE.pos[2],

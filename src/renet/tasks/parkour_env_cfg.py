@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import mujoco
-from mjlab.envs.mdp import dr
 from mjlab.managers.curriculum_manager import CurriculumTermCfg
 from mjlab.managers.event_manager import EventTermCfg
 from mjlab.managers.metrics_manager import MetricsTermCfg
@@ -19,15 +19,12 @@ from mjlab.terrains import TerrainEntityCfg
 from mjlab.utils.noise import UniformNoiseCfg
 from mjlab.viewer import ViewerConfig
 
-from renet.interface import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION
-from renet.tasks import curriculum, observations, rewards, terminations
-from renet.tasks.actions import JointTargetCfg
-from renet.tasks.commands import COMMAND, GoalCommandCfg
-from renet.tasks.constraints import VIOLATED
+from renet.interface import CONSTRAINTS, CONTROL_DT, JOINTS, PHYSICS_DT, PROPRIOCEPTION
+from renet.tasks import mdp
+from renet.tasks.config.go1 import GO1
 from renet.tasks.env import RenetEnvCfg
-from renet.tasks.events import Push, spawn
-from renet.tasks.go1 import GO1
-from renet.tasks.robot import FEET, TRUNK, Robot
+from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg
+from renet.tasks.robot_cfg import FEET, TRUNK, RobotCfg
 from renet.tasks.sensors import FEET_HEIGHT, HEIGHT_MAP, contact_sensors, terrain_sensors
 from renet.tasks.terrains import parkour_terrain
 
@@ -40,7 +37,7 @@ NOISE = {
 """Half-widths of uniform sensor noise, in each term's unit before scaling (mjlab's Go1 task)."""
 
 
-def flat_env_cfg(play: bool = False, robot: Robot = GO1) -> RenetEnvCfg:
+def flat_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
     """Renet-Go1-Flat: one plane, any yaw."""
     cfg = _base_env_cfg(TerrainEntityCfg(terrain_type="plane"), robot)
     command = cfg.commands[COMMAND]
@@ -49,20 +46,22 @@ def flat_env_cfg(play: bool = False, robot: Robot = GO1) -> RenetEnvCfg:
     return _play(cfg) if play else cfg
 
 
-def parkour_env_cfg(play: bool = False, robot: Robot = GO1) -> RenetEnvCfg:
+def parkour_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
     """Renet-Go1-Parkour: the paper's terrains under a 10-level curriculum."""
     return tile_env_cfg(parkour_terrain(), play, robot)
 
 
-def tile_env_cfg(terrain: TerrainEntityCfg, play: bool = False, robot: Robot = GO1) -> RenetEnvCfg:
+def tile_env_cfg(
+    terrain: TerrainEntityCfg, play: bool = False, robot: RobotCfg = GO1
+) -> RenetEnvCfg:
     """The parkour task on any terrain made of tiles (see terrains.single_tile_terrain)."""
     cfg = _base_env_cfg(terrain, robot)
     if terrain.terrain_generator is not None and terrain.terrain_generator.num_rows == 1:
         cfg.scene.spec_fn = _clear_of_terrain
-    cfg.terminations["in_gap"] = TerminationTermCfg(func=terminations.in_gap)
-    cfg.terminations["below_map"] = TerminationTermCfg(func=terminations.below_map)
-    cfg.terminations["left_tile"] = TerminationTermCfg(func=terminations.left_tile, time_out=True)
-    cfg.curriculum["level"] = CurriculumTermCfg(func=curriculum.TerrainLevels)
+    cfg.terminations["in_gap"] = TerminationTermCfg(func=mdp.in_gap)
+    cfg.terminations["below_map"] = TerminationTermCfg(func=mdp.below_map)
+    cfg.terminations["left_tile"] = TerminationTermCfg(func=mdp.left_tile, time_out=True)
+    cfg.curriculum["level"] = CurriculumTermCfg(func=mdp.terrain_levels)
     return _play(cfg) if play else cfg
 
 
@@ -74,7 +73,7 @@ def _clear_of_terrain(spec: mujoco.MjSpec) -> None:
     spec.body(f"robot/{TRUNK}").pos[2] = 10.0
 
 
-def _base_env_cfg(terrain: TerrainEntityCfg, robot: Robot) -> RenetEnvCfg:
+def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
     return RenetEnvCfg(
         robot=robot,
         decimation=round(CONTROL_DT / PHYSICS_DT),
@@ -86,27 +85,31 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: Robot) -> RenetEnvCfg:
         ),
         observations=_observations(),
         actions={
-            "joint_pos": JointTargetCfg(
+            "joint_pos": mdp.OrderedJointPositionActionCfg(
                 entity_name="robot", scale=robot.action_scale, use_default_offset=True
             )
         },
         commands={COMMAND: GoalCommandCfg()},
-        rewards=_rewards(),
+        rewards=_rewards(robot),
         terminations={
-            "time_out": TerminationTermCfg(func=terminations.time_out, time_out=True),
-            "fallen": TerminationTermCfg(func=terminations.fallen),
-            "not_finite": TerminationTermCfg(func=terminations.not_finite),
-            "stalled": TerminationTermCfg(func=terminations.stalled),
+            "time_out": TerminationTermCfg(func=mdp.time_out, time_out=True),
+            "fallen": TerminationTermCfg(
+                # 80 degrees.
+                func=mdp.fallen,
+                params={"limit_angle": math.acos(0.17)},
+            ),
+            "not_finite": TerminationTermCfg(func=mdp.not_finite),
+            "stalled": TerminationTermCfg(func=mdp.stalled),
         },
         curriculum={
             "command_stage": CurriculumTermCfg(
                 # 4,000 iterations of 25 steps: after the first gaits, well before the end.
-                func=curriculum.command_stage,
+                func=mdp.command_stage,
                 params={"switch_step": 100_000},
             )
         },
         events=_events(),
-        metrics=_metrics(),
+        metrics=_metrics(robot),
         sim=SimulationCfg(
             njmax=200,
             nconmax=60,
@@ -136,16 +139,27 @@ def _play(cfg: RenetEnvCfg) -> RenetEnvCfg:
 
 
 def _observations() -> dict[str, ObservationGroupCfg]:
-    scale = tuple(term.scale for term in PROPRIOCEPTION for _ in range(term.size))
-    noise = tuple(NOISE.get(term.name, 0.0) for term in PROPRIOCEPTION for _ in range(term.size))
+    joints = SceneEntityCfg("robot", joint_names=JOINTS, preserve_order=True)
+    sources = {
+        "base_angular_velocity": (mdp.base_angular_velocity, {}),
+        "projected_gravity": (mdp.base_gravity, {}),
+        "command": (mdp.generated_commands, {"command_name": COMMAND}),
+        "joint_position": (mdp.joint_pos_rel, {"asset_cfg": joints}),
+        "joint_velocity": (mdp.joint_vel_rel, {"asset_cfg": joints}),
+        "last_action": (mdp.last_action, {}),
+    }
+
+    def noise(name: str) -> UniformNoiseCfg | None:
+        return UniformNoiseCfg(n_min=-NOISE[name], n_max=NOISE[name]) if name in NOISE else None
 
     def proprioception(noisy: bool) -> ObservationGroupCfg:
-        term = ObservationTermCfg(
-            func=observations.proprioception,
-            scale=scale,
-            noise=UniformNoiseCfg(n_min=tuple(-half for half in noise), n_max=noise),
-        )
-        return ObservationGroupCfg(terms={"value": term}, enable_corruption=noisy)
+        terms = {}
+        for term in PROPRIOCEPTION:
+            function, params = sources[term.name]
+            terms[term.name] = ObservationTermCfg(
+                func=function, params=params, scale=term.scale, noise=noise(term.name)
+            )
+        return ObservationGroupCfg(terms=terms, enable_corruption=noisy)
 
     def single(function, **params) -> ObservationGroupCfg:
         return ObservationGroupCfg(
@@ -154,13 +168,11 @@ def _observations() -> dict[str, ObservationGroupCfg]:
 
     privileged = ObservationGroupCfg(
         terms={
-            "feet_contact": ObservationTermCfg(func=observations.feet_contact),
-            "stalled_seconds": ObservationTermCfg(func=observations.stalled_seconds),
-            "smoothed_joint_velocity": ObservationTermCfg(
-                func=observations.smoothed_joint_velocity
-            ),
+            "feet_contact": ObservationTermCfg(func=mdp.feet_contact),
+            "stalled_seconds": ObservationTermCfg(func=mdp.stalled_seconds),
+            "smoothed_joint_velocity": ObservationTermCfg(func=mdp.smoothed_joint_velocity),
             "physical_parameters": ObservationTermCfg(
-                func=observations.PhysicalParameters,
+                func=mdp.physical_parameters,
                 params={
                     "trunk": SceneEntityCfg("robot", body_names=(TRUNK,)),
                     "foot": SceneEntityCfg("robot", geom_names=FEET[:1]),
@@ -171,42 +183,76 @@ def _observations() -> dict[str, ObservationGroupCfg]:
     return {
         "proprioception": proprioception(noisy=True),
         "proprioception_clean": proprioception(noisy=False),
-        "velocity": single(observations.velocity),
-        "feet_height": single(observations.sensor, name=FEET_HEIGHT),
-        "height_map": single(observations.sensor, name=HEIGHT_MAP),
+        "velocity": single(mdp.velocity),
+        "feet_height": single(mdp.sensor, name=FEET_HEIGHT),
+        "height_map": single(mdp.sensor, name=HEIGHT_MAP),
         "privileged": privileged,
-        "depth": single(observations.depth),
-        "difficult": single(observations.difficult),
+        "depth": single(mdp.depth),
+        "difficult": single(mdp.difficult),
     }
 
 
-def _rewards() -> dict[str, RewardTermCfg]:
+def _rewards(robot: RobotCfg) -> dict[str, RewardTermCfg]:
     """Paper's scales; mjlab multiplies each by the step's 0.02 s."""
     return {
-        "linear_velocity": RewardTermCfg(func=rewards.linear_velocity, weight=1.5),
-        "yaw": RewardTermCfg(func=rewards.yaw, weight=0.5),
-        "collision": RewardTermCfg(func=rewards.collision, weight=-10.0),
-        "joint_energy": RewardTermCfg(func=rewards.joint_energy, weight=-1e-5),
-        "action_rate": RewardTermCfg(func=rewards.action_rate, weight=-0.1),
-        "default_position": RewardTermCfg(func=rewards.default_position, weight=-0.04),
-        "hip_position": RewardTermCfg(func=rewards.hip_position, weight=-0.5),
-        "joint_acceleration": RewardTermCfg(func=rewards.joint_acceleration, weight=-2.5e-7),
-        "orientation": RewardTermCfg(func=rewards.orientation, weight=-1.0),
+        "linear_velocity": RewardTermCfg(func=mdp.linear_velocity, weight=1.5),
+        "yaw": RewardTermCfg(func=mdp.yaw, weight=0.5),
+        "collision": RewardTermCfg(func=mdp.collision, weight=-10.0),
+        "joint_energy": RewardTermCfg(func=mdp.joint_energy, weight=-1e-5),
+        "action_rate": RewardTermCfg(func=mdp.action_rate, weight=-0.1),
+        "default_position": RewardTermCfg(
+            func=mdp.joint_deviation, weight=-0.04, params={"joint_names": (".*",)}
+        ),
+        "hip_position": RewardTermCfg(
+            func=mdp.joint_deviation, weight=-0.5, params={"joint_names": (".*_hip_joint",)}
+        ),
+        "joint_acceleration": RewardTermCfg(func=mdp.joint_acceleration, weight=-2.5e-7),
+        "orientation": RewardTermCfg(func=mdp.orientation, weight=-1.0),
         # Not the paper's, hence off: `renet train --reward-weights` turns them on.
-        "standing_motion": RewardTermCfg(func=rewards.standing_motion, weight=0.0),
-        "foot_clearance": RewardTermCfg(func=rewards.foot_clearance, weight=0.0),
-        "overspeed": RewardTermCfg(func=rewards.overspeed, weight=0.0),
-        "low_trunk": RewardTermCfg(func=rewards.low_trunk, weight=0.0),
+        "standing_motion": RewardTermCfg(func=mdp.standing_motion, weight=0.0),
+        "foot_clearance": RewardTermCfg(
+            func=mdp.foot_clearance,
+            weight=0.0,
+            params={"standing_height": robot.map_height - robot.foot_radius},
+        ),
+        "overspeed": RewardTermCfg(func=mdp.overspeed, weight=0.0),
+        "low_trunk": RewardTermCfg(func=mdp.low_trunk, weight=0.0),
     }
 
 
-def _metrics() -> dict[str, MetricsTermCfg]:
+def _metrics(robot: RobotCfg) -> dict[str, MetricsTermCfg]:
     """Logged as means over an episode's steps, beside the rewards."""
     return {
-        "collisions": MetricsTermCfg(func=rewards.collision),
-        "lin_vel_reward": MetricsTermCfg(func=rewards.linear_velocity),
-        **{f"violated_{name}": MetricsTermCfg(func=term) for name, term in VIOLATED.items()},
+        "collisions": MetricsTermCfg(func=mdp.collision),
+        "lin_vel_reward": MetricsTermCfg(func=mdp.linear_velocity),
+        "reward_clipped": MetricsTermCfg(func=mdp.reward_clipped),
+        **{
+            f"violated_{name}": MetricsTermCfg(
+                func=mdp.constraint_violated, params={"constraint": name, **params}
+            )
+            for name, params in _constraints(robot).items()
+        },
     }
+
+
+def _constraints(robot: RobotCfg) -> dict[str, dict[str, Any]]:
+    """Costs of the cMDP, above a share of each motor's limits (RENet, Method A)."""
+    motors = {f".*_{part}_joint": motor for part, motor in robot.motors.items()}
+    costs = {
+        # The robot's soft limits are 0.9 of its joint ranges.
+        "joint_position": {"cost": mdp.joint_pos_limits},
+        "joint_velocity": {
+            "cost": mdp.joint_vel_limits,
+            "limit": {joint: 0.8 * motor.velocity for joint, motor in motors.items()},
+        },
+        "torque": {
+            "cost": mdp.torque_limits,
+            "limit": {joint: 0.8 * motor.torque for joint, motor in motors.items()},
+            "stiffness": robot.stiffness,
+            "damping": robot.damping,
+        },
+    }
+    return {name: costs[name] for name in CONSTRAINTS}
 
 
 def _events() -> dict[str, EventTermCfg]:
@@ -214,7 +260,7 @@ def _events() -> dict[str, EventTermCfg]:
     trunk = SceneEntityCfg("robot", body_names=(TRUNK,))
     return {
         "spawn": EventTermCfg(
-            func=spawn,
+            func=mdp.reset_root_state_uniform,
             mode="reset",
             params={
                 "pose_range": {
@@ -223,12 +269,22 @@ def _events() -> dict[str, EventTermCfg]:
                     "z": (0.02, 0.04),
                     "yaw": (-math.pi, math.pi),
                 },
-                "joint_offset": 0.1,
             },
         ),
-        "push": EventTermCfg(func=Push, mode="step", params={"speed": 0.5, "every": (6.0, 10.0)}),
+        "spawn_joints": EventTermCfg(
+            func=mdp.reset_joints_by_offset,
+            mode="reset",
+            params={"position_range": (-0.1, 0.1), "velocity_range": (0.0, 0.0)},
+        ),
+        "push": EventTermCfg(
+            func=mdp.push_by_setting_velocity,
+            mode="interval",
+            interval_range_s=(6.0, 10.0),
+            params={"velocity_range": {"x": (-0.5, 0.5), "y": (-0.5, 0.5)}},
+        ),
+        "clip_reward": EventTermCfg(func=mdp.clip_reward, mode="step"),
         "foot_friction": EventTermCfg(
-            func=dr.geom_friction,
+            func=mdp.dr.geom_friction,
             mode="startup",
             params={
                 "asset_cfg": feet,
@@ -238,12 +294,12 @@ def _events() -> dict[str, EventTermCfg]:
             },
         ),
         "payload": EventTermCfg(
-            func=dr.body_mass,
+            func=mdp.dr.body_mass,
             mode="startup",
             params={"asset_cfg": trunk, "operation": "add", "ranges": (0.0, 3.0)},
         ),
         "centre_of_mass": EventTermCfg(
-            func=dr.body_com_offset,
+            func=mdp.dr.body_com_offset,
             mode="startup",
             params={
                 "asset_cfg": trunk,
@@ -252,7 +308,7 @@ def _events() -> dict[str, EventTermCfg]:
             },
         ),
         "servo_gains": EventTermCfg(
-            func=dr.pd_gains,
+            func=mdp.dr.pd_gains,
             mode="startup",
             params={
                 "asset_cfg": SceneEntityCfg("robot", actuator_names=[".*"]),

@@ -1,0 +1,1 @@
+"""One module for each robot that the tasks are registered for."""

@@ -1,0 +1,74 @@
+"""Terrain levels (walk-in-minutes rule) and the two-level command curriculum."""
+
+from __future__ import annotations
+
+import torch
+from mjlab.envs import ManagerBasedRlEnv
+from torch import Tensor
+
+from renet.tasks.mdp.base_state import distance_from_start
+from renet.tasks.mdp.commands import goal
+from renet.terrain.tiles import TILE
+
+FIRST_LEVELS = 2
+"""A robot that fails at the first level tries one of so many next. The narrowest gap is all but
+invisible (10 cm, seen from 30 cm above through the camera's noise): where all robots start over at
+it, VP never learns what a gap looks like."""
+
+
+def terrain_levels(env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]:
+    """Move robots whose episodes end up or down a level (Rudin et al. 2022).
+
+    Up when half a tile lies behind, down below half of what was commanded (no more than half a tile
+    can be covered, whatever the command). A robot that fell owes the whole episode, lest falling
+    early look like keeping up; one that was cut off, as in a run's first, randomly shortened
+    episodes, owes what it had time for. One that has not walked keeps its level, as after loading a
+    checkpoint. After the last level comes any.
+
+    Args:
+        env: environment on tiles.
+        env_ids: robots whose episodes end.
+
+    Returns:
+        Mean level of each kind of tile.
+    """
+    terrain, command = env.scene.terrain, goal(env)
+    assert terrain is not None
+    assert terrain.terrain_origins is not None
+    assert terrain.cfg.terrain_generator is not None
+    steps = env.episode_length_buf[env_ids]
+    left = (env.max_episode_length - steps).clamp_min(0) * env.step_dt
+    fell = env.termination_manager.terminated[env_ids]
+    owed = command.commanded_distance[env_ids] + fell * left * command.speed[env_ids]
+    distance = distance_from_start(env)[env_ids]
+    up = distance > TILE / 2
+    down = ~up & (distance < 0.5 * owed.clamp_max(TILE / 2))
+    level = terrain.terrain_levels[env_ids] + (steps > 0) * (up.long() - down.long())
+    highest = len(terrain.terrain_origins)
+    level = torch.where(level < 0, torch.randint_like(level, FIRST_LEVELS), level)
+    level = torch.where(level >= highest, torch.randint_like(level, highest), level)
+    terrain.terrain_levels[env_ids] = level
+    terrain.env_origins[env_ids] = terrain.terrain_origins[level, terrain.terrain_types[env_ids]]
+    kinds = list(terrain.cfg.terrain_generator.sub_terrains)
+    means = torch.zeros(len(kinds), device=env.device).scatter_reduce(
+        0, terrain.terrain_types, terrain.terrain_levels.float(), "mean", include_self=False
+    )
+    return dict(zip(kinds, means.unbind(), strict=True))
+
+
+def command_stage(env: ManagerBasedRlEnv, env_ids: Tensor, switch_step: int) -> Tensor:
+    """Ask for standing still, too, once `switch_step` control steps have been taken.
+
+    Args:
+        env: the environment.
+        env_ids: unused.
+        switch_step: control steps of one robot.
+
+    Returns:
+        The stage, 0 or 1.
+    """
+    del env_ids
+    command = goal(env)
+    if env.common_step_counter >= switch_step:
+        command.stage = 1
+    return torch.tensor(float(command.stage))

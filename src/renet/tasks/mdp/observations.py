@@ -1,0 +1,131 @@
+"""Observations beyond mjlab's: true quantities for critics and estimators, and depth."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from mjlab.envs import ManagerBasedRlEnv
+from mjlab.managers.observation_manager import ObservationTermCfg
+from mjlab.managers.scene_entity_config import SceneEntityCfg
+from torch import Tensor
+
+from renet.sim.depth.camera import DepthCamera
+from renet.tasks.mdp.base_state import base_rotation, base_velocity
+from renet.tasks.mdp.rewards import VelocityFilter
+from renet.tasks.sensors import DEPTH_CAMERA, FEET_CONTACT
+from renet.tasks.terrains import DIFFICULT
+
+
+def base_angular_velocity(env: ManagerBasedRlEnv) -> Tensor:
+    """Angular velocity of the base in the base frame, [N, 3] rad/s."""
+    return env.sim.data.qvel[:, env.scene["robot"].indexing.free_joint_v_adr[3:]]
+
+
+def base_gravity(env: ManagerBasedRlEnv) -> Tensor:
+    """Downward unit vector in the base frame, [N, 3]."""
+    return -base_rotation(env)[:, 2]
+
+
+def velocity(env: ManagerBasedRlEnv) -> Tensor:
+    """True linear velocity of the base in the base frame, [N, 3] m/s."""
+    return (base_velocity(env).unsqueeze(1) @ base_rotation(env)).squeeze(1)
+
+
+def sensor(env: ManagerBasedRlEnv, name: str) -> Tensor:
+    """Reading of a terrain sensor: height map [N, 132] or feet height [N, 4], m.
+
+    Args:
+        env: environment with the sensor.
+        name: of the sensor.
+    """
+    return env.scene[name].data
+
+
+def depth(env: ManagerBasedRlEnv) -> Tensor:
+    """Newest depth image, [N, 48, 64] float16 in [0, 1], held between 10 Hz ticks."""
+    return cast(DepthCamera, env.scene[DEPTH_CAMERA]).normalised()
+
+
+def feet_contact(env: ManagerBasedRlEnv) -> Tensor:
+    """1 where a foot touches, [N, 4]."""
+    return (env.scene[FEET_CONTACT].data.found > 0).float()
+
+
+def difficult(env: ManagerBasedRlEnv) -> Tensor:
+    """1 where the tile forces vision, [N, 1]."""
+    terrain = env.scene.terrain
+    hard = torch.zeros(env.num_envs, 1, dtype=torch.bool, device=env.device)
+    if terrain is not None and terrain.cfg.terrain_generator is not None:
+        for index, kind in enumerate(terrain.cfg.terrain_generator.sub_terrains):
+            if kind in DIFFICULT:
+                hard |= (terrain.terrain_types == index).unsqueeze(-1)
+    return hard.float()
+
+
+def stalled_seconds(env: ManagerBasedRlEnv) -> Tensor:
+    """Seconds since the robot last made progress, which `stalled` judges, [N, 1].
+
+    Zero in tasks without that termination.
+    """
+    manager = getattr(env, "termination_manager", None)  # mjlab makes it after the observations.
+    if manager is None or "stalled" not in manager.active_terms:
+        return torch.zeros(env.num_envs, 1, device=env.device)
+    return manager.get_term_cfg("stalled").func.seconds.unsqueeze(-1)
+
+
+class smoothed_joint_velocity:
+    """Joint velocities as the reward `standing_motion` smooths them, [N, J] rad/s."""
+
+    def __init__(self, cfg: ObservationTermCfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        self._velocity = VelocityFilter(env)
+        self._step = 0
+
+    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
+        """Take in a new control step, if there was one."""
+        if env.common_step_counter != self._step:
+            self._step = env.common_step_counter
+            self._velocity.update(env)
+        return self._velocity.value
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> None:
+        """Begin episodes."""
+        self._velocity.value[env_ids] = 0.0
+
+
+class physical_parameters:
+    """What randomisation drew: trunk mass change (kg), CoM offset (m), foot friction, servo gains.
+
+    [N, 1 + 3 + 1 + 12 + 12], gains as a ratio of the nominal ones. Events change them at most at a
+    reset, so they are gathered anew only then.
+    """
+
+    def __init__(self, cfg: ObservationTermCfg, env: ManagerBasedRlEnv) -> None:
+        del cfg, env
+        self._gathered: Tensor | None = None
+
+    def __call__(
+        self, env: ManagerBasedRlEnv, trunk: SceneEntityCfg, foot: SceneEntityCfg
+    ) -> Tensor:
+        """[N, 29]."""
+        if self._gathered is None:
+            self._gathered = self._gather(env, trunk, foot)
+        return self._gathered
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> None:
+        """Parameters may have been drawn again."""
+        del env_ids
+        self._gathered = None
+
+    @staticmethod
+    def _gather(env: ManagerBasedRlEnv, trunk: SceneEntityCfg, foot: SceneEntityCfg) -> Tensor:
+        robot, model, nominal = env.scene["robot"], env.sim.model, env.sim.get_default_field
+        body = robot.indexing.body_ids[trunk.body_ids]
+        geom = robot.indexing.geom_ids[foot.geom_ids][:1]
+        mass = model.body_mass[:, body] - nominal("body_mass")[body]
+        com = model.body_ipos[:, body].flatten(1) - nominal("body_ipos")[body].flatten()
+        stiffness = model.actuator_gainprm[:, :, 0] / nominal("actuator_gainprm")[:, 0]
+        damping = model.actuator_biasprm[:, :, 2] / nominal("actuator_biasprm")[:, 2]
+        friction = model.geom_friction[:, geom, 0]
+        return torch.cat((mass, com, friction, stiffness, damping), dim=-1)

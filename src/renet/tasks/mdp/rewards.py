@@ -1,0 +1,205 @@
+"""The paper's rewards (RENet, Method A, footnote, and eq. 6), and others that are off by default.
+
+Weights are in parkour_env_cfg.py. World-frame quantities use the horizontal plane: <v, n_yaw> has
+no vertical part. Classes remember the step before, and forget it when an episode begins.
+"""
+
+from __future__ import annotations
+
+import torch
+from mjlab.envs import ManagerBasedRlEnv
+from mjlab.managers.reward_manager import RewardTermCfg
+from torch import Tensor
+
+from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, LEGS
+from renet.tasks.mdp.base_state import base_position, base_rotation, base_velocity
+from renet.tasks.mdp.commands import goal
+from renet.tasks.sensors import CALF_CONTACT, HEIGHT_MAP, THIGH_TRUNK_CONTACT
+
+
+def linear_velocity(env: ManagerBasedRlEnv) -> Tensor:
+    """Goal-guided linear velocity tracking, r_lin_vel (RENet eq. 6), [N].
+
+    At most 1: there is no bonus, and no penalty, for overshooting.
+    """
+    command, velocity = goal(env), base_velocity(env)[:, :2]
+    towards = (velocity * command.direction).sum(-1)
+    walking = torch.minimum(towards, command.speed) / (command.speed + 1e-5)
+    standing = 1.0 / (1.0 + velocity.norm(dim=-1))
+    return torch.where(command.speed > 0.0, walking, standing)
+
+
+def yaw(env: ManagerBasedRlEnv) -> Tensor:
+    """exp(-|c_yaw - yaw|), [N]: angular tracking in Extreme Parkour's form."""
+    return (-goal(env).heading_error.abs()).exp()
+
+
+def collision(env: ManagerBasedRlEnv, force: float = 0.1) -> Tensor:
+    """Number of thighs, calves and trunk in contact, whatever the number of geoms, [N].
+
+    Args:
+        env: environment with the contact sensors of `tasks.sensors`.
+        force: contact force above which a touch counts, N (Extreme Parkour).
+    """
+    bodies = env.scene[THIGH_TRUNK_CONTACT].data.force.norm(dim=-1) > force
+    geoms = env.scene[CALF_CONTACT].data.force.norm(dim=-1) > force
+    calves = geoms.unflatten(-1, (len(LEGS), -1)).any(-1)
+    return (bodies.sum(-1) + calves.sum(-1)).float()
+
+
+def joint_energy(env: ManagerBasedRlEnv) -> Tensor:
+    """Sum of |torque * joint velocity|, [N] W (our reading of "joint energy")."""
+    data = env.scene["robot"].data
+    return (data.qfrc_actuator * data.joint_vel).abs().sum(-1)
+
+
+def action_rate(env: ManagerBasedRlEnv) -> Tensor:
+    """Euclidean norm of the change of action, [N] (Extreme Parkour: not squared)."""
+    return (env.action_manager.action - env.action_manager.prev_action).norm(dim=-1)
+
+
+class joint_deviation:
+    """Squared distance of some joints to the default pose, [N] rad^2.
+
+    Parameters: `joint_names`, patterns of the joints.
+    """
+
+    def __init__(self, cfg: RewardTermCfg, env: ManagerBasedRlEnv) -> None:
+        joints, _ = env.scene["robot"].find_joints(cfg.params["joint_names"])
+        self._joints = torch.tensor(joints, device=env.device)
+
+    def __call__(self, env: ManagerBasedRlEnv, joint_names: tuple[str, ...]) -> Tensor:
+        """Evaluate the present state."""
+        del joint_names
+        data = env.scene["robot"].data
+        return (data.joint_pos - data.default_joint_pos)[:, self._joints].square().sum(-1)
+
+
+class joint_acceleration:
+    """Sum of squared joint accelerations from control-step differences, [N] (rad/s^2)^2.
+
+    An episode starts at rest.
+    """
+
+    def __init__(self, cfg: RewardTermCfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        self._before = torch.zeros_like(env.scene["robot"].data.joint_vel)
+
+    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
+        """Evaluate a step, once."""
+        now = env.scene["robot"].data.joint_vel
+        change, self._before = now - self._before, now
+        return (change / env.step_dt).square().sum(-1)
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> None:
+        """Begin episodes."""
+        self._before[env_ids] = 0.0
+
+
+def orientation(env: ManagerBasedRlEnv) -> Tensor:
+    """Squared horizontal part of gravity in the base frame: sin^2 of the tilt, [N]."""
+    return base_rotation(env)[:, 2, :2].square().sum(-1)
+
+
+class VelocityFilter:
+    """Exponentially smoothed joint velocities since the episode began, [N, J] rad/s."""
+
+    def __init__(self, env: ManagerBasedRlEnv, time_constant: float = 0.2) -> None:
+        self.value = torch.zeros_like(env.scene["robot"].data.joint_vel)
+        self._share = env.step_dt / time_constant
+
+    def update(self, env: ManagerBasedRlEnv) -> None:
+        """Take in the velocities of a control step."""
+        self.value.lerp_(env.scene["robot"].data.joint_vel, self._share)
+
+
+class standing_motion:
+    """Sum of squared, smoothed joint velocities of robots told to stand, [N] (rad/s)^2.
+
+    Not in the paper, whose reward is all but flat at rest: 7 cm/s of creeping cost it 7 %.
+    Smoothed, because exploration shakes the joints as fast as steps move them, but to and fro.
+    """
+
+    def __init__(self, cfg: RewardTermCfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        self._velocity = VelocityFilter(env)
+
+    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
+        """Evaluate a step, once."""
+        self._velocity.update(env)
+        return self._velocity.value.square().sum(-1) * (goal(env).speed <= 0.0)
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> None:
+        """Begin episodes."""
+        self._velocity.value[env_ids] = 0.0
+
+
+class foot_clearance:
+    """Low feet that move: lack of lift squared times horizontal speed, summed over feet, [N] m^3/s.
+
+    Not in the paper (HIMLoco rewards clearance likewise): millions of steps on a CPU, instead of
+    billions on a GPU, otherwise end in a shuffle that trips over the first stair. Lift is measured
+    against the trunk, so that it means the same on stairs.
+
+    Parameters: `standing_height` of the base over feet that stand, m; `lift` wanted of a foot in
+    swing, m.
+    """
+
+    def __init__(self, cfg: RewardTermCfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        robot = env.scene["robot"]
+        feet, _ = robot.find_sites(LEGS, preserve_order=True)
+        self._feet = robot.indexing.site_ids[feet]
+        self._before = torch.full((env.num_envs, len(LEGS), 2), torch.nan, device=env.device)
+
+    def __call__(
+        self, env: ManagerBasedRlEnv, standing_height: float, lift: float = 0.12
+    ) -> Tensor:
+        """Evaluate a step, once."""
+        feet = env.sim.data.site_xpos[:, self._feet]
+        ground = base_position(env)[:, 2:] - standing_height
+        lack = (lift + ground - feet[..., 2]).clamp(0.0, lift)
+        moved = (feet[..., :2] - self._before).norm(dim=-1).nan_to_num()
+        self._before = feet[..., :2].clone()
+        return (lack.square() * moved).sum(-1) / env.step_dt
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> None:
+        """Begin episodes."""
+        self._before[env_ids] = torch.nan
+
+
+def overspeed(env: ManagerBasedRlEnv, tolerance: float = 0.2) -> Tensor:
+    """Speed towards the goal beyond c_x by more than a share, [N] m/s.
+
+    Not in the paper, whose reward does not mind overshoot (eq. 6): early in training the policy
+    otherwise runs at one speed, whatever it is asked for. Robots told to stand pay nothing here.
+
+    Args:
+        env: the environment.
+        tolerance: share of c_x by which it may be exceeded.
+    """
+    command = goal(env)
+    towards = (base_velocity(env)[:, :2] * command.direction).sum(-1)
+    return torch.relu(towards - (1.0 + tolerance) * command.speed) * (command.speed > 0.0)
+
+
+def low_trunk(env: ManagerBasedRlEnv, height: float = 0.27, reach: float = 0.16) -> Tensor:
+    """Square of what the trunk lacks to a height over the ground below it, [N] m^2.
+
+    Not in the paper: without it the policy crouches at 0.21 to 0.23 m.
+
+    Args:
+        env: environment with the height-map sensor.
+        height: wanted of the base over the mean ground below it, m.
+        reach: half-width of the square of the map that counts as below, m.
+    """
+    sensor = env.scene[HEIGHT_MAP]
+    rows, columns = (_within(reach, axis) for axis in (HEIGHT_MAP_X, HEIGHT_MAP_Y))
+    below = sensor.data.unflatten(-1, (len(HEIGHT_MAP_X), -1))[:, rows, columns]
+    return torch.relu(height - below.mean((-2, -1)) - sensor.cfg.base_height).square()
+
+
+def _within(reach: float, axis: tuple[float, ...]) -> slice:
+    """Indices of an ascending axis whose values are closer to zero than `reach`."""
+    inside = [index for index, value in enumerate(axis) if abs(value) < reach]
+    return slice(inside[0], inside[-1] + 1)

@@ -1,0 +1,102 @@
+"""When an episode ends; leaving the tile is success, hence a time-out, not a failure."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from mjlab.envs import ManagerBasedRlEnv
+from mjlab.managers.termination_manager import TerminationTermCfg
+from torch import Tensor
+
+from renet.tasks.mdp.base_state import (
+    base_position,
+    base_rotation,
+    distance_from_start,
+    height_above_start,
+)
+from renet.tasks.mdp.commands import goal
+from renet.terrain.tiles import TILE
+
+PIT_DEPTH = 0.25
+"""Metres below a tile's start at which the base is in a gap, not above it."""
+
+
+def fallen(env: ManagerBasedRlEnv, limit_angle: float) -> Tensor:
+    """Rolled or pitched over, [N].
+
+    Args:
+        env: the environment.
+        limit_angle: tilt of the base above which the robot lies, rad.
+    """
+    return base_rotation(env)[:, 2, 2] < math.cos(limit_angle)
+
+
+def not_finite(env: ManagerBasedRlEnv) -> Tensor:
+    """NaN or infinity in the physics state, which those of forces end in, [N]."""
+    # One of them makes the sum so.
+    return ~(env.sim.data.qpos.sum(-1) + env.sim.data.qvel.sum(-1)).isfinite()
+
+
+def in_gap(env: ManagerBasedRlEnv, depth: float = PIT_DEPTH) -> Tensor:
+    """Base below the surface of a gap tile, [N].
+
+    Args:
+        env: environment on tiles.
+        depth: metres below the tile's start.
+    """
+    below = height_above_start(env) < -depth
+    terrain = env.scene.terrain
+    assert terrain is not None
+    assert terrain.cfg.terrain_generator is not None
+    kinds = list(terrain.cfg.terrain_generator.sub_terrains)
+    if "gap" not in kinds:
+        return torch.zeros_like(below)
+    return below & (terrain.terrain_types == kinds.index("gap"))
+
+
+def below_map(env: ManagerBasedRlEnv, depth: float = 3.0) -> Tensor:
+    """Base below everything a robot can stand on: it was pressed through the ground, [N].
+
+    Args:
+        env: environment on tiles.
+        depth: metres below a tile's start; the highest stairs go 2.1 m down.
+    """
+    return height_above_start(env) < -depth
+
+
+def left_tile(env: ManagerBasedRlEnv) -> Tensor:
+    """Walked off its tile in any direction, [N]."""
+    return distance_from_start(env) > TILE / 2
+
+
+class stalled:
+    """Stands where it was told to walk, [N].
+
+    Training only. Giving up in front of a stair otherwise earns the yaw reward for the rest of the
+    episode, safer than any attempt to climb.
+
+    Parameters: `patience`, seconds in which a robot that is told to walk must make `progress`, m.
+    """
+
+    def __init__(self, cfg: TerminationTermCfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        self._origin = torch.full((env.num_envs, 2), torch.inf, device=env.device)
+        self.seconds = torch.zeros(env.num_envs, device=env.device)
+        """Since the last progress, [N]."""
+
+    def __call__(
+        self, env: ManagerBasedRlEnv, patience: float = 3.0, progress: float = 0.15
+    ) -> Tensor:
+        """Evaluate a step, once."""
+        position = base_position(env)[:, :2]
+        waits = (position - self._origin).norm(dim=-1) < progress
+        waits &= goal(env).speed > 0.0
+        self._origin = torch.where(waits.unsqueeze(-1), self._origin, position)
+        self.seconds = (self.seconds + env.step_dt) * waits
+        return self.seconds > patience
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> None:
+        """Begin episodes."""
+        self._origin[env_ids] = torch.inf
+        self.seconds[env_ids] = 0.0

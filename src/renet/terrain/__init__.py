@@ -1,0 +1,1 @@
+"""Parkour tiles, in plain MuJoCo."""

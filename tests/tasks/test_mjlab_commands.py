@@ -1,0 +1,46 @@
+"""mjlab's own commands run the tasks, without anything of `renet`'s."""
+
+from __future__ import annotations
+
+import csv
+import math
+
+import mjlab.scripts.play as play
+import mjlab.scripts.train as train
+import pytest
+from mjlab.viewer import NativeMujocoViewer
+
+from renet.sim.native.engine import use_engine
+
+
+def test_train_takes_two_iterations(tmp_path, monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
+    options = ["--env.scene.num-envs", "4", "--agent.max-iterations", "2", "--gpu-ids", "None"]
+    options += ["--agent.num-steps-per-env", "5", "--log-root", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", ["train", "Renet-Go1-Flat", *options])
+    train.main()
+    (run,) = tmp_path.glob("renet/*")
+    (checkpoint,) = (run / "checkpoints").iterdir()
+    assert checkpoint.name.endswith("2")
+    (curves,) = run.rglob("curves.csv")
+    rows = list(csv.DictReader(curves.open()))
+    assert {int(row["iteration"]) for row in rows} == {0, 1}
+    assert all(math.isfinite(float(row["value"])) for row in rows)
+
+
+@pytest.mark.parametrize("task", ["Renet-Go1-Flat", "Renet-Go1-Parkour"])
+def test_play_steps_a_policy_of_zeros(task, monkeypatch):
+    steps = []
+
+    def run(viewer: NativeMujocoViewer) -> None:
+        for _ in range(3):
+            observation = viewer.env.get_observations()
+            steps.append(viewer.env.step(viewer.policy(observation)))
+
+    monkeypatch.setattr(NativeMujocoViewer, "run", run)
+    options = ["--agent", "zero", "--viewer", "native", "--num-envs", "2", "--device", "cpu"]
+    monkeypatch.setattr("sys.argv", ["play", task, *options])
+    with use_engine("native", "cpu"):  # MuJoCo Warp compiles a height field for minutes.
+        play.main()
+    assert len(steps) == 3
+    assert all(reward.shape == (2,) for _, reward, *_ in steps)

@@ -1,0 +1,86 @@
+"""Every term gives what an independent implementation gave for the same states.
+
+`recorded_terms.npz` was written by the same terms as Warp kernels, one robot at a time (commit
+708420f): four scattered states of twelve robots, three of which begin an episode before the last.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from renet.interface import PROPRIOCEPTION
+
+from .conftest import build, scatter
+
+RECORDED = np.load(Path(__file__).with_name("recorded_terms.npz"))
+
+
+@pytest.fixture(scope="module")
+def evaluated() -> dict[str, np.ndarray]:
+    """All terms in all states, by the names of the recording."""
+    env = build("Renet-Go1-Parkour", 12)
+    env.reset()
+    terrain = env.scene.terrain
+    terrain.terrain_levels[:] = torch.arange(12) % 10
+    starts = terrain.terrain_origins[terrain.terrain_levels, terrain.terrain_types]
+    terrain.env_origins[:] = starts
+    for cfg in env.reward_manager._term_cfgs:
+        cfg.weight = 1.0
+    generator = torch.Generator().manual_seed(0)
+    states = []
+    for state in range(4):
+        if state == 3:
+            for manager in (env.termination_manager, env.reward_manager):
+                manager.reset(torch.tensor([0, 5, 6]))
+        scatter(env, generator)
+        env.episode_length_buf[:] = torch.arange(12) + env.max_episode_length - 5
+        states.append({name: value.numpy().copy() for name, value in terms(env).items()})
+    env.close()
+    return {name: np.stack([state[name] for state in states]) for name in states[0]}
+
+
+def terms(env) -> dict[str, torch.Tensor]:
+    """All terms in the present state."""
+    ends, rewards, metrics = env.termination_manager, env.reward_manager, env.metrics_manager
+    ends.compute()
+    env.reward_buf = rewards.compute(dt=env.step_dt)
+    metrics.compute()
+    goal = env.command_manager.get_term("goal")
+    goal.time_left[:] = 10.0
+    goal.compute(dt=0.0)
+    seen = env.observation_manager.compute(update_history=True)
+    scale = torch.tensor([term.scale for term in PROPRIOCEPTION for _ in range(term.size)])
+    return {
+        **{f"termination/{name}": ends.get_term(name) for name in ends.active_terms},
+        **dict(zip(_named("reward", rewards), rewards._step_reward.T, strict=True)),
+        **dict(zip(_named("metric", metrics), metrics._step_values.T, strict=True)),
+        "costs": env.extras["costs"],
+        "observation/proprioception": seen["proprioception_clean"] / scale,
+        "observation/velocity": seen["velocity"],
+        "observation/feet_contact": seen["privileged"][:, :4],
+        "observation/difficult": seen["difficult"],
+    }
+
+
+def _named(kind: str, manager) -> list[str]:
+    return [f"{kind}/{name}" for name in manager.active_terms]
+
+
+@pytest.mark.parametrize("name", RECORDED.files)
+def test_terms_give_what_was_recorded(evaluated, name):
+    np.testing.assert_allclose(
+        evaluated[name].astype(float), RECORDED[name].astype(float), rtol=1e-5, atol=1e-5
+    )
+
+
+def test_the_recording_has_every_kind_of_state():
+    for name in ("fallen", "in_gap", "time_out"):
+        ended = RECORDED[f"termination/{name}"]
+        assert ended.any(), name
+        assert not ended.all(), name
+    for name in ("joint_position", "joint_velocity", "torque"):
+        assert RECORDED[f"metric/violated_{name}"].any(), name
