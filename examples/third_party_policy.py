@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime as ort
 
-from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.results import Provenance
+from renet.evaluation.evaluator import Evaluator, Provenance
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.noise import NoiseStudy
 

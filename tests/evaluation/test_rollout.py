@@ -92,5 +92,5 @@ def test_a_frame_is_fresh_once_a_tick() -> None:
 def test_wrong_input_is_refused() -> None:
     with pytest.raises(RenetError, match="unknown mode 'blind'"):
         Trial("blind")
-    with pytest.raises(RenetError, match="2 rows"):
+    with pytest.raises(RenetError, match="2 trials"):
         run_rollout(FakeEnv(1), FakePolicy(1), FakeSelector(1, 1), [Trial("vp")] * 2, 5, 0)

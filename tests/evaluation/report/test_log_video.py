@@ -12,7 +12,7 @@ from renet.deploy.flight_log import FlightLog, read_log
 from renet.deploy.launch import DeployCfg, deploy
 from renet.deploy.safety import SafetyCfg
 from renet.errors import RenetError
-from renet.evaluation import film_log
+from renet.evaluation.report import log_video
 from renet.evaluation.report.log_video import film_log as film
 from renet.interface import JOINTS
 
@@ -34,7 +34,7 @@ def drawn(monkeypatch) -> dict:
         seen.update(path=path, model=spec.compile(), poses=poses[:, 0], panel=panels[0])
         return path
 
-    monkeypatch.setattr(film_log, "make_video", draw)
+    monkeypatch.setattr(log_video, "make_video", draw)
     return seen
 
 
@@ -67,7 +67,7 @@ def test_a_real_flight_is_shown_on_flat_ground_where_it_is_reckoned_to_be(
     ticks["base_position"] = np.nan
     ticks["joint_position"][10] = np.nan
     real = replace(flight, ticks=ticks, header=flight.header | {"robot": "go1"})
-    monkeypatch.setattr(film_log, "read_log", lambda path: real)
+    monkeypatch.setattr(log_video, "read_log", lambda path: real)
     film(log, tmp_path / "new" / "film.mp4")
     assert drawn["path"].parent.is_dir()
     assert np.isfinite(drawn["poses"]).all()

@@ -92,7 +92,7 @@ def test_results_of_different_bundles_are_pointed_out(results: Path, tmp_path: P
     shutil.copytree(results / "noise", tmp_path / "noise")
     summary = tmp_path / "filter" / "summary.json"
     summary.write_text(summary.read_text().replace("0" * 64, "f" * 64))
-    html = make_report(ReportCfg(tmp_path)).read_text()
+    html = " ".join(make_report(ReportCfg(tmp_path)).read_text().split())
     assert "2 different bundles, 0000000000, ffffffffff" in html
 
 
