@@ -73,7 +73,7 @@ def test_another_robots_bundle_is_refused_before_anything_is_built(
     manifest = read_manifest(other)
     write_manifest(other, replace(manifest, robot=replace(manifest.robot, name="Unitree A1")))
     out = tmp_path / "out"
-    assert cli.main(["evaluate", "noise", "--bundle", str(other), "--out", str(out)]) == 2
+    assert cli.main(["evaluate", "faults", "--bundle", str(other), "--out", str(out)]) == 2
     said = capsys.readouterr().err.strip()
     assert said.startswith(
         "renet: bundle other drives a Unitree A1, this task's robot is a Unitree"
@@ -84,7 +84,7 @@ def test_another_robots_bundle_is_refused_before_anything_is_built(
 def test_calibration_is_written_into_the_bundle(tmp_path: Path) -> None:
     # Only robots that walk count: the shipped policy's do.
     bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
-    cfg = CalibrateCfg(bundle, robots=2, seconds=4.0, tasks=("Renet-Go1-Flat",))
+    cfg = CalibrateCfg(bundle, robots=2, seconds=4.0, terrains=("flat",))
     beta = run_calibrate(cfg)
     selector = read_manifest(bundle).selector
     assert selector.beta == pytest.approx(beta)
@@ -124,8 +124,8 @@ def test_a_missing_bundle_is_reported(tmp_path: Path) -> None:
     "wrong",
     [
         {"robots": 0},
-        {"tasks": ()},
-        {"tasks": ("Renet-Go1-Flat", "Renet-Go1-Park")},
+        {"terrains": ()},
+        {"terrains": ("flat", "park")},
         {"speed": 0.0},
         {"false_alarm": 2.0},
         {"false_alarms_per_hour": 0.0},
@@ -134,7 +134,7 @@ def test_a_missing_bundle_is_reported(tmp_path: Path) -> None:
 def test_calibration_refuses_mistakes_before_anybody_walks(
     bundle: Path, wrong, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Evaluator, "walk", lambda *args, **kwargs: pytest.fail("walked"))
+    monkeypatch.setattr(Evaluator, "rollout", lambda *args, **kwargs: pytest.fail("walked"))
     with pytest.raises(RenetError):
         run_calibrate(CalibrateCfg(bundle, **wrong))
 
