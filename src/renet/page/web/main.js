@@ -13,6 +13,10 @@ const PUSH = 1.0;
 /** m/s to the left. */
 const MOST_BEHIND = 0.4;
 /** Seconds of simulation that are made up for; beyond, time runs slower than the clock. */
+const BEHIND = 0.15;
+/** Seconds of simulation from which pictures are rare, */
+const RARELY = 250;
+/** as many milliseconds apart. */
 
 const $ = (selector) => document.querySelector(selector);
 
@@ -197,6 +201,7 @@ async function simulate(page, stats) {
     if (document.hidden) continue;
     stats.seconds += passed;
     debt = Math.min(debt + passed, MOST_BEHIND);
+    stats.behind = debt;
     for (; debt >= controlDt; debt -= controlDt) {
       await page.step();
       stats.simulated += controlDt;
@@ -204,11 +209,12 @@ async function simulate(page, stats) {
   }
 }
 
-/** Draw whenever the browser shows a picture. */
+/** Draw whenever the browser shows a picture; a simulation that falls behind comes first. */
 async function draw(page, stats) {
   let last = performance.now();
   for (;;) {
     const now = await new Promise(requestAnimationFrame);
+    if (stats.behind > BEHIND && now - last < RARELY) continue;
     page.draw(Math.max(now - last, 1) / 1000);
     last = now;
     stats.pictures += 1;
@@ -216,7 +222,7 @@ async function draw(page, stats) {
   }
 }
 
-const stats = { simulated: 0, seconds: 0, pictures: 0 };
+const stats = { simulated: 0, seconds: 0, pictures: 0, behind: 0 };
 try {
   const [runtime, look] = await Promise.all([
     loadRuntime(read),

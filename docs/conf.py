@@ -1,0 +1,49 @@
+"""Sphinx's settings: `sphinx-build -W docs OUT`."""
+
+import importlib.metadata
+
+project = "renet"
+author = "the renet authors"
+release = importlib.metadata.version("renet")
+extensions = [
+    "myst_parser",
+    "sphinx.ext.apidoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+]
+html_theme = "furo"
+html_title = f"renet {release}"
+exclude_patterns = ["_build", "api/generated/modules.rst"]
+myst_heading_anchors = 3
+myst_enable_extensions = ["colon_fence", "deflist"]
+# Docstrings quote code in single backticks, as Markdown does.
+default_role = "code"
+apidoc_modules = [
+    {
+        "path": "../src/renet",
+        "destination": "api/generated",
+        "exclude_patterns": [
+            "../src/renet/" + name
+            for name in ("cli.py", "evaluation", "models", "page", "sim", "tasks", "training")
+        ],
+        "max_depth": 3,
+        "module_first": True,
+        "automodule_options": {"members", "show-inheritance"},
+    }
+]
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_mock_imports = ["pyrealsense2", "unitree_legged_sdk"]
+# Diagrams are Mermaid's, which GitHub draws and Pygments does not know; packages offer again what
+# their modules define.
+suppress_warnings = ["misc.highlighting_failure", "ref.python"]
+
+
+def setup(app) -> None:
+    """The measurements' notes lie beside the benchmarks; here they are a page of their own."""
+
+    def link(_app, _name: str, source: list[str]) -> None:
+        source[0] = source[0].replace("(../benchmarks/NOTES.md", "(notes.md")
+
+    app.connect("source-read", link)
