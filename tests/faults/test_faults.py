@@ -22,8 +22,9 @@ SENSOR_FAULTS = [name for name, fault in FAULTS.items() if not issubclass(fault,
 
 
 def ground(n: int, tick: int = 0) -> np.ndarray:
-    """Something like a floor seen at a slant, with live sensor grain that differs every frame."""
+    """Something like a floor seen at a slant and a box, with grain that differs every frame."""
     rows = np.linspace(0.95, 0.03, DEPTH_SHAPE[0])[:, None] * np.ones(DEPTH_SHAPE[1])
+    rows[8:20, 30:40] = 0.2  # A box, whose edges cast shadows.
     grain = np.random.default_rng(tick).normal(0, 0.005, (n, *DEPTH_SHAPE))
     return np.clip(rows + grain, 0.01, 1).astype(np.float32)
 

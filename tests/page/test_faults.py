@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from renet.faults import FAULTS, Frames, PhysicalFault
+from renet.page.contract import UNAVAILABLE
 from renet.page.writer import WEB
 from tests.page.conftest import run_node
 
@@ -24,7 +25,11 @@ CERTAIN = (
     "unplugged",
 )
 """Faults without randomness: the same image, up to rounding."""
-NAMES = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
+NAMES = [
+    name
+    for name, fault in FAULTS.items()
+    if not issubclass(fault, PhysicalFault) and name not in UNAVAILABLE
+]
 
 
 def frames() -> list[dict[str, Any]]:

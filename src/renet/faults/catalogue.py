@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from renet.errors import RenetError
-from renet.faults import image, physical, timing
+from renet.faults import combined, image, physical, stereo, timing, vegetation
 from renet.faults.base import Fault
 
 FAULTS: dict[str, type[Fault]] = {
@@ -28,6 +28,16 @@ FAULTS: dict[str, type[Fault]] = {
         physical.MountKnocked,
         image.WrongScale,
         timing.Unplugged,
+        stereo.EdgeShadow,
+        stereo.DisparitySteps,
+        stereo.Textureless,
+        vegetation.TallGrass,
+        combined.GlareDropped,
+        combined.BlobsLatency,
+        combined.ShadowSteps,
+        combined.IntermittentBlackout,
+        combined.IntermittentFrozen,
+        combined.IntermittentGlare,
     )
 }
 

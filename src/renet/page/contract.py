@@ -32,6 +32,19 @@ from renet.selector.filter import VISION_THRESHOLD
 from renet.selector.guard import GuardCfg
 from renet.selector.monitors import NEAR
 
+UNAVAILABLE = (
+    "edge_shadow",
+    "disparity_steps",
+    "textureless",
+    "tall_grass",
+    "glare_dropped",
+    "blobs_latency",
+    "shadow_steps",
+    "intermittent_blackout",
+    "intermittent_frozen",
+    "intermittent_glare",
+)
+"""Faults of the catalogue that the page has no model of."""
 MAP_HEIGHT = 0.3
 """Metres of the base above the ground that read as zero in a height map, as in training."""
 SCENES = {
@@ -81,7 +94,11 @@ def contract() -> dict[str, Any]:
                 for name, monitor in MONITORS.items()
             ],
         },
-        "faults": [_fault(f) for f in FAULTS.values() if not issubclass(f, PhysicalFault)],
+        "faults": [
+            _fault(fault)
+            for name, fault in FAULTS.items()
+            if not issubclass(fault, PhysicalFault) and name not in UNAVAILABLE
+        ],
         "scenes": [_scene(terrain, *SCENES[terrain]) for terrain in SCENES],
     }
 

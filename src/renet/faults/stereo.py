@@ -1,0 +1,125 @@
+"""What a stereo camera does to good light: shadows at edges, steps, and loss without texture.
+
+A stereo camera measures disparity d = f * baseline / depth, in pixels between its two imagers
+(Keselman et al. 2017, Intel RealSense Stereoscopic Depth Cameras). `FOCAL` is in pixels of the
+delivered image, so that a D435i's 50 mm and 1 m give 2.5 of its 64 pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from renet.camera import Intrinsics
+from renet.faults.base import ImageFault
+from renet.faults.image import metres, smooth_field
+from renet.interface import DEPTH_RANGE
+
+FOCAL = Intrinsics().fx
+"""Focal length in pixels of the delivered image."""
+BASELINE = 0.05
+"""m between a D435i's imagers."""
+NEAREST = 0.3
+"""m; disparities of nearer surfaces are taken for this one's."""
+FLAT_DISPARITY = 0.15
+"""Pixels a smooth surface's disparity may differ from the plane through its neighbours."""
+
+
+def disparity(image: np.ndarray, baseline: float) -> np.ndarray:
+    """Disparity [48, 64] in pixels of an image whose sensor grain a 3 x 3 median took away."""
+    padded = np.pad(image, 1, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
+    depth = np.median(windows, axis=(2, 3)) * DEPTH_RANGE
+    return FOCAL * baseline / np.maximum(depth, NEAREST)
+
+
+class Holes(ImageFault):
+    """An image fault that leaves pixels without a measurement; they read zero."""
+
+    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
+        super().__init__(level, rngs)
+        self._shares = np.zeros(len(rngs))
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """The image with its holes; the caller clips it to [0, 1]."""
+        lost = self.lost(image, robot)
+        self._shares[robot] = lost.mean()
+        return np.where(lost, np.float32(0.0), image)
+
+    def holes(self, image: np.ndarray, robot: int) -> float:
+        """Share of pixels the fault leaves without a measurement."""
+        return float(self._shares[robot])
+
+    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
+        """[48, 64] bool: the pixels of one robot's image that are not measured."""
+        raise NotImplementedError
+
+
+class EdgeShadow(Holes):
+    """What only the left imager sees, beside the left edge of something near, has no depth."""
+
+    name = "edge_shadow"
+    summary = "Holes left of depth edges, as wide as the disparity jumps; level is the baseline."
+    unit = "mm"
+    levels = (25, 50, 75, 100, 150)
+
+    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
+        """Pixels that something to their right hides from the right imager."""
+        position = np.arange(image.shape[1]) - disparity(image, 1e-3 * self.level)
+        nearest = np.minimum.accumulate(position[:, ::-1], axis=1)[:, ::-1]
+        hidden = np.zeros(image.shape, bool)
+        hidden[:, :-1] = nearest[:, 1:] <= position[:, :-1]
+        return hidden
+
+
+class DisparitySteps(ImageFault):
+    """Disparity comes in steps: the ground becomes terraces, coarser the farther away."""
+
+    name = "disparity_steps"
+    summary = "Disparity of a 50 mm baseline is rounded to multiples of the level."
+    unit = "px"
+    levels = (0.02, 0.05, 0.1, 0.2, 0.4)
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """The image from rounded disparities; what is out of range stays so, holes stay holes."""
+        scale = metres(FOCAL * BASELINE)
+        measured = (image > 0.0) & (image < 1.0)
+        steps = np.round(scale / np.where(measured, image, 1.0) / self.level)
+        rounded = scale / (np.maximum(steps, 1.0) * self.level)
+        return np.where(measured, rounded, image).astype(np.float32)
+
+
+class Textureless(Holes):
+    """Nothing to match on smooth ground: large patches have no depth, edges keep theirs."""
+
+    name = "textureless"
+    summary = "Patches of smooth surfaces become holes; level is their share of those surfaces."
+    unit = "share"
+    levels = (0.1, 0.25, 0.45, 0.7, 0.9)
+
+    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
+        super().__init__(level, rngs)
+        self._fields = [smooth_field(rng, (3, 4)) for rng in rngs]
+
+    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
+        """Patches of what is plane in the image; their borders flicker."""
+        smooth = smooth_surface(image)
+        field = self._fields[robot] + 0.15 * smooth_field(self.rngs[robot], (12, 16))
+        if not smooth.any():
+            return smooth
+        return smooth & (field > np.quantile(field[smooth], 1 - self.level))
+
+
+def smooth_surface(image: np.ndarray) -> np.ndarray:
+    """[48, 64] bool: pixels whose disparity lies on the plane through its neighbours'.
+
+    A plane's disparity is linear in the image's coordinates, whatever its slope.
+    """
+    shift = disparity(image, BASELINE)
+    far = 2
+    padded = np.pad(shift, far, mode="reflect", reflect_type="odd")
+    middle = slice(far, -far)
+    across = (padded[middle, 2 * far :] + padded[middle, : -2 * far]) / 2
+    along = (padded[2 * far :, middle] + padded[: -2 * far, middle]) / 2
+    return np.maximum(np.abs(across - shift), np.abs(along - shift)) < FLAT_DISPARITY

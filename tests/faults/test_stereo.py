@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from renet.camera import Intrinsics
+from renet.faults import FAULTS, Frames
+from renet.faults.stereo import BASELINE, FOCAL, smooth_surface
+from renet.faults.vegetation import NEAR_RANGE
+from renet.interface import DEPTH_RANGE, DEPTH_SHAPE
+
+
+def spoil(name: str, level: float, image: np.ndarray, robots: int = 6, seed: int = 0) -> Frames:
+    rngs = [np.random.default_rng([seed, n]) for n in range(robots)]
+    given = np.repeat(image[None].astype(np.float32), robots, axis=0)
+    return FAULTS[name](level, rngs).corrupt(Frames.healthy(given), np.zeros(robots))
+
+
+def floor() -> np.ndarray:
+    """A plane 33 cm below a camera that looks 30 degrees down, capped at the camera's range."""
+    _, up = Intrinsics().axes()
+    drop = np.sin(np.radians(30)) - up * np.cos(np.radians(30))
+    depth = 0.33 / np.maximum(drop, 1e-3)
+    return np.minimum(depth / DEPTH_RANGE, 1.0)[:, None] * np.ones(DEPTH_SHAPE[1])
+
+
+def floor_with_box() -> np.ndarray:
+    image = floor()
+    image[5:25, 30:45] = 0.2
+    return image
+
+
+@pytest.mark.parametrize("baseline", [25, 50, 100])
+def test_shadow_is_as_wide_as_the_disparity_jumps_and_on_the_left_only(baseline: float) -> None:
+    image = np.full(DEPTH_SHAPE, 0.9)
+    image[10:30, 30:50] = 0.2
+    frames = spoil("edge_shadow", baseline, image, robots=1)
+    holes = frames.image[0] == 0
+    jump = FOCAL * 1e-3 * baseline * (1 / 0.4 - 1 / 1.8)
+    width = int(jump)
+    assert width >= 1
+    assert holes[15:25, 30 - width : 30].all()
+    # The median rounds the corners of the box; its middle rows are exact.
+    assert not holes[15:25, 30:].any()
+    assert not holes[15:25, : 30 - width].any()
+    assert frames.invalid[0] == holes.mean()
+
+
+def test_a_plane_has_no_shadow() -> None:
+    assert (spoil("edge_shadow", 150, floor()).image > 0).all()
+
+
+@pytest.mark.parametrize("step", [0.05, 0.2])
+def test_disparities_are_multiples_of_the_step_and_nearest_ones(step: float) -> None:
+    image = floor()
+    after = spoil("disparity_steps", step, image, robots=1).image[0].astype(float)
+    inside = (image < 1) & (after < 1)
+    scale = FOCAL * BASELINE / DEPTH_RANGE
+    steps = scale / after[inside] / step
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)
+    assert np.abs(scale / after[inside] - scale / image[inside]).max() <= step / 2 + 1e-4
+    np.testing.assert_array_equal(after[image == 1], 1)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.45, 0.9])
+def test_the_stated_share_of_smooth_surfaces_is_lost_and_edges_stay(
+    share: float,
+) -> None:
+    image = floor_with_box()
+    frames = spoil("textureless", share, image)
+    holes, smooth = frames.image == 0, smooth_surface(image)
+    assert 0.6 < smooth.mean() < 1
+    assert not holes[:, ~smooth].any()
+    assert holes[:, smooth].mean() == pytest.approx(share, abs=0.01)
+    np.testing.assert_allclose(frames.invalid, holes.mean(axis=(1, 2)))
+    neighbours = (holes[:, :, 1:] & holes[:, :, :-1]).mean() / holes.mean()
+    assert neighbours > 0.75, "patches, not single pixels"
+
+
+def test_sensor_grain_does_not_make_ground_rough() -> None:
+    grain = np.random.default_rng(0).normal(0, 0.005, DEPTH_SHAPE)
+    assert smooth_surface(floor() + grain).mean() > 0.75
+
+
+def test_grass_hides_more_and_blinds_more_the_denser_it_is() -> None:
+    image = floor()
+    hidden, blind = [], []
+    for level in FAULTS["tall_grass"].levels:
+        frames = spoil("tall_grass", level, image, robots=12)
+        assert (frames.image <= image.astype(np.float32) + 1e-6).all()
+        np.testing.assert_allclose(frames.invalid, (frames.image == 0).mean(axis=(1, 2)))
+        hidden.append((frames.image != image.astype(np.float32)).mean())
+        blind.append(frames.invalid.mean())
+    assert (np.diff(hidden) > 0).all()
+    assert (np.diff(blind) > 0).all()
+    assert hidden[0] < 0.25
+    assert hidden[-1] > 0.7
+
+
+def test_no_blade_is_measured_below_the_near_range_and_some_are_above() -> None:
+    image = np.ones(DEPTH_SHAPE)
+    frames = spoil("tall_grass", 45, image)
+    measured = frames.image[(frames.image > 0) & (frames.image < 1)] * DEPTH_RANGE
+    assert measured.min() >= NEAR_RANGE - 1e-6
+    assert measured.max() > 0.5
+
+
+def test_grass_flickers_from_frame_to_frame() -> None:
+    image = floor().astype(np.float32)[None]
+    fault = FAULTS["tall_grass"](20, [np.random.default_rng(0)])
+    first, second = (fault.corrupt(Frames.healthy(image), np.zeros(1)).image for _ in range(2))
+    changed = (first != image) | (second != image)
+    assert (first != second)[changed].mean() > 0.5
+
+
+def test_grass_stands_on_the_ground() -> None:
+    frames = spoil("tall_grass", 90, np.ones(DEPTH_SHAPE), robots=40)
+    _, up = Intrinsics().axes()
+    drop = np.sin(np.radians(30)) - up * np.cos(np.radians(30))
+    ground = 0.33 / drop / DEPTH_RANGE
+    measured = np.where(frames.image < 1, frames.image, 0)
+    assert (measured <= ground[:, None] + 1e-6).all()
+    # The bottom of the image looks at ground less than a metre away.
+    far = (measured > 0.5).mean(axis=(0, 2))
+    assert far[:12].sum() > 0
+    assert far[-12:].sum() == 0
