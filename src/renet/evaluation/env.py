@@ -178,6 +178,8 @@ class SimEnv:
         return self._robot.root_link_pos_w[:, :2].numpy()
 
     def _readings(self, observation: dict, fell: np.ndarray, ended: np.ndarray) -> StepResult:
+        self.observation = observation
+        """The simulator's newest observations by group; policies with privileges read them."""
         velocity = self._robot.root_link_lin_vel_w[:, :2]
         above = self._robot.root_link_pos_w[:, 2] - self.env.scene.env_origins[:, 2]
         return StepResult(

@@ -1,0 +1,327 @@
+"""The paper's Table I: every row trained with one recipe, one seed and one budget, then judged.
+
+`python benchmarks/table1.py` trains and judges what is not done yet, row by row; after any kill the
+same command goes on. `--status` says where it stands, `--table` prints it beside the paper's.
+All state is what lies in the rows' folders: checkpoints of `renet train`, and the terrain study.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+from scipy import stats
+
+from renet.errors import RenetError
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.results import Provenance
+from renet.evaluation.studies.terrain import TABLE, TerrainStudy
+from renet.interface import STEPS_PER_TICK
+from renet.models.actor_critic import fuse
+from renet.models.config import ModelCfg
+from renet.models.memory import EstimatorMemory
+from renet.models.renet import RENet
+from renet.tasks.robot_cfg import ACTION_CLIP
+from renet.training import checkpoint as checkpoints
+from renet.training.config import steps_per_env
+from renet.training.config_io import from_dict
+from renet.training.train import TrainCfg, train
+
+TASK = "Renet-Go1-Parkour"
+MEASURES = ("gap", "platform", "stairs", "collisions", "lin_vel_reward")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method of the table."""
+
+    name: str
+    model: dict[str, Any] | None
+    """Fields of ModelCfg that differ from the recipe's; None: no trainer for it here."""
+    paper: tuple[float, ...] | None
+    """Levels of gap, platform and stairs, collisions, linear-velocity reward (RENet, Table I)."""
+    mode: str = "vp"
+    """Policy mode it is judged in."""
+
+    @property
+    def slug(self) -> str:
+        """Name of its folder."""
+        return self.name.lower().replace("/", "").replace(" ", "_")
+
+
+ROWS = (
+    Row("Oracle", {"perception": "oracle"}, (9.96, 9.97, 9.93, 0.026, 0.5948)),
+    Row("MLP", {"encoder": "mlp"}, (9.84, 9.88, 9.85, 0.070, 0.5598)),
+    Row("SA", {}, (9.87, 9.85, 9.89, 0.077, 0.5556)),
+    Row("w/o VEL", {"predict_velocity": False}, (7.86, 4.28, 6.82, 0.254, 0.5221)),
+    Row("w/o FH", {"predict_feet_height": False}, (7.36, 7.20, 8.12, 0.071, 0.5506)),
+    Row("w/o HF", {"predict_height_map": False}, (5.49, 5.46, 6.44, 0.269, 0.5155)),
+    Row("w/o HIM", {"him": False}, (7.04, 7.67, 9.58, 0.076, 0.5572)),
+    Row("One Obs", {"history": 1}, (9.32, 8.46, 8.79, 0.082, 0.5543)),
+    Row("One Image", {"frames": 1}, (9.63, 8.86, 9.82, 0.104, 0.5537)),
+    Row("VP-only", {"perception": "vp"}, None),
+    Row("OP-only", {"perception": "op"}, None, "op"),
+    Row("Zhuang", None, (6.71, 7.28, 7.75, 0.205, 0.5425)),
+    Row("Cheng", None, (8.58, 8.29, 8.89, 0.152, 0.5501)),
+)
+
+
+@dataclass
+class Cfg:
+    """Train and judge the rows of the paper's Table I."""
+
+    out: Path = Path("results/table1")
+    """A folder for each row."""
+    rows: tuple[str, ...] = tuple(row.name for row in ROWS)
+    """Rows, in the order in which they are trained."""
+    steps: float = 15e6
+    """Environment steps of each row."""
+    num_envs: int = 512
+    """Robots side by side."""
+    seed: int = 1
+    """Of training; the judging's is `study.seed`."""
+    study: TerrainStudy = field(default_factory=TerrainStudy)
+    """How rows are judged; its mode, folder and bundle are the row's."""
+    status: bool = False
+    """Only print where each row stands."""
+    table: bool = False
+    """Only print the table."""
+
+    def __post_init__(self) -> None:
+        unknown = set(self.rows) - {row.name for row in ROWS}
+        if unknown:
+            known = ", ".join(row.name for row in ROWS)
+            raise RenetError(f"unknown row {sorted(unknown)[0]!r}: choose among {known}")
+        if self.num_envs < 1 or self.steps <= 0:
+            raise RenetError(f"num-envs {self.num_envs} and steps {self.steps} must be above 0")
+
+    @property
+    def chosen(self) -> list[Row]:
+        """The rows asked for."""
+        return [row for name in self.rows for row in ROWS if row.name == name]
+
+    def training(self, row: Row) -> TrainCfg:
+        """The recipe with the row's one difference.
+
+        Raises:
+            RenetError: nothing here trains the row.
+        """
+        if row.model is None:
+            raise RenetError(f"nothing here trains the row {row.name} yet: leave it out of --rows")
+        cfg = TrainCfg(task=TASK, num_envs=self.num_envs, seed=self.seed)
+        return replace(
+            cfg,
+            model=replace(cfg.model, **row.model),
+            log_root=self.out / row.slug / "run",
+            max_iterations=iterations(cfg, self.steps),
+        )
+
+
+def iterations(cfg: TrainCfg, steps: float) -> int:
+    """Iterations after which `steps` environment steps are first done."""
+    robots, done, count = cfg.num_envs or 1, 0, 0
+    while done < steps:
+        done += robots * steps_per_env(cfg.num_steps_per_env, cfg.batch_size, robots, done)
+        count += 1
+    return count
+
+
+def newest(cfg: Cfg, row: Row) -> Path | None:
+    """The row's newest checkpoint."""
+    try:
+        return checkpoints.find(cfg.out / row.slug / "run")
+    except RenetError:
+        return None
+
+
+def train_row(cfg: Cfg, row: Row) -> Path:
+    """Train the rest of a row's budget; returns its last checkpoint.
+
+    Raises:
+        RenetError: nothing here trains the row, or its checkpoint is of other settings.
+    """
+    training, found = cfg.training(row), newest(cfg, row)
+    if found is not None:
+        state = checkpoints.load_state(found)
+        had = from_dict(ModelCfg, state["config"]["model"])
+        same = had == training.model and state["config"]["seed"] == cfg.seed
+        if not same or state["config"]["num_envs"] != cfg.num_envs:
+            raise RenetError(
+                f"{found} was trained with another model, seed or number of robots: choose"
+                " another --out, or the settings it was begun with"
+            )
+        if state["iteration"] >= training.max_iterations:
+            return found
+        training = replace(training, resume=str(found))
+    train(training)
+    return checkpoints.find(cfg.out / row.slug / "run")
+
+
+class CheckpointPolicy:
+    """A checkpoint's actor and estimators in torch, with the simulator's truth for the Oracle."""
+
+    def __init__(self, model: RENet, evaluator: CheckpointEvaluator, num_robots: int) -> None:
+        self._model, self._evaluator = model, evaluator
+        self.anomaly_score = np.zeros(num_robots)
+        self.reset()
+
+    def reset(self, mask: np.ndarray | None = None) -> None:
+        """Forget the past of the masked robots [N], of all by default."""
+        if mask is None:
+            self._memory = EstimatorMemory(self._model.cfg, len(self.anomaly_score), "cpu")
+            self._steps = 0
+        else:
+            self._memory.reset(torch.from_numpy(mask))
+
+    @torch.no_grad()
+    def step(
+        self, proprioception: np.ndarray, depth: np.ndarray, op_mask: np.ndarray
+    ) -> np.ndarray:
+        """Mean actions [N, 12]; estimators tick at 10 Hz."""
+        sensed = torch.from_numpy(proprioception)
+        self._memory.push(sensed)
+        if self._steps % STEPS_PER_TICK == 0:
+            self._memory.see(torch.from_numpy(depth))
+            self._memory.tick(self._model.advance)
+        self._steps += 1
+        if self._model.cfg.perception == "oracle":
+            truth = self._evaluator.env.observation
+            latent = torch.cat((truth["height_map"], truth["velocity"]), dim=-1)
+        else:
+            memory = self._memory
+            latent = fuse(memory.latent_op, memory.latent_vp, torch.from_numpy(op_mask))
+        return self._model.actor(sensed, latent.float()).clamp(-ACTION_CLIP, ACTION_CLIP).numpy()
+
+
+class CheckpointEvaluator(Evaluator):
+    """Judges a checkpoint, also one that cannot be exported."""
+
+    def __init__(self, path: Path) -> None:
+        """Load a checkpoint; raises RenetError where it is damaged."""
+        super().__init__()
+        found = checkpoints.load(path)
+        inputs = found.model["critics.reward.0.weight"].shape[1]
+        self._model = RENet(from_dict(ModelCfg, found.state["config"]["model"]), inputs).eval()
+        checkpoints.load_model(self._model, found.exported, path)
+        self._name = path.name
+        digest = hashlib.sha256()
+        for name, value in sorted(found.exported.items()):
+            digest.update(name.encode() + value.numpy().tobytes())
+        self._digest = digest.hexdigest()
+
+    def make_env(self, *args: Any, **kwargs: Any) -> Any:
+        """As the base class; the newest environment is the one the Oracle sees."""
+        self.env = super().make_env(*args, **kwargs)
+        return self.env
+
+    def make_policy(self, num_robots: int) -> CheckpointPolicy:
+        """The policy for N robots of the newest environment."""
+        return CheckpointPolicy(self._model, self, num_robots)
+
+    def provenance(self, seed: int) -> Provenance:
+        """The checkpoint's name and hash in place of a bundle's."""
+        return Provenance.now(self._name, self._digest, "native", seed)
+
+
+def judge_row(cfg: Cfg, row: Row, checkpoint: Path) -> None:
+    """Run the terrain study of a row's last checkpoint; what is done is not run again."""
+    study = replace(cfg.study, out=cfg.out / row.slug / "terrain", modes=(row.mode,), bundle=None)
+    study.run(CheckpointEvaluator(checkpoint))
+
+
+def measured(cfg: Cfg, row: Row) -> dict[str, Any] | None:
+    """The row's results; None where it has not been judged at the whole budget."""
+    path, found = cfg.out / row.slug / "terrain" / "summary.json", newest(cfg, row)
+    if row.model is None or found is None or not path.is_file():
+        return None
+    state = checkpoints.load_state(found)
+    summary = json.loads(path.read_text())
+    complete = state["iteration"] >= cfg.training(row).max_iterations
+    judged_it = summary["provenance"]["bundle"] == found.name
+    if not complete or not judged_it:
+        return None
+    return {**summary, "steps": state["steps"], "hours": state["seconds"] / 3600}
+
+
+def passes(summary: dict[str, Any], column: str) -> str:
+    """Tiles passed of those tried, with the Clopper-Pearson interval in per cent."""
+    runs = [run for run in summary["runs"] if run["kind"] in TABLE[column]]
+    passed, tried = sum(r["passed"] for r in runs), sum(r["robots"] for r in runs)
+    if not tried:
+        return "missing"
+    low, high = stats.binomtest(passed, tried).proportion_ci(0.95)
+    return f"{passed}/{tried} ({100 * low:.0f} to {100 * high:.0f} %)"
+
+
+def table(cfg: Cfg) -> str:
+    """Markdown: each measured number with the paper's in parentheses; nothing is filled in."""
+    columns = [*TABLE, "collisions", "linear velocity", *(f"{c} passed" for c in TABLE)]
+    columns += ["M steps", "hours", "seed"]
+    lines = [row_of("row", columns), row_of("---", ["---"] * len(columns))]
+    for row in cfg.chosen:
+        found = measured(cfg, row)
+        cells = []
+        for number, name in enumerate(MEASURES):
+            ours = None if found is None else {**found, **found["levels"]}.get(name)
+            digits = 2 if name in TABLE else 3
+            said = "missing" if ours is None else f"{ours:.{digits}f}"
+            paper = "not in the paper" if row.paper is None else f"{row.paper[number]:g}"
+            cells.append(f"{said} ({paper})")
+        if found is None:
+            cells += ["missing"] * (len(columns) - len(cells))
+        else:
+            cells += [passes(found, column) for column in TABLE]
+            cells += [f"{found['steps'] / 1e6:.2f}", f"{found['hours']:.1f}", str(cfg.seed)]
+        lines.append(row_of(row.name, cells))
+    return "\n".join(lines)
+
+
+def row_of(first: str, cells: Sequence[str]) -> str:
+    """One line of a Markdown table."""
+    return "| " + " | ".join([first, *cells]) + " |"
+
+
+def status(cfg: Cfg) -> str:
+    """Where each row stands, and the hours of training left at the speed of those begun."""
+    lines, left, done, seconds = [], 0.0, 0, 0.0
+    for row in cfg.chosen:
+        if row.model is None:
+            lines.append(f"{row.name:<10} nothing here trains it yet")
+            continue
+        found = newest(cfg, row)
+        state = {"steps": 0, "seconds": 0.0} if found is None else checkpoints.load_state(found)
+        done, seconds = done + state["steps"], seconds + state["seconds"]
+        left += max(cfg.steps - state["steps"], 0.0)
+        judged = "judged" if measured(cfg, row) else "not judged"
+        lines.append(
+            f"{row.name:<10} {state['steps'] / 1e6:6.2f} M of {cfg.steps / 1e6:g} M steps, {judged}"
+        )
+    rate = f"{left * seconds / done / 3600:.1f} h" if done else "unknown: no row has begun"
+    return "\n".join([*lines, f"left: {left / 1e6:.2f} M steps of training, {rate}"])
+
+
+def main(cfg: Cfg) -> None:
+    """Print, or train and judge what is left."""
+    if cfg.status or cfg.table:
+        print(status(cfg) if cfg.status else table(cfg))
+        return
+    for row in cfg.chosen:
+        if row.model is None:
+            print(f"{row.name}: nothing here trains it yet, left out")
+        elif not measured(cfg, row):
+            judge_row(cfg, row, train_row(cfg, row))
+    print(table(cfg))
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Cfg))
+    except RenetError as error:
+        raise SystemExit(f"table1: {error}") from error
