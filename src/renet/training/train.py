@@ -312,8 +312,8 @@ def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
     """The run that goes on; None where a new one begins.
 
     Args:
-        checkpoint: to go on from; one that is not in a run's folder, or not its newest, begins a run
-            of its own.
+        checkpoint: to go on from; one that is not its run's newest, or in no run's folder, begins a
+            run of its own.
         root: `--log-root`; another one than the run's branches off.
     """
     if checkpoint is None or checkpoint.parent.name != CHECKPOINTS:
