@@ -18,15 +18,15 @@ import numpy as np
 import tyro
 
 from facts import report
-from renet.deploy import perception
+from renet.deploy import inference
 from renet.deploy.bundle import MODELS, Bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller
-from renet.deploy.manifest import RobotSpec
-from renet.deploy.operator import ScriptedOperator
-from renet.deploy.policy import Percept, TickInputs, perceive
+from renet.deploy.bundle.manifest import RobotSpec
+from renet.deploy.teleop import ScriptedTeleop
+from renet.deploy.policy import EstimatorOutput, EstimatorInput, infer
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.runner import fly
+from renet.deploy.loop import run_control_loop
 from renet.deploy.safety import Mode, SafetyCfg
 from renet.interface import CONTROL_DT, DEPTH_SHAPE
 
@@ -85,18 +85,18 @@ class RandomCamera:
 
 
 class Stopwatch:
-    """Times `perceive` on whatever thread it runs."""
+    """Times `infer` on whatever thread it runs."""
 
     def __init__(self) -> None:
         self.wall_ms: list[float] = []
         self.cpu_ms: list[float] = []
 
-    def __call__(self, sessions: perception.Sessions, inputs: TickInputs) -> Percept:
+    def __call__(self, sessions: inference.Sessions, inputs: EstimatorInput) -> EstimatorOutput:
         wall, cpu = time.perf_counter(), time.thread_time()
-        percept = perceive(sessions, inputs)
+        output = infer(sessions, inputs)
         self.wall_ms.append(1000.0 * (time.perf_counter() - wall))
         self.cpu_ms.append(1000.0 * (time.thread_time() - cpu))
-        return percept
+        return output
 
 
 class TimedController(Controller):
@@ -127,12 +127,12 @@ def spread(values: list[float], begin: int) -> dict[str, float]:
 def main(cfg: Cfg) -> None:
     bundle = Bundle.load(cfg.bundle)
     stopwatch = Stopwatch()
-    perception.perceive = stopwatch
+    inference.infer = stopwatch
     robot, camera = RandomRobot(bundle.manifest.robot), RandomCamera()
-    controller = TimedController(bundle, RARELY, perception.ThreadedPerception(bundle.sessions))
+    controller = TimedController(bundle, RARELY, inference.ThreadedInference(bundle.sessions))
     end = time.monotonic() + WARM_UP + 60.0 * cfg.minutes
-    devices: tuple = (robot, camera, ScriptedOperator(0.6), controller)
-    fly(*devices, done=lambda: time.monotonic() >= end)
+    devices: tuple = (robot, camera, ScriptedTeleop(0.6), controller)
+    run_control_loop(*devices, done=lambda: time.monotonic() >= end)
     controller.close()
     assert "torch" not in sys.modules
     steps = round(WARM_UP / CONTROL_DT)

@@ -65,7 +65,7 @@ COMMANDS = {
     ),
     "deploy": Command(
         "put a bundle on a robot, simulated or real; leaves a flight log and its timeline",
-        "renet.deploy.launch",
+        "renet.deploy.main",
         "DeployCfg",
         "deploy",
         "sim",
@@ -148,7 +148,7 @@ COMMANDS = {
     ),
     "bundle inspect": Command(
         "print every input of a bundle by index: name, unit, scale, joint order",
-        "renet.deploy.inspect",
+        "renet.deploy.bundle.inspect",
         "InspectCfg",
         "inspect",
     ),
@@ -205,7 +205,7 @@ def _dispatch(arguments: list[str]) -> int:
         if error.name and error.name.startswith("renet"):
             raise
         raise RenetError(
-            f"`renet {name}` needs {error.name}: pip install 'renet[{command.extra}]'"
+            f"`renet {name}` needs {error.name}: pip install 'renet-locomotion[{command.extra}]'"
         ) from error
     where = result if isinstance(result, Path) else getattr(cfg, "out", None)
     if where is not None:

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from renet.deploy.bundle import Bundle, write_bundle
-from renet.deploy.manifest import Manifest, SelectorSpec
+from renet.deploy.bundle.manifest import Manifest, SelectorSpec
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.training.bundle import camera_spec, robot_spec

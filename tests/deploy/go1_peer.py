@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from renet.deploy.robots.base import JointCommand
-from renet.deploy.robots.go1 import PERIOD
+from renet.deploy.robots.go1_link import PERIOD
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.interface import JOINTS

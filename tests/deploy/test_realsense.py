@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 rs = pytest.importorskip(
-    "pyrealsense2", reason="needs renet[realsense] and libusb-1.0-0", exc_type=ImportError
+    "pyrealsense2",
+    reason="needs renet-locomotion[realsense] and libusb-1.0-0",
+    exc_type=ImportError,
 )
 
 from renet.deploy.cameras import realsense  # noqa: E402
@@ -208,7 +210,9 @@ def test_a_sensor_that_refuses_to_start_is_closed_again(device):
 
 def test_without_the_vendors_module_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    with pytest.raises(RenetError, match=r"pip install 'renet\[realsense\]'.*libusb-1.0-0"):
+    with pytest.raises(
+        RenetError, match=r"pip install 'renet-locomotion\[realsense\]'.*libusb-1.0-0"
+    ):
         RealSenseCamera(camera_spec(), time.monotonic)
 
 

@@ -11,10 +11,10 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from renet.deploy.flight_log import read_log
-from renet.deploy.launch import DEADMAN, DeployCfg, deploy
+from renet.deploy.main import DEADMAN, DeployCfg, deploy
+from renet.deploy.recording import read_recording
 from renet.deploy.safety import SafetyCfg
-from renet.selector.defaults import MONITORS
+from renet.selector.monitors import MONITORS
 
 from .fakes import STANDING
 
@@ -62,7 +62,7 @@ def test_another_robot_in_30_lines(tmp_path, monkeypatch):
     assert link.closed
     assert any(stiffness.any() for stiffness in link.told), "it rose"
     assert not link.told[-1].any(), "it ends braking"
-    flight = read_log(tmp_path / "flight.log")
+    flight = read_recording(tmp_path / "recording.log")
     assert flight.complete
     assert flight.events[0].why == "armed"
     body = program("my_sdk").split("class MyRobot:")[1].split("\n\n\n")[0]
@@ -72,7 +72,7 @@ def test_another_robot_in_30_lines(tmp_path, monkeypatch):
 def test_reading_a_log(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     deploy(DeployCfg(seconds=0.2))
-    exec(program("read_log"), {})
+    exec(program("read_recording"), {})
 
 
 @pytest.mark.parametrize("monitor", MONITORS.values(), ids=MONITORS)
@@ -86,7 +86,7 @@ def test_limits_are_the_codes():
         ("max_state_age", f"{1000 * cfg.max_state_age:.0f} ms"),
         ("max_tilt", f"{np.degrees(cfg.max_tilt):.0f}°"),
         ("joint_margin", f"{cfg.joint_margin:g} rad"),
-        ("max_rise_error", f"{cfg.max_rise_error:g} rad"),
+        ("max_stand_up_error", f"{cfg.max_stand_up_error:g} rad"),
         ("max_gap", f"{cfg.max_gap:g} s"),
         ("max_late", f"{cfg.max_late}"),
         ("target_rate", f"{cfg.target_rate:.0f} rad/s"),

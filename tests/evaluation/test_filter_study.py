@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.filter_study import FilterCfg, replay, run_filter
+from renet.selector import SelectorSpec
 
 from .fakes import FakeLab
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.healthy import successful_runs
 from renet.evaluation.rollout import Row, run_rollout
-from renet.evaluation.switches import GuardSwitch, make_switch
+from renet.evaluation.switches import ClockedSelector, make_switch
 from renet.evaluation.trace import Trace
 from renet.evaluation.witness import Witness, suspicion
 from renet.faults import Injection
-from renet.selector.monitors import Sight
+from renet.selector import SelectorSpec
+from renet.selector.monitors import SelectorInput
 
 from .fakes import GROUND, FakeController, FakeWorld
 
@@ -53,7 +53,7 @@ def roll(kind: str, fault: str, level: float, duration: float = 2.0) -> tuple[np
     [("frozen", np.inf, 0.135), ("unplugged", np.inf, 0.135), ("blackout", 0.0, 0.035)],
 )
 def test_monitors_notice_what_the_papers_rule_cannot(fault, level, delay) -> None:
-    trusted, witness = roll("guarded", fault, level)
+    trusted, witness = roll("monitors", fault, level)
     flat = trusted.reshape(-1, 2)
     assert (~flat[:, 0]).argmax() == pytest.approx((1.0 + delay) * 200 - 1, abs=1.01)
     assert flat[:, 1].all()
@@ -64,12 +64,12 @@ def test_monitors_notice_what_the_papers_rule_cannot(fault, level, delay) -> Non
 
 
 def test_a_slow_selector_sees_every_frame_once() -> None:
-    switch = GuardSwitch(SelectorSpec(beta=1.0, gamma=0.6, rate_hz=10.0), 1)
+    switch = ClockedSelector("monitors", SelectorSpec(beta=1.0, gamma=0.6, rate_hz=10.0), 1)
     image = np.random.default_rng(0).random((1, 48, 64))
     visions = []
     for update in range(200):
         fresh = np.array([update % 20 == 0])
-        sight = Sight(
+        sight = SelectorInput(
             np.zeros(1),
             image,
             fresh,
@@ -88,7 +88,7 @@ def test_disagreeing_estimators_are_noticed() -> None:
     controller.velocity_op = np.zeros((2, 3))
     controller.velocity_vp = np.array([[0.4, 0.0, 0.0], [0.2, 0.0, 0.0]])
     trace = run_rollout(
-        LiveWorld(2), controller, make_switch("guarded", SPEC, 2), [Row("renet")] * 2, 10, 0
+        LiveWorld(2), controller, make_switch("monitors", SPEC, 2), [Row("renet")] * 2, 10, 0
     )
     assert trace.trusted[-1, -1].tolist() == [False, True]
 
@@ -115,8 +115,6 @@ def test_the_log_keeps_the_highest_score_of_a_tick() -> None:
 def test_unknown_selectors_and_rates_are_refused() -> None:
     with pytest.raises(RenetError, match="unknown selector 'coin'"):
         make_switch("coin", SPEC, 1)
-    with pytest.raises(RenetError, match="selector rate 33"):
-        make_switch("guarded", SelectorSpec(beta=1.0, rate_hz=33.0), 1)
 
 
 def test_calibration_learns_from_robots_that_get_somewhere() -> None:

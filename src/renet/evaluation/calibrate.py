@@ -15,7 +15,7 @@ import numpy as np
 import tyro
 
 from renet.deploy.bundle import Bundle, write_manifest
-from renet.deploy.logged import logged_scores
+from renet.deploy.calibration_log import recorded_scores
 from renet.errors import RenetError
 from renet.evaluation.healthy import TICK_RATE
 from renet.evaluation.terminal import show
@@ -75,7 +75,7 @@ def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
     """
     if cfg.log:
         bundle = Bundle.load(cfg.bundle)
-        return _store(cfg, bundle, logged_scores(cfg.log, bundle), f"{len(cfg.log)} flight log(s)")
+        return _store(cfg, bundle, recorded_scores(cfg.log, bundle), f"{len(cfg.log)} flight log(s)")
     from renet.evaluation.calibration_runs import simulated_scores
 
     bundle, series = simulated_scores(cfg, lab)

@@ -52,8 +52,8 @@ class CourseCfg:
     """Commanded forward speed, m/s."""
     patience: float = 25.0
     """Seconds on one passage after which a robot counts as stuck; 8 m take 13 s."""
-    selector: str = "guarded"
-    """Selector: guarded (all monitors) or paper."""
+    selector: str = "monitors"
+    """Selector: monitors (all of them) or paper."""
     seed: int = 1
     """Of bodies, starts, stones and grass."""
     engine: str = "auto"

@@ -48,8 +48,8 @@ class FaultsCfg:
     """Control steps of each run."""
     healthy_minutes: float = 80.0
     """Robot minutes with a healthy camera, in which false switches are counted; 0: none."""
-    selector: str = "guarded"
-    """What `renet` trusts: guarded (all monitors, dwell) or paper (reconstruction alone)."""
+    selector: str = "monitors"
+    """What `renet` trusts: monitors (all of them, dwell) or paper (reconstruction alone)."""
     seed: int = 1
     """Of the robots' starts and of the faults."""
     engine: str = "auto"

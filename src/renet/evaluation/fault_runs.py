@@ -15,7 +15,7 @@ from renet.evaluation.rollout import Row, World
 from renet.evaluation.witness import Witness, suspicion
 from renet.faults import Injection, fault_class
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
-from renet.selector.calibration import bursts
+from renet.selector.calibration import decluster
 
 HEALTHY_ROBOTS = 64
 """Robots side by side in the run without faults."""
@@ -120,7 +120,7 @@ def run_healthy(cfg: FaultsCfg, lab: Lab) -> dict[str, Any]:
         "robot_hours": metrics.healthy_hours(trace.failing),
         "falls": int(trace.fell.sum()),
         "alarms": {
-            name: sum(len(bursts(run, np.nextafter(threshold, -np.inf))) for run in series[name])
+            name: sum(len(decluster(run, np.nextafter(threshold, -np.inf))) for run in series[name])
             for name, threshold in lab.thresholds.items()
         },
     }

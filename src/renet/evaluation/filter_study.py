@@ -14,7 +14,6 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.lab import Lab
@@ -26,10 +25,11 @@ from renet.evaluation.results import (
     write_json,
 )
 from renet.evaluation.rollout import UPDATES_PER_STEP, Row, check_speed
-from renet.evaluation.switches import ScoreSwitch, updates_apart
+from renet.evaluation.switches import ClockedSelector, updates_apart
 from renet.evaluation.terminal import show
 from renet.faults import Injection
 from renet.interface import CONTROL_DT
+from renet.selector import SelectorSpec
 from renet.selector.filter import LowPassFilter, switch_delay
 
 
@@ -117,7 +117,7 @@ def _walk(cfg: FilterCfg, lab: Lab) -> dict[str, Any]:
 
 def replay(scores: np.ndarray, spec: SelectorSpec) -> np.ndarray:
     """A selector's answers [T, U, N] to anomaly scores [T, N], as in a rollout."""
-    switch = ScoreSwitch(spec, scores.shape[1])
+    switch = ClockedSelector("paper", spec, scores.shape[1])
     return np.array([[switch.judge(score) for _ in range(UPDATES_PER_STEP)] for score in scores])
 
 

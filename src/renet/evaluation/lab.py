@@ -18,8 +18,7 @@ from renet.evaluation.switches import check_selector, make_switch
 from renet.evaluation.terminal import progress
 from renet.evaluation.trace import Trace
 from renet.evaluation.world import SimWorld, study_env_cfg
-from renet.selector.defaults import default_monitors
-from renet.selector.monitors import Sight
+from renet.selector.monitors import SelectorInput, default_monitors
 from renet.tasks import RenetEnvCfg
 
 
@@ -27,14 +26,14 @@ class Lab:
     """One bundle under study; a third party's policy overrides `controller` and `switch`."""
 
     def __init__(
-        self, bundle: Path | None = None, engine: str = "auto", selector: str = "guarded"
+        self, bundle: Path | None = None, engine: str = "auto", selector: str = "monitors"
     ) -> None:
         """Load a bundle.
 
         Args:
             bundle: its folder; the one that ships with renet by default.
             engine: auto, native or warp.
-            selector: guarded, which is all monitors with a dwell, or paper.
+            selector: monitors, which is all monitors with a dwell, or paper.
 
         Raises:
             RenetError: a missing, damaged or incompatible bundle, or an unknown selector.
@@ -110,7 +109,7 @@ class Lab:
         seed: int,
         film: Sequence[int] = (),
         on_step: Callable[[], Any] = lambda: None,
-        on_sight: Callable[[Sight], Any] = lambda sight: None,
+        on_sight: Callable[[SelectorInput], Any] = lambda sight: None,
     ) -> Trace:
         """Drive the policy under study beside a progress bar; see `run_rollout`."""
         with progress(title, steps) as advance:

@@ -56,8 +56,8 @@ class NoiseCfg:
     """Shares of the pixels."""
     modes: tuple[str, ...] = ("vp", "renet")
     """Policy modes to compare: vp, renet, op, oracle-switch."""
-    selector: str = "guarded"
-    """What `renet` trusts: guarded (all monitors, dwell) or paper (reconstruction alone)."""
+    selector: str = "monitors"
+    """What `renet` trusts: monitors (all of them, dwell) or paper (reconstruction alone)."""
     seed: int = 1
     """Of the robots' starts and of the noise."""
     engine: str = "auto"

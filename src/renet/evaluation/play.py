@@ -13,7 +13,7 @@ from typing import Literal
 import tyro
 
 from renet.deploy.bundle import MANIFEST
-from renet.deploy.manifest import Manifest
+from renet.deploy.bundle.manifest import Manifest
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.lab import Lab
@@ -66,8 +66,8 @@ class PlayCfg:
     """Commanded forward speed, m/s."""
     seed: int = 1
     """Of the robot's body, start and noise."""
-    selector: str = "guarded"
-    """guarded: all monitors, slow to trust again; paper: the reconstruction loss against beta."""
+    selector: str = "monitors"
+    """monitors: all of them, slow to trust again; paper: the reconstruction loss against beta."""
     engine: str = "auto"
     """Physics engine: auto, native or warp."""
 

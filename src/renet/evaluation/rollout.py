@@ -18,7 +18,7 @@ from renet.errors import RenetError
 from renet.evaluation.trace import UPDATES_PER_STEP, Film, Trace
 from renet.faults import TICK, Frames, Injector, Schedule, View
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
-from renet.selector.monitors import Sight
+from renet.selector.monitors import SelectorInput
 
 __all__ = ["MODES", "UPDATES_PER_STEP", "Controller", "Film", "Readings", "Row", "Switch", "Trace"]
 __all__ += ["World", "check_modes", "check_speed", "run_rollout"]
@@ -107,7 +107,7 @@ class Switch(Protocol):
         """[N] vision probability P_t."""
         ...
 
-    def update(self, sight: Sight) -> np.ndarray:
+    def update(self, sight: SelectorInput) -> np.ndarray:
         """One filter update; returns [N] bool, vision is trusted."""
         ...
 
@@ -153,7 +153,7 @@ def run_rollout(
     film: Sequence[int] = (),
     on_step: Callable[[], Any] = lambda: None,
     injector: Injector | None = None,
-    on_sight: Callable[[Sight], Any] = lambda sight: None,
+    on_sight: Callable[[SelectorInput], Any] = lambda sight: None,
 ) -> Trace:
     """Drive every row for a number of control steps.
 
@@ -231,13 +231,13 @@ def run_rollout(
     return trace
 
 
-def seen(controller: Controller, frames: Frames, step: int, update: int) -> Sight:
+def seen(controller: Controller, frames: Frames, step: int, update: int) -> SelectorInput:
     """What a selector's update is shown: only the tick's first update has a new frame."""
     ticks = step % STEPS_PER_TICK
     passed = ticks * CONTROL_DT + update * PHYSICS_DT
     assert passed < TICK
     nothing = np.zeros((len(frames.age), 3))
-    return Sight(
+    return SelectorInput(
         anomaly_score=controller.anomaly_score,
         image=frames.image,
         fresh=frames.fresh if passed == 0.0 else np.zeros_like(frames.fresh),

@@ -79,8 +79,8 @@ class SuccessCfg:
     """Time to cross: the 4 m to the tile's edge take 6.7 s at the commanded speed."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
-    selector: str = "guarded"
-    """Selector: guarded (all monitors) or paper."""
+    selector: str = "monitors"
+    """Selector: monitors (all of them) or paper."""
     seed: int = 1
     """Of the robots' bodies, starts and directions."""
     engine: str = "auto"

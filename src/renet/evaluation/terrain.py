@@ -56,8 +56,8 @@ class TerrainCfg:
     """Policy mode: renet, vp, op or oracle-switch."""
     kinds: tuple[str, ...] = ("gap", "platform", "stairs_up", "stairs_down")
     """Kinds of tile to walk; those of the paper's table by default."""
-    selector: str = "guarded"
-    """Selector: guarded (all monitors) or paper."""
+    selector: str = "monitors"
+    """Selector: monitors (all of them) or paper."""
     seed: int = 1
     """Of the robots' starts and directions."""
     engine: str = "auto"

@@ -9,7 +9,7 @@ import numpy as np
 from renet.evaluation.healthy import ScoreLog
 from renet.evaluation.rollout import Switch
 from renet.evaluation.trace import UPDATES_PER_STEP
-from renet.selector.monitors import Sight
+from renet.selector.monitors import SelectorInput
 
 
 class Witness:
@@ -20,7 +20,7 @@ class Witness:
         self._switches = dict(switches)
         self._verdicts: dict[str, list[np.ndarray]] = {name: [] for name in switches}
 
-    def __call__(self, sight: Sight) -> None:
+    def __call__(self, sight: SelectorInput) -> None:
         """Take one update."""
         self.log(sight)
         for name, switch in self._switches.items():

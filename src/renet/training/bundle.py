@@ -13,7 +13,7 @@ from mjlab.utils.string import resolve_expr
 
 from renet import __version__
 from renet.deploy.bundle import write_bundle
-from renet.deploy.manifest import CameraSpec, Manifest, Provenance, RobotSpec, SelectorSpec
+from renet.deploy.bundle.manifest import CameraSpec, Manifest, Provenance, RobotSpec, SelectorSpec
 from renet.errors import RenetError
 from renet.interface import JOINTS
 from renet.models.config import ModelCfg

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from renet.deploy.bundle.manifest import CameraSpec
 from renet.deploy.cameras.base import DepthFrame
-from renet.deploy.cameras.prepare import Pinhole, Sampler, invalid_share
-from renet.deploy.manifest import CameraSpec
+from renet.deploy.cameras.preprocess import DepthPreprocessor, Pinhole, invalid_share
 from renet.errors import RenetError
 
 WIDTH, HEIGHT, FPS = 848, 480, 30
@@ -30,7 +30,7 @@ def realsense() -> Any:
         import pyrealsense2
     except ImportError as error:
         raise RenetError(
-            f"the RealSense camera needs its driver: pip install 'renet[realsense]' and the "
+            f"the RealSense camera needs its driver: pip install 'renet-locomotion[realsense]' and the "
             f"system package libusb-1.0-0 ({error})"
         ) from error
     return pyrealsense2
@@ -83,7 +83,7 @@ class ClockOffset:
 
 
 class RealSenseCamera:
-    """A depth camera on a thread of its own; see `cameras.base.Camera`.
+    """A depth camera on a thread of its own.
 
     It opens the camera anew whenever frames stop, so that one that is replugged comes back.
     """
@@ -107,17 +107,17 @@ class RealSenseCamera:
         """What went wrong last; empty while frames arrive."""
 
     def start(self) -> None:
-        """See Camera.start."""
+        """Begin to stream; raises RenetError with what to do when that fails."""
         stream = self._open()
         self._thread = threading.Thread(target=self._run, args=(stream,), daemon=True)
         self._thread.start()
 
     def latest(self) -> DepthFrame | None:
-        """See Camera.latest."""
+        """Newest frame; None before the first."""
         return self._latest
 
     def close(self) -> None:
-        """See Camera.close."""
+        """Stop streaming; safe to call twice."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join(timeout=2 * SILENCE)
@@ -128,7 +128,7 @@ class RealSenseCamera:
         try:
             sensor = (self._device or self._find()).first_depth_sensor()
             profile = self._profile(sensor)
-            Sampler(_lens(profile), self._spec)  # Refuses too narrow a view at once.
+            DepthPreprocessor(_lens(profile), self._spec)  # Refuses too narrow a view at once.
             sensor.open(profile)
             sensor.start(queue)
         except RuntimeError as error:
@@ -180,8 +180,8 @@ class RealSenseCamera:
     def _stream(self, queue: Any) -> None:
         """Prepare frames until they stop."""
         filters, offset = Filters(self._rs), ClockOffset()
-        raw_sampler: Sampler | None = None
-        sampler: Sampler | None = None
+        raw_preprocessor: DepthPreprocessor | None = None
+        preprocessor: DepthPreprocessor | None = None
         while not self._stop.is_set():
             arrived, frame = queue.try_wait_for_frame(round(1000 * SILENCE))
             if not arrived:
@@ -190,15 +190,15 @@ class RealSenseCamera:
             now = self._clock()
             raw = frame.as_depth_frame()
             filtered = filters.apply(raw)
-            if raw_sampler is None or sampler is None:
-                raw_sampler = Sampler(_lens(raw.get_profile()), self._spec)
-                sampler = Sampler(_lens(filtered.get_profile()), self._spec)
+            if raw_preprocessor is None or preprocessor is None:
+                raw_preprocessor = DepthPreprocessor(_lens(raw.get_profile()), self._spec)
+                preprocessor = DepthPreprocessor(_lens(filtered.get_profile()), self._spec)
             metres = np.asanyarray(filtered.get_data()) * filtered.get_units()
             self._latest = DepthFrame(
-                image=sampler.image(metres),
+                image=preprocessor.image(metres),
                 number=raw.get_frame_number(),
                 time=offset.time(raw.get_timestamp() / 1000.0, now),
-                invalid=invalid_share(raw_sampler.crop(np.asanyarray(raw.get_data()))),
+                invalid=invalid_share(raw_preprocessor.crop(np.asanyarray(raw.get_data()))),
             )
             self.problem = ""
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION
+from renet.selector import SelectorSpec
 
 SCHEMA = 1
 
@@ -94,29 +95,6 @@ class CameraSpec:
         for name in ("fx", "fy", "range", "rate_hz"):
             _demand(getattr(self, name) > 0.0, f"camera.{name} must be positive")
         _demand(len(self.position) == 3, "camera.position must have 3 numbers")
-
-
-@dataclass(frozen=True)
-class SelectorSpec:
-    """Calibrated selector."""
-
-    beta: float
-    """Threshold on the anomaly score."""
-    gamma: float = 0.1
-    rate_hz: float = 200.0
-    thresholds: dict[str, float] = field(default_factory=dict)
-    """Calibrated thresholds of the monitors, by name; those missing have documented defaults."""
-    calibration: str = ""
-    """How beta was found."""
-    false_alarms_per_hour: float = 0.0
-    """Rate at which the thresholds let healthy robots leave vision; 0: never calibrated."""
-    healthy_hours: float = 0.0
-    """Robot hours the thresholds were learnt from."""
-
-    def __post_init__(self) -> None:
-        for name in ("beta", "rate_hz"):
-            _demand(getattr(self, name) > 0.0, f"selector.{name} must be positive")
-        _demand(0.0 < self.gamma <= 1.0, "selector.gamma must be within 0 and 1")
 
 
 @dataclass(frozen=True)

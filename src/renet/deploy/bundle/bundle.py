@@ -13,7 +13,7 @@ from pathlib import Path
 
 import onnxruntime as ort
 
-from renet.deploy.manifest import SCHEMA, Manifest, from_json, to_json
+from renet.deploy.bundle.manifest import SCHEMA, Manifest, from_json, to_json
 from renet.errors import RenetError
 from renet.interface import (
     ACTION_SIZE,

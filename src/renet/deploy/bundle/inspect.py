@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from renet.deploy.bundle import MODELS, Bundle
-from renet.deploy.manifest import Manifest
+from renet.deploy.bundle.manifest import Manifest
 
 AXES = ("x", "y", "z")
 ELEMENTS = {"command": ("c_x", "sin(c_yaw - yaw)", "cos(c_yaw - yaw)")}
