@@ -64,7 +64,7 @@ COMMANDS = {
         "train",
     ),
     "deploy": Command(
-        "put a bundle on a robot, simulated or real; leaves a flight log and its timeline",
+        "put a bundle on a robot, simulated or real; leaves a recording and its timeline",
         "renet.deploy.main",
         "DeployCfg",
         "deploy",
@@ -127,7 +127,7 @@ COMMANDS = {
         "train",
     ),
     "evaluate log": Command(
-        "score a flight log: falls, distance, switches, delays, and its timeline",
+        "score a recording: falls, distance, switches, delays, and its timeline",
         "renet.deploy.score",
         "ScoreCfg",
         "score_log",

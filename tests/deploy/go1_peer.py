@@ -110,7 +110,7 @@ class Peer:
                 dq, tau = 20.0, 256 * 30
             values = (10, q, dq, 0, tau, q, dq, 0, 30)
             MOTOR_STATE.pack_into(packet, MOTORS_AT + STATE_STRIDE * motor, *values)
-        struct.pack_into("<I", packet, TICK_AT, self.ticks)
+        struct.pack_into("<I", packet, TICK_AT, self.ticks % 2**32)
         packet[-4:] = checksum(bytes(packet[:-4]))
         if self.garbled:
             packet[MOTORS_AT + 1] ^= 0x10

@@ -87,13 +87,13 @@ def test_calibrate_writes_what_the_log_says(log, flight, bundle):
     assert beta == pytest.approx(float(flight.ticks["anomaly"][walk.start : walk.stop].max()))
     selector = Bundle.load(bundle).manifest.selector
     assert selector.beta == beta
-    assert "1 flight log(s)" in selector.calibration
+    assert "1 recording(s)" in selector.calibration
     assert selector.thresholds["reconstruction"] > beta
     assert run_calibrate(CalibrateCfg(bundle, log=(log,))) == beta, "again, though beta is new"
 
 
 def test_other_models_and_injected_faults_are_refused(log, bundle, bundle_path, tmp_path):
-    with pytest.raises(RenetError, match="flown with other models"):
+    with pytest.raises(RenetError, match="made with other models"):
         recorded_scores((log,), Bundle.load(bundle_path))
     spoilt = deploy(DeployCfg(bundle, seconds=0.1, fault=("blackout@5s",), out=tmp_path))
     with pytest.raises(RenetError, match="injected faults"):

@@ -140,4 +140,4 @@ def test_a_folder_that_cannot_be_written(flight, tmp_path):
 
 def test_the_command_needs_a_flight_log(tmp_path, capsys):
     assert cli.main(["evaluate", "log", str(tmp_path / "none")]) == 2
-    assert "cannot read the flight log" in capsys.readouterr().err
+    assert "cannot read the recording" in capsys.readouterr().err

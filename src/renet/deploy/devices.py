@@ -45,6 +45,7 @@ class Devices:
     def start(self) -> None:
         """Connect to the robot, start the camera."""
         self.robot.connect()
+        self.show()  # What moves is told from here on.
         if self.camera is not None:
             self.camera.start()
         for _ in range(round(FIRST_IMAGE / 0.01) if self.wait_for_image else 0):

@@ -80,8 +80,8 @@ class DeployCfg:
     fault: tuple[str, ...] = ()
     """What goes wrong with the camera: NAME[:SEVERITY]@SECONDS[+DURATION], e.g. blackout@5s,
     glare:3@4s+2s."""
-    flight: Path | None = None
-    """Recording log whose images the replay camera shows."""
+    recording: Path | None = None
+    """Recording whose images the replay camera shows."""
     selector: Literal["monitors", "paper"] = "monitors"
     """monitors: all monitors, with a dwell before vision returns. paper: the reconstruction loss
     alone."""
@@ -143,7 +143,6 @@ def deploy(cfg: DeployCfg) -> Path:
         devices.start()
         recorder = Recorder(_free_folder(cfg.out) / RECORDING, _header(cfg, bundle))
         stack.callback(recorder.close)
-        begun = devices.robot.now()
 
         def tell(event: Event) -> None:
             recorder.event(event)
@@ -161,6 +160,7 @@ def deploy(cfg: DeployCfg) -> Path:
         with _interruptible() as interrupted, _priority(cfg) as refused:
             if refused:
                 terminal.say(refused)
+            begun = devices.robot.now()
             run_control_loop(
                 devices.robot,
                 devices.camera,
@@ -231,7 +231,9 @@ def _over(cfg: DeployCfg, devices: Devices, controller: Controller, begun: float
     """The time is up, the operator leaves, or nobody is there to arm a damped robot again."""
     machine = controller.machine
     passed = devices.robot.now() - begun
-    damped = machine.mode is Mode.DAMPING and (machine.since >= begun or passed > 1.0)
+    damped = machine.mode is Mode.DAMPING and (
+        machine.since >= begun or (passed > 1.0 and not cfg.dry_run)
+    )
     late = passed >= cfg.length - CONTROL_DT / 2
     return late or devices.quit or (damped and cfg.teleop == "auto")
 

@@ -86,7 +86,9 @@ def read_recording(path: Path) -> Recording:
     except OSError as error:
         raise RenetError(f"cannot read the recording {path}: {error}") from error
     except (ValueError, TypeError) as error:
-        raise RenetError(f"the recording {path} makes no sense: {error}") from error
+        raise RenetError(
+            f"the recording {path} is damaged, or of another version of renet: {error}"
+        ) from error
     return Recording(header, rows, images, events, complete)
 
 

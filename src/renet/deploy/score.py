@@ -30,8 +30,8 @@ UPRIGHT = np.cos(np.radians(60.0))
 class ScoreCfg:
     """Score a run: falls, distance, speed, switches and their delays."""
 
-    run: tyro.conf.Positional[Path]
-    """Recording log of `renet deploy`."""
+    recording: tyro.conf.Positional[Path]
+    """Recording of `renet deploy`."""
     out: Path | None = None
     """Folder of score.json and timeline.svg; the recording's own by default."""
     onset: tuple[float, ...] = ()

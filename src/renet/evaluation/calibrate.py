@@ -75,7 +75,8 @@ def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
     """
     if cfg.log:
         bundle = Bundle.load(cfg.bundle)
-        return _store(cfg, bundle, recorded_scores(cfg.log, bundle), f"{len(cfg.log)} flight log(s)")
+        scores = recorded_scores(cfg.log, bundle)
+        return _store(cfg, bundle, scores, f"{len(cfg.log)} recording(s)")
     from renet.evaluation.calibration_runs import simulated_scores
 
     bundle, series = simulated_scores(cfg, lab)

@@ -30,8 +30,8 @@ def realsense() -> Any:
         import pyrealsense2
     except ImportError as error:
         raise RenetError(
-            f"the RealSense camera needs its driver: pip install 'renet-locomotion[realsense]' and the "
-            f"system package libusb-1.0-0 ({error})"
+            "the RealSense camera needs its driver: pip install 'renet-locomotion[realsense]' and "
+            f"the system package libusb-1.0-0 ({error})"
         ) from error
     return pyrealsense2
 
