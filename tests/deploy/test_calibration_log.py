@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from renet.deploy import calibration_log
 from renet.deploy.bundle import Bundle, write_bundle
 from renet.deploy.calibration_log import healthy_walks, recorded_scores
 from renet.deploy.main import DeployCfg, deploy
@@ -42,6 +43,7 @@ def flight(log) -> Recording:
     return read_recording(log)
 
 
+@pytest.mark.usefixtures("short_logs_will_do")
 def test_scores_are_the_models_own_of_the_logged_images(log, flight, bundle):
     scores = recorded_scores((log, log), Bundle.load(bundle))
     assert [len(runs) for runs in scores.values()] == [2] * 7
@@ -81,6 +83,7 @@ def test_a_walk_without_a_camera_does_not_count(flight):
     assert list(healthy_walks(replace(flight, ticks=ticks))) == []
 
 
+@pytest.mark.usefixtures("short_logs_will_do")
 def test_calibrate_writes_what_the_log_says(log, flight, bundle):
     beta = run_calibrate(CalibrateCfg(bundle, log=(log,)))
     (walk,) = healthy_walks(flight)
@@ -89,7 +92,28 @@ def test_calibrate_writes_what_the_log_says(log, flight, bundle):
     assert selector.beta == beta
     assert "1 recording(s)" in selector.calibration
     assert selector.thresholds["reconstruction"] > beta
+    before = (bundle / "manifest.json").read_bytes()
     assert run_calibrate(CalibrateCfg(bundle, log=(log,))) == beta, "again, though beta is new"
+    assert (bundle / "manifest.previous.json").read_bytes() == before, "the old one is kept"
+
+
+def test_seconds_of_walking_are_not_enough(log, bundle):
+    before = (bundle / "manifest.json").read_bytes()
+    with pytest.raises(RenetError, match=r"hold 0\.1 minutes of healthy walking.*at least 5"):
+        run_calibrate(CalibrateCfg(bundle, log=(log,)))
+    assert (bundle / "manifest.json").read_bytes() == before
+
+
+@pytest.mark.usefixtures("short_logs_will_do")
+def test_a_forged_log_cannot_switch_a_monitor_off(flight, bundle, monkeypatch):
+    ticks = flight.ticks.copy()
+    ticks["anomaly"] = 1e9
+    forged = replace(flight, ticks=ticks)
+    monkeypatch.setattr(calibration_log, "read_recording", lambda path: forged)
+    before = (bundle / "manifest.json").read_bytes()
+    with pytest.raises(RenetError, match=r"beta 1e.09 would never object"):
+        run_calibrate(CalibrateCfg(bundle, log=(Path("forged.log"),)))
+    assert (bundle / "manifest.json").read_bytes() == before
 
 
 def test_other_models_and_injected_faults_are_refused(log, bundle, bundle_path, tmp_path):

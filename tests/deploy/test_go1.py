@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import socket
-import threading
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -80,9 +78,7 @@ def command(position=ROBOT.default_position, stiffness=40.0, damping=1.0) -> Joi
 
 
 def braked(peer: Peer) -> bool:
-    """Whether the last datagram asked for nothing but braking."""
-    *_, stiffness, damping = peer.commands[-1].T
-    return bool((stiffness == 0).all() and (damping == 3).all())
+    return peer.braked
 
 
 def test_order_and_signs_are_those_of_the_vendors_own_limits():
@@ -317,19 +313,8 @@ def test_the_shipped_bundle_stands_up_walks_and_brakes_over_the_wire(wire, peer)
 
 @pytest.fixture
 def served(peer) -> Iterator[Peer]:
-    """A peer that answers on a thread of its own, in wall-clock time."""
-    done = threading.Event()
-
-    def serve() -> None:
-        while not done.is_set():
-            with suppress(TimeoutError):
-                peer.serve()
-
-    server = threading.Thread(target=serve, daemon=True)
-    server.start()
-    yield peer
-    done.set()
-    server.join(5)
+    with peer.serving():
+        yield peer
 
 
 def robot_of(peer: Peer) -> Go1Robot:

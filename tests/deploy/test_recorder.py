@@ -172,7 +172,7 @@ def test_another_versions_chunks_are_refused(tmp_path, tag, text):
     log = Recorder(tmp_path / "a.log", {})
     log._put(tag, text)
     log.close()
-    with pytest.raises(RenetError, match="another version|not JSON"):
+    with pytest.raises(RenetError, match=r"another version|not JSON"):
         read_recording(tmp_path / "a.log")
 
 

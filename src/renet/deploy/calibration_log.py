@@ -13,11 +13,13 @@ from renet.deploy.recorder import GOOD, MODES
 from renet.deploy.recording import Recording, read_recording
 from renet.deploy.safety import Mode
 from renet.errors import RenetError
-from renet.interface import STEPS_PER_TICK
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.selector.monitors import MONITORS, SelectorInput, default_monitors
 
 AWAY = 1.0
 """Seconds without a new image after which the camera was unplugged, not late."""
+MIN_MINUTES = 5.0
+"""Walking time from which thresholds are learnt."""
 HEALTHY_ENDS = ("operator stop", ENDED)
 """Reasons for damping that say nothing against the walk before."""
 WARM_UP = 2 * STEPS_PER_TICK
@@ -30,8 +32,8 @@ def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np
     Walks that ended in trouble are left out, as failed episodes are in simulation.
 
     Raises:
-        RenetError: a log that cannot be read, of another policy, or flown with injected faults; or
-            not one healthy walk in all of them.
+        RenetError: a recording that cannot be read, of another policy, or with injected faults;
+            or too little healthy walking in all of them.
     """
     found: dict[str, list[np.ndarray]] = {name: [] for name in MONITORS}
     for path in logs:
@@ -42,6 +44,13 @@ def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np
                 found[name].append(scores)
     if not next(iter(found.values())):
         raise RenetError("the logs hold no walk with a camera that an operator ended: record one")
+    ticks = sum(len(run) for run in next(iter(found.values())))
+    minutes = ticks * STEPS_PER_TICK * CONTROL_DT / 60.0
+    if minutes < MIN_MINUTES:
+        raise RenetError(
+            f"the logs hold {minutes:.1f} minutes of healthy walking; calibration needs at least "
+            f"{MIN_MINUTES:g}"
+        )
     return found
 
 

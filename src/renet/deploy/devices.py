@@ -71,12 +71,14 @@ def make_devices(cfg: DeployCfg, bundle: Bundle, say: Callable[[str], None]) -> 
     """Set up, without touching a device yet except the operator's; `say` tells the user a line.
 
     Raises:
-        RenetError: a bundle for another robot, or a package or a file that is missing.
+        RenetError: a bundle for another robot or beyond this one's limits, or a missing package
+            or file.
     """
     name = bundle.manifest.robot.name
     if name != GO1:
         raise RenetError(f"the bundle drives a {name}, --robot {cfg.robot} is a {GO1}")
     robot, truth, show = _robot(cfg, bundle, say)
+    robot.envelope.check(bundle.manifest.robot)
     camera = _camera(cfg, bundle, robot)
     if cfg.fault and camera is not None:
         faults = [parse_fault(text) for text in cfg.fault]

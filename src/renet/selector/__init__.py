@@ -13,6 +13,7 @@ from renet.selector.selector import (
     MonitorSelector,
     SelectorCfg,
     SelectorSpec,
+    check_selector,
     make_selector,
 )
 
@@ -27,6 +28,7 @@ __all__ = [
     "SelectorSpec",
     "calibrate",
     "calibrate_monitors",
+    "check_selector",
     "conformal_threshold",
     "default_monitors",
     "make_selector",

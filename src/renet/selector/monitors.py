@@ -199,6 +199,17 @@ that healthy runs say nothing of what a real one may be forgiven."""
 
 CEILINGS = {"uniformity": -0.005, "nearness": 0.9}
 """Nor above these, whatever healthy runs say: a blank image or a covered lens must be noticed."""
+LIMITS = CEILINGS | {
+    "frame_age": 1.0,
+    "duplicate": 10.0,
+    "invalid_fraction": 0.9,
+    "reconstruction": 0.25,
+    "disagreement": 3.0,
+}
+"""Thresholds above these would switch a monitor off: images are in [0, 1], and predicting 0.5
+everywhere is wrong by 0.25 at most."""
+SLOWEST = 1.0
+"""Longest delay of the filter in seconds."""
 
 
 def default_monitors(

@@ -12,8 +12,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from renet.errors import RenetError
-from renet.selector.filter import LowPassFilter
-from renet.selector.monitors import Monitor, Reconstruction, SelectorInput, default_monitors
+from renet.selector.filter import LowPassFilter, switch_delay
+from renet.selector.monitors import (
+    LIMITS,
+    SLOWEST,
+    Monitor,
+    Reconstruction,
+    SelectorInput,
+    default_monitors,
+)
 
 SELECTORS = ("monitors", "paper")
 """monitors: all monitors, with a dwell before vision returns. paper: the reconstruction loss
@@ -145,6 +152,29 @@ class MonitorSelector:
         last = math.ceil(ticks - 1e-4) - 1 if self._periods is None else self._periods
         self._periods = max(last, periods)
         return self._periods - last
+
+
+def check_selector(spec: SelectorSpec) -> None:
+    """Raise RenetError for a selector that would not leave a broken camera within a second or so.
+
+    Studies may build such selectors; no bundle may hold one.
+    """
+    if not 10.0 <= spec.rate_hz <= 1000.0:
+        raise RenetError(f"selector.rate_hz must be from 10 to 1000 Hz, got {spec.rate_hz:g}")
+    delay = switch_delay(spec.gamma, spec.rate_hz)
+    if delay > SLOWEST:
+        raise RenetError(
+            f"selector.gamma {spec.gamma:g} at {spec.rate_hz:g} Hz delays a switch by {delay:g} s, "
+            f"at most {SLOWEST:g} s are allowed"
+        )
+    for name, value in (("beta", spec.beta), *spec.thresholds.items()):
+        limit = LIMITS.get("reconstruction" if name == "beta" else name)
+        if limit is None:
+            raise RenetError(f"unknown monitor '{name[:40]}': choose among {', '.join(LIMITS)}")
+        if not value <= limit:
+            raise RenetError(
+                f"selector threshold {name} {value:g} would never object, at most {limit:g}"
+            )
 
 
 def make_selector(kind: str, spec: SelectorSpec, num_robots: int = 1) -> MonitorSelector:

@@ -20,9 +20,12 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from renet.errors import RenetError
+from renet.files import MEGABYTE, read_object, require_regular
 
 FORMAT = 1
 PREFIX = "it_"
+MAX_TENSORS = 4000 * MEGABYTE
+"""Bytes of one file of tensors."""
 
 
 @dataclass
@@ -75,35 +78,55 @@ def checkpoints(folder: Path) -> list[Path]:
 
 
 def find(path: Path) -> Path:
-    """The checkpoint `path` is, or the newest below it (a run folder or a folder of runs)."""
+    """The checkpoint `path` is, or the newest below it, which is then printed.
+
+    Newest is the highest iteration of the last run by name, which is its date: the times of files
+    change when folders are copied.
+
+    Args:
+        path: a checkpoint, a run folder or a folder of runs.
+
+    Raises:
+        RenetError: no checkpoint there.
+    """
     if (path / "state.json").is_file():
         return path
-    found = sorted(
-        (p.parent for p in path.glob(f"**/{PREFIX}*/state.json")), key=lambda p: p.stat().st_mtime
-    )
+    found = [
+        (str(p.parent.parent), int(p.parent.name.removeprefix(PREFIX)), p.parent)
+        for p in path.glob(f"**/{PREFIX}*/state.json")
+        if p.parent.name.removeprefix(PREFIX).isdecimal()
+    ]
     if not found:
         raise RenetError(
             f"no checkpoint in {path}: give a run folder or one of its {PREFIX}* folders"
         )
-    return found[-1]
+    newest = max(found)[2]
+    print(f"Checkpoint: {newest}")
+    return newest
 
 
 def load(path: Path, device: str | torch.device = "cpu") -> Checkpoint:
     """Read a checkpoint; raises RenetError naming the file that is missing or damaged."""
     try:
-        state = json.loads((path / "state.json").read_text())
-        written = state.get("format") if isinstance(state, dict) else None
+        state = read_object(path / "state.json", "checkpoint state")
+        written = state.get("format")
         if written != FORMAT:
             raise RenetError(f"{path} has checkpoint format {written}, this renet reads {FORMAT}")
         tensors = {
-            name: load_file(path / f"{name}.safetensors", device=str(device))
+            name: load_file(_tensors(path, name), device=str(device))
             for name in ("model", "environment")
         }
         moments = path / "optimizer.safetensors"
-        tensors["optimizer"] = load_file(moments, device=str(device)) if moments.exists() else {}
+        tensors["optimizer"] = (
+            load_file(_tensors(path, "optimizer"), device=str(device)) if moments.exists() else {}
+        )
     except (OSError, ValueError, SafetensorError) as error:
         raise RenetError(f"checkpoint {path} is incomplete or damaged: {error}") from error
     return Checkpoint(**tensors, state=state)
+
+
+def _tensors(path: Path, name: str) -> Path:
+    return require_regular(path / f"{name}.safetensors", MAX_TENSORS, "checkpoint's file")
 
 
 def check_config(ours: dict[str, Any], theirs: dict[str, Any], path: Path) -> None:

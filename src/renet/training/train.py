@@ -90,6 +90,15 @@ def train(cfg: TrainCfg) -> Path | None:
     device = resolve_device(cfg.device)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
     earlier = None if resume is None else checkpoints.load(resume)
+    # Another task's run stays as it is.
+    own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
+    going_on = resumed_run(own)
+    here = (Path("logs").resolve(), *(going_on.resolve().parents if going_on else ()))
+    if going_on and cfg.log_root.resolve() not in here:
+        raise RenetError(
+            f"--resume goes on in {going_on}, which is not in --log-root {cfg.log_root}: leave out "
+            "--log-root, or copy the run there and resume the copy"
+        )
     task = tuned(cfg.task, cfg.reward_weights, cfg.tile_shares)
     task.curriculum["command_stage"].params["switch_step"] = _switch_step(cfg, earlier)
     env = make_env(
@@ -100,9 +109,7 @@ def train(cfg: TrainCfg) -> Path | None:
         engine=cfg.engine,
     )
     vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
-    # Another task's run stays as it is.
-    own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
-    run = None if rank else resumed_run(own) or new_run(cfg.log_root, cfg.task)
+    run = None if rank else going_on or new_run(cfg.log_root, cfg.task)
     runner = RenetRunner(vec_env, asdict(cfg), str(run) if run else None, device)
     if resume:
         runner.load(str(resume))

@@ -3,14 +3,13 @@
 from renet.deploy.bundle.bundle import (
     DEFAULT,
     MANIFEST,
-    MODELS,
     Bundle,
-    model_shapes,
     pretrained,
     read_manifest,
     write_bundle,
     write_manifest,
 )
+from renet.deploy.bundle.models import MODELS, model_shapes
 
 __all__ = [
     "DEFAULT",

@@ -6,7 +6,8 @@ import dataclasses
 import hashlib
 import json
 import os
-import shutil
+import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -14,54 +15,15 @@ from pathlib import Path
 import onnxruntime as ort
 
 from renet.deploy.bundle.manifest import SCHEMA, Manifest, from_json, to_json
+from renet.deploy.bundle.models import MODELS, read_model, session, try_models
 from renet.errors import RenetError
-from renet.interface import (
-    ACTION_SIZE,
-    DEPTH_SHAPE,
-    FEET,
-    FRAMES,
-    HEIGHT_MAP_SIZE,
-    LATENT,
-    PROPRIOCEPTION_SIZE,
-)
+from renet.files import MAX_JSON, read_bytes, read_object, write_atomically
 
-MANIFEST = "manifest.json"
-MODELS = ("actor", "estimator", "vision")
+MANIFEST, PREVIOUS = "manifest.json", "manifest.previous.json"
+OURS = (MANIFEST, PREVIOUS, *(f"{name}.onnx" for name in MODELS))
+"""Every file that a bundle may hold."""
 DEFAULT = "go1-parkour"
 """The bundle that ships with the package."""
-
-
-def model_shapes(history: int) -> dict[str, tuple[dict, dict]]:
-    """Inputs and outputs of each model by name, without the batch axis."""
-    depth = (FRAMES, *DEPTH_SHAPE)
-    return {
-        "actor": (
-            {
-                "proprioception": (PROPRIOCEPTION_SIZE,),
-                "latent_op": (LATENT,),
-                "latent_vp": (LATENT,),
-                "op_mask": (1,),
-            },
-            {"action": (ACTION_SIZE,)},
-        ),
-        "estimator": (
-            {
-                "proprioception_history": (history, PROPRIOCEPTION_SIZE),
-                "depth": depth,
-                "latent_op": (LATENT,),
-                "latent_vp": (LATENT,),
-            },
-            {
-                "next_latent_op": (LATENT,),
-                "next_latent_vp": (LATENT,),
-                "velocity_op": (3,),
-                "velocity_vp": (3,),
-                "feet_height": (FEET,),
-                "height_map": (HEIGHT_MAP_SIZE,),
-            },
-        ),
-        "vision": ({"depth": depth}, {"reconstruction": depth, "anomaly_score": ()}),
-    }
 
 
 @dataclass(frozen=True)
@@ -85,16 +47,12 @@ class Bundle:
         """
         folder = pretrained(DEFAULT) if path is None else Path(path)
         manifest = read_manifest(folder)
-        sessions = {}
-        for name in MODELS:
-            data = _read(folder / f"{name}.onnx")
-            if hashlib.sha256(data).hexdigest() != manifest.sha256.get(f"{name}.onnx"):
-                raise RenetError(
-                    f"{folder / name}.onnx is not the file the manifest describes (sha256 "
-                    "differs): export the bundle anew or fetch it again"
-                )
-            sessions[name] = _session(data, folder / f"{name}.onnx", threads)
-            _check_shapes(sessions[name], name, manifest, folder)
+        models = {
+            name: read_model(folder / f"{name}.onnx", manifest.sha256.get(f"{name}.onnx"))
+            for name in MODELS
+        }
+        try_models(models, manifest.history, str(folder))
+        sessions = {name: session(data, threads) for name, data in models.items()}
         return Bundle(folder, manifest, sessions)
 
     @property
@@ -120,12 +78,9 @@ def read_manifest(folder: Path) -> Manifest:
     """Read and check `manifest.json` alone; raises RenetError."""
     if not folder.is_dir():
         raise RenetError(f"no bundle at {folder}: give a folder made by `renet export`")
-    try:
-        value = json.loads(_read(folder / MANIFEST))
-    except ValueError as error:
-        raise RenetError(f"{folder / MANIFEST} is not JSON: {error}") from error
-    schema = value.get("schema") if isinstance(value, dict) else None
-    if schema != SCHEMA:
+    value = read_object(folder / MANIFEST, "manifest")
+    if value.get("schema") != SCHEMA:
+        schema = str(value.get("schema"))[:40]
         raise RenetError(f"{folder} has manifest schema {schema}; this renet reads {SCHEMA}")
     return from_json(Manifest, value)
 
@@ -133,69 +88,80 @@ def read_manifest(folder: Path) -> Manifest:
 def write_bundle(path: Path, models: dict[str, bytes], manifest: Manifest) -> Path:
     """Write a bundle beside its final place and rename it: nobody sees half of one.
 
+    A bundle that is already there is replaced; anything else is left as it is.
+
+    Args:
+        path: of the folder. models: ONNX bytes by name. manifest: without digests.
+
     Raises:
-        RenetError: `path` holds something that is not a bundle, or cannot be written.
+        RenetError: `path` holds anything that is not a bundle's, the models do not fit the
+            manifest, or it cannot be written.
     """
     path = path.resolve()  # "." has no name to rename to.
-    if path.is_file() or (
-        path.is_dir() and not (path / MANIFEST).is_file() and any(path.iterdir())
-    ):
-        raise RenetError(f"{path} exists and is not a bundle: choose another folder")
+    _demand_replaceable(path)
+    try_models({name: models[name] for name in MODELS}, manifest.history, "the new bundle")
     digests = {f"{name}.onnx": hashlib.sha256(data).hexdigest() for name, data in models.items()}
     manifest = dataclasses.replace(manifest, sha256=digests)
-    partial = path.with_name(f".{path.name}.partial")
+    contents = {f"{name}.onnx": data for name, data in models.items()}
+    contents[MANIFEST] = _json(manifest)
     try:
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
-        for name, data in models.items():
-            (partial / f"{name}.onnx").write_bytes(data)
-        (partial / MANIFEST).write_text(json.dumps(to_json(manifest), indent=1) + "\n")
-        shutil.rmtree(path, ignore_errors=True)
-        os.replace(partial, path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        partial.chmod(0o755)
+        old = None
+        try:
+            for name, data in contents.items():
+                (partial / name).write_bytes(data)
+            if path.is_dir() and any(path.iterdir()):
+                old = path.rename(partial.with_name(f"{partial.name}.old"))
+            os.replace(partial, path)
+        except OSError:
+            if old is not None and not path.exists():
+                old.rename(path)
+            _remove(partial)
+            raise
+        if old is not None:
+            _remove(old)
     except OSError as error:
         raise RenetError(f"cannot write the bundle {path}: {error}") from error
     return path
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Replace a bundle's manifest atomically, its models untouched (`renet calibrate`)."""
-    partial = folder / f".{MANIFEST}.partial"
+    """Replace a bundle's manifest, its models untouched; the old one stays as `PREVIOUS`.
+
+    Raises:
+        RenetError: it cannot be written.
+    """
+    before = read_bytes(folder / MANIFEST, MAX_JSON, "manifest")
+    write_atomically(folder / PREVIOUS, before, "manifest")
+    write_atomically(folder / MANIFEST, _json(manifest), "manifest")
+
+
+def _json(manifest: Manifest) -> bytes:
+    return (json.dumps(to_json(manifest), indent=1) + "\n").encode()
+
+
+def _demand_replaceable(path: Path) -> None:
+    """Raise RenetError unless nothing is at a path, or an empty folder, or exactly a bundle."""
+    if path.is_symlink() or (path.exists() and not path.is_dir()):
+        raise RenetError(f"{path} exists and is not a bundle: choose another folder")
+    if not path.is_dir() or not any(path.iterdir()):
+        return
+    foreign = [p for p in path.iterdir() if p.name not in OURS or p.is_symlink() or not p.is_file()]
+    if foreign:
+        raise RenetError(
+            f"{path} holds {foreign[0].name}, which is no part of a bundle: choose another folder"
+        )
     try:
-        partial.write_text(json.dumps(to_json(manifest), indent=1) + "\n")
-        os.replace(partial, folder / MANIFEST)
-    except OSError as error:
-        raise RenetError(f"cannot write {folder / MANIFEST}: {error}") from error
+        read_manifest(path)
+    except RenetError as error:
+        raise RenetError(f"{path} is not a bundle ({error}): choose another folder") from error
 
 
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise RenetError(f"the bundle lacks {path.name}: {error}") from error
-
-
-def _session(data: bytes, path: Path, threads: int) -> ort.InferenceSession:
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    try:
-        return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # ONNX Runtime raises its own unrelated types.
-        raise RenetError(f"{path} is not a model ONNX Runtime can run: {error}") from error
-
-
-def _check_shapes(session: ort.InferenceSession, name: str, manifest: Manifest, path: Path) -> None:
-    inputs, outputs = model_shapes(manifest.history)[name]
-    for kind, expected, found in (
-        ("input", inputs, session.get_inputs()),
-        ("output", outputs, session.get_outputs()),
-    ):
-        shapes = {node.name: tuple(node.shape[1:]) for node in found}
-        for key, shape in expected.items():
-            if key not in shapes:
-                raise RenetError(f"{path / name}.onnx has no {kind} {key!r}: wrong architecture")
-            known = tuple(n for n in shapes[key] if isinstance(n, int))
-            if len(known) == len(shapes[key]) and known != shape:
-                raise RenetError(
-                    f"{path / name}.onnx: {kind} {key!r} is {known} per robot, expected {shape}"
-                )
+def _remove(folder: Path) -> None:
+    """Remove a bundle's files and then its folder, which stays if it holds anything else."""
+    for name in OURS:
+        (folder / name).unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()

@@ -13,9 +13,10 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION
-from renet.selector import SelectorSpec
+from renet.selector import SelectorSpec, check_selector
 
 SCHEMA = 1
+MAX_TEXT = 500
 
 
 @dataclass(frozen=True)
@@ -130,6 +131,8 @@ class Manifest:
 
     def __post_init__(self) -> None:
         _demand(self.history > 0, "history must be positive")
+        _demand(self.history <= 100, f"history must be at most 100, got {self.history}")
+        check_selector(self.selector)
         _demand(self.frames == FRAMES, f"frames must be {FRAMES}, got {self.frames}")
         if self.robot.joints != JOINTS:
             raise RenetError(
@@ -166,13 +169,18 @@ def from_json(cls: Any, value: Any, where: str = "manifest") -> Any:
         hints = typing.get_type_hints(cls)
         unknown = sorted(set(value) - set(hints))
         if unknown:
-            raise RenetError(f"{where} has an unknown field {unknown[0]!r}")
+            raise RenetError(f"{where} has an unknown field {unknown[0][:40]!r}")
         for item in dataclasses.fields(cls):
             defaults = (item.default, item.default_factory)
             if item.name not in value and defaults == (dataclasses.MISSING,) * 2:
                 raise RenetError(f"{where} lacks the field {item.name!r}")
         build: Any = cls
         return build(**{k: from_json(hints[k], v, f"{where}.{k}") for k, v in value.items()})
+    if cls is str and isinstance(value, str):
+        # Terminals obey what is not printable.
+        if len(value) > MAX_TEXT or not value.isprintable():
+            raise RenetError(f"{where} must be at most {MAX_TEXT} printable characters")
+        return value
     origin = typing.get_origin(cls)
     if origin is tuple and isinstance(value, list):
         item = typing.get_args(cls)[0]

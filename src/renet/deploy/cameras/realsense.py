@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -20,8 +19,10 @@ SILENCE = 1.0
 """Seconds without a frame after which the camera is opened anew: it may have been replugged."""
 RETRY = 0.5
 """Seconds between two attempts to open it."""
-OFFSETS = 100
-"""Frames over which the fastest arrival fixes the offset of camera and robot clocks."""
+DRIFT = 1e-3
+"""Seconds a second by which the clocks of camera and robot may drift apart; quartz does 1e-4."""
+RESTART = 1.0
+"""Seconds by which a camera's clock must jump back to have started anew."""
 
 
 def realsense() -> Any:
@@ -65,21 +66,20 @@ class Filters:
 class ClockOffset:
     """Turns the camera's timestamps into times on the robot's clock.
 
-    The frame that travelled fastest among the last ones fixes the offset, so that a frame held up
-    on the way is as old as it is.
+    The frame that travelled fastest fixes the offset of both clocks, so that a frame held up on
+    the way is as old as it is. The clocks may drift apart by `DRIFT`; a delay grows faster, or
+    suddenly, and stays visible for as long as the stream lasts.
     """
 
     def __init__(self) -> None:
-        self._offsets: deque[float] = deque(maxlen=OFFSETS)
-        self._last = -np.inf
+        self._offset, self._arrival = np.inf, -np.inf
 
     def time(self, stamp: float, arrival: float) -> float:
         """Seconds on the robot's clock of a frame stamped by the camera in seconds."""
-        if stamp < self._last:  # The camera was restarted: its clock is another.
-            self._offsets.clear()
-        self._last = stamp
-        self._offsets.append(arrival - stamp)
-        return min(arrival, stamp + min(self._offsets))
+        passed = max(arrival - self._arrival, 0.0) if np.isfinite(self._arrival) else 0.0
+        self._offset = min(self._offset + DRIFT * passed, arrival - stamp)
+        self._arrival = arrival
+        return min(arrival, stamp + self._offset)
 
 
 class RealSenseCamera:
@@ -179,7 +179,7 @@ class RealSenseCamera:
 
     def _stream(self, queue: Any) -> None:
         """Prepare frames until they stop."""
-        filters, offset = Filters(self._rs), ClockOffset()
+        filters, offset, last = Filters(self._rs), ClockOffset(), -np.inf
         raw_preprocessor: DepthPreprocessor | None = None
         preprocessor: DepthPreprocessor | None = None
         while not self._stop.is_set():
@@ -189,6 +189,11 @@ class RealSenseCamera:
                 return
             now = self._clock()
             raw = frame.as_depth_frame()
+            stamp = raw.get_timestamp() / 1000.0
+            if stamp < last - RESTART:
+                self.problem = "the camera's clock started anew"
+                return
+            last = stamp
             filtered = filters.apply(raw)
             if raw_preprocessor is None or preprocessor is None:
                 raw_preprocessor = DepthPreprocessor(_lens(raw.get_profile()), self._spec)
@@ -197,7 +202,7 @@ class RealSenseCamera:
             self._latest = DepthFrame(
                 image=preprocessor.image(metres),
                 number=raw.get_frame_number(),
-                time=offset.time(raw.get_timestamp() / 1000.0, now),
+                time=offset.time(stamp, now),
                 invalid=invalid_share(raw_preprocessor.crop(np.asanyarray(raw.get_data()))),
             )
             self.problem = ""
