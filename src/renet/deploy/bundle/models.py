@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import resource
-import subprocess
 import sys
 from pathlib import Path
 
@@ -27,16 +25,11 @@ from renet.interface import (
     LATENT,
     PROPRIOCEPTION_SIZE,
 )
+from renet.trial import judge, run_trial
 
 MODELS = ("actor", "estimator", "vision")
 MAX_MODEL = 32 * MEGABYTE
 """Bytes of one model; the shipped ones have 5 MB together."""
-MAX_MEMORY = 400 * MEGABYTE
-"""Bytes that all three may need beside the program's own."""
-MAX_SECONDS = 3
-"""Processor time in seconds in which all three must load and run."""
-PATIENCE = 30.0
-"""Seconds after which a trial that makes no progress, on however busy a computer, is given up."""
 _accepted: set[str] = set()
 
 
@@ -103,25 +96,8 @@ def try_models(models: dict[str, bytes], history: int, where: str) -> None:
     if digest in _accepted:
         return
     sizes = json.dumps([history, {name: len(data) for name, data in models.items()}])
-    child = subprocess.Popen(
-        [sys.executable, "-P", "-m", "renet.deploy.bundle.models", sizes],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        cwd="/",
-    )
-    try:
-        answer, _ = child.communicate(b"".join(models.values()), PATIENCE)
-    except subprocess.TimeoutExpired:
-        child.kill()
-        child.communicate()
-        answer = b""
-    said = answer.decode(errors="replace").strip()
-    if said == "accepted":
-        _accepted.add(digest)
-        return
-    limits = f"{MAX_SECONDS} s or {MAX_MEMORY / MEGABYTE:g} MB"
-    raise RenetError(f"{where}: {said or f'its models need more than {limits} to run once'}")
+    run_trial("renet.deploy.bundle.models", [sizes], where, b"".join(models.values()))
+    _accepted.add(digest)
 
 
 def session(data: bytes, threads: int) -> ort.InferenceSession:
@@ -165,32 +141,18 @@ def problem(model: ort.InferenceSession, name: str, history: int) -> str:
     return ""
 
 
-def _main() -> None:
-    """The trial itself; prints `accepted`, or what is wrong."""
+def _trial() -> str:
     history, sizes = json.loads(sys.argv[1])
-    models = {name: sys.stdin.buffer.read(size) for name, size in sizes.items()}
-    spent = resource.getrusage(resource.RUSAGE_SELF)
-    seconds = int(spent.ru_utime + spent.ru_stime) + 1 + MAX_SECONDS
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-    # Address space, for what is only promised is counted, too.
-    mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    most = mapped + MAX_MEMORY
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
-    said = "accepted"
-    for name, data in models.items():
+    for name, size in sizes.items():
         try:
-            found = problem(session(data, 1), name, history)
-        except MemoryError:
-            raise
+            found = problem(session(sys.stdin.buffer.read(size), 1), name, history)
         except Exception as error:  # ONNX Runtime raises its own unrelated types.
-            reason = " ".join(str(error).split())[:300]
+            reason = " ".join(str(error).split())[:300] or type(error).__name__
             found = f"{name}.onnx is not a model ONNX Runtime can run: {reason}"
         if found:
-            said = found
-            break
-    print(said)
+            return found
+    return ""
 
 
 if __name__ == "__main__":
-    _main()
+    judge(_trial)
