@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from queue import Empty, SimpleQueue
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from renet.deploy.bundle import Bundle
 from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.safety import Mode
+from renet.interface import CONTROL_DT
 
 from .fakes import Run, frame, time_of
 
@@ -92,3 +94,23 @@ def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(bundle, sabotage):
     run.controller._perception._patience = 5.0  # type: ignore[attr-defined]
     assert all(run.ticks(200)[-50:]), "vision comes back"
     run.controller.close()
+
+
+def test_the_loop_waits_for_less_than_half_a_period(bundle):
+    """With a thread that hangs, `take` gives up while there is time for the rest of the step."""
+    waits = []
+
+    class Results:
+        def get(self, timeout: float):
+            waits.append(timeout)
+            raise Empty
+
+        get_nowait = None
+
+    inference = ThreadedInference(bundle.sessions)
+    inference._jobs = SimpleQueue()  # Nobody reads it: the thread hangs.
+    inference.begin(None)  # type: ignore[arg-type]
+    inference._results = Results()  # type: ignore[assignment]
+    assert inference.take() is None
+    assert len(waits) == 1
+    assert 0.0 < waits[0] <= CONTROL_DT / 2

@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import sys
+import threading
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -240,3 +241,57 @@ def test_a_results_folder_that_cannot_be_made_is_named(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert cli.main(["deploy", "--out", str(tmp_path / "file")]) == 2
     assert "cannot write the recording" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("teleop", ["keyboard", "joystick"])
+def test_the_deadman_reaches_the_operators_device(monkeypatch, teleop):
+    given = []
+    for name in ("KeyboardTeleop", "JoystickTeleop"):
+        monkeypatch.setattr(
+            f"renet.deploy.teleop.{name}", lambda deadman: given.append(deadman), raising=True
+        )
+    for deadman in (2.5, None):
+        cfg = DeployCfg(robot="go1", camera="none", teleop=teleop, deadman=deadman)
+        devices.make_devices(cfg, Bundle.load(), print)
+    assert given == [2.5, DEADMAN]
+
+
+def test_devices_are_closed_robot_first_even_after_half_a_start(tmp_path, monkeypatch):
+    closed = []
+
+    class Part:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def connect(self) -> None:
+            pass
+
+        def start(self) -> None:
+            raise RenetError("the camera does not start")
+
+        def close(self) -> None:
+            closed.append(self.name)
+
+    parts = devices.Devices(Part("robot"), Part("camera"), Part("teleop"))  # type: ignore[arg-type]
+    monkeypatch.setattr("renet.deploy.main.make_devices", lambda *arguments: parts)
+    with pytest.raises(RenetError, match="does not start"):
+        deploy(DeployCfg(out=tmp_path / "out"))
+    assert closed == ["robot", "camera", "teleop"]
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_is_printed_by_the_thread_that_drives_the_robot(tmp_path, monkeypatch):
+    """A terminal may take for ever."""
+    driving, printed = [], []
+    wait = MujocoRobot.wait
+    monkeypatch.setattr(MujocoRobot, "wait", lambda s, until: (driving.append(1), wait(s, until)))
+
+    def show(*words, **options) -> None:
+        if driving and not closed:
+            printed.append(threading.current_thread() is threading.main_thread())
+
+    closed = []
+    monkeypatch.setattr(MujocoRobot, "close", lambda robot: closed.append(1))
+    monkeypatch.setattr("builtins.print", show)
+    deploy(DeployCfg(out=tmp_path, dry_run=True, seconds=1.5, safety=QUICK))
+    assert True not in printed

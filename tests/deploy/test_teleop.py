@@ -7,6 +7,7 @@ import os
 import pty
 import struct
 import termios
+from contextlib import suppress
 
 import pytest
 
@@ -159,3 +160,39 @@ def test_an_unplugged_joystick_stops(stick):
 def test_no_joystick(tmp_path):
     with pytest.raises(RenetError, match="no joystick at"):
         JoystickTeleop(tmp_path / "js0")
+
+
+def test_a_flood_of_keys_does_not_hold_up_a_step(terminal):
+    """A key held down, or a cat on the keyboard: one read a step, and the stop in it is obeyed."""
+    master, stream = terminal
+    keyboard = KeyboardTeleop(stream)
+    os.set_blocking(master, False)
+    reads = []
+    real = os.read
+
+    def read(descriptor: int, size: int) -> bytes:
+        with suppress(BlockingIOError):
+            os.write(master, b"w" * 1000)  # It never ends.
+        reads.append(size)
+        return real(descriptor, size)
+
+    os.write(master, b"w" * 100 + b" ")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "read", read)
+        command = keyboard.command(0.0)
+    assert command.stop
+    assert len(reads) == 1
+
+
+def test_a_stick_that_only_trembles_is_nobody(stick):
+    """Its sensor's noise of one count is no sign of an operator."""
+    joystick, event, _ = stick
+    joystick._deadman = Deadman(5.0)
+    event(-16000, 2, 1)
+    assert joystick.command(0.0).speed > 0.4
+    for step in range(1, 60 * 50):
+        event(-16000 + step % 2, 2, 1)
+        command = joystick.command(0.02 * step)
+    assert command.speed == 0.0
+    event(-18000, 2, 1)
+    assert joystick.command(60.0).speed > 0.5
