@@ -204,7 +204,7 @@ def test_the_replay_camera_shows_a_flights_images(tmp_path):
         ("--robot go1 --viewer --dry-run", "look at the robot"),
         ("--robot go1 --host 10.0.0.1 --dry-run", "the robot's is --robot-host"),
         ("--terrain lava", "unknown terrain 'lava'"),
-        ("--scene nowhere.xml", "cannot use the scene"),
+        ("--scene nowhere.xml", "cannot read the scene nowhere.xml"),
         ("nowhere", "no bundle at nowhere"),
     ],
 )
