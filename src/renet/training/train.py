@@ -320,7 +320,9 @@ def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
         return None
     run = checkpoint.parent.parent
     elsewhere = root is not None and run.resolve().parent.parent != root.resolve()
-    return None if elsewhere or checkpoints.find(run) != checkpoint else run
+    return (
+        None if elsewhere or checkpoints.checkpoints(checkpoint.parent)[-1] != checkpoint else run
+    )
 
 
 def seconds(text: str) -> float:
