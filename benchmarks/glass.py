@@ -17,11 +17,10 @@ import tyro
 
 from facts import report
 from renet.deploy.policy import Policy
-from renet.evaluation.fault_cfg import FaultsCfg
-from renet.evaluation.lab import Lab
+from renet.evaluation.env import SimEnv, terrain_env_cfg
+from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.metrics import roc
-from renet.evaluation.rollout import Row
-from renet.evaluation.world import SimWorld
+from renet.evaluation.rollout import Trial
 from renet.faults import Injection
 from renet.interface import (
     DEPTH_RANGE,
@@ -64,8 +63,8 @@ class Cfg:
 class Recorder(Policy):
     """VP in charge; writes down what the candidates need."""
 
-    def __init__(self, lab: Lab, world: SimWorld) -> None:
-        super().__init__(lab.bundle, world.num_robots)
+    def __init__(self, evaluator: Evaluator, world: SimEnv) -> None:
+        super().__init__(evaluator.bundle, world.num_robots)
         self._touch, self.log = world.env.scene[FEET_CONTACT], {}
 
     def step(self, proprioception, depth, op_mask):
@@ -84,23 +83,23 @@ class Recorder(Policy):
         return action
 
 
-def walk(cfg: Cfg, lab: Lab, glass: bool) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def walk(cfg: Cfg, evaluator: Evaluator, glass: bool) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Record a walk over obstacles, the second half of the robots on glass, or over all tiles."""
     if glass:
         numbers, steps = [*range(cfg.robots)] * 2, 400
-        task = FaultsCfg(terrain="obstacles", level=cfg.level).task("obstacles")
+        task = terrain_env_cfg("obstacles", cfg.level, evaluator.robot)
         faults = [()] * cfg.robots + [(Injection.of("glass", 5, 0),)] * cfg.robots
     else:
         numbers, steps = [*range(cfg.healthy_robots)], round(cfg.healthy_seconds * 50)
-        task, faults = "Renet-Go1-Parkour", [()] * cfg.healthy_robots
-    world = lab.world(task, numbers, 0.6, cfg.seed)
+        task, faults = "parkour", [()] * cfg.healthy_robots
+    world = evaluator.make_env(task, numbers, 0.6, cfg.seed)
     if not glass:
         robot = np.arange(cfg.healthy_robots)
         world.place(robot // len(tiles()) % 6, robot % len(tiles()))
-    recorder = Recorder(lab, world)
-    lab.controller = lambda num_robots: recorder
-    rows = [Row("vp", fault, n) for fault, n in zip(faults, numbers, strict=True)]
-    trace = lab.walk("glass" if glass else "all tiles", world, rows, steps, cfg.seed)
+    recorder = Recorder(evaluator, world)
+    evaluator.make_policy = lambda num_robots: recorder
+    rows = [Trial("vp", fault, n) for fault, n in zip(faults, numbers, strict=True)]
+    trace = evaluator.rollout("glass" if glass else "all tiles", world, rows, steps, cfg.seed)
     return {name: np.stack(values) for name, values in recorder.log.items()}, trace.fallen
 
 
@@ -131,7 +130,7 @@ def legs(proprioception: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def step_height(feet: np.ndarray, up: np.ndarray, stands: np.ndarray) -> np.ndarray:
-    """[ticks, N] m between the highest and lowest foot that stand at one moment of each tick."""
+    """[ticks, N] m between the highest and lowest foot that stand at one snapshot of each tick."""
     stands = stands & np.concatenate([stands[:1], stands[:-1]])
     height = np.where(stands, (feet * up[:, :, None]).sum(-1), np.nan)
     with warnings.catch_warnings(action="ignore"):
@@ -199,8 +198,8 @@ def highest(scores: np.ndarray, fallen: np.ndarray) -> np.ndarray:
 
 
 def main(cfg: Cfg) -> None:
-    lab, found = Lab(cfg.bundle), {}
-    (log, fallen), (calm, calm_fallen) = walk(cfg, lab, True), walk(cfg, lab, False)
+    evaluator, found = Evaluator(cfg.bundle), {}
+    (log, fallen), (calm, calm_fallen) = walk(cfg, evaluator, True), walk(cfg, evaluator, False)
     everywhere, succeeded = candidates(calm), ~calm_fallen[-1]
     for name, scores in candidates(log).items():
         walks = highest(scores, fallen)
@@ -212,7 +211,7 @@ def main(cfg: Cfg) -> None:
     found["healthy hours"] = float((~calm_fallen[:, succeeded]).sum() * 0.02 / 3600)
     falls = fallen[-1].reshape(2, -1)
     found["falls, obstacles seen"], found["falls, glass"] = (int(n) for n in falls.sum(1))
-    report(found | {"bundle": lab.bundle.sha256[:10]}, cfg.json)
+    report(found | {"bundle": evaluator.bundle.sha256[:10]}, cfg.json)
 
 
 if __name__ == "__main__":

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import onnxruntime as ort
 
-from renet.evaluation import fault_study, noise
-from renet.evaluation.lab import Lab
-from renet.evaluation.results import Provenance
+from renet.evaluation.evaluator import Evaluator, Provenance
+from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.studies.noise import NoiseStudy
 
 
 class TheirPolicy:
@@ -26,15 +26,15 @@ class TheirPolicy:
         return self.model.run(["action"], {"observation": proprioception, "depth": depth})[0]
 
 
-class TheirLab(Lab):
+class TheirEvaluator(Evaluator):
     def __init__(self, model: Path):
         super().__init__()
         digest = hashlib.sha256(model.read_bytes()).hexdigest()
-        self.controller = lambda num_robots: TheirPolicy(model, num_robots)
+        self.make_policy = lambda num_robots: TheirPolicy(model, num_robots)
         self.provenance = lambda seed: Provenance.now(model.stem, digest, "native", seed)
 
 
 if __name__ == "__main__":
-    lab = TheirLab(Path(sys.argv[1]))
-    noise.run_noise(noise.NoiseCfg(), lab)
-    fault_study.run_faults(fault_study.FaultsCfg(quick=True), lab)
+    evaluator = TheirEvaluator(Path(sys.argv[1]))
+    NoiseStudy().run(evaluator)
+    FaultStudy(quick=True).run(evaluator)

@@ -51,6 +51,16 @@ def test_go2_trains_exports_and_its_bundle_can_be_read(go2, tmp_path, capsys):
     assert "Unitree Go2" in shown
     assert "45.43" in shown, "the calf's torque limit"
     assert "position=(0.32, 0.0, 0.04)" in shown, "the camera's mount"
+    for study in (
+        "filter --onset 0.2 --seconds 0.4",
+        "faults --faults foam --severities 3 --onset 0.2 --fault-end 0.4 --seconds 0.6"
+        " --healthy-minutes 0",
+        "terrain --kinds stairs_up --levels 1 --seconds 1",
+    ):
+        out = tmp_path / study.split()[0]
+        where = f"--robots 1 --bundle {bundle} --out {out}"
+        assert go2.main(["evaluate", *study.split(), *where.split()]) == 0
+        assert (out / "summary.json").exists()
 
 
 def test_action_and_observation_follow_the_vocabulary_not_the_mjcf(env):

@@ -13,9 +13,9 @@ from typing import Any
 import mujoco
 import numpy as np
 from mjlab.entity import Entity
-from renet.tasks.go1 import GO1 as ROBOT
 
 from renet.page.writer import WEB
+from renet.tasks.config.go1 import GO1 as ROBOT
 
 NOTICE = (
     "Unitree Go1, decimated by tools/go1_meshes.py from mjlab's model (Apache-2.0), itself from "

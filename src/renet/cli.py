@@ -9,8 +9,10 @@ import difflib
 import importlib
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 from renet import __version__
 from renet.errors import RenetError
@@ -21,7 +23,7 @@ SIGPIPE_CODE = 141
 
 @dataclass(frozen=True)
 class Command:
-    """`module` holds the dataclass `config` and the function `run(config)`."""
+    """`module` holds the dataclass `config` and `run`, called with it."""
 
     help: str
     module: str
@@ -29,6 +31,8 @@ class Command:
     run: str
     extra: str = ""
     """What to install if the module's imports are missing."""
+    presets: dict[str, tuple[str, str]] = field(default_factory=dict)
+    """Module and class with other defaults, by what follows `--preset`."""
 
 
 COMMANDS = {
@@ -84,53 +88,41 @@ COMMANDS = {
         "run_calibrate",
         "train",
     ),
-    "evaluate noise": Command(
-        "the paper's noise study: VP alone against RENet",
-        "renet.evaluation.noise",
-        "NoiseCfg",
-        "main",
+    "evaluate faults": Command(
+        "every way a depth camera fails; --preset noise: the paper's noise figure",
+        "renet.evaluation.studies.faults",
+        "FaultStudy",
+        "FaultStudy.main",
         "train",
+        {"noise": ("renet.evaluation.studies.noise", "NoiseStudy")},
     ),
     "evaluate terrain": Command(
-        "the paper's table: highest levels on gap, platform and stairs",
-        "renet.evaluation.terrain",
-        "TerrainCfg",
-        "main",
+        "highest levels on gap, platform and stairs (the paper's table); --preset success: one try",
+        "renet.evaluation.studies.terrain",
+        "TerrainStudy",
+        "TerrainStudy.main",
         "train",
-    ),
-    "evaluate success": Command(
-        "success rate against size for gaps, platforms and stairs, one try each",
-        "renet.evaluation.success",
-        "SuccessCfg",
-        "main",
-        "train",
+        {"success": ("renet.evaluation.studies.terrain", "SuccessStudy")},
     ),
     "evaluate standing": Command(
-        "whether a robot that is told to stand does, and looks still",
-        "renet.evaluation.standing",
-        "StandingCfg",
-        "main",
+        "whether a robot that is commanded to stand does, and stands still",
+        "renet.evaluation.studies.standing",
+        "StandingStudy",
+        "StandingStudy.main",
         "train",
     ),
     "evaluate course": Command(
         "a kilometre unattended: grass, stairs, slopes, platforms, gaps, an occlusion",
-        "renet.evaluation.course",
-        "CourseCfg",
-        "main",
-        "train",
-    ),
-    "evaluate faults": Command(
-        "every way a depth camera fails, at every severity, in every mode",
-        "renet.evaluation.fault_study",
-        "FaultsCfg",
-        "main",
+        "renet.evaluation.studies.course",
+        "CourseStudy",
+        "CourseStudy.main",
         "train",
     ),
     "evaluate filter": Command(
         "the filter's switching delay and number of switches against gamma and rate",
-        "renet.evaluation.filter_study",
-        "FilterCfg",
-        "main",
+        "renet.evaluation.studies.filter",
+        "FilterStudy",
+        "FilterStudy.main",
         "train",
     ),
     "evaluate log": Command(
@@ -141,16 +133,16 @@ COMMANDS = {
     ),
     "evaluate report": Command(
         "put every study found in a folder on one self-contained page",
-        "renet.evaluation.report",
+        "renet.evaluation.report.report",
         "ReportCfg",
         "main",
         "train",
     ),
     "evaluate pictures": Command(
         "pictures of every tile and of the camera's errors",
-        "renet.evaluation.pictures",
-        "PicturesCfg",
-        "run_pictures",
+        "renet.evaluation.studies.pictures",
+        "PicturesStudy",
+        "PicturesStudy.main",
         "train",
     ),
     "bundle inspect": Command(
@@ -202,13 +194,14 @@ def _dispatch(arguments: list[str]) -> int:
     name, rest = _match(arguments)
     command = COMMANDS[name]
     try:
+        config, rest = _preset(command, rest)
         module = importlib.import_module(command.module)
         import tyro
 
-        config = getattr(module, command.config)
+        config = config or getattr(module, command.config)
         given = {"default": config.defaults(rest)} if hasattr(config, "defaults") else {}
         cfg = tyro.cli(config, args=rest, prog=f"renet {name}", **given)
-        result = getattr(module, command.run)(cfg)
+        result = attrgetter(command.run)(module)(cfg)
     except ModuleNotFoundError as error:
         # Also of imports that wait until an option needs them.
         if error.name and error.name.startswith("renet"):
@@ -220,6 +213,19 @@ def _dispatch(arguments: list[str]) -> int:
     if where is not None:
         print(f"Results: {where}")
     return 0
+
+
+def _preset(command: Command, arguments: list[str]) -> tuple[Any, list[str]]:
+    """The class that `--preset NAME` stands for, None without one, and the other arguments."""
+    if not command.presets or "--preset" not in arguments:
+        return None, arguments
+    place = arguments.index("--preset")
+    name = "".join(arguments[place + 1 : place + 2])
+    if name not in command.presets:
+        raise RenetError(f"unknown preset {name!r}: choose one of {', '.join(command.presets)}")
+    module, config = command.presets[name]
+    rest = arguments[:place] + arguments[place + 2 :]
+    return getattr(importlib.import_module(module), config), rest
 
 
 def _match(arguments: list[str]) -> tuple[str, list[str]]:

@@ -20,8 +20,8 @@ from renet.deploy.robots.base import JointCommand, next_step
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import GO1, build_scene
 from renet.errors import RenetError
-from renet.evaluation.disturb import disturbance
-from renet.faults import View
+from renet.evaluation.env import ray_perturbation
+from renet.faults import ViewPerturbation
 from renet.interface import CONTROL_DT, JOINTS
 from renet.sim.depth.camera import mount_rotation
 from renet.sim.depth.raycast import TerrainScanner
@@ -106,10 +106,10 @@ def test_same_start_same_actions_same_steps_as_the_training_environment(env):
         observation = env.step(torch.from_numpy(action)[None])[0]
 
 
-SEEN = View.true(1)
-FOAM = View(np.array([0.1]), np.zeros((1, 3)), np.zeros(1))
-KNOCKED = View(np.zeros(1), np.array([[0.1, 0.2, -0.15]]), np.zeros(1))
-GLASS = View(np.zeros(1), np.zeros((1, 3)), np.array([1.0]))
+SEEN = ViewPerturbation.none(1)
+FOAM = ViewPerturbation(np.array([0.1]), np.zeros((1, 3)), np.zeros(1))
+KNOCKED = ViewPerturbation(np.zeros(1), np.array([[0.1, 0.2, -0.15]]), np.zeros(1))
+GLASS = ViewPerturbation(np.zeros(1), np.zeros((1, 3)), np.array([1.0]))
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_the_camera_sees_what_the_training_camera_sees(kind, view):
     mine = camera.depth()
     assert (view is SEEN) == np.array_equal(true, mine)
     np.testing.assert_array_equal(robot.model.geom_group, groups)
-    wrong = disturbance(view, robot.model, np.zeros((1, 2)))
+    wrong = ray_perturbation(view, robot.model, np.zeros((1, 2)))
     body = robot.data.body("trunk")
     base = torch.tensor(body.xmat.reshape(3, 3), dtype=torch.float32)
     eye = torch.tensor(body.xpos, dtype=torch.float32) + base @ torch.tensor(CAMERA.position)

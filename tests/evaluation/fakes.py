@@ -1,4 +1,4 @@
-"""A lab without physics: robots that walk unless a spoilt image drives them."""
+"""A evaluator without physics: robots that walk unless a spoilt image drives them."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from renet.evaluation.lab import Lab
+from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import Readings
+from renet.evaluation.rollout import StepResult
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
 from renet.selector.monitors import Sight
+from renet.tasks.config.go1 import GO1
 
 GROUND = np.full(DEPTH_SHAPE, 0.5, np.float32)
 SPEED = 0.62
 
 
-class FakeWorld:
+class FakeEnv:
     """Speed falls with the first action; a robot driven at 1 falls after ten steps and restarts."""
 
     def __init__(self, num_robots: int) -> None:
@@ -26,26 +27,26 @@ class FakeWorld:
         self.bad = np.zeros(num_robots, int)
         self.x = np.zeros(num_robots)
 
-    def reset(self) -> Readings:
-        return self.readings(np.zeros(self.num_robots), np.zeros(self.num_robots, bool))
+    def reset(self) -> StepResult:
+        return self.result(np.zeros(self.num_robots), np.zeros(self.num_robots, bool))
 
-    def step(self, action: np.ndarray) -> Readings:
+    def step(self, action: np.ndarray) -> StepResult:
         harm = action[:, 0]
         self.bad = np.where(harm >= 1, self.bad + 1, 0)
         fell = self.bad > 10
         self.bad[fell] = 0
         self.x += SPEED * 0.02
         self.x[fell] = 0
-        return self.readings(SPEED * (1 - np.minimum(harm, 1)), fell)
+        return self.result(SPEED * (1 - np.minimum(harm, 1)), fell)
 
     def poses(self, rows: Sequence[int]) -> np.ndarray:
         pose = np.zeros((len(rows), 7))
         pose[:, 0], pose[:, 2], pose[:, 3] = self.x[list(rows)], 0.2, 1
         return pose
 
-    def readings(self, speed: np.ndarray, fell: np.ndarray) -> Readings:
+    def result(self, speed: np.ndarray, fell: np.ndarray) -> StepResult:
         n = self.num_robots
-        return Readings(
+        return StepResult(
             proprioception=np.zeros((n, PROPRIOCEPTION_SIZE), np.float32),
             depth=np.tile(GROUND, (n, 1, 1)).astype(np.float16),
             angular_velocity=np.zeros((n, 3), np.float32),
@@ -58,7 +59,7 @@ class FakeWorld:
         )
 
 
-class FakeController:
+class FakePolicy:
     """Scores an image by its distance from the ground; VP acts as badly as its image is."""
 
     def __init__(self, num_robots: int) -> None:
@@ -76,7 +77,7 @@ class FakeController:
         return action
 
 
-class FakeSwitch:
+class FakeSelector:
     """The paper's filter."""
 
     def __init__(self, num_robots: int, beta: float) -> None:
@@ -92,12 +93,13 @@ class FakeSwitch:
         self.probability[mask] = 1
 
 
-class FakeLab:
-    """Stands in for `renet.evaluation.lab.Lab`."""
+class FakeEvaluator:
+    """Stands in for `renet.evaluation.evaluator.Evaluator`."""
 
     beta = 0.01
     thresholds: ClassVar = {"reconstruction": 0.01, "duplicate": 3.0, "frame_age": 0.2}
-    walk = Lab.walk
+    robot = GO1
+    rollout = Evaluator.rollout
 
     def __init__(self) -> None:
         spec = mujoco.MjSpec()
@@ -111,11 +113,11 @@ class FakeLab:
     def provenance(self, seed: int) -> Provenance:
         return Provenance.now("fake", "0" * 64, "none", seed)
 
-    def world(self, task, robots: Sequence[int], speed: float, seed: int) -> FakeWorld:
-        return FakeWorld(len(robots))
+    def make_env(self, task, robots: Sequence[int], speed: float, seed: int) -> FakeEnv:
+        return FakeEnv(len(robots))
 
-    def controller(self, num_robots: int) -> FakeController:
-        return FakeController(num_robots)
+    def make_policy(self, num_robots: int) -> FakePolicy:
+        return FakePolicy(num_robots)
 
-    def switch(self, num_robots: int, selector: str = "paper") -> FakeSwitch:
-        return FakeSwitch(num_robots, self.beta)
+    def make_selector(self, num_robots: int, selector: str = "paper") -> FakeSelector:
+        return FakeSelector(num_robots, self.beta)

@@ -14,10 +14,12 @@ from renet.evaluation.demo import (
     run_demo,
     worst_of_vp,
 )
-from renet.evaluation.noise import NoiseCfg, build_world, run_noise, walk
-from renet.evaluation.video import VideoCfg
+from renet.evaluation.report.video import VideoCfg
+from renet.evaluation.studies.noise import NoiseStudy
 
-from .fakes import FakeLab
+from .fakes import FakeEvaluator
+
+SMALL: dict = {"robots": 2, "onset": 1.0, "seconds": 4.0, "fault_end": 4.0}
 
 
 class Links(HTMLParser):
@@ -40,13 +42,11 @@ class Links(HTMLParser):
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    small = NoiseCfg(robots=2, steps=200, onset=50)
     patch = pytest.MonkeyPatch()
-    patch.setattr(demo, "NoiseCfg", lambda **kw: NoiseCfg(robots=2, steps=200, onset=50, **kw))
+    patch.setattr(demo, "NoiseStudy", lambda **kw: NoiseStudy(**SMALL, **kw))
     patch.setattr(demo, "VideoCfg", lambda: VideoCfg(width=96, height=72, fps=5))
-    assert small.robots == 2
     try:
-        return run_demo(DemoCfg(out=tmp_path_factory.mktemp("demo")), FakeLab())
+        return run_demo(DemoCfg(out=tmp_path_factory.mktemp("demo")), FakeEvaluator())
     finally:
         patch.undo()
 
@@ -85,11 +85,12 @@ def test_the_folder_holds_everything(page: Path) -> None:
 
 
 def test_the_film_shows_the_setting_vp_suffers_most_in(tmp_path: Path) -> None:
-    study, lab = NoiseCfg(out=tmp_path, robots=2, steps=200, onset=50), FakeLab()
-    setting = worst_of_vp(run_noise(study, lab))
-    trace = walk(study, lab, build_world(study, lab), setting, "again")
-    assert trace.fallen[-1, study.rows_of("vp")].all()
+    study, evaluator = NoiseStudy(out=tmp_path, **SMALL), FakeEvaluator()
+    setting = worst_of_vp(study.run(evaluator))
+    env, trials = study.make_env(evaluator, "flat"), study.trials([setting])
+    trace = evaluator.rollout("again", env, trials, study.steps, study.seed)
+    assert trace.fallen[-1, :2].all()
     assert first_to_fall(study, trace) in (0, 1)
     small = VideoCfg(width=64, height=48, fps=5)
-    path = film_comparison(study, lab, setting, tmp_path / "v.mp4", small)
+    path = film_comparison(study, evaluator, setting, tmp_path / "v.mp4", small)
     assert path.stat().st_size > 1000

@@ -10,7 +10,8 @@ import pytest
 
 from renet.deploy.bundle import Bundle
 from renet.errors import RenetError
-from renet.evaluation.play import PlayCfg, opened, robot_of, run_play
+from renet.evaluation.env import robot_of
+from renet.evaluation.play import PlayCfg, opened, run_play
 from renet.tasks.config.go1 import GO1
 
 CHECKPOINT = Path(str(files("renet"))) / "pretrained" / "checkpoint"
@@ -21,7 +22,7 @@ CHECKPOINT = Path(str(files("renet"))) / "pretrained" / "checkpoint"
     [
         ({"terrain": "lava"}, "unknown terrain 'lava'"),
         ({"terrain": "gap", "level": 11}, "1 to 10"),
-        ({"fault": "gremlins"}, "unknown fault 'gremlins'"),
+        ({"fault": ("gremlins@1s",)}, "unknown fault 'gremlins'"),
         ({"modes": ("eyes",)}, "unknown mode 'eyes'"),
         ({"modes": ()}, "no mode given"),
         ({"seconds": 0.1}, "at least one second"),
@@ -40,8 +41,7 @@ def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path):
         viewer="none",
         out=tmp_path / "film.mp4",
         terrain="platform",
-        fault="gaussian",
-        onset=0.5,
+        fault=("gaussian:3@0.5s",),
         seconds=1.0,
     )
     film = run_play(cfg)

@@ -4,23 +4,23 @@ import numpy as np
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.rollout import Row, run_rollout
+from renet.evaluation.rollout import Trial, run_rollout
 from renet.faults import Injection
 
-from .fakes import SPEED, FakeController, FakeSwitch, FakeWorld
+from .fakes import SPEED, FakeEnv, FakePolicy, FakeSelector
 
 NOISE = (Injection("gaussian", 1.0, onset=20),)
 MODES = ("vp", "renet", "op", "oracle-switch")
 
 
-def roll(rows: list[Row], steps: int = 60, **kwargs):
-    controller, switch = FakeController(len(rows)), FakeSwitch(len(rows), 0.01)
-    trace = run_rollout(FakeWorld(len(rows)), controller, switch, rows, steps, 0, **kwargs)
+def roll(rows: list[Trial], steps: int = 60, **kwargs):
+    controller, switch = FakePolicy(len(rows)), FakeSelector(len(rows), 0.01)
+    trace = run_rollout(FakeEnv(len(rows)), controller, switch, rows, steps, 0, **kwargs)
     return trace, controller, switch
 
 
 def test_each_mode_uses_the_estimator_it_is_named_after() -> None:
-    trace, *_ = roll([Row(mode, NOISE) for mode in MODES])
+    trace, *_ = roll([Trial(mode, NOISE) for mode in MODES])
     vp, renet, op, oracle = trace.vision.T
     assert vp.all()
     assert not op.any()
@@ -30,7 +30,7 @@ def test_each_mode_uses_the_estimator_it_is_named_after() -> None:
 
 
 def test_a_fall_is_latched_and_stops_the_count() -> None:
-    trace, controller, _ = roll([Row("vp", NOISE), Row("op", NOISE)])
+    trace, controller, _ = roll([Trial("vp", NOISE), Trial("op", NOISE)])
     assert trace.fallen[:, 1].sum() == 0
     first = int(trace.fallen[:, 0].argmax())
     assert first > 20
@@ -42,7 +42,7 @@ def test_a_fall_is_latched_and_stops_the_count() -> None:
 
 
 def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
-    class Doubtful(FakeSwitch):
+    class Doubtful(FakeSelector):
         """Trusts nobody but a robot that has just started anew."""
 
         trusted = np.zeros(1, bool)
@@ -54,20 +54,20 @@ def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
         def reset(self, mask):
             self.trusted = mask.copy()
 
-    class Stumbling(FakeWorld):
+    class Stumbling(FakeEnv):
         steps = 0
 
         def step(self, action):
             self.steps += 1
             fell = np.array([self.steps == 10])
-            return self.readings(np.full(1, SPEED), fell)
+            return self.result(np.full(1, SPEED), fell)
 
-    trace = run_rollout(Stumbling(1), FakeController(1), Doubtful(1, 1.0), [Row("renet")], 15, 0)
+    trace = run_rollout(Stumbling(1), FakePolicy(1), Doubtful(1, 1.0), [Trial("renet")], 15, 0)
     assert np.flatnonzero(trace.vision[:, 0]).tolist() == [0, 10]
 
 
 def test_faults_act_at_ticks_and_hold_between_them() -> None:
-    trace, *_ = roll([Row("op", NOISE)], film=[0])
+    trace, *_ = roll([Trial("op", NOISE)], film=[0])
     assert trace.film is not None
     assert trace.film.images.shape == (12, 1, 48, 64)
     assert trace.film.poses.shape == (60, 1, 7)
@@ -77,18 +77,20 @@ def test_faults_act_at_ticks_and_hold_between_them() -> None:
 
 
 def test_robots_of_one_number_get_the_same_noise_in_every_mode() -> None:
-    trace, *_ = roll([Row("op", NOISE, 0), Row("oracle-switch", NOISE, 0), Row("op", NOISE, 1)])
+    trace, *_ = roll(
+        [Trial("op", NOISE, 0), Trial("oracle-switch", NOISE, 0), Trial("op", NOISE, 1)]
+    )
     np.testing.assert_array_equal(trace.anomaly[:, 0], trace.anomaly[:, 1])
     assert (trace.anomaly[20:, 0] != trace.anomaly[20:, 2]).any()
 
 
 def test_a_frame_is_fresh_once_a_tick() -> None:
-    _, _, switch = roll([Row("renet")], steps=50)
+    _, _, switch = roll([Trial("renet")], steps=50)
     assert switch.fresh == 10
 
 
 def test_wrong_input_is_refused() -> None:
     with pytest.raises(RenetError, match="unknown mode 'blind'"):
-        Row("blind")
-    with pytest.raises(RenetError, match="2 rows"):
-        run_rollout(FakeWorld(1), FakeController(1), FakeSwitch(1, 1), [Row("vp")] * 2, 5, 0)
+        Trial("blind")
+    with pytest.raises(RenetError, match="2 trials"):
+        run_rollout(FakeEnv(1), FakePolicy(1), FakeSelector(1, 1), [Trial("vp")] * 2, 5, 0)

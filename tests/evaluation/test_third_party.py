@@ -13,8 +13,8 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
-from renet.evaluation.fault_study import FaultsCfg, run_faults
-from renet.evaluation.noise import NoiseCfg, run_noise
+from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.studies.noise import NoiseStudy
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "third_party_policy.py"
 
@@ -73,23 +73,20 @@ def test_a_blind_policy_sees_nothing_near(example: ModuleType, model: Path) -> N
 
 
 def test_noise_and_faults_run_on_it(example: ModuleType, model: Path, tmp_path: Path) -> None:
-    lab = example.TheirLab(model)
-    run_noise(
-        NoiseCfg(out=tmp_path / "noise", robots=1, steps=20, onset=5, salt_and_pepper=()), lab
+    evaluator = example.TheirEvaluator(model)
+    NoiseStudy(out=tmp_path / "noise", robots=1, seconds=0.4, fault_end=0.4, onset=0.1).run(
+        evaluator
     )
-    run_faults(
-        FaultsCfg(
-            out=tmp_path / "faults",
-            faults=("frozen",),
-            severities=(3,),
-            robots=1,
-            onset=5,
-            over=20,
-            steps=25,
-            healthy_minutes=0,
-        ),
-        lab,
-    )
+    FaultStudy(
+        out=tmp_path / "faults",
+        faults=("frozen",),
+        severities=(3,),
+        robots=1,
+        onset=0.1,
+        fault_end=0.4,
+        seconds=0.5,
+        healthy_minutes=0,
+    ).run(evaluator)
     for study in ("noise", "faults"):
         summary = json.loads((tmp_path / study / "summary.json").read_text())
         assert summary["provenance"]["bundle"] == "still"

@@ -136,10 +136,10 @@ def test_batches_grow_with_the_steps_taken(toy_env, tmp_path):
 
 def test_a_checkpoint_tells_its_settings_rules_and_code(toy_env, tmp_path):
     runner = make_runner(toy_env(), tmp_path)
-    runner.learn(2)
+    runner.learn(8)
     found = checkpoints.load(checkpoints.find(tmp_path))
     assert found.state["config"]["algorithm"] == asdict(NP3OCfg()) | {"cost_budget": [0.0] * 3}
-    assert found.state["steps"] == 2 * 10 * 8
+    assert found.state["steps"] == 8 * 10 * 8
     assert found.state["code"].startswith("0.")
     assert "task_cfg" in found.state
     # What is exported is the average, not the newest weights.
@@ -190,7 +190,6 @@ def test_going_back_does_not_remove_what_was_just_written(toy_env, tmp_path):
     runner.learn(8)
     runner.alg.iteration = 1
     runner.save()
-    assert checkpoints.find(tmp_path).name == "it_00000001"
     kept = [path.name for path in checkpoints.checkpoints(tmp_path / "checkpoints")]
     assert kept == ["it_00000001", "it_00000006", "it_00000008"]
 

@@ -57,6 +57,13 @@ def test_another_log_root_branches_off_and_leaves_the_run_alone(tmp_path, capsys
     assert f"Going on from {run / 'checkpoints' / 'it_00000001'}" in capsys.readouterr().out
 
 
+def test_an_older_checkpoint_of_a_run_branches_off(tmp_path):
+    folder = tmp_path / "task" / "run" / "checkpoints"
+    old, new = (checkpoints.save(Checkpoint({}, {}, {}), folder, it, keep=9) for it in (5, 9))
+    assert resumed_run(old, None) is None
+    assert resumed_run(new, None) == folder.parent
+
+
 def test_standing_is_asked_for_after_so_many_steps_however_many_robots(tmp_path):
     resumed = Checkpoint({}, {}, {"common_step_counter": torch.tensor(5000)}, {"steps": 1e6})
     fresh = cfg(tmp_path, num_envs=500, standing_after=4e6)

@@ -1,6 +1,6 @@
 """`renet calibrate`: measure the selector's thresholds on healthy runs and store them.
 
-From flight logs this needs nothing but the runtime; simulated runs are in `calibration_runs`.
+From flight logs this needs nothing but the runtime.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ import tyro
 from renet.deploy.bundle import Bundle, write_manifest
 from renet.deploy.logged import logged_scores
 from renet.errors import RenetError
-from renet.evaluation.healthy import TICK_RATE
+from renet.evaluation.monitor_log import TICK_RATE, MonitorLog, healthy_series
 from renet.evaluation.terminal import show
+from renet.interface import CONTROL_DT
 from renet.selector.calibration import calibrate, calibrate_monitors, conformal_threshold
 
 if TYPE_CHECKING:
-    from renet.evaluation.lab import Lab
-
-PARKOUR = "Renet-Go1-Parkour"
+    from renet.evaluation.evaluator import Evaluator
 
 
 @dataclass(frozen=True)
@@ -39,13 +38,13 @@ class CalibrateCfg:
     log: tuple[Path, ...] = ()
     """Flight logs of your own robot and healthy camera, to be used in place of simulated runs."""
     robots: int = 120
-    """Robots on each task."""
+    """Robots on each terrain."""
     seconds: float = 30.0
     """Simulated time of each robot."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
-    tasks: tuple[str, ...] = ("Renet-Go1-Flat", PARKOUR)
-    """Tasks to run."""
+    terrains: tuple[str, ...] = ("flat", "parkour")
+    """Ground to walk on: flat, parkour (all tiles)."""
     levels: int = 10
     """Highest terrain level, 1 to 10; episodes that fail do not count."""
     false_alarm: float = 0.0
@@ -67,7 +66,7 @@ class CalibrateCfg:
             )
 
 
-def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
+def run_calibrate(cfg: CalibrateCfg, evaluator: Evaluator | None = None) -> float:
     """Measure β and the monitors' thresholds, write them into the manifest and return β.
 
     Raises:
@@ -76,9 +75,7 @@ def run_calibrate(cfg: CalibrateCfg, lab: Lab | None = None) -> float:
     if cfg.log:
         bundle = Bundle.load(cfg.bundle)
         return _store(cfg, bundle, logged_scores(cfg.log, bundle), f"{len(cfg.log)} flight log(s)")
-    from renet.evaluation.calibration_runs import simulated_scores
-
-    bundle, series = simulated_scores(cfg, lab)
+    bundle, series = _simulated_scores(cfg, evaluator)
     return _store(cfg, bundle, series, f"successful episodes, seed {cfg.seed}")
 
 
@@ -110,3 +107,50 @@ def _store(
         rows,
     )
     return beta
+
+
+def _simulated_scores(
+    cfg: CalibrateCfg, evaluator: Evaluator | None
+) -> tuple[Bundle, dict[str, list[np.ndarray]]]:
+    """The bundle, and every monitor's scores in successful episodes, by name.
+
+    Raises:
+        RenetError: settings that cannot be run, or a policy that never succeeds.
+    """
+    from renet.evaluation.env import FLAT, PARKOUR
+    from renet.evaluation.evaluator import Evaluator
+    from renet.evaluation.rollout import check_speed
+    from renet.terrain.tiles import LEVELS
+
+    if cfg.robots < 1 or cfg.seconds < 1 or not 1 <= cfg.levels <= LEVELS:
+        raise RenetError(
+            f"robots {cfg.robots} and seconds {cfg.seconds} must be >= 1, levels {cfg.levels}"
+            f" between 1 and {LEVELS}"
+        )
+    if not cfg.terrains or not {*cfg.terrains} <= {FLAT, PARKOUR}:
+        raise RenetError(f"terrains {cfg.terrains}: choose among {FLAT}, {PARKOUR}")
+    check_speed(cfg.speed)
+    evaluator = evaluator or Evaluator(cfg.bundle, cfg.engine)
+    runs = [_healthy_runs(cfg, evaluator, terrain) for terrain in cfg.terrains]
+    series = {name: [scores for run in runs for scores in run[name]] for name in runs[0]}
+    if not series["reconstruction"]:
+        raise RenetError("no episode succeeded: train the policy before calibrating its selector")
+    return evaluator.bundle, series
+
+
+def _healthy_runs(
+    cfg: CalibrateCfg, evaluator: Evaluator, terrain: str
+) -> dict[str, list[np.ndarray]]:
+    """Every monitor's scores in one terrain's successful episodes, VP in charge throughout."""
+    from renet.evaluation.env import PARKOUR
+    from renet.evaluation.rollout import Trial
+    from renet.terrain.tiles import tiles
+
+    env = evaluator.make_env(terrain, range(cfg.robots), cfg.speed, cfg.seed)
+    if terrain == PARKOUR:
+        robot = np.arange(cfg.robots)
+        env.place(robot // len(tiles()) % cfg.levels, robot % len(tiles()))
+    trials = [Trial("vp", robot=robot) for robot in range(cfg.robots)]
+    log, steps = MonitorLog(cfg.robots), round(cfg.seconds / CONTROL_DT)
+    trace = evaluator.rollout(terrain, env, trials, steps, cfg.seed, on_update=log)
+    return healthy_series(log, trace, cfg.speed)

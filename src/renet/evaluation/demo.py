@@ -8,21 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from renet.evaluation.figures import MODE_NAMES, noise_label
-from renet.evaluation.lab import Lab
-from renet.evaluation.noise import (
-    NoiseCfg,
-    Setting,
-    build_world,
-    run_noise,
-    show_runs,
-    walk,
-)
-from renet.evaluation.noise_page import facts, headline, noise_section
-from renet.evaluation.page import Page
-from renet.evaluation.terminal import progress
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.report.figures import MODE_NAMES, noise_label
+from renet.evaluation.report.page import provenance_section, render, write_page
+from renet.evaluation.report.summary import noise_facts, noise_headline
+from renet.evaluation.report.video import VideoCfg, make_video, panels_of
+from renet.evaluation.studies.faults import Setting
+from renet.evaluation.studies.noise import NoiseStudy
+from renet.evaluation.terminal import progress, show
 from renet.evaluation.trace import Trace
-from renet.evaluation.video import VideoCfg, make_video, panels_of
+from renet.faults import fault_class
 
 
 @dataclass(frozen=True)
@@ -41,12 +36,12 @@ class DemoCfg:
     """Make the video; it takes about half a minute."""
 
 
-def run_demo(cfg: DemoCfg, lab: Lab | None = None) -> Path:
+def run_demo(cfg: DemoCfg, evaluator: Evaluator | None = None) -> Path:
     """Run the paper's noise study on the CPU and put its results on one page.
 
     Args:
         cfg: settings.
-        lab: where the robots are; made from `cfg.bundle` by default.
+        evaluator: made from `cfg.bundle` by default.
 
     Returns:
         The page, `cfg.out/index.html`.
@@ -54,73 +49,77 @@ def run_demo(cfg: DemoCfg, lab: Lab | None = None) -> Path:
     Raises:
         RenetError: a bundle that cannot be used, or a folder that cannot be written to.
     """
-    study = NoiseCfg(out=cfg.out, bundle=cfg.bundle, seed=cfg.seed, engine=cfg.engine)
-    lab = lab or Lab(study.bundle, study.engine, study.selector)
-    summary = run_noise(study, lab)
-    show_runs(summary)
+    study = NoiseStudy(out=cfg.out, bundle=cfg.bundle, seed=cfg.seed, engine=cfg.engine)
+    evaluator = evaluator or study.make_evaluator()
+    summary = study.run(evaluator)
+    for table in study.tables(summary):
+        show(*table)
     setting = worst_of_vp(summary)
-    film = film_comparison(study, lab, setting, cfg.out / "video.mp4") if cfg.video else None
-    return write_page(summary, film, setting, cfg.out)
+    film = None
+    if cfg.video:
+        film = film_comparison(study, evaluator, setting, cfg.out / "video.mp4")
+    return write_demo_page(summary, film, setting, cfg.out)
 
 
 def film_comparison(
-    study: NoiseCfg, lab: Lab, setting: Setting, path: Path, cfg: VideoCfg | None = None
+    study: NoiseStudy,
+    evaluator: Evaluator,
+    setting: Setting,
+    path: Path,
+    cfg: VideoCfg | None = None,
 ) -> Path:
     """Film VP alone beside RENet: one setting walks again, as it did in the study."""
     cfg, modes = cfg or VideoCfg(), ("vp", "renet")
-    everybody = range(len(study.modes) * study.each)
-    trace = walk(study, lab, build_world(study, lab), setting, "one setting, filmed", everybody)
+    trials = study.trials([setting])
+    env = study.make_env(evaluator, study.terrain)
+    film = range(len(trials))
+    title = "one setting, filmed"
+    trace = evaluator.rollout(title, env, trials, study.steps, study.seed, film)
     robot = first_to_fall(study, trace)
-    titles = {study.rows_of(mode).start + robot: MODE_NAMES[mode] for mode in modes}
-    panels, poses = panels_of(trace, titles, noise_label(*setting), cfg.fps)
+    first = {mode: study.modes.index(mode) * study.robots_each for mode in modes}
+    titles = {first[mode] + robot: MODE_NAMES[mode] for mode in modes}
+    panels, poses = panels_of(trace, titles, label(setting), cfg.fps)
+    assert evaluator.scene_spec is not None
     with progress("video", len(poses)) as advance:
-        return make_video(path, lab.scene_spec, poses, panels, cfg, advance)
+        return make_video(path, evaluator.scene_spec, poses, panels, cfg, advance)
 
 
 def worst_of_vp(summary: dict[str, Any]) -> Setting:
-    """The noise setting with most VP falls, then the slowest."""
+    """The noise with most VP falls, then the slowest."""
     alone = [run for run in summary["runs"] if run["mode"] == "vp"]
     worst = max(alone, key=lambda run: (run["falls"], -run["mean_forward_velocity"]))
-    return worst["noise"], worst["level"]
+    return worst["fault"], worst["severity"]
 
 
-def first_to_fall(study: NoiseCfg, trace: Trace) -> int:
+def label(setting: Setting) -> str:
+    """A noise as the paper writes it."""
+    return noise_label(setting[0], fault_class(setting[0]).level_of(setting[1]))
+
+
+def first_to_fall(study: NoiseStudy, trace: Trace) -> int:
     """The first robot that falls under VP once the noise has begun, then the slowest."""
-    index = study.rows_of("vp")
+    start = study.modes.index("vp") * study.robots_each
+    index = slice(start, start + study.robots_each)
     upright = (~trace.fallen[:, index]).sum(axis=0)
     # Who fell before the noise began says nothing about it.
-    upright = np.where(upright < study.onset, study.steps + 1, upright)
+    upright = np.where(upright < study.onset_step, study.steps + 1, upright)
     return int(np.lexsort((trace.speed[-150:, index].mean(axis=0), upright))[0])
 
 
-def write_page(summary: dict[str, Any], film: Path | None, setting: Setting, out: Path) -> Path:
+def write_demo_page(
+    summary: dict[str, Any], film: Path | None, setting: Setting, out: Path
+) -> Path:
     """Write index.html into `out`, from the study's figures there; the film is of `setting`."""
-    page = Page("A robot dog loses its eyes", headline(summary))
-    page.facts(facts(summary))
-    if film:
-        page.video(
-            film,
-            f"Same noise, {noise_label(*setting)}, from 3 s on. Left: the estimator that trusts"
-            " vision, alone. Right: RENet. Inset: the depth image the robot gets; its frame is"
-            " green while vision is trusted and red while it is not. A picture that stops is a"
-            " robot that fell.",
-        )
-    page.heading("What RENet is")
-    page.text(
-        "RENet (Redundant Estimator Networks, IEEE RA-L 2025) trains one policy with two"
-        " estimators: VP sees depth images and its own body, OP its own body only. An autoencoder"
-        " trained on the same depth images measures how strange the newest ones are (the anomaly"
-        " score). When it stays above the threshold β, the vision probability P_t falls below one"
-        " half and the selector hands over to OP; it hands back when vision recovers."
-    )
-    noise_section(page, summary, out)
-    page.heading("Where these numbers come from")
-    page.text(
-        "Every number and picture on this page was computed on this machine by the command"
-        " below, from the exported ONNX models, in simulation."
-    )
-    page.provenance(summary["provenance"])
-    return page.write(out / "index.html")
+    found = noise_facts(summary)
+    sections = [
+        render("demo", found=found, film=film, noise=label(setting)),
+        render("demo_method"),
+        render("noise", summary=summary, settings=summary["settings"], folder=out),
+        render("demo_provenance"),
+        provenance_section(summary),
+    ]
+    title = "A robot dog loses its eyes"
+    return write_page(out / "index.html", title, noise_headline(summary), sections)
 
 
 def main(cfg: DemoCfg) -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy import stats
 
 from renet.interface import CONTROL_DT
 
@@ -93,12 +93,24 @@ def bootstrap_interval(
     """
     values = np.asarray(values, float)
     values = values[~np.isnan(values)]
-    if len(values) == 0:
-        return float("nan"), float("nan")
-    rng = np.random.default_rng(seed)
-    draws = values[rng.integers(0, len(values), (resamples, len(values)))]
-    low, high = np.quantile(statistic(draws, axis=1), [(1 - confidence) / 2, (1 + confidence) / 2])
-    return float(low), float(high)
+    if len(values) < 2:
+        only = float(values[0]) if len(values) else float("nan")
+        return only, only
+    found = stats.bootstrap(
+        (values,),
+        statistic,
+        n_resamples=resamples,
+        confidence_level=confidence,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    )
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)
+
+
+def with_interval(name: str, values: np.ndarray) -> dict[str, float]:
+    """The 95 % bootstrap interval of the mean of `values` [n], as columns of a summary's row."""
+    low, high = bootstrap_interval(values)
+    return {f"{name}_ci95_low": low, f"{name}_ci95_high": high}
 
 
 def roc(healthy: np.ndarray, faulty: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -127,11 +139,4 @@ def poisson_upper(count: int, confidence: float = 0.95) -> float:
 
     Exact one-sided limit: the mean at which seeing so few has probability 1 - confidence.
     """
-    low, high = 0.0, 10.0 + 3.0 * count
-    for _ in range(60):
-        mean = 0.5 * (low + high)
-        terms = [
-            math.exp(-mean + i * math.log(mean) - math.lgamma(i + 1)) for i in range(count + 1)
-        ]
-        low, high = (mean, high) if sum(terms) > 1.0 - confidence else (low, mean)
-    return 0.5 * (low + high)
+    return float(stats.chi2.ppf(confidence, 2 * (count + 1))) / 2

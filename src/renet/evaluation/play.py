@@ -13,22 +13,17 @@ from typing import Literal
 import tyro
 
 from renet.deploy.bundle import MANIFEST
-from renet.deploy.manifest import Manifest
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
-from renet.evaluation.lab import Lab
-from renet.evaluation.maps import MapLog
+from renet.evaluation.env import FLAT, terrain_env_cfg
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.report.height_maps import MapLog
+from renet.evaluation.report.video import VideoCfg, make_video, panels_of
 from renet.evaluation.results import output_folder
-from renet.evaluation.rollout import Row, check_modes, run_rollout
+from renet.evaluation.rollout import Trial, check_modes
 from renet.evaluation.terminal import progress
-from renet.evaluation.video import VideoCfg, make_video, panels_of
-from renet.evaluation.world import FLAT
-from renet.faults import Injection
+from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
-from renet.tasks import RenetEnvCfg, RobotCfg, env_cfg
-from renet.tasks.config.go1 import GO1
-from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
-from renet.tasks.terrains import single_tile_terrain
 from renet.training.bundle import ExportCfg, export
 
 
@@ -52,12 +47,8 @@ class PlayCfg:
     """flat, or a kind of tile: rough, obstacles, stairs_up, stairs_down, gap, platform."""
     level: int = 1
     """Level of the tile, 1 to 10."""
-    fault: str | None = None
-    """A camera fault of the benchmark, e.g. gaussian, frozen, glare."""
-    severity: int = 3
-    """Its severity, 1 to 5."""
-    onset: float = 3.0
-    """Seconds at which a film's fault begins; the viewer begins with it."""
+    fault: tuple[str, ...] = ()
+    """Faults of the camera, NAME[:SEVERITY]@SECONDS[+DURATION], such as blackout:3@5s+2s."""
     modes: tuple[str, ...] = ("vp", "renet")
     """Policy modes a film compares: vp, renet, op, oracle-switch."""
     seconds: float = 8.0
@@ -79,7 +70,7 @@ def run_play(cfg: PlayCfg) -> Path | None:
         RenetError: unknown terrain, fault or mode, a bundle that cannot be used, or a taken port.
     """
     if cfg.log is not None:
-        from renet.evaluation.film_log import film_log
+        from renet.evaluation.report.log_video import film_log
 
         return film_log(cfg.log, cfg.out)
     if cfg.viewer == "viser" or (cfg.viewer == "auto" and sys.stdout.isatty()):
@@ -102,36 +93,17 @@ def opened(path: Path | None) -> Iterator[Path | None]:
         yield export(ExportCfg(checkpoint=path, out=Path(folder) / path.name))
 
 
-def robot_of(manifest: Manifest) -> RobotCfg:
-    """The robot a bundle was trained on; raises RenetError if its task is not registered here."""
-    task = manifest.provenance.task
-    try:
-        return env_cfg(task).robot if task else GO1
-    except RenetError as error:
-        raise RenetError(
-            f"the bundle's task {task} is unknown here: start from the file that describes its"
-            f" robot, {manifest.robot.name} (docs/robots.md)"
-        ) from error
-
-
-def ground(terrain: str, level: int, robot: RobotCfg) -> RenetEnvCfg:
-    """The task on flat ground or on one tile; raises RenetError for an unknown tile or level."""
-    if terrain == FLAT:
-        return flat_env_cfg(play=True, robot=robot)
-    return tile_env_cfg(single_tile_terrain(terrain, level), play=True, robot=robot)
-
-
 def _watch(cfg: PlayCfg) -> None:
     """Serve the viewer."""
-    from renet.evaluation.live import Session
-    from renet.evaluation.live_view import watch
+    from renet.evaluation.viewer.session import ViewerSession
+    from renet.evaluation.viewer.viewer import watch
 
+    faults = [parse_fault(text) for text in cfg.fault]
     with opened(cfg.bundle) as folder:
-        lab = Lab(folder, cfg.engine, cfg.selector)
-        task = ground(cfg.terrain, cfg.level, robot_of(lab.bundle.manifest))
-        session = Session(lab, task, cfg.speed, cfg.seed)
-        if cfg.fault is not None:
-            session.inject(cfg.fault, cfg.severity)
+        evaluator = Evaluator(folder, cfg.engine, cfg.selector)
+        task = terrain_env_cfg(cfg.terrain, cfg.level, evaluator.robot)
+        session = ViewerSession(evaluator, task, cfg.speed, cfg.seed)
+        session.inject(*faults)
         watch(session, cfg.host, cfg.port)
 
 
@@ -140,33 +112,23 @@ def _film(cfg: PlayCfg) -> Path:
     if cfg.seconds < 1.0:
         raise RenetError(f"a film needs at least one second, got {cfg.seconds}")
     check_modes(cfg.modes)
-    schedule = ()
-    if cfg.fault is not None:
-        schedule = (Injection.of(cfg.fault, cfg.severity, round(cfg.onset / CONTROL_DT)),)
-    rows = [Row(mode, schedule) for mode in cfg.modes]
+    faults = tuple(parse_fault(text) for text in cfg.fault)
+    trials = [Trial(mode, faults) for mode in cfg.modes]
     out = cfg.out or Path("results/play.mp4")
-    count, steps = len(rows), round(cfg.seconds / CONTROL_DT)
+    count, steps = len(trials), round(cfg.seconds / CONTROL_DT)
     with opened(cfg.bundle) as folder:
-        lab = Lab(folder, cfg.engine, cfg.selector)
-        task = ground(cfg.terrain, cfg.level, robot_of(lab.bundle.manifest))
+        evaluator = Evaluator(folder, cfg.engine, cfg.selector)
+        task = terrain_env_cfg(cfg.terrain, cfg.level, evaluator.robot)
         output_folder(out.parent)
-        world, policy = lab.world(task, [0] * count, cfg.speed, cfg.seed), Policy(lab.bundle, count)
-    log = MapLog(policy, world)
-    with progress(f"{cfg.terrain}, {count} robots", steps) as advance:
-        trace = run_rollout(
-            world,
-            policy,
-            lab.switch(count),
-            rows,
-            steps,
-            cfg.seed,
-            range(count),
-            advance,
-            on_sight=log.note,
-        )
-    look = VideoCfg()
-    titles = dict(enumerate(cfg.modes))
-    panels, poses = panels_of(trace, titles, cfg.fault or "", look.fps, log.maps)
-    assert lab.scene_spec is not None
+        env = evaluator.make_env(task, [0] * count, cfg.speed, cfg.seed)
+        policy = Policy(evaluator.bundle, count)
+    log, title = MapLog(policy, env), f"{cfg.terrain}, {count} robots"
+    trace = evaluator.rollout(
+        title, env, trials, steps, cfg.seed, range(count), on_update=log.note, policy=policy
+    )
+    look, titles = VideoCfg(), dict(enumerate(cfg.modes))
+    name = ", ".join(fault.fault for fault in faults)
+    panels, poses = panels_of(trace, titles, name, look.fps, log.maps)
+    assert evaluator.scene_spec is not None
     with progress("video", len(poses)) as advance:
-        return make_video(out, lab.scene_spec, poses, panels, look, advance)
+        return make_video(out, evaluator.scene_spec, poses, panels, look, advance)

@@ -29,7 +29,7 @@ class Provenance:
     bundle: str
     """Name of the bundle."""
     bundle_hash: str
-    """See `Bundle.sha256`: of its models and its selector."""
+    """SHA-256 of its models and its selector, hexadecimal."""
     engine: str
     """Physics engine of the rollouts."""
     seed: int
@@ -103,25 +103,41 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
 
 
+MAX_JSON = 64_000_000
+"""Bytes of a summary or part; Python needs about 25 times the space."""
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """Read what `write_json` wrote.
 
+    Args:
+        path: of the file.
+
+    Returns:
+        Its content.
+
     Raises:
-        RenetError: missing, or not JSON.
+        RenetError: missing, not a regular file, too large, or not a JSON object.
     """
+    advice = "delete it and run the study again"
+    if not path.exists():
+        raise RenetError(f"{path} does not exist: run the study that writes it first")
+    if not path.is_file() or path.stat().st_size > MAX_JSON:
+        raise RenetError(f"{path} is no file of at most {MAX_JSON / 1e6:.0f} MB: {advice}")
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise RenetError(f"{path} does not exist: run the study that writes it first") from error
-    except ValueError as error:
-        raise RenetError(f"{path} is not valid JSON ({error}): delete it and run again") from error
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise RenetError(f"{path} is not valid JSON ({error}): {advice}") from error
+    if not isinstance(content, dict):
+        raise RenetError(f"{path} does not hold a JSON object: {advice}")
+    return content
 
 
-PARTS_FORMAT = 3
+PARTS_FORMAT = 4
 """Raised when a study keeps other things in its parts: those of before are made anew."""
 
 
-class Parts:
+class ResultCache:
     """Finished parts of a study, kept in `parts/`: an interrupted study goes on where it stopped.
 
     A part is used again by a run of the same settings, bundle and renet; others keep theirs.

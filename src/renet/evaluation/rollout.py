@@ -1,6 +1,6 @@
 """Closed-loop runs: robots, camera faults, policy and selector, all settings side by side.
 
-Every robot of every setting is one row of one batched world, so a whole study costs one run.
+Every robot of every setting is one row of one batched environment, so a whole study costs one run.
 One control step goes as on the robot: the newest frame is taken at the 10 Hz tick, the policy acts
 under the modality the selector last chose, then the selector's filter is updated
 (200 Hz, paper) with the anomaly score the tick produced.
@@ -16,19 +16,16 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation.trace import UPDATES_PER_STEP, Film, Trace
-from renet.faults import TICK, Frames, Injector, Schedule, View
+from renet.faults import TICK, Frames, Injector, Schedule, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import Sight
-
-__all__ = ["MODES", "UPDATES_PER_STEP", "Controller", "Film", "Readings", "Row", "Switch", "Trace"]
-__all__ += ["World", "check_modes", "check_speed", "run_rollout"]
 
 MODES = ("vp", "renet", "op", "oracle-switch")
 """Policy modes: vision always, the selector's choice, never, and a switch that knows the fault."""
 
 
 @dataclass(frozen=True)
-class Readings:
+class StepResult:
     """What N robots sense and truly do after a control step."""
 
     proprioception: np.ndarray
@@ -51,16 +48,16 @@ class Readings:
     """[N] bool: the episode ended in this step, by a fall or its time; the robot starts anew."""
 
 
-class World(Protocol):
-    """A batch of simulated robots; see `Disturbed` for physical faults."""
+class EvalEnv(Protocol):
+    """A batch of simulated robots; see `PerturbableEnv` for physical faults."""
 
     num_robots: int
 
-    def reset(self) -> Readings:
+    def reset(self) -> StepResult:
         """Put every robot at its start."""
         ...
 
-    def step(self, action: np.ndarray) -> Readings:
+    def step(self, action: np.ndarray) -> StepResult:
         """Act [N, 12] for one control step."""
         ...
 
@@ -70,15 +67,15 @@ class World(Protocol):
 
 
 @runtime_checkable
-class Disturbed(Protocol):
-    """A world whose cameras can be made to see what is not there."""
+class PerturbableEnv(Protocol):
+    """An environment whose cameras can be made to see what is not there."""
 
-    def disturb(self, view: View) -> None:
+    def perturb_cameras(self, view: ViewPerturbation) -> None:
         """Let the cameras see the scene so from their next image on."""
         ...
 
 
-class Controller(Protocol):
+class EvalPolicy(Protocol):
     """Anybody's policy: `renet.deploy.policy.Policy` is one.
 
     One with two velocity estimates, `velocity_op` and `velocity_vp` ([N, 3] m/s), has them compared
@@ -99,7 +96,7 @@ class Controller(Protocol):
         ...
 
 
-class Switch(Protocol):
+class EvalSelector(Protocol):
     """Decides whether to trust vision."""
 
     @property
@@ -117,7 +114,7 @@ class Switch(Protocol):
 
 
 @dataclass(frozen=True)
-class Row:
+class Trial:
     """One robot of one setting."""
 
     mode: str
@@ -143,87 +140,151 @@ def check_speed(speed: float) -> None:
         raise RenetError(f"speed must be positive, got {speed}")
 
 
+class ClosedLoop:
+    """Environment, policy, selector and camera faults of N robots, one control step at a time.
+
+    Studies, calibration, films and the live viewer all run this loop. `modes` and `injector` may be
+    replaced between two steps.
+    """
+
+    def __init__(
+        self,
+        env: EvalEnv,
+        policy: EvalPolicy,
+        selector: EvalSelector,
+        modes: Sequence[str],
+        injector: Injector,
+        on_update: Callable[[Sight], Any] = lambda sight: None,
+    ) -> None:
+        """Put the parts together; call `reset` before the first step.
+
+        Args:
+            env: N robots.
+            policy: acts for all of them.
+            selector: only robots in mode `renet` obey it.
+            modes: policy mode of each robot, [N].
+            injector: of the camera faults.
+            on_update: shown the input of every update of the selector, before it.
+        """
+        self.env, self.policy, self.selector = env, policy, selector
+        self.modes, self.injector, self._on_update = np.array(modes), injector, on_update
+        self.clock = 0
+        """Control steps so far, over all resets: faults are scheduled by it."""
+
+    def reset(self) -> StepResult:
+        """Put every robot at its start, trusting vision."""
+        self._perturb()
+        self.result = self.env.reset()
+        self.policy.reset()
+        count = self.env.num_robots
+        self.selector.reset(np.ones(count, bool))
+        self.frames = Frames.healthy(self.result.depth)
+        self.trusted = np.ones(count, bool)
+        """[N] bool: the selector's last answer."""
+        self._steps = 0
+        return self.result
+
+    @property
+    def new_frame(self) -> bool:
+        """Whether the camera delivers in the step that is due, as it does at 10 Hz."""
+        return self._steps % STEPS_PER_TICK == 0
+
+    def act(self) -> np.ndarray:
+        """Actions [N, 12] for the step that is due; also updates the selector."""
+        result, injector = self.result, self.injector
+        if self.new_frame:
+            live = Frames.healthy(result.depth, result.angular_velocity)
+            self.frames = injector.apply(live, self.clock)
+        self.failing = injector.at_work(self.clock)
+        """[N] bool: the camera is failing."""
+        distrusted = (self.modes == "renet") & ~self.trusted
+        told = (self.modes == "oracle-switch") & self.failing
+        self.use_op = (self.modes == "op") | distrusted | told
+        """[N] bool: the OP estimator drives."""
+        action = self.policy.step(result.proprioception, self.frames.image, self.use_op)
+        self.answers = np.zeros((UPDATES_PER_STEP, len(self.modes)), bool)
+        """[U, N] bool: vision is trusted after each update of this step."""
+        for update in range(UPDATES_PER_STEP):
+            sight = selector_input(self.policy, self.frames, self._steps, update)
+            self._on_update(sight)
+            self.answers[update] = self.trusted = self.selector.update(sight)
+        self.clock += 1
+        self._steps += 1
+        self._perturb()
+        return action
+
+    def step(self, action: np.ndarray) -> StepResult:
+        """Step the environment; policy and selector start anew for robots whose episode ended."""
+        self.result = self.env.step(action)
+        ended = self.result.ended
+        if ended.any():
+            self.policy.reset(ended)
+            self.selector.reset(ended)
+            self.trusted = self.trusted | ended
+        return self.result
+
+    def _perturb(self) -> None:
+        if isinstance(self.env, PerturbableEnv):
+            self.env.perturb_cameras(self.injector.perturbation(self.clock))
+
+
 def run_rollout(
-    world: World,
-    controller: Controller,
-    switch: Switch,
-    rows: Sequence[Row],
+    env: EvalEnv,
+    policy: EvalPolicy,
+    selector: EvalSelector,
+    trials: Sequence[Trial],
     steps: int,
     seed: int,
     film: Sequence[int] = (),
-    on_step: Callable[[], Any] = lambda: None,
+    on_step: Callable[[StepResult], Any] = lambda result: None,
     injector: Injector | None = None,
-    on_sight: Callable[[Sight], Any] = lambda sight: None,
+    on_update: Callable[[Sight], Any] = lambda sight: None,
 ) -> Trace:
-    """Drive every row for a number of control steps.
+    """Run every trial for a number of control steps.
 
     Args:
-        world: as many robots as rows.
-        controller: acts for all of them.
-        switch: the selector; only rows in mode `renet` obey it.
-        rows: mode and camera faults of each robot.
+        env: as many robots as trials.
+        policy: acts for all of them.
+        selector: only trials in mode `renet` obey it.
+        trials: mode and camera faults of each robot.
         steps: control steps.
         seed: of the camera faults.
-        film: rows to keep poses and images of.
-        on_step: called after every control step, as for a progress bar; the run ends early where it
-            returns True.
-        injector: of camera faults that depend on more than time; made from the rows by default.
-        on_sight: shown what every update of the selector is, before it.
+        film: trials to keep poses and images of.
+        on_step: called after every control step; the run ends early where it returns True.
+        injector: of camera faults that depend on more than time; made from the trials by default.
+        on_update: shown the input of every update of the selector, before it.
+
+    Returns:
+        What happened, [steps, N].
 
     Raises:
-        RenetError: the world does not hold as many robots as there are rows, or cannot carry out a
-            physical fault.
+        RenetError: the environment does not hold as many robots as there are trials, or cannot
+            carry out a physical fault.
     """
-    count = len(rows)
-    if world.num_robots != count:
-        raise RenetError(f"{count} rows need as many robots, not {world.num_robots}")
+    count = len(trials)
+    if env.num_robots != count:
+        raise RenetError(f"{count} trials need as many robots, not {env.num_robots}")
     if injector is None:
-        injector = Injector(
-            [row.schedule for row in rows],
-            [row.robot for row in rows],
-            seed,
-            physical=isinstance(world, Disturbed),
-        )
-    disturbed = world if isinstance(world, Disturbed) else None
-    mode = np.array([row.mode for row in rows])
-    trace = Trace.empty(steps, count)
+        schedules, streams = [t.schedule for t in trials], [t.robot for t in trials]
+        injector = Injector(schedules, streams, seed, physical=isinstance(env, PerturbableEnv))
+    loop = ClosedLoop(env, policy, selector, [t.mode for t in trials], injector, on_update)
+    trace, chosen = Trace.empty(steps, count), list(film)
     poses, images = [], []
-    if disturbed:
-        disturbed.disturb(injector.view(0))
-    readings = world.reset()
-    controller.reset()
-    frames = Frames.healthy(readings.depth)
-    trusted = np.ones(count, bool)
+    loop.reset()
     for k in range(steps):
-        if k % STEPS_PER_TICK == 0:
-            live = Frames.healthy(readings.depth, readings.angular_velocity)
-            frames = injector.apply(live, k)
-            if film:
-                images.append(np.round(frames.image[list(film)] * 255).astype(np.uint8))
-        failing = injector.at_work(k)
-        use_op = (
-            (mode == "op") | ((mode == "renet") & ~trusted) | ((mode == "oracle-switch") & failing)
-        )
-        action = controller.step(readings.proprioception, frames.image, use_op)
-        for u in range(UPDATES_PER_STEP):
-            sight = seen(controller, frames, k, u)
-            on_sight(sight)
-            trusted = switch.update(sight)
-            trace.trusted[k, u] = trusted
-        trace.anomaly[k], trace.probability[k] = controller.anomaly_score, switch.probability
-        trace.vision[k], trace.failing[k] = ~use_op, failing
+        delivered = loop.new_frame
+        action = loop.act()
         if film:
-            poses.append(world.poses(film))
-        if disturbed:
-            disturbed.disturb(injector.view(k + 1))
-        readings = world.step(action)
+            poses.append(env.poses(film))
+        if film and delivered:
+            images.append(np.round(loop.frames.image[chosen] * 255).astype(np.uint8))
+        trace.trusted[k] = loop.answers
+        trace.anomaly[k], trace.probability[k] = policy.anomaly_score, selector.probability
+        trace.vision[k], trace.failing[k] = ~loop.use_op, loop.failing
+        result = loop.step(action)
         for name in ("forward_velocity", "height", "travelled", "collisions", "fell", "ended"):
-            getattr(trace, name)[k] = getattr(readings, name)
-        if readings.ended.any():
-            controller.reset(readings.ended)
-            switch.reset(readings.ended)
-            trusted = trusted | readings.ended
-        if on_step() is True:
+            getattr(trace, name)[k] = getattr(result, name)
+        if on_step(result) is True:
             trace = trace.until(k + 1)
             break
     if film:
@@ -231,18 +292,18 @@ def run_rollout(
     return trace
 
 
-def seen(controller: Controller, frames: Frames, step: int, update: int) -> Sight:
+def selector_input(policy: EvalPolicy, frames: Frames, step: int, update: int) -> Sight:
     """What a selector's update is shown: only the tick's first update has a new frame."""
     ticks = step % STEPS_PER_TICK
     passed = ticks * CONTROL_DT + update * PHYSICS_DT
     assert passed < TICK
     nothing = np.zeros((len(frames.age), 3))
     return Sight(
-        anomaly_score=controller.anomaly_score,
+        anomaly_score=policy.anomaly_score,
         image=frames.image,
         fresh=frames.fresh if passed == 0.0 else np.zeros_like(frames.fresh),
         age=frames.age + passed,
         invalid=frames.invalid,
-        velocity_op=getattr(controller, "velocity_op", nothing),
-        velocity_vp=getattr(controller, "velocity_vp", nothing),
+        velocity_op=getattr(policy, "velocity_op", nothing),
+        velocity_vp=getattr(policy, "velocity_vp", nothing),
     )

@@ -84,6 +84,12 @@ class Trace:
             **{name: value[:steps] for name, value in vars(self).items() if name != "film"}
         )
 
+    def robots(self, index: slice) -> Trace:
+        """Some robots only, without film."""
+        return Trace(
+            **{name: value[..., index] for name, value in vars(self).items() if name != "film"}
+        )
+
     @property
     def fallen(self) -> np.ndarray:
         """[T, N] bool: fell in this or an earlier step; a robot that fell stays counted."""

@@ -1,9 +1,9 @@
 """Every way a depth camera fails, in five severities: pure NumPy, for any policy."""
 
+from renet.faults.base import SEVERITIES, TICK, Fault, Frames
 from renet.faults.catalogue import FAULTS, fault_class
-from renet.faults.injection import Injection, Injector, Schedule
-from renet.faults.stream import SEVERITIES, TICK, Fault, Frames
-from renet.faults.view import PhysicalFault, View
+from renet.faults.injection import Injection, Injector, Schedule, parse_fault
+from renet.faults.physical import PhysicalFault, ViewPerturbation
 
 __all__ = [
     "FAULTS",
@@ -15,6 +15,7 @@ __all__ = [
     "Injector",
     "PhysicalFault",
     "Schedule",
-    "View",
+    "ViewPerturbation",
     "fault_class",
+    "parse_fault",
 ]

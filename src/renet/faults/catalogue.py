@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from renet.errors import RenetError
 from renet.faults import image, physical, timing
-from renet.faults.stream import Fault
+from renet.faults.base import Fault
 
 FAULTS: dict[str, type[Fault]] = {
     fault.name: fault

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from renet.errors import RenetError
+from renet.faults.base import FOREVER, Fault, Frames
 from renet.faults.catalogue import FAULTS, fault_class
-from renet.faults.stream import FOREVER, Fault, Frames
-from renet.faults.view import PhysicalFault, View
+from renet.faults.physical import PhysicalFault, ViewPerturbation
 from renet.interface import CONTROL_DT
 
 
@@ -57,6 +58,35 @@ class Injection:
     def at_work(self, step: int) -> bool:
         """Whether it spoils the camera's frames at a control step."""
         return self.elapsed(step) >= 0
+
+
+FAULT = re.compile(
+    r"(?P<name>[a-z_]+)(:(?P<severity>\d))?"
+    r"(@(?P<onset>\d+(\.\d+)?)s?(\+(?P<length>\d+(\.\d+)?)s?)?)?"
+)
+WORST = 5
+"""Severity of a fault that does not name one."""
+
+
+def parse_fault(text: str, onset: float | None = None) -> Injection:
+    """Read a fault as it is written on a command line.
+
+    Args:
+        text: `NAME[:SEVERITY]@SECONDS[+DURATION]`, such as `glare:3@4s+2s`.
+        onset: seconds at which a fault begins that does not say when; if None it must say.
+
+    Raises:
+        RenetError: text of another form, an unknown fault or severity.
+    """
+    found = FAULT.fullmatch(text)
+    begins = onset if found is None or found["onset"] is None else float(found["onset"])
+    if found is None or begins is None:
+        raise RenetError(
+            f"cannot read the fault {text!r}: write NAME[:SEVERITY]@SECONDS[+DURATION], "
+            "such as blackout@5s or glare:3@4s+2s"
+        )
+    step, severity = round(begins / CONTROL_DT), int(found["severity"] or WORST)
+    return Injection.of(found["name"], severity, step, duration=float(found["length"] or "inf"))
 
 
 Schedule = tuple[Injection, ...]
@@ -108,12 +138,12 @@ class Injector:
             failing[rows] |= injection.at_work(step)
         return failing
 
-    def view(self, step: int) -> View:
+    def perturbation(self, step: int) -> ViewPerturbation:
         """How the cameras see their scene at a control step."""
-        view = View.true(self._num_robots)
+        view = ViewPerturbation.none(self._num_robots)
         for injection, fault, rows in self._stages:
             if isinstance(fault, PhysicalFault) and injection.at_work(step):
-                fault.bend(view, rows)
+                fault.apply(view, rows)
         return view
 
     def apply(self, frames: Frames, step: int) -> Frames:

@@ -1,12 +1,58 @@
-"""Faults of the scene and of the mount (users' severities, see docs)."""
+"""Physical faults: camera and driver work, but what they see is not what the feet will meet.
+
+They cannot be painted on an image. A fault says how a camera's view departs from the scene, and a
+simulated environment casts its rays accordingly.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from renet.faults.view import PhysicalFault, View
+from renet.errors import RenetError
+from renet.faults.base import Fault, Frames
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+@dataclass(frozen=True)
+class ViewPerturbation:
+    """How each of n cameras sees its scene."""
+
+    lift: np.ndarray
+    """[n] m by which every surface appears higher than it is."""
+    turn: np.ndarray
+    """[n, 3] rotation vector of the camera in its mount, rad, camera axes (forward, left, up)."""
+    glass: np.ndarray
+    """[n] share of the obstacles that rays pass through; feet do not."""
+
+    @classmethod
+    def none(cls, n: int) -> ViewPerturbation:
+        """Every camera sees what is there."""
+        return cls(np.zeros(n), np.zeros((n, 3)), np.zeros(n))
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all cameras see the same in both."""
+        return isinstance(other, ViewPerturbation) and all(
+            np.array_equal(mine, theirs)
+            for mine, theirs in zip(vars(self).values(), vars(other).values(), strict=True)
+        )
+
+
+class PhysicalFault(Fault):
+    """A fault of the scene or the mount; frames pass through it untouched."""
+
+    def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
+        """The frames as they are: the rays were already cast into the wrong scene."""
+        return frames
+
+    def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
+        """Add the fault to the view of the robots `rows`; the random streams are in that order."""
+        raise NotImplementedError
 
 
 class Glass(PhysicalFault):
@@ -22,8 +68,8 @@ class Glass(PhysicalFault):
     terrains = ("obstacles", "stairs_up", "platform")
     """Kinds of tile with obstacles that can be glass."""
 
-    def bend(self, view: View, rows: np.ndarray) -> None:
-        """See `PhysicalFault.bend`."""
+    def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
+        """Add the fault to the view of the robots `rows`."""
         view.glass[rows] = np.maximum(view.glass[rows], self.level)
 
 
@@ -35,8 +81,8 @@ class Foam(PhysicalFault):
     unit = "m"
     levels = (0.02, 0.04, 0.07, 0.1, 0.15)
 
-    def bend(self, view: View, rows: np.ndarray) -> None:
-        """See `PhysicalFault.bend`."""
+    def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
+        """Add the fault to the view of the robots `rows`."""
         view.lift[rows] += self.level
 
 
@@ -55,6 +101,40 @@ class MountKnocked(PhysicalFault):
         self._turn = np.radians(level) * axes
         """[n, 3]"""
 
-    def bend(self, view: View, rows: np.ndarray) -> None:
-        """See `PhysicalFault.bend`."""
+    def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
+        """Add the fault to the view of the robots `rows`."""
         view.turn[rows] += self._turn
+
+
+def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[int]:
+    """Geoms one could walk around or over: boxes that neither span a tile nor carry its start.
+
+    Raises:
+        RenetError: there is none.
+    """
+    import mujoco
+
+    from renet.terrain.tiles import TILE
+
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    found = []
+    in_terrain = model.body_rootid[model.geom_bodyid] == model.body("terrain").id
+    for geom in np.flatnonzero(in_terrain).tolist():
+        half, centre = model.geom_size[geom, :2], data.geom_xpos[geom, :2]
+        start = (np.abs(middles - centre) <= half).all(axis=1).any()
+        box = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX
+        if box and not start and (half < TILE / 2 - 1e-6).all():
+            found.append(geom)
+    if not found:
+        raise RenetError(
+            "this terrain has no obstacle that could be glass: choose obstacles, stairs_up or"
+            " platform"
+        )
+    return found
+
+
+def spread(geoms: list[int], share: float) -> frozenset[int]:
+    """A share of the geoms, at least one, spread evenly over their order."""
+    counts = np.ceil(np.arange(len(geoms) + 1) * share - 1e-9)
+    return frozenset(g for g, more in zip(geoms, np.diff(counts) > 0, strict=True) if more)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from renet.faults.stream import FOREVER, TICK, Fault, Frames
+from renet.faults.base import FOREVER, TICK, Fault, Frames
 
 
 class Frozen(Fault):
@@ -25,7 +25,7 @@ class Frozen(Fault):
 
     @classmethod
     def lasts(cls, level: float) -> float:
-        """See `Fault.lasts`."""
+        """Seconds after which the fault ends by itself."""
         return level
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
@@ -71,7 +71,7 @@ class Dropped(Stale):
     levels = (0.1, 0.3, 0.5, 0.7, 0.9)
 
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
-        """See `Stale.missing`."""
+        """[n] bool: the robots that get no frame at this tick."""
         lost = elapsed >= 0
         for i in np.flatnonzero(lost).tolist():
             lost[i] = self.rngs[i].random() < self.level
@@ -88,11 +88,11 @@ class Unplugged(Stale):
 
     @classmethod
     def lasts(cls, level: float) -> float:
-        """See `Fault.lasts`."""
+        """Seconds after which the fault ends by itself."""
         return level
 
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
-        """See `Stale.missing`."""
+        """[n] bool: the robots that get no frame at this tick."""
         return elapsed >= 0
 
 

@@ -69,6 +69,8 @@ class HybridInternalModel(nn.Module):
         prototypes lie on one line: the module has collapsed and teaches nothing.
         """
         prototypes = functional.normalize(self.prototypes.weight, dim=-1)
+        if not prototypes.isfinite().all():  # Training stops and says so; a decomposition raises.
+            return torch.full_like(prototypes[0, 0], torch.nan)
         singular = torch.linalg.svdvals(prototypes)
         return torch.exp(torch.special.entr(singular / singular.sum()).sum())
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass
 
 import mujoco
 from mjlab.managers.curriculum_manager import CurriculumTermCfg
@@ -37,6 +37,47 @@ NOISE = {
 """Half-widths of uniform sensor noise, in each term's unit before scaling (mjlab's Go1 task)."""
 
 
+@dataclass
+class RandomizationCfg:
+    """Randomisation beyond the task's own, all of it off by default; each robot draws once."""
+
+    motor_strength: float = 0.0
+    """Largest relative change of each motor's torque limit, e.g. 0.2."""
+    action_delay: float = 0.0
+    """Longest delay of joint targets, s, in whole physics steps, e.g. 0.02; drawn anew each step.
+    The native engine then no longer fuses physics steps."""
+    joint_offset: float = 0.0
+    """Largest error of each joint's zero position, rad, in observations and targets, e.g. 0.03."""
+
+
+def randomize(cfg: RenetEnvCfg, how: RandomizationCfg) -> None:
+    """Add randomisation to a task's configuration, in place.
+
+    Args:
+        cfg: the task.
+        how: ranges; what is zero is not added.
+    """
+    if how.motor_strength:
+        cfg.events["motor_strength"] = EventTermCfg(
+            func=mdp.dr.effort_limits,
+            mode="startup",
+            params={
+                "asset_cfg": SceneEntityCfg("robot", actuator_names=[".*"]),
+                "effort_limit_range": (1.0 - how.motor_strength, 1.0 + how.motor_strength),
+            },
+        )
+    if how.joint_offset:
+        cfg.events["joint_offset"] = EventTermCfg(
+            func=mdp.dr.encoder_bias,
+            mode="startup",
+            params={"bias_range": (-how.joint_offset, how.joint_offset)},
+        )
+    articulation = cfg.scene.entities["robot"].articulation
+    assert articulation is not None
+    for actuator in articulation.actuators:
+        actuator.delay_max_lag = round(how.action_delay / PHYSICS_DT)
+
+
 def flat_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
     """Renet-Go1-Flat: one plane, any yaw."""
     cfg = _base_env_cfg(TerrainEntityCfg(terrain_type="plane"), robot)
@@ -61,6 +102,7 @@ def tile_env_cfg(
     cfg.terminations["in_gap"] = TerminationTermCfg(func=mdp.in_gap)
     cfg.terminations["below_map"] = TerminationTermCfg(func=mdp.below_map)
     cfg.terminations["left_tile"] = TerminationTermCfg(func=mdp.left_tile, time_out=True)
+    cfg.metrics["near_edge"] = MetricsTermCfg(func=mdp.near_edge)
     cfg.curriculum["level"] = CurriculumTermCfg(func=mdp.terrain_levels)
     return _play(cfg) if play else cfg
 
@@ -139,27 +181,17 @@ def _play(cfg: RenetEnvCfg) -> RenetEnvCfg:
 
 
 def _observations() -> dict[str, ObservationGroupCfg]:
-    joints = SceneEntityCfg("robot", joint_names=JOINTS, preserve_order=True)
-    sources = {
-        "base_angular_velocity": (mdp.base_angular_velocity, {}),
-        "projected_gravity": (mdp.base_gravity, {}),
-        "command": (mdp.generated_commands, {"command_name": COMMAND}),
-        "joint_position": (mdp.joint_pos_rel, {"asset_cfg": joints}),
-        "joint_velocity": (mdp.joint_vel_rel, {"asset_cfg": joints}),
-        "last_action": (mdp.last_action, {}),
-    }
-
-    def noise(name: str) -> UniformNoiseCfg | None:
-        return UniformNoiseCfg(n_min=-NOISE[name], n_max=NOISE[name]) if name in NOISE else None
+    scale = tuple(term.scale for term in PROPRIOCEPTION for _ in range(term.size))
+    noise = tuple(NOISE.get(term.name, 0.0) for term in PROPRIOCEPTION for _ in range(term.size))
 
     def proprioception(noisy: bool) -> ObservationGroupCfg:
-        terms = {}
-        for term in PROPRIOCEPTION:
-            function, params = sources[term.name]
-            terms[term.name] = ObservationTermCfg(
-                func=function, params=params, scale=term.scale, noise=noise(term.name)
-            )
-        return ObservationGroupCfg(terms=terms, enable_corruption=noisy)
+        term = ObservationTermCfg(
+            func=mdp.proprioception,
+            scale=scale,
+            noise=UniformNoiseCfg(n_min=tuple(-half for half in noise), n_max=noise),
+            params={"joints": SceneEntityCfg("robot", joint_names=JOINTS, preserve_order=True)},
+        )
+        return ObservationGroupCfg(terms={"value": term}, enable_corruption=noisy)
 
     def single(function, **params) -> ObservationGroupCfg:
         return ObservationGroupCfg(
@@ -222,37 +254,25 @@ def _rewards(robot: RobotCfg) -> dict[str, RewardTermCfg]:
 
 def _metrics(robot: RobotCfg) -> dict[str, MetricsTermCfg]:
     """Logged as means over an episode's steps, beside the rewards."""
-    return {
-        "collisions": MetricsTermCfg(func=mdp.collision),
-        "lin_vel_reward": MetricsTermCfg(func=mdp.linear_velocity),
-        "reward_clipped": MetricsTermCfg(func=mdp.reward_clipped),
-        **{
-            f"violated_{name}": MetricsTermCfg(
-                func=mdp.constraint_violated, params={"constraint": name, **params}
-            )
-            for name, params in _constraints(robot).items()
-        },
-    }
-
-
-def _constraints(robot: RobotCfg) -> dict[str, dict[str, Any]]:
-    """Costs of the cMDP, above a share of each motor's limits (RENet, Method A)."""
     motors = {f".*_{part}_joint": motor for part, motor in robot.motors.items()}
     costs = {
-        # The robot's soft limits are 0.9 of its joint ranges.
-        "joint_position": {"cost": mdp.joint_pos_limits},
-        "joint_velocity": {
-            "cost": mdp.joint_vel_limits,
-            "limit": {joint: 0.8 * motor.velocity for joint, motor in motors.items()},
-        },
-        "torque": {
-            "cost": mdp.torque_limits,
-            "limit": {joint: 0.8 * motor.torque for joint, motor in motors.items()},
-            "stiffness": robot.stiffness,
-            "damping": robot.damping,
+        "joint_vel_limit": {joint: 0.8 * motor.velocity for joint, motor in motors.items()},
+        "torque_limit": {joint: 0.8 * motor.torque for joint, motor in motors.items()},
+        "stiffness": robot.stiffness,
+        "damping": robot.damping,
+    }
+    return {
+        "collisions": MetricsTermCfg(func=mdp.reward_term, params={"name": "collision"}),
+        "lin_vel_reward": MetricsTermCfg(func=mdp.reward_term, params={"name": "linear_velocity"}),
+        "reward_clipped": MetricsTermCfg(func=mdp.reward_clipped),
+        "violated": MetricsTermCfg(func=mdp.constraint_costs, params=costs),
+        **{
+            f"violated_{name}": MetricsTermCfg(
+                func=mdp.constraint_violated, params={"constraint": name}
+            )
+            for name in CONSTRAINTS
         },
     }
-    return {name: costs[name] for name in CONSTRAINTS}
 
 
 def _events() -> dict[str, EventTermCfg]:

@@ -2,35 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from renet.deploy.cameras.base import Camera, DepthFrame
-from renet.errors import RenetError
-
-# Here and in `sim.py` the runtime borrows from the evaluation: its fault models need only NumPy.
-from renet.faults import TICK, Frames, Injection, Injector, View
+from renet.faults import TICK, Frames, Injection, Injector, ViewPerturbation, parse_fault
 from renet.interface import CONTROL_DT
 
-FAULT = re.compile(
-    r"(?P<name>[a-z_]+)(:(?P<severity>\d))?@(?P<onset>\d+(\.\d+)?)s?(\+(?P<length>\d+(\.\d+)?)s?)?"
-)
-WORST = 5
-"""Severity of a fault that does not name one."""
-
-
-def parse_fault(text: str) -> Injection:
-    """The injection of `NAME[:SEVERITY]@SECONDS[+DURATION]`; else raises RenetError."""
-    found = FAULT.fullmatch(text)
-    if found is None:
-        raise RenetError(
-            f"cannot read the fault {text!r}: write NAME[:SEVERITY]@SECONDS[+DURATION], "
-            "such as blackout@5s or glare:3@4s+2s"
-        )
-    onset = round(float(found["onset"]) / CONTROL_DT)
-    length = float(found["length"] or "inf")
-    return Injection.of(found["name"], int(found["severity"] or WORST), onset, duration=length)
+__all__ = ["FaultyCamera", "parse_fault"]
 
 
 class FaultyCamera:
@@ -58,8 +37,8 @@ class FaultyCamera:
         self._injector = Injector([tuple(faults)], [0], seed, self._disturb is not None)
         if self._disturb is not None:
             for fault in faults:  # Refused now rather than in flight.
-                self._disturb(self._injector.view(fault.onset))
-            self._disturb(View.true(1))
+                self._disturb(self._injector.perturbation(fault.onset))
+            self._disturb(ViewPerturbation.none(1))
         self._begun: float | None = None
         self._due = float("-inf")
         self._shown: DepthFrame | None = None
@@ -73,7 +52,7 @@ class FaultyCamera:
         now = self._now()
         self._begun = now if self._begun is None else self._begun
         if self._disturb is not None:
-            self._disturb(self._injector.view(self._step(now)))
+            self._disturb(self._injector.perturbation(self._step(now)))
         frame = self._camera.latest()
         # Fault models know frames at 10 Hz; a faster camera is thinned out.
         if frame is None or frame.time < self._due - CONTROL_DT / 2:

@@ -10,8 +10,8 @@ from renet.deploy.manifest import CameraSpec
 from renet.deploy.robots.mujoco import BASE, MujocoRobot
 from renet.deploy.robots.scene import TERRAIN
 from renet.errors import RenetError
-from renet.faults import View
-from renet.faults.obstacles import obstacles, spread
+from renet.faults import ViewPerturbation
+from renet.faults.physical import obstacles, spread
 
 SEEN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
 """MuJoCo geom groups of the terrain; robots' collision geoms are in group 3."""
@@ -38,7 +38,7 @@ class SimCamera:
         self._period, self._due = 1.0 / camera.rate_hz, 0.0
         self._frame: DepthFrame | None = None
         self._number = 0
-        self._view = View.true(1)
+        self._view = ViewPerturbation.none(1)
         self._unseen: list[int] = []
 
     def start(self) -> None:
@@ -58,7 +58,7 @@ class SimCamera:
     def close(self) -> None:
         """Nothing to stop."""
 
-    def disturb(self, view: View) -> None:
+    def disturb(self, view: ViewPerturbation) -> None:
         """See the scene as it is not, from the next image on: physical faults.
 
         Raises:

@@ -74,7 +74,8 @@ class GoalCommand(CommandTerm):
     @property
     def heading_error(self) -> Tensor:
         """c_yaw - yaw, wrapped to [-pi, pi], [N] rad."""
-        return wrap_to_pi(self.yaw - base_heading(self._env))
+        error = self.yaw - base_heading(self._env)
+        return (error + math.pi) % (2.0 * math.pi) - math.pi
 
     @property
     def direction(self) -> Tensor:

@@ -1,7 +1,6 @@
 """Constraint costs of the cMDP: joint position, joint velocity, torque (RENet, Method A).
 
-Each is zero for motion inside its soft limit. The cost of joint positions is mjlab's
-`joint_pos_limits`.
+Each is zero for motion inside its soft limit.
 """
 
 from __future__ import annotations
@@ -15,57 +14,55 @@ from torch import Tensor
 from renet.interface import CONSTRAINTS
 
 
-def joint_vel_limits(env: ManagerBasedRlEnv, limit: Tensor) -> Tensor:
-    """Sum over joints of the speed beyond a limit, at most 1 rad/s of each, [N] rad/s.
+class constraint_costs:
+    """Metric: 1 where any constraint costs something in this step, [N].
 
-    Args:
-        env: the environment.
-        limit: speed above which a joint costs, [J] rad/s.
-    """
-    speed = env.scene["robot"].data.joint_vel.abs()
-    return (speed - limit).clamp(0.0, 1.0).sum(-1)
+    Writes the costs times the step's dt into `env.extras["costs"]`, [N, 3] in the order of
+    interface.CONSTRAINTS, where the learner reads them. They are sums over joints of what is beyond
+    a limit, in rad, rad/s (each joint counts at most 1) and N m. Positions are limited by the
+    robot's soft limits. Torque is what the nominal gains ask for, before the actuator saturates:
+    clipped torque never violates anything. Broken physics costs nothing.
 
-
-def torque_limits(
-    env: ManagerBasedRlEnv, limit: Tensor, stiffness: float, damping: float
-) -> Tensor:
-    """Sum over joints of the torque beyond a limit, [N] N m.
-
-    It is the torque that the nominal gains ask for, before the actuator saturates: clipped torque
-    never violates anything.
-
-    Args:
-        env: the environment.
-        limit: torque above which a joint costs, [J] N m.
-        stiffness: Kp, N m/rad.
-        damping: Kd, N m s/rad.
-    """
-    data = env.scene["robot"].data
-    torque = stiffness * (data.joint_pos_target - data.joint_pos) - damping * data.joint_vel
-    return torch.relu(torque.abs() - limit).sum(-1)
-
-
-class constraint_violated:
-    """Metric: 1 where a constraint costs something in this step, [N].
-
-    Writes the cost times the step's dt into its column of `env.extras["costs"]`, [N, 3] in the
-    order of interface.CONSTRAINTS, where the learner reads it. Costs of broken physics are zero.
+    Parameters: `joint_vel_limit` and `torque_limit`, rad/s and N m above which a joint costs, by
+    pattern of joint names; `stiffness` and `damping`, N m/rad and N m s/rad.
     """
 
     def __init__(self, cfg: MetricsTermCfg, env: ManagerBasedRlEnv) -> None:
-        params = dict(cfg.params)
-        self._column = CONSTRAINTS.index(params.pop("constraint"))
-        self._cost = params.pop("cost")
-        if "limit" in params:  # By pattern of joint names.
-            names = env.scene["robot"].joint_names
-            _, _, limit = resolve_matching_names_values(params["limit"], names)
-            params["limit"] = torch.tensor(limit, device=env.device)
-        self._params = params
-        shape = env.num_envs, len(CONSTRAINTS)
-        env.extras.setdefault("costs", torch.zeros(shape, device=env.device))
+        robot = env.scene["robot"]
+        low, high = robot.data.soft_joint_pos_limits.unbind(-1)
+        self._middle, self._reach = (low + high) / 2, (high - low) / 2
 
-    def __call__(self, env: ManagerBasedRlEnv, **_: object) -> Tensor:
-        """Evaluate the cost of the present state."""
-        cost = self._cost(env, **self._params).nan_to_num(0.0, 0.0, 0.0)
-        env.extras["costs"][:, self._column] = cost * env.step_dt
-        return (cost > 0.0).float()
+        def per_joint(limit: dict[str, float]) -> Tensor:
+            values = resolve_matching_names_values(limit, robot.joint_names)[2]
+            return torch.tensor(values, device=env.device)
+
+        self._joint_vel_limit = per_joint(cfg.params["joint_vel_limit"])
+        self._torque_limit = per_joint(cfg.params["torque_limit"])
+        env.extras["costs"] = torch.zeros(env.num_envs, len(CONSTRAINTS), device=env.device)
+
+    def __call__(
+        self, env: ManagerBasedRlEnv, stiffness: float, damping: float, **_: object
+    ) -> Tensor:
+        """Evaluate the present state."""
+        data = env.scene["robot"].data
+        position, velocity = data.joint_pos, data.joint_vel
+        torque = stiffness * (data.joint_pos_target - position) - damping * velocity
+        beyond = (
+            (position - self._middle).abs() - self._reach,
+            (velocity.abs() - self._joint_vel_limit).clamp_max(1.0),
+            torque.abs() - self._torque_limit,
+        )
+        costs = torch.stack(beyond, dim=1).relu().sum(-1) * env.step_dt
+        costs.nan_to_num_(0.0, 0.0, 0.0)
+        env.extras["costs"].copy_(costs)
+        return (costs > 0.0).any(-1).float()
+
+
+def constraint_violated(env: ManagerBasedRlEnv, constraint: str) -> Tensor:
+    """1 where a constraint costs something in this step, [N].
+
+    Args:
+        env: environment whose metrics have `constraint_costs` before this term.
+        constraint: of interface.CONSTRAINTS.
+    """
+    return (env.extras["costs"][:, CONSTRAINTS.index(constraint)] > 0.0).float()

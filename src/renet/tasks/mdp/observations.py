@@ -12,19 +12,32 @@ from torch import Tensor
 
 from renet.sim.depth.camera import DepthCamera
 from renet.tasks.mdp.base_state import base_rotation, base_velocity
+from renet.tasks.mdp.commands import goal
 from renet.tasks.mdp.rewards import VelocityFilter
 from renet.tasks.sensors import DEPTH_CAMERA, FEET_CONTACT
 from renet.tasks.terrains import DIFFICULT
 
 
-def base_angular_velocity(env: ManagerBasedRlEnv) -> Tensor:
-    """Angular velocity of the base in the base frame, [N, 3] rad/s."""
-    return env.sim.data.qvel[:, env.scene["robot"].indexing.free_joint_v_adr[3:]]
+def proprioception(env: ManagerBasedRlEnv, joints: SceneEntityCfg) -> Tensor:
+    """What the robot's own sensors say, before scaling, [N, 45].
 
+    Args:
+        env: the environment.
+        joints: of the robot, in the order of interface.JOINTS.
 
-def base_gravity(env: ManagerBasedRlEnv) -> Tensor:
-    """Downward unit vector in the base frame, [N, 3]."""
-    return -base_rotation(env)[:, 2]
+    Returns:
+        Terms, order and units of interface.PROPRIOCEPTION.
+    """
+    robot, order = env.scene["robot"], joints.joint_ids
+    terms = (
+        env.sim.data.qvel[:, robot.indexing.free_joint_v_adr[3:]],
+        -base_rotation(env)[:, 2],
+        goal(env).command,
+        (robot.data.joint_pos_biased - robot.data.default_joint_pos)[:, order],
+        robot.data.joint_vel[:, order],
+        env.action_manager.action,
+    )
+    return torch.cat(terms, dim=-1)
 
 
 def velocity(env: ManagerBasedRlEnv) -> Tensor:
@@ -52,15 +65,22 @@ def feet_contact(env: ManagerBasedRlEnv) -> Tensor:
     return (env.scene[FEET_CONTACT].data.found > 0).float()
 
 
-def difficult(env: ManagerBasedRlEnv) -> Tensor:
+class difficult:
     """1 where the tile forces vision, [N, 1]."""
-    terrain = env.scene.terrain
-    hard = torch.zeros(env.num_envs, 1, dtype=torch.bool, device=env.device)
-    if terrain is not None and terrain.cfg.terrain_generator is not None:
-        for index, kind in enumerate(terrain.cfg.terrain_generator.sub_terrains):
-            if kind in DIFFICULT:
-                hard |= (terrain.terrain_types == index).unsqueeze(-1)
-    return hard.float()
+
+    def __init__(self, cfg: ObservationTermCfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        terrain = env.scene.terrain
+        generator = terrain.cfg.terrain_generator if terrain is not None else None
+        self._on_tiles = generator is not None
+        kinds = list(generator.sub_terrains) if generator is not None else env.num_envs * [""]
+        hard = [[float(kind in DIFFICULT)] for kind in kinds]
+        self._hard = torch.tensor(hard, device=env.device)
+
+    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
+        """Look up each robot's tile."""
+        terrain = env.scene.terrain
+        return self._hard[terrain.terrain_types] if self._on_tiles and terrain else self._hard
 
 
 def stalled_seconds(env: ManagerBasedRlEnv) -> Tensor:

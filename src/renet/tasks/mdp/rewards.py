@@ -14,6 +14,7 @@ from torch import Tensor
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, LEGS
 from renet.tasks.mdp.base_state import base_position, base_rotation, base_velocity
 from renet.tasks.mdp.commands import goal
+from renet.tasks.mdp.metrics import indices_within
 from renet.tasks.sensors import CALF_CONTACT, HEIGHT_MAP, THIGH_TRUNK_CONTACT
 
 
@@ -194,12 +195,6 @@ def low_trunk(env: ManagerBasedRlEnv, height: float = 0.27, reach: float = 0.16)
         reach: half-width of the square of the map that counts as below, m.
     """
     sensor = env.scene[HEIGHT_MAP]
-    rows, columns = (_within(reach, axis) for axis in (HEIGHT_MAP_X, HEIGHT_MAP_Y))
+    rows, columns = (indices_within(reach, axis) for axis in (HEIGHT_MAP_X, HEIGHT_MAP_Y))
     below = sensor.data.unflatten(-1, (len(HEIGHT_MAP_X), -1))[:, rows, columns]
     return torch.relu(height - below.mean((-2, -1)) - sensor.cfg.base_height).square()
-
-
-def _within(reach: float, axis: tuple[float, ...]) -> slice:
-    """Indices of an ascending axis whose values are closer to zero than `reach`."""
-    inside = [index for index, value in enumerate(axis) if abs(value) < reach]
-    return slice(inside[0], inside[-1] + 1)

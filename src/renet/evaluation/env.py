@@ -1,0 +1,219 @@
+"""RENet's simulated tasks as the environment of a rollout."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+
+import mujoco
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from renet.deploy.manifest import Manifest
+from renet.errors import RenetError
+from renet.evaluation.rollout import StepResult
+from renet.faults import ViewPerturbation
+from renet.faults.physical import obstacles, spread
+from renet.sim.depth.camera import CameraPerturbation, DepthCamera
+from renet.tasks import RenetEnv, RenetEnvCfg, RobotCfg, env_cfg, make_env
+from renet.tasks.config.go1 import GO1
+from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg, goal
+from renet.tasks.mdp.rewards import collision
+from renet.tasks.parkour_env_cfg import flat_env_cfg, parkour_env_cfg, tile_env_cfg
+from renet.tasks.sensors import DEPTH_CAMERA
+from renet.tasks.terrains import single_tile_terrain
+
+FLAT, PARKOUR = "flat", "parkour"
+"""Ground without tiles, and the training curriculum's field of tiles."""
+NEVER = 1e9
+"""Seconds no run lasts."""
+
+
+def robot_of(manifest: Manifest) -> RobotCfg:
+    """The robot a bundle was trained on; raises RenetError if its task is not registered here."""
+    task = manifest.provenance.task
+    try:
+        return env_cfg(task).robot if task else GO1
+    except RenetError as error:
+        raise RenetError(
+            f"the bundle's task {task} is unknown here: start from the file that describes its"
+            f" robot, {manifest.robot.name} (docs/robots.md)"
+        ) from error
+
+
+def terrain_env_cfg(terrain: str, level: int, robot: RobotCfg) -> RenetEnvCfg:
+    """A task to measure in.
+
+    Args:
+        terrain: "flat", "parkour" (all tiles at all levels) or a kind of tile.
+        level: of the tile, 1 to 10.
+        robot: to put there.
+
+    Raises:
+        RenetError: an unknown kind of tile or level.
+    """
+    if terrain == FLAT:
+        return flat_env_cfg(play=True, robot=robot)
+    if terrain == PARKOUR:
+        return parkour_env_cfg(play=True, robot=robot)
+    return tile_env_cfg(single_tile_terrain(terrain, level), play=True, robot=robot)
+
+
+def study_env_cfg(task: str | RenetEnvCfg, speed: float) -> RenetEnvCfg:
+    """A task for measuring: straight ahead at one speed, ended only by a fall.
+
+    Args:
+        task: id, or a configuration made with `play=True`.
+        speed: c_x, m/s; c_yaw stays each robot's starting yaw.
+    """
+    cfg = env_cfg(task, play=True) if isinstance(task, str) else task
+    command = cfg.commands[COMMAND]
+    assert isinstance(command, GoalCommandCfg)
+    command.fixed_speed = speed
+    command.resampling_time_range = (NEVER, NEVER)
+    cfg.terminations.pop("time_out", None)
+    return cfg
+
+
+class SimEnv:
+    """A batch of robots in RENet's environment; see `rollout.EvalEnv`.
+
+    Rows with the same robot number are twins: the same masses, friction and gains, the same start.
+    What differs between them is what a study varies, and the camera's own noise and mount.
+    """
+
+    def __init__(self, cfg: RenetEnvCfg, robots: Sequence[int], seed: int, engine: str) -> None:
+        """Build the environment with one row for each robot number."""
+        # mjlab prints its tables and warns of choices the task makes on purpose.
+        with redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
+            self.env: RenetEnv = make_env(cfg, len(robots), seed=seed, engine=engine)
+        self.num_robots = len(robots)
+        self._seed = seed
+        self._robot = self.env.scene["robot"].data
+        self._start = np.zeros((self.num_robots, 2))
+        self._view = ViewPerturbation.none(self.num_robots)
+        _, first, number = np.unique(np.asarray(robots), return_index=True, return_inverse=True)
+        self._twin = torch.from_numpy(first[number])
+        """The row each row is a twin of, [N]."""
+        for field in self.env.sim.expanded_fields:
+            values = getattr(self.env.sim.model, field)
+            values[:] = values[self._twin]
+
+    @property
+    def scene_spec(self) -> mujoco.MjSpec:
+        """The scene, for pictures."""
+        return self.env.scene.spec
+
+    def reset(self) -> StepResult:
+        """Put every robot at its start; every run of one environment begins alike."""
+        with redirect_stdout(io.StringIO()):
+            self.env.reset(seed=self._seed)
+        observation = self._start_as_twins()
+        self._start = self._position().copy()
+        nobody = np.zeros(self.num_robots, bool)
+        return self._readings(observation, nobody, nobody)
+
+    def _start_as_twins(self) -> dict:
+        """Give every row its twin's start and observe anew, as mjlab's reset does."""
+        env, twin = self.env, self._twin
+        position, velocity = env.sim.data.qpos, env.sim.data.qvel
+        start = position[twin]
+        start[:, :3] += env.scene.env_origins - env.scene.env_origins[twin]
+        position[:], velocity[:] = start, velocity[twin]
+        command = goal(env)
+        command.yaw[:] = command.yaw[twin]
+        everybody = torch.arange(self.num_robots)
+        env.scene.reset(everybody)
+        env.sim.forward()
+        env.command_manager.compute(dt=0.0, env_ids=everybody)
+        env.sim.sense()
+        return env.observation_manager.compute(update_history=True)
+
+    def step(self, action: np.ndarray) -> StepResult:
+        """Act [N, 12] for one control step."""
+        with torch.no_grad():
+            observation, _, terminated, truncated, _ = self.env.step(torch.from_numpy(action))
+        fell, ended = terminated.numpy(), (terminated | truncated).numpy()
+        self._start[ended] = self._position()[ended]
+        return self._readings(observation, fell, ended)
+
+    def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
+        """Put robots on tiles, from the next reset on.
+
+        Args:
+            levels: [N] row of the terrain, 0 the easiest. kinds: [N] its column.
+        """
+        terrain = self.env.scene.terrain
+        assert terrain is not None
+        assert terrain.terrain_origins is not None
+        terrain.terrain_levels[:] = torch.as_tensor(levels)
+        terrain.terrain_types[:] = torch.as_tensor(kinds)
+        terrain.env_origins[:] = terrain.terrain_origins[levels, kinds]
+
+    def command(self, speed: float) -> None:
+        """Tell every robot a new c_x, m/s, from the next step on."""
+        goal(self.env).speed[:] = speed
+
+    def perturb_cameras(self, view: ViewPerturbation) -> None:
+        """Let the cameras see the scene so from their next image on."""
+        if view == self._view:
+            return
+        terrain, camera = self.env.scene.terrain, self.env.scene[DEPTH_CAMERA]
+        assert terrain is not None
+        assert isinstance(camera, DepthCamera)
+        origins = terrain.terrain_origins
+        middles = np.zeros((0, 2)) if origins is None else origins[..., :2].reshape(-1, 2).numpy()
+        camera.perturbation = ray_perturbation(view, self.env.sim.mj_model, middles)
+        self._view = view
+
+    def poses(self, rows: Sequence[int]) -> np.ndarray:
+        """Generalised positions [len(rows), nq], for pictures."""
+        return self.env.sim.data.qpos[list(rows)].numpy().copy()
+
+    def _position(self) -> np.ndarray:
+        """Horizontal base position [N, 2]."""
+        return self._robot.root_link_pos_w[:, :2].numpy()
+
+    def _readings(self, observation: dict, fell: np.ndarray, ended: np.ndarray) -> StepResult:
+        velocity = self._robot.root_link_lin_vel_w[:, :2]
+        above = self._robot.root_link_pos_w[:, 2] - self.env.scene.env_origins[:, 2]
+        return StepResult(
+            proprioception=observation["proprioception"].numpy().astype(np.float32),
+            depth=observation["depth"].numpy(),
+            angular_velocity=self._robot.root_link_ang_vel_b.numpy().copy(),
+            forward_velocity=(velocity * goal(self.env).direction).sum(-1).numpy(),
+            height=above.numpy(),
+            travelled=np.linalg.norm(self._position() - self._start, axis=1),
+            collisions=collision(self.env).numpy(),
+            fell=fell,
+            ended=ended,
+        )
+
+
+def ray_perturbation(
+    view: ViewPerturbation, model: mujoco.MjModel, middles: np.ndarray
+) -> CameraPerturbation | None:
+    """Translate a camera perturbation into what the ray caster does; None if nothing changes.
+
+    Args:
+        view: of N cameras. model: the scene. middles: [M, 2] horizontal middles of its tiles.
+
+    Raises:
+        RenetError: obstacles are to be glass where there are none.
+    """
+    if view == ViewPerturbation.none(len(view.lift)):
+        return None
+    shares = [float(share) for share in np.unique(view.glass) if share > 0]
+    unseen = []
+    if shares:
+        found = obstacles(model, middles)
+        unseen = [
+            (spread(found, share), torch.from_numpy(np.flatnonzero(view.glass == share)))
+            for share in shares
+        ]
+    lift = torch.as_tensor(view.lift, dtype=torch.float32)
+    turn = torch.as_tensor(Rotation.from_rotvec(view.turn).as_matrix(), dtype=torch.float32)
+    return CameraPerturbation(lift, turn, unseen)

@@ -1,0 +1,145 @@
+"""What every study works with: a bundle, its policy and selector, and environments for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from renet.deploy.bundle import Bundle
+from renet.deploy.policy import Policy
+from renet.errors import RenetError
+from renet.evaluation.env import FLAT, PARKOUR, SimEnv, robot_of, study_env_cfg, terrain_env_cfg
+from renet.evaluation.results import Provenance
+from renet.evaluation.rollout import (
+    EvalEnv,
+    EvalPolicy,
+    EvalSelector,
+    StepResult,
+    Trial,
+    run_rollout,
+)
+from renet.evaluation.selectors import check_selector, make_selector
+from renet.evaluation.terminal import progress
+from renet.evaluation.trace import Trace
+from renet.faults import Injector
+from renet.selector.defaults import default_monitors
+from renet.selector.monitors import Sight
+from renet.tasks import RenetEnvCfg, RobotCfg
+
+
+class Evaluator:
+    """One bundle under study; a subclass for another policy overrides `make_policy`."""
+
+    def __init__(
+        self, bundle: Path | None = None, engine: str = "auto", selector: str = "guarded"
+    ) -> None:
+        """Load a bundle.
+
+        Args:
+            bundle: its folder; the one that ships with renet by default.
+            engine: auto, native or warp.
+            selector: guarded, which is all monitors with a dwell, or paper.
+
+        Raises:
+            RenetError: a missing, damaged or incompatible bundle, or an unknown selector.
+        """
+        check_selector(selector)
+        self.bundle = Bundle.load(bundle, threads=2)
+        self.engine, self.selector = engine, selector
+        self.scene_spec: mujoco.MjSpec | None = None
+        """The scene of the latest environment, for pictures."""
+
+    @property
+    def robot(self) -> RobotCfg:
+        """The robot the bundle was trained on; raises RenetError if it is unknown here."""
+        return robot_of(self.bundle.manifest)
+
+    @property
+    def beta(self) -> float:
+        """The selector's threshold on the anomaly score: the paper's, or the calibrated one."""
+        spec = self.bundle.manifest.selector
+        calibrated = spec.thresholds.get("reconstruction", spec.beta)
+        return spec.beta if self.selector == "paper" else calibrated
+
+    @property
+    def thresholds(self) -> dict[str, float]:
+        """Thresholds of the default selector's monitors, by name."""
+        spec = self.bundle.manifest.selector
+        return {m.name: m.threshold for m in default_monitors(spec.beta, spec.thresholds, 1)}
+
+    def provenance(self, seed: int) -> Provenance:
+        """The provenance of numbers made with this bundle now."""
+        engine = "native" if self.engine == "auto" else self.engine
+        return Provenance.now(self.bundle.name, self.bundle.sha256, engine, seed)
+
+    def make_env(
+        self, task: str | RenetEnvCfg, robots: Sequence[int], speed: float, seed: int
+    ) -> SimEnv:
+        """Make an environment of robots that are commanded to walk straight ahead.
+
+        Args:
+            task: terrain as in `terrain_env_cfg`, a registered task, or a configuration made with
+                `play=True`.
+            robots: one number for each robot; those with the same number are twins.
+            speed: commanded, m/s.
+            seed: of bodies and starts.
+
+        Raises:
+            RenetError: the bundle is for another robot than the task's.
+        """
+        if task in (FLAT, PARKOUR):
+            task = terrain_env_cfg(str(task), 1, self.robot)
+        cfg = study_env_cfg(task, speed)
+        own = self.bundle.manifest.robot.name
+        if own != cfg.robot.name:
+            raise RenetError(
+                f"bundle {self.bundle.name} drives a {own}, this task's robot is a"
+                f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
+            )
+        env = SimEnv(cfg, robots, seed, self.engine)
+        self.scene_spec = env.scene_spec
+        return env
+
+    def make_policy(self, num_robots: int) -> EvalPolicy:
+        """Make the policy under study."""
+        return Policy(self.bundle, num_robots)
+
+    def make_selector(self, num_robots: int, selector: str | None = None) -> EvalSelector:
+        """Make the bundle's selector, or another one with its thresholds."""
+        return make_selector(selector or self.selector, self.bundle.manifest.selector, num_robots)
+
+    def rollout(
+        self,
+        title: str,
+        env: EvalEnv,
+        trials: Sequence[Trial],
+        steps: int,
+        seed: int,
+        film: Sequence[int] = (),
+        on_step: Callable[[StepResult], Any] = lambda result: None,
+        on_update: Callable[[Sight], Any] = lambda sight: None,
+        policy: EvalPolicy | None = None,
+        injector: Injector | None = None,
+    ) -> Trace:
+        """`run_rollout` of the policy under study, or of `policy`, beside a progress bar."""
+        with progress(title, steps) as advance:
+
+            def after_step(result: StepResult) -> Any:
+                advance()
+                return on_step(result)
+
+            return run_rollout(
+                env,
+                policy or self.make_policy(len(trials)),
+                self.make_selector(len(trials)),
+                trials,
+                steps,
+                seed,
+                film,
+                after_step,
+                injector,
+                on_update,
+            )

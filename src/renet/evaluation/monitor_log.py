@@ -1,0 +1,119 @@
+"""Records the monitors' scores in a rollout, and what other selectors would have answered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+
+import numpy as np
+
+from renet.evaluation.rollout import EvalSelector
+from renet.evaluation.trace import UPDATES_PER_STEP, Trace
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.selector.defaults import MONITORS, default_monitors
+from renet.selector.monitors import Sight
+
+UPDATES_PER_TICK = UPDATES_PER_STEP * STEPS_PER_TICK
+TICK_RATE = 1.0 / (CONTROL_DT * STEPS_PER_TICK)
+"""Hz."""
+
+
+class MonitorLog:
+    """Records every monitor's score; pass it to `run_rollout` as `on_update`."""
+
+    def __init__(self, num_robots: int) -> None:
+        # Only scores are asked for: thresholds do not matter.
+        self._monitors = default_monitors(1.0, dict.fromkeys(MONITORS, 1.0), num_robots)
+        self._ticks: list[np.ndarray] = []
+        self._updates = 0
+
+    def __call__(self, sight: Sight) -> None:
+        """Take the scores of one update; a tick keeps the highest of its updates."""
+        scores = np.stack([monitor.score(sight) for monitor in self._monitors])
+        if self._updates % UPDATES_PER_TICK == 0:
+            self._ticks.append(scores)
+        else:
+            np.maximum(self._ticks[-1], scores, out=self._ticks[-1])
+        self._updates += 1
+
+    @property
+    def scores(self) -> dict[str, np.ndarray]:
+        """Scores by monitor name, [ticks, N]."""
+        table = np.stack(self._ticks)
+        return {monitor.name: table[:, i] for i, monitor in enumerate(self._monitors)}
+
+
+def successful_runs(trace: Trace, speed: float = 0.0) -> list[tuple[int, slice]]:
+    """Robot and vision ticks of every episode that succeeded, cameras healthy.
+
+    It did not end in a fall, and the robot came at least half as far as it was told to (the
+    curriculum's rule): one that stands with its nose to a step sees a blank image. A robot still
+    walking when the run ends succeeded, too. The steps between a restart and the next tick see an
+    old image and are left out.
+
+    Args:
+        trace: of the run. speed: commanded, m/s; 0 forgives standing still.
+    """
+    runs = []
+    for robot in range(trace.anomaly.shape[1]):
+        edges = [0, *(np.flatnonzero(trace.ended[:, robot]) + 1).tolist(), len(trace.anomaly)]
+        for start, end in pairwise(edges):
+            first, beyond = -(-start // STEPS_PER_TICK), -(-end // STEPS_PER_TICK)
+            if beyond <= first or trace.fell[end - 1, robot]:
+                continue
+            # The last step's reading may be the next start's.
+            reached = trace.travelled[start:end, robot].max()
+            if reached >= 0.5 * speed * (end - start) * CONTROL_DT:
+                runs.append((robot, slice(first, beyond)))
+    return runs
+
+
+def healthy_series(
+    log: MonitorLog, trace: Trace, speed: float = 0.0
+) -> dict[str, list[np.ndarray]]:
+    """Scores of the episodes that succeeded, [T] each, by monitor name; see `successful_runs`."""
+    runs = successful_runs(trace, speed)
+    return {
+        name: [table[ticks, robot] for robot, ticks in runs] for name, table in log.scores.items()
+    }
+
+
+class SelectorProbe:
+    """Records scores and the answers of further selectors, which no robot obeys.
+
+    Pass it to `run_rollout` as `on_update`.
+    """
+
+    def __init__(self, num_robots: int, selectors: Mapping[str, EvalSelector]) -> None:
+        self.log = MonitorLog(num_robots)
+        self._selectors = dict(selectors)
+        self._answers: dict[str, list[np.ndarray]] = {name: [] for name in selectors}
+
+    def __call__(self, sight: Sight) -> None:
+        """Take one update."""
+        self.log(sight)
+        for name, selector in self._selectors.items():
+            self._answers[name].append(selector.update(sight).copy())
+
+    def trusted(self, name: str) -> np.ndarray:
+        """[T, U, N] bool: one selector's answers, as `Trace.trusted`."""
+        answers = np.stack(self._answers[name])
+        return answers.reshape(-1, UPDATES_PER_STEP, answers.shape[1])
+
+
+def combined_score(
+    scores: Mapping[str, np.ndarray], thresholds: Mapping[str, float], healthy: int
+) -> np.ndarray:
+    """One score for a whole set of monitors, [ticks, N]: the largest of theirs.
+
+    Each monitor's score is shifted and scaled so that 0 is its median over the first `healthy`
+    ticks and 1 its threshold; the set objects where the result is 1 or more.
+
+    Args:
+        scores: [ticks, N] by monitor. thresholds: of the monitors in the set. healthy: ticks.
+    """
+    scaled = []
+    for name, threshold in thresholds.items():
+        usual = float(np.median(scores[name][:healthy]))
+        scaled.append((scores[name] - usual) / max(threshold - usual, 1e-9))
+    return np.max(scaled, axis=0)

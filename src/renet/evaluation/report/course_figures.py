@@ -1,0 +1,111 @@
+"""Figures of the course: the selector's timeline, lap by lap, and how each passage went."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from renet.evaluation.report import figures
+from renet.evaluation.results import Provenance
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
+
+ENDS = {"crossed": "#7fb98d", "stuck": "#e9c46a", "fell": "#d1584b"}
+"""How a passage ends, and its colour."""
+
+
+def draw_timelines(
+    laps: Sequence[dict[str, Any]],
+    lap: Sequence[str],
+    beta: float,
+    path: Path,
+    provenance: Provenance,
+) -> Path:
+    """The paper's figure: loss, P_t and the estimator in charge, one line for each lap.
+
+    Args:
+        laps: the laps' timelines, at 10 Hz.
+        lap: kinds of passage.
+        beta: threshold.
+        path: of the PNG.
+        provenance: of the numbers.
+    """
+    with plt.rc_context(figures.STYLE):
+        height = 2.6 if len(laps) == 1 else 1.75
+        figure, axes = plt.subplots(
+            len(laps), 1, figsize=(11, height * len(laps) + 0.9), squeeze=False
+        )
+        for number, (axis, timeline) in enumerate(zip(axes[:, 0], laps, strict=True), start=1):
+            right = _timeline(axis, timeline, lap, beta)
+            axis.set_ylabel(f"lap {number}" if len(laps) > 1 else "anomaly score")
+        axes[-1, 0].set_xlabel("time (s)")
+        figures.timeline_legend(figure, axes[-1, 0], right)
+        return figures.save(figure, path, provenance)
+
+
+def _timeline(axis: Axes, timeline: dict[str, Any], lap: Sequence[str], beta: float) -> Axes:
+    """One lap; returns the axis of P_t."""
+    every = CONTROL_DT * STEPS_PER_TICK
+    # A robot that was set down has no score before its first tick.
+    anomaly = np.array(timeline["anomaly"], float)
+    anomaly[anomaly <= 0] = np.nan
+    where = [int(i) for i in timeline["passage"]]
+    vision = np.array(timeline["vision"], bool)
+    figures.bands(axis, vision, every)
+    right = figures.loss_and_probability(
+        axis, anomaly, beta, np.array(timeline["probability"]), every
+    )
+    starts = [0, *(k for k in range(1, len(where)) if where[k] != where[k - 1])]
+    for start in starts:
+        axis.axvline(start * every, color=figures.INK, linewidth=0.8, linestyle=":")
+        axis.annotate(
+            lap[where[start]],
+            (start * every, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(2, 3),
+            textcoords="offset points",
+            fontsize=7.5,
+        )
+    for name in ("fell", "stuck"):
+        for instant in timeline[name]:
+            axis.annotate(
+                name,
+                (instant, 0.04),
+                xycoords=("data", "axes fraction"),
+                ha="right",
+                fontsize=7.5,
+                fontweight="bold",
+                color="#9c1f12",
+            )
+    return right
+
+
+def draw_passages(passages: Sequence[dict[str, Any]], path: Path, provenance: Provenance) -> Path:
+    """Shares of tries on each kind of passage that were crossed, got stuck or fell, by mode."""
+    modes = list(dict.fromkeys(row["mode"] for row in passages))
+    kinds = list(dict.fromkeys(row["kind"] for row in passages))
+    with plt.rc_context({**figures.STYLE, "axes.grid": False}):
+        figure, axes = plt.subplots(
+            1, len(modes), figsize=(9, 0.32 * len(kinds) + 1.5), sharey=True, squeeze=False
+        )
+        for axis, mode in zip(axes[0], modes, strict=True):
+            rows = {row["kind"]: row for row in passages if row["mode"] == mode}
+            left = np.zeros(len(kinds))
+            for end, colour in ENDS.items():
+                share = np.array([100 * rows[k][end] / max(rows[k]["tries"], 1) for k in kinds])
+                axis.barh(kinds, share, left=left, color=colour, label=end, height=0.72)
+                left += share
+            for y, kind in enumerate(kinds):
+                row = rows[kind]
+                text = f"{row['crossed']} of {row['tries']}"
+                axis.text(2, y, text, va="center", fontsize=8, color=figures.INK)
+            axis.set(title=figures.MODE_NAMES[mode], xlabel="tries (%)", xlim=(0, 100))
+            axis.tick_params(axis="y", length=0)
+        axes[0][0].invert_yaxis()
+        handles, labels = axes[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=9)
+        return figures.save(figure, path, provenance)

@@ -1,0 +1,149 @@
+"""Figures of the fault benchmark: survival and detection at a glance, curves, and a gallery."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from renet.evaluation.report import figures
+from renet.evaluation.report.example_scene import example
+from renet.evaluation.results import Provenance
+from renet.faults import FAULTS, SEVERITIES
+
+Runs = list[dict[str, Any]]
+SHADES = ("#b7b2e0", "#7d76c9", "#3c3ca0", "#2a2a78", "#14143f")
+"""Of severities 1 to 5."""
+
+
+def draw_survival(
+    runs: Runs,
+    modes: Sequence[str],
+    severities: Sequence[int],
+    path: Path,
+    provenance: Provenance,
+) -> Path:
+    """A table of colours: share of robots on their feet, faults by severities, mode by mode."""
+    panels = {
+        figures.MODE_NAMES[mode]: _table(
+            [run for run in runs if run["mode"] == mode], lambda run: 100 * run["survival"]
+        )
+        for mode in modes
+    }
+    return _draw_tables(panels, severities, "Robots on their feet (%)", path, provenance)
+
+
+def draw_detection(
+    runs: Runs, severities: Sequence[int], path: Path, provenance: Provenance
+) -> Path:
+    """Two tables: share of robots that noticed, under the selector used and the paper's rule."""
+    ours = [run for run in runs if run["mode"] == "renet"] or runs
+    panels = {
+        name: _table(
+            ours, lambda run, key=key: 100 * _share(run[key], run["vision_active_at_onset"])
+        )
+        for name, key in (
+            ("RENet's selector", "detected"),
+            ("the paper's rule alone", "detected_by_paper"),
+        )
+    }
+    title = "Robots with vision that noticed the fault while it lasted (%)"
+    return _draw_tables(panels, severities, title, path, provenance)
+
+
+def _share(count: int, total: int) -> float:
+    """`count` of `total`; NaN of nothing."""
+    return count / total if total else np.nan
+
+
+def _table(runs: Runs, value: Any) -> dict[tuple[str, int], float]:
+    return {(run["fault"], run["severity"]): value(run) for run in runs}
+
+
+def _draw_tables(
+    panels: Mapping[str, dict[tuple[str, int], float]],
+    severities: Sequence[int],
+    title: str,
+    path: Path,
+    provenance: Provenance,
+) -> Path:
+    """Coloured tables side by side, one row for each fault."""
+    faults = list(dict.fromkeys(fault for panel in panels.values() for fault, _ in panel))
+    with plt.rc_context({**figures.STYLE, "axes.grid": False, "axes.spines.left": False}):
+        size = (2.2 + 2.1 * len(panels), 1.4 + 0.3 * len(faults))
+        figure, axes = plt.subplots(1, len(panels), figsize=size, sharey=True, squeeze=False)
+        for axis, (name, panel) in zip(axes[0], panels.items(), strict=True):
+            table = np.array([[panel[f, s] for s in severities] for f in faults])
+            axis.imshow(table, vmin=0, vmax=100, cmap="RdYlGn", aspect="auto")
+            for (row, column), value in np.ndenumerate(table):
+                ink = "white" if value < 15 or value > 85 else figures.INK
+                text = "–" if np.isnan(value) else f"{value:.0f}"
+                axis.text(column, row, text, ha="center", va="center", fontsize=8, color=ink)
+            axis.set_xticks(range(len(severities)), [str(s) for s in severities])
+            axis.set_yticks(range(len(faults)), [f.replace("_", " ") for f in faults])
+            axis.tick_params(length=0)
+            axis.set(title=name, xlabel="severity")
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+        return figures.save(figure, path, provenance)
+
+
+def draw_roc(
+    curves: Mapping[str, list[dict[str, Any]]], path: Path, provenance: Provenance
+) -> Path:
+    """One panel for each fault: could a threshold tell its frames from healthy ones?"""
+    columns = min(6, len(curves))
+    rows = -(-len(curves) // columns)
+    with plt.rc_context(figures.STYLE):
+        figure, axes = plt.subplots(
+            rows, columns, figsize=(1.9 * columns + 0.4, 2.1 * rows + 0.9), squeeze=False
+        )
+        for axis, (fault, found) in zip(axes.flat, curves.items(), strict=False):
+            _draw_curves(axis, found)
+            axis.set_title(fault.replace("_", " "), fontsize=9)
+        for axis in axes.flat[len(curves) :]:
+            axis.set_axis_off()
+        for axis in axes[-1]:
+            axis.set_xlabel("false alarms", fontsize=8)
+        for axis in axes[:, 0]:
+            axis.set_ylabel("caught", fontsize=8)
+        handles, labels = axes.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside right center", fontsize=8)
+        figure.suptitle(
+            "Frames before and after the onset: all monitors (lines), reconstruction alone (dots)",
+            x=0.01,
+            ha="left",
+            fontsize=11,
+        )
+        return figures.save(figure, path, provenance)
+
+
+def _draw_curves(axis: Axes, found: list[dict[str, Any]]) -> None:
+    axis.plot([0, 1], [0, 1], color=figures.FAINT, linewidth=0.6)
+    for curve in found:
+        colour, label = SHADES[curve["severity"] - 1], f"severity {curve['severity']}"
+        axis.plot(*curve["monitors"], color=colour, linewidth=1.4, label=label)
+        axis.plot(*curve["reconstruction"], color=colour, linewidth=1.1, linestyle=":")
+    axis.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.05), xticks=(0, 0.5, 1), yticks=(0, 0.5, 1))
+    axis.tick_params(labelsize=7)
+
+
+def draw_gallery(faults: Sequence[str], seed: int, path: Path, provenance: Provenance) -> Path:
+    """One picture of each fault at each severity; faults of time look like a healthy image."""
+    framed: dict[Any, Any] = dict.fromkeys(("axes.spines.top", "axes.spines.right"), True)
+    with plt.rc_context({**figures.STYLE, **framed, "axes.grid": False}):
+        size = (1.6 * len(SEVERITIES) + 1.6, 1.22 * len(faults))
+        figure, axes = plt.subplots(len(faults), len(SEVERITIES), figsize=size, squeeze=False)
+        for row, fault in zip(axes, faults, strict=True):
+            for axis, severity in zip(row, SEVERITIES, strict=True):
+                axis.imshow(example(fault, severity, seed), cmap="gray", vmin=0, vmax=1)
+                level = FAULTS[fault].level_of(severity)
+                axis.set_title(
+                    FAULTS[fault].describe(level), fontsize=8, loc="center", fontweight="normal"
+                )
+                axis.set(xticks=[], yticks=[])
+            row[0].set_ylabel(fault.replace("_", " "), fontsize=8, rotation=0, ha="right")
+        return figures.save(figure, path, provenance)

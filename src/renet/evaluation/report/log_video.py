@@ -1,0 +1,92 @@
+"""`renet play --log`: a flight of `renet deploy` as a film."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from mjlab.entity import Entity
+
+from renet.deploy.cameras.faulty import parse_fault
+from renet.deploy.flight_log import Flight, read_log
+from renet.deploy.robots.mujoco import BASE, START_HEIGHT
+from renet.deploy.robots.scene import scene_spec
+from renet.deploy.score import fallen, track
+from renet.errors import RenetError
+from renet.evaluation.report.video import Panel, VideoCfg, make_video
+from renet.evaluation.results import output_folder
+from renet.evaluation.terminal import progress
+from renet.interface import CONTROL_DT, DEPTH_SHAPE, JOINTS
+from renet.tasks.config.go1 import GO1
+
+
+def film_log(log: Path, out: Path | None = None) -> Path:
+    """Film a flight where it was flown, a real robot's on flat ground; returns the mp4.
+
+    Args:
+        log: the flight. out: the film; beside the log by default.
+
+    Raises:
+        RenetError: not a flight log, an empty one, or a scene file that is gone.
+    """
+    flight, look = read_log(log), VideoCfg()
+    if not len(flight.ticks):
+        raise RenetError(f"{log} ends before its first control step: there is nothing to show")
+    out = out or log.with_suffix(".mp4")
+    output_folder(out.parent)
+    frames = np.arange(0, len(flight.ticks), round(1 / (look.fps * CONTROL_DT)))
+    header = flight.header
+    simulated = header.get("robot") == "mujoco"
+    terrain = header["terrain"] if simulated else "flat"
+    scene = Path(header["scene"]) if simulated and header["scene"] else None
+    robot = Entity(GO1.entity()).spec  # With its visual meshes.
+    spec, _ = scene_spec(terrain, header.get("level", 1), scene, header.get("seed", 0), robot)
+    poses = _poses(flight, spec.compile())[frames]
+    with progress("video", len(frames)) as advance:
+        return make_video(out, spec, poses[:, None], [_panel(flight, frames)], look, advance)
+
+
+def _poses(flight: Flight, model: mujoco.MjModel) -> np.ndarray:
+    """Generalised positions [T, nq] of a model with one robot in it."""
+    ticks = flight.ticks
+    base = track(ticks)
+    if not np.isfinite(ticks["base_position"]).all():
+        base = base + np.array((0.0, 0.0, START_HEIGHT))
+    poses = np.tile(model.qpos0, (len(ticks), 1))
+    free = model.jnt_qposadr[model.body(BASE).jntadr[0]]
+    poses[:, free : free + 3] = base
+    poses[:, free + 3 : free + 7] = _held(ticks["quaternion"], (1.0, 0.0, 0.0, 0.0))
+    joints = [model.joint(name).qposadr[0] for name in JOINTS]
+    poses[:, joints] = _held(ticks["joint_position"], model.qpos0[joints])
+    return poses
+
+
+def _held(values: np.ndarray, first) -> np.ndarray:
+    """Rows [T, …] with those that are no reading replaced by the one before."""
+    values = values.copy()
+    for row, value in enumerate(values):
+        if not np.isfinite(value).all() or not value.any():
+            values[row] = values[row - 1] if row else first
+    return values
+
+
+def _panel(flight: Flight, frames: np.ndarray) -> Panel:
+    ticks = flight.ticks
+    images, shown = np.zeros((len(ticks), *DEPTH_SHAPE), np.uint8), np.zeros(DEPTH_SHAPE, np.uint8)
+    for row in range(len(ticks)):
+        if row in flight.images:
+            clean = np.nan_to_num(flight.images[row].astype(np.float32), posinf=1.0)
+            shown = (255 * np.clip(clean, 0.0, 1.0)).astype(np.uint8)
+        images[row] = shown
+    faults = [parse_fault(text) for text in flight.header.get("fault", [])]
+    steps = np.round((ticks["now"][frames] - ticks["now"][0]) / CONTROL_DT).astype(int).tolist()
+    velocity = np.where(ticks["vision"][:, None], ticks["velocity_vp"], ticks["velocity_op"])
+    return Panel(
+        title=str(flight.header.get("bundle", "flight")),
+        depth=images[frames],
+        vision=ticks["vision"][frames],
+        fallen=fallen(ticks)[frames],
+        fault=[", ".join(f.fault for f in faults if f.at_work(step)) for step in steps],
+        speed=velocity[frames, 0],
+    )

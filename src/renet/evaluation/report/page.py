@@ -1,0 +1,120 @@
+"""Self-contained HTML pages from templates: everything inline, readable on a phone, no network."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from jinja2.exceptions import UndefinedError
+from markupsafe import Markup
+
+from renet.errors import RenetError
+from renet.evaluation.report.figures import MODE_NAMES, noise_label
+from renet.evaluation.results import write_text
+from renet.faults import fault_class
+
+MIME = {".png": "image/png", ".mp4": "video/mp4"}
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page; one without a title follows the one before."""
+
+    title: str
+    html: Markup
+
+
+def render(template: str, **context: Any) -> Section:
+    """A section from the template of a name, which sets its `title`; text is escaped.
+
+    Args:
+        template: name without ".html".
+        context: the template's variables.
+    """
+    module = load_template(template).make_module(context)
+    return Section(module.title, Markup(str(module)))  # type: ignore[attr-defined]
+
+
+def study_sections(summary: dict[str, Any], name: str, folder: Path) -> list[Section]:
+    """What a page shows of a study, and the provenance of its numbers.
+
+    Args:
+        summary: content of its summary.json.
+        name: of the study, which is its template's.
+        folder: where its figures are.
+
+    Raises:
+        RenetError: the summary lacks something, or holds text for numbers, or a figure is missing.
+    """
+    try:
+        section = render(name, summary=summary, settings=summary["settings"], folder=folder)
+        return [section, provenance_section(summary)]
+    except (UndefinedError, LookupError, TypeError, ValueError, AttributeError, OSError) as error:
+        raise RenetError(
+            f"the results of {name} in {folder} are incomplete or damaged ({error}): run it again"
+        ) from error
+
+
+def provenance_section(summary: dict[str, Any]) -> Section:
+    """Where a summary's numbers come from."""
+    macros = load_template("macros").module
+    return Section("", Markup(macros.provenance(summary["provenance"])))  # type: ignore[attr-defined]
+
+
+def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -> Path:
+    """Write a page atomically; one of four sections or more begins with a list of them."""
+    write_text(path, load_template("page").render(title=title, lead=lead, sections=sections))
+    return path
+
+
+def data_uri(path: Path) -> str:
+    """A PNG or mp4 as a data URI."""
+    content = base64.b64encode(path.read_bytes()).decode()
+    return f"data:{MIME[path.suffix]};base64,{content}"
+
+
+def load_template(name: str) -> Template:
+    """The template of a name."""
+    return _environment().get_template(f"{name}.html")
+
+
+@cache
+def _environment() -> Environment:
+    """Templates that escape what is put into them and refuse what is missing."""
+    environment = Environment(
+        loader=PackageLoader("renet.evaluation.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "data_uri": data_uri,
+        "fault_level": lambda run: fault_class(run["fault"]).describe(float(run["level"])),
+        "measured": _measured,
+        "noise": lambda run: noise_label(run.get("fault", "none"), run.get("level", 0.0)),
+        "noise_rows": noise_rows,
+        "policy": lambda mode: MODE_NAMES[mode],
+        "words": lambda name: name.replace("_", " "),
+    }
+    return environment
+
+
+def _measured(value: float | None, form: str, scale: float = 1.0, missing: str = "–") -> str:
+    """A number as text, or what stands for one that was not measured."""
+    return missing if value is None else form % (scale * value)
+
+
+def noise_rows(summary: dict[str, Any]) -> list[dict[str, Any]]:
+    """Rows of a noise study without noise, then by mode; only RENet's have a delay."""
+    modes = summary["settings"]["modes"]
+    rows = summary["baseline"] + [r for mode in modes for r in summary["runs"] if r["mode"] == mode]
+    return [
+        r | {"detection_delay_s": r.get("detection_delay_s") if r["mode"] == "renet" else None}
+        for r in rows
+    ]

@@ -1,0 +1,120 @@
+"""`renet evaluate report`: whatever studies have been run, on one self-contained page.
+
+With `--run` it runs them all first: one command that makes every number anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from renet.errors import RenetError
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.report.page import render, study_sections, write_page
+from renet.evaluation.report.summary import overview_section, worse_section
+from renet.evaluation.results import output_folder, read_json
+from renet.evaluation.studies.course import CourseStudy
+from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.studies.filter import FilterStudy
+from renet.evaluation.studies.noise import NoiseStudy
+from renet.evaluation.studies.pictures import PicturesStudy
+from renet.evaluation.studies.standing import StandingStudy
+from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
+from renet.evaluation.study import Study
+from renet.evaluation.terminal import console
+
+STUDIES: dict[str, type[Study]] = {
+    study.name: study
+    for study in (
+        NoiseStudy,
+        FaultStudy,
+        SuccessStudy,
+        TerrainStudy,
+        StandingStudy,
+        CourseStudy,
+        FilterStudy,
+        PicturesStudy,
+    )
+}
+"""Studies in the order of the page."""
+
+
+@dataclass(frozen=True)
+class ReportCfg:
+    """Where the results are and the page goes."""
+
+    results: Path = Path("results")
+    """Folder with the studies' folders: noise, faults, success, terrain, standing, course, filter,
+    pictures."""
+    out: Path | None = None
+    """The page; index.html in `results` by default."""
+    run: bool = False
+    """Run every study first; what an interrupted run has finished is kept."""
+    quick: bool = False
+    """With `run`: the quick form of every study, about half an hour on two cores."""
+    bundle: Path | None = None
+    """With `run`: bundle folder; the one that ships with renet by default."""
+    seed: int = 1
+    """With `run`: of every study."""
+    engine: str = "auto"
+    """With `run`: physics engine, auto, native or warp."""
+
+
+def make_report(cfg: ReportCfg) -> Path:
+    """Assemble the page from every study found and return its path.
+
+    Raises:
+        RenetError: no study has been run, or its results are damaged.
+    """
+    if cfg.run:
+        run_studies(cfg)
+    found = {
+        name: read_json(cfg.results / name / "summary.json")
+        for name in STUDIES
+        if (cfg.results / name / "summary.json").exists()
+    }
+    if not found:
+        raise RenetError(
+            f"no results in {cfg.results}: run `renet evaluate report --run --quick`,"
+            " or one study, first"
+        )
+    # Each study first, so that a damaged one is reported by its name.
+    studies = [s for name in found for s in study_sections(found[name], name, cfg.results / name)]
+    sections = [_across(overview_section, found), render("how_to_read")]
+    sections += [_across(worse_section, found), *studies]
+    out = cfg.out or cfg.results / "index.html"
+    output_folder(out.parent)
+    lead = (
+        "What a robot dog's policy does on hard ground and when its depth camera fails, in"
+        " simulation, from the exported ONNX models. Falls are judged by the robot's true pose;"
+        " what went wrong is shown first."
+    )
+    return write_page(out, "RENet, measured", lead, sections)
+
+
+def _across(make: Any, found: dict[str, dict[str, Any]]) -> Any:
+    """A section over all studies; raises RenetError where a summary is damaged."""
+    try:
+        return make(found)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise RenetError(
+            f"the results of {', '.join(found)} are incomplete or damaged ({error}): run them again"
+        ) from error
+
+
+def run_studies(cfg: ReportCfg) -> None:
+    """Run every study into its folder in `results`.
+
+    Raises:
+        RenetError: a bundle that cannot be used, or a folder that cannot be written to.
+    """
+    Evaluator(cfg.bundle, cfg.engine)
+    for number, (name, study) in enumerate(STUDIES.items(), start=1):
+        console.print(f"[bold]{number}/{len(STUDIES)} {name}")
+        study(cfg.results / name, cfg.bundle, cfg.quick, cfg.seed, cfg.engine).main()
+
+
+def main(cfg: ReportCfg) -> None:
+    """`renet evaluate report`."""
+    print(f"Open {make_report(cfg).resolve()} in a browser.")

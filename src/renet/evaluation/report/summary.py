@@ -1,0 +1,155 @@
+"""The top of the report: the large numbers, and everything that went wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from renet.evaluation.report.figures import MODE_NAMES
+from renet.evaluation.report.page import Section, render
+
+Found = Mapping[str, dict[str, Any]]
+"""Summaries by study."""
+
+
+def overview_section(found: Found) -> Section:
+    """Large numbers of every study there is, and a warning where bundles differ."""
+    bundles = sorted({summary["provenance"]["bundle_hash"][:10] for summary in found.values()})
+    made = [make(found[name]) for name, make in FACTS.items() if name in found]
+    return render("overview", bundles=bundles, found=[fact for facts in made for fact in facts])
+
+
+def worse_section(found: Found) -> Section:
+    """Settings in which RENet does worse than OP alone, and faults it does not notice."""
+    rows = [row for name, make in WORSE.items() if name in found for row in make(found[name])]
+    return render("worse", rows=rows)
+
+
+def noise_headline(summary: dict[str, Any]) -> str:
+    """One sentence that says what the noise study measured."""
+    runs = summary["runs"]
+    falls = {mode: sum(r["falls"] for r in runs if r["mode"] == mode) for mode in ("vp", "renet")}
+    trials = [run["robots"] for run in runs if run["mode"] == "renet"]
+    return (
+        f"{len(trials)} kinds of camera noise, {sum(trials)} robots: {falls['vp']} fell with the"
+        f" vision estimator alone, {falls['renet']} with RENet."
+    )
+
+
+def noise_facts(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Large numbers of the noise study; none where RENet was not run."""
+    renet = [run for run in summary["runs"] if run["mode"] == "renet"]
+    if not renet:
+        return []
+    speeds = [run["mean_forward_velocity"] for run in renet]
+    delays = [r["detection_delay_s"] for r in renet if r["detection_delay_s"] is not None]
+    robots = sum(run["robots"] for run in renet)
+    upright = robots - sum(run["falls"] for run in renet)
+    return [
+        (f"{upright} of {robots}", "RENet robots on their feet"),
+        (f"{min(speeds):.2f}–{max(speeds):.2f} m/s", "RENet's mean speed under noise"),
+        (f"{1000 * max(delays):.0f} ms" if delays else "none", "slowest median switch to OP"),
+        (str(summary["healthy"]["false_switches"]), "false switches while the camera was healthy"),
+    ]
+
+
+def _faults(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """What was not measured is left out."""
+    renet = [run for run in summary["runs"] if run["mode"] == "renet"]
+    total = {
+        name: sum(run[name] for run in renet)
+        for name in ("robots", "falls", "vision_active_at_onset")
+    }
+    rate = summary["healthy"]["false_switches_per_hour"]
+    facts = []
+    if total["robots"]:
+        share = 1 - total["falls"] / total["robots"]
+        facts.append((_percent(share), "of RENet's robots survive a camera fault"))
+    if total["vision_active_at_onset"]:
+        share = sum(run["detected"] for run in renet) / total["vision_active_at_onset"]
+        facts.append((_percent(share), "of failing cameras are noticed"))
+    if rate is not None:
+        facts.append((f"{rate:.1f}", "false switches per healthy robot hour"))
+    return facts
+
+
+def _terrain(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    text = " / ".join(f"{level:.1f}" for level in summary["levels"].values())
+    policy = MODE_NAMES[summary["settings"]["modes"][0]]
+    return [(text, f"{policy}'s levels of 10 on {', '.join(summary['levels'])}")] if text else []
+
+
+def _course(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    return [
+        (
+            f"{total['distance_m'] / 1000:.2f} km",
+            f"walked by RENet's robots on the course; {total['falls']} falls,"
+            f" {total['stuck']} times stuck",
+        )
+        for total in summary["totals"]
+        if total["mode"] == "renet"
+    ]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _worse_faults(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    harmful = [
+        (
+            "faults",
+            f"{f['fault']} {f['severity']}" + _doubt(f),
+            _percent(f["renet"]),
+            _percent(f["op"]),
+        )
+        for f in summary["harmful"]
+    ]
+    missed = [
+        (
+            "faults",
+            f"{m['fault']} {m['severity']} goes unnoticed; {m['vp_falls']} fall with VP only"
+            f" then, {m['vp_spared']} only without it" + _doubt(m),
+            f"{m['undetected']} robots",
+            "",
+        )
+        for m in summary["missed"]
+    ]
+    return harmful + missed
+
+
+def _doubt(finding: dict[str, Any]) -> str:
+    return "" if finding["beyond_chance"] else " (within chance)"
+
+
+def _worse_success(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    return [
+        (
+            "obstacles",
+            f"{w['kind'].replace('_', ' ')} {100 * w['size_m']:.0f} cm",
+            _percent(w["renet"]),
+            _percent(w["op"]),
+        )
+        for w in summary["worse"]
+    ]
+
+
+def _worse_course(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    blind = {row["kind"]: row for row in summary["passages"] if row["mode"] == "op"}
+    return [
+        (
+            "course",
+            row["kind"],
+            f"{row['crossed']} of {row['tries']}",
+            f"{blind[row['kind']]['crossed']} of {blind[row['kind']]['tries']}",
+        )
+        for row in summary["passages"]
+        if row["mode"] == "renet"
+        and row["kind"] in blind
+        and row["crossed"] / row["tries"]
+        < blind[row["kind"]]["crossed"] / blind[row["kind"]]["tries"] - 0.02
+    ]
+
+
+FACTS = {"noise": noise_facts, "faults": _faults, "course": _course, "terrain": _terrain}
+WORSE = {"faults": _worse_faults, "success": _worse_success, "course": _worse_course}

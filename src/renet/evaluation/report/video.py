@@ -1,0 +1,240 @@
+"""Videos without OpenGL: MuJoCo Warp's own ray tracer draws the robots, on a CPU as on a GPU."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mediapy
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+from PIL import Image, ImageDraw, ImageFont
+
+from renet.errors import RenetError
+from renet.evaluation.report.colormaps import beside, map_picture
+from renet.evaluation.trace import Trace
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
+
+CAMERA = "renet_tracking_camera"
+GREEN, RED, WHITE = (126, 200, 120), (235, 92, 80), (245, 245, 245)
+
+
+@dataclass(frozen=True)
+class VideoCfg:
+    """How a video looks."""
+
+    width: int = 320
+    """Pixels of one robot's panel."""
+    height: int = 240
+    """Pixels of one robot's panel."""
+    fps: int = 25
+    """Frames per second, a divisor of the control rate (50)."""
+    distance: float = 1.6
+    """Horizontal metres from the camera to the robot it follows."""
+    elevation: float = 0.55
+    """Metres of the camera above the robot."""
+    bearing: float = -110.0
+    """Degrees from the robot's initial heading to the camera, counter-clockwise."""
+    shadows: bool = True
+
+
+class Painter:
+    """Ray-traces a few robots of one model, each from a camera that follows it."""
+
+    def __init__(self, spec: mujoco.MjSpec, num_robots: int, cfg: VideoCfg) -> None:
+        """Prepare the scene.
+
+        Args:
+            spec: the scene; it is copied.
+            num_robots: images drawn at a time.
+            cfg: look.
+        """
+        spec = spec.copy()
+        spec.worldbody.add_camera(name=CAMERA, fovy=38)
+        self._cfg = cfg
+        self._model = spec.compile()
+        self._host = mujoco.MjData(self._model)
+        mujoco.mj_forward(self._model, self._host)
+        self._camera = self._model.camera(CAMERA).id
+        with wp.ScopedDevice("cpu"):
+            self._warp_model = mjw.put_model(self._model)
+            self._data = mjw.put_data(self._model, self._host, nworld=num_robots)
+            self._context = mjw.create_render_context(
+                self._model,
+                nworld=num_robots,
+                cam_res=(cfg.width, cfg.height),
+                render_rgb=True,
+                render_depth=False,
+                use_shadows=cfg.shadows,
+                enabled_geom_groups=[0, 1, 2],
+                cam_active=[i == self._camera for i in range(self._model.ncam)],
+                render_skybox=True,
+            )
+
+    def draw(self, poses: np.ndarray) -> np.ndarray:
+        """Images [R, height, width, 3] uint8 of the generalised positions [R, nq]."""
+        data = self._data
+        placed = ("geom_xpos", "geom_xmat", "light_xpos", "light_xdir")
+        views = {name: getattr(data, name).numpy() for name in placed}
+        cam_pos, cam_mat = data.cam_xpos.numpy(), data.cam_xmat.numpy()
+        for i, pose in enumerate(poses):
+            self._host.qpos[:] = pose
+            mujoco.mj_kinematics(self._model, self._host)
+            mujoco.mj_camlight(self._model, self._host)
+            for name, view in views.items():
+                view[i] = getattr(self._host, name).reshape(view[i].shape)
+            cam_pos[i, self._camera], cam_mat[i, self._camera] = self._viewpoint(pose[:3])
+        with wp.ScopedDevice("cpu"):
+            mjw.refit_bvh(self._warp_model, data, self._context)
+            mjw.render(self._warp_model, data, self._context)
+        packed = self._context.rgb_data.numpy()
+        packed = packed.reshape(len(poses), self._cfg.height, self._cfg.width)
+        return np.stack([packed >> 16 & 255, packed >> 8 & 255, packed & 255], -1).astype(np.uint8)
+
+    def _viewpoint(self, robot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position and rotation matrix of a camera that looks at a robot's position [3]."""
+        cfg, bearing = self._cfg, np.radians(self._cfg.bearing)
+        # The camera keeps its height, or a trotting robot would seem to stand on moving ground.
+        ground = np.array([robot[0], robot[1], self._ground(robot)])
+        away = [cfg.distance * np.cos(bearing), cfg.distance * np.sin(bearing), cfg.elevation]
+        back = np.array(away) / np.linalg.norm(away)
+        right = np.cross([0, 0, 1], back)
+        right /= np.linalg.norm(right)
+        # Left and low in the picture: the depth image is shown in the upper right corner.
+        target = ground + 0.15 * right + [0, 0, 0.26]
+        return target + away, np.stack([right, np.cross(back, right), back], axis=1)
+
+    def _ground(self, robot: np.ndarray) -> float:
+        """Height of what lies under the robot, smoothed by never leaving a 0.1 m grid."""
+        return round(robot[2] - 0.3, 1)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """What is written over one robot's picture, at each of F video frames."""
+
+    title: str
+    depth: np.ndarray
+    """[F, 48, 64] uint8, the depth image the robot gets."""
+    vision: np.ndarray
+    """[F] bool, VP in charge."""
+    fallen: np.ndarray
+    """[F] bool"""
+    fault: Sequence[str]
+    """[F] what is wrong with the camera; empty where nothing is."""
+    speed: np.ndarray
+    """[F] m/s"""
+    maps: np.ndarray | None = None
+    """[F, 2, 132] m, the VP estimator's height map and the terrain's."""
+
+    def stamp(self, picture: np.ndarray, frame: int) -> np.ndarray:
+        """The picture [height, width, 3] with the panel's texts and depth inset."""
+        image = Image.fromarray(picture)
+        draw = ImageDraw.Draw(image, "RGBA")
+        width, height = image.size
+        draw.rectangle((0, 0, width, 24), fill=(16, 18, 22, 190))
+        draw.text((8, 4), self.title, font=_font(14), fill=WHITE)
+        vision = bool(self.vision[frame])
+        chip = ("VP · vision" if vision else "OP · blind", GREEN if vision else RED)
+        draw.text((width - 8, 4), chip[0], font=_font(14), fill=chip[1], anchor="ra")
+        inset = Image.fromarray(self.depth[frame]).resize((96, 72), Image.Resampling.NEAREST)
+        corner = (width - 104, 34)
+        draw.rectangle((corner[0] - 2, 32, corner[0] + 97, 107), fill=chip[1])
+        image.paste(inset.convert("RGB"), corner)
+        if self.maps is not None:
+            predicted, true = (map_picture(values, scale=4) for values in self.maps[frame])
+            draw.rectangle((width - 106, 110, width - 7, 174), fill=(16, 18, 22, 190))
+            image.paste(Image.fromarray(beside(predicted, true)), (width - 102, 112))
+            for x, label in ((width - 102, "predicted"), (width - 54, "ground")):
+                draw.text((x, 161), label, font=_font(10), fill=WHITE)
+        state = "fallen" if self.fallen[frame] else f"{self.speed[frame]:+.2f} m/s"
+        draw.rectangle((0, height - 22, width, height), fill=(16, 18, 22, 190))
+        colour = RED if self.fallen[frame] else WHITE
+        draw.text((8, height - 19), state, font=_font(13), fill=colour)
+        fault = self.fault[frame] or "camera healthy"
+        colour = RED if self.fault[frame] else GREEN
+        draw.text((width - 8, height - 19), fault, font=_font(13), fill=colour, anchor="ra")
+        return np.asarray(image)
+
+
+def panels_of(
+    trace: Trace, titles: Mapping[int, str], fault: str, fps: int, maps: np.ndarray | None = None
+) -> tuple[list[Panel], np.ndarray]:
+    """Panels and poses [F, R, nq] of some rows of a filmed trace, whose rows are all on the film.
+
+    A robot that fell is put back at its start by the simulator: its picture stops instead.
+
+    Args:
+        trace: with its film.
+        titles: by row.
+        fault: what to call a failing camera.
+        fps: frames per second.
+        maps: [T, N, 2, 132] m, see `MapLog.maps`.
+    """
+    film = trace.film
+    assert film is not None
+    frames = np.arange(0, len(trace.fallen), round(1 / (fps * CONTROL_DT)))
+    panels = [
+        Panel(
+            title=title,
+            depth=film.images[frames // STEPS_PER_TICK, row],
+            vision=trace.vision[frames, row],
+            fallen=trace.fallen[frames, row],
+            fault=[fault if failing else "" for failing in trace.failing[frames, row]],
+            speed=trace.speed[frames, row],
+            maps=None if maps is None else maps[frames, row],
+        )
+        for row, title in titles.items()
+    ]
+    upright = np.maximum((~trace.fallen).sum(axis=0) - 1, 0)
+    poses = [film.poses[np.minimum(frames, upright[row]), row] for row in titles]
+    return panels, np.stack(poses, axis=1)
+
+
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Pillow's own font: the same everywhere, nothing to install."""
+    return ImageFont.load_default(size)
+
+
+def make_video(
+    path: Path,
+    spec: mujoco.MjSpec,
+    poses: np.ndarray,
+    panels: Sequence[Panel],
+    cfg: VideoCfg,
+    on_frame: Callable[[], None] = lambda: None,
+) -> Path:
+    """Draw robots side by side and write an mp4 that any browser plays.
+
+    Args:
+        path: of the mp4.
+        spec: scene the poses belong to.
+        poses: [F, R, nq].
+        panels: one for each robot.
+        cfg: look.
+        on_frame: called after every frame, for a progress bar.
+
+    Raises:
+        RenetError: poses and panels do not match, or ffmpeg is missing.
+    """
+    if poses.shape[1] != len(panels):
+        raise RenetError(f"{poses.shape[1]} robots but {len(panels)} panels")
+    painter = Painter(spec, len(panels), cfg)
+    size = (cfg.height, cfg.width * len(panels))
+    part = path.with_name(f"{path.stem}.part{path.suffix}")
+    try:
+        with mediapy.VideoWriter(part, size, fps=cfg.fps, codec="h264", crf=26) as writer:
+            for frame, pose in enumerate(poses):
+                pictures = painter.draw(pose)
+                stamped = [p.stamp(pictures[i], frame) for i, p in enumerate(panels)]
+                writer.add_image(np.concatenate(stamped, axis=1))
+                on_frame()
+    except RuntimeError as error:
+        part.unlink(missing_ok=True)
+        raise RenetError(f"cannot write {path}: {str(error).splitlines()[0]}") from error
+    os.replace(part, path)
+    return path

@@ -1,0 +1,193 @@
+"""What the rows of the fault benchmark add up to: promises kept and broken, harm and misses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from renet.evaluation.studies.fault_pairs import Runs, beyond_chance
+from renet.tasks.terrains import DIFFICULT
+
+MARGIN = 0.02
+"""RENet's survival may be this much below OP's before a setting is listed as harmful."""
+SEVERE = 3
+"""Severity from which a fault that makes VP fall must be noticed."""
+FROZEN = ("frozen",)
+UNIFORM = ("blackout", "saturated", "occlusion")
+"""Faults whose severity 5 leaves one value in the whole image."""
+
+
+def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
+    """`harmful`, `missed` and `claims` of a summary, from `runs`, `baseline` and `healthy`.
+
+    Args:
+        runs: with their pairs, see `fault_pairs`. baseline: the same grounds without faults.
+        healthy: false switches and robot hours.
+    """
+    harm, misses = harmful(runs, baseline), missed(runs, baseline)
+    simple = [h for h in harm if h["terrain"] not in DIFFICULT]
+    severe = [miss for miss in misses if miss["severity"] >= SEVERE]
+    claims = [
+        _claim(
+            "survival at least OP alone's minus 2 points, every fault on simple terrain",
+            not any(h["beyond_chance"] for h in simple),
+            _beyond_and_within(simple, "settings below"),
+        ),
+        _claim(
+            f"no fault of severity >= {SEVERE} that makes VP fall goes unnoticed",
+            not any(miss["beyond_chance"] for miss in severe),
+            _beyond_and_within(severe, "settings not noticed by every robot"),
+        ),
+        *_delay_claim(runs, baseline),
+        *_false_switch_claim(healthy),
+        *_blind_claims(runs),
+    ]
+    return {"harmful": harm, "missed": misses, "claims": claims}
+
+
+def harmful(runs: Runs, baseline: Runs) -> Runs:
+    """Settings in which RENet survives less often than OP alone, beyond the margin.
+
+    Chance is judged fault by fault, all severities together: one more fall among ten robots says
+    little where as many fall with healthy cameras.
+    """
+    survival = {(r["fault"], r["severity"]): r["survival"] for r in runs if r["mode"] == "op"}
+    worse = _beyond_chance(runs, baseline, "renet", "only_op_upright", "only_renet_upright")
+    return [
+        {
+            "fault": r["fault"],
+            "severity": r["severity"],
+            "terrain": r["terrain"],
+            "renet": r["survival"],
+            "op": survival[r["fault"], r["severity"]],
+            "over_op_ci95": [r["over_op_ci95_low"], r["over_op_ci95_high"]],
+            "beyond_chance": r["fault"] in worse,
+        }
+        for r in runs
+        if r["mode"] == "renet" and r["over_op"] is not None and r["over_op"] < -MARGIN
+    ]
+
+
+def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[tuple[str, int], bool]:
+    """Faults and severities with more falls under VP than its healthy twins have.
+
+    Returns:
+        Whether that is beyond chance, judged from all of a fault's severe settings together (of
+        its mild ones where it has no severe ones).
+    """
+    severe = [r for r in runs if r["severity"] >= SEVERE]
+    mild = {r["fault"] for r in runs} - {r["fault"] for r in severe}
+    judged = severe + [r for r in runs if r["fault"] in mild]
+    worse = _beyond_chance(judged, baseline, "vp", "falls_by_fault", "falls_spared")
+    return {
+        (r["fault"], r["severity"]): r["fault"] in worse
+        for r in runs
+        if r["mode"] == "vp" and r["falls_by_fault"] > r["falls_spared"]
+    }
+
+
+def missed(runs: Runs, baseline: Runs) -> Runs:
+    """Faults that make VP fall and that the selector did not notice on every robot."""
+    falls_more = settings_vp_falls_in(runs, baseline)
+    falls = {
+        (r["fault"], r["severity"]): (r["falls_by_fault"], r["falls_spared"])
+        for r in runs
+        if r["mode"] == "vp"
+    }
+    return [
+        {
+            "fault": r["fault"],
+            "severity": r["severity"],
+            "undetected": r["vision_active_at_onset"] - r["detected"],
+            "vp_falls": falls[r["fault"], r["severity"]][0],
+            "vp_spared": falls[r["fault"], r["severity"]][1],
+            "beyond_chance": falls_more[r["fault"], r["severity"]],
+        }
+        for r in runs
+        if r["mode"] == "renet"
+        and (r["fault"], r["severity"]) in falls_more
+        and r["detected"] < r["vision_active_at_onset"]
+    ]
+
+
+def _beyond_chance(runs: Runs, baseline: Runs, mode: str, more: str, fewer: str) -> set[str]:
+    """Faults for which one count exceeds its opposite beyond chance, all severities together."""
+    with_falls = {run["terrain"] for run in baseline if run["mode"] == mode and run["falls"] > 0}
+    rows: dict[str, Runs] = {}
+    for run in runs:
+        if run["mode"] == mode and run[more] is not None:
+            rows.setdefault(run["fault"], []).append(run)
+    return {
+        fault
+        for fault, own in rows.items()
+        if beyond_chance([(r[more], r[fewer]) for r in own], own[0]["terrain"] not in with_falls)
+    }
+
+
+def _beyond_and_within(found: Runs, what: str) -> str:
+    """How many of the findings chance cannot explain, and which it can."""
+    clear = [f for f in found if f["beyond_chance"]]
+    unclear = [f"{f['fault']} {f['severity']}" for f in found if not f["beyond_chance"]]
+    named = ": " + ", ".join(f"{f['fault']} {f['severity']}" for f in clear) if clear else ""
+    aside = f" ({', '.join(unclear)} within chance)" if unclear else ""
+    return f"{len(clear)} {what}{named}{aside}"
+
+
+def _claim(claim: str, met: bool, measured: str) -> dict[str, Any]:
+    return {"claim": claim, "met": bool(met), "measured": measured}
+
+
+def _false_switch_claim(healthy: dict[str, Any]) -> Runs:
+    """Nothing is said of healthy hours where there are none."""
+    if not healthy["robot_hours"]:
+        return []
+    rate, limit = healthy["false_switches_per_hour"], healthy["upper_95_per_hour"]
+    return [
+        _claim(
+            "at most 1 false switch per healthy hour",
+            rate <= 1.0,
+            f"{rate:.2f} ({healthy['false_switches']} in {healthy['robot_hours']:.2f} robot hours;"
+            f" 95 % limit {limit:.2f})",
+        )
+    ]
+
+
+def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
+    """The median of the severe settings' median delays where VP falls; nothing if it never does."""
+    worse = settings_vp_falls_in(runs, baseline).items()
+    falls = {setting for setting, clear in worse if clear and setting[1] >= SEVERE}
+    noticed = [r for r in runs if r["mode"] == "renet" and r["detection_delay_s"] is not None]
+    where = [r for r in noticed if (r["fault"], r["severity"]) in falls]
+    if not where:
+        return []
+    delay = float(np.median([r["detection_delay_s"] for r in where]))
+    worst = max(where, key=lambda r: r["detection_delay_p95_s"])
+    return [
+        _claim(
+            f"median detection within 0.2 s of faults of severity >= {SEVERE} that make VP fall",
+            delay <= 0.2,
+            f"{delay:.3f} s; worst 95th percentile {worst['detection_delay_p95_s']:.2f} s"
+            f" ({worst['fault']} {worst['severity']})",
+        )
+    ]
+
+
+def _blind_claims(runs: Runs) -> Runs:
+    """Frozen and uniform images: noticed by the monitors, and what the paper's rule alone does."""
+    claims = []
+    for what, faults in (("frozen", FROZEN), ("uniform", UNIFORM)):
+        rows = [r for r in runs if r["mode"] == "renet" and r["fault"] in faults]
+        rows = [r for r in rows if r["severity"] == 5]
+        robots = sum(r["vision_active_at_onset"] for r in rows)
+        if robots:
+            detected = sum(r["detected"] for r in rows)
+            paper = sum(r["detected_by_paper"] for r in rows)
+            claims.append(
+                _claim(
+                    f"{what} images are noticed",
+                    detected == robots,
+                    f"{detected} of {robots} robots; by the paper's rule alone {paper}",
+                )
+            )
+    return claims

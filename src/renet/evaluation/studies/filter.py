@@ -1,0 +1,162 @@
+"""The filter study: delay and number of switches for every γ and rate (paper's filter figure).
+
+Robots walk once under the OP estimator while their cameras fail; the recorded anomaly scores are
+played through selectors of every γ and rate. The delay must match the documented formula.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from renet.deploy.manifest import SelectorSpec
+from renet.errors import RenetError
+from renet.evaluation import metrics
+from renet.evaluation.env import FLAT
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.report import figures
+from renet.evaluation.results import Provenance
+from renet.evaluation.rollout import Trial, check_speed
+from renet.evaluation.selectors import PaperSelector, updates_apart
+from renet.evaluation.study import Part, Study, Table
+from renet.evaluation.trace import UPDATES_PER_STEP
+from renet.faults import Injection
+from renet.interface import CONTROL_DT
+from renet.selector.filter import LowPassFilter, switch_delay
+
+
+@dataclass(frozen=True)
+class FilterStudy(Study):
+    """The filter's delay and number of switches against γ and rate."""
+
+    out: Path = Path("results/filter")
+    """Folder for summary.json, summary.csv, filter.png and parts/."""
+    gammas: tuple[float, ...] = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+    """Weights of a new verdict."""
+    rates: tuple[float, ...] = (10.0, 50.0, 200.0)
+    """Filter updates per second: whole fractions of 200."""
+    robots: int = 20
+    """Robots with a camera that fails for good, and as many with one that flickers."""
+    onset: float = 2.0
+    """Seconds at which the faults begin."""
+    seconds: float = 12.0
+    """Length of each run."""
+    speed: float = 0.6
+    """Commanded forward speed, m/s."""
+
+    name: ClassVar[str] = "filter"
+    selectable: ClassVar[tuple[str, ...]] = ("gammas", "rates")
+
+    def __post_init__(self) -> None:
+        if self.robots < 1 or not 0 < self.onset < self.seconds:
+            raise RenetError(
+                f"robots {self.robots} must be >= 1 and 0 < onset {self.onset} < seconds"
+                f" {self.seconds}"
+            )
+        check_speed(self.speed)
+        if not (self.gammas and self.rates):
+            raise RenetError("give at least one gamma and one rate")
+        for gamma in self.gammas:
+            LowPassFilter(gamma)
+        for rate in self.rates:
+            updates_apart(rate)
+
+    @property
+    def robots_each(self) -> int:
+        """Robots of each kind, after `quick`."""
+        return 4 if self.quick else self.robots
+
+    def make_evaluator(self) -> Evaluator:
+        """The evaluator of the settings' bundle with the paper's selector."""
+        return Evaluator(self.bundle, self.engine, "paper")
+
+    def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
+        """Anomaly scores [T, 2 N]: N cameras that fail for good, then N that flicker."""
+        return {"scores": partial(self._walk, evaluator)}
+
+    def _walk(self, evaluator: Evaluator) -> Part:
+        onset = round(self.onset / CONTROL_DT)
+        steady = (Injection("gaussian", 1.0, onset),)
+        flicker = (Injection("gaussian", 1.0, onset, duration=0.1, period=0.4),)
+        robots = range(self.robots_each)
+        trials = [Trial("op", fault, robot) for fault in (steady, flicker) for robot in robots]
+        env = evaluator.make_env(FLAT, [*robots, *robots], self.speed, self.seed)
+        steps = round(self.seconds / CONTROL_DT)
+        trace = evaluator.rollout(f"{len(trials)} robots walk", env, trials, steps, self.seed)
+        return {"scores": trace.anomaly}
+
+    def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
+        """One row for each γ and rate."""
+        scores = np.array(parts["scores"]["scores"])
+        return {
+            "runs": [
+                self._run(scores, SelectorSpec(evaluator.beta, gamma, rate))
+                for rate in self.rates
+                for gamma in self.gammas
+            ]
+        }
+
+    def _run(self, scores: np.ndarray, spec: SelectorSpec) -> dict[str, Any]:
+        """Delay on the cameras that fail, switches on those that flicker."""
+        onset, each = round(self.onset / CONTROL_DT), self.robots_each
+        trusted = replay(scores, spec)
+        delay = metrics.switch_delay(trusted[:, :, :each], onset)
+        switched = metrics.switches(trusted[onset - 1 :, :, each:])
+        found = ~np.isnan(delay)
+        return {
+            "gamma": spec.gamma,
+            "rate_hz": spec.rate_hz,
+            "delay_s": float(np.median(delay[found])) if found.any() else None,
+            "formula_s": switch_delay(spec.gamma, spec.rate_hz),
+            "detected": int(found.sum()),
+            "switches_per_minute": float(switched.mean() * 60 / (self.seconds - self.onset)),
+            "robots": each,
+            "seed": self.seed,
+        }
+
+    def draw(
+        self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance
+    ) -> None:
+        """Write filter.png: delay and switches against γ, one line for each rate."""
+        palette = plt.get_cmap("plasma")(np.linspace(0, 0.85, len(self.rates)))
+        with plt.rc_context(figures.STYLE):
+            figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.8))
+            for colour, rate in zip(palette, self.rates, strict=True):
+                line = [run for run in summary["runs"] if run["rate_hz"] == rate]
+                gamma = [run["gamma"] for run in line]
+                delay = [np.nan if run["delay_s"] is None else run["delay_s"] for run in line]
+                label = f"{rate:g} Hz"
+                left.plot(gamma, delay, "o", color=colour, label=f"{label}, measured", markersize=4)
+                formula = [run["formula_s"] for run in line]
+                left.plot(gamma, formula, "-", color=colour, linewidth=1, label=f"{label}, formula")
+                switches = [run["switches_per_minute"] for run in line]
+                right.plot(gamma, switches, "o-", color=colour, label=label, markersize=4)
+            left.axhline(0.04, color=figures.INK, linestyle=":", linewidth=1)
+            left.set(title="(a) Delay of the switch", ylabel="delay (s)", yscale="log")
+            right.set(title="(b) Switches, camera flickering", ylabel="switches per minute")
+            for axis in (left, right):
+                axis.set(xlabel="γ", xscale="log")
+                axis.legend(fontsize=8)
+            figures.save(figure, self.out / "filter.png", provenance)
+
+    def tables(self, summary: dict[str, Any]) -> list[Table]:
+        """The rows."""
+        header = ("rate_hz", "gamma", "delay_s", "formula_s", "switches_per_minute")
+        rows = [
+            tuple("-" if run[name] is None else f"{run[name]:g}" for name in header)
+            for run in summary["runs"]
+        ]
+        return [("The selector's filter", header, rows)]
+
+
+def replay(scores: np.ndarray, spec: SelectorSpec) -> np.ndarray:
+    """A selector's answers [T, U, N] to anomaly scores [T, N], as in a rollout."""
+    selector = PaperSelector(spec, scores.shape[1])
+    updates = range(UPDATES_PER_STEP)
+    return np.array([[selector.judge(score) for _ in updates] for score in scores])

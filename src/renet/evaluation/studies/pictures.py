@@ -1,0 +1,188 @@
+"""`renet evaluate pictures`: the tiles, the camera's errors, and the ground as VP predicts it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from matplotlib.colors import LightSource
+from matplotlib.patches import Rectangle
+
+from renet.camera import Intrinsics
+from renet.deploy.policy import Policy
+from renet.errors import RenetError
+from renet.evaluation.env import PARKOUR
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.report import figures
+from renet.evaluation.report.height_maps import MapLog, draw_height_maps, errors
+from renet.evaluation.results import Provenance, output_folder, plain, write_json
+from renet.evaluation.rollout import Trial
+from renet.evaluation.study import Study, Table
+from renet.interface import CONTROL_DT, DEPTH_RANGE
+from renet.sim.depth.camera import MountCfg, mount_rotation
+from renet.sim.depth.noise import DepthNoiseCfg, add_noise
+from renet.sim.depth.raycast import TerrainScanner, scanner
+from renet.terrain.tiles import LEVELS as TOP
+from renet.terrain.tiles import TILE, tiles
+
+LEVELS = (1, 5, 10)
+EYE = (0.55, 0.0, 0.33)
+"""Where the pictured camera's robot stands on its tile, m from the middle, facing out."""
+SENSOR = Intrinsics(
+    60, 106, 53 / math.tan(math.radians(87 / 2)), 30 / math.tan(math.radians(58 / 2)), 53, 30
+)
+"""All that a D435i sees, at an eighth of 848 x 480."""
+
+
+@dataclass(frozen=True)
+class PicturesStudy(Study):
+    """Pictures of every tile, of the camera's errors, and of predicted beside true height maps."""
+
+    out: Path = Path("results/pictures")
+    """Folder for tiles.png, camera.png, height_map.png and summary.json."""
+    level: int = 5
+    """Level of the tiles for height maps, 1 to 10."""
+    seconds: float = 6.0
+    """How long the robots walk for height maps."""
+    speed: float = 0.6
+    """Commanded forward speed, m/s."""
+
+    name: ClassVar[str] = "pictures"
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.level <= TOP:
+            raise RenetError(f"terrain level must be 1 to {TOP}, got {self.level}")
+        if self.seconds < 2.0:
+            raise RenetError(f"height maps need at least 2 seconds, got {self.seconds}")
+
+    def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
+        """Draw all pictures; see `Study.run`. Nothing is kept in parts."""
+        evaluator = evaluator or self.make_evaluator()
+        out, kinds = output_folder(self.out), list(tiles())
+        env = evaluator.make_env(PARKOUR, range(len(kinds)), self.speed, self.seed)
+        terrain = env.env.scene.terrain
+        assert terrain is not None
+        assert terrain.terrain_origins is not None
+        rays = scanner(env.env.sim.mj_model, "cpu")
+        torch.manual_seed(self.seed)
+        provenance = evaluator.provenance(self.seed)
+        draw_tiles(rays, terrain.terrain_origins, out / "tiles.png", provenance)
+        draw_camera(rays, terrain.terrain_origins, out / "camera.png", provenance)
+        env.place(np.full(len(kinds), self.level - 1), np.arange(len(kinds)))
+        policy, trials = Policy(evaluator.bundle, len(kinds)), [Trial("vp") for _ in kinds]
+        log, steps = MapLog(policy, env), round(self.seconds / CONTROL_DT)
+        title = "height maps of all tiles"
+        evaluator.rollout(title, env, trials, steps, self.seed, on_update=log.note, policy=policy)
+        draw_height_maps(log.maps, kinds, out / "height_map.png", provenance)
+        summary = plain(
+            {
+                "study": self.name,
+                "height_map": errors(log.maps, kinds),
+                "settings": asdict(self),
+                "provenance": vars(provenance),
+            }
+        )
+        write_json(out / "summary.json", summary)
+        return summary
+
+    def tables(self, summary: dict[str, Any]) -> list[Table]:
+        """Errors of the height maps."""
+        rows = [
+            (
+                row["terrain"],
+                f"{100 * row['rmse_m']:.1f}",
+                f"{100 * row['rmse_of_flat_ground_m']:.1f}",
+            )
+            for row in summary["height_map"]
+        ]
+        header = ("terrain", "error (cm)", "of flat ground (cm)")
+        return [("Height maps of the VP estimator", header, rows)]
+
+
+def draw_tiles(
+    rays: TerrainScanner, origins: torch.Tensor, path: Path, provenance: Provenance
+) -> None:
+    """Shaded relief of every kind of tile at three levels."""
+    kinds = list(tiles())
+    figure, axes = plt.subplots(
+        len(LEVELS), len(kinds), figsize=(2.4 * len(kinds), 7.6), constrained_layout=True
+    )
+    side = torch.linspace(-TILE / 2, TILE / 2, 200)
+    grid = torch.cartesian_prod(side, side)
+    for row, level in enumerate(LEVELS):
+        for column, kind in enumerate(kinds):
+            origin = origins[level - 1, column]
+            relief = rays.height(grid + origin[:2]).reshape(200, 200).numpy()
+            axis = axes[row, column]
+            shade = LightSource(315, 40).shade(
+                relief, plt.get_cmap("cividis"), vmin=-1.2, vmax=1.2, blend_mode="soft"
+            )
+            axis.imshow(shade, extent=(-4, 4, -4, 4), origin="lower")
+            low, high = relief.min(), relief.max()
+            axis.set_title(f"{kind}, level {level}\n{low:+.2f} to {high:+.2f} m", fontsize=9)
+            axis.set_xticks([-4, 0, 4])
+            axis.set_yticks([-4, 0, 4])
+    figures.save(figure, path, provenance, dpi=80)
+
+
+def draw_camera(
+    rays: TerrainScanner, origins: torch.Tensor, path: Path, provenance: Provenance
+) -> None:
+    """One view per tile: true, then with range noise, then with mount errors as well."""
+    kinds = list(tiles())
+    mount = MountCfg()
+    error = torch.empty(5).uniform_(-1.0, 1.0)
+    turned = mount_rotation(
+        torch.tensor([mount.pitch + mount.angle_error * error[0].item()]),
+        torch.tensor([mount.angle_error * error[1].item()]),
+    )
+    straight = mount_rotation(torch.tensor([mount.pitch]), torch.tensor([0.0]))
+    moved = mount.position_error * error[2:]
+    rows = ("the sensor's view", "edges cut off", "with range noise", "and mount errors")
+    figure, axes = plt.subplots(
+        len(rows), len(kinds), figsize=(2.4 * len(kinds), 7.6), constrained_layout=True
+    )
+    kept = _kept()
+    for column, kind in enumerate(kinds):
+        # A middle level, seen from near the edge of the start.
+        eye = origins[5, column] + torch.tensor(EYE) + torch.tensor(mount.position)
+        true = _view(rays, eye, straight)
+        images = (
+            _view(rays, eye, straight, SENSOR),
+            true,
+            add_noise(true, DepthNoiseCfg()),
+            add_noise(_view(rays, eye + moved, turned), DepthNoiseCfg()),
+        )
+        axes[0, column].add_patch(Rectangle(*kept, fill=False, edgecolor="tab:cyan", linewidth=1.5))
+        for row, image in enumerate(images):
+            axis = axes[row, column]
+            axis.imshow(image.clamp(0, DEPTH_RANGE), vmin=0, vmax=DEPTH_RANGE, cmap="magma_r")
+            axis.set_xticks([])
+            axis.set_yticks([])
+            axis.set_title(f"{kind}: {rows[row]}" if row == 0 else rows[row], fontsize=9)
+    figures.save(figure, path, provenance, dpi=80)
+
+
+def _kept() -> tuple[tuple[float, float], float, float]:
+    """Corner, width and height of the policy's image in the sensor's, in the sensor's pixels."""
+    own = Intrinsics()
+    width, height = own.width * SENSOR.fx / own.fx, own.height * SENSOR.fy / own.fy
+    return (SENSOR.cx - width / 2, SENSOR.cy - height / 2), width, height
+
+
+def _view(
+    rays: TerrainScanner,
+    eye: torch.Tensor,
+    rotation: torch.Tensor,
+    lens: Intrinsics | None = None,
+) -> torch.Tensor:
+    """Planar depth [rows, columns] m, the range where nothing is hit."""
+    lens = lens or Intrinsics()
+    depth = rays.depth(eye[None], rotation, lens, DEPTH_RANGE)
+    depth = depth.reshape(lens.height, lens.width)
+    return torch.where(depth >= 0.0, depth, DEPTH_RANGE)

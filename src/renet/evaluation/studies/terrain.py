@@ -1,0 +1,290 @@
+"""The terrain study: which tiles a policy crosses, level by level.
+
+Every level of a kind of tile is walked at once, in every mode. The study has two protocols:
+
+- `terrain` is the paper's table. Robots walk in a random direction and start again in the middle
+  after a fall. One passes a level when it leaves the tile within the time; its highest level is the
+  number of levels passed in a row from the first, 0 to 10. As many robots walk on flat ground.
+- `success` gives each robot one try, straight at the obstacle, with a camera that may fail. It
+  succeeds when it leaves the tile within the time without a fall.
+
+Both are judged by true poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from renet.errors import RenetError
+from renet.evaluation import metrics
+from renet.evaluation.env import FLAT, PARKOUR, SimEnv, terrain_env_cfg
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.report import terrain_figures
+from renet.evaluation.results import Provenance
+from renet.evaluation.rollout import StepResult, Trial, check_modes, check_speed
+from renet.evaluation.selectors import check_selector
+from renet.evaluation.study import Part, Study, Table
+from renet.evaluation.trace import Trace
+from renet.faults import Schedule, parse_fault
+from renet.interface import CONTROL_DT
+from renet.terrain.tiles import LEVELS, tiles
+
+TABLE = {"gap": ("gap",), "platform": ("platform",), "stairs": ("stairs_up", "stairs_down")}
+"""The paper's columns, and the tiles each is the mean of."""
+AIM = 0.1
+"""With one try, robots start within this angle of straight at the obstacle, rad."""
+
+
+@dataclass(frozen=True)
+class TerrainStudy(Study):
+    """The paper's table: how far up the training curriculum a policy gets.
+
+    `--preset success` gives every robot one try at each obstacle instead.
+    """
+
+    out: Path = Path("results/terrain")
+    """Folder for summary.json, summary.csv, terrain.png and parts/."""
+    kinds: tuple[str, ...] = ("gap", "platform", "stairs_up", "stairs_down")
+    """Kinds of tile: gap, platform, stairs_up, stairs_down, obstacles, rough."""
+    levels: tuple[int, ...] = tuple(range(1, LEVELS + 1))
+    """Levels of the curriculum, 1 to 10."""
+    modes: tuple[str, ...] = ("renet",)
+    """Policy modes to compare: vp, renet, op, oracle-switch."""
+    robots: int = 20
+    """Robots on each level of each kind of tile in each mode."""
+    fault: str | None = None
+    """A camera fault, NAME[:SEVERITY][@SECONDS[+DURATION]]; without a time it begins half a second
+    before the obstacle."""
+    seconds: float = 20.0
+    """Time to leave a tile (an episode's length in training)."""
+    speed: float = 0.6
+    """Commanded forward speed, m/s."""
+    selector: str = "guarded"
+    """Selector: guarded (all monitors) or paper."""
+
+    name: ClassVar[str] = "terrain"
+    selectable: ClassVar[tuple[str, ...]] = ("kinds",)
+    one_try: ClassVar[bool] = False
+    quick_levels: ClassVar[tuple[int, ...]] = tuple(range(1, LEVELS + 1))
+    quick_robots: ClassVar[int] = 4
+
+    def __post_init__(self) -> None:
+        unknown = [kind for kind in self.kinds if kind not in tiles()]
+        if unknown or not self.kinds:
+            raise RenetError(f"kinds {self.kinds}: choose among {', '.join(tiles())}")
+        if not self.levels or not all(1 <= level <= LEVELS for level in self.levels):
+            raise RenetError(f"levels {self.levels}: choose among 1 to {LEVELS}")
+        check_modes(self.modes)
+        check_speed(self.speed)
+        check_selector(self.selector)
+        if self.robots < 1 or self.seconds < 1:
+            raise RenetError(f"robots {self.robots} and seconds {self.seconds} must be at least 1")
+        _ = self.schedule
+
+    @property
+    def schedule(self) -> Schedule:
+        """What happens to every camera; the nearest obstacle begins 1.2 m from the start."""
+        if self.fault is None:
+            return ()
+        return (parse_fault(self.fault, max(1.2 / self.speed - 0.5, 0.0)),)
+
+    @property
+    def settings(self) -> list[tuple[int, str]]:
+        """Level and mode of every group of robots on one kind of tile."""
+        levels = self.quick_levels if self.quick else self.levels
+        return [(level, mode) for level in levels for mode in self.modes]
+
+    @property
+    def robots_each(self) -> int:
+        """Robots in each setting, after `quick`."""
+        return self.quick_robots if self.quick else self.robots
+
+    def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
+        """One batch for each kind of tile, and one on flat ground where that is reported."""
+        parts: dict[str, Callable[[], Part]] = {}
+        if not self.one_try:
+            parts["flat"] = partial(self._walk_flat, evaluator)
+        for kind in self.kinds:
+            parts[kind] = partial(self._walk_tiles, evaluator, kind)
+        return parts
+
+    def _walk_flat(self, evaluator: Evaluator) -> Part:
+        """As many robots as in a setting, on flat ground."""
+        robots = range(self.robots_each)
+        env = evaluator.make_env(FLAT, robots, self.speed, self.seed)
+        trials = [Trial(self.modes[0], robot=robot) for robot in robots]
+        steps = round(self.seconds / CONTROL_DT)
+        trace = evaluator.rollout("flat", env, trials, steps, self.seed)
+        return {"falls": int(trace.fell.sum())}
+
+    def _walk_tiles(self, evaluator: Evaluator, kind: str) -> Part:
+        """All levels and modes of one kind of tile, side by side."""
+        settings, each = self.settings, self.robots_each
+        level = np.repeat([level - 1 for level, _ in settings], each)
+        # With one try, the same robots meet every size; the table's are all different.
+        number = [n % each if self.one_try else n for n in range(len(level))]
+        trials = [
+            Trial(mode, self.schedule, robot)
+            for (_, mode), robot in zip(np.repeat(settings, each, axis=0), number, strict=True)
+        ]
+        env = self._make_env(evaluator, number)
+        env.place(level, np.full(len(level), list(tiles()).index(kind)))
+        ended = np.zeros(len(level), bool)
+
+        def everybody_ended(result: StepResult) -> bool:
+            ended[:] |= result.ended
+            return self.one_try and bool(ended.all())
+
+        steps = round(self.seconds / CONTROL_DT)
+        title = f"{self.kinds.index(kind) + 1}/{len(self.kinds)} {kind}"
+        trace = evaluator.rollout(title, env, trials, steps, self.seed, on_step=everybody_ended)
+        rows = [slice(n * each, (n + 1) * each) for n in range(len(settings))]
+        runs = [
+            self._run(kind, *setting, trace.robots(own))
+            for setting, own in zip(settings, rows, strict=True)
+        ]
+        return {"runs": runs, "passed": [passed(trace)[own] for own in rows]} | self._walking(trace)
+
+    def _make_env(self, evaluator: Evaluator, numbers: Sequence[int]) -> SimEnv:
+        """The curriculum's field of tiles, walked along +x where there is one try."""
+        cfg = terrain_env_cfg(PARKOUR, 1, evaluator.robot)
+        if self.one_try:
+            cfg.events["spawn"].params["pose_range"]["yaw"] = (-AIM, AIM)
+        return evaluator.make_env(cfg, numbers, self.speed, self.seed)
+
+    def _run(self, kind: str, level: int, mode: str, trace: Trace) -> dict[str, Any]:
+        """One row of the summary."""
+        crossed, fell, seconds = first_try(trace)
+        success = crossed if self.one_try else passed(trace)
+        return {
+            "kind": kind,
+            "level": level,
+            "size_m": tiles()[kind].measure((level - 1) / (LEVELS - 1)),
+            "mode": mode,
+            "fault": self.fault,
+            "robots": len(success),
+            "passed": int(success.sum()),
+            "falls": int((fell if self.one_try else trace.fell).sum()),
+            "stuck": int((~crossed & ~fell).sum()),
+            "success_rate": float(success.mean()),
+            **metrics.with_interval("success", success),
+            "median_seconds": float(np.median(seconds[crossed])) if crossed.any() else None,
+            "seed": self.seed,
+        }
+
+    def _walking(self, trace: Trace) -> Part:
+        """Sums over the steps of every robot's first try: collisions, and the reward for speed."""
+        over = np.logical_or.accumulate(trace.ended, axis=0)
+        along = np.minimum(trace.forward_velocity, self.speed) / (self.speed + 1e-5)
+        return {
+            "steps": int((~over).sum()),
+            "collisions": float(trace.collisions[~over].sum()),
+            "lin_vel_reward": float(along[~over].sum()),
+        }
+
+    def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
+        """Rows, the paper's table, and sizes RENet crosses less often than OP alone."""
+        runs = [run for kind in self.kinds for run in parts[kind]["runs"]]
+        summary: dict[str, Any] = {
+            "runs": runs,
+            "worse": worse_than_op(runs),
+            "robots": self.robots_each,
+        }
+        if self.one_try:
+            return summary
+        first = [n for n, (_, mode) in enumerate(self.settings) if mode == self.modes[0]]
+        highest = {
+            kind: highest_level(np.array(parts[kind]["passed"], bool)[first]) for kind in self.kinds
+        }
+        table = {
+            column: np.concatenate([highest[kind] for kind in kinds])
+            for column, kinds in TABLE.items()
+            if all(kind in highest for kind in kinds)
+        }
+        steps = max(sum(parts[kind]["steps"] for kind in self.kinds), 1)
+        return summary | {
+            "levels": {name: float(value.mean()) for name, value in table.items()},
+            "levels_ci95": {name: metrics.bootstrap_interval(v) for name, v in table.items()},
+            "levels_by_kind": {kind: float(value.mean()) for kind, value in highest.items()},
+            **{
+                name: sum(parts[kind][name] for kind in self.kinds) / steps
+                for name in ("collisions", "lin_vel_reward")
+            },
+            "falls_on_flat": parts["flat"]["falls"],
+        }
+
+    def draw(
+        self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance
+    ) -> None:
+        """Write the figure: share of robots that get across, against the obstacle's size."""
+        terrain_figures.draw_success(summary, self.out / f"{self.name}.png", provenance)
+
+    def tables(self, summary: dict[str, Any]) -> list[Table]:
+        """Shares that get across, and the paper's table."""
+        share: dict[tuple[str, str], list[str]] = {}
+        for run in summary["runs"]:
+            size = (run["kind"], f"{100 * run['size_m']:.0f}")
+            share.setdefault(size, []).append(f"{100 * run['success_rate']:.0f}")
+        rows = [(*size, *rates) for size, rates in share.items()]
+        header = ("obstacle", "size (cm)", *self.modes)
+        tables: list[Table] = [(f"Robots that cross, % of {summary['robots']}", header, rows)]
+        if not self.one_try:
+            levels = [(kind, f"{n:.2f}") for kind, n in summary["levels_by_kind"].items()]
+            levels += [("falls on flat ground", summary["falls_on_flat"])]
+            tables.append((f"Mean highest level of {LEVELS}", ("tile", "level"), levels))
+        return tables
+
+
+@dataclass(frozen=True)
+class SuccessStudy(TerrainStudy):
+    """One try at each obstacle, kind by kind and size by size, in several modes."""
+
+    out: Path = Path("results/success")
+    """Folder for summary.json, summary.csv, success.png and parts/."""
+    levels: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 10)
+    """Sizes, as levels of the curriculum, 1 to 10."""
+    modes: tuple[str, ...] = ("vp", "renet", "op")
+    """Policy modes to compare: vp, renet, op, oracle-switch."""
+    seconds: float = 16.0
+    """Time to cross: the 4 m to the tile's edge take 6.7 s at the commanded speed."""
+
+    name: ClassVar[str] = "success"
+    one_try: ClassVar[bool] = True
+    quick_levels: ClassVar[tuple[int, ...]] = (1, 2, 4)
+    quick_robots: ClassVar[int] = 10
+
+
+def passed(trace: Trace) -> np.ndarray:
+    """[N] bool: the robot left its tile at least once."""
+    return np.any(trace.ended & ~trace.fell, axis=0)
+
+
+def highest_level(levels_passed: np.ndarray) -> np.ndarray:
+    """[..., R] levels passed in a row from the first; `levels_passed` is [..., L, R] bool."""
+    return np.sum(np.logical_and.accumulate(levels_passed, axis=-2), axis=-2)
+
+
+def first_try(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How each robot's first try ended: [N] crossed, [N] fell (bool), [N] seconds it took."""
+    first = trace.ended.argmax(axis=0)
+    robot = np.arange(trace.ended.shape[1])
+    ended, fell = trace.ended[first, robot], trace.fell[first, robot]
+    return ended & ~fell, ended & fell, np.where(ended, (first + 1) * CONTROL_DT, np.nan)
+
+
+def worse_than_op(runs: Sequence[dict[str, Any]], margin: float = 0.02) -> list[dict[str, Any]]:
+    """Sizes RENet crosses less often than OP alone, beyond a margin."""
+    op = {(r["kind"], r["level"]): r["success_rate"] for r in runs if r["mode"] == "op"}
+    return [
+        {"kind": r["kind"], "size_m": r["size_m"], "renet": r["success_rate"], "op": blind}
+        for r in runs
+        if r["mode"] == "renet"
+        and (blind := op.get((r["kind"], r["level"]))) is not None
+        and r["success_rate"] < blind - margin
+    ]

@@ -1,0 +1,124 @@
+"""Runs a study: what is the same for all of them, from the settings to the written results.
+
+A study says what it varies (its fields), what it measures (`parts` and `summarise`) and how that is
+drawn (`draw` and `tables`). Running it, going on after an interruption, and writing
+`summary.json`, `summary.csv` and figures with their provenance is done here. The report shows a
+study with the template of its name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.results import (
+    Provenance,
+    ResultCache,
+    output_folder,
+    plain,
+    write_csv,
+    write_json,
+)
+from renet.evaluation.terminal import show
+
+Part = dict[str, Any]
+"""What is kept of one batch of robots; JSON after `plain`."""
+Table = tuple[str, tuple[str, ...], list[tuple[Any, ...]]]
+"""Title, header and rows."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """Settings that every study has; a subclass is one study."""
+
+    out: Path = Path("results/study")
+    """Folder for summary.json, summary.csv, figures and parts/."""
+    bundle: Path | None = None
+    """Bundle folder; the one that ships with renet by default."""
+    quick: bool = False
+    """Fewer robots and settings instead."""
+    seed: int = 1
+    """Of the robots' bodies and starts and of the camera faults."""
+    engine: str = "auto"
+    """Physics engine: auto, native or warp."""
+
+    name: ClassVar[str]
+    """Of the study's folder in the results, and of its template."""
+    selectable: ClassVar[tuple[str, ...]] = ()
+    """Settings of which a part's result does not depend: they select which parts are made."""
+
+    def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
+        """Batches of robots by name, each kept on disk once it has run.
+
+        Args:
+            evaluator: makes environments, policies and selectors.
+        """
+        raise NotImplementedError
+
+    def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
+        """The summary's content beside settings and provenance; `runs` is its list of rows.
+
+        Args:
+            parts: results of `parts` by name.
+            evaluator: the one that made them.
+        """
+        raise NotImplementedError
+
+    def draw(
+        self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance
+    ) -> None:
+        """Write the figures into `out`.
+
+        Args:
+            summary: content of summary.json.
+            parts: results of `parts` by name.
+            provenance: of the numbers.
+        """
+        raise NotImplementedError
+
+    def tables(self, summary: dict[str, Any]) -> list[Table]:
+        """What the command line prints."""
+        raise NotImplementedError
+
+    def make_evaluator(self) -> Evaluator:
+        """The evaluator of the settings' bundle and selector."""
+        return Evaluator(self.bundle, self.engine, getattr(self, "selector", "guarded"))
+
+    def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
+        """Run what has not been run yet and write the results to `out`.
+
+        Args:
+            evaluator: made from the settings by default.
+
+        Returns:
+            The summary.
+
+        Raises:
+            RenetError: a bundle that cannot be used, or a folder that cannot be written to.
+        """
+        evaluator = evaluator or self.make_evaluator()
+        out = output_folder(self.out)
+        provenance = evaluator.provenance(self.seed)
+        cache = ResultCache(out, self, provenance, self.selectable)
+        parts = {name: cache.get(name, make) for name, make in self.parts(evaluator).items()}
+        summary = plain(
+            {"study": self.name}
+            | self.summarise(parts, evaluator)
+            | {"settings": asdict(self), "provenance": vars(provenance)}
+        )
+        write_json(out / "summary.json", summary)
+        rows = [
+            {k: v for k, v in run.items() if not isinstance(v, list)} for run in summary["runs"]
+        ]
+        write_csv(out / "summary.csv", rows)
+        self.draw(summary, parts, provenance)
+        return summary
+
+    def main(self) -> None:
+        """Run the study and print its tables."""
+        summary = self.run()
+        for title, header, rows in self.tables(summary):
+            show(title, header, rows)

@@ -1,0 +1,127 @@
+"""What a robot sees and believes, as panels of mjlab's viewer in the browser."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import viser
+
+from renet.evaluation.report.colormaps import beside, depth_picture, map_picture
+from renet.evaluation.viewer.session import MODES, Snapshot, ViewerSession
+from renet.faults import FAULTS, SEVERITIES, Injection
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
+
+SECONDS = 10.0
+"""Length of the curves."""
+TICKS = round(SECONDS / (CONTROL_DT * STEPS_PER_TICK))
+
+
+class VisionPanels:
+    """Depth, reconstruction, loss, P_t, estimator and height maps; buttons for every fault."""
+
+    def __init__(self, server: viser.ViserServer, session: ViewerSession) -> None:
+        self.session = session
+        self._times: deque[float] = deque(maxlen=TICKS)
+        self._anomaly: deque[float] = deque(maxlen=TICKS)
+        self._probability: deque[float] = deque(maxlen=TICKS)
+        gui, empty = server.gui, np.zeros((8, 8, 3), np.uint8)
+        with gui.add_folder("Vision"):
+            self.status = gui.add_html("")
+            self.images = gui.add_image(empty, label="depth | reconstruction", format="png")
+            self.maps = gui.add_image(
+                empty, label="ground from above: predicted | true", format="png"
+            )
+            self.loss = _curve(gui, "loss and its threshold β", ("loss", "β"))
+            self.trust = _curve(gui, "vision probability P_t", ("P_t", "switch"), (-0.05, 1.05))
+        with gui.add_folder("Drive"):
+            self.mode = gui.add_dropdown("estimator", MODES)
+            speed = session.cfg.commands["goal"].fixed_speed  # type: ignore[attr-defined]
+            self.speed = gui.add_slider("m/s", 0.0, 1.0, 0.05, initial_value=speed)
+            self.turn = gui.add_button_group("turn", ("left", "right"))
+        with gui.add_folder("Break the camera"):
+            self.severity = gui.add_slider("severity", SEVERITIES[0], SEVERITIES[-1], 1, 3)
+            self.clear_fault = gui.add_button("healthy", color="green")
+            self.faults = {
+                name: gui.add_button(name.replace("_", " "), hint=fault.summary)
+                for name, fault in FAULTS.items()
+            }
+        self._connect()
+
+    def _connect(self) -> None:
+        """Let every control do what it says."""
+        session = self.session
+        self.mode.on_update(lambda _: session.choose(self.mode.value))
+        self.speed.on_update(lambda _: session.steer(self.speed.value, 0.0))
+        side = {"left": np.pi / 6, "right": -np.pi / 6}
+        self.turn.on_click(lambda _: session.steer(self.speed.value, side[self.turn.value]))
+        self.clear_fault.on_click(lambda _: session.clear_fault())
+        for name, button in self.faults.items():
+            button.on_click(lambda _, fault=name: session.inject(self._chosen(fault)))
+
+    def _chosen(self, fault: str) -> Injection:
+        """A fault that begins now, at the severity of the slider."""
+        return Injection.of(fault, int(self.severity.value), onset=0)
+
+    def update(self, step: int) -> None:
+        """Show the session's latest snapshot, that of control step `step`."""
+        snapshot = self.session.snapshot
+        if snapshot is None:
+            return
+        self._times.append(step * CONTROL_DT)
+        self._anomaly.append(snapshot.anomaly)
+        self._probability.append(snapshot.probability)
+        times = np.array(self._times)
+        self.status.content = status(snapshot, self.session.beta)
+        self.images.image = beside(
+            depth_picture(snapshot.depth), depth_picture(snapshot.reconstruction)
+        )
+        self.maps.image = beside(map_picture(snapshot.predicted), map_picture(snapshot.true))
+        for plot, values, line in (
+            (self.loss, self._anomaly, self.session.beta),
+            (self.trust, self._probability, 0.5),
+        ):
+            plot.data = (times, np.array(values), np.full(len(times), line))
+
+    def clear(self) -> None:
+        """Forget the curves."""
+        for values in (self._times, self._anomaly, self._probability):
+            values.clear()
+
+
+def status(snapshot: Snapshot, beta: float) -> str:
+    """Who drives, and why, as HTML."""
+    colour, driver = ("#4f9d4f", "VP · vision") if snapshot.vision else ("#d0453a", "OP · blind")
+    camera = snapshot.fault.replace("_", " ") or "healthy"
+    reason = f"<br/>vision is not trusted: {snapshot.reason}" if snapshot.reason else ""
+    return (
+        '<div style="font-size:0.9em;line-height:1.4;padding:0 1em 0.5em 1em">'
+        f'<b style="color:{colour}">{driver}</b> &nbsp; P_t {snapshot.probability:.2f}'
+        f"<br/>loss {snapshot.anomaly:.4f}, β {beta:.4f}<br/>camera: {camera}{reason}</div>"
+    )
+
+
+def _curve(
+    gui: viser.GuiApi,
+    title: str,
+    names: tuple[str, str],
+    limits: tuple[float, float] | None = None,
+) -> viser.GuiUplotHandle:
+    """A curve over time with a line to compare it with."""
+    blue, grey = "#2f6fb0", "#9a9a9a"
+    return gui.add_uplot(
+        data=(np.zeros(1), np.zeros(1), np.zeros(1)),
+        series=(
+            viser.uplot.Series(label="s"),
+            viser.uplot.Series(label=names[0], stroke=blue, width=2),
+            viser.uplot.Series(label=names[1], stroke=grey, width=1),
+        ),
+        title=title,
+        scales={
+            "x": viser.uplot.Scale(time=False, auto=True),
+            "y": viser.uplot.Scale(auto=True)
+            if limits is None
+            else viser.uplot.Scale(auto=False, min=limits[0], max=limits[1]),
+        },
+        aspect=2.4,
+    )

@@ -1,0 +1,38 @@
+"""Colours of depth and of height maps: which way is up, and what is bright."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from renet.evaluation.report.colormaps import RELIEF, beside, depth_picture, map_picture
+from renet.interface import HEIGHT_MAP_SIZE, HEIGHT_MAP_X, HEIGHT_MAP_Y
+
+
+def test_near_is_dark_and_far_is_bright():
+    picture = depth_picture(np.linspace(0, 1, 48 * 64).reshape(48, 64), scale=2)
+    assert picture.shape == (96, 128, 3)
+    brightness = picture.astype(int).sum(-1)
+    assert brightness[0, 0] < brightness[48, 64] < brightness[-1, -1]
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "row", "column"),
+    [(-1, 0, 0, -1), (0, -1, -1, 0), (-1, -1, 0, 0)],
+    ids=["ahead right", "behind left", "ahead left"],
+)
+def test_ahead_is_up_and_left_is_left(x, y, row, column):
+    values = np.zeros((len(HEIGHT_MAP_X), len(HEIGHT_MAP_Y)))
+    values[x, y] = -RELIEF  # The ground is as high as colours go.
+    picture = map_picture(values.ravel(), scale=1)
+    brightness = picture.astype(int).sum(-1)
+    high = np.argwhere(brightness != brightness[5, 5])
+    expected = [row % len(HEIGHT_MAP_X), column % len(HEIGHT_MAP_Y)]
+    assert high.tolist() == [expected]
+    assert brightness[row, column] > brightness[5, 5]
+
+
+def test_numbers_beyond_the_range_keep_the_last_colour():
+    high = map_picture(np.full(HEIGHT_MAP_SIZE, -9.0))
+    assert (high == map_picture(np.full(HEIGHT_MAP_SIZE, -RELIEF))).all()
+    assert beside(high, high).shape == (192, 2 * 176 + 4, 3)

@@ -1,0 +1,249 @@
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from renet.errors import RenetError
+from renet.evaluation.report import report
+from renet.evaluation.report.report import STUDIES, ReportCfg, make_report
+from renet.evaluation.report.summary import FACTS, WORSE
+from renet.evaluation.studies.course import CourseStudy
+from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.studies.filter import FilterStudy
+from renet.evaluation.studies.noise import NoiseStudy
+from renet.evaluation.studies.standing import StandingStudy
+from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
+from renet.evaluation.study import Study
+
+from ..fakes import FakeEvaluator
+from ..studies.test_course import StillEvaluator
+from ..studies.test_standing import QUICK, ObedientEvaluator
+from ..studies.test_terrain import HurdlesEvaluator, LadderEvaluator
+from .browser import Browser, find_browser
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Every study, tiny."""
+    folder = tmp_path_factory.mktemp("results")
+    noise = NoiseStudy(out=folder / "noise", robots=1, onset=0.2, seconds=3.4, fault_end=3.4)
+    noise.run(FakeEvaluator())
+    FaultStudy(
+        out=folder / "faults",
+        faults=("gaussian", "unplugged", "wrong_scale"),
+        robots=1,
+        onset=0.2,
+        fault_end=0.8,
+        seconds=1.2,
+        healthy_minutes=0,
+    ).run(FakeEvaluator())
+    FilterStudy(out=folder / "filter", robots=1, onset=0.2, seconds=1.2).run(FakeEvaluator())
+    TerrainStudy(out=folder / "terrain", robots=2, seconds=2).run(LadderEvaluator())
+    StandingStudy(out=folder / "standing", **QUICK).run(ObedientEvaluator())
+    success = SuccessStudy(out=folder / "success", levels=(1, 3), robots=2, seconds=2)
+    success.run(HurdlesEvaluator())
+    lap = ("flat", "grass")
+    course = CourseStudy(out=folder / "course", lap=lap, laps=1, robots=1, stuck_after=0.2)
+    course.run(StillEvaluator())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(results: Path) -> Path:
+    return make_report(ReportCfg(results, results / "new" / "page.html"))
+
+
+def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
+    html = re.sub(r"base64,[A-Za-z0-9+/=]+", "", page.read_text()).replace("&#39;", "'")
+    for heading in (
+        "Where RENet does worse",
+        "Noise in the camera",
+        "Every way a depth camera fails",
+        "One try at each obstacle",
+        "Parkour",
+        "Standing on command",
+        "The course",
+        "selector's filter",
+    ):
+        assert f">{heading}" in html or heading in html
+    assert "http" not in html
+    assert "∞ s" in html
+    # Pictures need a real bundle: test_pictures.py reports them.
+    assert html.count("bundle hash") == len(STUDIES) - 1
+    assert html.count("<img") == 12
+
+
+def test_one_study_alone_makes_a_page(results: Path, tmp_path: Path) -> None:
+    (tmp_path / "filter").symlink_to(results / "filter")
+    page = make_report(ReportCfg(tmp_path))
+    assert page == tmp_path / "index.html"
+    html = page.read_text()
+    assert "Parkour" not in html
+    assert "none of what was run" in html
+
+
+def test_results_of_different_bundles_are_pointed_out(results: Path, tmp_path: Path) -> None:
+    assert "Careful" not in make_report(ReportCfg(results, tmp_path / "one.html")).read_text()
+    shutil.copytree(results / "filter", tmp_path / "filter")
+    shutil.copytree(results / "noise", tmp_path / "noise")
+    summary = tmp_path / "filter" / "summary.json"
+    summary.write_text(summary.read_text().replace("0" * 64, "f" * 64))
+    html = " ".join(make_report(ReportCfg(tmp_path)).read_text().split())
+    assert "2 different bundles, 0000000000, ffffffffff" in html
+
+
+def test_what_is_worse_than_op_alone_is_listed() -> None:
+    faults = {
+        "harmful": [
+            {"fault": "glare", "severity": 5, "renet": 0.5, "op": 1.0, "beyond_chance": True}
+        ],
+        "missed": [
+            {
+                "fault": "frozen",
+                "severity": 3,
+                "undetected": 2,
+                "vp_falls": 4,
+                "vp_spared": 1,
+                "beyond_chance": False,
+            }
+        ],
+    }
+    assert WORSE["faults"](faults) == [
+        ("faults", "glare 5", "50 %", "100 %"),
+        (
+            "faults",
+            "frozen 3 goes unnoticed; 4 fall with VP only then, 1 only without it (within chance)",
+            "2 robots",
+            "",
+        ),
+    ]
+    passages = [
+        {"mode": "renet", "kind": "gap", "crossed": 1, "tries": 4},
+        {"mode": "op", "kind": "gap", "crossed": 2, "tries": 4},
+        {"mode": "renet", "kind": "flat", "crossed": 4, "tries": 4},
+        {"mode": "op", "kind": "flat", "crossed": 4, "tries": 4},
+    ]
+    assert WORSE["course"]({"passages": passages}) == [("course", "gap", "1 of 4", "2 of 4")]
+    worse = [{"kind": "gap", "size_m": 0.1, "renet": 0.2, "op": 0.3}]
+    assert WORSE["success"]({"worse": worse}) == [("obstacles", "gap 10 cm", "20 %", "30 %")]
+
+
+def test_what_was_not_measured_is_no_large_number() -> None:
+    calm = {"false_switches": 0, "false_switches_per_hour": None}
+    blind = {"mode": "op", "robots": 2, "falls": 1, "vision_active_at_onset": 2, "detected": 0}
+    faults = {"runs": [blind], "healthy": calm}
+    assert FACTS["noise"]({"runs": [blind], "healthy": calm}) == []
+    assert FACTS["faults"](faults) == []
+    off = blind | {"mode": "renet", "vision_active_at_onset": 0, "falls": 0}
+    seen = blind | {"mode": "renet", "vision_active_at_onset": 1, "detected": 1, "falls": 0}
+    assert [value for value, _ in FACTS["faults"](faults | {"runs": [off]})] == ["100 %"]
+    both = FACTS["faults"](faults | {"runs": [off, seen]})
+    assert [value for value, _ in both] == ["100 %", "100 %"]
+
+
+def test_no_results_are_reported(tmp_path: Path) -> None:
+    with pytest.raises(RenetError, match="no results in"):
+        make_report(ReportCfg(tmp_path, tmp_path / "page.html"))
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_incomplete_results_are_reported(tmp_path: Path) -> None:
+    (tmp_path / "filter").mkdir()
+    summary = {"runs": [], "provenance": {"bundle_hash": "b"}}
+    (tmp_path / "filter" / "summary.json").write_text(json.dumps(summary))
+    with pytest.raises(RenetError, match="results of filter"):
+        make_report(ReportCfg(tmp_path, tmp_path / "page.html"))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "[" * 100_000,
+        '{"runs": "text"}',
+        "[1, 2]",
+        "null",
+        '{"half',
+        pytest.param("number", id="text for a number"),
+        pytest.param("inner", id="a list for a row"),
+    ],
+)
+def test_damaged_results_end_in_one_line(results: Path, tmp_path: Path, damage: str) -> None:
+    shutil.copytree(results / "standing", tmp_path / "standing")
+    path = tmp_path / "standing" / "summary.json"
+    content = json.loads(path.read_text())
+    if damage == "number":
+        content["runs"][0]["still"] = "many"
+        damage = json.dumps(content)
+    elif damage == "inner":
+        content["runs"][0] = [1]
+        damage = json.dumps(content)
+    path.write_text(damage)
+    with pytest.raises(RenetError, match="standing") as caught:
+        make_report(ReportCfg(tmp_path))
+    assert "\n" not in str(caught.value)
+
+
+def test_text_of_a_summary_is_escaped(results: Path, tmp_path: Path) -> None:
+    shutil.copytree(results / "filter", tmp_path / "filter")
+    path = tmp_path / "filter" / "summary.json"
+    content = json.loads(path.read_text())
+    content["provenance"]["command"] = "<script>alert(1)</script>"
+    path.write_text(json.dumps(content))
+    html = make_report(ReportCfg(tmp_path)).read_text()
+    assert "<script" not in html
+    assert "&lt;script&gt;" in html
+
+
+def test_run_runs_every_study_into_its_folder(tmp_path: Path, monkeypatch) -> None:
+    ran = {}
+    monkeypatch.setattr(Study, "main", lambda self: ran.update({self.name: self}))
+    report.run_studies(ReportCfg(tmp_path, run=True, quick=True, seed=7))
+    assert list(ran) == list(STUDIES)
+    for name, study in ran.items():
+        assert (study.out, study.seed, study.quick) == (tmp_path / name, 7, True)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    program = find_browser()
+    if program is None:
+        pytest.skip("no Chromium on this machine: install chromium-headless-shell")
+    browser = Browser(program)
+    yield browser
+    browser.close()
+
+
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("width", [390, 1200])
+def test_a_real_browser_shows_the_page_without_complaint(
+    page: Path, browser: Browser, width: int, dark: bool
+) -> None:
+    browser.open(page, width, dark)
+    assert browser.requests == [page.resolve().as_uri()]
+    assert browser.complaints == []
+    assert browser.ask("document.documentElement.scrollWidth") == width
+    assert browser.ask("[...document.images].every(i => i.complete && i.naturalWidth > 0)")
+    colours = browser.ask(
+        "['color', 'backgroundColor'].map(name => getComputedStyle(document.body)[name]"
+        ".match(/\\d+/g).map(Number).reduce((a, b) => a + b) / 3)"
+    )
+    ink, paper = colours
+    assert (ink > 200 and paper < 50) if dark else (ink < 50 and paper > 200)
+
+
+def test_the_browser_is_told_of_errors_requests_and_overflow(
+    browser: Browser, tmp_path: Path
+) -> None:
+    bad = tmp_path / "bad.html"
+    bad.write_text(
+        '<img src="http://localhost:9/x.png"><div style="width:900px">x</div>'
+        "<script>console.error('no'); undefined.x</script>"
+    )
+    browser.open(bad, 390, dark=False)
+    assert "http://localhost:9/x.png" in browser.requests
+    assert len(browser.complaints) >= 2
+    assert browser.ask("document.documentElement.scrollWidth") > 390

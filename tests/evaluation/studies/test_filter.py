@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from renet.deploy.manifest import SelectorSpec
+from renet.errors import RenetError
+from renet.evaluation.studies.filter import FilterStudy, replay
+
+from ..fakes import FakeEvaluator
+
+
+def test_measured_delay_is_the_formulas_at_every_rate(tmp_path: Path) -> None:
+    FilterStudy(out=tmp_path, robots=2, onset=2.0, seconds=6.0).run(FakeEvaluator())
+    runs = json.loads((tmp_path / "summary.json").read_text())["runs"]
+    assert len(runs) == 21
+    for run in runs:
+        if run["formula_s"] <= 4:
+            assert run["delay_s"] == pytest.approx(run["formula_s"], abs=1e-6), run
+        else:
+            assert run["detected"] == 0
+    assert (tmp_path / "filter.png").exists()
+    switches = {(r["gamma"], r["rate_hz"]): r["switches_per_minute"] for r in runs}
+    # A flicker of 0.1 s in 0.4 s: a light filter follows it, a heavy one does not.
+    assert switches[1.0, 200.0] == pytest.approx(300, rel=0.05)
+    assert switches[0.02, 10.0] == 0
+
+
+def test_quick_is_fewer_robots_and_new_gammas_need_no_new_walk(tmp_path: Path) -> None:
+    class Busy(FakeEvaluator):
+        def make_env(self, *args):
+            raise AssertionError("walked again")
+
+    quick = FilterStudy(out=tmp_path, quick=True, onset=0.2, seconds=0.8, gammas=(0.1,))
+    summary = quick.run(FakeEvaluator())
+    runs = summary["runs"]
+    assert summary["settings"]["quick"]
+    assert [run["robots"] for run in runs] == [4, 4, 4]
+    assert replace(quick, gammas=(0.1, 1.0)).run(Busy())["runs"][::2] == runs
+
+
+def test_replay_is_the_papers_recursion() -> None:
+    scores = np.array([[0.0], [2.0], [2.0]])
+    trusted = replay(scores, SelectorSpec(beta=1.0, gamma=0.3, rate_hz=200.0))
+    probability, expected = 1.0, []
+    for score in np.repeat(scores[:, 0], 4):
+        probability = 0.7 * probability + 0.3 * (score < 1.0)
+        expected.append(probability > 0.5)
+    np.testing.assert_array_equal(trusted.ravel(), expected)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"robots": 0},
+        {"gammas": ()},
+        {"gammas": (0.1, 2.0)},
+        {"rates": (200.0, 30.0)},
+        {"rates": (0.0,)},
+        {"onset": 14.0},
+        {"speed": 0.0},
+    ],
+)
+def test_bad_settings_are_refused(wrong) -> None:
+    with pytest.raises(RenetError):
+        FilterStudy(**wrong)

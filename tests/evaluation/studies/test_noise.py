@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from renet.errors import RenetError
+from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.studies.noise import NoiseStudy
+
+from ..fakes import SPEED, FakeEvaluator
+
+SMALL: dict = {"robots": 2, "onset": 1.0, "seconds": 5.0, "fault_end": 5.0}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("noise") / "deep" / "er"
+    NoiseStudy(out=out, **SMALL).run(FakeEvaluator())
+    return out
+
+
+def test_the_preset_is_the_papers_comparison(folder: Path) -> None:
+    summary = json.loads((folder / "summary.json").read_text())
+    settings = [(run["fault"], run["level"], run["mode"]) for run in summary["runs"]]
+    noises = [("gaussian", level) for level in (0.3, 0.7, 1.0)]
+    noises += [("salt_and_pepper", level) for level in (0.1, 0.3, 0.7)]
+    assert settings == [(*noise, mode) for noise in noises for mode in ("vp", "renet")]
+    assert {run["robots"] for run in summary["runs"]} == {2}
+    assert [run["mode"] for run in summary["baseline"]] == ["vp", "renet"]
+    assert [run["robots"] for run in summary["baseline"]] == [2, 2]
+    assert summary["provenance"].keys() >= {"bundle_hash", "engine", "seed", "command", "date"}
+    assert summary["healthy"]["false_switches"] == 0
+    assert summary["healthy"]["robot_hours"] == pytest.approx(4 * 5.0 / 3600, abs=1e-6)
+
+
+def test_measured_values_are_those_of_the_robots(folder: Path) -> None:
+    runs = json.loads((folder / "summary.json").read_text())["runs"]
+    for run in runs:
+        if run["mode"] == "renet":
+            assert run["falls"] == 0
+            assert run["mean_forward_velocity"] == pytest.approx(SPEED, abs=1e-6)
+            assert run["velocity_ci95_low"] == pytest.approx(SPEED, abs=1e-6)
+            assert run["detection_delay_s"] == pytest.approx(0.035)
+            assert run["detected"] == 2
+    strongest = next(r for r in runs if (r["mode"], r["level"]) == ("vp", 1.0))
+    assert strongest["falls"] == 2
+    assert strongest["mean_forward_velocity"] == 0
+
+
+def test_figures_and_table_are_written_whole(folder: Path) -> None:
+    for name in ("noise.png", "timeline.png"):
+        assert (folder / name).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert len((folder / "summary.csv").read_text().splitlines()) == 1 + 12
+    assert not list(folder.glob("*.part"))
+
+
+def test_only_renet_has_a_delay_in_the_table(folder: Path) -> None:
+    study = NoiseStudy(out=folder, **SMALL)
+    ((_, _, rows),) = study.tables(json.loads((folder / "summary.json").read_text()))
+    assert [row[:2] for row in rows[:3]] == [
+        ("VP alone", "no noise"),
+        ("RENet", "no noise"),
+        ("VP alone", "GA 30 %"),
+    ]
+    assert {row[4] for row in rows if row[0] == "VP alone"} == {"-"}
+    assert {row[4] for row in rows[8:]} == {"35"}
+
+
+def test_the_timelines_camera_recovers() -> None:
+    last = NoiseStudy().trials([("gaussian", 5)])[-1]
+    assert last.mode == "renet"
+    at_work = np.array([last.schedule[0].elapsed(k) >= 0 for k in range(450)])
+    np.testing.assert_array_equal(at_work, (np.arange(450) >= 150) & (np.arange(450) < 300))
+    assert NoiseStudy().trials([("gaussian", 5)], faulty=False)[-1].schedule == ()
+
+
+def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    study = NoiseStudy(out=tmp_path, quick=True, onset=0.2, seconds=1.2, fault_end=1.2)
+    walked: list[str] = []
+    real = FaultStudy._run_batch
+
+    def spy(self, evaluator, env, name):
+        walked.append(name)
+        if name == "gaussian_4" and walked.count(name) == 1:
+            raise KeyboardInterrupt
+        return real(self, evaluator, env, name)
+
+    monkeypatch.setattr(FaultStudy, "_run_batch", spy)
+    with pytest.raises(KeyboardInterrupt):
+        study.run(FakeEvaluator())
+    assert not (tmp_path / "summary.json").exists()
+    summary = study.run(FakeEvaluator())
+    names = list(study.batches)
+    assert walked == [*names[:2], *names[1:]]
+    assert {run["robots"] for run in summary["runs"]} == {5}
+    whole = replace(study, out=tmp_path / "whole").run(FakeEvaluator())
+    assert whole["runs"] == summary["runs"]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"modes": ("blind",)},
+        {"modes": ()},
+        {"speed": 0.0},
+        {"robots": 0},
+        {"onset": 9.0},
+        {"faults": ()},
+        {"selector": "coin"},
+    ],
+)
+def test_bad_settings_are_refused(wrong) -> None:
+    with pytest.raises(RenetError):
+        NoiseStudy(**wrong)
+
+
+def test_a_file_in_the_way_is_reported(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RenetError, match="cannot write"):
+        NoiseStudy(out=tmp_path / "file").run(FakeEvaluator())
+
+
+def test_a_folder_that_is_not_ours_is_reported(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    with pytest.raises(RenetError, match="permission denied"):
+        NoiseStudy(out=tmp_path).run(FakeEvaluator())

@@ -1,0 +1,62 @@
+"""Pictures of tiles, camera and height maps: written, with honest numbers beside them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from renet.errors import RenetError
+from renet.evaluation.report.height_maps import WARM_UP, errors
+from renet.evaluation.report.report import ReportCfg, make_report
+from renet.evaluation.studies.pictures import SENSOR, PicturesStudy, _kept
+from renet.interface import HEIGHT_MAP_SIZE
+from renet.terrain.tiles import tiles
+
+
+def test_every_picture_is_written_and_the_numbers_are_those_of_the_robots(tmp_path):
+    out = tmp_path / "pictures"
+    PicturesStudy(out=out, seconds=2.0, level=8).run()
+    names = {path.name for path in out.iterdir()}
+    assert names == {"tiles.png", "camera.png", "height_map.png", "summary.json"}
+    for name in names - {"summary.json"}:
+        with Image.open(out / name) as picture:
+            assert picture.info["Description"].startswith("bundle go1-parkour")
+    summary = json.loads((out / "summary.json").read_text())
+    assert [row["terrain"] for row in summary["height_map"]] == list(tiles())
+    flat = {row["terrain"]: row["rmse_of_flat_ground_m"] for row in summary["height_map"]}
+    # Level 8 of the stairs is far from flat; that of rough ground is much nearer.
+    assert flat["stairs_up"] > 2 * flat["rough"]
+    assert summary["provenance"]["bundle_hash"]
+    page = make_report(ReportCfg(tmp_path)).read_text()
+    assert "The ground as the VP estimator predicts it" in page
+    assert page.count("<img") == 3
+
+
+def test_errors_by_hand():
+    maps = np.zeros((WARM_UP + 2, 1, 2, HEIGHT_MAP_SIZE))
+    maps[:WARM_UP] = 9.0  # Before the memory has warmed up: not counted.
+    maps[WARM_UP:, 0, 1] = 0.3
+    maps[WARM_UP, 0, 0] = 0.4
+    maps[WARM_UP + 1, 0, 0] = 0.2
+    found = errors(maps, ["gap"])[0]
+    assert found["rmse_m"] == pytest.approx(0.1)
+    assert found["rmse_of_flat_ground_m"] == pytest.approx(0.3)
+
+
+def test_the_kept_part_is_inside_the_sensors_view():
+    (left, top), width, height = _kept()
+    assert 0 < left < left + width < SENSOR.width
+    assert 0 < top < top + height < SENSOR.height
+    # 66 x 52 of 87 x 58 degrees.
+    assert width / SENSOR.width == pytest.approx(np.tan(0.5762) / np.tan(0.7592), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"), [({"level": 11}, "1 to 10"), ({"seconds": 0.5}, "at least 2 seconds")]
+)
+def test_mistakes_are_named(fields, message):
+    with pytest.raises(RenetError, match=message):
+        PicturesStudy(**fields)

@@ -1,0 +1,251 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from renet.errors import RenetError
+from renet.evaluation.monitor_log import successful_runs
+from renet.evaluation.rollout import Trace, Trial, run_rollout
+from renet.evaluation.studies.terrain import (
+    SuccessStudy,
+    TerrainStudy,
+    first_try,
+    highest_level,
+    passed,
+    worse_than_op,
+)
+from renet.faults import ViewPerturbation
+from renet.terrain.tiles import LEVELS, tiles
+
+from ..fakes import FakeEnv, FakeEvaluator, FakePolicy, FakeSelector
+
+
+class Ladder(FakeEnv):
+    """Robots leave their tile after 20 steps up to a level of their kind, and fall above it."""
+
+    worlds = 0
+    reach = np.array(
+        [10 if k == "stairs_up" else {"stairs_down": 3, "gap": 6}.get(k, 4) for k in tiles()]
+    )
+    able: np.ndarray | None = None
+    """Who can; None on flat ground, which nobody leaves."""
+
+    def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
+        Ladder.worlds += 1
+        self.able = levels < self.reach[kinds]
+        self.clock = 0
+
+    def step(self, action: np.ndarray):
+        result = super().step(action)
+        if self.able is None:
+            result.fell[0] = result.ended[0] = True
+            return result
+        self.clock += 1
+        over = np.full(self.num_robots, self.clock % 20 == 0)
+        result.ended[:] = over
+        result.fell[:] = over & ~self.able
+        return result
+
+
+class LadderEvaluator(FakeEvaluator):
+    def make_env(self, task, robots, speed, seed):
+        return Ladder(len(robots))
+
+
+def test_highest_level_counts_passes_in_a_row() -> None:
+    levels_passed = np.array([[1, 1, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], bool)
+    np.testing.assert_array_equal(highest_level(levels_passed), [2, 1, 0])
+
+
+def test_a_robot_passes_by_leaving_its_tile_even_after_a_fall() -> None:
+    trace = Trace.empty(4, 3)
+    trace.ended[[0, 2], 0] = trace.fell[0, 0] = True
+    trace.ended[1, 1] = trace.fell[1, 1] = True
+    assert passed(trace).tolist() == [True, False, False]
+
+
+def test_summary_holds_the_papers_table(tmp_path: Path) -> None:
+    TerrainStudy(out=tmp_path, robots=3, seconds=2).run(LadderEvaluator())
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["levels_by_kind"] == {
+        "gap": 6,
+        "platform": 4,
+        "stairs_up": 10,
+        "stairs_down": 3,
+    }
+    assert summary["levels"] == {"gap": 6, "platform": 4, "stairs": 6.5}
+    assert summary["robots"] == 3
+    assert summary["falls_on_flat"] == 100
+    assert summary["collisions"] == 0
+    assert 0.99 < summary["lin_vel_reward"] <= 1
+    assert len(summary["runs"]) == 4 * LEVELS
+    assert (tmp_path / "terrain.png").stat().st_size > 10_000
+
+
+def test_finished_kinds_are_not_climbed_again(tmp_path: Path) -> None:
+    first = TerrainStudy(out=tmp_path, robots=3, seconds=2).run(LadderEvaluator())
+    next((tmp_path / "parts").glob("gap-*.json")).unlink()
+    Ladder.worlds = 0
+    again = TerrainStudy(out=tmp_path, robots=3, seconds=2).run(LadderEvaluator())
+    assert again["runs"] == first["runs"]
+    assert Ladder.worlds == 1
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"kinds": ("lava",)}, {"kinds": ()}, {"robots": 0}, {"modes": ("x",)}]
+)
+def test_bad_settings_are_refused(wrong) -> None:
+    with pytest.raises(RenetError):
+        TerrainStudy(**wrong)
+
+
+def test_only_successful_episodes_calibrate() -> None:
+    trace = Trace.empty(25, 2)
+    # Robot 0 falls at step 7 and stands at the end; robot 1 leaves its tile at step 12, then falls.
+    trace.ended[7, 0] = trace.fell[7, 0] = True
+    trace.ended[[12, 24], 1] = True
+    trace.fell[24, 1] = True
+    assert successful_runs(trace) == [(0, slice(2, 5)), (1, slice(0, 3))]
+
+
+def test_no_success_means_no_runs() -> None:
+    rows = [Trial("vp")]
+    trace = run_rollout(FakeEnv(1), FakePolicy(1), FakeSelector(1, 1), rows, 10, 0)
+    trace.fell[-1] = trace.ended[-1] = True
+    assert successful_runs(trace) == []
+
+
+class Hurdles(FakeEnv):
+    """Robots cross after 20 steps; on gaps beyond level 2 they fall, beyond level 4 they stand."""
+
+    worlds = 0
+
+    def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
+        Hurdles.worlds += 1
+        gap = kinds == list(tiles()).index("gap")
+        self.falls = gap & (levels >= 2) & (levels < 4)
+        self.stands = gap & (levels >= 4)
+        self.clock = 0
+
+    def step(self, action: np.ndarray):
+        result = super().step(action)
+        self.clock += 1
+        over = (self.clock % 20 == 0) & ~self.stands
+        result.ended[:] = over
+        # A second try would succeed, and must not count.
+        result.fell[:] = over & self.falls & (self.clock <= 20)
+        return result
+
+
+class HurdlesEvaluator(FakeEvaluator):
+    def make_env(self, task, robots, speed, seed):
+        yaw = task.events["spawn"].params["pose_range"]["yaw"]
+        assert -0.2 < yaw[0] < yaw[1] < 0.2
+        return Hurdles(len(robots))
+
+
+def success(out: Path, **settings) -> SuccessStudy:
+    return SuccessStudy(
+        out=out, kinds=("gap", "stairs_up"), levels=(1, 3, 5), robots=3, seconds=2, **settings
+    )
+
+
+def test_only_the_first_try_counts() -> None:
+    trace = Trace.empty(5, 4)
+    trace.ended[1, 0] = trace.ended[2, 1] = trace.fell[2, 1] = trace.ended[4, 1] = True
+    trace.ended[0, 3] = trace.ended[3, 3] = trace.fell[3, 3] = True
+    crossed, fell, seconds = first_try(trace)
+    assert crossed.tolist() == [True, False, False, True]
+    assert fell.tolist() == [False, True, False, False]
+    np.testing.assert_allclose(seconds, [0.04, 0.06, np.nan, 0.02])
+
+
+def test_every_size_and_mode_has_its_row(tmp_path: Path) -> None:
+    success(tmp_path).run(HurdlesEvaluator())
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    runs = {(r["kind"], r["level"], r["mode"]): r for r in summary["runs"]}
+    assert len(runs) == 2 * 3 * 3
+    for mode in ("vp", "renet", "op"):
+        assert runs["gap", 1, mode]["passed"] == 3
+        assert runs["gap", 3, mode]["falls"] == 3
+        assert runs["gap", 5, mode]["stuck"] == 3
+        assert runs["stairs_up", 5, mode]["success_rate"] == 1
+    row = runs["gap", 1, "renet"]
+    assert row["size_m"] == pytest.approx(0.10)
+    assert row["median_seconds"] == pytest.approx(0.4)
+    assert row["success_ci95_low"] == row["success_ci95_high"] == 1
+    assert runs["gap", 5, "op"]["median_seconds"] is None
+    assert summary["worse"] == []
+    assert summary["provenance"]["bundle_hash"] == "0" * 64
+    assert (tmp_path / "success.png").stat().st_size > 10_000
+    assert (tmp_path / "summary.csv").read_text().count("\n") == 19
+
+
+def test_finished_kinds_are_not_tried_again(tmp_path: Path) -> None:
+    first = success(tmp_path).run(HurdlesEvaluator())
+    next((tmp_path / "parts").glob("stairs_up-*.json")).unlink()
+    Hurdles.worlds = 0
+    assert success(tmp_path).run(HurdlesEvaluator())["runs"] == first["runs"]
+    assert Hurdles.worlds == 1
+    success(tmp_path, seed=2).run(HurdlesEvaluator())
+    success(tmp_path).run(HurdlesEvaluator())
+    assert Hurdles.worlds == 3
+
+
+def test_where_renet_crosses_less_often_than_op_alone_is_listed() -> None:
+    runs = [
+        {"kind": "gap", "level": level, "size_m": level / 10, "mode": mode, "success_rate": rate}
+        for level, mode, rate in [
+            (1, "renet", 0.9),
+            (1, "op", 0.91),
+            (2, "renet", 0.5),
+            (2, "op", 0.8),
+            (3, "renet", 0.5),
+        ]
+    ]
+    assert worse_than_op(runs) == [{"kind": "gap", "size_m": 0.2, "renet": 0.5, "op": 0.8}]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"kinds": ("lava",)},
+        {"levels": (0,)},
+        {"levels": ()},
+        {"modes": ("x",)},
+        {"speed": 0.0},
+        {"speed": -0.6, "fault": "foam"},
+        {"robots": 0},
+        {"fault": "gremlins"},
+        {"fault": "frozen:9"},
+    ],
+)
+def test_bad_settings_of_one_try_are_refused(wrong) -> None:
+    with pytest.raises(RenetError):
+        SuccessStudy(**wrong)
+
+
+def test_faults_of_the_scene_reach_the_cameras(tmp_path: Path) -> None:
+    seen = []
+
+    class Hall(Hurdles):
+        def perturb_cameras(self, view: ViewPerturbation) -> None:
+            seen.append(float(view.lift.max()))
+
+    class HallEvaluator(FakeEvaluator):
+        def make_env(self, task, robots, speed, seed):
+            return Hall(len(robots))
+
+    success(tmp_path, fault="foam:3", speed=1.5).run(HallEvaluator())
+    assert seen[0] == 0
+    assert max(seen) == pytest.approx(0.07)
+
+
+def test_a_fault_begins_before_the_obstacle() -> None:
+    (injection,) = SuccessStudy(fault="frozen:2", speed=0.6).schedule
+    assert injection.onset == 75
+    (later,) = SuccessStudy(fault="frozen:2@4s+1s").schedule
+    assert (later.onset, later.duration) == (200, 1.0)

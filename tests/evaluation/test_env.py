@@ -1,0 +1,161 @@
+"""The simulated environment: tiles, twins, and physical faults, which change rays alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from renet.errors import RenetError
+from renet.evaluation.env import SimEnv, study_env_cfg
+from renet.evaluation.rollout import Trial, run_rollout
+from renet.faults import Frames, Injection, Injector, PhysicalFault, ViewPerturbation
+from renet.faults.physical import spread
+from renet.tasks.parkour_env_cfg import tile_env_cfg
+from renet.tasks.sensors import DEPTH_CAMERA
+from renet.tasks.terrains import single_tile_terrain
+from renet.terrain.tiles import LEVELS, TILE, tiles
+
+from .fakes import FakeEnv, FakePolicy, FakeSelector
+
+
+def quiet(cfg):
+    """A study's world whose camera has no noise and a nominal mount."""
+    camera = next(sensor for sensor in cfg.scene.sensors if sensor.name == DEPTH_CAMERA)
+    camera.noise.relative_std = camera.noise.gaussian_std = 0.0
+    camera.mount.position_error = camera.mount.angle_error = 0.0
+    return cfg
+
+
+@pytest.fixture(scope="module")
+def tile() -> SimEnv:
+    cfg = tile_env_cfg(single_tile_terrain("platform", 8), play=True)
+    return SimEnv(quiet(study_env_cfg(cfg, 0.5)), [0, 0, 0, 0], 3, "native")
+
+
+def seen(world: SimEnv, view: ViewPerturbation) -> np.ndarray:
+    world.perturb_cameras(view)
+    depth = world.reset().depth.astype(np.float32)
+    world.perturb_cameras(ViewPerturbation.none(world.num_robots))
+    return depth
+
+
+def view(**rows: dict[int, object]) -> ViewPerturbation:
+    changed = ViewPerturbation.none(4)
+    for name, values in rows.items():
+        for row, value in values.items():
+            getattr(changed, name)[row] = value
+    return changed
+
+
+def test_foam_brings_the_ground_nearer_by_what_it_is_high(tile: SimEnv) -> None:
+    flat = SimEnv(quiet(study_env_cfg("Renet-Go1-Flat", 0.5)), [0, 0], 3, "native")
+    flat.perturb_cameras(ViewPerturbation(np.array([0.0, 0.1]), np.zeros((2, 3)), np.zeros(2)))
+    depth = flat.reset().depth.astype(np.float32)
+    eye = flat.env.sim.data.qpos[0, 2].item() + 0.03  # The head is level with the trunk, about.
+    both = (depth < 1.0).all(axis=0)
+    ratio = depth[1][both] / depth[0][both]
+    # Every ray that ends on the ground is shorter in the proportion of the eye's heights.
+    assert ratio.std() < 0.01
+    pitch = 0.27 * abs(flat.env.sim.data.qpos[0, 5].item())
+    assert ratio.mean() == pytest.approx((eye - 0.1) / eye, abs=0.1 + pitch)
+    assert 0.4 < ratio.mean() < 0.85
+
+
+def test_only_the_disturbed_robots_see_it(tile: SimEnv) -> None:
+    depth = seen(tile, view(lift={1: 0.1}, turn={2: (0.0, 0.2, 0.0)}, glass={3: 1.0}))
+    true = seen(tile, ViewPerturbation.none(4))
+    np.testing.assert_array_equal(depth[0], true[0])
+    for robot in (1, 2, 3):
+        assert (np.abs(depth[robot] - true[robot]) > 0.02).mean() > 0.05, robot
+
+
+def test_a_pitched_camera_sees_what_was_rows_away(tile: SimEnv) -> None:
+    down = seen(tile, view(turn={0: (0.0, 0.1, 0.0)}))[0]
+    true = seen(tile, ViewPerturbation.none(4))[0]
+    # Pitch is positive downwards: the picture's lower rows move up.
+    shift = int(np.argmin([np.abs(down[:40] - true[k : 40 + k]).mean() for k in range(9)]))
+    assert shift == pytest.approx(0.1 * 24.0 / 0.4875, abs=1.1)
+
+
+def test_glass_shows_the_ground_behind_and_leaves_the_physics(tile: SimEnv) -> None:
+    clear = seen(tile, view(glass={0: 1.0}))[0]
+    true = seen(tile, ViewPerturbation.none(4))[0]
+    assert (clear >= true - 2e-3).all()
+    assert (clear > true + 0.05).any()
+    contacts = tile.env.sim.mj_model.ngeom
+    seen(tile, view(glass={0: 1.0}))
+    assert tile.env.sim.mj_model.ngeom == contacts
+
+
+def test_glass_needs_obstacles() -> None:
+    flat = SimEnv(study_env_cfg("Renet-Go1-Flat", 0.5), [0], 3, "native")
+    with pytest.raises(RenetError, match="no obstacle that could be glass"):
+        flat.perturb_cameras(ViewPerturbation(np.zeros(1), np.zeros((1, 3)), np.ones(1)))
+
+
+def test_a_physical_fault_comes_and_goes_with_its_schedule(tile: SimEnv) -> None:
+    foam = (Injection("foam", 0.15, onset=10, duration=0.2),)
+    rows = [Trial("op", foam), Trial("op"), Trial("op", foam), Trial("op")]
+    film = run_rollout(tile, FakePolicy(4), FakeSelector(4, 1.0), rows, 30, 0, film=[0, 1]).film
+    assert film is not None
+    gap = np.abs(film.images[:, 0].astype(float) - film.images[:, 1]).mean(axis=(1, 2))
+    disturbed = gap > 5 * gap[:2].max() + 1
+    np.testing.assert_array_equal(disturbed, [False, False, True, True, False, False])
+
+
+def test_cameras_without_a_simulator_refuse_physical_faults() -> None:
+    for name in ("glass", "foam", "mount_knocked"):
+        schedule = (Injection.of(name, 3),)
+        with pytest.raises(RenetError, match="only a simulated world"):
+            Injector([schedule], [0], 0)
+        with pytest.raises(RenetError, match="only a simulated world"):
+            run_rollout(
+                FakeEnv(1), FakePolicy(1), FakeSelector(1, 1.0), [Trial("vp", schedule)], 5, 0
+            )
+
+
+def test_views_compose_and_images_pass_untouched() -> None:
+    schedule = (
+        Injection("foam", 0.1, 0),
+        Injection("foam", 0.02, 10),
+        Injection("glass", 0.4, 0),
+        Injection("mount_knocked", 10.0, 0),
+    )
+    injector = Injector([schedule, ()], [0, 1], 5, physical=True)
+    late = injector.perturbation(10)
+    np.testing.assert_allclose(injector.perturbation(0).lift, [0.1, 0.0])
+    np.testing.assert_allclose(late.lift, [0.12, 0.0])
+    np.testing.assert_allclose(late.glass, [0.4, 0.0])
+    assert np.degrees(np.linalg.norm(late.turn[0])) == pytest.approx(10.0)
+    assert not late.turn[1].any()
+    image = np.random.default_rng(0).random((2, 48, 64), np.float32)
+    np.testing.assert_array_equal(injector.apply(Frames.healthy(image), 10).image, image)
+    assert injector.at_work(10).tolist() == [True, False]
+    assert not issubclass(type(schedule[0]), PhysicalFault)
+
+
+@pytest.mark.parametrize(("count", "share", "expected"), [(4, 0.2, 1), (24, 0.2, 5), (24, 1.0, 24)])
+def test_a_share_of_the_obstacles_at_least_one(count: int, share: float, expected: int) -> None:
+    chosen = spread(list(range(count)), share)
+    assert len(chosen) == expected
+    assert chosen <= set(range(count))
+    assert spread(list(range(count)), min(share + 0.2, 1.0)) >= chosen or share < 1
+
+
+def test_robots_stand_on_the_tiles_they_are_placed_on() -> None:
+    kinds, levels = np.array([4, 2, 3, 5]), np.array([0, 9, 4, 2])
+    world = SimEnv(study_env_cfg("Renet-Go1-Parkour", 0.5), range(4), 1, "auto")
+    world.place(levels, kinds)
+    result = world.reset()
+    assert ((result.height > 0.2) & (result.height < 0.4)).all()
+    np.testing.assert_allclose(result.proprioception[:, 6], 0.5)
+    position = world.env.scene["robot"].data.root_link_pos_w.numpy()
+    # Rows of the terrain lie along x, columns along y, one tile apart.
+    order = np.argsort(levels)
+    np.testing.assert_allclose(np.diff(position[order, 0]), TILE * np.diff(levels[order]), atol=0.7)
+    rise = tiles()["stairs_up"].measure(9 / (LEVELS - 1))
+    assert position[1, 2] < -5 * rise
+    for _ in range(5):
+        result = world.step(np.zeros((4, 12), np.float32))
+    assert not result.ended.any()
+    assert result.travelled.max() < 0.3

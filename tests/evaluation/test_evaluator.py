@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from renet import cli
+from renet.deploy.bundle import (
+    DEFAULT,
+    Bundle,
+    pretrained,
+    read_manifest,
+    write_bundle,
+    write_manifest,
+)
+from renet.deploy.manifest import Manifest, SelectorSpec
+from renet.errors import RenetError
+from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.rollout import Trial, run_rollout
+from renet.evaluation.selectors import PaperSelector
+from renet.faults import Injection
+from renet.models.config import ModelCfg
+from renet.models.renet import RENet
+from renet.selector.filter import switch_delay
+from renet.training.bundle import camera_spec, robot_spec
+from renet.training.export import export_models
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Untrained networks: real files, real models, no skill.
+
+    Their reconstruction is about 0.5 everywhere: 0.25 from black and white, less from ground.
+    """
+    torch.manual_seed(0)
+    manifest = Manifest(robot=robot_spec(), camera=camera_spec(), selector=SelectorSpec(beta=0.18))
+    return write_bundle(
+        tmp_path_factory.mktemp("evaluator") / "bundle",
+        export_models(RENet(ModelCfg(), 8)),
+        manifest,
+    )
+
+
+def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bundle: Path) -> None:
+    evaluator = Evaluator(bundle, selector="paper")
+    noise = (Injection("salt_and_pepper", 1.0, onset=10),)
+    rows = [Trial("renet"), Trial("renet", noise), Trial("vp", noise)]
+    world = evaluator.make_env("Renet-Go1-Flat", range(3), 0.6, 1)
+    trace = run_rollout(
+        world, evaluator.make_policy(3), evaluator.make_selector(3), rows, 30, 1, film=[1]
+    )
+    assert np.isfinite(trace.forward_velocity).all()
+    assert trace.vision[:, [0, 2]].all()
+    # The first spoilt image comes with a clean one before it; the next tick has two.
+    assert not trace.vision[20:, 1].any()
+    assert trace.film is not None
+    assert trace.film.images[0].std() > 5
+    assert not trace.fallen.any()
+    assert evaluator.scene_spec is not None
+    assert evaluator.provenance(3).bundle_hash == evaluator.bundle.sha256
+
+
+def test_another_robots_bundle_is_refused_before_anything_is_built(
+    bundle: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = Path(shutil.copytree(bundle, tmp_path / "other"))
+    manifest = read_manifest(other)
+    write_manifest(other, replace(manifest, robot=replace(manifest.robot, name="Unitree A1")))
+    out = tmp_path / "out"
+    assert cli.main(["evaluate", "faults", "--bundle", str(other), "--out", str(out)]) == 2
+    said = capsys.readouterr().err.strip()
+    assert said.startswith(
+        "renet: bundle other drives a Unitree A1, this task's robot is a Unitree"
+    )
+    assert len(said.splitlines()) == 1
+
+
+def test_calibration_is_written_into_the_bundle(tmp_path: Path) -> None:
+    # Only robots that walk count: the shipped policy's do.
+    bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
+    cfg = CalibrateCfg(bundle, robots=2, seconds=4.0, terrains=("flat",))
+    beta = run_calibrate(cfg)
+    selector = read_manifest(bundle).selector
+    assert selector.beta == pytest.approx(beta)
+    assert "maximum of 80 scores" in selector.calibration
+    assert set(selector.thresholds) >= {"reconstruction", "uniformity", "frame_age", "duplicate"}
+    assert selector.thresholds["reconstruction"] > beta
+    assert selector.false_alarms_per_hour == 0.5
+    assert selector.healthy_hours == pytest.approx(8 / 3600)
+    assert Evaluator(bundle).beta == selector.thresholds["reconstruction"]
+    assert Evaluator(bundle, selector="paper").beta == pytest.approx(beta)
+    assert Bundle.load(bundle).sha256 != ""
+    assert json.loads((bundle / "manifest.json").read_text())["selector"]["gamma"] == 0.1
+
+
+@pytest.mark.parametrize(("rate", "gamma"), [(200.0, 0.1), (50.0, 0.1), (10.0, 0.3)])
+def test_the_filter_runs_at_its_own_rate(rate: float, gamma: float) -> None:
+    switch = PaperSelector(SelectorSpec(beta=1.0, gamma=gamma, rate_hz=rate), 1)
+    updates = 0
+    while switch.judge(np.array([2.0]))[0]:
+        updates += 1
+    assert (updates + 1) * 0.005 == pytest.approx(switch_delay(gamma, rate))
+    switch.reset(np.array([True]))
+    assert switch.probability[0] == 1
+
+
+def test_a_rate_the_simulation_cannot_keep_is_refused() -> None:
+    with pytest.raises(RenetError, match="selector rate 33"):
+        PaperSelector(SelectorSpec(beta=1.0, rate_hz=33.0), 1)
+
+
+def test_a_missing_bundle_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(RenetError, match="no bundle at"):
+        Evaluator(tmp_path / "nothing")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"robots": 0},
+        {"terrains": ()},
+        {"terrains": ("flat", "park")},
+        {"speed": 0.0},
+        {"false_alarm": 2.0},
+        {"false_alarms_per_hour": 0.0},
+    ],
+)
+def test_calibration_refuses_mistakes_before_anybody_walks(
+    bundle: Path, wrong, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Evaluator, "rollout", lambda *args, **kwargs: pytest.fail("walked"))
+    with pytest.raises(RenetError):
+        run_calibrate(CalibrateCfg(bundle, **wrong))
+
+
+def test_twins_have_one_body_and_one_start_and_every_run_is_the_same(bundle: Path) -> None:
+    evaluator = Evaluator(bundle)
+    rows = [Trial("op", robot=number) for number in (0, 1, 0)]
+    world = evaluator.make_env("Renet-Go1-Flat", [row.robot for row in rows], 0.6, 1)
+
+    def run() -> np.ndarray:
+        trace = run_rollout(
+            world, evaluator.make_policy(3), evaluator.make_selector(3), rows, 40, 1
+        )
+        return np.stack([trace.height, trace.forward_velocity, trace.travelled])
+
+    once, again = run(), run()
+    np.testing.assert_array_equal(once, again)
+    np.testing.assert_allclose(once[:, :, 0], once[:, :, 2], atol=1e-4)
+    assert np.abs(once[:, :, 0] - once[:, :, 1]).max() > 0.01

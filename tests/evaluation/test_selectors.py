@@ -1,0 +1,132 @@
+"""Selectors in rollouts: rates, names, and what each of them is blind to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from renet.deploy.manifest import SelectorSpec
+from renet.errors import RenetError
+from renet.evaluation.monitor_log import SelectorProbe, combined_score, successful_runs
+from renet.evaluation.rollout import Trial, run_rollout
+from renet.evaluation.selectors import MonitorSelectorAdapter, make_selector
+from renet.evaluation.trace import Trace
+from renet.faults import Injection
+from renet.selector.monitors import Sight
+
+from .fakes import GROUND, FakeEnv, FakePolicy
+
+SPEC = SelectorSpec(beta=1.0, thresholds={"disagreement": 0.3, "uniformity": -0.001})
+
+
+class LiveEnv(FakeEnv):
+    """Its camera has the grain of a live one."""
+
+    def result(self, speed, fell):
+        result = super().result(speed, fell)
+        if not hasattr(self, "_noise"):
+            self._noise = np.random.default_rng(0)
+        grain = self._noise.normal(0, 0.02, result.depth.shape).astype(np.float16)
+        return type(result)(**(vars(result) | {"depth": result.depth + grain}))
+
+
+def roll(
+    kind: str, fault: str, level: float, duration: float = 2.0
+) -> tuple[np.ndarray, SelectorProbe]:
+    switches = {"paper": make_selector("paper", SPEC, 2)}
+    witness = SelectorProbe(2, switches)
+    rows = [Trial("renet", (Injection(fault, level, 50, duration),)), Trial("renet")]
+    trace = run_rollout(
+        LiveEnv(2),
+        FakePolicy(2),
+        make_selector(kind, SPEC, 2),
+        rows,
+        300,
+        0,
+        on_update=witness,
+    )
+    return trace.trusted, witness
+
+
+@pytest.mark.parametrize(
+    ("fault", "level", "delay"),
+    # Two frames after the first held one; an age of 0.2 s; at once.
+    [("frozen", np.inf, 0.135), ("unplugged", np.inf, 0.135), ("blackout", 0.0, 0.035)],
+)
+def test_monitors_notice_what_the_papers_rule_cannot(fault, level, delay) -> None:
+    trusted, witness = roll("guarded", fault, level)
+    flat = trusted.reshape(-1, 2)
+    assert (~flat[:, 0]).argmax() == pytest.approx((1.0 + delay) * 200 - 1, abs=1.01)
+    assert flat[:, 1].all()
+    assert witness.trusted("paper").all()
+    # Back a second after the fault is over, not before.
+    back = flat[600:, 0].argmax() / 200
+    assert 0.95 <= back <= 1.25
+
+
+def test_a_slow_selector_sees_every_frame_once() -> None:
+    switch = MonitorSelectorAdapter(SelectorSpec(beta=1.0, gamma=0.6, rate_hz=10.0), 1)
+    image = np.random.default_rng(0).random((1, 48, 64))
+    visions = []
+    for update in range(200):
+        fresh = np.array([update % 20 == 0])
+        sight = Sight(
+            np.zeros(1),
+            image,
+            fresh,
+            np.zeros(1),
+            np.zeros(1),
+            np.zeros((1, 3)),
+            np.zeros((1, 3)),
+        )
+        visions.append(bool(switch.update(sight)[0]))
+    # The third equal frame comes at update 40 and is judged at the end of its period.
+    assert visions.index(False) == 59
+
+
+def test_disagreeing_estimators_are_noticed() -> None:
+    controller = FakePolicy(2)
+    controller.velocity_op = np.zeros((2, 3))
+    controller.velocity_vp = np.array([[0.4, 0.0, 0.0], [0.2, 0.0, 0.0]])
+    trace = run_rollout(
+        LiveEnv(2), controller, make_selector("guarded", SPEC, 2), [Trial("renet")] * 2, 10, 0
+    )
+    assert trace.trusted[-1, -1].tolist() == [False, True]
+
+
+def test_the_combined_score_is_one_at_any_threshold_and_zero_as_usual() -> None:
+    calm = np.zeros((10, 1))
+    risen = np.concatenate([np.zeros((5, 1)), np.full((5, 1), 0.5)])
+    whole = combined_score({"a": calm, "b": 2 + risen}, {"a": 1.0, "b": 2.5}, 5)
+    np.testing.assert_allclose(whole, 2 * risen)
+
+
+def test_the_log_keeps_the_highest_score_of_a_tick() -> None:
+    _, witness = roll("paper", "unplugged", 0.5, duration=0.5)
+    age = witness.log.scores["frame_age"]
+    assert age.shape == (60, 2)
+    np.testing.assert_allclose(age[:, 1], 0.095)
+    np.testing.assert_allclose(
+        age[9:17, 0], [0.095, 0.195, 0.295, 0.395, 0.495, 0.595, 0.095, 0.095]
+    )
+    assert witness.log.scores["uniformity"].max() < -0.01
+    assert GROUND.std() == 0
+
+
+def test_unknown_selectors_and_rates_are_refused() -> None:
+    with pytest.raises(RenetError, match="unknown selector 'coin'"):
+        make_selector("coin", SPEC, 1)
+    with pytest.raises(RenetError, match="selector rate 33"):
+        make_selector("guarded", SelectorSpec(beta=1.0, rate_hz=33.0), 1)
+
+
+def test_calibration_learns_from_robots_that_get_somewhere() -> None:
+    trace = Trace.empty(100, 4)
+    walk = np.arange(100) * 0.012
+    trace.travelled[:, 0] = trace.travelled[:, 3] = walk
+    trace.travelled[:, 1] = 0.1
+    trace.travelled[:, 2] = np.concatenate([walk[:50], walk[:50]])
+    trace.ended[[49, 99], 2] = trace.fell[99, 2] = True
+    trace.ended[99, 3] = trace.fell[99, 3] = True
+    assert successful_runs(trace, 0.6) == [(0, slice(0, 20)), (2, slice(0, 10))]
+    assert successful_runs(trace) == [(0, slice(0, 20)), (1, slice(0, 20)), (2, slice(0, 10))]

@@ -1,0 +1,92 @@
+"""What every study shares: recipe, presets on the command line, any registered robot."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from renet import cli
+from renet.deploy.bundle import pretrained, read_manifest, write_manifest
+from renet.errors import RenetError
+from renet.evaluation.env import FLAT, terrain_env_cfg
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.results import MAX_JSON, read_json
+from renet.tasks import register_tasks
+from renet.tasks.config.go1 import GO1
+
+from .fakes import SPEED, FakeEvaluator
+
+DOCS = Path(__file__).parents[2] / "docs" / "evaluation.md"
+
+
+def test_the_recipe_of_a_study_runs_and_goes_on(tmp_path: Path, capsys) -> None:
+    (recipe,) = re.findall(r"```python\n(from dataclasses.*?)```", DOCS.read_text(), re.DOTALL)
+    assert len(recipe.splitlines()) < 60
+    space: dict = {"__name__": "recipe"}
+    exec(
+        compile(
+            recipe.replace("results/speed", str(tmp_path)), str(DOCS), "exec", dont_inherit=True
+        ),
+        space,
+    )
+    study = space["SpeedStudy"]()
+    summary = study.run(FakeEvaluator())
+    assert [run["speed"] for run in summary["runs"]] == [0.3, 0.6, 0.9]
+    assert summary["runs"][0]["walked"] == pytest.approx(SPEED, abs=1e-6)
+    assert json.loads((tmp_path / "summary.json").read_text()) == summary
+    assert (tmp_path / "summary.csv").read_text().count("\n") == 4
+    next((tmp_path / "parts").glob("0.6-*")).unlink()
+    made: list[float] = []
+
+    class Counting(FakeEvaluator):
+        def make_env(self, task, robots, speed, seed):
+            made.append(speed)
+            return super().make_env(task, robots, speed, seed)
+
+    study.run(Counting())
+    assert made == [0.6], "only what is missing is run"
+    assert study.tables(summary)[0][2][0] == (0.3, f"{SPEED:.2f}")
+
+
+def test_presets_are_chosen_on_the_command_line(capsys) -> None:
+    for words, default in (
+        (["faults", "--preset", "noise"], "results/noise"),
+        (["faults"], "results/faults"),
+        (["terrain", "--preset", "success"], "results/success"),
+    ):
+        with pytest.raises(SystemExit):
+            cli.main(["evaluate", *words, "--help"])
+        assert default in capsys.readouterr().out.replace("\n", "")
+    assert cli.main(["evaluate", "faults", "--preset", "rain"]) == 2
+    assert "unknown preset 'rain': choose one of noise" in capsys.readouterr().err
+    assert cli.main(["evaluate", "faults", "--preset"]) == 2
+
+
+def test_a_study_walks_the_bundles_own_robot(tmp_path: Path) -> None:
+    register_tasks("Twin", replace(GO1, name="Somebody's Go1"))
+    shutil.copytree(pretrained("go1-parkour"), tmp_path / "twin")
+    manifest = read_manifest(tmp_path / "twin")
+    robot = replace(manifest.robot, name="Somebody's Go1")
+    origin = replace(manifest.provenance, task="Renet-Twin-Flat")
+    write_manifest(tmp_path / "twin", replace(manifest, robot=robot, provenance=origin))
+    evaluator = Evaluator(tmp_path / "twin")
+    for terrain in (FLAT, "stairs_up"):
+        assert terrain_env_cfg(terrain, 3, evaluator.robot).robot.name == "Somebody's Go1"
+    env = evaluator.make_env(FLAT, range(2), 0.6, 1)
+    assert env.env.cfg.robot.name == "Somebody's Go1"
+    with pytest.raises(RenetError, match="this task's robot is a Unitree Go1"):
+        evaluator.make_env("Renet-Go1-Flat", range(2), 0.6, 1)
+
+
+def test_files_that_are_no_results_are_refused(tmp_path: Path) -> None:
+    huge = tmp_path / "huge.json"
+    with huge.open("wb") as file:
+        file.truncate(MAX_JSON + 1)
+    for path, message in ((huge, "at most 64 MB"), (tmp_path, "no file"), (tmp_path / "x", "run")):
+        with pytest.raises(RenetError, match=message):
+            read_json(path)

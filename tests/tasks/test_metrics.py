@@ -1,0 +1,52 @@
+"""What is logged beside the rewards."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
+from renet.tasks import env_cfg, mdp
+from renet.tasks.parkour_env_cfg import tile_env_cfg
+from renet.tasks.terrains import single_tile_terrain
+
+from .conftest import build, evaluate
+
+
+@pytest.mark.parametrize("weight", [0.0, -2.0])
+def test_a_rewards_value_is_logged_whatever_its_weight(weight):
+    cfg = env_cfg("Renet-Go1-Flat")
+    cfg.rewards["linear_velocity"].weight = weight
+    env = build(cfg, 2)
+    env.reset()
+    env.sim.data.qvel[:, :2] = 0.3
+    env.reward_buf = env.reward_manager.compute(dt=0.02)
+    expected = evaluate(env, "linear_velocity")
+    assert (expected != 0.0).all()
+    torch.testing.assert_close(mdp.reward_term(env, "linear_velocity"), expected)
+    env.close()
+
+
+def test_an_edge_is_relief_within_half_a_metre(parkour):
+    parkour.reset()
+    maps = torch.zeros(12, len(HEIGHT_MAP_X), len(HEIGHT_MAP_Y))
+    ahead, aside = HEIGHT_MAP_X.index(0.45), HEIGHT_MAP_Y.index(-0.45)
+    maps[0, ahead, 5] = -0.1  # A step ahead.
+    maps[1, 0, aside] = 0.1  # A pit to the side.
+    maps[2, ahead, 5] = 0.07  # Too low.
+    maps[3, ahead + 1, 5], maps[4, 3, aside - 1] = 0.5, 0.5  # Too far.
+    maps[5] = 0.3  # A robot in the air over flat ground.
+    parkour.obs_buf["height_map"] = maps.flatten(1)
+    assert mdp.near_edge(parkour).tolist() == [1.0, 1.0] + 10 * [0.0]
+
+
+@pytest.mark.parametrize(("kind", "distance", "edge"), [("gap", 1.1, 1.0), ("gap", 0.0, 0.0)])
+def test_the_share_of_steps_near_an_edge_is_logged(kind, distance, edge):
+    cfg = tile_env_cfg(single_tile_terrain(kind, 5), play=True)
+    cfg.events["spawn"].params["pose_range"] = {"x": (distance, distance), "z": (0.02, 0.02)}
+    env = build(cfg, 2)
+    env.reset()
+    for _ in range(3):
+        env.step(torch.zeros(2, 12))
+    assert env.metrics_manager.reset()["Episode_Metrics/near_edge"] == edge
+    env.close()

@@ -1,0 +1,50 @@
+"""Counts lines of code and files in a folder, and fails above the limits of size.json.
+
+    python tools/size.py            compare with the limits
+    python tools/size.py --lower    write today's numbers where they are below the limits
+
+Limits only ever go down.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+LIMITS = Path(__file__).with_suffix(".json")
+CODE = {".py", ".cpp", ".h"}
+
+
+def measure(root: Path = ROOT) -> dict[str, int]:
+    """Today's numbers: lines under src and tests, and files in the widest folder of src."""
+    files = {
+        part: [path for path in (root / part).rglob("*") if path.suffix in CODE]
+        for part in ("src", "tests")
+    }
+    lines = {f"{part}_lines": sum(map(count_lines, paths)) for part, paths in files.items()}
+    widest = max(Counter(path.parent for path in files["src"]).values(), default=0)
+    return {**lines, "widest_folder": widest}
+
+
+def count_lines(path: Path) -> int:
+    """All lines of a file, blank ones and comments too."""
+    return path.read_text().count("\n")
+
+
+def main(arguments: list[str], root: Path = ROOT, limits: Path = LIMITS) -> int:
+    """Print a line for each number; 1 if one of them is above its limit."""
+    allowed, found = json.loads(limits.read_text()), measure(root)
+    above = [name for name, limit in allowed.items() if found[name] > limit]
+    for name, limit in allowed.items():
+        print(f"{name}: {found[name]} of {limit}" + (" TOO MANY" if name in above else ""))
+    if "--lower" in arguments:
+        lowered = {name: min(limit, found[name]) for name, limit in allowed.items()}
+        limits.write_text(json.dumps(lowered, indent=2) + "\n")
+    return 1 if above else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
