@@ -27,9 +27,9 @@ from renet.interface import (
     PROPRIOCEPTION,
     STEPS_PER_TICK,
 )
-from renet.selector import SelectorCfg
 from renet.selector.filter import VISION_THRESHOLD
 from renet.selector.monitors import FALLBACK, MONITORS, NEAR
+from renet.selector.selector import SelectorCfg
 
 MAP_HEIGHT = 0.3
 """Metres of the base above the ground that read as zero in a height map, as in training."""
@@ -49,7 +49,7 @@ def contract() -> dict[str, Any]:
     Returns:
         JSON values; infinite durations are null.
     """
-    guard = SelectorCfg()
+    selector = SelectorCfg()
     return {
         "renet": __version__,
         "controlDt": CONTROL_DT,
@@ -72,8 +72,8 @@ def contract() -> dict[str, Any]:
         },
         "selector": {
             "visionThreshold": VISION_THRESHOLD,
-            "dwell": guard.dwell,
-            "betweenReturns": guard.between_returns,
+            "dwell": selector.dwell,
+            "betweenReturns": selector.between_returns,
             "near": NEAR,
             "monitors": [
                 {"name": name, "reason": monitor.reason, "fallback": FALLBACK.get(name)}
