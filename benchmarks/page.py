@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tests.evaluation.browser import Browser, find_browser
+from tests.evaluation.report.browser import Browser, find_browser
 
 from renet.page.writer import make_server
 

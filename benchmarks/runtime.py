@@ -1,13 +1,12 @@
 """What the runtime costs on one CPU thread: ticks, the 50 Hz loop's punctuality, memory, bytes.
 
 The real loop, controller and vision thread run in real time against a robot and a camera made of
-random numbers. Nothing here imports torch or MuJoCo. Where other work runs beside it, put it first,
-as a robot's computer should its controller: `chrt -f 50 python benchmarks/runtime.py`.
+random numbers. Nothing here imports torch or MuJoCo. The loop asks for real-time priority, as on a
+robot's computer.
 """
 
 from __future__ import annotations
 
-import os
 import resource
 import sys
 import time
@@ -18,21 +17,22 @@ import numpy as np
 import tyro
 
 from facts import report
-from renet.deploy import perception
+from renet.deploy import inference
 from renet.deploy.bundle import MODELS, Bundle
+from renet.deploy.bundle.manifest import RobotSpec
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller
-from renet.deploy.manifest import RobotSpec
-from renet.deploy.operator import ScriptedOperator
-from renet.deploy.policy import Percept, TickInputs, perceive
+from renet.deploy.loop import run_control_loop
+from renet.deploy.policy import EstimatorInput, EstimatorOutput, infer
+from renet.deploy.realtime import realtime
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.runner import fly
+from renet.deploy.robots.envelope import go1_envelope
 from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.teleop import ScriptedTeleop
 from renet.interface import CONTROL_DT, DEPTH_SHAPE
 
 WARM_UP = 3.0
 """Seconds of rising and first ticks that do not count."""
-SCHEDULERS = {os.SCHED_FIFO: "fifo", os.SCHED_RR: "round robin"}
 RARELY = SafetyCfg(max_gap=10.0, max_late=1_000_000)
 """A busy machine must not end the measurement: late ticks are what it is for."""
 
@@ -49,6 +49,7 @@ class RandomRobot:
     """Stands and trembles, on the wall clock; notes how late every control step begins."""
 
     def __init__(self, robot: RobotSpec) -> None:
+        self.envelope = go1_envelope()
         self._pose, self._random = np.array(robot.default_position), np.random.default_rng(0)
         self.late_ms: list[float] = []
 
@@ -85,18 +86,18 @@ class RandomCamera:
 
 
 class Stopwatch:
-    """Times `perceive` on whatever thread it runs."""
+    """Times `infer` on whatever thread it runs."""
 
     def __init__(self) -> None:
         self.wall_ms: list[float] = []
         self.cpu_ms: list[float] = []
 
-    def __call__(self, sessions: perception.Sessions, inputs: TickInputs) -> Percept:
+    def __call__(self, sessions: inference.Sessions, inputs: EstimatorInput) -> EstimatorOutput:
         wall, cpu = time.perf_counter(), time.thread_time()
-        percept = perceive(sessions, inputs)
+        output = infer(sessions, inputs)
         self.wall_ms.append(1000.0 * (time.perf_counter() - wall))
         self.cpu_ms.append(1000.0 * (time.thread_time() - cpu))
-        return percept
+        return output
 
 
 class TimedController(Controller):
@@ -127,12 +128,13 @@ def spread(values: list[float], begin: int) -> dict[str, float]:
 def main(cfg: Cfg) -> None:
     bundle = Bundle.load(cfg.bundle)
     stopwatch = Stopwatch()
-    perception.perceive = stopwatch
+    inference.infer = stopwatch
     robot, camera = RandomRobot(bundle.manifest.robot), RandomCamera()
-    controller = TimedController(bundle, RARELY, perception.ThreadedPerception(bundle.sessions))
+    controller = TimedController(bundle, RARELY, inference.ThreadedInference(bundle.sessions))
     end = time.monotonic() + WARM_UP + 60.0 * cfg.minutes
-    devices: tuple = (robot, camera, ScriptedOperator(0.6), controller)
-    fly(*devices, done=lambda: time.monotonic() >= end)
+    devices: tuple = (robot, camera, ScriptedTeleop(0.6), controller)
+    with realtime(50) as refused:
+        run_control_loop(*devices, done=lambda: time.monotonic() >= end)
     controller.close()
     assert "torch" not in sys.modules
     steps = round(WARM_UP / CONTROL_DT)
@@ -147,7 +149,7 @@ def main(cfg: Cfg) -> None:
             "loop_steps": len(late),
             "loop_steps_late_by_half_a_period": int((late > 500.0 * CONTROL_DT).sum()),
             "minutes": cfg.minutes,
-            "scheduler": SCHEDULERS.get(os.sched_getscheduler(0), "other"),
+            "refused": refused,
             "vision_share": round(float(np.mean(controller.trusted)), 4),
             "memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
             "bundle_bytes": sum((bundle.path / f"{m}.onnx").stat().st_size for m in MODELS),

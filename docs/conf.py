@@ -1,6 +1,8 @@
 """Sphinx's settings: `sphinx-build -W docs OUT`."""
 
 import importlib.metadata
+import re
+from pathlib import Path
 
 project = "renet"
 author = "the renet authors"
@@ -41,9 +43,16 @@ suppress_warnings = ["misc.highlighting_failure", "ref.python"]
 
 
 def setup(app) -> None:
-    """The measurements' notes lie beside the benchmarks; here they are a page of their own."""
+    """Let links that lead somewhere on GitHub lead somewhere here, too."""
+    app.connect("source-read", _mend_links)
 
-    def link(_app, _name: str, source: list[str]) -> None:
-        source[0] = source[0].replace("(../benchmarks/NOTES.md", "(notes.md")
 
-    app.connect("source-read", link)
+def _mend_links(_app, _name: str, source: list[str]) -> None:
+    # The measurements' notes are a page of the site; a folder of the source is not.
+    text = source[0].replace("(../benchmarks/NOTES.md", "(notes.md")
+    source[0] = re.sub(r"\[([^\]]+)\]\((\.\./[^)#]+)\)", _file_or_words, text)
+
+
+def _file_or_words(link: re.Match[str]) -> str:
+    folder = (Path(__file__).parent / link[2]).is_dir()
+    return link[1] if folder else link[0]

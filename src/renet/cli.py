@@ -75,8 +75,8 @@ COMMANDS = {
         "train",
     ),
     "deploy": Command(
-        "put a bundle on a robot, simulated or real; leaves a flight log and its timeline",
-        "renet.deploy.launch",
+        "put a bundle on a robot, simulated or real; leaves a recording and its timeline",
+        "renet.deploy.main",
         "DeployCfg",
         "deploy",
         "sim",
@@ -126,7 +126,7 @@ COMMANDS = {
         "train",
     ),
     "evaluate log": Command(
-        "score a flight log: falls, distance, switches, delays, and its timeline",
+        "score a recording: falls, distance, switches, delays, and its timeline",
         "renet.deploy.score",
         "ScoreCfg",
         "score_log",
@@ -147,7 +147,7 @@ COMMANDS = {
     ),
     "bundle inspect": Command(
         "print every input of a bundle by index: name, unit, scale, joint order",
-        "renet.deploy.inspect",
+        "renet.deploy.bundle.inspect",
         "InspectCfg",
         "inspect",
     ),
@@ -207,7 +207,7 @@ def _dispatch(arguments: list[str]) -> int:
         if error.name and error.name.startswith("renet"):
             raise
         raise RenetError(
-            f"`renet {name}` needs {error.name}: pip install 'renet[{command.extra}]'"
+            f"`renet {name}` needs {error.name}: pip install 'renet-locomotion[{command.extra}]'"
         ) from error
     where = result if isinstance(result, Path) else getattr(cfg, "out", None)
     if where is not None:

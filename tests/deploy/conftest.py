@@ -8,10 +8,12 @@ from pathlib import Path
 import pytest
 import torch
 
+from renet.deploy import calibration_log
 from renet.deploy.bundle import Bundle, write_bundle
-from renet.deploy.manifest import Manifest, SelectorSpec
+from renet.deploy.bundle.manifest import Manifest
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
+from renet.selector import SelectorSpec
 from renet.training.bundle import camera_spec, robot_spec
 from renet.training.export import export_models
 
@@ -39,6 +41,12 @@ def bundle_path(tmp_path, models, manifest) -> Path:
 
 @pytest.fixture(scope="session")
 def bundle(tmp_path_factory, models, manifest) -> Bundle:
-    """Untrained networks reconstruct badly: beta is large, so that only real faults count."""
-    easy = replace(manifest, selector=SelectorSpec(beta=1.0))
+    """Untrained networks reconstruct badly: the largest beta, so that only real faults count."""
+    easy = replace(manifest, selector=SelectorSpec(beta=0.25))
     return Bundle.load(write_bundle(tmp_path_factory.mktemp("b") / "bundle", models, easy))
+
+
+@pytest.fixture
+def short_logs_will_do(monkeypatch):
+    """Calibration from seconds instead of minutes."""
+    monkeypatch.setattr(calibration_log, "MIN_MINUTES", 0.0)

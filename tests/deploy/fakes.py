@@ -9,9 +9,9 @@ import numpy as np
 from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller, Event
-from renet.deploy.operator import Request
 from renet.deploy.robots.base import RobotState
 from renet.deploy.safety import SafetyCfg
+from renet.deploy.teleop import TeleopCommand
 from renet.interface import CONTROL_DT
 
 STANDING = np.tile([0.1, 0.9, -1.8, -0.1, 0.9, -1.8], 2)
@@ -40,10 +40,10 @@ def time_of(step: int) -> float:
     return round(step * CONTROL_DT, 6)
 
 
-ARM, GO = Request(arm=True), Request(speed=0.6)
-QUICK = SafetyCfg(rise_seconds=0.1)
+ARM, GO = TeleopCommand(arm=True), TeleopCommand(speed=0.6)
+QUICK = SafetyCfg(stand_up_seconds=0.1)
 WALKS_AT = 7
-"""Control step at which `Run` walks: armed at step 1, risen 0.1 s later."""
+"""Control step at which `Run` walks: armed at step 1, stood_up 0.1 s later."""
 
 
 class Run:
@@ -54,10 +54,10 @@ class Run:
         self.controller = Controller(bundle, QUICK, on_event=self.events.append, **options)
         self.step = 0
 
-    def tick(self, frame=None, request=GO, **changes):
+    def tick(self, frame=None, teleop=GO, **changes):
         now = time_of(self.step)
-        request = ARM if self.step == 1 else request
-        command = self.controller.tick(replace(state(now), **changes), frame, request, now)
+        teleop = ARM if self.step == 1 else teleop
+        command = self.controller.tick(replace(state(now), **changes), frame, teleop, now)
         self.step += 1
         return command
 

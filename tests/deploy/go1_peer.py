@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import socket
 import struct
+import threading
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 import mujoco
 import numpy as np
 
 from renet.deploy.robots.base import JointCommand
-from renet.deploy.robots.go1 import PERIOD
+from renet.deploy.robots.go1_link import PERIOD
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.interface import JOINTS
@@ -21,6 +24,8 @@ from renet.training.bundle import robot_spec
 
 JOINT_NAMES = ("hip", "thigh", "calf")
 COMMAND_BYTES, STATE_BYTES = 614, 792
+TIMESTAMPS = 35
+"""SO_TIMESTAMPNS of Linux."""
 HEAD = b"\xfe\xef\xff"
 MOTOR_COMMAND = struct.Struct("<Bffhhh12x")
 """mode, q, dq, tau * 256, Kp * 32, Kd * 16"""
@@ -63,17 +68,22 @@ class Peer:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self._socket.settimeout(0.2)
+        self._socket.setsockopt(socket.SOL_SOCKET, TIMESTAMPS, 1)
         self.port = self._socket.getsockname()[1]
         model, ground = build_scene("flat")
         model.opt.timestep = PERIOD
         self.robot = MujocoRobot(model, robot_spec(), ground)
         self.commands: list[np.ndarray] = []
-        self.silent = self.overloaded = self.garbled = False
+        self.arrivals: list[int] = []
+        """When the system received each command, ns; however late this program reads it."""
+        self.silent = self.overloaded = self.garbled = self.still = False
         self.ticks = 0
 
     def serve(self) -> None:
         """Take one command, live for 2 ms, answer."""
-        datagram, sender = self._socket.recvfrom(4096)
+        datagram, ancillary, _, sender = self._socket.recvmsg(4096, 64)
+        seconds, nanoseconds = struct.unpack("qq", ancillary[0][2])
+        self.arrivals.append(10**9 * seconds + nanoseconds)
         motors = decode_command(datagram)
         self.commands.append(motors)
         joints = np.empty_like(motors)
@@ -84,11 +94,39 @@ class Peer:
         assert (speed[~limp] == 0).all()
         hold = np.where(limp, 0.0, position)
         self.robot.write(JointCommand(hold, np.where(limp, 0.0, stiffness), damping))
-        mujoco.mj_step(self.robot.model, self.robot.data)
-        mujoco.mj_forward(self.robot.model, self.robot.data)
+        if not self.still:
+            mujoco.mj_step(self.robot.model, self.robot.data)
+            mujoco.mj_forward(self.robot.model, self.robot.data)
         self.ticks += 1
         if not self.silent:
             self._socket.sendto(self._state(), sender)
+
+    @contextmanager
+    def serving(self) -> Iterator[Peer]:
+        """Answer on a thread of its own, in wall-clock time."""
+        done = threading.Event()
+
+        def serve() -> None:
+            while not done.is_set():
+                with suppress(TimeoutError):
+                    self.serve()
+
+        server = threading.Thread(target=serve, daemon=True)
+        server.start()
+        yield self
+        done.set()
+        server.join(5)
+
+    @property
+    def stiff(self) -> int:
+        """How many commands so far asked for more than braking."""
+        return sum(bool(sent[:, 4].any()) for sent in list(self.commands))
+
+    @property
+    def braked(self) -> bool:
+        """Whether the newest command asks for nothing but braking."""
+        *_, stiffness, damping = self.commands[-1].T
+        return bool((stiffness == 0).all() and (damping == 3).all())
 
     def pose(self, position: np.ndarray) -> None:
         """Put the joints somewhere, in the vendor's order of motors."""
@@ -110,7 +148,7 @@ class Peer:
                 dq, tau = 20.0, 256 * 30
             values = (10, q, dq, 0, tau, q, dq, 0, 30)
             MOTOR_STATE.pack_into(packet, MOTORS_AT + STATE_STRIDE * motor, *values)
-        struct.pack_into("<I", packet, TICK_AT, self.ticks)
+        struct.pack_into("<I", packet, TICK_AT, self.ticks % 2**32)
         packet[-4:] = checksum(bytes(packet[:-4]))
         if self.garbled:
             packet[MOTORS_AT + 1] ^= 0x10

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -32,7 +33,8 @@ def test_round_trip(bundle_path, manifest, models):
     assert set(bundle.manifest.sha256) == {f"{name}.onnx" for name in models}
     before = bundle.sha256
     write_manifest(bundle_path, manifest)
-    assert Bundle.load.__name__ == "load"
+    with pytest.raises(RenetError, match="sha256 differs"):
+        Bundle.load(bundle_path)
     edit(bundle_path, lambda m: m.update(sha256=dict(bundle.manifest.sha256)))
     assert Bundle.load(bundle_path).sha256 == before
 
@@ -41,7 +43,7 @@ def test_missing_folder_and_missing_model(bundle_path, tmp_path):
     with pytest.raises(RenetError, match="no bundle at"):
         Bundle.load(tmp_path / "nowhere")
     (bundle_path / "vision.onnx").unlink()
-    with pytest.raises(RenetError, match=r"lacks vision\.onnx"):
+    with pytest.raises(RenetError, match=r"cannot read the model .*vision\.onnx"):
         Bundle.load(bundle_path)
 
 
@@ -96,7 +98,10 @@ def test_manifest_that_is_not_json(bundle_path):
 
 def test_models_of_another_architecture(tmp_path, manifest):
     other = export_models(RENet(ModelCfg(history=3), critic_size=10))
-    path = write_bundle(tmp_path / "other", other, manifest)
+    with pytest.raises(RenetError, match=r"proprioception_history.*\(3, 45\).*expected \(10, 45\)"):
+        write_bundle(tmp_path / "other", other, manifest)
+    path = write_bundle(tmp_path / "other", other, replace(manifest, history=3))
+    edit(path, lambda m: m.update(history=10))
     with pytest.raises(RenetError, match=r"proprioception_history.*\(3, 45\).*expected \(10, 45\)"):
         Bundle.load(path)
 
@@ -104,7 +109,7 @@ def test_models_of_another_architecture(tmp_path, manifest):
 def test_a_folder_that_is_not_a_bundle_is_never_replaced(tmp_path, manifest, models):
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter.txt").write_text("years")
-    with pytest.raises(RenetError, match="not a bundle"):
+    with pytest.raises(RenetError, match="no part of a bundle"):
         write_bundle(tmp_path / "thesis", models, manifest)
     assert (tmp_path / "thesis" / "chapter.txt").read_text() == "years"
     with pytest.raises(RenetError, match="not a bundle"):
@@ -115,3 +120,76 @@ def test_the_current_folder_can_become_a_bundle(tmp_path, manifest, models, monk
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     Bundle.load(write_bundle(Path(), models, manifest))
+
+
+@pytest.mark.parametrize(
+    "foreign",
+    ["notes.txt", ".git/config", "manifest.json.bak", "actor.onnx.old", "sub/actor.onnx"],
+)
+def test_an_export_never_touches_a_folder_that_holds_anything_else(
+    tmp_path, bundle_path, manifest, models, foreign
+):
+    """Beside a manifest, ours or anybody's, and beside our own models."""
+    (bundle_path / foreign).parent.mkdir(exist_ok=True)
+    (bundle_path / foreign).write_text("years of work")
+    before = {p: p.read_bytes() for p in bundle_path.rglob("*") if p.is_file()}
+    with pytest.raises(RenetError, match="no part of a bundle"):
+        write_bundle(bundle_path, models, manifest)
+    assert {p: p.read_bytes() for p in bundle_path.rglob("*") if p.is_file()} == before
+    assert list(tmp_path.iterdir()) == [bundle_path], "nothing is left beside it"
+
+
+@pytest.mark.parametrize("content", ['{"name": "web app"}', "[]", '{"schema": 2}', "{"])
+def test_a_stranger_s_manifest_alone_does_not_make_a_bundle(tmp_path, manifest, models, content):
+    folder = tmp_path / "app"
+    folder.mkdir()
+    (folder / MANIFEST).write_text(content)
+    with pytest.raises(RenetError, match="is not a bundle"):
+        write_bundle(folder, models, manifest)
+    assert (folder / MANIFEST).read_text() == content
+
+
+def test_links_are_not_followed(tmp_path, bundle_path, manifest, models):
+    real = bundle_path.rename(tmp_path / "real")
+    (tmp_path / "elsewhere").write_bytes(b"mine")
+    (real / "actor.onnx").unlink()
+    (real / "actor.onnx").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(RenetError, match=r"actor\.onnx"):
+        write_bundle(real, models, manifest)
+    assert (tmp_path / "elsewhere").read_bytes() == b"mine"
+
+
+def test_a_bundle_is_replaced_whole_or_not_at_all(bundle_path, manifest, models, monkeypatch):
+    old = {p.name: p.read_bytes() for p in bundle_path.iterdir()}
+    newer = replace(manifest, provenance=replace(manifest.provenance, iteration=7))
+
+    def full(self, data):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", full)
+        with pytest.raises(RenetError, match="No space left"):
+            write_bundle(bundle_path, models, newer)
+    assert {p.name: p.read_bytes() for p in bundle_path.iterdir()} == old
+    assert [p.name for p in bundle_path.parent.iterdir()] == [bundle_path.name]
+    write_bundle(bundle_path, models, newer)
+    assert Bundle.load(bundle_path).manifest.provenance.iteration == 7
+    assert [p.name for p in bundle_path.parent.iterdir()] == [bundle_path.name]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"gamma": 1e-9}, "delays a switch by"),
+        ({"gamma": 0.01, "rate_hz": 10.0}, "delays a switch by 6.9 s"),
+        ({"rate_hz": 1e6}, "from 10 to 1000 Hz"),
+        ({"beta": 1e300}, "beta 1e.300 would never object"),
+        ({"thresholds": {"frame_age": 1e9}}, "frame_age 1e.09 would never object"),
+        ({"thresholds": {"uniformity": 0.0}}, "uniformity 0 would never object"),
+        ({"thresholds": {"luck": 0.0}}, "unknown monitor 'luck'"),
+    ],
+)
+def test_no_bundle_holds_a_selector_that_is_switched_off(bundle_path, change, message):
+    edit(bundle_path, lambda m: m["selector"].update(change))
+    with pytest.raises(RenetError, match=message):
+        Bundle.load(bundle_path)

@@ -8,7 +8,8 @@ import pytest
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
 from renet.deploy.cameras.replay import ReplayCamera
-from renet.deploy.flight_log import TICK, Flight
+from renet.deploy.recorder import TICK
+from renet.deploy.recording import Recording
 from renet.errors import RenetError
 from renet.faults import FAULTS, PhysicalFault
 from renet.interface import CONTROL_DT
@@ -129,7 +130,7 @@ def test_a_flight_is_shown_again_on_another_clock():
     ticks["frame_invalid"][8] = 0.25
     images = {row: np.full((48, 64), row / 10, np.float16) for row in (3, 8)}
     source = Source()
-    camera = ReplayCamera(Flight({}, ticks, images, [], True), source.now)
+    camera = ReplayCamera(Recording({}, ticks, images, [], True), source.now)
     assert camera.latest() is None
     source.step = 40
     camera.start()
@@ -142,7 +143,7 @@ def test_a_flight_is_shown_again_on_another_clock():
     assert (last.time, last.invalid) == (pytest.approx(50.9), 0.25)
     camera.close()
     with pytest.raises(RenetError, match="without a camera"):
-        ReplayCamera(Flight({}, ticks, {}, [], True), source.now)
+        ReplayCamera(Recording({}, ticks, {}, [], True), source.now)
 
 
 def test_onsets_count_from_the_first_look():

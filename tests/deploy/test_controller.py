@@ -13,9 +13,9 @@ import torch
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller, Event
 from renet.deploy.observation import heading, observe
-from renet.deploy.operator import Request
 from renet.deploy.robots.base import RobotState
 from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.teleop import TeleopCommand
 from renet.models.actor_critic import fuse
 from renet.models.memory import EstimatorMemory
 
@@ -27,7 +27,7 @@ def test_it_rises_and_then_walks(bundle):
     crouched = STANDING + 0.3
     for _ in range(WALKS_AT + 1):
         command = run.tick(joint_position=crouched)
-    assert run.whats() == ["rising", "walking"]
+    assert run.whats() == ["standing_up", "walking"]
     assert run.events[0].why == "armed"
     assert run.controller.decision.mode is Mode.WALKING
     assert np.isfinite(command.position).all()
@@ -38,8 +38,8 @@ def test_motors_that_obey_nobody_do_not_walk(bundle):
     lying = STANDING + np.tile([0.0, 0.8, -0.6], 4)
     for _ in range(WALKS_AT + 1):
         command = run.tick(joint_position=lying)
-    assert run.whats() == ["rising", "damping"]
-    assert "did not rise" in run.events[1].why
+    assert run.whats() == ["standing_up", "damping"]
+    assert "did not follow" in run.events[1].why
     assert not command.stiffness.any()
 
 
@@ -180,7 +180,7 @@ def test_a_bad_reading_damps_and_arming_brings_it_back(bundle, changes, reason):
     assert reason in run.events[-1].why
     run.ticks(20)
     assert run.controller.decision.mode is Mode.DAMPING
-    run.tick(request=ARM)
+    run.tick(teleop=ARM)
     run.ticks(10)
     assert run.controller.decision.mode is Mode.WALKING
 
@@ -196,7 +196,7 @@ def test_silence_from_the_robot_damps(bundle):
 def test_operator_stop(bundle):
     run = Run(bundle)
     run.ticks(40)
-    command = run.tick(request=Request(speed=0.6, stop=True))
+    command = run.tick(teleop=TeleopCommand(speed=0.6, stop=True))
     assert (command.stiffness == 0).all()
     assert run.events[-1] == Event(time_of(40), "damping", "operator stop")
 
@@ -224,7 +224,7 @@ def hostile(random: np.random.Generator, now: float):
 
     reading: RobotState | None = state(now, joint_position=STANDING + 0.2 * random.normal(size=12))
     picture: DepthFrame | None = frame(int(random.integers(1000)), now)
-    request = GO
+    teleop = GO
     dice = random.random()
     if dice < 0.12:
         name = str(random.choice(list(vars(reading))[1:]))
@@ -242,30 +242,30 @@ def hostile(random: np.random.Generator, now: float):
     elif dice < 0.33:
         picture = [None, 5, "frame"][random.integers(3)]
     elif dice < 0.36:
-        request = [
-            Request(speed=math.nan),
-            Request(turn=math.inf),
-            Request(speed=1e300, turn=-1e300),
+        teleop = [
+            TeleopCommand(speed=math.nan),
+            TeleopCommand(turn=math.inf),
+            TeleopCommand(speed=1e300, turn=-1e300),
             None,
         ][random.integers(4)]
     elif dice < 0.37:
         reading = 7
-    return reading, picture, request
+    return reading, picture, teleop
 
 
 def test_10_000_hostile_inputs_never_raise_and_never_leave_the_limits(bundle):
     random, now, walked = np.random.default_rng(0), 0.0, 0
-    controller = Controller(bundle, SafetyCfg(rise_seconds=0.02))
+    controller = Controller(bundle, SafetyCfg(stand_up_seconds=0.02))
     robot = controller.robot
     for _ in range(10_000):
         jump = random.random()
         now += 0.02 if jump < 0.99 else random.choice([0.0, -0.05, 0.3, 5.0])
-        reading, picture, request = hostile(random, now)
+        reading, picture, teleop = hostile(random, now)
         damped = controller.decision.mode is Mode.DAMPING
-        if damped and request is GO:
-            request = Request(speed=0.5, arm=bool(random.random() < 0.5))
+        if damped and teleop is GO:
+            teleop = TeleopCommand(speed=0.5, arm=bool(random.random() < 0.5))
         clock = math.nan if random.random() < 0.002 else now
-        command = controller.tick(reading, picture, request, clock)
+        command = controller.tick(reading, picture, teleop, clock)
         assert np.isfinite(command.position).all()
         assert (command.position >= robot.lower).all()
         assert (command.position <= robot.upper).all()
@@ -296,19 +296,19 @@ def test_a_robot_that_cannot_follow_is_asked_for_a_quarter_turn_at_most(bundle):
     run = Run(bundle)
     run.ticks(20)
     for step in range(300):
-        run.tick(request=Request(turn=0.02 * step))
+        run.tick(teleop=TeleopCommand(turn=0.02 * step))
     assert wished(run) == pytest.approx(math.pi / 2)
-    run.tick(request=Request(turn=0.02 * 299), quaternion=facing(1.0))
+    run.tick(teleop=TeleopCommand(turn=0.02 * 299), quaternion=facing(1.0))
     assert wished(run) == pytest.approx(math.pi / 2 - 1.0), "the way round does not change"
 
 
 def test_only_changes_of_the_turn_count(bundle):
     run = Run(bundle)
     for _ in range(20):
-        run.tick(request=Request(turn=2.0))
+        run.tick(teleop=TeleopCommand(turn=2.0))
     assert wished(run) == 0.0, "what was asked for before it walked"
-    run.tick(request=Request(turn=2.1), quaternion=facing(3.1))
-    run.tick(request=Request(turn=2.2), quaternion=facing(-3.1))
+    run.tick(teleop=TeleopCommand(turn=2.1), quaternion=facing(3.1))
+    run.tick(teleop=TeleopCommand(turn=2.2), quaternion=facing(-3.1))
     assert abs(wished(run)) <= math.pi / 2 + 1e-9
 
 
@@ -316,8 +316,8 @@ def test_one_reading_from_the_future_is_forgotten(bundle):
     run = Run(bundle)
     run.tick(time=1e9)
     run.ticks(30)
-    assert run.controller.decision.mode is not Mode.RISING
-    assert run.whats()[0] == "rising"
+    assert run.controller.decision.mode is not Mode.STANDING_UP
+    assert run.whats()[0] == "standing_up"
 
 
 def reading_of(controller: Controller) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ import pytest
 
 import renet
 from renet.deploy.bundle import DEFAULT, pretrained
-from renet.deploy.launch import DeployCfg, deploy
+from renet.deploy.main import DeployCfg, deploy
 from renet.deploy.safety import SafetyCfg
 
 TRAINING = ("torch", "mjlab", "warp", "mujoco", "mujoco_warp", "rsl_rl", "matplotlib", "mediapy")
@@ -53,8 +53,8 @@ def test_the_runtime_imports_without_training_packages():
 @pytest.fixture(scope="module")
 def log(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("flight")
-    deploy(DeployCfg(out=out, seconds=4.0, safety=SafetyCfg(rise_seconds=0.4)))
-    return out / "flight.log"
+    deploy(DeployCfg(out=out, seconds=4.0, safety=SafetyCfg(stand_up_seconds=0.4)))
+    return out / "recording.log"
 
 
 def test_logs_are_scored_replayed_and_calibrated_from_without_them(log, tmp_path):
@@ -65,20 +65,22 @@ def test_logs_are_scored_replayed_and_calibrated_from_without_them(log, tmp_path
         ["calibrate", str(tmp_path / "bundle"), "--log", str(log)],
     ]
     shutil.copytree(shipped, tmp_path / "bundle")
-    code = f"from renet.cli import main; assert all(main(c) == 0 for c in {commands})"
+    code = "import renet.deploy.calibration_log as log; log.MIN_MINUTES = 0.0\n"
+    code += f"from renet.cli import main; assert all(main(c) == 0 for c in {commands})"
     done = without_training_packages(code)
     assert done.returncode == 0, done.stderr
     assert "commands differ by at most 0 rad" in done.stdout
-    assert (tmp_path / "score" / "timeline.svg").exists()
+    assert "the timeline needs matplotlib: pip install" in done.stdout
+    assert (tmp_path / "score" / "score.json").exists()
     assert "beta" in done.stdout
 
 
 @pytest.mark.parametrize(
     ("command", "hint"),
     [
-        (["calibrate", "x"], "pip install 'renet[train]'"),
-        (["play", "--log", "x"], "pip install 'renet[train]'"),
-        (["deploy"], "--robot mujoco needs mujoco: pip install 'renet[sim]'"),
+        (["calibrate", "x"], "pip install 'renet-locomotion[train]'"),
+        (["play", "--log", "x"], "pip install 'renet-locomotion[train]'"),
+        (["deploy"], "--robot mujoco needs mujoco: pip install 'renet-locomotion[sim]'"),
     ],
 )
 def test_what_needs_more_says_what_to_install(command, hint):

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import socket
-import threading
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -13,25 +11,20 @@ import numpy as np
 import pytest
 
 sdk = pytest.importorskip(
-    "unitree_legged_sdk.robot_interface", reason="needs renet[go1] (Python 3.11 or 3.12)"
+    "unitree_legged_sdk.robot_interface", reason="needs renet-locomotion[go1] (Python 3.11 or 3.12)"
 )
 
 from renet.deploy.bundle import Bundle  # noqa: E402
 from renet.deploy.controller import Controller  # noqa: E402
-from renet.deploy.flight_log import read_log  # noqa: E402
-from renet.deploy.launch import DeployCfg, deploy  # noqa: E402
-from renet.deploy.operator import Request  # noqa: E402
-from renet.deploy.robots import go1  # noqa: E402
+from renet.deploy.main import DeployCfg, deploy  # noqa: E402
+from renet.deploy.recording import read_recording  # noqa: E402
+from renet.deploy.robots import go1, go1_link  # noqa: E402
 from renet.deploy.robots.base import JointCommand  # noqa: E402
-from renet.deploy.robots.go1 import (  # noqa: E402
-    LOW_LEVEL,
-    MOTORS,
-    PERIOD,
-    POWER_LEVEL,
-    Go1Link,
-    Go1Robot,
-)
+from renet.deploy.robots.envelope import go1_envelope  # noqa: E402
+from renet.deploy.robots.go1 import POWER_LEVEL, Go1Robot  # noqa: E402
+from renet.deploy.robots.go1_link import LOW_LEVEL, MOTORS, PERIOD, Go1Link  # noqa: E402
 from renet.deploy.safety import Mode, SafetyCfg, limited_command  # noqa: E402
+from renet.deploy.teleop import TeleopCommand  # noqa: E402
 from renet.errors import RenetError  # noqa: E402
 from renet.interface import CONTROL_DT, JOINTS  # noqa: E402
 from renet.training.bundle import robot_spec  # noqa: E402
@@ -56,19 +49,21 @@ class Wire:
     def __init__(self, peer: Peer) -> None:
         self.peer = peer
         self.link = Go1Link("127.0.0.1", peer.port, free_port(), POWER_LEVEL)
-        self.now = 0.0
+        self.now, self.dead = 0.0, False
 
     def run(self, exchanges: int) -> None:
         for _ in range(exchanges):
             self.now += PERIOD
+            if not self.dead:
+                self.link.alive(self.now)
             self.link.exchange(self.now)
             self.peer.serve()
 
     def control(self, controller: Controller, steps: int, **wishes) -> None:
         """Let a controller drive for some control steps."""
         for step in range(steps):
-            request = Request(**(wishes | {"arm": wishes.get("arm", False) and step == 0}))
-            command = controller.tick(self.link.state, None, request, self.now)
+            teleop = TeleopCommand(**(wishes | {"arm": wishes.get("arm", False) and step == 0}))
+            command = controller.tick(self.link.state, None, teleop, self.now)
             self.link.command(command, self.now)
             self.run(STEP)
 
@@ -83,9 +78,7 @@ def command(position=ROBOT.default_position, stiffness=40.0, damping=1.0) -> Joi
 
 
 def braked(peer: Peer) -> bool:
-    """Whether the last datagram asked for nothing but braking."""
-    *_, stiffness, damping = peer.commands[-1].T
-    return bool((stiffness == 0).all() and (damping == 3).all())
+    return peer.braked
 
 
 def test_order_and_signs_are_those_of_the_vendors_own_limits():
@@ -114,7 +107,7 @@ def test_motors_are_limp_servos_until_the_first_command(wire, peer):
 
 
 def test_a_command_arrives_motor_by_motor(wire, peer):
-    targets = np.linspace(-0.6, 0.6, 12)
+    targets = np.array(ROBOT.default_position) + np.linspace(-0.3, 0.3, 12)
     gains = np.linspace(10, 40, 12), np.linspace(0.5, 3, 12)
     wire.link.command(JointCommand(targets, *gains), wire.now)
     wire.run(1)
@@ -149,7 +142,7 @@ def test_a_reading_arrives_joint_by_joint(wire, peer):
 
 @pytest.mark.parametrize("failure", ["silent", "garbled"])
 def test_a_robot_that_falls_silent_or_sends_a_wrong_crc_is_braked(wire, peer, bundle_path, failure):
-    controller = Controller(Bundle.load(bundle_path), SafetyCfg(rise_seconds=0.1))
+    controller = Controller(Bundle.load(bundle_path), SafetyCfg(stand_up_seconds=0.1))
     wire.run(5)
     wire.control(controller, 10, arm=True)
     assert controller.machine.mode is Mode.WALKING
@@ -184,25 +177,103 @@ def test_a_silent_control_loop_brakes_the_robot(wire, peer):
     assert (peer.commands[-1][:, 4] == 40).all(), "it may speak again"
 
 
+def test_a_controller_without_signs_of_life_is_braked_within_20_ms(wire, peer):
+    """And a command from before the gap is not obeyed after it."""
+    wire.run(1)
+    wire.link.command(command(), wire.now)
+    wire.run(5)
+    assert (peer.commands[-1][:, 4] == 40).all()
+    wire.dead = True
+    wire.run(round(0.02 / PERIOD))
+    assert braked(peer)
+    wire.dead = False
+    wire.run(5)
+    assert braked(peer), "the old command"
+    wire.link.command(command(), wire.now)
+    wire.run(1)
+    assert (peer.commands[-1][:, 4] == 40).all()
+
+
 @pytest.mark.parametrize(
-    "hostile",
-    [
-        command(position=[np.nan] * 12),
-        command(stiffness=np.inf),
-        command(stiffness=1100.0),
-        command(stiffness=-40.0),
-        command(damping=-1.0),
-        command(damping=2100.0),
-        JointCommand(np.zeros(11), np.zeros(12), np.zeros(12)),
-    ],
+    "hostile", [command(position=[np.nan] * 12), command(stiffness=np.inf), command(position=[0])]
 )
-def test_a_command_that_would_arrive_as_another_is_refused(wire, peer, hostile):
-    """Without the check the library sends a stiffness of 1100 as -948."""
+def test_a_command_that_is_not_made_of_finite_numbers_is_refused(wire, peer, hostile):
     wire.link.command(command(), wire.now)
     with pytest.raises(RenetError, match=r"the command's .* must be"):
         wire.link.command(hostile, wire.now)
     wire.run(1)
     assert (peer.commands[-1][:, 4] == 40).all(), "the one before stands until silence brakes"
+
+
+@pytest.mark.parametrize("gain", [1e9, -1e9])
+def test_nothing_outside_the_envelope_reaches_the_wire(wire, peer, gain):
+    """Sent unchecked, the library would also turn a stiffness of 1100 into -948."""
+    wire.run(2)
+    wire.link.command(command(np.full(12, gain), gain, gain), wire.now)
+    wire.run(1)
+    _, position, _, _, stiffness, damping = peer.commands[-1][list(MOTORS)].T
+    envelope = go1_envelope()
+    assert (position >= envelope.lower - 1e-6).all()
+    assert (position <= envelope.upper + 1e-6).all()
+    assert ((stiffness >= 0) & (stiffness <= 100)).all()
+    assert ((damping >= 0) & (damping <= 10)).all()
+    torque = stiffness * (position - wire.link.state.joint_position)
+    assert (np.abs(torque) <= envelope.torque * 1.2).all()
+
+
+def test_a_reordered_older_reading_is_no_news(wire, peer):
+    wire.run(5)
+    peer.ticks -= 1000
+    wire.run(2)  # One answer was on its way.
+    newest = wire.link.state.time
+    wire.run(5)
+    assert wire.link.state.time == newest
+    peer.ticks += 2000
+    wire.run(3)
+    assert wire.link.state.time > newest
+    peer.ticks = 2**32 - 6
+    wire.run(2)
+    wire.link._tick = 2**32 - 8
+    wire.run(8)
+    assert wire.link._tick < 10, "the counter goes on from zero"
+
+
+def test_a_driver_that_cannot_receive_any_more_brakes_at_once(wire, peer, monkeypatch):
+    wire.run(2)
+    wire.link.command(command(), wire.now)
+    wire.run(3)
+
+    class Deaf:
+        def __init__(self, real):
+            self.SetSend, self.Send = real.SetSend, real.Send
+
+        def Recv(self):
+            raise OSError("bad file descriptor")
+
+    wire.link._udp = Deaf(wire.link._udp)
+    wire.run(2)
+    assert braked(peer)
+    assert "vendor's driver failed: OSError" in wire.link.problem
+    wire.link.command(command(), wire.now)
+    wire.run(2)
+    assert braked(peer), "for good"
+
+
+def test_the_power_level_is_the_vendors_guards(peer):
+    asked = []
+    for level in (1, 10):
+        link = Go1Link("127.0.0.1", peer.port, free_port(), level)
+
+        class Guard:
+            def PowerProtect(self, out, state, level):
+                asked.append(level)
+                return 0
+
+        link._safety = Guard()
+        for step in range(3):
+            link.exchange(PERIOD * step)
+            peer.serve()
+    assert set(asked) == {1, 10}
 
 
 def test_the_vendors_guard_brakes_for_good(wire, peer):
@@ -242,30 +313,24 @@ def test_the_shipped_bundle_stands_up_walks_and_brakes_over_the_wire(wire, peer)
 
 @pytest.fixture
 def served(peer) -> Iterator[Peer]:
-    """A peer that answers on a thread of its own, in wall-clock time."""
-    done = threading.Event()
-
-    def serve() -> None:
-        while not done.is_set():
-            with suppress(TimeoutError):
-                peer.serve()
-
-    server = threading.Thread(target=serve, daemon=True)
-    server.start()
-    yield peer
-    done.set()
-    server.join(5)
+    with peer.serving():
+        yield peer
 
 
-def test_threads_and_sockets_of_the_real_thing(served, monkeypatch):
-    monkeypatch.setattr(go1, "SINK", 0.3)
-    robot = Go1Robot("127.0.0.1", served.port, free_port())
+def robot_of(peer: Peer) -> Go1Robot:
+    return Go1Robot("127.0.0.1", peer.port, free_port(), sink=0.3)
+
+
+def test_processes_and_sockets_of_the_real_thing(served):
+    robot = robot_of(served)
     with pytest.raises(RenetError, match="not connected"):
         robot.write(command())
     assert robot.read() is None
     robot.connect()
-    assert robot.read() is not None
-    until(lambda: bool((served.commands[-1][:, 4] == 40).all()), lambda: robot.write(command()))
+    state = robot.read()
+    assert state is not None
+    assert state.temperature == 30.0
+    until(lambda: bool((served.commands[-1][:, 4] > 5).all()), lambda: robot.write(command()))
     moment = robot.now()
     robot.wait(moment + 0.01)
     assert robot.now() >= moment + 0.01
@@ -277,7 +342,7 @@ def test_threads_and_sockets_of_the_real_thing(served, monkeypatch):
 
 
 def test_a_connection_that_only_looked_leaves_the_robot_limp(served):
-    robot = Go1Robot("127.0.0.1", served.port, free_port())
+    robot = robot_of(served)
     robot.connect()
     robot.close()
     assert all((sent[:, 4:] == 0).all() for sent in served.commands)
@@ -290,33 +355,28 @@ def test_a_dry_run_tells_what_moves_and_commands_nothing(served, monkeypatch, tm
     served.robot.data.qpos[2] += 0.5
     served.robot.model.opt.gravity[2] = -50.0
     patient = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999)
-    cfg = DeployCfg(robot="go1", host="127.0.0.1", dry_run=True, seconds=2.0, safety=patient)
+    cfg = DeployCfg(robot="go1", robot_host="127.0.0.1", dry_run=True, seconds=3.5, safety=patient)
     deploy(replace(cfg, camera="none", out=tmp_path))
     shown = capsys.readouterr().out
     assert "rad: front right, knee folds" in shown
     assert "FR_hip +0.10 (Kp 40)" in shown, "what it would have commanded"
     assert all((sent[:, 4:] == 0).all() for sent in served.commands)
-    assert len(read_log(tmp_path / "flight.log").ticks) > 10
+    assert len(read_recording(tmp_path / "recording.log").ticks) > 10
 
 
-def test_a_driver_that_fails_brakes_and_says_why(served, monkeypatch):
-    monkeypatch.setattr(go1, "SINK", 0.0)
-    robot = Go1Robot("127.0.0.1", served.port, free_port())
+def test_a_sender_that_died_is_named(served):
+    robot = robot_of(served)
     robot.connect()
-    robot.write(command())
-    library = robot._link._out
-    robot._link._out = None
-    until(lambda: robot._link.problem != "")
-    robot._link._out = library
-    with pytest.raises(RenetError, match="vendor's driver failed"):
+    robot._sender.kill()
+    robot._sender.wait()
+    with pytest.raises(RenetError, match="process that talks to the Go1 has died"):
         robot.write(command())
-    until(lambda: braked(served))
     robot.close()
 
 
 def test_no_robot_and_no_sense_are_one_clear_line():
     with pytest.raises(RenetError, match=r"no answer from a Go1 at 127.0.0.1.*cable"):
-        Go1Robot("127.0.0.1", free_port(), free_port(), patience=0.05).connect()
+        Go1Robot("127.0.0.1", free_port(), free_port(), timeout=0.5).connect()
     with pytest.raises(RenetError, match="power level"):
         Go1Robot(power_level=11)
 
@@ -333,6 +393,6 @@ def test_without_the_vendors_module_the_error_says_what_to_install(monkeypatch):
     def missing(name: str):
         raise ImportError(f"No module named {name!r}")
 
-    monkeypatch.setattr(go1.importlib, "import_module", missing)
-    with pytest.raises(RenetError, match=r"pip install 'renet\[go1\]'.*unitree_legged_sdk"):
-        go1.unitree()
+    monkeypatch.setattr(go1_link.importlib, "import_module", missing)
+    with pytest.raises(RenetError, match=r"renet-locomotion\[go1\]'.*unitree_legged_sdk"):
+        go1_link.unitree()

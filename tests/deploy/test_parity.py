@@ -13,10 +13,10 @@ from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.observation import heading, observe
-from renet.deploy.operator import Request
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.teleop import TeleopCommand
 from renet.interface import CONTROL_DT
 from renet.models.actor_critic import fuse
 from renet.models.memory import EstimatorMemory
@@ -38,13 +38,13 @@ def test_the_shipped_checkpoint_acts_alike_in_torch_and_on_the_robot(tmp_path):
     robot = MujocoRobot(model, bundle.manifest.robot, ground)
     source = SimCamera(robot, bundle.manifest.camera, seed=2)
     camera = FaultyCamera(source, [parse_fault(text) for text in FAULTS], robot.now, seed=2)
-    controller = Controller(bundle, SafetyCfg(rise_seconds=0.5))
+    controller = Controller(bundle, SafetyCfg(stand_up_seconds=0.5))
     camera.start()
     last, yaw, modes, worst, walked = np.zeros(12), None, [], 0.0, 0
     for step in range(round((SECONDS + 1.0) / CONTROL_DT)):
         state, now = robot.read(), robot.now()
         shown = camera.latest()
-        robot.write(controller.tick(state, shown, Request(speed=0.6, arm=step == 1), now))
+        robot.write(controller.tick(state, shown, TeleopCommand(speed=0.6, arm=step == 1), now))
         robot.wait(now + CONTROL_DT)
         decision = controller.decision
         if decision.mode is not Mode.WALKING:

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 rs = pytest.importorskip(
-    "pyrealsense2", reason="needs renet[realsense] and libusb-1.0-0", exc_type=ImportError
+    "pyrealsense2",
+    reason="needs renet-locomotion[realsense] and libusb-1.0-0",
+    exc_type=ImportError,
 )
 
 from renet.deploy.cameras import realsense  # noqa: E402
@@ -133,6 +135,46 @@ def test_the_sensors_own_number_and_clock_are_kept(device):
     camera.close()
 
 
+def ages(delays, period=1 / 30, skew=0.0, start=1e4) -> np.ndarray:
+    """Apparent ages of frames at their arrivals, that really are as old as `delays` [T] s."""
+    offset, found = ClockOffset(), []
+    for number, delay in enumerate(delays):
+        taken = start + number * period
+        stamp = (1.0 + skew) * number * period + 77.0
+        found.append(taken + delay - offset.time(stamp, taken + delay))
+    return np.array(found)
+
+
+def test_a_delay_that_stays_is_never_forgotten():
+    """Two seconds late from the tenth second on, for ten minutes."""
+    delays = np.full(18_000, 0.03)
+    delays[300:] = 2.03
+    apparent = ages(delays)
+    assert apparent[:300].max() < 0.01
+    assert apparent[300:].min() > 1.3, "0.6 s of drift in ten minutes are allowed for"
+    assert apparent[300 : 300 + 30 * 60].min() > 1.9
+
+
+@pytest.mark.parametrize("skew", [-1e-4, 0.0, 1e-4])
+def test_drifting_clocks_are_followed(skew):
+    random = np.random.default_rng(0)
+    apparent = ages(0.03 + 0.005 * random.random(54_000), skew=skew)
+    assert apparent.max() < 0.02
+
+
+def test_a_camera_s_clock_that_jumps_back_starts_the_stream_anew(monkeypatch, device):
+    monkeypatch.setattr(realsense, "RETRY", 0.01)
+    camera = RealSenseCamera(camera_spec(), time.monotonic, device.device)
+    camera.start()
+    device.number = 300
+    received(camera, device, 800)
+    device.number = 0
+    device.send(np.array(800))
+    until(lambda: "clock started anew" in camera.problem)
+    received(camera, device, 800)
+    camera.close()
+
+
 def test_frames_that_stop_and_come_back(monkeypatch, device):
     monkeypatch.setattr(realsense, "SILENCE", 0.05)
     monkeypatch.setattr(realsense, "RETRY", 0.01)
@@ -208,7 +250,7 @@ def test_a_sensor_that_refuses_to_start_is_closed_again(device):
 
 def test_without_the_vendors_module_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    with pytest.raises(RenetError, match=r"pip install 'renet\[realsense\]'.*libusb-1.0-0"):
+    with pytest.raises(RenetError, match=r"renet-locomotion\[realsense\]'.*libusb-1.0-0"):
         RealSenseCamera(camera_spec(), time.monotonic)
 
 

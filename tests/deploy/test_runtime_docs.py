@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import pty
 import re
+import signal
 import sys
+import threading
 import time
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -11,12 +15,14 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from renet.deploy.flight_log import read_log
-from renet.deploy.launch import DEADMAN, DeployCfg, deploy
+from renet.deploy.main import DEADMAN, DeployCfg, deploy
+from renet.deploy.recording import read_recording
+from renet.deploy.robots.scene import GO1 as GO1_XML
 from renet.deploy.safety import SafetyCfg
-from renet.selector.defaults import MONITORS
+from renet.selector.monitors import MONITORS
 
 from .fakes import STANDING
+from .waiting import until
 
 PAGE = (Path(__file__).parents[2] / "docs" / "runtime.md").read_text()
 
@@ -53,26 +59,67 @@ class Link:
         self.closed = True
 
 
-def test_another_robot_in_30_lines(tmp_path, monkeypatch):
+def test_another_robot_in_a_page(tmp_path, monkeypatch):
     link, sdk = Link(), ModuleType("my_sdk")
     sdk.open = lambda: link  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "my_sdk", sdk)
     monkeypatch.chdir(tmp_path)
-    exec(program("my_sdk").replace("+ 10.0", "+ 1.0"), {})
+    (tmp_path / "my_robot.xml").write_text(Path(GO1_XML).read_text())
+    master, slave = pty.openpty()
+    with os.fdopen(slave) as stream:
+        monkeypatch.setattr(sys, "stdin", stream)
+        keys = threading.Thread(target=press, args=(master, link))
+        keys.start()
+        exec(program("my_sdk"), {})
+        keys.join()
     assert link.closed
-    assert any(stiffness.any() for stiffness in link.told), "it rose"
+    assert any(stiffness.any() for stiffness in link.told), "it stood up"
     assert not link.told[-1].any(), "it ends braking"
-    flight = read_log(tmp_path / "flight.log")
-    assert flight.complete
-    assert flight.events[0].why == "armed"
+    run = read_recording(tmp_path / "recording.log")
+    assert run.complete
+    assert run.events[0].why == "armed"
     body = program("my_sdk").split("class MyRobot:")[1].split("\n\n\n")[0]
     assert len(body.splitlines()) < 30
+
+
+def press(master: int, link: Link) -> None:
+    """Stand up, then quit; keys typed before the program starts are not its own."""
+    until(lambda: bool(link.told))
+    os.write(master, b"r")
+    until(lambda: any(stiffness.any() for stiffness in link.told))
+    os.write(master, b"q")
+
+
+def test_ctrl_c_in_that_program_brakes_and_closes(tmp_path, monkeypatch):
+    link, sdk = Link(), ModuleType("my_sdk")
+    sdk.open = lambda: link  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "my_sdk", sdk)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my_robot.xml").write_text(Path(GO1_XML).read_text())
+    master, slave = pty.openpty()
+    servo = link.servo
+
+    def interrupted(position, stiffness, damping) -> None:
+        servo(position, stiffness, damping)
+        if len(link.told) == 1:
+            os.write(master, b"r")
+        if stiffness.any():
+            os.kill(os.getpid(), signal.SIGINT)
+
+    link.servo = interrupted  # type: ignore[method-assign]
+    with os.fdopen(slave) as stream:
+        monkeypatch.setattr(sys, "stdin", stream)
+        with pytest.raises(KeyboardInterrupt):
+            exec(program("my_sdk"), {})
+    os.close(master)
+    assert link.closed
+    assert not link.told[-1].any()
 
 
 def test_reading_a_log(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     deploy(DeployCfg(seconds=0.2))
-    exec(program("read_log"), {})
+    exec(program("read_recording"), {})
 
 
 @pytest.mark.parametrize("monitor", MONITORS.values(), ids=MONITORS)
@@ -86,7 +133,7 @@ def test_limits_are_the_codes():
         ("max_state_age", f"{1000 * cfg.max_state_age:.0f} ms"),
         ("max_tilt", f"{np.degrees(cfg.max_tilt):.0f}°"),
         ("joint_margin", f"{cfg.joint_margin:g} rad"),
-        ("max_rise_error", f"{cfg.max_rise_error:g} rad"),
+        ("max_stand_up_error", f"{cfg.max_stand_up_error:g} rad"),
         ("max_gap", f"{cfg.max_gap:g} s"),
         ("max_late", f"{cfg.max_late}"),
         ("target_rate", f"{cfg.target_rate:.0f} rad/s"),

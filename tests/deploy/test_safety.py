@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from renet.deploy.operator import Request
 from renet.deploy.safety import (
     Mode,
     SafetyCfg,
@@ -17,12 +16,13 @@ from renet.deploy.safety import (
     clean_state,
     damping_command,
     limited_command,
-    limited_request,
-    request_problem,
-    rise_problem,
-    rising_target,
+    limited_teleop,
+    stand_up_problem,
+    stand_up_target,
     state_problem,
+    teleop_problem,
 )
+from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT
 from renet.training.bundle import robot_spec
@@ -30,7 +30,7 @@ from renet.training.bundle import robot_spec
 from .fakes import STANDING, state, time_of
 
 GO1, CFG = robot_spec(), SafetyCfg()
-IDLE = Request()
+IDLE = TeleopCommand()
 
 
 def roll(degrees: float) -> np.ndarray:
@@ -91,23 +91,23 @@ def test_a_reading_outlives_its_drivers_buffer():
 
 
 def test_requests():
-    assert request_problem(Request(speed=9.0)) == ""
-    assert limited_request(Request(speed=9.0)).speed == 1.0
-    assert limited_request(Request(speed=-1.0)).speed == 0.0
-    assert request_problem(Request(arm=True, stop=True)) == "operator stop"
-    assert "not finite" in request_problem(Request(turn=math.nan))
+    assert teleop_problem(TeleopCommand(speed=9.0)) == ""
+    assert limited_teleop(TeleopCommand(speed=9.0)).speed == 1.0
+    assert limited_teleop(TeleopCommand(speed=-1.0)).speed == 0.0
+    assert teleop_problem(TeleopCommand(arm=True, stop=True)) == "operator stop"
+    assert "not finite" in teleop_problem(TeleopCommand(turn=math.nan))
 
 
-def drive(machine: SafetyMachine, steps: int, first: int = 0, request: Request = IDLE) -> None:
+def drive(machine: SafetyMachine, steps: int, first: int = 0, teleop: TeleopCommand = IDLE) -> None:
     for step in range(first, first + steps):
-        machine.update("", request, time_of(step))
+        machine.update("", teleop, time_of(step))
 
 
 def walking() -> SafetyMachine:
-    machine = SafetyMachine(SafetyCfg(rise_seconds=0.1))
+    machine = SafetyMachine(SafetyCfg(stand_up_seconds=0.1))
     machine.update("", IDLE, 0.0)
-    machine.update("", Request(arm=True), time_of(1))
-    assert machine.mode is Mode.RISING
+    machine.update("", TeleopCommand(arm=True), time_of(1))
+    assert machine.mode is Mode.STANDING_UP
     drive(machine, 8, first=2)
     assert machine.mode is Mode.WALKING
     return machine
@@ -121,28 +121,30 @@ def test_it_stays_damped_until_armed():
 
 def test_arming_waits_for_health_and_must_be_pressed_anew():
     machine = SafetyMachine(CFG)
-    machine.update("tilted", Request(arm=True), 0.0)
+    machine.update("tilted", TeleopCommand(arm=True), 0.0)
     assert machine.mode is Mode.DAMPING
-    machine.update("", Request(arm=True), 0.02)
+    machine.update("", TeleopCommand(arm=True), 0.02)
     assert machine.mode is Mode.DAMPING, "a button held down is not pressed again"
     machine.update("", IDLE, 0.04)
-    machine.update("", Request(arm=True), 0.06)
-    assert machine.mode is Mode.RISING
+    machine.update("", TeleopCommand(arm=True), 0.06)
+    assert machine.mode is Mode.STANDING_UP
 
 
 def test_why_a_wish_to_rise_is_refused():
     machine = SafetyMachine(CFG)
-    machine.update("tilted", Request(arm=True), 0.0)
+    machine.update("tilted", TeleopCommand(arm=True), 0.0)
     assert machine.refused == "tilted"
-    machine.update("tilted", Request(arm=True), 0.02)
+    machine.update("tilted", TeleopCommand(arm=True), 0.02)
     assert machine.refused == "", "a button held down asks once"
     assert walking().refused == ""
 
 
 def test_joints_that_did_not_follow():
     blocked = state(joint_position=moved(8, -2.6))
-    assert rise_problem(blocked, GO1, CFG) == "RR_calf_joint did not rise: 0.80 rad are missing"
-    assert rise_problem(state(joint_position=STANDING + 0.2), GO1, CFG) == "", "its own weight"
+    assert (
+        stand_up_problem(blocked, GO1, CFG) == "RR_calf_joint did not follow: 0.80 rad are missing"
+    )
+    assert stand_up_problem(state(joint_position=STANDING + 0.2), GO1, CFG) == "", "its own weight"
 
 
 def test_the_first_reason_stays_until_the_next_arming():
@@ -186,9 +188,9 @@ def test_one_late_tick_is_forgiven_and_six_in_a_row_are_not():
 
 def test_rising_starts_at_the_measured_pose_and_ends_at_the_default():
     start = STANDING - 0.5
-    np.testing.assert_allclose(rising_target(start, GO1, 0.0), start)
-    np.testing.assert_allclose(rising_target(start, GO1, 0.5), STANDING - 0.25)
-    np.testing.assert_allclose(rising_target(start, GO1, 1.7), GO1.default_position)
+    np.testing.assert_allclose(stand_up_target(start, GO1, 0.0), start)
+    np.testing.assert_allclose(stand_up_target(start, GO1, 0.5), STANDING - 0.25)
+    np.testing.assert_allclose(stand_up_target(start, GO1, 1.7), GO1.default_position)
 
 
 def test_damping_only_brakes():

@@ -5,16 +5,18 @@ from __future__ import annotations
 import json
 import math
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from renet import cli
 from renet.deploy.controller import Event
-from renet.deploy.flight_log import GOOD, MODES, NONE, TICK, Flight
+from renet.deploy.recorder import GOOD, MODES, NONE, TICK
+from renet.deploy.recording import Recording
 from renet.deploy.safety import Mode
 from renet.deploy.score import score, track, write_score
-from renet.deploy.timeline import BANDS, timeline
+from renet.deploy.timeline import BANDS, draw_timeline
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT
 
@@ -32,13 +34,13 @@ def turned(degrees: float) -> tuple[float, ...]:
 
 
 @pytest.fixture
-def flight() -> Flight:
+def flight() -> Recording:
     """2 s of rising, then walking at 0.5 m/s to the left of the start; OP from 6 s on."""
     ticks = np.zeros(STEPS, TICK)
     ticks["now"] = 1000.0 + CONTROL_DT * np.arange(STEPS)
     ticks["state"], ticks["quaternion"] = GOOD, turned(90)
     ticks["mode"] = MODES.index(Mode.WALKING)
-    ticks["mode"][:RISEN] = MODES.index(Mode.RISING)
+    ticks["mode"][:RISEN] = MODES.index(Mode.STANDING_UP)
     ticks["vision"][RISEN:BLIND] = True
     ticks["speed"] = 0.6
     ticks["velocity_op"][:, 0], ticks["velocity_vp"][:, 0] = 0.4, 0.5
@@ -47,8 +49,8 @@ def flight() -> Flight:
     ticks["compute_ms"][7] = 9.0
     ticks["anomaly"] = 0.01
     ticks["anomaly"][:RISEN] = np.inf
-    events = [Event(1002.0, "walking", "risen"), Event(1006.0, "op", "no <new> image")]
-    return Flight({"beta": 0.02, "fault": ["unplugged@5.8s"]}, ticks, {}, events, True)
+    events = [Event(1002.0, "walking", "stood_up"), Event(1006.0, "op", "no <new> image")]
+    return Recording({"beta": 0.02, "fault": ["unplugged@5.8s"]}, ticks, {}, events, True)
 
 
 def test_a_robots_flight_is_reckoned_from_its_estimators(flight):
@@ -93,31 +95,41 @@ def test_falls_are_counted_once_each(flight):
 
 
 def test_an_empty_flight(tmp_path):
-    empty = Flight({}, np.zeros(0, TICK), {}, [], False)
+    empty = Recording({}, np.zeros(0, TICK), {}, [], False)
     result = write_score(empty, tmp_path / "new", [1.0])
     assert result["walking_seconds"] == result["distance_m"] == result["falls"] == 0
     assert result["switch_delay_s"] == [None]
     assert json.loads((tmp_path / "new" / "score.json").read_text()) == result
 
 
-def test_the_timeline_shows_bands_faults_and_reasons(flight):
-    root = ET.fromstring(timeline(flight, [5.8, 7.0]))
-    space = "{http://www.w3.org/2000/svg}"
-    damped, vision, blind = BANDS.values()
-    bands = [r for r in root.iter(f"{space}rect") if float(r.get("height")) > 100]
-    assert [band.get("fill") for band in bands[1:]] == 3 * [damped, vision, blind]
-    widths = [float(band.get("width")) for band in bands[1:4]]
-    assert widths == pytest.approx([876 * share for share in (0.2, 0.4, 0.4)], rel=0.02)
-    texts = [node.text for node in root.iter(f"{space}text")]
-    assert {"unplugged@5.8s", "vision spoilt", "op: no <new> image"} <= set(texts)
-    assert "nan" not in timeline(flight)
-    assert "inf" not in timeline(flight)
+def drawn(flight: Recording, onsets, folder) -> str:
+    """Everything the timeline shows as text, with the colours of its shapes."""
+    draw_timeline(flight, onsets, folder / "timeline.svg")
+    page = (folder / "timeline.svg").read_text()
+    ET.fromstring(page)
+    return page
 
 
-def test_long_and_tiny_flights_are_drawn(flight):
-    for end in (0.0, 1e-3, 50.0, 5e7):
+def test_the_timeline_shows_bands_faults_and_reasons(flight, tmp_path):
+    from matplotlib import rc_context
+
+    with rc_context({"svg.fonttype": "none"}):
+        page = drawn(flight, [5.8, 7.0], tmp_path)
+        for colour in BANDS.values():
+            assert page.count(f"fill: {colour}") >= 4, "three panels and the legend"
+        assert page.count("stroke: #a3121f") == 6, "two onsets in three panels"
+        assert "op: no &lt;new&gt; image" in page
+        hostile = replace(flight, header={"bundle": "$\\frac{$<script>", "beta": 1e14})
+        assert "&lt;script&gt;" in drawn(hostile, [], tmp_path)
+
+
+def test_long_and_tiny_runs_are_drawn(flight, tmp_path):
+    for end in (0.0, 1e-3, 50.0, 5e5):
         flight.ticks["now"] = np.linspace(0.0, end, STEPS)
-        assert len(timeline(flight)) < 200_000
+        assert len(drawn(flight, [], tmp_path)) < 400_000
+    many = [Event(1000.0 + i, "op", "x" * 500) for i in range(1000)]
+    nothing = Recording({}, np.zeros(0, TICK), {}, many, False)
+    assert len(drawn(nothing, [], tmp_path)) < 400_000
 
 
 def test_a_folder_that_cannot_be_written(flight, tmp_path):
@@ -128,4 +140,4 @@ def test_a_folder_that_cannot_be_written(flight, tmp_path):
 
 def test_the_command_needs_a_flight_log(tmp_path, capsys):
     assert cli.main(["evaluate", "log", str(tmp_path / "none")]) == 2
-    assert "cannot read the flight log" in capsys.readouterr().err
+    assert "cannot read the recording" in capsys.readouterr().err

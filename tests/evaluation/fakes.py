@@ -12,7 +12,7 @@ from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import StepResult
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
-from renet.selector.monitors import Sight
+from renet.selector.monitors import SelectorInput
 from renet.tasks.config.go1 import GO1
 
 GROUND = np.full(DEPTH_SHAPE, 0.5, np.float32)
@@ -84,7 +84,7 @@ class FakeSelector:
         self.probability, self.beta = np.ones(num_robots), beta
         self.fresh = 0
 
-    def update(self, sight: Sight) -> np.ndarray:
+    def update(self, sight: SelectorInput) -> np.ndarray:
         self.fresh += int(sight.fresh.any())
         self.probability = 0.9 * self.probability + 0.1 * (sight.anomaly_score < self.beta)
         return self.probability > 0.5

@@ -18,12 +18,12 @@ from renet.deploy.bundle import (
     write_bundle,
     write_manifest,
 )
-from renet.deploy.manifest import Manifest, SelectorSpec
+from renet.deploy.bundle.manifest import Manifest, SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial, run_rollout
-from renet.evaluation.selectors import PaperSelector
+from renet.evaluation.selectors import ClockedSelector, updates_apart
 from renet.faults import Injection
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
@@ -101,7 +101,7 @@ def test_calibration_is_written_into_the_bundle(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("rate", "gamma"), [(200.0, 0.1), (50.0, 0.1), (10.0, 0.3)])
 def test_the_filter_runs_at_its_own_rate(rate: float, gamma: float) -> None:
-    switch = PaperSelector(SelectorSpec(beta=1.0, gamma=gamma, rate_hz=rate), 1)
+    switch = ClockedSelector("paper", SelectorSpec(beta=1.0, gamma=gamma, rate_hz=rate), 1)
     updates = 0
     while switch.judge(np.array([2.0]))[0]:
         updates += 1
@@ -112,7 +112,7 @@ def test_the_filter_runs_at_its_own_rate(rate: float, gamma: float) -> None:
 
 def test_a_rate_the_simulation_cannot_keep_is_refused() -> None:
     with pytest.raises(RenetError, match="selector rate 33"):
-        PaperSelector(SelectorSpec(beta=1.0, rate_hz=33.0), 1)
+        updates_apart(33.0)
 
 
 def test_a_missing_bundle_is_reported(tmp_path: Path) -> None:

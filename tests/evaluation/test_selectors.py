@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.monitor_log import SelectorProbe, combined_score, successful_runs
 from renet.evaluation.rollout import Trial, run_rollout
-from renet.evaluation.selectors import MonitorSelectorAdapter, make_selector
+from renet.evaluation.selectors import ClockedSelector, make_selector
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
-from renet.selector.monitors import Sight
+from renet.selector import SelectorSpec
+from renet.selector.monitors import SelectorInput
 
 from .fakes import GROUND, FakeEnv, FakePolicy
 
@@ -54,7 +54,7 @@ def roll(
     [("frozen", np.inf, 0.135), ("unplugged", np.inf, 0.135), ("blackout", 0.0, 0.035)],
 )
 def test_monitors_notice_what_the_papers_rule_cannot(fault, level, delay) -> None:
-    trusted, witness = roll("guarded", fault, level)
+    trusted, witness = roll("monitors", fault, level)
     flat = trusted.reshape(-1, 2)
     assert (~flat[:, 0]).argmax() == pytest.approx((1.0 + delay) * 200 - 1, abs=1.01)
     assert flat[:, 1].all()
@@ -65,12 +65,12 @@ def test_monitors_notice_what_the_papers_rule_cannot(fault, level, delay) -> Non
 
 
 def test_a_slow_selector_sees_every_frame_once() -> None:
-    switch = MonitorSelectorAdapter(SelectorSpec(beta=1.0, gamma=0.6, rate_hz=10.0), 1)
+    switch = ClockedSelector("monitors", SelectorSpec(beta=1.0, gamma=0.6, rate_hz=10.0), 1)
     image = np.random.default_rng(0).random((1, 48, 64))
     visions = []
     for update in range(200):
         fresh = np.array([update % 20 == 0])
-        sight = Sight(
+        sight = SelectorInput(
             np.zeros(1),
             image,
             fresh,
@@ -89,7 +89,7 @@ def test_disagreeing_estimators_are_noticed() -> None:
     controller.velocity_op = np.zeros((2, 3))
     controller.velocity_vp = np.array([[0.4, 0.0, 0.0], [0.2, 0.0, 0.0]])
     trace = run_rollout(
-        LiveEnv(2), controller, make_selector("guarded", SPEC, 2), [Trial("renet")] * 2, 10, 0
+        LiveEnv(2), controller, make_selector("monitors", SPEC, 2), [Trial("renet")] * 2, 10, 0
     )
     assert trace.trusted[-1, -1].tolist() == [False, True]
 
@@ -117,7 +117,7 @@ def test_unknown_selectors_and_rates_are_refused() -> None:
     with pytest.raises(RenetError, match="unknown selector 'coin'"):
         make_selector("coin", SPEC, 1)
     with pytest.raises(RenetError, match="selector rate 33"):
-        make_selector("guarded", SelectorSpec(beta=1.0, rate_hz=33.0), 1)
+        make_selector("monitors", SelectorSpec(beta=1.0, rate_hz=33.0), 1)
 
 
 def test_calibration_learns_from_robots_that_get_somewhere() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.evaluation.browser import Browser, find_browser
+from tests.evaluation.report.browser import Browser, find_browser
 
 PATIENCE = 500.0
 """Seconds after which a browser is ended."""

@@ -15,10 +15,10 @@ from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
-from renet.deploy.operator import Request
 from renet.deploy.robots.base import next_step
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
+from renet.deploy.teleop import TeleopCommand
 from renet.page.writer import WEB
 from tests.page.conftest import run_node
 
@@ -47,7 +47,7 @@ class Recorder:
         self.robot = MujocoRobot(model, bundle.manifest.robot, ground)
         camera = SimCamera(self.robot, bundle.manifest.camera, seed=4)
         self.camera = FaultyCamera(camera, [parse_fault(f) for f in faults], self.robot.now, 5)
-        self.controller = Controller(bundle, paper_selector=selector == "paper")
+        self.controller = Controller(bundle, selector=selector)
         self.given: list[dict[str, Any]] = []
         self.decided: list[dict[str, Any]] = []
 
@@ -56,7 +56,7 @@ class Recorder:
         due, shown = self.robot.now(), None
         for step in range(round(seconds / 0.02)):
             now, state, frame = self.robot.now(), self.robot.read(), self.camera.latest()
-            request = Request(speed=0.6, turn=0.2 * np.sin(now), arm=step == 0)
+            request = TeleopCommand(speed=0.6, turn=0.2 * np.sin(now), arm=step == 0)
             command = self.controller.tick(state, frame, request, now)
             new, shown = frame is not shown, frame
             self.given.append(

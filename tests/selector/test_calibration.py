@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from renet.errors import RenetError
 from renet.selector import MONITORS, calibrate_monitors, default_monitors
-from renet.selector.calibration import bursts, rare_level
-from renet.selector.defaults import CEILINGS, FALLBACK, FLOORS
+from renet.selector.calibration import decluster, return_level
+from renet.selector.monitors import CEILINGS, FALLBACK, FLOORS
 
 
 def hours(n: float, seed: int = 0, runs: int = 40) -> list[np.ndarray]:
@@ -23,10 +23,10 @@ def hours(n: float, seed: int = 0, runs: int = 40) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("expected", [5.0, 1.0, 0.1])
 def test_the_level_of_an_exponential_tail_is_its_quantile(expected: float) -> None:
-    found = rare_level(hours(2.0), expected)
+    found = return_level(hours(2.0), expected)
     maximum = max(run.max() for run in hours(2.0))
     exact = math.log(72000 / expected)
-    # Peaks of bursts are fewer than exceedances; the margin above the maximum comes on top.
+    # Peaks of decluster are fewer than exceedances; the margin above the maximum comes on top.
     assert found == pytest.approx(max(exact, maximum + 1.0), abs=1.8)
     assert found > maximum
 
@@ -35,7 +35,7 @@ def test_the_level_of_a_bounded_tail_stays_near_its_bound() -> None:
     draw = np.random.default_rng(0)
     runs = [1.0 - draw.random(2000) ** 0.5 for _ in range(30)]  # Dense towards 0, bounded by 1.
     maximum = max(run.max() for run in runs)
-    assert maximum < rare_level(runs, 0.1) < 1.2
+    assert maximum < return_level(runs, 0.1) < 1.2
 
 
 def test_a_blank_image_is_never_healthy() -> None:
@@ -50,7 +50,7 @@ def test_calibrated_monitors_keep_the_stated_rate_on_new_robots() -> None:
     assert found.robot_hours == pytest.approx(3.0)
     new = {"reconstruction": hours(40.0, 2), "disagreement": hours(40.0, 3)}
     alarms = sum(
-        len(bursts(run, found.thresholds[name])) for name, runs in new.items() for run in runs
+        len(decluster(run, found.thresholds[name])) for name, runs in new.items() for run in runs
     )
     assert alarms / 40.0 <= 1.0
 
@@ -73,8 +73,8 @@ def test_holes_of_a_real_camera_raise_the_floor() -> None:
 def test_a_burst_is_counted_once() -> None:
     run = np.zeros(100)
     run[[5, 7, 14, 60]] = [2.0, 3.0, 2.5, 4.0]
-    assert bursts(run, 1.0) == [3.0, 4.0]
-    assert bursts(run, 5.0) == []
+    assert decluster(run, 1.0) == [3.0, 4.0]
+    assert decluster(run, 5.0) == []
 
 
 @given(
@@ -84,7 +84,7 @@ def test_a_burst_is_counted_once() -> None:
 @settings(deadline=None)
 def test_a_calibrated_level_is_above_all_it_was_learnt_from(scores, expected) -> None:
     run = np.array(scores)
-    assert rare_level([run], expected) > run.max() or np.ptp(run) < 1e-9
+    assert return_level([run], expected) > run.max() or np.ptp(run) < 1e-9
 
 
 @given(lower=st.floats(0.05, 1.0), factor=st.floats(1.0, 50.0))

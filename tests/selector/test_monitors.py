@@ -1,7 +1,8 @@
-"""Monitors by hand, and what the guarded selector promises."""
+"""Monitors by hand, and what the selector promises."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -10,23 +11,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from renet.selector.guard import GuardCfg, GuardedSelector
+from renet.selector.filter import switch_delay
 from renet.selector.monitors import (
     Disagreement,
-    Duplicate,
     FrameAge,
+    FrozenFrame,
     InvalidFraction,
+    LowContrast,
     Monitor,
-    Nearness,
+    NearFraction,
     Reconstruction,
-    Sight,
-    Uniformity,
+    SelectorInput,
 )
+from renet.selector.selector import MonitorSelector, SelectorCfg
 
 
-def sight(**changes) -> Sight:
+def seen(**changes) -> SelectorInput:
     random = np.random.default_rng(0)
-    plain = Sight(
+    plain = SelectorInput(
         anomaly_score=np.array([0.001, 0.001]),
         image=0.2 + 0.5 * random.random((2, 48, 64)),
         fresh=np.array([True, True]),
@@ -39,13 +41,13 @@ def sight(**changes) -> Sight:
 
 
 def blank(value: float) -> np.ndarray:
-    image = sight().image.copy()
+    image = seen().image.copy()
     image[1] = value
     return image
 
 
-def healthy(monitor: Monitor, seen: Sight) -> np.ndarray:
-    return monitor.score(seen) < monitor.threshold
+def healthy(monitor: Monitor, given: SelectorInput) -> np.ndarray:
+    return monitor.score(given) < monitor.threshold
 
 
 @pytest.mark.parametrize(
@@ -55,77 +57,128 @@ def healthy(monitor: Monitor, seen: Sight) -> np.ndarray:
         (Reconstruction(0.01), {"anomaly_score": np.array([0.001, np.nan])}),
         (FrameAge(0.2), {"age": np.array([0.195, 0.2])}),
         (InvalidFraction(0.1), {"invalid": np.array([0.05, 0.3])}),
-        (Uniformity(-0.01), {"image": blank(0.0)}),
-        (Uniformity(-0.01), {"image": blank(1.0)}),
-        (Nearness(0.5), {"image": blank(0.02)}),
+        (LowContrast(-0.01), {"image": blank(0.0)}),
+        (LowContrast(-0.01), {"image": blank(1.0)}),
+        (NearFraction(0.5), {"image": blank(0.02)}),
         (Disagreement(0.5), {"velocity_vp": np.array([[0.0, 0, 0], [0.4, 0.4, 0]])}),
     ],
 )
 def test_each_monitor_objects_to_its_fault_alone(monitor, bad):
-    assert healthy(monitor, sight()).all()
-    assert healthy(monitor, sight(**bad)).tolist() == [True, False]
+    assert healthy(monitor, seen()).all()
+    assert healthy(monitor, seen(**bad)).tolist() == [True, False]
 
 
 def test_three_equal_images_in_a_row_are_a_frozen_camera():
-    monitor = Duplicate(2, 3.0)
+    monitor = FrozenFrame(2, 3.0)
     live = np.random.default_rng(1)
-    frozen = sight().image[1]
+    frozen = seen().image[1]
     verdicts = []
     for _ in range(4):
         images = np.stack((live.random((48, 64)), frozen))
-        verdicts.append(healthy(monitor, sight(image=images)).tolist())
+        verdicts.append(healthy(monitor, seen(image=images)).tolist())
         # Updates between frames see the held image and must not count it.
         for _ in range(5):
-            healthy(monitor, sight(image=images, fresh=np.zeros(2, bool)))
+            healthy(monitor, seen(image=images, fresh=np.zeros(2, bool)))
     assert verdicts == [[True, True], [True, True], [True, False], [True, False]]
     monitor.reset(np.array([False, True]))
-    assert healthy(monitor, sight(image=np.stack((frozen, frozen)))).all()
+    assert healthy(monitor, seen(image=np.stack((frozen, frozen)))).all()
 
 
-def selector(**fields) -> GuardedSelector:
-    return GuardedSelector([Reconstruction(0.01), FrameAge(0.2)], 2, GuardCfg(**fields))
+STEP = 1 / 200
+
+
+def selector(**fields) -> MonitorSelector:
+    return MonitorSelector([Reconstruction(0.01), FrameAge(0.2)], SelectorCfg(**fields), 2)
+
+
+def run(chosen: MonitorSelector, given: SelectorInput, start: float, end: float, step=STEP):
+    """Answers [updates, 2] at times `start`, `start + step`, ... before `end`."""
+    times = start + step * np.arange(round((end - start) / step))
+    return times, np.array([chosen.update(given, now).copy() for now in times])
+
+
+STALE = seen(age=np.array([0.0, 1.0]))
 
 
 def test_it_leaves_as_fast_as_the_papers_filter_and_says_why():
-    guard = selector()
-    stale = sight(age=np.array([0.0, 1.0]))
-    visions = [guard.update(stale).tolist() for _ in range(7)]
-    assert visions[5] == [True, True]
-    assert visions[6] == [True, False]
-    assert guard.reason.tolist() == ["", "no new image"]
+    chosen = selector()
+    _, visions = run(chosen, STALE, 0.0, 0.035)
+    assert visions[5].tolist() == [True, True]
+    assert visions[6].tolist() == [True, False]
+    assert chosen.reason.tolist() == ["", "no new image"]
 
 
-def test_it_returns_after_the_dwell_and_not_before():
-    guard = selector()
-    for _ in range(10):
-        guard.update(sight(age=np.array([0.0, 1.0])))
-    updates = 0
-    while not guard.update(sight())[1]:
-        updates += 1
-        assert updates < 1000
-    assert updates / 200.0 == pytest.approx(1.0, abs=0.02)
-    assert guard.reason[1] == ""
+@settings(max_examples=60, deadline=None)
+@given(
+    rate=st.sampled_from([10.0, 37.0, 50.0, 75.0, 200.0, 500.0]),
+    calls=st.sampled_from([10.0, 33.0, 50.0, 200.0, 1000.0]),
+    start=st.sampled_from([0.0, 1e3, 1.7e9]),
+)
+def test_delay_dwell_and_rest_are_seconds_at_any_rate_of_filter_and_caller(rate, calls, start):
+    """Within one period of the filter plus one of the caller, whoever is slower."""
+    chosen, step = selector(rate_hz=rate), 1.0 / calls
+    tolerance = 1.0 / rate + step + 1e-6
+    run(chosen, seen(), start, start + 1.0, step)
+    fault = start + 1.0
+    times, visions = run(chosen, STALE, fault, fault + 3.0, step)
+    left = times[(~visions[:, 1]).argmax()] - fault
+    assert not visions[:, 1].all()
+    assert abs(left - switch_delay(0.1, rate)) <= tolerance
+    times, visions = run(chosen, seen(), fault + 3.0, fault + 6.0, step)
+    # P must also come back above one half, which a slow filter takes longer for.
+    back = times[visions[:, 1].argmax()] - (fault + 3.0)
+    assert visions[:, 1].any()
+    risen = math.log(0.5) / math.log(0.9) / rate
+    assert 1.0 - 1e-6 <= back <= max(1.0, risen) + tolerance + 1.0 / rate
+    # The second fault: vision must not return within five seconds of the first return.
+    returned = fault + 3.0 + back
+    run(chosen, STALE, returned + step, returned + 1.5, step)
+    times, visions = run(chosen, seen(), returned + 1.5, returned + 8.0, step)
+    again = times[visions[:, 1].argmax()] - returned
+    if not visions[0, 1]:
+        assert 5.0 - 1e-6 <= again <= 5.0 + tolerance
+    assert visions[:, 0].all(), "the other robot never had a fault"
+
+
+def test_a_clock_that_stands_or_runs_backwards_takes_no_updates():
+    chosen = selector()
+    chosen.update(seen(), 1.0)
+    for now in (1.0, 0.5, -3.0):
+        for _ in range(50):
+            assert chosen.update(STALE, now).all()
+    assert not chosen.update(STALE, 1.04)[1]
+
+
+def test_a_slow_filter_judges_at_its_own_times_but_sees_every_image():
+    """Frames between two verdicts of a 2 Hz filter still count as equal."""
+    chosen = MonitorSelector([FrozenFrame(2, 3.0)], SelectorCfg(gamma=0.6, rate_hz=2.0), 2)
+    answers = [chosen.update(seen(), 0.1 * step).all() for step in range(6)]
+    assert answers == [True] * 5 + [False]
 
 
 @settings(max_examples=15, deadline=None)
 @given(pattern=st.lists(st.integers(1, 400), min_size=4, max_size=30))
 def test_a_flickering_camera_causes_at_most_one_return_in_five_seconds(pattern):
-    guard, bad, time, returns, before = selector(), False, 0.0, [], True
+    chosen, bad, step, returns, before = selector(), False, 0, [], True
     for length in pattern:
         bad = not bad
         for _ in range(length):
-            seen = guard.update(sight(age=np.full(2, 1.0 if bad else 0.0)))[0]
-            time += 1 / 200.0
-            if seen and not before:
-                returns.append(time)
-            before = bool(seen)
+            given_now = seen(age=np.full(2, 1.0 if bad else 0.0))
+            used = chosen.update(given_now, step * STEP)[0]
+            step += 1
+            if used and not before:
+                returns.append(step * STEP)
+            before = bool(used)
     assert all(b - a >= 5.0 - 1e-6 for a, b in pairwise(returns))
 
 
-def test_reset_trusts_again():
-    guard = selector()
-    for _ in range(10):
-        guard.update(sight(age=np.ones(2)))
-    guard.reset(np.array([True, False]))
-    assert guard.vision.tolist() == [True, False]
-    assert guard.probability[0] == 1.0
+def test_reset_uses_vision_again():
+    chosen = selector()
+    run(chosen, seen(age=np.ones(2)), 0.0, 0.05)
+    chosen.reset(np.array([True, False]))
+    assert chosen.vision.tolist() == [True, False]
+    assert chosen.probability[0] == 1.0
+    chosen.reset()
+    assert chosen.vision.all()
+    assert chosen.update(seen(), -100.0).all(), "another clock may follow"
+    assert not run(chosen, STALE, -99.995, -99.95)[1][-1, 1]

@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from renet.errors import RenetError
 from renet.selector import (
     LowPassFilter,
-    Selector,
-    SelectorCfg,
+    SelectorInput,
+    SelectorSpec,
     calibrate,
     conformal_threshold,
+    make_selector,
     switch_delay,
 )
 
@@ -48,6 +49,16 @@ def test_probability_follows_the_equation_and_stays_a_probability(gamma, verdict
         assert vision[0] == (low_pass.probability[0] > 0.5)
 
 
+@given(gamma=GAMMAS, count=st.integers(0, 60), start=st.floats(0, 1), verdict=st.booleans())
+def test_many_updates_at_once_equal_as_many_in_turn(gamma, count, start, verdict):
+    at_once, in_turn = LowPassFilter(gamma), LowPassFilter(gamma)
+    at_once.probability[:] = in_turn.probability[:] = start
+    at_once.update(np.array([verdict]), count)
+    for _ in range(count):
+        in_turn.update(np.array([verdict]))
+    assert at_once.probability[0] == pytest.approx(in_turn.probability[0], abs=1e-12)
+
+
 @given(verdicts=st.lists(st.booleans(), min_size=2, max_size=300))
 def test_the_filter_never_switches_more_often_than_its_input(verdicts):
     low_pass = LowPassFilter(0.1)
@@ -59,15 +70,24 @@ def test_the_filter_never_switches_more_often_than_its_input(verdicts):
     assert changes([True, *outputs]) <= changes([True, *verdicts])
 
 
-def test_robots_are_independent_and_bad_scores_are_anomalies():
-    selector = Selector(SelectorCfg(beta=0.5), num_robots=4)
+def test_the_papers_selector_leaves_and_returns_by_the_filter_alone():
+    selector = make_selector("paper", SelectorSpec(beta=0.5), 4)
     scores = np.array([0.4, 0.6, np.nan, np.inf])
-    for _ in range(7):
-        vision = selector.update(scores)
+    for update in range(7):
+        vision = selector.update(SelectorInput(scores), 0.005 * update)
     assert vision.tolist() == [True, False, False, False]
+    assert selector.reason[1] == "images unlike those of training"
     selector.reset(np.array([False, True, False, False]))
     assert selector.probability[1] == 1.0
     assert selector.probability[2] < 0.5
+    for update in range(7, 15):
+        vision = selector.update(SelectorInput(np.full(4, 0.4)), 0.005 * update)
+    assert vision.all(), "no dwell"
+
+
+def test_an_unknown_selector_is_refused():
+    with pytest.raises(RenetError, match="unknown selector 'coin'"):
+        make_selector("coin", SelectorSpec(beta=0.5))
 
 
 def test_calibration_is_the_maximum_or_a_guaranteed_quantile():
@@ -94,4 +114,4 @@ def test_impossible_settings_are_refused():
     with pytest.raises(RenetError, match="gamma"):
         LowPassFilter(0.0)
     with pytest.raises(RenetError, match="beta"):
-        SelectorCfg(beta=float("nan"))
+        SelectorSpec(beta=float("nan"))

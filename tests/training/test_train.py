@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,6 +43,9 @@ def test_another_task_leaves_the_run_it_goes_on_from_alone(tmp_path):
     assert sorted(flat.rglob("*")) == before
     assert parkour.parent == tmp_path / "Renet-Go1-Parkour"
     assert checkpoints.find(parkour).name == "it_00000002"
+    with pytest.raises(RenetError, match=r"not in --log-root .*elsewhere: leave out"):
+        train(cfg(tmp_path / "elsewhere", resume=str(checkpoint), max_iterations=2))
+    assert sorted(flat.rglob("*")) == before
     with pytest.raises(RenetError, match="is at iteration 2: --max-iterations counts from"):
         train(cfg(tmp_path, "Renet-Go1-Parkour", resume="latest", max_iterations=2))
 
@@ -113,12 +117,6 @@ def test_what_the_task_does_not_have_is_refused(changes, message):
         task_cfg(TrainCfg(task="Renet-Go1-Parkour", **changes))
 
 
-def test_the_newest_checkpoint_is_the_one_of_the_latest_iteration(tmp_path):
-    for iteration in (631, 550):  # Written last: as after a copy.
-        checkpoints.save(Checkpoint({}, {}, {}, {}), tmp_path / "checkpoints", iteration, keep=9)
-    assert checkpoints.find(tmp_path).name == "it_00000631"
-
-
 def test_runs_begun_in_the_same_second_have_folders_of_their_own(tmp_path):
     assert len({new_run(tmp_path, "task") for _ in range(3)}) == 3
 
@@ -140,3 +138,18 @@ def test_the_time_budget_counts_from_the_start(tmp_path, monkeypatch):
     )
     train(cfg(tmp_path, time_budget="60s"))
     assert 0.0 < given[0] < 59.9
+
+
+def test_the_newest_checkpoint_is_the_highest_iteration_of_the_last_run(tmp_path, capsys):
+    """Not the file touched last: copying or syncing a run touches them in any order."""
+    names = ("2026-01-01_10-00-00", 9), ("2026-01-02_10-00-00", 3), ("2026-01-02_10-00-00", 12)
+    for age, (run, iteration) in enumerate(names):
+        folder = tmp_path / run / "checkpoints" / f"it_{iteration:08d}"
+        folder.mkdir(parents=True)
+        (folder / "state.json").write_text("{}")
+        os.utime(folder, (1000 - age, 1000 - age))
+    (tmp_path / "2026-01-03" / "it_final").mkdir(parents=True)
+    (tmp_path / "2026-01-03" / "it_final" / "state.json").write_text("{}")
+    found = checkpoints.find(tmp_path)
+    assert (found.parent.parent.name, found.name) == ("2026-01-02_10-00-00", "it_00000012")
+    assert f"Checkpoint: {found}\n" == capsys.readouterr().err

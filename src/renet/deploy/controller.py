@@ -15,10 +15,10 @@ import numpy as np
 
 from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.cameras.buffer import FrameBuffer
+from renet.deploy.inference import Inference, InlineInference
 from renet.deploy.observation import heading, observe
-from renet.deploy.operator import Request
-from renet.deploy.perception import InlinePerception, Perception
-from renet.deploy.policy import Policy, perceive
+from renet.deploy.policy import Policy, infer
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.safety import (
     Mode,
@@ -27,15 +27,16 @@ from renet.deploy.safety import (
     clean_state,
     damping_command,
     limited_command,
-    limited_request,
-    request_problem,
-    rise_problem,
-    rising_target,
+    limited_teleop,
+    stand_up_problem,
+    stand_up_target,
     state_problem,
+    teleop_problem,
 )
-from renet.deploy.sight import FrameKeeper, Trust
+from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE
+from renet.selector import SelectorInput, make_selector
 
 LATE = "the vision thread is late or dead"
 MAX_LEAD = math.pi / 2
@@ -50,8 +51,8 @@ class Event:
     time: float
     """Seconds on the robot's clock."""
     what: str
-    """A mode of the safety machine, or `refused` (to rise), `vp`, `op`, `perception`, or the device
-    that complains: `robot`, `camera`, `operator`."""
+    """A mode of the safety machine, `refused` (to stand up), `vp`, `op`, `inference`, or the device
+    that has a problem: `robot`, `camera`, `teleop`, `recorder`."""
     why: str
 
 
@@ -79,7 +80,7 @@ class Decision:
     """[3] m/s, base frame."""
     image: np.ndarray | None
     """[48, 64] taken from the camera in this step; None between vision ticks and without camera."""
-    perceived: bool
+    inferred: bool
     """The result of a vision tick was taken over in this step."""
     fallback: bool
     """The vision tick ran blind and in line because its thread was late or dead."""
@@ -92,8 +93,8 @@ class Controller:
         self,
         bundle: Bundle,
         safety: SafetyCfg = SafetyCfg(),  # noqa: B008  (frozen)
-        perception: Perception | None = None,
-        paper_selector: bool = False,
+        inference: Inference | None = None,
+        selector: str = "monitors",
         on_event: Callable[[Event], None] = lambda event: None,
     ) -> None:
         """Set up in DAMPING.
@@ -101,8 +102,8 @@ class Controller:
         Args:
             bundle: policy, robot, camera and selector.
             safety: limits.
-            perception: where vision ticks run; in line by default, which is deterministic.
-            paper_selector: trust vision by the reconstruction loss alone, as the paper does.
+            inference: where vision ticks run; in line by default, which is deterministic.
+            selector: one of `renet.selector.SELECTORS`.
             on_event: told every transition with its reason.
         """
         self.robot, self.cfg = bundle.manifest.robot, safety
@@ -110,27 +111,27 @@ class Controller:
         # A model's first run is many times slower than all others: not while the robot walks.
         Policy(bundle).step(np.zeros((1, PROPRIOCEPTION_SIZE)), BLACK, np.zeros(1, bool))
         self.machine = SafetyMachine(safety)
-        self._perception = perception or InlinePerception(bundle.sessions)
-        self._keeper = FrameKeeper()
-        self._trust = Trust(bundle.manifest.selector, paper_selector)
+        self._perception = inference or InlineInference(bundle.sessions)
+        self._buffer = FrameBuffer()
+        self._selector = make_selector(selector, bundle.manifest.selector)
         self._on_event = on_event
         self._newest: RobotState | None = None
         self._state_error = "no state from the robot"
         self._start = self._target = np.array(self.robot.default_position)
         self._yaw = self._turn = 0.0
         self._image = BLACK
-        self._forget()
+        self._start_over()
         self.decision = self._decide(damping_command(self.robot, safety), 0.0)
         """What the last tick decided."""
 
     def tick(
-        self, state: RobotState | None, frame: DepthFrame | None, request: Request, now: float
+        self, state: RobotState | None, frame: DepthFrame | None, teleop: TeleopCommand, now: float
     ) -> JointCommand:
         """One control step, every 0.02 s.
 
         Args:
             state: newest reading; None if there is none. frame: newest of the camera, the same as
-            before if none came; None without a camera. request: of the operator.
+            before if none came; None without a camera. teleop: the operator's command.
             now: seconds on the robot's clock.
 
         Returns:
@@ -138,7 +139,7 @@ class Controller:
         """
         mode = self.machine.mode
         try:
-            command = self._tick(state, frame, request, now)
+            command = self._tick(state, frame, teleop, now)
         except Exception as error:  # Whatever it is, a robot must be left braked.
             self.machine.trip(f"{type(error).__name__}: {error}", now)
             command = damping_command(self.robot, self.cfg)
@@ -158,12 +159,12 @@ class Controller:
         self._perception.close()
 
     def _tick(
-        self, raw: RobotState | None, frame: DepthFrame | None, request: Request, now: float
+        self, raw: RobotState | None, frame: DepthFrame | None, teleop: TeleopCommand, now: float
     ) -> JointCommand:
         before = self.machine.mode
         self._read(raw, now)
-        self._keeper.offer(frame, now)
-        mode = self.machine.update(self._problem(request, now), request, now)
+        self._buffer.offer(frame, now)
+        mode = self.machine.update(self._problem(teleop, now), teleop, now)
         if self.machine.refused:
             self.tell(now, "refused", self.machine.refused)
         state = self._newest
@@ -171,17 +172,17 @@ class Controller:
             self._target = self._start if state is None else state.joint_position
             command = damping_command(self.robot, self.cfg)
             self.decision = self._decide(command, now)
-        elif mode is Mode.RISING:
-            if before is not Mode.RISING:
+        elif mode is Mode.STANDING_UP:
+            if before is not Mode.STANDING_UP:
                 self._start = self._target = state.joint_position
-            share = (now - self.machine.since) / self.cfg.rise_seconds
-            command = self._limited(rising_target(self._start, self.robot, share), state)
+            share = (now - self.machine.since) / self.cfg.stand_up_seconds
+            command = self._limited(stand_up_target(self._start, self.robot, share), state)
             self.decision = self._decide(command, now)
         else:
             if before is not Mode.WALKING:
-                self._forget()
-                self._yaw, self._turn = heading(state.quaternion), request.turn
-            command = self._walk(state, limited_request(request), now)
+                self._start_over()
+                self._yaw, self._turn = heading(state.quaternion), teleop.turn
+            command = self._walk(state, limited_teleop(teleop), now)
         return command
 
     def _read(self, raw: RobotState | None, now: float) -> None:
@@ -196,38 +197,38 @@ class Controller:
         if self._newest is None or state.time >= self._newest.time:
             self._newest = state
 
-    def _problem(self, request: Request, now: float) -> str:
-        problem = request_problem(request)
+    def _problem(self, teleop: TeleopCommand, now: float) -> str:
+        problem = teleop_problem(teleop)
         if problem:
             return problem
         if self._newest is None:
             return self._state_error
         problem = state_problem(self._newest, self.robot, self.cfg, now)
-        if not problem and self.machine.risen(now):
-            problem = rise_problem(self._newest, self.robot, self.cfg)
+        if not problem and self.machine.stood_up(now):
+            problem = stand_up_problem(self._newest, self.robot, self.cfg)
         return problem
 
-    def _forget(self) -> None:
+    def _start_over(self) -> None:
         """Start walking as training starts an episode."""
         self.policy.reset()
-        self._trust.reset()
+        self._selector.reset()
         self._action = np.zeros(ACTION_SIZE)
         self._vision, self._blind = True, False
         self._image = BLACK
 
-    def _walk(self, state: RobotState, request: Request, now: float) -> JointCommand:
-        self._steer(request.turn, heading(state.quaternion))
-        observation = observe(state, self.robot, request.speed, self._yaw, self._action)[None]
+    def _walk(self, state: RobotState, teleop: TeleopCommand, now: float) -> JointCommand:
+        self._steer(teleop.turn, heading(state.quaternion))
+        observation = observe(state, self.robot, teleop.speed, self._yaw, self._action)[None]
         self.policy.remember(observation)
         image, fresh, fallback = None, False, False
         due = self.policy.due
         if due:
-            image, fresh = self._keeper.take()
+            image, fresh = self._buffer.take()
             fallback = self._begin_tick(image, now)
-        percept = self._perception.take()
-        if percept is not None:
-            self.policy.accept(percept)
-        vision = self._vision and self._keeper.image is not None
+        output = self._perception.take()
+        if output is not None:
+            self.policy.accept(output)
+        vision = self._vision and self._buffer.image is not None
         action = self.policy.act(observation, np.array([not vision]))[0]
         if not np.isfinite(action).all():
             raise RenetError("the policy's action is not finite")
@@ -236,8 +237,8 @@ class Controller:
         if image is not None:
             self._image = image[None]
         self._switch(fresh, now)
-        perceived = percept is not None or fallback
-        self.decision = self._decide(command, now, vision, image, perceived, fallback)
+        inferred = output is not None or fallback
+        self.decision = self._decide(command, now, vision, image, inferred, fallback)
         return command
 
     def _steer(self, turn: float, here: float) -> None:
@@ -250,18 +251,27 @@ class Controller:
         fallback = self._blind = not self._perception.ready()
         inputs = self.policy.look(None if image is None or fallback else image[None])
         if fallback:
-            self.tell(now, "perception", f"{LATE}: this tick runs blind")
-            self.policy.accept(perceive(self.policy.sessions, inputs))
+            self.tell(now, "inference", f"{LATE}: this tick runs blind")
+            self.policy.accept(infer(self.policy.sessions, inputs))
         else:
             self._perception.begin(inputs)
         return fallback
 
     def _switch(self, fresh: bool, now: float) -> None:
         """Let the selector choose the next step's estimator."""
-        age = self._keeper.age(now)
-        vision = self._trust.update(self.policy, self._keeper, self._image, fresh, age)
+        policy, buffer = self.policy, self._buffer
+        seen = SelectorInput(
+            anomaly_score=np.array([np.inf]) if buffer.problem else policy.anomaly_score,
+            image=self._image,
+            fresh=np.array([fresh]),
+            age=np.array([buffer.age(now)]),
+            invalid=np.array([buffer.invalid]),
+            velocity_op=policy.velocity_op,
+            velocity_vp=policy.velocity_vp,
+        )
+        vision = bool(self._selector.update(seen, now)[0])
         if vision is not self._vision:
-            why = self._keeper.problem or (LATE if self._blind else self._trust.reason)
+            why = buffer.problem or (LATE if self._blind else str(self._selector.reason[0]))
             self.tell(now, "vp" if vision else "op", "vision is healthy" if vision else why)
         self._vision = vision
 
@@ -276,7 +286,7 @@ class Controller:
         now: float,
         vision: bool = False,
         image: np.ndarray | None = None,
-        perceived: bool = False,
+        inferred: bool = False,
         fallback: bool = False,
     ) -> Decision:
         policy, walking = self.policy, self.machine.mode is Mode.WALKING
@@ -285,15 +295,15 @@ class Controller:
             command=command,
             mode=self.machine.mode,
             vision=vision,
-            probability=self._trust.probability,
+            probability=float(self._selector.probability[0]),
             anomaly=float(policy.anomaly_score[0]),
-            frame_age=self._keeper.age(now),
+            frame_age=self._buffer.age(now),
             action=self._action if walking else np.zeros(ACTION_SIZE),
             latent=latent if walking else np.zeros(LATENT),
             velocity_op=policy.velocity_op[0],
             velocity_vp=policy.velocity_vp[0],
             image=image,
-            perceived=perceived,
+            inferred=inferred,
             fallback=fallback,
         )
 

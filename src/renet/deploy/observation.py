@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from renet.deploy.manifest import RobotSpec
+from renet.deploy.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import RobotState
 from renet.interface import PROPRIOCEPTION
 

@@ -23,7 +23,7 @@ from renet.interface import (
 
 
 @dataclass(frozen=True)
-class TickInputs:
+class EstimatorInput:
     """What one 10 Hz tick of vision and of both estimators reads: copies, safe on any thread."""
 
     history: np.ndarray
@@ -39,7 +39,7 @@ class TickInputs:
 
 
 @dataclass(frozen=True)
-class Percept:
+class EstimatorOutput:
     """What a tick found, [N, …]."""
 
     latent_op: np.ndarray
@@ -58,7 +58,7 @@ class Percept:
 ESTIMATES = ("latent_op", "latent_vp", "velocity_op", "velocity_vp", "feet_height", "height_map")
 
 
-def perceive(sessions: dict[str, ort.InferenceSession], inputs: TickInputs) -> Percept:
+def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> EstimatorOutput:
     """One tick of vision and both estimators: a pure function, so that any thread may call it."""
     reconstruction, score = None, np.full(len(inputs.frames), np.inf, np.float32)
     if not inputs.blind:
@@ -77,7 +77,7 @@ def perceive(sessions: dict[str, ort.InferenceSession], inputs: TickInputs) -> P
         },
     )
     found = dict(zip(ESTIMATES, estimates, strict=True))
-    return Percept(**found, anomaly_score=score.reshape(-1), reconstruction=reconstruction)
+    return EstimatorOutput(**found, anomaly_score=score.reshape(-1), reconstruction=reconstruction)
 
 
 class Policy:
@@ -146,7 +146,7 @@ class Policy:
         mask = np.ones(self.num_robots, bool) if depth is None else np.asarray(op_mask, bool)
         self.remember(proprioception)
         if self.due:
-            self.accept(perceive(self.sessions, self.look(depth)))
+            self.accept(infer(self.sessions, self.look(depth)))
         return self.act(proprioception, mask)
 
     def remember(self, proprioception: np.ndarray) -> None:
@@ -156,13 +156,13 @@ class Policy:
         self._history[self._blank] = proprioception[self._blank, None]
         self._blank[:] = False
 
-    def look(self, depth: np.ndarray | None) -> TickInputs:
-        """Push an image [N, 48, 64], if there is one; returns what `perceive` needs."""
+    def look(self, depth: np.ndarray | None) -> EstimatorInput:
+        """Push an image [N, 48, 64], if there is one; returns what `infer` needs."""
         if depth is not None:
             self._frames[:, 1] = np.where(self._fresh[:, None, None], depth, self._frames[:, 0])
             self._frames[:, 0] = depth
             self._fresh[:] = False
-        return TickInputs(
+        return EstimatorInput(
             self._history.copy(),
             self._frames.copy(),
             self.latent_op,
@@ -170,12 +170,12 @@ class Policy:
             depth is None,
         )
 
-    def accept(self, percept: Percept) -> None:
+    def accept(self, output: EstimatorOutput) -> None:
         """Go on with what a tick found."""
         for name in (*ESTIMATES, "anomaly_score"):
-            setattr(self, name, getattr(percept, name))
-        if percept.reconstruction is not None:
-            self.reconstruction = percept.reconstruction
+            setattr(self, name, getattr(output, name))
+        if output.reconstruction is not None:
+            self.reconstruction = output.reconstruction
 
     def act(self, proprioception: np.ndarray, op_mask: np.ndarray) -> np.ndarray:
         """Actions [N, 12] under the paper's mask [N] bool; ends the control step."""

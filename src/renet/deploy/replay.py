@@ -1,28 +1,30 @@
-"""Fly a flight again: the logged inputs through the same controller, vision thread and all."""
+"""Replays a run: the recorded inputs through the same controller, vision thread and all."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller, Decision
-from renet.deploy.flight_log import GOOD, NONE, READING, Flight
-from renet.deploy.operator import Request
-from renet.deploy.perception import InlinePerception
+from renet.deploy.inference import InlineInference
+from renet.deploy.loop import REFUSED
+from renet.deploy.recorder import GOOD, NONE, READING
+from renet.deploy.recording import Recording
 from renet.deploy.robots.base import RobotState
-from renet.deploy.runner import REFUSED
 from renet.deploy.safety import SafetyCfg
+from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import DEPTH_SHAPE
 
 UNREADABLE = np.full(DEPTH_SHAPE, np.nan, np.float32)
 
 
-class ScriptedPerception(InlinePerception):
-    """Gives each tick's result at the control step at which the flight's thread gave it."""
+class ScriptedInference(InlineInference):
+    """Gives each tick's result at the control step at which the run's thread gave it."""
 
     def __init__(self, sessions, ticks: np.ndarray) -> None:
         super().__init__(sessions)
@@ -36,44 +38,44 @@ class ScriptedPerception(InlinePerception):
     def take(self):
         """The result, if it was ready then."""
         row = self._ticks[self.step]
-        return super().take() if row["perceived"] and not row["fallback"] else None
+        return super().take() if row["inferred"] and not row["fallback"] else None
 
 
-def replay(flight: Flight, bundle: Bundle) -> Iterator[Decision]:
-    """What the controller decides at each tick of a flight, given the same inputs.
+def replay(run: Recording, bundle: Bundle) -> Iterator[Decision]:
+    """What the controller decides at each tick of a run, given the same inputs.
 
     Raises:
-        RenetError: the flight was made with another bundle, or its log does not say with which
+        RenetError: the run was made with another bundle, or its log does not say with which
         limits.
     """
-    made_with = flight.header.get("bundle_sha256")
+    made_with = run.header.get("bundle_sha256")
     if made_with != bundle.sha256:
         raise RenetError(
-            f"the flight was made with bundle {str(made_with)[:12]}, not {bundle.sha256[:12]}"
+            f"the run was made with bundle {str(made_with)[:12]}, not {bundle.sha256[:12]}"
         )
-    perception = ScriptedPerception(bundle.sessions, flight.ticks)
+    inference = ScriptedInference(bundle.sessions, run.ticks)
     try:
-        safety, paper = SafetyCfg(**flight.header["safety"]), flight.header["paper_selector"]
+        safety, selector = SafetyCfg(**run.header["safety"]), run.header["selector"]
     except (KeyError, TypeError) as error:
-        raise RenetError(f"the log's header does not say how it was flown: {error}") from error
-    controller = Controller(bundle, safety, perception, paper)
+        raise RenetError(f"the recording's header does not say what ran: {error}") from error
+    controller = Controller(bundle, safety, inference, selector)
     image = UNREADABLE
     # The only thing that came from outside the controller's inputs.
-    refused = {event.time for event in flight.events if event.why.startswith(REFUSED)}
-    for step, tick in enumerate(flight.ticks):
-        perception.step = step
-        image = flight.images.get(step, image)
-        request = Request(*(tick[name].item() for name in ("speed", "turn", "arm", "stop")))
-        controller.tick(_state(tick), _frame(tick, image), request, float(tick["now"]))
+    refused = {event.time for event in run.events if event.why.startswith(REFUSED)}
+    for step, tick in enumerate(run.ticks):
+        inference.step = step
+        image = run.images.get(step, image)
+        teleop = TeleopCommand(*(tick[name].item() for name in ("speed", "turn", "arm", "stop")))
+        controller.tick(_state(tick), _frame(tick, image), teleop, float(tick["now"]))
         yield controller.decision
         if float(tick["now"]) in refused:
             controller.trip(REFUSED, float(tick["now"]))
 
 
-def mismatch(flight: Flight, bundle: Bundle) -> float:
+def mismatch(run: Recording, bundle: Bundle) -> float:
     """Largest difference between logged and replayed joint targets, rad; zero is a true replay."""
     worst = 0.0
-    for tick, decision in zip(flight.ticks, replay(flight, bundle), strict=True):
+    for tick, decision in zip(run.ticks, replay(run, bundle), strict=True):
         worst = max(worst, float(np.abs(tick["position"] - decision.command.position).max()))
     return worst
 
@@ -81,7 +83,8 @@ def mismatch(flight: Flight, bundle: Bundle) -> float:
 def _state(tick: np.ndarray) -> RobotState | None:
     if tick["state"] == NONE:
         return None
-    return RobotState(float(tick["state_time"]), **{name: tick[name] for name, _, _ in READING})
+    values: dict[str, Any] = {name: tick[name] for name, _, _ in READING}
+    return RobotState(float(tick["state_time"]), **values)
 
 
 def _frame(tick: np.ndarray, image: np.ndarray) -> DepthFrame | None:

@@ -1,8 +1,8 @@
 """The safety layer: when a robot may move, and how far one command may go.
 
-    DAMPING --arm, nothing wrong--> RISING --joints followed--> WALKING
-       ^                              |                            |
-       +---- any problem, or stop ----+----------------------------+
+    DAMPING --arm, nothing wrong--> STANDING_UP --joints followed--> WALKING
+       ^                                 |                             |
+       +------ any problem, or stop -----+-----------------------------+
 
 DAMPING is the start and the end: joints are only braked, and it stays until the operator arms
 again. Losing vision is no problem here: the selector falls back to OP within WALKING.
@@ -16,10 +16,11 @@ from enum import StrEnum
 
 import numpy as np
 
-from renet.deploy.manifest import RobotSpec
+from renet.deploy.bundle.manifest import RobotSpec
+from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.observation import projected_gravity
-from renet.deploy.operator import MAX_SPEED, Request
 from renet.deploy.robots.base import JointCommand, RobotState
+from renet.deploy.teleop import MAX_SPEED, TeleopCommand
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, CONTROL_DT
 
@@ -28,7 +29,7 @@ class Mode(StrEnum):
     """States of the safety machine."""
 
     DAMPING = "damping"
-    RISING = "rising"
+    STANDING_UP = "standing_up"
     WALKING = "walking"
 
 
@@ -54,11 +55,11 @@ class SafetyCfg:
     """Fastest change of a joint target, rad/s."""
     damping: float = 3.0
     """Braking gain in DAMPING, N m s/rad."""
-    rise_seconds: float = 2.0
+    stand_up_seconds: float = 2.0
     """Time from the pose at arming to the default pose."""
-    max_rise_error: float = 0.5
-    """Farthest that a joint may be from the default pose after rising, rad. A standing Go1 sags by
-    0.2; one that still lies, or whose motors obey nobody, is 0.9 away."""
+    max_stand_up_error: float = 0.5
+    """Farthest that a joint may be from the default pose after standing up, rad. A standing Go1
+    sags by 0.2; one that still lies, or whose motors obey nobody, is 0.9 away."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -77,6 +78,12 @@ VECTORS = {
     "quaternion": 4,
     "angular_velocity": 3,
 }
+MIN_BATTERY = 0.2
+"""Charge below which a robot does not stand up."""
+MAX_TEMPERATURE = 65.0
+"""Motor temperature in °C above which a robot does not stand up."""
+MAX_FRAME_AGE = 0.5
+"""Age in seconds of the newest image above which a robot with a camera does not stand up."""
 FUTURE = 0.01
 """Seconds by which a reading may seem to come from the future: clocks are read one by one."""
 
@@ -122,27 +129,60 @@ def state_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg, now: floa
     return ""
 
 
-def rise_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg) -> str:
-    """Why a robot that was told to rise must not walk; empty if its joints followed."""
+def stand_up_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg) -> str:
+    """Why a robot that was told to stand up must not walk; empty if its joints followed."""
     error = np.abs(state.joint_position - np.asarray(robot.default_position))
     worst = int(np.argmax(error))
-    if error[worst] <= cfg.max_rise_error:
+    if error[worst] <= cfg.max_stand_up_error:
         return ""
-    return f"{robot.joints[worst]} did not rise: {error[worst]:.2f} rad are missing"
+    return f"{robot.joints[worst]} did not follow: {error[worst]:.2f} rad are missing"
 
 
-def request_problem(request: Request) -> str:
-    """Why an operator's request forbids motion; empty if it does not."""
-    if request.stop:
+def teleop_problem(teleop: TeleopCommand) -> str:
+    """Why an operator's teleop forbids motion; empty if it does not."""
+    if teleop.stop:
         return "operator stop"
-    if not (math.isfinite(request.speed) and math.isfinite(request.turn)):
+    if not (math.isfinite(teleop.speed) and math.isfinite(teleop.turn)):
         return "the operator's command is not finite"
     return ""
 
 
-def limited_request(request: Request) -> Request:
-    """The request with its speed within training's."""
-    return replace(request, speed=min(max(float(request.speed), 0.0), MAX_SPEED))
+def limited_teleop(teleop: TeleopCommand) -> TeleopCommand:
+    """The teleop with its speed within training's."""
+    return replace(teleop, speed=min(max(float(teleop.speed), 0.0), MAX_SPEED))
+
+
+def pre_arm_problem(
+    state: RobotState | None,
+    teleop: TeleopCommand,
+    frame: DepthFrame | None,
+    camera: bool,
+    recorder: str,
+    now: float,
+) -> str:
+    """Why the devices forbid standing up; empty if they do not.
+
+    What the controller itself checks at every tick (joints within range, tilt, age of the
+    reading) is not repeated here.
+
+    Args:
+        state: newest reading. teleop: the operator's command. frame: newest of the camera.
+        camera: whether there is one. recorder: its problem. now: seconds on the robot's clock.
+    """
+    speed = getattr(teleop, "speed", 0.0)
+    if speed != 0.0:
+        return f"the operator already asks for {speed:.2f} m/s: let go of the stick first"
+    if state is not None and state.battery < MIN_BATTERY:
+        return f"the battery has {state.battery:.0%} left, less than {MIN_BATTERY:.0%}"
+    if state is not None and state.temperature > MAX_TEMPERATURE:
+        return f"a motor has {state.temperature:.0f} °C, more than {MAX_TEMPERATURE:.0f} °C"
+    if recorder:
+        return recorder
+    if camera and frame is None:
+        return "the camera has sent no image: check it, or start without one (--camera none)"
+    if camera and not now - getattr(frame, "time", -math.inf) < MAX_FRAME_AGE:
+        return f"the camera's newest image is older than {MAX_FRAME_AGE:g} s"
+    return ""
 
 
 class SafetyMachine:
@@ -154,29 +194,29 @@ class SafetyMachine:
         self.reason = "start"
         """Why the mode was entered."""
         self.refused = ""
-        """Why the last tick's wish to rise was not granted; empty if there was none."""
+        """Why the last tick's wish to stand up was not granted; empty if there was none."""
         self.since = -math.inf
-        """When."""
+        """Time at which the mode was entered, s on the robot's clock."""
         self._last: float | None = None
         self._late = 0
         self._armed = False
 
-    def update(self, problem: str, request: Request, now: float) -> Mode:
+    def update(self, problem: str, teleop: TeleopCommand, now: float) -> Mode:
         """One control tick with the first problem found, or an empty text."""
         problem = self._clock_problem(now) or problem
-        arm, self._armed = request.arm and not self._armed, request.arm
+        arm, self._armed = teleop.arm and not self._armed, teleop.arm
         self.refused = problem if arm and self.mode is Mode.DAMPING else ""
         if problem:
             self.trip(problem, now)
         elif self.mode is Mode.DAMPING and arm:
-            self._enter(Mode.RISING, "armed", now)
-        elif self.risen(now):
-            self._enter(Mode.WALKING, "risen", now)
+            self._enter(Mode.STANDING_UP, "armed", now)
+        elif self.stood_up(now):
+            self._enter(Mode.WALKING, "stood up", now)
         return self.mode
 
-    def risen(self, now: float) -> bool:
-        """Whether the time to rise is over: the robot walks or must be damped."""
-        return self.mode is Mode.RISING and now - self.since >= self.cfg.rise_seconds
+    def stood_up(self, now: float) -> bool:
+        """Whether the time to stand up is over: the robot walks or must be damped."""
+        return self.mode is Mode.STANDING_UP and now - self.since >= self.cfg.stand_up_seconds
 
     def trip(self, reason: str, now: float) -> None:
         """Go to DAMPING; the first reason is kept until the operator arms again."""
@@ -208,7 +248,7 @@ def damping_command(robot: RobotSpec, cfg: SafetyCfg) -> JointCommand:
     return JointCommand(np.asarray(robot.default_position), np.zeros(ACTION_SIZE), brake)
 
 
-def rising_target(start: np.ndarray, robot: RobotSpec, share: float) -> np.ndarray:
+def stand_up_target(start: np.ndarray, robot: RobotSpec, share: float) -> np.ndarray:
     """Joint positions [12] between the pose at arming and the default pose, smooth at both ends."""
     share = min(max(share, 0.0), 1.0)
     smooth = share * share * (3.0 - 2.0 * share)

@@ -1,4 +1,4 @@
-"""`renet evaluate log`: what a flight came to, from its log alone."""
+"""`renet evaluate log`: what a run came to, from its recording alone."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ import numpy as np
 import tyro
 
 from renet.deploy.bundle import Bundle
-from renet.deploy.flight_log import GOOD, MODES, Flight, read_log
 from renet.deploy.observation import heading, projected_gravity
+from renet.deploy.recorder import GOOD, MODES
+from renet.deploy.recording import Recording, read_recording
 from renet.deploy.replay import mismatch
 from renet.deploy.safety import Mode
-from renet.deploy.timeline import timeline
+from renet.deploy.timeline import draw_timeline
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT
 
@@ -27,64 +28,67 @@ UPRIGHT = np.cos(np.radians(60.0))
 
 @dataclass(frozen=True)
 class ScoreCfg:
-    """Score a flight: falls, distance, speed, switches and their delays."""
+    """Score a run: falls, distance, speed, switches and their delays."""
 
-    flight: tyro.conf.Positional[Path]
-    """Flight log of `renet deploy`."""
+    recording: tyro.conf.Positional[Path]
+    """Recording of `renet deploy`."""
     out: Path | None = None
-    """Folder of score.json and timeline.svg; the flight's own by default."""
+    """Folder of score.json and timeline.svg; the recording's own by default."""
     onset: tuple[float, ...] = ()
-    """Seconds at which the camera was spoilt by hand, besides the faults the log knows of."""
+    """Seconds at which the camera was spoilt by hand, besides the faults that were injected."""
     replay: Path | None = None
-    """Bundle to fly the flight again with: says by how much the commands differ."""
+    """Bundle to replay the run with: says by how much the commands differ."""
 
 
 def score_log(cfg: ScoreCfg) -> Path:
     """Write score and timeline, and print the score; returns the folder.
 
     Raises:
-        RenetError: no flight log, or another bundle's.
+        RenetError: no recording, or another bundle's.
     """
-    flight = read_log(cfg.flight)
-    difference = None if cfg.replay is None else mismatch(flight, Bundle.load(cfg.replay))
-    result = write_score(flight, cfg.out or cfg.flight.parent, cfg.onset)
+    run = read_recording(cfg.recording)
+    difference = None if cfg.replay is None else mismatch(run, Bundle.load(cfg.replay))
+    result = write_score(run, cfg.out or cfg.recording.parent, cfg.onset)
     for name, value in result.items():
-        if name not in ("events", "flight"):
+        if name not in ("events", "run"):
             print(f"{name:<20} {value}")
     if difference is not None:
         print(f"{'replay':<20} commands differ by at most {difference:.3g} rad")
-    return cfg.out or cfg.flight.parent
+    return cfg.out or cfg.recording.parent
 
 
-def write_score(flight: Flight, folder: Path, onsets: Sequence[float] = ()) -> dict[str, Any]:
+def write_score(run: Recording, folder: Path, onsets: Sequence[float] = ()) -> dict[str, Any]:
     """Write `score.json` and `timeline.svg`; returns the score."""
-    onsets = [*flight.header.get("onsets", []), *onsets]
-    result = score(flight, onsets)
+    onsets = [*run.header.get("onsets", []), *onsets]
+    result = score(run, onsets)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / SCORE).write_text(json.dumps(result, indent=1) + "\n")
-        (folder / TIMELINE).write_text(timeline(flight, onsets))
     except OSError as error:
         raise RenetError(f"cannot write to {folder}: {error}") from error
+    try:
+        draw_timeline(run, onsets, folder / TIMELINE)
+    except RenetError as error:  # The score is worth more than its picture.
+        print(error)
     return result
 
 
-def score(flight: Flight, onsets: Sequence[float]) -> dict[str, Any]:
-    """Falls, distance, speed, switches and timing of a flight.
+def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
+    """Falls, distance, speed, switches and timing of a run.
 
     Args:
-        flight: read back. onsets: seconds from its start at which vision was spoilt.
+        run: read back. onsets: seconds from its start at which vision was spoilt.
     """
-    ticks = flight.ticks
+    ticks = run.ticks
     now = ticks["now"] - ticks["now"][0] if len(ticks) else np.zeros(0)
     walking = ticks["mode"] == MODES.index(Mode.WALKING)
     seconds = float(walking.sum()) * CONTROL_DT
     metres, source = distance(ticks, walking)
-    to_op = [event for event in flight.events if event.what == "op"]
+    to_op = [event for event in run.events if event.what == "op"]
     first = ticks["now"][0] + min(onsets, default=np.inf) if len(ticks) else np.inf
     return {
         "seconds": round(len(ticks) * CONTROL_DT, 2),
-        "complete": flight.complete,
+        "complete": run.complete,
         "walking_seconds": round(seconds, 2),
         "falls": falls(ticks),
         "distance_m": round(metres, 3),
@@ -92,13 +96,13 @@ def score(flight: Flight, onsets: Sequence[float]) -> dict[str, Any]:
         "speed_m_s": round(metres / seconds, 3) if seconds else 0.0,
         "commanded_m_s": round(_mean(ticks["speed"][walking]), 3),
         "vision_share": round(_mean(ticks["vision"][walking]), 4),
-        "switches": sum(event.what in ("op", "vp") for event in flight.events),
+        "switches": sum(event.what in ("op", "vp") for event in run.events),
         "op_before_first_fault": sum(bool(event.time < first) for event in to_op),
         "switch_delay_s": [switch_delay(now, walking, ticks["vision"], at) for at in onsets],
         "compute_ms": spread(ticks["compute_ms"]),
         "period_ms": spread(1000.0 * np.diff(ticks["now"])),
-        "events": [asdict(event) for event in flight.events],
-        "flight": flight.header,
+        "events": [asdict(event) for event in run.events],
+        "run": run.header,
     }
 
 
@@ -108,7 +112,7 @@ def switch_delay(
     """Seconds from an onset to OP; zero if OP acted already, None if it never did.
 
     Args:
-        now: [T] seconds from the flight's start. walking, vision: [T] bool.
+        now: [T] seconds from the run's start. walking, vision: [T] bool.
     """
     blind = (now >= onset - 1e-9) & walking & ~vision
     return round(float(now[blind][0] - onset), 3) if blind.any() else None

@@ -15,7 +15,7 @@ import numpy as np
 import tyro
 
 from renet.deploy.bundle import Bundle, write_manifest
-from renet.deploy.logged import logged_scores
+from renet.deploy.calibration_log import recorded_scores
 from renet.errors import RenetError
 from renet.evaluation.monitor_log import TICK_RATE, MonitorLog, healthy_series
 from renet.evaluation.terminal import show
@@ -74,7 +74,7 @@ def run_calibrate(cfg: CalibrateCfg, evaluator: Evaluator | None = None) -> floa
     """
     if cfg.log:
         bundle = Bundle.load(cfg.bundle)
-        return _store(cfg, bundle, logged_scores(cfg.log, bundle), f"{len(cfg.log)} flight log(s)")
+        return _store(cfg, bundle, recorded_scores(cfg.log, bundle), f"{len(cfg.log)} recording(s)")
     bundle, series = _simulated_scores(cfg, evaluator)
     return _store(cfg, bundle, series, f"successful episodes, seed {cfg.seed}")
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from renet.deploy.manifest import Manifest
+from renet.deploy.bundle.manifest import Manifest
 from renet.errors import RenetError
 from renet.evaluation.rollout import StepResult
 from renet.faults import ViewPerturbation

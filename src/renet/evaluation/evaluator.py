@@ -25,8 +25,7 @@ from renet.evaluation.selectors import check_selector, make_selector
 from renet.evaluation.terminal import progress
 from renet.evaluation.trace import Trace
 from renet.faults import Injector
-from renet.selector.defaults import default_monitors
-from renet.selector.monitors import Sight
+from renet.selector.monitors import SelectorInput, default_monitors
 from renet.tasks import RenetEnvCfg, RobotCfg
 
 
@@ -34,14 +33,14 @@ class Evaluator:
     """One bundle under study; a subclass for another policy overrides `make_policy`."""
 
     def __init__(
-        self, bundle: Path | None = None, engine: str = "auto", selector: str = "guarded"
+        self, bundle: Path | None = None, engine: str = "auto", selector: str = "monitors"
     ) -> None:
         """Load a bundle.
 
         Args:
             bundle: its folder; the one that ships with renet by default.
             engine: auto, native or warp.
-            selector: guarded, which is all monitors with a dwell, or paper.
+            selector: monitors, which is all monitors with a dwell, or paper.
 
         Raises:
             RenetError: a missing, damaged or incompatible bundle, or an unknown selector.
@@ -120,7 +119,7 @@ class Evaluator:
         seed: int,
         film: Sequence[int] = (),
         on_step: Callable[[StepResult], Any] = lambda result: None,
-        on_update: Callable[[Sight], Any] = lambda sight: None,
+        on_update: Callable[[SelectorInput], Any] = lambda sight: None,
         policy: EvalPolicy | None = None,
         injector: Injector | None = None,
     ) -> Trace:

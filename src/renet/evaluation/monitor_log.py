@@ -10,8 +10,7 @@ import numpy as np
 from renet.evaluation.rollout import EvalSelector
 from renet.evaluation.trace import UPDATES_PER_STEP, Trace
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
-from renet.selector.defaults import MONITORS, default_monitors
-from renet.selector.monitors import Sight
+from renet.selector.monitors import MONITORS, SelectorInput, default_monitors
 
 UPDATES_PER_TICK = UPDATES_PER_STEP * STEPS_PER_TICK
 TICK_RATE = 1.0 / (CONTROL_DT * STEPS_PER_TICK)
@@ -27,7 +26,7 @@ class MonitorLog:
         self._ticks: list[np.ndarray] = []
         self._updates = 0
 
-    def __call__(self, sight: Sight) -> None:
+    def __call__(self, sight: SelectorInput) -> None:
         """Take the scores of one update; a tick keeps the highest of its updates."""
         scores = np.stack([monitor.score(sight) for monitor in self._monitors])
         if self._updates % UPDATES_PER_TICK == 0:
@@ -89,7 +88,7 @@ class SelectorProbe:
         self._selectors = dict(selectors)
         self._answers: dict[str, list[np.ndarray]] = {name: [] for name in selectors}
 
-    def __call__(self, sight: Sight) -> None:
+    def __call__(self, sight: SelectorInput) -> None:
         """Take one update."""
         self.log(sight)
         for name, selector in self._selectors.items():

@@ -57,8 +57,8 @@ class PlayCfg:
     """Commanded forward speed, m/s."""
     seed: int = 1
     """Of the robot's body, start and noise."""
-    selector: str = "guarded"
-    """guarded: all monitors, slow to trust again; paper: the reconstruction loss against beta."""
+    selector: str = "monitors"
+    """monitors: all of them, slow to trust again; paper: the reconstruction loss against beta."""
     engine: str = "auto"
     """Physics engine: auto, native or warp."""
 

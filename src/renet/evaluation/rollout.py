@@ -18,7 +18,7 @@ from renet.errors import RenetError
 from renet.evaluation.trace import UPDATES_PER_STEP, Film, Trace
 from renet.faults import TICK, Frames, Injector, Schedule, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
-from renet.selector.monitors import Sight
+from renet.selector.monitors import SelectorInput
 
 MODES = ("vp", "renet", "op", "oracle-switch")
 """Policy modes: vision always, the selector's choice, never, and a switch that knows the fault."""
@@ -104,7 +104,7 @@ class EvalSelector(Protocol):
         """[N] vision probability P_t."""
         ...
 
-    def update(self, sight: Sight) -> np.ndarray:
+    def update(self, seen: SelectorInput) -> np.ndarray:
         """One filter update; returns [N] bool, vision is trusted."""
         ...
 
@@ -154,7 +154,7 @@ class ClosedLoop:
         selector: EvalSelector,
         modes: Sequence[str],
         injector: Injector,
-        on_update: Callable[[Sight], Any] = lambda sight: None,
+        on_update: Callable[[SelectorInput], Any] = lambda sight: None,
     ) -> None:
         """Put the parts together; call `reset` before the first step.
 
@@ -238,7 +238,7 @@ def run_rollout(
     film: Sequence[int] = (),
     on_step: Callable[[StepResult], Any] = lambda result: None,
     injector: Injector | None = None,
-    on_update: Callable[[Sight], Any] = lambda sight: None,
+    on_update: Callable[[SelectorInput], Any] = lambda sight: None,
 ) -> Trace:
     """Run every trial for a number of control steps.
 
@@ -292,13 +292,13 @@ def run_rollout(
     return trace
 
 
-def selector_input(policy: EvalPolicy, frames: Frames, step: int, update: int) -> Sight:
+def selector_input(policy: EvalPolicy, frames: Frames, step: int, update: int) -> SelectorInput:
     """What a selector's update is shown: only the tick's first update has a new frame."""
     ticks = step % STEPS_PER_TICK
     passed = ticks * CONTROL_DT + update * PHYSICS_DT
     assert passed < TICK
     nothing = np.zeros((len(frames.age), 3))
-    return Sight(
+    return SelectorInput(
         anomaly_score=policy.anomaly_score,
         image=frames.image,
         fresh=frames.fresh if passed == 0.0 else np.zeros_like(frames.fresh),

@@ -1,31 +1,19 @@
-"""The selectors a study can run: the paper's rule, or monitors that are slow to trust again."""
+"""Selectors on the clock of a rollout, which updates them once each physics step."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.rollout import EvalSelector
 from renet.interface import PHYSICS_DT
-from renet.selector.defaults import default_monitors
-from renet.selector.guard import GuardCfg, GuardedSelector
-from renet.selector.monitors import Sight
-from renet.selector.selector import Selector, SelectorCfg
-
-SELECTORS = ("guarded", "paper")
-"""All monitors with a dwell before vision is trusted again; or the reconstruction score against β,
-filtered, and nothing else."""
+from renet.selector import SELECTORS, SelectorInput, SelectorSpec
+from renet.selector import make_selector as make_clockless
 
 
 def make_selector(kind: str, spec: SelectorSpec, num_robots: int) -> EvalSelector:
-    """The selector of a name, set up for N robots.
-
-    Raises:
-        RenetError: no such selector, or a rate that is no whole fraction of the physics rate.
-    """
-    check_selector(kind)
-    return (PaperSelector if kind == "paper" else MonitorSelectorAdapter)(spec, num_robots)
+    """The selector of a name, set up for N robots; raises RenetError for a name without one."""
+    return ClockedSelector(kind, spec, num_robots)
 
 
 def check_selector(kind: str) -> None:
@@ -34,68 +22,30 @@ def check_selector(kind: str) -> None:
         raise RenetError(f"unknown selector '{kind}': choose one of {', '.join(SELECTORS)}")
 
 
-class MonitorSelectorAdapter:
-    """A bundle's monitors, with dwell, as a selector of rollouts."""
+class ClockedSelector:
+    """A `MonitorSelector` that is told the time of each physics step."""
 
-    def __init__(self, spec: SelectorSpec, num_robots: int) -> None:
-        """Set up; raises RenetError for a rate that is no whole fraction of the physics rate."""
-        self._every = updates_apart(spec.rate_hz)
-        found = default_monitors(spec.beta, spec.thresholds, num_robots)
-        cfg = GuardCfg(spec.gamma, spec.rate_hz)
-        self.selector = GuardedSelector(found, num_robots, cfg)
+    def __init__(self, kind: str, spec: SelectorSpec, num_robots: int) -> None:
+        self.selector = make_clockless(kind, spec, num_robots)
         self._calls = 0
-        self._fresh = np.zeros(num_robots, bool)
 
     @property
     def probability(self) -> np.ndarray:
         """Vision probability P_t, [N]."""
         return self.selector.probability
 
-    def update(self, sight: Sight) -> np.ndarray:
-        """Take one input; the selector acts at the end of each of its own periods."""
+    def update(self, seen: SelectorInput) -> np.ndarray:
+        """Take the input of one physics step; returns "use vision", [N] bool."""
         self._calls += 1
-        self._fresh = self._fresh | sight.fresh
-        if self._calls % self._every == 0:
-            seen = sight if self._every == 1 else Sight(**(vars(sight) | {"fresh": self._fresh}))
-            self._fresh = np.zeros_like(self._fresh)
-            self.selector.update(seen)
-        return self.selector.vision
-
-    def reset(self, mask: np.ndarray) -> None:
-        """Start anew for the masked robots [N]."""
-        self.selector.reset(mask)
-
-
-class PaperSelector:
-    """The paper's selector as a selector of rollouts: it looks at the anomaly score alone."""
-
-    def __init__(self, spec: SelectorSpec, num_robots: int) -> None:
-        """Set up; raises RenetError for a rate that is no whole fraction of the physics rate."""
-        self._every = updates_apart(spec.rate_hz)
-        self._selector = Selector(SelectorCfg(spec.beta, spec.gamma, spec.rate_hz), num_robots)
-        self._trusted = np.ones(num_robots, bool)
-        self._calls = 0
-
-    @property
-    def probability(self) -> np.ndarray:
-        """Vision probability P_t, [N]."""
-        return self._selector.probability
-
-    def update(self, sight: Sight) -> np.ndarray:
-        """Take one input; the selector acts at the end of each of its own periods."""
-        return self.judge(sight.anomaly_score)
+        return self.selector.update(seen, self._calls * PHYSICS_DT)
 
     def judge(self, anomaly_score: np.ndarray) -> np.ndarray:
-        """`update` from the score [N] alone."""
-        self._calls += 1
-        if self._calls % self._every == 0:
-            self._trusted = self._selector.update(anomaly_score)
-        return self._trusted
+        """`update` from the score [N] alone, which is all the paper's selector looks at."""
+        return self.update(SelectorInput(anomaly_score))
 
     def reset(self, mask: np.ndarray) -> None:
-        """Start anew for the masked robots [N]."""
-        self._selector.reset(mask)
-        self._trusted = self._trusted | mask
+        """Use vision again for the masked robots [N]."""
+        self.selector.reset(mask)
 
 
 def updates_apart(rate_hz: float) -> int:

@@ -85,7 +85,7 @@ class Study:
 
     def make_evaluator(self) -> Evaluator:
         """The evaluator of the settings' bundle and selector."""
-        return Evaluator(self.bundle, self.engine, getattr(self, "selector", "guarded"))
+        return Evaluator(self.bundle, self.engine, getattr(self, "selector", "monitors"))
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
         """Run what has not been run yet and write the results to `out`.

@@ -7,13 +7,13 @@ from dataclasses import asdict
 from typing import Any
 
 from renet import __version__
+from renet.deploy.bundle.manifest import InputTerm
 from renet.deploy.cameras import sim
 from renet.deploy.controller import MAX_LEAD
-from renet.deploy.manifest import InputTerm
-from renet.deploy.operator import MAX_SPEED
 from renet.deploy.robots.mujoco import BASE, START_HEIGHT
 from renet.deploy.robots.scene import FLAT, scene_spec
 from renet.deploy.safety import SafetyCfg
+from renet.deploy.teleop import MAX_SPEED
 from renet.faults import FAULTS, SEVERITIES, Fault, PhysicalFault
 from renet.faults.image import FOCAL_PIXELS
 from renet.interface import (
@@ -27,10 +27,9 @@ from renet.interface import (
     PROPRIOCEPTION,
     STEPS_PER_TICK,
 )
-from renet.selector.defaults import FALLBACK, MONITORS
 from renet.selector.filter import VISION_THRESHOLD
-from renet.selector.guard import GuardCfg
-from renet.selector.monitors import NEAR
+from renet.selector.monitors import FALLBACK, MONITORS, NEAR
+from renet.selector.selector import SelectorCfg
 
 UNAVAILABLE = (
     "edge_shadow",
@@ -63,7 +62,7 @@ def contract() -> dict[str, Any]:
     Returns:
         JSON values; infinite durations are null.
     """
-    guard = GuardCfg()
+    selector = SelectorCfg()
     return {
         "renet": __version__,
         "controlDt": CONTROL_DT,
@@ -86,8 +85,8 @@ def contract() -> dict[str, Any]:
         },
         "selector": {
             "visionThreshold": VISION_THRESHOLD,
-            "dwell": guard.dwell,
-            "betweenReturns": guard.between_returns,
+            "dwell": selector.dwell,
+            "betweenReturns": selector.between_returns,
             "near": NEAR,
             "monitors": [
                 {"name": name, "reason": monitor.reason, "fallback": FALLBACK.get(name)}

@@ -6,22 +6,31 @@ from renet.selector.calibration import (
     calibrate_monitors,
     conformal_threshold,
 )
-from renet.selector.defaults import MONITORS, default_monitors
 from renet.selector.filter import LowPassFilter, switch_delay
-from renet.selector.guard import GuardCfg, GuardedSelector
-from renet.selector.selector import Selector, SelectorCfg
+from renet.selector.monitors import MONITORS, SelectorInput, default_monitors
+from renet.selector.selector import (
+    SELECTORS,
+    MonitorSelector,
+    SelectorCfg,
+    SelectorSpec,
+    check_selector,
+    make_selector,
+)
 
 __all__ = [
     "MONITORS",
-    "GuardCfg",
-    "GuardedSelector",
+    "SELECTORS",
     "LowPassFilter",
     "MonitorCalibration",
-    "Selector",
+    "MonitorSelector",
     "SelectorCfg",
+    "SelectorInput",
+    "SelectorSpec",
     "calibrate",
     "calibrate_monitors",
+    "check_selector",
     "conformal_threshold",
     "default_monitors",
+    "make_selector",
     "switch_delay",
 ]

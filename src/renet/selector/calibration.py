@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from renet.errors import RenetError
-from renet.selector.defaults import CEILINGS, FLOORS
+from renet.selector.monitors import CEILINGS, FLOORS
 
 TAIL = 0.02
 """Share of the highest scores from which a distribution's tail is learnt."""
@@ -88,7 +88,7 @@ def calibrate_monitors(
     ]
     share = false_alarms_per_hour / max(len(varied), 1)
     found = {
-        name: rare_level(runs, share * hours) if name in varied else float(runs[0][0])
+        name: return_level(runs, share * hours) if name in varied else float(runs[0][0])
         for name, runs in scores.items()
     }
     # Scores that never vary, as a simulated camera's holes, have no tail: floors stand for them.
@@ -100,7 +100,7 @@ def calibrate_monitors(
     return MonitorCalibration(thresholds, false_alarms_per_hour, hours)
 
 
-def rare_level(runs: Sequence[np.ndarray], expected: float) -> float:
+def return_level(runs: Sequence[np.ndarray], expected: float) -> float:
     """The level that runs like these exceed `expected` times in all, and these never.
 
     Peaks over threshold: exceedances of a high quantile, the peak of each burst, follow a
@@ -113,7 +113,7 @@ def rare_level(runs: Sequence[np.ndarray], expected: float) -> float:
     """
     joined = _checked(np.concatenate([*runs]))
     high = float(np.quantile(joined, 1.0 - TAIL))
-    excess = np.array([peak for run in runs for peak in bursts(run, high)]) - high
+    excess = np.array([peak for run in runs for peak in decluster(run, high)]) - high
     if len(excess) == 0:
         return float(np.nextafter(joined.max(), np.inf))
     mean, ratio = float(excess.mean()), max(len(excess) / expected, 1.0)
@@ -124,7 +124,7 @@ def rare_level(runs: Sequence[np.ndarray], expected: float) -> float:
     return max(high + rise, float(joined.max()) + mean)
 
 
-def bursts(run: np.ndarray, level: float) -> list[float]:
+def decluster(run: np.ndarray, level: float) -> list[float]:
     """The peak of each group of exceedances of `level` that is APART scores from the next."""
     above = np.flatnonzero(np.asarray(run) > level)
     if len(above) == 0:

@@ -22,9 +22,10 @@ class LowPassFilter:
         self.probability = np.ones(num_robots)
         """Vision probability P_t, [N]."""
 
-    def update(self, healthy: np.ndarray) -> np.ndarray:
-        """Take P^_t ([N] bool) and return whether P_t chooses vision, [N] bool."""
-        self.probability += self.gamma * (np.asarray(healthy, float) - self.probability)
+    def update(self, healthy: np.ndarray, count: int = 1) -> np.ndarray:
+        """Take P^_t ([N] bool) `count` times; returns whether P_t chooses vision, [N] bool."""
+        healthy = np.asarray(healthy, float)
+        self.probability = healthy + (1.0 - self.gamma) ** count * (self.probability - healthy)
         return self.probability > VISION_THRESHOLD
 
     def reset(self, mask: np.ndarray | None = None) -> None:

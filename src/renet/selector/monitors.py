@@ -3,37 +3,44 @@
 An autoencoder is blind to a frozen image, a blank one, late or missing frames and filled holes:
 each frame by itself looks fine. Every monitor turns what it sees into one score per robot; a robot
 is healthy while its score stays below the monitor's threshold, and thresholds are calibrated from
-scores of healthy runs (see `renet.selector.calibration`).
+scores of healthy runs (`renet.selector.calibration`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+
+from renet.errors import RenetError
 
 NEAR = 0.05
 """Normalised depth (10 cm of 2 m) below which a stereo camera sees nothing real (paper, IV-D)."""
 
 
+def _absent() -> np.ndarray:
+    return np.zeros(0)
+
+
 @dataclass(frozen=True)
-class Sight:
-    """What N robots know of their vision at one moment."""
+class SelectorInput:
+    """What N robots know of their vision at one moment; absent parts suit the paper's selector."""
 
     anomaly_score: np.ndarray
     """Loss_ad of the newest images, [N]."""
-    image: np.ndarray
+    image: np.ndarray = field(default_factory=_absent)
     """Newest image delivered, [N, 48, 64] in [0, 1]; a new array whenever one arrives."""
-    fresh: np.ndarray
+    fresh: np.ndarray = field(default_factory=_absent)
     """True where that image arrived since the last update, [N]."""
-    age: np.ndarray
+    age: np.ndarray = field(default_factory=_absent)
     """Seconds since it arrived, [N]."""
-    invalid: np.ndarray
+    invalid: np.ndarray = field(default_factory=_absent)
     """Share of its pixels without a measurement, before holes were filled, [N]."""
-    velocity_op: np.ndarray
+    velocity_op: np.ndarray = field(default_factory=_absent)
     """The OP estimator's base velocity, [N, 3] m/s."""
-    velocity_vp: np.ndarray
+    velocity_vp: np.ndarray = field(default_factory=_absent)
     """The VP estimator's, [N, 3] m/s."""
 
 
@@ -47,7 +54,7 @@ class Monitor:
     def __init__(self, threshold: float) -> None:
         self.threshold = threshold
 
-    def score(self, sight: Sight) -> np.ndarray:
+    def score(self, seen: SelectorInput) -> np.ndarray:
         """How suspicious vision is, [N]; larger is worse."""
         raise NotImplementedError
 
@@ -60,9 +67,9 @@ class Reconstruction(Monitor):
 
     name, reason = "reconstruction", "images unlike those of training"
 
-    def score(self, sight: Sight) -> np.ndarray:
+    def score(self, seen: SelectorInput) -> np.ndarray:
         """Loss_ad."""
-        return sight.anomaly_score
+        return seen.anomaly_score
 
 
 class FrameAge(Monitor):
@@ -70,9 +77,9 @@ class FrameAge(Monitor):
 
     name, reason = "frame_age", "no new image"
 
-    def score(self, sight: Sight) -> np.ndarray:
+    def score(self, seen: SelectorInput) -> np.ndarray:
         """Seconds."""
-        return sight.age
+        return seen.age
 
 
 class InvalidFraction(Monitor):
@@ -80,9 +87,9 @@ class InvalidFraction(Monitor):
 
     name, reason = "invalid_fraction", "too many pixels without depth"
 
-    def score(self, sight: Sight) -> np.ndarray:
+    def score(self, seen: SelectorInput) -> np.ndarray:
         """Share of pixels."""
-        return sight.invalid
+        return seen.invalid
 
 
 class Disagreement(Monitor):
@@ -90,12 +97,12 @@ class Disagreement(Monitor):
 
     name, reason = "disagreement", "the estimators disagree on velocity"
 
-    def score(self, sight: Sight) -> np.ndarray:
+    def score(self, seen: SelectorInput) -> np.ndarray:
         """Distance of both velocities, m/s."""
-        return np.linalg.norm(sight.velocity_op - sight.velocity_vp, axis=-1)
+        return np.linalg.norm(seen.velocity_op - seen.velocity_vp, axis=-1)
 
 
-class Duplicate(Monitor):
+class FrozenFrame(Monitor):
     """The same image again and again: live stereo noise never repeats."""
 
     name, reason = "duplicate", "the image is frozen"
@@ -105,19 +112,19 @@ class Duplicate(Monitor):
         self._last: np.ndarray | None = None
         self._run = np.zeros(num_robots)
 
-    def score(self, sight: Sight) -> np.ndarray:
+    def score(self, seen: SelectorInput) -> np.ndarray:
         """How many equal images arrived in a row."""
-        if not sight.fresh.any():
+        if not seen.fresh.any():
             return self._run.copy()
         if self._last is None:
-            self._last = np.full_like(sight.image, np.nan)
-        same = (sight.image == self._last).all(axis=(1, 2))
-        self._run = np.where(sight.fresh, np.where(same, self._run + 1, 1), self._run)
-        self._last = np.where(sight.fresh[:, None, None], sight.image, self._last)
+            self._last = np.full_like(seen.image, np.nan)
+        same = (seen.image == self._last).all(axis=(1, 2))
+        self._run = np.where(seen.fresh, np.where(same, self._run + 1, 1), self._run)
+        self._last = np.where(seen.fresh[:, None, None], seen.image, self._last)
         return self._run.copy()
 
     def reset(self, mask: np.ndarray) -> None:
-        """See Monitor.reset."""
+        """Forget the masked robots' last images."""
         self._run[mask] = 0
         if self._last is not None:
             self._last[mask] = np.nan
@@ -131,10 +138,10 @@ class ImageMonitor(Monitor):
         self._image: np.ndarray | None = None
         self._score = np.zeros(0)
 
-    def score(self, sight: Sight) -> np.ndarray:
-        """See Monitor.score."""
-        if sight.image is not self._image:
-            self._image, self._score = sight.image, self.judge(sight.image)
+    def score(self, seen: SelectorInput) -> np.ndarray:
+        """Its score, computed once for each new image array."""
+        if seen.image is not self._image:
+            self._image, self._score = seen.image, self.judge(seen.image)
         return self._score
 
     def judge(self, image: np.ndarray) -> np.ndarray:
@@ -142,7 +149,7 @@ class ImageMonitor(Monitor):
         raise NotImplementedError
 
 
-class Uniformity(ImageMonitor):
+class LowContrast(ImageMonitor):
     """A blank image: black, white or covered."""
 
     name, reason = "uniformity", "the image is blank"
@@ -152,7 +159,7 @@ class Uniformity(ImageMonitor):
         return -image.std(axis=(1, 2))
 
 
-class Nearness(ImageMonitor):
+class NearFraction(ImageMonitor):
     """Something right in front of the lens."""
 
     name, reason = "nearness", "the lens is covered"
@@ -160,3 +167,70 @@ class Nearness(ImageMonitor):
     def judge(self, image: np.ndarray) -> np.ndarray:
         """Share of pixels nearer than 10 cm."""
         return (image < NEAR).mean(axis=(1, 2))
+
+
+MONITORS: dict[str, type[Monitor]] = {
+    # The first to object is named as the reason: the plainest causes come first.
+    monitor.name: monitor
+    for monitor in (
+        FrameAge,
+        FrozenFrame,
+        InvalidFraction,
+        LowContrast,
+        NearFraction,
+        Reconstruction,
+        Disagreement,
+    )
+}
+FALLBACK = {
+    "frame_age": 0.2,
+    "duplicate": 3.0,
+    "invalid_fraction": 0.25,
+    "uniformity": -0.03,
+    "nearness": 0.5,
+}
+"""Thresholds for bundles that were never calibrated: two missed frames, three equal images, a
+quarter of the pixels without depth (a cropped D435 image has under a tenth), an image without
+contrast, a lens half covered. Reconstruction falls back to the paper's β. Disagreement has no
+natural scale: it is calibrated or not used."""
+FLOORS = {name: FALLBACK[name] for name in ("frame_age", "duplicate", "invalid_fraction")}
+"""Calibration never goes below these: a simulated camera has no holes and never misses a frame, so
+that healthy runs say nothing of what a real one may be forgiven."""
+
+CEILINGS = {"uniformity": -0.005, "nearness": 0.9}
+"""Nor above these, whatever healthy runs say: a blank image or a covered lens must be noticed."""
+LIMITS = CEILINGS | {
+    "frame_age": 1.0,
+    "duplicate": 10.0,
+    "invalid_fraction": 0.9,
+    "reconstruction": 0.25,
+    "disagreement": 3.0,
+}
+"""Thresholds above these would switch a monitor off: images are in [0, 1], and predicting 0.5
+everywhere is wrong by 0.25 at most."""
+SLOWEST = 1.0
+"""Longest delay of the filter in seconds."""
+
+
+def default_monitors(
+    beta: float, thresholds: Mapping[str, float], num_robots: int
+) -> list[Monitor]:
+    """Fresh monitors for N robots.
+
+    Args:
+        beta: the paper's threshold on the anomaly score.
+        thresholds: calibrated ones by monitor name; those missing use `FALLBACK`.
+        num_robots: N.
+
+    Raises:
+        RenetError: a threshold for a monitor that does not exist.
+    """
+    unknown = sorted(set(thresholds) - set(MONITORS))
+    if unknown:
+        raise RenetError(f"unknown monitor '{unknown[0]}': choose among {', '.join(MONITORS)}")
+    known = {"reconstruction": beta} | FALLBACK | dict(thresholds)
+    return [
+        FrozenFrame(num_robots, known[name]) if monitor is FrozenFrame else monitor(known[name])
+        for name, monitor in MONITORS.items()
+        if name in known
+    ]

@@ -1,49 +1,188 @@
-"""The paper's auto selector: reconstruction loss against beta, filtered (RENet, Method B)."""
+"""The auto selector: monitors, the paper's low-pass filter, and a dwell before vision returns.
+
+With the reconstruction monitor alone and no dwell it is the paper's selector (RENet, Method B).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from renet.errors import RenetError
-from renet.selector.filter import LowPassFilter
+from renet.selector.filter import LowPassFilter, switch_delay
+from renet.selector.monitors import (
+    LIMITS,
+    SLOWEST,
+    Monitor,
+    Reconstruction,
+    SelectorInput,
+    default_monitors,
+)
+
+SELECTORS = ("monitors", "paper")
+"""monitors: all monitors, with a dwell before vision returns. paper: the reconstruction loss
+against beta, filtered, and nothing else."""
+
+
+@dataclass(frozen=True)
+class SelectorSpec:
+    """A calibrated selector, as a bundle's manifest stores it."""
+
+    beta: float
+    """The paper's threshold on the anomaly score."""
+    gamma: float = 0.1
+    """Weight of a new verdict in the low-pass filter (paper)."""
+    rate_hz: float = 200.0
+    """Filter updates per second."""
+    thresholds: dict[str, float] = field(default_factory=dict)
+    """Calibrated thresholds by monitor name; monitors without one use their default."""
+    calibration: str = ""
+    """How beta was found."""
+    false_alarms_per_hour: float = 0.0
+    """Rate at which healthy robots leave vision with these thresholds; 0: never calibrated."""
+    healthy_hours: float = 0.0
+    """Robot hours the thresholds were learnt from."""
+
+    def __post_init__(self) -> None:
+        for name in ("beta", "rate_hz"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise RenetError(f"selector.{name} must be positive and finite, got {value}")
+        if not 0.0 < self.gamma <= 1.0:
+            raise RenetError(f"selector.gamma must be within 0 and 1, got {self.gamma}")
 
 
 @dataclass(frozen=True)
 class SelectorCfg:
-    """What the selector needs to know."""
+    """How fast vision is left and how slowly it returns."""
 
-    beta: float
-    """Threshold on the anomaly score; see `renet calibrate`."""
     gamma: float = 0.1
     """Weight of a new verdict in the filter (paper)."""
     rate_hz: float = 200.0
-    """Filter updates per second: at 200 Hz gamma = 0.1 switches within the paper's 0.04 s."""
-
-    def __post_init__(self) -> None:
-        if not np.isfinite(self.beta) or self.beta <= 0.0:
-            raise RenetError(f"the selector's beta must be positive, got {self.beta}")
-        if self.rate_hz <= 0.0:
-            raise RenetError(f"the selector's rate must be positive, got {self.rate_hz}")
+    """Filter updates per second."""
+    dwell: float = 1.0
+    """Seconds without an objection before vision is used again."""
+    between_returns: float = 5.0
+    """Shortest time in seconds between two returns to vision."""
 
 
-class Selector:
-    """Chooses VP or OP for N robots. A score that is not finite counts as an anomaly."""
+class MonitorSelector:
+    """Decides for N robots whether vision (VP) or blind walking (OP) acts.
 
-    def __init__(self, cfg: SelectorCfg, num_robots: int = 1) -> None:
-        self.cfg = cfg
+    The filter runs on a clock of its own: however often `update` is called, the filter takes
+    `rate_hz` verdicts a second, and `dwell` and `between_returns` are seconds of the caller's
+    clock. Verdicts due between two calls are those of the later call, so a caller that comes at
+    50 Hz hands the same verdict to a 200 Hz filter four times. A new image every 0.1 s likewise
+    counts 20 times: the filter delays the switch by 35 ms and smooths flicker shorter than that,
+    but it does not average over images.
+    """
+
+    def __init__(
+        self, monitors: Sequence[Monitor], cfg: SelectorCfg = SelectorCfg(), num_robots: int = 1
+    ) -> None:
+        self.cfg, self.monitors = cfg, list(monitors)
         self.filter = LowPassFilter(cfg.gamma, num_robots)
+        self.vision = np.ones(num_robots, bool)
+        """Whether each robot uses vision, [N]."""
+        self.reason = np.full(num_robots, "", object)
+        """Reason of the first objecting monitor when vision was last left, [N]; empty on vision."""
+        self.scores = np.zeros((len(self.monitors), num_robots))
+        """Every monitor's score at the last update, [M, N], in the order of `monitors`."""
+        self._thresholds = np.array([[monitor.threshold] for monitor in self.monitors])
+        self._periods: int | None = None
+        self._healthy_since = np.full(num_robots, -np.inf)
+        self._returned = np.full(num_robots, -np.inf)
 
     @property
     def probability(self) -> np.ndarray:
         """Vision probability P_t, [N]."""
         return self.filter.probability
 
-    def update(self, anomaly_score: np.ndarray) -> np.ndarray:
-        """One update at `rate_hz` with the newest Loss_ad [N]; returns "use vision", [N] bool."""
-        return self.filter.update(np.asarray(anomaly_score) < self.cfg.beta)
+    def update(self, seen: SelectorInput, now: float) -> np.ndarray:
+        """Take what is known of vision at one moment.
+
+        Args:
+            seen: what the monitors judge.
+            now: seconds on any clock that does not run backwards; a clock that does is waited for.
+
+        Returns:
+            "Use vision", [N] bool.
+        """
+        # Every monitor looks at every input: some count images.
+        self.scores = np.stack([monitor.score(seen) for monitor in self.monitors])
+        due = self._due(now)
+        if due == 0:
+            return self.vision
+        verdicts = self.scores < self._thresholds
+        healthy = np.logical_and.reduce(verdicts)
+        likely = self.filter.update(healthy, due)
+        self._healthy_since = np.where(healthy, np.minimum(self._healthy_since, now), np.inf)
+        leaving = self.vision & ~likely
+        rested = (now - self._healthy_since >= self.cfg.dwell - 1e-9) & (
+            now - self._returned >= self.cfg.between_returns - 1e-9
+        )
+        returning = ~self.vision & likely & rested
+        for robot in np.flatnonzero(leaving & ~healthy):
+            self.reason[robot] = self.monitors[int(verdicts[:, robot].argmin())].reason
+        self._returned[returning] = now
+        self.reason[returning] = ""
+        self.vision = (self.vision & ~leaving) | returning
+        return self.vision
 
     def reset(self, mask: np.ndarray | None = None) -> None:
-        """Trust vision again for the masked robots, by default all."""
+        """Use vision again and forget the past of the masked robots [N], by default of all."""
+        if mask is None:
+            self._periods = None
+            mask = np.ones(len(self.vision), bool)
         self.filter.reset(mask)
+        self.vision = self.vision | mask
+        self.reason[mask] = ""
+        self._healthy_since[mask] = self._returned[mask] = -np.inf
+        for monitor in self.monitors:
+            monitor.reset(mask)
+
+    def _due(self, now: float) -> int:
+        """Filter updates due since the last call, at multiples of their period."""
+        ticks = now * self.cfg.rate_hz
+        # Rounding of the clock must not swallow an update.
+        periods = math.floor(ticks + 1e-4)
+        last = math.ceil(ticks - 1e-4) - 1 if self._periods is None else self._periods
+        self._periods = max(last, periods)
+        return self._periods - last
+
+
+def check_selector(spec: SelectorSpec) -> None:
+    """Raise RenetError for a selector that would not leave a broken camera within a second or so.
+
+    Studies may build such selectors; no bundle may hold one.
+    """
+    if not 10.0 <= spec.rate_hz <= 1000.0:
+        raise RenetError(f"selector.rate_hz must be from 10 to 1000 Hz, got {spec.rate_hz:g}")
+    delay = switch_delay(spec.gamma, spec.rate_hz)
+    if delay > SLOWEST:
+        raise RenetError(
+            f"selector.gamma {spec.gamma:g} at {spec.rate_hz:g} Hz delays a switch by {delay:g} s, "
+            f"at most {SLOWEST:g} s are allowed"
+        )
+    for name, value in (("beta", spec.beta), *spec.thresholds.items()):
+        limit = LIMITS.get("reconstruction" if name == "beta" else name)
+        if limit is None:
+            raise RenetError(f"unknown monitor '{name[:40]}': choose among {', '.join(LIMITS)}")
+        if not value <= limit:
+            raise RenetError(
+                f"selector threshold {name} {value:g} would never object, at most {limit:g}"
+            )
+
+
+def make_selector(kind: str, spec: SelectorSpec, num_robots: int = 1) -> MonitorSelector:
+    """A selector for N robots by its name, one of `SELECTORS`; raises RenetError for another."""
+    if kind == "monitors":
+        monitors = default_monitors(spec.beta, spec.thresholds, num_robots)
+        return MonitorSelector(monitors, SelectorCfg(spec.gamma, spec.rate_hz), num_robots)
+    if kind == "paper":
+        cfg = SelectorCfg(spec.gamma, spec.rate_hz, dwell=0.0, between_returns=0.0)
+        return MonitorSelector([Reconstruction(spec.beta)], cfg, num_robots)
+    raise RenetError(f"unknown selector '{kind}': choose one of {', '.join(SELECTORS)}")

@@ -7,17 +7,19 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
+import torch
 import tyro
 from mjlab.entity import Entity
 from mjlab.utils.string import resolve_expr
 
 from renet import __version__
 from renet.deploy.bundle import write_bundle
-from renet.deploy.manifest import CameraSpec, Manifest, Provenance, RobotSpec, SelectorSpec
+from renet.deploy.bundle.manifest import CameraSpec, Manifest, Provenance, RobotSpec, from_json
 from renet.errors import RenetError
 from renet.interface import JOINTS
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
+from renet.selector import SelectorSpec
 from renet.sim.depth.camera import DepthCameraCfg
 from renet.tasks import env_cfg
 from renet.tasks.config.go1 import GO1
@@ -47,17 +49,22 @@ def export(cfg: ExportCfg) -> Path:
     found = checkpoints.find(cfg.checkpoint)
     loaded = checkpoints.load(found)
     model = load_networks(loaded, found)
-    robot = env_cfg(loaded.state["task"]).robot if loaded.state["task"] else GO1
+    try:
+        provenance = _provenance(loaded.state, model.cfg)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise RenetError(
+            f"{found} is not a checkpoint of RENet: its state lacks {error}"
+        ) from error
+    robot = env_cfg(provenance.task).robot if provenance.task else GO1
     manifest = Manifest(
         robot=robot_spec(robot),
         camera=camera_spec(robot),
         selector=SelectorSpec(beta=cfg.beta, calibration="none: run `renet calibrate`"),
-        provenance=_provenance(loaded.state, model.cfg),
+        provenance=provenance,
         history=model.cfg.history,
         frames=model.cfg.frames,
     )
-    path = write_bundle(cfg.out, export_models(model), manifest)
-    return path
+    return write_bundle(cfg.out, export_models(model), manifest)
 
 
 def load_networks(checkpoint: Checkpoint, path: Path) -> RENet:
@@ -65,8 +72,13 @@ def load_networks(checkpoint: Checkpoint, path: Path) -> RENet:
     try:
         cfg = from_dict(ModelCfg, checkpoint.state["config"]["model"])
         critic_size = checkpoint.model["critic_normalizer._mean"].shape[-1]
+        with torch.device("meta"):  # Takes no memory, whatever sizes a stranger wrote.
+            shapes = RENet(cfg, critic_size).state_dict()
     except KeyError as error:
         raise RenetError(f"{path} is not a checkpoint of RENet: it lacks {error}") from error
+    except (TypeError, ValueError, RuntimeError, OverflowError, AttributeError) as error:
+        raise RenetError(f"{path}: the model's settings make no sense: {error}") from error
+    checkpoints.check_same_architecture(shapes, checkpoint.model, path)
     model = RENet(cfg, critic_size)
     checkpoints.load_model(model, checkpoint.exported, path)
     return model.eval()
@@ -111,14 +123,15 @@ def camera_spec(robot: RobotCfg = GO1) -> CameraSpec:
 
 
 def _provenance(state: dict[str, Any], cfg: ModelCfg) -> Provenance:
-    return Provenance(
-        task=state["task"],
-        iteration=state["iteration"],
-        steps=state["steps"],
-        seconds=round(state["seconds"], 1),
-        seed=state["config"].get("seed", 0),
-        perception=cfg.perception,
-        encoder=cfg.encoder,
-        date=date.today().isoformat(),
-        renet=__version__,
-    )
+    found = {
+        "task": state["task"] or "",
+        "iteration": state["iteration"],
+        "steps": state["steps"],
+        "seconds": round(state["seconds"], 1),
+        "seed": state["config"].get("seed", 0),
+        "perception": cfg.perception,
+        "encoder": cfg.encoder,
+        "date": date.today().isoformat(),
+        "renet": __version__,
+    }
+    return from_json(Provenance, found, "checkpoint")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,12 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from renet.errors import RenetError
+from renet.files import MEGABYTE, read_object, require_regular
 
 FORMAT = 1
 PREFIX = "it_"
+MAX_TENSORS = 4000 * MEGABYTE
+"""Bytes of one file of tensors."""
 
 
 @dataclass
@@ -85,10 +89,24 @@ def checkpoints(folder: Path) -> list[Path]:
 
 
 def find(path: Path) -> Path:
-    """The checkpoint `path` is, or the newest below it (a run folder or a folder of runs)."""
+    """The checkpoint `path` is, or the newest below it, which is then printed.
+
+    Newest is the highest iteration of the last run by name, which is its date: the times of files
+    change when folders are copied.
+
+    Args:
+        path: a checkpoint, a run folder or a folder of runs.
+
+    Raises:
+        RenetError: no checkpoint there.
+    """
     if (path / "state.json").is_file():
         return path
-    found = [p.parent for p in path.glob(f"**/{PREFIX}*/state.json")]
+    found = [
+        p.parent
+        for p in path.glob(f"**/{PREFIX}*/state.json")
+        if p.parent.name.removeprefix(PREFIX).isdecimal()
+    ]
     if not found:
         raise RenetError(
             f"no checkpoint in {path}: give a run folder or one of its {PREFIX}* folders"
@@ -96,7 +114,9 @@ def find(path: Path) -> Path:
     runs = {p.parent.parent for p in found}
     newest = max(runs, key=_date)
     # A copy or a checkout changes the times of files, but not their iterations.
-    return max((p for p in found if p.parent.parent == newest), key=lambda p: p.name)
+    checkpoint = max((p for p in found if p.parent.parent == newest), key=lambda p: p.name)
+    print(f"Checkpoint: {checkpoint}", file=sys.stderr)
+    return checkpoint
 
 
 def _date(run: Path) -> tuple[str, float]:
@@ -110,12 +130,12 @@ def load(path: Path, device: str | torch.device = "cpu") -> Checkpoint:
     state = load_state(path)
     try:
         tensors = {
-            name: load_file(path / f"{name}.safetensors", device=str(device))
+            name: load_file(_tensors(path, name), device=str(device))
             for name in ("model", "environment")
         }
         for name in ("optimizer", "average"):
-            file = path / f"{name}.safetensors"
-            tensors[name] = load_file(file, device=str(device)) if file.exists() else {}
+            there = (path / f"{name}.safetensors").exists()
+            tensors[name] = load_file(_tensors(path, name), device=str(device)) if there else {}
     except (OSError, ValueError, SafetensorError) as error:
         raise RenetError(f"checkpoint {path} is incomplete or damaged: {error}") from error
     return Checkpoint(**tensors, state=state)
@@ -123,14 +143,15 @@ def load(path: Path, device: str | torch.device = "cpu") -> Checkpoint:
 
 def load_state(path: Path) -> dict[str, Any]:
     """Read a checkpoint's `state.json` alone; raises RenetError where it is no such file."""
-    try:
-        state = json.loads((path / "state.json").read_text())
-    except (OSError, ValueError) as error:
-        raise RenetError(f"checkpoint {path} is incomplete or damaged: {error}") from error
-    written = state.get("format") if isinstance(state, dict) else None
+    state = read_object(path / "state.json", "checkpoint state")
+    written = state.get("format")
     if written != FORMAT:
         raise RenetError(f"{path} has checkpoint format {written}, this renet reads {FORMAT}")
     return state
+
+
+def _tensors(path: Path, name: str) -> Path:
+    return require_regular(path / f"{name}.safetensors", MAX_TENSORS, "checkpoint's file")
 
 
 def check_config(ours: dict[str, Any], theirs: dict[str, Any], path: Path) -> None:

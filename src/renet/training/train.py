@@ -312,15 +312,17 @@ def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
     """The run that goes on; None where a new one begins.
 
     Args:
-        checkpoint: to go on from; one that is not in a run's folder, or not its newest, begins a run
-            of its own.
+        checkpoint: to go on from; one that is not its run's newest, or in no run's folder, begins a
+            run of its own.
         root: `--log-root`; another one than the run's branches off.
     """
     if checkpoint is None or checkpoint.parent.name != CHECKPOINTS:
         return None
     run = checkpoint.parent.parent
     elsewhere = root is not None and run.resolve().parent.parent != root.resolve()
-    return None if elsewhere or checkpoints.find(run) != checkpoint else run
+    return (
+        None if elsewhere or checkpoints.checkpoints(checkpoint.parent)[-1] != checkpoint else run
+    )
 
 
 def seconds(text: str) -> float:

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from renet.deploy.flight_log import FlightLog, read_log
-from renet.deploy.launch import DeployCfg, deploy
+from renet.deploy.main import DeployCfg, deploy
+from renet.deploy.recorder import Recorder
+from renet.deploy.recording import read_recording
 from renet.deploy.safety import SafetyCfg
 from renet.errors import RenetError
 from renet.evaluation.report import log_video
@@ -21,9 +22,9 @@ from renet.interface import JOINTS
 def log(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("flight")
     fault = ("blackout@1s+0.2s", "frozen:1@0.4s")
-    safety = SafetyCfg(rise_seconds=0.4)
+    safety = SafetyCfg(stand_up_seconds=0.4)
     deploy(DeployCfg(out=out, terrain="stairs_down", seconds=1.5, fault=fault, safety=safety))
-    return out / "flight.log"
+    return out / "recording.log"
 
 
 @pytest.fixture
@@ -40,7 +41,7 @@ def drawn(monkeypatch) -> dict:
 
 def test_the_film_shows_the_flight(log, drawn):
     assert film(log) == log.with_suffix(".mp4")
-    flight = read_log(log)
+    flight = read_recording(log)
     rows = np.arange(0, len(flight.ticks), 2)
     assert len(drawn["poses"]) == len(rows)
     np.testing.assert_allclose(drawn["poses"][:, :3], flight.ticks["base_position"][rows])
@@ -62,7 +63,7 @@ def test_the_film_shows_the_flight(log, drawn):
 def test_a_real_flight_is_shown_on_flat_ground_where_it_is_reckoned_to_be(
     log, drawn, monkeypatch, tmp_path
 ):
-    flight = read_log(log)
+    flight = read_recording(log)
     ticks = flight.ticks.copy()
     ticks["base_position"] = np.nan
     ticks["joint_position"][10] = np.nan
@@ -77,6 +78,6 @@ def test_a_real_flight_is_shown_on_flat_ground_where_it_is_reckoned_to_be(
 
 
 def test_an_empty_log_is_refused(tmp_path):
-    FlightLog(tmp_path / "flight.log", {}).close()
+    Recorder(tmp_path / "recording.log", {}).close()
     with pytest.raises(RenetError, match="nothing to show"):
-        film(tmp_path / "flight.log")
+        film(tmp_path / "recording.log")

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from renet.deploy.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.studies.filter import FilterStudy, replay
+from renet.selector import SelectorSpec
 
 from ..fakes import FakeEvaluator
 

@@ -44,11 +44,11 @@ class FaultyCamera:
         self._shown: DepthFrame | None = None
 
     def start(self) -> None:
-        """See Camera.start."""
+        """Begin to stream; raises RenetError with what to do when that fails."""
         self._camera.start()
 
     def latest(self) -> DepthFrame | None:
-        """See Camera.latest."""
+        """Newest frame; None before the first."""
         now = self._now()
         self._begun = now if self._begun is None else self._begun
         if self._disturb is not None:
@@ -75,7 +75,7 @@ class FaultyCamera:
         return getattr(self._camera, "problem", "")
 
     def close(self) -> None:
-        """See Camera.close."""
+        """Stop streaming; safe to call twice."""
         self._camera.close()
 
     def _step(self, time: float) -> int:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from renet.deploy.bundle.manifest import CameraSpec
 from renet.deploy.cameras.base import DepthFrame
-from renet.deploy.cameras.prepare import Pinhole, Sampler, invalid_share
-from renet.deploy.manifest import CameraSpec
+from renet.deploy.cameras.preprocess import DepthPreprocessor, Pinhole, invalid_share
 from renet.errors import RenetError
 
 WIDTH, HEIGHT, FPS = 848, 480, 30
@@ -20,8 +19,10 @@ SILENCE = 1.0
 """Seconds without a frame after which the camera is opened anew: it may have been replugged."""
 RETRY = 0.5
 """Seconds between two attempts to open it."""
-OFFSETS = 100
-"""Frames over which the fastest arrival fixes the offset of camera and robot clocks."""
+DRIFT = 1e-3
+"""Seconds a second by which the clocks of camera and robot may drift apart; quartz does 1e-4."""
+RESTART = 1.0
+"""Seconds by which a camera's clock must jump back to have started anew."""
 
 
 def realsense() -> Any:
@@ -30,8 +31,8 @@ def realsense() -> Any:
         import pyrealsense2
     except ImportError as error:
         raise RenetError(
-            f"the RealSense camera needs its driver: pip install 'renet[realsense]' and the "
-            f"system package libusb-1.0-0 ({error})"
+            "the RealSense camera needs its driver: pip install 'renet-locomotion[realsense]' and "
+            f"the system package libusb-1.0-0 ({error})"
         ) from error
     return pyrealsense2
 
@@ -65,25 +66,24 @@ class Filters:
 class ClockOffset:
     """Turns the camera's timestamps into times on the robot's clock.
 
-    The frame that travelled fastest among the last ones fixes the offset, so that a frame held up
-    on the way is as old as it is.
+    The frame that travelled fastest fixes the offset of both clocks, so that a frame held up on
+    the way is as old as it is. The clocks may drift apart by `DRIFT`; a delay grows faster, or
+    suddenly, and stays visible for as long as the stream lasts.
     """
 
     def __init__(self) -> None:
-        self._offsets: deque[float] = deque(maxlen=OFFSETS)
-        self._last = -np.inf
+        self._offset, self._arrival = np.inf, -np.inf
 
     def time(self, stamp: float, arrival: float) -> float:
         """Seconds on the robot's clock of a frame stamped by the camera in seconds."""
-        if stamp < self._last:  # The camera was restarted: its clock is another.
-            self._offsets.clear()
-        self._last = stamp
-        self._offsets.append(arrival - stamp)
-        return min(arrival, stamp + min(self._offsets))
+        passed = max(arrival - self._arrival, 0.0) if np.isfinite(self._arrival) else 0.0
+        self._offset = min(self._offset + DRIFT * passed, arrival - stamp)
+        self._arrival = arrival
+        return min(arrival, stamp + self._offset)
 
 
 class RealSenseCamera:
-    """A depth camera on a thread of its own; see `cameras.base.Camera`.
+    """A depth camera on a thread of its own.
 
     It opens the camera anew whenever frames stop, so that one that is replugged comes back.
     """
@@ -107,17 +107,17 @@ class RealSenseCamera:
         """What went wrong last; empty while frames arrive."""
 
     def start(self) -> None:
-        """See Camera.start."""
+        """Begin to stream; raises RenetError with what to do when that fails."""
         stream = self._open()
         self._thread = threading.Thread(target=self._run, args=(stream,), daemon=True)
         self._thread.start()
 
     def latest(self) -> DepthFrame | None:
-        """See Camera.latest."""
+        """Newest frame; None before the first."""
         return self._latest
 
     def close(self) -> None:
-        """See Camera.close."""
+        """Stop streaming; safe to call twice."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join(timeout=2 * SILENCE)
@@ -128,7 +128,7 @@ class RealSenseCamera:
         try:
             sensor = (self._device or self._find()).first_depth_sensor()
             profile = self._profile(sensor)
-            Sampler(_lens(profile), self._spec)  # Refuses too narrow a view at once.
+            DepthPreprocessor(_lens(profile), self._spec)  # Refuses too narrow a view at once.
             sensor.open(profile)
             sensor.start(queue)
         except RuntimeError as error:
@@ -179,9 +179,9 @@ class RealSenseCamera:
 
     def _stream(self, queue: Any) -> None:
         """Prepare frames until they stop."""
-        filters, offset = Filters(self._rs), ClockOffset()
-        raw_sampler: Sampler | None = None
-        sampler: Sampler | None = None
+        filters, offset, last = Filters(self._rs), ClockOffset(), -np.inf
+        raw_preprocessor: DepthPreprocessor | None = None
+        preprocessor: DepthPreprocessor | None = None
         while not self._stop.is_set():
             arrived, frame = queue.try_wait_for_frame(round(1000 * SILENCE))
             if not arrived:
@@ -189,16 +189,21 @@ class RealSenseCamera:
                 return
             now = self._clock()
             raw = frame.as_depth_frame()
+            stamp = raw.get_timestamp() / 1000.0
+            if stamp < last - RESTART:
+                self.problem = "the camera's clock started anew"
+                return
+            last = stamp
             filtered = filters.apply(raw)
-            if raw_sampler is None or sampler is None:
-                raw_sampler = Sampler(_lens(raw.get_profile()), self._spec)
-                sampler = Sampler(_lens(filtered.get_profile()), self._spec)
+            if raw_preprocessor is None or preprocessor is None:
+                raw_preprocessor = DepthPreprocessor(_lens(raw.get_profile()), self._spec)
+                preprocessor = DepthPreprocessor(_lens(filtered.get_profile()), self._spec)
             metres = np.asanyarray(filtered.get_data()) * filtered.get_units()
             self._latest = DepthFrame(
-                image=sampler.image(metres),
+                image=preprocessor.image(metres),
                 number=raw.get_frame_number(),
-                time=offset.time(raw.get_timestamp() / 1000.0, now),
-                invalid=invalid_share(raw_sampler.crop(np.asanyarray(raw.get_data()))),
+                time=offset.time(stamp, now),
+                invalid=invalid_share(raw_preprocessor.crop(np.asanyarray(raw.get_data()))),
             )
             self.problem = ""
 

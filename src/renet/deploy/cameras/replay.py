@@ -1,4 +1,4 @@
-"""A camera that shows the images of a flight again, on another robot's clock."""
+"""A camera that shows the images of a run again, on another robot's clock."""
 
 from __future__ import annotations
 
@@ -6,31 +6,31 @@ import math
 from collections.abc import Callable
 
 from renet.deploy.cameras.base import DepthFrame
-from renet.deploy.flight_log import Flight
+from renet.deploy.recording import Recording
 from renet.errors import RenetError
 
 
 class ReplayCamera:
-    """Shows each image as long after `start` as it came after the flight's first; then none."""
+    """Shows each image as long after `start` as it came after the run's first; then none."""
 
-    def __init__(self, flight: Flight, now: Callable[[], float]) -> None:
-        """Set up; raises RenetError if the flight has no images.
+    def __init__(self, run: Recording, now: Callable[[], float]) -> None:
+        """Set up; raises RenetError if the run has no images.
 
         Args:
-            flight: from `read_log`. now: the robot's clock.
+            run: from `read_recording`. now: the robot's clock.
         """
-        if not flight.images:
-            raise RenetError("the flight holds no images: it was flown without a camera")
+        if not run.images:
+            raise RenetError("the recording holds no images: it was made without a camera")
         self._now = now
         self._begun = math.inf
-        rows = sorted(flight.images)
-        first = float(flight.ticks["now"][rows[0]])
+        rows = sorted(run.images)
+        first = float(run.ticks["now"][rows[0]])
         self._frames = []
         for row in rows:
-            tick = flight.ticks[row]
+            tick = run.ticks[row]
             since = float(tick["now"]) - first
             invalid = float(tick["frame_invalid"])
-            self._frames.append((since, int(tick["frame_number"]), flight.images[row], invalid))
+            self._frames.append((since, int(tick["frame_number"]), run.images[row], invalid))
         self._next = 0
 
     def start(self) -> None:
@@ -38,7 +38,7 @@ class ReplayCamera:
         self._begun, self._next = self._now(), 0
 
     def latest(self) -> DepthFrame | None:
-        """See Camera.latest."""
+        """Newest frame; None before the first."""
         since = self._now() - self._begun
         while self._next < len(self._frames) and self._frames[self._next][0] <= since + 1e-6:
             self._next += 1

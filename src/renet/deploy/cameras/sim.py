@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from renet.deploy.bundle.manifest import CameraSpec
 from renet.deploy.cameras.base import DepthFrame
-from renet.deploy.manifest import CameraSpec
 from renet.deploy.robots.mujoco import BASE, MujocoRobot
 from renet.deploy.robots.scene import TERRAIN
 from renet.errors import RenetError
@@ -46,7 +46,7 @@ class SimCamera:
         self._due = self._robot.now()
 
     def latest(self) -> DepthFrame:
-        """See Camera.latest; casts rays when an image is due."""
+        """Newest frame; casts rays when an image is due."""
         now = self._robot.now()
         if self._frame is None or now >= self._due - 1e-6:
             self._due = max(self._due, now - self._period) + self._period

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from renet.interface import CONTROL_DT
+
+if TYPE_CHECKING:
+    from renet.deploy.robots.envelope import Envelope
 
 
 @dataclass(frozen=True)
@@ -15,7 +19,7 @@ class RobotState:
     """One reading of a robot's sensors. Drivers report what they got: the controller checks it."""
 
     time: float
-    """Seconds on the robot's clock (`Robot.now`) at which it was measured."""
+    """Seconds on the robot's clock (`RobotDriver.now`) at which it was measured."""
     joint_position: np.ndarray
     """[12] rad"""
     joint_velocity: np.ndarray
@@ -26,6 +30,10 @@ class RobotState:
     """[4] base to world, (w, x, y, z)."""
     angular_velocity: np.ndarray
     """[3] rad/s, base frame."""
+    temperature: float = math.nan
+    """Of the hottest motor, °C; NaN if the robot does not say."""
+    battery: float = math.nan
+    """Charge left, 0 to 1; NaN if the robot does not say."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +48,11 @@ class JointCommand:
     """[12] N m s/rad"""
 
 
-class Robot(Protocol):
+class RobotDriver(Protocol):
     """A robot, real or simulated, with a clock of its own."""
+
+    envelope: Envelope
+    """The robot's own limits, which no bundle can widen."""
 
     def connect(self) -> None:
         """Begin to talk; raises RenetError with what to do when that fails."""
@@ -68,7 +79,7 @@ class Robot(Protocol):
         ...
 
 
-def next_step(robot: Robot, due: float) -> float:
+def next_step(robot: RobotDriver, due: float) -> float:
     """Wait for the control step after the one that was due at `due`; returns when that is due.
 
     A step that is missed is not made up for: a burst of late ticks helps no robot.

@@ -7,8 +7,9 @@ import time
 import mujoco
 import numpy as np
 
-from renet.deploy.manifest import RobotSpec
+from renet.deploy.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
+from renet.deploy.robots.envelope import go1_envelope
 from renet.errors import RenetError
 from renet.interface import JOINTS
 
@@ -34,7 +35,7 @@ class MujocoRobot:
             RenetError: the scene lacks one of the robot's joints or servos.
         """
         self.model, self.data = model, mujoco.MjData(model)
-        self._real_time = real_time
+        self._real_time, self.envelope = real_time, go1_envelope()
         try:
             joints = [model.joint(name) for name in JOINTS]
             self._servos = np.array([model.actuator(name).id for name in JOINTS])
@@ -59,7 +60,7 @@ class MujocoRobot:
         self._begun = time.monotonic() - self.data.time
 
     def read(self) -> RobotState:
-        """See Robot.read."""
+        """Newest reading, without waiting; None before the first."""
         data = self.data
         return RobotState(
             time=data.time,
@@ -71,7 +72,7 @@ class MujocoRobot:
         )
 
     def write(self, command: JointCommand) -> None:
-        """See Robot.write; MuJoCo's own servos carry the command out, saturating as motors do."""
+        """Hand a command to MuJoCo's own servos, which saturate as motors do."""
         model, servos = self.model, self._servos
         self.data.ctrl[servos] = command.position
         model.actuator_gainprm[servos, 0] = command.stiffness

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +11,9 @@ import mujoco
 import numpy as np
 
 from renet.errors import RenetError
+from renet.files import MEGABYTE, require_regular
 from renet.terrain.tiles import TILE, find_tile
+from renet.trial import judge, run_trial
 
 GO1 = Path(__file__).with_name("go1.xml")
 TERRAIN_GROUP = 0
@@ -20,6 +23,9 @@ TERRAIN = "terrain"
 FLAT = "flat"
 BORDER = 40.0
 """Half-width of the ground around a tile, m."""
+MAX_SCENE = 20 * MEGABYTE
+"""Bytes of an MJCF file."""
+_trying = __name__ == "__main__"
 GROUND = (0.62, 0.60, 0.56, 1.0)
 
 
@@ -75,6 +81,9 @@ def _ground(body: mujoco.MjsBody, position: tuple[float, float], half: tuple[flo
 
 
 def _add_file(spec: mujoco.MjSpec, file: Path) -> None:
+    require_regular(file, MAX_SCENE, "scene")
+    if not _trying:
+        run_trial("renet.deploy.robots.scene", [str(file)], f"cannot use the scene {file}")
     with _readable(file):
         other = mujoco.MjSpec.from_file(str(file))
         spec.attach(other, prefix="scene/", frame=spec.worldbody.add_frame())
@@ -105,3 +114,15 @@ def _add_tile(spec: mujoco.MjSpec, kind: str, level: int, seed: int) -> float:
         _ground(body, (side * away, 0.0), (half, BORDER))
         _ground(body, (0.0, side * away), (TILE / 2, half))
     return float(built.origin[2])
+
+
+def _trial() -> str:
+    try:
+        build_scene(file=Path(sys.argv[1]))
+    except MemoryError:
+        return "it needs too much memory"
+    return ""
+
+
+if __name__ == "__main__":
+    judge(_trial)

@@ -16,7 +16,7 @@ from renet.evaluation.report.colormaps import RELIEF, as_seen
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import UPDATES_PER_STEP
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
-from renet.selector.monitors import Sight
+from renet.selector.monitors import SelectorInput
 from renet.tasks.sensors import HEIGHT_MAP
 
 WARM_UP = 50
@@ -32,7 +32,7 @@ class MapLog:
         self._policy, self._sensor = policy, env.env.scene[HEIGHT_MAP]
         self._calls, self._maps = 0, []
 
-    def note(self, sight: Sight) -> None:
+    def note(self, sight: SelectorInput) -> None:
         """To be called at every update of the selector."""
         del sight
         if self._calls % UPDATES_PER_STEP == 0:

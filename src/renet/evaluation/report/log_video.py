@@ -9,7 +9,7 @@ import numpy as np
 from mjlab.entity import Entity
 
 from renet.deploy.cameras.faulty import parse_fault
-from renet.deploy.flight_log import Flight, read_log
+from renet.deploy.recording import Recording, read_recording
 from renet.deploy.robots.mujoco import BASE, START_HEIGHT
 from renet.deploy.robots.scene import scene_spec
 from renet.deploy.score import fallen, track
@@ -30,7 +30,7 @@ def film_log(log: Path, out: Path | None = None) -> Path:
     Raises:
         RenetError: not a flight log, an empty one, or a scene file that is gone.
     """
-    flight, look = read_log(log), VideoCfg()
+    flight, look = read_recording(log), VideoCfg()
     if not len(flight.ticks):
         raise RenetError(f"{log} ends before its first control step: there is nothing to show")
     out = out or log.with_suffix(".mp4")
@@ -47,7 +47,7 @@ def film_log(log: Path, out: Path | None = None) -> Path:
         return make_video(out, spec, poses[:, None], [_panel(flight, frames)], look, advance)
 
 
-def _poses(flight: Flight, model: mujoco.MjModel) -> np.ndarray:
+def _poses(flight: Recording, model: mujoco.MjModel) -> np.ndarray:
     """Generalised positions [T, nq] of a model with one robot in it."""
     ticks = flight.ticks
     base = track(ticks)
@@ -71,7 +71,7 @@ def _held(values: np.ndarray, first) -> np.ndarray:
     return values
 
 
-def _panel(flight: Flight, frames: np.ndarray) -> Panel:
+def _panel(flight: Recording, frames: np.ndarray) -> Panel:
     ticks = flight.ticks
     images, shown = np.zeros((len(ticks), *DEPTH_SHAPE), np.uint8), np.zeros(DEPTH_SHAPE, np.uint8)
     for row in range(len(ticks)):

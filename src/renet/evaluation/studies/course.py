@@ -51,8 +51,8 @@ class CourseStudy(Study):
     """Commanded forward speed, m/s."""
     stuck_after: float = 25.0
     """Seconds on one passage after which a robot counts as stuck; 8 m take 13 s."""
-    selector: str = "guarded"
-    """Selector: guarded (all monitors) or paper."""
+    selector: str = "monitors"
+    """Selector: monitors (all of them) or paper."""
 
     name: ClassVar[str] = "course"
     selectable: ClassVar[tuple[str, ...]] = ("laps",)

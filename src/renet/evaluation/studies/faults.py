@@ -33,7 +33,7 @@ from renet.evaluation.trace import Trace
 from renet.faults import FAULTS, SEVERITIES, Injection, fault_class
 from renet.faults.physical import Glass
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
-from renet.selector.calibration import bursts
+from renet.selector.calibration import decluster
 from renet.tasks.config.go1 import GO1
 
 HEALTHY_ROBOTS = 64
@@ -73,7 +73,7 @@ class FaultStudy(Study):
     """Length of each run."""
     healthy_minutes: float = 80.0
     """Robot minutes with a healthy camera, in which false switches are counted; 0: none."""
-    selector: str = "guarded"
+    selector: str = "monitors"
     """What `renet` trusts: guarded (all monitors, dwell) or paper (reconstruction alone)."""
 
     name: ClassVar[str] = "faults"
@@ -268,7 +268,7 @@ class FaultStudy(Study):
             "falls": int(trace.fell.sum()),
             "alarms": {
                 name: sum(
-                    len(bursts(run, np.nextafter(threshold, -np.inf))) for run in series[name]
+                    len(decluster(run, np.nextafter(threshold, -np.inf))) for run in series[name]
                 )
                 for name, threshold in evaluator.thresholds.items()
             },

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import matplotlib.pyplot as plt
 import numpy as np
 
-from renet.deploy.manifest import SelectorSpec
+from renet.deploy.bundle.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation import metrics
 from renet.evaluation.env import FLAT
@@ -23,7 +23,7 @@ from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report import figures
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import Trial, check_speed
-from renet.evaluation.selectors import PaperSelector, updates_apart
+from renet.evaluation.selectors import ClockedSelector, updates_apart
 from renet.evaluation.study import Part, Study, Table
 from renet.evaluation.trace import UPDATES_PER_STEP
 from renet.faults import Injection
@@ -157,6 +157,6 @@ class FilterStudy(Study):
 
 def replay(scores: np.ndarray, spec: SelectorSpec) -> np.ndarray:
     """A selector's answers [T, U, N] to anomaly scores [T, N], as in a rollout."""
-    selector = PaperSelector(spec, scores.shape[1])
+    selector = ClockedSelector("paper", spec, scores.shape[1])
     updates = range(UPDATES_PER_STEP)
     return np.array([[selector.judge(score) for _ in updates] for score in scores])

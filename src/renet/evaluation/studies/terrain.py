@@ -65,7 +65,7 @@ class TerrainStudy(Study):
     """Time to leave a tile (an episode's length in training)."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
-    selector: str = "guarded"
+    selector: str = "monitors"
     """Selector: guarded (all monitors) or paper."""
 
     name: ClassVar[str] = "terrain"

@@ -6,7 +6,7 @@ import { Policy } from "./policy.js";
 import { Selector } from "./selector.js";
 
 export const DAMPING = "damping";
-export const RISING = "rising";
+export const STANDING_UP = "standing_up";
 export const WALKING = "walking";
 
 /** Who drives: the auto selector's choice (RENet), or always the same estimator. */
@@ -62,9 +62,9 @@ export class Controller {
       this.target = Array.from(state.jointPosition);
       return this.damped();
     }
-    if (this.mode === RISING) {
-      if (before !== RISING) this.start = this.target = Array.from(state.jointPosition);
-      return this.limited(this.risingTarget((now - this.since) / this.cfg.rise_seconds), state);
+    if (this.mode === STANDING_UP) {
+      if (before !== STANDING_UP) this.start = this.target = Array.from(state.jointPosition);
+      return this.limited(this.standUpTarget((now - this.since) / this.cfg.stand_up_seconds), state);
     }
     if (before !== WALKING) {
       this.forget();
@@ -118,9 +118,9 @@ export class Controller {
     if (problem) {
       if (this.mode !== DAMPING) this.enter(DAMPING, problem, now);
     } else if (this.mode === DAMPING && arm) {
-      this.enter(RISING, "armed", now);
-    } else if (this.risen(now)) {
-      this.enter(WALKING, "risen", now);
+      this.enter(STANDING_UP, "armed", now);
+    } else if (this.stoodUp(now)) {
+      this.enter(WALKING, "stood up", now);
     }
   }
 
@@ -128,8 +128,8 @@ export class Controller {
     Object.assign(this, { mode, reason, since: now });
   }
 
-  risen(now) {
-    return this.mode === RISING && now - this.since >= this.cfg.rise_seconds;
+  stoodUp(now) {
+    return this.mode === STANDING_UP && now - this.since >= this.cfg.stand_up_seconds;
   }
 
   /** Why a state forbids motion; empty if it does not. */
@@ -145,8 +145,8 @@ export class Controller {
       if (Math.abs(state.jointVelocity[i]) > cfg.max_joint_speed) {
         return `${robot.joints[i]} is too fast`;
       }
-      if (this.risen(now) && Math.abs(q - robot.default_position[i]) > cfg.max_rise_error) {
-        return `${robot.joints[i]} did not rise`;
+      if (this.stoodUp(now) && Math.abs(q - robot.default_position[i]) > cfg.max_stand_up_error) {
+        return `${robot.joints[i]} did not follow`;
       }
     }
     const turning = Math.max(...state.angularVelocity.map(Math.abs));
@@ -162,7 +162,7 @@ export class Controller {
     };
   }
 
-  risingTarget(share) {
+  standUpTarget(share) {
     const x = Math.min(Math.max(share, 0), 1);
     const smooth = x * x * (3 - 2 * x);
     return this.start.map((q, i) => q + smooth * (this.robot.default_position[i] - q));

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import threading
+from queue import Empty, SimpleQueue
 
 import numpy as np
 import pytest
 
 from renet.deploy.bundle import Bundle
-from renet.deploy.perception import InlinePerception, ThreadedPerception
+from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.safety import Mode
+from renet.interface import CONTROL_DT
 
 from .fakes import Run, frame, time_of
 
@@ -35,13 +37,13 @@ def sabotage(bundle) -> Sabotage:
     return Sabotage(bundle.sessions["estimator"])
 
 
-def threaded(bundle: Bundle, sabotage: Sabotage) -> ThreadedPerception:
-    return ThreadedPerception({**bundle.sessions, "estimator": sabotage}, patience=5.0)  # type: ignore[dict-item]
+def threaded(bundle: Bundle, sabotage: Sabotage) -> ThreadedInference:
+    return ThreadedInference({**bundle.sessions, "estimator": sabotage}, patience=5.0)  # type: ignore[dict-item]
 
 
 def troubled(bundle, sabotage, mood: str, patience: float) -> Run:
     """A robot that walks, and whose vision thread is in that mood from now on."""
-    run = Run(bundle, perception=threaded(bundle, sabotage))
+    run = Run(bundle, inference=threaded(bundle, sabotage))
     run.ticks(60)
     run.controller._perception._patience = patience  # type: ignore[attr-defined]
     sabotage.mood = mood
@@ -49,8 +51,8 @@ def troubled(bundle, sabotage, mood: str, patience: float) -> Run:
 
 
 def test_the_second_thread_gives_the_same_commands(bundle, sabotage):
-    inline = Run(bundle, perception=InlinePerception(bundle.sessions))
-    thread = Run(bundle, perception=threaded(bundle, sabotage))
+    inline = Run(bundle, inference=InlineInference(bundle.sessions))
+    thread = Run(bundle, inference=threaded(bundle, sabotage))
     for _ in range(60):
         picture = frame(inline.step, time_of(inline.step)) if inline.step % 5 == 0 else None
         a, b = inline.tick(picture), thread.tick(picture)
@@ -63,7 +65,7 @@ def test_a_dead_vision_thread_is_replaced_and_costs_one_tick_of_vision(bundle, s
     run.ticks(6)
     sabotage.mood = "well"
     run.ticks(20)
-    assert "perception" in run.whats()
+    assert "inference" in run.whats()
     assert run.events[-1].what == "op"
     run.controller._perception._patience = 5.0  # type: ignore[attr-defined]
     assert all(run.ticks(150)[-50:]), "vision comes back"
@@ -73,10 +75,10 @@ def test_a_dead_vision_thread_is_replaced_and_costs_one_tick_of_vision(bundle, s
 
 def test_a_result_that_is_late_by_a_whole_tick_costs_vision(bundle, sabotage):
     """It is there when the next tick begins, but nobody has acted on it."""
-    run = Run(bundle, perception=threaded(bundle, sabotage))
+    run = Run(bundle, inference=threaded(bundle, sabotage))
     run.ticks(60)
-    perception = run.controller._perception
-    perception.take = lambda: None  # type: ignore[method-assign]
+    inference = run.controller._perception
+    inference.take = lambda: None  # type: ignore[method-assign]
     assert not any(run.ticks(40)[10:])
     assert run.controller.decision.mode is Mode.WALKING
     run.controller.close()
@@ -92,3 +94,23 @@ def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(bundle, sabotage):
     run.controller._perception._patience = 5.0  # type: ignore[attr-defined]
     assert all(run.ticks(200)[-50:]), "vision comes back"
     run.controller.close()
+
+
+def test_the_loop_waits_for_less_than_half_a_period(bundle):
+    """With a thread that hangs, `take` gives up while there is time for the rest of the step."""
+    waits = []
+
+    class Results:
+        def get(self, timeout: float):
+            waits.append(timeout)
+            raise Empty
+
+        get_nowait = None
+
+    inference = ThreadedInference(bundle.sessions)
+    inference._jobs = SimpleQueue()  # Nobody reads it: the thread hangs.
+    inference.begin(None)  # type: ignore[arg-type]
+    inference._results = Results()  # type: ignore[assignment]
+    assert inference.take() is None
+    assert len(waits) == 1
+    assert 0.0 < waits[0] <= CONTROL_DT / 2

@@ -1,7 +1,7 @@
-"""A compact record of every control tick, from which a flight can be replayed bit by bit.
+"""Records every control tick, so that a run can be replayed bit by bit.
 
 File: magic, then chunks (tag, length, CRC-32, zlib data). One second of ticks makes a chunk, its
-images another. A flight that ends with the battery loses at most its last second.
+images another. A run that ends with the battery loses at most its last second.
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ import struct
 import threading
 import zlib
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Full, Queue
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Decision, Event
-from renet.deploy.operator import Request
 from renet.deploy.robots.base import RobotState
 from renet.deploy.safety import VECTORS, Mode
+from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT
 
-MAGIC = b"RENETLOG1\n"
+MAGIC = b"RENETLOG2\n"
 CHUNK = struct.Struct("<4sII")
 HEADER, TICKS, IMAGES, EVENTS, END = b"HEAD", b"TICK", b"IMAG", b"EVNT", b"END."
 TICKS_PER_CHUNK = 50
@@ -53,7 +53,7 @@ TICK = np.dtype(
         ("frame_invalid", "f8"),
         ("mode", "u1"),
         ("vision", "?"),
-        ("perceived", "?"),
+        ("inferred", "?"),
         ("fallback", "?"),
         ("probability", "f4"),
         ("anomaly", "f4"),
@@ -69,32 +69,41 @@ TICK = np.dtype(
         ("base_position", "f4", 3),
     ]
 )
-"""One control tick: what came in, what was decided, how long that took, and, for judges, where the
-base was in the world; NaN where nobody knows."""
+"""One control tick: what came in, what was decided, how long that took, and where the base was in
+the world (NaN where nobody knows)."""
+MAX_WAITING = 60
+"""Chunks that wait for the disk; two or three are written each second."""
+CLOSING = 5.0
+"""Seconds that `close` waits for the disk."""
 
 
-class FlightLog:
-    """Writes a flight; compression and disk are left to a thread of its own."""
+class Recorder:
+    """Writes a recording; compression and disk are left to a thread of its own.
+
+    A disk that fails, hangs or does not keep up ends the recording, never the run.
+    """
 
     def __init__(self, path: Path, header: dict[str, Any]) -> None:
         """Create the file; raises RenetError if that cannot be done.
 
         Args:
-            path: of the log. header: JSON values, such as the bundle's hash.
+            path: of the recording. header: JSON values, such as the bundle's hash.
         """
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file: BinaryIO = path.open("wb")
             self._file.write(MAGIC)
         except OSError as error:
-            raise RenetError(f"cannot write the flight log {path}: {error}") from error
+            raise RenetError(f"cannot write the recording {path}: {error}") from error
         self.path, self.problem = path, ""
-        """What went wrong with the disk; the flight goes on without its log."""
+        """Why the recording ended early; empty while it goes on."""
+        self.hung = False
+        """Whether the disk still had not answered when the recording was closed."""
         self._ticks: list[np.ndarray] = []
         self._images: list[tuple[int, np.ndarray]] = []
         self._events: list[Event] = []
         self._count, self._last_frame = 0, None
-        self._chunks: SimpleQueue[tuple[bytes, bytes] | None] = SimpleQueue()
+        self._chunks: Queue[tuple[bytes, bytes] | None] = Queue(MAX_WAITING)
         self._thread = threading.Thread(target=self._write, daemon=True)
         self._thread.start()
         self._put(HEADER, json.dumps(header).encode())
@@ -107,7 +116,7 @@ class FlightLog:
         self,
         state: RobotState | None,
         frame: DepthFrame | None,
-        request: Request,
+        teleop: TeleopCommand,
         now: float,
         decision: Decision,
         compute_ms: float,
@@ -119,11 +128,11 @@ class FlightLog:
         tick["base_position"] = np.nan if base_position is None else base_position
         tick["state"] = _store_state(tick, state)
         tick["frame"] = self._store_frame(tick, frame)
-        _store_request(tick, request)
+        _store_teleop(tick, teleop)
         tick["mode"] = MODES.index(decision.mode)
         for name in ("position", "stiffness", "damping"):
             tick[name] = getattr(decision.command, name)
-        for name in ("vision", "perceived", "fallback", "probability", "anomaly", "frame_age"):
+        for name in ("vision", "inferred", "fallback", "probability", "anomaly", "frame_age"):
             tick[name] = getattr(decision, name)
         for name in ("action", "latent", "velocity_op", "velocity_vp"):
             tick[name] = getattr(decision, name)
@@ -133,12 +142,17 @@ class FlightLog:
             self._flush()
 
     def close(self) -> None:
-        """Write what is left; safe to call twice."""
+        """Write what is left, for at most `CLOSING` seconds; safe to call twice."""
         if self._thread.is_alive():
             self._flush()
             self._put(END, b"")
-            self._chunks.put(None)
-            self._thread.join()
+            with suppress(Full):
+                self._chunks.put(None, timeout=CLOSING)
+            self._thread.join(CLOSING)
+        self.hung = self._thread.is_alive()
+        if self.hung:
+            self.problem = self.problem or f"the recording {self.path} ends early: the disk hangs"
+            return  # Closing the file would wait for the same disk.
         with suppress(OSError):  # Already told as `problem`.
             self._file.close()
 
@@ -172,8 +186,12 @@ class FlightLog:
         self._ticks, self._images, self._events = [], [], []
 
     def _put(self, tag: bytes, data: bytes) -> None:
-        if not self.problem:  # Nobody takes chunks any more: do not let them pile up.
-            self._chunks.put((tag, data))
+        if self.problem:
+            return
+        try:
+            self._chunks.put_nowait((tag, data))
+        except Full:
+            self.problem = f"the recording {self.path} ends early: the disk does not keep up"
 
     def _write(self) -> None:
         while (chunk := self._chunks.get()) is not None:
@@ -184,16 +202,16 @@ class FlightLog:
                 self._file.flush()
                 os.fsync(self._file.fileno())  # The battery may go next.
             except (OSError, ValueError) as error:
-                self.problem = f"the flight log {self.path} ends early: {error}"
+                self.problem = f"the recording {self.path} ends early: {error}"
                 return
 
 
-def _store_request(tick: np.ndarray, request: Request) -> None:
-    """Copy the operator's wishes; what is none stops the robot, now as in a replay."""
+def _store_teleop(tick: np.ndarray, teleop: TeleopCommand) -> None:
+    """Copy the operator's command; what is none stops the robot, now as in a replay."""
     try:
         for name in ("speed", "turn", "arm", "stop"):
-            tick[name] = getattr(request, name)
-    except Exception:  # As above.
+            tick[name] = getattr(teleop, name)
+    except Exception:  # A driver's object may fail in any way.
         tick["stop"] = True
 
 
@@ -213,74 +231,3 @@ def _store_state(tick: np.ndarray, state: RobotState | None) -> int:
             tick[name] = np.nan
         return BAD
     return GOOD
-
-
-@dataclass(frozen=True)
-class Flight:
-    """A flight that was read back."""
-
-    header: dict[str, Any]
-    ticks: np.ndarray
-    """[T] of dtype `TICK`."""
-    images: dict[int, np.ndarray]
-    """[48, 64] float16 by the tick at which it was new."""
-    events: list[Event]
-    complete: bool
-    """False for a flight whose end is missing."""
-
-
-def read_log(path: Path) -> Flight:
-    """Read a flight as far as it is whole.
-
-    Raises:
-        RenetError: not a flight log, or one without its header.
-    """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise RenetError(f"cannot read the flight log {path}: {error}") from error
-    if not data.startswith(MAGIC):
-        raise RenetError(f"{path} is not a flight log of this renet")
-    header, ticks, images, events, complete = None, [], {}, [], False
-    try:
-        for tag, chunk in _chunks(data, len(MAGIC)):
-            if tag == HEADER:
-                header = json.loads(chunk)
-                if not isinstance(header, dict):
-                    raise TypeError(f"its header is a {type(header).__name__}")
-            elif tag == TICKS:
-                ticks.append(np.frombuffer(chunk, TICK))
-            elif tag == IMAGES:
-                images |= _images(chunk)
-            elif tag == EVENTS:
-                events += [Event(**event) for event in json.loads(chunk)]
-            complete = tag == END
-    except (ValueError, TypeError) as error:
-        raise RenetError(f"{path} was written by another version of renet: {error}") from error
-    if header is None:
-        raise RenetError(f"{path} has no readable header: nothing of the flight was saved")
-    rows = np.concatenate(ticks) if ticks else np.zeros(0, TICK)
-    return Flight(header, rows, images, events, complete)
-
-
-def _chunks(data: bytes, start: int):
-    """Whole chunks, up to the first that is torn or damaged."""
-    while start + CHUNK.size <= len(data):
-        tag, length, check = CHUNK.unpack_from(data, start)
-        start += CHUNK.size
-        packed = data[start : start + length]
-        if len(packed) < length or zlib.crc32(packed) != check:
-            return
-        try:
-            yield tag, zlib.decompress(packed)
-        except zlib.error:
-            return
-        start += length
-
-
-def _images(chunk: bytes) -> dict[int, np.ndarray]:
-    size = 4 + 2 * DEPTH_SHAPE[0] * DEPTH_SHAPE[1]
-    count = len(chunk) // size
-    rows = np.frombuffer(chunk, np.uint32, count)
-    pictures = np.frombuffer(chunk, np.float16, offset=4 * count).reshape(-1, *DEPTH_SHAPE)
-    return {int(row): picture for row, picture in zip(rows, pictures, strict=True)}

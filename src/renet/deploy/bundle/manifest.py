@@ -14,8 +14,10 @@ import numpy as np
 from renet.camera import Intrinsics
 from renet.errors import RenetError
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION
+from renet.selector import SelectorSpec, check_selector
 
 SCHEMA = 1
+MAX_TEXT = 500
 
 
 @dataclass(frozen=True)
@@ -103,29 +105,6 @@ class CameraSpec:
 
 
 @dataclass(frozen=True)
-class SelectorSpec:
-    """Calibrated selector."""
-
-    beta: float
-    """Threshold on the anomaly score."""
-    gamma: float = 0.1
-    rate_hz: float = 200.0
-    thresholds: dict[str, float] = field(default_factory=dict)
-    """Calibrated thresholds of the monitors, by name; those missing have documented defaults."""
-    calibration: str = ""
-    """How beta was found."""
-    false_alarms_per_hour: float = 0.0
-    """Rate at which the thresholds let healthy robots leave vision; 0: never calibrated."""
-    healthy_hours: float = 0.0
-    """Robot hours the thresholds were learnt from."""
-
-    def __post_init__(self) -> None:
-        for name in ("beta", "rate_hz"):
-            _demand(getattr(self, name) > 0.0, f"selector.{name} must be positive")
-        _demand(0.0 < self.gamma <= 1.0, "selector.gamma must be within 0 and 1")
-
-
-@dataclass(frozen=True)
 class Provenance:
     """Where the weights come from."""
 
@@ -158,6 +137,8 @@ class Manifest:
 
     def __post_init__(self) -> None:
         _demand(self.history > 0, "history must be positive")
+        _demand(self.history <= 100, f"history must be at most 100, got {self.history}")
+        check_selector(self.selector)
         _demand(self.frames == FRAMES, f"frames must be {FRAMES}, got {self.frames}")
         if self.robot.joints != JOINTS:
             raise RenetError(
@@ -194,13 +175,18 @@ def from_json(cls: Any, value: Any, where: str = "manifest") -> Any:
         hints = typing.get_type_hints(cls)
         unknown = sorted(set(value) - set(hints))
         if unknown:
-            raise RenetError(f"{where} has an unknown field {unknown[0]!r}")
+            raise RenetError(f"{where} has an unknown field {unknown[0][:40]!r}")
         for item in dataclasses.fields(cls):
             defaults = (item.default, item.default_factory)
             if item.name not in value and defaults == (dataclasses.MISSING,) * 2:
                 raise RenetError(f"{where} lacks the field {item.name!r}")
         build: Any = cls
         return build(**{k: from_json(hints[k], v, f"{where}.{k}") for k, v in value.items()})
+    if cls is str and isinstance(value, str):
+        # Terminals obey what is not printable.
+        if len(value) > MAX_TEXT or not value.isprintable():
+            raise RenetError(f"{where} must be at most {MAX_TEXT} printable characters")
+        return value
     origin = typing.get_origin(cls)
     if origin is tuple and isinstance(value, list):
         item = typing.get_args(cls)[0]

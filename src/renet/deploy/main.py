@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from itertools import count
@@ -18,22 +18,27 @@ from renet import __version__
 from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.faulty import parse_fault
 from renet.deploy.controller import Controller, Event
-from renet.deploy.crew import Crew, make_crew
-from renet.deploy.flight_log import FlightLog, read_log
-from renet.deploy.operator import MAX_SPEED
-from renet.deploy.perception import InlinePerception, ThreadedPerception
+from renet.deploy.devices import Devices, make_devices
+from renet.deploy.inference import InlineInference, ThreadedInference
+from renet.deploy.loop import run_control_loop
+from renet.deploy.realtime import realtime
+from renet.deploy.recorder import Recorder
+from renet.deploy.recording import read_recording
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.go1 import POWER_LEVEL, ROBOT_HOST
-from renet.deploy.runner import fly
 from renet.deploy.safety import Mode, SafetyCfg
 from renet.deploy.score import SCORE, TIMELINE, write_score
-from renet.deploy.speaker import Speaker
+from renet.deploy.teleop import MAX_SPEED
+from renet.deploy.terminal import Terminal
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, JOINTS
 
-FLIGHT = "flight.log"
-SHORT_FLIGHT = 15.0
-"""Seconds of a flight that nobody steers."""
+RECORDING = "recording.log"
+LOOPBACK = "127.0.0.1"
+PRIORITY = 50
+"""Of SCHED_FIFO, of the control loop's thread; the Go1's sender has 60."""
+SHORT_RUN = 15.0
+"""Seconds of a run that nobody steers."""
 DEADMAN = 5.0
 """Seconds that a real robot goes on without a sign of its operator."""
 LIMP = 10.0
@@ -44,7 +49,7 @@ PRINT_EVERY = 25
 
 @dataclass(frozen=True)
 class DeployCfg:
-    """Run a bundle on a robot; leaves a flight log, a timeline and a score."""
+    """Run a bundle on a robot; leaves a recording, a timeline and a score."""
 
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder; the one that ships with renet by default."""
@@ -52,16 +57,16 @@ class DeployCfg:
     """mujoco: simulated in this process. go1: a Unitree Go1 in low-level mode."""
     camera: Literal["auto", "sim", "realsense", "replay", "none"] = "auto"
     """auto: sim for mujoco, realsense for go1."""
-    operator: Literal["auto", "keyboard", "joystick"] = "auto"
-    """auto: rises and walks straight ahead (simulation only)."""
+    teleop: Literal["auto", "keyboard", "joystick"] = "auto"
+    """auto: stands up and walks straight ahead (simulation only)."""
     deadman: float | None = None
     """Seconds without a key or a move of the joystick after which the robot stands until there is
     one; 5 by default with a real robot, no limit in simulation. inf: no limit."""
     out: Path | None = None
-    """Folder of the results, results/deploy/DATE_TIME by default; what an earlier flight left in
+    """Folder of the results, results/deploy/DATE_TIME by default; what an earlier run left in
     it is kept in its subfolders earlier-1, earlier-2, ..."""
     seconds: float | None = None
-    """Length of the flight on the robot's clock; 15 s by default, with an operator no end. Ctrl-C
+    """Length of the run on the robot's clock; 15 s by default, with an operator no end. Ctrl-C
     and the keyboard's q end it earlier, braked and logged."""
     speed: float = 0.6
     """Forward speed of the auto operator, 0 to 1 m/s."""
@@ -75,10 +80,11 @@ class DeployCfg:
     fault: tuple[str, ...] = ()
     """What goes wrong with the camera: NAME[:SEVERITY]@SECONDS[+DURATION], e.g. blackout@5s,
     glare:3@4s+2s."""
-    flight: Path | None = None
-    """Flight log whose images the replay camera shows."""
-    selector: Literal["guarded", "paper"] = "guarded"
-    """guarded: all monitors, slow to trust again. paper: the reconstruction loss alone."""
+    recording: Path | None = None
+    """Recording whose images the replay camera shows."""
+    selector: Literal["monitors", "paper"] = "monitors"
+    """monitors: all monitors, with a dwell before vision returns. paper: the reconstruction loss
+    alone."""
     real_time: bool = False
     """Simulation: pace it to the wall clock, as operators and the viewer always do."""
     serial: str = ""
@@ -87,7 +93,9 @@ class DeployCfg:
     """Simulation: show it in a browser."""
     dry_run: bool = False
     """Print commands and never move the robot."""
-    host: str = ROBOT_HOST
+    host: str = LOOPBACK
+    """Address at which the viewer listens; 0.0.0.0: to everybody on the network."""
+    robot_host: str = ROBOT_HOST
     """Go1: address of its motor board."""
     power_level: int = POWER_LEVEL
     """Go1: of the vendor's own overload guard, 1 (10 % of the motors' power) to 10."""
@@ -99,16 +107,16 @@ class DeployCfg:
     @property
     def live(self) -> bool:
         """The robot's clock is the wall's."""
-        return self.robot != "mujoco" or self.real_time or self.viewer or self.operator != "auto"
+        return self.robot != "mujoco" or self.real_time or self.viewer or self.teleop != "auto"
 
     @property
     def length(self) -> float:
-        """Seconds after which the flight ends by itself."""
-        steered = math.inf if self.operator != "auto" else SHORT_FLIGHT
+        """Seconds after which the run ends by itself."""
+        steered = math.inf if self.teleop != "auto" else SHORT_RUN
         return steered if self.seconds is None else self.seconds
 
     @property
-    def patience(self) -> float:
+    def operator_timeout(self) -> float:
         """Seconds without a sign of the operator after which the robot stands."""
         default = math.inf if self.robot == "mujoco" else DEADMAN
         return default if self.deadman is None else self.deadman
@@ -116,7 +124,7 @@ class DeployCfg:
     @property
     def limits(self) -> SafetyCfg:
         """Of the controller: the joints of a dry run follow nobody."""
-        return replace(self.safety, max_rise_error=LIMP) if self.dry_run else self.safety
+        return replace(self.safety, max_stand_up_error=LIMP) if self.dry_run else self.safety
 
 
 def deploy(cfg: DeployCfg) -> Path:
@@ -128,50 +136,54 @@ def deploy(cfg: DeployCfg) -> Path:
     _check(cfg)
     bundle = Bundle.load(cfg.bundle)
     with ExitStack() as stack:
-        speaker = Speaker()
-        stack.callback(speaker.close)
-        crew = make_crew(cfg, bundle, speaker.say)
-        stack.callback(crew.close)
-        crew.start()
-        log = FlightLog(_free_folder(cfg.out) / FLIGHT, _header(cfg, bundle))
-        stack.callback(log.close)
-        begun = crew.robot.now()
+        terminal = Terminal()
+        stack.callback(terminal.close)
+        devices = make_devices(cfg, bundle, terminal.say)
+        stack.callback(devices.close)  # Before the start: half of it may have to be undone.
+        devices.start()
+        recorder = Recorder(_free_folder(cfg.out) / RECORDING, _header(cfg, bundle))
+        stack.callback(recorder.close)
 
         def tell(event: Event) -> None:
-            log.event(event)
-            speaker.say(f"{event.time - begun:8.2f} s  {event.what}: {event.why}")
+            recorder.event(event)
+            terminal.say(f"{event.time - begun:8.2f} s  {event.what}: {event.why}")
 
-        perception = (ThreadedPerception if cfg.live else InlinePerception)(bundle.sessions)
-        controller = Controller(bundle, cfg.limits, perception, cfg.selector == "paper", tell)
+        inference = (ThreadedInference if cfg.live else InlineInference)(bundle.sessions)
+        controller = Controller(bundle, cfg.limits, inference, cfg.selector, tell)
         stack.callback(controller.close)
-        echo = printer(speaker.say) if cfg.dry_run else lambda command: None
+        echo = printer(terminal.say) if cfg.dry_run else lambda command: None
 
         def on_step(command: JointCommand) -> None:
             echo(command)
-            crew.show()
+            devices.show()
 
-        with _interruptible() as interrupted:
-            fly(
-                crew.robot,
-                crew.camera,
-                crew.operator,
+        with _interruptible() as interrupted, _priority(cfg) as refused:
+            if refused:
+                terminal.say(refused)
+            begun = devices.robot.now()
+            run_control_loop(
+                devices.robot,
+                devices.camera,
+                devices.teleop,
                 controller,
-                log,
-                done=lambda: interrupted() or _over(cfg, crew, controller, begun),
+                recorder,
+                done=lambda: interrupted() or _over(cfg, devices, controller, begun),
                 on_step=on_step,
-                truth=crew.truth,
+                truth=devices.truth,
                 dry_run=cfg.dry_run,
             )
-    if log.problem:
-        print(log.problem)
-    print(summary(write_score(read_log(log.path), log.path.parent)))
-    return log.path.parent
+    folder = recorder.path.parent
+    if recorder.problem:
+        print(recorder.problem)
+    if not recorder.hung:
+        print(summary(write_score(read_recording(recorder.path), folder)))
+    return folder
 
 
 def _free_folder(out: Path | None) -> Path:
-    """Where a flight's results go, freed of an earlier flight's: the one before a crash matters."""
+    """Where a run's results go, freed of an earlier run's: the one before a crash matters."""
     out = out or Path("results/deploy") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
-    results = [out / name for name in (FLIGHT, SCORE, TIMELINE) if (out / name).exists()]
+    results = [out / name for name in (RECORDING, SCORE, TIMELINE) if (out / name).exists()]
     if results:
         kept = next(p for n in count(1) if not (p := out / f"earlier-{n}").exists())
         try:
@@ -179,7 +191,7 @@ def _free_folder(out: Path | None) -> Path:
             for path in results:
                 path.rename(kept / path.name)
         except OSError as error:
-            raise RenetError(f"cannot keep the earlier flight in {out}: {error}") from error
+            raise RenetError(f"cannot keep the earlier run in {out}: {error}") from error
     return out
 
 
@@ -215,19 +227,22 @@ def printer(say: Callable[[str], None]) -> Callable[[JointCommand], None]:
     return show
 
 
-def _over(cfg: DeployCfg, crew: Crew, controller: Controller, begun: float) -> bool:
+def _over(cfg: DeployCfg, devices: Devices, controller: Controller, begun: float) -> bool:
     """The time is up, the operator leaves, or nobody is there to arm a damped robot again."""
     machine = controller.machine
-    damped = machine.mode is Mode.DAMPING and machine.since >= begun
-    late = crew.robot.now() - begun >= cfg.length - CONTROL_DT / 2
-    return late or crew.quit or (damped and cfg.operator == "auto")
+    passed = devices.robot.now() - begun
+    damped = machine.mode is Mode.DAMPING and (
+        machine.since >= begun or (passed > 1.0 and not cfg.dry_run)
+    )
+    late = passed >= cfg.length - CONTROL_DT / 2
+    return late or devices.quit or (damped and cfg.teleop == "auto")
 
 
 def _check(cfg: DeployCfg) -> None:
     """Refuse what cannot work before anything moves or is written."""
     if not cfg.length > 0:
         raise RenetError(f"--seconds must be positive, got {cfg.seconds}")
-    if not cfg.patience > 0:
+    if not cfg.operator_timeout > 0:
         raise RenetError(f"--deadman must be positive, got {cfg.deadman}")
     if not 0.0 <= cfg.speed <= MAX_SPEED:
         raise RenetError(f"--speed must be from 0 to {MAX_SPEED:g} m/s, got {cfg.speed}")
@@ -236,12 +251,14 @@ def _check(cfg: DeployCfg) -> None:
     if cfg.robot == "go1":
         if cfg.camera == "sim":
             raise RenetError("--camera sim looks at a simulation: use realsense, replay or none")
+        if cfg.host != LOOPBACK:
+            raise RenetError("--host is the viewer's address: the robot's is --robot-host")
         if cfg.viewer:
             raise RenetError("--viewer shows a simulation: with a real robot look at the robot")
-        if cfg.operator == "auto" and not cfg.dry_run:
-            raise RenetError("a real robot needs --operator keyboard or joystick, or --dry-run")
-    if cfg.camera == "replay" and cfg.flight is None:
-        raise RenetError("--camera replay needs --flight, the log whose images it shows")
+        if cfg.teleop == "auto" and not cfg.dry_run:
+            raise RenetError("a real robot needs --teleop keyboard or joystick, or --dry-run")
+    if cfg.camera == "replay" and cfg.recording is None:
+        raise RenetError("--camera replay needs --recording, whose images it shows")
     if cfg.fault and cfg.camera == "none":
         raise RenetError("--fault needs a camera to spoil")
     for text in cfg.fault:
@@ -249,16 +266,16 @@ def _check(cfg: DeployCfg) -> None:
 
 
 def _header(cfg: DeployCfg, bundle: Bundle) -> dict[str, Any]:
-    selector, paper = bundle.manifest.selector, cfg.selector == "paper"
-    threshold = selector.beta if paper else selector.thresholds.get("reconstruction", selector.beta)
+    selector = bundle.manifest.selector
+    calibrated = selector.thresholds.get("reconstruction", selector.beta)
     return {
         "renet": __version__,
         "bundle": bundle.name,
         "bundle_sha256": bundle.sha256,
         "models": bundle.manifest.sha256,
-        "beta": threshold,
+        "beta": selector.beta if cfg.selector == "paper" else calibrated,
         "safety": asdict(cfg.limits),
-        "paper_selector": paper,
+        "selector": cfg.selector,
         "robot": cfg.robot,
         "camera": cfg.camera,
         "terrain": cfg.terrain,
@@ -270,9 +287,14 @@ def _header(cfg: DeployCfg, bundle: Bundle) -> dict[str, Any]:
     }
 
 
+def _priority(cfg: DeployCfg) -> AbstractContextManager[str]:
+    """Real-time priority for a real robot; a simulation would starve the rest of the computer."""
+    return nullcontext("") if cfg.robot == "mujoco" else realtime(PRIORITY)
+
+
 @contextmanager
 def _interruptible() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C, Ctrl-Z, Ctrl-\\, `kill` and a lost terminal ask the flight to end, braking.
+    """Ctrl-C, Ctrl-Z, Ctrl-\\, a lost terminal, TERM, USR1 and USR2 ask the run to end, braking.
 
     Ctrl-Z, too: a stopped program could not brake. A second Ctrl-C interrupts.
     """
@@ -284,7 +306,8 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
             raise KeyboardInterrupt
         asked = True
 
-    signals = (signal.SIGINT, signal.SIGTSTP, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP)
+    names = ("INT", "TSTP", "QUIT", "TERM", "HUP", "USR1", "USR2")
+    signals = [signal.Signals[f"SIG{name}"] for name in names]
     before = [signal.signal(number, ask) for number in signals]
     try:
         yield lambda: asked

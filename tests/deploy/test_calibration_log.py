@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from renet.deploy import calibration_log
 from renet.deploy.bundle import Bundle, write_bundle
-from renet.deploy.flight_log import MODES, Flight, read_log
-from renet.deploy.launch import DeployCfg, deploy
-from renet.deploy.logged import healthy_walks, logged_scores
+from renet.deploy.calibration_log import healthy_walks, recorded_scores
+from renet.deploy.main import DeployCfg, deploy
+from renet.deploy.recorder import MODES
+from renet.deploy.recording import Recording, read_recording
 from renet.deploy.safety import Mode
 from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
@@ -31,16 +33,19 @@ def bundle(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def log(bundle, tmp_path_factory) -> Path:
     """Six simulated seconds on the plane, of which four are walked."""
-    return deploy(DeployCfg(bundle, seconds=6.0, out=tmp_path_factory.mktemp("out"))) / "flight.log"
+    return (
+        deploy(DeployCfg(bundle, seconds=6.0, out=tmp_path_factory.mktemp("out"))) / "recording.log"
+    )
 
 
 @pytest.fixture(scope="module")
-def flight(log) -> Flight:
-    return read_log(log)
+def flight(log) -> Recording:
+    return read_recording(log)
 
 
+@pytest.mark.usefixtures("short_logs_will_do")
 def test_scores_are_the_models_own_of_the_logged_images(log, flight, bundle):
-    scores = logged_scores((log, log), Bundle.load(bundle))
+    scores = recorded_scores((log, log), Bundle.load(bundle))
     assert [len(runs) for runs in scores.values()] == [2] * 7
     (walk,) = healthy_walks(flight)
     assert len(walk) > 150
@@ -59,7 +64,7 @@ def test_scores_are_the_models_own_of_the_logged_images(log, flight, bundle):
 
 
 def test_a_walk_that_ended_in_trouble_does_not_count(flight):
-    end = next(event for event in flight.events if event.why == "the flight ends")
+    end = next(event for event in flight.events if event.why == "the run ends")
     fallen = replace(end, why="tilted by more than 70 degrees")
     assert list(healthy_walks(replace(flight, events=[*flight.events[:-1], fallen]))) == []
     torn = replace(flight, events=flight.events[:-1], complete=False)
@@ -78,24 +83,46 @@ def test_a_walk_without_a_camera_does_not_count(flight):
     assert list(healthy_walks(replace(flight, ticks=ticks))) == []
 
 
+@pytest.mark.usefixtures("short_logs_will_do")
 def test_calibrate_writes_what_the_log_says(log, flight, bundle):
     beta = run_calibrate(CalibrateCfg(bundle, log=(log,)))
     (walk,) = healthy_walks(flight)
     assert beta == pytest.approx(float(flight.ticks["anomaly"][walk.start : walk.stop].max()))
     selector = Bundle.load(bundle).manifest.selector
     assert selector.beta == beta
-    assert "1 flight log(s)" in selector.calibration
+    assert "1 recording(s)" in selector.calibration
     assert selector.thresholds["reconstruction"] > beta
+    before = (bundle / "manifest.json").read_bytes()
     assert run_calibrate(CalibrateCfg(bundle, log=(log,))) == beta, "again, though beta is new"
+    assert (bundle / "manifest.previous.json").read_bytes() == before, "the old one is kept"
+
+
+def test_seconds_of_walking_are_not_enough(log, bundle):
+    before = (bundle / "manifest.json").read_bytes()
+    with pytest.raises(RenetError, match=r"hold 0\.1 minutes of healthy walking.*at least 5"):
+        run_calibrate(CalibrateCfg(bundle, log=(log,)))
+    assert (bundle / "manifest.json").read_bytes() == before
+
+
+@pytest.mark.usefixtures("short_logs_will_do")
+def test_a_forged_log_cannot_switch_a_monitor_off(flight, bundle, monkeypatch):
+    ticks = flight.ticks.copy()
+    ticks["anomaly"] = 1e9
+    forged = replace(flight, ticks=ticks)
+    monkeypatch.setattr(calibration_log, "read_recording", lambda path: forged)
+    before = (bundle / "manifest.json").read_bytes()
+    with pytest.raises(RenetError, match=r"beta 1e.09 would never object"):
+        run_calibrate(CalibrateCfg(bundle, log=(Path("forged.log"),)))
+    assert (bundle / "manifest.json").read_bytes() == before
 
 
 def test_other_models_and_injected_faults_are_refused(log, bundle, bundle_path, tmp_path):
-    with pytest.raises(RenetError, match="flown with other models"):
-        logged_scores((log,), Bundle.load(bundle_path))
+    with pytest.raises(RenetError, match="made with other models"):
+        recorded_scores((log,), Bundle.load(bundle_path))
     spoilt = deploy(DeployCfg(bundle, seconds=0.1, fault=("blackout@5s",), out=tmp_path))
     with pytest.raises(RenetError, match="injected faults"):
-        logged_scores((spoilt / "flight.log",), Bundle.load(bundle))
+        recorded_scores((spoilt / "recording.log",), Bundle.load(bundle))
     short = deploy(DeployCfg(bundle, seconds=0.1, out=tmp_path))
     with pytest.raises(RenetError, match="no walk with a camera"):
-        logged_scores((short / "flight.log",), Bundle.load(bundle))
+        recorded_scores((short / "recording.log",), Bundle.load(bundle))
     assert json.loads((short / "score.json").read_text())["walking_seconds"] == 0.0

@@ -1,4 +1,4 @@
-"""What the monitors say of logged flights with a healthy camera, for `renet calibrate --log`."""
+"""The monitors' scores in recorded runs with a healthy camera, for `renet calibrate --log`."""
 
 from __future__ import annotations
 
@@ -8,73 +8,83 @@ from pathlib import Path
 import numpy as np
 
 from renet.deploy.bundle import Bundle
-from renet.deploy.flight_log import GOOD, MODES, Flight, read_log
+from renet.deploy.loop import ENDED
+from renet.deploy.recorder import GOOD, MODES
+from renet.deploy.recording import Recording, read_recording
 from renet.deploy.safety import Mode
 from renet.errors import RenetError
-from renet.interface import STEPS_PER_TICK
-from renet.selector.defaults import MONITORS, default_monitors
-from renet.selector.monitors import Sight
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.selector.monitors import MONITORS, SelectorInput, default_monitors
 
 AWAY = 1.0
 """Seconds without a new image after which the camera was unplugged, not late."""
-HEALTHY_ENDS = ("operator stop", "the flight ends")
+MIN_MINUTES = 5.0
+"""Walking time from which thresholds are learnt."""
+HEALTHY_ENDS = ("operator stop", ENDED)
 """Reasons for damping that say nothing against the walk before."""
 WARM_UP = 2 * STEPS_PER_TICK
 """Control steps after walking began without scores of their own: both images must be new."""
 
 
-def logged_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np.ndarray]]:
+def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np.ndarray]]:
     """Every monitor's highest score in each 0.1 s, [T] for each walk, by monitor name.
 
     Walks that ended in trouble are left out, as failed episodes are in simulation.
 
     Raises:
-        RenetError: a log that cannot be read, of another policy, or flown with injected faults; or
-            not one healthy walk in all of them.
+        RenetError: a recording that cannot be read, of another policy, or with injected faults;
+            or too little healthy walking in all of them.
     """
     found: dict[str, list[np.ndarray]] = {name: [] for name in MONITORS}
     for path in logs:
-        flight = read_log(path)
-        _check(flight, path, bundle)
-        for walk in healthy_walks(flight):
-            for name, scores in zip(found, score_walk(flight, walk).T, strict=True):
+        run = read_recording(path)
+        _check(run, path, bundle)
+        for walk in healthy_walks(run):
+            for name, scores in zip(found, score_walk(run, walk).T, strict=True):
                 found[name].append(scores)
     if not next(iter(found.values())):
         raise RenetError("the logs hold no walk with a camera that an operator ended: record one")
+    ticks = sum(len(run) for run in next(iter(found.values())))
+    minutes = ticks * STEPS_PER_TICK * CONTROL_DT / 60.0
+    if minutes < MIN_MINUTES:
+        raise RenetError(
+            f"the logs hold {minutes:.1f} minutes of healthy walking; calibration needs at least "
+            f"{MIN_MINUTES:g}"
+        )
     return found
 
 
-def healthy_walks(flight: Flight) -> Iterator[range]:
+def healthy_walks(run: Recording) -> Iterator[range]:
     """Rows of each stretch of seeing walking that an operator ended, without its start.
 
     One that the log does not see the end of may have ended in a fall, or the battery's pulling.
     """
-    ticks = flight.ticks
+    ticks = run.ticks
     walking = np.concatenate([[False], ticks["mode"] == MODES.index(Mode.WALKING), [False]])
     edges = np.flatnonzero(walking[1:] != walking[:-1])
     for start, end in edges.reshape(-1, 2).tolist():
-        after = [e for e in flight.events if e.time > ticks["now"][end - 1] and e.what in MODES]
+        after = [e for e in run.events if e.time > ticks["now"][end - 1] and e.what in MODES]
         first = start + WARM_UP
         last = first + (end - first) // STEPS_PER_TICK * STEPS_PER_TICK
         healthy = bool(after) and after[0].why in HEALTHY_ENDS
-        seen = (ticks["frame"][first:last] == GOOD) & (ticks["frame_age"][first:last] < AWAY)
-        if healthy and last > first and seen.all():
+        imaged = (ticks["frame"][first:last] == GOOD) & (ticks["frame_age"][first:last] < AWAY)
+        if healthy and last > first and imaged.all():
             yield range(first, last)
 
 
-def score_walk(flight: Flight, walk: range) -> np.ndarray:
+def score_walk(run: Recording, walk: range) -> np.ndarray:
     """Scores [T, monitors] of a stretch of whole ticks."""
     # Only scores are asked for: thresholds do not matter.
     monitors = default_monitors(1.0, dict.fromkeys(MONITORS, 1.0), 1)
-    newest = flight.images[max(row for row in flight.images if row <= walk.start)]
+    newest = run.images[max(row for row in run.images if row <= walk.start)]
     given, image, scores = None, np.zeros(0), []
     for step, row in enumerate(walk):
-        tick, newest = flight.ticks[row], flight.images.get(row, newest)
-        # As in flight, the monitors see the images that were given to the policy.
+        tick, newest = run.ticks[row], run.images.get(row, newest)
+        # As in the run, the monitors see the images that were given to the policy.
         fresh = step % STEPS_PER_TICK == 0 and newest is not given
         if fresh:
             given, image = newest, newest[None].astype(np.float32)
-        sight = Sight(
+        seen = SelectorInput(
             anomaly_score=tick["anomaly"][None],
             image=image,
             fresh=np.array([fresh]),
@@ -83,13 +93,13 @@ def score_walk(flight: Flight, walk: range) -> np.ndarray:
             velocity_op=tick["velocity_op"][None],
             velocity_vp=tick["velocity_vp"][None],
         )
-        scores.append([monitor.score(sight)[0] for monitor in monitors])
+        scores.append([monitor.score(seen)[0] for monitor in monitors])
     table = np.array(scores, float)
     return table.reshape(-1, STEPS_PER_TICK, len(monitors)).max(axis=1)
 
 
-def _check(flight: Flight, path: Path, bundle: Bundle) -> None:
-    if flight.header.get("models") != bundle.manifest.sha256:
-        raise RenetError(f"{path} was flown with other models than {bundle.path}'s")
-    if flight.header.get("fault"):
-        raise RenetError(f"{path} was flown with injected faults: it says nothing of a healthy one")
+def _check(run: Recording, path: Path, bundle: Bundle) -> None:
+    if run.header.get("models") != bundle.manifest.sha256:
+        raise RenetError(f"{path} was made with other models than {bundle.path}'s")
+    if run.header.get("fault"):
+        raise RenetError(f"{path} was made with injected faults: it says nothing of a healthy one")

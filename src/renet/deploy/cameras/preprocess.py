@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from renet.deploy.manifest import CameraSpec
+from renet.deploy.bundle.manifest import CameraSpec
 from renet.errors import RenetError
 
 
@@ -28,7 +28,7 @@ class Pinhole:
     cy: float
 
 
-class Sampler:
+class DepthPreprocessor:
     """Picks a policy's pixels from one camera's images."""
 
     def __init__(self, lens: Pinhole, spec: CameraSpec) -> None:

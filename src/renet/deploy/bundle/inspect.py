@@ -8,9 +8,10 @@ from pathlib import Path
 import tyro
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from renet.deploy.bundle import MODELS, Bundle
-from renet.deploy.manifest import Manifest
+from renet.deploy.bundle.manifest import Manifest
 
 AXES = ("x", "y", "z")
 ELEMENTS = {"command": ("c_x", "sin(c_yaw - yaw)", "cos(c_yaw - yaw)")}
@@ -28,8 +29,8 @@ def inspect(cfg: InspectCfg) -> None:
     """Verify a bundle and print it; raises RenetError if it is damaged."""
     bundle = Bundle.load(cfg.bundle)
     manifest = bundle.manifest
-    console = Console()
-    console.print(f"[bold]{bundle.name}[/] {bundle.sha256[:12]}  {bundle.path}")
+    console = Console(markup=False)  # A bundle's texts are a stranger's.
+    console.print(f"{bundle.name} {bundle.sha256[:12]}  {bundle.path}")
     sizes = [(bundle.path / f"{name}.onnx").stat().st_size for name in MODELS]
     console.print(f"models {sum(sizes) / 1e6:.2f} MB, {manifest.provenance}")
     console.print(f"selector {manifest.selector}")
@@ -58,14 +59,21 @@ def _element(manifest: Manifest, term: str, element: int) -> str:
 def _input_table(manifest: Manifest) -> Table:
     table = Table("index", "input", "unit", "scale", title="proprioception o_t")
     for index, name, unit, scale in input_rows(manifest):
-        table.add_row(str(index), name, unit, f"{scale:g}")
+        table.add_row(str(index), name, Text(unit), f"{scale:g}")
     return table
 
 
 def _robot_table(manifest: Manifest) -> Table:
     robot = manifest.robot
     table = Table(
-        "action", "joint", "default rad", "range rad", "Kp", "Kd", "limit N m", title=robot.name
+        "action",
+        "joint",
+        "default rad",
+        "range rad",
+        "Kp",
+        "Kd",
+        "limit N m",
+        title=Text(robot.name),
     )
     for i, joint in enumerate(robot.joints):
         table.add_row(

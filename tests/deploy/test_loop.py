@@ -13,16 +13,17 @@ from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller, Event
-from renet.deploy.flight_log import FlightLog, read_log
-from renet.deploy.operator import Request, ScriptedOperator
-from renet.deploy.perception import ThreadedPerception
+from renet.deploy.inference import ThreadedInference
+from renet.deploy.loop import BRAKING, run_control_loop
+from renet.deploy.recorder import Recorder
+from renet.deploy.recording import read_recording
 from renet.deploy.replay import mismatch
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
-from renet.deploy.runner import BRAKING, fly
 from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
 
-QUICK = SafetyCfg(rise_seconds=0.5)
+QUICK = SafetyCfg(stand_up_seconds=0.5)
 
 
 @pytest.fixture(scope="module")
@@ -33,21 +34,22 @@ def bundle() -> Bundle:
 class Rig:
     """A simulated robot on the plane, with hooks to break what passes through."""
 
-    def __init__(self, bundle: Bundle, perception=None) -> None:
+    def __init__(self, bundle: Bundle, inference=None) -> None:
         model, ground = build_scene("flat")
         self.body = MujocoRobot(model, bundle.manifest.robot, ground)
+        self.envelope = self.body.envelope
         self.eye = SimCamera(self.body, bundle.manifest.camera, seed=1)
-        self.hand = ScriptedOperator(0.6)
+        self.hand = ScriptedTeleop(0.6)
         self.events: list[Event] = []
         self.commands: list = []
         self.modes: list[Mode] = []
-        self.controller = Controller(bundle, QUICK, perception, on_event=self.events.append)
+        self.controller = Controller(bundle, QUICK, inference, on_event=self.events.append)
         self.on_read: Callable = lambda state, now: state
         self.on_look: Callable = lambda frame, now: frame
-        self.on_ask: Callable = lambda request, now: request
+        self.on_ask: Callable = lambda teleop, now: teleop
         self.on_write: Callable = lambda command, now: None
 
-    # As Robot, Camera and Operator.
+    # As RobotDriver, Camera and Teleop.
 
     def now(self) -> float:
         return self.body.now()
@@ -65,28 +67,30 @@ class Rig:
     def latest(self) -> DepthFrame | None:
         return self.on_look(self.eye.latest(), self.now())
 
-    def request(self, now: float) -> Request:
-        return self.on_ask(self.hand.request(now), now)
+    def command(self, now: float) -> TeleopCommand:
+        return self.on_ask(self.hand.command(now), now)
 
-    def fly(self, seconds: float, log=None) -> None:
+    def run(self, seconds: float, log=None, camera: bool = True) -> None:
         def record(command) -> None:
             self.commands.append(command)
             self.modes.append(self.controller.decision.mode)
 
         end = self.now() + seconds
         self.eye.start()
-        devices: tuple = (self, self, self)
-        fly(*devices, self.controller, log, done=lambda: self.now() >= end, on_step=record)
+        devices: tuple = (self, self if camera else None, self)
+        run_control_loop(
+            *devices, self.controller, log, done=lambda: self.now() >= end, on_step=record
+        )
         self.controller.close()
 
     def whys(self) -> list[str]:
         return [event.why for event in self.events]
 
 
-def logged(bundle: Bundle, rig: Rig, folder: Path) -> FlightLog:
+def logged(bundle: Bundle, rig: Rig, folder: Path) -> Recorder:
     """A log that hears of the rig's events."""
-    header = {"bundle_sha256": bundle.sha256, "safety": vars(QUICK), "paper_selector": False}
-    log = FlightLog(folder / "flight.log", header)
+    header = {"bundle_sha256": bundle.sha256, "safety": vars(QUICK), "selector": "monitors"}
+    log = Recorder(folder / "recording.log", header)
     rig.controller._on_event = lambda event: (rig.events.append(event), log.event(event))
     return log
 
@@ -120,7 +124,7 @@ def test_a_camera_unplugged_and_replugged_50_times_in_one_run(bundle):
         return endings[int(cycle) % len(endings)](frame)
 
     rig.on_look = look
-    rig.fly(26.2)
+    rig.run(26.2)
     assert len(set(plugs)) >= 50
     assert rig.modes[-BRAKING - 1] is Mode.WALKING
     assert rig.body.upright
@@ -129,20 +133,20 @@ def test_a_camera_unplugged_and_replugged_50_times_in_one_run(bundle):
 
 
 def test_a_vision_thread_killed_in_flight_ends_in_op_and_the_robot_walks_on(bundle):
-    perception = ThreadedPerception(bundle.sessions, patience=5.0)
-    rig = Rig(bundle, perception)
+    inference = ThreadedInference(bundle.sessions, patience=5.0)
+    rig = Rig(bundle, inference)
 
-    def kill(request, now):
+    def kill(teleop, now):
         # What `None` ends at the thread's end ends it here too: nobody answers any more.
         if abs(now - 2.0) < 0.001:
-            perception._jobs.put(None)
-            perception._thread.join()
-        return request
+            inference._jobs.put(None)
+            inference._thread.join()
+        return teleop
 
     rig.on_ask = kill
-    rig.fly(4.0)
+    rig.run(4.0)
     whats = [event.what for event in rig.events]
-    assert whats[:4] == ["rising", "walking", "perception", "op"]
+    assert whats[:4] == ["standing_up", "walking", "inference", "op"]
     assert rig.whys()[3] == "the vision thread is late or dead"
     assert rig.events[2].time == pytest.approx(2.0, abs=0.101)
     assert rig.events[3].time <= 2.3
@@ -157,7 +161,7 @@ def test_a_vision_thread_killed_in_flight_ends_in_op_and_the_robot_walks_on(bund
         ({"on_read": during(1.49, 9, lambda: "fine")}, "joint_position"),
         ({"on_ask": during(1.49, 9, boom)}, "operator stop"),
         ({"on_ask": during(1.49, 9, lambda: None)}, "AttributeError"),
-        ({"on_ask": during(1.49, 9, lambda: Request(stop=True))}, "operator stop"),
+        ({"on_ask": during(1.49, 9, lambda: TeleopCommand(stop=True))}, "operator stop"),
         ({"on_write": during(1.49, 1.51, boom)}, "the robot takes no commands: unplugged"),
     ],
 )
@@ -166,14 +170,14 @@ def test_what_ends_in_damping(bundle, tmp_path, spoil, reason):
     for name, hook in spoil.items():
         setattr(rig, name, hook)
     log = logged(bundle, rig, tmp_path)
-    rig.fly(2.0, log)
+    rig.run(2.0, log)
     log.close()
     assert rig.events[-1].what == "damping"
     assert reason in rig.events[-1].why
     assert 1.49 < rig.events[-1].time < 1.57
     after = [c for c, mode in zip(rig.commands, rig.modes, strict=True) if mode is Mode.DAMPING]
     assert all(not command.stiffness.any() for command in after)
-    flight = read_log(tmp_path / "flight.log")
+    flight = read_recording(tmp_path / "recording.log")
     assert len(flight.ticks) == len(rig.commands)
     assert mismatch(flight, bundle) == 0.0
 
@@ -182,18 +186,17 @@ def test_a_terminal_that_is_gone_does_not_end_the_flight(bundle):
     rig = Rig(bundle)
     end = rig.now() + 0.2
     devices: tuple = (rig, rig, rig)
-    fly(*devices, rig.controller, done=lambda: rig.now() >= end, on_step=boom)
+    run_control_loop(*devices, rig.controller, done=lambda: rig.now() >= end, on_step=boom)
     assert rig.now() == pytest.approx(0.2 + 0.02 * BRAKING)
 
 
 def test_without_a_camera_it_walks_on_op_and_replays(bundle, tmp_path):
     rig = Rig(bundle)
-    rig.on_look = lambda frame, now: None
     log = logged(bundle, rig, tmp_path)
-    rig.fly(3.0, log)
+    rig.run(3.0, log, camera=False)
     log.close()
-    assert rig.whys() == ["armed", "risen", "no new image", "the flight ends"]
-    flight = read_log(tmp_path / "flight.log")
+    assert rig.whys() == ["armed", "stood up", "no new image", "the run ends"]
+    flight = read_recording(tmp_path / "recording.log")
     assert not flight.ticks["vision"].any()
     assert mismatch(flight, bundle) == 0.0
 
@@ -202,7 +205,7 @@ def test_what_a_device_complains_of_is_told_once(bundle):
     rig = Rig(bundle)
     rig.on_read = during(0.2, 0.3, boom)
     rig.problem = "connect it by USB 3"  # type: ignore[attr-defined]
-    rig.fly(0.5)
+    rig.run(0.5)
     told = [(event.what, event.why) for event in rig.events]
     assert told.count(("robot", "OSError: unplugged")) == 1
     assert told.count(("camera", "connect it by USB 3")) == 1

@@ -15,23 +15,23 @@ from typing import Protocol
 
 import onnxruntime as ort
 
-from renet.deploy.policy import Percept, TickInputs, perceive
+from renet.deploy.policy import EstimatorInput, EstimatorOutput, infer
 
 Sessions = dict[str, ort.InferenceSession]
 
 
-class Perception(Protocol):
+class Inference(Protocol):
     """Runs ticks of vision and estimators."""
 
     def ready(self) -> bool:
         """Whether `begin` may be called; called once at every tick."""
         ...
 
-    def begin(self, inputs: TickInputs) -> None:
+    def begin(self, inputs: EstimatorInput) -> None:
         """Start a tick."""
         ...
 
-    def take(self) -> Percept | None:
+    def take(self) -> EstimatorOutput | None:
         """The tick's result, once; None if there is none yet."""
         ...
 
@@ -40,31 +40,31 @@ class Perception(Protocol):
         ...
 
 
-class InlinePerception:
+class InlineInference:
     """Every tick is done when it was begun: the same result on every machine."""
 
     def __init__(self, sessions: Sessions) -> None:
         self._sessions = sessions
-        self._percept: Percept | None = None
+        self._percept: EstimatorOutput | None = None
 
     def ready(self) -> bool:
         """Always."""
         return True
 
-    def begin(self, inputs: TickInputs) -> None:
-        """See Perception.begin."""
-        self._percept = perceive(self._sessions, inputs)
+    def begin(self, inputs: EstimatorInput) -> None:
+        """Start a tick."""
+        self._percept = infer(self._sessions, inputs)
 
-    def take(self) -> Percept | None:
-        """See Perception.take."""
-        percept, self._percept = self._percept, None
-        return percept
+    def take(self) -> EstimatorOutput | None:
+        """The tick's result, once."""
+        output, self._percept = self._percept, None
+        return output
 
     def close(self) -> None:
         """Nothing to stop."""
 
 
-class ThreadedPerception:
+class ThreadedInference:
     """Ticks on a daemon thread; a dead thread is replaced at the next tick."""
 
     def __init__(self, sessions: Sessions, patience: float = 0.008) -> None:
@@ -77,8 +77,8 @@ class ThreadedPerception:
         self._start()
 
     def _start(self) -> None:
-        self._jobs: SimpleQueue[TickInputs | None] = SimpleQueue()
-        self._results: SimpleQueue[Percept] = SimpleQueue()
+        self._jobs: SimpleQueue[EstimatorInput | None] = SimpleQueue()
+        self._results: SimpleQueue[EstimatorOutput] = SimpleQueue()
         self._outstanding, self._deadline = False, 0.0
         self._thread = threading.Thread(
             target=_work, args=(self._sessions, self._jobs, self._results), daemon=True
@@ -100,37 +100,39 @@ class ThreadedPerception:
             return self._collect(0.0) is not None and not late
         return True
 
-    def begin(self, inputs: TickInputs) -> None:
-        """See Perception.begin."""
+    def begin(self, inputs: EstimatorInput) -> None:
+        """Start a tick."""
         self._outstanding, self._deadline = True, time.monotonic() + self._patience
         self._jobs.put(inputs)
 
-    def take(self) -> Percept | None:
-        """See Perception.take; waits at most for the rest of `patience`."""
+    def take(self) -> EstimatorOutput | None:
+        """The tick's result, once, or None; waits at most for the rest of `patience`."""
         if not self._outstanding or self._deadline == 0.0:
             return None
         return self._collect(max(self._deadline - time.monotonic(), 0.0))
 
-    def _collect(self, wait: float) -> Percept | None:
+    def _collect(self, wait: float) -> EstimatorOutput | None:
         try:
-            percept = self._results.get(timeout=wait) if wait > 0 else self._results.get_nowait()
+            output = self._results.get(timeout=wait) if wait > 0 else self._results.get_nowait()
         except Empty:
             return None
         self._outstanding = False
-        return percept
+        return output
 
     def close(self) -> None:
-        """See Perception.close."""
+        """Stop the thread."""
         self._jobs.put(None)
         self._thread.join(timeout=1.0)
 
 
 def _work(
-    sessions: Sessions, jobs: SimpleQueue[TickInputs | None], results: SimpleQueue[Percept]
+    sessions: Sessions,
+    jobs: SimpleQueue[EstimatorInput | None],
+    results: SimpleQueue[EstimatorOutput],
 ) -> None:
     while (inputs := jobs.get()) is not None:
         try:
-            results.put(perceive(sessions, inputs))
+            results.put(infer(sessions, inputs))
         except Exception:
             # The thread's end is its report: the control loop sees it at the next tick.
             return

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from renet.camera import Intrinsics
-from renet.deploy.cameras.prepare import Pinhole, Sampler, invalid_share
+from renet.deploy.cameras.preprocess import DepthPreprocessor, Pinhole, invalid_share
 from renet.errors import RenetError
 from renet.training.bundle import camera_spec
 
@@ -17,13 +17,17 @@ LENS = Pinhole(848, 480, 446.8, 446.8, 423.5, 239.5)
 
 def test_every_pixel_is_taken_where_training_casts_its_ray():
     rows, columns = np.mgrid[: LENS.height, : LENS.width]
-    sampler = Sampler(LENS, camera_spec())
+    preprocessor = DepthPreprocessor(LENS, camera_spec())
     rays = Intrinsics().rays().reshape(48, 64, 3)
     left = (LENS.cx - columns) / LENS.fx
     up = (LENS.cy - rows) / LENS.fy
     half_pixel = 0.5 / LENS.fx
-    np.testing.assert_allclose(sampler.image(left + 1.0), (rays[..., 1] + 1) / 2, atol=half_pixel)
-    np.testing.assert_allclose(sampler.image(up + 1.0), (rays[..., 2] + 1) / 2, atol=half_pixel)
+    np.testing.assert_allclose(
+        preprocessor.image(left + 1.0), (rays[..., 1] + 1) / 2, atol=half_pixel
+    )
+    np.testing.assert_allclose(
+        preprocessor.image(up + 1.0), (rays[..., 2] + 1) / 2, atol=half_pixel
+    )
 
 
 def test_a_tilted_plane_looks_as_it_does_to_the_ray_caster():
@@ -34,7 +38,7 @@ def test_a_tilted_plane_looks_as_it_does_to_the_ray_caster():
         downwards = 0.5 - up * np.sqrt(0.75)
         return np.where(downwards > 0.05, 0.4 / np.maximum(downwards, 0.05), 50.0)
 
-    image = Sampler(LENS, camera_spec()).image(depth((LENS.cy - rows) / LENS.fy))
+    image = DepthPreprocessor(LENS, camera_spec()).image(depth((LENS.cy - rows) / LENS.fy))
     rays = Intrinsics().rays()[:, 2].reshape(48, 64)
     expected = torch.as_tensor(depth(rays)).clamp(max=2.0) / 2.0
     np.testing.assert_allclose(image, expected, atol=0.01)
@@ -44,28 +48,28 @@ def test_clipping_and_holes():
     depth = np.full((480, 848), 7.0)
     depth[:, 424:] = 0.0
     depth[300:] = 0.5
-    image = Sampler(LENS, camera_spec()).image(depth)
+    image = DepthPreprocessor(LENS, camera_spec()).image(depth)
     assert set(np.unique(image)) == {np.float32(0.25), np.float32(1.0)}
 
 
 def test_only_the_policys_view_counts_as_invalid():
     raw = np.ones((480, 848), np.uint16)
-    sampler = Sampler(LENS, camera_spec())
+    preprocessor = DepthPreprocessor(LENS, camera_spec())
     raw[:, :100] = 0
-    assert invalid_share(sampler.crop(raw)) == 0.0
+    assert invalid_share(preprocessor.crop(raw)) == 0.0
     raw[:240] = 0
-    assert invalid_share(sampler.crop(raw)) == pytest.approx(0.5, abs=0.01)
+    assert invalid_share(preprocessor.crop(raw)) == pytest.approx(0.5, abs=0.01)
 
 
 def test_a_narrow_camera_is_refused():
     with pytest.raises(RenetError, match="not wide enough"):
-        Sampler(Pinhole(848, 480, 900.0, 446.8, 423.5, 239.5), camera_spec())
+        DepthPreprocessor(Pinhole(848, 480, 900.0, 446.8, 423.5, 239.5), camera_spec())
     with pytest.raises(RenetError, match="not high enough"):
-        Sampler(Pinhole(848, 480, 446.8, 900.0, 423.5, 239.5), camera_spec())
+        DepthPreprocessor(Pinhole(848, 480, 446.8, 900.0, 423.5, 239.5), camera_spec())
 
 
 def test_an_image_of_another_size_than_its_lens_is_refused():
-    sampler = Sampler(LENS, camera_spec())
-    for look in (sampler.image, sampler.crop):
+    preprocessor = DepthPreprocessor(LENS, camera_spec())
+    for look in (preprocessor.image, preprocessor.crop):
         with pytest.raises(RenetError, match=r"\(240, 424\) rows and columns"):
             look(np.ones((240, 424)))

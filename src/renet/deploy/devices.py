@@ -1,8 +1,9 @@
-"""Robot, camera and operator of one flight, made from what the command line asks for."""
+"""Robot, camera and teleop of one run, made from what the command line asks for."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -13,92 +14,105 @@ import numpy as np
 from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.base import Camera
 from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
-from renet.deploy.flight_log import read_log
-from renet.deploy.operator import Operator, ScriptedOperator
-from renet.deploy.robots.base import Robot
+from renet.deploy.recording import read_recording
+from renet.deploy.robots.base import RobotDriver
+from renet.deploy.teleop import ScriptedTeleop, Teleop
 from renet.errors import RenetError
 
 if TYPE_CHECKING:
-    from renet.deploy.launch import DeployCfg
+    from renet.deploy.main import DeployCfg
 
+FIRST_IMAGE = 2.0
+"""Seconds in which a real camera's first image is waited for."""
 GO1 = "Unitree Go1"
 """Robot of the bundles that both drivers take."""
 
 
 @dataclass
-class Crew:
-    """Who flies; `start` and `close` go for all of them."""
+class Devices:
+    """The devices of one run; `start` and `close` go for all of them."""
 
-    robot: Robot
+    robot: RobotDriver
     camera: Camera | None
-    operator: Operator
+    teleop: Teleop
     truth: Callable[[], np.ndarray | None] = lambda: None
     """Where the base is, [3] m, if the robot is simulated."""
+    wait_for_image: bool = False
+    """Whether `start` gives the camera time for its first image."""
     show: Callable[[], None] = lambda: None
     """Shows the simulation; called at every control step."""
 
     def start(self) -> None:
         """Connect to the robot, start the camera."""
         self.robot.connect()
+        self.show()  # What moves is told from here on.
         if self.camera is not None:
             self.camera.start()
+        for _ in range(round(FIRST_IMAGE / 0.01) if self.wait_for_image else 0):
+            if self.camera is None or self.camera.latest() is not None:
+                return
+            time.sleep(0.01)
 
     @property
     def quit(self) -> bool:
         """The operator wants to end the program."""
-        return getattr(self.operator, "quit", False)
+        return getattr(self.teleop, "quit", False)
 
     def close(self) -> None:
         """Let go of everything, the robot first."""
         with ExitStack() as stack:
-            stack.callback(getattr(self.operator, "close", lambda: None))
+            stack.callback(getattr(self.teleop, "close", lambda: None))
             if self.camera is not None:
                 stack.callback(self.camera.close)
             stack.callback(self.robot.close)
 
 
-def make_crew(cfg: DeployCfg, bundle: Bundle, say: Callable[[str], None]) -> Crew:
+def make_devices(cfg: DeployCfg, bundle: Bundle, say: Callable[[str], None]) -> Devices:
     """Set up, without touching a device yet except the operator's; `say` tells the user a line.
 
     Raises:
-        RenetError: a bundle for another robot, or a package or a file that is missing.
+        RenetError: a bundle for another robot or beyond this one's limits, or a missing package
+            or file.
     """
     name = bundle.manifest.robot.name
     if name != GO1:
         raise RenetError(f"the bundle drives a {name}, --robot {cfg.robot} is a {GO1}")
     robot, truth, show = _robot(cfg, bundle, say)
+    robot.envelope.check(bundle.manifest.robot)
     camera = _camera(cfg, bundle, robot)
     if cfg.fault and camera is not None:
         faults = [parse_fault(text) for text in cfg.fault]
         camera = FaultyCamera(camera, faults, robot.now, cfg.seed)
-    return Crew(robot, camera, _operator(cfg), truth, show)
+    return Devices(robot, camera, _teleop(cfg), truth, cfg.robot != "mujoco", show)
 
 
 def _robot(
     cfg: DeployCfg, bundle: Bundle, say: Callable[[str], None]
-) -> tuple[Robot, Any, Callable[[], None]]:
+) -> tuple[RobotDriver, Any, Callable[[], None]]:
     if cfg.robot == "go1":
         from renet.deploy.robots.go1 import Go1Robot
         from renet.deploy.robots.joint_watch import JointWatch
 
-        go1 = Go1Robot(host=cfg.host, power_level=cfg.power_level)
+        go1 = Go1Robot(host=cfg.robot_host, power_level=cfg.power_level)
         return go1, lambda: None, JointWatch(go1.read, say).look if cfg.dry_run else lambda: None
     try:
         from renet.deploy.robots.mujoco import MujocoRobot
         from renet.deploy.robots.scene import build_scene
     except ModuleNotFoundError as error:
-        raise RenetError(f"--robot mujoco needs {error.name}: pip install 'renet[sim]'") from error
+        raise RenetError(
+            f"--robot mujoco needs {error.name}: pip install 'renet-locomotion[sim]'"
+        ) from error
     model, ground = build_scene(cfg.terrain, cfg.level, cfg.scene, cfg.seed)
     robot = MujocoRobot(model, bundle.manifest.robot, ground, cfg.live)
     show: Callable[[], None] = lambda: None  # noqa: E731
     if cfg.viewer:
         from renet.deploy.viewer import BrowserViewer
 
-        show = BrowserViewer(model, robot.data).show
+        show = BrowserViewer(model, robot.data, cfg.host).show
     return robot, lambda: robot.base_position, show
 
 
-def _camera(cfg: DeployCfg, bundle: Bundle, robot: Robot) -> Camera | None:
+def _camera(cfg: DeployCfg, bundle: Bundle, robot: RobotDriver) -> Camera | None:
     spec, kind = bundle.manifest.camera, cfg.camera
     if kind == "auto":
         kind = "sim" if cfg.robot == "mujoco" else "realsense"
@@ -113,19 +127,19 @@ def _camera(cfg: DeployCfg, bundle: Bundle, robot: Robot) -> Camera | None:
     if kind == "replay":
         from renet.deploy.cameras.replay import ReplayCamera
 
-        assert cfg.flight is not None
-        return ReplayCamera(read_log(cfg.flight), robot.now)
+        assert cfg.recording is not None
+        return ReplayCamera(read_recording(cfg.recording), robot.now)
     return None
 
 
-def _operator(cfg: DeployCfg) -> Operator:
-    if cfg.operator == "auto":
-        return ScriptedOperator(cfg.speed)
-    from renet.deploy.consoles import KEYS, JoystickOperator, KeyboardOperator
+def _teleop(cfg: DeployCfg) -> Teleop:
+    if cfg.teleop == "auto":
+        return ScriptedTeleop(cfg.speed)
+    from renet.deploy.teleop import KEYS, JoystickTeleop, KeyboardTeleop
 
-    if cfg.operator == "joystick":
-        return JoystickOperator(deadman=cfg.patience)
+    if cfg.teleop == "joystick":
+        return JoystickTeleop(deadman=cfg.operator_timeout)
     print(f"keys: {KEYS}")
-    if cfg.patience < math.inf:
-        print(f"{cfg.patience:g} s without any key: the robot stands")
-    return KeyboardOperator(deadman=cfg.patience)
+    if cfg.operator_timeout < math.inf:
+        print(f"{cfg.operator_timeout:g} s without any key: the robot stands")
+    return KeyboardTeleop(deadman=cfg.operator_timeout)

@@ -1,0 +1,115 @@
+"""What a switch of estimators does to the joints: target jumps, torque and slip beside other steps.
+
+Robots walk in MuJoCo under the real controller; their camera goes black for half a second, again
+and again, so that OP takes over and hands back. A step counts as a switch for `AFTER` s after it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import tyro
+
+from facts import report
+from renet.deploy.bundle import Bundle
+from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
+from renet.deploy.cameras.sim import SimCamera
+from renet.deploy.controller import Controller
+from renet.deploy.loop import run_control_loop
+from renet.deploy.robots.mujoco import MujocoRobot
+from renet.deploy.robots.scene import build_scene
+from renet.deploy.safety import Mode
+from renet.deploy.teleop import ScriptedTeleop
+from renet.interface import LEGS
+
+AFTER = 3
+"""Control steps."""
+
+
+@dataclass(frozen=True)
+class Cfg:
+    json: Path | None = None
+    """File for the results."""
+    seconds: float = 20.0
+    """Of each run."""
+    seeds: int = 4
+    terrains: tuple[str, ...] = ("flat", "stairs")
+
+
+def walk(bundle: Bundle, terrain: str, seconds: float, seed: int) -> list[tuple]:
+    """(vision, jump, torque, slip) of each walking step."""
+    model, ground = build_scene(terrain, 3, seed=seed)
+    robot = MujocoRobot(model, bundle.manifest.robot, ground)
+    begins = np.arange(4.0, seconds, 7.0)
+    faults = [parse_fault(f"blackout@{begin:g}s+0.5s") for begin in begins]
+    camera = FaultyCamera(SimCamera(robot, bundle.manifest.camera, seed), faults, robot.now, seed)
+    controller, rows = Controller(bundle), []
+    feet = [model.geom(f"{leg}_foot_collision").id for leg in LEGS]
+    before = {"target": None}
+
+    def look(command) -> None:
+        target, last = command.position, before["target"]
+        before["target"] = target
+        if controller.decision.mode is not Mode.WALKING or last is None:
+            return
+        touching = {c.geom1 for c in robot.data.contact} | {c.geom2 for c in robot.data.contact}
+        slip = 0.0
+        for foot in feet:
+            if foot in touching:
+                velocity = np.zeros(6)
+                kind = mujoco.mjtObj.mjOBJ_GEOM
+                mujoco.mj_objectVelocity(model, robot.data, kind, foot, velocity, 0)
+                slip = max(slip, float(np.hypot(*velocity[3:5])))
+        torque = float(np.abs(robot.read().joint_torque).max())
+        jump = float(np.abs(target - last).max())
+        rows.append((controller.decision.vision, jump, torque, slip))
+
+    camera.start()
+    run_control_loop(
+        robot,
+        camera,
+        ScriptedTeleop(0.6),
+        controller,
+        done=lambda: robot.now() >= seconds or not robot.upright,
+        on_step=look,
+    )
+    return rows
+
+
+def spread(values: np.ndarray) -> dict[str, float]:
+    points = np.percentile(values, (50, 90, 99, 100))
+    return {
+        n: round(float(v), 3) for n, v in zip(("p50", "p90", "p99", "max"), points, strict=True)
+    }
+
+
+def main(cfg: Cfg) -> None:
+    bundle, found = Bundle.load(), {}
+    for terrain in cfg.terrains:
+        first, after, others = [], [], []
+        for seed in range(1, cfg.seeds + 1):
+            rows = walk(bundle, terrain, cfg.seconds, seed)
+            vision = np.array([row[0] for row in rows])
+            numbers = np.array([row[1:] for row in rows])
+            switched = np.flatnonzero(vision[1:] != vision[:-1]) + 1
+            near = np.zeros(len(rows), bool)
+            for step in switched:
+                near[step : step + AFTER] = True
+            first.append(numbers[switched])
+            after.append(numbers[near])
+            others.append(numbers[~near])
+        first, after, others = (np.concatenate(part) for part in (first, after, others))
+        found[terrain] = {
+            "switches": len(first),
+            "target_jump_rad": {"switch": spread(first[:, 0]), "others": spread(others[:, 0])},
+            "peak_torque_nm": {"switch": spread(after[:, 1]), "others": spread(others[:, 1])},
+            "foot_slip_m_s": {"switch": spread(after[:, 2]), "others": spread(others[:, 2])},
+        }
+    report(found | {"bundle_sha256": bundle.sha256}, cfg.json)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Cfg))

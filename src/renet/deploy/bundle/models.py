@@ -1,0 +1,158 @@
+"""The three ONNX models of a bundle: what they take and give, and whether they can be trusted to.
+
+A model is a program: it may loop for ever or ask for any amount of memory. It is therefore run once
+in a process of its own, with limits, before this process loads it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+
+from renet.errors import RenetError
+from renet.files import MEGABYTE, read_bytes
+from renet.interface import (
+    ACTION_SIZE,
+    DEPTH_SHAPE,
+    FEET,
+    FRAMES,
+    HEIGHT_MAP_SIZE,
+    LATENT,
+    PROPRIOCEPTION_SIZE,
+)
+from renet.trial import judge, run_trial
+
+MODELS = ("actor", "estimator", "vision")
+MAX_MODEL = 32 * MEGABYTE
+"""Bytes of one model; the shipped ones have 5 MB together."""
+_accepted: set[str] = set()
+
+
+def model_shapes(history: int) -> dict[str, tuple[dict, dict]]:
+    """Inputs and outputs of each model by name, without the batch axis."""
+    depth = (FRAMES, *DEPTH_SHAPE)
+    return {
+        "actor": (
+            {
+                "proprioception": (PROPRIOCEPTION_SIZE,),
+                "latent_op": (LATENT,),
+                "latent_vp": (LATENT,),
+                "op_mask": (1,),
+            },
+            {"action": (ACTION_SIZE,)},
+        ),
+        "estimator": (
+            {
+                "proprioception_history": (history, PROPRIOCEPTION_SIZE),
+                "depth": depth,
+                "latent_op": (LATENT,),
+                "latent_vp": (LATENT,),
+            },
+            {
+                "next_latent_op": (LATENT,),
+                "next_latent_vp": (LATENT,),
+                "velocity_op": (3,),
+                "velocity_vp": (3,),
+                "feet_height": (FEET,),
+                "height_map": (HEIGHT_MAP_SIZE,),
+            },
+        ),
+        "vision": ({"depth": depth}, {"reconstruction": depth, "anomaly_score": ()}),
+    }
+
+
+def read_model(path: Path, sha256: str | None) -> bytes:
+    """A model's bytes; raises RenetError unless they are the ones its manifest describes."""
+    data = read_bytes(path, MAX_MODEL, "model")
+    if hashlib.sha256(data).hexdigest() != sha256:
+        raise RenetError(
+            f"{path} is not the file the manifest describes (sha256 differs): export the bundle "
+            "anew or fetch it again"
+        )
+    # The key under which ONNX names a file of weights; no hash covers that file.
+    if b"location" in data:
+        raise RenetError(f"{path} keeps weights outside of the file: export it as one file")
+    return data
+
+
+def try_models(models: dict[str, bytes], history: int, where: str) -> None:
+    """Run models once, both masks, in a process of its own; models that passed are remembered.
+
+    Args:
+        models: ONNX bytes by name, in the order of `MODELS`.
+        history: proprioceptions that the estimator sees.
+        where: the bundle, for messages.
+
+    Raises:
+        RenetError: one of them cannot run, needs too much time or memory, or has outputs of
+            another shape or type, or that are not finite.
+    """
+    digest = hashlib.sha256(b"".join([str(history).encode(), *models.values()])).hexdigest()
+    if digest in _accepted:
+        return
+    sizes = json.dumps([history, {name: len(data) for name, data in models.items()}])
+    run_trial("renet.deploy.bundle.models", [sizes], where, b"".join(models.values()))
+    _accepted.add(digest)
+
+
+def session(data: bytes, threads: int) -> ort.InferenceSession:
+    """A model ready to run on the CPU."""
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+
+
+def problem(model: ort.InferenceSession, name: str, history: int) -> str:
+    """What is wrong with a model's signature or with what it computes; empty if nothing is."""
+    inputs, outputs = model_shapes(history)[name]
+    for kind, expected, found in (
+        ("input", inputs, model.get_inputs()),
+        ("output", outputs, model.get_outputs()),
+    ):
+        nodes = {node.name: node for node in found}
+        if kind == "input" and set(nodes) - set(expected):
+            return f"{name}.onnx has an unknown input {min(set(nodes) - set(expected))!r}"
+        for key, shape in expected.items():
+            if key not in nodes:
+                return f"{name}.onnx has no {kind} {key!r}: wrong architecture"
+            if nodes[key].type != "tensor(float)":
+                return f"{name}.onnx: {kind} {key!r} is {nodes[key].type}, expected tensor(float)"
+            declared = tuple(nodes[key].shape[1:])
+            # The exporter leaves some outputs' sizes open; inputs must be stated.
+            if (kind == "input" or all(isinstance(n, int) for n in declared)) and declared != shape:
+                return f"{name}.onnx: {kind} {key!r} is {declared} per robot, expected {shape}"
+    for mask in (0.0, 1.0):
+        feed = {key: np.full((1, *shape), 0.5, np.float32) for key, shape in inputs.items()}
+        if "op_mask" in feed:
+            feed["op_mask"][:] = mask
+        for key, value in zip(outputs, model.run(list(outputs), feed), strict=True):
+            found = np.asarray(value)
+            if found.size != int(np.prod(outputs[key])) or found.dtype != np.float32:
+                return f"{name}.onnx gives {key!r} of {found.dtype} {found.shape}"
+            if not np.isfinite(found).all():
+                return f"{name}.onnx gives {key!r} that is not finite"
+    return ""
+
+
+def _trial() -> str:
+    history, sizes = json.loads(sys.argv[1])
+    for name, size in sizes.items():
+        try:
+            found = problem(session(sys.stdin.buffer.read(size), 1), name, history)
+        except Exception as error:  # ONNX Runtime raises its own unrelated types.
+            reason = " ".join(str(error).split())[:300] or type(error).__name__
+            found = f"{name}.onnx is not a model ONNX Runtime can run: {reason}"
+        if found:
+            return found
+    return ""
+
+
+if __name__ == "__main__":
+    judge(_trial)

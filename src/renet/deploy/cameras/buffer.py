@@ -1,0 +1,86 @@
+"""Keeps the newest good image of a camera.
+
+A frame that is malformed, or no newer than the last, is as good as none: the image before it stays
+and grows old, and the selector leaves vision.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from renet.deploy.cameras.base import DepthFrame
+from renet.errors import RenetError
+from renet.interface import DEPTH_SHAPE
+
+FUTURE = 0.05
+"""Seconds by which a frame's time may run ahead of the robot's clock."""
+OLDEST = 1e3
+"""Age in seconds of a frame that never came."""
+
+
+class FrameBuffer:
+    """Checks every frame and keeps the newest good one; never raises."""
+
+    def __init__(self) -> None:
+        self.image: np.ndarray | None = None
+        """[48, 64] float32, rounded as in training; None before the first good frame."""
+        self.invalid = 0.0
+        """Share of its pixels without a measurement."""
+        self.problem = ""
+        """What was wrong with the last frame offered; empty if nothing was."""
+        self._time = -math.inf
+        self._fresh = False
+
+    def offer(self, frame: DepthFrame | None, now: float) -> None:
+        """Look at what the camera has; called at every control tick."""
+        self.problem = ""
+        if frame is None:
+            return
+        try:
+            image, time = clean_frame(frame, now)
+        except RenetError as error:
+            self.problem = str(error)
+            return
+        if time <= self._time:
+            return  # The same frame again, or one that arrived out of order.
+        self.image, self._time, self._fresh = image, time, True
+        self.invalid = float(frame.invalid)
+
+    def age(self, now: float) -> float:
+        """Seconds since the image was taken."""
+        return min(max(now - self._time, 0.0), OLDEST)
+
+    def take(self) -> tuple[np.ndarray | None, bool]:
+        """The image for a vision tick, and whether it is new since the last one."""
+        fresh, self._fresh = self._fresh, False
+        return self.image, fresh
+
+
+def clean_frame(frame: DepthFrame, now: float) -> tuple[np.ndarray, float]:
+    """Image [48, 64] float32 and time of a frame; raises RenetError naming what is wrong.
+
+    Images are rounded to half precision, in which training saw them.
+    """
+    try:
+        shape = np.shape(frame.image)
+        if shape != DEPTH_SHAPE:
+            raise RenetError(f"the depth image has shape {shape}, expected {DEPTH_SHAPE}")
+        with np.errstate(over="ignore"):
+            image = np.asarray(frame.image, np.float16).astype(np.float32)
+        time, invalid = float(frame.time), float(frame.invalid)
+        int(frame.number)
+    except RenetError:
+        raise
+    except Exception as error:  # A driver's object may fail in any way.
+        raise RenetError("the depth frame is none, or not made of numbers") from error
+    if not np.isfinite(image).all():
+        raise RenetError("the depth image is not finite")
+    if image.min() < 0.0 or image.max() > 1.0:
+        raise RenetError("the depth image leaves [0, 1]")
+    if not (math.isfinite(time) and 0.0 <= invalid <= 1.0):
+        raise RenetError("the depth frame's time or invalid share cannot be right")
+    if time > now + FUTURE:
+        raise RenetError("the depth frame's time lies in the future")
+    return image, time

@@ -1,0 +1,169 @@
+"""The 50 Hz loop around the controller: read, decide, write, record, wait.
+
+Whatever a device does, the loop goes on: a robot that cannot be read is damped by the controller,
+a camera that fails costs vision. However the loop ends, its last commands brake.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from renet.deploy.cameras.base import Camera, DepthFrame
+from renet.deploy.controller import Controller
+from renet.deploy.recorder import Recorder
+from renet.deploy.robots.base import JointCommand, RobotDriver, RobotState, next_step
+from renet.deploy.safety import Mode, damping_command, pre_arm_problem
+from renet.deploy.teleop import Teleop, TeleopCommand
+
+BRAKING = 25
+"""Control steps of braking with which every run ends (0.5 s)."""
+ATTEMPTS = 5
+"""Braking commands tried where the loop itself failed."""
+REFUSED = "the robot takes no commands"
+"""Why a robot is damped whose driver fails."""
+ENDED = "the run ends"
+"""Why a robot is damped at the end."""
+
+
+def run_control_loop(
+    robot: RobotDriver,
+    camera: Camera | None,
+    teleop: Teleop,
+    controller: Controller,
+    recorder: Recorder | None = None,
+    *,
+    done: Callable[[], bool] = lambda: False,
+    on_step: Callable[[JointCommand], None] = lambda command: None,
+    truth: Callable[[], np.ndarray | None] = lambda: None,
+    dry_run: bool = False,
+) -> None:
+    """Drive a robot until `done`, then brake.
+
+    Args:
+        robot: connected. Its envelope must hold the controller's bundle.
+        camera: started; None without.
+        teleop: the operator's.
+        controller: decides.
+        recorder: of the run; None without.
+        done: asked at every control step.
+        on_step: told every command.
+        truth: the base's position [3] m, if anyone knows it.
+        dry_run: never write to the robot.
+
+    Raises:
+        RenetError: the bundle asks for more than the robot takes. Whatever `done` or the robot's
+            `wait` raise, and KeyboardInterrupt, pass after the robot was told to brake.
+    """
+    robot.envelope.check(controller.robot)
+    loop = _Loop(robot, camera, teleop, controller, recorder, dry_run)
+    due, braking = robot.now(), 0
+    finished = False
+    try:
+        while braking < BRAKING:
+            braking += braking > 0 or done()
+            command = loop.step(robot.now(), ending=braking > 0, truth=truth)
+            with suppress(Exception):  # A closed terminal must not end a run.
+                on_step(command)
+            due = next_step(robot, due)
+        finished = True
+    finally:
+        if not (finished or dry_run):
+            loop.brake()
+
+
+class _Loop:
+    """One run: its devices, and what each of them last had to say."""
+
+    def __init__(
+        self,
+        robot: RobotDriver,
+        camera: Camera | None,
+        teleop: Teleop,
+        controller: Controller,
+        recorder: Recorder | None,
+        dry_run: bool,
+    ) -> None:
+        self.robot, self.camera, self.teleop = robot, camera, teleop
+        self.controller, self.recorder, self.dry_run = controller, recorder, dry_run
+        self._problems: dict[str, str] = {}
+        self._refused = False
+
+    def step(
+        self, now: float, ending: bool, truth: Callable[[], np.ndarray | None]
+    ) -> JointCommand:
+        """One control step; returns what was commanded."""
+        controller = self.controller
+        if ending:
+            controller.trip(ENDED, now)
+        state = self._ask("robot", self.robot.read, None)
+        frame = None if self.camera is None else self._ask("camera", self.camera.latest, None)
+        self._complain("camera", getattr(self.camera, "problem", ""))
+        asked = self._ask("teleop", lambda: self.teleop.command(now), TeleopCommand(stop=True))
+        if ending:
+            asked = TeleopCommand(stop=True)  # Also so that a replay of the recording brakes here.
+        asked = self._checked(asked, state, frame, now)
+        begun = time.perf_counter()
+        command = controller.tick(state, frame, asked, now)
+        compute_ms = 1000.0 * (time.perf_counter() - begun)
+        if not self.dry_run:
+            self._write(command, state, now)
+        if self.recorder is not None:
+            with suppress(Exception):  # Out of memory, for one: walk on without the recording.
+                decision = controller.decision
+                self.recorder.append(state, frame, asked, now, decision, compute_ms, truth())
+            self._complain("recorder", self.recorder.problem)
+        return command
+
+    def brake(self) -> None:
+        """Tell the robot to brake, whatever failed before."""
+        command = damping_command(self.controller.robot, self.controller.cfg)
+        for _ in range(ATTEMPTS):
+            with suppress(Exception):
+                self.robot.write(self.robot.envelope.clamp(command))
+                return
+
+    def _checked(
+        self, asked: TeleopCommand, state: RobotState | None, frame: DepthFrame | None, now: float
+    ) -> TeleopCommand:
+        """The operator's command, without a wish to stand up that the pre-arm check refuses.
+
+        A refused button must be released first: nothing arms by itself once the check passes.
+        """
+        arming = getattr(asked, "arm", False) and self.controller.machine.mode is Mode.DAMPING
+        if not arming:
+            self._refused = False
+            return asked
+        if not self._refused and not self.dry_run:
+            recording = "" if self.recorder is None else self.recorder.problem
+            camera = self.camera is not None
+            problem = pre_arm_problem(state, asked, frame, camera, recording, now)
+            self._refused = bool(problem)
+            if problem:
+                self.controller.tell(now, "refused", problem)
+        return replace(asked, arm=False) if self._refused else asked
+
+    def _write(self, command: JointCommand, state: RobotState | None, now: float) -> None:
+        try:
+            self.robot.write(self.robot.envelope.clamp(command, state))
+        except Exception as error:
+            self.controller.trip(f"{REFUSED}: {error}", now)
+
+    def _ask(self, device: str, question: Callable[[], Any], otherwise: Any) -> Any:
+        """A device's answer; one that fails says nothing, an operator's that fails says stop."""
+        try:
+            return question()
+        except Exception as error:
+            self._complain(device, f"{type(error).__name__}: {error}")
+            return otherwise
+
+    def _complain(self, device: str, why: str) -> None:
+        """Tell what a device has to say when it says something else than before."""
+        if why and self._problems.get(device) != why:
+            self.controller.tell(self.robot.now(), device, why)
+        self._problems[device] = why

@@ -1,0 +1,109 @@
+"""What a robot's joints may ever be told, whatever a bundle says."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from renet.deploy.bundle.manifest import RobotSpec
+from renet.deploy.robots.base import JointCommand, RobotState
+from renet.errors import RenetError
+from renet.interface import JOINTS
+
+MAX_STIFFNESS, MAX_DAMPING = 100.0, 10.0
+"""N m/rad, N m s/rad. The Go1's published policies use 20 to 40 and 0.5 to 1."""
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """A robot's own limits; arrays follow `interface.JOINTS`."""
+
+    name: str
+    """Robot the limits belong to."""
+    lower: np.ndarray
+    """[12] rad"""
+    upper: np.ndarray
+    """[12] rad"""
+    torque: np.ndarray
+    """[12] N m"""
+    velocity: np.ndarray
+    """[12] rad/s, beyond which a joint is only braked, not driven further."""
+    stiffness: float = MAX_STIFFNESS
+    """Largest Kp, N m/rad."""
+    damping: float = MAX_DAMPING
+    """Largest Kd, N m s/rad."""
+
+    def check(self, robot: RobotSpec) -> None:
+        """Raise RenetError naming joint and number unless a bundle stays within these limits."""
+        limits = (
+            ("stiffness", "N m/rad", 0.0, self.stiffness),
+            ("damping", "N m s/rad", 0.0, self.damping),
+            ("torque_limit", "N m", 0.0, self.torque),
+            ("lower", "rad", self.lower, np.inf),
+            ("upper", "rad", -np.inf, self.upper),
+            ("default_position", "rad", self.lower, self.upper),
+        )
+        for field, unit, least, most in limits:
+            values = np.asarray(getattr(robot, field))
+            outside = (values < np.asarray(least) - 1e-6) | (values > np.asarray(most) + 1e-6)
+            if outside.any():
+                joint = int(outside.argmax())
+                low, high = (float(np.broadcast_to(end, 12)[joint]) for end in (least, most))
+                raise RenetError(
+                    f"the bundle asks for {field} {values[joint]:g} {unit} of {JOINTS[joint]}; "
+                    f"a {self.name} takes {low:g} to {high:g}"
+                )
+
+    def clamp(self, command: JointCommand, state: RobotState | None = None) -> JointCommand:
+        """The nearest command within the limits.
+
+        Args:
+            command: to be sent.
+            state: newest reading, for torque and velocity; None leaves both to the motors.
+
+        Raises:
+            RenetError: the command is not made of [12] finite numbers.
+        """
+        parts = {}
+        for name in ("position", "stiffness", "damping"):
+            value = np.asarray(getattr(command, name), float)
+            if value.shape != (len(JOINTS),) or not np.isfinite(value).all():
+                raise RenetError(f"the command's {name} must be {len(JOINTS)} finite numbers")
+            parts[name] = value
+        position = np.clip(parts["position"], self.lower, self.upper)
+        stiffness = np.clip(parts["stiffness"], 0.0, self.stiffness)
+        damping = np.clip(parts["damping"], 0.0, self.damping)
+        if state is not None and stiffness.any():
+            asked = stiffness * (position - state.joint_position) - damping * state.joint_velocity
+            share = np.minimum(1.0, self.torque / np.maximum(np.abs(asked), 1e-9))
+            stiffness, damping = share * stiffness, share * damping
+            speed = state.joint_velocity
+            driven = (np.abs(speed) > self.velocity) & (asked * speed > 0.0)
+            stiffness = np.where(driven, 0.0, stiffness)
+        return JointCommand(position, stiffness, damping)
+
+
+def read_envelope(name: str, description: Path, velocity: dict[str, float]) -> Envelope:
+    """Limits from a robot's MJCF.
+
+    Args:
+        name: of the robot. description: its MJCF; joints with a range, motors with a force range.
+        velocity: fastest motion of `hip`, `thigh` and `calf` joints, rad/s, which MJCF has no
+            field for.
+    """
+    root = ET.parse(description).getroot()
+    ranges = {j.get("name"): j.get("range", "").split() for j in root.iter("joint")}
+    forces = {g.get("name"): g.get("forcerange", "").split() for g in root.iter("general")}
+    lower, upper = np.array([ranges[joint] for joint in JOINTS], float).T
+    torque = np.array([forces[joint][1] for joint in JOINTS], float)
+    speed = np.array([velocity[joint.split("_")[1]] for joint in JOINTS])
+    return Envelope(name, lower, upper, torque, speed)
+
+
+def go1_envelope() -> Envelope:
+    """The Unitree Go1's: `go1.xml`, and its motors' speeds from the vendor's model."""
+    speeds = {"hip": 30.1, "thigh": 30.1, "calf": 20.06}
+    return read_envelope("Unitree Go1", Path(__file__).with_name("go1.xml"), speeds)

@@ -1,0 +1,208 @@
+"""Sources of an operator's commands: the terminal's keyboard, a Linux joystick, or a script."""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import struct
+import sys
+import termios
+import tty
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from renet.errors import RenetError
+
+MAX_SPEED = 1.0
+"""Fastest forward command of training, m/s (paper)."""
+SPEED_STEP, TURN_STEP = 0.1, 0.1
+"""m/s and rad per key press."""
+TURN_RATE = 1.0
+"""rad/s at a joystick's full deflection."""
+DEAD_ZONE = 0.1
+MOVED = 0.02
+"""Share of a stick's range that it must move to show that somebody holds it: noise is smaller."""
+FADE = 1.0
+"""Seconds in which the speed falls to zero when nobody steers any more."""
+MAX_INPUT = 4096
+"""Bytes of keys or joystick events read in one control step; the rest waits for the next."""
+KEYS = "w/s faster/slower, a/d left/right, r stand up and walk, space stop, q quit"
+
+
+@dataclass(frozen=True)
+class TeleopCommand:
+    """What the operator asks for at one control step."""
+
+    speed: float = 0.0
+    """Forward speed c_x, m/s."""
+    turn: float = 0.0
+    """Sum of all turns asked for, rad, left positive. Only its changes count, and what they ask for
+    is never more than a quarter turn from the robot's heading."""
+    arm: bool = False
+    """Leave damping: stand up and walk."""
+    stop: bool = False
+    """Go to damping at once; wins over everything else."""
+
+
+class Teleop(Protocol):
+    """A source of commands that never makes its caller wait."""
+
+    def command(self, now: float) -> TeleopCommand:
+        """The newest command at a time in seconds on the robot's clock."""
+        ...
+
+
+class ScriptedTeleop:
+    """Arms at once and walks straight ahead."""
+
+    def __init__(self, speed: float) -> None:
+        self.speed = speed
+        self._armed = False
+
+    def command(self, now: float) -> TeleopCommand:
+        """To arm at the first call, the speed from then on."""
+        arm, self._armed = not self._armed, True
+        return TeleopCommand(arm=True) if arm else TeleopCommand(speed=self.speed)
+
+
+class Deadman:
+    """Notices that nobody steers: a joystick out of range or a dead link only falls silent."""
+
+    def __init__(self, timeout: float) -> None:
+        """Set up with the seconds of silence after which nobody steers."""
+        self._timeout = timeout
+        self._heard: float | None = None
+
+    def authority(self, heard: bool, now: float) -> float:
+        """Share of the speed that still counts: 1, and 0 once `timeout` + `FADE` s were silent."""
+        if heard or self._heard is None:
+            self._heard = now
+        silent = now - self._heard - self._timeout
+        return min(max(1.0 - silent / FADE, 0.0), 1.0)
+
+
+class KeyboardTeleop:
+    """Reads the keys of `KEYS` from a terminal. Closing the terminal stops the robot."""
+
+    def __init__(self, stream: Any = None, deadman: float = math.inf) -> None:
+        """Take over the terminal; raises RenetError if there is none.
+
+        Args:
+            stream: of the terminal, standard input by default.
+            deadman: seconds without any key after which the robot stands.
+        """
+        self._stream = sys.stdin if stream is None else stream
+        try:
+            self._descriptor = self._stream.fileno()
+            self._before = termios.tcgetattr(self._descriptor)
+            tty.setcbreak(self._descriptor)
+        except (termios.error, OSError, ValueError) as error:
+            raise RenetError(
+                "--teleop keyboard needs a terminal: run renet in one, or take a joystick"
+            ) from error
+        self.speed = self.turn = 0.0
+        self._deadman = Deadman(deadman)
+        self.quit = False
+        """The operator wants to end the program."""
+
+    def command(self, now: float) -> TeleopCommand:
+        """All keys pressed since the last call; a stop among them wins."""
+        arm, keys = False, b""
+        if select.select([self._descriptor], [], [], 0.0)[0]:
+            keys = os.read(self._descriptor, MAX_INPUT)
+            self.quit |= not keys  # The terminal is gone.
+        for key in keys:
+            match chr(key):
+                case "w":
+                    self.speed = min(self.speed + SPEED_STEP, MAX_SPEED)
+                case "s":
+                    self.speed = max(self.speed - SPEED_STEP, 0.0)
+                case "a":
+                    self.turn += TURN_STEP
+                case "d":
+                    self.turn -= TURN_STEP
+                case "r":
+                    arm, self.speed = True, 0.0
+                case "q":
+                    self.quit = True
+        authority = self._deadman.authority(bool(keys), now)
+        if authority == 0.0:
+            self.speed = 0.0
+        stop = b" " in keys or self.quit
+        return TeleopCommand(authority * self.speed, self.turn, arm, stop)
+
+    def close(self) -> None:
+        """Give the terminal back."""
+        with suppress(termios.error):  # A terminal that is lost has nothing to be given back.
+            termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
+
+
+class JoystickTeleop:
+    """Left stick up: speed. Right stick left and right: heading. Start arms; A or B stops."""
+
+    EVENT = struct.Struct("<IhBB")
+    BUTTON, AXIS, INITIAL = 1, 2, 0x80
+    SPEED_AXIS, TURN_AXIS = 1, 3
+    ARM_BUTTONS, STOP_BUTTONS = (7,), (0, 1)
+
+    def __init__(self, device: Path = Path("/dev/input/js0"), deadman: float = math.inf) -> None:
+        """Open the device; raises RenetError if there is none.
+
+        Args:
+            device: of the joystick.
+            deadman: seconds without a move of stick or button after which the robot stands.
+        """
+        try:
+            self._device = os.open(device, os.O_RDONLY | os.O_NONBLOCK)
+        except OSError as error:
+            raise RenetError(f"no joystick at {device}: {error.strerror}") from error
+        self._axes: dict[int, float] = {}
+        self._held: dict[int, float] = {}
+        self._turn, self._time = 0.0, None
+        self._deadman = Deadman(deadman)
+        self.quit = False
+        """The operator wants to end the program."""
+
+    def command(self, now: float) -> TeleopCommand:
+        """Where the sticks are; an unplugged joystick stops the robot."""
+        arm = stop = heard = False
+        try:
+            data = os.read(self._device, MAX_INPUT // self.EVENT.size * self.EVENT.size)
+            if not data or len(data) % self.EVENT.size:
+                raise OSError("the joystick is gone")
+            for _, value, kind, number in self.EVENT.iter_unpack(data):
+                if kind & ~self.INITIAL == self.AXIS:
+                    heard |= self._moved(number, value / 32767.0)
+                elif kind == self.BUTTON:
+                    heard = True
+                    arm |= bool(value) and number in self.ARM_BUTTONS
+                    stop |= bool(value) and number in self.STOP_BUTTONS
+        except BlockingIOError:  # Nothing new.
+            pass
+        except OSError:
+            stop = True
+        passed = 0.0 if self._time is None else max(now - self._time, 0.0)
+        self._time = now
+        authority = self._deadman.authority(heard, now)
+        self._turn -= authority * TURN_RATE * self._axis(self.TURN_AXIS) * min(passed, 0.1)
+        speed = authority * MAX_SPEED * max(-self._axis(self.SPEED_AXIS), 0.0)
+        return TeleopCommand(speed, self._turn, arm, stop)
+
+    def close(self) -> None:
+        """Close the device."""
+        os.close(self._device)
+
+    def _moved(self, number: int, value: float) -> bool:
+        """Note an axis; returns whether it moved by more than its noise since it last did."""
+        self._axes[number] = value
+        moved = abs(value - self._held.get(number, 0.0)) >= MOVED
+        if moved:
+            self._held[number] = value
+        return moved
+
+    def _axis(self, number: int) -> float:
+        value = self._axes.get(number, 0.0)
+        return value if abs(value) > DEAD_ZONE else 0.0

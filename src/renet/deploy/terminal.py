@@ -1,0 +1,40 @@
+"""Prints from a thread of its own: a terminal that stalls must not stall a robot."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+from queue import Full, Queue
+
+MAX_WAITING = 1000
+"""Lines that wait for a terminal that takes none; later ones are lost."""
+
+
+class Terminal:
+    """Prints lines in order, later.
+
+    `logging.handlers.QueueListener` would do, if its `stop` did not wait for a hung terminal.
+    """
+
+    def __init__(self) -> None:
+        self._lines: Queue[str | None] = Queue(MAX_WAITING)
+        self._thread = threading.Thread(target=self._print, daemon=True)
+        self._thread.start()
+
+    def say(self, line: str) -> None:
+        """Print a line soon."""
+        with suppress(Full):
+            self._lines.put_nowait(line)
+
+    def close(self) -> None:
+        """Print what is left; give up after a second on a terminal that takes nothing."""
+        with suppress(Full):
+            self._lines.put(None, timeout=1.0)
+        self._thread.join(timeout=1.0)
+
+    def _print(self) -> None:
+        while (line := self._lines.get()) is not None:
+            try:
+                print(line, flush=True)
+            except OSError:  # The terminal is gone.
+                return

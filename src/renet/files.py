@@ -1,0 +1,145 @@
+"""Reads and writes files of unknown origin: regular files only, within stated limits."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import zlib
+from pathlib import Path
+from typing import Any
+
+from renet.errors import RenetError
+
+MEGABYTE = 1_000_000
+MAX_JSON = 4 * MEGABYTE
+"""Bytes. Python objects need up to about 25 times the space of their JSON."""
+MAX_DEPTH = 32
+"""Deepest nesting of JSON values."""
+
+
+def read_bytes(path: Path, limit: int, what: str = "file") -> bytes:
+    """Read a whole file without ever waiting for another program.
+
+    Args:
+        path: of the file.
+        limit: most bytes it may have.
+        what: the file's name in messages, such as "manifest".
+
+    Raises:
+        RenetError: no such file, not a regular file (a folder, device, pipe or socket), larger
+            than the limit, or unreadable.
+    """
+    try:
+        # Without O_NONBLOCK, opening a named pipe waits for its writer.
+        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise RenetError(f"the {what} {path} is not a regular file")
+            data = b"" if os.fstat(file.fileno()).st_size > limit else file.read(limit + 1)
+            size = max(os.fstat(file.fileno()).st_size, len(data))
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the path.
+        raise RenetError(f"cannot read the {what} {path}: {error}") from error
+    if size > limit:
+        raise RenetError(
+            f"the {what} {path} has {size / MEGABYTE:.1f} MB; "
+            f"at most {limit / MEGABYTE:g} MB are read"
+        )
+    return data
+
+
+def read_json(path: Path, what: str = "file", limit: int = MAX_JSON) -> Any:
+    """Read a JSON file.
+
+    Args:
+        path: of the file.
+        what: the file's name in messages.
+        limit: most bytes it may have.
+
+    Returns:
+        Its value. Callers check its type.
+
+    Raises:
+        RenetError: as `read_bytes`; or not JSON, or nested deeper than `MAX_DEPTH`.
+    """
+    return parse_json(read_bytes(path, limit, what), f"{what} {path}")
+
+
+def parse_json(data: bytes | str, what: str) -> Any:
+    """Parse JSON; raises RenetError naming `what` if it is none or too deep."""
+    try:
+        value = json.loads(data)
+    except RecursionError as error:
+        raise RenetError(f"the {what} is nested deeper than {MAX_DEPTH} levels") from error
+    except ValueError as error:
+        raise RenetError(f"the {what} is not JSON: {error}") from error
+    level = [value]
+    for _ in range(MAX_DEPTH):
+        level = [
+            item
+            for outer in level
+            if isinstance(outer, dict | list)
+            for item in (outer.values() if isinstance(outer, dict) else outer)
+        ]
+        if not level:
+            return value
+    raise RenetError(f"the {what} is nested deeper than {MAX_DEPTH} levels")
+
+
+def read_object(path: Path, what: str = "file", limit: int = MAX_JSON) -> dict[str, Any]:
+    """`read_json` of a file that must hold a JSON object; raises RenetError if it does not."""
+    value = read_json(path, what, limit)
+    if not isinstance(value, dict):
+        raise RenetError(f"the {what} {path} must hold a JSON object, not {type(value).__name__}")
+    return value
+
+
+def decompress(data: bytes, limit: int, what: str) -> bytes:
+    """Undo zlib's compression; raises RenetError for damage or a result above `limit` bytes."""
+    stream = zlib.decompressobj()
+    try:
+        plain = stream.decompress(data, limit)
+    except zlib.error as error:
+        raise RenetError(f"the {what} is damaged: {error}") from error
+    if stream.unconsumed_tail:
+        raise RenetError(f"the {what} unpacks to more than {limit / MEGABYTE:g} MB")
+    if not stream.eof:
+        raise RenetError(f"the {what} is damaged: its compressed data ends early")
+    return plain
+
+
+def require_regular(path: Path, limit: int, what: str = "file") -> Path:
+    """The path of a regular file within `limit` bytes, for libraries that open it themselves.
+
+    Raises:
+        RenetError: no such file, not a regular file, or larger than the limit.
+    """
+    try:
+        found = path.stat()
+    except (OSError, ValueError) as error:
+        raise RenetError(f"cannot read the {what} {path}: {error}") from error
+    if not stat.S_ISREG(found.st_mode):
+        raise RenetError(f"the {what} {path} is not a regular file")
+    if found.st_size > limit:
+        raise RenetError(
+            f"the {what} {path} has {found.st_size / MEGABYTE:.1f} MB; "
+            f"at most {limit / MEGABYTE:g} MB are read"
+        )
+    return path
+
+
+def write_atomically(path: Path, data: bytes, what: str = "file") -> None:
+    """Write beside a file's final place, flush to the disk and rename.
+
+    Raises:
+        RenetError: it cannot be written; what was at `path` is then unchanged.
+    """
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        with partial.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise RenetError(f"cannot write the {what} {path}: {error}") from error

@@ -1,0 +1,69 @@
+"""The robot's own limits, which no bundle and no command can widen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from renet.deploy.robots.base import JointCommand
+from renet.deploy.robots.envelope import go1_envelope
+from renet.errors import RenetError
+from renet.interface import JOINTS
+from renet.tasks.config.go1 import GO1
+
+from . import fakes
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("stiffness", 1000.0, r"stiffness 1000 N m/rad of FL_hip_joint; a Unitree Go1 takes 0 to"),
+        ("damping", 11.0, "damping 11 N m s/rad of FL_hip_joint"),
+        ("torque_limit", 30.0, "torque_limit 30 N m of FL_hip_joint"),
+        ("lower", -100.0, "lower -100 rad of FL_hip_joint"),
+        ("upper", 100.0, "upper 100 rad of FL_hip_joint"),
+    ],
+)
+def test_a_bundle_beyond_the_robots_envelope_is_refused_by_joint_and_number(
+    manifest, field, value, message
+):
+    values = list(getattr(manifest.robot, field))
+    values[3] = value
+    with pytest.raises(RenetError, match=message):
+        go1_envelope().check(replace(manifest.robot, **{field: tuple(values)}))
+    go1_envelope().check(manifest.robot)
+
+
+def test_the_envelope_is_the_task_s_robot():
+    envelope, motors = go1_envelope(), GO1.motors
+    for joint, name in enumerate(JOINTS):
+        motor = motors[name.split("_")[1]]
+        assert envelope.torque[joint] == pytest.approx(motor.torque)
+        assert envelope.velocity[joint] == pytest.approx(motor.velocity, rel=0.01)
+
+
+@given(
+    position=arrays(float, 12, elements=st.floats(-1e6, 1e6)),
+    gains=arrays(float, (2, 12), elements=st.floats(-1e6, 1e6)),
+    joints=arrays(float, 12, elements=st.floats(-3, 3)),
+    speed=arrays(float, 12, elements=st.floats(-60, 60)),
+)
+def test_every_command_is_clamped_into_the_envelope(position, gains, joints, speed):
+    envelope = go1_envelope()
+    state = fakes.state(joint_position=joints, joint_velocity=speed)
+    command = envelope.clamp(JointCommand(position, *gains), state)
+    assert ((command.position >= envelope.lower) & (command.position <= envelope.upper)).all()
+    assert ((command.stiffness >= 0) & (command.stiffness <= 100)).all()
+    assert ((command.damping >= 0) & (command.damping <= 10)).all()
+    spring = command.stiffness * (command.position - joints)
+    driven = (np.abs(speed) > envelope.velocity) & (spring * speed > 0)
+    torque = spring - command.damping * speed
+    slow = ~driven & (np.abs(speed) <= envelope.velocity)
+    assert (np.abs(torque[slow]) <= envelope.torque[slow] + 1e-6).all()
+    again = envelope.clamp(command, state)
+    np.testing.assert_allclose(again.position, command.position)

@@ -1,0 +1,300 @@
+"""Whatever kills or stalls the program, the robot is braked and nothing waits for ever."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("unitree_legged_sdk.robot_interface", reason="needs renet-locomotion[go1]")
+
+from renet.deploy import recorder as recording
+from renet.deploy.bundle import Bundle
+from renet.deploy.controller import Controller
+from renet.deploy.loop import run_control_loop
+from renet.deploy.main import _interruptible
+from renet.deploy.recorder import Recorder
+from renet.deploy.robots.envelope import go1_envelope
+from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
+from renet.deploy.terminal import Terminal
+from renet.interface import CONTROL_DT
+
+from .fakes import state
+from .go1_peer import Peer, free_port
+from .waiting import until
+
+CONTROLLER = """
+import ctypes, os, resource, signal, sys, time
+import numpy as np
+from renet.deploy.robots.base import JointCommand
+from renet.deploy.robots.go1 import Go1Robot
+
+def main():
+    robot = Go1Robot("127.0.0.1", int(sys.argv[1]), int(sys.argv[2]), timeout=60.0, sink=0.3)
+    robot.connect()
+    default = np.tile([0.1, 0.9, -1.8, -0.1, 0.9, -1.8], 2)
+    stiff = JointCommand(default, np.full(12, 40.0), np.ones(12))
+    for step in range(10**9):
+        robot.write(stiff)
+        robot.wait(robot.now() + 0.02)
+        if step == 25:
+            print("up", flush=True)
+            {how}
+
+main()
+"""
+AT_ONCE = 10
+"""Stiff commands that may still reach the robot after the end: 20 ms at 500 Hz."""
+
+
+@pytest.fixture
+def peer() -> Iterator[Peer]:
+    peer = Peer()
+    peer.still = True
+    with peer.serving():
+        yield peer
+    peer.close()
+
+
+def controller(peer: Peer, how: str = "pass") -> subprocess.Popen:
+    """A process that commands the robot stiffly, and then does something."""
+    code = CONTROLLER.replace("{how}", how)
+    arguments = [sys.executable, "-c", code, str(peer.port), str(free_port())]
+    process = subprocess.Popen(
+        arguments, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=os.environ
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"up\n"
+    assert peer.stiff > 0
+    return process
+
+
+def end(process: subprocess.Popen) -> None:
+    process.kill()
+    process.wait()
+    process.stdout.close()
+
+
+@pytest.mark.parametrize(
+    "name", ["KILL", "SEGV", "ABRT", "STOP", "USR1", "USR2", "BUS", "TERM", "HUP", "QUIT"]
+)
+def test_a_signal_that_ends_or_stops_the_controller_brakes_at_once(peer, name):
+    process = controller(peer)
+    process.send_signal(signal.Signals[f"SIG{name}"])
+    killed = time.time_ns()
+    until(lambda: peer.braked)
+    late = [s for s, at in zip(peer.commands, peer.arrivals, strict=False) if at > killed]
+    assert sum(bool(sent[:, 4].any()) for sent in late) <= AT_ONCE
+    end(process)
+    time.sleep(0.4)  # The sender ends 0.3 s after its controller.
+    sent = len(peer.commands)
+    assert peer.braked, "and it stays braked"
+    time.sleep(0.1)
+    assert len(peer.commands) == sent, "the sender is gone"
+
+
+def test_a_controller_that_was_stopped_and_goes_on_is_obeyed_again_by_new_commands(peer):
+    process = controller(peer)
+    process.send_signal(signal.SIGSTOP)
+    until(lambda: peer.braked)
+    process.send_signal(signal.SIGCONT)
+    until(lambda: not peer.braked)
+    end(process)
+    until(lambda: peer.braked)
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        "os._exit(0)",
+        "os.abort()",
+        "1 / 0",
+        "ctypes.string_at(0)",
+        "resource.setrlimit(resource.RLIMIT_DATA, (0, 0)); bytearray(1 << 40)",
+        "ctypes.PyDLL(None).sleep(60)",  # Holds the interpreter: not even signs of life.
+        "time.sleep(60)",
+        "while True: pass",
+        "os.close(robot._pipe); time.sleep(60)",
+        "os.kill(os.getppid(), 0); os.kill(os.getpid(), signal.SIGTTOU); time.sleep(60)",
+    ],
+)
+def test_a_controller_that_crashes_or_hangs_by_itself_brakes(peer, how):
+    process = controller(peer, how)
+    until(lambda: peer.braked)
+    end(process)
+    until(lambda: peer.braked)
+
+
+class Standing:
+    """A robot that stands still on a clock of its own, and remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.envelope, self.time, self.told = go1_envelope(), 0.0, []
+        self.wait_fails = None
+
+    def now(self) -> float:
+        return self.time
+
+    def wait(self, until: float) -> None:
+        if self.wait_fails is not None and self.time > 0.5:
+            raise self.wait_fails
+        self.time = until
+
+    def read(self):
+        return state(self.time)
+
+    def write(self, command) -> None:
+        self.told.append(command)
+
+    @property
+    def braked(self) -> bool:
+        return not self.told[-1].stiffness.any() and bool((self.told[-1].damping > 0).all())
+
+
+@pytest.fixture(scope="module")
+def bundle() -> Bundle:
+    return Bundle.load()
+
+
+def walk(bundle: Bundle, robot: Standing, seconds=1.0, log=None, **options) -> Controller:
+    controller = Controller(bundle, SafetyCfg(stand_up_seconds=0.1))
+    done = options.pop("done", lambda: robot.time >= seconds)
+    run_control_loop(robot, None, ScriptedTeleop(0.5), controller, log, done=done, **options)
+    return controller
+
+
+@pytest.mark.parametrize("error", [OSError("gone"), KeyboardInterrupt(), MemoryError()])
+@pytest.mark.parametrize("where", ["wait", "done"])
+def test_a_loop_that_fails_brakes_before_it_ends(bundle, error, where):
+    robot = Standing()
+
+    def fails() -> bool:
+        if robot.time > 0.5:
+            assert not robot.braked
+            raise error
+        return False
+
+    if where == "wait":
+        robot.wait_fails = error
+    with pytest.raises(type(error)):
+        walk(bundle, robot, done=fails if where == "done" else lambda: False)
+    assert robot.braked
+    assert len(robot.told) < 40
+
+
+def test_a_recorder_without_memory_does_not_end_the_run(bundle):
+    def no_memory(*arguments):
+        raise MemoryError
+
+    robot = Standing()
+    walk(bundle, robot, log=SimpleNamespace(append=no_memory, problem=""))
+    assert robot.braked
+    assert len(robot.told) > 70
+
+
+def test_a_driver_that_takes_nothing_once_is_asked_to_brake_again(bundle):
+    robot, failures = Standing(), [OSError()] * 3
+    real = robot.write
+
+    def write(command) -> None:
+        if robot.time > 0.5 and failures:
+            raise failures.pop()
+        real(command)
+
+    robot.write, robot.wait_fails = write, KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
+        walk(bundle, robot)
+    assert robot.braked
+
+
+class Hang:
+    """Blocks whoever calls it until it is let go."""
+
+    def __init__(self) -> None:
+        self.reached, self.go = threading.Event(), threading.Event()
+
+    def __call__(self, *arguments, **named) -> None:
+        self.reached.set()
+        self.go.wait(60)
+
+
+@pytest.fixture
+def hang() -> Iterator[Hang]:
+    hang = Hang()
+    yield hang
+    hang.go.set()
+
+
+def test_a_hung_disk_neither_delays_a_step_nor_grows_the_queue_nor_hangs_the_end(
+    bundle, tmp_path, monkeypatch, hang
+):
+    monkeypatch.setattr(recording.os, "fsync", hang)
+    monkeypatch.setattr(recording, "CLOSING", 0.1)
+    log = Recorder(tmp_path / "a.log", {})
+    robot, told = Standing(), []
+    controller = walk(bundle, robot, 100.0, log, on_step=lambda command: told.append(log.problem))
+    log.close()
+    assert hang.reached.is_set()
+    assert controller.machine.reason == "the run ends", "every step was made"
+    assert log._chunks.qsize() <= recording.MAX_WAITING
+    assert "the disk does not keep up" in log.problem
+    assert told[0] == "", "it was told while the robot walked"
+    assert told[-1] == log.problem
+    assert log.hung
+
+
+def test_a_hung_terminal_loses_lines_and_nothing_else(monkeypatch, hang):
+    monkeypatch.setattr("builtins.print", hang)
+    terminal = Terminal()
+    for number in range(5000):
+        terminal.say(str(number))
+    assert terminal._lines.qsize() <= 1000
+    terminal.close()
+
+
+def test_arming_with_the_recording_already_lost_is_refused(bundle):
+    robot, events = Standing(), []
+    controller = Controller(bundle, SafetyCfg(stand_up_seconds=0.1), on_event=events.append)
+    log = SimpleNamespace(append=lambda *arguments: None, problem="the recording ends early")
+    done = lambda: robot.time > 0.5  # noqa: E731
+    run_control_loop(robot, None, ScriptedTeleop(0.5), controller, log, done=done)
+    assert [(e.what, e.why) for e in events if e.what == "refused"] == [
+        ("refused", "the recording ends early")
+    ]
+    assert all(not command.stiffness.any() for command in robot.told)
+
+
+def test_a_second_ctrl_c_interrupts_and_the_first_does_not():
+    with _interruptible() as asked:
+        assert not asked()
+        os.kill(os.getpid(), signal.SIGINT)
+        assert asked()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_operator_who_holds_the_button_does_not_arm_when_the_check_passes(bundle):
+    """A refused wish to stand up must be asked for anew."""
+
+    class Holding:
+        def command(self, now: float) -> TeleopCommand:
+            return TeleopCommand(speed=0.3 if now < 0.2 else 0.0, arm=now < 0.4 or now > 0.6)
+
+    robot, modes = Standing(), []
+    controller = Controller(bundle, SafetyCfg(stand_up_seconds=0.1))
+    done = lambda: robot.time > 0.8  # noqa: E731
+    seen = lambda command: modes.append((robot.time, controller.machine.mode))  # noqa: E731
+    run_control_loop(robot, None, Holding(), controller, done=done, on_step=seen)
+    armed = [time for time, mode in modes if mode is Mode.STANDING_UP]
+    assert armed[0] == pytest.approx(0.6, abs=2 * CONTROL_DT)
+    assert np.isfinite(armed).all()

@@ -1,0 +1,198 @@
+"""Keys through a real pseudo-terminal, a joystick's events through a pipe."""
+
+from __future__ import annotations
+
+import io
+import os
+import pty
+import struct
+import termios
+from contextlib import suppress
+
+import pytest
+
+from renet.deploy.teleop import Deadman, JoystickTeleop, KeyboardTeleop, TeleopCommand
+from renet.errors import RenetError
+
+
+@pytest.fixture
+def terminal():
+    master, slave = pty.openpty()
+    with os.fdopen(slave) as stream:
+        yield master, stream
+
+
+def test_keys(terminal):
+    master, stream = terminal
+    keyboard = KeyboardTeleop(stream)
+    assert keyboard.command(0.0) == TeleopCommand()
+    os.write(master, b"r")
+    assert keyboard.command(0.0) == TeleopCommand(arm=True)
+    os.write(master, b"wwwsaad?")
+    teleop = keyboard.command(0.0)
+    assert (teleop.speed, teleop.turn) == (pytest.approx(0.2), pytest.approx(0.1))
+    os.write(master, b"w" * 50)
+    assert keyboard.command(0.0).speed == 1.0
+    os.write(master, b" ")
+    assert keyboard.command(0.0).stop
+    assert not keyboard.command(0.0).stop
+    assert not keyboard.quit
+    os.write(master, b"q")
+    assert keyboard.command(0.0).stop
+    assert keyboard.command(0.0).stop
+    assert keyboard.quit
+
+
+def test_a_foreign_letter_is_no_key(terminal):
+    master, stream = terminal
+    keyboard = KeyboardTeleop(stream)
+    os.write(master, "wö€".encode())
+    assert keyboard.command(0.0) == TeleopCommand(speed=0.1)
+    assert not keyboard.quit
+
+
+def test_without_any_key_it_stands_until_told_anew(terminal):
+    master, stream = terminal
+    keyboard = KeyboardTeleop(stream, deadman=5.0)
+    os.write(master, b"wwww")
+    assert keyboard.command(0.0).speed == keyboard.command(5.0).speed == pytest.approx(0.4)
+    assert keyboard.command(5.5).speed == pytest.approx(0.2)
+    os.write(master, b"\n")
+    assert keyboard.command(5.6).speed == pytest.approx(0.4), "any key is a sign of life"
+    assert keyboard.command(11.7) == TeleopCommand()
+    os.write(master, b"\n")
+    assert keyboard.command(11.8) == TeleopCommand(), "it does not leap back to the old speed"
+
+
+def test_arming_again_forgets_the_old_speed(terminal):
+    master, stream = terminal
+    keyboard = KeyboardTeleop(stream)
+    os.write(master, b"wwwr")
+    assert keyboard.command(0.0) == TeleopCommand(arm=True)
+
+
+def test_the_terminal_is_given_back(terminal):
+    _, stream = terminal
+    before = termios.tcgetattr(stream)
+    keyboard = KeyboardTeleop(stream)
+    assert termios.tcgetattr(stream) != before
+    keyboard.close()
+    assert termios.tcgetattr(stream) == before
+
+
+def test_a_lost_terminal_stops():
+    master, slave = pty.openpty()
+    keyboard = KeyboardTeleop(os.fdopen(slave))
+    os.close(master)
+    assert keyboard.command(0.0).stop
+    assert keyboard.quit
+    keyboard.close()
+
+
+def test_no_terminal():
+    with pytest.raises(RenetError, match="needs a terminal"):
+        KeyboardTeleop(io.StringIO())
+
+
+@pytest.fixture
+def stick(tmp_path):
+    """A joystick and what writes its events: (value, kind, number)."""
+    path = tmp_path / "js0"
+    os.mkfifo(path)
+    joystick = JoystickTeleop(path)
+    writer = os.open(path, os.O_WRONLY)
+
+    def event(value: int, kind: int, number: int) -> None:
+        os.write(writer, struct.pack("<IhBB", 0, value, kind, number))
+
+    yield joystick, event, writer
+    joystick.close()
+
+
+def test_sticks_and_buttons(stick):
+    joystick, event, _ = stick
+    event(0, 0x82, 1)
+    event(1, 1, 7)
+    assert joystick.command(0.0) == TeleopCommand(arm=True)
+    event(-32767, 2, 1)
+    event(-16384, 2, 3)
+    teleop = joystick.command(0.1)
+    assert (teleop.speed, teleop.turn) == (1.0, pytest.approx(0.05, abs=1e-4))
+    assert joystick.command(0.2).turn == pytest.approx(0.1, abs=1e-4)
+    event(32767, 2, 1)
+    event(1000, 2, 3)
+    teleop = joystick.command(0.3)
+    assert teleop.speed == 0.0, "it walks forwards only"
+    assert teleop.turn == pytest.approx(0.1, abs=1e-4), "small deflections are none"
+    event(1, 1, 0)
+    assert joystick.command(0.4).stop
+    assert not joystick.command(0.5).stop
+
+
+def test_a_long_pause_does_not_turn_the_robot_far(stick):
+    joystick, event, _ = stick
+    event(-32767, 2, 3)
+    joystick.command(0.0)
+    assert joystick.command(100.0).turn == pytest.approx(0.1)
+
+
+def test_a_joystick_out_of_range_stands(stick):
+    joystick, event, _ = stick
+    joystick._deadman = Deadman(0.5)
+    event(-32767, 2, 1)
+    event(-32767, 2, 3)
+    assert joystick.command(0.0).speed == joystick.command(0.5).speed == 1.0
+    assert joystick.command(1.0).speed == pytest.approx(0.5)
+    gone = joystick.command(2.0)
+    assert gone.speed == 0.0
+    assert joystick.command(3.0).turn == gone.turn
+    event(-32000, 2, 1)
+    assert joystick.command(3.1).speed == pytest.approx(0.977, abs=1e-3)
+
+
+def test_an_unplugged_joystick_stops(stick):
+    joystick, _, writer = stick
+    assert not joystick.command(0.0).stop
+    os.close(writer)
+    assert joystick.command(0.1).stop
+
+
+def test_no_joystick(tmp_path):
+    with pytest.raises(RenetError, match="no joystick at"):
+        JoystickTeleop(tmp_path / "js0")
+
+
+def test_a_flood_of_keys_does_not_hold_up_a_step(terminal):
+    """A key held down, or a cat on the keyboard: one read a step, and the stop in it is obeyed."""
+    master, stream = terminal
+    keyboard = KeyboardTeleop(stream)
+    os.set_blocking(master, False)
+    reads = []
+    real = os.read
+
+    def read(descriptor: int, size: int) -> bytes:
+        with suppress(BlockingIOError):
+            os.write(master, b"w" * 1000)  # It never ends.
+        reads.append(size)
+        return real(descriptor, size)
+
+    os.write(master, b"w" * 100 + b" ")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "read", read)
+        command = keyboard.command(0.0)
+    assert command.stop
+    assert len(reads) == 1
+
+
+def test_a_stick_that_only_trembles_is_nobody(stick):
+    """Its sensor's noise of one count is no sign of an operator."""
+    joystick, event, _ = stick
+    joystick._deadman = Deadman(5.0)
+    event(-16000, 2, 1)
+    assert joystick.command(0.0).speed > 0.4
+    for step in range(1, 60 * 50):
+        event(-16000 + step % 2, 2, 1)
+        command = joystick.command(0.02 * step)
+    assert command.speed == 0.0
+    event(-18000, 2, 1)
+    assert joystick.command(60.0).speed > 0.5

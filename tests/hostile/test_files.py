@@ -1,0 +1,332 @@
+"""Hostile files, each handed to the command that reads it: one line, exit code 2, nothing lost.
+
+Every case runs in a process of its own, whose memory and time are measured.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from onnx import TensorProto, helper
+from safetensors.numpy import save_file
+
+from renet.deploy.bundle import DEFAULT, MANIFEST, pretrained
+from renet.deploy.recorder import CHUNK, MAGIC, TICK
+
+MEMORY = 500_000
+"""Kilobytes that a refusal may need beside what its command needs to start."""
+TIMEOUT = 120.0
+"""Seconds after which a command hangs; some start in ten on a busy computer."""
+
+
+@dataclass
+class Done:
+    """What became of a command."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+    peak: int
+    """Kilobytes of memory, its own children's included."""
+
+
+def run(*arguments: str | Path) -> Done:
+    command = [sys.executable, "-m", "renet.cli", *map(str, arguments)]
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+        process = subprocess.Popen(command, stdout=out, stderr=err)
+        alarm = threading.Timer(TIMEOUT, process.kill)
+        alarm.start()
+        _, status, usage = os.wait4(process.pid, 0)
+        alarm.cancel()
+        process.returncode = os.waitstatus_to_exitcode(status)
+        out.seek(0)
+        err.seek(0)
+        return Done(process.returncode, out.read(), err.read(), usage.ru_maxrss)
+
+
+@cache
+def baseline(command: tuple[str, ...]) -> int:
+    """Memory that a command needs to refuse a path that does not exist."""
+    return run(*command, "/nowhere").peak
+
+
+def refused(done: Done, *command: str) -> None:
+    assert done.returncode == 2, done.stderr[-500:]
+    assert "Traceback" not in done.stderr
+    lines = [line for line in done.stderr.splitlines() if line.startswith("renet:")]
+    assert len(lines) == 1
+    assert len(done.stderr) < 2000
+    assert "\x1b" not in done.stderr
+    assert done.peak < baseline(command) + MEMORY
+
+
+@pytest.fixture
+def bundle(tmp_path) -> Path:
+    return Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
+
+
+def edited(**changes) -> Callable[[Path], None]:
+    def edit(path: Path) -> None:
+        value = json.loads((path / MANIFEST).read_text())
+        for key, fields in changes.items():
+            value[key] = value[key] | fields if isinstance(fields, dict) else fields
+        (path / MANIFEST).write_text(json.dumps(value))
+
+    return edit
+
+
+def text(content: str) -> Callable[[Path], None]:
+    return lambda path: (path / MANIFEST).write_text(content)  # type: ignore[func-returns-value]
+
+
+def fifo(path: Path) -> None:
+    (path / MANIFEST).unlink()
+    os.mkfifo(path / MANIFEST)
+
+
+def device(path: Path) -> None:
+    (path / MANIFEST).unlink()
+    (path / MANIFEST).symlink_to("/dev/zero")
+
+
+def sparse(path: Path) -> None:
+    os.truncate(path / MANIFEST, 300_000_000)
+
+
+def model(path: Path, name: str, data: bytes) -> None:
+    """Replace a model and make the manifest vouch for it."""
+    import hashlib
+
+    (path / f"{name}.onnx").write_bytes(data)
+    digests = {f"{name}.onnx": hashlib.sha256(data).hexdigest()}
+    edited(sha256=digests)(path)
+
+
+def actor(nodes: list, initializers=(), element=TensorProto.FLOAT, **sizes) -> bytes:
+    """An ONNX actor of our own making."""
+    shapes = {"proprioception": 45, "latent_op": 64, "latent_vp": 64, "op_mask": 1} | sizes
+    inputs = [helper.make_tensor_value_info(n, element, ["n", s]) for n, s in shapes.items()]
+    outputs = [helper.make_tensor_value_info("action", element, None)]
+    graph = helper.make_graph(nodes, "actor", inputs, outputs, list(initializers))
+    opset = [helper.make_opsetid("", 17)]
+    return helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString()
+
+
+def constant(value: float):
+    return helper.make_tensor("c", TensorProto.FLOAT, [1, 12], [value] * 12)
+
+
+def add(name: str) -> list:
+    return [helper.make_node("Add", ["c", "op_mask"], [name])]
+
+
+def external(path: Path) -> None:
+    tensor = constant(0.1)
+    tensor.ClearField("float_data")
+    tensor.data_location = TensorProto.EXTERNAL
+    tensor.external_data.add(key="location", value="weights.bin")
+    (path / "weights.bin").write_bytes(bytes(48))
+    model(path, "actor", actor(add("action"), [tensor]))
+
+
+def endless(path: Path) -> None:
+    body = helper.make_graph(
+        [helper.make_node("Identity", ["go"], ["on"]), helper.make_node("Identity", ["x"], ["y"])],
+        "body",
+        [
+            helper.make_tensor_value_info("i", TensorProto.INT64, []),
+            helper.make_tensor_value_info("go", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("x", TensorProto.FLOAT, None),
+        ],
+        [
+            helper.make_tensor_value_info("on", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("y", TensorProto.FLOAT, None),
+        ],
+    )
+    count = helper.make_tensor("count", TensorProto.INT64, [], [2**62])
+    yes = helper.make_tensor("yes", TensorProto.BOOL, [], [True])
+    loop = helper.make_node("Loop", ["count", "yes", "c"], ["l"], body=body)
+    nodes = [loop, helper.make_node("Add", ["l", "op_mask"], ["action"])]
+    model(path, "actor", actor(nodes, [count, yes, constant(0.0)]))
+
+
+def gigantic(path: Path) -> None:
+    shape = helper.make_tensor("shape", TensorProto.INT64, [1], [4_000_000_000])
+    nodes = [
+        helper.make_node("ConstantOfShape", ["shape"], ["big"]),
+        helper.make_node("ReduceSum", ["big"], ["s"], keepdims=0),
+        helper.make_node("Add", ["c", "s"], ["action"]),
+    ]
+    model(path, "actor", actor(nodes, [shape, constant(0.0)]))
+
+
+def huge(path: Path) -> None:
+    os.truncate(path / "actor.onnx", 4_000_000_000)
+
+
+BUNDLES: dict[str, Callable[[Path], object]] = {
+    "manifest is a pipe": fifo,
+    "manifest is a device": device,
+    "manifest of 300 MB": sparse,
+    "manifest nested a million deep": text("[" * 1_000_000),
+    "manifest of one long number": text("1" * 100_000),
+    "manifest without fields": text('{"schema": 1}'),
+    "manifest of another type": text("[1, 2]"),
+    "Kp 1000": edited(robot={"stiffness": [1000.0] * 12}),
+    "limits of 100 rad": edited(robot={"lower": [-100.0] * 12, "upper": [100.0] * 12}),
+    "gamma 1e-9": edited(selector={"gamma": 1e-9}),
+    "beta 1e300": edited(selector={"beta": 1e300}),
+    "rate 1e6 Hz": edited(selector={"rate_hz": 1e6}),
+    "history 1e9": edited(history=10**9),
+    "escape codes in a text": edited(provenance={"task": "\x1b]0;owned\x07"}),
+    "a text of a megabyte": edited(provenance={"task": "x" * 1_000_000}),
+    "model of 4 GB": huge,
+    "model that loops for ever": endless,
+    "model that asks for 16 GB": gigantic,
+    "model with weights elsewhere": external,
+    "model that gives NaN": lambda p: model(
+        p, "actor", actor(add("action"), [constant(float("nan"))])
+    ),
+    "model of another type": lambda p: model(
+        p,
+        "actor",
+        actor(
+            [helper.make_node("Cast", ["op_mask"], ["action"], to=TensorProto.DOUBLE)],
+            element=TensorProto.DOUBLE,
+        ),
+    ),
+    "model of symbolic sizes": lambda p: model(
+        p, "actor", actor(add("action"), [constant(0.1)], proprioception="k")
+    ),
+    "model that is text": lambda p: model(p, "vision", b"hello"),
+}
+
+
+@pytest.mark.parametrize("spoil", BUNDLES.values(), ids=BUNDLES)
+def test_bundles(bundle, tmp_path, spoil):
+    spoil(bundle)
+    before = sorted(str(p) for p in tmp_path.rglob("*"))
+    out = tmp_path / "out"
+    refused(run("deploy", bundle, "--seconds", "0.1", "--out", out), "deploy")
+    assert sorted(str(p) for p in tmp_path.rglob("*")) == before
+
+
+def test_markup_in_a_bundle_is_printed_as_it_is(bundle):
+    edited(provenance={"task": "[bold red]x[/]"})(bundle)
+    done = run("bundle", "inspect", bundle)
+    assert done.returncode == 0, done.stderr
+    assert "[bold red]x[/]" in done.stdout
+
+
+def chunk(tag: bytes, data: bytes) -> bytes:
+    packed = zlib.compress(data)
+    return CHUNK.pack(tag, len(packed), zlib.crc32(packed)) + packed
+
+
+HEAD = MAGIC + chunk(b"HEAD", b"{}")
+
+
+def ticks(**fields) -> bytes:
+    rows = np.zeros(3, TICK)
+    rows["now"] = [1.0, 1.02, 1.04]
+    for name, value in fields.items():
+        rows[name] = value
+    return HEAD + chunk(b"TICK", rows.tobytes())
+
+
+RECORDINGS = {
+    "a bomb of zeros": HEAD + chunk(b"TICK", bytes(2_000_000_000 // TICK.itemsize)) * 60_000,
+    "one chunk of 100 MB": HEAD + chunk(b"TICK", bytes(TICK.itemsize * 60_000)),
+    "text for a number": MAGIC + chunk(b"HEAD", b'{"beta": "low", "onsets": ["now"]}'),
+    "a deep header": MAGIC + chunk(b"HEAD", b'{"a":' * 100_000),
+    "times of 1e15": ticks(now=[0.0, 1.0, 1e15]),
+    "times that are not numbers": ticks(now=[0.0, np.nan, 1.0]),
+    "times that run backwards": ticks(now=[2.0, 1.0, 3.0]),
+    "mode 77": ticks(mode=77),
+    "an image of tick 1e9": ticks() + chunk(b"IMAG", struct.pack("<I", 10**9) + bytes(6144)),
+    "a length of 4 GB": HEAD + CHUNK.pack(b"TICK", 2**32 - 1, 0),
+    "events that are none": HEAD + chunk(b"EVNT", b'[{"time": "a", "what": 1, "why": 2}]'),
+    "no header": MAGIC + b"x" * 100,
+}
+
+
+@pytest.mark.parametrize("data", RECORDINGS.values(), ids=RECORDINGS)
+def test_recordings(tmp_path, data):
+    path = tmp_path / "recording.log"
+    path.write_bytes(data)
+    done = run("evaluate", "log", path, "--out", tmp_path / "out")
+    if done.returncode == 0:  # Read up to the damage: an empty run.
+        assert json.loads((tmp_path / "out" / "score.json").read_text())["seconds"] == 0.0
+    else:
+        refused(done, "evaluate", "log")
+        assert not (tmp_path / "out").exists()
+
+
+SCENES = {
+    "a billion bodies": '<replicate count="1000000000"><geom size="1"/></replicate>',
+    "a height field of 60,000 squared": None,
+    "a pipe for a texture": None,
+    "a file of the system": '<include file="/etc/passwd"/>',
+}
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_scenes(tmp_path, kind):
+    body, assets = SCENES[kind] or "", ""
+    if "height" in kind:
+        assets = '<hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/>'
+        body = '<geom type="hfield" hfield="h"/>'
+    if "pipe" in kind:
+        os.mkfifo(tmp_path / "pipe.png")
+        assets = '<texture type="2d" name="t" file="pipe.png"/><material name="m" texture="t"/>'
+        body = '<geom type="plane" size="1 1 1" material="m"/>'
+    path = tmp_path / "scene.xml"
+    path.write_text(f"<mujoco><asset>{assets}</asset><worldbody>{body}</worldbody></mujoco>")
+    refused(run("deploy", "--scene", path, "--seconds", "0.1", "--out", tmp_path / "out"), "deploy")
+    assert not (tmp_path / "out").exists()
+
+
+CHECKPOINTS: dict[str, dict | str] = {
+    "no task": {"format": 1, "config": {"model": {}}},
+    "history 1e9": {"format": 1, "task": "", "config": {"model": {"history": 10**9}}},
+    "hidden abc": {"format": 1, "task": "", "config": {"model": {"hidden": "abc"}}},
+    "a list": "[]",
+    "deep": "[" * 1_000_000,
+}
+
+
+@pytest.mark.parametrize("state", CHECKPOINTS.values(), ids=CHECKPOINTS)
+def test_checkpoints(tmp_path, state):
+    folder = tmp_path / "it_00000001"
+    folder.mkdir()
+    content = state if isinstance(state, str) else json.dumps(state)
+    (folder / "state.json").write_text(content)
+    for name in ("model", "environment"):
+        save_file(
+            {"critic_normalizer._mean": np.zeros((1, 10), np.float32)},
+            folder / f"{name}.safetensors",
+        )
+    refused(run("export", folder, "--out", tmp_path / "out"), "export")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_checkpoint_of_pipes(tmp_path):
+    folder = tmp_path / "it_00000001"
+    folder.mkdir()
+    (folder / "state.json").write_text('{"format": 1}')
+    os.mkfifo(folder / "model.safetensors")
+    refused(run("export", folder, "--out", tmp_path / "out"), "export")

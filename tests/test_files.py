@@ -1,0 +1,104 @@
+"""Files handed in by strangers: one clear error each, without waiting or eating memory."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from renet.errors import RenetError
+from renet.files import (
+    MAX_DEPTH,
+    decompress,
+    parse_json,
+    read_bytes,
+    read_json,
+    read_object,
+    require_regular,
+    write_atomically,
+)
+
+
+def test_what_is_not_a_regular_file_is_refused_without_waiting(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
+        with pytest.raises(RenetError, match=r"not a regular file|Is a directory"):
+            read_bytes(path, 10)
+        with pytest.raises(RenetError, match="not a regular file"):
+            require_regular(path, 10)
+    for path in (tmp_path / "none", Path("a\0b")):
+        for check in (read_bytes, require_regular):
+            with pytest.raises(RenetError, match="cannot read the log"):
+                check(path, 10, "log")
+
+
+def test_size_limits_hold_to_the_byte_and_for_sparse_files(tmp_path):
+    path = tmp_path / "file"
+    path.write_bytes(b"x" * 10)
+    assert read_bytes(path, 10) == b"x" * 10
+    assert require_regular(path, 10) == path
+    for check in (read_bytes, require_regular):
+        with pytest.raises(RenetError, match="at most"):
+            check(path, 9)
+    os.truncate(path, 1 << 40)
+    with pytest.raises(RenetError, match="at most"):
+        read_bytes(path, 1000)
+
+
+@pytest.mark.parametrize("bad", ["", "{", "[1,]", "\xff", "9" * 5000])
+def test_what_is_not_json_is_named(tmp_path, bad):
+    path = tmp_path / "x.json"
+    path.write_text(bad, encoding="latin-1")
+    with pytest.raises(RenetError, match=f"summary {path} is not JSON"):
+        read_json(path, "summary")
+
+
+@pytest.mark.parametrize("depth", [MAX_DEPTH + 1, 1_000, 1_000_000])
+def test_deep_nesting_is_refused(depth):
+    for text in ("[" * depth + "]" * depth, '{"a":' * depth + "1" + "}" * depth):
+        with pytest.raises(RenetError, match="nested deeper"):
+            parse_json(text, "manifest")
+
+
+@given(st.recursive(st.none() | st.booleans() | st.integers() | st.text(), st.lists, max_leaves=20))
+def test_json_within_the_limits_is_read_unchanged(value):
+    import json
+
+    assert parse_json(json.dumps(value), "value") == value
+
+
+def test_an_object_must_be_one(tmp_path):
+    (tmp_path / "x").write_text("[1]")
+    with pytest.raises(RenetError, match="must hold a JSON object, not list"):
+        read_object(tmp_path / "x")
+
+
+def test_compressed_data_unpacks_within_its_limit_only():
+    plain = bytes(1000)
+    assert decompress(zlib.compress(plain), 1000, "log") == plain
+    for data, message in (
+        (zlib.compress(bytes(50_000_000)), "unpacks to more than 0.001 MB"),
+        (zlib.compress(bytes(1001)), "unpacks to more than"),
+        (zlib.compress(plain)[:-6], "ends early"),
+        (b"nonsense", "damaged"),
+    ):
+        with pytest.raises(RenetError, match=message):
+            decompress(data, 1000, "log")
+
+
+def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch):
+    path = tmp_path / "manifest.json"
+    write_atomically(path, b"old")
+
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(RenetError, match="No space left"):
+        write_atomically(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
