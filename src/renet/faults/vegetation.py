@@ -57,7 +57,7 @@ class TallGrass(Holes):
     def depth(self, robot: int) -> np.ndarray:
         """Depth [48, 64] of the nearest blade in one frame, infinity where there is none."""
         rng, count, camera = self.rngs[robot], int(self.level), Intrinsics()
-        distance = np.exp(rng.uniform(*np.log(REACH), count))[:, None]
+        distance = np.exp(rng.uniform(np.log(REACH[0]), np.log(REACH[1]), count))[:, None]
         height = rng.uniform(*HEIGHT, (count, 1))
         half_view = 0.5 * camera.width / camera.fx
         root = rng.uniform(-half_view, half_view, (count, 1)) * distance / np.cos(CAMERA_PITCH)

@@ -1,0 +1,1 @@
+"""Other answers to the same question, small and readable, run by the same studies."""

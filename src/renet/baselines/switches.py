@@ -1,0 +1,262 @@
+"""Learned switches between vision and blindness, as selectors beside RENet's.
+
+- `ReturnSwitch` after VB-Com (Ren et al. 2025, arXiv 2502.14814): one estimator of the return for
+  each mode, and the mode with the higher one acts. Here both modes are RENet's estimators under one
+  actor, where VB-Com has two policies.
+- `Gate`: a classifier trained on which cameras were failing.
+
+Both read what the robot has at 50 Hz: proprioception, both latents and the anomaly score.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from renet.deploy.policy import Policy
+from renet.errors import RenetError
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.rollout import EvalEnv, Trial
+from renet.interface import LATENT, PROPRIOCEPTION_SIZE
+from renet.models.actor_critic import mlp
+from renet.selector import SelectorInput
+
+BLIND = PROPRIOCEPTION_SIZE + LATENT
+"""Leading inputs that do not come from the camera: o_t and h_b."""
+INPUTS = BLIND + LATENT + 1
+"""With h_v and the logarithm of the anomaly score."""
+
+
+@dataclass(frozen=True)
+class Experience:
+    """What robots met: T control steps of N robots."""
+
+    inputs: Tensor
+    """[T, N, INPUTS]"""
+    reward: Tensor
+    """[T, N]"""
+    done: Tensor
+    """[T, N] bool: the episode ended with this step."""
+    vision: Tensor
+    """[T, N] bool: VP acted."""
+    failing: Tensor
+    """[T, N] bool: the camera was failing."""
+
+
+class Switch(Protocol):
+    """Says by how much vision is to be preferred, from inputs [N, INPUTS]; above 0 it is."""
+
+    def preference(self, inputs: Tensor) -> Tensor:
+        """[N]"""
+        ...
+
+
+class ReturnSwitch(nn.Module):
+    """Estimators of the return under VP and under OP."""
+
+    def __init__(self, hidden: tuple[int, ...] = (128, 64)) -> None:
+        super().__init__()
+        self.vision = mlp((INPUTS, *hidden, 1))
+        self.blind = mlp((BLIND, *hidden, 1))
+
+    def preference(self, inputs: Tensor) -> Tensor:
+        """Return under vision less that under blindness, [N]."""
+        return (self.vision(inputs) - self.blind(inputs[..., :BLIND])).squeeze(-1)
+
+    def loss(self, seen: Experience, returns: Tensor) -> Tensor:
+        """Squared error of each estimator where its own mode acted."""
+        expected = torch.where(
+            seen.vision,
+            self.vision(seen.inputs).squeeze(-1),
+            self.blind(seen.inputs[..., :BLIND]).squeeze(-1),
+        )
+        return (expected - returns).square().mean()
+
+
+class Gate(nn.Module):
+    """Classifies healthy cameras; its logit is the preference."""
+
+    def __init__(self, hidden: tuple[int, ...] = (128, 64)) -> None:
+        super().__init__()
+        self.healthy = mlp((INPUTS, *hidden, 1))
+
+    def preference(self, inputs: Tensor) -> Tensor:
+        """Log odds that the camera is healthy, [N]."""
+        return self.healthy(inputs).squeeze(-1)
+
+    def loss(self, seen: Experience, returns: Tensor) -> Tensor:
+        """Cross-entropy against the cameras' true state."""
+        del returns
+        truth = (~seen.failing).float()
+        return nn.functional.binary_cross_entropy_with_logits(self.preference(seen.inputs), truth)
+
+
+def discounted_returns(reward: Tensor, done: Tensor, gamma: float, horizon: int) -> Tensor:
+    """Discounted sums of the rewards of the next steps, within the episode.
+
+    Args:
+        reward: [T, N]. done: [T, N] bool. gamma: discount per step.
+        horizon: steps; the last `horizon` - 1 states of a rollout see fewer.
+
+    Returns:
+        [T, N].
+    """
+    total, alive, weight = torch.zeros_like(reward), torch.ones_like(reward), 1.0
+    for ahead in range(min(horizon, len(reward))):
+        rest = len(reward) - ahead
+        total[:rest] += weight * alive[:rest] * reward[ahead:]
+        alive[:rest] *= (~done[ahead:]).float()
+        weight *= gamma
+    return total
+
+
+def fit(
+    switch: ReturnSwitch | Gate,
+    seen: Experience,
+    gamma: float = 0.98,
+    horizon: int = 100,
+    epochs: int = 200,
+    rate: float = 1e-3,
+) -> list[float]:
+    """Train a switch on experience; returns the loss of every epoch.
+
+    Raises:
+        RenetError: too little experience for the horizon, or only one mode or camera state in it.
+    """
+    usable = len(seen.reward) - horizon + 1
+    if usable < 1:
+        raise RenetError(f"{len(seen.reward)} steps are too few for a horizon of {horizon}")
+    told = seen.vision if isinstance(switch, ReturnSwitch) else seen.failing
+    if told.all() or not told.any():
+        what = "VP and OP" if isinstance(switch, ReturnSwitch) else "healthy and failing cameras"
+        raise RenetError(f"experience must show both {what}")
+    returns = discounted_returns(seen.reward, seen.done, gamma, horizon)[:usable]
+    part = Experience(**{name: value[:usable] for name, value in vars(seen).items()})
+    optimizer = torch.optim.Adam(switch.parameters(), rate)
+    losses = []
+    for _ in range(epochs):
+        optimizer.zero_grad()
+        loss = switch.loss(part, returns)
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    return losses
+
+
+class ObservedPolicy(Policy):
+    """The bundle's policy, which also keeps what a switch reads."""
+
+    inputs: Tensor
+    """[N, INPUTS] of the newest step."""
+
+    def step(
+        self, proprioception: np.ndarray, depth: np.ndarray | None, op_mask: np.ndarray
+    ) -> np.ndarray:
+        """Actions [N, 12]; see `Policy`."""
+        action = super().step(proprioception, depth, op_mask)
+        score = np.log(np.clip(self.anomaly_score, 1e-9, 1e9))[:, None]
+        parts = (proprioception, self.latent_op, self.latent_vp, score)
+        self.inputs = torch.from_numpy(np.concatenate(parts, axis=1).astype(np.float32))
+        return action
+
+
+class SwitchSelector:
+    """Smooths a switch's preference, and changes mode only beyond a margin."""
+
+    def __init__(
+        self, switch: Switch, policy: ObservedPolicy, smoothing: float = 0.02, margin: float = 0.0
+    ) -> None:
+        """Set up for the robots of a policy, all trusting vision.
+
+        Args:
+            switch: trained.
+            policy: whose inputs it reads.
+            smoothing: weight of a new preference in the moving average, per 200 Hz update.
+            margin: the mean must be this far beyond 0 to change the mode.
+        """
+        self._switch, self._policy = switch, policy
+        self._smoothing, self._margin = smoothing, margin
+        self._mean = np.zeros(policy.num_robots)
+        self._blank = np.ones(policy.num_robots, bool)
+        self._trusted = np.ones(policy.num_robots, bool)
+
+    @property
+    def probability(self) -> np.ndarray:
+        """[N] logistic function of the smoothed preference."""
+        return 1.0 / (1.0 + np.exp(-np.clip(self._mean, -30, 30)))
+
+    @torch.no_grad()
+    def update(self, seen: SelectorInput) -> np.ndarray:
+        """One update from the policy's newest step; returns [N] bool, vision is trusted."""
+        del seen
+        now = self._switch.preference(self._policy.inputs).numpy()
+        # A start in vision: the first preference counts from there.
+        before = np.where(self._blank, np.maximum(now, 0.0), self._mean)
+        self._mean = before + self._smoothing * (now - before)
+        self._blank[:] = False
+        self._trusted = np.where(
+            self._trusted, self._mean >= -self._margin, self._mean > self._margin
+        )
+        return self._trusted
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Start anew for the masked robots [N]."""
+        self._mean[mask] = 0.0
+        self._blank |= mask
+        self._trusted = self._trusted | mask
+
+
+class SwitchEvaluator(Evaluator):
+    """The bundle's policy, whose mode `renet` obeys a learned switch: any study can run it."""
+
+    switch: Switch | None = None
+    """Set once it is trained; until then the bundle's own selector acts."""
+
+    def make_policy(self, num_robots: int) -> ObservedPolicy:
+        """The policy for N robots; the newest one is what the switch reads."""
+        self._policy = ObservedPolicy(self.bundle, num_robots)
+        return self._policy
+
+    def make_selector(self, num_robots: int, selector: str | None = None):
+        """The switch for the newest policy; a selector asked for by name is that one."""
+        if selector is not None or self.switch is None:
+            return super().make_selector(num_robots, selector)
+        return SwitchSelector(self.switch, self._policy)
+
+
+def collect(
+    evaluator: SwitchEvaluator,
+    env: EvalEnv,
+    trials: Sequence[Trial],
+    steps: int,
+    seed: int,
+    speed: float = 0.6,
+    fall: float = -1.0,
+) -> Experience:
+    """Run trials and keep what a switch learns from.
+
+    Args:
+        evaluator: of the bundle.
+        env: as many robots as trials.
+        trials: in modes `vp` and `op`, with and without faults.
+        steps: control steps. seed: of the faults.
+        speed: commanded, m/s; the reward of a step is the part of it that is reached, up to 1.
+        fall: added to the reward of a step that ends in a fall.
+    """
+    inputs: list[Tensor] = []
+    trace = evaluator.rollout(
+        "experience",
+        env,
+        trials,
+        steps,
+        seed,
+        on_step=lambda result: inputs.append(evaluator._policy.inputs),
+    )
+    reward = np.clip(trace.forward_velocity / speed, 0.0, 1.0) + fall * trace.fell
+    arrays = (reward.astype(np.float32), trace.ended, trace.vision, trace.failing)
+    return Experience(torch.stack(inputs), *map(torch.from_numpy, arrays))

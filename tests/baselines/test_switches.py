@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from renet.baselines.switches import (
+    BLIND,
+    INPUTS,
+    Experience,
+    Gate,
+    ReturnSwitch,
+    SwitchEvaluator,
+    SwitchSelector,
+    collect,
+    discounted_returns,
+    fit,
+)
+from renet.errors import RenetError
+from renet.evaluation.rollout import Trial
+from renet.faults import Injection
+from renet.selector import SelectorInput
+
+NOTHING = SelectorInput(np.zeros(4))
+
+
+def experience(steps: int = 60, robots: int = 32) -> Experience:
+    """A camera fails where the anomaly score is high; vision then pays 0, else 1, blindness 0.6."""
+    torch.manual_seed(0)
+    inputs = 0.1 * torch.randn(steps, robots, INPUTS)
+    failing = (torch.arange(robots) % 2 == 0).expand(steps, robots).clone()
+    inputs[..., -1] = 2.0 * failing.float() - 1.0
+    vision = (torch.arange(robots) // 2 % 2 == 0).expand(steps, robots).clone()
+    reward = torch.where(vision, (~failing).float(), torch.full((steps, robots), 0.6))
+    done = torch.zeros(steps, robots, dtype=torch.bool)
+    return Experience(inputs, reward, done, vision, failing)
+
+
+def test_returns_are_the_discounted_sum_within_episode_and_horizon() -> None:
+    generator = torch.Generator().manual_seed(1)
+    reward = torch.rand(12, 5, generator=generator)
+    done = torch.rand(12, 5, generator=generator) < 0.2
+    found = discounted_returns(reward, done, 0.9, 4)
+    for t in range(12):
+        for n in range(5):
+            total = 0.0
+            for ahead in range(min(4, 12 - t)):
+                total += 0.9**ahead * float(reward[t + ahead, n])
+                if done[t + ahead, n]:
+                    break
+            assert float(found[t, n]) == pytest.approx(total, rel=1e-5)
+
+
+@pytest.mark.parametrize("kind", [ReturnSwitch, Gate])
+def test_learns_to_prefer_blindness_where_vision_pays_less(kind) -> None:
+    seen = experience()
+    torch.manual_seed(0)
+    switch = kind((16,))
+    losses = fit(switch, seen, horizon=10, epochs=150, rate=1e-2)
+    assert losses[-1] < 0.3 * losses[0]
+    preference = switch.preference(seen.inputs).detach()
+    assert (preference[seen.failing] < 0).float().mean() > 0.97
+    assert (preference[~seen.failing] > 0).float().mean() > 0.97
+
+
+def test_the_blind_estimator_does_not_see() -> None:
+    switch, inputs = ReturnSwitch((8,)), torch.randn(3, INPUTS)
+    other = inputs.clone()
+    other[:, BLIND:] += 1.0
+    blind = switch.blind(inputs[:, :BLIND]), switch.blind(other[:, :BLIND])
+    torch.testing.assert_close(*blind)
+    assert (switch.preference(inputs) != switch.preference(other)).all()
+
+
+def test_refuses_experience_it_cannot_learn_from() -> None:
+    seen = experience()
+    with pytest.raises(RenetError, match="too few"):
+        fit(Gate((4,)), seen, horizon=100)
+    with pytest.raises(RenetError, match="both VP and OP"):
+        fit(ReturnSwitch((4,)), replace(seen, vision=torch.ones_like(seen.vision)), horizon=5)
+    with pytest.raises(RenetError, match="both healthy and failing"):
+        fit(Gate((4,)), replace(seen, failing=torch.zeros_like(seen.failing)), horizon=5)
+
+
+def selector(preference: torch.Tensor, **settings) -> SwitchSelector:
+    policy = SimpleNamespace(num_robots=len(preference), inputs=preference)
+    switch = SimpleNamespace(preference=lambda inputs: inputs)
+    return SwitchSelector(switch, policy, **settings)  # type: ignore[arg-type]
+
+
+def test_a_flickering_preference_is_smoothed_and_a_lasting_one_is_obeyed() -> None:
+    preference = torch.ones(4)
+    own = selector(preference, smoothing=0.05)
+    for update in range(400):
+        preference[0] = 1.0 if update % 4 != 3 else -1.0  # Low a quarter of the time.
+        preference[1] = 1.0 if update < 200 else -1.0
+        trusted = own.update(NOTHING)
+        assert trusted[0]
+        assert trusted[1] or update >= 200
+    assert trusted.tolist() == [True, False, True, True]
+    assert own.probability[1] < 0.5 < own.probability[0]
+
+
+def test_margin_holds_the_mode_on_both_sides() -> None:
+    preference = torch.full((1,), 1.0)
+    own = selector(preference, smoothing=1.0, margin=0.5)
+    answers = []
+    for value in (1.0, -0.4, -0.6, 0.4, 0.6):
+        preference[0] = value
+        answers.append(bool(own.update(NOTHING)[0]))
+    assert answers == [True, True, False, False, True]
+
+
+def test_reset_trusts_vision_again() -> None:
+    preference = torch.full((2,), -1.0)
+    own = selector(preference, smoothing=1.0)
+    assert not own.update(NOTHING).any()
+    preference[:] = 1.0
+    own.reset(np.array([True, False]))
+    preference[:] = torch.tensor([0.0, -1.0])
+    assert own.update(NOTHING).tolist() == [True, False]
+
+
+def test_runs_in_the_closed_loop_of_the_studies() -> None:
+    evaluator = SwitchEvaluator()
+    fault = (Injection.of("blackout", 5, onset=5),)
+    trials = [Trial(mode, fault if bad else ()) for mode in ("vp", "op") for bad in (0, 1)]
+    env = evaluator.make_env("flat", range(4), 0.6, 1)
+    seen = collect(evaluator, env, trials, 15, 1)
+    assert seen.inputs.shape == (15, 4, INPUTS)
+    assert seen.vision[:, :2].all()
+    assert not seen.vision[:, 2:].any()
+    assert seen.failing[5:, [1, 3]].all()
+    assert not seen.failing[:, [0, 2]].any()
+    evaluator.switch = Gate()
+    fit(evaluator.switch, seen, horizon=2, epochs=60)
+    obeying = [Trial("renet", trial.schedule) for trial in trials]
+    trace = evaluator.rollout("switch", env, obeying, 60, 1)
+    assert not trace.vision[-1, [1, 3]].any()
+    assert trace.vision[-1, [0, 2]].all()
