@@ -23,11 +23,13 @@ import tyro
 from mjlab.rl import RslRlVecEnvWrapper
 
 from renet.errors import RenetError
+from renet.interface import CONTROL_DT
 from renet.models.config import ModelCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.checkpoint import Checkpoint
 from renet.training.config import AdaptationCfg, LearningCfg, NP3OCfg, SupervisionCfg
 from renet.training.config_io import from_dict
+from renet.training.depth_dropout import DepthDropoutCfg, DepthDropoutEnv
 from renet.training.metrics import CURVES
 from renet.training.recipe import RENET, preset
 from renet.training.run_report import write_run_report
@@ -47,6 +49,7 @@ NESTED: dict[str, type] = {
     "algorithm": NP3OCfg,
     "supervision": SupervisionCfg,
     "adaptation": AdaptationCfg,
+    "depth_dropout": DepthDropoutCfg,
 }
 MERGED = ("reward_weights", "terrain_proportions")
 """Settings whose entries replace those of the preset one by one."""
@@ -105,6 +108,8 @@ class TrainCfg(LearningCfg):
     """Train on tiles with two to three times as many edges on the way out (`terrain/tiles.py`)."""
     depth_noise_std: float = RENET["depth_noise_std"]
     """Standard deviation of the constant part of the depth error, m."""
+    depth_dropout: DepthDropoutCfg = field(default_factory=DepthDropoutCfg)
+    """Cameras that fail during training: a rival of the selector, off by default."""
     standing_after: float = RENET["standing_after"]
     """Environment steps after which goals ask for standing still, too: the second of the paper's
     two levels of commands."""
@@ -196,7 +201,9 @@ def train(cfg: TrainCfg) -> Path | None:
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         env = make_env(task, num_envs, device, cfg.seed + rank, cfg.engine)
-    vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
+    vec_env: Any = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
+    if cfg.depth_dropout.share:
+        vec_env = DepthDropoutEnv(vec_env, cfg.depth_dropout, CONTROL_DT)
     # Another task's run stays as it is.
     own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
     run = None if rank else resumed_run(own, cfg.log_root) or new_run(cfg.log_root, cfg.task)

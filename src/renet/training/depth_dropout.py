@@ -1,0 +1,105 @@
+"""Depth images that fail during training, so that one policy learns to do without them.
+
+The obvious alternative to a second estimator and a selector: show the network broken images until
+it distrusts them by itself (random masking and noise of depth, as in Miki et al. 2022 for height
+samples). Everything else of training stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from renet.errors import RenetError
+
+KINDS = 3
+"""Blank image, missing rectangle, strong noise."""
+NOISE_STD = 0.5
+"""Of strong noise, image range 1."""
+
+
+@dataclass
+class DepthDropoutCfg:
+    """Failures of the camera in training; off by default."""
+
+    share: float = 0.0
+    """Share of the time in which a robot's camera fails."""
+    seconds: float = 2.0
+    """Mean length of a failure."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.share < 1 or self.seconds <= 0:
+            raise RenetError(
+                f"depth dropout: share {self.share} must be in [0, 1) and seconds {self.seconds}"
+                " above 0"
+            )
+
+
+class DepthDropout:
+    """A two-state process for each robot, and the images it spoils."""
+
+    def __init__(self, cfg: DepthDropoutCfg, num_envs: int, dt: float, device: Any) -> None:
+        """Set up with healthy cameras.
+
+        Args:
+            cfg: how much fails. num_envs: N. dt: seconds between calls. device: of the images.
+        """
+        self._ends = min(dt / cfg.seconds, 1.0)
+        self._begins = self._ends * cfg.share / (1.0 - cfg.share)
+        if self._begins > 1.0:
+            raise RenetError(f"depth dropout: failures of {cfg.seconds} s are too short")
+        self.kind = torch.zeros(num_envs, dtype=torch.long, device=device)
+        """[N] 0: healthy; else 1 to KINDS."""
+        self._box = torch.zeros(num_envs, 4, device=device)
+
+    def __call__(self, depth: Tensor) -> Tensor:
+        """Advance every camera by one step and spoil images [N, H, W]; draws from torch's RNG."""
+        count, height, width = depth.shape
+        draw, device = torch.rand(count, device=depth.device), depth.device
+        failing = self.kind > 0
+        begins = ~failing & (draw < self._begins)
+        new = torch.randint(1, KINDS + 1, (count,), device=device)
+        self.kind = torch.where(begins, new, self.kind * (~failing | (draw >= self._ends)))
+        self._box = torch.where(
+            begins[:, None], torch.rand(count, 4, device=device).sort(dim=-1).values, self._box
+        )
+        rows = torch.arange(height, device=device)[None, :, None] / height
+        columns = torch.arange(width, device=device)[None, None, :] / width
+        top, left, bottom, right = (side[:, None, None] for side in self._box.unbind(-1))
+        inside = (rows >= top) & (rows <= bottom) & (columns >= left) & (columns <= right)
+        kind = self.kind[:, None, None]
+        spoilt = depth.masked_fill((kind == 1) | ((kind == 2) & inside), 0.0)
+        noisy = (depth + NOISE_STD * torch.randn_like(depth)).clamp(0.0, 1.0)
+        return torch.where(kind == 3, noisy, spoilt)
+
+
+class DepthDropoutEnv:
+    """A vectorised environment whose cameras fail; all else is passed through."""
+
+    def __init__(self, env: Any, cfg: DepthDropoutCfg, dt: float) -> None:
+        self._env = env
+        self._dropout = DepthDropout(cfg, env.num_envs, dt, env.device)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._env, name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # rsl_rl's runner writes the episodes' lengths into its environment.
+        if name in ("_env", "_dropout"):
+            object.__setattr__(self, name, value)
+        else:
+            setattr(self._env, name, value)
+
+    def get_observations(self) -> TensorDict:
+        """As the environment's; cameras stay in their state."""
+        return self._env.get_observations()
+
+    def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict]:
+        """One control step; the camera's state advances with it."""
+        observation, reward, done, extras = self._env.step(actions)
+        observation["depth"] = self._dropout(observation["depth"])
+        return observation, reward, done, extras

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import pytest
+import torch
+
+from renet.errors import RenetError
+from renet.training.config import LearningCfg
+from renet.training.depth_dropout import DepthDropout, DepthDropoutCfg, DepthDropoutEnv
+from renet.training.runner import RenetRunner
+
+
+def test_fails_for_the_stated_share_of_time_and_mean_length() -> None:
+    torch.manual_seed(0)
+    dropout = DepthDropout(DepthDropoutCfg(0.3, 0.5), 400, 0.02, "cpu")
+    states = []
+    for _ in range(1500):
+        dropout(torch.zeros(400, 2, 2))
+        states.append(dropout.kind > 0)
+    failing = torch.stack(states[500:])
+    assert failing.float().mean().item() == pytest.approx(0.3, abs=0.02)
+    begun = (failing[1:] & ~failing[:-1]).sum()
+    assert (failing.sum() / begun * 0.02).item() == pytest.approx(0.5, rel=0.05)
+
+
+def test_each_kind_spoils_as_it_says_and_healthy_images_stay() -> None:
+    torch.manual_seed(0)
+    dropout = DepthDropout(DepthDropoutCfg(0.6, 1.0), 300, 0.02, "cpu")
+    image = torch.full((300, 48, 64), 0.5)
+    for _ in range(200):
+        after = dropout(image)
+    assert set(dropout.kind.tolist()) == {0, 1, 2, 3}
+    assert (after[dropout.kind == 0] == 0.5).all()
+    assert (after[dropout.kind == 1] == 0).all()
+    boxes = after[dropout.kind == 2]
+    assert set(boxes.unique().tolist()) == {0.0, 0.5}
+    noisy = after[dropout.kind == 3]
+    assert noisy.std() > 0.3
+    assert 0 <= noisy.min() <= noisy.max() <= 1
+
+
+def test_trains_and_only_the_depth_image_differs(toy_env) -> None:
+    torch.manual_seed(0)
+    plain = toy_env(8, seed=3)
+    spoilt = DepthDropoutEnv(toy_env(8, seed=3), DepthDropoutCfg(0.5, 0.1), 0.02)
+    changed = False
+    for _ in range(30):
+        mine, its = spoilt.step(torch.zeros(8, 12)), plain.step(torch.zeros(8, 12))
+        for name, value in its[0].items():
+            same = torch.equal(value, mine[0][name])
+            assert same or name == "depth"
+            changed |= not same
+        assert torch.equal(mine[2], its[2])
+    assert changed
+    RenetRunner(spoilt, asdict(LearningCfg(num_steps_per_env=25)), None, "cpu").learn(1)
+
+
+@pytest.mark.parametrize("wrong", [{"share": 1.0}, {"share": -0.1}, {"seconds": 0.0}])
+def test_impossible_settings_are_refused(wrong) -> None:
+    with pytest.raises(RenetError, match="depth dropout"):
+        DepthDropoutCfg(**wrong)
