@@ -151,6 +151,12 @@ COMMANDS = {
         "InspectCfg",
         "inspect",
     ),
+    "bundle card": Command(
+        "write a bundle's model card from its files and its studies' results",
+        "renet.deploy.card",
+        "CardCfg",
+        "write_card",
+    ),
 }
 
 

@@ -62,6 +62,7 @@ def test_logs_are_scored_replayed_and_calibrated_from_without_them(log, tmp_path
     commands = [
         ["evaluate", "log", str(log), "--out", str(tmp_path / "score"), "--replay", shipped],
         ["bundle", "inspect", shipped],
+        ["bundle", "card", shipped, "--out", str(tmp_path / "card")],
         ["calibrate", str(tmp_path / "bundle"), "--log", str(log)],
     ]
     shutil.copytree(shipped, tmp_path / "bundle")

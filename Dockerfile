@@ -1,0 +1,9 @@
+# The shipped policy in MuJoCo, without PyTorch: docker build -t renet . && docker run --rm renet
+FROM python:3.12-slim
+WORKDIR /renet
+COPY pyproject.toml README.md requirements-lock.txt ./
+COPY src src
+RUN pip install --no-cache-dir -c requirements-lock.txt '.[sim]'
+# A folder to mount: docker run --rm -v "$PWD/results:/results" renet
+WORKDIR /results
+CMD ["renet", "deploy", "--robot", "mujoco", "--camera", "sim", "--terrain", "stairs", "--fault", "blackout@5s", "--seconds", "8", "--out", "/results/deploy"]

@@ -1,0 +1,59 @@
+"""A study more: `python examples/add_study.py evaluate speeds`: the speed a policy walks at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+
+from renet.cli import COMMANDS, Command, main
+from renet.evaluation import metrics
+from renet.evaluation.env import FLAT
+from renet.evaluation.report import figures
+from renet.evaluation.rollout import Trial
+from renet.evaluation.study import Study
+from renet.interface import CONTROL_DT
+
+
+@dataclass(frozen=True)
+class SpeedStudy(Study):
+    """Mean forward speed of robots on flat ground, for several commanded speeds."""
+
+    name = "speeds"
+    out: Path = Path("results/speeds")
+    speeds: tuple[float, ...] = (0.3, 0.6, 0.9)
+    robots: int = 20
+    seconds: float = 6.0
+
+    def parts(self, evaluator):
+        return {f"speed_{s:g}": lambda s=s: self.walk(evaluator, s) for s in self.speeds}
+
+    def walk(self, evaluator, speed):
+        env = evaluator.make_env(FLAT, range(self.robots), speed, self.seed)
+        trials = [Trial("renet", robot=robot) for robot in range(self.robots)]
+        steps = round(self.seconds / CONTROL_DT)
+        trace = evaluator.rollout(f"{speed:g} m/s", env, trials, steps, self.seed)
+        walked = trace.speed[len(trace.speed) // 2 :].mean(axis=0)
+        row = {"commanded": speed, "robots": self.robots, "falls": int(trace.fell.sum())}
+        return row | {"speed": walked.mean()} | metrics.with_interval("speed", walked)
+
+    def summarise(self, parts, evaluator):
+        return {"runs": [{k: v for k, v in part.items() if k != "key"} for part in parts.values()]}
+
+    def draw(self, summary, parts, provenance):
+        figure, axis = plt.subplots()
+        x, y = zip(*((run["commanded"], run["speed"]) for run in summary["runs"]), strict=True)
+        axis.plot(x, y, marker="o")
+        axis.set(xlabel="commanded (m/s)", ylabel="walked (m/s)")
+        figures.save(figure, self.out / "speeds.png", provenance)
+
+    def tables(self, summary):
+        header = ("commanded", "speed", "falls")
+        return [("Speed", header, [tuple(run[n] for n in header) for run in summary["runs"]])]
+
+
+COMMANDS["evaluate speeds"] = Command("speed", __name__, "SpeedStudy", "SpeedStudy.main", "train")
+
+if __name__ == "__main__":
+    raise SystemExit(main())
