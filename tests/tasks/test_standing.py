@@ -43,7 +43,7 @@ def test_the_second_level_begins_at_its_switch_point(flat):
 def test_the_switch_point_is_an_option_of_training(monkeypatch):
     asked = []
 
-    def refuse(task, **_):
+    def refuse(task, *_):
         asked.append(task.curriculum["command_stage"].params["switch_step"])
         raise RenetError("that is all")
 

@@ -68,7 +68,7 @@ def test_a_real_flight_is_shown_on_flat_ground_where_it_is_reckoned_to_be(
     ticks["base_position"] = np.nan
     ticks["joint_position"][10] = np.nan
     real = replace(flight, ticks=ticks, header=flight.header | {"robot": "go1"})
-    monkeypatch.setattr(log_video, "read_log", lambda path: real)
+    monkeypatch.setattr(log_video, "read_recording", lambda path: real)
     film(log, tmp_path / "new" / "film.mp4")
     assert drawn["path"].parent.is_dir()
     assert np.isfinite(drawn["poses"]).all()
