@@ -6,11 +6,12 @@ robot with vision alone is the first to fall.
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 import tempfile
 from pathlib import Path
 
-import mediapy
-from PIL import Image
+import imageio_ffmpeg
 
 from renet.evaluation.demo import film_comparison
 from renet.evaluation.report.video import VideoCfg
@@ -27,11 +28,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "film.mp4"
         film_comparison(study, study.make_evaluator(), NOISE, path, VideoCfg(fps=FPS))
-        frames = [Image.fromarray(image) for image in mediapy.read_video(path)]
-    frames[0].save(
-        OUT, save_all=True, append_images=frames[1:], duration=1000 // FPS, loop=0, quality=60
-    )
-    print(f"{OUT}: {len(frames)} frames, {OUT.stat().st_size / 1e6:.2f} MB")
+        ffmpeg = shutil.which("ffmpeg") or imageio_ffmpeg.get_ffmpeg_exe()
+        webp = ["-c:v", "libwebp_anim", "-quality", "55", "-loop", "0", str(OUT)]
+        subprocess.run([ffmpeg, "-v", "error", "-y", "-i", str(path), *webp], check=True)
+    print(f"{OUT}: {OUT.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

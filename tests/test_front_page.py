@@ -1,0 +1,130 @@
+"""What a newcomer meets first: README, citation, change log, Dockerfile and notebook."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+import tyro
+import yaml
+from scipy.stats import beta
+
+import renet
+from renet import cli
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def test_links_and_pictures_of_the_front_pages_exist():
+    for page in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"):
+        for target in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / page).read_text()):
+            assert "://" in target or (ROOT / target).exists(), f"{page}: {target}"
+
+
+def test_folders_of_the_readme_tree_exist():
+    tree = README.split("src/renet/\n")[1].split("tests/ mirrors")[0]
+    names = re.findall(r"^  (\S+)", tree, re.MULTILINE) + re.findall(r"([a-z]+/[a-z]+/)", tree)
+    assert len(names) > 12
+    assert not [name for name in names if not (ROOT / "src" / "renet" / name).exists()]
+
+
+def test_the_moving_picture_is_small():
+    assert (ROOT / "docs/figures/walk.webp").stat().st_size <= 1_500_000
+
+
+def test_counts_in_the_readme_are_those_measured_with_exact_intervals():
+    measured = (ROOT / "docs" / "pretrained.md").read_text()
+    rows = {
+        "no fault": "no noise",
+        "Gaussian noise 70 %": "Gaussian 70 %",
+        "salt and pepper 30 %": "salt and pepper 30 %",
+    }
+    for shown, source in rows.items():
+        line = re.search(rf"^\| {shown}.*$", README, re.MULTILINE)
+        original = re.search(rf"^\| {source} \|.*$", measured, re.MULTILINE)
+        assert line
+        assert original
+        counts = re.findall(r"(\d+) of (\d+) \((\d+) to (\d+) %\)", line[0])
+        assert [c[:2] for c in counts] == re.findall(r"(\d+) of (\d+)", original[0])
+        for k, n, low, high in (map(int, c) for c in counts):
+            exact = (beta.ppf(0.025, k, n - k + 1) if k else 0, beta.ppf(0.975, k + 1, n - k))
+            assert (low, high) == tuple(round(100 * x) for x in exact)
+    assert "0 in 2.00 robot hours; 95 % limit 1.50" in measured
+
+
+def test_the_citation_has_what_readers_of_the_format_need():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert {"cff-version", "title", "message", "authors", "license"} <= set(citation)
+    assert citation["version"] == renet.__version__
+    paper = citation["preferred-citation"]
+    assert {"type", "title", "authors", "journal", "year", "doi"} <= set(paper)
+    assert all({"family-names", "given-names"} <= set(author) for author in paper["authors"])
+
+
+def test_the_change_log_knows_this_version():
+    versions = re.findall(r"^## \[(.+?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert versions[0] == "Unreleased"
+    assert renet.__version__ in versions
+
+
+def test_the_dockerfile_installs_an_extra_and_runs_a_command():
+    text = (ROOT / "Dockerfile").read_text()
+    extra = re.search(r"^RUN pip install .*'\.\[(\w+)\]'$", text, re.MULTILINE)
+    assert extra
+    assert extra[1] in PROJECT["optional-dependencies"]
+    for copied in re.findall(r"^COPY (.+) \S+$", text, re.MULTILINE):
+        assert all((ROOT / name).exists() for name in copied.split())
+    command = json.loads(re.findall(r"^CMD (.+)$", text, re.MULTILINE)[0])
+    assert command[0] in PROJECT["scripts"]
+    parses(command[1:])
+
+
+def test_the_light_commands_of_the_readme_parse():
+    found = re.findall(r"^renet deploy .+$", README, re.MULTILINE)
+    found += re.findall(r"uvx --from '\.\[sim\]' (renet deploy [^`]+)`", README)
+    assert len(found) == 2
+    for line in found:
+        parses(shlex.split(line)[1:])
+
+
+def parses(arguments: list[str]) -> None:
+    import importlib
+
+    name, rest = cli._match(arguments)
+    command = cli.COMMANDS[name]
+    config = getattr(importlib.import_module(command.module), command.config)
+    assert tyro.cli(config, args=rest).robot == "mujoco"
+
+
+@pytest.fixture
+def figures(monkeypatch, tmp_path):
+    import matplotlib.pyplot as plt
+
+    matplotlib.use("Agg")
+    monkeypatch.chdir(tmp_path)
+    yield plt
+    plt.close("all")
+
+
+def test_the_notebook_walks_and_plots(figures):
+    book = json.loads((ROOT / "examples" / "walk.ipynb").read_text())
+    scope: dict = {}
+    for cell in book["cells"]:
+        if cell["cell_type"] == "code":
+            code = "".join(cell["source"])
+            exec(compile(ast.parse(code), "walk.ipynb", "exec"), scope)
+            assert not cell["outputs"]
+    time, ticks = scope["time"], scope["ticks"]
+    assert time[-1] >= 9.9
+    assert not ticks["vision"][time > 4.5].any(), "blind from 4 s on"
+    assert np.mean(scope["speed"][(time > 6.0) & (time < 9.9)]) > 0.3, "and still walking"
+    assert len(figures.gcf().axes) == 2
