@@ -6,7 +6,7 @@ from pathlib import Path
 
 project = "renet"
 author = "the renet authors"
-release = importlib.metadata.version("renet")
+release = importlib.metadata.version("renet-locomotion")
 extensions = [
     "myst_parser",
     "sphinx.ext.apidoc",
