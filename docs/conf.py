@@ -27,7 +27,16 @@ apidoc_modules = [
         "destination": "api/generated",
         "exclude_patterns": [
             "../src/renet/" + name
-            for name in ("cli.py", "evaluation", "models", "page", "sim", "tasks", "training")
+            for name in (
+                "baselines",
+                "cli.py",
+                "evaluation",
+                "models",
+                "page",
+                "sim",
+                "tasks",
+                "training",
+            )
         ],
         "max_depth": 3,
         "module_first": True,

@@ -74,7 +74,7 @@ class FaultStudy(Study):
     healthy_minutes: float = 80.0
     """Robot minutes with a healthy camera, in which false switches are counted; 0: none."""
     selector: str = "monitors"
-    """What `renet` trusts: guarded (all monitors, dwell) or paper (reconstruction alone)."""
+    """What `renet` trusts: monitors (all of them, with a dwell) or paper (reconstruction alone)."""
 
     name: ClassVar[str] = "faults"
     selectable: ClassVar[tuple[str, ...]] = ("faults",)

@@ -66,7 +66,7 @@ class TerrainStudy(Study):
     speed: float = 0.6
     """Commanded forward speed, m/s."""
     selector: str = "monitors"
-    """Selector: guarded (all monitors) or paper."""
+    """Selector: monitors (all of them) or paper."""
 
     name: ClassVar[str] = "terrain"
     selectable: ClassVar[tuple[str, ...]] = ("kinds",)
