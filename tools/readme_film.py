@@ -29,7 +29,7 @@ def main() -> None:
         path = Path(folder) / "film.mp4"
         film_comparison(study, study.make_evaluator(), NOISE, path, VideoCfg(fps=FPS))
         ffmpeg = shutil.which("ffmpeg") or imageio_ffmpeg.get_ffmpeg_exe()
-        webp = ["-c:v", "libwebp_anim", "-quality", "55", "-loop", "0", str(OUT)]
+        webp = ["-c:v", "libwebp_anim", "-quality", "40", "-loop", "0", str(OUT)]
         subprocess.run([ffmpeg, "-v", "error", "-y", "-i", str(path), *webp], check=True)
     print(f"{OUT}: {OUT.stat().st_size / 1e6:.2f} MB")
 
