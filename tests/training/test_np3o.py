@@ -9,8 +9,14 @@ import torch
 from renet.models.actor_critic import Actor, Critics
 from renet.models.config import ModelCfg
 from renet.training.config import NP3OCfg
-from renet.training.np3o import NP3O, cost_surrogate, make_targets, reward_surrogate, violation
-from renet.training.returns import advantages
+from renet.training.np3o import (
+    NP3O,
+    advantages,
+    cost_surrogate,
+    make_targets,
+    reward_surrogate,
+    violation,
+)
 from renet.training.storage import PolicyRollout
 
 

@@ -21,10 +21,8 @@ from renet.sim.native.engine import NativeSimulation
 from renet.sim.overflow import OverflowWatch
 from renet.sim.threads import one_torch_thread
 from renet.training import distributed
-from renet.training.average import WeightAverage
-from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg
-from renet.training.config_io import from_dict
-from renet.training.modality import op_mask
+from renet.training.checkpoint import WeightAverage
+from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg, from_dict
 from renet.training.np3o import NP3O
 from renet.training.precision import Precision, in_halves, learning_type
 from renet.training.storage import PolicyRollout, Recorder, TickRollout
@@ -36,6 +34,27 @@ FEW = 128
 """Robots whose actions a second thread does not hasten: waking it takes longer than its half."""
 NORMALIZED_AT_ONCE = 65_536
 """Rows of a rollout whose statistics ranks exchange in one message (80 MB)."""
+
+
+def op_mask(perception: str, iteration: int, difficult: Tensor, period: int) -> Tensor:
+    """The paper's mask_i: true where the OP estimator steers.
+
+    On simple terrain all environments alternate every `period` iterations, VP first; difficult
+    terrain always has vision.
+
+    Args:
+        perception: of the ModelCfg. iteration: learning iteration.
+        difficult: [N] or [N, 1], nonzero where the terrain forces vision.
+
+    Returns:
+        [N] bool.
+    """
+    simple = difficult.reshape(-1) == 0
+    if perception == "op":
+        return torch.ones_like(simple)
+    if perception == "renet" and (iteration // period) % 2 == 1:
+        return simple
+    return torch.zeros_like(simple)
 
 
 def critic_observation(obs: TensorDict, op_mask: Tensor) -> Tensor:

@@ -24,8 +24,8 @@ from renet.training.algorithm import RenetAlgorithm
 from renet.training.checkpoint import Checkpoint
 from renet.training.config import steps_per_env
 from renet.training.episode_log import EpisodeLog
-from renet.training.heap import keep_freed_memory
 from renet.training.metrics import MetricsWriter
+from renet.training.precision import keep_freed_memory
 from renet.training.provenance import code_version, described
 
 CHECKPOINTS = "checkpoints"
