@@ -209,7 +209,7 @@ class RenetAlgorithm:
         done = dones.bool()
         costs = extras["costs"].to(self.device)
         self._steps.finish(
-            payoff=torch.cat((rewards.unsqueeze(-1), costs), dim=-1),
+            rewards_and_costs=torch.cat((rewards.unsqueeze(-1), costs), dim=-1),
             done=done,
             time_out=extras.get("time_outs", torch.zeros_like(done)),
         )
@@ -240,7 +240,7 @@ class RenetAlgorithm:
         steps["log_prob"] = self.model.actor.log_prob(steps["mean"], steps["action"])
         # An episode cut short would have gone on: bootstrap rewards and costs alike.
         cut = steps.pop("time_out").unsqueeze(-1)
-        steps["payoff"] += self.np3o.cfg.gamma * steps["value"] * cut
+        steps["rewards_and_costs"] += self.np3o.cfg.gamma * steps["value"] * cut
         self._rollout = PolicyRollout(**steps)
 
     def update(self) -> dict[str, float]:
@@ -271,8 +271,10 @@ class RenetAlgorithm:
             (rollout.proprioception, *columns),
         )
         broken = [n for n, v in zip(names, values, strict=True) if not v.isfinite().all()]
-        # Pay-offs hold critics' values, too.
-        return broken or ([] if rollout.payoff.isfinite().all() else ["rewards or costs"])
+        # They hold critics' values, too.
+        return broken or (
+            [] if rollout.rewards_and_costs.isfinite().all() else ["rewards or costs"]
+        )
 
     # What rsl_rl's runner and logger ask for.
 

@@ -11,8 +11,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
+from renet import __version__
 from renet.errors import RenetError
 from renet.files import MEGABYTE, read_object, require_regular
 
@@ -208,6 +210,36 @@ def load_optimizer(
             moments.setdefault(int(index), {})[name] = value
     groups = optimizer.state_dict()["param_groups"]
     optimizer.load_state_dict({"state": moments, "param_groups": groups})
+
+
+def described(value: Any) -> Any:
+    """A configuration as JSON: dataclasses as dictionaries, functions and types by their names.
+
+    Args:
+        value: nested dataclasses, dictionaries, sequences, numbers and callables.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: described(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, dict):
+        return {str(key): described(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set):
+        return [described(item) for item in value]
+    if value is None or isinstance(value, str | int | float | bool):
+        return value
+    if callable(value):
+        return f"{value.__module__}.{getattr(value, '__qualname__', type(value).__name__)}"
+    return str(value)
+
+
+def code_version() -> str:
+    """Version of renet, with the commit where it runs from a checkout, `+changed` if edited."""
+    folder = Path(__file__).parent
+    try:
+        git = ["git", "-C", str(folder), "describe", "--always", "--dirty=+changed", "--abbrev=12"]
+        found = subprocess.run(git, capture_output=True, text=True, timeout=5, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return __version__
+    return f"{__version__} ({found.stdout.strip()})"
 
 
 class WeightAverage:
