@@ -8,8 +8,10 @@ All state is what lies in the rows' folders: checkpoints of `renet train`, and t
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections.abc import Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -122,11 +124,7 @@ class Cfg:
         return self.out / row.slug / stage.name
 
     def training(self, row: Row, stage: Stage) -> TrainCfg:
-        """The recipe with the stage's differences.
-
-        Raises:
-            RenetError: a teacher that is not trained yet.
-        """
+        """The recipe with the stage's differences; stages before it are done."""
         cfg = TrainCfg(
             task=TASK,
             num_envs=self.num_envs,
@@ -144,8 +142,9 @@ class Cfg:
         if not stage.teachers:
             return cfg
         teachers = tuple(
-            (str(checkpoints.find(self.out / row.slug / name)), kinds)
-            for name, kinds in stage.teachers.items()
+            (str(newest(self, row, earlier)), stage.teachers[earlier.name])
+            for earlier in row.stages
+            if earlier.name in stage.teachers
         )
         return DistillCfg.of(cfg, DistillationCfg(teachers, **stage.distillation))
 
@@ -168,7 +167,8 @@ def iterations(cfg: TrainCfg, steps: float) -> int:
 def newest(cfg: Cfg, row: Row, stage: Stage) -> Path | None:
     """The stage's newest checkpoint."""
     try:
-        return checkpoints.find(cfg.folder(row, stage))
+        with redirect_stderr(io.StringIO()):  # It is told each time.
+            return checkpoints.find(cfg.folder(row, stage))
     except RenetError:
         return None
 
@@ -191,8 +191,9 @@ def train_stage(cfg: Cfg, row: Row, stage: Stage) -> Path:
             )
         if state["iteration"] >= training.max_iterations:
             return found
-    begin = found or (checkpoints.find(cfg.out / row.slug / stage.after) if stage.after else None)
-    train(replace(training, resume=None if begin is None else str(begin)))
+    for earlier in parents(row, stage)[:1]:
+        found = found or newest(cfg, row, earlier)
+    train(replace(training, resume=None if found is None else str(found)))
     return checkpoints.find(cfg.folder(row, stage))
 
 
@@ -214,7 +215,7 @@ def progress(cfg: Cfg, row: Row) -> tuple[int, float, bool]:
         state = checkpoints.load_state(found)
         complete &= state["iteration"] >= cfg.training(row, stage).max_iterations
         for earlier in parents(row, stage)[:1]:
-            begun = checkpoints.load_state(checkpoints.find(cfg.folder(row, earlier)))
+            begun = checkpoints.load_state(newest(cfg, row, earlier) or found)
             steps, seconds = steps - begun["steps"], seconds - begun["seconds"]
         steps, seconds = steps + state["steps"], seconds + state["seconds"]
     return steps, seconds, complete
