@@ -79,12 +79,12 @@ def run(level: float | None, failed: float, axis: str = "payload") -> dict:
 def test_the_margin_ends_at_the_first_level_beyond_it() -> None:
     levels = AXES["payload"].levels
     held = [run(None, 0.0), *(run(level, ALLOWED) for level in levels)]
-    assert margin(held, "payload") == {"margin": levels[-1], "broke": None, "held": 1.0}
+    assert margin(held, "payload", levels) == {"margin": levels[-1], "broke": None, "held": 1.0}
     held[2]["failed"] = 0.1  # The second level; that a worse one is survived does not count.
-    found = margin(held, "payload")
+    found = margin(held, "payload", levels)
     assert (found["margin"], found["broke"]) == (levels[0], levels[1])
     held[0]["failed"] = 0.1
-    assert margin(held, "payload") == {"margin": None, "broke": levels[0], "held": 0.0}
+    assert margin(held, "payload", levels) == {"margin": None, "broke": levels[0], "held": 0.0}
 
 
 def test_robots_fall_at_the_violent_end_and_the_sweep_stops_there(

@@ -180,7 +180,11 @@ class MarginsStudy(Study):
     @property
     def robots_each(self) -> int:
         """Robots in each setting, after `quick`."""
-        return 5 if self.quick else self.robots
+        return 4 if self.quick else self.robots
+
+    def levels(self, axis: str) -> tuple[float, ...]:
+        """Of a sweep, after `quick`."""
+        return AXES[axis].levels[:: 2 if self.quick else 1]
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """The robots as they are simulated, then one sweep for each axis."""
@@ -190,7 +194,7 @@ class MarginsStudy(Study):
     def _sweep(self, evaluator: Evaluator, axis: str) -> Part:
         """Level after level until no group of robots is within the margin any more."""
         runs = []
-        for level in AXES[axis].levels:
+        for level in self.levels(axis):
             walked = self._walk(evaluator, axis, level)
             runs += walked
             if all(run["failed"] > ALLOWED for run in walked):
@@ -235,7 +239,11 @@ class MarginsStudy(Study):
         runs = [run for part in parts.values() for run in part["runs"]]
         found = [
             {"axis": axis, "unit": AXES[axis].unit, "ground": ground, "mode": mode}
-            | margin([r for r in runs if (r["ground"], r["mode"]) == (ground, mode)], axis)
+            | margin(
+                [r for r in runs if (r["ground"], r["mode"]) == (ground, mode)],
+                axis,
+                self.levels(axis),
+            )
             for axis in self.axes
             for ground, mode in self.settings
         ]
@@ -266,19 +274,19 @@ class MarginsStudy(Study):
         return [(title, ("axis", *header), [tuple(row) for row in rows.values()])]
 
 
-def margin(runs: list[dict[str, Any]], axis: str) -> dict[str, Any]:
+def margin(runs: list[dict[str, Any]], axis: str, levels: tuple[float, ...]) -> dict[str, Any]:
     """How far robots of one ground and mode hold on an axis.
 
     Args:
         runs: their rows, of the nominal robots and of all axes.
-        axis: swept.
+        axis: swept. levels: of the sweep.
 
     Returns:
         `margin`, the last level before more than the allowed share fell, None where that is so at
         the first or for the nominal robots; `broke`, the level at which it was, None at the end of
         the sweep; `held`, the margin's place in the sweep, 0 to 1.
     """
-    levels, within = AXES[axis].levels, 0
+    within = 0
     failed = {run["level"]: run["failed"] for run in runs if run["axis"] in (axis, "nominal")}
     if failed[None] <= ALLOWED:
         while within < len(levels) and failed[levels[within]] <= ALLOWED:
