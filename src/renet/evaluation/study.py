@@ -111,7 +111,8 @@ class Study:
         )
         write_json(out / "summary.json", summary)
         rows = [
-            {k: v for k, v in run.items() if not isinstance(v, list)} for run in summary["runs"]
+            {k: v for k, v in run.items() if not isinstance(v, (list, dict))}
+            for run in summary["runs"]
         ]
         write_csv(out / "summary.csv", rows)
         self.draw(summary, parts, provenance)

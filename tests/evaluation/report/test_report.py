@@ -30,14 +30,16 @@ from .browser import Browser, find_browser
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Every study, tiny."""
     folder = tmp_path_factory.mktemp("results")
-    noise = NoiseStudy(out=folder / "noise", robots=1, onset=0.2, seconds=3.4, fault_end=3.4)
+    noise = NoiseStudy(out=folder / "noise", robots=1, onsets=(0.2,), lasts=3.2, seconds=3.4)
     noise.run(FakeEvaluator())
     FaultStudy(
         out=folder / "faults",
         faults=("gaussian", "unplugged", "wrong_scale"),
+        grounds=("flat", "gap"),
+        severities=(1, 5),
         robots=1,
-        onset=0.2,
-        fault_end=0.8,
+        onsets=(0.2,),
+        lasts=0.6,
         seconds=1.2,
         healthy_minutes=0,
     ).run(FakeEvaluator())
@@ -74,7 +76,7 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
     assert "∞ s" in html
     # Pictures need a real bundle: test_pictures.py reports them.
     assert html.count("bundle hash") == len(STUDIES) - 1
-    assert html.count("<img") == 12
+    assert html.count("<img") == 13
 
 
 def test_one_study_alone_makes_a_page(results: Path, tmp_path: Path) -> None:
@@ -99,12 +101,14 @@ def test_results_of_different_bundles_are_pointed_out(results: Path, tmp_path: P
 def test_what_is_worse_than_op_alone_is_listed() -> None:
     faults = {
         "harmful": [
-            {"fault": "glare", "severity": 5, "renet": 0.5, "op": 1.0, "beyond_chance": True}
+            {"fault": "glare", "severity": 5, "ground": "gap", "beyond_chance": True}
+            | {"renet": 0.5, "op": 1.0}
         ],
         "missed": [
             {
                 "fault": "frozen",
                 "severity": 3,
+                "ground": "stairs_up",
                 "undetected": 2,
                 "vp_falls": 4,
                 "vp_spared": 1,
@@ -113,10 +117,11 @@ def test_what_is_worse_than_op_alone_is_listed() -> None:
         ],
     }
     assert WORSE["faults"](faults) == [
-        ("faults", "glare 5", "50 %", "100 %"),
+        ("faults", "glare 5 on gap", "50 %", "100 %"),
         (
             "faults",
-            "frozen 3 goes unnoticed; 4 fall with VP only then, 1 only without it (within chance)",
+            "frozen 3 on stairs up goes unnoticed; 4 fall with VP only then, 1 only without it"
+            " (within chance)",
             "2 robots",
             "",
         ),

@@ -180,7 +180,7 @@ class TerrainStudy(Study):
 
     def _walking(self, trace: Trace) -> Part:
         """Sums over the steps of every robot's first try: collisions, and the reward for speed."""
-        over = np.logical_or.accumulate(trace.ended, axis=0)
+        over = trace.over
         along = np.minimum(trace.forward_velocity, self.speed) / (self.speed + 1e-5)
         return {
             "steps": int((~over).sum()),
