@@ -14,6 +14,7 @@ from renet.evaluation.report.summary import FACTS, WORSE
 from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.filter import FilterStudy
+from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.studies.standing import StandingStudy
 from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
@@ -46,6 +47,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     FilterStudy(out=folder / "filter", robots=1, onset=0.2, seconds=1.2).run(FakeEvaluator())
     TerrainStudy(out=folder / "terrain", robots=2, seconds=2).run(LadderEvaluator())
     StandingStudy(out=folder / "standing", **QUICK).run(ObedientEvaluator())
+    MarginsStudy(out=folder / "margins", axes=("payload",), robots=1, seconds=0.2).run(
+        FakeEvaluator()
+    )
     success = SuccessStudy(out=folder / "success", levels=(1, 3), robots=2, seconds=2)
     success.run(HurdlesEvaluator())
     lap = ("flat", "grass")
@@ -68,6 +72,7 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
         "One try at each obstacle",
         "Parkour",
         "Standing on command",
+        "How far from the simulator",
         "The course",
         "selector's filter",
     ):
@@ -76,7 +81,7 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
     assert "∞ s" in html
     # Pictures need a real bundle: test_pictures.py reports them.
     assert html.count("bundle hash") == len(STUDIES) - 1
-    assert html.count("<img") == 13
+    assert html.count("<img") == 14
 
 
 def test_one_study_alone_makes_a_page(results: Path, tmp_path: Path) -> None:

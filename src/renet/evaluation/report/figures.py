@@ -121,40 +121,6 @@ def smooth(values: np.ndarray, steps: int = 13) -> np.ndarray:
     return total / np.convolve(np.ones_like(values), kernel, "same")
 
 
-def rates(axis: Axes, runs: Sequence[Mapping[str, Any]], x: str, y: str, interval: str) -> None:
-    """Shares in percent against a size in cm, one line with its intervals for each mode.
-
-    Args:
-        axis: to draw on.
-        runs: rows of a summary.
-        x: key of the size, m.
-        y: key of the share, 0 to 1.
-        interval: key of its confidence interval, without `_low` and `_high`.
-    """
-    modes = list(dict.fromkeys(run["mode"] for run in runs))
-    sizes = sorted({100 * run[x] for run in runs})
-    apart = 0.012 * (sizes[-1] - sizes[0] or 1.0)
-    for number, mode in enumerate(modes):
-        line = [run for run in runs if run["mode"] == mode]
-        share = np.array([100 * run[y] for run in line])
-        ends = np.array(
-            [[100 * run[f"{interval}_{end}"] for run in line] for end in ("low", "high")]
-        )
-        # Side by side, or equal shares would hide each other.
-        size = np.array([100 * run[x] for run in line]) + (number - (len(modes) - 1) / 2) * apart
-        axis.errorbar(
-            size,
-            share,
-            np.abs(ends - share),
-            fmt="o-",
-            markersize=4,
-            elinewidth=1,
-            color=MODE_COLOURS[mode],
-            label=MODE_NAMES[mode],
-        )
-    axis.set_xticks(sizes, [f"{size:.0f}" for size in sizes])
-
-
 Cells = Mapping[tuple[str, str], tuple[float, str]]
 """Percent, which gives the colour, and text, by row and column."""
 

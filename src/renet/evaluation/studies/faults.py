@@ -25,11 +25,10 @@ from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.monitor_log import SelectorProbe, combined_score, healthy_series
 from renet.evaluation.report import fault_figures
 from renet.evaluation.results import Provenance, write_json
-from renet.evaluation.rollout import StepResult, Trial, check_modes, check_speed
-from renet.evaluation.selectors import check_selector
+from renet.evaluation.rollout import StepResult, Trial
 from renet.evaluation.studies import fault_metrics
 from renet.evaluation.studies.fault_findings import findings
-from renet.evaluation.study import Part, Study, Table
+from renet.evaluation.study import Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import FAULTS, SEVERITIES, Injection, fault_class
 from renet.faults.physical import Glass
@@ -57,7 +56,7 @@ class Setting(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FaultStudy(Study):
+class FaultStudy(WalkingStudy):
     """Every way a depth camera fails, on grounds where sight matters, in every mode.
 
     `--preset noise` is the paper's noise figure: VP alone against RENet under six noises.
@@ -69,17 +68,11 @@ class FaultStudy(Study):
     """Faults to inject: NAME at all severities, or NAME:SEVERITY."""
     severities: tuple[int, ...] = SEVERITIES
     """Severities of faults that name none, 1 to 5."""
-    modes: tuple[str, ...] = ("vp", "renet", "op")
-    """Policy modes to compare: vp, renet, op, oracle-switch."""
-    robots: int = 20
-    """Robots in each setting."""
     grounds: tuple[str, ...] = tuple(GROUNDS)
     """flat, or a kind of tile: rough, obstacles, stairs_up, stairs_down, gap, platform. Flat ground
     alone has no end, and among others is a tile as they are."""
     level: int | None = None
     """Of all tiles, 1 to 10; each ground's own of the benchmark by default."""
-    speed: float = 0.6
-    """Commanded forward speed, m/s."""
     onsets: tuple[float, ...] = tuple(ONSETS)
     """Seconds at which faults begin; on flat ground only the first."""
     lasts: float = 4.0
@@ -88,28 +81,22 @@ class FaultStudy(Study):
     """Length of each run, at most: it ends when every robot has left its tile or fallen."""
     healthy_minutes: float = 80.0
     """Robot minutes on flat ground with a healthy camera, in which false switches are counted."""
-    selector: str = "monitors"
-    """What `renet` trusts: monitors (all of them, with a dwell) or paper (reconstruction alone)."""
 
     name: ClassVar[str] = "faults"
     selectable: ClassVar[tuple[str, ...]] = ("faults",)
     quick_severities: ClassVar[tuple[int, ...]] = (5,)
-    quick_robots: ClassVar[int] = 5
 
     def __post_init__(self) -> None:
         for fault, severity in (s[2:] for batch in self.batches.values() for s in batch):
             fault_class(fault).level_of(severity)
-        check_modes(self.modes)
-        check_speed(self.speed)
-        check_selector(self.selector)
+        super().__post_init__()
         if not any(self.batches.values()):
             raise RenetError("give a fault, a severity, a ground and an onset that fit together")
-        if self.robots < 1 or self.lasts <= 0 or self.healthy_minutes < 0:
+        if self.lasts <= 0 or self.healthy_minutes < 0:
             raise RenetError(
-                f"robots {self.robots} must be >= 1, lasts {self.lasts} positive and healthy"
-                f" minutes {self.healthy_minutes} >= 0"
+                f"lasts {self.lasts} must be positive, healthy minutes {self.healthy_minutes} >= 0"
             )
-        if not 0 < min(self.onsets) <= max(self.onsets) + self.lasts <= self.seconds:
+        if not 0 < min(self.onsets) <= max(self.onsets) + self.lasts <= self.seconds + 1e-6:
             raise RenetError(
                 f"0 < onsets {self.onsets} + lasts {self.lasts} <= seconds {self.seconds} must hold"
             )
@@ -144,11 +131,6 @@ class FaultStudy(Study):
         if ground == FLAT:
             return self.onsets[:1]
         return self.onsets[-1:] if self.quick else self.onsets
-
-    @property
-    def robots_each(self) -> int:
-        """Robots in each setting and mode, after `quick`."""
-        return self.quick_robots if self.quick else self.robots
 
     @property
     def steps(self) -> int:

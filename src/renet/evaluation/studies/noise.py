@@ -45,7 +45,6 @@ class NoiseStudy(FaultStudy):
     """Further robot minutes with a healthy camera, in which false switches are counted."""
 
     name: ClassVar[str] = "noise"
-    quick_robots: ClassVar[int] = 5
 
     def trials(self, settings: Sequence[Setting]) -> list[Trial]:
         """As the fault study's, and one robot more, whose camera recovers half-way."""
