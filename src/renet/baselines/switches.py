@@ -10,8 +10,9 @@ Both read what the robot has at 50 Hz: proprioception, both latents and the anom
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -21,6 +22,7 @@ from torch import Tensor, nn
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import EvalEnv, Trial
 from renet.interface import LATENT, PROPRIOCEPTION_SIZE
 from renet.models.actor_critic import mlp
@@ -135,7 +137,9 @@ def fit(
     if told.all() or not told.any():
         what = "VP and OP" if isinstance(switch, ReturnSwitch) else "healthy and failing cameras"
         raise RenetError(f"experience must show both {what}")
-    returns = discounted_returns(seen.reward, seen.done, gamma, horizon)[:usable]
+    # A mean reward: sums of a hundred steps would take long to reach.
+    scale = (1.0 - gamma) / (1.0 - gamma**horizon)
+    returns = scale * discounted_returns(seen.reward, seen.done, gamma, horizon)[:usable]
     part = Experience(**{name: value[:usable] for name, value in vars(seen).items()})
     optimizer = torch.optim.Adam(switch.parameters(), rate)
     losses = []
@@ -227,6 +231,16 @@ class SwitchEvaluator(Evaluator):
         if selector is not None or self.switch is None:
             return super().make_selector(num_robots, selector)
         return SwitchSelector(self.switch, self._policy)
+
+    def provenance(self, seed: int) -> Provenance:
+        """The bundle's, with the switch's class and weights, lest results be taken for its own."""
+        own = super().provenance(seed)
+        if not isinstance(self.switch, nn.Module):
+            return own
+        weights = nn.utils.parameters_to_vector(self.switch.parameters()).detach().numpy()
+        digest = hashlib.sha256(own.bundle_hash.encode() + weights.tobytes()).hexdigest()
+        name = f"{own.bundle} with {type(self.switch).__name__}"
+        return replace(own, bundle=name, bundle_hash=digest)
 
 
 def collect(
