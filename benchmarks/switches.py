@@ -65,7 +65,7 @@ def trained(cfg: Cfg) -> SwitchEvaluator:
     env = evaluator.make_env(task, [trial.robot for trial in trials], study.speed, cfg.seed)
     seen = collect(evaluator, env, trials, cfg.steps, cfg.seed, study.speed)
     evaluator.switch = SWITCHES[cfg.switch]()
-    losses = fit(evaluator.switch, seen, horizon=min(100, cfg.steps // 2), epochs=cfg.epochs)
+    losses = fit(evaluator.switch, seen, horizon=min(150, cfg.steps // 2), epochs=cfg.epochs)
     print(f"Loss of {cfg.switch}: {losses[0]:.3f} before, {losses[-1]:.3f} after training")
     return evaluator
 
