@@ -67,7 +67,7 @@ def test_learns_to_prefer_blindness_where_vision_pays_less(kind) -> None:
     seen = experience()
     torch.manual_seed(0)
     switch = kind((16,))
-    losses = fit(switch, seen, horizon=10, epochs=150, rate=1e-2)
+    losses = fit(switch, seen, gamma=0.8, horizon=15, epochs=150, rate=1e-2)
     assert losses[-1] < 0.3 * losses[0]
     preference = switch.preference(seen.inputs).detach()
     assert (preference[seen.failing] < 0).float().mean() > 0.97
