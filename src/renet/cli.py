@@ -104,6 +104,13 @@ COMMANDS = {
         "train",
         {"success": ("renet.evaluation.studies.terrain", "SuccessStudy")},
     ),
+    "evaluate margins": Command(
+        "how far a robot may be from the simulated one before the policy falls",
+        "renet.evaluation.studies.margins",
+        "MarginsStudy",
+        "MarginsStudy.main",
+        "train",
+    ),
     "evaluate standing": Command(
         "whether a robot that is commanded to stand does, and stands still",
         "renet.evaluation.studies.standing",

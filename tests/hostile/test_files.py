@@ -9,13 +9,8 @@ import json
 import os
 import shutil
 import struct
-import subprocess
-import sys
-import tempfile
-import threading
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -24,38 +19,18 @@ import pytest
 from onnx import TensorProto, helper
 from safetensors.numpy import save_file
 
+from renet.cli import main
 from renet.deploy.bundle import DEFAULT, MANIFEST, pretrained
 from renet.deploy.recorder import CHUNK, MAGIC, TICK
 
+from ..forked import Done, fork
+
 MEMORY = 500_000
 """Kilobytes that a refusal may need beside what its command needs to start."""
-TIMEOUT = 120.0
-"""Seconds after which a command hangs; some start in ten on a busy computer."""
-
-
-@dataclass
-class Done:
-    """What became of a command."""
-
-    returncode: int
-    stdout: str
-    stderr: str
-    peak: int
-    """Kilobytes of memory, its own children's included."""
 
 
 def run(*arguments: str | Path) -> Done:
-    command = [sys.executable, "-m", "renet.cli", *map(str, arguments)]
-    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
-        process = subprocess.Popen(command, stdout=out, stderr=err)
-        alarm = threading.Timer(TIMEOUT, process.kill)
-        alarm.start()
-        _, status, usage = os.wait4(process.pid, 0)
-        alarm.cancel()
-        process.returncode = os.waitstatus_to_exitcode(status)
-        out.seek(0)
-        err.seek(0)
-        return Done(process.returncode, out.read(), err.read(), usage.ru_maxrss)
+    return fork(main, list(map(str, arguments)))
 
 
 @cache

@@ -9,8 +9,9 @@ import pytest
 
 from renet.errors import RenetError
 from renet.tasks.config.go1 import GO1
-from renet.tasks.parkour_env_cfg import flat_env_cfg
+from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
 from renet.tasks.robot_cfg import RobotCfg, rename_parts
+from renet.tasks.terrains import single_tile_terrain
 
 from .conftest import build
 
@@ -40,6 +41,19 @@ def without(*geoms: str, site: str | None = None) -> RobotCfg:
 def test_what_is_missing_is_named(robot, problem):
     with pytest.raises(RenetError, match=problem):
         build(flat_env_cfg(robot=robot), 1)
+
+
+def test_margins_of_a_vendors_geoms_are_dropped():
+    def spec() -> mujoco.MjSpec:
+        made = GO1.spec()
+        for geom in made.geoms:
+            geom.margin = 0.001
+        return made
+
+    assert not replace(GO1, spec=spec).checked_spec().compile().geom_margin.any()
+    # Which MuJoCo Warp would have refused on boxes.
+    cfg = tile_env_cfg(single_tile_terrain("gap", 1), robot=replace(GO1, spec=spec))
+    build(cfg, 1).close()
 
 
 def test_all_feet_must_be_named():

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import socket
 from dataclasses import asdict
-from pathlib import Path
 
+import pytest
 import torch
-import torch.multiprocessing as multiprocessing
+from torch.multiprocessing.spawn import start_processes
 
 from renet.models.actor_critic import Actor, Critics
 from renet.models.config import ModelCfg
@@ -16,18 +17,26 @@ from renet.training.np3o import NP3O, make_targets
 from renet.training.runner import RenetRunner
 from renet.training.storage import PolicyRollout
 
+from .. import forked  # noqa: F401  What processes begin with.
 from .conftest import ToyEnv
 
 RANKS = 2
 
 
-def spawn(worker, folder: Path) -> list:
-    port = 29500 + os.getpid() % 1000
-    multiprocessing.spawn(worker, args=(str(folder), port), nprocs=RANKS)
+@pytest.fixture(scope="module")
+def ranks(tmp_path_factory) -> list[dict]:
+    """What each of two processes found."""
+    folder = tmp_path_factory.mktemp("ranks")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    start_processes(work, (str(folder), port), RANKS, start_method="forkserver")
+    assert len(list((folder / "checkpoints").iterdir())) == 1, "rank 0 alone writes"
     return [torch.load(folder / f"{rank}.pt") for rank in range(RANKS)]
 
 
-def join(rank: int, port: int) -> None:
+def work(rank: int, folder: str, port: int) -> None:
+    """Gradients of half a batch, and the state after five iterations."""
     torch.set_num_threads(1)
     os.environ |= {
         "RANK": str(rank),
@@ -36,30 +45,20 @@ def join(rank: int, port: int) -> None:
         "MASTER_ADDR": "127.0.0.1",
         "MASTER_PORT": str(port),
     }
-
-
-def train_five_iterations(rank: int, folder: str, port: int) -> None:
-    join(rank, port)
     torch.manual_seed(rank)
     cfg = asdict(LearningCfg(num_steps_per_env=5))
-    log_dir = folder if rank == 0 else None
-    runner = RenetRunner(ToyEnv(seed=rank), cfg, log_dir, "cpu")
+    runner = RenetRunner(ToyEnv(seed=rank), cfg, folder if rank == 0 else None, "cpu")
     runner.learn(5)
-    state = {
+    data, last_value = rollout()
+    mine = slice(4 * rank, 4 * rank + 4)
+    half = PolicyRollout(**{name: value[:, mine] for name, value in vars(data).items()})
+    found = {
         "model": runner.alg.model.state_dict(),
         "rate": runner.alg.learning_rate,
         "weight": runner.alg.np3o.cost_weight,
+        "gradients": gradients(half, last_value[mine]),
     }
-    torch.save(state, f"{folder}/{rank}.pt")
-
-
-def test_ranks_agree_after_five_iterations(tmp_path):
-    first, second = spawn(train_five_iterations, tmp_path)
-    assert first["rate"] == second["rate"]
-    assert first["weight"] == second["weight"]
-    for name, value in first["model"].items():
-        torch.testing.assert_close(value, second["model"][name], atol=1e-6, rtol=1e-5, msg=name)
-    assert len(list((tmp_path / "checkpoints").iterdir())) == 1
+    torch.save(found, f"{folder}/{rank}.pt")
 
 
 def rollout() -> tuple[PolicyRollout, torch.Tensor]:
@@ -94,18 +93,16 @@ def gradients(data: PolicyRollout, last_value: torch.Tensor) -> list[torch.Tenso
     return [parameter.grad for parameter in algorithm.parameters]
 
 
-def half_a_batch(rank: int, folder: str, port: int) -> None:
-    join(rank, port)
-    torch.distributed.init_process_group("gloo")
-    data, last_value = rollout()
-    mine = slice(4 * rank, 4 * rank + 4)
-    half = PolicyRollout(**{name: value[:, mine] for name, value in vars(data).items()})
-    torch.save(gradients(half, last_value[mine]), f"{folder}/{rank}.pt")
+def test_ranks_agree_after_five_iterations(ranks):
+    first, second = ranks
+    assert first["rate"] == second["rate"]
+    assert first["weight"] == second["weight"]
+    for name, value in first["model"].items():
+        torch.testing.assert_close(value, second["model"][name], atol=1e-6, rtol=1e-5, msg=name)
 
 
-def test_gradients_equal_one_process_on_the_joined_batch(tmp_path):
-    first, second = spawn(half_a_batch, tmp_path)
+def test_gradients_equal_one_process_on_the_joined_batch(ranks):
     joined = gradients(*rollout())
-    for a, b, c in zip(first, second, joined, strict=True):
+    for a, b, c in zip(*(rank["gradients"] for rank in ranks), joined, strict=True):
         torch.testing.assert_close(a, b)
         torch.testing.assert_close(a, c, atol=1e-5, rtol=1e-3)

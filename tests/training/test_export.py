@@ -14,17 +14,10 @@ from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
 from renet.training.export import export_models
 
-ABLATIONS = {
-    "attention": {},
-    "mlp": {"encoder": "mlp"},
-    "without velocity": {"predict_velocity": False},
-    "without feet height": {"predict_feet_height": False},
-    "without height map": {"predict_height_map": False},
-    "without him": {"him": False},
-    "one observation": {"history": 1},
-    "one image": {"frames": 1},
-    "vp": {"perception": "vp"},
-    "op": {"perception": "op"},
+from .test_ablations import ROWS
+
+MODELS = {
+    **{name: row.fields for name, row in ROWS.items() if name != "Oracle"},
     "variance detector": {"detector": "variance"},
 }
 
@@ -33,7 +26,7 @@ def sessions(models: dict[str, bytes]) -> dict[str, ort.InferenceSession]:
     return {name: ort.InferenceSession(data) for name, data in models.items()}
 
 
-@pytest.mark.parametrize("fields", ABLATIONS.values(), ids=ABLATIONS)
+@pytest.mark.parametrize("fields", MODELS.values(), ids=MODELS)
 def test_sequence_matches_pytorch(fields):
     torch.manual_seed(0)
     cfg = ModelCfg(**fields)

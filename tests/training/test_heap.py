@@ -9,21 +9,21 @@ from renet.training import heap
 from renet.training.heap import keep_freed_memory
 
 MEASURE = """
-import resource, sys, torch
-from renet.training.heap import keep_freed_memory
+import resource, runpy, sys
+keep_freed_memory = runpy.run_path(sys.argv[1])["keep_freed_memory"]
 if "keep" in sys.argv and not keep_freed_memory():
     print("none")
     sys.exit()
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 for _ in range(10):
-    torch.ones(16 << 20)  # 64 MiB: 16,384 pages of 4 KiB.
+    b"x" * (64 << 20)  # 16,384 pages of 4 KiB.
 print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
 
 def page_faults(*arguments: str) -> str:
     """Of taking and freeing as much ten times, in a process of its own."""
-    command = [sys.executable, "-c", MEASURE, *arguments]
+    command = [sys.executable, "-c", MEASURE, heap.__file__, *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 

@@ -90,6 +90,16 @@ class Trace:
             **{name: value[..., index] for name, value in vars(self).items() if name != "film"}
         )
 
+    def first_try(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """How each robot's first try ended: [N] crossed, [N] fell (bool), [N] seconds it took.
+
+        It crosses where the episode ends otherwise than by a fall; NaN seconds: it did not end.
+        """
+        first = self.ended.argmax(axis=0)
+        robot = np.arange(self.ended.shape[1])
+        ended, fell = self.ended[first, robot], self.fell[first, robot]
+        return ended & ~fell, ended & fell, np.where(ended, (first + 1) * CONTROL_DT, np.nan)
+
     @property
     def fallen(self) -> np.ndarray:
         """[T, N] bool: fell in this or an earlier step; a robot that fell stays counted."""

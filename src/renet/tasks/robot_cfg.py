@@ -110,6 +110,8 @@ class RobotCfg:
             raise RenetError(
                 f"calves must have equally many colliding geoms beside the foot, not none: {counts}"
             )
+        for geom in spec.geoms:
+            geom.margin = 0.0  # MuJoCo Warp refuses any between boxes, which tiles are made of.
         return spec
 
     def motor(self, joint: str) -> Motor:

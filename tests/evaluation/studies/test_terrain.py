@@ -12,7 +12,6 @@ from renet.evaluation.rollout import Trace, Trial, run_rollout
 from renet.evaluation.studies.terrain import (
     SuccessStudy,
     TerrainStudy,
-    first_try,
     highest_level,
     passed,
     worse_than_op,
@@ -157,7 +156,7 @@ def test_only_the_first_try_counts() -> None:
     trace = Trace.empty(5, 4)
     trace.ended[1, 0] = trace.ended[2, 1] = trace.fell[2, 1] = trace.ended[4, 1] = True
     trace.ended[0, 3] = trace.ended[3, 3] = trace.fell[3, 3] = True
-    crossed, fell, seconds = first_try(trace)
+    crossed, fell, seconds = trace.first_try()
     assert crossed.tolist() == [True, False, False, True]
     assert fell.tolist() == [False, True, False, False]
     np.testing.assert_allclose(seconds, [0.04, 0.06, np.nan, 0.02])

@@ -163,6 +163,48 @@ def rates(axis: Axes, runs: Sequence[Mapping[str, Any]], x: str, y: str, interva
     axis.set_xticks(sizes, [f"{size:.0f}" for size in sizes])
 
 
+Cells = Mapping[tuple[str, str], tuple[float, str]]
+"""Percent, which gives the colour, and text, by row and column."""
+
+
+def colour_tables(
+    panels: Mapping[str, Cells],
+    title: str,
+    path: Path,
+    provenance: Provenance,
+    xlabel: str = "",
+    width: float = 0.42,
+) -> Path:
+    """Coloured tables side by side with the same rows, green for 100, red for 0.
+
+    Args:
+        panels: by title.
+        title: of all.
+        path: of the PNG.
+        provenance: of the numbers.
+        xlabel: what the columns are.
+        width: of a column, inches.
+    """
+    rows = list(dict.fromkeys(row for panel in panels.values() for row, _ in panel))
+    columns = list(dict.fromkeys(column for panel in panels.values() for _, column in panel))
+    with plt.rc_context({**STYLE, "axes.grid": False, "axes.spines.left": False}):
+        size = (2.2 + width * len(columns) * len(panels), 1.4 + 0.3 * len(rows))
+        figure, axes = plt.subplots(1, len(panels), figsize=size, sharey=True, squeeze=False)
+        for axis, (name, panel) in zip(axes[0], panels.items(), strict=True):
+            shade = [[panel.get((r, c), (np.nan, ""))[0] for c in columns] for r in rows]
+            axis.imshow(np.array(shade, float), vmin=0, vmax=100, cmap="RdYlGn", aspect="auto")
+            for (row, column), (value, text) in panel.items():
+                ink = "white" if value < 15 or value > 85 else INK
+                place = columns.index(column), rows.index(row)
+                axis.text(*place, text, ha="center", va="center", fontsize=8, color=ink)
+            axis.set_xticks(range(len(columns)), columns, fontsize=8)
+            axis.set_yticks(range(len(rows)), [row.replace("_", " ") for row in rows])
+            axis.tick_params(length=0)
+            axis.set(title=name, xlabel=xlabel)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+        return save(figure, path, provenance)
+
+
 def bands(axis: Axes, vision: np.ndarray, every: float = CONTROL_DT) -> None:
     """Green where VP is in charge, red where OP is; `vision` is [T] bool, `every` s apart."""
     edges = np.flatnonzero(np.diff(vision.astype(int))) + 1

@@ -314,9 +314,8 @@ class FaultStudy(Study):
     ) -> None:
         """Write survival.png, detection.png, roc.png and gallery.png."""
         runs, out = summary["runs"], self.out
-        severities = list(dict.fromkeys(run["severity"] for run in runs))
-        fault_figures.draw_survival(runs, self.modes, severities, out / "survival.png", provenance)
-        fault_figures.draw_detection(runs, severities, out / "detection.png", provenance)
+        fault_figures.draw_survival(runs, self.modes, out / "survival.png", provenance)
+        fault_figures.draw_detection(runs, out / "detection.png", provenance)
         curves = {}
         for name, settings in self.batches.items():
             curves.setdefault(settings[0][0], []).extend(parts[name]["roc"])

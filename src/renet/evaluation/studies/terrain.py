@@ -160,7 +160,7 @@ class TerrainStudy(Study):
 
     def _run(self, kind: str, level: int, mode: str, trace: Trace) -> dict[str, Any]:
         """One row of the summary."""
-        crossed, fell, seconds = first_try(trace)
+        crossed, fell, seconds = trace.first_try()
         success = crossed if self.one_try else passed(trace)
         return {
             "kind": kind,
@@ -268,14 +268,6 @@ def passed(trace: Trace) -> np.ndarray:
 def highest_level(levels_passed: np.ndarray) -> np.ndarray:
     """[..., R] levels passed in a row from the first; `levels_passed` is [..., L, R] bool."""
     return np.sum(np.logical_and.accumulate(levels_passed, axis=-2), axis=-2)
-
-
-def first_try(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How each robot's first try ended: [N] crossed, [N] fell (bool), [N] seconds it took."""
-    first = trace.ended.argmax(axis=0)
-    robot = np.arange(trace.ended.shape[1])
-    ended, fell = trace.ended[first, robot], trace.fell[first, robot]
-    return ended & ~fell, ended & fell, np.where(ended, (first + 1) * CONTROL_DT, np.nan)
 
 
 def worse_than_op(runs: Sequence[dict[str, Any]], margin: float = 0.02) -> list[dict[str, Any]]:
