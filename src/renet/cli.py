@@ -96,6 +96,13 @@ COMMANDS = {
         "train",
         {"noise": ("renet.evaluation.studies.noise", "NoiseStudy")},
     ),
+    "evaluate leaderboard": Command(
+        "rank policies by their result files of the fault benchmark",
+        "renet.evaluation.leaderboard",
+        "LeaderboardCfg",
+        "make_leaderboard",
+        "train",
+    ),
     "evaluate terrain": Command(
         "highest levels on gap, platform and stairs (the paper's table); --preset success: one try",
         "renet.evaluation.studies.terrain",

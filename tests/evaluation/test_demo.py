@@ -19,7 +19,7 @@ from renet.evaluation.studies.noise import NoiseStudy
 
 from .fakes import FakeEvaluator
 
-SMALL: dict = {"robots": 2, "onset": 1.0, "seconds": 4.0, "fault_end": 4.0}
+SMALL: dict = {"robots": 2, "onsets": (1.0,), "lasts": 3.0, "seconds": 4.0}
 
 
 class Links(HTMLParser):
@@ -87,7 +87,8 @@ def test_the_folder_holds_everything(page: Path) -> None:
 def test_the_film_shows_the_setting_vp_suffers_most_in(tmp_path: Path) -> None:
     study, evaluator = NoiseStudy(out=tmp_path, **SMALL), FakeEvaluator()
     setting = worst_of_vp(study.run(evaluator))
-    env, trials = study.make_env(evaluator, "flat"), study.trials([setting])
+    trials = study.trials([setting])
+    env = study.make_env(evaluator, tuple(trial.robot for trial in trials))
     trace = evaluator.rollout("again", env, trials, study.steps, study.seed)
     assert trace.fallen[-1, :2].all()
     assert first_to_fall(study, trace) in (0, 1)

@@ -21,7 +21,7 @@ from renet.sim.depth.camera import CameraPerturbation, DepthCamera
 from renet.tasks import RenetEnv, RenetEnvCfg, RobotCfg, env_cfg, make_env
 from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg, goal
-from renet.tasks.mdp.rewards import collision
+from renet.tasks.mdp.rewards import collision, joint_energy
 from renet.tasks.parkour_env_cfg import flat_env_cfg, parkour_env_cfg, tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.terrains import single_tile_terrain, tile_row
@@ -212,6 +212,7 @@ class SimEnv:
             height=above.numpy(),
             travelled=np.linalg.norm(self._position() - self._start, axis=1),
             collisions=collision(self.env).numpy(),
+            power=joint_energy(self.env).numpy(),
             fell=fell,
             ended=ended,
         )

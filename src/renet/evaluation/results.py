@@ -133,7 +133,7 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
-PARTS_FORMAT = 4
+PARTS_FORMAT = 5
 """Raised when a study keeps other things in its parts: those of before are made anew."""
 
 

@@ -27,8 +27,8 @@ class Film:
 class Trace:
     """What happened, for each control step and robot; [T, N] unless said otherwise.
 
-    A robot that falls or leaves its tile starts anew and goes on; `fallen` and `speed` are for
-    studies in which a fall is final.
+    A robot that falls or leaves its tile starts anew and goes on; `over`, `fallen`, `speed` and
+    `first_try` are for studies in which only the first try counts.
     """
 
     forward_velocity: np.ndarray
@@ -39,6 +39,8 @@ class Trace:
     """m from where the robot last started."""
     collisions: np.ndarray
     """Thighs, calves and trunks that touch something."""
+    power: np.ndarray
+    """W, sum of |torque * joint velocity|."""
     anomaly: np.ndarray
     probability: np.ndarray
     """Vision probability P_t at the end of the step."""
@@ -69,6 +71,7 @@ class Trace:
             height=numbers(),
             travelled=numbers(),
             collisions=numbers(),
+            power=numbers(),
             anomaly=numbers(),
             probability=numbers(),
             fell=flags(),
@@ -101,9 +104,14 @@ class Trace:
         return ended & ~fell, ended & fell, np.where(ended, (first + 1) * CONTROL_DT, np.nan)
 
     @property
+    def over(self) -> np.ndarray:
+        """[T, N] bool: the first try ended in this or an earlier step."""
+        return np.logical_or.accumulate(self.ended, axis=0)
+
+    @property
     def fallen(self) -> np.ndarray:
-        """[T, N] bool: fell in this or an earlier step; a robot that fell stays counted."""
-        return np.logical_or.accumulate(self.fell, axis=0)
+        """[T, N] bool: the first try is over, by a fall."""
+        return self.over & self.first_try()[1]
 
     @property
     def speed(self) -> np.ndarray:

@@ -20,6 +20,20 @@ SHADES = ("#b7b2e0", "#7d76c9", "#3c3ca0", "#2a2a78", "#14143f")
 """Of severities 1 to 5."""
 
 
+def draw_crossed(runs: Runs, modes: Sequence[str], path: Path, provenance: Provenance) -> Path:
+    """A table of colours: share of robots that cross, faults by grounds, mode by mode."""
+    panels = {
+        figures.MODE_NAMES[mode]: _cells(
+            [run for run in runs if run["mode"] == mode],
+            lambda run: run["measures"]["crossed"]["value"],
+            "ground",
+        )
+        for mode in modes
+    }
+    title = "Robots that cross (%), all severities and onsets together"
+    return figures.colour_tables(panels, title, path, provenance, width=0.62)
+
+
 def draw_survival(runs: Runs, modes: Sequence[str], path: Path, provenance: Provenance) -> Path:
     """A table of colours: share of robots on their feet, faults by severities, mode by mode."""
     panels = {
@@ -28,7 +42,7 @@ def draw_survival(runs: Runs, modes: Sequence[str], path: Path, provenance: Prov
         )
         for mode in modes
     }
-    title = "Robots on their feet (%)"
+    title = "Robots on their feet (%), all grounds and onsets together"
     return figures.colour_tables(panels, title, path, provenance, "severity")
 
 
@@ -51,10 +65,18 @@ def _share(count: int, total: int) -> float:
     return count / total if total else np.nan
 
 
-def _cells(runs: Runs, value: Callable[[dict[str, Any]], float]) -> figures.Cells:
-    """Shares in percent by fault and severity."""
-    shares = {(run["fault"], str(run["severity"])): 100 * value(run) for run in runs}
-    return {key: (s, "–" if np.isnan(s) else f"{s:.0f}") for key, s in shares.items()}
+def _cells(
+    runs: Runs, value: Callable[[dict[str, Any]], float], column: str = "severity"
+) -> figures.Cells:
+    """Mean shares in percent by fault and `column`."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for run in runs:
+        name = str(run[column]).replace("_", "\n")
+        found.setdefault((run["fault"], name), []).append(100 * value(run))
+    shares = {key: np.array(values)[~np.isnan(values)] for key, values in found.items()}
+    return {
+        key: (s.mean(), f"{s.mean():.0f}") if s.size else (np.nan, "–") for key, s in shares.items()
+    }
 
 
 def draw_roc(

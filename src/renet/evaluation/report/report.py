@@ -17,6 +17,7 @@ from renet.evaluation.results import output_folder, read_json
 from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.filter import FilterStudy
+from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.studies.pictures import PicturesStudy
 from renet.evaluation.studies.standing import StandingStudy
@@ -32,6 +33,7 @@ STUDIES: dict[str, type[Study]] = {
         SuccessStudy,
         TerrainStudy,
         StandingStudy,
+        MarginsStudy,
         CourseStudy,
         FilterStudy,
         PicturesStudy,
@@ -45,8 +47,8 @@ class ReportCfg:
     """Where the results are and the page goes."""
 
     results: Path = Path("results")
-    """Folder with the studies' folders: noise, faults, success, terrain, standing, course, filter,
-    pictures."""
+    """Folder with the studies' folders: noise, faults, success, terrain, standing, margins, course,
+    filter, pictures."""
     out: Path | None = None
     """The page; index.html in `results` by default."""
     run: bool = False

@@ -23,8 +23,8 @@ from renet.evaluation.env import grounds_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report import figures
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import Trial, check_modes, check_speed
-from renet.evaluation.study import Part, Study, Table
+from renet.evaluation.rollout import Trial
+from renet.evaluation.study import Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT, PROPRIOCEPTION
 from renet.sim.depth.camera import DepthCameraCfg
 from renet.tasks import RenetEnvCfg
@@ -139,7 +139,7 @@ AXES = {
 
 
 @dataclass(frozen=True)
-class MarginsStudy(Study):
+class MarginsStudy(WalkingStudy):
     """How far a robot may be from the simulated one before more than 5 % of the robots fail."""
 
     out: Path = Path("results/margins")
@@ -152,35 +152,26 @@ class MarginsStudy(Study):
     """Of the ground, 1 to 10."""
     modes: tuple[str, ...] = ("vp", "op", "renet")
     """Policy modes to compare: vp, renet, op, oracle-switch."""
-    robots: int = 20
-    """Robots on each ground in each mode."""
     seconds: float = 8.0
     """Time of each robot, or until it has left its tile."""
-    speed: float = 0.6
-    """Commanded forward speed, m/s."""
 
     name: ClassVar[str] = "margins"
     selectable: ClassVar[tuple[str, ...]] = ("axes",)
+    quick_robots: ClassVar[int] = 4
 
     def __post_init__(self) -> None:
         unknown = [axis for axis in self.axes if axis not in AXES]
         if unknown or not self.axes:
             raise RenetError(f"axes {self.axes}: choose among {', '.join(AXES)}")
-        check_modes(self.modes)
-        check_speed(self.speed)
+        super().__post_init__()
         grounds_env_cfg(dict.fromkeys(self.grounds, self.level), GO1)
-        if self.robots < 1 or self.seconds < CONTROL_DT or not self.grounds:
-            raise RenetError("robots must be at least 1, seconds positive, and a ground given")
+        if self.seconds < CONTROL_DT or not self.grounds:
+            raise RenetError("seconds must be positive, and a ground given")
 
     @property
     def settings(self) -> list[tuple[str, str]]:
         """Ground and mode of every group of robots."""
         return [(ground, mode) for ground in self.grounds for mode in self.modes]
-
-    @property
-    def robots_each(self) -> int:
-        """Robots in each setting, after `quick`."""
-        return 4 if self.quick else self.robots
 
     def levels(self, axis: str) -> tuple[float, ...]:
         """Of a sweep, after `quick`."""
