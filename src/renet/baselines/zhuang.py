@@ -26,7 +26,7 @@ from renet.training.config import RenetRunnerCfg
 
 SOFT = "Renet-Go1-Parkour-Soft"
 """The parkour task under soft dynamics."""
-SOFT_SOLREF, SOFT_SOLIMP = (0.2, 1.0), (0.5, 0.5, 0.001, 0.5, 2.0)
+SOFT_SOLREF, SOFT_SOLIMP = (0.14, 1.0), (0.5, 0.5, 0.001, 0.5, 2.0)
 """MuJoCo's contact parameters of soft obstacles: a foot at rest sinks in by about 10 cm."""
 SOFT_GAP = 0.1
 """Depth of a soft gap, m: a robot can walk through it."""
