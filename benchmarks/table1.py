@@ -8,8 +8,10 @@ All state is what lies in the rows' folders: checkpoints of `renet train`, and t
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections.abc import Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,8 @@ import torch
 import tyro
 from scipy import stats
 
+from renet.baselines import cheng, zhuang
+from renet.baselines.distillation import DistillationCfg, DistillCfg, Stage
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
@@ -30,6 +34,7 @@ from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
 from renet.tasks.robot_cfg import ACTION_CLIP
 from renet.training import checkpoint as checkpoints
+from renet.training.bundle import load_networks
 from renet.training.config import from_dict, steps_per_env
 from renet.training.train import TrainCfg, train
 
@@ -42,8 +47,8 @@ class Row:
     """One method of the table."""
 
     name: str
-    model: dict[str, Any] | None
-    """Fields of ModelCfg that differ from the recipe's; None: no trainer for it here."""
+    stages: tuple[Stage, ...]
+    """The runs it takes, in their order; the last one's policy is judged."""
     paper: tuple[float, ...] | None
     """Levels of gap, platform and stairs, collisions, linear-velocity reward (RENet, Table I)."""
     mode: str = "vp"
@@ -55,20 +60,25 @@ class Row:
         return self.name.lower().replace("/", "").replace(" ", "_")
 
 
+def one(**model: Any) -> tuple[Stage, ...]:
+    """A single run, of networks that differ from the recipe's in the named fields of ModelCfg."""
+    return (Stage("run", 1.0, model),)
+
+
 ROWS = (
-    Row("Oracle", {"perception": "oracle"}, (9.96, 9.97, 9.93, 0.026, 0.5948)),
-    Row("MLP", {"encoder": "mlp"}, (9.84, 9.88, 9.85, 0.070, 0.5598)),
-    Row("SA", {}, (9.87, 9.85, 9.89, 0.077, 0.5556)),
-    Row("w/o VEL", {"predict_velocity": False}, (7.86, 4.28, 6.82, 0.254, 0.5221)),
-    Row("w/o FH", {"predict_feet_height": False}, (7.36, 7.20, 8.12, 0.071, 0.5506)),
-    Row("w/o HF", {"predict_height_map": False}, (5.49, 5.46, 6.44, 0.269, 0.5155)),
-    Row("w/o HIM", {"him": False}, (7.04, 7.67, 9.58, 0.076, 0.5572)),
-    Row("One Obs", {"history": 1}, (9.32, 8.46, 8.79, 0.082, 0.5543)),
-    Row("One Image", {"frames": 1}, (9.63, 8.86, 9.82, 0.104, 0.5537)),
-    Row("VP-only", {"perception": "vp"}, None),
-    Row("OP-only", {"perception": "op"}, None, "op"),
-    Row("Zhuang", None, (6.71, 7.28, 7.75, 0.205, 0.5425)),
-    Row("Cheng", None, (8.58, 8.29, 8.89, 0.152, 0.5501)),
+    Row("Oracle", one(perception="oracle"), (9.96, 9.97, 9.93, 0.026, 0.5948)),
+    Row("MLP", one(encoder="mlp"), (9.84, 9.88, 9.85, 0.070, 0.5598)),
+    Row("SA", one(), (9.87, 9.85, 9.89, 0.077, 0.5556)),
+    Row("w/o VEL", one(predict_velocity=False), (7.86, 4.28, 6.82, 0.254, 0.5221)),
+    Row("w/o FH", one(predict_feet_height=False), (7.36, 7.20, 8.12, 0.071, 0.5506)),
+    Row("w/o HF", one(predict_height_map=False), (5.49, 5.46, 6.44, 0.269, 0.5155)),
+    Row("w/o HIM", one(him=False), (7.04, 7.67, 9.58, 0.076, 0.5572)),
+    Row("One Obs", one(history=1), (9.32, 8.46, 8.79, 0.082, 0.5543)),
+    Row("One Image", one(frames=1), (9.63, 8.86, 9.82, 0.104, 0.5537)),
+    Row("VP-only", one(perception="vp"), None),
+    Row("OP-only", one(perception="op"), None, "op"),
+    Row("Zhuang", zhuang.STAGES, (6.71, 7.28, 7.75, 0.205, 0.5425)),
+    Row("Cheng", cheng.STAGES, (8.58, 8.29, 8.89, 0.152, 0.5501)),
 )
 
 
@@ -84,6 +94,8 @@ class Cfg:
     """Environment steps of each row."""
     num_envs: int = 512
     """Robots side by side."""
+    num_steps_per_env: int | None = None
+    """Control steps of each robot in an iteration, in place of the recipe's; for quick trials."""
     seed: int = 1
     """Of training; the judging's is `study.seed`."""
     study: TerrainStudy = field(default_factory=TerrainStudy)
@@ -106,21 +118,40 @@ class Cfg:
         """The rows asked for."""
         return [row for name in self.rows for row in ROWS if row.name == name]
 
-    def training(self, row: Row) -> TrainCfg:
-        """The recipe with the row's one difference.
+    def folder(self, row: Row, stage: Stage) -> Path:
+        """Where a stage's run is."""
+        return self.out / row.slug / stage.name
 
-        Raises:
-            RenetError: nothing here trains the row.
-        """
-        if row.model is None:
-            raise RenetError(f"nothing here trains the row {row.name} yet: leave it out of --rows")
-        cfg = TrainCfg(task=TASK, num_envs=self.num_envs, seed=self.seed)
-        return replace(
-            cfg,
-            model=replace(cfg.model, **row.model),
-            log_root=self.out / row.slug / "run",
-            max_iterations=iterations(cfg, self.steps),
+    def training(self, row: Row, stage: Stage) -> TrainCfg:
+        """The recipe with the stage's differences; stages before it are done."""
+        cfg = TrainCfg(
+            task=TASK,
+            num_envs=self.num_envs,
+            seed=self.seed,
+            num_steps_per_env=self.num_steps_per_env,
         )
+        share = stage.share + sum(earlier.share for earlier in parents(row, stage))
+        cfg = replace(
+            cfg,
+            **stage.settings,
+            model=replace(cfg.model, **stage.model),
+            log_root=self.folder(row, stage),
+            max_iterations=iterations(cfg, share * self.steps),
+        )
+        if not stage.teachers:
+            return cfg
+        teachers = tuple(
+            (str(newest(self, row, earlier)), stage.teachers[earlier.name])
+            for earlier in row.stages
+            if earlier.name in stage.teachers
+        )
+        return DistillCfg.of(cfg, DistillationCfg(teachers, **stage.distillation))
+
+
+def parents(row: Row, stage: Stage) -> list[Stage]:
+    """The stages it goes on from, the latest first: their steps and iterations count on."""
+    before = [earlier for earlier in row.stages if earlier.name == stage.after]
+    return before + [first for earlier in before for first in parents(row, earlier)]
 
 
 def iterations(cfg: TrainCfg, steps: float) -> int:
@@ -132,21 +163,22 @@ def iterations(cfg: TrainCfg, steps: float) -> int:
     return count
 
 
-def newest(cfg: Cfg, row: Row) -> Path | None:
-    """The row's newest checkpoint."""
+def newest(cfg: Cfg, row: Row, stage: Stage) -> Path | None:
+    """The stage's newest checkpoint."""
     try:
-        return checkpoints.find(cfg.out / row.slug / "run")
+        with redirect_stderr(io.StringIO()):  # It is told each time.
+            return checkpoints.find(cfg.folder(row, stage))
     except RenetError:
         return None
 
 
-def train_row(cfg: Cfg, row: Row) -> Path:
-    """Train the rest of a row's budget; returns its last checkpoint.
+def train_stage(cfg: Cfg, row: Row, stage: Stage) -> Path:
+    """Train the rest of a stage's budget; returns its last checkpoint.
 
     Raises:
-        RenetError: nothing here trains the row, or its checkpoint is of other settings.
+        RenetError: its checkpoint is of other settings.
     """
-    training, found = cfg.training(row), newest(cfg, row)
+    training, found = cfg.training(row, stage), newest(cfg, row, stage)
     if found is not None:
         state = checkpoints.load_state(found)
         had = from_dict(ModelCfg, state["config"]["model"])
@@ -158,9 +190,34 @@ def train_row(cfg: Cfg, row: Row) -> Path:
             )
         if state["iteration"] >= training.max_iterations:
             return found
-        training = replace(training, resume=str(found))
-    train(training)
-    return checkpoints.find(cfg.out / row.slug / "run")
+    for earlier in parents(row, stage)[:1]:
+        found = found or newest(cfg, row, earlier)
+    train(replace(training, resume=None if found is None else str(found)))
+    return checkpoints.find(cfg.folder(row, stage))
+
+
+def train_row(cfg: Cfg, row: Row) -> Path:
+    """Train what is left of a row's budget, stage by stage; returns the last one's checkpoint."""
+    return [train_stage(cfg, row, stage) for stage in row.stages][-1]
+
+
+def progress(cfg: Cfg, row: Row) -> tuple[int, float, bool]:
+    """Environment steps and seconds of all stages of a row, and whether all are done.
+
+    A stage that goes on from another one counts its steps and seconds on from there.
+    """
+    steps, seconds, complete = 0, 0.0, True
+    for stage in row.stages:
+        found = newest(cfg, row, stage)
+        if found is None:
+            return steps, seconds, False
+        state = checkpoints.load_state(found)
+        complete &= state["iteration"] >= cfg.training(row, stage).max_iterations
+        for earlier in parents(row, stage)[:1]:
+            begun = checkpoints.load_state(newest(cfg, row, earlier) or found)
+            steps, seconds = steps - begun["steps"], seconds - begun["seconds"]
+        steps, seconds = steps + state["steps"], seconds + state["seconds"]
+    return steps, seconds, complete
 
 
 class CheckpointPolicy:
@@ -206,9 +263,7 @@ class CheckpointEvaluator(Evaluator):
         """Load a checkpoint; raises RenetError where it is damaged."""
         super().__init__()
         found = checkpoints.load(path)
-        inputs = found.model["critics.reward.0.weight"].shape[1]
-        self._model = RENet(from_dict(ModelCfg, found.state["config"]["model"]), inputs).eval()
-        checkpoints.load_model(self._model, found.exported, path)
+        self._model = load_networks(found, path)
         self._name = path.name
         digest = hashlib.sha256()
         for name, value in sorted(found.exported.items()):
@@ -237,16 +292,15 @@ def judge_row(cfg: Cfg, row: Row, checkpoint: Path) -> None:
 
 def measured(cfg: Cfg, row: Row) -> dict[str, Any] | None:
     """The row's results; None where it has not been judged at the whole budget."""
-    path, found = cfg.out / row.slug / "terrain" / "summary.json", newest(cfg, row)
-    if row.model is None or found is None or not path.is_file():
+    path, found = cfg.out / row.slug / "terrain" / "summary.json", newest(cfg, row, row.stages[-1])
+    if found is None or not path.is_file():
         return None
-    state = checkpoints.load_state(found)
     summary = json.loads(path.read_text())
-    complete = state["iteration"] >= cfg.training(row).max_iterations
+    steps, seconds, complete = progress(cfg, row)
     judged_it = summary["provenance"]["bundle"] == found.name
     if not complete or not judged_it:
         return None
-    return {**summary, "steps": state["steps"], "hours": state["seconds"] / 3600}
+    return {**summary, "steps": steps, "hours": seconds / 3600}
 
 
 def passes(summary: dict[str, Any], column: str) -> str:
@@ -291,16 +345,12 @@ def status(cfg: Cfg) -> str:
     """Where each row stands, and the hours of training left at the speed of those begun."""
     lines, left, done, seconds = [], 0.0, 0, 0.0
     for row in cfg.chosen:
-        if row.model is None:
-            lines.append(f"{row.name:<10} nothing here trains it yet")
-            continue
-        found = newest(cfg, row)
-        state = {"steps": 0, "seconds": 0.0} if found is None else checkpoints.load_state(found)
-        done, seconds = done + state["steps"], seconds + state["seconds"]
-        left += max(cfg.steps - state["steps"], 0.0)
+        steps, taken, _ = progress(cfg, row)
+        done, seconds = done + steps, seconds + taken
+        left += max(cfg.steps - steps, 0.0)
         judged = "judged" if measured(cfg, row) else "not judged"
         lines.append(
-            f"{row.name:<10} {state['steps'] / 1e6:6.2f} M of {cfg.steps / 1e6:g} M steps, {judged}"
+            f"{row.name:<10} {steps / 1e6:6.2f} M of {cfg.steps / 1e6:g} M steps, {judged}"
         )
     rate = f"{left * seconds / done / 3600:.1f} h" if done else "unknown: no row has begun"
     return "\n".join([*lines, f"left: {left / 1e6:.2f} M steps of training, {rate}"])
@@ -312,9 +362,7 @@ def main(cfg: Cfg) -> None:
         print(status(cfg) if cfg.status else table(cfg))
         return
     for row in cfg.chosen:
-        if row.model is None:
-            print(f"{row.name}: nothing here trains it yet, left out")
-        elif not measured(cfg, row):
+        if not measured(cfg, row):
             judge_row(cfg, row, train_row(cfg, row))
     print(table(cfg))
 

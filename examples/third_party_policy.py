@@ -8,8 +8,8 @@ import numpy as np
 import onnxruntime as ort
 
 from renet.evaluation.evaluator import Evaluator, Provenance
+from renet.evaluation.leaderboard import LeaderboardCfg, make_leaderboard
 from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.studies.noise import NoiseStudy
 
 
 class TheirPolicy:
@@ -34,7 +34,11 @@ class TheirEvaluator(Evaluator):
         self.provenance = lambda seed: Provenance.now(model.stem, digest, "native", seed)
 
 
+def main(model: Path, results: Path = Path("results")) -> None:
+    FaultStudy(out=results / model.stem, quick=True).run(TheirEvaluator(model))
+    found = tuple(sorted(results.glob("*/result.json")))  # Also RENet's, if it was run there.
+    make_leaderboard(LeaderboardCfg(found, results / "leaderboard.md"))
+
+
 if __name__ == "__main__":
-    evaluator = TheirEvaluator(Path(sys.argv[1]))
-    NoiseStudy().run(evaluator)
-    FaultStudy(quick=True).run(evaluator)
+    main(Path(sys.argv[1]))

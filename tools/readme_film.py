@@ -15,10 +15,11 @@ import imageio_ffmpeg
 
 from renet.evaluation.demo import film_comparison
 from renet.evaluation.report.video import VideoCfg
+from renet.evaluation.studies.faults import Setting
 from renet.evaluation.studies.noise import NoiseStudy
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "walk.webp"
-NOISE = ("salt_and_pepper", 3)
+NOISE = Setting("flat", 3.0, "salt_and_pepper", 3)
 FPS = 10
 
 

@@ -96,6 +96,13 @@ COMMANDS = {
         "train",
         {"noise": ("renet.evaluation.studies.noise", "NoiseStudy")},
     ),
+    "evaluate leaderboard": Command(
+        "rank policies by their result files of the fault benchmark",
+        "renet.evaluation.leaderboard",
+        "LeaderboardCfg",
+        "make_leaderboard",
+        "train",
+    ),
     "evaluate terrain": Command(
         "highest levels on gap, platform and stairs (the paper's table); --preset success: one try",
         "renet.evaluation.studies.terrain",
@@ -103,6 +110,13 @@ COMMANDS = {
         "TerrainStudy.main",
         "train",
         {"success": ("renet.evaluation.studies.terrain", "SuccessStudy")},
+    ),
+    "evaluate margins": Command(
+        "how far a robot may be from the simulated one before the policy falls",
+        "renet.evaluation.studies.margins",
+        "MarginsStudy",
+        "MarginsStudy.main",
+        "train",
     ),
     "evaluate standing": Command(
         "whether a robot that is commanded to stand does, and stands still",

@@ -16,7 +16,6 @@ from renet.baselines.switches import (
     SwitchEvaluator,
     SwitchSelector,
     collect,
-    discounted_returns,
     fit,
 )
 from renet.errors import RenetError
@@ -39,19 +38,28 @@ def experience(steps: int = 60, robots: int = 32) -> Experience:
     return Experience(inputs, reward, done, vision, failing)
 
 
-def test_returns_are_the_discounted_sum_within_episode_and_horizon() -> None:
-    generator = torch.Generator().manual_seed(1)
-    reward = torch.rand(12, 5, generator=generator)
-    done = torch.rand(12, 5, generator=generator) < 0.2
-    found = discounted_returns(reward, done, 0.9, 4)
-    for t in range(12):
+def test_returns_are_a_discounted_mean_within_the_episode() -> None:
+    told: list[torch.Tensor] = []
+
+    class Listener(ReturnSwitch):
+        def loss(self, seen: Experience, returns: torch.Tensor) -> torch.Tensor:
+            told.append(returns)
+            return super().loss(seen, returns)
+
+    torch.manual_seed(1)
+    reward, done = torch.rand(12, 5), torch.rand(12, 5) < 0.2
+    seen = replace(experience(12, 5), reward=reward, done=done)
+    fit(Listener((4,)), seen, gamma=0.9, horizon=4, epochs=1)
+    assert told[0].shape == (8, 5)
+    for t in range(8):
         for n in range(5):
-            total = 0.0
-            for ahead in range(min(4, 12 - t)):
-                total += 0.9**ahead * float(reward[t + ahead, n])
-                if done[t + ahead, n]:
+            total, weight = 0.0, 0.1
+            for ahead in range(t, 12):
+                total += weight * float(reward[ahead, n])
+                weight *= 0.9
+                if done[ahead, n]:
                     break
-            assert float(found[t, n]) == pytest.approx(total, rel=1e-5)
+            assert float(told[0][t, n]) == pytest.approx(total, rel=1e-5)
 
 
 @pytest.mark.parametrize("kind", [ReturnSwitch, Gate])
@@ -59,7 +67,7 @@ def test_learns_to_prefer_blindness_where_vision_pays_less(kind) -> None:
     seen = experience()
     torch.manual_seed(0)
     switch = kind((16,))
-    losses = fit(switch, seen, horizon=10, epochs=150, rate=1e-2)
+    losses = fit(switch, seen, gamma=0.8, horizon=15, epochs=150, rate=1e-2)
     assert losses[-1] < 0.3 * losses[0]
     preference = switch.preference(seen.inputs).detach()
     assert (preference[seen.failing] < 0).float().mean() > 0.97

@@ -6,7 +6,7 @@ import importlib.util
 import json
 import shutil
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -25,28 +25,27 @@ SPEC.loader.exec_module(table1)
 STUDY = TerrainStudy(levels=(1,), robots=1, seconds=1.0)
 
 
+ORACLE, ZHUANG = (next(r for r in table1.ROWS if r.name == n) for n in ("Oracle", "Zhuang"))
+
+
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
-    """The Oracle, killed after one iteration of two, then run to its end with another row."""
-    # 8 robots take 12,800 steps an iteration by the recipe; 25 control steps of each do here.
+    """The Oracle, killed after one iteration of two, then run to its end beside an empty row."""
     out = tmp_path_factory.mktemp("table1")
-    with pytest.MonkeyPatch.context() as patch:
-        short = lambda self, row, made=table1.Cfg.training: replace(  # noqa: E731
-            made(self, row), num_steps_per_env=25, max_iterations=2
-        )
-        patch.setattr(table1.Cfg, "training", short)
-        cfg = table1.Cfg(out=out, rows=("Oracle", "Cheng"), steps=400, num_envs=8, study=STUDY)
-        killed = replace(short(cfg, table1.ROWS[0]), max_iterations=1)
-        table1.train(killed)
-        first = checkpoints.load_state(table1.newest(cfg, table1.ROWS[0]))
-        half = table1.table(cfg), table1.status(cfg)
-        table1.main(cfg)
-        yield cfg, first, half
+    cfg = table1.Cfg(
+        out=out, rows=("Oracle",), steps=400, num_envs=8, num_steps_per_env=25, study=STUDY
+    )
+    table1.train(replace(cfg.training(ORACLE, ORACLE.stages[0]), max_iterations=1))
+    first = checkpoints.load_state(table1.newest(cfg, ORACLE, ORACLE.stages[0]))
+    both = replace(cfg, rows=("Oracle", "Cheng"))
+    half = table1.table(both), table1.status(both)
+    table1.main(cfg)
+    return both, first, half
 
 
 def test_goes_on_from_where_it_was_killed(done) -> None:
     cfg, first, _ = done
-    last = checkpoints.load_state(table1.newest(cfg, table1.ROWS[0]))
+    last = checkpoints.load_state(table1.newest(cfg, ORACLE, ORACLE.stages[0]))
     assert (first["iteration"], first["steps"]) == (1, 200)
     assert (last["iteration"], last["steps"]) == (2, 400)
     assert len(list((cfg.out / "oracle" / "run").glob("*/*"))) == 1, "one run, not two"
@@ -56,6 +55,56 @@ def test_an_unfinished_row_is_missing(done) -> None:
     _, _, (table, status) = done
     assert table.count("missing") == 2 * 11
     assert "Oracle       0.00 M of 0.0004 M steps, not judged" in status
+
+
+class Trainer:
+    """Stands for `renet train`: writes the state a stage ends with, and is killed in one of them.
+
+    300 seconds and as many steps as an iteration takes each.
+    """
+
+    def __init__(self, killed_in: str = "") -> None:
+        self.killed_in, self.runs = killed_in, []
+
+    def __call__(self, cfg) -> None:
+        name = cfg.log_root.name
+        self.runs.append(name)
+        self.last = cfg
+        begun = 0 if cfg.resume is None else int(Path(cfg.resume).name.removeprefix("it_"))
+        reached = begun + 1 if name == self.killed_in else cfg.max_iterations
+        folder = cfg.log_root / cfg.task / "2026-01-01" / "checkpoints" / f"it_{reached:08d}"
+        folder.mkdir(parents=True)
+        config = {"model": asdict(cfg.model), "seed": cfg.seed, "num_envs": cfg.num_envs}
+        state = {"iteration": reached, "steps": 200 * reached, "seconds": 300.0 * reached}
+        (folder / "state.json").write_text(json.dumps({"format": 1, "config": config, **state}))
+        if name == self.killed_in:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("killed_in", ["run", "climb", "student"])
+def test_stages_build_on_each_other_and_go_on_after_a_kill(monkeypatch, tmp_path, killed_in):
+    names = [stage.name for stage in ZHUANG.stages]
+    cfg = table1.Cfg(out=tmp_path, steps=9600, num_envs=8, num_steps_per_env=25)
+    first, second = Trainer(killed_in), Trainer()
+    monkeypatch.setattr(table1, "train", first)
+    with pytest.raises(KeyboardInterrupt):
+        table1.train_row(cfg, ZHUANG)
+    place = names.index(killed_in)
+    assert first.runs == names[: place + 1]
+    assert killed_in in first.last.log_root.parts
+    assert not table1.progress(cfg, ZHUANG)[2]
+    monkeypatch.setattr(table1, "train", second)
+    table1.train_row(cfg, ZHUANG)
+    assert second.runs == names[place:]
+    # 16 iterations of walking, 4 + 4 for each skill after it, 16 of imitation.
+    assert table1.progress(cfg, ZHUANG) == (9600, 300.0 * 48, True)
+    taught = {Path(path).parts[-5]: kinds for path, kinds in second.last.distillation.teachers}
+    assert taught == dict(ZHUANG.stages[-1].teachers)
+    assert [Path(path).name for path, _ in second.last.distillation.teachers] == [
+        "it_00000016",
+        "it_00000024",
+        "it_00000024",
+    ]
 
 
 def test_prints_what_the_study_measured_beside_the_papers(done) -> None:
@@ -71,7 +120,7 @@ def test_prints_what_the_study_measured_beside_the_papers(done) -> None:
 
 
 def test_nothing_is_done_twice(done, monkeypatch) -> None:
-    cfg, _, _ = done
+    cfg = replace(done[0], rows=("Oracle",))
     monkeypatch.setattr(table1, "train", lambda cfg: pytest.fail("trained again"))
     monkeypatch.setattr(table1, "judge_row", lambda *a: pytest.fail("judged again"))
     table1.main(cfg)
@@ -81,25 +130,22 @@ def test_a_damaged_or_foreign_folder_is_refused(done, tmp_path) -> None:
     cfg, _, _ = done
     shutil.copytree(cfg.out, tmp_path, dirs_exist_ok=True)
     with pytest.raises(RenetError, match="another model, seed"):
-        table1.train_row(replace(cfg, out=tmp_path, seed=2), table1.ROWS[0])
+        table1.train_row(replace(cfg, out=tmp_path, seed=2), ORACLE)
 
 
 def test_every_row_differs_from_the_recipe_in_what_it_names() -> None:
     cfg = table1.Cfg()
-    base = cfg.training(next(row for row in table1.ROWS if row.name == "SA"))
-    for row in table1.ROWS:
-        if row.model is None:
-            with pytest.raises(RenetError, match="nothing here trains"):
-                cfg.training(row)
-            continue
-        ours = cfg.training(row)
+    sa = next(row for row in table1.ROWS if row.name == "SA")
+    base = cfg.training(sa, sa.stages[0])
+    for row in (row for row in table1.ROWS if len(row.stages) == 1):
+        ours = cfg.training(row, row.stages[0])
         changed = {k for k, v in vars(ours.model).items() if v != getattr(base.model, k)}
-        assert changed == set(row.model)
+        assert changed == set(row.stages[0].model)
         assert replace(ours, model=base.model, log_root=base.log_root) == base
 
 
 def test_budget_is_reached_and_not_by_more_than_an_iteration() -> None:
-    cfg = table1.Cfg().training(table1.ROWS[0])
+    cfg = table1.Cfg().training(ORACLE, ORACLE.stages[0])
     total = sum(512 * n for n in [table1.steps_per_env(None, 12800, 512, 0)])
     assert table1.iterations(replace(cfg, batch_size=12800), 15e6) == -(-15_000_000 // total)
 

@@ -28,6 +28,7 @@ class FakeEnv:
         self.x = np.zeros(num_robots)
 
     def reset(self) -> StepResult:
+        self.x[:] = 0
         return self.result(np.zeros(self.num_robots), np.zeros(self.num_robots, bool))
 
     def step(self, action: np.ndarray) -> StepResult:
@@ -38,6 +39,9 @@ class FakeEnv:
         self.x += SPEED * 0.02
         self.x[fell] = 0
         return self.result(SPEED * (1 - np.minimum(harm, 1)), fell)
+
+    def place_on(self, grounds: Sequence[str]) -> None:
+        assert len(grounds) == self.num_robots
 
     def poses(self, rows: Sequence[int]) -> np.ndarray:
         pose = np.zeros((len(rows), 7))
@@ -54,6 +58,7 @@ class FakeEnv:
             height=np.full(n, 0.3),
             travelled=self.x.copy(),
             collisions=np.zeros(n),
+            power=np.full(n, 60.0),
             fell=fell,
             ended=fell.copy(),
         )
@@ -111,7 +116,7 @@ class FakeEvaluator:
         self.scene_spec = spec
 
     def provenance(self, seed: int) -> Provenance:
-        return Provenance.now("fake", "0" * 64, "none", seed)
+        return Provenance.now("fake", "0" * 64, "native", seed)
 
     def make_env(self, task, robots: Sequence[int], speed: float, seed: int) -> FakeEnv:
         return FakeEnv(len(robots))

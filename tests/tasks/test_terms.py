@@ -215,7 +215,7 @@ def test_overspeed_counts_what_is_beyond_the_tolerance(flat):
     goal = flat.command_manager.get_term("goal")
     goal.speed[:], goal.yaw[:] = torch.tensor([0.5, 0.5, 0.0, 0.5]), 0.0
     flat.sim.data.qvel[:, 0] = torch.tensor([1.0, 0.6, 2.0, -3.0])
-    expected = torch.tensor([0.4, 0.0, 0.0, 0.0])
+    expected = torch.tensor([0.25, 0.0, 0.0, 0.0])
     torch.testing.assert_close(evaluate(flat, "overspeed"), expected, atol=1e-5, rtol=0)
 
 

@@ -10,9 +10,9 @@ Both read what the robot has at 50 Hz: proprioception, both latents and the anom
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -21,10 +21,12 @@ from torch import Tensor, nn
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import EvalEnv, Trial
 from renet.interface import LATENT, PROPRIOCEPTION_SIZE
 from renet.models.actor_critic import mlp
 from renet.selector import SelectorInput
+from renet.training.np3o import advantages
 
 BLIND = PROPRIOCEPTION_SIZE + LATENT
 """Leading inputs that do not come from the camera: o_t and h_b."""
@@ -48,16 +50,8 @@ class Experience:
     """[T, N] bool: the camera was failing."""
 
 
-class Switch(Protocol):
-    """Says by how much vision is to be preferred, from inputs [N, INPUTS]; above 0 it is."""
-
-    def preference(self, inputs: Tensor) -> Tensor:
-        """[N]"""
-        ...
-
-
 class ReturnSwitch(nn.Module):
-    """Estimators of the return under VP and under OP."""
+    """Estimators of the return under VP and under OP, as a mean reward."""
 
     def __init__(self, hidden: tuple[int, ...] = (128, 64)) -> None:
         super().__init__()
@@ -96,46 +90,39 @@ class Gate(nn.Module):
         return nn.functional.binary_cross_entropy_with_logits(self.preference(seen.inputs), truth)
 
 
-def discounted_returns(reward: Tensor, done: Tensor, gamma: float, horizon: int) -> Tensor:
-    """Discounted sums of the rewards of the next steps, within the episode.
-
-    Args:
-        reward: [T, N]. done: [T, N] bool. gamma: discount per step.
-        horizon: steps; the last `horizon` - 1 states of a rollout see fewer.
-
-    Returns:
-        [T, N].
-    """
-    total, alive, weight = torch.zeros_like(reward), torch.ones_like(reward), 1.0
-    for ahead in range(min(horizon, len(reward))):
-        rest = len(reward) - ahead
-        total[:rest] += weight * alive[:rest] * reward[ahead:]
-        alive[:rest] *= (~done[ahead:]).float()
-        weight *= gamma
-    return total
-
-
 def fit(
     switch: ReturnSwitch | Gate,
     seen: Experience,
     gamma: float = 0.98,
-    horizon: int = 100,
+    horizon: int = 150,
     epochs: int = 200,
     rate: float = 1e-3,
 ) -> list[float]:
     """Train a switch on experience; returns the loss of every epoch.
 
+    Args:
+        switch: changed in place.
+        seen: experience, of whose last `horizon` steps only the rewards count.
+        gamma: discount of the return per control step.
+        horizon: steps after which rewards hardly count.
+        epochs: passes. rate: Adam's.
+
     Raises:
         RenetError: too little experience for the horizon, or only one mode or camera state in it.
     """
-    usable = len(seen.reward) - horizon + 1
+    usable = len(seen.reward) - horizon
     if usable < 1:
         raise RenetError(f"{len(seen.reward)} steps are too few for a horizon of {horizon}")
     told = seen.vision if isinstance(switch, ReturnSwitch) else seen.failing
     if told.all() or not told.any():
         what = "VP and OP" if isinstance(switch, ReturnSwitch) else "healthy and failing cameras"
         raise RenetError(f"experience must show both {what}")
-    returns = discounted_returns(seen.reward, seen.done, gamma, horizon)[:usable]
+    reward = seen.reward.unsqueeze(-1)
+    nothing = torch.zeros_like(reward)
+    # Without values and with lambda 1 these are returns. Scaled to a mean reward: sums of many
+    # steps would take long to learn.
+    sums = advantages(reward, nothing, nothing[0], seen.done, gamma, lam=1.0)
+    returns = (1.0 - gamma) * sums.squeeze(-1)[:usable]
     part = Experience(**{name: value[:usable] for name, value in vars(seen).items()})
     optimizer = torch.optim.Adam(switch.parameters(), rate)
     losses = []
@@ -169,7 +156,11 @@ class SwitchSelector:
     """Smooths a switch's preference, and changes mode only beyond a margin."""
 
     def __init__(
-        self, switch: Switch, policy: ObservedPolicy, smoothing: float = 0.02, margin: float = 0.0
+        self,
+        switch: ReturnSwitch | Gate,
+        policy: ObservedPolicy,
+        smoothing: float = 0.02,
+        margin: float = 0.0,
     ) -> None:
         """Set up for the robots of a policy, all trusting vision.
 
@@ -214,7 +205,7 @@ class SwitchSelector:
 class SwitchEvaluator(Evaluator):
     """The bundle's policy, whose mode `renet` obeys a learned switch: any study can run it."""
 
-    switch: Switch | None = None
+    switch: ReturnSwitch | Gate | None = None
     """Set once it is trained; until then the bundle's own selector acts."""
 
     def make_policy(self, num_robots: int) -> ObservedPolicy:
@@ -227,6 +218,16 @@ class SwitchEvaluator(Evaluator):
         if selector is not None or self.switch is None:
             return super().make_selector(num_robots, selector)
         return SwitchSelector(self.switch, self._policy)
+
+    def provenance(self, seed: int) -> Provenance:
+        """The bundle's, with the switch's class and weights, lest results be taken for its own."""
+        own = super().provenance(seed)
+        if self.switch is None:
+            return own
+        weights = nn.utils.parameters_to_vector(self.switch.parameters()).detach().numpy()
+        digest = hashlib.sha256(own.bundle_hash.encode() + weights.tobytes()).hexdigest()
+        name = f"{own.bundle} with {type(self.switch).__name__}"
+        return replace(own, bundle=name, bundle_hash=digest)
 
 
 def collect(

@@ -83,7 +83,7 @@ def make_devices(cfg: DeployCfg, bundle: Bundle, say: Callable[[str], None]) -> 
     if cfg.fault and camera is not None:
         faults = [parse_fault(text) for text in cfg.fault]
         camera = FaultyCamera(camera, faults, robot.now, cfg.seed)
-    return Devices(robot, camera, _teleop(cfg), truth, cfg.robot != "mujoco", show)
+    return Devices(robot, camera, _teleop(cfg), truth, not cfg.simulated, show)
 
 
 def _robot(
@@ -96,14 +96,19 @@ def _robot(
         go1 = Go1Robot(host=cfg.robot_host, power_level=cfg.power_level)
         return go1, lambda: None, JointWatch(go1.read, say).look if cfg.dry_run else lambda: None
     try:
-        from renet.deploy.robots.mujoco import MujocoRobot
         from renet.deploy.robots.scene import build_scene
+
+        if cfg.robot == "pybullet":
+            from renet.deploy.robots.bullet import BulletRobot as Simulated
+        else:
+            from renet.deploy.robots.mujoco import MujocoRobot as Simulated
     except ModuleNotFoundError as error:
+        extra = "pybullet" if error.name == "pybullet" else "sim"
         raise RenetError(
-            f"--robot mujoco needs {error.name}: pip install 'renet-locomotion[sim]'"
+            f"--robot {cfg.robot} needs {error.name}: pip install 'renet-locomotion[{extra}]'"
         ) from error
     model, ground = build_scene(cfg.terrain, cfg.level, cfg.scene, cfg.seed)
-    robot = MujocoRobot(model, bundle.manifest.robot, ground, cfg.live)
+    robot = Simulated(model, bundle.manifest.robot, ground, cfg.live)
     show: Callable[[], None] = lambda: None  # noqa: E731
     if cfg.viewer:
         from renet.deploy.viewer import BrowserViewer
@@ -115,7 +120,7 @@ def _robot(
 def _camera(cfg: DeployCfg, bundle: Bundle, robot: RobotDriver) -> Camera | None:
     spec, kind = bundle.manifest.camera, cfg.camera
     if kind == "auto":
-        kind = "sim" if cfg.robot == "mujoco" else "realsense"
+        kind = "sim" if cfg.simulated else "realsense"
     if kind == "sim":
         from renet.deploy.cameras.sim import SimCamera
 

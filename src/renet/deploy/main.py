@@ -53,10 +53,10 @@ class DeployCfg:
 
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder; the one that ships with renet by default."""
-    robot: Literal["mujoco", "go1"] = "mujoco"
-    """mujoco: simulated in this process. go1: a Unitree Go1 in low-level mode."""
+    robot: Literal["mujoco", "pybullet", "go1"] = "mujoco"
+    """mujoco, pybullet: simulated in this process. go1: a Unitree Go1 in low-level mode."""
     camera: Literal["auto", "sim", "realsense", "replay", "none"] = "auto"
-    """auto: sim for mujoco, realsense for go1."""
+    """auto: sim for a simulated robot, realsense for go1."""
     teleop: Literal["auto", "keyboard", "joystick"] = "auto"
     """auto: stands up and walks straight ahead (simulation only)."""
     deadman: float | None = None
@@ -105,9 +105,14 @@ class DeployCfg:
     """Limits."""
 
     @property
+    def simulated(self) -> bool:
+        """The robot lives in this process."""
+        return self.robot != "go1"
+
+    @property
     def live(self) -> bool:
         """The robot's clock is the wall's."""
-        return self.robot != "mujoco" or self.real_time or self.viewer or self.teleop != "auto"
+        return not self.simulated or self.real_time or self.viewer or self.teleop != "auto"
 
     @property
     def length(self) -> float:
@@ -118,7 +123,7 @@ class DeployCfg:
     @property
     def operator_timeout(self) -> float:
         """Seconds without a sign of the operator after which the robot stands."""
-        default = math.inf if self.robot == "mujoco" else DEADMAN
+        default = math.inf if self.simulated else DEADMAN
         return default if self.deadman is None else self.deadman
 
     @property
@@ -248,7 +253,9 @@ def _check(cfg: DeployCfg) -> None:
         raise RenetError(f"--speed must be from 0 to {MAX_SPEED:g} m/s, got {cfg.speed}")
     if cfg.seed < 0:
         raise RenetError(f"--seed must not be negative, got {cfg.seed}")
-    if cfg.robot == "go1":
+    if cfg.viewer and cfg.robot == "pybullet":
+        raise RenetError("--viewer shows MuJoCo's simulation: use --robot mujoco")
+    if not cfg.simulated:
         if cfg.camera == "sim":
             raise RenetError("--camera sim looks at a simulation: use realsense, replay or none")
         if cfg.host != LOOPBACK:
@@ -289,7 +296,7 @@ def _header(cfg: DeployCfg, bundle: Bundle) -> dict[str, Any]:
 
 def _priority(cfg: DeployCfg) -> AbstractContextManager[str]:
     """Real-time priority for a real robot; a simulation would starve the rest of the computer."""
-    return nullcontext("") if cfg.robot == "mujoco" else realtime(PRIORITY)
+    return nullcontext("") if cfg.simulated else realtime(PRIORITY)
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.terminal import progress, show
 from renet.evaluation.trace import Trace
 from renet.faults import fault_class
+from renet.interface import CONTROL_DT
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def film_comparison(
     """Film VP alone beside RENet: one setting walks again, as it did in the study."""
     cfg, modes = cfg or VideoCfg(), ("vp", "renet")
     trials = study.trials([setting])
-    env = study.make_env(evaluator, study.terrain)
+    env = study.make_env(evaluator, tuple(trial.robot for trial in trials))
     film = range(len(trials))
     title = "one setting, filmed"
     trace = evaluator.rollout(title, env, trials, study.steps, study.seed, film)
@@ -88,12 +89,12 @@ def worst_of_vp(summary: dict[str, Any]) -> Setting:
     """The noise with most VP falls, then the slowest."""
     alone = [run for run in summary["runs"] if run["mode"] == "vp"]
     worst = max(alone, key=lambda run: (run["falls"], -run["mean_forward_velocity"]))
-    return worst["fault"], worst["severity"]
+    return Setting(worst["ground"], worst["onset"], worst["fault"], worst["severity"])
 
 
 def label(setting: Setting) -> str:
     """A noise as the paper writes it."""
-    return noise_label(setting[0], fault_class(setting[0]).level_of(setting[1]))
+    return noise_label(setting.fault, fault_class(setting.fault).level_of(setting.severity))
 
 
 def first_to_fall(study: NoiseStudy, trace: Trace) -> int:
@@ -102,7 +103,7 @@ def first_to_fall(study: NoiseStudy, trace: Trace) -> int:
     index = slice(start, start + study.robots_each)
     upright = (~trace.fallen[:, index]).sum(axis=0)
     # Who fell before the noise began says nothing about it.
-    upright = np.where(upright < study.onset_step, study.steps + 1, upright)
+    upright = np.where(upright * CONTROL_DT < study.onsets[0], study.steps + 1, upright)
     return int(np.lexsort((trace.speed[-150:, index].mean(axis=0), upright))[0])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 
 import mujoco
@@ -21,10 +21,10 @@ from renet.sim.depth.camera import CameraPerturbation, DepthCamera
 from renet.tasks import RenetEnv, RenetEnvCfg, RobotCfg, env_cfg, make_env
 from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg, goal
-from renet.tasks.mdp.rewards import collision
+from renet.tasks.mdp.rewards import collision, joint_energy
 from renet.tasks.parkour_env_cfg import flat_env_cfg, parkour_env_cfg, tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
-from renet.tasks.terrains import single_tile_terrain
+from renet.tasks.terrains import single_tile_terrain, tile_row
 
 FLAT, PARKOUR = "flat", "parkour"
 """Ground without tiles, and the training curriculum's field of tiles."""
@@ -60,6 +60,18 @@ def terrain_env_cfg(terrain: str, level: int, robot: RobotCfg) -> RenetEnvCfg:
     if terrain == PARKOUR:
         return parkour_env_cfg(play=True, robot=robot)
     return tile_env_cfg(single_tile_terrain(terrain, level), play=True, robot=robot)
+
+
+def grounds_env_cfg(grounds: Mapping[str, int], robot: RobotCfg) -> RenetEnvCfg:
+    """A task on several grounds side by side, for robots to be put on by `SimEnv.place_on`.
+
+    Args:
+        grounds: level, 1 to 10, of each: "flat" or a kind of tile. robot: to put there.
+
+    Raises:
+        RenetError: an unknown ground or level.
+    """
+    return tile_env_cfg(tile_row(grounds), play=True, robot=robot)
 
 
 def study_env_cfg(task: str | RenetEnvCfg, speed: float) -> RenetEnvCfg:
@@ -99,6 +111,8 @@ class SimEnv:
         self._twin = torch.from_numpy(first[number])
         """The row each row is a twin of, [N]."""
         for field in self.env.sim.expanded_fields:
+            if not getattr(self.env.sim.wp_model, field).size:
+                continue  # mjlab cannot read what the robot has none of, such as tendons.
             values = getattr(self.env.sim.model, field)
             values[:] = values[self._twin]
 
@@ -153,6 +167,14 @@ class SimEnv:
         terrain.terrain_types[:] = torch.as_tensor(kinds)
         terrain.env_origins[:] = terrain.terrain_origins[levels, kinds]
 
+    def place_on(self, grounds: Sequence[str]) -> None:
+        """Put each robot on a ground of `grounds_env_cfg`, from the next reset on; [N] names."""
+        terrain = self.env.scene.terrain
+        assert terrain is not None
+        assert terrain.cfg.terrain_generator is not None
+        kinds = list(terrain.cfg.terrain_generator.sub_terrains)
+        self.place(np.zeros(len(grounds), int), np.array([kinds.index(g) for g in grounds]))
+
     def command(self, speed: float) -> None:
         """Tell every robot a new c_x, m/s, from the next step on."""
         goal(self.env).speed[:] = speed
@@ -190,6 +212,7 @@ class SimEnv:
             height=above.numpy(),
             travelled=np.linalg.norm(self._position() - self._start, axis=1),
             collisions=collision(self.env).numpy(),
+            power=joint_energy(self.env).numpy(),
             fell=fell,
             ended=ended,
         )

@@ -96,15 +96,17 @@ def bootstrap_interval(
     if len(values) < 2:
         only = float(values[0]) if len(values) else float("nan")
         return only, only
-    found = stats.bootstrap(
-        (values,),
-        statistic,
-        n_resamples=resamples,
-        confidence_level=confidence,
-        method="percentile",
-        rng=np.random.default_rng(seed),
-    )
-    return float(found.confidence_interval.low), float(found.confidence_interval.high)
+    picks = np.random.default_rng(seed).integers(len(values), size=(resamples, len(values)))
+    beyond = (1.0 - confidence) / 2
+    low, high = np.quantile(statistic(values[picks], axis=1), (beyond, 1.0 - beyond))
+    return float(low), float(high)
+
+
+def wilson_interval(successes: np.ndarray) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share, from 0 or 1 for each robot [n]; n > 0."""
+    test = stats.binomtest(int(successes.sum()), len(successes))
+    found = test.proportion_ci(0.95, "wilson")
+    return float(found.low), float(found.high)
 
 
 def with_interval(name: str, values: np.ndarray) -> dict[str, float]:

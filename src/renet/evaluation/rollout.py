@@ -20,6 +20,8 @@ from renet.faults import TICK, Frames, Injector, Schedule, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import SelectorInput
 
+STATE = ("forward_velocity", "height", "travelled", "collisions", "power", "fell", "ended")
+"""What of a `StepResult` a trace keeps."""
 MODES = ("vp", "renet", "op", "oracle-switch")
 """Policy modes: vision always, the selector's choice, never, and a switch that knows the fault."""
 
@@ -42,6 +44,8 @@ class StepResult:
     """[N] true horizontal distance from the start, m."""
     collisions: np.ndarray
     """[N] thighs, calves and trunks that touch something."""
+    power: np.ndarray
+    """[N] W, sum of |torque * joint velocity|."""
     fell: np.ndarray
     """[N] bool: the episode ended in this step by a fall, judged by the true pose."""
     ended: np.ndarray
@@ -282,7 +286,7 @@ def run_rollout(
         trace.anomaly[k], trace.probability[k] = policy.anomaly_score, selector.probability
         trace.vision[k], trace.failing[k] = ~loop.use_op, loop.failing
         result = loop.step(action)
-        for name in ("forward_velocity", "height", "travelled", "collisions", "fell", "ended"):
+        for name in STATE:
             getattr(trace, name)[k] = getattr(result, name)
         if on_step(result) is True:
             trace = trace.until(k + 1)

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import (
     Provenance,
@@ -22,6 +23,8 @@ from renet.evaluation.results import (
     write_csv,
     write_json,
 )
+from renet.evaluation.rollout import check_modes, check_speed
+from renet.evaluation.selectors import check_selector
 from renet.evaluation.terminal import show
 
 Part = dict[str, Any]
@@ -84,8 +87,8 @@ class Study:
         raise NotImplementedError
 
     def make_evaluator(self) -> Evaluator:
-        """The evaluator of the settings' bundle and selector."""
-        return Evaluator(self.bundle, self.engine, getattr(self, "selector", "monitors"))
+        """The evaluator of the settings' bundle."""
+        return Evaluator(self.bundle, self.engine)
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
         """Run what has not been run yet and write the results to `out`.
@@ -111,7 +114,8 @@ class Study:
         )
         write_json(out / "summary.json", summary)
         rows = [
-            {k: v for k, v in run.items() if not isinstance(v, list)} for run in summary["runs"]
+            {k: v for k, v in run.items() if not isinstance(v, (list, dict))}
+            for run in summary["runs"]
         ]
         write_csv(out / "summary.csv", rows)
         self.draw(summary, parts, provenance)
@@ -122,3 +126,35 @@ class Study:
         summary = self.run()
         for title, header, rows in self.tables(summary):
             show(title, header, rows)
+
+
+@dataclass(frozen=True)
+class WalkingStudy(Study):
+    """A study of robots that are told to walk straight ahead, in several modes."""
+
+    modes: tuple[str, ...] = ("vp", "renet", "op")
+    """Policy modes to compare: vp, renet, op, oracle-switch."""
+    robots: int = 20
+    """Robots in each setting and mode."""
+    speed: float = 0.6
+    """Commanded forward speed, m/s."""
+    selector: str = "monitors"
+    """What `renet` trusts: monitors (all of them, with a dwell) or paper (reconstruction alone)."""
+
+    quick_robots: ClassVar[int] = 5
+
+    def __post_init__(self) -> None:
+        check_modes(self.modes)
+        check_speed(self.speed)
+        check_selector(self.selector)
+        if self.robots < 1:
+            raise RenetError(f"robots must be at least 1, got {self.robots}")
+
+    @property
+    def robots_each(self) -> int:
+        """Robots in each setting and mode, after `quick`."""
+        return self.quick_robots if self.quick else self.robots
+
+    def make_evaluator(self) -> Evaluator:
+        """The evaluator of the settings' bundle and selector."""
+        return Evaluator(self.bundle, self.engine, self.selector)

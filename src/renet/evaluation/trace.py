@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -27,8 +27,8 @@ class Film:
 class Trace:
     """What happened, for each control step and robot; [T, N] unless said otherwise.
 
-    A robot that falls or leaves its tile starts anew and goes on; `fallen` and `speed` are for
-    studies in which a fall is final.
+    A robot that falls or leaves its tile starts anew and goes on; `over`, `fallen`, `speed` and
+    `first_try` are for studies in which only the first try counts.
     """
 
     forward_velocity: np.ndarray
@@ -39,6 +39,8 @@ class Trace:
     """m from where the robot last started."""
     collisions: np.ndarray
     """Thighs, calves and trunks that touch something."""
+    power: np.ndarray
+    """W, sum of |torque * joint velocity|."""
     anomaly: np.ndarray
     probability: np.ndarray
     """Vision probability P_t at the end of the step."""
@@ -57,43 +59,43 @@ class Trace:
     @classmethod
     def empty(cls, steps: int, count: int) -> Trace:
         """Room for `steps` control steps of `count` robots."""
-
-        def numbers() -> np.ndarray:
-            return np.zeros((steps, count))
-
-        def flags() -> np.ndarray:
-            return np.zeros((steps, count), bool)
-
+        flags = ("fell", "ended", "vision", "failing")
+        names = (f.name for f in fields(cls) if f.name not in ("trusted", "film"))
         return cls(
-            forward_velocity=numbers(),
-            height=numbers(),
-            travelled=numbers(),
-            collisions=numbers(),
-            anomaly=numbers(),
-            probability=numbers(),
-            fell=flags(),
-            ended=flags(),
-            vision=flags(),
-            failing=flags(),
+            **{n: np.zeros((steps, count), bool if n in flags else float) for n in names},
             trusted=np.ones((steps, UPDATES_PER_STEP, count), bool),
         )
 
     def until(self, steps: int) -> Trace:
-        """The first control steps only."""
+        """The first control steps only, without film."""
         return Trace(
             **{name: value[:steps] for name, value in vars(self).items() if name != "film"}
         )
 
     def robots(self, index: slice) -> Trace:
         """Some robots only, without film."""
-        return Trace(
-            **{name: value[..., index] for name, value in vars(self).items() if name != "film"}
-        )
+        own = {name: value[..., index] for name, value in vars(self).items() if name != "film"}
+        return Trace(**own)
+
+    def first_try(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """How each robot's first try ended: [N] crossed, [N] fell (bool), [N] seconds it took.
+
+        It crosses where the episode ends otherwise than by a fall; NaN seconds: it did not end.
+        """
+        first = self.ended.argmax(axis=0)
+        robot = np.arange(self.ended.shape[1])
+        ended, fell = self.ended[first, robot], self.fell[first, robot]
+        return ended & ~fell, ended & fell, np.where(ended, (first + 1) * CONTROL_DT, np.nan)
+
+    @property
+    def over(self) -> np.ndarray:
+        """[T, N] bool: the first try ended in this or an earlier step."""
+        return np.logical_or.accumulate(self.ended, axis=0)
 
     @property
     def fallen(self) -> np.ndarray:
-        """[T, N] bool: fell in this or an earlier step; a robot that fell stays counted."""
-        return np.logical_or.accumulate(self.fell, axis=0)
+        """[T, N] bool: the first try is over, by a fall."""
+        return self.over & self.first_try()[1]
 
     @property
     def speed(self) -> np.ndarray:

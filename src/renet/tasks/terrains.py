@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import cast
 
 from mjlab.terrains import TerrainEntityCfg, TerrainGeneratorCfg
@@ -40,19 +42,30 @@ def parkour_terrain() -> TerrainEntityCfg:
 
 
 def single_tile_terrain(kind: str, level: int) -> TerrainEntityCfg:
-    """One tile of `kind` at `level` (1 to 10) with a flat border, for evaluation.
+    """One tile of `kind` at `level` (1 to 10) with a flat border; see `tile_row`."""
+    return tile_row({kind: level})
 
-    No training saw it: random tiles are drawn from another seed, and gaps and platforms are single
-    rings where the default recipe trains on several.
+
+def tile_row(grounds: Mapping[str, int]) -> TerrainEntityCfg:
+    """Tiles in a row with a flat border, each at its own level, for evaluation.
+
+    No training saw them: random tiles are drawn from another seed, and gaps and platforms are
+    single rings where the default recipe trains on several.
+
+    Args:
+        grounds: level, 1 to 10, of each kind of tile; "flat" is one without relief.
 
     Raises:
         RenetError: unknown kind or level.
     """
-    tile, difficulty = find_tile(kind, level)
+    kinds = {}
+    for kind, level in grounds.items():
+        tile, difficulty = find_tile("rough" if kind == "flat" else kind, level)
+        size = 0.0 if kind == "flat" else tile.measure(difficulty)
+        kinds[kind] = replace(tile, low=size, high=size, proportion=1.0, flat_start=False)
     cfg = parkour_terrain()
     generator = cfg.terrain_generator
     assert generator is not None
     generator.num_rows, generator.seed = 1, UNSEEN
-    generator.difficulty_range = (difficulty, difficulty)
-    generator.sub_terrains = as_mjlab({kind: tile})
+    generator.sub_terrains = as_mjlab(kinds)
     return cfg

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 import torch
 from rsl_rl.env import VecEnv
@@ -113,10 +113,10 @@ class RenetAlgorithm:
         self._cost_sum = torch.zeros(len(CONSTRAINTS), device=device)
         self._overflow = overflow
 
-    @staticmethod
+    @classmethod
     def construct_algorithm(
-        obs: TensorDict, env: VecEnv, cfg: dict[str, Any], device: str
-    ) -> RenetAlgorithm:
+        cls, obs: TensorDict, env: VecEnv, cfg: dict[str, Any], device: str
+    ) -> Self:
         """Build from rsl_rl's dictionary configuration; raises RenetError on a foreign task."""
         missing = [
             g for g in (*CRITIC_GROUPS, "proprioception", "depth", "difficult") if g not in obs
@@ -131,7 +131,7 @@ class RenetAlgorithm:
         }
         critic_size = critic_observation(obs, torch.zeros_like(obs["difficult"][:, 0])).shape[-1]
         model = RENet(from_dict(ModelCfg, cfg["model"]), critic_size)
-        return RenetAlgorithm(
+        return cls(
             model,
             env.num_envs,
             from_dict(NP3OCfg, algorithm),
@@ -246,10 +246,9 @@ class RenetAlgorithm:
     def update(self) -> dict[str, float]:
         """Learn from the rollout; returns losses and mean costs by name."""
         length = self._rollout.done.shape[0]
-        losses = self.np3o.update(self._rollout, self._last_value, self.iteration, self.steps)
         latent_op, latent_vp = self._initial_latents
         ticks = TickRollout(**self._ticks.stack(), latent_op=latent_op, latent_vp=latent_vp)
-        losses |= self.supervision.update(ticks, self.steps)
+        losses = self._learn(ticks)
         self.average.update(self.model)
         for name, cost in zip(CONSTRAINTS, (self._cost_sum / length).tolist(), strict=True):
             losses[f"cost_{name}"] = cost
@@ -260,6 +259,11 @@ class RenetAlgorithm:
         self.iteration += 1
         self.steps += self._rollout.done.numel() * distributed.world_size()
         return losses
+
+    def _learn(self, ticks: TickRollout) -> dict[str, float]:
+        """Take an iteration's gradient steps; returns losses by name."""
+        losses = self.np3o.update(self._rollout, self._last_value, self.iteration, self.steps)
+        return losses | self.supervision.update(ticks, self.steps)
 
     def not_finite(self, obs: TensorDict) -> list[str]:
         """Names of what the environment reported in the last rollout and is no number."""

@@ -59,7 +59,8 @@ RENET: dict[str, Any] = {
     # The paper's "variance 0.01" read as m^2 is 0.1 m, which hides narrow gaps; a RealSense has 1
     # to 3 cm at 2 m.
     "depth_noise_std": 0.03,
-    "standing_after": 6e6,
+    # Sooner, a third of the steps goes to standing while levels could rise.
+    "standing_after": 2e7,
 }
 
 PAPER: dict[str, Any] = {

@@ -34,6 +34,7 @@ class RenetRunner(OnPolicyRunner):
     """rsl_rl's runner with resumable checkpoints, a time budget and a progress bar."""
 
     alg: RenetAlgorithm  # type: ignore[assignment]
+    algorithm = "renet.training.algorithm:RenetAlgorithm"
 
     def __init__(
         self,
@@ -52,7 +53,7 @@ class RenetRunner(OnPolicyRunner):
         # Keys rsl_rl reads unconditionally; constructing the algorithm consumes the class name.
         train_cfg["algorithm"] = {
             **train_cfg["algorithm"],
-            "class_name": "renet.training.algorithm:RenetAlgorithm",
+            "class_name": self.algorithm,
             "rnd_cfg": None,
         }
         super().__init__(env, train_cfg, log_dir, device)

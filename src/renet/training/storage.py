@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -65,10 +66,10 @@ class TickRollout:
     latent_vp: Tensor
     """h_v before the first tick, [N, 64]."""
 
-    def environments(self, index: Tensor) -> TickRollout:
+    def environments(self, index: Tensor) -> Self:
         """Whole sequences of the environments in `index`."""
         initial = ("latent_op", "latent_vp")
-        return TickRollout(
+        return type(self)(
             *(
                 getattr(self, f.name)[index]
                 if f.name in initial

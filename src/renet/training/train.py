@@ -16,7 +16,7 @@ from datetime import datetime
 from functools import partial
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import torch
 import tyro
@@ -127,6 +127,8 @@ class TrainCfg(LearningCfg):
     """Folder that receives a folder per run; by default `logs`, or where the run to go on from is.
     Another one than that run's branches off: the run itself stays as it is."""
 
+    runner: ClassVar[type[RenetRunner]] = RenetRunner
+
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> TrainCfg:
         """What a command line starts from: its `--preset`, or the run it resumes.
@@ -216,7 +218,7 @@ def train(cfg: TrainCfg) -> Path | None:
     # Another task's run stays as it is.
     own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
     run = None if rank else resumed_run(own, cfg.log_root) or new_run(cfg.log_root, cfg.task)
-    runner = RenetRunner(vec_env, settings(cfg), str(run) if run else None, device)
+    runner = cfg.runner(vec_env, settings(cfg), str(run) if run else None, device)
     if resume:
         runner.load(str(resume))
     if run:

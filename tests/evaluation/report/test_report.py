@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.report import report
+from renet.evaluation.report import figures, report
 from renet.evaluation.report.report import STUDIES, ReportCfg, make_report
 from renet.evaluation.report.summary import FACTS, WORSE
 from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.filter import FilterStudy
+from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.studies.standing import StandingStudy
 from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
@@ -28,27 +29,35 @@ from .browser import Browser, find_browser
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Every study, tiny."""
+    """Every study, tiny, with pictures of few pixels."""
     folder = tmp_path_factory.mktemp("results")
-    noise = NoiseStudy(out=folder / "noise", robots=1, onset=0.2, seconds=3.4, fault_end=3.4)
+    coarse = pytest.MonkeyPatch()
+    coarse.setattr(figures.save, "__defaults__", (20,))
+    noise = NoiseStudy(out=folder / "noise", robots=1, onsets=(0.2,), lasts=3.2, seconds=3.4)
     noise.run(FakeEvaluator())
     FaultStudy(
         out=folder / "faults",
         faults=("gaussian", "unplugged", "wrong_scale"),
+        grounds=("flat", "gap"),
+        severities=(1, 5),
         robots=1,
-        onset=0.2,
-        fault_end=0.8,
+        onsets=(0.2,),
+        lasts=0.6,
         seconds=1.2,
         healthy_minutes=0,
     ).run(FakeEvaluator())
     FilterStudy(out=folder / "filter", robots=1, onset=0.2, seconds=1.2).run(FakeEvaluator())
     TerrainStudy(out=folder / "terrain", robots=2, seconds=2).run(LadderEvaluator())
     StandingStudy(out=folder / "standing", **QUICK).run(ObedientEvaluator())
+    MarginsStudy(out=folder / "margins", axes=("payload",), robots=1, seconds=0.2).run(
+        FakeEvaluator()
+    )
     success = SuccessStudy(out=folder / "success", levels=(1, 3), robots=2, seconds=2)
     success.run(HurdlesEvaluator())
     lap = ("flat", "grass")
     course = CourseStudy(out=folder / "course", lap=lap, laps=1, robots=1, stuck_after=0.2)
     course.run(StillEvaluator())
+    coarse.undo()
     return folder
 
 
@@ -66,6 +75,7 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
         "One try at each obstacle",
         "Parkour",
         "Standing on command",
+        "How far from the simulator",
         "The course",
         "selector's filter",
     ):
@@ -74,7 +84,7 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
     assert "∞ s" in html
     # Pictures need a real bundle: test_pictures.py reports them.
     assert html.count("bundle hash") == len(STUDIES) - 1
-    assert html.count("<img") == 12
+    assert html.count("<img") == 14
 
 
 def test_one_study_alone_makes_a_page(results: Path, tmp_path: Path) -> None:
@@ -99,12 +109,14 @@ def test_results_of_different_bundles_are_pointed_out(results: Path, tmp_path: P
 def test_what_is_worse_than_op_alone_is_listed() -> None:
     faults = {
         "harmful": [
-            {"fault": "glare", "severity": 5, "renet": 0.5, "op": 1.0, "beyond_chance": True}
+            {"fault": "glare", "severity": 5, "ground": "gap", "beyond_chance": True}
+            | {"renet": 0.5, "op": 1.0}
         ],
         "missed": [
             {
                 "fault": "frozen",
                 "severity": 3,
+                "ground": "stairs_up",
                 "undetected": 2,
                 "vp_falls": 4,
                 "vp_spared": 1,
@@ -113,10 +125,11 @@ def test_what_is_worse_than_op_alone_is_listed() -> None:
         ],
     }
     assert WORSE["faults"](faults) == [
-        ("faults", "glare 5", "50 %", "100 %"),
+        ("faults", "glare 5 on gap", "50 %", "100 %"),
         (
             "faults",
-            "frozen 3 goes unnoticed; 4 fall with VP only then, 1 only without it (within chance)",
+            "frozen 3 on stairs up goes unnoticed; 4 fall with VP only then, 1 only without it"
+            " (within chance)",
             "2 robots",
             "",
         ),

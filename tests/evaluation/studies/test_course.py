@@ -190,7 +190,6 @@ def test_quick_is_short_and_the_whole_is_a_kilometre() -> None:
         {"lap": ()},
         {"lap": ("lava",)},
         {"level": 11},
-        {"modes": ("x",)},
         {"severity": 0},
         {"laps": 0},
         {"stuck_after": 0.0},

@@ -6,14 +6,18 @@ import numpy as np
 import pytest
 
 from renet.evaluation import metrics
-from renet.evaluation.studies.fault_findings import findings
 from renet.evaluation.studies.fault_metrics import (
     Batch,
+    beside_op,
     detection,
     end_of,
-    measure,
+    estimates,
+    noticing,
+    pair_counts,
     recovery,
+    robot_measures,
     separability,
+    survival,
 )
 from renet.evaluation.trace import Trace
 
@@ -26,7 +30,7 @@ def batch(count: int = 4) -> Batch:
     trace.forward_velocity[:] = 0.6
     trace.trusted[ONSET + 2 : OVER + 50, :, 0] = False
     trace.trusted[ONSET + 20 : OVER + 15, :, 1] = False
-    trace.fell[ONSET + 5, 3] = True
+    trace.fell[ONSET + 5, 3] = trace.ended[ONSET + 5, 3] = True
     trace.trusted[ONSET + 10 : OVER, :, 3] = False
     if count > 4:  # A fifth robot had left vision before.
         trace.trusted[ONSET - 3 : OVER, :, 4] = False
@@ -38,64 +42,107 @@ def batch(count: int = 4) -> Batch:
 
 
 def test_detection_return_and_survival_by_hand() -> None:
-    row = measure(batch(), slice(0, 4), "gaussian", 5)
+    row = noticing(batch()) | survival(batch().trace)
     assert row["detected"] == 2
     assert row["detection_delay_s"] == pytest.approx((0.045 + 0.405) / 2)
     assert row["detected_by_paper"] == 0
     assert row["paper_detection_delay_s"] is None
-    assert row["falls"] == 1
-    assert row["survival"] == 0.75
+    assert (row["falls"], row["survival"]) == (1, 0.75)
     # Robot 0 is not back before the run ends, 1 after 15 steps and one update.
     assert (row["recovered"], row["away_at_end"]) == (1, 2)
     assert row["recovery_delay_s"] == pytest.approx(0.305)
-    assert row["distance"] == pytest.approx((3 * 100 + 25) / 4 * 0.6 * 0.02)
+    assert row["mean_forward_velocity"] == pytest.approx(0.6 * (3 * 100 + 25) / 400)
 
 
 def test_a_robot_without_vision_neither_notices_nor_misses() -> None:
-    four, five = (measure(batch(n), slice(0, n), "gaussian", 5) for n in (4, 5))
-    assert (four["vision_active_at_onset"], five["vision_active_at_onset"]) == (4, 4)
-    assert five["robots"] == 5
-    for name in ("detected", "detection_delay_s", "detected_by_paper"):
+    four, five = noticing(batch(4)), noticing(batch(5))
+    for name in ("vision_active_at_onset", "detected", "detection_delay_s", "detected_by_paper"):
         assert five[name] == four[name]
+    assert four["vision_active_at_onset"] == 4
 
 
 def test_a_fault_ends_by_itself_or_with_the_study() -> None:
-    assert end_of("frozen", 1, 20, 60) == 30
-    assert end_of("frozen", 4, 20, 60) == 60
-    assert end_of("gaussian", 1, 20, 60) == 60
-    assert end_of("mount_knocked", 1, 20, 60) == 60
+    assert [end_of("frozen", severity, 20, 60) for severity in (1, 4)] == [30, 60]
+    assert end_of("gaussian", 1, 20, 60) == end_of("mount_knocked", 1, 20, 60) == 60
 
 
-def test_noticing_after_the_fall_is_a_miss() -> None:
-    trusted = np.ones((50, 4, 2), bool)
-    trusted[30:] = False
-    fallen = np.zeros((50, 2), bool)
-    fallen[25:, 0] = True
-    delay = detection(trusted, fallen, 20, 50)
-    assert np.isnan(delay[0])
-    assert delay[1] == pytest.approx(0.205)
-
-
-def test_starting_anew_is_no_return_to_vision() -> None:
-    trusted = np.ones((50, 4, 2), bool)
-    trusted[10:31] = False
-    fallen = np.zeros((50, 2), bool)
-    fallen[30:, 0] = True
-    delay = recovery(trusted, fallen, 20)
-    assert np.isnan(delay[0])
-    assert delay[1] == pytest.approx(0.225)
+def test_only_what_comes_before_a_fall_counts() -> None:
+    trusted, gone = np.ones((50, 4, 2), bool), np.zeros((50, 2), bool)
+    trusted[30:], gone[25:, 0] = False, True
+    np.testing.assert_allclose(detection(trusted, gone, 20, 50), [np.nan, 0.205])
+    # One that starts anew after a fall has not returned to vision.
+    trusted[10:31], trusted[31:], gone[:30, 0] = False, True, False
+    np.testing.assert_allclose(recovery(trusted, gone, 20), [np.nan, 0.225])
 
 
 def test_areas_match_counting_pairs() -> None:
-    found = separability(batch(), slice(0, 3), "gaussian", 5)
-    scores = batch().reconstruction[:, :3]
-    before, after = scores[:4].ravel(), scores[4:12].ravel()
+    whole = batch()
+    three = Batch(
+        whole.trace.robots(slice(0, 3)),
+        whole.paper[..., :3],
+        *(scores[:, :3] for scores in (whole.reconstruction, whole.monitors)),
+        ONSET,
+        OVER,
+    )
+    found = separability([three, three])
+    before, after = (three.reconstruction[rows].ravel() for rows in (slice(4), slice(4, 12)))
     pairs = (after[:, None] > before).mean()
     assert found["auc_reconstruction"] == pytest.approx(pairs)
     assert found["auc_monitors"] == pytest.approx(pairs)
     false, true = found["monitors"]
-    assert false[0] == true[0] == 0
-    assert false[-1] == true[-1] == 1
+    assert (false[0], true[0], false[-1], true[-1]) == (0, 0, 1, 1)
+
+
+def walk() -> Trace:
+    """From step 20 on: 0 crosses at 80, 1 falls at 60, 2 stands, 3 walks on without an end."""
+    trace = Trace.empty(STEPS, 4)
+    trace.forward_velocity[:] = (0.8, 0.6, 0.0, 0.6)
+    trace.travelled[:] = np.arange(STEPS)[:, None] * 0.02 * trace.forward_velocity
+    trace.travelled[:, 3] += 3.0
+    trace.power[:], trace.collisions[:] = 60.0, (0, 1, 2, 0)
+    trace.vision[:] = True
+    trace.vision[30:50, 0] = False
+    trace.ended[80, 0] = trace.ended[60, 1] = trace.fell[60, 1] = True
+    trace.fell[90, 0] = trace.ended[90, 0] = True  # A second try does not count.
+    trace.vision[85:, 0] = False
+    return trace
+
+
+def test_every_measure_by_hand() -> None:
+    found = robot_measures(walk(), 20, 0.6)
+    np.testing.assert_array_equal(found["crossed"], [1, 0, 0, 1])
+    np.testing.assert_array_equal(found["upright"], [1, 0, 1, 1])
+    # Robot 1 stands still for the 40 of 80 steps after its fall.
+    np.testing.assert_allclose(found["speed_error"], [0.2, 0.3, 0.6, 0.0], atol=1e-12)
+    steps = np.array([60, 40, np.nan, 80])
+    speed = np.array([0.8, 0.6, np.nan, 0.6])
+    expected = 60.0 * steps * 0.02 / (steps * 0.02 * speed)
+    np.testing.assert_allclose(found["energy_per_metre"], expected)
+    np.testing.assert_array_equal(found["collisions"], [0, 1, 2, 0])
+    np.testing.assert_allclose(found["seconds_without_sight"], [0.4, 0, 0, 0])
+    np.testing.assert_array_equal(found["switches"], [2, 0, 0, 0])
+
+
+def test_changes_are_paired_by_robot() -> None:
+    values = robot_measures(walk(), 20, 0.6)
+    found = estimates(values, values | {"speed_error": values["speed_error"] - 0.1})
+    assert found["crossed"]["value"] == 0.5
+    assert found["crossed"]["ci95"] == pytest.approx([0.150, 0.850], abs=1e-3)  # Wilson's.
+    assert found["crossed"]["change"] == {"value": 0.0, "ci95": [0.0, 0.0]}
+    # All robots change alike, however different they are.
+    assert found["speed_error"]["change"]["ci95"] == pytest.approx([0.1, 0.1])
+    nothing = {name: [np.nan] for name in values}
+    assert estimates(nothing, nothing)["switches"]["value"] is None
+
+
+def test_twins_and_op_are_matched_robot_by_robot() -> None:
+    fell, calm, op = [1, 1, 0, 0], [1, 0, 0, 1], [0, 1, 1, 0]
+    own, twin, blind = ({"upright": 1 - np.array(falls)} for falls in (fell, calm, op))
+    assert pair_counts(own, twin) == {"falls_by_fault": 1, "falls_spared": 1}
+    found = beside_op(own, blind)
+    assert (found["only_op_upright"], found["only_renet_upright"]) == (1, 1)
+    assert found["over_op_ci95_low"] < found["over_op"] == 0 < found["over_op_ci95_high"]
+    assert set(beside_op(own, None).values()) == {None}
 
 
 @pytest.mark.parametrize(("count", "limit"), [(0, 2.996), (1, 4.744), (5, 10.513)])
@@ -104,41 +151,3 @@ def test_the_poisson_limit_is_the_textbooks(count: int, limit: float) -> None:
     assert found == pytest.approx(limit, abs=1e-3)
     chance = sum(math.exp(-found) * found**i / math.factorial(i) for i in range(count + 1))
     assert chance == pytest.approx(0.05)
-
-
-def run(fault: str, severity: int, mode: str, **values) -> dict:
-    plain = {
-        "survival": 1.0,
-        "falls": 0,
-        "robots": 10,
-        "vision_active_at_onset": 10,
-        "detected": 10,
-        "detected_by_paper": 10,
-    }
-    delays = {"detection_delay_s": 0.1, "detection_delay_p95_s": 0.15}
-    plain |= {"terrain": "flat", "falls_spared": 0, "over_op": None}
-    plain |= {"only_op_upright": None, "falls_by_fault": values.get("falls", 0)}
-    return {"fault": fault, "severity": severity, "mode": mode} | plain | delays | values
-
-
-def healthy(switches: int, hours: float) -> dict:
-    rates = {"false_switches_per_hour": switches / hours, "upper_95_per_hour": 9.0}
-    return {"false_switches": switches, "robot_hours": hours} | rates
-
-
-def test_claims_are_judged_by_what_was_measured() -> None:
-    runs = [
-        run("frozen", 5, "renet", detected_by_paper=0),
-        run("blackout", 5, "vp", falls=9, survival=0.1),
-        run("blackout", 5, "renet", detected=9, detected_by_paper=0, detection_delay_s=0.3),
-        run("blackout", 5, "op"),
-    ]
-    claims = {
-        c["claim"]: (c["met"], c["measured"]) for c in findings(runs, [], healthy(1, 2.5))["claims"]
-    }
-    met = [met for met, _ in claims.values()]
-    assert met == [True, False, False, True, True, False]
-    assert claims["frozen images are noticed"][1] == "10 of 10 robots; by the paper's rule alone 0"
-    # Where nothing makes VP fall, there is no delay to judge.
-    harmless = findings(runs[:1], [], healthy(3, 2.0))["claims"]
-    assert [c["met"] for c in harmless] == [True, True, False, True]

@@ -3,17 +3,22 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from jsonschema import Draft202012Validator
 
 from renet.errors import RenetError
-from renet.evaluation.studies.fault_findings import findings, harmful, missed
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.leaderboard import LeaderboardCfg, make_leaderboard, rank
+from renet.evaluation.rollout import Trial
 from renet.evaluation.studies.faults import FaultStudy
+from renet.faults import Injection
 
 from ..fakes import FakeEvaluator
 
-HEALTHY = ("false_switches", "robot_hours", "false_switches_per_hour", "upper_95_per_hour")
-SMALL: dict = {"severities": (1, 5), "robots": 2, "onset": 0.4, "fault_end": 1.8, "seconds": 2.4}
-SMALL |= {"healthy_minutes": 0.1}
+SCHEMA = json.loads((Path(__file__).parents[3] / "docs" / "benchmark.schema.json").read_text())
+SMALL: dict = {"robots": 2, "lasts": 1.0, "seconds": 2.6, "healthy_minutes": 0.1}
+SMALL |= {"grounds": ("flat", "gap"), "severities": (1, 5)}
 
 
 @pytest.fixture(scope="module")
@@ -23,138 +28,101 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_one_row_for_each_fault_severity_and_mode(folder: Path) -> None:
-    summary = json.loads((folder / "summary.json").read_text())
-    rows = [(run["fault"], run["severity"], run["mode"]) for run in summary["runs"]]
-    assert rows == [
-        (fault, severity, mode)
+@pytest.fixture
+def summary(folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text())
+
+
+def test_one_row_for_each_setting_and_mode(folder: Path, summary: dict) -> None:
+    names = ("fault", "ground", "onset", "severity", "mode")
+    # Flat ground has no edge to begin before.
+    places = [("flat", 0.5), ("gap", 0.5), ("gap", 1.5)]
+    assert [tuple(run[name] for name in names) for run in summary["runs"]] == [
+        (fault, *place, severity, mode)
         for fault in ("gaussian", "frozen")
+        for place in places
         for severity in (1, 5)
         for mode in ("vp", "renet", "op")
     ]
     assert {run["robots"] for run in summary["runs"]} == {2}
-    assert len((folder / "summary.csv").read_text().splitlines()) == 13
-    assert (folder / "survival.png").exists()
-    assert (folder / "gallery.png").exists()
+    assert len((folder / "summary.csv").read_text().splitlines()) == 37
+    for name in ("crossed", "survival", "detection", "roc", "gallery"):
+        assert (folder / f"{name}.png").stat().st_size > 10_000
 
 
-def test_survival_and_detection_are_those_of_the_robots(folder: Path) -> None:
-    summary = json.loads((folder / "summary.json").read_text())
+def test_survival_and_detection_are_those_of_the_robots(summary: dict) -> None:
     found = {(r["fault"], r["severity"], r["mode"]): r for r in summary["runs"]}
     assert found["gaussian", 5, "vp"]["survival"] == 0
+    assert found["gaussian", 5, "vp"]["falls_by_fault"] == 2
+    assert found["gaussian", 5, "vp"]["measures"]["upright"]["change"]["value"] == -1
     assert found["gaussian", 5, "renet"]["survival"] == 1
     assert found["gaussian", 5, "renet"]["detection_delay_s"] == pytest.approx(0.035)
+    assert found["gaussian", 5, "renet"]["measures"]["switches"]["value"] == 2
+    assert found["gaussian", 5, "renet"]["measures"]["seconds_without_sight"]["value"] == 1.0
     # The fakes' image never changes, so that a frozen one is the right one.
     assert found["frozen", 5, "vp"]["survival"] == 1
     assert found["frozen", 5, "renet"]["detected"] == 0
     assert found["frozen", 5, "renet"]["detection_delay_s"] is None
-    assert found["gaussian", 5, "vp"]["falls_by_fault"] == 2
     assert found["gaussian", 5, "renet"]["over_op"] == 0
     assert found["gaussian", 5, "vp"]["over_op"] is None
-    assert summary["harmful"] == []
-    assert summary["missed"] == []
+    assert summary["harmful"] == summary["missed"] == []
+    assert {claim["met"] for claim in summary["claims"]} <= {True, False}
+
+
+def test_healthy_time_is_that_of_robots_whose_cameras_never_fail(summary: dict) -> None:
+    # The twins on flat ground, and 0.1 minutes.
+    assert summary["healthy"]["robot_hours"] == pytest.approx((6 * 2.6 + 6.0) / 3600, rel=0.01)
     assert summary["healthy"]["false_switches"] == 0
+    assert summary["healthy"]["alarms_by_monitor"]["reconstruction"] == 0
+    where = [(run["ground"], run["mode"], run["falls"]) for run in summary["baseline"]]
+    assert where == [(g, mode, 0) for g in ("flat", "gap") for mode in ("vp", "renet", "op")]
+
+
+def test_what_op_does_no_fault_changes() -> None:
+    """A real policy: the rows of OP need not be run again for each fault."""
+    evaluator = Evaluator()
+    env = evaluator.make_env("flat", [0, 0], 0.6, 1)
+    trials = [Trial("op", (Injection.of("gaussian", 5, 10),)), Trial("op")]
+    trace = evaluator.rollout("op", env, trials, 40, 1)
+    assert (trace.anomaly[20:, 0] > 2 * trace.anomaly[20:, 1]).all()
+    np.testing.assert_allclose(trace.height[:, 0], trace.height[:, 1], atol=1e-5)
 
 
 def test_finished_faults_are_not_run_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran = []
     real = FaultStudy._run_batch
 
-    def spy(study, evaluator, env, name):
+    def spy(study, evaluator, make, name):
         ran.append(name)
-        return real(study, evaluator, env, name)
+        return real(study, evaluator, make, name)
 
     monkeypatch.setattr(FaultStudy, "_run_batch", spy)
+    monkeypatch.setattr(FaultStudy, "draw", lambda *args: None)
     faults = ("gaussian", "frozen", "dropped")
-    summary = FaultStudy(out=folder, faults=faults, **SMALL).run(FakeEvaluator())
+    study = FaultStudy(out=folder, faults=faults, **SMALL)
+    assert len(study.run(FakeEvaluator())["runs"]) == 54
     assert ran == ["dropped"]
-    assert len(summary["runs"]) == 18
-    FaultStudy(out=folder, faults=faults, **(SMALL | {"seed": 2})).run(FakeEvaluator())
-    assert ran == ["dropped", *faults]
-
-
-def test_a_damaged_part_is_reported(tmp_path: Path) -> None:
-    cfg = FaultStudy(out=tmp_path, faults=("gaussian",), **SMALL)
-    cfg.run(FakeEvaluator())
-    next((tmp_path / "parts").glob("gaussian-*.json")).write_text('{"half')
-    with pytest.raises(RenetError, match=r"gaussian-\w+\.json is not valid JSON"):
-        cfg.run(FakeEvaluator())
-
-
-def run(fault: str, mode: str, survival: float, detected: int = 10, **values) -> dict:
-    falls = round(10 * (1 - survival))
-    row = {"fault": fault, "severity": 3, "mode": mode, "survival": survival, "falls": falls}
-    row |= {"terrain": "flat", "falls_by_fault": falls, "falls_spared": 0, "over_op": None}
-    row |= {"only_op_upright": None, "only_renet_upright": None, "detection_delay_s": None}
-    return row | {"robots": 10, "vision_active_at_onset": 10, "detected": detected} | values
-
-
-def beside_op(more: int, fewer: int) -> dict:
-    over = (fewer - more) / 10
-    ends = {"over_op_ci95_low": over - 0.1, "over_op_ci95_high": over + 0.1}
-    return {"over_op": over, "only_op_upright": more, "only_renet_upright": fewer} | ends
-
-
-def usual(falls: int) -> list[dict]:
-    return [{"terrain": "flat", "mode": mode, "falls": falls} for mode in ("vp", "renet")]
-
-
-def test_harm_and_misses_are_published() -> None:
-    vp, op = run("foam", "vp", 0.5), run("foam", "op", 0.9)
-    renet = run("foam", "renet", 0.8, detected=7, **beside_op(1, 0))
-    calm, restless = usual(0), usual(4)
-    harm = harmful([vp, renet, op], calm)
-    assert [(h["renet"], h["op"], h["beyond_chance"]) for h in harm] == [(0.8, 0.9, True)]
-    # Where healthy robots fall as well, one robot is no more than chance.
-    assert not harmful([vp, renet, op], restless)[0]["beyond_chance"]
-    found = missed([vp, renet, op], calm)
-    assert [(m["undetected"], m["vp_falls"], m["beyond_chance"]) for m in found] == [(3, 5, True)]
-    # Five who fall only with the fault and none the other way round: 1 in 32.
-    assert missed([vp, renet, op], restless)[0]["beyond_chance"]
-    four = run("foam", "vp", 0.6)
-    assert not missed([four, renet, op], restless)[0]["beyond_chance"]
-    # As many fall with a healthy camera only: the fault is not why.
-    assert missed([vp | {"falls_spared": 5}, renet, op], restless) == []
-    assert harmful([run("foam", "renet", 0.9, **beside_op(0, 0)), op], calm) == []
-    assert missed([run("foam", "vp", 1.0), renet, op], calm) == []
-
-
-def test_severities_are_judged_together() -> None:
-    three = run("foam", "vp", 0.7)
-    renet = run("foam", "renet", 1.0, detected=0)
-    rows = [three, renet, three | {"severity": 5}, renet | {"severity": 5}]
-    assert not missed(rows[:2], usual(4))[0]["beyond_chance"]
-    assert all(miss["beyond_chance"] for miss in missed(rows, usual(4)))
-    claim = findings(rows, usual(4), {k: 0 for k in HEALTHY})["claims"][1]
-    assert (claim["met"], claim["measured"]) == (
-        False,
-        "2 settings not noticed by every robot: foam 3, foam 5",
-    )
-
-
-def test_without_healthy_hours_nothing_is_promised_of_them() -> None:
-    nothing = {name: 0 for name in HEALTHY}
-    for hours, promised in ((0, False), (1.0, True)):
-        claims = findings([], usual(0), nothing | {"robot_hours": hours})["claims"]
-        assert any("false switch" in claim["claim"] for claim in claims) == promised
+    next((folder / "parts").glob("dropped-*.json")).write_text('{"half')
+    with pytest.raises(RenetError, match=r"dropped-\w+\.json is not JSON"):
+        study.run(FakeEvaluator())
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
         {"faults": ("smoke",)},
+        {"faults": ("gaussian:9",)},
+        {"faults": ("gaussian:x",)},
+        {"faults": ()},
+        {"faults": ("glass",), "grounds": ("flat", "gap")},
         {"severities": (0,)},
         {"modes": ("blind",)},
         {"modes": ()},
         {"speed": 0.0},
         {"robots": 0},
-        {"terrain": "lava"},
-        {"terrain": "gap", "level": 11},
-        {"fault_end": 2.0},
-        {"faults": ("gaussian:9",)},
-        {"faults": ("gaussian:x",)},
-        {"faults": ("gaussian:1", "frozen")},
-        {"faults": ()},
+        {"grounds": ("lava",)},
+        {"level": 11},
+        {"onsets": (0.5, 8.0)},
         {"healthy_minutes": -1.0},
         {"selector": "coin"},
     ],
@@ -164,26 +132,82 @@ def test_bad_settings_are_refused(wrong) -> None:
         FaultStudy(**wrong)
 
 
-def test_glass_is_studied_where_there_are_obstacles() -> None:
-    flat, stairs = FaultStudy(), FaultStudy(terrain="stairs_up", level=2)
-    assert (flat.terrain_of("glass"), flat.terrain_of("foam")) == ("obstacles", "flat")
-    assert stairs.terrain_of("glass") == "stairs_up"
-
-
-def test_quick_is_smaller() -> None:
+def test_quick_is_smaller_and_glass_is_studied_where_there_are_obstacles() -> None:
     quick, full = FaultStudy(quick=True), FaultStudy()
-    assert [s for _, s in quick.batches["frozen"]] == [1, 3, 5]
-    assert quick.robots_each == 10
-    assert [s for _, s in full.batches["frozen"]] == [1, 2, 3, 4, 5]
-    assert full.robots_each == 20
+    assert {s.severity for s in quick.batches["frozen"]} == {5}
+    assert {s.onset for s in quick.batches["frozen"] if s.ground == "gap"} == {1.5}
+    assert (quick.robots_each, full.robots_each) == (5, 20)
+    assert {s.severity for s in full.batches["frozen"]} == {1, 2, 3, 4, 5}
+    assert {s.ground for s in full.batches["glass"]} == {"obstacles", "stairs_up", "platform"}
 
 
-def test_healthy_time_is_that_of_robots_whose_cameras_never_fail(folder: Path) -> None:
-    summary = json.loads((folder / "summary.json").read_text())
-    # One batch of 12 without a fault, and 0.1 minutes; not what faults are preceded by, again.
-    seconds = 12 * 2.4 + 6.0
-    assert summary["healthy"]["robot_hours"] == pytest.approx(seconds / 3600, rel=0.01)
-    assert [run["mode"] for run in summary["baseline"]] == ["vp", "renet", "op"]
-    assert {run["falls"] for run in summary["baseline"]} == {0}
-    assert summary["healthy"]["alarms_by_monitor"]["reconstruction"] == 0
-    assert {claim["met"] for claim in summary["claims"]} <= {True, False}
+def test_quick_is_less_than_a_million_robot_steps() -> None:
+    """At the 1,400 a second of two quiet cores that is twelve minutes."""
+    quick = FaultStudy(quick=True)
+    robots = sum(len(quick.trials(settings)) for settings in quick.batches.values())
+    robots += len(quick.twins())
+    assert robots * quick.steps + quick.healthy_minutes / 4 * 60 * 50 < 1_000_000
+
+
+# The result file and the leaderboard.
+
+
+def test_the_result_file_is_valid(folder: Path) -> None:
+    result = json.loads((folder / "result.json").read_text())
+    Draft202012Validator(SCHEMA).validate(result)
+    assert result["policy"]["modes"] == ["vp", "renet", "op"]
+    assert {entry["onset"] for entry in result["settings"]} == set(ONSET_NAMES)
+    assert {entry["level"] for entry in result["settings"] if entry["ground"] == "gap"} == {3}
+
+
+ONSET_NAMES = ("on_the_way", "before_the_edge")
+
+
+def complete(name: str, crossed: float) -> dict:
+    """A result of every quick setting in which the same share crosses everywhere."""
+    share = {"value": crossed, "ci95": None, "change": {"value": 0.0, "ci95": None}}
+    measures = dict.fromkeys(("crossed", "upright", "speed_error", "energy_per_metre"), share)
+    measures |= dict.fromkeys(("collisions", "seconds_without_sight", "switches"), share)
+    names = dict(zip((0.5, 1.5), ONSET_NAMES, strict=True))
+    settings = [
+        {"ground": s.ground, "level": 3, "fault": s.fault, "severity": s.severity}
+        | {"onset": names[s.onset], "mode": "vp", "measures": measures}
+        for settings in FaultStudy(quick=True).batches.values()
+        for s in settings
+    ]
+    policy = {"name": name, "url": None, "sha256": "0" * 64, "modes": ["vp"]}
+    protocol = {"robots": 5, "seed": 1, "speed": 0.6, "quick": True}
+    kind = {"benchmark": "renet-faults", "version": 1}
+    return kind | {"policy": policy, "protocol": protocol, "settings": settings}
+
+
+def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked() -> None:
+    poor, good, cheat = complete("poor", 0.4), complete("good", 0.6), complete("cheat", 1.0)
+    cheat["settings"] = cheat["settings"][1:]
+    rows = rank([poor, cheat, good])
+    assert [row[:4] for row in rows] == [
+        ("1", "good", "vp", "60.0 %"),
+        ("2", "poor", "vp", "40.0 %"),
+        ("incomplete", "cheat", "vp", "100.0 %"),
+    ]
+    with pytest.raises(RenetError, match="one protocol"):
+        rank([poor, good | {"protocol": good["protocol"] | {"quick": False}}])
+
+
+def test_the_leaderboard_is_made_from_files(tmp_path: Path, capsys) -> None:
+    files = []
+    for name, crossed in (("one", 0.5), ("two", 0.7)):
+        files.append(tmp_path / f"{name}.json")
+        files[-1].write_text(json.dumps(complete(name, crossed)))
+    table = make_leaderboard(LeaderboardCfg(tuple(files), tmp_path / "new" / "board.md"))
+    lines = table.read_text().splitlines()
+    assert [line.split(" | ")[1] for line in lines[2:]] == ["two", "one"]
+    assert "two" in capsys.readouterr().out
+    files[0].write_text('{"benchmark": "renet-faults", "version": 2}')
+    with pytest.raises(RenetError, match="no result of renet-faults, version 1"):
+        make_leaderboard(LeaderboardCfg(tuple(files), table))
+    broken = complete("one", 0.5)
+    del broken["settings"][3]["severity"]
+    files[0].write_text(json.dumps(broken))
+    with pytest.raises(RenetError, match="lacks 'severity'"):
+        make_leaderboard(LeaderboardCfg(tuple(files), table))

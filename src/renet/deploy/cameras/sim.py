@@ -1,36 +1,61 @@
-"""A simulated depth camera: MuJoCo's own ray caster, the training camera's geometry and noise."""
+"""A simulated depth camera: the engine's own rays, the training camera's geometry and noise."""
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import mujoco
 import numpy as np
 
 from renet.deploy.bundle.manifest import CameraSpec
 from renet.deploy.cameras.base import DepthFrame
-from renet.deploy.robots.mujoco import BASE, MujocoRobot
 from renet.deploy.robots.scene import TERRAIN
 from renet.errors import RenetError
 from renet.faults import ViewPerturbation
 from renet.faults.physical import obstacles, spread
 
-SEEN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
-"""MuJoCo geom groups of the terrain; robots' collision geoms are in group 3."""
-UNSEEN_GROUP = 5
-ANY_DISTANCE = mujoco.mjMAXVAL
-"""No cutoff: MuJoCo would drop planes whose origin is farther away than the cutoff."""
 RELATIVE_STD, GAUSSIAN_STD = 0.01, 0.1
 """Noise of the training camera: m/m, and m."""
 
 
+class SimulatedRobot(Protocol):
+    """What the camera needs of a robot in a physics engine."""
+
+    model: mujoco.MjModel
+    """The scene, whichever engine simulates it."""
+
+    @property
+    def base_position(self) -> np.ndarray:
+        """[3] m, world."""
+        ...
+
+    @property
+    def base_rotation(self) -> np.ndarray:
+        """[3, 3], base to world."""
+        ...
+
+    def now(self) -> float:
+        """Simulated seconds."""
+        ...
+
+    def hide(self, geoms: list[int]) -> None:
+        """Let rays pass through these geoms; raises RenetError if the engine cannot."""
+        ...
+
+    def cast(self, eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Distances in m along unit directions [R, 3], infinite where nothing is."""
+        ...
+
+
 class SimCamera:
-    """Looks at the terrain of a `MujocoRobot`'s scene, at the camera's rate on the robot's clock.
+    """Looks at the terrain of a simulated robot's scene, at the camera's rate on the robot's clock.
 
     What it sees is within a millimetre of the training camera's; both are tested against each
     other.
     """
 
     def __init__(
-        self, robot: MujocoRobot, camera: CameraSpec, seed: int = 0, noise: bool = True
+        self, robot: SimulatedRobot, camera: CameraSpec, seed: int = 0, noise: bool = True
     ) -> None:
         self._robot, self._spec = robot, camera
         self._random = np.random.default_rng(seed) if noise else None
@@ -39,7 +64,6 @@ class SimCamera:
         self._frame: DepthFrame | None = None
         self._number = 0
         self._view = ViewPerturbation.none(1)
-        self._unseen: list[int] = []
 
     def start(self) -> None:
         """The first image is due now."""
@@ -66,45 +90,26 @@ class SimCamera:
         """
         if view == self._view:
             return
-        model, self._unseen = self._robot.model, []
+        model, unseen = self._robot.model, []
         if view.glass[0] > 0.0:
             if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, TERRAIN) < 0:
                 raise RenetError("this scene has nothing that could be glass: choose a --terrain")
             found = obstacles(model, np.zeros((1, 2)))
-            self._unseen = sorted(spread(found, float(view.glass[0])))
+            unseen = sorted(spread(found, float(view.glass[0])))
+        self._robot.hide(unseen)
         self._view = view
 
     def depth(self) -> np.ndarray:
         """Planar metres [H, W] without noise, capped at the range."""
         robot, spec = self._robot, self._spec
-        body = robot.data.body(BASE)
-        base = body.xmat.reshape(3, 3)
+        base = robot.base_rotation
         # Surfaces that seem higher are surfaces seen from lower down.
-        eye = body.xpos + base @ np.array(spec.position) - (0.0, 0.0, self._view.lift[0])
+        lower = (0.0, 0.0, self._view.lift[0])
+        eye = robot.base_position + base @ np.array(spec.position) - lower
         camera = base @ tilt(spec.pitch) @ rotation(self._view.turn[0])
         lengths = np.linalg.norm(self._rays, axis=1)
-        directions = (self._rays / lengths[:, None]) @ camera.T
-        distance = np.empty(len(lengths))
-        geoms = np.empty(len(lengths), np.int32)
-        groups = robot.model.geom_group[self._unseen]
-        robot.model.geom_group[self._unseen] = UNSEEN_GROUP
-        mujoco.mj_multiRay(
-            robot.model,
-            robot.data,
-            eye,
-            np.ascontiguousarray(directions).ravel(),
-            SEEN_GROUPS,
-            True,
-            -1,
-            geoms,
-            distance,
-            None,
-            len(lengths),
-            ANY_DISTANCE,
-        )
-        robot.model.geom_group[self._unseen] = groups
-        planar = np.where(geoms >= 0, distance / lengths, spec.range)
-        return np.minimum(planar, spec.range).reshape(spec.height, spec.width)
+        distance = robot.cast(eye, (self._rays / lengths[:, None]) @ camera.T)
+        return np.minimum(distance / lengths, spec.range).reshape(spec.height, spec.width)
 
     def _noisy(self, depth: np.ndarray) -> np.ndarray:
         if self._random is None:

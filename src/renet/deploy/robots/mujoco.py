@@ -16,6 +16,11 @@ from renet.interface import JOINTS
 START_HEIGHT = 0.30
 """Of the trunk above the ground at the start, m."""
 BASE = "trunk"
+SEEN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
+"""MuJoCo geom groups of the terrain; robots' collision geoms are in group 3."""
+UNSEEN_GROUP = 5
+ANY_DISTANCE = mujoco.mjMAXVAL
+"""No cutoff: MuJoCo would drop planes whose origin is farther away than the cutoff."""
 
 
 class MujocoRobot:
@@ -54,6 +59,7 @@ class MujocoRobot:
         self.write(JointCommand(np.array(robot.default_position), limp, limp))
         mujoco.mj_forward(model, self.data)
         self._begun: float | None = None
+        self._hidden: list[int] = []
 
     def connect(self) -> None:
         """Start the wall clock."""
@@ -95,7 +101,7 @@ class MujocoRobot:
     def close(self) -> None:
         """Nothing to let go of."""
 
-    # For judges, not for the controller: a robot does not know these.
+    # For judges and the simulated camera, not for the controller: a robot does not know these.
 
     @property
     def base_position(self) -> np.ndarray:
@@ -103,6 +109,42 @@ class MujocoRobot:
         return self.data.qpos[self._base][:3].copy()
 
     @property
+    def base_rotation(self) -> np.ndarray:
+        """[3, 3], base to world."""
+        return self.data.body(BASE).xmat.reshape(3, 3)
+
+    @property
     def upright(self) -> bool:
         """Whether the base leans by less than 60 degrees."""
         return bool(self.data.body(BASE).xmat[8] > 0.5)
+
+    def hide(self, geoms: list[int]) -> None:
+        """Let rays pass through these geoms of the terrain, and through no others."""
+        self._hidden = geoms
+
+    def cast(self, eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Distance in m from `eye` [3] to the terrain along unit directions [R, 3].
+
+        Infinite where there is none.
+        """
+        count = len(directions)
+        distance, geoms = np.empty(count), np.empty(count, np.int32)
+        groups = self.model.geom_group[self._hidden]
+        self.model.geom_group[self._hidden] = UNSEEN_GROUP
+        rays = np.ascontiguousarray(directions).ravel()
+        mujoco.mj_multiRay(
+            self.model,
+            self.data,
+            eye,
+            rays,
+            SEEN_GROUPS,
+            True,
+            -1,
+            geoms,
+            distance,
+            None,
+            count,
+            ANY_DISTANCE,
+        )
+        self.model.geom_group[self._hidden] = groups
+        return np.where(geoms >= 0, distance, np.inf)

@@ -8,7 +8,6 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 
 from renet.evaluation.report import figures
 from renet.evaluation.results import Provenance
@@ -34,54 +33,13 @@ def draw_timelines(
         path: of the PNG.
         provenance: of the numbers.
     """
-    with plt.rc_context(figures.STYLE):
-        height = 2.6 if len(laps) == 1 else 1.75
-        figure, axes = plt.subplots(
-            len(laps), 1, figsize=(11, height * len(laps) + 0.9), squeeze=False
-        )
-        for number, (axis, timeline) in enumerate(zip(axes[:, 0], laps, strict=True), start=1):
-            right = _timeline(axis, timeline, lap, beta)
-            axis.set_ylabel(f"lap {number}" if len(laps) > 1 else "anomaly score")
-        axes[-1, 0].set_xlabel("time (s)")
-        figures.timeline_legend(figure, axes[-1, 0], right)
-        return figures.save(figure, path, provenance)
-
-
-def _timeline(axis: Axes, timeline: dict[str, Any], lap: Sequence[str], beta: float) -> Axes:
-    """One lap; returns the axis of P_t."""
-    every = CONTROL_DT * STEPS_PER_TICK
-    # A robot that was set down has no score before its first tick.
-    anomaly = np.array(timeline["anomaly"], float)
-    anomaly[anomaly <= 0] = np.nan
-    where = [int(i) for i in timeline["passage"]]
-    vision = np.array(timeline["vision"], bool)
-    figures.bands(axis, vision, every)
-    right = figures.loss_and_probability(
-        axis, anomaly, beta, np.array(timeline["probability"]), every
-    )
-    starts = [0, *(k for k in range(1, len(where)) if where[k] != where[k - 1])]
-    for start in starts:
-        axis.axvline(start * every, color=figures.INK, linewidth=0.8, linestyle=":")
-        axis.annotate(
-            lap[where[start]],
-            (start * every, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(2, 3),
-            textcoords="offset points",
-            fontsize=7.5,
-        )
-    for name in ("fell", "stuck"):
-        for instant in timeline[name]:
-            axis.annotate(
-                name,
-                (instant, 0.04),
-                xycoords=("data", "axes fraction"),
-                ha="right",
-                fontsize=7.5,
-                fontweight="bold",
-                color="#9c1f12",
-            )
-    return right
+    every, marks, events = CONTROL_DT * STEPS_PER_TICK, [], []
+    for line in laps:
+        where = [int(i) for i in line["passage"]]
+        starts = [k for k in range(len(where)) if k == 0 or where[k] != where[k - 1]]
+        marks.append([(k * every, lap[where[k]]) for k in starts])
+        events.append([(instant, name) for name in ("fell", "stuck") for instant in line[name]])
+    return figures.timelines(laps, marks, beta, "", path, provenance, events, every)
 
 
 def draw_passages(passages: Sequence[dict[str, Any]], path: Path, provenance: Provenance) -> Path:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,39 +20,44 @@ SHADES = ("#b7b2e0", "#7d76c9", "#3c3ca0", "#2a2a78", "#14143f")
 """Of severities 1 to 5."""
 
 
-def draw_survival(
-    runs: Runs,
-    modes: Sequence[str],
-    severities: Sequence[int],
-    path: Path,
-    provenance: Provenance,
-) -> Path:
-    """A table of colours: share of robots on their feet, faults by severities, mode by mode."""
+def draw_crossed(runs: Runs, modes: Sequence[str], path: Path, provenance: Provenance) -> Path:
+    """A table of colours: share of robots that cross, faults by grounds, mode by mode."""
     panels = {
-        figures.MODE_NAMES[mode]: _table(
-            [run for run in runs if run["mode"] == mode], lambda run: 100 * run["survival"]
+        figures.MODE_NAMES[mode]: _cells(
+            [run for run in runs if run["mode"] == mode],
+            lambda run: run["measures"]["crossed"]["value"],
+            "ground",
         )
         for mode in modes
     }
-    return _draw_tables(panels, severities, "Robots on their feet (%)", path, provenance)
+    title = "Robots that cross (%), all severities and onsets together"
+    return figures.colour_tables(panels, title, path, provenance, width=0.62)
 
 
-def draw_detection(
-    runs: Runs, severities: Sequence[int], path: Path, provenance: Provenance
-) -> Path:
+def draw_survival(runs: Runs, modes: Sequence[str], path: Path, provenance: Provenance) -> Path:
+    """A table of colours: share of robots on their feet, faults by severities, mode by mode."""
+    panels = {
+        figures.MODE_NAMES[mode]: _cells(
+            [run for run in runs if run["mode"] == mode], lambda run: run["survival"]
+        )
+        for mode in modes
+    }
+    title = "Robots on their feet (%), all grounds and onsets together"
+    return figures.colour_tables(panels, title, path, provenance, "severity")
+
+
+def draw_detection(runs: Runs, path: Path, provenance: Provenance) -> Path:
     """Two tables: share of robots that noticed, under the selector used and the paper's rule."""
     ours = [run for run in runs if run["mode"] == "renet"] or runs
     panels = {
-        name: _table(
-            ours, lambda run, key=key: 100 * _share(run[key], run["vision_active_at_onset"])
-        )
+        name: _cells(ours, lambda run, key=key: _share(run[key], run["vision_active_at_onset"]))
         for name, key in (
             ("RENet's selector", "detected"),
             ("the paper's rule alone", "detected_by_paper"),
         )
     }
     title = "Robots with vision that noticed the fault while it lasted (%)"
-    return _draw_tables(panels, severities, title, path, provenance)
+    return figures.colour_tables(panels, title, path, provenance, "severity")
 
 
 def _share(count: int, total: int) -> float:
@@ -60,35 +65,18 @@ def _share(count: int, total: int) -> float:
     return count / total if total else np.nan
 
 
-def _table(runs: Runs, value: Any) -> dict[tuple[str, int], float]:
-    return {(run["fault"], run["severity"]): value(run) for run in runs}
-
-
-def _draw_tables(
-    panels: Mapping[str, dict[tuple[str, int], float]],
-    severities: Sequence[int],
-    title: str,
-    path: Path,
-    provenance: Provenance,
-) -> Path:
-    """Coloured tables side by side, one row for each fault."""
-    faults = list(dict.fromkeys(fault for panel in panels.values() for fault, _ in panel))
-    with plt.rc_context({**figures.STYLE, "axes.grid": False, "axes.spines.left": False}):
-        size = (2.2 + 2.1 * len(panels), 1.4 + 0.3 * len(faults))
-        figure, axes = plt.subplots(1, len(panels), figsize=size, sharey=True, squeeze=False)
-        for axis, (name, panel) in zip(axes[0], panels.items(), strict=True):
-            table = np.array([[panel[f, s] for s in severities] for f in faults])
-            axis.imshow(table, vmin=0, vmax=100, cmap="RdYlGn", aspect="auto")
-            for (row, column), value in np.ndenumerate(table):
-                ink = "white" if value < 15 or value > 85 else figures.INK
-                text = "–" if np.isnan(value) else f"{value:.0f}"
-                axis.text(column, row, text, ha="center", va="center", fontsize=8, color=ink)
-            axis.set_xticks(range(len(severities)), [str(s) for s in severities])
-            axis.set_yticks(range(len(faults)), [f.replace("_", " ") for f in faults])
-            axis.tick_params(length=0)
-            axis.set(title=name, xlabel="severity")
-        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
-        return figures.save(figure, path, provenance)
+def _cells(
+    runs: Runs, value: Callable[[dict[str, Any]], float], column: str = "severity"
+) -> figures.Cells:
+    """Mean shares in percent by fault and `column`."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for run in runs:
+        name = str(run[column]).replace("_", "\n")
+        found.setdefault((run["fault"], name), []).append(100 * value(run))
+    shares = {key: np.array(values)[~np.isnan(values)] for key, values in found.items()}
+    return {
+        key: (s.mean(), f"{s.mean():.0f}") if s.size else (np.nan, "–") for key, s in shares.items()
+    }
 
 
 def draw_roc(

@@ -81,7 +81,7 @@ def noise_label(noise: str, level: float) -> str:
 
 def speed_over_time(
     curves: Mapping[str, Mapping[tuple[str, float], np.ndarray]],
-    onset: int,
+    onset: float,
     command: float,
     path: Path,
     provenance: Provenance,
@@ -90,7 +90,7 @@ def speed_over_time(
 
     Args:
         curves: mode → (noise, level) → [T] m/s, mean over the robots.
-        onset: timestep the noise begins at.
+        onset: seconds at which the noise begins.
         command: commanded speed, m/s.
         path: of the PNG.
         provenance: of the numbers.
@@ -104,17 +104,9 @@ def speed_over_time(
                 colour = FAMILIES.get(noise, ("#7d8590",))[shade % 3 if noise in FAMILIES else 0]
                 style = "--" if noise == "none" else "-"
                 axis.plot(smooth(speed), style, color=colour, label=noise_label(noise, level))
-            axis.axvline(onset, color=INK, linewidth=1, linestyle=":")
+            axis.axvline(onset / CONTROL_DT, color=INK, linewidth=1, linestyle=":")
             axis.axhline(command, color=FAINT, linewidth=1, linestyle=(0, (1, 3)))
-            axis.annotate(
-                "noise begins",
-                (onset, 0.0),
-                xycoords=("data", "axes fraction"),
-                xytext=(4, 5),
-                textcoords="offset points",
-                fontsize=8,
-                color=INK,
-            )
+            _write(axis, onset / CONTROL_DT, "noise begins", 0.0, xytext=(4, 5))
             axis.set(title=f"({letter}) {MODE_NAMES[mode]}", xlabel="timestep (0.02 s)")
         axes[0][0].set_ylabel("mean forward velocity (m/s)")
         handles, labels = axes[0][0].get_legend_handles_labels()
@@ -129,38 +121,46 @@ def smooth(values: np.ndarray, steps: int = 13) -> np.ndarray:
     return total / np.convolve(np.ones_like(values), kernel, "same")
 
 
-def rates(axis: Axes, runs: Sequence[Mapping[str, Any]], x: str, y: str, interval: str) -> None:
-    """Shares in percent against a size in cm, one line with its intervals for each mode.
+Cells = Mapping[tuple[str, str], tuple[float, str]]
+"""Percent, which gives the colour, and text, by row and column."""
+
+
+def colour_tables(
+    panels: Mapping[str, Cells],
+    title: str,
+    path: Path,
+    provenance: Provenance,
+    xlabel: str = "",
+    width: float = 0.42,
+) -> Path:
+    """Coloured tables side by side with the same rows, green for 100, red for 0.
 
     Args:
-        axis: to draw on.
-        runs: rows of a summary.
-        x: key of the size, m.
-        y: key of the share, 0 to 1.
-        interval: key of its confidence interval, without `_low` and `_high`.
+        panels: by title.
+        title: of all.
+        path: of the PNG.
+        provenance: of the numbers.
+        xlabel: what the columns are.
+        width: of a column, inches.
     """
-    modes = list(dict.fromkeys(run["mode"] for run in runs))
-    sizes = sorted({100 * run[x] for run in runs})
-    apart = 0.012 * (sizes[-1] - sizes[0] or 1.0)
-    for number, mode in enumerate(modes):
-        line = [run for run in runs if run["mode"] == mode]
-        share = np.array([100 * run[y] for run in line])
-        ends = np.array(
-            [[100 * run[f"{interval}_{end}"] for run in line] for end in ("low", "high")]
-        )
-        # Side by side, or equal shares would hide each other.
-        size = np.array([100 * run[x] for run in line]) + (number - (len(modes) - 1) / 2) * apart
-        axis.errorbar(
-            size,
-            share,
-            np.abs(ends - share),
-            fmt="o-",
-            markersize=4,
-            elinewidth=1,
-            color=MODE_COLOURS[mode],
-            label=MODE_NAMES[mode],
-        )
-    axis.set_xticks(sizes, [f"{size:.0f}" for size in sizes])
+    rows = list(dict.fromkeys(row for panel in panels.values() for row, _ in panel))
+    columns = list(dict.fromkeys(column for panel in panels.values() for _, column in panel))
+    with plt.rc_context({**STYLE, "axes.grid": False, "axes.spines.left": False}):
+        size = (2.2 + width * len(columns) * len(panels), 1.4 + 0.3 * len(rows))
+        figure, axes = plt.subplots(1, len(panels), figsize=size, sharey=True, squeeze=False)
+        for axis, (name, panel) in zip(axes[0], panels.items(), strict=True):
+            shade = [[panel.get((r, c), (np.nan, ""))[0] for c in columns] for r in rows]
+            axis.imshow(np.array(shade, float), vmin=0, vmax=100, cmap="RdYlGn", aspect="auto")
+            for (row, column), (value, text) in panel.items():
+                ink = "white" if value < 15 or value > 85 else INK
+                place = columns.index(column), rows.index(row)
+                axis.text(*place, text, ha="center", va="center", fontsize=8, color=ink)
+            axis.set_xticks(range(len(columns)), columns, fontsize=8)
+            axis.set_yticks(range(len(rows)), [row.replace("_", " ") for row in rows])
+            axis.tick_params(length=0)
+            axis.set(title=name, xlabel=xlabel)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+        return save(figure, path, provenance)
 
 
 def bands(axis: Axes, vision: np.ndarray, every: float = CONTROL_DT) -> None:
@@ -171,14 +171,66 @@ def bands(axis: Axes, vision: np.ndarray, every: float = CONTROL_DT) -> None:
         axis.axvspan(start * every, end * every, color=colour, alpha=0.7, linewidth=0)
 
 
-def loss_and_probability(
-    axis: Axes, anomaly: np.ndarray, beta: float, probability: np.ndarray, every: float
-) -> Axes:
-    """Draw loss and threshold on `axis` and P_t on its right; both [T], `every` s apart.
+def timelines(
+    lines: Sequence[Mapping[str, Any]],
+    marks: Sequence[Sequence[tuple[float, str]]],
+    beta: float,
+    title: str,
+    path: Path,
+    provenance: Provenance,
+    events: Sequence[Sequence[tuple[float, str]]] = (),
+    every: float = CONTROL_DT,
+) -> Path:
+    """The paper's timeline, line by line: loss, threshold, P_t and the estimator in charge.
 
-    Returns:
-        The right axis.
+    Args:
+        lines: `anomaly`, `probability` and `vision` (VP in charge), [T] each.
+        marks: instants to point out in each line, (seconds, text).
+        beta: threshold.
+        title: of the figure.
+        path: of the PNG.
+        provenance: of the numbers.
+        events: what went wrong in each line, (seconds, text).
+        every: seconds between values.
     """
+    height = 2.8 if len(lines) == 1 else 1.75
+    with plt.rc_context(STYLE):
+        size = (11, height * len(lines) + 0.9)
+        figure, axes = plt.subplots(len(lines), 1, figsize=size, squeeze=False)
+        for number, (axis, line) in enumerate(zip(axes[:, 0], lines, strict=True)):
+            bands(axis, np.array(line["vision"], bool), every)
+            right = _loss_and_probability(axis, line, beta, every)
+            axis.set_ylabel("anomaly score" if len(lines) == 1 else f"lap {number + 1}")
+            for instant, text in marks[number]:
+                axis.axvline(instant, color=INK, linewidth=1, linestyle=":")
+                _write(axis, instant, text, 1.0, xytext=(3, -10))
+            for instant, text in events[number] if events else ():
+                _write(axis, instant, text, 0.04, ha="right", fontweight="bold", color="#9c1f12")
+        axes[0, 0].set_title(title)
+        axes[-1, 0].set_xlabel("time (s)")
+        keys = [Rectangle((0, 0), 1, 1, color=c, alpha=0.7) for c in (VP_BAND, OP_BAND)]
+        named = axes[-1, 0].get_legend_handles_labels(), right.get_legend_handles_labels()
+        figure.legend(
+            [*named[0][0], *named[1][0], *keys],
+            [*named[0][1], *named[1][1], "VP in charge", "OP in charge"],
+            loc="outside upper center",
+            ncols=5,
+            fontsize=9,
+        )
+        return save(figure, path, provenance)
+
+
+def _write(axis: Axes, instant: float, text: str, height: float, **look: Any) -> None:
+    """Write beside an instant, at a share of the axis' height."""
+    look = {"xytext": (0, 0), "textcoords": "offset points", "fontsize": 7.5} | look
+    axis.annotate(text, (instant, height), xycoords=("data", "axes fraction"), **look)
+
+
+def _loss_and_probability(axis: Axes, line: Mapping[str, Any], beta: float, every: float) -> Axes:
+    """Draw loss and threshold on `axis` and P_t on its right, which is returned."""
+    # A robot that was set down has no score before its first tick.
+    anomaly = np.array(line["anomaly"], float)
+    anomaly[anomaly <= 0] = np.nan
     time = np.arange(len(anomaly)) * every
     axis.plot(time, anomaly, color=LOSS, label="reconstruction loss")
     axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label="threshold β")
@@ -186,63 +238,10 @@ def loss_and_probability(
     axis.set_ylim(top=4 * np.max(anomaly, where=~np.isnan(anomaly), initial=beta))
     axis.set_xlim(0, time[-1])
     right = axis.twinx()
-    right.plot(time, probability, "--", color=PROBABILITY, label="vision probability $P_t$")
+    label = "vision probability $P_t$"
+    right.plot(time, np.array(line["probability"]), "--", color=PROBABILITY, label=label)
     right.set(ylim=(-0.05, 1.25))
     right.set_yticks(np.linspace(0, 1, 6))
     right.set_ylabel("$P_t$", color=PROBABILITY)
     right.grid(False)
     return right
-
-
-def timeline_legend(figure: Figure, axis: Axes, right: Axes) -> None:
-    """Name the lines of both axes and the bands, above the figure."""
-    keys = [Rectangle((0, 0), 1, 1, color=c, alpha=0.7) for c in (VP_BAND, OP_BAND)]
-    lines = axis.get_legend_handles_labels(), right.get_legend_handles_labels()
-    figure.legend(
-        [*lines[0][0], *lines[1][0], *keys],
-        [*lines[0][1], *lines[1][1], "VP in charge", "OP in charge"],
-        loc="outside upper center",
-        ncols=5,
-        fontsize=9,
-    )
-
-
-def timeline(
-    anomaly: np.ndarray,
-    beta: float,
-    probability: np.ndarray,
-    vision: np.ndarray,
-    marks: Sequence[tuple[float, str]],
-    title: str,
-    path: Path,
-    provenance: Provenance,
-) -> Path:
-    """The paper's timeline of one robot: loss, threshold, P_t and the estimator in charge.
-
-    Args:
-        anomaly: [T] anomaly score.
-        beta: threshold.
-        probability: [T] P_t.
-        vision: [T] bool, VP in charge.
-        marks: instants to point out, (seconds, text).
-        title: of the figure.
-        path: of the PNG.
-        provenance: of the numbers.
-    """
-    with plt.rc_context(STYLE):
-        figure, axis = plt.subplots(figsize=(11, 3.4))
-        bands(axis, vision)
-        right = loss_and_probability(axis, anomaly, beta, probability, CONTROL_DT)
-        axis.set(xlabel="time (s)", ylabel="anomaly score", title=title)
-        for instant, text in marks:
-            axis.axvline(instant, color=INK, linewidth=1, linestyle=":")
-            axis.annotate(
-                text,
-                (instant, 1.0),
-                xycoords=("data", "axes fraction"),
-                xytext=(4, -11),
-                textcoords="offset points",
-                fontsize=8,
-            )
-        timeline_legend(figure, axis, right)
-        return save(figure, path, provenance)

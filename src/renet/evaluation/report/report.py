@@ -13,10 +13,11 @@ from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report.page import render, study_sections, write_page
 from renet.evaluation.report.summary import overview_section, worse_section
-from renet.evaluation.results import output_folder, read_json
+from renet.evaluation.results import output_folder, read_results
 from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.filter import FilterStudy
+from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.studies.pictures import PicturesStudy
 from renet.evaluation.studies.standing import StandingStudy
@@ -32,6 +33,7 @@ STUDIES: dict[str, type[Study]] = {
         SuccessStudy,
         TerrainStudy,
         StandingStudy,
+        MarginsStudy,
         CourseStudy,
         FilterStudy,
         PicturesStudy,
@@ -45,8 +47,8 @@ class ReportCfg:
     """Where the results are and the page goes."""
 
     results: Path = Path("results")
-    """Folder with the studies' folders: noise, faults, success, terrain, standing, course, filter,
-    pictures."""
+    """Folder with the studies' folders: noise, faults, success, terrain, standing, margins, course,
+    filter, pictures."""
     out: Path | None = None
     """The page; index.html in `results` by default."""
     run: bool = False
@@ -70,7 +72,7 @@ def make_report(cfg: ReportCfg) -> Path:
     if cfg.run:
         run_studies(cfg)
     found = {
-        name: read_json(cfg.results / name / "summary.json")
+        name: read_results(cfg.results / name / "summary.json")
         for name in STUDIES
         if (cfg.results / name / "summary.json").exists()
     }

@@ -7,6 +7,7 @@ from typing import Any
 
 from renet.evaluation.report.figures import MODE_NAMES
 from renet.evaluation.report.page import Section, render
+from renet.evaluation.studies.fault_findings import label
 
 Found = Mapping[str, dict[str, Any]]
 """Summaries by study."""
@@ -99,7 +100,7 @@ def _worse_faults(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     harmful = [
         (
             "faults",
-            f"{f['fault']} {f['severity']}" + _doubt(f),
+            label(f) + _doubt(f),
             _percent(f["renet"]),
             _percent(f["op"]),
         )
@@ -108,7 +109,7 @@ def _worse_faults(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     missed = [
         (
             "faults",
-            f"{m['fault']} {m['severity']} goes unnoticed; {m['vp_falls']} fall with VP only"
+            f"{label(m)} goes unnoticed; {m['vp_falls']} fall with VP only"
             f" then, {m['vp_spared']} only without it" + _doubt(m),
             f"{m['undetected']} robots",
             "",

@@ -19,18 +19,17 @@ from renet.evaluation import metrics
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report import course_figures
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import StepResult, Trial, check_modes, check_speed
-from renet.evaluation.selectors import check_selector
+from renet.evaluation.rollout import StepResult, Trial
 from renet.evaluation.studies.course_env import CourseEnv, PlaceInjector, course_length, time_limit
 from renet.evaluation.studies.course_terrain import LAP, SHORT_LAP, course_env_cfg, passage
-from renet.evaluation.study import Part, Study, Table
+from renet.evaluation.study import Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import SEVERITIES
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 
 
 @dataclass(frozen=True)
-class CourseStudy(Study):
+class CourseStudy(WalkingStudy):
     """A kilometre unattended: grass, stairs, slopes, platforms, gaps, an occlusion."""
 
     out: Path = Path("results/course")
@@ -43,16 +42,10 @@ class CourseStudy(Study):
     """Size of all obstacles, as a level of the training curriculum, 1 to 10."""
     robots: int = 4
     """Robots in each mode; each walks all laps."""
-    modes: tuple[str, ...] = ("vp", "renet", "op")
-    """Policy modes to compare: vp, renet, op, oracle-switch."""
     severity: int = 4
     """Of the grass (4: three quarters of the way to dense) and the occlusion (4: 75 %), 1 to 5."""
-    speed: float = 0.6
-    """Commanded forward speed, m/s."""
     stuck_after: float = 25.0
     """Seconds on one passage after which a robot counts as stuck; 8 m take 13 s."""
-    selector: str = "monitors"
-    """Selector: monitors (all of them) or paper."""
 
     name: ClassVar[str] = "course"
     selectable: ClassVar[tuple[str, ...]] = ("laps",)
@@ -62,13 +55,11 @@ class CourseStudy(Study):
             raise RenetError("the lap has no passages")
         for kind in self.lap:
             passage(kind, self.level)
-        check_modes(self.modes)
-        check_speed(self.speed)
-        check_selector(self.selector)
+        super().__post_init__()
         if self.severity not in SEVERITIES:
             raise RenetError(f"severity {self.severity}: choose 1 to 5")
-        if self.laps < 1 or self.robots < 1 or self.stuck_after <= 0:
-            raise RenetError("laps and robots must be at least 1, stuck after positive")
+        if self.laps < 1 or self.stuck_after <= 0:
+            raise RenetError("laps must be at least 1, stuck after positive")
 
     def effective(self) -> tuple[tuple[str, ...], int, int]:
         """Lap, number of laps and robots after `quick`."""

@@ -1,14 +1,24 @@
-"""What the rows of the fault benchmark add up to: promises kept and broken, harm and misses."""
+"""What the rows of the fault benchmark add up to: promises kept and broken, harm and misses.
+
+Because a walk over obstacles is chaotic, twins part company by chance, in both directions: what
+counts is how much more often the one happens than the other (sign test, McNemar 1947).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
-from renet.evaluation.studies.fault_pairs import Runs, beyond_chance
 from renet.tasks.terrains import DIFFICULT
 
+Runs = list[dict[str, Any]]
+Setting = tuple[str, float, str, int]
+"""Ground, onset, fault and severity."""
+CHANCE = 0.05
+"""Probability below which a difference is not put down to chance."""
 MARGIN = 0.02
 """RENet's survival may be this much below OP's before a setting is listed as harmful."""
 SEVERE = 3
@@ -18,19 +28,41 @@ UNIFORM = ("blackout", "saturated", "occlusion")
 """Faults whose severity 5 leaves one value in the whole image."""
 
 
+def setting_of(run: dict[str, Any]) -> Setting:
+    """Which setting a row is of."""
+    return run["ground"], run["onset"], run["fault"], run["severity"]
+
+
+def sign_test(more: int, fewer: int) -> float:
+    """Probability of `more` heads or still more among more + fewer tosses of a fair coin."""
+    tosses = more + fewer
+    return float(stats.binomtest(more, tosses, alternative="greater").pvalue) if tosses else 1.0
+
+
+def beyond_chance(pairs: Iterable[tuple[int, int]], calm: bool) -> bool:
+    """Whether one thing happens more often than its opposite, all pairs of counts together.
+
+    Args:
+        pairs: (more, fewer) of each setting.
+        calm: nothing ever happens to healthy robots there: then once is enough.
+    """
+    more, fewer = (sum(counts) for counts in zip((0, 0), *pairs, strict=True))
+    return more > fewer and (calm or sign_test(more, fewer) < CHANCE)
+
+
 def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
     """`harmful`, `missed` and `claims` of a summary, from `runs`, `baseline` and `healthy`.
 
     Args:
-        runs: with their pairs, see `fault_pairs`. baseline: the same grounds without faults.
+        runs: with their pairs, see `fault_metrics`. baseline: the same grounds without faults.
         healthy: false switches and robot hours.
     """
     harm, misses = harmful(runs, baseline), missed(runs, baseline)
-    simple = [h for h in harm if h["terrain"] not in DIFFICULT]
+    simple = [h for h in harm if h["ground"] not in DIFFICULT]
     severe = [miss for miss in misses if miss["severity"] >= SEVERE]
     claims = [
         _claim(
-            "survival at least OP alone's minus 2 points, every fault on simple terrain",
+            "survival at least OP alone's minus 2 points, every fault on simple ground",
             not any(h["beyond_chance"] for h in simple),
             _beyond_and_within(simple, "settings below"),
         ),
@@ -49,39 +81,37 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
 def harmful(runs: Runs, baseline: Runs) -> Runs:
     """Settings in which RENet survives less often than OP alone, beyond the margin.
 
-    Chance is judged fault by fault, all severities together: one more fall among ten robots says
-    little where as many fall with healthy cameras.
+    Chance is judged fault by fault on each ground, all severities together: one more fall among ten
+    robots says little where as many fall with healthy cameras.
     """
-    survival = {(r["fault"], r["severity"]): r["survival"] for r in runs if r["mode"] == "op"}
+    survival = {setting_of(r): r["survival"] for r in runs if r["mode"] == "op"}
     worse = _beyond_chance(runs, baseline, "renet", "only_op_upright", "only_renet_upright")
     return [
-        {
-            "fault": r["fault"],
-            "severity": r["severity"],
-            "terrain": r["terrain"],
+        _where(r)
+        | {
             "renet": r["survival"],
-            "op": survival[r["fault"], r["severity"]],
+            "op": survival[setting_of(r)],
             "over_op_ci95": [r["over_op_ci95_low"], r["over_op_ci95_high"]],
-            "beyond_chance": r["fault"] in worse,
+            "beyond_chance": (r["ground"], r["fault"]) in worse,
         }
         for r in runs
         if r["mode"] == "renet" and r["over_op"] is not None and r["over_op"] < -MARGIN
     ]
 
 
-def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[tuple[str, int], bool]:
-    """Faults and severities with more falls under VP than its healthy twins have.
+def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, bool]:
+    """Settings with more falls under VP than its healthy twins have.
 
     Returns:
-        Whether that is beyond chance, judged from all of a fault's severe settings together (of
-        its mild ones where it has no severe ones).
+        Whether that is beyond chance, judged from all of a fault's severe settings on the ground
+        together (of its mild ones where it has no severe ones).
     """
     severe = [r for r in runs if r["severity"] >= SEVERE]
     mild = {r["fault"] for r in runs} - {r["fault"] for r in severe}
     judged = severe + [r for r in runs if r["fault"] in mild]
     worse = _beyond_chance(judged, baseline, "vp", "falls_by_fault", "falls_spared")
     return {
-        (r["fault"], r["severity"]): r["fault"] in worse
+        setting_of(r): (r["ground"], r["fault"]) in worse
         for r in runs
         if r["mode"] == "vp" and r["falls_by_fault"] > r["falls_spared"]
     }
@@ -90,46 +120,52 @@ def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[tuple[str, int], bo
 def missed(runs: Runs, baseline: Runs) -> Runs:
     """Faults that make VP fall and that the selector did not notice on every robot."""
     falls_more = settings_vp_falls_in(runs, baseline)
-    falls = {
-        (r["fault"], r["severity"]): (r["falls_by_fault"], r["falls_spared"])
-        for r in runs
-        if r["mode"] == "vp"
-    }
+    vp = {setting_of(r): r for r in runs if r["mode"] == "vp"}
     return [
-        {
-            "fault": r["fault"],
-            "severity": r["severity"],
+        _where(r)
+        | {
             "undetected": r["vision_active_at_onset"] - r["detected"],
-            "vp_falls": falls[r["fault"], r["severity"]][0],
-            "vp_spared": falls[r["fault"], r["severity"]][1],
-            "beyond_chance": falls_more[r["fault"], r["severity"]],
+            "vp_falls": vp[setting_of(r)]["falls_by_fault"],
+            "vp_spared": vp[setting_of(r)]["falls_spared"],
+            "beyond_chance": falls_more[setting_of(r)],
         }
         for r in runs
         if r["mode"] == "renet"
-        and (r["fault"], r["severity"]) in falls_more
+        and setting_of(r) in falls_more
         and r["detected"] < r["vision_active_at_onset"]
     ]
 
 
-def _beyond_chance(runs: Runs, baseline: Runs, mode: str, more: str, fewer: str) -> set[str]:
-    """Faults for which one count exceeds its opposite beyond chance, all severities together."""
-    with_falls = {run["terrain"] for run in baseline if run["mode"] == mode and run["falls"] > 0}
-    rows: dict[str, Runs] = {}
+def _where(run: dict[str, Any]) -> dict[str, Any]:
+    return {name: run[name] for name in ("fault", "severity", "ground", "onset")}
+
+
+def _beyond_chance(
+    runs: Runs, baseline: Runs, mode: str, more: str, fewer: str
+) -> set[tuple[str, str]]:
+    """Grounds and faults for which one count exceeds its opposite beyond chance."""
+    with_falls = {run["ground"] for run in baseline if run["mode"] == mode and run["falls"] > 0}
+    rows: dict[tuple[str, str], Runs] = {}
     for run in runs:
         if run["mode"] == mode and run[more] is not None:
-            rows.setdefault(run["fault"], []).append(run)
+            rows.setdefault((run["ground"], run["fault"]), []).append(run)
     return {
-        fault
-        for fault, own in rows.items()
-        if beyond_chance([(r[more], r[fewer]) for r in own], own[0]["terrain"] not in with_falls)
+        (ground, fault)
+        for (ground, fault), own in rows.items()
+        if beyond_chance([(r[more], r[fewer]) for r in own], ground not in with_falls)
     }
+
+
+def label(finding: dict[str, Any]) -> str:
+    """A finding's setting, such as "glare 5 on gap"."""
+    return f"{finding['fault']} {finding['severity']} on {finding['ground'].replace('_', ' ')}"
 
 
 def _beyond_and_within(found: Runs, what: str) -> str:
     """How many of the findings chance cannot explain, and which it can."""
     clear = [f for f in found if f["beyond_chance"]]
-    unclear = [f"{f['fault']} {f['severity']}" for f in found if not f["beyond_chance"]]
-    named = ": " + ", ".join(f"{f['fault']} {f['severity']}" for f in clear) if clear else ""
+    unclear = [label(f) for f in found if not f["beyond_chance"]]
+    named = ": " + ", ".join(map(label, clear)) if clear else ""
     aside = f" ({', '.join(unclear)} within chance)" if unclear else ""
     return f"{len(clear)} {what}{named}{aside}"
 
@@ -156,9 +192,9 @@ def _false_switch_claim(healthy: dict[str, Any]) -> Runs:
 def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
     """The median of the severe settings' median delays where VP falls; nothing if it never does."""
     worse = settings_vp_falls_in(runs, baseline).items()
-    falls = {setting for setting, clear in worse if clear and setting[1] >= SEVERE}
+    falls = {setting for setting, clear in worse if clear and setting[-1] >= SEVERE}
     noticed = [r for r in runs if r["mode"] == "renet" and r["detection_delay_s"] is not None]
-    where = [r for r in noticed if (r["fault"], r["severity"]) in falls]
+    where = [r for r in noticed if setting_of(r) in falls]
     if not where:
         return []
     delay = float(np.median([r["detection_delay_s"] for r in where]))
@@ -168,7 +204,7 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
             f"median detection within 0.2 s of faults of severity >= {SEVERE} that make VP fall",
             delay <= 0.2,
             f"{delay:.3f} s; worst 95th percentile {worst['detection_delay_p95_s']:.2f} s"
-            f" ({worst['fault']} {worst['severity']})",
+            f" ({label(worst)})",
         )
     ]
 

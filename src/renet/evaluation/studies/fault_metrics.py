@@ -1,7 +1,13 @@
-"""What the fault benchmark measures of one setting: survival, detection, return, separability."""
+"""What the fault benchmark measures of each robot and of each setting, with intervals and pairs.
+
+Robots fall over obstacles with healthy cameras, too. Each robot of a fault's batch therefore has a
+twin without the fault: same mode, body, start, camera and noise, alike to the bit until the onset.
+Differences are taken between twins, robot by robot.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,14 +17,106 @@ from renet.evaluation import metrics
 from renet.evaluation.trace import Trace
 from renet.faults import fault_class
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.terrain.tiles import TILE
 
+SHARES = ("crossed", "upright")
+MEASURES = (
+    *SHARES,
+    "speed_error",
+    "energy_per_metre",
+    "collisions",
+    "seconds_without_sight",
+    "switches",
+)
+"""Of docs/benchmark.md, in its order."""
+TRAVELLED = 0.2
+"""m from the onset on below which energy per metre says nothing."""
 ROC_POINTS = 60
 """Points kept of a curve."""
+Values = Mapping[str, Any]
+"""A number for each robot, [N], by measure; NaN or None where it was not taken."""
+
+
+def robot_measures(trace: Trace, onset: int, command: float) -> dict[str, np.ndarray]:
+    """Every measure of each robot, [N].
+
+    Args:
+        trace: of the run. onset: control step from which on they count.
+        command: commanded speed, m/s.
+    """
+    crossed, fell, seconds = trace.first_try()
+    # Endless ground ends no episode: there, as far as a tile's edge is across.
+    crossed = crossed | (np.isnan(seconds) & (trace.travelled.max(axis=0) >= TILE / 2))
+    since = np.arange(len(trace.ended))[:, None] >= onset
+    walking = since & ~trace.over
+    steps = walking.sum(axis=0)
+    counted = since & (~trace.over | fell)
+    speed = np.where(trace.over, 0.0, trace.forward_velocity)
+    last = (~trace.over).sum(axis=0) - 1
+    robots = np.arange(len(last))
+    distance = trace.travelled[last, robots] - trace.travelled[onset - 1, robots]
+    distance = np.where((steps > 0) & (distance >= TRAVELLED), distance, np.nan)
+    changed = np.diff(trace.vision, axis=0, prepend=trace.vision[:1])
+    with np.errstate(invalid="ignore"):
+        return {
+            "crossed": crossed.astype(float),
+            "upright": (~fell).astype(float),
+            "speed_error": (np.abs(speed - command) * counted).sum(0) / counted.sum(0),
+            "energy_per_metre": (trace.power * walking).sum(0) * CONTROL_DT / distance,
+            "collisions": (trace.collisions * walking).sum(0) / steps,
+            "seconds_without_sight": (~trace.vision & walking).sum(0) * CONTROL_DT,
+            "switches": (changed & walking).sum(0).astype(float),
+        }
+
+
+def estimates(values: Values, twins: Values) -> dict[str, dict[str, Any]]:
+    """Each measure's mean over the robots and its mean change from their twins, with intervals."""
+    found = {}
+    for name in MEASURES:
+        own, twin = (np.array(part[name], float) for part in (values, twins))
+        interval = metrics.wilson_interval if name in SHARES else metrics.bootstrap_interval
+        found[name] = _mean(own, interval) | {
+            "change": _mean(own - twin, metrics.bootstrap_interval)
+        }
+    return found
+
+
+def _mean(values: np.ndarray, interval: Any) -> dict[str, Any]:
+    """Mean and interval of the values there are; None where there are none."""
+    values = values[~np.isnan(values)]
+    if not len(values):
+        return {"value": None, "ci95": None}
+    return {"value": float(values.mean()), "ci95": list(interval(values))}
+
+
+def pair_counts(values: Values, twins: Values) -> dict[str, int]:
+    """Robots that fell while their twins did not, and the other way round."""
+    fell, calm = (1 - np.array(part["upright"], float) > 0 for part in (values, twins))
+    return {
+        "falls_by_fault": int((fell & ~calm).sum()),
+        "falls_spared": int((calm & ~fell).sum()),
+    }
+
+
+def beside_op(values: Values | None, op: Values | None) -> dict[str, Any]:
+    """How RENet's robots fare beside the same robots under OP; all None without either."""
+    names = ("only_op_upright", "only_renet_upright", "over_op", "over_op_ci95_low")
+    if values is None or op is None:
+        return dict.fromkeys((*names, "over_op_ci95_high"))
+    gain = np.array(values["upright"], float) - np.array(op["upright"], float)
+    low, high = metrics.bootstrap_interval(gain)
+    return {
+        "only_op_upright": int((gain < 0).sum()),
+        "only_renet_upright": int((gain > 0).sum()),
+        "over_op": float(gain.mean()),
+        "over_op_ci95_low": low,
+        "over_op_ci95_high": high,
+    }
 
 
 @dataclass(frozen=True)
 class Batch:
-    """One fault's rollout and what the probe recorded."""
+    """Some robots of a rollout under one fault, and what the probe recorded of them."""
 
     trace: Trace
     paper: np.ndarray
@@ -29,8 +127,8 @@ class Batch:
     """[ticks, N] the whole set's score; see `monitor_log.combined_score`."""
     onset: int
     """Control step at which the fault begins."""
-    over: int
-    """Control step at which every fault has ended."""
+    end: int
+    """Control step at which it is over."""
 
 
 def end_of(fault: str, severity: int, onset: int, over: int) -> int:
@@ -40,24 +138,9 @@ def end_of(fault: str, severity: int, onset: int, over: int) -> int:
     return over if np.isinf(lasts) else min(over, onset + round(lasts / CONTROL_DT))
 
 
-def measure(batch: Batch, rows: slice, fault: str, severity: int) -> dict[str, Any]:
-    """The measured half of one row of the summary.
-
-    A fault that is noticed only after it is over, or after the robot fell, was missed; one that
-    comes while vision is not trusted can be neither noticed nor missed: `vision_active_at_onset`
-    counts the robots that trusted vision.
-    """
-    trace, end = batch.trace, end_of(fault, severity, batch.onset, batch.over)
-    upright = ~trace.fallen[-1, rows]
-    # A last image from before the end is judged until the next tick.
-    until = end + STEPS_PER_TICK
-    delay = detection(trace.trusted[:, :, rows], trace.fallen[:, rows], batch.onset, until)
-    vision_active_at_onset = ~away(trace.trusted[:, :, rows], trace.fallen[:, rows], batch.onset)
-    vision_active_at_onset &= ~trace.fallen[batch.onset - 1, rows]
-    paper = detection(batch.paper[:, :, rows], trace.fallen[:, rows], batch.onset, until)
-    paper[~vision_active_at_onset] = np.nan
-    back = recovery(trace.trusted[:, :, rows], trace.fallen[:, rows], end)
-    speed = trace.speed[: batch.over, rows]
+def survival(trace: Trace, until: int | None = None) -> dict[str, Any]:
+    """Falls, and the mean speed over the last 3 s before a control step, with intervals."""
+    upright, speed = ~trace.fallen[-1], trace.speed[:until]
     return {
         "robots": len(upright),
         "falls": int((~upright).sum()),
@@ -65,57 +148,71 @@ def measure(batch: Batch, rows: slice, fault: str, severity: int) -> dict[str, A
         **metrics.with_interval("survival", upright),
         "mean_forward_velocity": metrics.mean_forward_velocity(speed),
         **metrics.with_interval("velocity", speed[metrics.window(3.0)].mean(axis=0)),
-        "distance": float(trace.speed[:, rows].sum(axis=0).mean() * CONTROL_DT),
-        "collisions": float(trace.collisions[batch.onset :, rows].mean()),
-        "vision_active_at_onset": int(vision_active_at_onset.sum()),
+    }
+
+
+def noticing(batch: Batch) -> dict[str, Any]:
+    """Who noticed the fault, who returned to vision after it, and how soon.
+
+    A fault that is noticed only after it is over, or after the robot fell, was missed; one that
+    comes while vision is not trusted can be neither noticed nor missed: `vision_active_at_onset`
+    counts the robots that trusted vision.
+    """
+    trace, onset, end = batch.trace, batch.onset, batch.end
+    # A last image from before the end is judged until the next tick.
+    until = end + STEPS_PER_TICK
+    delay = detection(trace.trusted, trace.over, onset, until)
+    active = trace.trusted[onset - 1, -1] & ~trace.over[onset - 1]
+    paper = np.where(active, detection(batch.paper, trace.over, onset, until), np.nan)
+    back = recovery(trace.trusted, trace.over, end)
+    return {
+        "vision_active_at_onset": int(active.sum()),
         "detected": int((~np.isnan(delay)).sum()),
         **_delays("detection_delay", delay),
         "detected_by_paper": int((~np.isnan(paper)).sum()),
         "paper_detection_delay_s": _delays("paper", paper)["paper_s"],
-        "away_at_end": int(
-            (~trace.trusted[end - 1, -1, rows] & ~trace.fallen[end - 1, rows]).sum()
-        ),
+        "away_at_end": int(away(trace.trusted, trace.over, end).sum()),
         "recovered": int((~np.isnan(back)).sum()),
         "recovery_delay_s": _delays("back", back)["back_s"],
         "recovery_delay_p95_s": _delays("back", back)["back_p95_s"],
     }
 
 
-def detection(trusted: np.ndarray, fallen: np.ndarray, onset: int, end: int) -> np.ndarray:
+def detection(trusted: np.ndarray, gone: np.ndarray, onset: int, end: int) -> np.ndarray:
     """[N] seconds from the onset to the selector's departure from vision.
 
     NaN where it missed the fault, or had left before.
 
     Args:
-        trusted: [T, U, N] bool. fallen: [T, N] bool. onset, end: control steps.
+        trusted: [T, U, N] bool. gone: [T, N] bool, fallen or across. onset, end: control steps.
     """
     delay = metrics.switch_delay(trusted, onset, end)
-    return np.where(trusted[onset - 1, -1], _upright(delay, fallen, onset), np.nan)
+    return np.where(trusted[onset - 1, -1], _in_time(delay, gone, onset), np.nan)
 
 
-def recovery(trusted: np.ndarray, fallen: np.ndarray, over: int) -> np.ndarray:
+def recovery(trusted: np.ndarray, gone: np.ndarray, over: int) -> np.ndarray:
     """[N] seconds from the end of a fault to the return to vision.
 
     NaN where vision was not left, or the robot fell first: one that starts anew trusts vision.
 
     Args:
-        trusted: [T, U, N] bool. fallen: [T, N] bool. over: control step.
+        trusted: [T, U, N] bool. gone: [T, N] bool, fallen or across. over: control step.
     """
     if over >= len(trusted):
         return np.full(trusted.shape[-1], np.nan)
-    delay = _upright(metrics.recovery_delay(trusted, over), fallen, over)
-    return np.where(away(trusted, fallen, over), delay, np.nan)
+    delay = _in_time(metrics.recovery_delay(trusted, over), gone, over)
+    return np.where(away(trusted, gone, over), delay, np.nan)
 
 
-def _upright(delay: np.ndarray, fallen: np.ndarray, start: int) -> np.ndarray:
-    """`delay` [N] s from the control step `start`; NaN where the robot fell before it was over."""
-    fall = np.where(fallen.any(axis=0), fallen.argmax(axis=0) - start + 1, np.inf) * CONTROL_DT
-    return np.where(delay <= fall, delay, np.nan)
+def _in_time(delay: np.ndarray, gone: np.ndarray, start: int) -> np.ndarray:
+    """`delay` [N] s from the control step `start`; NaN where the robot was gone by then."""
+    end = np.where(gone.any(axis=0), gone.argmax(axis=0) - start + 1, np.inf) * CONTROL_DT
+    return np.where(delay <= end, delay, np.nan)
 
 
-def away(trusted: np.ndarray, fallen: np.ndarray, over: int) -> np.ndarray:
-    """[N] bool: on its feet and without vision just before a control step; see `recovery`."""
-    return ~trusted[over - 1, -1] & ~fallen[over - 1]
+def away(trusted: np.ndarray, gone: np.ndarray, over: int) -> np.ndarray:
+    """[N] bool: on its way and without vision just before a control step; see `recovery`."""
+    return ~trusted[over - 1, -1] & ~gone[over - 1]
 
 
 def _delays(name: str, delay: np.ndarray) -> dict[str, float | None]:
@@ -131,21 +228,22 @@ def _delays(name: str, delay: np.ndarray) -> dict[str, float | None]:
     }
 
 
-def separability(batch: Batch, rows: slice, fault: str, severity: int) -> dict[str, Any]:
+def separability(batches: Sequence[Batch]) -> dict[str, Any]:
     """How well a threshold on a score could tell frames of before the onset from frames after.
 
     Returns:
         The area under the curve and the curve itself, [false, true] positive rates, for the
         reconstruction score alone and for the whole set; frames after a fall do not count.
     """
-    end = end_of(fault, severity, batch.onset, batch.over)
-    first, last = batch.onset // STEPS_PER_TICK, -(-end // STEPS_PER_TICK)
-    counts = ~batch.trace.fallen[::STEPS_PER_TICK, rows]
-    found: dict[str, Any] = {"severity": severity}
-    for name, scores in (("reconstruction", batch.reconstruction), ("monitors", batch.monitors)):
-        before = scores[:first, rows][counts[:first]]
-        after = scores[first:last, rows][counts[first:last]]
-        false, true, area = metrics.roc(before, after)
+    found: dict[str, Any] = {}
+    for name in ("reconstruction", "monitors"):
+        before, after = [], []
+        for batch in batches:
+            first, last = batch.onset // STEPS_PER_TICK, -(-batch.end // STEPS_PER_TICK)
+            counts, scores = ~batch.trace.over[::STEPS_PER_TICK], getattr(batch, name)
+            before.append(scores[:first][counts[:first]])
+            after.append(scores[first:last][counts[first:last]])
+        false, true, area = metrics.roc(np.concatenate(before), np.concatenate(after))
         keep = np.unique(np.linspace(0, len(false) - 1, ROC_POINTS).round().astype(int))
         found[f"auc_{name}"] = area
         found[name] = [false[keep].round(4), true[keep].round(4)]

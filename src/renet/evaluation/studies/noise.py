@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
+from renet.evaluation.env import FLAT
 from renet.evaluation.report import figures
 from renet.evaluation.report.page import noise_rows
 from renet.evaluation.results import Provenance
@@ -17,7 +18,6 @@ from renet.evaluation.studies.faults import FaultStudy, Setting
 from renet.evaluation.study import Part, Table
 from renet.evaluation.trace import Trace
 from renet.faults import Injection, fault_class
-from renet.interface import CONTROL_DT
 
 
 @dataclass(frozen=True)
@@ -33,31 +33,32 @@ class NoiseStudy(FaultStudy):
     """Noises, NAME:SEVERITY; the paper's are 30, 70, 100 % and 10, 30, 70 %."""
     modes: tuple[str, ...] = ("vp", "renet")
     """Policy modes to compare: vp, renet, op, oracle-switch."""
-    onset: float = 3.0
+    grounds: tuple[str, ...] = (FLAT,)
+    """Flat ground without end."""
+    onsets: tuple[float, ...] = (3.0,)
     """Seconds at which the noise begins."""
-    fault_end: float = 9.0
-    """Seconds at which it is over at the latest."""
+    lasts: float = 6.0
+    """Seconds after which it is over."""
     seconds: float = 9.0
     """Length of each run."""
     healthy_minutes: float = 0.0
     """Further robot minutes with a healthy camera, in which false switches are counted."""
 
     name: ClassVar[str] = "noise"
-    quick_robots: ClassVar[int] = 5
 
-    def trials(self, settings: list[Setting], faulty: bool = True) -> list[Trial]:
+    def trials(self, settings: Sequence[Setting]) -> list[Trial]:
         """As the fault study's, and one robot more, whose camera recovers half-way."""
-        lasts = (self.steps - self.onset_step) * CONTROL_DT / 2
-        passing = (Injection.of(*settings[0], self.onset_step, lasts),) if faulty else ()
-        return [*super().trials(settings, faulty), Trial("renet", passing)]
+        first = settings[0]
+        passing = Injection.of(*first[2:], first.step, self.lasts / 2)
+        return [*super().trials(settings), Trial("renet", (passing,))]
 
-    def curves(self, trace: Trace) -> Part:
+    def curves(self, trace: Trace, modes: Sequence[str]) -> Part:
         """Mean speed over time of each mode, and the timeline of the robot that recovers."""
         each = self.robots_each
         return {
             "speed": {
                 mode: trace.speed[:, number * each : (number + 1) * each].mean(axis=1)
-                for number, mode in enumerate(self.modes)
+                for number, mode in enumerate(modes)
             },
             "timeline": {
                 name: getattr(trace, name)[:, -1].astype(float)
@@ -70,33 +71,29 @@ class NoiseStudy(FaultStudy):
     ) -> None:
         """Write noise.png and timeline.png."""
         batches = {
-            (settings[0][0], fault_class(settings[0][0]).level_of(settings[0][1])): parts[name]
-            for name, settings in self.batches.items()
+            (settings[0].fault, fault_class(settings[0].fault).level_of(settings[0].severity)): part
+            for settings, part in ((self.batches[name], parts[name]) for name in self.batches)
         }
-        batches = {("none", 0.0): parts[f"no_fault_{self.terrain}"]} | batches
+        batches = {("none", 0.0): parts["no_fault"]} | batches
         curves = {
-            mode: {setting: np.array(part["speed"][mode]) for setting, part in batches.items()}
+            # What OP does it does under every noise.
+            mode: {
+                setting: np.array(part["speed"].get(mode, parts["no_fault"]["speed"][mode]))
+                for setting, part in batches.items()
+            }
             for mode in self.modes
         }
-        path = self.out / "noise.png"
-        figures.speed_over_time(curves, self.onset_step, self.speed, path, provenance)
+        onset, path = self.onsets[0], self.out / "noise.png"
+        figures.speed_over_time(curves, onset, self.speed, path, provenance)
         gaussian = [setting for setting in batches if setting[0] == "gaussian"]
         strongest = max(gaussian or list(batches)[1:], key=lambda setting: setting[1])
-        line = {name: np.array(v) for name, v in batches[strongest]["timeline"].items()}
         marks = [
-            (self.onset, f"{figures.noise_label(*strongest)} begins"),
-            ((self.onset + self.seconds) / 2, "camera recovers"),
+            (onset, f"{figures.noise_label(*strongest)} begins"),
+            (onset + self.lasts / 2, "camera recovers"),
         ]
-        figures.timeline(
-            line["anomaly"],
-            summary["beta"],
-            line["probability"],
-            line["vision"] > 0,
-            marks,
-            "One robot loses its camera and gets it back",
-            self.out / "timeline.png",
-            provenance,
-        )
+        line, title = batches[strongest]["timeline"], "One robot loses its camera and gets it back"
+        path = self.out / "timeline.png"
+        figures.timelines([line], [marks], summary["beta"], title, path, provenance)
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Falls, speed and delay by mode and noise."""

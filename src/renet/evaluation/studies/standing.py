@@ -21,8 +21,8 @@ from renet.evaluation.env import FLAT, PARKOUR
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report import figures
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import StepResult, Trial, check_modes, check_speed
-from renet.evaluation.study import Part, Study, Table
+from renet.evaluation.rollout import StepResult, Trial
+from renet.evaluation.study import Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT
 from renet.terrain.tiles import LEVELS, tiles
 
@@ -32,7 +32,7 @@ rad/s, from the moment it has had time to stop."""
 
 
 @dataclass(frozen=True)
-class StandingStudy(Study):
+class StandingStudy(WalkingStudy):
     """Whether a robot that is commanded to stand does, and stands still."""
 
     out: Path = Path("results/standing")
@@ -43,16 +43,12 @@ class StandingStudy(Study):
     """Of the ground, 1 to 10."""
     modes: tuple[str, ...] = ("vp", "op")
     """Policy modes to compare: vp, renet, op, oracle-switch."""
-    robots: int = 20
-    """Robots on each kind of ground in each mode."""
     walk: float = 3.0
     """Seconds before the command to stand."""
     settle: float = 1.5
     """Seconds a robot has for stopping."""
     stand: float = 6.0
     """Seconds it must stand."""
-    speed: float = 0.6
-    """Commanded forward speed before, m/s."""
 
     name: ClassVar[str] = "standing"
 
@@ -60,22 +56,16 @@ class StandingStudy(Study):
         unknown = [kind for kind in self.kinds if kind not in (FLAT, *tiles())]
         if unknown or not self.kinds:
             raise RenetError(f"kinds {self.kinds}: choose among {FLAT}, {', '.join(tiles())}")
-        check_modes(self.modes)
-        check_speed(self.speed)
+        super().__post_init__()
         if not 1 <= self.level <= LEVELS:
             raise RenetError(f"level must be 1 to {LEVELS}, got {self.level}")
-        if self.robots < 1 or min(self.walk, self.settle, self.stand) < 0.1:
-            raise RenetError("robots must be at least 1, walk, settle and stand at least 0.1 s")
+        if min(self.walk, self.settle, self.stand) < 0.1:
+            raise RenetError("walk, settle and stand must be at least 0.1 s")
 
     @property
     def settings(self) -> list[tuple[str, str]]:
         """Ground and mode of every group of robots."""
         return [(kind, mode) for kind in self.kinds for mode in self.modes]
-
-    @property
-    def robots_each(self) -> int:
-        """Robots in each setting, after `quick`."""
-        return 5 if self.quick else self.robots
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """All robots of every ground and mode, side by side."""

@@ -27,9 +27,8 @@ from renet.evaluation.env import FLAT, PARKOUR, SimEnv, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report import terrain_figures
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import StepResult, Trial, check_modes, check_speed
-from renet.evaluation.selectors import check_selector
-from renet.evaluation.study import Part, Study, Table
+from renet.evaluation.rollout import StepResult, Trial
+from renet.evaluation.study import Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Schedule, parse_fault
 from renet.interface import CONTROL_DT
@@ -42,7 +41,7 @@ AIM = 0.1
 
 
 @dataclass(frozen=True)
-class TerrainStudy(Study):
+class TerrainStudy(WalkingStudy):
     """The paper's table: how far up the training curriculum a policy gets.
 
     `--preset success` gives every robot one try at each obstacle instead.
@@ -56,17 +55,11 @@ class TerrainStudy(Study):
     """Levels of the curriculum, 1 to 10."""
     modes: tuple[str, ...] = ("renet",)
     """Policy modes to compare: vp, renet, op, oracle-switch."""
-    robots: int = 20
-    """Robots on each level of each kind of tile in each mode."""
     fault: str | None = None
     """A camera fault, NAME[:SEVERITY][@SECONDS[+DURATION]]; without a time it begins half a second
     before the obstacle."""
     seconds: float = 20.0
     """Time to leave a tile (an episode's length in training)."""
-    speed: float = 0.6
-    """Commanded forward speed, m/s."""
-    selector: str = "monitors"
-    """Selector: monitors (all of them) or paper."""
 
     name: ClassVar[str] = "terrain"
     selectable: ClassVar[tuple[str, ...]] = ("kinds",)
@@ -80,11 +73,9 @@ class TerrainStudy(Study):
             raise RenetError(f"kinds {self.kinds}: choose among {', '.join(tiles())}")
         if not self.levels or not all(1 <= level <= LEVELS for level in self.levels):
             raise RenetError(f"levels {self.levels}: choose among 1 to {LEVELS}")
-        check_modes(self.modes)
-        check_speed(self.speed)
-        check_selector(self.selector)
-        if self.robots < 1 or self.seconds < 1:
-            raise RenetError(f"robots {self.robots} and seconds {self.seconds} must be at least 1")
+        super().__post_init__()
+        if self.seconds < 1:
+            raise RenetError(f"seconds must be at least 1, got {self.seconds}")
         _ = self.schedule
 
     @property
@@ -99,11 +90,6 @@ class TerrainStudy(Study):
         """Level and mode of every group of robots on one kind of tile."""
         levels = self.quick_levels if self.quick else self.levels
         return [(level, mode) for level in levels for mode in self.modes]
-
-    @property
-    def robots_each(self) -> int:
-        """Robots in each setting, after `quick`."""
-        return self.quick_robots if self.quick else self.robots
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One batch for each kind of tile, and one on flat ground where that is reported."""
@@ -160,7 +146,7 @@ class TerrainStudy(Study):
 
     def _run(self, kind: str, level: int, mode: str, trace: Trace) -> dict[str, Any]:
         """One row of the summary."""
-        crossed, fell, seconds = first_try(trace)
+        crossed, fell, seconds = trace.first_try()
         success = crossed if self.one_try else passed(trace)
         return {
             "kind": kind,
@@ -180,7 +166,7 @@ class TerrainStudy(Study):
 
     def _walking(self, trace: Trace) -> Part:
         """Sums over the steps of every robot's first try: collisions, and the reward for speed."""
-        over = np.logical_or.accumulate(trace.ended, axis=0)
+        over = trace.over
         along = np.minimum(trace.forward_velocity, self.speed) / (self.speed + 1e-5)
         return {
             "steps": int((~over).sum()),
@@ -268,14 +254,6 @@ def passed(trace: Trace) -> np.ndarray:
 def highest_level(levels_passed: np.ndarray) -> np.ndarray:
     """[..., R] levels passed in a row from the first; `levels_passed` is [..., L, R] bool."""
     return np.sum(np.logical_and.accumulate(levels_passed, axis=-2), axis=-2)
-
-
-def first_try(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How each robot's first try ended: [N] crossed, [N] fell (bool), [N] seconds it took."""
-    first = trace.ended.argmax(axis=0)
-    robot = np.arange(trace.ended.shape[1])
-    ended, fell = trace.ended[first, robot], trace.fell[first, robot]
-    return ended & ~fell, ended & fell, np.where(ended, (first + 1) * CONTROL_DT, np.nan)
 
 
 def worse_than_op(runs: Sequence[dict[str, Any]], margin: float = 0.02) -> list[dict[str, Any]]:

@@ -169,7 +169,7 @@ class foot_clearance:
         self._before[env_ids] = torch.nan
 
 
-def overspeed(env: ManagerBasedRlEnv, tolerance: float = 0.2) -> Tensor:
+def overspeed(env: ManagerBasedRlEnv, tolerance: float = 0.5) -> Tensor:
     """Speed towards the goal beyond c_x by more than a share, [N] m/s.
 
     Not in the paper, whose reward does not mind overshoot (eq. 6): early in training the policy

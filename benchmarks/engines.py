@@ -1,0 +1,123 @@
+"""The same bundle in two physics engines: who walks, how fast, and who survives a blackout.
+
+Every run has a speed and a seed of its own (camera noise, random parts of the tile). `op` walks
+without a camera, `vp` trusts its camera whatever it shows, `renet` has the default selector.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+
+import numpy as np
+import tyro
+
+from facts import report
+from renet.deploy.bundle import Bundle
+from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
+from renet.deploy.cameras.sim import SimCamera
+from renet.deploy.controller import Controller
+from renet.deploy.loop import run_control_loop
+from renet.deploy.robots.bullet import BulletRobot
+from renet.deploy.robots.mujoco import MujocoRobot
+from renet.deploy.robots.scene import build_scene
+from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.teleop import ScriptedTeleop
+from renet.interface import CONTROL_DT
+from renet.selector import SelectorSpec, make_selector
+
+ENGINES = {"mujoco": MujocoRobot, "pybullet": BulletRobot}
+SPEEDS = (0.3, 0.9)
+"""m/s asked of the first and of the last run."""
+CREDULOUS = SelectorSpec(beta=1e9)
+"""Never leaves vision."""
+STAND_UP = SafetyCfg().stand_up_seconds
+
+
+@dataclass(frozen=True)
+class Cfg:
+    json: Path | None = None
+    """File for the results."""
+    bundle: Path | None = None
+    runs: int = 20
+    seconds: float = 15.0
+    """Of walking."""
+    level: int = 3
+    engines: tuple[str, ...] = ("mujoco", "pybullet")
+    terrains: tuple[str, ...] = ("flat", "stairs", "obstacles")
+    cases: tuple[str, ...] = ("op", "renet", "renet blackout", "vp blackout")
+    blackout: float = 5.0
+    """Seconds of walking after which the image is black to the end."""
+
+
+def walk(cfg: Cfg, bundle: Bundle, engine: str, terrain: str, case: str, run: int) -> dict:
+    """Seconds walked, metres, m/s forward while walking, seconds from blackout to OP."""
+    mode, *fault = case.split()
+    model, ground = build_scene(terrain, cfg.level, seed=run)
+    robot = ENGINES[engine](model, bundle.manifest.robot, ground)
+    camera = None if mode == "op" else SimCamera(robot, bundle.manifest.camera, seed=run)
+    onset = STAND_UP + cfg.blackout
+    if camera is not None and fault:
+        fault = [parse_fault(f"{fault[0]}@{onset:g}s")]
+        camera = FaultyCamera(camera, fault, robot.now, seed=run)
+    controller = Controller(bundle)
+    if mode == "vp":
+        controller._selector = make_selector("paper", CREDULOUS)
+    speed = float(np.linspace(*SPEEDS, cfg.runs)[run])
+    path, delays = [], []
+
+    def look(command) -> None:
+        if controller.decision.mode is Mode.WALKING:
+            path.append(robot.base_position)
+            if not (controller.decision.vision or delays or robot.now() < onset):
+                delays.append(robot.now() - onset)
+
+    if camera is not None:
+        camera.start()
+    robot.connect()
+    end = STAND_UP + cfg.seconds + 5 * CONTROL_DT
+    tripped = lambda: controller.decision.mode is Mode.DAMPING and robot.now() > 1.0  # noqa: E731
+    teleop = ScriptedTeleop(speed)
+    run_control_loop(
+        robot, camera, teleop, controller, on_step=look, done=lambda: robot.now() > end or tripped()
+    )
+    robot.close()
+    seconds = len(path) * CONTROL_DT
+    metres = float(np.hypot(*(path[-1] - path[0])[:2])) if path else 0.0
+    return {
+        "walked": seconds >= cfg.seconds,
+        "asked_m_s": round(speed, 3),
+        "m_s": round(metres / max(seconds, CONTROL_DT), 3),
+        "height_m": round(float(np.median([p[2] for p in path]) - ground), 3) if path else None,
+        "delay_s": round(delays[0], 3) if delays and fault else None,
+        "why": "" if seconds >= cfg.seconds else controller.machine.reason,
+    }
+
+
+def main(cfg: Cfg) -> None:
+    bundle, rows = Bundle.load(cfg.bundle), []
+    print("| ground | case | engine | walked | m/s of those asked | s to OP |")
+    print("|---|---|---|---|---|---|")
+    for terrain in cfg.terrains:
+        for case in cfg.cases:
+            for engine in cfg.engines:
+                begun = time.monotonic()
+                runs = [walk(cfg, bundle, engine, terrain, case, n) for n in range(cfg.runs)]
+                rows.append({"terrain": terrain, "case": case, "engine": engine, "runs": runs})
+                delays = [r["delay_s"] for r in runs if r["delay_s"] is not None]
+                print(
+                    f"| {terrain} | {case} | {engine} | {sum(r['walked'] for r in runs)} of"
+                    f" {len(runs)} | {fmean(r['m_s'] for r in runs):.2f} of"
+                    f" {fmean(r['asked_m_s'] for r in runs):.2f} | "
+                    + (f"{max(delays):.2f} |" if delays else "- |"),
+                    flush=True,
+                )
+                seconds = round((time.monotonic() - begun) / cfg.runs, 1)
+                rows[-1]["wall_s_each"] = seconds
+    report({"rows": rows, "bundle_sha256": bundle.sha256}, cfg.json)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Cfg))

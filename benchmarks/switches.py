@@ -1,0 +1,82 @@
+"""Learned switches in the fault study: trained on the bundle's own walking, then studied.
+
+`python benchmarks/switches.py return` is VB-Com's rule, `gate` the classifier of failing cameras.
+The study's results and its page are those of `renet evaluate faults`, whose mode `renet` then obeys
+the switch. Robots, starts and noise of the training are drawn from another seed than the study's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import torch
+import tyro
+
+from renet.baselines.switches import Gate, ReturnSwitch, SwitchEvaluator, collect, fit
+from renet.errors import RenetError
+from renet.evaluation.env import grounds_env_cfg
+from renet.evaluation.rollout import Trial
+from renet.evaluation.studies.faults import FaultStudy
+from renet.faults import FAULTS, Injection, PhysicalFault
+
+SWITCHES = {"return": ReturnSwitch, "gate": Gate}
+
+
+@dataclass
+class Cfg:
+    """Train a switch, then run the fault study with it."""
+
+    switch: tyro.conf.Positional[Literal["return", "gate"]]
+    """return: estimators of the return under vision and under blindness. gate: a classifier."""
+    study: FaultStudy = field(default_factory=partial(FaultStudy, modes=("renet",)))
+    """What is studied; by default in results/switch_NAME, and only the mode that obeys the switch:
+    the others are the bundle's own."""
+    severity: int = 4
+    """Of the faults it learns from: every one but those of the scene, in both modes."""
+    robots: int = 2
+    """Robots for each fault and mode in training, in turn on the study's grounds."""
+    steps: int = 500
+    """Control steps of training's rollout; faults begin after a tenth."""
+    epochs: int = 200
+    """Passes over the rollout."""
+    seed: int = 7
+    """Of training."""
+
+    def __post_init__(self) -> None:
+        if self.study.out == FaultStudy().out:
+            self.study = replace(self.study, out=Path(f"results/switch_{self.switch}"))
+        if self.seed == self.study.seed:
+            raise RenetError(f"seed {self.seed} is the study's: choose another one for training")
+
+
+def trained(cfg: Cfg) -> SwitchEvaluator:
+    """An evaluator of the study's bundle that obeys a switch trained on it."""
+    torch.manual_seed(cfg.seed)
+    faults = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
+    trials = [
+        Trial(mode, (Injection.of(fault, cfg.severity, cfg.steps // 10),), number)
+        for number, fault in enumerate(faults * cfg.robots)
+        for mode in ("vp", "op")
+    ]
+    study = cfg.study
+    evaluator = SwitchEvaluator(study.bundle, study.engine)
+    task = grounds_env_cfg(study.levels, evaluator.robot)
+    env = evaluator.make_env(task, [trial.robot for trial in trials], study.speed, cfg.seed)
+    env.place_on([study.grounds[trial.robot % len(study.grounds)] for trial in trials])
+    seen = collect(evaluator, env, trials, cfg.steps, cfg.seed, study.speed)
+    evaluator.switch = SWITCHES[cfg.switch]()
+    losses = fit(evaluator.switch, seen, horizon=min(150, cfg.steps // 3), epochs=cfg.epochs)
+    print(f"Loss of {cfg.switch}: {losses[0]:.3f} before, {losses[-1]:.3f} after training")
+    return evaluator
+
+
+if __name__ == "__main__":
+    try:
+        cfg = tyro.cli(Cfg)
+        cfg.study.run(trained(cfg))
+        print(f"Results: {cfg.study.out}")
+    except RenetError as error:
+        raise SystemExit(f"switches: {error}") from error

@@ -1,0 +1,239 @@
+"""Methods of two stages: privileged teachers learn by reinforcement, a depth policy imitates them.
+
+The student is RENet's VP estimator and actor under another loss, and teachers are its Oracle, so
+that methods differ in how they learn and not in their networks. rsl_rl's `Distillation` is not
+used: it has one teacher, keeps an image for every control step, where the camera brings one in
+five, and cannot go on from our checkpoints.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import torch
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
+from torch import Tensor
+
+from renet.errors import RenetError
+from renet.interface import PROPRIOCEPTION_SIZE
+from renet.models.actor_critic import Actor
+from renet.models.renet import RENet
+from renet.training import checkpoint as checkpoints
+from renet.training.algorithm import RenetAlgorithm
+from renet.training.bundle import load_networks
+from renet.training.config import SupervisionCfg, from_dict
+from renet.training.runner import RenetRunner
+from renet.training.storage import Recorder, TickRollout
+from renet.training.supervision import Supervision
+from renet.training.train import TrainCfg
+
+TEACHER = {"perception": "oracle"}
+"""Fields of ModelCfg for a policy that reads the true height map and velocity."""
+STUDENT = {
+    "perception": "vp",
+    "predict_velocity": False,
+    "predict_feet_height": False,
+    "predict_height_map": False,
+    "him": False,
+}
+"""The same for one that reads depth and is taught actions alone."""
+
+
+@dataclass
+class DistillationCfg:
+    """Whom the student imitates, and how."""
+
+    teachers: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """Checkpoint of each teacher, and the kinds of tile on which it teaches; none: on all."""
+    norm: int = 2
+    """The loss is the mean of this norm of the difference of actions: 1 or 2."""
+    starts_as_teacher: bool = False
+    """Whether the student's actor begins with the first teacher's weights, but for those that read
+    what the student cannot see."""
+    teacher_drives: float = 0.0
+    """Iterations in which the probability that an episode is driven by a teacher falls by a factor
+    of e, from 1; 0: the student always drives."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One training run of a method, of those it takes."""
+
+    name: str
+    share: float
+    """Of the method's environment steps."""
+    model: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of ModelCfg that differ from the recipe's."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of TrainCfg that do."""
+    after: str | None = None
+    """Stage whose last checkpoint it goes on from."""
+    teachers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Stages that teach it, and on which kinds of tile; none: it learns by reinforcement."""
+    distillation: Mapping[str, Any] = field(default_factory=dict)
+    """Other fields of DistillationCfg."""
+
+
+@dataclass
+class DistillationRollout(TickRollout):
+    """What the student saw, and what its teachers would have done; T control steps."""
+
+    proprioception: Tensor
+    """o_t, noisy, [T, N, 45]."""
+    expert: Tensor
+    """The teacher's mean action, [T, N, 12]."""
+    blank: Tensor
+    """No tick since the episode began, [T, N] bool: the actor read zeros for a latent."""
+
+
+class Imitation(Supervision):
+    """Trains the student's estimator and actor as one network; the detector learns as always."""
+
+    def __init__(
+        self, model: RENet, cfg: SupervisionCfg, norm: int, dtype: torch.dtype = torch.float32
+    ) -> None:
+        """Set up for a model that is where it is to stay; `norm` is DistillationCfg's."""
+        super().__init__(model, cfg, dtype)
+        self._norm = norm
+        self.parameters = [*model.actor.mean.parameters(), *self.parameters]
+        rate = self.optimizer.param_groups[0]["lr"]
+        self.optimizer = torch.optim.Adam(self.parameters, lr=rate, fused=True)
+
+    def _vp_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
+        assert isinstance(rollout, DistillationRollout)
+        latent = self.model.vp.unroll(
+            rollout.history, rollout.frames.float(), rollout.latent_vp, rollout.fresh
+        )
+        latent = latent.repeat_interleave(len(rollout.blank) // len(latent), dim=0)
+        latent = latent * ~rollout.blank.unsqueeze(-1)
+        # OP's half is zero wherever VP steers (eq. 3).
+        read = torch.cat((torch.zeros_like(latent), latent), dim=-1)
+        error = self.model.actor(rollout.proprioception, read) - rollout.expert
+        return {"imitation": error.norm(p=self._norm, dim=-1).mean()}
+
+
+class DistillationAlgorithm(RenetAlgorithm):
+    """DAgger (Ross et al. 2011): the student drives, teachers say what they would have done."""
+
+    @classmethod
+    def construct_algorithm(
+        cls, obs: TensorDict, env: VecEnv, cfg: dict[str, Any], device: str
+    ) -> Self:
+        """See the base class; `cfg` also holds `distillation`."""
+        made = super().construct_algorithm(obs, env, cfg, device)
+        made.learn_from(env, from_dict(DistillationCfg, cfg["distillation"]))
+        return made
+
+    def learn_from(self, env: VecEnv, cfg: DistillationCfg) -> None:
+        """Load teachers and divide the robots among them.
+
+        Args:
+            env: whose tiles say which teacher a robot has.
+            cfg: whom to imitate.
+
+        Raises:
+            RenetError: a checkpoint that is none of a teacher, or a robot without one.
+        """
+        self.distillation = cfg
+        supervision = self.supervision
+        self.supervision = Imitation(self.model, supervision.cfg, cfg.norm, supervision.dtype)
+        terrain: Any = env.unwrapped.scene.terrain  # type: ignore[attr-defined]
+        names, kinds = list(terrain.cfg.terrain_generator.sub_terrains), terrain.terrain_types
+        self._teachers: list[tuple[Actor, Tensor]] = []
+        reached: list[dict[str, Tensor]] = []
+        taught = torch.zeros_like(kinds, dtype=torch.bool)
+        for path, own in cfg.teachers:
+            checkpoint = checkpoints.load(Path(path), self.device)
+            model = load_networks(checkpoint, Path(path)).to(self.device)
+            if model.cfg.perception != "oracle":
+                raise RenetError(f"{path} cannot teach: it is not a policy with perception oracle")
+            wanted = torch.tensor([names.index(name) for name in own or names], device=kinds.device)
+            robots = torch.isin(kinds, wanted)
+            taught |= robots
+            self._teachers.append((model.actor, robots.nonzero().squeeze(-1)))
+            state = checkpoint.environment
+            its = torch.isin(state["kinds"], wanted.to(state["kinds"].device))
+            reached.append(state | {name: state[name][its] for name in ("levels", "kinds")})
+        if not taught.all():
+            raise RenetError(f"nobody teaches on {names[int(kinds[~taught][0])]}")
+        self.reached = reached[-1] | {
+            name: torch.cat([state[name] for state in reached]) for name in ("levels", "kinds")
+        }
+        """Curriculum of the teachers, from which the student goes on."""
+        if cfg.starts_as_teacher:
+            self._begin_as(self._teachers[0][0])
+        self._lessons = Recorder()
+        self._driven = torch.full_like(taught, cfg.teacher_drives > 0)
+
+    @torch.no_grad()
+    def _begin_as(self, teacher: Actor) -> None:
+        own = self.model.actor.state_dict()
+        for name, weights in teacher.state_dict().items():
+            same = own[name].shape == weights.shape
+            shared = slice(None) if same else slice(PROPRIOCEPTION_SIZE)
+            own[name][..., shared] = weights[..., shared]
+
+    def expert(self, obs: TensorDict) -> Tensor:
+        """Mean actions of each robot's teacher, [N, 12]."""
+        sensed, truth = obs["proprioception"], torch.cat((obs["height_map"], obs["velocity"]), -1)
+        action = torch.empty(len(sensed), len(self.action_std), device=sensed.device)
+        for actor, robots in self._teachers:
+            action[robots] = actor(sensed[robots], truth[robots])
+        return action
+
+    @torch.no_grad()
+    def act(self, obs: TensorDict) -> Tensor:
+        """Mean actions [N, 12] of the student, or of teachers where these drive."""
+        super().act(obs)
+        row, expert = self._steps.newest, self.expert(obs)
+        self._lessons.begin(
+            proprioception=row["proprioception"], expert=expert, blank=self.memory.fresh
+        )
+        return torch.where(self._driven.unsqueeze(-1), expert, row["mean"])
+
+    def process_env_step(
+        self, obs: TensorDict, rewards: Tensor, dones: Tensor, extras: dict[str, Any]
+    ) -> None:
+        """See the base class; also draws who drives the episodes that begin."""
+        super().process_env_step(obs, rewards, dones, extras)
+        over = self.distillation.teacher_drives
+        share = math.exp(-self.iteration / over) if over else 0.0
+        drawn = torch.rand(len(dones), device=self._driven.device) < share
+        self._driven = torch.where(dones.bool(), drawn, self._driven)
+
+    def _learn(self, ticks: TickRollout) -> dict[str, float]:
+        """Imitate, in place of reinforcement."""
+        rollout = DistillationRollout(**vars(ticks), **self._lessons.stack())
+        return self.supervision.update(rollout, self.steps)
+
+
+class DistillationRunner(RenetRunner):
+    """RENet's runner of a student, which begins on the levels that its teachers reached."""
+
+    alg: DistillationAlgorithm  # type: ignore[assignment]
+    algorithm = "renet.baselines.distillation:DistillationAlgorithm"
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._restore_curriculum(self.alg.reached)
+
+
+@dataclass(kw_only=True)
+class DistillCfg(TrainCfg):
+    """`TrainCfg` of a student."""
+
+    distillation: DistillationCfg = field(default_factory=DistillationCfg)
+    """Whom it imitates, and how."""
+
+    runner: ClassVar[type[RenetRunner]] = DistillationRunner
+
+    @classmethod
+    def of(cls, cfg: TrainCfg, distillation: DistillationCfg) -> DistillCfg:
+        """The settings of a run with those of a student."""
+        own = {f.name: getattr(cfg, f.name) for f in fields(cfg)}
+        return cls(**own, distillation=distillation)

@@ -1,0 +1,102 @@
+"""Robot Parkour Learning (Zhuang et al. 2023, arXiv 2309.05665) on RENet's robot and tiles.
+
+A walking policy is specialised to each obstacle, first where obstacles give way and penetration is
+penalised (soft dynamics), then where they do not (hard dynamics). One depth policy then imitates
+all of them by DAgger, each on its own tiles; teachers drive at first, ever less often.
+docs/comparison.md says what differs.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import torch
+from mjlab.envs import ManagerBasedRlEnv
+from mjlab.managers.reward_manager import RewardTermCfg
+from mjlab.tasks.registry import register_mjlab_task
+from torch import Tensor
+
+from renet.baselines.distillation import STUDENT, TEACHER, Stage
+from renet.interface import LEGS
+from renet.tasks.env import RenetEnvCfg
+from renet.tasks.parkour_env_cfg import parkour_env_cfg
+from renet.tasks.sensors import FEET_HEIGHT
+from renet.terrain.tiles import ACCENT, PIT, tiles
+from renet.training.config import RenetRunnerCfg
+
+SOFT = "Renet-Go1-Parkour-Soft"
+"""The parkour task under soft dynamics."""
+SOFT_SOLREF, SOFT_SOLIMP = (0.14, 1.0), (0.5, 0.5, 0.001, 0.5, 2.0)
+"""MuJoCo's contact parameters of soft obstacles: a foot at rest sinks in by about 10 cm."""
+SOFT_GAP = 0.1
+"""Depth of a soft gap, m: a robot can walk through it."""
+
+
+def soften(spec: mujoco.MjSpec) -> None:
+    """Let platforms and blocks give way, and raise the floors of gaps; changes the scene."""
+    for geom in spec.geoms:
+        if np.allclose(geom.rgba, ACCENT):
+            # Above that of the feet, whose parameters would else count.
+            geom.priority, geom.condim = 2, 3
+            geom.solref, geom.solimp = SOFT_SOLREF, SOFT_SOLIMP
+        elif np.allclose(geom.rgba, PIT):
+            geom.pos[2] = -SOFT_GAP - geom.size[2]
+
+
+def penetration(env: ManagerBasedRlEnv) -> Tensor:
+    """Depth of the feet in soft obstacles or below the edge of a gap, summed over feet, [N] m."""
+    terrain, robot = env.scene.terrain, env.scene["robot"]
+    assert terrain is not None
+    assert terrain.cfg.terrain_generator is not None
+    inside = torch.relu(-env.scene[FEET_HEIGHT].data)
+    feet, _ = robot.find_sites(LEGS, preserve_order=True)
+    height = env.sim.data.site_xpos[:, robot.indexing.site_ids[feet], 2]
+    sunk = torch.relu(env.scene.env_origins[:, 2:] - height)
+    over_gap = terrain.terrain_types == list(terrain.cfg.terrain_generator.sub_terrains).index(
+        "gap"
+    )
+    return torch.where(over_gap.unsqueeze(-1), sunk, inside).sum(-1)
+
+
+def soft_env_cfg(play: bool = False) -> RenetEnvCfg:
+    """Renet-Go1-Parkour-Soft."""
+    cfg = parkour_env_cfg(play)
+    cfg.scene.spec_fn = soften
+    cfg.rewards["penetration"] = RewardTermCfg(func=penetration, weight=-2.0)
+    return cfg
+
+
+register_mjlab_task(SOFT, soft_env_cfg(), soft_env_cfg(play=True), RenetRunnerCfg())
+
+SKILLS = {
+    "run": ("rough", "obstacles", "stairs_up", "stairs_down"),
+    "climb": ("platform",),
+    "leap": ("gap",),
+}
+"""Kinds of tile on which each skill is learned and taught."""
+
+
+def _on(skill: str) -> dict[str, tuple[tuple[str, float], ...]]:
+    """Settings that leave one robot on each other kind of tile, mjlab's least."""
+    others = [kind for kind in tiles() if kind not in SKILLS[skill]]
+    return {"terrain_proportions": tuple((kind, 1e-9) for kind in others)}
+
+
+def _specialise(skill: str) -> tuple[Stage, Stage]:
+    """Both stages of a skill, from the walking policy on."""
+    soft = Stage(f"{skill}_soft", 1 / 12, TEACHER, {"task": SOFT, **_on(skill)}, after="run")
+    return soft, Stage(skill, 1 / 12, TEACHER, _on(skill), after=soft.name)
+
+
+STAGES = (
+    Stage("run", 1 / 3, TEACHER, _on("run")),
+    *_specialise("climb"),
+    *_specialise("leap"),
+    Stage(
+        "student",
+        1 / 3,
+        STUDENT,
+        teachers=SKILLS,
+        distillation={"norm": 1, "teacher_drives": 60.0},
+    ),
+)

@@ -1,0 +1,103 @@
+"""`renet evaluate leaderboard`: policies ranked by their result files of the fault benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+
+from renet.errors import RenetError
+from renet.evaluation.metrics import bootstrap_interval
+from renet.evaluation.results import output_folder
+from renet.evaluation.studies.fault_benchmark import ONSETS, read_result
+from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.terminal import show
+from renet.files import write_atomically
+
+HEADER = ("", "policy", "mode", "crossed", "95 %", "upright", "speed error", "J/m", "blind (s)")
+
+
+@dataclass(frozen=True)
+class LeaderboardCfg:
+    """Rank policies by their result files of the fault benchmark."""
+
+    files: tyro.conf.Positional[tuple[Path, ...]]
+    """result.json of each policy; `renet evaluate faults` writes one."""
+    out: Path = Path("results/leaderboard.md")
+    """The table, as Markdown."""
+
+
+def make_leaderboard(cfg: LeaderboardCfg) -> Path:
+    """Print the table, write it and return its path.
+
+    Raises:
+        RenetError: a file that is no result of this version, or results of different protocols.
+    """
+    results = [read_result(path) for path in cfg.files]
+    rows = rank(results)
+    output_folder(cfg.out.parent)
+    lines = ["| " + " | ".join(map(str, row)) + " |" for row in (HEADER, ["---"] * 9, *rows)]
+    write_atomically(cfg.out, ("\n".join(lines) + "\n").encode())
+    show("Fault benchmark, version 1", HEADER, rows)
+    return cfg.out
+
+
+def rank(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Rows of the leaderboard, best first; a result that lacks a setting comes last, unranked.
+
+    Raises:
+        RenetError: results of different protocols.
+    """
+    if len({tuple(found["protocol"][n] for n in ("quick", "speed")) for found in results}) != 1:
+        raise RenetError("give results of one protocol: all of them quick, or none")
+    rows = [_row(found, mode) for found in results for mode in found["policy"]["modes"]]
+    rows.sort(key=lambda row: (not row["complete"], -row["crossed"], -row["upright"]))
+    return [
+        (
+            str(place) if row["complete"] else "incomplete",
+            row["policy"],
+            row["mode"],
+            f"{100 * row['crossed']:.1f} %",
+            "{:.1f} to {:.1f}".format(*(100 * end for end in row["interval"])),
+            f"{100 * row['upright']:.1f} %",
+            *(f"{row[name]:.2f}" for name in ("speed_error", "energy", "blind")),
+        )
+        for place, row in enumerate(rows, start=1)
+    ]
+
+
+def _row(found: Mapping[str, Any], mode: str) -> dict[str, Any]:
+    """One policy in one mode: means over the settings."""
+    own = [entry for entry in found["settings"] if entry["mode"] == mode]
+    tiles = [entry for entry in own if entry["ground"] != "flat"]
+
+    def values(entries: Sequence[Mapping[str, Any]], name: str) -> np.ndarray:
+        return np.array([entry["measures"][name]["value"] for entry in entries], float)
+
+    def mean(entries: Sequence[Mapping[str, Any]], name: str) -> float:
+        measured = values(entries, name)
+        return float(np.nanmean(measured)) if (~np.isnan(measured)).any() else 0.0
+
+    study = FaultStudy(quick=found["protocol"]["quick"])
+    wanted = {
+        (setting.ground, setting.fault, setting.severity, ONSETS[setting.onset])
+        for settings in study.batches.values()
+        for setting in settings
+    }
+    names = ("ground", "fault", "severity", "onset")
+    return {
+        "policy": found["policy"]["name"],
+        "mode": mode,
+        "complete": wanted <= {tuple(entry[name] for name in names) for entry in own},
+        "crossed": mean(tiles, "crossed"),
+        # Settings are the same for every policy: the interval is over them.
+        "interval": bootstrap_interval(values(tiles, "crossed")),
+        "upright": mean(own, "upright"),
+        "speed_error": mean(own, "speed_error"),
+        "energy": mean(own, "energy_per_metre"),
+        "blind": mean(own, "seconds_without_sight"),
+    }

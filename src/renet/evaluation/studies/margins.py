@@ -1,0 +1,297 @@
+"""The margins study: how far a robot may be from the simulated one before the policy falls.
+
+Everything a real robot may have otherwise is swept by itself, from mild to violent, until more than
+5 % of the robots fall, or stop where they were told to walk, in every mode on every ground. The
+rest of each robot's body stays the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from mjlab.utils.noise import ConstantNoiseCfg
+
+from renet.errors import RenetError
+from renet.evaluation import metrics
+from renet.evaluation.env import grounds_env_cfg
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.report import figures
+from renet.evaluation.results import Provenance
+from renet.evaluation.rollout import Trial
+from renet.evaluation.study import Part, Table, WalkingStudy
+from renet.interface import CONTROL_DT, PROPRIOCEPTION
+from renet.sim.depth.camera import DepthCameraCfg
+from renet.tasks import RenetEnvCfg
+from renet.tasks.config.go1 import GO1
+from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
+from renet.tasks.sensors import DEPTH_CAMERA
+
+ALLOWED = 0.05
+"""Share of robots that may fail within the margin."""
+STOPPED = 0.1
+"""m/s over the last second below which a robot no longer walks: one that is pressed to the ground
+does not tip over."""
+
+
+def delay_actions(cfg: RenetEnvCfg, milliseconds: float) -> None:
+    """Let joint targets reach the motors late."""
+    randomize(cfg, RandomizationCfg(action_delay=milliseconds / 1e3))
+    articulation = cfg.scene.entities["robot"].articulation
+    assert articulation is not None
+    for actuator in articulation.actuators:
+        actuator.delay_min_lag = actuator.delay_max_lag
+
+
+def delay_camera(cfg: RenetEnvCfg, milliseconds: float) -> None:
+    """Let images come late."""
+    _camera(cfg).delay = (milliseconds / 1e3, milliseconds / 1e3)
+
+
+def tilt_camera(cfg: RenetEnvCfg, degrees: float) -> None:
+    """Let the camera look further down, or up where it is negative."""
+    camera = _camera(cfg)
+    camera.mount = replace(camera.mount, pitch=camera.mount.pitch + math.radians(degrees))
+
+
+def set_friction(cfg: RenetEnvCfg, coefficient: float) -> None:
+    """Give every foot one friction coefficient."""
+    cfg.events["foot_friction"].params["ranges"] = (coefficient, coefficient)
+
+
+def set_payload(cfg: RenetEnvCfg, kilograms: float) -> None:
+    """Load every trunk alike."""
+    cfg.events["payload"].params["ranges"] = (kilograms, kilograms)
+
+
+def weaken_motors(cfg: RenetEnvCfg, percent: float) -> None:
+    """Limit torques to a share of the motors' own."""
+    randomize(cfg, RandomizationCfg(motor_strength=1.0))
+    cfg.events["motor_strength"].params["effort_limit_range"] = (percent / 100, percent / 100)
+
+
+def scale_gains(cfg: RenetEnvCfg, percent: float) -> None:
+    """Scale stiffness and damping of all servos."""
+    scale = (percent / 100, percent / 100)
+    cfg.events["servo_gains"].params |= {"kp_range": scale, "kd_range": scale}
+
+
+def offset_joints(cfg: RenetEnvCfg, radians: float) -> None:
+    """Draw an error of each joint's zero."""
+    randomize(cfg, RandomizationCfg(joint_offset=radians))
+
+
+def bias_sensor(cfg: RenetEnvCfg, size: float, name: str, scale: float = 1.0) -> None:
+    """Add `size` times `scale` to every axis of a sensor of the body."""
+    group = cfg.observations["proprioception"]
+    errors = ((scale * size if term.name == name else 0.0, term.size) for term in PROPRIOCEPTION)
+    bias = tuple(error for error, axes in errors for _ in range(axes))
+    group.enable_corruption, group.terms["value"].noise = True, ConstantNoiseCfg(bias=bias)
+
+
+def _camera(cfg: RenetEnvCfg) -> DepthCameraCfg:
+    camera = next(sensor for sensor in cfg.scene.sensors if sensor.name == DEPTH_CAMERA)
+    assert isinstance(camera, DepthCameraCfg)
+    return camera
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One way a robot may differ from the simulated one."""
+
+    title: str
+    unit: str
+    levels: tuple[float, ...]
+    """From mild to violent."""
+    apply: Callable[[RenetEnvCfg, float], None]
+    """Changes a task's configuration to a level."""
+
+
+AXES = {
+    "action_delay": Axis("joint targets late by", "ms", (5, 10, 20, 30, 40, 60), delay_actions),
+    "camera_delay": Axis("images late by", "ms", (100, 200, 300, 500, 800), delay_camera),
+    "friction": Axis("friction of the feet", "", (0.5, 0.4, 0.3, 0.2, 0.1), set_friction),
+    "payload": Axis("payload", "kg", (3, 5, 7, 10, 14), set_payload),
+    "motor_strength": Axis("motor strength", "%", (80, 60, 50, 40, 30, 20), weaken_motors),
+    "soft_gains": Axis("softer servos", "%", (70, 60, 50, 40, 30), scale_gains),
+    "stiff_gains": Axis("stiffer servos", "%", (130, 160, 200, 300, 400), scale_gains),
+    "joint_zeros": Axis("joint zeros off by", "rad", (0.03, 0.06, 0.1, 0.15, 0.25), offset_joints),
+    "gravity": Axis(
+        "IMU tilted by",
+        "°",
+        (2, 5, 10, 15, 25),
+        partial(bias_sensor, name="projected_gravity", scale=math.radians(1.0)),
+    ),
+    "gyro": Axis(
+        "gyroscope's bias",
+        "rad/s",
+        (0.1, 0.2, 0.5, 1.0, 2.0),
+        partial(bias_sensor, name="base_angular_velocity"),
+    ),
+    "camera_down": Axis("camera tilted down", "°", (5, 10, 15, 25, 40), tilt_camera),
+    "camera_up": Axis("camera tilted up", "°", (-5, -10, -15, -25, -40), tilt_camera),
+}
+
+
+@dataclass(frozen=True)
+class MarginsStudy(WalkingStudy):
+    """How far a robot may be from the simulated one before more than 5 % of the robots fail."""
+
+    out: Path = Path("results/margins")
+    """Folder for summary.json, summary.csv, margins.png and parts/."""
+    axes: tuple[str, ...] = tuple(AXES)
+    """What is swept, one after the other."""
+    grounds: tuple[str, ...] = ("flat", "stairs_up", "obstacles")
+    """Ground to walk on: flat, rough, obstacles, stairs_up, stairs_down, gap, platform."""
+    level: int = 2
+    """Of the ground, 1 to 10."""
+    modes: tuple[str, ...] = ("vp", "op", "renet")
+    """Policy modes to compare: vp, renet, op, oracle-switch."""
+    seconds: float = 8.0
+    """Time of each robot, or until it has left its tile."""
+
+    name: ClassVar[str] = "margins"
+    selectable: ClassVar[tuple[str, ...]] = ("axes",)
+    quick_robots: ClassVar[int] = 4
+
+    def __post_init__(self) -> None:
+        unknown = [axis for axis in self.axes if axis not in AXES]
+        if unknown or not self.axes:
+            raise RenetError(f"axes {self.axes}: choose among {', '.join(AXES)}")
+        super().__post_init__()
+        grounds_env_cfg(dict.fromkeys(self.grounds, self.level), GO1)
+        if self.seconds < CONTROL_DT or not self.grounds:
+            raise RenetError("seconds must be positive, and a ground given")
+
+    @property
+    def settings(self) -> list[tuple[str, str]]:
+        """Ground and mode of every group of robots."""
+        return [(ground, mode) for ground in self.grounds for mode in self.modes]
+
+    def levels(self, axis: str) -> tuple[float, ...]:
+        """Of a sweep, after `quick`."""
+        return AXES[axis].levels[:: 2 if self.quick else 1]
+
+    def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
+        """The robots as they are simulated, then one sweep for each axis."""
+        sweeps = {axis: partial(self._sweep, evaluator, axis) for axis in self.axes}
+        return {"nominal": lambda: {"runs": self._walk(evaluator, "nominal", None)}} | sweeps
+
+    def _sweep(self, evaluator: Evaluator, axis: str) -> Part:
+        """Level after level until no group of robots is within the margin any more."""
+        runs = []
+        for level in self.levels(axis):
+            walked = self._walk(evaluator, axis, level)
+            runs += walked
+            if all(run["failed"] > ALLOWED for run in walked):
+                break
+        return {"runs": runs}
+
+    def _walk(self, evaluator: Evaluator, axis: str, level: float | None) -> list[dict[str, Any]]:
+        """One level of one axis: a row for each ground and mode."""
+        each = self.robots_each
+        cfg = grounds_env_cfg(dict.fromkeys(self.grounds, self.level), evaluator.robot)
+        if level is not None:
+            AXES[axis].apply(cfg, level)
+        trials = [Trial(mode, robot=robot) for _, mode in self.settings for robot in range(each)]
+        env = evaluator.make_env(cfg, [trial.robot for trial in trials], self.speed, self.seed)
+        env.place_on([ground for ground, _ in self.settings for _ in range(each)])
+        title = axis if level is None else f"{axis} {level:g} {AXES[axis].unit}"
+        steps = round(self.seconds / CONTROL_DT)
+        trace = evaluator.rollout(title, env, trials, steps, self.seed)
+        crossed, fell, _ = trace.first_try()
+        slow = trace.forward_velocity[metrics.window(1.0)].mean(axis=0) < STOPPED
+        stopped = slow & ~crossed & ~fell
+        return [
+            {
+                "axis": axis,
+                "level": level,
+                "ground": ground,
+                "mode": mode,
+                "robots": each,
+                "falls": int(fell[group].sum()),
+                "stopped": int(stopped[group].sum()),
+                "failed": float((fell | stopped)[group].mean()),
+                **metrics.with_interval("failed", (fell | stopped)[group]),
+                "seed": self.seed,
+            }
+            for (ground, mode), group in zip(
+                self.settings, np.arange(len(trials)).reshape(-1, each), strict=True
+            )
+        ]
+
+    def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
+        """The rows, and how far each ground and mode holds on each axis."""
+        runs = [run for part in parts.values() for run in part["runs"]]
+        found = [
+            {"axis": axis, "unit": AXES[axis].unit, "ground": ground, "mode": mode}
+            | margin(
+                [r for r in runs if (r["ground"], r["mode"]) == (ground, mode)],
+                axis,
+                self.levels(axis),
+            )
+            for axis in self.axes
+            for ground, mode in self.settings
+        ]
+        return {"runs": runs, "margins": found}
+
+    def draw(
+        self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance
+    ) -> None:
+        """Write margins.png: a table of colours, one row for each axis."""
+        panels = {}
+        for ground in self.grounds:
+            cells = {
+                (AXES[m["axis"]].title, figures.MODE_NAMES[m["mode"]]): (100 * m["held"], _text(m))
+                for m in summary["margins"]
+                if m["ground"] == ground
+            }
+            panels[ground.replace("_", " ")] = cells
+        title = f"Held with at most {100 * ALLOWED:.0f} % of the robots failing"
+        figures.colour_tables(panels, title, self.out / "margins.png", provenance, width=0.95)
+
+    def tables(self, summary: dict[str, Any]) -> list[Table]:
+        """How far each ground and mode holds."""
+        rows: dict[str, list[str]] = {axis: [AXES[axis].title] for axis in self.axes}
+        for found in summary["margins"]:
+            rows[found["axis"]].append(_text(found))
+        header = tuple(f"{ground} {mode}" for ground, mode in self.settings)
+        title = f"Within it at most {100 * ALLOWED:.0f} % fall or stop; ≥: the sweep's end"
+        return [(title, ("axis", *header), [tuple(row) for row in rows.values()])]
+
+
+def margin(runs: list[dict[str, Any]], axis: str, levels: tuple[float, ...]) -> dict[str, Any]:
+    """How far robots of one ground and mode hold on an axis.
+
+    Args:
+        runs: their rows, of the nominal robots and of all axes.
+        axis: swept. levels: of the sweep.
+
+    Returns:
+        `margin`, the last level before more than the allowed share fell, None where that is so at
+        the first or for the nominal robots; `broke`, the level at which it was, None at the end of
+        the sweep; `held`, the margin's place in the sweep, 0 to 1.
+    """
+    within = 0
+    failed = {run["level"]: run["failed"] for run in runs if run["axis"] in (axis, "nominal")}
+    if failed[None] <= ALLOWED:
+        while within < len(levels) and failed[levels[within]] <= ALLOWED:
+            within += 1
+    return {
+        "margin": levels[within - 1] if within else None,
+        "broke": levels[within] if within < len(levels) else None,
+        "held": within / len(levels),
+    }
+
+
+def _text(found: Mapping[str, Any]) -> str:
+    """A margin as people write it."""
+    if found["margin"] is None:
+        return "–"
+    number = f"{found['margin']:g} {found['unit']}".strip()
+    return number if found["broke"] is not None else f"≥ {number}"

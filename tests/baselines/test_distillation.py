@@ -1,0 +1,194 @@
+"""Two-stage rivals: the student learns what its teachers do, goes on after a kill, counts steps."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from renet.baselines import cheng, zhuang
+from renet.baselines.distillation import (
+    STUDENT,
+    TEACHER,
+    DistillationCfg,
+    DistillationRollout,
+    DistillationRunner,
+    DistillCfg,
+)
+from renet.errors import RenetError
+from renet.interface import PROPRIOCEPTION_SIZE
+from renet.models.config import ModelCfg
+from renet.terrain.tiles import PIT, TILE, Gap, Platform, tiles
+from renet.training import checkpoint as checkpoints
+from renet.training.bundle import load_networks
+from renet.training.config import LearningCfg, SupervisionCfg
+from renet.training.metrics import read_curves
+from renet.training.runner import RenetRunner
+from tests.training.conftest import ToyEnv, single_precision  # noqa: F401  applies to all tests
+
+
+class TiledEnv(ToyEnv):
+    """Robot n is on tile n % 6; levels are reported with the tiles' kinds."""
+
+    def __init__(self, num_envs: int = 12, seed: int = 0) -> None:
+        super().__init__(num_envs, seed)
+        generator = SimpleNamespace(sub_terrains=tiles())
+        kinds = torch.arange(num_envs) % len(tiles())
+        cfg = SimpleNamespace(terrain_generator=generator)
+        self.scene = SimpleNamespace(terrain=SimpleNamespace(cfg=cfg, terrain_types=kinds))
+
+    def curriculum_state(self):
+        return {"levels": self.levels.clone(), "kinds": self.scene.terrain.terrain_types}
+
+    def load_curriculum_state(self, tensors):
+        self.levels, self.kinds = tensors["levels"].clone(), tensors["kinds"].clone()
+
+
+def teacher(folder, seed: int, level: float, perception: str = "oracle"):
+    """A checkpoint of a policy that reads the truth."""
+    torch.manual_seed(seed)
+    env = TiledEnv()
+    env.levels += level
+    cfg = LearningCfg(model=ModelCfg(perception=perception), num_steps_per_env=10)
+    runner = RenetRunner(env, asdict(cfg), str(folder), "cpu")
+    runner.learn(1)
+    return str(checkpoints.find(folder))
+
+
+@pytest.fixture(scope="module")
+def teachers(tmp_path_factory):
+    """One for walking and one for gaps and platforms, who reached levels 2 and 7."""
+    folder = tmp_path_factory.mktemp("teachers")
+    walks, climbs = teacher(folder / "a", 1, 2.0), teacher(folder / "b", 2, 7.0)
+    return (walks, zhuang.SKILLS["run"]), (climbs, ("gap", "platform"))
+
+
+def student(folder, teachers, rate=1e-3, **distillation) -> DistillationRunner:
+    torch.manual_seed(0)
+    cfg = DistillCfg(
+        task="toy",
+        model=ModelCfg(**STUDENT),
+        supervision=SupervisionCfg(learning_rate=rate, num_mini_batches=1, autoencoder_images=8),
+        num_steps_per_env=15,
+        distillation=DistillationCfg(tuple(teachers), **distillation),
+    )
+    return DistillationRunner(TiledEnv(), asdict(cfg), str(folder), "cpu")
+
+
+def actor_of(path: str) -> torch.nn.Module:
+    return load_networks(checkpoints.load(Path(path)), Path(path)).actor
+
+
+def test_each_robot_is_taught_by_the_teacher_of_its_tile(teachers, tmp_path) -> None:
+    runner = student(tmp_path, teachers)
+    seen = runner.env.get_observations()
+    said = runner.alg.expert(seen)
+    truth = torch.cat((seen["height_map"], seen["velocity"]), dim=-1)
+    for robot, kind in enumerate(list(tiles()) * 2):
+        path = teachers[kind in ("gap", "platform")][0]
+        expected = actor_of(path)(seen["proprioception"], truth)[robot]
+        torch.testing.assert_close(said[robot], expected)
+
+
+def test_a_tile_without_a_teacher_or_a_teacher_without_sight_is_refused(teachers, tmp_path) -> None:
+    with pytest.raises(RenetError, match="nobody teaches on gap"):
+        student(tmp_path, teachers[:1])
+    blind = teacher(tmp_path / "blind", 3, 0.0, perception="op")
+    with pytest.raises(RenetError, match="cannot teach"):
+        student(tmp_path, [(blind, ())])
+
+
+def test_the_loss_is_that_of_the_actions_taken(teachers, tmp_path) -> None:
+    runner = student(tmp_path, teachers, rate=0.0, norm=1)
+    said, ask = [], runner.alg.expert
+    runner.alg.expert = lambda obs: said.append(ask(obs)) or said[-1]
+    runner.learn(1)
+    rollout = runner.alg._rollout
+    assert rollout.done.any(), "episodes end between ticks, too"
+    expected = (rollout.mean - torch.stack(said)).abs().sum(-1).mean().item()
+    (found,) = read_curves(tmp_path)["Loss/imitation"][1]
+    assert found == pytest.approx(expected, rel=1e-4)
+
+
+def test_learns_a_fixed_batch(teachers, tmp_path) -> None:
+    runner = student(tmp_path, teachers)
+    kept = []
+    runner.alg._learn = lambda ticks: kept.append(ticks) or {"kept": 0.0}
+    runner.learn(1)
+    batch = DistillationRollout(**vars(kept[0]), **runner.alg._lessons.stack())
+    losses = [runner.alg.supervision.update(batch)["imitation"] for _ in range(25)]
+    assert losses[-1] < 0.5 * losses[0]
+
+
+def test_goes_on_after_a_kill_from_the_levels_of_its_teachers(teachers, tmp_path) -> None:
+    first = student(tmp_path, teachers)
+    hard = torch.isin(first.env.kinds, torch.tensor([4, 5]))
+    assert (first.env.levels == torch.where(hard, 7.0, 2.0)).all()
+    first.learn(1)
+    second = student(tmp_path, teachers)
+    second.load(str(tmp_path))
+    second.learn(1)
+    assert checkpoints.load_state(checkpoints.find(tmp_path))["iteration"] == 2
+    iterations, losses = read_curves(tmp_path)["Loss/imitation"]
+    assert iterations == [0, 1]
+    assert losses[1] < losses[0]
+    assert "Loss/surrogate" not in read_curves(tmp_path)
+
+
+def test_begins_as_its_teacher_but_for_what_it_cannot_see(teachers, tmp_path) -> None:
+    own = student(tmp_path, teachers, starts_as_teacher=True).alg.model.actor.state_dict()
+    for name, weights in actor_of(teachers[0][0]).state_dict().items():
+        if name == "mean.0.weight":
+            assert own[name].shape != weights.shape
+            own[name], weights = (w[:, :PROPRIOCEPTION_SIZE] for w in (own[name], weights))
+        torch.testing.assert_close(own[name], weights)
+
+
+@pytest.mark.parametrize(("over", "drives"), [(0.0, False), (1e9, True), (1e-9, False)])
+def test_teachers_drive_ever_less(teachers, tmp_path, over, drives) -> None:
+    alg = student(tmp_path, teachers, teacher_drives=over).alg
+    alg.iteration = 1
+    seen = TiledEnv().get_observations()
+    extras = {"costs": torch.zeros(12, 3)}
+    alg.act(seen)
+    alg.process_env_step(seen, torch.zeros(12), torch.ones(12), extras)  # All begin anew.
+    taken = alg.act(seen)
+    expected = alg.expert(seen) if drives else alg._steps.newest["mean"]
+    torch.testing.assert_close(taken, expected)
+
+
+@pytest.mark.parametrize("soft", [False, True])
+def test_soft_platforms_give_way_and_soft_gaps_are_shallow(soft) -> None:
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_body(name="terrain")
+    Platform(low=0.3).function(0.0, spec, np.random.default_rng(0))
+    Gap(low=0.5).function(0.0, spec, np.random.default_rng(0))
+    foot = spec.worldbody.add_body(pos=(TILE / 2 + 2.0, TILE / 2, 0.33))
+    foot.add_freejoint()
+    foot.add_geom(size=(0.02, 0, 0), mass=3.0, priority=1, solref=(0.01, 1.0))
+    if soft:
+        zhuang.soften(spec)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 1000)
+    sunk = 0.32 - data.qpos[2]
+    assert 0.05 < sunk < 0.15 if soft else abs(sunk) < 0.01
+    floor = [g for g in range(model.ngeom) if np.allclose(model.geom_rgba[g], PIT)]
+    top = model.geom_pos[floor, 2] + model.geom_size[floor, 2]
+    assert top == pytest.approx(-0.1 if soft else -1.0)
+    assert np.isfinite(data.qvel).all()
+
+
+@pytest.mark.parametrize("stages", [cheng.STAGES, zhuang.STAGES])
+def test_stages_spend_the_budget_and_build_on_earlier_ones(stages) -> None:
+    assert sum(stage.share for stage in stages) == pytest.approx(1.0)
+    for number, stage in enumerate(stages):
+        before = {earlier.name for earlier in stages[:number]}
+        assert {*stage.teachers, *filter(None, [stage.after])} <= before
+        assert dict(stage.model) == (STUDENT if stage.teachers else TEACHER)
+    assert stages[-1].teachers

@@ -1,0 +1,143 @@
+"""The second engine: the same robot as MuJoCo's, seen and driven alike."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("pybullet", reason="needs renet-locomotion[pybullet]")
+
+from renet.cli import main
+from renet.deploy.bundle import Bundle
+from renet.deploy.cameras.sim import SimCamera
+from renet.deploy.robots.base import JointCommand
+from renet.deploy.robots.bullet import BulletRobot
+from renet.deploy.robots.mujoco import MujocoRobot
+from renet.deploy.robots.scene import build_scene
+from renet.errors import RenetError
+
+SPEC = Bundle.load().manifest
+
+
+def both(terrain: str = "flat", level: int = 5) -> tuple[BulletRobot, MujocoRobot]:
+    """The same scene in both engines."""
+    model, ground = build_scene(terrain, level)
+    return BulletRobot(model, SPEC.robot, ground), MujocoRobot(model, SPEC.robot, ground)
+
+
+def place(bullet: BulletRobot, other: MujocoRobot, spin=(0.0, 0.0, 0.0)) -> None:
+    """Lean both robots alike, away from the origin, and let them turn (rad/s, base frame)."""
+    pose = np.array([1.0, 0.4, other.base_position[2], 0.95, 0.05, 0.1, 0.3])
+    pose[3:] /= np.linalg.norm(pose[3:])
+    other.data.qpos[:7], other.data.qvel[3:6] = pose, spin
+    mujoco.mj_forward(other.model, other.data)
+    body, rotation = other.data.body("trunk"), other.base_rotation
+    bullet._engine.resetBasePositionAndOrientation(
+        bullet._body, body.xipos, np.roll(_quaternion(body.ximat), -1)
+    )
+    bullet._engine.resetBaseVelocity(bullet._body, (0, 0, 0), rotation @ np.array(spin))
+
+
+def _quaternion(matrix: np.ndarray) -> np.ndarray:
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, matrix)
+    return quaternion
+
+
+def hold(stiffness: float = 40.0, shift: float = 0.0) -> JointCommand:
+    gains = np.full(12, stiffness), np.full(12, 1.0)
+    return JointCommand(np.array(SPEC.robot.default_position) + shift, *gains)
+
+
+def test_it_has_the_mass_of_mujocos_robot_everywhere():
+    """The mass matrix knows every mass, inertia, frame and axis; Bullet has no rotors' inertia."""
+    bullet, other = both()
+    angles = other.data.qpos[7:]
+    found = np.array(bullet._engine.calculateMassMatrix(bullet._body, list(angles)))
+    expected = np.zeros((18, 18))
+    mujoco.mj_fullM(other.model, other.data, expected)
+    expected[range(18), range(18)] -= other.model.dof_armature
+    np.testing.assert_allclose(found[6:, 6:], expected[6:, 6:], atol=1e-6)
+    total = other.model.body_mass.sum()
+    np.testing.assert_allclose(found[3:6, 3:6], total * np.eye(3), atol=1e-6)
+
+
+def test_it_reads_what_mujocos_robot_reads():
+    bullet, other = both()
+    place(bullet, other, spin=(0.3, -0.8, 0.5))
+    mine, theirs = bullet.read(), other.read()
+    for name in ("joint_position", "joint_velocity", "quaternion", "angular_velocity"):
+        np.testing.assert_allclose(getattr(mine, name), getattr(theirs, name), atol=1e-6)
+    np.testing.assert_allclose(bullet.base_position, other.base_position, atol=1e-6)
+    assert mine.time == 0.0
+
+
+@pytest.mark.parametrize("terrain", ["flat", "stairs", "obstacles"])
+def test_its_camera_sees_what_mujocos_sees(terrain):
+    bullet, other = both(terrain)
+    place(bullet, other)
+    mine, theirs = (SimCamera(robot, SPEC.camera, noise=False).depth() for robot in (bullet, other))
+    error = np.abs(mine - theirs)
+    # Rays that graze an edge may fall on either side of it.
+    assert (error > 2e-3).mean() < 0.003
+    assert theirs.min() < 1.0
+
+
+def test_it_stands_when_told_to_and_sinks_when_braked():
+    bullet, _ = both()
+    bullet.connect()
+    bullet.write(hold())
+    bullet.wait(1.0)
+    assert bullet.now() == pytest.approx(1.0)
+    assert bullet.base_position[2] > 0.22
+    assert bullet.upright
+    bullet.write(hold(stiffness=0.0))
+    bullet.wait(3.0)
+    assert bullet.base_position[2] < 0.15
+    bullet.close()
+    bullet.close()
+
+
+def test_torque_saturates_at_the_motors_limit():
+    bullet, _ = both()
+    bullet.write(hold(stiffness=400.0, shift=2.0))
+    bullet.wait(0.001)
+    np.testing.assert_allclose(np.abs(bullet.read().joint_torque), bullet.envelope.torque)
+
+
+def test_the_shipped_policy_walks_on_through_a_blackout(tmp_path, capsys):
+    """Another engine, the same program."""
+    out = str(tmp_path / "run")
+    options = ["--robot", "pybullet", "--seconds", "8", "--fault", "blackout@4s", "--out", out]
+    assert main(["deploy", *options]) == 0
+    score = json.loads(Path(out, "score.json").read_text())
+    assert score["falls"] == 0
+    assert score["distance_m"] > 2.0
+    assert score["switch_delay_s"][0] < 0.3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--terrain", "rough"], "has no hfield"),
+        (["--terrain", "obstacles", "--fault", "glass@1s"], "needs --robot mujoco"),
+        (["--viewer"], "use --robot mujoco"),
+    ],
+)
+def test_what_it_cannot_do_is_refused(options, message, tmp_path, capsys):
+    assert main(["deploy", "--robot", "pybullet", "--out", str(tmp_path / "o"), *options]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()
+
+
+def test_nothing_behind_the_camera_is_seen():
+    bullet, _ = both()
+    up = bullet.cast(np.array([0.0, 0.0, 1.0]), np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]))
+    assert up[0] == np.inf
+    assert up[1] == pytest.approx(1.0, abs=1e-6)
+    with pytest.raises(RenetError, match="glass"):
+        bullet.hide([1])

@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+
+from renet.errors import RenetError
+from renet.evaluation.env import grounds_env_cfg
+from renet.evaluation.studies.margins import ALLOWED, AXES, MarginsStudy, margin
+from renet.tasks.config.go1 import GO1
+from renet.tasks.sensors import DEPTH_CAMERA
+
+
+def flat_cfg():
+    return grounds_env_cfg({"flat": 1}, GO1)
+
+
+def settings(cfg) -> dict:
+    """What the axes may change."""
+    camera = next(sensor for sensor in cfg.scene.sensors if sensor.name == DEPTH_CAMERA)
+    group = cfg.observations["proprioception"]
+    actuators = cfg.scene.entities["robot"].articulation.actuators
+    return {
+        "delays": {(a.delay_min_lag, a.delay_max_lag) for a in actuators},
+        "camera": (camera.delay, camera.mount.pitch),
+        "sensors": (group.enable_corruption, asdict(group.terms["value"].noise)),
+        **{name: event.params for name, event in cfg.events.items()},
+    }
+
+
+@pytest.mark.parametrize(
+    ("axis", "changed"),
+    [
+        ("action_delay", "delays"),
+        ("camera_delay", "camera"),
+        ("friction", "foot_friction"),
+        ("payload", "payload"),
+        ("motor_strength", "motor_strength"),
+        ("soft_gains", "servo_gains"),
+        ("stiff_gains", "servo_gains"),
+        ("joint_zeros", "joint_offset"),
+        ("gravity", "sensors"),
+        ("gyro", "sensors"),
+        ("camera_down", "camera"),
+        ("camera_up", "camera"),
+    ],
+)
+def test_an_axis_changes_one_thing_and_nothing_else(axis: str, changed: str) -> None:
+    before, cfg = settings(flat_cfg()), flat_cfg()
+    AXES[axis].apply(cfg, AXES[axis].levels[0])
+    after = settings(cfg)
+    assert {name for name in after if after[name] != before.get(name)} == {changed}
+    assert settings(flat_cfg()) == before, "the robot's own description is untouched"
+
+
+def test_levels_are_in_the_units_they_are_shown_in() -> None:
+    cfg = flat_cfg()
+    AXES["action_delay"].apply(cfg, 20)
+    AXES["camera_delay"].apply(cfg, 300)
+    AXES["gravity"].apply(cfg, 10)
+    AXES["motor_strength"].apply(cfg, 40)
+    found = settings(cfg)
+    assert found["motor_strength"]["effort_limit_range"] == (0.4, 0.4)
+    assert found["camera"][0] == (0.3, 0.3)
+    bias = found["sensors"][1]["bias"]
+    assert bias[3:6] == pytest.approx([math.radians(10)] * 3)
+    assert sum(bias) == pytest.approx(sum(bias[3:6]))
+    AXES["action_delay"].apply(cfg, 20)
+    assert settings(cfg)["delays"] == {(4, 4)}
+
+
+def run(level: float | None, failed: float, axis: str = "payload") -> dict:
+    return {"axis": "nominal" if level is None else axis, "level": level, "failed": failed}
+
+
+def test_the_margin_ends_at_the_first_level_beyond_it() -> None:
+    levels = AXES["payload"].levels
+    held = [run(None, 0.0), *(run(level, ALLOWED) for level in levels)]
+    assert margin(held, "payload", levels) == {"margin": levels[-1], "broke": None, "held": 1.0}
+    held[2]["failed"] = 0.1  # The second level; that a worse one is survived does not count.
+    found = margin(held, "payload", levels)
+    assert (found["margin"], found["broke"]) == (levels[0], levels[1])
+    held[0]["failed"] = 0.1
+    assert margin(held, "payload", levels) == {"margin": None, "broke": levels[0], "held": 0.0}
+
+
+def test_robots_fall_at_the_violent_end_and_the_sweep_stops_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(AXES, "payload", replace(AXES["payload"], levels=(1.0, 60.0, 80.0)))
+    study = MarginsStudy(
+        out=tmp_path, axes=("payload",), grounds=("flat",), modes=("op",), robots=2, seconds=1.2
+    )
+    summary = study.run()
+    assert [(r["axis"], r["level"]) for r in summary["runs"]] == [
+        ("nominal", None), ("payload", 1.0), ("payload", 60.0)
+    ]  # fmt: skip
+    assert [run["failed"] for run in summary["runs"]] == [0, 0, 1]
+    (found,) = summary["margins"]
+    assert (found["margin"], found["broke"]) == (1.0, 60.0)
+    assert json.loads((tmp_path / "summary.json").read_text()) == summary
+    assert (tmp_path / "margins.png").stat().st_size > 10_000
+    assert study.tables(summary)[0][2] == [("payload", "1 kg")]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"axes": ("luck",)}, {"grounds": ("lava",)}, {"grounds": ()}, {"level": 0}, {"robots": 0}],
+)
+def test_bad_settings_are_refused(wrong) -> None:
+    with pytest.raises(RenetError):
+        MarginsStudy(**wrong)
