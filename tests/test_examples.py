@@ -43,8 +43,8 @@ def env(go2):
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_go2_trains_exports_and_its_bundle_can_be_read(go2, tmp_path, capsys):
     logs, bundle = tmp_path / "logs", tmp_path / "bundle"
-    train = f"train Renet-Go2-Flat --num-envs 16 --max-iterations 2 --log-root {logs}"
-    assert go2.main(train.split()) == 0
+    train = "train Renet-Go2-Flat --num-envs 4 --num-steps-per-env 5 --max-iterations 2"
+    assert go2.main([*train.split(), "--log-root", str(logs)]) == 0
     assert go2.main(["export", str(logs), "--out", str(bundle)]) == 0
     assert main(["bundle", "inspect", str(bundle)]) == 0
     shown = capsys.readouterr().out

@@ -213,7 +213,7 @@ class RenetRunnerCfg(LearningCfg, RslRlBaseRunnerCfg):  # type: ignore[misc]
     """LearningCfg in the shape mjlab's task registry asks for."""
 
     experiment_name: str = "renet"
-    clip_actions: float | None = 4.8  # tasks.robot.ACTION_CLIP
+    clip_actions: float | None = 4.8  # tasks.robot_cfg.ACTION_CLIP
 
 
 def from_dict(cls: type[T], values: dict[str, Any]) -> T:
