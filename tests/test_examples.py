@@ -63,7 +63,7 @@ def test_go2_trains_exports_and_its_bundle_can_be_read(go2, tmp_path, capsys):
         assert (out / "summary.json").exists()
 
 
-def test_action_and_observation_follow_the_vocabulary_not_the_mjcf(env):
+def test_action_and_observation_follow_the_interface_not_the_mjcf(env):
     robot, target = env.scene["robot"], env.action_manager.get_term("joint_pos")
     assert tuple(robot.joint_names) != JOINTS, "the Go2's MJCF begins with the front left leg"
     assert tuple(target.target_names) == JOINTS

@@ -15,7 +15,7 @@ from renet.deploy.bundle import pretrained, read_manifest, write_manifest
 from renet.errors import RenetError
 from renet.evaluation.env import FLAT, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.results import MAX_JSON, read_json
+from renet.evaluation.results import MAX_JSON, read_results
 from renet.tasks import register_tasks
 from renet.tasks.config.go1 import GO1
 
@@ -87,6 +87,10 @@ def test_files_that_are_no_results_are_refused(tmp_path: Path) -> None:
     huge = tmp_path / "huge.json"
     with huge.open("wb") as file:
         file.truncate(MAX_JSON + 1)
-    for path, message in ((huge, "at most 64 MB"), (tmp_path, "no file"), (tmp_path / "x", "run")):
+    for path, message in (
+        (huge, "at most 64 MB"),
+        (tmp_path, "not a regular file"),
+        (tmp_path / "x", "run"),
+    ):
         with pytest.raises(RenetError, match=message):
-            read_json(path)
+            read_results(path)

@@ -49,7 +49,7 @@ def test_observation_groups(parkour):
     assert obs["difficult"].flatten().bool().tolist() == hard
 
 
-def test_proprioception_follows_the_vocabulary(flat):
+def test_proprioception_follows_the_interface(flat):
     obs, *_ = flat.step(torch.full((4, 12), 0.1))
     where = proprioception_slices()
     clean, data = obs["proprioception_clean"], flat.scene["robot"].data

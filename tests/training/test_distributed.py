@@ -76,7 +76,7 @@ def rollout() -> tuple[PolicyRollout, torch.Tensor]:
         log_prob=draw() - 20.0,
         mean=draw(12),
         value=draw(4),
-        payoff=draw(4),
+        rewards_and_costs=draw(4),
         done=draw() > 1.5,
     )
     return data, torch.randn(8, 4, generator=random)

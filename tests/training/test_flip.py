@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from renet.models.config import ModelCfg
-from renet.training.algorithm import RenetAlgorithm
+from renet.training.algorithm import RenetAlgorithm, op_mask
 from renet.training.config import LearningCfg
 from renet.training.runner import RenetRunner
 
@@ -102,3 +102,17 @@ def test_the_policy_gradient_stops_at_the_latent(toy_env):
     assert not policy & supervised
     trained = {id(p) for group in alg.np3o.optimizer.param_groups for p in group["params"]}
     assert trained == policy
+
+
+OF_TILES = torch.tensor([[0.0], [1.0], [0.0]])
+
+
+def test_simple_terrain_alternates_and_difficult_terrain_keeps_vision():
+    for iteration, simple in ((0, False), (19, False), (20, True), (39, True), (40, False)):
+        assert op_mask("renet", iteration, OF_TILES, 20).tolist() == [simple, False, simple]
+
+
+def test_single_estimator_ablations_never_alternate():
+    assert op_mask("op", 3, OF_TILES, 20).all()
+    assert not op_mask("vp", 25, OF_TILES, 20).any()
+    assert not op_mask("oracle", 25, OF_TILES, 20).any()

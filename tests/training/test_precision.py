@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import threading
 from dataclasses import asdict
 
@@ -13,7 +14,15 @@ from renet.models.config import ModelCfg
 from renet.training import precision
 from renet.training.algorithm import RenetAlgorithm
 from renet.training.config import LearningCfg
-from renet.training.precision import computed_in, in_halves, learning_type, side_by_side
+from renet.training.precision import (
+    computed_in,
+    in_halves,
+    keep_freed_memory,
+    learning_type,
+    side_by_side,
+)
+
+from ..forked import fork
 
 STEPS = 10
 
@@ -164,3 +173,27 @@ def test_the_watch_would_notice():
         bool(value.sum() > 0)
         value[value > 0]
     assert watch.waits == ["_local_scalar_dense", "index"]
+
+
+def take_and_free(keep: bool) -> None:
+    """Print the page faults of 64 MiB (16,384 pages of 4 KiB) ten times."""
+    if keep and not keep_freed_memory():
+        print("none")
+        return
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(10):
+        torch.ones(16 << 20)
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+
+
+def test_memory_taken_again_brings_few_page_faults():
+    kept = fork(take_and_free, True).stdout
+    if "none" in kept:
+        pytest.skip("the C library is not glibc")
+    # Something small may lie in the way the second time, so that the heap grows once more.
+    assert 3 * int(kept) < int(fork(take_and_free, False).stdout)
+
+
+def test_without_glibc_nothing_is_changed(monkeypatch):
+    monkeypatch.setattr(precision.ctypes, "CDLL", lambda name: object())
+    assert not keep_freed_memory()

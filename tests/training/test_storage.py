@@ -33,4 +33,4 @@ def test_only_the_step_that_was_cut_short_is_bootstrapped(toy_env) -> None:
     rollout = alg._rollout
     assert 0 < rollout.done.sum() < rollout.done.numel() / 2
     bonus = alg.np3o.cfg.gamma * rollout.value[..., 0] * rollout.done
-    torch.testing.assert_close(rollout.payoff[..., 0], torch.stack(rewards) + bonus)
+    torch.testing.assert_close(rollout.rewards_and_costs[..., 0], torch.stack(rewards) + bonus)

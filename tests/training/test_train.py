@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,30 +33,33 @@ def cfg(folder: Path, task: str = "Renet-Go1-Flat", **overrides) -> TrainCfg:
     return TrainCfg(task=task, **(small | {"max_iterations": 1} | overrides))
 
 
-def test_another_task_leaves_the_run_it_goes_on_from_alone(tmp_path):
-    flat = train(cfg(tmp_path))
-    assert flat is not None
-    checkpoint = flat / "checkpoints" / "it_00000001"
-    before = sorted(flat.rglob("*"))
-    assert resumed_run(checkpoint, tmp_path) == resumed_run(checkpoint, None) == flat
-    parkour = train(cfg(tmp_path, "Renet-Go1-Parkour", resume=str(checkpoint), max_iterations=2))
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    """A run of one iteration, to go on from but not to write in."""
+    weights = (("collision", -3.0),)
+    folder = tmp_path_factory.mktemp("logs")
+    run = train(cfg(folder, reward_weights=weights, supervision=SupervisionCfg(5e-4)))
+    assert run is not None
+    return run
+
+
+def contents(run: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in run.rglob("*")}
+
+
+def test_another_task_or_log_root_leaves_the_run_it_goes_on_from_alone(finished, tmp_path, capsys):
+    before, root = contents(finished), finished.parent.parent
+    checkpoint = finished / "checkpoints" / "it_00000001"
+    assert resumed_run(checkpoint, root) == resumed_run(checkpoint, None) == finished
+    assert resumed_run(checkpoint, tmp_path) is None
+    parkour = train(cfg(tmp_path, "Renet-Go1-Parkour", resume=str(finished), max_iterations=2))
     assert parkour is not None
-    assert sorted(flat.rglob("*")) == before
     assert parkour.parent == tmp_path / "Renet-Go1-Parkour"
+    assert f"Going on from {checkpoint}" in capsys.readouterr().out
+    assert contents(finished) == before
     assert checkpoints.find(parkour).name == "it_00000002"
     with pytest.raises(RenetError, match="is at iteration 2: --max-iterations counts from"):
         train(cfg(tmp_path, "Renet-Go1-Parkour", resume="latest", max_iterations=2))
-
-
-def test_another_log_root_branches_off_and_leaves_the_run_alone(tmp_path, capsys):
-    run = train(cfg(tmp_path / "first"))
-    assert run is not None
-    before = {p: p.stat().st_mtime_ns for p in run.rglob("*")}
-    elsewhere = train(cfg(tmp_path / "second", resume=str(run), max_iterations=2))
-    assert elsewhere is not None
-    assert elsewhere.is_relative_to(tmp_path / "second")
-    assert {p: p.stat().st_mtime_ns for p in run.rglob("*")} == before
-    assert f"Going on from {run / 'checkpoints' / 'it_00000001'}" in capsys.readouterr().out
 
 
 def test_an_older_checkpoint_of_a_run_branches_off(tmp_path):
@@ -72,20 +76,28 @@ def test_standing_is_asked_for_after_so_many_steps_however_many_robots(tmp_path)
     assert _switch_step(fresh, resumed) == 5000 + 6000
 
 
-def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(tmp_path, capsys):
-    asked = cfg(tmp_path, reward_weights=(("collision", -3.0),), supervision=SupervisionCfg(5e-4))
-    run = train(asked)
+def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(
+    finished, tmp_path, capsys, monkeypatch
+):
+    run = shutil.copytree(finished, tmp_path / "logs" / "Renet-Go1-Flat" / finished.name)
     line = ["Renet-Go1-Flat", "--resume", str(run), "--seed", "3"]
     again = tyro.cli(TrainCfg, args=line, default=TrainCfg.defaults(line))
     assert again.num_envs == 4
     assert again.reward_weights == (("collision", -3.0),)
     assert again.supervision.learning_rate == 5e-4
     assert again.seed == 3
+    learn, given = training.RenetRunner.learn, []
+    monkeypatch.setattr(
+        training.RenetRunner,
+        "learn",
+        lambda self, n, time_budget_s: given.append(time_budget_s) or learn(self, n),
+    )
     capsys.readouterr()
-    train(replace(again, max_iterations=2))
+    assert train(replace(again, max_iterations=2, time_budget="60s")) == run
     out = capsys.readouterr().out.splitlines()
     assert "config.seed was 1, now 3" in out
     assert sum(" was " in row for row in out) == 2  # And the number of iterations.
+    assert 0.0 < given[0] < 59.9, "the time budget counts from the start"
 
 
 def test_presets_are_what_a_command_line_starts_from():
@@ -126,15 +138,6 @@ def test_a_process_gets_its_own_gpu_or_is_told(monkeypatch):
     monkeypatch.setenv("LOCAL_RANK", "2")
     with pytest.raises(RenetError, match="cuda:2 is absent: 2 CUDA devices"):
         resolve_device("auto")
-
-
-def test_the_time_budget_counts_from_the_start(tmp_path, monkeypatch):
-    given = []
-    monkeypatch.setattr(
-        training.RenetRunner, "learn", lambda self, n, time_budget_s: given.append(time_budget_s)
-    )
-    train(cfg(tmp_path, time_budget="60s"))
-    assert 0.0 < given[0] < 59.9
 
 
 def test_the_newest_checkpoint_is_the_highest_iteration_of_the_last_run(tmp_path, capsys):

@@ -26,8 +26,7 @@ from renet.models.renet import RENet
 from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import RenetAlgorithm
 from renet.training.bundle import load_networks
-from renet.training.config import SupervisionCfg
-from renet.training.config_io import from_dict
+from renet.training.config import SupervisionCfg, from_dict
 from renet.training.runner import RenetRunner
 from renet.training.storage import Recorder, TickRollout
 from renet.training.supervision import Supervision

@@ -26,7 +26,7 @@ from renet.evaluation.rollout import EvalEnv, Trial
 from renet.interface import LATENT, PROPRIOCEPTION_SIZE
 from renet.models.actor_critic import mlp
 from renet.selector import SelectorInput
-from renet.training.returns import advantages
+from renet.training.np3o import advantages
 
 BLIND = PROPRIOCEPTION_SIZE + LATENT
 """Leading inputs that do not come from the camera: o_t and h_b."""

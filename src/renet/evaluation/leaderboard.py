@@ -11,11 +11,12 @@ import numpy as np
 import tyro
 
 from renet.errors import RenetError
-from renet.evaluation.benchmark import ONSETS, read_result
 from renet.evaluation.metrics import bootstrap_interval
-from renet.evaluation.results import output_folder, write_text
+from renet.evaluation.results import output_folder
+from renet.evaluation.studies.fault_benchmark import ONSETS, read_result
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.terminal import show
+from renet.files import write_atomically
 
 HEADER = ("", "policy", "mode", "crossed", "95 %", "upright", "speed error", "J/m", "blind (s)")
 
@@ -40,7 +41,7 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
     rows = rank(results)
     output_folder(cfg.out.parent)
     lines = ["| " + " | ".join(map(str, row)) + " |" for row in (HEADER, ["---"] * 9, *rows)]
-    write_text(cfg.out, "\n".join(lines) + "\n")
+    write_atomically(cfg.out, ("\n".join(lines) + "\n").encode())
     show("Fault benchmark, version 1", HEADER, rows)
     return cfg.out
 

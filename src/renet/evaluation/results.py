@@ -20,6 +20,7 @@ import numpy as np
 
 import renet
 from renet.errors import RenetError
+from renet.files import read_object, write_atomically
 
 
 @dataclass(frozen=True)
@@ -70,13 +71,6 @@ def output_folder(path: Path) -> Path:
     return path
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a file so that a reader sees the old or the new one, never half of it."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
-
-
 def plain(value: Any) -> Any:
     """`value` with NumPy types made Python's, and NaN and infinity made None and "inf"."""
     if isinstance(value, Mapping):
@@ -100,37 +94,22 @@ def plain(value: Any) -> Any:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write valid JSON (no NaN), atomically."""
-    write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
+    text = json.dumps(plain(content), indent=2, allow_nan=False) + "\n"
+    write_atomically(path, text.encode())
 
 
 MAX_JSON = 64_000_000
 """Bytes of a summary or part; Python needs about 25 times the space."""
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read what `write_json` wrote.
-
-    Args:
-        path: of the file.
-
-    Returns:
-        Its content.
-
-    Raises:
-        RenetError: missing, not a regular file, too large, or not a JSON object.
-    """
-    advice = "delete it and run the study again"
+def read_results(path: Path) -> dict[str, Any]:
+    """Read what `write_json` wrote; raises RenetError where it is missing, damaged or too large."""
     if not path.exists():
         raise RenetError(f"{path} does not exist: run the study that writes it first")
-    if not path.is_file() or path.stat().st_size > MAX_JSON:
-        raise RenetError(f"{path} is no file of at most {MAX_JSON / 1e6:.0f} MB: {advice}")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise RenetError(f"{path} is not valid JSON ({error}): {advice}") from error
-    if not isinstance(content, dict):
-        raise RenetError(f"{path} does not hold a JSON object: {advice}")
-    return content
+        return read_object(path, "result", MAX_JSON)
+    except RenetError as error:
+        raise RenetError(f"{error}; delete it and run the study again") from error
 
 
 PARTS_FORMAT = 5
@@ -171,7 +150,7 @@ class ResultCache:
         key = json.dumps(self._key, sort_keys=True).encode()
         path = self._folder / f"{name}-{hashlib.sha256(key).hexdigest()[:8]}.json"
         if path.exists():
-            return read_json(path)
+            return read_results(path)
         part = plain(make()) | {"key": self._key}
         write_json(path, part)
         return part
@@ -183,4 +162,4 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(plain(row) for row in rows)
-    write_text(path, text.getvalue())
+    write_atomically(path, text.getvalue().encode())

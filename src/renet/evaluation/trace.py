@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -59,39 +59,23 @@ class Trace:
     @classmethod
     def empty(cls, steps: int, count: int) -> Trace:
         """Room for `steps` control steps of `count` robots."""
-
-        def numbers() -> np.ndarray:
-            return np.zeros((steps, count))
-
-        def flags() -> np.ndarray:
-            return np.zeros((steps, count), bool)
-
+        flags = ("fell", "ended", "vision", "failing")
+        names = (f.name for f in fields(cls) if f.name not in ("trusted", "film"))
         return cls(
-            forward_velocity=numbers(),
-            height=numbers(),
-            travelled=numbers(),
-            collisions=numbers(),
-            power=numbers(),
-            anomaly=numbers(),
-            probability=numbers(),
-            fell=flags(),
-            ended=flags(),
-            vision=flags(),
-            failing=flags(),
+            **{n: np.zeros((steps, count), bool if n in flags else float) for n in names},
             trusted=np.ones((steps, UPDATES_PER_STEP, count), bool),
         )
 
     def until(self, steps: int) -> Trace:
-        """The first control steps only."""
+        """The first control steps only, without film."""
         return Trace(
             **{name: value[:steps] for name, value in vars(self).items() if name != "film"}
         )
 
     def robots(self, index: slice) -> Trace:
         """Some robots only, without film."""
-        return Trace(
-            **{name: value[..., index] for name, value in vars(self).items() if name != "film"}
-        )
+        own = {name: value[..., index] for name, value in vars(self).items() if name != "film"}
+        return Trace(**own)
 
     def first_try(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """How each robot's first try ended: [N] crossed, [N] fell (bool), [N] seconds it took.

@@ -21,10 +21,8 @@ from renet.sim.native.engine import NativeSimulation
 from renet.sim.overflow import OverflowWatch
 from renet.sim.threads import one_torch_thread
 from renet.training import distributed
-from renet.training.average import WeightAverage
-from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg
-from renet.training.config_io import from_dict
-from renet.training.modality import op_mask
+from renet.training.checkpoint import WeightAverage
+from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg, from_dict
 from renet.training.np3o import NP3O
 from renet.training.precision import Precision, in_halves, learning_type
 from renet.training.storage import PolicyRollout, Recorder, TickRollout
@@ -36,6 +34,27 @@ FEW = 128
 """Robots whose actions a second thread does not hasten: waking it takes longer than its half."""
 NORMALIZED_AT_ONCE = 65_536
 """Rows of a rollout whose statistics ranks exchange in one message (80 MB)."""
+
+
+def op_mask(perception: str, iteration: int, difficult: Tensor, period: int) -> Tensor:
+    """The paper's mask_i: true where the OP estimator steers.
+
+    On simple terrain all environments alternate every `period` iterations, VP first; difficult
+    terrain always has vision.
+
+    Args:
+        perception: of the ModelCfg. iteration: learning iteration.
+        difficult: [N] or [N, 1], nonzero where the terrain forces vision.
+
+    Returns:
+        [N] bool.
+    """
+    simple = difficult.reshape(-1) == 0
+    if perception == "op":
+        return torch.ones_like(simple)
+    if perception == "renet" and (iteration // period) % 2 == 1:
+        return simple
+    return torch.zeros_like(simple)
 
 
 def critic_observation(obs: TensorDict, op_mask: Tensor) -> Tensor:
@@ -190,7 +209,7 @@ class RenetAlgorithm:
         done = dones.bool()
         costs = extras["costs"].to(self.device)
         self._steps.finish(
-            payoff=torch.cat((rewards.unsqueeze(-1), costs), dim=-1),
+            rewards_and_costs=torch.cat((rewards.unsqueeze(-1), costs), dim=-1),
             done=done,
             time_out=extras.get("time_outs", torch.zeros_like(done)),
         )
@@ -221,7 +240,7 @@ class RenetAlgorithm:
         steps["log_prob"] = self.model.actor.log_prob(steps["mean"], steps["action"])
         # An episode cut short would have gone on: bootstrap rewards and costs alike.
         cut = steps.pop("time_out").unsqueeze(-1)
-        steps["payoff"] += self.np3o.cfg.gamma * steps["value"] * cut
+        steps["rewards_and_costs"] += self.np3o.cfg.gamma * steps["value"] * cut
         self._rollout = PolicyRollout(**steps)
 
     def update(self) -> dict[str, float]:
@@ -256,8 +275,10 @@ class RenetAlgorithm:
             (rollout.proprioception, *columns),
         )
         broken = [n for n, v in zip(names, values, strict=True) if not v.isfinite().all()]
-        # Pay-offs hold critics' values, too.
-        return broken or ([] if rollout.payoff.isfinite().all() else ["rewards or costs"])
+        # They hold critics' values, too.
+        return broken or (
+            [] if rollout.rewards_and_costs.isfinite().all() else ["rewards or costs"]
+        )
 
     # What rsl_rl's runner and logger ask for.
 

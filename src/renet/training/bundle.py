@@ -26,7 +26,7 @@ from renet.tasks.config.go1 import GO1
 from renet.tasks.robot_cfg import ACTION_CLIP, RobotCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.checkpoint import Checkpoint
-from renet.training.config_io import from_dict
+from renet.training.config import from_dict
 from renet.training.export import export_models
 
 

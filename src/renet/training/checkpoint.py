@@ -11,8 +11,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
+from renet import __version__
 from renet.errors import RenetError
 from renet.files import MEGABYTE, read_object, require_regular
 
@@ -208,3 +210,69 @@ def load_optimizer(
             moments.setdefault(int(index), {})[name] = value
     groups = optimizer.state_dict()["param_groups"]
     optimizer.load_state_dict({"state": moments, "param_groups": groups})
+
+
+def described(value: Any) -> Any:
+    """A configuration as JSON: dataclasses as dictionaries, functions and types by their names.
+
+    Args:
+        value: nested dataclasses, dictionaries, sequences, numbers and callables.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: described(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, dict):
+        return {str(key): described(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set):
+        return [described(item) for item in value]
+    if value is None or isinstance(value, str | int | float | bool):
+        return value
+    if callable(value):
+        return f"{value.__module__}.{getattr(value, '__qualname__', type(value).__name__)}"
+    return str(value)
+
+
+def code_version() -> str:
+    """Version of renet, with the commit where it runs from a checkout, `+changed` if edited."""
+    folder = Path(__file__).parent
+    try:
+        git = ["git", "-C", str(folder), "describe", "--always", "--dirty=+changed", "--abbrev=12"]
+        found = subprocess.run(git, capture_output=True, text=True, timeout=5, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return __version__
+    return f"{__version__} ({found.stdout.strip()})"
+
+
+class WeightAverage:
+    """Exponential moving average of a model's parameters and buffers, which is exported.
+
+    Each gradient step leaves noise of its own in the weights. Their mean along a run has less of it
+    (Izmailov et al. 2018, arXiv 1803.05407) and often walks better than any it is made of.
+    """
+
+    def __init__(self, model: nn.Module, over: int) -> None:
+        """Start with the model's weights.
+
+        Args:
+            model: network on the device where it is to stay.
+            over: updates the average reaches back, about; 1 keeps the newest weights alone.
+        """
+        self.over, self.updates = over, 0
+        self.tensors = {name: value.clone() for name, value in model.state_dict().items()}
+
+    @torch.no_grad()
+    def update(self, model: nn.Module) -> None:
+        """Take in the model's present weights; counts such as a normaliser's are taken over."""
+        self.updates += 1
+        # Reaches back a quarter of the run at most: early weights say nothing about later ones.
+        share = 1.0 / max(1.0, min(self.over, self.updates / 4))
+        for name, value in model.state_dict().items():
+            if value.is_floating_point():
+                self.tensors[name].lerp_(value, share)
+            else:
+                self.tensors[name].copy_(value)
+
+    def load(self, tensors: dict[str, Tensor], updates: int) -> None:
+        """Go on with an average that was saved after so many updates."""
+        self.updates = updates
+        for name, value in tensors.items():
+            self.tensors[name].copy_(value)

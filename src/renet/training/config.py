@@ -2,17 +2,61 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import re
+from dataclasses import dataclass, field, fields
+from functools import lru_cache
 from math import ceil
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar, get_type_hints
 
+import numpy as np
 from mjlab.rl import RslRlBaseRunnerCfg
 
 from renet.errors import RenetError
 from renet.interface import STEPS_PER_TICK
 from renet.models.config import ModelCfg
 from renet.training.precision import Precision
-from renet.training.schedule import Schedule, value_at
+
+T = TypeVar("T")
+
+Schedule = str | float
+"""A number, or points `VALUE@STEPS` joined by commas, such as `0.003@10M,0.001@60M`: linear between
+points, constant before the first and after the last. STEPS counts environment steps of all robots
+and processes since the beginning of the run and may end in k or M."""
+
+_POINT = re.compile(r"([-+0-9.eE]+)@([0-9.]+)([kM]?)")
+_UNIT = {"": 1.0, "k": 1e3, "M": 1e6}
+
+
+def value_at(schedule: Schedule, steps: float) -> float:
+    """Value of a schedule after `steps` environment steps.
+
+    Raises:
+        RenetError: the schedule cannot be read.
+    """
+    points = _points(str(schedule))
+    return float(np.interp(steps, [at for at, _ in points], [value for _, value in points]))
+
+
+@lru_cache(maxsize=256)
+def _points(schedule: str) -> tuple[tuple[float, float], ...]:
+    """(steps, value) of each point, in the order of steps."""
+    try:
+        if "@" not in schedule:
+            return ((0.0, float(schedule)),)
+        points = []
+        for text in schedule.split(","):
+            match = _POINT.fullmatch(text.strip())
+            if match is None:
+                raise ValueError(text)
+            points.append((float(match[2]) * _UNIT[match[3]], float(match[1])))
+    except ValueError as error:
+        raise RenetError(
+            f"cannot read the schedule {schedule!r}: write a number, or VALUE@STEPS points joined "
+            "by commas, such as 0.003@10M,0.001@60M"
+        ) from error
+    if sorted(points) != points:
+        raise RenetError(f"the steps of the schedule {schedule!r} must not fall")
+    return tuple(points)
 
 
 def _at_least_one(cfg: Any, *names: str) -> None:
@@ -170,3 +214,25 @@ class RenetRunnerCfg(LearningCfg, RslRlBaseRunnerCfg):  # type: ignore[misc]
 
     experiment_name: str = "renet"
     clip_actions: float | None = 4.8  # tasks.robot.ACTION_CLIP
+
+
+def from_dict(cls: type[T], values: dict[str, Any]) -> T:
+    """Build a dataclass; lists become tuples where the field is one.
+
+    Raises:
+        RenetError: a key is unknown, which means a file of another version.
+    """
+    hints = get_type_hints(cls)
+    known = {f.name for f in fields(cls)}  # type: ignore[arg-type]
+    unknown = sorted(set(values) - known)
+    if unknown:
+        raise RenetError(
+            f"{cls.__name__} has no field {', '.join(unknown)}: the configuration was written by "
+            "another version of renet"
+        )
+    return cls(
+        **{
+            name: tuple(value) if str(hints[name]).startswith("tuple") else value
+            for name, value in values.items()
+        }
+    )

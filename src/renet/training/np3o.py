@@ -16,15 +16,42 @@ from torch.distributions import Normal, kl_divergence
 
 from renet.models.actor_critic import Actor, Critics
 from renet.training import distributed
-from renet.training.config import NP3OCfg
+from renet.training.config import NP3OCfg, value_at
 from renet.training.precision import computed_in, side_by_side
-from renet.training.returns import advantages
-from renet.training.schedule import value_at
 from renet.training.storage import PolicyRollout
 
 STD_FLOOR = 1e-3
 """Below this spread a cost advantage is critic noise, not evidence, and is not amplified."""
 LEARNING_RATES = (1e-5, 1e-2)
+
+
+def advantages(
+    rewards_and_costs: Tensor,
+    value: Tensor,
+    last_value: Tensor,
+    done: Tensor,
+    gamma: float,
+    lam: float,
+) -> Tensor:
+    """GAE of each column (Schulman et al. 2016).
+
+    Args:
+        rewards_and_costs, value: [T, N, K]. last_value: [N, K], of the state after the last step.
+        done: [T, N] bool; nothing is carried over the end of an episode.
+
+    Returns:
+        Advantages [T, N, K]; returns are advantages + value.
+    """
+    result = torch.empty_like(rewards_and_costs)
+    running = torch.zeros_like(last_value)
+    next_value = last_value
+    for step in reversed(range(rewards_and_costs.shape[0])):
+        alive = (~done[step]).unsqueeze(-1).to(rewards_and_costs.dtype)
+        delta = rewards_and_costs[step] + gamma * alive * next_value - value[step]
+        running = delta + gamma * lam * alive * running
+        result[step] = running
+        next_value = value[step]
+    return result
 
 
 def reward_surrogate(ratio: Tensor, advantage: Tensor, clip: float) -> Tensor:
@@ -72,7 +99,7 @@ def make_targets(
 ) -> Targets:
     """Advantages, violations and returns of a rollout; statistics span all ranks."""
     advantage = advantages(
-        rollout.payoff, rollout.value, last_value, rollout.done, cfg.gamma, cfg.lam
+        rollout.rewards_and_costs, rollout.value, last_value, rollout.done, cfg.gamma, cfg.lam
     ).flatten(0, 1)
     value_target = advantage + rollout.value.flatten(0, 1)
     mean, std = distributed.moments(advantage)

@@ -1,4 +1,4 @@
-"""How learning uses the machine: bfloat16 where it is faster, independent networks side by side.
+"""How learning uses the machine: bfloat16 where it is faster, networks side by side, memory kept.
 
 Actor, log-probabilities and losses stay in single precision, on a GPU by TF32 unless `float32` is
 asked for; what is exported is not touched.
@@ -6,6 +6,7 @@ asked for; what is exported is not touched.
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
@@ -17,6 +18,10 @@ from torch import Tensor, nn
 
 T = TypeVar("T")
 Precision = Literal["auto", "float32", "bfloat16"]
+
+TRIM_THRESHOLD, MMAP_MAX, ARENA_MAX = -1, -4, -8
+"""Parameters of glibc's `mallopt`, from its malloc.h."""
+NEVER = 2**31 - 1
 
 _second = ThreadPoolExecutor(1, thread_name_prefix="renet-learn")
 _spare = 0
@@ -118,3 +123,17 @@ def in_halves(function: Callable[..., Tensor], *rows: Tensor) -> Tensor:
 def _on_threads(share: int, work: Callable[[], Any]) -> Any:
     torch.set_num_threads(share)  # OpenMP's number belongs to the calling thread.
     return work()
+
+
+def keep_freed_memory() -> bool:
+    """Keep what is freed, in one heap for all threads, however large; False without glibc.
+
+    By default large tensors are mapped anew each time, and the kernel clears every page of them
+    once more.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):  # macOS, musl, Windows.
+        return False
+    wanted = ((TRIM_THRESHOLD, NEVER), (MMAP_MAX, 0), (ARENA_MAX, 1))
+    return all([mallopt(*parameter) for parameter in wanted])

@@ -3,7 +3,7 @@
 The dataclasses of `config.py` hold the paper's settings, or where it is silent those of the methods
 it builds on: `--preset paper`. A budget of 1.5 billion steps does without what follows; one of
 millions does not. Settings that change during training are schedules over environment steps
-(`schedule.py`), so that they mean the same for 64 robots and for 16,384.
+(`config.Schedule`), so that they mean the same for 64 robots and for 16,384.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ class PolicyRollout:
     """Action mean at collection, [T, N, 12]."""
     value: Tensor
     """Reward and cost values, [T, N, 1 + constraints]."""
-    payoff: Tensor
+    rewards_and_costs: Tensor
     """Reward and costs, bootstrapped at time-outs, [T, N, 1 + constraints]."""
     done: Tensor
     """Episode ended with this step, [T, N] bool."""

@@ -13,9 +13,8 @@ from renet.models.estimators import Estimator
 from renet.models.him import HybridInternalModel, target_view
 from renet.models.renet import RENet
 from renet.training import distributed
-from renet.training.config import SupervisionCfg
+from renet.training.config import SupervisionCfg, value_at
 from renet.training.precision import computed_in, side_by_side
-from renet.training.schedule import value_at
 from renet.training.storage import TickRollout
 
 AUTOENCODER_SHARE = 0.4

@@ -27,14 +27,18 @@ from renet.interface import CONTROL_DT
 from renet.models.config import ModelCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.checkpoint import Checkpoint
-from renet.training.config import AdaptationCfg, LearningCfg, NP3OCfg, SupervisionCfg
-from renet.training.config_io import from_dict
+from renet.training.config import (
+    AdaptationCfg,
+    LearningCfg,
+    NP3OCfg,
+    Schedule,
+    SupervisionCfg,
+    from_dict,
+)
 from renet.training.depth_dropout import DepthDropoutCfg, DepthDropoutEnv
-from renet.training.metrics import CURVES
+from renet.training.metrics import CURVES, write_run_report
 from renet.training.recipe import RENET, preset
-from renet.training.run_report import write_run_report
 from renet.training.runner import CHECKPOINTS, RenetRunner
-from renet.training.schedule import Schedule
 
 if TYPE_CHECKING:
     from renet.tasks import RenetEnvCfg
@@ -197,6 +201,11 @@ def train(cfg: TrainCfg) -> Path | None:
     cfg = replace(cfg, num_envs=num_envs)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
     earlier = None if resume is None else checkpoints.load(resume)
+    if earlier is not None and earlier.state["iteration"] >= cfg.max_iterations:
+        raise RenetError(
+            f"{resume} is at iteration {earlier.state['iteration']}: --max-iterations counts from "
+            "the very first one and must be above that"
+        )
     task = task_cfg(cfg)
     task.curriculum["command_stage"].params["switch_step"] = _switch_step(cfg, earlier)
     # mjlab prints tables of terms and warns of its own randomisation.
@@ -212,11 +221,6 @@ def train(cfg: TrainCfg) -> Path | None:
     runner = cfg.runner(vec_env, settings(cfg), str(run) if run else None, device)
     if resume:
         runner.load(str(resume))
-    if runner.alg.iteration >= cfg.max_iterations:
-        raise RenetError(
-            f"{resume} is at iteration {runner.alg.iteration}: --max-iterations counts from the "
-            "very first one and must be above that"
-        )
     if run:
         if earlier is not None:
             print(f"Going on from {resume} ({runner.alg.steps / 1e6:.2f} M steps)")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.report import report
+from renet.evaluation.report import figures, report
 from renet.evaluation.report.report import STUDIES, ReportCfg, make_report
 from renet.evaluation.report.summary import FACTS, WORSE
 from renet.evaluation.studies.course import CourseStudy
@@ -29,8 +29,10 @@ from .browser import Browser, find_browser
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Every study, tiny."""
+    """Every study, tiny, with pictures of few pixels."""
     folder = tmp_path_factory.mktemp("results")
+    coarse = pytest.MonkeyPatch()
+    coarse.setattr(figures.save, "__defaults__", (20,))
     noise = NoiseStudy(out=folder / "noise", robots=1, onsets=(0.2,), lasts=3.2, seconds=3.4)
     noise.run(FakeEvaluator())
     FaultStudy(
@@ -55,6 +57,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     lap = ("flat", "grass")
     course = CourseStudy(out=folder / "course", lap=lap, laps=1, robots=1, stuck_after=0.2)
     course.run(StillEvaluator())
+    coarse.undo()
     return folder
 
 

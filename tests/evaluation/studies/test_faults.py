@@ -103,7 +103,7 @@ def test_finished_faults_are_not_run_again(folder: Path, monkeypatch: pytest.Mon
     assert len(study.run(FakeEvaluator())["runs"]) == 54
     assert ran == ["dropped"]
     next((folder / "parts").glob("dropped-*.json")).write_text('{"half')
-    with pytest.raises(RenetError, match=r"dropped-\w+\.json is not valid JSON"):
+    with pytest.raises(RenetError, match=r"dropped-\w+\.json is not JSON"):
         study.run(FakeEvaluator())
 
 

@@ -25,7 +25,6 @@ from ..fakes import FakeEnv, FakeEvaluator, FakePolicy, FakeSelector
 class Ladder(FakeEnv):
     """Robots leave their tile after 20 steps up to a level of their kind, and fall above it."""
 
-    worlds = 0
     reach = np.array(
         [10 if k == "stairs_up" else {"stairs_down": 3, "gap": 6}.get(k, 4) for k in tiles()]
     )
@@ -33,7 +32,6 @@ class Ladder(FakeEnv):
     """Who can; None on flat ground, which nobody leaves."""
 
     def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
-        Ladder.worlds += 1
         self.able = levels < self.reach[kinds]
         self.clock = 0
 
@@ -84,15 +82,6 @@ def test_summary_holds_the_papers_table(tmp_path: Path) -> None:
     assert (tmp_path / "terrain.png").stat().st_size > 10_000
 
 
-def test_finished_kinds_are_not_climbed_again(tmp_path: Path) -> None:
-    first = TerrainStudy(out=tmp_path, robots=3, seconds=2).run(LadderEvaluator())
-    next((tmp_path / "parts").glob("gap-*.json")).unlink()
-    Ladder.worlds = 0
-    again = TerrainStudy(out=tmp_path, robots=3, seconds=2).run(LadderEvaluator())
-    assert again["runs"] == first["runs"]
-    assert Ladder.worlds == 1
-
-
 @pytest.mark.parametrize(
     "wrong", [{"kinds": ("lava",)}, {"kinds": ()}, {"robots": 0}, {"modes": ("x",)}]
 )
@@ -120,10 +109,7 @@ def test_no_success_means_no_runs() -> None:
 class Hurdles(FakeEnv):
     """Robots cross after 20 steps; on gaps beyond level 2 they fall, beyond level 4 they stand."""
 
-    worlds = 0
-
     def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
-        Hurdles.worlds += 1
         gap = kinds == list(tiles()).index("gap")
         self.falls = gap & (levels >= 2) & (levels < 4)
         self.stands = gap & (levels >= 4)
@@ -181,17 +167,6 @@ def test_every_size_and_mode_has_its_row(tmp_path: Path) -> None:
     assert summary["provenance"]["bundle_hash"] == "0" * 64
     assert (tmp_path / "success.png").stat().st_size > 10_000
     assert (tmp_path / "summary.csv").read_text().count("\n") == 19
-
-
-def test_finished_kinds_are_not_tried_again(tmp_path: Path) -> None:
-    first = success(tmp_path).run(HurdlesEvaluator())
-    next((tmp_path / "parts").glob("stairs_up-*.json")).unlink()
-    Hurdles.worlds = 0
-    assert success(tmp_path).run(HurdlesEvaluator())["runs"] == first["runs"]
-    assert Hurdles.worlds == 1
-    success(tmp_path, seed=2).run(HurdlesEvaluator())
-    success(tmp_path).run(HurdlesEvaluator())
-    assert Hurdles.worlds == 3
 
 
 def test_where_renet_crosses_less_often_than_op_alone_is_listed() -> None:

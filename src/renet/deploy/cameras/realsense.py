@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -111,6 +112,8 @@ class RealSenseCamera:
         stream = self._open()
         self._thread = threading.Thread(target=self._run, args=(stream,), daemon=True)
         self._thread.start()
+        # A thread inside librealsense would abort an interpreter that ends.
+        atexit.register(self.close)
 
     def latest(self) -> DepthFrame | None:
         """Newest frame; None before the first."""
@@ -118,6 +121,7 @@ class RealSenseCamera:
 
     def close(self) -> None:
         """Stop streaming; safe to call twice."""
+        atexit.unregister(self.close)
         self._stop.set()
         if self._thread is not None:
             self._thread.join(timeout=2 * SILENCE)

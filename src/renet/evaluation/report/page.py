@@ -15,8 +15,8 @@ from markupsafe import Markup
 
 from renet.errors import RenetError
 from renet.evaluation.report.figures import MODE_NAMES, noise_label
-from renet.evaluation.results import write_text
 from renet.faults import fault_class
+from renet.files import write_atomically
 
 MIME = {".png": "image/png", ".mp4": "video/mp4"}
 
@@ -68,7 +68,8 @@ def provenance_section(summary: dict[str, Any]) -> Section:
 
 def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -> Path:
     """Write a page atomically; one of four sections or more begins with a list of them."""
-    write_text(path, load_template("page").render(title=title, lead=lead, sections=sections))
+    text = load_template("page").render(title=title, lead=lead, sections=sections)
+    write_atomically(path, text.encode())
     return path
 
 

@@ -13,7 +13,7 @@ from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report.page import render, study_sections, write_page
 from renet.evaluation.report.summary import overview_section, worse_section
-from renet.evaluation.results import output_folder, read_json
+from renet.evaluation.results import output_folder, read_results
 from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.filter import FilterStudy
@@ -72,7 +72,7 @@ def make_report(cfg: ReportCfg) -> Path:
     if cfg.run:
         run_studies(cfg)
     found = {
-        name: read_json(cfg.results / name / "summary.json")
+        name: read_results(cfg.results / name / "summary.json")
         for name in STUDIES
         if (cfg.results / name / "summary.json").exists()
     }

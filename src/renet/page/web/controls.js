@@ -39,7 +39,7 @@ export class Controls {
 
   /** Read the first gamepad; called once a picture. */
   poll() {
-    const pad = navigator.getGamepads().find(Boolean);
+    const pad = Array.from(navigator.getGamepads()).find(Boolean);
     if (!pad) return;
     const axis = (n) => (Math.abs(pad.axes[n] ?? 0) > DEAD_ZONE ? pad.axes[n] : 0);
     this.stick = -(axis(2) || axis(0));

@@ -5,9 +5,14 @@ import { Curves, depthGradient, drawDepth } from "./plots.js";
 
 const SAID = { vp: "vision (VP) drives", op: "blind (OP) drives" };
 
+const CURVES_EVERY = 0.1;
+/** Seconds between drawings of the curves. */
+
 export class Panel {
   constructor(slot, instruments, estimator, number) {
     this.onMode = () => {};
+    this.shown = new Map();
+    this.drawnAt = -Infinity;
     const modes = Object.entries(ESTIMATORS)
       .map(
         ([name, title]) => `<label title="Who drives this robot">
@@ -71,8 +76,17 @@ export class Panel {
     pace.textContent = walking ? `${speed.toFixed(2)} m/s` : "";
     const objects = walking && !selector.vision;
     why.textContent = objects ? (estimator === "renet" ? "" : "the selector would object: ") + selector.reason : "";
-    drawDepth(this.depth, camera.frame?.image);
-    drawDepth(this.reconstruction, walking ? controller.policy.reconstruction : null);
+    this.show(this.depth, camera.frame?.image);
+    this.show(this.reconstruction, walking ? controller.policy.reconstruction : null);
+    if (Math.abs(simulation.now - this.drawnAt) < CURVES_EVERY) return;
+    this.drawnAt = simulation.now;
     this.curves.draw(selector.threshold("reconstruction"));
+  }
+
+  /** Draw a depth image where it is another than the one that is shown. */
+  show(canvas, image) {
+    if (this.shown.get(canvas) === image) return;
+    this.shown.set(canvas, image);
+    drawDepth(canvas, image);
   }
 }

@@ -6,7 +6,11 @@ const LOSS = [1e-5, 1];
 /** Ends of the loss's logarithmic axis. */
 const NEAR_TO_FAR = ["#000004", "#3b0f70", "#8c2981", "#de4968", "#fe9f6d", "#fcfdbf"];
 const style = getComputedStyle(document.documentElement);
-const colour = (name) => style.getPropertyValue(`--${name}`).trim();
+const NAMES = ["fault", "faint", "loss", "ink", "vp", "op"];
+const colours = Object.fromEntries(
+  NAMES.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]),
+);
+const colour = (name) => colours[name];
 const table = colourTable();
 
 /** The colours of depth as a CSS gradient, near to far. */

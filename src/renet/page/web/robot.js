@@ -27,12 +27,14 @@ export function unpackMeshes({ step, meshes }) {
 
 /** What is drawn of one simulated robot. */
 export class Robot {
-  constructor(look, geometries, manifest, contract) {
-    this.contract = contract;
+  /** `plain`: cheaper materials and a spot for a shadow, for browsers without a GPU. */
+  constructor(look, geometries, manifest, contract, plain) {
+    Object.assign(this, { contract, plain });
+    const Material = plain ? THREE.MeshLambertMaterial : THREE.MeshPhongMaterial;
     this.group = new THREE.Group();
     this.bodies = new Map();
     for (const { body, mesh, position, quaternion } of look.geoms) {
-      const material = new THREE.MeshPhongMaterial({ color: COLOURS[mesh], shininess: 40 });
+      const material = new Material({ color: COLOURS[mesh] });
       const part = new THREE.Mesh(geometries[mesh], material);
       const [w, x, y, z] = quaternion;
       part.position.set(...position);
@@ -44,7 +46,7 @@ export class Robot {
     for (const leg of ["FR", "FL", "RR", "RL"]) {
       const foot = new THREE.Mesh(
         new THREE.SphereGeometry(0.023, 12, 8),
-        new THREE.MeshPhongMaterial({ color: 0x1b1e23 }),
+        new Material({ color: 0x1b1e23 }),
       );
       foot.position.set(0, 0, -0.213);
       foot.castShadow = true;
@@ -55,6 +57,7 @@ export class Robot {
     this.frustum = this.addFrustum(manifest.camera);
     this.map = this.addMap(contract.heightMap);
     this.track = this.addTrack();
+    this.shadow = plain ? this.addShadow() : null;
   }
 
   body(name) {
@@ -91,7 +94,7 @@ export class Robot {
   }
 
   addMap({ x, y }) {
-    const disc = new THREE.CylinderGeometry(0.032, 0.032, 0.008, 10).rotateX(Math.PI / 2);
+    const disc = new THREE.CircleGeometry(0.032, this.plain ? 6 : 16);
     const map = new THREE.InstancedMesh(disc, new THREE.MeshBasicMaterial(), x.length * y.length);
     map.frustumCulled = false;
     // Over the ground, wherever it is believed to be, and under the robot.
@@ -110,6 +113,15 @@ export class Robot {
     track.frustumCulled = false;
     this.group.add(track);
     return track;
+  }
+
+  /** A dark spot under the trunk. */
+  addShadow() {
+    const black = { color: 0, transparent: true, opacity: 0.28, depthWrite: false };
+    const spot = new THREE.Mesh(new THREE.CircleGeometry(1, 20), new THREE.MeshBasicMaterial(black));
+    spot.scale.set(0.3, 0.16, 1);
+    this.group.add(spot);
+    return spot;
   }
 
   clear() {
@@ -140,6 +152,11 @@ export class Robot {
       this.extendTrack(world.pose().position, driving, heightAt);
     }
     this.updateMap(simulation, heightAt);
+    if (this.shadow) {
+      const { position, rotation } = world.pose();
+      this.shadow.position.set(position[0], position[1], heightAt(...position) + 0.006);
+      this.shadow.rotation.z = Math.atan2(rotation[1][0], rotation[0][0]);
+    }
   }
 
   extendTrack([x, y], driving, heightAt) {

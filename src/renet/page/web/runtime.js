@@ -15,13 +15,17 @@ export async function loadRuntime(read, mujocoOptions = {}) {
   const json = async (path) => JSON.parse(new TextDecoder().decode(await read(path)));
   const session = async (name) =>
     ort.InferenceSession.create(await read(`bundle/${name}.onnx`), { executionProviders: ["wasm"] });
-  const [mujoco, manifest, contract] = await Promise.all([
+  // One after the other: the sessions share one WebAssembly instance, which starts with the first.
+  const open = async () => {
+    const sessions = {};
+    for (const name of MODELS) sessions[name] = await session(name);
+    return sessions;
+  };
+  const [mujoco, sessions, manifest, contract] = await Promise.all([
     loadMujoco(mujocoOptions),
+    open(),
     json("bundle/manifest.json"),
     json("contract.json"),
   ]);
-  // One after the other: the sessions share one WebAssembly instance, which starts with the first.
-  const sessions = {};
-  for (const name of MODELS) sessions[name] = await session(name);
   return { mujoco, sessions, manifest, contract };
 }

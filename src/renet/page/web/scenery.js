@@ -7,12 +7,19 @@ const TEXTURE_METRES = 2;
 const FLOOR = 0xb9c2c9;
 const WIDE = 5;
 /** Half-size in m from which a box is ground rather than an obstacle, and gets no edges. */
+const BAKED = [0.62, 0.78, 1];
+/** Light on faces across x, y and z where it is in the colours. */
 
-/** Meshes of every geom that the camera can see, and a function for the height of the ground. */
-export function buildTerrain(world, mujoco, seenGroups, fine) {
+/**
+ * The terrain as two meshes, and a function for the height of the ground.
+ * @param {object} world a `World`.
+ * @param {object} mujoco the loaded WebAssembly module.
+ * @param {number[]} seenGroups whether the camera sees each geom group.
+ * @param {boolean} light is in the colours and texture is not smoothed: for browsers that draw
+ *   without a GPU, where texture, light and shadow of each pixel take most of a picture.
+ */
+export function buildTerrain(world, mujoco, seenGroups, plain) {
   const { model, data } = world;
-  const group = new THREE.Group();
-  const texture = groundTexture(fine);
   const boxes = [];
   for (let geom = 0; geom < model.ngeom; geom += 1) {
     if (!seenGroups[model.geom_group[geom]]) continue;
@@ -22,10 +29,10 @@ export function buildTerrain(world, mujoco, seenGroups, fine) {
     const plane = model.geom_type[geom] === mujoco.mjtGeom.mjGEOM_PLANE.value;
     const half = plane ? [40, 40, 0.5] : size;
     if (plane) at[2] -= 0.5;
-    boxes.push({ at, half });
-    group.add(texturedBox(at, half, new THREE.Color().setRGB(...rgba, THREE.SRGBColorSpace), texture));
-    if (Math.max(...half) < WIDE) group.add(edges(at, half));
+    boxes.push({ at, half, colour: new THREE.Color().setRGB(...rgba, THREE.SRGBColorSpace) });
   }
+  const group = new THREE.Group();
+  group.add(solid(boxes, plain), lines(boxes));
   return { group, heightAt: (x, y) => heightAt(boxes, x, y) };
 }
 
@@ -40,36 +47,64 @@ function heightAt(boxes, x, y) {
   return top;
 }
 
-function texturedBox(at, half, colour, map) {
-  const geometry = new THREE.BoxGeometry(...half.map((value) => 2 * value));
-  const { position, normal, uv } = geometry.attributes;
-  for (let i = 0; i < position.count; i += 1) {
-    const place = [0, 1, 2].map((axis) => position.array[3 * i + axis] + at[axis]);
-    const facing = [0, 1, 2].map((axis) => Math.abs(normal.array[3 * i + axis]));
-    const axis = facing.indexOf(Math.max(...facing));
-    const [u, v] = [[1, 2], [0, 2], [0, 1]][axis];
-    uv.setXY(i, place[u] / TEXTURE_METRES, place[v] / TEXTURE_METRES);
-  }
-  const tint = colour.lerp(new THREE.Color(FLOOR), half[0] > WIDE ? 0.6 : 0.2);
-  const mesh = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: tint, map }));
-  mesh.position.set(...at);
-  mesh.receiveShadow = true;
-  mesh.castShadow = half[0] < WIDE;
+/** All boxes as one mesh, so that they are one call to draw. */
+function solid(boxes, plain) {
+  const parts = boxes.map(({ at, half, colour }) => {
+    const box = new THREE.BoxGeometry(...half.map((value) => 2 * value)).translate(...at);
+    const { position, normal, uv } = box.attributes;
+    const tint = colour.clone().lerp(new THREE.Color(FLOOR), half[0] > WIDE ? 0.6 : 0.2);
+    const colours = new Float32Array(3 * position.count);
+    for (let i = 0; i < position.count; i += 1) {
+      const axis = [0, 1, 2].find((one) => Math.abs(normal.array[3 * i + one]) > 0.5);
+      const [u, v] = [[1, 2], [0, 2], [0, 1]][axis];
+      uv.setXY(i, position.array[3 * i + u] / TEXTURE_METRES, position.array[3 * i + v] / TEXTURE_METRES);
+      const light = plain ? BAKED[axis] : 1;
+      colours.set(tint.toArray().map((value) => light * value), 3 * i);
+    }
+    box.setAttribute("color", new THREE.BufferAttribute(colours, 3));
+    return box;
+  });
+  const material = plain
+    ? new THREE.MeshBasicMaterial({ vertexColors: true, map: groundTexture(plain) })
+    : new THREE.MeshLambertMaterial({ vertexColors: true, map: groundTexture(plain) });
+  const mesh = new THREE.Mesh(mergeGeometries(parts), material);
+  mesh.castShadow = mesh.receiveShadow = !plain;
   return mesh;
 }
 
-function edges(at, half) {
-  const box = new THREE.BoxGeometry(...half.map((value) => 2 * value + 0.002));
-  const lines = new THREE.LineSegments(
-    new THREE.EdgesGeometry(box),
-    new THREE.LineBasicMaterial({ color: 0x1c2229, transparent: true, opacity: 0.55 }),
-  );
-  lines.position.set(...at);
-  return lines;
+/** Edges of obstacles. */
+function lines(boxes) {
+  const points = [];
+  for (const { at, half } of boxes) {
+    if (Math.max(...half) < WIDE) {
+      const box = new THREE.BoxGeometry(...half.map((value) => 2 * value + 0.002)).translate(...at);
+      points.push(...new THREE.EdgesGeometry(box).attributes.position.array);
+    }
+  }
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.Float32BufferAttribute(points, 3));
+  const material = new THREE.LineBasicMaterial({ color: 0x1c2229, transparent: true, opacity: 0.55 });
+  return new THREE.LineSegments(geometry, material);
+}
+
+/** One geometry of many with the same attributes. */
+function mergeGeometries(parts) {
+  const merged = new THREE.BufferGeometry();
+  for (const [name, { itemSize }] of Object.entries(parts[0].attributes)) {
+    const all = parts.flatMap((part) => Array.from(part.attributes[name].array));
+    merged.setAttribute(name, new THREE.Float32BufferAttribute(all, itemSize));
+  }
+  let first = 0;
+  const indices = parts.flatMap((part) => {
+    const own = Array.from(part.index.array, (index) => index + first);
+    first += part.attributes.position.count;
+    return own;
+  });
+  return merged.setIndex(indices);
 }
 
 /** Speckled concrete with slabs of half a metre. */
-function groundTexture(fine) {
+function groundTexture(plain) {
   const size = 512;
   const canvas = new OffscreenCanvas(size, size);
   const context = canvas.getContext("2d");
@@ -88,8 +123,11 @@ function groundTexture(fine) {
   }
   const texture = new THREE.CanvasTexture(canvas);
   texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
-  texture.anisotropy = fine ? 8 : 1;
-  if (!fine) texture.minFilter = THREE.LinearMipmapNearestFilter;
+  texture.anisotropy = plain ? 1 : 8;
+  if (plain) {
+    texture.magFilter = THREE.NearestFilter;
+    texture.minFilter = THREE.NearestMipmapNearestFilter;
+  }
   texture.colorSpace = THREE.SRGBColorSpace;
   return texture;
 }

@@ -15,19 +15,19 @@ export class View {
     Object.assign(this, { canvas, slots, mujoco, contract });
     const software = drawsInSoftware();
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !software });
-    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.enabled = !software;
     this.renderer.setScissorTest(true);
     this.finest = software ? 1 : Math.min(devicePixelRatio, 2);
     this.ratio = software ? 0.6 : this.finest;
-    this.finerTextures = !software;
+    this.plain = software;
     this.took = 0.03;
     this.scene = new THREE.Scene();
     this.scene.background = new THREE.Color(SKY);
     this.scene.fog = new THREE.Fog(SKY, 6, 24);
     this.scene.add(new THREE.HemisphereLight(0xf4f8ff, 0x8d887e, 2.1));
-    this.sun = this.addSun(software ? 512 : 1024);
+    this.sun = this.addSun(1024);
     const geometries = unpackMeshes(look);
-    this.robots = slots.map(() => new Robot(look, geometries, manifest, contract));
+    this.robots = slots.map(() => new Robot(look, geometries, manifest, contract, this.plain));
     this.followed = slots.map(() => null);
     for (const { group } of this.robots) this.scene.add(group);
     this.orbit = { turn: -2.4, lift: 0.42, distance: 1.9 };
@@ -36,7 +36,7 @@ export class View {
 
   addSun(size) {
     const sun = new THREE.DirectionalLight(0xfff3df, 2.6);
-    sun.castShadow = true;
+    sun.castShadow = this.renderer.shadowMap.enabled;
     sun.shadow.mapSize.set(size, size);
     Object.assign(sun.shadow.camera, { left: -2.5, right: 2.5, top: 2.5, bottom: -2.5, near: 0.5, far: 12 });
     sun.shadow.bias = -0.0008;
@@ -67,7 +67,7 @@ export class View {
   reset(simulations) {
     if (this.terrain) this.scene.remove(this.terrain.group);
     const { seenGroups } = this.contract.camera;
-    this.terrain = buildTerrain(simulations[0].world, this.mujoco, seenGroups, this.finerTextures);
+    this.terrain = buildTerrain(simulations[0].world, this.mujoco, seenGroups, this.plain);
     this.scene.add(this.terrain.group);
     for (const robot of this.robots) robot.clear();
     this.followed.fill(null);

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import nn
 
-from renet.training.average import WeightAverage
+from renet.training.checkpoint import WeightAverage
 
 
 def constant(value: float) -> nn.Module:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from renet.errors import RenetError
-from renet.training.schedule import value_at
+from renet.training.config import value_at
 
 
 @pytest.mark.parametrize(

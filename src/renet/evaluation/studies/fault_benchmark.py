@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from renet.errors import RenetError
-from renet.evaluation.results import read_json
+from renet.evaluation.results import read_results
 from renet.evaluation.studies.fault_metrics import MEASURES
 
 BENCHMARK, VERSION = "renet-faults", 1
@@ -80,7 +80,7 @@ def read_result(path: Path) -> dict[str, Any]:
     Raises:
         RenetError: anything else.
     """
-    found = read_json(path)
+    found = read_results(path)
     if (found.get("benchmark"), found.get("version")) != (BENCHMARK, VERSION):
         raise RenetError(f"{path} is no result of {BENCHMARK}, version {VERSION}")
     try:
