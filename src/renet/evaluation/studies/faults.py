@@ -19,7 +19,6 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import metrics
-from renet.evaluation.benchmark import GROUNDS, ONSETS, result
 from renet.evaluation.env import FLAT, SimEnv, grounds_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.monitor_log import SelectorProbe, combined_score, healthy_series
@@ -27,6 +26,7 @@ from renet.evaluation.report import fault_figures
 from renet.evaluation.results import Provenance, write_json
 from renet.evaluation.rollout import StepResult, Trial
 from renet.evaluation.studies import fault_metrics
+from renet.evaluation.studies.benchmark import GROUNDS, ONSETS, result
 from renet.evaluation.studies.fault_findings import findings
 from renet.evaluation.study import Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
