@@ -61,14 +61,11 @@ class Trace:
     def empty(cls, steps: int, count: int) -> Trace:
         """Room for `steps` control steps of `count` robots."""
         flags = ("fell", "ended", "vision", "failing")
-        names = (f.name for f in fields(cls) if f.name not in ("trusted", "film"))
-        arrays: dict[str, Any] = {
+        names = [f.name for f in fields(cls) if f.name not in ("trusted", "film")]
+        room: dict[str, Any] = {
             name: np.zeros((steps, count), bool if name in flags else float) for name in names
         }
-        return cls(
-            **arrays,
-            trusted=np.ones((steps, UPDATES_PER_STEP, count), bool),
-        )
+        return cls(**room, trusted=np.ones((steps, UPDATES_PER_STEP, count), bool))
 
     def until(self, steps: int) -> Trace:
         """The first control steps only, without film."""
