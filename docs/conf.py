@@ -4,6 +4,8 @@ import importlib.metadata
 import re
 from pathlib import Path
 
+from renet.page.writer import VENDOR, PageCfg, write_page
+
 project = "renet"
 author = "the renet authors"
 release = importlib.metadata.version("renet-locomotion")
@@ -50,10 +52,29 @@ autodoc_mock_imports = ["pyrealsense2", "unitree_legged_sdk"]
 # their modules define.
 suppress_warnings = ["misc.highlighting_failure", "ref.python"]
 
+EMBEDDED = """```{raw} html
+<iframe src="demo/" title="Break its camera" loading="lazy"
+  style="width: 100%; height: 60rem; border: 0"></iframe>
+<p><a href="demo/">Open it in a window of its own</a></p>
+```"""
+
 
 def setup(app) -> None:
-    """Let links that lead somewhere on GitHub lead somewhere here, too."""
+    """Let links that lead somewhere on GitHub lead somewhere here, too; put the page inside."""
     app.connect("source-read", _mend_links)
+    if all((PageCfg().runtime / name).is_file() for name in VENDOR):
+        app.connect("source-read", _show_page)
+        app.connect("build-finished", _write_page)
+
+
+def _show_page(_app, name: str, source: list[str]) -> None:
+    if name == "page":
+        source[0] = source[0].replace("<!-- the page -->", EMBEDDED)
+
+
+def _write_page(app, error: Exception | None) -> None:
+    if error is None and app.builder.format == "html":
+        write_page(PageCfg(out=Path(app.outdir) / "demo"))
 
 
 def _mend_links(_app, _name: str, source: list[str]) -> None:

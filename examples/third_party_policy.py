@@ -8,8 +8,8 @@ import numpy as np
 import onnxruntime as ort
 
 from renet.evaluation.evaluator import Evaluator, Provenance
-from renet.evaluation.leaderboard import LeaderboardCfg, make_leaderboard
 from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard
 
 
 class TheirPolicy:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import json
 import re
-import shlex
 import tomllib
 from pathlib import Path
 
@@ -22,12 +21,6 @@ from renet import cli
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-
-
-def test_links_and_pictures_of_the_front_pages_exist():
-    for page in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"):
-        for target in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / page).read_text()):
-            assert "://" in target or (ROOT / target).exists(), f"{page}: {target}"
 
 
 def test_folders_of_the_readme_tree_exist():
@@ -86,14 +79,6 @@ def test_the_dockerfile_installs_an_extra_and_runs_a_command():
     command = json.loads(re.findall(r"^CMD (.+)$", text, re.MULTILINE)[0])
     assert command[0] in PROJECT["scripts"]
     parses(command[1:])
-
-
-def test_the_light_commands_of_the_readme_parse():
-    found = re.findall(r"^renet deploy .+$", README, re.MULTILINE)
-    found += re.findall(r"uvx --from '\.\[sim\]' (renet deploy [^`]+)`", README)
-    assert len(found) == 2
-    for line in found:
-        parses(shlex.split(line)[1:])
 
 
 def parses(arguments: list[str]) -> None:

@@ -98,7 +98,7 @@ COMMANDS = {
     ),
     "evaluate leaderboard": Command(
         "rank policies by their result files of the fault benchmark",
-        "renet.evaluation.leaderboard",
+        "renet.evaluation.studies.leaderboard",
         "LeaderboardCfg",
         "make_leaderboard",
         "train",

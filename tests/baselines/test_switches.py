@@ -112,16 +112,6 @@ def test_a_flickering_preference_is_smoothed_and_a_lasting_one_is_obeyed() -> No
     assert own.probability[1] < 0.5 < own.probability[0]
 
 
-def test_margin_holds_the_mode_on_both_sides() -> None:
-    preference = torch.full((1,), 1.0)
-    own = selector(preference, smoothing=1.0, margin=0.5)
-    answers = []
-    for value in (1.0, -0.4, -0.6, 0.4, 0.6):
-        preference[0] = value
-        answers.append(bool(own.update(NOTHING)[0]))
-    assert answers == [True, True, False, False, True]
-
-
 def test_reset_trusts_vision_again() -> None:
     preference = torch.full((2,), -1.0)
     own = selector(preference, smoothing=1.0)
@@ -143,8 +133,13 @@ def test_runs_in_the_closed_loop_of_the_studies() -> None:
     assert not seen.vision[:, 2:].any()
     assert seen.failing[5:, [1, 3]].all()
     assert not seen.failing[:, [0, 2]].any()
+    own = evaluator.provenance(1)
     evaluator.switch = Gate()
+    before = evaluator.provenance(1)
     fit(evaluator.switch, seen, horizon=2, epochs=60)
+    after = evaluator.provenance(1)
+    assert (own.bundle, after.bundle) == (evaluator.bundle.name, f"{own.bundle} with Gate")
+    assert len({own.bundle_hash, before.bundle_hash, after.bundle_hash}) == 3
     obeying = [Trial("renet", trial.schedule) for trial in trials]
     trace = evaluator.rollout("switch", env, obeying, 60, 1)
     assert not trace.vision[-1, [1, 3]].any()

@@ -89,7 +89,7 @@ def test_files_that_are_no_results_are_refused(tmp_path: Path) -> None:
         file.truncate(MAX_JSON + 1)
     for path, message in (
         (huge, "at most 64 MB"),
-        (tmp_path, "not a regular file"),
+        (tmp_path, "s a directory"),
         (tmp_path / "x", "run"),
     ):
         with pytest.raises(RenetError, match=message):

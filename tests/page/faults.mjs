@@ -8,7 +8,7 @@ const [web, page, file] = process.argv.slice(2);
 const { FAULTS } = await import(pathToFileURL(`${web}/faults.js`));
 const { Random } = await import(pathToFileURL(`${web}/random.js`));
 const contract = JSON.parse(await readFile(`${page}/contract.json`));
-const { frames, streams } = JSON.parse(await readFile(file));
+const { frames, streams, severities } = JSON.parse(await readFile(file));
 
 /** As `summary` of test_faults.py. */
 function summary(before, { image, invalid, fresh, age }) {
@@ -38,9 +38,11 @@ function run(name, level, seed) {
 }
 
 const found = {};
-for (const { name, levels } of contract.faults) {
-  found[name] = levels.map((level) =>
-    Array.from({ length: streams }, (_, seed) => run(name, level ?? Infinity, seed + 1)),
+for (const { name, levels } of contract.faults.filter(({ name }) => name in streams)) {
+  found[name] = severities.map((severity) =>
+    Array.from({ length: streams[name] }, (_, seed) =>
+      run(name, levels[severity - 1] ?? Infinity, seed + 1),
+    ),
   );
 }
 console.log(JSON.stringify(found));

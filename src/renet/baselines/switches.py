@@ -153,14 +153,10 @@ class ObservedPolicy(Policy):
 
 
 class SwitchSelector:
-    """Smooths a switch's preference, and changes mode only beyond a margin."""
+    """Obeys the sign of a switch's smoothed preference."""
 
     def __init__(
-        self,
-        switch: ReturnSwitch | Gate,
-        policy: ObservedPolicy,
-        smoothing: float = 0.02,
-        margin: float = 0.0,
+        self, switch: ReturnSwitch | Gate, policy: ObservedPolicy, smoothing: float = 0.02
     ) -> None:
         """Set up for the robots of a policy, all trusting vision.
 
@@ -168,13 +164,10 @@ class SwitchSelector:
             switch: trained.
             policy: whose inputs it reads.
             smoothing: weight of a new preference in the moving average, per 200 Hz update.
-            margin: the mean must be this far beyond 0 to change the mode.
         """
-        self._switch, self._policy = switch, policy
-        self._smoothing, self._margin = smoothing, margin
+        self._switch, self._policy, self._smoothing = switch, policy, smoothing
         self._mean = np.zeros(policy.num_robots)
         self._blank = np.ones(policy.num_robots, bool)
-        self._trusted = np.ones(policy.num_robots, bool)
 
     @property
     def probability(self) -> np.ndarray:
@@ -190,16 +183,12 @@ class SwitchSelector:
         before = np.where(self._blank, np.maximum(now, 0.0), self._mean)
         self._mean = before + self._smoothing * (now - before)
         self._blank[:] = False
-        self._trusted = np.where(
-            self._trusted, self._mean >= -self._margin, self._mean > self._margin
-        )
-        return self._trusted
+        return self._mean >= 0.0
 
     def reset(self, mask: np.ndarray) -> None:
         """Start anew for the masked robots [N]."""
         self._mean[mask] = 0.0
         self._blank |= mask
-        self._trusted = self._trusted | mask
 
 
 class SwitchEvaluator(Evaluator):

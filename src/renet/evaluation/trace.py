@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -60,11 +61,11 @@ class Trace:
     def empty(cls, steps: int, count: int) -> Trace:
         """Room for `steps` control steps of `count` robots."""
         flags = ("fell", "ended", "vision", "failing")
-        names = (f.name for f in fields(cls) if f.name not in ("trusted", "film"))
-        return cls(
-            **{n: np.zeros((steps, count), bool if n in flags else float) for n in names},
-            trusted=np.ones((steps, UPDATES_PER_STEP, count), bool),
-        )
+        names = [f.name for f in fields(cls) if f.name not in ("trusted", "film")]
+        room: dict[str, Any] = {
+            name: np.zeros((steps, count), bool if name in flags else float) for name in names
+        }
+        return cls(**room, trusted=np.ones((steps, UPDATES_PER_STEP, count), bool))
 
     def until(self, steps: int) -> Trace:
         """The first control steps only, without film."""

@@ -6,7 +6,10 @@ import math
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from renet import __version__
+from renet.camera import Intrinsics
 from renet.deploy.bundle.manifest import InputTerm
 from renet.deploy.cameras import sim
 from renet.deploy.controller import MAX_LEAD
@@ -14,8 +17,9 @@ from renet.deploy.robots.mujoco import BASE, START_HEIGHT
 from renet.deploy.robots.scene import FLAT, scene_spec
 from renet.deploy.safety import SafetyCfg
 from renet.deploy.teleop import MAX_SPEED
-from renet.faults import FAULTS, SEVERITIES, Fault, PhysicalFault
+from renet.faults import FAULTS, SEVERITIES, Fault, combined, stereo, vegetation
 from renet.faults.image import FOCAL_PIXELS
+from renet.faults.physical import Glass, obstacles, spread
 from renet.interface import (
     CONTROL_DT,
     DEPTH_RANGE,
@@ -31,19 +35,6 @@ from renet.selector.filter import VISION_THRESHOLD
 from renet.selector.monitors import FALLBACK, MONITORS, NEAR
 from renet.selector.selector import SelectorCfg
 
-UNAVAILABLE = (
-    "edge_shadow",
-    "disparity_steps",
-    "textureless",
-    "tall_grass",
-    "glare_dropped",
-    "blobs_latency",
-    "shadow_steps",
-    "intermittent_blackout",
-    "intermittent_frozen",
-    "intermittent_glare",
-)
-"""Faults of the catalogue that the page has no model of."""
 MAP_HEIGHT = 0.3
 """Metres of the base above the ground that read as zero in a height map, as in training."""
 SCENES = {
@@ -82,6 +73,14 @@ def contract() -> dict[str, Any]:
             "gaussianStd": sim.GAUSSIAN_STD,
             "seenGroups": sim.SEEN_GROUPS.tolist(),
             "focalPixels": FOCAL_PIXELS,
+            "stereo": {
+                "focal": stereo.FOCAL,
+                "baseline": stereo.BASELINE,
+                "nearest": stereo.NEAREST,
+                "flatDisparity": stereo.FLAT_DISPARITY,
+            },
+            "grass": _grass(),
+            "parts": {name: _parts(fault) for name, fault in FAULTS.items() if _parts(fault)},
         },
         "selector": {
             "visionThreshold": VISION_THRESHOLD,
@@ -93,11 +92,7 @@ def contract() -> dict[str, Any]:
                 for name, monitor in MONITORS.items()
             ],
         },
-        "faults": [
-            _fault(fault)
-            for name, fault in FAULTS.items()
-            if not issubclass(fault, PhysicalFault) and name not in UNAVAILABLE
-        ],
+        "faults": [_fault(fault) for fault in FAULTS.values()],
         "scenes": [_scene(terrain, *SCENES[terrain]) for terrain in SCENES],
     }
 
@@ -112,10 +107,44 @@ def _fault(fault: type[Fault]) -> dict[str, Any]:
     }
 
 
+def _grass() -> dict[str, Any]:
+    lens = Intrinsics()
+    return {
+        **{name: getattr(lens, name) for name in ("fx", "fy", "cx", "cy")},
+        "pitch": vegetation.CAMERA_PITCH,
+        "cameraHeight": vegetation.CAMERA_HEIGHT,
+        "nearRange": vegetation.NEAR_RANGE,
+        "reach": vegetation.REACH,
+        "height": vegetation.HEIGHT,
+        "width": vegetation.WIDTH,
+        "sway": vegetation.SWAY,
+        "unmatched": vegetation.UNMATCHED,
+    }
+
+
+def _parts(fault: type[Fault]) -> list[Any]:
+    """Levels of the faults that a fault is made of; of one that comes and goes, its only level."""
+    if issubclass(fault, combined.TwoFaults):
+        return [[_finite(level) for level in kind.levels] for kind in fault.kinds]
+    if issubclass(fault, combined.Intermittent):
+        return [_finite(fault.kind.level_of(fault.severity))]
+    return []
+
+
 def _scene(terrain: str, title: str, level: int) -> dict[str, Any]:
     spec, start = scene_spec(terrain, level)
-    spec.compile()
-    return {"name": terrain, "title": title, "xml": spec.to_xml(), "start": start}
+    model = spec.compile()
+    glass = None
+    if terrain in Glass.terrains:
+        found = obstacles(model, np.zeros((1, 2)))
+        glass = [sorted(spread(found, share)) for share in Glass.levels]
+    return {
+        "name": terrain,
+        "title": title,
+        "xml": spec.to_xml(),
+        "start": start,
+        "glass": glass,
+    }
 
 
 def _finite(value: float) -> float | None:

@@ -30,7 +30,7 @@ VENDOR = (
     "three/build/three.module.js",
 )
 """Files of the npm packages that a visitor's browser loads."""
-OWN = ("*.js", "*.html", "*.css", "go1.json")
+OWN = ("*.js", "faults/*.js", "*.html", "*.css", "go1.json")
 """The page's own files in `WEB`."""
 LOOPBACK = "127.0.0.1"
 
@@ -99,7 +99,7 @@ def write_page(cfg: PageCfg) -> Path:
 
 
 def _fill(folder: Path, bundle: Bundle, vendor: list[Path]) -> None:
-    for sub in ("vendor", "bundle"):
+    for sub in ("vendor", "bundle", "faults"):
         (folder / sub).mkdir(parents=True)
     for path in vendor:
         shutil.copyfile(path, folder / "vendor" / path.name)
@@ -107,7 +107,7 @@ def _fill(folder: Path, bundle: Bundle, vendor: list[Path]) -> None:
         shutil.copyfile(bundle.path / name, folder / "bundle" / name)
     for pattern in OWN:
         for path in sorted(WEB.glob(pattern)):
-            shutil.copyfile(path, folder / path.name)
+            shutil.copyfile(path, folder / path.relative_to(WEB))
     (folder / MARK).write_text(json.dumps({**contract(), "bundle": bundle.name}))
 
 

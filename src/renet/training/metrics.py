@@ -32,7 +32,7 @@ PANELS = (
     ("anomaly loss", ("Loss/anomaly",)),
     ("actor's learning rate", ("Loss/learning_rate",)),
     ("divergence per gradient step", ("Loss/kl",)),
-    ("penalty for constraints", ("Loss/cost",)),
+    ("constraints' penalty, students' loss", ("Loss/cost", "Loss/imitation")),
     ("env-steps/s", ("Perf/total_fps",)),
 )
 """Panel titles and their curves: names, or a prefix of names."""

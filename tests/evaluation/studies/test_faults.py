@@ -9,9 +9,9 @@ from jsonschema import Draft202012Validator
 
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.leaderboard import LeaderboardCfg, make_leaderboard, rank
 from renet.evaluation.rollout import Trial
 from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard, rank
 from renet.faults import Injection
 
 from ..fakes import FakeEvaluator

@@ -26,7 +26,7 @@ from renet.evaluation.report import fault_figures
 from renet.evaluation.results import Provenance, write_json
 from renet.evaluation.rollout import StepResult, Trial
 from renet.evaluation.studies import fault_metrics
-from renet.evaluation.studies.fault_benchmark import GROUNDS, ONSETS, result
+from renet.evaluation.studies.benchmark import GROUNDS, ONSETS, result
 from renet.evaluation.studies.fault_findings import findings
 from renet.evaluation.study import Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace

@@ -293,5 +293,5 @@ def _text(found: Mapping[str, Any]) -> str:
     """A margin as people write it."""
     if found["margin"] is None:
         return "–"
-    number = f"{found['margin']:g} {found['unit']}".strip()
+    number = f"{abs(found['margin']):g} {found['unit']}".strip()
     return number if found["broke"] is not None else f"≥ {number}"

@@ -54,7 +54,7 @@ export class DepthCamera {
     if (this.frame && now < this.due - 1e-6) return this.frame;
     const period = 1 / this.spec.rate_hz;
     this.due = Math.max(this.due, now - period) + period;
-    this.clean = this.depth();
+    this.clean = this.depth(now);
     const image = Float32Array.from(this.clean, (depth) => this.noisy(depth) / this.spec.range);
     const healthy = {
       image: image.map((value) => Math.min(Math.max(value, 0), 1)),
@@ -80,11 +80,14 @@ export class DepthCamera {
   }
 
   /** Planar metres [48 * 64] without noise, capped at the range. */
-  depth() {
+  depth(now) {
     const { position, rotation } = this.world.pose();
     const { spec, rays, lengths } = this;
+    const { lift = 0, turn, glass } = (this.broken(now) && this.fault.model.view) || {};
     const eye = position.map((value, i) => value + dot(rotation[i], spec.position));
-    const mount = multiply(rotation, tilt(spec.pitch));
+    eye[2] -= lift; // Surfaces that seem higher are surfaces seen from lower down.
+    const straight = multiply(rotation, tilt(spec.pitch));
+    const mount = turn ? multiply(straight, turn) : straight;
     for (let n = 0; n < lengths.length; n += 1) {
       const [left, up] = [rays[3 * n + 1] / lengths[n], rays[3 * n + 2] / lengths[n]];
       const ahead = 1 / lengths[n];
@@ -93,7 +96,9 @@ export class DepthCamera {
         this.directions[3 * n + i] = x * ahead + y * left + z * up;
       }
     }
-    const { distance, hit } = this.world.castRays(eye, this.directions, this.contract.seenGroups);
+    const { seenGroups } = this.contract;
+    const unseen = glass ? this.world.glass[this.fault.severity - 1] : [];
+    const { distance, hit } = this.world.castRays(eye, this.directions, seenGroups, unseen);
     return lengths.map((length, n) =>
       hit[n] >= 0 ? Math.min(distance[n] / length, spec.range) : spec.range,
     );

@@ -25,7 +25,8 @@ export class Controller {
     this.contract = contract;
     this.cfg = contract.safety;
     this.policy = new Policy(manifest, contract, sessions);
-    this.selector = new Selector(kind, manifest.selector, contract.selector);
+    this.manifest = manifest;
+    this.select(kind);
     this.frames = new FrameBuffer();
     this.black = new Float32Array(this.policy.pixels);
     this.estimator = "renet";
@@ -34,6 +35,12 @@ export class Controller {
     this.armed = false;
     this.target = this.start = Array.from(this.robot.default_position);
     this.forget();
+  }
+
+  /** Decide by all monitors or by the paper's rule from now on; trusts vision at first. */
+  select(kind) {
+    this.selector = new Selector(kind, this.manifest.selector, this.contract.selector);
+    this.vision = true;
   }
 
   /** Start walking as training starts an episode. */

@@ -6,7 +6,7 @@ const DEAD_ZONE = 0.15;
 
 /** Speed and heading that are asked for; everything else is told to `handlers`. */
 export class Controls {
-  /** @param {object} handlers push, reset, breakCamera(index or null), severity, terrain, mode. */
+  /** @param {object} handlers push, reset, breakCamera(index or null), severity, and so on. */
   constructor(handlers) {
     this.handlers = handlers;
     this.held = new Set();
@@ -75,6 +75,7 @@ export class Controls {
       h: () => handlers.breakCamera(null),
       t: handlers.nextTerrain,
       m: handlers.nextMode,
+      l: handlers.nextRule,
       "+": () => this.setSeverity(this.severity + 1),
       "-": () => this.setSeverity(this.severity - 1),
     };

@@ -18,6 +18,8 @@ const BEHIND = 0.15;
 const RARELY = 250;
 /** as many milliseconds apart. */
 
+const NO_GLASS = "This ground has no obstacle that could be glass: choose Stairs up or Platform.";
+
 const $ = (selector) => document.querySelector(selector);
 
 async function read(path) {
@@ -46,6 +48,14 @@ class Page {
       severity: () => this.showSeverity(true),
       nextTerrain: () => this.nextTerrain(),
       nextMode: () => this.nextMode(),
+      nextRule: () => {
+        this.rule.selectedIndex = 1 - this.rule.selectedIndex;
+        this.rule.dispatchEvent(new Event("change"));
+      },
+    });
+    this.rule = $("#rule");
+    this.rule.addEventListener("change", () => {
+      for (const { controller } of this.simulations) controller.select(this.rule.value);
     });
     this.last = contract.faults.findIndex(({ name }) => name === OPENING.fault);
     this.addFaults(contract.faults);
@@ -102,6 +112,7 @@ class Page {
     this.simulations = this.panels.map((panel) => {
       const simulation = new Simulation(this.runtime, this.scene, seed);
       simulation.controller.estimator = panel.estimator;
+      simulation.controller.select(this.rule.value);
       return simulation;
     });
     this.controls.turn = 0;
@@ -110,6 +121,9 @@ class Page {
     $("#terrain").value = this.scene.name;
     for (const { curves } of this.panels) curves.clear();
     this.view.reset(this.simulations);
+    const glass = this.runtime.contract.faults.findIndex(({ name }) => name === "glass");
+    this.chips[glass].disabled = this.scene.glass === null;
+    this.chips[glass].title = this.scene.glass ? this.runtime.contract.faults[glass].summary : NO_GLASS;
     this.breakCamera(null);
   }
 
@@ -120,6 +134,7 @@ class Page {
   /** Give both cameras a fault of the catalogue by its index, or none. */
   breakCamera(index) {
     this.opening = false;
+    if (index !== null && this.chips[index].disabled) return;
     this.fault = index;
     if (index !== null) this.last = index;
     const fault = index === null ? null : this.runtime.contract.faults[index];

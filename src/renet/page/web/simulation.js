@@ -7,12 +7,14 @@ import { Controller, WALKING } from "./controller.js";
 export class World {
   /**
    * @param {object} mujoco the loaded WebAssembly module.
-   * @param {object} scene xml and start (height of the ground at x = y = 0).
+   * @param {object} scene xml, start (height of the ground at x = y = 0), glass (geoms of each
+   *   severity of that fault, or null).
    * @param {object} robot `robot` of the bundle's manifest.
    * @param {object} contract shared with the runtime.
    */
   constructor(mujoco, scene, robot, contract) {
     this.mujoco = mujoco;
+    this.glass = scene.glass;
     this.model = mujoco.MjModel.from_xml_string(scene.xml);
     this.data = new mujoco.MjData(this.model);
     this.steps = Math.round(contract.controlDt / contract.physicsDt);
@@ -84,8 +86,8 @@ export class World {
     };
   }
 
-  /** Distances and geoms hit by rays from one point; `groups` are the geom groups that are seen. */
-  castRays(eye, directions, groups) {
+  /** Distances and geoms hit by rays from one point, in groups that are seen, through `unseen`. */
+  castRays(eye, directions, groups, unseen = []) {
     const { mujoco, model, data } = this;
     const rays = directions.length / 3;
     if (this.rays !== rays) {
@@ -94,11 +96,15 @@ export class World {
       this.distances = new mujoco.DoubleBuffer(rays);
     }
     const { hits, distances } = this;
+    const { geom_group: group } = model;
+    const before = unseen.map((geom) => group[geom]);
+    for (const geom of unseen) group[geom] = groups.indexOf(0);
     const [fixed, nobody, noNormals, anyDistance] = [true, -1, null, 1e10];
     mujoco.mj_multiRay(
       model, data, eye, directions, groups, fixed, nobody,
       hits, distances, noNormals, rays, anyDistance,
     );
+    unseen.forEach((geom, n) => (group[geom] = before[n]));
     return { hit: hits.GetView(), distance: distances.GetView() };
   }
 

@@ -13,7 +13,7 @@ import tyro
 from renet.errors import RenetError
 from renet.evaluation.metrics import bootstrap_interval
 from renet.evaluation.results import output_folder
-from renet.evaluation.studies.fault_benchmark import ONSETS, read_result
+from renet.evaluation.studies.benchmark import ONSETS, read_result
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.terminal import show
 from renet.files import write_atomically
