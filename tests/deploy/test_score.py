@@ -138,6 +138,6 @@ def test_a_folder_that_cannot_be_written(flight, tmp_path):
         write_score(flight, tmp_path / "file")
 
 
-def test_the_command_needs_a_flight_log(tmp_path, capsys):
+def test_the_command_needs_a_recording(tmp_path, capsys):
     assert cli.main(["evaluate", "log", str(tmp_path / "none")]) == 2
     assert "cannot read the recording" in capsys.readouterr().err

@@ -26,12 +26,13 @@ CHECKPOINT = Path(str(files("renet"))) / "pretrained" / "checkpoint"
         ({"modes": ("eyes",)}, "unknown mode 'eyes'"),
         ({"modes": ()}, "no mode given"),
         ({"seconds": 0.1}, "at least one second"),
+        ({"out": Path("film")}, "a film is an .mp4: give --out film.mp4"),
         ({"bundle": Path("nowhere")}, "nowhere"),
     ],
 )
 def test_mistakes_are_named_before_anything_is_written(tmp_path, fields, message):
     with pytest.raises(RenetError, match=message):
-        run_play(PlayCfg(viewer="none", out=tmp_path / "film.mp4", **fields))
+        run_play(PlayCfg(**({"viewer": "none", "out": tmp_path / "film.mp4"} | fields)))
     assert not list(tmp_path.iterdir())
 
 

@@ -1,6 +1,6 @@
 """`renet calibrate`: measure the selector's thresholds on healthy runs and store them.
 
-From flight logs this needs nothing but the runtime.
+From recordings this needs nothing but the runtime.
 """
 
 from __future__ import annotations

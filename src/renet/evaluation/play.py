@@ -34,7 +34,7 @@ class PlayCfg:
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder, or a checkpoint or run folder; the bundle that ships with renet by default."""
     log: Path | None = None
-    """Flight log of `renet deploy` to film instead of driving a robot."""
+    """Recording of `renet deploy` to film instead of driving a robot."""
     viewer: Literal["auto", "viser", "none"] = "auto"
     """viser: live, in the browser; none: a film; auto: live where there is a terminal."""
     host: str = "127.0.0.1"
@@ -109,12 +109,14 @@ def _watch(cfg: PlayCfg) -> None:
 
 def _film(cfg: PlayCfg) -> Path:
     """Drive the robots and film them."""
+    out = cfg.out or Path("results/play.mp4")
+    if out.suffix != ".mp4":
+        raise RenetError(f"a film is an .mp4: give --out {out.name}.mp4, not {out.name}")
     if cfg.seconds < 1.0:
         raise RenetError(f"a film needs at least one second, got {cfg.seconds}")
     check_modes(cfg.modes)
     faults = tuple(parse_fault(text) for text in cfg.fault)
     trials = [Trial(mode, faults) for mode in cfg.modes]
-    out = cfg.out or Path("results/play.mp4")
     count, steps = len(trials), round(cfg.seconds / CONTROL_DT)
     with opened(cfg.bundle) as folder:
         evaluator = Evaluator(folder, cfg.engine, cfg.selector)

@@ -1,4 +1,4 @@
-"""`renet play --log`: a flight of `renet deploy` as a film."""
+"""`renet play --log`: a recording of `renet deploy` as a film."""
 
 from __future__ import annotations
 
@@ -22,34 +22,35 @@ from renet.tasks.config.go1 import GO1
 
 
 def film_log(log: Path, out: Path | None = None) -> Path:
-    """Film a flight where it was flown, a real robot's on flat ground; returns the mp4.
+    """Film a recording on the ground it was made on, a real robot's on flat ground; returns the mp4.
 
     Args:
-        log: the flight. out: the film; beside the log by default.
+        log: the recording.
+        out: the film, an .mp4; beside the log by default.
 
     Raises:
-        RenetError: not a flight log, an empty one, or a scene file that is gone.
+        RenetError: not a recording, an empty one, or a scene file that is gone.
     """
-    flight, look = read_recording(log), VideoCfg()
-    if not len(flight.ticks):
+    recording, look = read_recording(log), VideoCfg()
+    if not len(recording.ticks):
         raise RenetError(f"{log} ends before its first control step: there is nothing to show")
     out = out or log.with_suffix(".mp4")
     output_folder(out.parent)
-    frames = np.arange(0, len(flight.ticks), round(1 / (look.fps * CONTROL_DT)))
-    header = flight.header
+    frames = np.arange(0, len(recording.ticks), round(1 / (look.fps * CONTROL_DT)))
+    header = recording.header
     simulated = header.get("robot") == "mujoco"
     terrain = header["terrain"] if simulated else "flat"
     scene = Path(header["scene"]) if simulated and header["scene"] else None
     robot = Entity(GO1.entity()).spec  # With its visual meshes.
     spec, _ = scene_spec(terrain, header.get("level", 1), scene, header.get("seed", 0), robot)
-    poses = _poses(flight, spec.compile())[frames]
+    poses = _poses(recording, spec.compile())[frames]
     with progress("video", len(frames)) as advance:
-        return make_video(out, spec, poses[:, None], [_panel(flight, frames)], look, advance)
+        return make_video(out, spec, poses[:, None], [_panel(recording, frames)], look, advance)
 
 
-def _poses(flight: Recording, model: mujoco.MjModel) -> np.ndarray:
+def _poses(recording: Recording, model: mujoco.MjModel) -> np.ndarray:
     """Generalised positions [T, nq] of a model with one robot in it."""
-    ticks = flight.ticks
+    ticks = recording.ticks
     base = track(ticks)
     if not np.isfinite(ticks["base_position"]).all():
         base = base + np.array((0.0, 0.0, START_HEIGHT))
@@ -71,19 +72,19 @@ def _held(values: np.ndarray, first) -> np.ndarray:
     return values
 
 
-def _panel(flight: Recording, frames: np.ndarray) -> Panel:
-    ticks = flight.ticks
+def _panel(recording: Recording, frames: np.ndarray) -> Panel:
+    ticks = recording.ticks
     images, shown = np.zeros((len(ticks), *DEPTH_SHAPE), np.uint8), np.zeros(DEPTH_SHAPE, np.uint8)
     for row in range(len(ticks)):
-        if row in flight.images:
-            clean = np.nan_to_num(flight.images[row].astype(np.float32), posinf=1.0)
+        if row in recording.images:
+            clean = np.nan_to_num(recording.images[row].astype(np.float32), posinf=1.0)
             shown = (255 * np.clip(clean, 0.0, 1.0)).astype(np.uint8)
         images[row] = shown
-    faults = [parse_fault(text) for text in flight.header.get("fault", [])]
+    faults = [parse_fault(text) for text in recording.header.get("fault", [])]
     steps = np.round((ticks["now"][frames] - ticks["now"][0]) / CONTROL_DT).astype(int).tolist()
     velocity = np.where(ticks["vision"][:, None], ticks["velocity_vp"], ticks["velocity_op"])
     return Panel(
-        title=str(flight.header.get("bundle", "flight")),
+        title=str(recording.header.get("bundle", "recording")),
         depth=images[frames],
         vision=ticks["vision"][frames],
         fallen=fallen(ticks)[frames],
