@@ -1,4 +1,4 @@
-// What the page's camera sees of a scene with a physical fault, before, during and after it.
+// What the page's camera sees, 1 m ahead of the start, of a scene with a physical fault, before, during and after it.
 // Usage: node view.mjs WEB PAGE FAULT SEVERITY
 
 import { readFile } from "node:fs/promises";
@@ -14,6 +14,8 @@ const json = async (file) => JSON.parse(await readFile(`${page}/${file}`));
 const [contract, manifest] = [await json("contract.json"), await json("bundle/manifest.json")];
 const scene = contract.scenes.find((one) => one.name === "platform");
 const world = new World(await loadMujoco(), scene, manifest.robot, contract);
+world.data.qpos[world.free] = 1;
+world.mujoco.mj_forward(world.model, world.data);
 const camera = new DepthCamera(world, manifest.camera, contract.camera, 7);
 const look = () => Array.from(camera.depth(0));
 

@@ -40,7 +40,12 @@ export class Controls {
   /** Read the first gamepad; called once a picture. */
   poll() {
     const pad = Array.from(navigator.getGamepads()).find(Boolean);
-    if (!pad) return;
+    if (!pad) {
+      if (this.driven) this.stick = 0;
+      this.driven = false;
+      return;
+    }
+    this.driven = true;
     const axis = (n) => (Math.abs(pad.axes[n] ?? 0) > DEAD_ZONE ? pad.axes[n] : 0);
     this.stick = -(axis(2) || axis(0));
     if (axis(1)) this.setSpeed(this.speed - 0.02 * axis(1));
