@@ -64,7 +64,10 @@ def _rates(axis: Axes, runs: list[dict[str, Any]]) -> None:
         )
         # Side by side, or equal shares would hide each other.
         size = [100 * run["size_m"] + (number - (len(modes) - 1) / 2) * apart for run in line]
-        look = {"color": figures.MODE_COLOURS[mode], "label": figures.MODE_NAMES[mode]}
+        look: dict[str, Any] = {
+            "color": figures.MODE_COLOURS[mode],
+            "label": figures.MODE_NAMES[mode],
+        }
         axis.errorbar(
             size, share, np.abs(ends - share), fmt="o-", markersize=4, elinewidth=1, **look
         )
