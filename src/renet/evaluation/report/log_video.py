@@ -22,7 +22,7 @@ from renet.tasks.config.go1 import GO1
 
 
 def film_log(log: Path, out: Path | None = None) -> Path:
-    """Film a recording on the ground it was made on, a real robot's on flat ground; returns the mp4.
+    """Film a recording on the ground it was made on (a real robot's: flat); returns the mp4.
 
     Args:
         log: the recording.
