@@ -19,6 +19,7 @@ from renet.deploy.recording import Recording, read_recording
 from renet.deploy.safety import Mode
 from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
+from renet.selector import MONITORS
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,7 @@ def flight(log) -> Recording:
 @pytest.mark.usefixtures("short_logs_will_do")
 def test_scores_are_the_models_own_of_the_logged_images(log, flight, bundle):
     scores = recorded_scores((log, log), Bundle.load(bundle))
-    assert [len(runs) for runs in scores.values()] == [2] * 7
+    assert [len(runs) for runs in scores.values()] == [2] * len(MONITORS)
     (walk,) = healthy_walks(flight)
     assert len(walk) > 150
     # The newest image may not have had its tick.

@@ -86,6 +86,7 @@ def score_walk(run: Recording, walk: range) -> np.ndarray:
             given, image = newest, newest[None].astype(np.float32)
         seen = SelectorInput(
             anomaly_score=tick["anomaly"][None],
+            variance_score=tick["variance"][None],
             image=image,
             fresh=np.array([fresh]),
             age=tick["frame_age"][None],

@@ -68,6 +68,8 @@ class Decision:
     """Vision probability P_t after this step."""
     anomaly: float
     """Loss_ad of the newest images."""
+    variance: float
+    """Their error over its predicted variance; zero from models that predict none."""
     frame_age: float
     """Seconds since the newest good frame was taken."""
     action: np.ndarray
@@ -262,6 +264,7 @@ class Controller:
         policy, buffer = self.policy, self._buffer
         seen = SelectorInput(
             anomaly_score=np.array([np.inf]) if buffer.problem else policy.anomaly_score,
+            variance_score=policy.variance_score,
             image=self._image,
             fresh=np.array([fresh]),
             age=np.array([buffer.age(now)]),
@@ -297,6 +300,7 @@ class Controller:
             vision=vision,
             probability=float(self._selector.probability[0]),
             anomaly=float(policy.anomaly_score[0]),
+            variance=float(policy.variance_score[0]),
             frame_age=self._buffer.age(now),
             action=self._action if walking else np.zeros(ACTION_SIZE),
             latent=latent if walking else np.zeros(LATENT),

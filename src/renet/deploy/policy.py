@@ -51,21 +51,24 @@ class EstimatorOutput:
     height_map: np.ndarray
     anomaly_score: np.ndarray
     """Loss_ad, [N]."""
+    variance_score: np.ndarray
+    """[N]; zero when blind, and from models that predict no variance."""
     reconstruction: np.ndarray | None
     """[N, 2, 48, 64]; None when blind."""
 
 
 ESTIMATES = ("latent_op", "latent_vp", "velocity_op", "velocity_vp", "feet_height", "height_map")
+SCORES = ("anomaly_score", "variance_score")
 
 
 def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> EstimatorOutput:
     """One tick of vision and both estimators: a pure function, so that any thread may call it."""
-    reconstruction, score = None, np.full(len(inputs.frames), np.inf, np.float32)
+    count = len(inputs.frames)
+    seen: dict[str, Any] = {"anomaly_score": np.full(count, np.inf, np.float32)}
     if not inputs.blind:
-        outputs: Any = sessions["vision"].run(
-            ("reconstruction", "anomaly_score"), {"depth": inputs.frames}
-        )
-        reconstruction, score = outputs
+        vision = sessions["vision"]
+        outputs = [output.name for output in vision.get_outputs()]
+        seen = dict(zip(outputs, vision.run(outputs, {"depth": inputs.frames}), strict=True))
     names = [f"next_{name}" if name.startswith("latent") else name for name in ESTIMATES]
     estimates: Any = sessions["estimator"].run(
         names,
@@ -77,7 +80,12 @@ def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> 
         },
     )
     found = dict(zip(ESTIMATES, estimates, strict=True))
-    return EstimatorOutput(**found, anomaly_score=score.reshape(-1), reconstruction=reconstruction)
+    return EstimatorOutput(
+        **found,
+        anomaly_score=seen["anomaly_score"].reshape(-1),
+        variance_score=seen.get("variance_score", np.zeros(count, np.float32)).reshape(-1),
+        reconstruction=seen.get("reconstruction"),
+    )
 
 
 class Policy:
@@ -104,6 +112,8 @@ class Policy:
         self.reconstruction = np.zeros((n, FRAMES, *DEPTH_SHAPE), np.float32)
         self.anomaly_score = np.zeros(n, np.float32)
         """Loss_ad of the newest images, [N]; infinite without a camera."""
+        self.variance_score = np.zeros(n, np.float32)
+        """Squared error over predicted variance, [N]; zero from models that predict none."""
         self._blank = np.ones(n, bool)
         self._fresh = np.ones(n, bool)
         self._step = 0
@@ -113,7 +123,7 @@ class Policy:
         if mask is None:
             self._step = 0
         rows = slice(None) if mask is None else np.asarray(mask, bool)
-        for name in ("latent_op", "latent_vp", "anomaly_score"):
+        for name in ("latent_op", "latent_vp", *SCORES):
             # Copies: a tick on another thread may still read the old arrays.
             value = getattr(self, name).copy()
             value[rows] = 0.0
@@ -172,7 +182,7 @@ class Policy:
 
     def accept(self, output: EstimatorOutput) -> None:
         """Go on with what a tick found."""
-        for name in (*ESTIMATES, "anomaly_score"):
+        for name in (*ESTIMATES, *SCORES):
             setattr(self, name, getattr(output, name))
         if output.reconstruction is not None:
             self.reconstruction = output.reconstruction

@@ -27,7 +27,7 @@ from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT
 
-MAGIC = b"RENETLOG2\n"
+MAGIC = b"RENETLOG3\n"
 CHUNK = struct.Struct("<4sII")
 HEADER, TICKS, IMAGES, EVENTS, END = b"HEAD", b"TICK", b"IMAG", b"EVNT", b"END."
 TICKS_PER_CHUNK = 50
@@ -57,6 +57,7 @@ TICK = np.dtype(
         ("fallback", "?"),
         ("probability", "f4"),
         ("anomaly", "f4"),
+        ("variance", "f4"),
         ("frame_age", "f4"),
         ("action", "f4", ACTION_SIZE),
         ("position", "f8", ACTION_SIZE),
@@ -132,7 +133,15 @@ class Recorder:
         tick["mode"] = MODES.index(decision.mode)
         for name in ("position", "stiffness", "damping"):
             tick[name] = getattr(decision.command, name)
-        for name in ("vision", "inferred", "fallback", "probability", "anomaly", "frame_age"):
+        for name in (
+            "vision",
+            "inferred",
+            "fallback",
+            "probability",
+            "anomaly",
+            "variance",
+            "frame_age",
+        ):
             tick[name] = getattr(decision, name)
         for name in ("action", "latent", "velocity_op", "velocity_vp"):
             tick[name] = getattr(decision, name)

@@ -83,7 +83,7 @@ class EvalPolicy(Protocol):
     """Anybody's policy: `renet.deploy.policy.Policy` is one.
 
     One with two velocity estimates, `velocity_op` and `velocity_vp` ([N, 3] m/s), has them compared
-    by the selector's monitors.
+    by the selector's monitors. One with `variance_score` ([N]) has it judged likewise.
     """
 
     anomaly_score: np.ndarray
@@ -302,8 +302,10 @@ def selector_input(policy: EvalPolicy, frames: Frames, step: int, update: int) -
     passed = ticks * CONTROL_DT + update * PHYSICS_DT
     assert passed < TICK
     nothing = np.zeros((len(frames.age), 3))
+    none = np.zeros(len(frames.age))
     return SelectorInput(
         anomaly_score=policy.anomaly_score,
+        variance_score=getattr(policy, "variance_score", none),
         image=frames.image,
         fresh=frames.fresh if passed == 0.0 else np.zeros_like(frames.fresh),
         age=frames.age + passed,

@@ -30,6 +30,9 @@ class SelectorInput:
 
     anomaly_score: np.ndarray
     """Loss_ad of the newest images, [N]."""
+    variance_score: np.ndarray = field(default_factory=_absent)
+    """Mean squared error of the newest images over its predicted variance, [N]; zero from models
+    that predict none."""
     image: np.ndarray = field(default_factory=_absent)
     """Newest image delivered, [N, 48, 64] in [0, 1]; a new array whenever one arrives."""
     fresh: np.ndarray = field(default_factory=_absent)
@@ -70,6 +73,16 @@ class Reconstruction(Monitor):
     def score(self, seen: SelectorInput) -> np.ndarray:
         """Loss_ad."""
         return seen.anomaly_score
+
+
+class Variance(Monitor):
+    """The autoencoder's error by how unusual it is: edges are hard to draw, flat ground is not."""
+
+    name, reason = "variance", "images unlike those of training"
+
+    def score(self, seen: SelectorInput) -> np.ndarray:
+        """Mean squared error over predicted variance."""
+        return seen.variance_score
 
 
 class FrameAge(Monitor):
@@ -178,6 +191,7 @@ MONITORS: dict[str, type[Monitor]] = {
         InvalidFraction,
         LowContrast,
         NearFraction,
+        Variance,
         Reconstruction,
         Disagreement,
     )
@@ -191,8 +205,8 @@ FALLBACK = {
 }
 """Thresholds for bundles that were never calibrated: two missed frames, three equal images, a
 quarter of the pixels without depth (a cropped D435 image has under a tenth), an image without
-contrast, a lens half covered. Reconstruction falls back to the paper's β. Disagreement has no
-natural scale: it is calibrated or not used."""
+contrast, a lens half covered. Reconstruction falls back to the paper's β. Variance and disagreement
+are calibrated or not used: not every model has the one, the other has no natural scale."""
 FLOORS = {name: FALLBACK[name] for name in ("frame_age", "duplicate", "invalid_fraction")}
 """Calibration never goes below these: a simulated camera has no holes and never misses a frame, so
 that healthy runs say nothing of what a real one may be forgiven."""
@@ -203,11 +217,12 @@ LIMITS = CEILINGS | {
     "frame_age": 1.0,
     "duplicate": 10.0,
     "invalid_fraction": 0.9,
+    "variance": 100.0,
     "reconstruction": 0.25,
     "disagreement": 3.0,
 }
 """Thresholds above these would switch a monitor off: images are in [0, 1], and predicting 0.5
-everywhere is wrong by 0.25 at most."""
+everywhere is wrong by 0.25 at most; healthy images have a variance score of about 1."""
 SLOWEST = 1.0
 """Longest delay of the filter in seconds."""
 

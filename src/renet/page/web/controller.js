@@ -105,10 +105,11 @@ export class Controller {
 
   seen(fresh, now) {
     const { image, policy, frames } = this;
-    const { anomalyScore, velocityOp, velocityVp } = policy;
+    const { anomalyScore, varianceScore, velocityOp, velocityVp } = policy;
     const { invalid } = frames;
     const age = frames.age(now);
-    return { anomalyScore, image, fresh, age, invalid, velocityOp, velocityVp };
+    const scores = { anomalyScore, varianceScore };
+    return { ...scores, image, fresh, age, invalid, velocityOp, velocityVp };
   }
 
   /** Turn the wished heading on; a robot that cannot follow is not asked for ever more. */

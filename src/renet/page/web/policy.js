@@ -47,6 +47,7 @@ export class Policy {
     this.latentOp = new Float32Array(this.shapes.latent[1]);
     this.latentVp = new Float32Array(this.shapes.latent[1]);
     this.anomalyScore = 0;
+    this.varianceScore = 0;
     this.blank = this.fresh = true;
     this.steps = 0;
   }
@@ -79,6 +80,7 @@ export class Policy {
     if (image) {
       const seen = await this.sessions.vision.run({ depth });
       this.anomalyScore = seen.anomaly_score.data[0];
+      this.varianceScore = seen.variance_score?.data[0] ?? 0;
       this.reconstruction = seen.reconstruction.data;
     }
     const found = await this.sessions.estimator.run({

@@ -4,6 +4,7 @@
 /** Scores of one robot, larger is worse; each is a function made anew for every selector. */
 const SCORES = {
   reconstruction: () => (seen) => seen.anomalyScore,
+  variance: () => (seen) => seen.varianceScore ?? 0,
   frame_age: () => (seen) => seen.age,
   invalid_fraction: () => (seen) => seen.invalid,
   disagreement: () => (seen) =>
