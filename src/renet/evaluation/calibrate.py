@@ -1,6 +1,6 @@
 """`renet calibrate`: measure the selector's thresholds on healthy runs and store them.
 
-From flight logs this needs nothing but the runtime.
+From recordings this needs nothing but the runtime.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class CalibrateCfg:
     bundle: tyro.conf.Positional[Path]
     """Bundle folder; its manifest gets β and the thresholds."""
     log: tuple[Path, ...] = ()
-    """Flight logs of your own robot and healthy camera, to be used in place of simulated runs."""
+    """Recordings of your own robot and healthy camera, to be used in place of simulated runs."""
     robots: int = 120
     """Robots on each terrain."""
     seconds: float = 30.0
