@@ -7,9 +7,13 @@ robot's computer.
 
 from __future__ import annotations
 
+import os
 import resource
+import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +47,8 @@ class Cfg:
     """File for the results."""
     bundle: Path | None = None
     minutes: float = 5.0
+    neighbour: bool = False
+    """Keep another core busy with a process of its own meanwhile."""
 
 
 class RandomRobot:
@@ -125,6 +131,22 @@ def spread(values: list[float], begin: int) -> dict[str, float]:
     return {n: round(float(v), 3) for n, v in zip(("p50", "p99", "max"), points, strict=True)}
 
 
+@contextmanager
+def neighbour(wanted: bool) -> Iterator[None]:
+    """A process that computes without end on the last core, at normal priority."""
+    if not wanted:
+        yield
+        return
+    last = max(os.sched_getaffinity(0))
+    work = f"import os; os.sched_setaffinity(0, {{{last}}})\nwhile True: sum(range(100000))"
+    process = subprocess.Popen([sys.executable, "-c", work])
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
 def main(cfg: Cfg) -> None:
     bundle = Bundle.load(cfg.bundle)
     stopwatch = Stopwatch()
@@ -133,7 +155,7 @@ def main(cfg: Cfg) -> None:
     controller = TimedController(bundle, RARELY, inference.ThreadedInference(bundle.sessions))
     end = time.monotonic() + WARM_UP + 60.0 * cfg.minutes
     devices: tuple = (robot, camera, ScriptedTeleop(0.6), controller)
-    with realtime(50) as refused:
+    with neighbour(cfg.neighbour), realtime(50) as refused:
         run_control_loop(*devices, done=lambda: time.monotonic() >= end)
     controller.close()
     assert "torch" not in sys.modules
@@ -149,6 +171,7 @@ def main(cfg: Cfg) -> None:
             "loop_steps": len(late),
             "loop_steps_late_by_half_a_period": int((late > 500.0 * CONTROL_DT).sum()),
             "minutes": cfg.minutes,
+            "neighbour": cfg.neighbour,
             "refused": refused,
             "vision_share": round(float(np.mean(controller.trusted)), 4),
             "memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),

@@ -36,7 +36,7 @@ class FaultyCamera:
         """Of a simulated camera, which can see what is not so."""
         self._injector = Injector([tuple(faults)], [0], seed, self._disturb is not None)
         if self._disturb is not None:
-            for fault in faults:  # Refused now rather than in flight.
+            for fault in faults:  # Refused now rather than while walking.
                 self._disturb(self._injector.perturbation(fault.onset))
             self._disturb(ViewPerturbation.none(1))
         self._begun: float | None = None
