@@ -13,7 +13,7 @@ from renet.camera import Intrinsics
 from renet.deploy.bundle.manifest import InputTerm
 from renet.deploy.cameras import sim
 from renet.deploy.controller import MAX_LEAD
-from renet.deploy.robots.mujoco import BASE, START_HEIGHT
+from renet.deploy.robots.mujoco import BASE, SEEN_GROUPS, START_HEIGHT
 from renet.deploy.robots.scene import FLAT, scene_spec
 from renet.deploy.safety import SafetyCfg
 from renet.deploy.teleop import MAX_SPEED
@@ -71,7 +71,7 @@ def contract() -> dict[str, Any]:
         "camera": {
             "relativeStd": sim.RELATIVE_STD,
             "gaussianStd": sim.GAUSSIAN_STD,
-            "seenGroups": sim.SEEN_GROUPS.tolist(),
+            "seenGroups": SEEN_GROUPS.tolist(),
             "focalPixels": FOCAL_PIXELS,
             "stereo": {
                 "focal": stereo.FOCAL,
