@@ -47,7 +47,7 @@ apidoc_modules = [
 ]
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
-autodoc_mock_imports = ["pybullet", "pyrealsense2", "unitree_legged_sdk"]
+autodoc_mock_imports = ["pybullet", "pybullet_utils", "pyrealsense2", "unitree_legged_sdk"]
 # Diagrams are Mermaid's, which GitHub draws and Pygments does not know; packages offer again what
 # their modules define.
 suppress_warnings = ["misc.highlighting_failure", "ref.python"]
