@@ -15,7 +15,7 @@ from renet.deploy.main import DeployCfg, deploy
 from renet.deploy.safety import SafetyCfg
 
 TRAINING = ("torch", "mjlab", "warp", "mujoco", "mujoco_warp", "rsl_rl", "matplotlib", "mediapy")
-SIMULATION = ("robots.mujoco", "robots.scene", "cameras.sim", "viewer")
+SIMULATION = ("robots.mujoco", "robots.bullet", "robots.scene", "cameras.sim", "viewer")
 """Modules of `renet.deploy` that are the simulated robot, imported when it is asked for."""
 
 

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 
 import numpy as np
@@ -39,6 +39,7 @@ from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.go1 import Go1Robot
 
 def main():
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # Under nohup the tests ignore it.
     robot = Go1Robot("127.0.0.1", int(sys.argv[1]), int(sys.argv[2]), timeout=60.0, sink=0.3)
     robot.connect()
     default = np.tile([0.1, 0.9, -1.8, -0.1, 0.9, -1.8], 2)
@@ -65,17 +66,26 @@ def peer() -> Iterator[Peer]:
     peer.close()
 
 
-def controller(peer: Peer, how: str = "pass") -> subprocess.Popen:
-    """A process that commands the robot stiffly, and then does something."""
-    code = CONTROLLER.replace("{how}", how)
-    arguments = [sys.executable, "-c", code, str(peer.port), str(free_port())]
-    process = subprocess.Popen(
-        arguments, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=os.environ
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == b"up\n"
-    assert peer.stiff > 0
-    return process
+@pytest.fixture
+def controller(peer: Peer) -> Iterator[Callable[..., subprocess.Popen]]:
+    """Starts a process that commands the robot stiffly and then does something."""
+    started: list[subprocess.Popen] = []
+
+    def start(how: str = "pass") -> subprocess.Popen:
+        code = CONTROLLER.replace("{how}", how)
+        arguments = [sys.executable, "-c", code, str(peer.port), str(free_port())]
+        process = subprocess.Popen(
+            arguments, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=os.environ
+        )
+        started.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"up\n"
+        assert peer.stiff > 0
+        return process
+
+    yield start
+    for process in started:
+        end(process)
 
 
 def end(process: subprocess.Popen) -> None:
@@ -87,8 +97,8 @@ def end(process: subprocess.Popen) -> None:
 @pytest.mark.parametrize(
     "name", ["KILL", "SEGV", "ABRT", "STOP", "USR1", "USR2", "BUS", "TERM", "HUP", "QUIT"]
 )
-def test_a_signal_that_ends_or_stops_the_controller_brakes_at_once(peer, name):
-    process = controller(peer)
+def test_a_signal_that_ends_or_stops_the_controller_brakes_at_once(peer, controller, name):
+    process = controller()
     process.send_signal(signal.Signals[f"SIG{name}"])
     killed = time.time_ns()
     until(lambda: peer.braked)
@@ -102,8 +112,10 @@ def test_a_signal_that_ends_or_stops_the_controller_brakes_at_once(peer, name):
     assert len(peer.commands) == sent, "the sender is gone"
 
 
-def test_a_controller_that_was_stopped_and_goes_on_is_obeyed_again_by_new_commands(peer):
-    process = controller(peer)
+def test_a_controller_that_was_stopped_and_goes_on_is_obeyed_again_by_new_commands(
+    peer, controller
+):
+    process = controller()
     process.send_signal(signal.SIGSTOP)
     until(lambda: peer.braked)
     process.send_signal(signal.SIGCONT)
@@ -127,8 +139,8 @@ def test_a_controller_that_was_stopped_and_goes_on_is_obeyed_again_by_new_comman
         "os.kill(os.getppid(), 0); os.kill(os.getpid(), signal.SIGTTOU); time.sleep(60)",
     ],
 )
-def test_a_controller_that_crashes_or_hangs_by_itself_brakes(peer, how):
-    process = controller(peer, how)
+def test_a_controller_that_crashes_or_hangs_by_itself_brakes(peer, controller, how):
+    process = controller(how)
     until(lambda: peer.braked)
     end(process)
     until(lambda: peer.braked)

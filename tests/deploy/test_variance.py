@@ -39,9 +39,9 @@ def trusted(bundle: Bundle, kind: str, images: str, spec: SelectorSpec = SPEC) -
         for _ in range(5):
             policy.step(proprioception, image[None], blind)
         seen = SelectorInput(
-            policy.anomaly_score,
-            policy.variance_score,
-            image[None],
+            anomaly_score=policy.anomaly_score,
+            variance_score=policy.variance_score,
+            image=image[None],
             fresh=np.array([True]),
             age=np.zeros(1),
             invalid=np.zeros(1),

@@ -30,9 +30,6 @@ class SelectorInput:
 
     anomaly_score: np.ndarray
     """Loss_ad of the newest images, [N]."""
-    variance_score: np.ndarray = field(default_factory=_absent)
-    """Mean squared error of the newest images over its predicted variance, [N]; zero from models
-    that predict none."""
     image: np.ndarray = field(default_factory=_absent)
     """Newest image delivered, [N, 48, 64] in [0, 1]; a new array whenever one arrives."""
     fresh: np.ndarray = field(default_factory=_absent)
@@ -45,6 +42,9 @@ class SelectorInput:
     """The OP estimator's base velocity, [N, 3] m/s."""
     velocity_vp: np.ndarray = field(default_factory=_absent)
     """The VP estimator's, [N, 3] m/s."""
+    variance_score: np.ndarray = field(default_factory=_absent)
+    """Mean squared error of the newest images over its predicted variance, [N]; zero from models
+    that predict none."""
 
 
 class Monitor:
