@@ -168,6 +168,25 @@ def test_failing_at_the_first_level_leads_to_one_of_the_first(parkour):
     assert reached == set(range(FIRST_LEVELS))
 
 
+def test_none_comes_back_to_a_flat_first_level(parkour):
+    kinds = parkour.scene.terrain.cfg.terrain_generator.sub_terrains
+    goal, reached = parkour.command_manager.get_term("goal"), set()
+    with pytest.MonkeyPatch.context() as patch:
+        for kind in kinds.values():
+            patch.setattr(kind, "flat_start", True)
+        levels = at_level(parkour, 0)
+        goal.commanded_distance[:] = 4.0
+        base(parkour)[0, 0] += 4.1
+        parkour.curriculum_manager.compute(env_ids=torch.arange(6))
+        assert levels[:6].tolist() == [1, 0, 0, 0, 0, 0], "who cannot walk stays"
+        for _ in range(10):
+            levels = at_level(parkour, 1)
+            goal.commanded_distance[:] = 4.0
+            parkour.curriculum_manager.compute(env_ids=torch.arange(6))
+            reached |= set(levels[:6].tolist())
+    assert reached == set(range(1, 1 + FIRST_LEVELS))
+
+
 def test_the_last_level_leads_back_to_any(parkour):
     reached = set()
     for _ in range(10):

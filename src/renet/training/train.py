@@ -266,6 +266,7 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
         return task
     if cfg.dense_tiles:
         generator.sub_terrains = as_mjlab(dense_tiles())
+        task.scene.terrain.max_init_terrain_level = 0  # It is flat.
     for name, share in shares.items():
         if name not in generator.sub_terrains:
             known = ", ".join(generator.sub_terrains)
