@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.report.figures import MODE_NAMES, noise_label
+from renet.evaluation.figures import MODE_NAMES, noise_label
 from renet.evaluation.report.page import provenance_section, render, write_page
 from renet.evaluation.report.summary import noise_facts, noise_headline
 from renet.evaluation.report.video import VideoCfg, make_video, panels_of
