@@ -52,7 +52,7 @@ class SpeedStudy(Study):
         return [("Speed", header, [tuple(run[n] for n in header) for run in summary["runs"]])]
 
 
-COMMANDS["evaluate speeds"] = Command("speed", __name__, "SpeedStudy", "SpeedStudy.main", "train")
+COMMANDS["evaluate speeds"] = Command("speed", f"{__name__}:SpeedStudy:SpeedStudy.main")
 
 if __name__ == "__main__":
     raise SystemExit(main())

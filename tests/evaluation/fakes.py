@@ -89,7 +89,7 @@ class FakeSelector:
         self.probability, self.beta = np.ones(num_robots), beta
         self.fresh = 0
 
-    def update(self, sight: SelectorInput) -> np.ndarray:
+    def update(self, sight: SelectorInput, now: float) -> np.ndarray:
         self.fresh += int(sight.fresh.any())
         self.probability = 0.9 * self.probability + 0.1 * (sight.anomaly_score < self.beta)
         return self.probability > 0.5

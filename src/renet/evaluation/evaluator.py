@@ -21,11 +21,10 @@ from renet.evaluation.rollout import (
     Trial,
     run_rollout,
 )
-from renet.evaluation.selectors import check_selector, make_selector
 from renet.evaluation.terminal import progress
 from renet.evaluation.trace import Trace
 from renet.faults import Injector
-from renet.selector.monitors import SelectorInput, default_monitors
+from renet.selector import SelectorInput, check_kind, default_monitors, make_selector
 from renet.tasks import RenetEnvCfg, RobotCfg
 
 
@@ -45,7 +44,7 @@ class Evaluator:
         Raises:
             RenetError: a missing, damaged or incompatible bundle, or an unknown selector.
         """
-        check_selector(selector)
+        check_kind(selector)
         self.bundle = Bundle.load(bundle, threads=2)
         self.engine, self.selector = engine, selector
         self.scene_spec: mujoco.MjSpec | None = None

@@ -27,8 +27,8 @@ from renet.evaluation.results import (
     write_json,
 )
 from renet.evaluation.rollout import check_modes, check_speed
-from renet.evaluation.selectors import check_selector
 from renet.evaluation.terminal import show
+from renet.selector import check_kind
 
 Part = dict[str, Any]
 """What is kept of one batch of robots; JSON after `plain`."""
@@ -150,7 +150,7 @@ class WalkingStudy(Study):
     def __post_init__(self) -> None:
         check_modes(self.modes)
         check_speed(self.speed)
-        check_selector(self.selector)
+        check_kind(self.selector)
         if self.robots < 1:
             raise RenetError(f"robots must be at least 1, got {self.robots}")
 

@@ -15,17 +15,16 @@ from typing import Any, ClassVar
 import matplotlib.pyplot as plt
 import numpy as np
 
-from renet.deploy.bundle.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.env import FLAT
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial, check_speed
-from renet.evaluation.selectors import ClockedSelector, updates_apart
 from renet.evaluation.study import Figures, Part, Study, Table
 from renet.evaluation.trace import UPDATES_PER_STEP
 from renet.faults import Injection, parse_fault
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, PHYSICS_DT
+from renet.selector import SelectorInput, SelectorSpec, make_selector
 from renet.selector.filter import LowPassFilter, switch_delay
 
 
@@ -67,7 +66,9 @@ class FilterStudy(Study):
         for gamma in self.gammas:
             LowPassFilter(gamma)
         for rate in self.rates:
-            updates_apart(rate)
+            every = 1.0 / (PHYSICS_DT * rate) if rate > 0 else 0.0
+            if every < 0.5 or abs(every / round(every) - 1.0) > 1e-6:
+                raise RenetError(f"rate {rate} Hz: give 200 Hz or a whole fraction of that")
 
     @property
     def robots_each(self) -> int:
@@ -161,6 +162,10 @@ class FilterStudy(Study):
 
 def replay(scores: np.ndarray, spec: SelectorSpec) -> np.ndarray:
     """A selector's answers [T, U, N] to anomaly scores [T, N], as in a rollout."""
-    selector = ClockedSelector("paper", spec, scores.shape[1])
-    updates = range(UPDATES_PER_STEP)
-    return np.array([[selector.judge(score) for _ in updates] for score in scores])
+    selector = make_selector("paper", spec, scores.shape[1])
+    updates = np.repeat(scores, UPDATES_PER_STEP, axis=0)
+    trusted = [
+        selector.update(SelectorInput(score), number * PHYSICS_DT)
+        for number, score in enumerate(updates, start=1)
+    ]
+    return np.array(trusted).reshape(len(scores), UPDATES_PER_STEP, -1)
