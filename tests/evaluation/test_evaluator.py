@@ -61,7 +61,6 @@ def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bu
     assert trace.film is not None
     assert trace.film.images[0].std() > 5
     assert not trace.fallen.any()
-    assert evaluator.scene_spec is not None
     assert evaluator.provenance(3).bundle_hash == evaluator.bundle.sha256
 
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import mujoco
-
 from renet.deploy.bundle import Bundle
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
@@ -47,8 +45,6 @@ class Evaluator:
         check_kind(selector)
         self.bundle = Bundle.load(bundle, threads=2)
         self.engine, self.selector = engine, selector
-        self.scene_spec: mujoco.MjSpec | None = None
-        """The scene of the latest environment, for pictures."""
 
     @property
     def robot(self) -> RobotCfg:
@@ -97,9 +93,7 @@ class Evaluator:
                 f"bundle {self.bundle.name} drives a {own}, this task's robot is a"
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
-        env = SimEnv(cfg, robots, seed, self.engine)
-        self.scene_spec = env.scene_spec
-        return env
+        return SimEnv(cfg, robots, seed, self.engine)
 
     def make_policy(self, num_robots: int) -> EvalPolicy:
         """Make the policy under study."""
