@@ -27,6 +27,7 @@ from renet.evaluation.trace import Trace
 from renet.faults import Injector
 from renet.selector.monitors import SelectorInput, default_monitors
 from renet.tasks import RenetEnvCfg, RobotCfg
+from renet.tasks.sensors import set_depth_noise
 
 
 class Evaluator:
@@ -98,6 +99,7 @@ class Evaluator:
                 f"bundle {self.bundle.name} drives a {own}, this task's robot is a"
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
+        set_depth_noise(cfg, self.bundle.manifest.camera.noise_std)
         env = SimEnv(cfg, robots, seed, self.engine)
         self.scene_spec = env.scene_spec
         return env
