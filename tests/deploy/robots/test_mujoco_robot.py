@@ -240,7 +240,7 @@ def test_the_camera_sees_the_plane_wherever_the_robot_walks():
 
 
 def test_the_model_file_is_what_the_tool_writes(tmp_path):
-    sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
+    sys.path.insert(0, str(Path(__file__).parents[3] / "tools"))
     import go1_model
 
     go1_model.write(tmp_path / "go1.xml")
