@@ -94,14 +94,8 @@ class Evaluator:
                 f"bundle {self.bundle.name} drives a {own}, this task's robot is a"
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
-<<<<<<< HEAD
         set_depth_noise(cfg, self.bundle.manifest.camera.noise_std)
-        env = SimEnv(cfg, robots, seed, self.engine)
-        self.scene_spec = env.scene_spec
-        return env
-=======
         return SimEnv(cfg, robots, seed, self.engine)
->>>>>>> house2
 
     def make_policy(self, num_robots: int) -> EvalPolicy:
         """Make the policy under study."""
