@@ -237,8 +237,9 @@ def test_dense_tiles_have_more_edges_and_begin_flat(kind):
     assert len(dense) == 4
     assert np.diff(dense).min() > 0.39  # A foot finds room between any two.
     assert len(edges(dense_tiles()[kind], 0.0)) == 0
-    # The first edge is as large as on the tile that policies are judged on.
-    assert dense_tiles()[kind].measure(1 / 9) == tiles()[kind].measure(1 / 9)
+    # What follows begins and ends as on the tiles that policies are judged on.
+    for mine, theirs in ((1 / 9, 0.0), (5 / 9, 0.5), (1.0, 1.0)):
+        assert dense_tiles()[kind].measure(mine) == pytest.approx(tiles()[kind].measure(theirs))
 
 
 def test_evaluation_draws_other_tiles_than_training():
