@@ -232,7 +232,7 @@ def edges(tile: Tile, difficulty: float) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", ["gap", "platform"])
 def test_dense_tiles_have_more_edges_and_begin_flat(kind):
-    sparse, dense = edges(tiles()[kind], 0.5), edges(dense_tiles()[kind], 0.5)
+    sparse, dense = edges(tiles()[kind], 0.5), edges(dense_tiles()[kind], 5 / 9)
     assert len(sparse) == 2
     assert len(dense) == 4
     assert np.diff(dense).min() > 0.39  # A foot finds room between any two.
