@@ -117,9 +117,3 @@ def write_demo_page(
     ]
     title = "A robot dog loses its eyes"
     return write_page(out / "index.html", title, noise_headline(summary), sections)
-
-
-def main(cfg: DemoCfg) -> None:
-    """`renet demo`."""
-    page = run_demo(cfg)
-    print(f"Open {page.resolve()} in a browser.")

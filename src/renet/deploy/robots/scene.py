@@ -16,8 +16,6 @@ from renet.terrain.tiles import TILE, find_tile
 from renet.trial import judge, run_trial
 
 GO1 = Path(__file__).with_name("go1.xml")
-TERRAIN_GROUP = 0
-"""MuJoCo geom group of what the camera sees; the robot's collision geoms are in group 3."""
 TERRAIN = "terrain"
 """Body of a tile."""
 FLAT = "flat"

@@ -114,8 +114,3 @@ def run_studies(cfg: ReportCfg) -> None:
     for number, (name, study) in enumerate(STUDIES.items(), start=1):
         console.print(f"[bold]{number}/{len(STUDIES)} {name}")
         study(cfg.results / name, cfg.bundle, cfg.quick, cfg.seed, cfg.engine).main()
-
-
-def main(cfg: ReportCfg) -> None:
-    """`renet evaluate report`."""
-    print(f"Open {make_report(cfg).resolve()} in a browser.")
