@@ -3,8 +3,6 @@
 Commands are imported only when called, so that the robot's install needs no training packages.
 """
 
-from __future__ import annotations
-
 import difflib
 import importlib
 import os

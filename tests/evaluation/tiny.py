@@ -1,6 +1,6 @@
 """Every study with hardly anything in it, and the stand-ins for a simulator it is run with."""
 
-from __future__ import annotations
+from typing import ClassVar
 
 import numpy as np
 
@@ -111,9 +111,13 @@ class StillEvaluator(FakeEvaluator):
 
     worlds = 0
 
+    built: ClassVar[dict[int, SimEnv]] = {}
+
     def make_env(self, task, robots, speed, seed):
         StillEvaluator.worlds += 1
-        return SimEnv(study_env_cfg(task, speed), robots, seed, "auto")
+        if seed not in self.built:
+            self.built[seed] = SimEnv(study_env_cfg(task, speed), robots, seed, "auto")
+        return self.built[seed]
 
     def make_policy(self, num_robots):
         policy = super().make_policy(num_robots)

@@ -4,8 +4,6 @@ File: magic, then chunks (tag, length, CRC-32, zlib data). One second of ticks m
 images another. A run that ends with the battery loses at most its last second.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import struct

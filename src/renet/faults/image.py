@@ -4,8 +4,6 @@ Depths are normalised: 1 is `DEPTH_RANGE` metres. Only faults said to leave hole
 invalid fraction; the others deliver wrong numbers that the camera calls measurements.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

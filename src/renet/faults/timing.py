@@ -1,7 +1,5 @@
 """Faults of time: every image is a good one, but not the one the robot should have now."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace

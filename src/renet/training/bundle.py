@@ -1,7 +1,5 @@
 """`renet export`: a checkpoint becomes a bundle."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -107,17 +105,11 @@ def robot_spec(robot: RobotCfg = GO1) -> RobotSpec:
 def camera_spec(robot: RobotCfg = GO1) -> CameraSpec:
     """The tasks' camera without its errors."""
     camera = DepthCameraCfg(name="depth_camera", mount=robot.camera)
-    intrinsics, mount = camera.intrinsics, camera.mount
     return CameraSpec(
-        height=intrinsics.height,
-        width=intrinsics.width,
+        **vars(camera.intrinsics),
         range=camera.range,
-        fx=intrinsics.fx,
-        fy=intrinsics.fy,
-        cx=intrinsics.cx,
-        cy=intrinsics.cy,
-        position=mount.position,
-        pitch=mount.pitch,
+        position=camera.mount.position,
+        pitch=camera.mount.pitch,
         rate_hz=1.0 / camera.period,
     )
 

@@ -1,7 +1,5 @@
 """Scenes for the simulated robot: the Go1 on a plane, on a training tile, or on anyone's MJCF."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ Each lap is one batch of robots on a strip of passages (see `course_terrain`). A
 gets stuck is counted and set down at the beginning of the next passage.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial

@@ -5,8 +5,6 @@ does, so that leaving vision and returning to it are both measured. One fault is
 robots; each has a twin in a batch without faults. Falls are judged by true poses.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

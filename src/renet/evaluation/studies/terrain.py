@@ -11,8 +11,6 @@ Every level of a kind of tile is walked at once, in every mode. The study has tw
 Both are judged by true poses.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
