@@ -46,7 +46,6 @@ class Holes(ImageFault):
         return np.where(lost, np.float32(0.0), image)
 
     def holes(self, image: np.ndarray, robot: int) -> float:
-        """Share of pixels the fault leaves without a measurement."""
         return float(self._shares[robot])
 
     def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
