@@ -39,6 +39,7 @@ def report(results: dict[str, Any], path: Path | None) -> None:
     """Print a table and, if asked, write JSON."""
     for name, value in results.items():
         shown = f"{value:,.4g}" if isinstance(value, float) else value
+        shown = f"{len(value)} rows" if isinstance(value, list) else shown
         print(f"{name:<32} {shown}")
     if path is not None:
         path.write_text(json.dumps({**results, "facts": facts()}, indent=1) + "\n")

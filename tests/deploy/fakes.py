@@ -9,7 +9,8 @@ import numpy as np
 from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller, Event
-from renet.deploy.robots.base import RobotState
+from renet.deploy.robots.base import JointCommand, RobotState
+from renet.deploy.robots.envelope import go1_envelope
 from renet.deploy.safety import SafetyCfg
 from renet.deploy.teleop import TeleopCommand
 from renet.interface import CONTROL_DT
@@ -38,6 +39,33 @@ def frame(number: int, time: float, seed: int = 0) -> DepthFrame:
 
 def time_of(step: int) -> float:
     return round(step * CONTROL_DT, 6)
+
+
+class Standing:
+    """A robot that stands still on a clock of its own, and remembers what it was told."""
+
+    def __init__(self, **reading) -> None:
+        self.envelope, self.time, self.reading = go1_envelope(), 0.0, reading
+        self.told: list[JointCommand] = []
+        self.wait_fails: BaseException | None = None
+
+    def now(self) -> float:
+        return self.time
+
+    def wait(self, until: float) -> None:
+        if self.wait_fails is not None and self.time > 0.5:
+            raise self.wait_fails
+        self.time = until
+
+    def read(self) -> RobotState:
+        return state(self.time, **self.reading)
+
+    def write(self, command: JointCommand) -> None:
+        self.told.append(command)
+
+    @property
+    def braked(self) -> bool:
+        return not self.told[-1].stiffness.any() and bool((self.told[-1].damping > 0).all())
 
 
 ARM, GO = TeleopCommand(arm=True), TeleopCommand(speed=0.6)

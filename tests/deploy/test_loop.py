@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,9 @@ from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.safety import Mode, SafetyCfg
 from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
+from renet.interface import CONTROL_DT
+
+from .fakes import ARM, Standing
 
 QUICK = SafetyCfg(stand_up_seconds=0.5)
 
@@ -209,3 +213,42 @@ def test_what_a_device_complains_of_is_told_once(bundle):
     told = [(event.what, event.why) for event in rig.events]
     assert told.count(("robot", "OSError: unplugged")) == 1
     assert told.count(("camera", "connect it by USB 3")) == 1
+
+
+@pytest.mark.parametrize(
+    ("reading", "teleop", "recording"),
+    [
+        ({"battery": 0.05}, ARM, ""),
+        ({"temperature": 90.0}, ARM, ""),
+        ({}, TeleopCommand(speed=0.9, arm=True), ""),
+        ({}, ARM, "the recording ends early"),
+    ],
+)
+def test_a_refused_robot_gets_no_stiffness_and_hears_why_once(bundle, reading, teleop, recording):
+    robot, events = Standing(**reading), []
+    controller = Controller(bundle, QUICK, on_event=events.append)
+    hand = SimpleNamespace(command=lambda now: teleop)
+    log = SimpleNamespace(append=lambda *arguments: None, problem=recording)
+    run_control_loop(robot, None, hand, controller, log, done=lambda: robot.time > 0.8)
+    refused = [event.why for event in events if event.what == "refused"]
+    assert len(refused) == 1
+    assert recording in refused[0]
+    assert not any(command.stiffness.any() for command in robot.told)
+    assert controller.machine.mode is Mode.DAMPING
+
+
+def test_an_operator_who_holds_the_button_does_not_arm_when_the_check_passes(bundle):
+    """A refused wish to stand up must be asked for anew."""
+
+    class Holding:
+        def command(self, now: float) -> TeleopCommand:
+            return TeleopCommand(speed=0.3 if now < 0.2 else 0.0, arm=now < 0.4 or now > 0.6)
+
+    robot, modes = Standing(), []
+    controller = Controller(bundle, QUICK)
+    done = lambda: robot.time > 0.8  # noqa: E731
+    seen = lambda command: modes.append((robot.time, controller.machine.mode))  # noqa: E731
+    run_control_loop(robot, None, Holding(), controller, done=done, on_step=seen)
+    armed = [time for time, mode in modes if mode is Mode.STANDING_UP]
+    assert armed[0] == pytest.approx(0.6, abs=2 * CONTROL_DT)
+    assert np.isfinite(armed).all()

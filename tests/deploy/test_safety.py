@@ -17,6 +17,7 @@ from renet.deploy.safety import (
     damping_command,
     limited_command,
     limited_teleop,
+    pre_arm_problem,
     stand_up_problem,
     stand_up_target,
     state_problem,
@@ -27,7 +28,7 @@ from renet.errors import RenetError
 from renet.interface import CONTROL_DT
 from renet.training.bundle import robot_spec
 
-from .fakes import STANDING, state, time_of
+from .fakes import STANDING, frame, state, time_of
 
 GO1, CFG = robot_spec(), SafetyCfg()
 IDLE = TeleopCommand()
@@ -96,6 +97,36 @@ def test_requests():
     assert limited_teleop(TeleopCommand(speed=-1.0)).speed == 0.0
     assert teleop_problem(TeleopCommand(arm=True, stop=True)) == "operator stop"
     assert "not finite" in teleop_problem(TeleopCommand(turn=math.nan))
+
+
+@pytest.mark.parametrize(
+    ("change", "refusal"),
+    [
+        ({}, ""),
+        ({"teleop": TeleopCommand(speed=1.0, arm=True)}, "already asks for 1.00 m/s"),
+        ({"state": state(battery=0.19)}, "the battery has 19% left, less than 20%"),
+        ({"state": state(battery=0.21)}, ""),
+        ({"state": state(battery=math.nan, temperature=math.nan)}, ""),
+        ({"state": state(temperature=66.0)}, "a motor has 66 °C, more than 65 °C"),
+        ({"recorder": "the recording x ends early: no space"}, "the recording x ends early"),
+        ({"frame": None}, "the camera has sent no image"),
+        ({"frame": frame(1, 9.4)}, "newest image is older than 0.5 s"),
+        ({"frame": frame(1, math.nan)}, "newest image is older than 0.5 s"),
+        ({"frame": None, "camera": False}, ""),
+    ],
+)
+def test_what_keeps_a_robot_lying(change, refusal):
+    given = {
+        "state": state(10.0),
+        "teleop": TeleopCommand(arm=True),
+        "frame": frame(1, 9.9),
+        "camera": True,
+        "recorder": "",
+        "now": 10.0,
+    }
+    found = pre_arm_problem(**(given | change))
+    assert refusal in found
+    assert bool(found) == bool(refusal)
 
 
 def drive(machine: SafetyMachine, steps: int, first: int = 0, teleop: TeleopCommand = IDLE) -> None:

@@ -10,6 +10,7 @@ import torch
 from renet import cli
 from renet.deploy.bundle import (
     DEFAULT,
+    MANIFEST,
     Bundle,
     pretrained,
     read_manifest,
@@ -25,6 +26,7 @@ from renet.faults import Injection
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.selector import SelectorInput, make_selector, switch_delay
+from renet.tasks.sensors import DEPTH_CAMERA
 from renet.training.bundle import camera_spec, robot_spec
 from renet.training.export import export_models
 
@@ -75,6 +77,16 @@ def test_another_robots_bundle_is_refused_before_anything_is_built(
         "renet: bundle other drives a Unitree A1, this task's robot is a Unitree"
     )
     assert len(said.splitlines()) == 1
+
+
+def test_simulated_cameras_err_as_in_the_bundles_training(bundle: Path, tmp_path: Path) -> None:
+    shutil.copytree(bundle, own := tmp_path / "bundle")
+    spoken = json.loads((own / MANIFEST).read_text())
+    spoken["camera"]["noise_std"] = 0.02
+    (own / MANIFEST).write_text(json.dumps(spoken))
+    for folder, std in ((own, 0.02), (bundle, 0.1)):
+        world = Evaluator(folder).make_env("Renet-Go1-Flat", [0], 0.6, 1)
+        assert world.env.scene[DEPTH_CAMERA].cfg.noise.gaussian_std == std
 
 
 def test_calibration_is_written_into_the_bundle(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from renet.evaluation.trace import Trace
 from renet.faults import Injector
 from renet.selector import SelectorInput, check_kind, default_monitors, make_selector
 from renet.tasks import RenetEnvCfg, RobotCfg
+from renet.tasks.sensors import set_depth_noise
 
 
 class Evaluator:
@@ -91,6 +92,7 @@ class Evaluator:
                 f"bundle {self.bundle.name} drives a {own}, this task's robot is a"
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
+        set_depth_noise(cfg, self.bundle.manifest.camera.noise_std)
         return SimEnv(cfg, robots, seed, self.engine)
 
     def make_policy(self, num_robots: int) -> EvalPolicy:

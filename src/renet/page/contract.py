@@ -11,7 +11,7 @@ import numpy as np
 from renet import __version__
 from renet.camera import Intrinsics
 from renet.deploy.bundle.manifest import InputTerm
-from renet.deploy.cameras import sim
+from renet.deploy.cameras.sim import RELATIVE_STD
 from renet.deploy.controller import MAX_LEAD
 from renet.deploy.robots.mujoco import BASE, SEEN_GROUPS, START_HEIGHT
 from renet.deploy.robots.scene import FLAT, scene_spec
@@ -69,8 +69,7 @@ def contract() -> dict[str, Any]:
         "maxSpeed": MAX_SPEED,
         "base": {"body": BASE, "height": START_HEIGHT},
         "camera": {
-            "relativeStd": sim.RELATIVE_STD,
-            "gaussianStd": sim.GAUSSIAN_STD,
+            "relativeStd": RELATIVE_STD,
             "seenGroups": SEEN_GROUPS.tolist(),
             "focalPixels": FOCAL_PIXELS,
             "stereo": {

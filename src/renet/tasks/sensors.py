@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mjlab.envs import ManagerBasedRlEnvCfg
 from mjlab.sensor import ContactMatch, ContactSensorCfg
 
 from renet.interface import LEGS
@@ -35,6 +36,13 @@ def contact_sensors() -> tuple[ContactSensorCfg, ...]:
         touching(THIGH_TRUNK_CONTACT, "body", (*thighs, TRUNK), "force"),
         touching(CALF_CONTACT, "geom", CALVES, "force"),
     )
+
+
+def set_depth_noise(cfg: ManagerBasedRlEnvCfg, std: float) -> None:
+    """Set the constant part of the depth error of a task's cameras, a standard deviation in m."""
+    for sensor in cfg.scene.sensors:
+        if isinstance(sensor, DepthCameraCfg):
+            sensor.noise.gaussian_std = std
 
 
 def terrain_sensors(robot: RobotCfg) -> tuple[DepthCameraCfg, HeightMapCfg, FeetHeightCfg]:

@@ -62,7 +62,9 @@ class Tile:
 
     def measure(self, difficulty: float) -> float:
         """Size of the obstacle, m, at a difficulty in [0, 1]."""
-        if self.flat_start and difficulty == 0.0:
+        if self.flat_start:  # The other levels share the range.
+            difficulty = (difficulty * (LEVELS - 1) - 1) / (LEVELS - 2)
+        if difficulty < 0.0:
             return FLAT
         return self.low + difficulty * (self.high - self.low)
 

@@ -19,6 +19,7 @@ from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.selector import SelectorSpec
 from renet.sim.depth.camera import DepthCameraCfg
+from renet.sim.depth.noise import DepthNoiseCfg
 from renet.tasks import env_cfg
 from renet.tasks.config.go1 import GO1
 from renet.tasks.robot_cfg import ACTION_CLIP, RobotCfg
@@ -49,6 +50,8 @@ def export(cfg: ExportCfg) -> Path:
     model = load_networks(loaded, found)
     try:
         provenance = _provenance(loaded.state, model.cfg)
+        # Checkpoints that do not say were trained with the default.
+        noise_std = loaded.state["config"].get("depth_noise_std", DepthNoiseCfg.gaussian_std)
     except (KeyError, TypeError, AttributeError) as error:
         raise RenetError(
             f"{found} is not a checkpoint of RENet: its state lacks {error}"
@@ -56,7 +59,7 @@ def export(cfg: ExportCfg) -> Path:
     robot = env_cfg(provenance.task).robot if provenance.task else GO1
     manifest = Manifest(
         robot=robot_spec(robot),
-        camera=camera_spec(robot),
+        camera=camera_spec(robot, noise_std),
         selector=SelectorSpec(beta=cfg.beta, calibration="none: run `renet calibrate`"),
         provenance=provenance,
         history=model.cfg.history,
@@ -102,8 +105,13 @@ def robot_spec(robot: RobotCfg = GO1) -> RobotSpec:
     )
 
 
-def camera_spec(robot: RobotCfg = GO1) -> CameraSpec:
-    """The tasks' camera without its errors."""
+def camera_spec(robot: RobotCfg = GO1, noise_std: float = DepthNoiseCfg.gaussian_std) -> CameraSpec:
+    """The tasks' camera.
+
+    Args:
+        robot: that carries it.
+        noise_std: of the constant part of the depth error, m.
+    """
     camera = DepthCameraCfg(name="depth_camera", mount=robot.camera)
     return CameraSpec(
         **vars(camera.intrinsics),
@@ -111,6 +119,7 @@ def camera_spec(robot: RobotCfg = GO1) -> CameraSpec:
         position=camera.mount.position,
         pitch=camera.mount.pitch,
         rate_hz=1.0 / camera.period,
+        noise_std=noise_std,
     )
 
 

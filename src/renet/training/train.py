@@ -249,8 +249,8 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
     Raises:
         RenetError: a reward or a tile the task does not have, or a share of nothing.
     """
-    from renet.sim.depth.camera import DepthCameraCfg
     from renet.tasks import env_cfg
+    from renet.tasks.sensors import set_depth_noise
     from renet.tasks.terrains import as_mjlab
     from renet.terrain.tiles import dense_tiles
 
@@ -261,14 +261,13 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
             known = ", ".join(task.rewards)
             raise RenetError(f"{cfg.task} has no reward {name!r}: choose one of {known}")
         task.rewards[name].weight = weight
-    for sensor in task.scene.sensors:
-        if isinstance(sensor, DepthCameraCfg):
-            sensor.noise.gaussian_std = cfg.depth_noise_std
+    set_depth_noise(task, cfg.depth_noise_std)
     generator = task.scene.terrain.terrain_generator if task.scene.terrain else None
     if generator is None:
         return task
     if cfg.dense_tiles:
         generator.sub_terrains = as_mjlab(dense_tiles())
+        task.scene.terrain.max_init_terrain_level = 0  # It is flat.
     for name, share in shares.items():
         if name not in generator.sub_terrains:
             known = ", ".join(generator.sub_terrains)

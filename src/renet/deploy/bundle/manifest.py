@@ -79,12 +79,15 @@ class CameraSpec:
     pitch: float = 0.0
     """Downward tilt, rad."""
     rate_hz: float = 10.0
+    noise_std: float = 0.1
+    """m; of the constant part of the depth error in training, which simulated cameras add, too."""
 
     def __post_init__(self) -> None:
         shape = (self.height, self.width)
         _demand(shape == DEPTH_SHAPE, f"camera image must be {DEPTH_SHAPE}, it is {shape}")
         for name in ("fx", "fy", "range", "rate_hz"):
             _demand(getattr(self, name) > 0.0, f"camera.{name} must be positive")
+        _demand(self.noise_std >= 0.0, "camera.noise_std must not be negative")
         _demand(len(self.position) == 3, "camera.position must have 3 numbers")
 
     @property

@@ -12,8 +12,8 @@ from renet.errors import RenetError
 from renet.faults import ViewPerturbation
 from renet.faults.physical import obstacles, spread
 
-RELATIVE_STD, GAUSSIAN_STD = 0.01, 0.1
-"""Noise of the training camera: m/m, and m."""
+RELATIVE_STD = 0.01
+"""Noise of the training camera in proportion to distance, m/m."""
 
 
 class SimulatedRobot(Protocol):
@@ -107,7 +107,7 @@ class SimCamera:
     def _noisy(self, depth: np.ndarray) -> np.ndarray:
         if self._random is None:
             return depth
-        std = np.hypot(RELATIVE_STD * depth, GAUSSIAN_STD)
+        std = np.hypot(RELATIVE_STD * depth, self._spec.noise_std)
         return depth + std * self._random.standard_normal(depth.shape)
 
 

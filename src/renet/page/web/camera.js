@@ -105,8 +105,8 @@ export class DepthCamera {
   }
 
   noisy(depth) {
-    const { relativeStd, gaussianStd } = this.contract;
-    return depth + Math.hypot(relativeStd * depth, gaussianStd) * this.random.normal();
+    const { noise_std = 0.1 } = this.spec; // Older manifests do not say.
+    return depth + Math.hypot(this.contract.relativeStd * depth, noise_std) * this.random.normal();
   }
 }
 

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 pytest.importorskip("unitree_legged_sdk.robot_interface", reason="needs renet-locomotion[go1]")
@@ -22,15 +21,13 @@ from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
 from renet.deploy.main import _interruptible
 from renet.deploy.recorder import Recorder
-from renet.deploy.robots.envelope import go1_envelope
-from renet.deploy.safety import Mode, SafetyCfg
-from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
+from renet.deploy.safety import SafetyCfg
+from renet.deploy.teleop import ScriptedTeleop
 from renet.deploy.terminal import Terminal
-from renet.interface import CONTROL_DT
 
-from .fakes import state
-from .go1_peer import Peer, free_port
-from .waiting import until
+from ..deploy.fakes import Standing
+from ..deploy.robots.go1_peer import Peer, free_port
+from ..deploy.waiting import until
 
 CONTROLLER = """
 import ctypes, os, resource, signal, sys, time
@@ -146,32 +143,6 @@ def test_a_controller_that_crashes_or_hangs_by_itself_brakes(peer, controller, h
     until(lambda: peer.braked)
 
 
-class Standing:
-    """A robot that stands still on a clock of its own, and remembers what it was told."""
-
-    def __init__(self) -> None:
-        self.envelope, self.time, self.told = go1_envelope(), 0.0, []
-        self.wait_fails = None
-
-    def now(self) -> float:
-        return self.time
-
-    def wait(self, until: float) -> None:
-        if self.wait_fails is not None and self.time > 0.5:
-            raise self.wait_fails
-        self.time = until
-
-    def read(self):
-        return state(self.time)
-
-    def write(self, command) -> None:
-        self.told.append(command)
-
-    @property
-    def braked(self) -> bool:
-        return not self.told[-1].stiffness.any() and bool((self.told[-1].damping > 0).all())
-
-
 @pytest.fixture(scope="module")
 def bundle() -> Bundle:
     return Bundle.load()
@@ -273,18 +244,6 @@ def test_a_hung_terminal_loses_lines_and_nothing_else(monkeypatch, hang):
     terminal.close()
 
 
-def test_arming_with_the_recording_already_lost_is_refused(bundle):
-    robot, events = Standing(), []
-    controller = Controller(bundle, SafetyCfg(stand_up_seconds=0.1), on_event=events.append)
-    log = SimpleNamespace(append=lambda *arguments: None, problem="the recording ends early")
-    done = lambda: robot.time > 0.5  # noqa: E731
-    run_control_loop(robot, None, ScriptedTeleop(0.5), controller, log, done=done)
-    assert [(e.what, e.why) for e in events if e.what == "refused"] == [
-        ("refused", "the recording ends early")
-    ]
-    assert all(not command.stiffness.any() for command in robot.told)
-
-
 def test_a_second_ctrl_c_interrupts_and_the_first_does_not():
     with _interruptible() as asked:
         assert not asked()
@@ -293,20 +252,3 @@ def test_a_second_ctrl_c_interrupts_and_the_first_does_not():
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_an_operator_who_holds_the_button_does_not_arm_when_the_check_passes(bundle):
-    """A refused wish to stand up must be asked for anew."""
-
-    class Holding:
-        def command(self, now: float) -> TeleopCommand:
-            return TeleopCommand(speed=0.3 if now < 0.2 else 0.0, arm=now < 0.4 or now > 0.6)
-
-    robot, modes = Standing(), []
-    controller = Controller(bundle, SafetyCfg(stand_up_seconds=0.1))
-    done = lambda: robot.time > 0.8  # noqa: E731
-    seen = lambda command: modes.append((robot.time, controller.machine.mode))  # noqa: E731
-    run_control_loop(robot, None, Holding(), controller, done=done, on_step=seen)
-    armed = [time for time, mode in modes if mode is Mode.STANDING_UP]
-    assert armed[0] == pytest.approx(0.6, abs=2 * CONTROL_DT)
-    assert np.isfinite(armed).all()

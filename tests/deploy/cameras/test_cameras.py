@@ -14,7 +14,7 @@ from renet.errors import RenetError
 from renet.faults import FAULTS, PhysicalFault, parse_fault
 from renet.interface import CONTROL_DT
 
-from .fakes import frame, time_of
+from ..fakes import frame, time_of
 
 
 class Source:

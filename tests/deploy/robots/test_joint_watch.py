@@ -10,7 +10,7 @@ from renet.deploy.robots.joint_watch import TURN, WAYS, JointWatch
 from renet.deploy.robots.scene import GO1
 from renet.interface import JOINTS
 
-from .fakes import STANDING, state
+from ..fakes import STANDING, state
 
 
 @pytest.fixture

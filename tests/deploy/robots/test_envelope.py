@@ -16,7 +16,7 @@ from renet.errors import RenetError
 from renet.interface import JOINTS
 from renet.tasks.config.go1 import GO1
 
-from . import fakes
+from .. import fakes
 
 
 @pytest.mark.parametrize(

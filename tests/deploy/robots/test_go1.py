@@ -30,8 +30,8 @@ from renet.errors import RenetError  # noqa: E402
 from renet.interface import CONTROL_DT, JOINTS  # noqa: E402
 from renet.training.bundle import robot_spec  # noqa: E402
 
+from ..waiting import until  # noqa: E402
 from .go1_peer import VENDOR, Peer, free_port  # noqa: E402
-from .waiting import until  # noqa: E402
 
 ROBOT = robot_spec()
 STEP = round(CONTROL_DT / PERIOD)

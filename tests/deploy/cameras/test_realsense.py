@@ -19,7 +19,7 @@ from renet.deploy.cameras.realsense import ClockOffset, RealSenseCamera  # noqa:
 from renet.errors import RenetError  # noqa: E402
 from renet.training.bundle import camera_spec  # noqa: E402
 
-from .waiting import until  # noqa: E402
+from ..waiting import until  # noqa: E402
 
 FOCAL = 446.8
 

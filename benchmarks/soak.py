@@ -1,0 +1,272 @@
+"""An hour of the runtime in simulation, with everything at random that may go wrong.
+
+Loop, controller, selector, vision, safety machine and recorder of `renet deploy` walk the Go1 in
+MuJoCo across a tile, on the simulated clock. Faults of the catalogue come and go, the trunk is
+pushed, readings, images and control steps are lost or late, drivers fail. An operator steers, and
+puts the robot back on its feet when it was damped.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import mmap
+import re
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from facts import report
+from renet.deploy.bundle import Bundle
+from renet.deploy.cameras.faulty import FaultyCamera
+from renet.deploy.cameras.sim import SimCamera
+from renet.deploy.controller import Controller
+from renet.deploy.loop import run_control_loop
+from renet.deploy.recorder import MODES, Recorder
+from renet.deploy.recording import Recording, read_recording
+from renet.deploy.robots.mujoco import MujocoRobot
+from renet.deploy.robots.scene import build_scene
+from renet.deploy.safety import Mode, SafetyMachine
+from renet.deploy.teleop import TeleopCommand
+from renet.faults import FAULTS, Injection
+from renet.interface import CONTROL_DT
+
+EVERY = {
+    "push": 8.0,
+    "reading lost": 15.0,
+    "reading late": 60.0,
+    "control step late": 20.0,
+    "reading not finite": 150.0,
+    "camera stalls": 45.0,
+    "camera's driver fails": 45.0,
+}
+"""Mean seconds between two; faults of the catalogue follow each other with gaps of 2 to 8 s."""
+PATIENCE = 2.0
+"""Seconds that the operator lets a damped robot lie."""
+
+
+@dataclass(frozen=True)
+class Cfg:
+    json: Path | None = None
+    """File for the results."""
+    plot: Path | None = None
+    """Picture of the results; with --minutes 0 of those that the file holds already."""
+    minutes: float = 60.0
+    """Simulated."""
+    terrain: str = "obstacles"
+    level: int = 3
+    seed: int = 1
+
+
+class ShakyRobot(MujocoRobot):
+    """Is pushed, answers late or not at all; keeps what goes wrong, when and how often."""
+
+    def __init__(self, seed: int, *arguments) -> None:
+        self.random, self.given = np.random.default_rng(seed), []
+        super().__init__(*arguments)
+        self._silent, self._held = -math.inf, super().read()
+        self._start = self.data.qpos.copy()
+
+    def strikes(self, what: str) -> bool:
+        """Asked once in a control step."""
+        struck = bool(self.random.random() < CONTROL_DT / EVERY[what])
+        self.given += [(self.now(), what)] if struck else []
+        return struck
+
+    def read(self):
+        state = super().read()
+        if self.strikes("reading late"):
+            self._silent = self.now() + self.random.uniform(0.02, 0.06)
+        if self.strikes("reading lost"):
+            return None
+        if self.strikes("reading not finite"):
+            return replace(state, joint_velocity=np.full(12, np.nan))
+        self._held = self._held if self.now() < self._silent else state
+        return self._held
+
+    def wait(self, until: float) -> None:
+        if self.strikes("push"):
+            self.data.qvel[:2] += 0.5 * self.random.standard_normal(2)  # m/s
+        if self.strikes("control step late"):
+            until += self.random.uniform(0.0, 0.09)
+        super().wait(until)
+
+    def put_back(self) -> None:
+        """On its feet in the middle of the tile."""
+        self.data.qpos[:], self.data.qvel[:] = self._start, 0.0
+
+
+class ShakyCamera:
+    """A simulated camera with one fault of the catalogue after the other, that also stalls."""
+
+    def __init__(self, robot: ShakyRobot, bundle: Bundle) -> None:
+        self._robot, self._camera = robot, SimCamera(robot, bundle.manifest.camera)
+        self._over = self._stalled = -math.inf
+        self._frame = None
+
+    def latest(self):
+        robot = self._robot
+        now, random = robot.now(), robot.random
+        if now >= self._over:
+            fault, severity = str(random.choice(list(FAULTS))), int(random.integers(1, 6))
+            robot.given.append((now, fault))
+            gap, lasts = random.uniform(2.0, 8.0), random.uniform(0.5, 8.0)
+            injection = Injection.of(fault, severity, round(gap / CONTROL_DT), lasts)
+            seed, self._over = int(random.integers(2**31)), now + gap + lasts
+            self._faulty = FaultyCamera(self._camera, [injection], robot.now, seed)
+        if robot.strikes("camera stalls"):
+            self._stalled = now + random.uniform(0.1, 3.0)
+        if robot.strikes("camera's driver fails"):
+            raise OSError("no device")
+        if now >= self._stalled:
+            self._frame = self._faulty.latest()
+        return self._frame
+
+
+class Operator:
+    """Walks about the tile; stops a robot that falls, and helps and arms one that is damped."""
+
+    def __init__(self, robot: ShakyRobot, machine: SafetyMachine) -> None:
+        self._robot, self._machine = robot, machine
+        self._since, self._tried, self.lifts = 0.0, 0, 0
+        self._speed, self._turn, self._goal = 0.0, 0.0, np.zeros(2)
+
+    def command(self, now: float) -> TeleopCommand:
+        mode, upright = self._machine.mode, self._robot.upright
+        waited = now - max(self._since, self._machine.since) > PATIENCE
+        self._since = now if waited else self._since
+        self._tried = 0 if mode is Mode.WALKING else self._tried + waited
+        if waited and mode is Mode.DAMPING and (not upright or self._tried > 1):
+            self._robot.put_back()
+            self.lifts += 1
+        elif waited and mode is Mode.WALKING:
+            away = self._goal - self._robot.base_position[:2]
+            if np.linalg.norm(away) < 1.0:
+                self._goal = self._robot.random.uniform(-3.0, 3.0, 2)
+            ahead = self._robot.base_rotation[:2, 0]
+            turn = math.atan2(away[1], away[0]) - math.atan2(ahead[1], ahead[0])
+            self._turn += math.remainder(turn, math.tau)
+            self._speed = float(self._robot.random.choice((0.0, 0.3, 0.6, 0.6, 1.0)))
+        if mode is Mode.DAMPING:
+            return TeleopCommand(turn=self._turn, arm=waited)
+        return TeleopCommand(self._speed, self._turn, stop=not upright)
+
+
+def soak(cfg: Cfg, folder: Path) -> dict:
+    """Run; returns the results, and leaves the recording in a folder."""
+    bundle, begun = Bundle.load(), time.monotonic()
+    model, ground = build_scene(cfg.terrain, cfg.level, seed=cfg.seed)
+    robot = ShakyRobot(cfg.seed, model, bundle.manifest.robot, ground)
+    recorder = Recorder(folder / "recording.log", {"soak": cfg.seed})
+    memory, cpu_ms, end = [], [], 60.0 * cfg.minutes
+
+    class Timed(Controller):
+        def tick(self, *arguments):
+            start = time.thread_time()
+            command = super().tick(*arguments)
+            cpu_ms.append(1000.0 * (time.thread_time() - start))
+            return command
+
+    def sample(command) -> None:
+        if robot.now() >= 60.0 * (len(memory) + 1):
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            memory.append(round(pages * mmap.PAGESIZE / 2**20, 1))
+            wall, done = (time.monotonic() - begun) / 60.0, len(memory)
+            left = wall / done * (cfg.minutes - done)
+            print(f"minute {done}: {memory[-1]} MB, {left:.0f} minutes left", flush=True)
+
+    controller = Timed(bundle, on_event=recorder.event)
+    operator = Operator(robot, controller.machine)
+    devices: tuple = (robot, ShakyCamera(robot, bundle), operator, controller, recorder)
+    run_control_loop(
+        *devices,
+        done=lambda: robot.now() >= end,
+        on_step=sample,
+        truth=lambda: robot.base_position,
+    )
+    wall = (time.monotonic() - begun) / 60.0
+    recorder.close()
+    run = read_recording(recorder.path)
+    rows = by_minute(run, memory, np.array(cpu_ms), robot)
+    names = ("seconds_vp", "seconds_op", "switches", "falls", "stand_ups", "damped")
+    why = Counter(re.sub(r"\d+", "N", e.why) for e in run.events if e.what == Mode.DAMPING)
+    return {
+        "simulated_minutes": round(robot.now() / 60.0, 2),
+        "wall_minutes": round(wall, 1),
+        **{name: round(sum(row[name] for row in rows), 1) for name in names},
+        "lifts": operator.lifts,
+        "given": dict(Counter(what for _, what in robot.given)),
+        "damped_because": dict(why.most_common()),
+        "recording_mb": round(recorder.path.stat().st_size / 1e6, 1),
+        "recording_problem": recorder.problem or ("" if run.complete else "incomplete"),
+        "bundle_sha256": bundle.sha256,
+        "by_minute": rows,
+    }
+
+
+def by_minute(run: Recording, memory: list, cpu_ms: np.ndarray, robot: ShakyRobot) -> list[dict]:
+    """What the recording holds of each minute, beside the memory at its end."""
+    ticks, limits, rows = run.ticks, robot.envelope, []
+    half = (limits.upper - limits.lower) / 2
+    share = np.abs((ticks["position"] - limits.lower - half) / half).max(axis=1)
+    walking = ticks["mode"] == MODES.index(Mode.WALKING)
+    leans = 1.0 - 2.0 * (ticks["quaternion"][:, 1:3] ** 2).sum(axis=1) < 0.5
+    falls = leans & ~np.roll(leans, 1)
+    for minute, megabytes in enumerate(memory):
+        now = ticks["now"] // 60.0 == minute
+        told = Counter(event.what for event in run.events if event.time // 60.0 == minute)
+        row = {
+            "memory_mb": megabytes,
+            "tick_cpu_p50_ms": round(float(np.median(cpu_ms[now])), 2),
+            "tick_cpu_p99_ms": round(float(np.quantile(cpu_ms[now], 0.99)), 2),
+            "seconds_vp": round(CONTROL_DT * (walking & ticks["vision"])[now].sum(), 1),
+            "seconds_op": round(CONTROL_DT * (walking & ~ticks["vision"])[now].sum(), 1),
+            "switches": told["op"] + told["vp"],
+            "falls": int(falls[now].sum()),
+            "stand_ups": told[Mode.WALKING],
+            "damped": told[Mode.DAMPING],
+            "target": round(float(share[now].max()), 3),
+            "given": dict(Counter(what for time, what in robot.given if time // 60.0 == minute)),
+        }
+        rows.append(row)
+    return rows
+
+
+def plot(results: dict, path: Path) -> None:
+    """Memory, tick times, events and shares of the envelope, by minute."""
+    from matplotlib.figure import Figure
+
+    panels = {
+        "memory, MB": ("memory_mb",),
+        "control step,\nms of CPU time": ("tick_cpu_p50_ms", "tick_cpu_p99_ms"),
+        "in the minute": ("switches", "damped", "falls"),
+        "largest joint target,\nshare of the envelope": ("target",),
+    }
+    rows, figure = results["by_minute"], Figure(figsize=(9, 7), layout="constrained")
+    axes = figure.subplots(len(panels), 1, sharex=True)
+    for axis, (label, names) in zip(axes, panels.items(), strict=True):
+        for name in names:
+            axis.plot(range(1, len(rows) + 1), [row[name] for row in rows], label=name)
+        axis.set(ylabel=label, ylim=(0, None))
+        axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+    axes[-1].set_xlabel("simulated minute")
+    disturbances = sum(results["given"].values())
+    axes[0].set_title(f"{len(rows)} minutes, {disturbances:,} disturbances", loc="left")
+    figure.savefig(path, dpi=100)
+
+
+def main(cfg: Cfg) -> None:
+    if cfg.minutes > 0:
+        with tempfile.TemporaryDirectory() as folder:
+            report(soak(cfg, Path(folder)), cfg.json)
+    if cfg.plot is not None and cfg.json is not None:
+        plot(json.loads(cfg.json.read_text()), cfg.plot)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Cfg))
