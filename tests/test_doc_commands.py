@@ -1,7 +1,5 @@
 """Commands and links in the documents: each parses, each leads somewhere."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a newcomer meets first: README, citation, change log, Dockerfile and notebook."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

@@ -1,7 +1,5 @@
 """Pages that name files and tests: each of them exists."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

@@ -16,7 +16,7 @@ import torch
 
 from renet.deploy.bundle import Bundle
 from renet.deploy.bundle.bundle import write_bundle
-from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
+from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.observation import heading, observe
@@ -26,6 +26,7 @@ from renet.deploy.robots.scene import build_scene
 from renet.deploy.safety import Mode, SafetyCfg
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
+from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
 from renet.models.actor_critic import fuse
 from renet.models.memory import EstimatorMemory

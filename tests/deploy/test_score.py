@@ -124,7 +124,7 @@ def test_the_timeline_shows_bands_faults_and_reasons(flight, tmp_path):
 
 
 def test_long_and_tiny_runs_are_drawn(flight, tmp_path):
-    for end in (0.0, 1e-3, 50.0, 5e5):
+    for end in (0.0, 1e-3, 5e5):
         flight.ticks["now"] = np.linspace(0.0, end, STEPS)
         assert len(drawn(flight, [], tmp_path)) < 400_000
     many = [Event(1000.0 + i, "op", "x" * 500) for i in range(1000)]

@@ -1,7 +1,5 @@
 """The benchmark's specification agrees with its schema and with the catalogue of faults."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from renet.deploy.bundle import Bundle
-from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
+from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.robots.base import next_step
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.teleop import TeleopCommand
+from renet.faults import parse_fault
 from renet.page.writer import WEB
 from tests.page.conftest import run_node
 

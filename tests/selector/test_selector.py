@@ -1,7 +1,5 @@
 """The paper's filter and selector, and thresholds from healthy scores."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

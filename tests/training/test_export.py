@@ -1,7 +1,5 @@
 """The ONNX models say what the PyTorch networks say, with memory carried along."""
 
-from __future__ import annotations
-
 import numpy as np
 import onnxruntime as ort
 import pytest

@@ -1,7 +1,5 @@
 """Sources of an operator's commands: the terminal's keyboard, a Linux joystick, or a script."""
 
-from __future__ import annotations
-
 import math
 import os
 import select
@@ -52,7 +50,6 @@ class Teleop(Protocol):
 
     def command(self, now: float) -> TeleopCommand:
         """The newest command at a time in seconds on the robot's clock."""
-        ...
 
 
 class ScriptedTeleop:

@@ -6,8 +6,6 @@ under the modality the selector last chose, then the selector's filter is update
 (200 Hz, paper) with the anomaly score the tick produced.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -59,15 +57,12 @@ class EvalEnv(Protocol):
 
     def reset(self) -> StepResult:
         """Put every robot at its start."""
-        ...
 
     def step(self, action: np.ndarray) -> StepResult:
         """Act [N, 12] for one control step."""
-        ...
 
     def poses(self, rows: Sequence[int]) -> np.ndarray:
         """Generalised positions [len(rows), nq], for pictures."""
-        ...
 
 
 @runtime_checkable
@@ -76,7 +71,6 @@ class PerturbableEnv(Protocol):
 
     def perturb_cameras(self, view: ViewPerturbation) -> None:
         """Let the cameras see the scene so from their next image on."""
-        ...
 
 
 class EvalPolicy(Protocol):
@@ -91,13 +85,11 @@ class EvalPolicy(Protocol):
 
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Forget the past of the masked robots [N], of all by default."""
-        ...
 
     def step(
         self, proprioception: np.ndarray, depth: np.ndarray, op_mask: np.ndarray
     ) -> np.ndarray:
         """Actions [N, 12]; `op_mask` is the paper's mask, True where OP is to act."""
-        ...
 
 
 class EvalSelector(Protocol):
@@ -106,15 +98,12 @@ class EvalSelector(Protocol):
     @property
     def probability(self) -> np.ndarray:
         """[N] vision probability P_t."""
-        ...
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """Once each physics step, at `now` s; returns [N] bool, vision is trusted."""
-        ...
 
     def reset(self, mask: np.ndarray) -> None:
         """Start anew for the masked robots [N]."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,6 @@ Depths are normalised: 1 is `DEPTH_RANGE` metres. Only faults said to leave hole
 invalid fraction; the others deliver wrong numbers that the camera calls measurements.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -62,7 +60,6 @@ class Gaussian(ImageFault):
     levels = (0.1, 0.3, 0.5, 0.7, 1.0)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         noise = self.rngs[robot].standard_normal(image.shape, dtype=np.float32)
         return image + np.float32(self.level) * noise
 
@@ -76,7 +73,6 @@ class SaltAndPepper(ImageFault):
     levels = (0.05, 0.1, 0.3, 0.5, 0.7)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         draw = self.rngs[robot].random(image.shape, dtype=np.float32)
         spoilt = np.where(draw < self.level, np.float32(1.0), image)
         return np.where(draw < 0.5 * self.level, np.float32(0.0), spoilt)
@@ -91,7 +87,6 @@ class Blackout(ImageFault):
     levels = (1.0, 0.5, 0.2, 0.1, 0.0)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         remaining = 1.0 - elapsed / self.level if self.level > 0 else 0.0
         return image * np.float32(max(remaining, 0.0))
 
@@ -105,7 +100,6 @@ class Saturated(ImageFault):
     levels = (0.2, 0.4, 0.6, 0.8, 1.0)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         spoilt = image.copy()
         spoilt[: round(self.level * ROWS)] = 1.0
         return spoilt
@@ -120,7 +114,6 @@ class Occlusion(FixedPattern):
     levels = (0.1, 0.25, 0.5, 0.75, 1.0)
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw a robot's pattern."""
         height, width = (round(n * np.sqrt(self.level)) for n in DEPTH_SHAPE)
         top, left = rng.integers(0, ROWS - height + 1), rng.integers(0, COLUMNS - width + 1)
         pattern = np.zeros(DEPTH_SHAPE, bool)
@@ -128,7 +121,6 @@ class Occlusion(FixedPattern):
         return pattern
 
     def apply(self, image: np.ndarray, pattern: np.ndarray) -> np.ndarray:
-        """The image [48, 64] under a pattern."""
         return np.where(pattern, np.float32(metres(0.04)), image)
 
 
@@ -152,7 +144,6 @@ class Blobs(FixedPattern):
         return pattern
 
     def apply(self, image: np.ndarray, pattern: np.ndarray) -> np.ndarray:
-        """The image [48, 64] under a pattern."""
         return np.where(np.isnan(pattern), image, pattern)
 
 
@@ -168,7 +159,6 @@ class Grass(ImageFault):
     levels = (0.0, 0.25, 0.5, 0.75, 1.0)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         rng = self.rngs[robot]
         covered = ROWS * (1 + self.level) / 3
         present = rng.random(COLUMNS) < 0.25 + 0.7 * self.level
@@ -196,11 +186,9 @@ class Glare(ImageFault):
         return field > np.quantile(field, 1 - self.level)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         return np.where(self.mask(robot), np.float32(0.0), image)
 
     def holes(self, image: np.ndarray, robot: int) -> float:
-        """Share of pixels the fault leaves without a measurement."""
         return self.level
 
 
@@ -211,7 +199,6 @@ class GlareFilled(Glare):
     summary = "As glare, but the driver fills the holes from their left: smooth and plausible."
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         return fill_holes(image, self.mask(robot))
 
 
@@ -224,11 +211,9 @@ class NearField(ImageFault):
     levels = (0.1, 0.15, 0.2, 0.3, 0.5)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         return np.where(image < metres(self.level), np.float32(0.0), image)
 
     def holes(self, image: np.ndarray, robot: int) -> float:
-        """Share of pixels the fault leaves without a measurement."""
         return float((image < metres(self.level)).mean())
 
 
@@ -241,7 +226,6 @@ class WrongScale(ImageFault):
     levels = (0.9, 0.8, 0.6, 1.3, 1.6)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         return image * np.float32(self.level)
 
 

@@ -5,8 +5,6 @@ A stereo camera measures disparity d = f * baseline / depth, in pixels between i
 delivered image, so that a D435i's 50 mm and 1 m give 2.5 of its 64 pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -48,7 +46,6 @@ class Holes(ImageFault):
         return np.where(lost, np.float32(0.0), image)
 
     def holes(self, image: np.ndarray, robot: int) -> float:
-        """Share of pixels the fault leaves without a measurement."""
         return float(self._shares[robot])
 
     def lost(self, image: np.ndarray, robot: int) -> np.ndarray:

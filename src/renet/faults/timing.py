@@ -1,7 +1,5 @@
 """Faults of time: every image is a good one, but not the one the robot should have now."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,7 +23,6 @@ class Frozen(Fault):
 
     @classmethod
     def lasts(cls, level: float) -> float:
-        """Seconds after which the fault ends by itself."""
         return level
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
@@ -71,7 +68,6 @@ class Dropped(Stale):
     levels = (0.1, 0.3, 0.5, 0.7, 0.9)
 
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
-        """[n] bool: the robots that get no frame at this tick."""
         lost = elapsed >= 0
         for i in np.flatnonzero(lost).tolist():
             lost[i] = self.rngs[i].random() < self.level
@@ -88,11 +84,9 @@ class Unplugged(Stale):
 
     @classmethod
     def lasts(cls, level: float) -> float:
-        """Seconds after which the fault ends by itself."""
         return level
 
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
-        """[n] bool: the robots that get no frame at this tick."""
         return elapsed >= 0
 
 

@@ -1,7 +1,5 @@
 """Tall grass as a stereo camera at a small robot's height sees it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from renet.camera import Intrinsics

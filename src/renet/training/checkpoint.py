@@ -6,8 +6,6 @@ the last weights, which is exported), `optimizer.safetensors`, `environment.safe
 a killed process or a full disk leaves earlier checkpoints whole.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """`renet recipe`: how a checkpoint was trained, or a run that would begin now."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

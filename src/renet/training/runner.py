@@ -1,7 +1,5 @@
 """The training loop: rollouts, updates, checkpoints, and stopping on time."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

@@ -1,7 +1,5 @@
 """A headless Chromium, spoken to through a pipe: no driver, no package, no open port."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

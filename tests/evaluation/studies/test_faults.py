@@ -1,6 +1,6 @@
-from __future__ import annotations
-
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +15,14 @@ from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboar
 from renet.faults import Injection
 
 from ..fakes import FakeEvaluator
+from ..tiny import TINY
 
 SCHEMA = json.loads((Path(__file__).parents[3] / "docs" / "benchmark.schema.json").read_text())
-SMALL: dict = {"robots": 2, "lasts": 1.0, "seconds": 2.6, "healthy_minutes": 0.1}
-SMALL |= {"grounds": ("flat", "gap"), "severities": (1, 5)}
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("faults")
-    FaultStudy(out=out, faults=("gaussian", "frozen"), **SMALL).run(FakeEvaluator())
-    return out
+@pytest.fixture
+def folder(run_study) -> Path:
+    return run_study("faults")
 
 
 @pytest.fixture
@@ -88,7 +85,9 @@ def test_what_op_does_no_fault_changes() -> None:
     np.testing.assert_allclose(trace.height[:, 0], trace.height[:, 1], atol=1e-5)
 
 
-def test_finished_faults_are_not_run_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_finished_faults_are_not_run_again(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ran = []
     real = FaultStudy._run_batch
 
@@ -97,12 +96,13 @@ def test_finished_faults_are_not_run_again(folder: Path, monkeypatch: pytest.Mon
         return real(study, evaluator, make, name)
 
     monkeypatch.setattr(FaultStudy, "_run_batch", spy)
-    monkeypatch.setattr(FaultStudy, "draw", lambda *args: None)
+    monkeypatch.setattr(FaultStudy, "draw", lambda *args: {})
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     faults = ("gaussian", "frozen", "dropped")
-    study = FaultStudy(out=folder, faults=faults, **SMALL)
+    study = replace(TINY["faults"][0], out=tmp_path, faults=faults)  # type: ignore[call-arg]
     assert len(study.run(FakeEvaluator())["runs"]) == 54
     assert ran == ["dropped"]
-    next((folder / "parts").glob("dropped-*.json")).write_text('{"half')
+    next((tmp_path / "parts").glob("dropped-*.json")).write_text('{"half')
     with pytest.raises(RenetError, match=r"dropped-\w+\.json is not JSON"):
         study.run(FakeEvaluator())
 

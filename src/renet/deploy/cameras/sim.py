@@ -1,7 +1,5 @@
 """A simulated depth camera: the engine's own rays, the training camera's geometry and noise."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import mujoco
@@ -27,24 +25,19 @@ class SimulatedRobot(Protocol):
     @property
     def base_position(self) -> np.ndarray:
         """[3] m, world."""
-        ...
 
     @property
     def base_rotation(self) -> np.ndarray:
         """[3, 3], base to world."""
-        ...
 
     def now(self) -> float:
         """Simulated seconds."""
-        ...
 
     def hide(self, geoms: list[int]) -> None:
         """Let rays pass through these geoms; raises RenetError if the engine cannot."""
-        ...
 
     def cast(self, eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Distances in m along unit directions [R, 3], infinite where nothing is."""
-        ...
 
 
 class SimCamera:

@@ -3,8 +3,6 @@
 docs/benchmark.md is the specification.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
