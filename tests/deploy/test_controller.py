@@ -25,11 +25,15 @@ from .fakes import ARM, GO, STANDING, WALKS_AT, Run, frame, state, time_of
 def test_it_rises_and_then_walks(bundle):
     run = Run(bundle)
     crouched = STANDING + 0.3
-    for _ in range(WALKS_AT + 1):
-        command = run.tick(joint_position=crouched)
+    for _ in range(WALKS_AT):
+        run.tick(joint_position=crouched)
+    assert run.controller.decision.mode is Mode.STANDING_UP
+    assert not run.controller.decision.action.any()
+    command = run.tick(joint_position=crouched)
     assert run.whats() == ["standing_up", "walking"]
-    assert run.events[0].why == "armed"
+    assert [event.why for event in run.events] == ["armed", "stood up"]
     assert run.controller.decision.mode is Mode.WALKING
+    assert run.controller.decision.action.any()
     assert np.isfinite(command.position).all()
 
 
@@ -87,6 +91,10 @@ def test_equals_the_training_side_over_20_seconds_with_switching(bundle, network
             latent = fuse(memory.latent_op, memory.latent_vp, mask)
             expected = networks.actor(torch.tensor(observation), latent).clamp(-4.8, 4.8)
         np.testing.assert_allclose(decision.action, expected[0], atol=1e-4)
+        np.testing.assert_allclose(decision.latent, latent[0], atol=1e-4)
+        assert (decision.inferred, decision.fallback) == (step % 5 == 0, False)
+        assert (decision.image is not None) == (step % 5 == 0)
+        assert decision.frame_age == pytest.approx(now - shown.time)
         last_action = decision.action
         modes.append(decision.vision)
     assert 0.2 < np.mean(modes) < 0.8
@@ -106,6 +114,7 @@ def test_a_lost_camera_costs_vision_within_its_age_limit_and_returns_after_the_d
     back = run.ticks(150)
     assert not any(back[:45])
     assert all(back[-50:])
+    assert (run.events[-1].what, run.events[-1].why) == ("vp", "vision is healthy")
 
 
 def test_unplugged_and_replugged_50_times(bundle):
@@ -116,7 +125,53 @@ def test_unplugged_and_replugged_50_times(bundle):
         run.ticks(10)
     assert run.controller.decision.mode is Mode.WALKING
     returns = [event.time for event in run.events if event.what == "vp"]
+    assert len(returns) > 1
     assert all(b - a >= 5.0 for a, b in itertools.pairwise(returns))
+
+
+@pytest.mark.parametrize(
+    ("thresholds", "change", "reason"),
+    [
+        ({}, {"invalid": 0.3}, "too many pixels without depth"),
+        ({}, {"image": frame(0, 0.0).image}, "the image is frozen"),
+        ({}, {"image": np.full((48, 64), 0.5)}, "the image is blank"),
+        ({}, {"image": np.tile([0.0, 0.0, 0.0, 1.0], (48, 16))}, "the lens is covered"),
+        ({"disagreement": 1e-6}, {}, "the estimators disagree on velocity"),
+        ({"reconstruction": 1e-9}, {}, "images unlike those of training"),
+    ],
+)
+def test_every_monitor_is_told_what_it_judges(bundle, thresholds, change, reason):
+    spec = replace(bundle.manifest.selector, thresholds=thresholds)
+    run = Run(replace(bundle, manifest=replace(bundle.manifest, selector=spec)))
+    for _ in range(WALKS_AT + 20):
+        last = run.step - run.step % 5
+        run.tick(replace(frame(last, time_of(last)), **change))
+    assert [event.why for event in run.events if event.what == "op"] == [reason]
+
+
+def test_whoever_stops_it_from_outside_is_quoted_once(bundle):
+    run = Run(bundle)
+    run.ticks(40)
+    for why in ("the robot takes no commands", "again"):
+        run.controller.trip(why, time_of(40))
+    assert run.events[-1] == Event(time_of(40), "damping", "the robot takes no commands")
+    assert not run.tick().stiffness.any()
+
+
+def test_what_nobody_foresaw_brakes_and_is_named(bundle):
+    run = Run(bundle)
+    run.ticks(40)
+    command = run.tick(teleop=None)
+    assert not command.stiffness.any()
+    assert run.events[-1].why.startswith("AttributeError: 'NoneType' object has no attribute")
+    assert run.controller.decision.mode is Mode.DAMPING
+
+
+def test_a_listener_that_fails_does_not_stop_the_robot(bundle):
+    run = Run(bundle)
+    run.controller._on_event = lambda event: 1 / 0
+    run.ticks(40)
+    assert run.controller.decision.mode is Mode.WALKING
 
 
 class Broken:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 import socket
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -105,6 +107,25 @@ def test_motors_are_limp_servos_until_the_first_command(wire, peer):
     assert (peer.commands[-1][:, 0] == 10).all()
     assert (peer.commands[-1][:, 4:] == 0).all()
     assert not wire.link.moved
+
+
+def test_a_reading_holds_what_the_robot_says(wire, peer):
+    peer.silent = True
+    wire.run(2)
+    assert wire.link.state is None, "the library's empty packet is no reading"
+    peer.silent = False
+    wire.run(3)
+    state, truth = wire.link.state, peer.robot.read()
+    assert state.time == pytest.approx(wire.now)
+    for name in ("joint_position", "quaternion"):
+        np.testing.assert_allclose(getattr(state, name), getattr(truth, name), atol=0.02)
+    np.testing.assert_allclose(state.joint_velocity, truth.joint_velocity, atol=0.5)
+    assert state.temperature == 30.0
+    assert math.isnan(state.battery), "it does not say"
+    motor = SimpleNamespace(q=0.0, dq=0.0, tauEst=0.0, temperature=1)
+    imu = SimpleNamespace(quaternion=[1, 0, 0, 0], gyroscope=[0, 0, 0])
+    wire.link._in = SimpleNamespace(motorState=[motor] * 20, imu=imu, bms=SimpleNamespace(SOC=57))
+    assert wire.link._reading(0.0).battery == 0.57
 
 
 def test_a_command_arrives_motor_by_motor(wire, peer):
