@@ -12,7 +12,7 @@ import struct
 import threading
 import zlib
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from queue import Full, Queue
 from typing import Any, BinaryIO
@@ -72,6 +72,8 @@ TICK = np.dtype(
 )
 """One control tick: what came in, what was decided, how long that took, and where the base was in
 the world (NaN where nobody knows)."""
+DECIDED = {part.name for part in fields(Decision)} & set(TICK.names or ()) - {"mode"}
+"""Parts of a decision that a tick holds as they are."""
 MAX_WAITING = 60
 """Chunks that wait for the disk; two or three are written each second."""
 CLOSING = 5.0
@@ -133,17 +135,7 @@ class Recorder:
         tick["mode"] = MODES.index(decision.mode)
         for name in ("position", "stiffness", "damping"):
             tick[name] = getattr(decision.command, name)
-        for name in (
-            "vision",
-            "inferred",
-            "fallback",
-            "probability",
-            "anomaly",
-            "variance",
-            "frame_age",
-        ):
-            tick[name] = getattr(decision, name)
-        for name in ("action", "latent", "velocity_op", "velocity_vp"):
+        for name in DECIDED:
             tick[name] = getattr(decision, name)
         self._ticks.append(tick)
         self._count += 1
