@@ -10,7 +10,6 @@ import matplotlib.pyplot as plt
 from renet.cli import COMMANDS, Command, main
 from renet.evaluation import metrics
 from renet.evaluation.env import FLAT
-from renet.evaluation.report import figures
 from renet.evaluation.rollout import Trial
 from renet.evaluation.study import Study
 from renet.interface import CONTROL_DT
@@ -41,19 +40,19 @@ class SpeedStudy(Study):
     def summarise(self, parts, evaluator):
         return {"runs": [{k: v for k, v in part.items() if k != "key"} for part in parts.values()]}
 
-    def draw(self, summary, parts, provenance):
+    def draw(self, summary, parts):
         figure, axis = plt.subplots()
         x, y = zip(*((run["commanded"], run["speed"]) for run in summary["runs"]), strict=True)
         axis.plot(x, y, marker="o")
         axis.set(xlabel="commanded (m/s)", ylabel="walked (m/s)")
-        figures.save(figure, self.out / "speeds.png", provenance)
+        return {"speeds.png": figure}
 
     def tables(self, summary):
         header = ("commanded", "speed", "falls")
         return [("Speed", header, [tuple(run[n] for n in header) for run in summary["runs"]])]
 
 
-COMMANDS["evaluate speeds"] = Command("speed", __name__, "SpeedStudy", "SpeedStudy.main", "train")
+COMMANDS["evaluate speeds"] = Command("speed", f"{__name__}:SpeedStudy:SpeedStudy.main")
 
 if __name__ == "__main__":
     raise SystemExit(main())

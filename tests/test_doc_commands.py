@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 import shlex
 from pathlib import Path
@@ -34,9 +33,7 @@ def test_command_of_the_documents_parses(line: str):
     for part in line.split("&& "):
         _, *arguments = shlex.split(part, comments=True)
         name, rest = cli._match(arguments)
-        command = cli.COMMANDS[name]
-        config, rest = cli._preset(command, rest)
-        config = config or getattr(importlib.import_module(command.module), command.config)
+        _, config, rest = cli.COMMANDS[name].load(rest)
         if "--help" in rest:
             continue
         # A run to go on from is looked for on the disk: its settings are those of any other.

@@ -82,11 +82,8 @@ def test_the_dockerfile_installs_an_extra_and_runs_a_command():
 
 
 def parses(arguments: list[str]) -> None:
-    import importlib
-
     name, rest = cli._match(arguments)
-    command = cli.COMMANDS[name]
-    config = getattr(importlib.import_module(command.module), command.config)
+    _, config, rest = cli.COMMANDS[name].load(rest)
     assert tyro.cli(config, args=rest).robot == "mujoco"
 
 

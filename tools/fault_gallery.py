@@ -7,6 +7,7 @@ from pathlib import Path
 
 from PIL import Image
 
+from renet.evaluation import figures
 from renet.evaluation.report.fault_figures import draw_gallery
 from renet.evaluation.results import Provenance
 from renet.faults import FAULTS
@@ -21,7 +22,8 @@ def main() -> None:
     """Draw, shrink, and write a WebP."""
     with tempfile.TemporaryDirectory() as folder:
         where = Provenance.now("no policy", "", "MuJoCo", SEED)
-        picture = Image.open(draw_gallery(list(FAULTS), SEED, Path(folder) / "faults.png", where))
+        drawn, path = draw_gallery(list(FAULTS), SEED), Path(folder) / "faults.png"
+        picture = Image.open(figures.save(drawn, path, where))
         height = round(picture.height * WIDTH / picture.width)
         picture.convert("RGB").resize((WIDTH, height), Image.Resampling.LANCZOS).save(
             OUT, quality=60

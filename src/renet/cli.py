@@ -9,6 +9,7 @@ import difflib
 import importlib
 import os
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
@@ -23,153 +24,115 @@ SIGPIPE_CODE = 141
 
 @dataclass(frozen=True)
 class Command:
-    """`module` holds the dataclass `config` and `run`, called with it."""
+    """A function and the dataclass of options that it is called with."""
 
     help: str
-    module: str
-    config: str
-    run: str
-    extra: str = ""
+    target: str
+    """MODULE:CONFIG:FUNCTION."""
+    extra: str = "train"
     """What to install if the module's imports are missing."""
-    presets: dict[str, tuple[str, str]] = field(default_factory=dict)
-    """Module and class with other defaults, by what follows `--preset`."""
+    presets: dict[str, str] = field(default_factory=dict)
+    """MODULE:CONFIG with other defaults, by what follows `--preset`."""
+
+    def load(self, arguments: list[str]) -> tuple[Callable[[Any], Any], Any, list[str]]:
+        """The function, the dataclass that `--preset` asks for, and the other arguments."""
+        module, config, function = self.target.split(":")
+        run = attrgetter(function)(importlib.import_module(module))
+        if self.presets and "--preset" in arguments:
+            place = arguments.index("--preset")
+            name = "".join(arguments[place + 1 : place + 2])
+            if name not in self.presets:
+                known = ", ".join(self.presets)
+                raise RenetError(f"unknown preset {name!r}: choose one of {known}")
+            module, config = self.presets[name].split(":")
+            arguments = arguments[:place] + arguments[place + 2 :]
+        return run, getattr(importlib.import_module(module), config), arguments
 
 
 COMMANDS = {
     "demo": Command(
         "break the shipped policy's camera and watch it keep walking: one HTML page",
-        "renet.evaluation.demo",
-        "DemoCfg",
-        "run_demo",
-        "train",
+        "renet.evaluation.demo:DemoCfg:run_demo",
     ),
     "page": Command(
         "the page that runs a bundle in the browser, and lets visitors break its camera",
-        "renet.page.writer",
-        "PageCfg",
-        "run_page",
+        "renet.page.writer:PageCfg:run_page",
         "sim",
     ),
-    "train": Command(
-        "train RENet on a CPU or GPUs", "renet.training.launch", "TrainCfg", "launch", "train"
-    ),
+    "train": Command("train RENet on a CPU or GPUs", "renet.training.launch:TrainCfg:launch"),
     "recipe": Command(
         "print the whole recipe: of a checkpoint, or of a run that would begin now",
-        "renet.training.provenance",
-        "RecipeCfg",
-        "show",
-        "train",
+        "renet.training.provenance:RecipeCfg:show",
     ),
     "export": Command(
         "turn a checkpoint into a bundle of three ONNX models",
-        "renet.training.bundle",
-        "ExportCfg",
-        "export",
-        "train",
+        "renet.training.bundle:ExportCfg:export",
     ),
     "play": Command(
         "watch a bundle or a checkpoint live in the browser, or film it",
-        "renet.evaluation.play",
-        "PlayCfg",
-        "run_play",
-        "train",
+        "renet.evaluation.play:PlayCfg:run_play",
     ),
     "deploy": Command(
         "put a bundle on a robot, simulated or real; leaves a recording and its timeline",
-        "renet.deploy.main",
-        "DeployCfg",
-        "deploy",
+        "renet.deploy.main:DeployCfg:deploy",
         "sim",
     ),
     "calibrate": Command(
         "measure the selector's threshold on healthy runs and store it in a bundle",
-        "renet.evaluation.calibrate",
-        "CalibrateCfg",
-        "run_calibrate",
-        "train",
+        "renet.evaluation.calibrate:CalibrateCfg:run_calibrate",
     ),
     "evaluate faults": Command(
         "every way a depth camera fails; --preset noise: the paper's noise figure",
-        "renet.evaluation.studies.faults",
-        "FaultStudy",
-        "FaultStudy.main",
-        "train",
-        {"noise": ("renet.evaluation.studies.noise", "NoiseStudy")},
+        "renet.evaluation.studies.faults:FaultStudy:FaultStudy.main",
+        presets={"noise": "renet.evaluation.studies.noise:NoiseStudy"},
     ),
     "evaluate leaderboard": Command(
         "rank policies by their result files of the fault benchmark",
-        "renet.evaluation.studies.leaderboard",
-        "LeaderboardCfg",
-        "make_leaderboard",
-        "train",
+        "renet.evaluation.studies.leaderboard:LeaderboardCfg:make_leaderboard",
     ),
     "evaluate terrain": Command(
         "highest levels on gap, platform and stairs (the paper's table); --preset success: one try",
-        "renet.evaluation.studies.terrain",
-        "TerrainStudy",
-        "TerrainStudy.main",
-        "train",
-        {"success": ("renet.evaluation.studies.terrain", "SuccessStudy")},
+        "renet.evaluation.studies.terrain:TerrainStudy:TerrainStudy.main",
+        presets={"success": "renet.evaluation.studies.terrain:SuccessStudy"},
     ),
     "evaluate margins": Command(
         "how far a robot may be from the simulated one before the policy falls",
-        "renet.evaluation.studies.margins",
-        "MarginsStudy",
-        "MarginsStudy.main",
-        "train",
+        "renet.evaluation.studies.margins:MarginsStudy:MarginsStudy.main",
     ),
     "evaluate standing": Command(
         "whether a robot that is commanded to stand does, and stands still",
-        "renet.evaluation.studies.standing",
-        "StandingStudy",
-        "StandingStudy.main",
-        "train",
+        "renet.evaluation.studies.standing:StandingStudy:StandingStudy.main",
     ),
     "evaluate course": Command(
         "a kilometre unattended: grass, stairs, slopes, platforms, gaps, an occlusion",
-        "renet.evaluation.studies.course",
-        "CourseStudy",
-        "CourseStudy.main",
-        "train",
+        "renet.evaluation.studies.course:CourseStudy:CourseStudy.main",
     ),
     "evaluate filter": Command(
         "the filter's switching delay and number of switches against gamma and rate",
-        "renet.evaluation.studies.filter",
-        "FilterStudy",
-        "FilterStudy.main",
-        "train",
+        "renet.evaluation.studies.filter:FilterStudy:FilterStudy.main",
     ),
     "evaluate log": Command(
         "score a recording: falls, distance, switches, delays, and its timeline",
-        "renet.deploy.score",
-        "ScoreCfg",
-        "score_log",
+        "renet.deploy.score:ScoreCfg:score_log",
+        "",
     ),
     "evaluate report": Command(
         "put every study found in a folder on one self-contained page",
-        "renet.evaluation.report.report",
-        "ReportCfg",
-        "main",
-        "train",
+        "renet.evaluation.report.report:ReportCfg:main",
     ),
     "evaluate pictures": Command(
         "pictures of every tile and of the camera's errors",
-        "renet.evaluation.studies.pictures",
-        "PicturesStudy",
-        "PicturesStudy.main",
-        "train",
+        "renet.evaluation.studies.pictures:PicturesStudy:PicturesStudy.main",
     ),
     "bundle inspect": Command(
         "print every input of a bundle by index: name, unit, scale, joint order",
-        "renet.deploy.bundle.inspect",
-        "InspectCfg",
-        "inspect",
+        "renet.deploy.bundle.inspect:InspectCfg:inspect",
+        "",
     ),
     "bundle card": Command(
         "write a bundle's model card from its files and its studies' results",
-        "renet.deploy.card",
-        "CardCfg",
-        "write_card",
+        "renet.deploy.card:CardCfg:write_card",
+        "",
     ),
 }
 
@@ -214,14 +177,12 @@ def _dispatch(arguments: list[str]) -> int:
     name, rest = _match(arguments)
     command = COMMANDS[name]
     try:
-        config, rest = _preset(command, rest)
-        module = importlib.import_module(command.module)
+        run, config, rest = command.load(rest)
         import tyro
 
-        config = config or getattr(module, command.config)
         given = {"default": config.defaults(rest)} if hasattr(config, "defaults") else {}
         cfg = tyro.cli(config, args=rest, prog=f"renet {name}", **given)
-        result = attrgetter(command.run)(module)(cfg)
+        result = run(cfg)
     except ModuleNotFoundError as error:
         # Also of imports that wait until an option needs them.
         if error.name and error.name.startswith("renet"):
@@ -233,19 +194,6 @@ def _dispatch(arguments: list[str]) -> int:
     if where is not None:
         print(f"Results: {where}")
     return 0
-
-
-def _preset(command: Command, arguments: list[str]) -> tuple[Any, list[str]]:
-    """The class that `--preset NAME` stands for, None without one, and the other arguments."""
-    if not command.presets or "--preset" not in arguments:
-        return None, arguments
-    place = arguments.index("--preset")
-    name = "".join(arguments[place + 1 : place + 2])
-    if name not in command.presets:
-        raise RenetError(f"unknown preset {name!r}: choose one of {', '.join(command.presets)}")
-    module, config = command.presets[name]
-    rest = arguments[:place] + arguments[place + 2 :]
-    return getattr(importlib.import_module(module), config), rest
 
 
 def _match(arguments: list[str]) -> tuple[str, list[str]]:

@@ -6,6 +6,7 @@ import json
 import os
 import stat
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -128,18 +129,20 @@ def require_regular(path: Path, limit: int, what: str = "file") -> Path:
 
 
 def write_atomically(path: Path, data: bytes, what: str = "file") -> None:
-    """Write beside a file's final place, flush to the disk and rename.
+    """Write beside a file's final place, flush to the disk and rename; makes its folder.
 
     Raises:
         RenetError: it cannot be written; what was at `path` is then unchanged.
     """
     partial = path.with_name(f".{path.name}.partial")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with partial.open("wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
         os.replace(partial, path)
     except OSError as error:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError):
+            partial.unlink()
         raise RenetError(f"cannot write the {what} {path}: {error}") from error

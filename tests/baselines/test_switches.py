@@ -105,7 +105,7 @@ def test_a_flickering_preference_is_smoothed_and_a_lasting_one_is_obeyed() -> No
     for update in range(400):
         preference[0] = 1.0 if update % 4 != 3 else -1.0  # Low a quarter of the time.
         preference[1] = 1.0 if update < 200 else -1.0
-        trusted = own.update(NOTHING)
+        trusted = own.update(NOTHING, 0.0)
         assert trusted[0]
         assert trusted[1] or update >= 200
     assert trusted.tolist() == [True, False, True, True]
@@ -115,11 +115,11 @@ def test_a_flickering_preference_is_smoothed_and_a_lasting_one_is_obeyed() -> No
 def test_reset_trusts_vision_again() -> None:
     preference = torch.full((2,), -1.0)
     own = selector(preference, smoothing=1.0)
-    assert not own.update(NOTHING).any()
+    assert not own.update(NOTHING, 0.0).any()
     preference[:] = 1.0
     own.reset(np.array([True, False]))
     preference[:] = torch.tensor([0.0, -1.0])
-    assert own.update(NOTHING).tolist() == [True, False]
+    assert own.update(NOTHING, 0.0).tolist() == [True, False]
 
 
 def test_runs_in_the_closed_loop_of_the_studies() -> None:

@@ -124,8 +124,8 @@ def test_markup_is_escaped(tmp_path, results):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("{", "is no study's summary"),
-        ("[]", "is no study's summary"),
+        ("{", "is not JSON"),
+        ("[]", "must hold a JSON object"),
         (summary(runs=[3]), "runs must be objects"),
         (summary(runs=None), "is no study's summary"),
         ({"study": "noise", "runs": []}, "lacks 'provenance'"),

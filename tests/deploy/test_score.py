@@ -134,7 +134,7 @@ def test_long_and_tiny_runs_are_drawn(flight, tmp_path):
 
 def test_a_folder_that_cannot_be_written(flight, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(RenetError, match="cannot write to"):
+    with pytest.raises(RenetError, match="cannot write the score"):
         write_score(flight, tmp_path / "file")
 
 

@@ -43,6 +43,16 @@ class FakeEnv:
     def place_on(self, grounds: Sequence[str]) -> None:
         assert len(grounds) == self.num_robots
 
+    @property
+    def scene_spec(self) -> mujoco.MjSpec:
+        spec = mujoco.MjSpec()
+        spec.worldbody.add_light(pos=(0, 0, 3))
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1))
+        body = spec.worldbody.add_body()
+        body.add_freejoint()
+        body.add_geom(size=(0.2, 0.1, 0.1), type=mujoco.mjtGeom.mjGEOM_BOX)
+        return spec
+
     def poses(self, rows: Sequence[int]) -> np.ndarray:
         pose = np.zeros((len(rows), 7))
         pose[:, 0], pose[:, 2], pose[:, 3] = self.x[list(rows)], 0.2, 1
@@ -89,7 +99,7 @@ class FakeSelector:
         self.probability, self.beta = np.ones(num_robots), beta
         self.fresh = 0
 
-    def update(self, sight: SelectorInput) -> np.ndarray:
+    def update(self, sight: SelectorInput, now: float) -> np.ndarray:
         self.fresh += int(sight.fresh.any())
         self.probability = 0.9 * self.probability + 0.1 * (sight.anomaly_score < self.beta)
         return self.probability > 0.5
@@ -105,15 +115,6 @@ class FakeEvaluator:
     thresholds: ClassVar = {"reconstruction": 0.01, "duplicate": 3.0, "frame_age": 0.2}
     robot = GO1
     rollout = Evaluator.rollout
-
-    def __init__(self) -> None:
-        spec = mujoco.MjSpec()
-        spec.worldbody.add_light(pos=(0, 0, 3))
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1))
-        body = spec.worldbody.add_body()
-        body.add_freejoint()
-        body.add_geom(size=(0.2, 0.1, 0.1), type=mujoco.mjtGeom.mjGEOM_BOX)
-        self.scene_spec = spec
 
     def provenance(self, seed: int) -> Provenance:
         return Provenance.now("fake", "0" * 64, "native", seed)

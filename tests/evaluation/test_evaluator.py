@@ -24,11 +24,10 @@ from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial, run_rollout
-from renet.evaluation.selectors import ClockedSelector, updates_apart
 from renet.faults import Injection
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
-from renet.selector.filter import switch_delay
+from renet.selector import SelectorInput, make_selector, switch_delay
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.training.bundle import camera_spec, robot_spec
 from renet.training.export import export_models
@@ -64,7 +63,6 @@ def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bu
     assert trace.film is not None
     assert trace.film.images[0].std() > 5
     assert not trace.fallen.any()
-    assert evaluator.scene_spec is not None
     assert evaluator.provenance(3).bundle_hash == evaluator.bundle.sha256
 
 
@@ -113,18 +111,13 @@ def test_calibration_is_written_into_the_bundle(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("rate", "gamma"), [(200.0, 0.1), (50.0, 0.1), (10.0, 0.3)])
 def test_the_filter_runs_at_its_own_rate(rate: float, gamma: float) -> None:
-    switch = ClockedSelector("paper", SelectorSpec(beta=1.0, gamma=gamma, rate_hz=rate), 1)
-    updates = 0
-    while switch.judge(np.array([2.0]))[0]:
+    switch = make_selector("paper", SelectorSpec(beta=1.0, gamma=gamma, rate_hz=rate))
+    updates = 1
+    while switch.update(SelectorInput(np.array([2.0])), updates * 0.005)[0]:
         updates += 1
-    assert (updates + 1) * 0.005 == pytest.approx(switch_delay(gamma, rate))
+    assert updates * 0.005 == pytest.approx(switch_delay(gamma, rate))
     switch.reset(np.array([True]))
     assert switch.probability[0] == 1
-
-
-def test_a_rate_the_simulation_cannot_keep_is_refused() -> None:
-    with pytest.raises(RenetError, match="selector rate 33"):
-        updates_apart(33.0)
 
 
 def test_a_missing_bundle_is_reported(tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
 
         trusted = np.zeros(1, bool)
 
-        def update(self, sight):
+        def update(self, sight, now):
             trusted, self.trusted = self.trusted, np.zeros(1, bool)
             return trusted
 

@@ -8,10 +8,9 @@ import pytest
 from renet.errors import RenetError
 from renet.evaluation.monitor_log import SelectorProbe, combined_score, successful_runs
 from renet.evaluation.rollout import Trial, run_rollout
-from renet.evaluation.selectors import ClockedSelector, make_selector
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
-from renet.selector import SelectorSpec
+from renet.selector import SelectorSpec, make_selector
 from renet.selector.monitors import SelectorInput
 
 from .fakes import GROUND, FakeEnv, FakePolicy
@@ -65,7 +64,7 @@ def test_monitors_notice_what_the_papers_rule_cannot(fault, level, delay) -> Non
 
 
 def test_a_slow_selector_sees_every_frame_once() -> None:
-    switch = ClockedSelector("monitors", SelectorSpec(beta=1.0, gamma=0.6, rate_hz=10.0), 1)
+    switch = make_selector("monitors", SelectorSpec(beta=1.0, gamma=0.6, rate_hz=10.0), 1)
     image = np.random.default_rng(0).random((1, 48, 64))
     visions = []
     for update in range(200):
@@ -79,7 +78,7 @@ def test_a_slow_selector_sees_every_frame_once() -> None:
             np.zeros((1, 3)),
             np.zeros((1, 3)),
         )
-        visions.append(bool(switch.update(sight)[0]))
+        visions.append(bool(switch.update(sight, (update + 1) * 0.005)[0]))
     # The third equal frame comes at update 40 and is judged at the end of its period.
     assert visions.index(False) == 59
 

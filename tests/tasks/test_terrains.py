@@ -168,6 +168,25 @@ def test_failing_at_the_first_level_leads_to_one_of_the_first(parkour):
     assert reached == set(range(FIRST_LEVELS))
 
 
+def test_none_comes_back_to_a_flat_first_level(parkour):
+    kinds = parkour.scene.terrain.cfg.terrain_generator.sub_terrains
+    goal, reached = parkour.command_manager.get_term("goal"), set()
+    with pytest.MonkeyPatch.context() as patch:
+        for kind in kinds.values():
+            patch.setattr(kind, "flat_start", True)
+        levels = at_level(parkour, 0)
+        goal.commanded_distance[:] = 4.0
+        base(parkour)[0, 0] += 4.1
+        parkour.curriculum_manager.compute(env_ids=torch.arange(6))
+        assert levels[:6].tolist() == [1, 0, 0, 0, 0, 0], "who cannot walk stays"
+        for _ in range(10):
+            levels = at_level(parkour, 1)
+            goal.commanded_distance[:] = 4.0
+            parkour.curriculum_manager.compute(env_ids=torch.arange(6))
+            reached |= set(levels[:6].tolist())
+    assert reached == set(range(1, 1 + FIRST_LEVELS))
+
+
 def test_the_last_level_leads_back_to_any(parkour):
     reached = set()
     for _ in range(10):
@@ -213,13 +232,14 @@ def edges(tile: Tile, difficulty: float) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", ["gap", "platform"])
 def test_dense_tiles_have_more_edges_and_begin_flat(kind):
-    sparse, dense = edges(tiles()[kind], 0.5), edges(dense_tiles()[kind], 0.5)
+    sparse, dense = edges(tiles()[kind], 0.5), edges(dense_tiles()[kind], 5 / 9)
     assert len(sparse) == 2
     assert len(dense) == 4
     assert np.diff(dense).min() > 0.39  # A foot finds room between any two.
     assert len(edges(dense_tiles()[kind], 0.0)) == 0
-    # The first edge is as large as on the tile that policies are judged on.
-    assert dense_tiles()[kind].measure(1 / 9) == tiles()[kind].measure(1 / 9)
+    # What follows begins and ends as on the tiles that policies are judged on.
+    for mine, theirs in ((1 / 9, 0.0), (5 / 9, 0.5), (1.0, 1.0)):
+        assert dense_tiles()[kind].measure(mine) == pytest.approx(tiles()[kind].measure(theirs))
 
 
 def test_evaluation_draws_other_tiles_than_training():

@@ -175,13 +175,13 @@ class SwitchSelector:
         return 1.0 / (1.0 + np.exp(-np.clip(self._mean, -30, 30)))
 
     @torch.no_grad()
-    def update(self, seen: SelectorInput) -> np.ndarray:
+    def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """One update from the policy's newest step; returns [N] bool, vision is trusted."""
-        del seen
-        now = self._switch.preference(self._policy.inputs).numpy()
+        del seen, now
+        newest = self._switch.preference(self._policy.inputs).numpy()
         # A start in vision: the first preference counts from there.
-        before = np.where(self._blank, np.maximum(now, 0.0), self._mean)
-        self._mean = before + self._smoothing * (now - before)
+        before = np.where(self._blank, np.maximum(newest, 0.0), self._mean)
+        self._mean = before + self._smoothing * (newest - before)
         self._blank[:] = False
         return self._mean >= 0.0
 

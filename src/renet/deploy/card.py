@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -14,6 +13,7 @@ import tyro
 
 from renet.deploy.bundle import MANIFEST, MODELS, Bundle
 from renet.errors import RenetError
+from renet.files import read_object, write_atomically
 
 CARD = "README.md"
 """Name that the Hub shows as a repository's card."""
@@ -57,13 +57,7 @@ def write_card(cfg: CardCfg) -> Path:
         raise RenetError(f"--license {cfg.license!r}: give the Hub's identifier, e.g. apache-2.0")
     bundle = Bundle.load(cfg.bundle)
     text = card(bundle, _read_summaries(cfg.results, bundle), cfg.license)
-    partial = cfg.out / f".{CARD}.partial"
-    try:
-        cfg.out.mkdir(parents=True, exist_ok=True)
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, cfg.out / CARD)
-    except OSError as error:
-        raise RenetError(f"cannot write {cfg.out / CARD}: {error.strerror}") from error
+    write_atomically(cfg.out / CARD, text.encode(), "card")
     return cfg.out
 
 
@@ -252,10 +246,8 @@ def _read_summaries(folder: Path | None, bundle: Bundle) -> list[dict[str, Any]]
 
 def _read_summary(path: Path, bundle: Bundle) -> dict[str, Any]:
     """A summary that can be shown: of this bundle, and of the shape that studies write."""
+    summary = read_object(path, "summary", MAX_SUMMARY)
     try:
-        if not path.is_file() or path.stat().st_size > MAX_SUMMARY:
-            raise ValueError(f"no file of at most {MAX_SUMMARY} bytes")
-        summary = json.loads(path.read_text(encoding="utf-8"))
         made = summary["provenance"]
         for key in ("seed", "engine", "renet_version", "date", "command", "bundle_hash"):
             made[key]
@@ -265,7 +257,7 @@ def _read_summary(path: Path, bundle: Bundle) -> dict[str, Any]:
         card(bundle, [summary], "")
     except KeyError as error:
         raise RenetError(f"{path} is no study's summary: it lacks {error}") from error
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, AttributeError) as error:
         raise RenetError(f"{path} is no study's summary: {error}") from error
     if made["bundle_hash"] != bundle.sha256:
         raise RenetError(f"{path} is of another bundle: run the study with this one")

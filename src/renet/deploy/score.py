@@ -19,6 +19,7 @@ from renet.deploy.replay import mismatch
 from renet.deploy.safety import Mode
 from renet.deploy.timeline import draw_timeline
 from renet.errors import RenetError
+from renet.files import write_atomically
 from renet.interface import CONTROL_DT
 
 SCORE, TIMELINE = "score.json", "timeline.svg"
@@ -61,11 +62,7 @@ def write_score(run: Recording, folder: Path, onsets: Sequence[float] = ()) -> d
     """Write `score.json` and `timeline.svg`; returns the score."""
     onsets = [*run.header.get("onsets", []), *onsets]
     result = score(run, onsets)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / SCORE).write_text(json.dumps(result, indent=1) + "\n")
-    except OSError as error:
-        raise RenetError(f"cannot write to {folder}: {error}") from error
+    write_atomically(folder / SCORE, (json.dumps(result, indent=1) + "\n").encode(), "score")
     try:
         draw_timeline(run, onsets, folder / TIMELINE)
     except RenetError as error:  # The score is worth more than its picture.

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.report.figures import MODE_NAMES, noise_label
+from renet.evaluation.figures import MODE_NAMES, noise_label
 from renet.evaluation.report.page import provenance_section, render, write_page
 from renet.evaluation.report.summary import noise_facts, noise_headline
-from renet.evaluation.report.video import VideoCfg, make_video, panels_of
+from renet.evaluation.report.video import VideoCfg, film
 from renet.evaluation.studies.faults import Setting
 from renet.evaluation.studies.noise import NoiseStudy
-from renet.evaluation.terminal import progress, show
+from renet.evaluation.terminal import show
 from renet.evaluation.trace import Trace
 from renet.faults import fault_class
 from renet.interface import CONTROL_DT
@@ -56,10 +56,10 @@ def run_demo(cfg: DemoCfg, evaluator: Evaluator | None = None) -> Path:
     for table in study.tables(summary):
         show(*table)
     setting = worst_of_vp(summary)
-    film = None
+    video = None
     if cfg.video:
-        film = film_comparison(study, evaluator, setting, cfg.out / "video.mp4")
-    return write_demo_page(summary, film, setting, cfg.out)
+        video = film_comparison(study, evaluator, setting, cfg.out / "video.mp4")
+    return write_demo_page(summary, video, setting, cfg.out)
 
 
 def film_comparison(
@@ -73,16 +73,12 @@ def film_comparison(
     cfg, modes = cfg or VideoCfg(), ("vp", "renet")
     trials = study.trials([setting])
     env = study.make_env(evaluator, tuple(trial.robot for trial in trials))
-    film = range(len(trials))
-    title = "one setting, filmed"
-    trace = evaluator.rollout(title, env, trials, study.steps, study.seed, film)
+    everybody, title = range(len(trials)), "one setting, filmed"
+    trace = evaluator.rollout(title, env, trials, study.steps, study.seed, everybody)
     robot = first_to_fall(study, trace)
     first = {mode: study.modes.index(mode) * study.robots_each for mode in modes}
     titles = {first[mode] + robot: MODE_NAMES[mode] for mode in modes}
-    panels, poses = panels_of(trace, titles, label(setting), cfg.fps)
-    assert evaluator.scene_spec is not None
-    with progress("video", len(poses)) as advance:
-        return make_video(path, evaluator.scene_spec, poses, panels, cfg, advance)
+    return film(path, env.scene_spec, trace, titles, label(setting), cfg)
 
 
 def worst_of_vp(summary: dict[str, Any]) -> Setting:
@@ -108,12 +104,12 @@ def first_to_fall(study: NoiseStudy, trace: Trace) -> int:
 
 
 def write_demo_page(
-    summary: dict[str, Any], film: Path | None, setting: Setting, out: Path
+    summary: dict[str, Any], video: Path | None, setting: Setting, out: Path
 ) -> Path:
-    """Write index.html into `out`, from the study's figures there; the film is of `setting`."""
+    """Write index.html into `out`, from the study's figures there; the video is of `setting`."""
     found = noise_facts(summary)
     sections = [
-        render("demo", found=found, film=film, noise=label(setting)),
+        render("demo", found=found, film=video, noise=label(setting)),
         render("demo_method"),
         render("noise", summary=summary, settings=summary["settings"], folder=out),
         render("demo_provenance"),

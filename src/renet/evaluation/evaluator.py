@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import mujoco
-
 from renet.deploy.bundle import Bundle
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
@@ -21,11 +19,10 @@ from renet.evaluation.rollout import (
     Trial,
     run_rollout,
 )
-from renet.evaluation.selectors import check_selector, make_selector
 from renet.evaluation.terminal import progress
 from renet.evaluation.trace import Trace
 from renet.faults import Injector
-from renet.selector.monitors import SelectorInput, default_monitors
+from renet.selector import SelectorInput, check_kind, default_monitors, make_selector
 from renet.tasks import RenetEnvCfg, RobotCfg
 from renet.tasks.sensors import set_depth_noise
 
@@ -46,11 +43,9 @@ class Evaluator:
         Raises:
             RenetError: a missing, damaged or incompatible bundle, or an unknown selector.
         """
-        check_selector(selector)
+        check_kind(selector)
         self.bundle = Bundle.load(bundle, threads=2)
         self.engine, self.selector = engine, selector
-        self.scene_spec: mujoco.MjSpec | None = None
-        """The scene of the latest environment, for pictures."""
 
     @property
     def robot(self) -> RobotCfg:
@@ -100,9 +95,7 @@ class Evaluator:
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
         set_depth_noise(cfg, self.bundle.manifest.camera.noise_std)
-        env = SimEnv(cfg, robots, seed, self.engine)
-        self.scene_spec = env.scene_spec
-        return env
+        return SimEnv(cfg, robots, seed, self.engine)
 
     def make_policy(self, num_robots: int) -> EvalPolicy:
         """Make the policy under study."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from renet.evaluation.rollout import EvalSelector
 from renet.evaluation.trace import UPDATES_PER_STEP, Trace
-from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import MONITORS, SelectorInput, default_monitors
 
 UPDATES_PER_TICK = UPDATES_PER_STEP * STEPS_PER_TICK
@@ -24,16 +24,17 @@ class MonitorLog:
         # Only scores are asked for: thresholds do not matter.
         self._monitors = default_monitors(1.0, dict.fromkeys(MONITORS, 1.0), num_robots)
         self._ticks: list[np.ndarray] = []
-        self._updates = 0
+        self.updates = 0
+        """Taken so far, one each physics step."""
 
     def __call__(self, sight: SelectorInput) -> None:
         """Take the scores of one update; a tick keeps the highest of its updates."""
         scores = np.stack([monitor.score(sight) for monitor in self._monitors])
-        if self._updates % UPDATES_PER_TICK == 0:
+        if self.updates % UPDATES_PER_TICK == 0:
             self._ticks.append(scores)
         else:
             np.maximum(self._ticks[-1], scores, out=self._ticks[-1])
-        self._updates += 1
+        self.updates += 1
 
     @property
     def scores(self) -> dict[str, np.ndarray]:
@@ -92,7 +93,8 @@ class SelectorProbe:
         """Take one update."""
         self.log(sight)
         for name, selector in self._selectors.items():
-            self._answers[name].append(selector.update(sight).copy())
+            now = self.log.updates * PHYSICS_DT
+            self._answers[name].append(selector.update(sight, now).copy())
 
     def trusted(self, name: str) -> np.ndarray:
         """[T, U, N] bool: one selector's answers, as `Trace.trusted`."""

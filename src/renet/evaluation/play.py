@@ -18,10 +18,9 @@ from renet.errors import RenetError
 from renet.evaluation.env import FLAT, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report.height_maps import MapLog
-from renet.evaluation.report.video import VideoCfg, make_video, panels_of
+from renet.evaluation.report.video import VideoCfg, film
 from renet.evaluation.results import output_folder
 from renet.evaluation.rollout import Trial, check_modes
-from renet.evaluation.terminal import progress
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
 from renet.training.bundle import ExportCfg, export
@@ -128,9 +127,5 @@ def _film(cfg: PlayCfg) -> Path:
     trace = evaluator.rollout(
         title, env, trials, steps, cfg.seed, range(count), on_update=log.note, policy=policy
     )
-    look, titles = VideoCfg(), dict(enumerate(cfg.modes))
-    name = ", ".join(fault.fault for fault in faults)
-    panels, poses = panels_of(trace, titles, name, look.fps, log.maps)
-    assert evaluator.scene_spec is not None
-    with progress("video", len(poses)) as advance:
-        return make_video(out, evaluator.scene_spec, poses, panels, look, advance)
+    titles, name = dict(enumerate(cfg.modes)), ", ".join(fault.fault for fault in faults)
+    return film(out, env.scene_spec, trace, titles, name, VideoCfg(), log.maps)

@@ -108,8 +108,8 @@ class EvalSelector(Protocol):
         """[N] vision probability P_t."""
         ...
 
-    def update(self, seen: SelectorInput) -> np.ndarray:
-        """One filter update; returns [N] bool, vision is trusted."""
+    def update(self, seen: SelectorInput, now: float) -> np.ndarray:
+        """Once each physics step, at `now` s; returns [N] bool, vision is trusted."""
         ...
 
     def reset(self, mask: np.ndarray) -> None:
@@ -211,7 +211,8 @@ class ClosedLoop:
         for update in range(UPDATES_PER_STEP):
             sight = selector_input(self.policy, self.frames, self._steps, update)
             self._on_update(sight)
-            self.answers[update] = self.trusted = self.selector.update(sight)
+            now = (self.clock * UPDATES_PER_STEP + update + 1) * PHYSICS_DT
+            self.answers[update] = self.trusted = self.selector.update(sight, now)
         self.clock += 1
         self._steps += 1
         self._perturb()

@@ -13,10 +13,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
 from renet.errors import RenetError
+from renet.evaluation import figures
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import (
-    Provenance,
     ResultCache,
     output_folder,
     plain,
@@ -24,13 +27,15 @@ from renet.evaluation.results import (
     write_json,
 )
 from renet.evaluation.rollout import check_modes, check_speed
-from renet.evaluation.selectors import check_selector
 from renet.evaluation.terminal import show
+from renet.selector import check_kind
 
 Part = dict[str, Any]
 """What is kept of one batch of robots; JSON after `plain`."""
 Table = tuple[str, tuple[str, ...], list[tuple[Any, ...]]]
 """Title, header and rows."""
+Figures = Mapping[str, Figure]
+"""By file name, such as "noise.png"."""
 
 
 @dataclass(frozen=True)
@@ -70,17 +75,14 @@ class Study:
         """
         raise NotImplementedError
 
-    def draw(
-        self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance
-    ) -> None:
-        """Write the figures into `out`.
+    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
+        """Figures by their file's name, which `run` saves; none by default.
 
         Args:
             summary: content of summary.json.
             parts: results of `parts` by name.
-            provenance: of the numbers.
         """
-        raise NotImplementedError
+        return {}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """What the command line prints."""
@@ -118,7 +120,9 @@ class Study:
             for run in summary["runs"]
         ]
         write_csv(out / "summary.csv", rows)
-        self.draw(summary, parts, provenance)
+        with plt.rc_context(figures.STYLE):
+            for name, figure in self.draw(summary, parts).items():
+                figures.save(figure, out / name, provenance)
         return summary
 
     def main(self) -> None:
@@ -146,7 +150,7 @@ class WalkingStudy(Study):
     def __post_init__(self) -> None:
         check_modes(self.modes)
         check_speed(self.speed)
-        check_selector(self.selector)
+        check_kind(self.selector)
         if self.robots < 1:
             raise RenetError(f"robots must be at least 1, got {self.robots}")
 

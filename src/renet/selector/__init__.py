@@ -13,6 +13,7 @@ from renet.selector.selector import (
     MonitorSelector,
     SelectorCfg,
     SelectorSpec,
+    check_kind,
     check_selector,
     make_selector,
 )
@@ -28,6 +29,7 @@ __all__ = [
     "SelectorSpec",
     "calibrate",
     "calibrate_monitors",
+    "check_kind",
     "check_selector",
     "conformal_threshold",
     "default_monitors",

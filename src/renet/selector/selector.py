@@ -177,12 +177,17 @@ def check_selector(spec: SelectorSpec) -> None:
             )
 
 
+def check_kind(kind: str) -> None:
+    """Raise RenetError for a name that is none of `SELECTORS`."""
+    if kind not in SELECTORS:
+        raise RenetError(f"unknown selector '{kind}': choose one of {', '.join(SELECTORS)}")
+
+
 def make_selector(kind: str, spec: SelectorSpec, num_robots: int = 1) -> MonitorSelector:
     """A selector for N robots by its name, one of `SELECTORS`; raises RenetError for another."""
-    if kind == "monitors":
-        monitors = default_monitors(spec.beta, spec.thresholds, num_robots)
-        return MonitorSelector(monitors, SelectorCfg(spec.gamma, spec.rate_hz), num_robots)
+    check_kind(kind)
     if kind == "paper":
         cfg = SelectorCfg(spec.gamma, spec.rate_hz, dwell=0.0, between_returns=0.0)
         return MonitorSelector([Reconstruction(spec.beta)], cfg, num_robots)
-    raise RenetError(f"unknown selector '{kind}': choose one of {', '.join(SELECTORS)}")
+    monitors = default_monitors(spec.beta, spec.thresholds, num_robots)
+    return MonitorSelector(monitors, SelectorCfg(spec.gamma, spec.rate_hz), num_robots)

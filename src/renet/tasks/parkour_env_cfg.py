@@ -247,8 +247,6 @@ def _rewards(robot: RobotCfg) -> dict[str, RewardTermCfg]:
             weight=0.0,
             params={"standing_height": robot.map_height - robot.foot_radius},
         ),
-        "overspeed": RewardTermCfg(func=mdp.overspeed, weight=0.0),
-        "low_trunk": RewardTermCfg(func=mdp.low_trunk, weight=0.0),
     }
 
 

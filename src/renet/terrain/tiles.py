@@ -62,7 +62,9 @@ class Tile:
 
     def measure(self, difficulty: float) -> float:
         """Size of the obstacle, m, at a difficulty in [0, 1]."""
-        if self.flat_start and difficulty == 0.0:
+        if self.flat_start:  # The other levels share the range.
+            difficulty = (difficulty * (LEVELS - 1) - 1) / (LEVELS - 2)
+        if difficulty < 0.0:
             return FLAT
         return self.low + difficulty * (self.high - self.low)
 
@@ -72,7 +74,11 @@ class Tile:
         """Build the tile with its corner at the origin (mjlab moves it into place)."""
         builder = TileBuilder(tile_body(spec))
         height = self.build(builder, self.measure(difficulty), rng)
-        return BuiltTile(np.array([TILE / 2, TILE / 2, height]), builder.geometries)
+        return BuiltTile(self.start(height), builder.geometries)
+
+    def start(self, height: float) -> np.ndarray:
+        """Where a robot starts, [3] m from the tile's corner: in the middle."""
+        return np.array([TILE / 2, TILE / 2, height])
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """Add the geoms; returns the height of the start in the middle."""
@@ -152,8 +158,7 @@ class Rough(Tile):
             pos=(TILE / 2, TILE / 2, 0.0),
             rgba=STONE,
         )
-        origin = np.array([TILE / 2, TILE / 2, 0.0])
-        return BuiltTile(origin, [TileGeom(geom, STONE, field)])
+        return BuiltTile(self.start(0.0), [TileGeom(geom, STONE, field)])
 
 
 @dataclass

@@ -43,8 +43,6 @@ RENET: dict[str, Any] = {
         "collision": -1.0,
         "foot_clearance": -20.0,
         "standing_motion": -0.5,
-        "overspeed": -1.0,
-        "low_trunk": -50.0,
     },
     # Robots practise where levels rise slowest.
     "terrain_proportions": {

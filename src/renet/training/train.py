@@ -23,6 +23,7 @@ import tyro
 from mjlab.rl import RslRlVecEnvWrapper
 
 from renet.errors import RenetError
+from renet.files import write_atomically
 from renet.interface import CONTROL_DT
 from renet.models.config import ModelCfg
 from renet.training import checkpoint as checkpoints
@@ -226,7 +227,7 @@ def train(cfg: TrainCfg) -> Path | None:
             print(f"Going on from {resume} ({runner.alg.steps / 1e6:.2f} M steps)")
             say_differences(earlier.state, runner.provenance())
         print(f"Training {cfg.task} with {num_envs} robots in {run}")
-        record_config(cfg, run)
+        write_atomically(run / CONFIG, (json.dumps(settings(cfg), indent=1) + "\n").encode())
     try:
         left = None if budget is None else budget - (time.monotonic() - began)
         runner.learn(cfg.max_iterations - runner.alg.iteration, time_budget_s=left)
@@ -266,6 +267,7 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
         return task
     if cfg.dense_tiles:
         generator.sub_terrains = as_mjlab(dense_tiles())
+        task.scene.terrain.max_init_terrain_level = 0  # It is flat.
     for name, share in shares.items():
         if name not in generator.sub_terrains:
             known = ", ".join(generator.sub_terrains)
@@ -284,14 +286,6 @@ def _switch_step(cfg: TrainCfg, earlier: Checkpoint | None) -> int:
         steps = earlier.state["steps"]
     robots = (cfg.num_envs or 1) * int(os.getenv("WORLD_SIZE", "1"))
     return taken + round((cfg.standing_after - steps) / robots)
-
-
-def record_config(cfg: TrainCfg, run: Path) -> None:
-    """Write `config.json`."""
-    try:
-        (run / CONFIG).write_text(json.dumps(settings(cfg), indent=1) + "\n")
-    except OSError as error:
-        raise RenetError(f"cannot write {run / CONFIG}: {error}") from error
 
 
 def say_differences(before: dict[str, Any], now: dict[str, Any]) -> None:

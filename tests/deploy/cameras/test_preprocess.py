@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from renet.camera import Intrinsics
-from renet.deploy.cameras.preprocess import DepthPreprocessor, Pinhole, invalid_share
+from renet.deploy.cameras.preprocess import DepthPreprocessor, invalid_share
 from renet.errors import RenetError
 from renet.training.bundle import camera_spec
 
-LENS = Pinhole(848, 480, 446.8, 446.8, 423.5, 239.5)
+LENS = Intrinsics(480, 848, 446.8, 446.8, 424.0, 240.0)
 """87 degrees across."""
 
 
@@ -19,8 +19,8 @@ def test_every_pixel_is_taken_where_training_casts_its_ray():
     rows, columns = np.mgrid[: LENS.height, : LENS.width]
     preprocessor = DepthPreprocessor(LENS, camera_spec())
     rays = Intrinsics().rays().reshape(48, 64, 3)
-    left = (LENS.cx - columns) / LENS.fx
-    up = (LENS.cy - rows) / LENS.fy
+    left = (LENS.cx - 0.5 - columns) / LENS.fx
+    up = (LENS.cy - 0.5 - rows) / LENS.fy
     half_pixel = 0.5 / LENS.fx
     np.testing.assert_allclose(
         preprocessor.image(left + 1.0), (rays[..., 1] + 1) / 2, atol=half_pixel
@@ -38,7 +38,7 @@ def test_a_tilted_plane_looks_as_it_does_to_the_ray_caster():
         downwards = 0.5 - up * np.sqrt(0.75)
         return np.where(downwards > 0.05, 0.4 / np.maximum(downwards, 0.05), 50.0)
 
-    image = DepthPreprocessor(LENS, camera_spec()).image(depth((LENS.cy - rows) / LENS.fy))
+    image = DepthPreprocessor(LENS, camera_spec()).image(depth((LENS.cy - 0.5 - rows) / LENS.fy))
     rays = Intrinsics().rays()[:, 2].reshape(48, 64)
     expected = torch.as_tensor(depth(rays)).clamp(max=2.0) / 2.0
     np.testing.assert_allclose(image, expected, atol=0.01)
@@ -63,9 +63,9 @@ def test_only_the_policys_view_counts_as_invalid():
 
 def test_a_narrow_camera_is_refused():
     with pytest.raises(RenetError, match="not wide enough"):
-        DepthPreprocessor(Pinhole(848, 480, 900.0, 446.8, 423.5, 239.5), camera_spec())
+        DepthPreprocessor(Intrinsics(480, 848, 900.0, 446.8, 424.0, 240.0), camera_spec())
     with pytest.raises(RenetError, match="not high enough"):
-        DepthPreprocessor(Pinhole(848, 480, 446.8, 900.0, 423.5, 239.5), camera_spec())
+        DepthPreprocessor(Intrinsics(480, 848, 446.8, 900.0, 424.0, 240.0), camera_spec())
 
 
 def test_an_image_of_another_size_than_its_lens_is_refused():

@@ -31,7 +31,7 @@ def log(tmp_path_factory) -> Path:
 def drawn(monkeypatch) -> dict:
     seen: dict = {}
 
-    def draw(path, spec, poses, panels, look, on_frame):
+    def draw(path, spec, poses, panels, look):
         seen.update(path=path, model=spec.compile(), poses=poses[:, 0], panel=panels[0])
         return path
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.report import figures, report
+from renet.evaluation import figures
+from renet.evaluation.report import report
 from renet.evaluation.report.report import STUDIES, ReportCfg, make_report
 from renet.evaluation.report.summary import FACTS, WORSE
 from renet.evaluation.studies.course import CourseStudy

@@ -6,36 +6,25 @@ therefore sampled where those rays meet it, whatever its own size and lens.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from renet.camera import Intrinsics
 from renet.deploy.bundle.manifest import CameraSpec
 from renet.errors import RenetError
-
-
-@dataclass(frozen=True)
-class Pinhole:
-    """A camera's image without distortion; pixel (0, 0) has its centre at (0, 0)."""
-
-    width: int
-    height: int
-    fx: float
-    """Focal length in pixels."""
-    fy: float
-    cx: float
-    """Principal point in pixels."""
-    cy: float
 
 
 class DepthPreprocessor:
     """Picks a policy's pixels from one camera's images."""
 
-    def __init__(self, lens: Pinhole, spec: CameraSpec) -> None:
-        """Find the pixels; raises RenetError if the camera's view is too narrow."""
+    def __init__(self, lens: Intrinsics, spec: CameraSpec) -> None:
+        """Find the pixels in images without distortion.
+
+        Raises:
+            RenetError: the camera's view is too narrow.
+        """
         left, up = spec.intrinsics.axes()
-        self._columns = np.rint(lens.cx - lens.fx * left).astype(int)
-        self._rows = np.rint(lens.cy - lens.fy * up).astype(int)
+        self._columns = np.rint(lens.cx - 0.5 - lens.fx * left).astype(int)
+        self._rows = np.rint(lens.cy - 0.5 - lens.fy * up).astype(int)
         for name, index, size in (
             ("wide", self._columns, lens.width),
             ("high", self._rows, lens.height),

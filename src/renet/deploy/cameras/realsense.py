@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from renet.camera import Intrinsics
 from renet.deploy.bundle.manifest import CameraSpec
 from renet.deploy.cameras.base import DepthFrame
-from renet.deploy.cameras.preprocess import DepthPreprocessor, Pinhole, invalid_share
+from renet.deploy.cameras.preprocess import DepthPreprocessor, invalid_share
 from renet.errors import RenetError
 
 WIDTH, HEIGHT, FPS = 848, 480, 30
@@ -212,9 +213,11 @@ class RealSenseCamera:
             self.problem = ""
 
 
-def _lens(profile: Any) -> Pinhole:
+def _lens(profile: Any) -> Intrinsics:
+    """As the vendor says it, whose pixel (0, 0) has its centre at (0, 0)."""
     found = profile.as_video_stream_profile().get_intrinsics()
-    return Pinhole(found.width, found.height, found.fx, found.fy, found.ppx, found.ppy)
+    middle = found.ppx + 0.5, found.ppy + 0.5
+    return Intrinsics(found.height, found.width, found.fx, found.fy, *middle)
 
 
 def _shut(sensor: Any) -> None:

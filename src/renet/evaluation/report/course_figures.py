@@ -3,35 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
-from renet.evaluation.report import figures
-from renet.evaluation.results import Provenance
+from renet.evaluation import figures
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 
 ENDS = {"crossed": "#7fb98d", "stuck": "#e9c46a", "fell": "#d1584b"}
 """How a passage ends, and its colour."""
 
 
-def draw_timelines(
-    laps: Sequence[dict[str, Any]],
-    lap: Sequence[str],
-    beta: float,
-    path: Path,
-    provenance: Provenance,
-) -> Path:
+def draw_timelines(laps: Sequence[dict[str, Any]], lap: Sequence[str], beta: float) -> Figure:
     """The paper's figure: loss, P_t and the estimator in charge, one line for each lap.
 
     Args:
         laps: the laps' timelines, at 10 Hz.
         lap: kinds of passage.
         beta: threshold.
-        path: of the PNG.
-        provenance: of the numbers.
     """
     every, marks, events = CONTROL_DT * STEPS_PER_TICK, [], []
     for line in laps:
@@ -39,14 +30,14 @@ def draw_timelines(
         starts = [k for k in range(len(where)) if k == 0 or where[k] != where[k - 1]]
         marks.append([(k * every, lap[where[k]]) for k in starts])
         events.append([(instant, name) for name in ("fell", "stuck") for instant in line[name]])
-    return figures.timelines(laps, marks, beta, "", path, provenance, events, every)
+    return figures.timelines(laps, marks, beta, "", events, every)
 
 
-def draw_passages(passages: Sequence[dict[str, Any]], path: Path, provenance: Provenance) -> Path:
+def draw_passages(passages: Sequence[dict[str, Any]]) -> Figure:
     """Shares of tries on each kind of passage that were crossed, got stuck or fell, by mode."""
     modes = list(dict.fromkeys(row["mode"] for row in passages))
     kinds = list(dict.fromkeys(row["kind"] for row in passages))
-    with plt.rc_context({**figures.STYLE, "axes.grid": False}):
+    with plt.rc_context({"axes.grid": False}):
         figure, axes = plt.subplots(
             1, len(modes), figsize=(9, 0.32 * len(kinds) + 1.5), sharey=True, squeeze=False
         )
@@ -66,4 +57,4 @@ def draw_passages(passages: Sequence[dict[str, Any]], path: Path, provenance: Pr
         axes[0][0].invert_yaxis()
         handles, labels = axes[0][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=9)
-        return figures.save(figure, path, provenance)
+        return figure

@@ -1,15 +1,15 @@
-"""A scene that needs no simulator, for pictures of faults: flat ground and five blocks.
-
-Depth is found by hand (rays against a plane and boxes), so that the gallery is the same for every
-bundle and can be drawn in a second.
-"""
+"""A scene without a robot, for pictures of faults: flat ground and five blocks."""
 
 from __future__ import annotations
 
+from functools import cache
+
+import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from renet.camera import Intrinsics
+from renet.deploy.cameras.sim import rotation, tilt
+from renet.deploy.robots.mujoco import cast
 from renet.faults import TICK, Frames, Injection, Injector, ViewPerturbation
 from renet.faults.image import FOCAL_PIXELS
 from renet.faults.physical import spread
@@ -53,29 +53,26 @@ def scene(view: ViewPerturbation | None = None, walked: float = 0.0) -> np.ndarr
 
     A `view` of one camera; by default it sees what is there.
     """
-    view = view or ViewPerturbation.none(1)
-    hidden = spread(list(range(len(BLOCKS))), float(view.glass[0])) if view.glass[0] else set()
-    rays = _rays(view.turn[0])
+    view, data = view or ViewPerturbation.none(1), _ground_and_blocks()
+    blocks = list(range(1, data.model.ngeom))
+    hidden = sorted(spread(blocks, float(view.glass[0]))) if view.glass[0] else []
+    rays = Intrinsics(fx=FOCAL_PIXELS, fy=FOCAL_PIXELS).rays()
+    lengths = np.linalg.norm(rays, axis=1)
     eye = np.array([walked, 0.0, EYE - view.lift[0]])
-    with np.errstate(divide="ignore"):
-        depth = np.where(rays[..., 2] < 0, -eye[2] / np.minimum(rays[..., 2], -1e-9), np.inf)
-    for number, block in enumerate(BLOCKS):
-        if number not in hidden:
-            depth = np.minimum(depth, _box(eye, rays, *block))
-    return np.clip(depth / DEPTH_RANGE, 0.0, 1.0).astype(np.float32)
+    camera = tilt(TILT) @ rotation(view.turn[0])
+    depth = cast(data, eye, rays / lengths[:, None] @ camera.T, hidden) / lengths
+    return np.clip(depth / DEPTH_RANGE, 0.0, 1.0).astype(np.float32).reshape(DEPTH_SHAPE)
 
 
-def _rays(turn: np.ndarray) -> np.ndarray:
-    """Directions [48, 64, 3] in the world (ahead, left, up), one metre of depth long."""
-    rays = Intrinsics(fx=FOCAL_PIXELS, fy=FOCAL_PIXELS).rays().reshape(*DEPTH_SHAPE, 3)
-    sine, cosine = np.sin(TILT), np.cos(TILT)
-    tilt = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
-    return rays @ (tilt @ Rotation.from_rotvec(turn).as_matrix()).T
-
-
-def _box(eye: np.ndarray, rays: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Depth [48, 64] at which rays enter an axis-aligned box; infinite where they miss it."""
-    rays = np.where(np.abs(rays) < 1e-9, 1e-9, rays)
-    one, two = (low - eye) / rays, (high - eye) / rays
-    enter, leave = np.minimum(one, two).max(-1), np.maximum(one, two).min(-1)
-    return np.where((enter < leave) & (enter > 0), enter, np.inf)
+@cache
+def _ground_and_blocks() -> mujoco.MjData:
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1))
+    for low, high in BLOCKS:
+        spec.worldbody.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX, size=(high - low) / 2, pos=(low + high) / 2
+        )
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return data

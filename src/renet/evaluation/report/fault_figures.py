@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from renet.evaluation.report import figures
+from renet.evaluation import figures
 from renet.evaluation.report.example_scene import example
-from renet.evaluation.results import Provenance
 from renet.faults import FAULTS, SEVERITIES
 
 Runs = list[dict[str, Any]]
@@ -20,7 +19,7 @@ SHADES = ("#b7b2e0", "#7d76c9", "#3c3ca0", "#2a2a78", "#14143f")
 """Of severities 1 to 5."""
 
 
-def draw_crossed(runs: Runs, modes: Sequence[str], path: Path, provenance: Provenance) -> Path:
+def draw_crossed(runs: Runs, modes: Sequence[str]) -> Figure:
     """A table of colours: share of robots that cross, faults by grounds, mode by mode."""
     panels = {
         figures.MODE_NAMES[mode]: _cells(
@@ -31,10 +30,10 @@ def draw_crossed(runs: Runs, modes: Sequence[str], path: Path, provenance: Prove
         for mode in modes
     }
     title = "Robots that cross (%), all severities and onsets together"
-    return figures.colour_tables(panels, title, path, provenance, width=0.62)
+    return figures.colour_tables(panels, title, width=0.62)
 
 
-def draw_survival(runs: Runs, modes: Sequence[str], path: Path, provenance: Provenance) -> Path:
+def draw_survival(runs: Runs, modes: Sequence[str]) -> Figure:
     """A table of colours: share of robots on their feet, faults by severities, mode by mode."""
     panels = {
         figures.MODE_NAMES[mode]: _cells(
@@ -43,10 +42,10 @@ def draw_survival(runs: Runs, modes: Sequence[str], path: Path, provenance: Prov
         for mode in modes
     }
     title = "Robots on their feet (%), all grounds and onsets together"
-    return figures.colour_tables(panels, title, path, provenance, "severity")
+    return figures.colour_tables(panels, title, "severity")
 
 
-def draw_detection(runs: Runs, path: Path, provenance: Provenance) -> Path:
+def draw_detection(runs: Runs) -> Figure:
     """Two tables: share of robots that noticed, under the selector used and the paper's rule."""
     ours = [run for run in runs if run["mode"] == "renet"] or runs
     panels = {
@@ -57,7 +56,7 @@ def draw_detection(runs: Runs, path: Path, provenance: Provenance) -> Path:
         )
     }
     title = "Robots with vision that noticed the fault while it lasted (%)"
-    return figures.colour_tables(panels, title, path, provenance, "severity")
+    return figures.colour_tables(panels, title, "severity")
 
 
 def _share(count: int, total: int) -> float:
@@ -79,34 +78,31 @@ def _cells(
     }
 
 
-def draw_roc(
-    curves: Mapping[str, list[dict[str, Any]]], path: Path, provenance: Provenance
-) -> Path:
+def draw_roc(curves: Mapping[str, list[dict[str, Any]]]) -> Figure:
     """One panel for each fault: could a threshold tell its frames from healthy ones?"""
     columns = min(6, len(curves))
     rows = -(-len(curves) // columns)
-    with plt.rc_context(figures.STYLE):
-        figure, axes = plt.subplots(
-            rows, columns, figsize=(1.9 * columns + 0.4, 2.1 * rows + 0.9), squeeze=False
-        )
-        for axis, (fault, found) in zip(axes.flat, curves.items(), strict=False):
-            _draw_curves(axis, found)
-            axis.set_title(fault.replace("_", " "), fontsize=9)
-        for axis in axes.flat[len(curves) :]:
-            axis.set_axis_off()
-        for axis in axes[-1]:
-            axis.set_xlabel("false alarms", fontsize=8)
-        for axis in axes[:, 0]:
-            axis.set_ylabel("caught", fontsize=8)
-        handles, labels = axes.flat[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside right center", fontsize=8)
-        figure.suptitle(
-            "Frames before and after the onset: all monitors (lines), reconstruction alone (dots)",
-            x=0.01,
-            ha="left",
-            fontsize=11,
-        )
-        return figures.save(figure, path, provenance)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(1.9 * columns + 0.4, 2.1 * rows + 0.9), squeeze=False
+    )
+    for axis, (fault, found) in zip(axes.flat, curves.items(), strict=False):
+        _draw_curves(axis, found)
+        axis.set_title(fault.replace("_", " "), fontsize=9)
+    for axis in axes.flat[len(curves) :]:
+        axis.set_axis_off()
+    for axis in axes[-1]:
+        axis.set_xlabel("false alarms", fontsize=8)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("caught", fontsize=8)
+    handles, labels = axes.flat[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right center", fontsize=8)
+    figure.suptitle(
+        "Frames before and after the onset: all monitors (lines), reconstruction alone (dots)",
+        x=0.01,
+        ha="left",
+        fontsize=11,
+    )
+    return figure
 
 
 def _draw_curves(axis: Axes, found: list[dict[str, Any]]) -> None:
@@ -119,7 +115,7 @@ def _draw_curves(axis: Axes, found: list[dict[str, Any]]) -> None:
     axis.tick_params(labelsize=7)
 
 
-def draw_gallery(faults: Sequence[str], seed: int, path: Path, provenance: Provenance) -> Path:
+def draw_gallery(faults: Sequence[str], seed: int) -> Figure:
     """One picture of each fault at each severity; faults of time look like a healthy image."""
     framed: dict[Any, Any] = dict.fromkeys(("axes.spines.top", "axes.spines.right"), True)
     with plt.rc_context({**figures.STYLE, **framed, "axes.grid": False}):
@@ -134,4 +130,4 @@ def draw_gallery(faults: Sequence[str], seed: int, path: Path, provenance: Prove
                 )
                 axis.set(xticks=[], yticks=[])
             row[0].set_ylabel(fault.replace("_", " "), fontsize=8, rotation=0, ha="right")
-        return figures.save(figure, path, provenance)
+        return figure

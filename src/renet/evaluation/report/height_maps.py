@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 from renet.deploy.policy import Policy
 from renet.evaluation.env import SimEnv
-from renet.evaluation.report import figures
 from renet.evaluation.report.colormaps import RELIEF, as_seen
-from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import UPDATES_PER_STEP
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
 from renet.selector.monitors import SelectorInput
@@ -66,14 +64,11 @@ def errors(maps: np.ndarray, kinds: Sequence[str]) -> list[dict[str, Any]]:
     ]
 
 
-def draw_height_maps(
-    maps: np.ndarray, kinds: Sequence[str], path: Path, provenance: Provenance
-) -> None:
+def draw_height_maps(maps: np.ndarray, kinds: Sequence[str]) -> Figure:
     """True and predicted ground where each robot had the most relief around it.
 
     Args:
-        maps: [T, N, 2, 132] m, as `MapLog.maps`. kinds: N tiles. path: of the picture.
-        provenance: of the numbers.
+        maps: [T, N, 2, 132] m, as `MapLog.maps`. kinds: N tiles.
     """
     later = maps[WARM_UP:]
     steps = np.ptp(later[:, :, 1], axis=-1).argmax(axis=0)
@@ -98,4 +93,4 @@ def draw_height_maps(
     axes[0, 0].set_ylabel("m ahead", fontsize=8)
     axes[1, 0].set_ylabel("m ahead", fontsize=8)
     figure.colorbar(image, ax=axes, shrink=0.7, label="ground over the robot's own, m")
-    figures.save(figure, path, provenance, dpi=90)
+    return figure

@@ -16,7 +16,6 @@ from renet.deploy.score import fallen, track
 from renet.errors import RenetError
 from renet.evaluation.report.video import Panel, VideoCfg, make_video
 from renet.evaluation.results import output_folder
-from renet.evaluation.terminal import progress
 from renet.interface import CONTROL_DT, DEPTH_SHAPE, JOINTS
 from renet.tasks.config.go1 import GO1
 
@@ -44,8 +43,7 @@ def film_log(log: Path, out: Path | None = None) -> Path:
     robot = Entity(GO1.entity()).spec  # With its visual meshes.
     spec, _ = scene_spec(terrain, header.get("level", 1), scene, header.get("seed", 0), robot)
     poses = _poses(recording, spec.compile())[frames]
-    with progress("video", len(frames)) as advance:
-        return make_video(out, spec, poses[:, None], [_panel(recording, frames)], look, advance)
+    return make_video(out, spec, poses[:, None], [_panel(recording, frames)], look)
 
 
 def _poses(recording: Recording, model: mujoco.MjModel) -> np.ndarray:

@@ -14,7 +14,7 @@ from jinja2.exceptions import UndefinedError
 from markupsafe import Markup
 
 from renet.errors import RenetError
-from renet.evaluation.report.figures import MODE_NAMES, noise_label
+from renet.evaluation.figures import MODE_NAMES, noise_label
 from renet.faults import fault_class
 from renet.files import write_atomically
 

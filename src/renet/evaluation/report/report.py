@@ -13,7 +13,7 @@ from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report.page import render, study_sections, write_page
 from renet.evaluation.report.summary import overview_section, worse_section
-from renet.evaluation.results import output_folder, read_results
+from renet.evaluation.results import read_results
 from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.filter import FilterStudy
@@ -86,7 +86,6 @@ def make_report(cfg: ReportCfg) -> Path:
     sections = [_across(overview_section, found), render("how_to_read")]
     sections += [_across(worse_section, found), *studies]
     out = cfg.out or cfg.results / "index.html"
-    output_folder(out.parent)
     lead = (
         "What a robot dog's policy does on hard ground and when its depth camera fails, in"
         " simulation, from the exported ONNX models. Falls are judged by the robot's true pose;"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from renet.evaluation.report.figures import MODE_NAMES
+from renet.evaluation.figures import MODE_NAMES
 from renet.evaluation.report.page import Section, render
 from renet.evaluation.studies.fault_findings import label
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,10 +16,13 @@ from PIL import Image, ImageDraw, ImageFont
 
 from renet.errors import RenetError
 from renet.evaluation.report.colormaps import beside, map_picture
+from renet.evaluation.terminal import progress
 from renet.evaluation.trace import Trace
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 
 CAMERA = "renet_tracking_camera"
+AWAY = np.array([1.6 * np.cos(np.radians(-110.0)), 1.6 * np.sin(np.radians(-110.0)), 0.55])
+"""From the robot to the camera that follows it, m, in axes of the robot's initial heading."""
 GREEN, RED, WHITE = (126, 200, 120), (235, 92, 80), (245, 245, 245)
 
 
@@ -33,13 +36,6 @@ class VideoCfg:
     """Pixels of one robot's panel."""
     fps: int = 25
     """Frames per second, a divisor of the control rate (50)."""
-    distance: float = 1.6
-    """Horizontal metres from the camera to the robot it follows."""
-    elevation: float = 0.55
-    """Metres of the camera above the robot."""
-    bearing: float = -110.0
-    """Degrees from the robot's initial heading to the camera, counter-clockwise."""
-    shadows: bool = True
 
 
 def _shade_ground(model: mujoco.MjModel) -> None:
@@ -78,7 +74,7 @@ class Painter:
                 cam_res=(cfg.width, cfg.height),
                 render_rgb=True,
                 render_depth=False,
-                use_shadows=cfg.shadows,
+                use_shadows=True,
                 enabled_geom_groups=[0, 1, 2],
                 cam_active=[i == self._camera for i in range(self._model.ncam)],
                 render_skybox=True,
@@ -106,16 +102,14 @@ class Painter:
 
     def _viewpoint(self, robot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Position and rotation matrix of a camera that looks at a robot's position [3]."""
-        cfg, bearing = self._cfg, np.radians(self._cfg.bearing)
         # The camera keeps its height, or a trotting robot would seem to stand on moving ground.
         ground = np.array([robot[0], robot[1], self._ground(robot)])
-        away = [cfg.distance * np.cos(bearing), cfg.distance * np.sin(bearing), cfg.elevation]
-        back = np.array(away) / np.linalg.norm(away)
+        back = AWAY / np.linalg.norm(AWAY)
         right = np.cross([0, 0, 1], back)
         right /= np.linalg.norm(right)
         # Left and low in the picture: the depth image is shown in the upper right corner.
         target = ground + 0.15 * right + [0, 0, 0.26]
-        return target + away, np.stack([right, np.cross(back, right), back], axis=1)
+        return target + AWAY, np.stack([right, np.cross(back, right), back], axis=1)
 
     def _ground(self, robot: np.ndarray) -> float:
         """Height of what lies under the robot, smoothed by never leaving a 0.1 m grid."""
@@ -209,15 +203,24 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 
 
-def make_video(
+def film(
     path: Path,
     spec: mujoco.MjSpec,
-    poses: np.ndarray,
-    panels: Sequence[Panel],
+    trace: Trace,
+    titles: Mapping[int, str],
+    fault: str,
     cfg: VideoCfg,
-    on_frame: Callable[[], None] = lambda: None,
+    maps: np.ndarray | None = None,
 ) -> Path:
-    """Draw robots side by side and write an mp4 that any browser plays.
+    """`make_video` of `panels_of`: some rows of a filmed trace."""
+    panels, poses = panels_of(trace, titles, fault, cfg.fps, maps)
+    return make_video(path, spec, poses, panels, cfg)
+
+
+def make_video(
+    path: Path, spec: mujoco.MjSpec, poses: np.ndarray, panels: Sequence[Panel], cfg: VideoCfg
+) -> Path:
+    """Draw robots side by side and write an mp4 that any browser plays, beside a progress bar.
 
     Args:
         path: of the mp4.
@@ -225,7 +228,6 @@ def make_video(
         poses: [F, R, nq].
         panels: one for each robot.
         cfg: look.
-        on_frame: called after every frame, for a progress bar.
 
     Raises:
         RenetError: poses and panels do not match, or ffmpeg is missing.
@@ -236,12 +238,15 @@ def make_video(
     size = (cfg.height, cfg.width * len(panels))
     part = path.with_name(f"{path.stem}.part{path.suffix}")
     try:
-        with mediapy.VideoWriter(part, size, fps=cfg.fps, codec="h264", crf=26) as writer:
+        with (
+            mediapy.VideoWriter(part, size, fps=cfg.fps, codec="h264", crf=26) as writer,
+            progress("video", len(poses)) as advance,
+        ):
             for frame, pose in enumerate(poses):
                 pictures = painter.draw(pose)
                 stamped = [p.stamp(pictures[i], frame) for i, p in enumerate(panels)]
                 writer.add_image(np.concatenate(stamped, axis=1))
-                on_frame()
+                advance()
     except RuntimeError as error:
         part.unlink(missing_ok=True)
         raise RenetError(f"cannot write {path}: {str(error).splitlines()[0]}") from error

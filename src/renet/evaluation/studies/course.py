@@ -18,11 +18,10 @@ from renet.errors import RenetError
 from renet.evaluation import metrics
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report import course_figures
-from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import StepResult, Trial
 from renet.evaluation.studies.course_env import CourseEnv, PlaceInjector, course_length, time_limit
 from renet.evaluation.studies.course_terrain import LAP, SHORT_LAP, course_env_cfg, passage
-from renet.evaluation.study import Part, Table, WalkingStudy
+from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import SEVERITIES
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
@@ -116,15 +115,14 @@ class CourseStudy(WalkingStudy):
             "laps": laps,
         }
 
-    def draw(
-        self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance
-    ) -> None:
-        """Write course.png, where RENet was run, and passages.png."""
+    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
+        """course.png, where RENet was run, and passages.png."""
+        drawn = {"passages.png": course_figures.draw_passages(summary["passages"])}
         timelines = [part["timeline"] for part in parts.values() if part["timeline"]]
         if timelines:
-            lap, path = self.effective()[0], self.out / "course.png"
-            course_figures.draw_timelines(timelines, lap, summary["beta"], path, provenance)
-        course_figures.draw_passages(summary["passages"], self.out / "passages.png", provenance)
+            lap = self.effective()[0]
+            drawn["course.png"] = course_figures.draw_timelines(timelines, lap, summary["beta"])
+        return drawn
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Totals by mode."""

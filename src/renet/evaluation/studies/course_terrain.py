@@ -31,7 +31,6 @@ from renet.terrain.tiles import (
     STEEL,
     STONE,
     TILE,
-    BuiltTile,
     Obstacles,
     Rough,
     Tile,
@@ -73,12 +72,9 @@ SLOPES = (0.2, 1.0)
 class Passage(Tile):
     """A tile that is crossed along y; robots are set down at its beginning."""
 
-    def function(
-        self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
-    ) -> BuiltTile:
-        """Build the tile with its origin at the beginning."""
-        built = super().function(difficulty, spec, rng)
-        return BuiltTile(np.array([HALF, SET_DOWN, 0.0]), built.geometries)
+    def start(self, height: float) -> np.ndarray:
+        """At the tile's beginning."""
+        return np.array([HALF, SET_DOWN, height])
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """Flat ground; see `Tile.build`."""
@@ -148,12 +144,8 @@ class Gaps(Passage):
         return 0.0
 
 
-class Blocks(Passage, Obstacles):
+class Blocks(Obstacles, Passage):
     """Scattered blocks, as in training."""
-
-    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """Build the obstacle of size `measure`; returns the height of the origin, m."""
-        return Obstacles.build(self, builder, measure, rng)
 
     def place(self, a: float, b: float, rng: np.random.Generator) -> tuple[float, float]:
         """Middle of a block of half-sizes a, b that leaves both ends of the tile free, m."""
@@ -161,16 +153,8 @@ class Blocks(Passage, Obstacles):
         return float(x), float(y)
 
 
-@dataclass
-class Relief(Rough):
+class Relief(Rough, Passage):
     """Random relief, as in training."""
-
-    def function(
-        self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
-    ) -> BuiltTile:
-        """Build the tile with its origin at the beginning."""
-        built = super().function(difficulty, spec, rng)
-        return BuiltTile(np.array([HALF, SET_DOWN, 0.0]), built.geometries)
 
 
 FAULTS_HERE = {"grass": "grass", "occlusion": "occlusion"}

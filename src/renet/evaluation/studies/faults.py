@@ -23,12 +23,12 @@ from renet.evaluation.env import FLAT, SimEnv, grounds_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.monitor_log import SelectorProbe, combined_score, healthy_series
 from renet.evaluation.report import fault_figures
-from renet.evaluation.results import Provenance, write_json
+from renet.evaluation.results import write_json
 from renet.evaluation.rollout import StepResult, Trial
 from renet.evaluation.studies import fault_metrics
 from renet.evaluation.studies.benchmark import GROUNDS, ONSETS, result
 from renet.evaluation.studies.fault_findings import findings
-from renet.evaluation.study import Part, Table, WalkingStudy
+from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import FAULTS, SEVERITIES, Injection, fault_class
 from renet.faults.physical import Glass
@@ -361,20 +361,20 @@ class FaultStudy(WalkingStudy):
             write_json(self.out / "result.json", result(summary))
         return summary
 
-    def draw(
-        self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance
-    ) -> None:
-        """Write crossed.png, survival.png, detection.png, roc.png and gallery.png."""
-        runs, out = summary["runs"], self.out
-        fault_figures.draw_crossed(runs, self.modes, out / "crossed.png", provenance)
-        fault_figures.draw_survival(runs, self.modes, out / "survival.png", provenance)
-        fault_figures.draw_detection(runs, out / "detection.png", provenance)
+    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
+        """crossed.png, survival.png, detection.png, roc.png and gallery.png."""
+        runs = summary["runs"]
         curves: dict[str, list] = {}
         for name in self.batches:
             for curve in parts[name]["roc"]:
                 curves.setdefault(curve["fault"], []).append(curve)
-        fault_figures.draw_roc(curves, out / "roc.png", provenance)
-        fault_figures.draw_gallery(list(curves), self.seed, out / "gallery.png", provenance)
+        return {
+            "crossed.png": fault_figures.draw_crossed(runs, self.modes),
+            "survival.png": fault_figures.draw_survival(runs, self.modes),
+            "detection.png": fault_figures.draw_detection(runs),
+            "roc.png": fault_figures.draw_roc(curves),
+            "gallery.png": fault_figures.draw_gallery(list(curves), self.seed),
+        }
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Robots that crossed, by ground and fault, and the claims."""

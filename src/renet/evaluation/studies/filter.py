@@ -15,19 +15,16 @@ from typing import Any, ClassVar
 import matplotlib.pyplot as plt
 import numpy as np
 
-from renet.deploy.bundle.manifest import SelectorSpec
 from renet.errors import RenetError
-from renet.evaluation import metrics
+from renet.evaluation import figures, metrics
 from renet.evaluation.env import FLAT
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.report import figures
-from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import Trial, check_speed
-from renet.evaluation.selectors import ClockedSelector, updates_apart
-from renet.evaluation.study import Part, Study, Table
+from renet.evaluation.study import Figures, Part, Study, Table
 from renet.evaluation.trace import UPDATES_PER_STEP
 from renet.faults import Injection, parse_fault
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, PHYSICS_DT
+from renet.selector import SelectorInput, SelectorSpec, make_selector
 from renet.selector.filter import LowPassFilter, switch_delay
 
 
@@ -69,7 +66,9 @@ class FilterStudy(Study):
         for gamma in self.gammas:
             LowPassFilter(gamma)
         for rate in self.rates:
-            updates_apart(rate)
+            every = 1.0 / (PHYSICS_DT * rate) if rate > 0 else 0.0
+            if every < 0.5 or abs(every / round(every) - 1.0) > 1e-6:
+                raise RenetError(f"rate {rate} Hz: give 200 Hz or a whole fraction of that")
 
     @property
     def robots_each(self) -> int:
@@ -126,33 +125,30 @@ class FilterStudy(Study):
             "seed": self.seed,
         }
 
-    def draw(
-        self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance
-    ) -> None:
-        """Write filter.png: delay and switches against γ, one line for each rate."""
+    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
+        """filter.png: delay and switches against γ, one line for each rate."""
         palette = plt.get_cmap("plasma")(np.linspace(0, 0.85, len(self.rates)))
-        with plt.rc_context(figures.STYLE):
-            figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.8))
-            for colour, rate in zip(palette, self.rates, strict=True):
-                line = [run for run in summary["runs"] if run["rate_hz"] == rate]
-                gamma = [run["gamma"] for run in line]
-                delay = [np.nan if run["delay_s"] is None else run["delay_s"] for run in line]
-                label = f"{rate:g} Hz"
-                left.plot(gamma, delay, "o", color=colour, label=f"{label}, measured", markersize=4)
-                formula = [run["formula_s"] for run in line]
-                left.plot(gamma, formula, "-", color=colour, linewidth=1, label=f"{label}, formula")
-                switches = [run["switches_per_minute"] for run in line]
-                right.plot(gamma, switches, "o-", color=colour, label=label, markersize=4)
-            left.axhline(0.04, color=figures.INK, linestyle=":", linewidth=1)
-            left.set(title="(a) Delay of the switch", ylabel="delay (s)", yscale="log")
-            right.set(
-                title="(b) Switches, " + (self.jumping or "camera flickering"),
-                ylabel="switches per minute",
-            )
-            for axis in (left, right):
-                axis.set(xlabel="γ", xscale="log")
-                axis.legend(fontsize=8)
-            figures.save(figure, self.out / "filter.png", provenance)
+        figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.8))
+        for colour, rate in zip(palette, self.rates, strict=True):
+            line = [run for run in summary["runs"] if run["rate_hz"] == rate]
+            gamma = [run["gamma"] for run in line]
+            delay = [np.nan if run["delay_s"] is None else run["delay_s"] for run in line]
+            label = f"{rate:g} Hz"
+            left.plot(gamma, delay, "o", color=colour, label=f"{label}, measured", markersize=4)
+            formula = [run["formula_s"] for run in line]
+            left.plot(gamma, formula, "-", color=colour, linewidth=1, label=f"{label}, formula")
+            switches = [run["switches_per_minute"] for run in line]
+            right.plot(gamma, switches, "o-", color=colour, label=label, markersize=4)
+        left.axhline(0.04, color=figures.INK, linestyle=":", linewidth=1)
+        left.set(title="(a) Delay of the switch", ylabel="delay (s)", yscale="log")
+        right.set(
+            title="(b) Switches, " + (self.jumping or "camera flickering"),
+            ylabel="switches per minute",
+        )
+        for axis in (left, right):
+            axis.set(xlabel="γ", xscale="log")
+            axis.legend(fontsize=8)
+        return {"filter.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """The rows."""
@@ -166,6 +162,10 @@ class FilterStudy(Study):
 
 def replay(scores: np.ndarray, spec: SelectorSpec) -> np.ndarray:
     """A selector's answers [T, U, N] to anomaly scores [T, N], as in a rollout."""
-    selector = ClockedSelector("paper", spec, scores.shape[1])
-    updates = range(UPDATES_PER_STEP)
-    return np.array([[selector.judge(score) for _ in updates] for score in scores])
+    selector = make_selector("paper", spec, scores.shape[1])
+    updates = np.repeat(scores, UPDATES_PER_STEP, axis=0)
+    trusted = [
+        selector.update(SelectorInput(score), number * PHYSICS_DT)
+        for number, score in enumerate(updates, start=1)
+    ]
+    return np.array(trusted).reshape(len(scores), UPDATES_PER_STEP, -1)

@@ -12,7 +12,6 @@ import tyro
 
 from renet.errors import RenetError
 from renet.evaluation.metrics import bootstrap_interval
-from renet.evaluation.results import output_folder
 from renet.evaluation.studies.benchmark import ONSETS, read_result
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.terminal import show
@@ -39,7 +38,6 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
     """
     results = [read_result(path) for path in cfg.files]
     rows = rank(results)
-    output_folder(cfg.out.parent)
     lines = ["| " + " | ".join(map(str, row)) + " |" for row in (HEADER, ["---"] * 9, *rows)]
     write_atomically(cfg.out, ("\n".join(lines) + "\n").encode())
     show("Fault benchmark, version 1", HEADER, rows)

@@ -18,13 +18,11 @@ import numpy as np
 from mjlab.utils.noise import ConstantNoiseCfg
 
 from renet.errors import RenetError
-from renet.evaluation import metrics
+from renet.evaluation import figures, metrics
 from renet.evaluation.env import grounds_env_cfg
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.report import figures
-from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import Trial
-from renet.evaluation.study import Part, Table, WalkingStudy
+from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT, PROPRIOCEPTION
 from renet.sim.depth.camera import DepthCameraCfg
 from renet.tasks import RenetEnvCfg
@@ -240,10 +238,8 @@ class MarginsStudy(WalkingStudy):
         ]
         return {"runs": runs, "margins": found}
 
-    def draw(
-        self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance
-    ) -> None:
-        """Write margins.png: a table of colours, one row for each axis."""
+    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
+        """margins.png: a table of colours, one row for each axis."""
         panels = {}
         for ground in self.grounds:
             cells = {
@@ -253,7 +249,7 @@ class MarginsStudy(WalkingStudy):
             }
             panels[ground.replace("_", " ")] = cells
         title = f"Held with at most {100 * ALLOWED:.0f} % of the robots failing"
-        figures.colour_tables(panels, title, self.out / "margins.png", provenance, width=0.95)
+        return {"margins.png": figures.colour_tables(panels, title, width=0.95)}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """How far each ground and mode holds."""

@@ -9,13 +9,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from renet.evaluation import figures
 from renet.evaluation.env import FLAT
-from renet.evaluation.report import figures
 from renet.evaluation.report.page import noise_rows
-from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import Trial
 from renet.evaluation.studies.faults import FaultStudy, Setting
-from renet.evaluation.study import Part, Table
+from renet.evaluation.study import Figures, Part, Table
 from renet.evaluation.trace import Trace
 from renet.faults import Injection, fault_class
 
@@ -66,10 +65,8 @@ class NoiseStudy(FaultStudy):
             },
         }
 
-    def draw(
-        self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance
-    ) -> None:
-        """Write noise.png and timeline.png."""
+    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
+        """noise.png and timeline.png."""
         batches = {
             (settings[0].fault, fault_class(settings[0].fault).level_of(settings[0].severity)): part
             for settings, part in ((self.batches[name], parts[name]) for name in self.batches)
@@ -83,17 +80,18 @@ class NoiseStudy(FaultStudy):
             }
             for mode in self.modes
         }
-        onset, path = self.onsets[0], self.out / "noise.png"
-        figures.speed_over_time(curves, onset, self.speed, path, provenance)
         gaussian = [setting for setting in batches if setting[0] == "gaussian"]
         strongest = max(gaussian or list(batches)[1:], key=lambda setting: setting[1])
+        onset = self.onsets[0]
         marks = [
             (onset, f"{figures.noise_label(*strongest)} begins"),
             (onset + self.lasts / 2, "camera recovers"),
         ]
         line, title = batches[strongest]["timeline"], "One robot loses its camera and gets it back"
-        path = self.out / "timeline.png"
-        figures.timelines([line], [marks], summary["beta"], title, path, provenance)
+        return {
+            "noise.png": figures.speed_over_time(curves, onset, self.speed),
+            "timeline.png": figures.timelines([line], [marks], summary["beta"], title),
+        }
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Falls, speed and delay by mode and noise."""

@@ -11,16 +11,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 import torch
 from matplotlib.colors import LightSource
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from renet.camera import Intrinsics
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
+from renet.evaluation import figures
 from renet.evaluation.env import PARKOUR
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.report import figures
 from renet.evaluation.report.height_maps import MapLog, draw_height_maps, errors
-from renet.evaluation.results import Provenance, output_folder, plain, write_json
+from renet.evaluation.results import output_folder, plain, write_json
 from renet.evaluation.rollout import Trial
 from renet.evaluation.study import Study, Table
 from renet.interface import CONTROL_DT, DEPTH_RANGE
@@ -71,14 +72,18 @@ class PicturesStudy(Study):
         rays = scanner(env.env.sim.mj_model, "cpu")
         torch.manual_seed(self.seed)
         provenance = evaluator.provenance(self.seed)
-        draw_tiles(rays, terrain.terrain_origins, out / "tiles.png", provenance)
-        draw_camera(rays, terrain.terrain_origins, out / "camera.png", provenance)
+        drawn = {
+            "tiles.png": draw_tiles(rays, terrain.terrain_origins),
+            "camera.png": draw_camera(rays, terrain.terrain_origins),
+        }
         env.place(np.full(len(kinds), self.level - 1), np.arange(len(kinds)))
         policy, trials = Policy(evaluator.bundle, len(kinds)), [Trial("vp") for _ in kinds]
         log, steps = MapLog(policy, env), round(self.seconds / CONTROL_DT)
         title = "height maps of all tiles"
         evaluator.rollout(title, env, trials, steps, self.seed, on_update=log.note, policy=policy)
-        draw_height_maps(log.maps, kinds, out / "height_map.png", provenance)
+        drawn["height_map.png"] = draw_height_maps(log.maps, kinds)
+        for name, figure in drawn.items():
+            figures.save(figure, out / name, provenance, dpi=80)
         summary = plain(
             {
                 "study": self.name,
@@ -104,9 +109,7 @@ class PicturesStudy(Study):
         return [("Height maps of the VP estimator", header, rows)]
 
 
-def draw_tiles(
-    rays: TerrainScanner, origins: torch.Tensor, path: Path, provenance: Provenance
-) -> None:
+def draw_tiles(rays: TerrainScanner, origins: torch.Tensor) -> Figure:
     """Shaded relief of every kind of tile at three levels."""
     kinds = list(tiles())
     figure, axes = plt.subplots(
@@ -127,12 +130,10 @@ def draw_tiles(
             axis.set_title(f"{kind}, level {level}\n{low:+.2f} to {high:+.2f} m", fontsize=9)
             axis.set_xticks([-4, 0, 4])
             axis.set_yticks([-4, 0, 4])
-    figures.save(figure, path, provenance, dpi=80)
+    return figure
 
 
-def draw_camera(
-    rays: TerrainScanner, origins: torch.Tensor, path: Path, provenance: Provenance
-) -> None:
+def draw_camera(rays: TerrainScanner, origins: torch.Tensor) -> Figure:
     """One view per tile: true, then with range noise, then with mount errors as well."""
     kinds = list(tiles())
     mount = MountCfg()
@@ -165,7 +166,7 @@ def draw_camera(
             axis.set_xticks([])
             axis.set_yticks([])
             axis.set_title(f"{kind}: {rows[row]}" if row == 0 else rows[row], fontsize=9)
-    figures.save(figure, path, provenance, dpi=80)
+    return figure
 
 
 def _kept() -> tuple[tuple[float, float], float, float]:

@@ -17,12 +17,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from renet.errors import RenetError
+from renet.evaluation import figures
 from renet.evaluation.env import FLAT, PARKOUR
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.report import figures
-from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import StepResult, Trial
-from renet.evaluation.study import Part, Table, WalkingStudy
+from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT
 from renet.terrain.tiles import LEVELS, tiles
 
@@ -121,27 +120,22 @@ class StandingStudy(WalkingStudy):
         """The rows, and the criteria of standing still."""
         return {"runs": parts["runs"]["runs"], "drift_m": DRIFT, "moving_rad_per_s": MOVING}
 
-    def draw(
-        self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance
-    ) -> None:
-        """Write standing.png: how fast joints move before and after the command, by ground."""
+    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
+        """standing.png: how fast joints move before and after the command, by ground."""
         curves = np.array(parts["runs"]["joint_speed"])
         seconds = np.arange(len(curves)) * CONTROL_DT - self.walk
         size = (2.2 * len(self.kinds) + 1, 3.2)
-        with plt.rc_context(figures.STYLE):
-            figure, axes = plt.subplots(
-                1, len(self.kinds), figsize=size, sharey=True, squeeze=False
-            )
-            for place, (axis, kind) in enumerate(zip(axes[0], self.kinds, strict=True)):
-                for number, mode in enumerate(self.modes):
-                    curve = figures.smooth(curves[:, place * len(self.modes) + number])
-                    label, colour = figures.MODE_NAMES[mode], figures.MODE_COLOURS[mode]
-                    axis.plot(seconds, curve, color=colour, label=label)
-                axis.axvline(0.0, color=figures.INK, linewidth=1, linestyle=":")
-                axis.set(title=kind.replace("_", " "), xlabel="s after the command")
-            axes[0][0].set_ylabel("mean joint speed (rad/s)")
-            axes[0][0].legend(fontsize=8)
-            figures.save(figure, self.out / "standing.png", provenance)
+        figure, axes = plt.subplots(1, len(self.kinds), figsize=size, sharey=True, squeeze=False)
+        for place, (axis, kind) in enumerate(zip(axes[0], self.kinds, strict=True)):
+            for number, mode in enumerate(self.modes):
+                curve = figures.smooth(curves[:, place * len(self.modes) + number])
+                label, colour = figures.MODE_NAMES[mode], figures.MODE_COLOURS[mode]
+                axis.plot(seconds, curve, color=colour, label=label)
+            axis.axvline(0.0, color=figures.INK, linewidth=1, linestyle=":")
+            axis.set(title=kind.replace("_", " "), xlabel="s after the command")
+        axes[0][0].set_ylabel("mean joint speed (rad/s)")
+        axes[0][0].legend(fontsize=8)
+        return {"standing.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """The rows."""

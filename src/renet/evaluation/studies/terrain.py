@@ -26,9 +26,8 @@ from renet.evaluation import metrics
 from renet.evaluation.env import FLAT, PARKOUR, SimEnv, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report import terrain_figures
-from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import StepResult, Trial
-from renet.evaluation.study import Part, Table, WalkingStudy
+from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Schedule, parse_fault
 from renet.interface import CONTROL_DT
@@ -205,11 +204,9 @@ class TerrainStudy(WalkingStudy):
             "falls_on_flat": parts["flat"]["falls"],
         }
 
-    def draw(
-        self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance
-    ) -> None:
-        """Write the figure: share of robots that get across, against the obstacle's size."""
-        terrain_figures.draw_success(summary, self.out / f"{self.name}.png", provenance)
+    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
+        """The share of robots that get across, against the obstacle's size."""
+        return {f"{self.name}.png": terrain_figures.draw_success(summary)}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Shares that get across, and the paper's table."""

@@ -142,7 +142,7 @@ class ViewerSession:
         del result  # The loop has it.
         loop, fault = self.loop, self._fault
         action = loop.act()
-        reasons = getattr(getattr(loop.selector, "selector", None), "reason", [""])
+        reasons = getattr(loop.selector, "reason", [""])
         self.snapshot = Snapshot(
             depth=loop.frames.image[0],
             reconstruction=self.policy.reconstruction[0, 0],

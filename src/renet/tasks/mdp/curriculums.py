@@ -20,7 +20,9 @@ def terrain_levels(env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]
     """Move robots whose episodes end up or down a level (Rudin et al. 2022).
 
     Up when half a tile lies behind, down below half of what was commanded (no more than half a tile
-    can be covered, whatever the command). A robot that fell owes the whole episode, lest falling
+    can be covered, whatever the command). A flat first level is for robots that cannot walk yet:
+    none comes back to it, or most steps would go to flat ground, where episodes last longest. A
+    robot that fell owes the whole episode, lest falling
     early look like keeping up; one that was cut off, as in a run's first, randomly shortened
     episodes, owes what it had time for. One that has not walked keeps its level, as after loading a
     checkpoint. After the last level comes any.
@@ -43,17 +45,22 @@ def terrain_levels(env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]
     distance = distance_from_start(env)[env_ids]
     up = distance > TILE / 2
     down = ~up & (distance < 0.5 * owed.clamp_max(TILE / 2))
-    level = terrain.terrain_levels[env_ids] + (steps > 0) * (up.long() - down.long())
+    before, types = terrain.terrain_levels[env_ids], terrain.terrain_types[env_ids]
+    level = before + (steps > 0) * (up.long() - down.long())
     highest = len(terrain.terrain_origins)
-    level = torch.where(level < 0, torch.randint_like(level, FIRST_LEVELS), level)
+    tiles = terrain.cfg.terrain_generator.sub_terrains
+    flat_start = [getattr(tile, "flat_start", False) for tile in tiles.values()]
+    lowest = torch.tensor(flat_start, device=env.device).long()[types]
+    other = lowest + torch.randint_like(level, FIRST_LEVELS)
+    other = torch.where(before < lowest, before, other)  # Still on the flat level.
+    level = torch.where((level < lowest) & ~up, other, level)
     level = torch.where(level >= highest, torch.randint_like(level, highest), level)
     terrain.terrain_levels[env_ids] = level
-    terrain.env_origins[env_ids] = terrain.terrain_origins[level, terrain.terrain_types[env_ids]]
-    kinds = list(terrain.cfg.terrain_generator.sub_terrains)
-    means = torch.zeros(len(kinds), device=env.device).scatter_reduce(
+    terrain.env_origins[env_ids] = terrain.terrain_origins[level, types]
+    means = torch.zeros(len(tiles), device=env.device).scatter_reduce(
         0, terrain.terrain_types, terrain.terrain_levels.float(), "mean", include_self=False
     )
-    return dict(zip(kinds, means.unbind(), strict=True))
+    return dict(zip(tiles, means.unbind(), strict=True))
 
 
 def command_stage(env: ManagerBasedRlEnv, env_ids: Tensor, switch_step: int) -> Tensor:

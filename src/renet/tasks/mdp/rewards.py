@@ -11,11 +11,10 @@ from mjlab.envs import ManagerBasedRlEnv
 from mjlab.managers.reward_manager import RewardTermCfg
 from torch import Tensor
 
-from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, LEGS
+from renet.interface import LEGS
 from renet.tasks.mdp.base_state import base_position, base_rotation, base_velocity
 from renet.tasks.mdp.commands import goal
-from renet.tasks.mdp.metrics import indices_within
-from renet.tasks.sensors import CALF_CONTACT, HEIGHT_MAP, THIGH_TRUNK_CONTACT
+from renet.tasks.sensors import CALF_CONTACT, THIGH_TRUNK_CONTACT
 
 
 def linear_velocity(env: ManagerBasedRlEnv) -> Tensor:
@@ -167,34 +166,3 @@ class foot_clearance:
     def reset(self, env_ids: Tensor | slice | None = None) -> None:
         """Begin episodes."""
         self._before[env_ids] = torch.nan
-
-
-def overspeed(env: ManagerBasedRlEnv, tolerance: float = 0.5) -> Tensor:
-    """Speed towards the goal beyond c_x by more than a share, [N] m/s.
-
-    Not in the paper, whose reward does not mind overshoot (eq. 6): early in training the policy
-    otherwise runs at one speed, whatever it is asked for. Robots told to stand pay nothing here.
-
-    Args:
-        env: the environment.
-        tolerance: share of c_x by which it may be exceeded.
-    """
-    command = goal(env)
-    towards = (base_velocity(env)[:, :2] * command.direction).sum(-1)
-    return torch.relu(towards - (1.0 + tolerance) * command.speed) * (command.speed > 0.0)
-
-
-def low_trunk(env: ManagerBasedRlEnv, height: float = 0.27, reach: float = 0.16) -> Tensor:
-    """Square of what the trunk lacks to a height over the ground below it, [N] m^2.
-
-    Not in the paper: without it the policy crouches at 0.21 to 0.23 m.
-
-    Args:
-        env: environment with the height-map sensor.
-        height: wanted of the base over the mean ground below it, m.
-        reach: half-width of the square of the map that counts as below, m.
-    """
-    sensor = env.scene[HEIGHT_MAP]
-    rows, columns = (indices_within(reach, axis) for axis in (HEIGHT_MAP_X, HEIGHT_MAP_Y))
-    below = sensor.data.unflatten(-1, (len(HEIGHT_MAP_X), -1))[:, rows, columns]
-    return torch.relu(height - below.mean((-2, -1)) - sensor.cfg.base_height).square()

@@ -59,10 +59,14 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "lines.linewidth": 1.6,
 }
+"""Of every figure of a study, which is drawn and saved under it."""
 
 
 def save(figure: Figure, path: Path, provenance: Provenance, dpi: int = 150) -> Path:
-    """Write a PNG, atomically, with its provenance as last line and in its metadata."""
+    """Write a PNG, atomically, with its provenance as last line and in its metadata.
+
+    Ticks are made now, by matplotlib's present style.
+    """
     line = provenance.line
     shown = line if len(line) <= 150 else line[:149] + "…"
     figure.supxlabel(shown, fontsize=6.5, color=FAINT, x=0.01, ha="left")
@@ -83,35 +87,30 @@ def speed_over_time(
     curves: Mapping[str, Mapping[tuple[str, float], np.ndarray]],
     onset: float,
     command: float,
-    path: Path,
-    provenance: Provenance,
-) -> Path:
+) -> Figure:
     """The paper's comparison: mean forward velocity against timestep, one panel for each mode.
 
     Args:
         curves: mode → (noise, level) → [T] m/s, mean over the robots.
         onset: seconds at which the noise begins.
         command: commanded speed, m/s.
-        path: of the PNG.
-        provenance: of the numbers.
     """
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(1, len(curves), figsize=(11, 4.2), sharey=True, squeeze=False)
-        for axis, letter, (mode, settings) in zip(axes[0], "abcdef", curves.items(), strict=False):
-            used: dict[str, int] = {}
-            for (noise, level), speed in settings.items():
-                shade = used[noise] = used.get(noise, -1) + 1
-                colour = FAMILIES.get(noise, ("#7d8590",))[shade % 3 if noise in FAMILIES else 0]
-                style = "--" if noise == "none" else "-"
-                axis.plot(smooth(speed), style, color=colour, label=noise_label(noise, level))
-            axis.axvline(onset / CONTROL_DT, color=INK, linewidth=1, linestyle=":")
-            axis.axhline(command, color=FAINT, linewidth=1, linestyle=(0, (1, 3)))
-            _write(axis, onset / CONTROL_DT, "noise begins", 0.0, xytext=(4, 5))
-            axis.set(title=f"({letter}) {MODE_NAMES[mode]}", xlabel="timestep (0.02 s)")
-        axes[0][0].set_ylabel("mean forward velocity (m/s)")
-        handles, labels = axes[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=9)
-        return save(figure, path, provenance)
+    figure, axes = plt.subplots(1, len(curves), figsize=(11, 4.2), sharey=True, squeeze=False)
+    for axis, letter, (mode, settings) in zip(axes[0], "abcdef", curves.items(), strict=False):
+        used: dict[str, int] = {}
+        for (noise, level), speed in settings.items():
+            shade = used[noise] = used.get(noise, -1) + 1
+            colour = FAMILIES.get(noise, ("#7d8590",))[shade % 3 if noise in FAMILIES else 0]
+            style = "--" if noise == "none" else "-"
+            axis.plot(smooth(speed), style, color=colour, label=noise_label(noise, level))
+        axis.axvline(onset / CONTROL_DT, color=INK, linewidth=1, linestyle=":")
+        axis.axhline(command, color=FAINT, linewidth=1, linestyle=(0, (1, 3)))
+        _write(axis, onset / CONTROL_DT, "noise begins", 0.0, xytext=(4, 5))
+        axis.set(title=f"({letter}) {MODE_NAMES[mode]}", xlabel="timestep (0.02 s)")
+    axes[0][0].set_ylabel("mean forward velocity (m/s)")
+    handles, labels = axes[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=9)
+    return figure
 
 
 def smooth(values: np.ndarray, steps: int = 13) -> np.ndarray:
@@ -128,24 +127,20 @@ Cells = Mapping[tuple[str, str], tuple[float, str]]
 def colour_tables(
     panels: Mapping[str, Cells],
     title: str,
-    path: Path,
-    provenance: Provenance,
     xlabel: str = "",
     width: float = 0.42,
-) -> Path:
+) -> Figure:
     """Coloured tables side by side with the same rows, green for 100, red for 0.
 
     Args:
         panels: by title.
         title: of all.
-        path: of the PNG.
-        provenance: of the numbers.
         xlabel: what the columns are.
         width: of a column, inches.
     """
     rows = list(dict.fromkeys(row for panel in panels.values() for row, _ in panel))
     columns = list(dict.fromkeys(column for panel in panels.values() for _, column in panel))
-    with plt.rc_context({**STYLE, "axes.grid": False, "axes.spines.left": False}):
+    with plt.rc_context({"axes.grid": False, "axes.spines.left": False}):
         size = (2.2 + width * len(columns) * len(panels), 1.4 + 0.3 * len(rows))
         figure, axes = plt.subplots(1, len(panels), figsize=size, sharey=True, squeeze=False)
         for axis, (name, panel) in zip(axes[0], panels.items(), strict=True):
@@ -160,7 +155,7 @@ def colour_tables(
             axis.tick_params(length=0)
             axis.set(title=name, xlabel=xlabel)
         figure.suptitle(title, x=0.01, ha="left", fontsize=11)
-        return save(figure, path, provenance)
+        return figure
 
 
 def bands(axis: Axes, vision: np.ndarray, every: float = CONTROL_DT) -> None:
@@ -176,11 +171,9 @@ def timelines(
     marks: Sequence[Sequence[tuple[float, str]]],
     beta: float,
     title: str,
-    path: Path,
-    provenance: Provenance,
     events: Sequence[Sequence[tuple[float, str]]] = (),
     every: float = CONTROL_DT,
-) -> Path:
+) -> Figure:
     """The paper's timeline, line by line: loss, threshold, P_t and the estimator in charge.
 
     Args:
@@ -188,36 +181,33 @@ def timelines(
         marks: instants to point out in each line, (seconds, text).
         beta: threshold.
         title: of the figure.
-        path: of the PNG.
-        provenance: of the numbers.
         events: what went wrong in each line, (seconds, text).
         every: seconds between values.
     """
     height = 2.8 if len(lines) == 1 else 1.75
-    with plt.rc_context(STYLE):
-        size = (11, height * len(lines) + 0.9)
-        figure, axes = plt.subplots(len(lines), 1, figsize=size, squeeze=False)
-        for number, (axis, line) in enumerate(zip(axes[:, 0], lines, strict=True)):
-            bands(axis, np.array(line["vision"], bool), every)
-            right = _loss_and_probability(axis, line, beta, every)
-            axis.set_ylabel("anomaly score" if len(lines) == 1 else f"lap {number + 1}")
-            for instant, text in marks[number]:
-                axis.axvline(instant, color=INK, linewidth=1, linestyle=":")
-                _write(axis, instant, text, 1.0, xytext=(3, -10))
-            for instant, text in events[number] if events else ():
-                _write(axis, instant, text, 0.04, ha="right", fontweight="bold", color="#9c1f12")
-        axes[0, 0].set_title(title)
-        axes[-1, 0].set_xlabel("time (s)")
-        keys = [Rectangle((0, 0), 1, 1, color=c, alpha=0.7) for c in (VP_BAND, OP_BAND)]
-        named = axes[-1, 0].get_legend_handles_labels(), right.get_legend_handles_labels()
-        figure.legend(
-            [*named[0][0], *named[1][0], *keys],
-            [*named[0][1], *named[1][1], "VP in charge", "OP in charge"],
-            loc="outside upper center",
-            ncols=5,
-            fontsize=9,
-        )
-        return save(figure, path, provenance)
+    size = (11, height * len(lines) + 0.9)
+    figure, axes = plt.subplots(len(lines), 1, figsize=size, squeeze=False)
+    for number, (axis, line) in enumerate(zip(axes[:, 0], lines, strict=True)):
+        bands(axis, np.array(line["vision"], bool), every)
+        right = _loss_and_probability(axis, line, beta, every)
+        axis.set_ylabel("anomaly score" if len(lines) == 1 else f"lap {number + 1}")
+        for instant, text in marks[number]:
+            axis.axvline(instant, color=INK, linewidth=1, linestyle=":")
+            _write(axis, instant, text, 1.0, xytext=(3, -10))
+        for instant, text in events[number] if events else ():
+            _write(axis, instant, text, 0.04, ha="right", fontweight="bold", color="#9c1f12")
+    axes[0, 0].set_title(title)
+    axes[-1, 0].set_xlabel("time (s)")
+    keys = [Rectangle((0, 0), 1, 1, color=c, alpha=0.7) for c in (VP_BAND, OP_BAND)]
+    named = axes[-1, 0].get_legend_handles_labels(), right.get_legend_handles_labels()
+    figure.legend(
+        [*named[0][0], *named[1][0], *keys],
+        [*named[0][1], *named[1][1], "VP in charge", "OP in charge"],
+        loc="outside upper center",
+        ncols=5,
+        fontsize=9,
+    )
+    return figure
 
 
 def _write(axis: Axes, instant: float, text: str, height: float, **look: Any) -> None:
