@@ -1,7 +1,7 @@
 """How many small changes of what decides over the robot the tests notice (mutmut).
 
-Mutates the modules of `[tool.mutmut]` in pyproject.toml, takes a seeded sample of each group's
-mutants and runs, for each of them, those of the mirrored tests that reach the mutated function.
+For each part: makes all mutants of its modules, takes a seeded sample, and runs for each of them
+the mirrored tests that reach the mutated function. Works in `mutants/PART`.
 """
 
 from __future__ import annotations
@@ -9,23 +9,24 @@ from __future__ import annotations
 import json
 import os
 import random
+import shutil
 import subprocess
 from dataclasses import dataclass
-from fnmatch import fnmatch
 from pathlib import Path
 
 import tyro
 
 from facts import report
 
-GROUPS = {
-    "selector": "renet.selector.*",
-    "safety": "renet.deploy.safety.*",
-    "controller": "renet.deploy.controller.*",
-    "drivers": "renet.deploy.robots.*",
+ROOT = Path(__file__).parents[1]
+PARTS = {
+    "selector": ("selector/*.py", ["tests/selector"]),
+    "safety": ("deploy/safety.py", ["tests/deploy/test_safety.py"]),
+    "controller": ("deploy/controller.py", ["tests/deploy/test_controller.py"]),
+    "envelope": ("deploy/robots/envelope.py", ["tests/deploy/robots/test_envelope.py"]),
+    "go1": ("deploy/robots/go1_link.py", ["tests/deploy/robots/test_go1.py"]),
 }
-FIRST = "renet.deploy.safety.x_teleop_problem__mutmut_1"
-"""Any mutant: what mutmut does with the first makes all of them and times the tests."""
+"""Modules to mutate, within src/renet, and the tests that mirror them."""
 SURVIVED, UNTESTED = 0, 33
 """mutmut's exit codes; every other one says that a test failed or never ended."""
 
@@ -33,48 +34,70 @@ SURVIVED, UNTESTED = 0, 33
 @dataclass(frozen=True)
 class Cfg:
     json: Path | None = None
-    """File for the results."""
+    """File for the results; parts that it holds already are kept."""
     sample: int = 40
-    """Mutants of each group."""
+    """Mutants of each part."""
     seed: int = 1
-    groups: tuple[str, ...] = tuple(GROUPS)
+    parts: tuple[str, ...] = tuple(PARTS)
     only: tuple[str, ...] = ()
-    """Run these mutants instead, as the results name them."""
+    """Run these mutants of the one part instead, as the results name them."""
+    skip: str = ""
+    """Tests to leave out, as pytest's -k names them: fewer tests, a lower score."""
 
 
-def mutmut(*names: str) -> None:
-    """Run mutants by name, one after the other; hypothesis judges no test by its time."""
-    environment = os.environ | {"CI": "1", "OMP_NUM_THREADS": "1"}
-    subprocess.run(["mutmut", "run", "--max-children", "1", *names], check=True, env=environment)
+def prepare(part: str, skip: str) -> Path:
+    """A folder in which mutmut mutates one part, and runs its tests from a server of processes.
 
-
-def exit_codes() -> dict[str, int | None]:
-    """By mutant; None for one that never ran."""
-    files = Path("mutants").rglob("*.meta")
-    return {
-        k: v for file in files for k, v in json.loads(file.read_text())["exit_code_by_key"].items()
+    Torch does not survive the fork of a process that has used it.
+    """
+    folder = ROOT / "mutants" / part
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("src", "tests"):
+        shutil.copytree(ROOT / name, folder / name, dirs_exist_ok=True)
+    modules, tests = PARTS[part]
+    settings = {
+        "source_paths": ["src"],
+        "only_mutate": [f"src/renet/{modules}"],
+        "pytest_add_cli_args_test_selection": tests,
+        "pytest_add_cli_args": ["-k", f"not ({skip})"] if skip else [],
+        "process_isolation": "forkserver",
     }
+    lines = [f"{name} = {json.dumps(value)}" for name, value in settings.items()]
+    text = (ROOT / "pyproject.toml").read_text() + "\n[tool.mutmut]\n" + "\n".join(lines) + "\n"
+    (folder / "pyproject.toml").write_text(text)
+    return folder
+
+
+def mutmut(folder: Path, *names: str) -> dict[str, int | None]:
+    """Run mutants by name, one after the other; returns the exit code of all there are.
+
+    Without a name all are made and the tests timed, before mutmut complains that nothing matches.
+    """
+    environment = os.environ | {"CI": "1", "OMP_NUM_THREADS": "1"}  # CI: no deadlines in tests.
+    command = ["mutmut", "run", "--max-children", "1", *(names or ["none"])]
+    subprocess.run(command, cwd=folder, check=bool(names), env=environment)
+    files = sorted((folder / "mutants").rglob("*.meta"))
+    found = [json.loads(file.read_text())["exit_code_by_key"] for file in files]
+    return {name: code for codes in found for name, code in codes.items()}
 
 
 def main(cfg: Cfg) -> None:
-    if cfg.only:
-        mutmut(*cfg.only)
-        codes = exit_codes()
-        print({name: codes[name] for name in cfg.only})
-        return
-    mutmut(FIRST)
-    chance, chosen = random.Random(cfg.seed), {}
-    for group in cfg.groups:
-        names = sorted(name for name in exit_codes() if fnmatch(name, GROUPS[group]))
-        chosen[group] = (len(names), chance.sample(names, min(cfg.sample, len(names))))
-    results = {}
-    for group, (count, names) in chosen.items():
-        mutmut(*names)
-        codes = exit_codes()
-        alive = sorted(name for name in names if codes[name] in (SURVIVED, UNTESTED))
-        score = round(1.0 - len(alive) / len(names), 3)
-        results[group] = {"mutants": count, "run": len(names), "score": score, "alive": alive}
-        report(results, cfg.json)
+    known = cfg.json is not None and cfg.json.exists()
+    results = json.loads(cfg.json.read_text()) if known else {}
+    for part in cfg.parts:
+        folder = prepare(part, cfg.skip)
+        if cfg.only:
+            codes = mutmut(folder, *cfg.only)
+            print({name: codes[name] for name in cfg.only})
+            continue
+        names = sorted(mutmut(folder))
+        chosen = random.Random(f"{cfg.seed} {part}").sample(names, min(cfg.sample, len(names)))
+        codes = mutmut(folder, *chosen)
+        alive = sorted(name for name in chosen if codes[name] in (SURVIVED, UNTESTED))
+        score = round(1.0 - len(alive) / len(chosen), 3)
+        row = {"mutants": len(names), "run": len(chosen), "score": score, "alive": alive}
+        results[part] = row
+        report({name: results[name] for name in PARTS if name in results}, cfg.json)
 
 
 if __name__ == "__main__":

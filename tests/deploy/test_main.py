@@ -142,12 +142,8 @@ def test_a_real_robots_operator_must_show_signs_of_life():
 
 def test_the_go1s_address_and_power_level_are_options():
     cfg = DeployCfg(robot="go1", camera="none", robot_host="10.0.0.1", power_level=5, dry_run=True)
-    assert devices.make_devices(cfg, Bundle.load(), print).robot._address == (
-        "10.0.0.1",
-        8007,
-        8080,
-        5,
-    )  # type: ignore[attr-defined]
+    robot = devices.make_devices(cfg, Bundle.load(), print).robot
+    assert robot._address == ("10.0.0.1", 8007, 8080, 5)  # type: ignore[attr-defined]
 
 
 def test_operators_fly_in_real_time_and_without_an_end():

@@ -23,7 +23,7 @@ from renet.deploy.recorder import (
     TICKS,
     Recorder,
 )
-from renet.deploy.recording import read_recording
+from renet.deploy.recording import Recording, read_recording
 from renet.deploy.replay import mismatch, replay
 from renet.deploy.safety import Mode, SafetyCfg
 from renet.deploy.teleop import TeleopCommand
@@ -58,14 +58,19 @@ def run_control_loop(bundle: Bundle, path, inference=None) -> None:
     log.close()
 
 
+@pytest.fixture(scope="module")
+def recorded(bundle, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("run") / "logs" / "a.log"
+    run_control_loop(bundle, path)
+    return path
+
+
 @pytest.fixture
-def bundle(bundle_path) -> Bundle:
-    return Bundle.load(bundle_path)
+def flight(recorded) -> Recording:
+    return read_recording(recorded)
 
 
-def test_a_flight_comes_back_whole(bundle, tmp_path):
-    run_control_loop(bundle, tmp_path / "logs" / "a.log")
-    flight = read_recording(tmp_path / "logs" / "a.log")
+def test_a_flight_comes_back_whole(bundle, flight, recorded):
     assert flight.complete
     assert len(flight.ticks) == STEPS
     assert flight.header["bundle_sha256"] == bundle.sha256
@@ -80,12 +85,10 @@ def test_a_flight_comes_back_whole(bundle, tmp_path):
     assert any("joint_position has shape (5,)" in event.why for event in flight.events)
     np.testing.assert_array_equal(flight.images[15], frame(15, 0.3).image.astype(np.float16))
     assert flight.ticks["compute_ms"][7] == 1.5
-    assert (tmp_path / "logs" / "a.log").stat().st_size < 1_000_000
+    assert recorded.stat().st_size < 1_000_000
 
 
-def test_replay_is_bit_for_bit(bundle, tmp_path):
-    run_control_loop(bundle, tmp_path / "a.log")
-    flight = read_recording(tmp_path / "a.log")
+def test_replay_is_bit_for_bit(bundle, flight):
     assert mismatch(flight, bundle) == 0.0
     vision = [decision.vision for decision in replay(flight, bundle)]
     np.testing.assert_array_equal(vision, flight.ticks["vision"])
@@ -98,17 +101,13 @@ def test_a_flight_with_an_impatient_vision_thread_replays_too(bundle, tmp_path):
     assert mismatch(flight, bundle) == 0.0
 
 
-def test_another_bundle_is_refused(bundle, tmp_path):
-    run_control_loop(bundle, tmp_path / "a.log")
-    flight = read_recording(tmp_path / "a.log")
+def test_another_bundle_is_refused(bundle, flight):
     flight.header["bundle_sha256"] = "0" * 64
     with pytest.raises(RenetError, match="made with bundle 000000000000"):
         next(replay(flight, bundle))
 
 
-def test_a_header_without_limits_cannot_be_replayed(bundle, tmp_path):
-    run_control_loop(bundle, tmp_path / "a.log")
-    flight = read_recording(tmp_path / "a.log")
+def test_a_header_without_limits_cannot_be_replayed(bundle, flight):
     flight.header["safety"] = {"max_height": 1.0}
     with pytest.raises(RenetError, match="does not say what ran"):
         next(replay(flight, bundle))
@@ -117,9 +116,8 @@ def test_a_header_without_limits_cannot_be_replayed(bundle, tmp_path):
         next(replay(flight, bundle))
 
 
-def test_a_torn_flight_is_read_up_to_the_tear(bundle, tmp_path):
-    run_control_loop(bundle, tmp_path / "a.log")
-    data = (tmp_path / "a.log").read_bytes()
+def test_a_torn_flight_is_read_up_to_the_tear(recorded, tmp_path):
+    data = recorded.read_bytes()
     torn = tmp_path / "torn.flight"
     lengths = []
     for size in range(len(MAGIC), len(data), max(1, len(data) // 200)):
@@ -132,29 +130,13 @@ def test_a_torn_flight_is_read_up_to_the_tear(bundle, tmp_path):
     assert lengths[-1] == STEPS
 
 
-def test_a_flipped_bit_ends_the_flight_there(bundle, tmp_path):
-    run_control_loop(bundle, tmp_path / "a.log")
-    data = bytearray((tmp_path / "a.log").read_bytes())
+def test_a_flipped_bit_ends_the_flight_there(recorded, tmp_path):
+    data = bytearray(recorded.read_bytes())
     data[len(data) // 2] ^= 4
     (tmp_path / "a.log").write_bytes(data)
     flight = read_recording(tmp_path / "a.log")
     assert not flight.complete
     assert 0 < len(flight.ticks) < STEPS
-
-
-def test_no_damage_is_worse_than_a_refusal(bundle, tmp_path):
-    run_control_loop(bundle, tmp_path / "a.log")
-    data, random = (tmp_path / "a.log").read_bytes(), np.random.default_rng(0)
-    hurt = tmp_path / "hurt.flight"
-    for _ in range(100):
-        spoilt = bytearray(data)
-        for at in random.integers(len(MAGIC), len(data), random.integers(1, 20)):
-            spoilt[at] = random.integers(256)
-        at, size = random.integers(len(data)), random.integers(2000)
-        spoilt[at : at + size] = random.bytes(random.integers(2000))
-        hurt.write_bytes(spoilt)
-        with suppress(RenetError):
-            assert len(read_recording(hurt).ticks) <= STEPS
 
 
 @pytest.mark.parametrize(
@@ -182,12 +164,6 @@ def test_not_a_flight(tmp_path):
     (tmp_path / "essay").write_text("once")
     with pytest.raises(RenetError, match="not a recording"):
         read_recording(tmp_path / "essay")
-
-
-def test_a_log_that_cannot_be_written_says_so_before_the_flight(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(RenetError, match="cannot write the recording"):
-        Recorder(tmp_path / "file" / "a.log", {})
 
 
 def test_a_full_disk_ends_the_log_and_not_the_flight(bundle):

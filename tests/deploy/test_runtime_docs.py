@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -59,12 +59,17 @@ class Link:
         self.closed = True
 
 
-def test_another_robot_in_a_page(tmp_path, monkeypatch):
-    link, sdk = Link(), ModuleType("my_sdk")
-    sdk.open = lambda: link  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "my_sdk", sdk)
+@pytest.fixture
+def link(tmp_path, monkeypatch) -> Link:
+    """The page's robot, in a folder that holds its description."""
+    link = Link()
+    monkeypatch.setitem(sys.modules, "my_sdk", SimpleNamespace(open=lambda: link))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_robot.xml").write_text(Path(GO1_XML).read_text())
+    return link
+
+
+def test_another_robot_in_a_page(link, tmp_path, monkeypatch):
     master, slave = pty.openpty()
     with os.fdopen(slave) as stream:
         monkeypatch.setattr(sys, "stdin", stream)
@@ -90,12 +95,7 @@ def press(master: int, link: Link) -> None:
     os.write(master, b"q")
 
 
-def test_ctrl_c_in_that_program_brakes_and_closes(tmp_path, monkeypatch):
-    link, sdk = Link(), ModuleType("my_sdk")
-    sdk.open = lambda: link  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "my_sdk", sdk)
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "my_robot.xml").write_text(Path(GO1_XML).read_text())
+def test_ctrl_c_in_that_program_brakes_and_closes(link, monkeypatch):
     master, slave = pty.openpty()
     servo = link.servo
 

@@ -1,6 +1,9 @@
 """The paper's filter and selector, and thresholds from healthy scores."""
 
 import itertools
+import math
+from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,13 +13,16 @@ from hypothesis import strategies as st
 from renet.errors import RenetError
 from renet.selector import (
     LowPassFilter,
+    SelectorCfg,
     SelectorInput,
     SelectorSpec,
     calibrate,
+    check_selector,
     conformal_threshold,
     make_selector,
     switch_delay,
 )
+from renet.selector.monitors import FALLBACK, LIMITS
 
 GAMMAS = st.floats(0.005, 1.0)
 
@@ -83,8 +89,31 @@ def test_the_papers_selector_leaves_and_returns_by_the_filter_alone():
     assert vision.all(), "no dwell"
 
 
+def test_a_bundles_selector_takes_all_its_settings():
+    spec = SelectorSpec(0.02, 0.6, 50.0, {"disagreement": 0.3, "nearness": 0.4})
+    selector = make_selector("monitors", spec, 3)
+    assert selector.cfg == SelectorCfg(gamma=0.6, rate_hz=50.0)
+    assert selector.vision.tolist() == [True] * 3
+    thresholds = {monitor.name: monitor.threshold for monitor in selector.monitors}
+    assert thresholds == FALLBACK | spec.thresholds | {"reconstruction": 0.02}
+    seen = SelectorInput(
+        anomaly_score=np.zeros(3),
+        image=np.random.default_rng(0).random((3, 48, 64)),
+        fresh=np.ones(3, bool),
+        age=np.zeros(3),
+        invalid=np.zeros(3),
+        velocity_op=np.zeros((3, 3)),
+        velocity_vp=np.zeros((3, 3)),
+    )
+    for tick in range(3):
+        selector.update(seen, 0.1 * tick)
+    assert not selector.vision.any(), "the image is frozen"
+    selector.reset(np.array([True, False, False]))
+    assert selector.update(seen, 0.3).tolist() == [True, False, False]
+
+
 def test_an_unknown_selector_is_refused():
-    with pytest.raises(RenetError, match="unknown selector 'coin'"):
+    with pytest.raises(RenetError, match="unknown selector 'coin': choose one of monitors, paper"):
         make_selector("coin", SelectorSpec(beta=0.5))
 
 
@@ -109,7 +138,49 @@ def test_calibration_refuses_what_it_cannot_use(scores):
 def test_impossible_settings_are_refused():
     with pytest.raises(RenetError, match="at least 99"):
         conformal_threshold(np.arange(50.0), 0.01)
-    with pytest.raises(RenetError, match="gamma"):
-        LowPassFilter(0.0)
-    with pytest.raises(RenetError, match="beta"):
-        SelectorSpec(beta=float("nan"))
+    with pytest.raises(RenetError, match=r"alpha must be between 0 and 1, got 1.0"):
+        conformal_threshold(np.arange(50.0), 1.0)
+    with pytest.raises(RenetError, match=r"alpha must be between 0 and 1, got 0.0"):
+        conformal_threshold(np.arange(50.0), 0.0)
+
+
+@pytest.mark.parametrize("gamma", [-0.1, 0.0, 1.001, math.nan])
+def test_a_filter_that_is_none_is_refused(gamma):
+    with pytest.raises(RenetError, match=rf"the filter's gamma must be in \(0, 1\], got {gamma}"):
+        LowPassFilter(gamma)
+    with pytest.raises(RenetError, match=f"selector.gamma must be within 0 and 1, got {gamma}"):
+        SelectorSpec(beta=0.1, gamma=gamma)
+    LowPassFilter(1.0)
+    SelectorSpec(beta=0.1, gamma=1.0)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.inf, math.nan])
+def test_a_selector_without_a_threshold_or_a_rate_is_refused(value):
+    with pytest.raises(RenetError, match=f"selector.beta must be positive and .* got {value}"):
+        SelectorSpec(beta=value)
+    with pytest.raises(RenetError, match=f"selector.rate_hz must be positive and .* got {value}"):
+        SelectorSpec(beta=0.1, rate_hz=value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({}, ""),
+        ({"rate_hz": 10.0}, ""),
+        ({"rate_hz": 1000.0}, ""),
+        ({"rate_hz": 9.9}, "rate_hz must be from 10 to 1000 Hz, got 9.9"),
+        ({"rate_hz": 1001.0}, "rate_hz must be from 10 to 1000 Hz, got 1001"),
+        ({"gamma": 0.07, "rate_hz": 10.0}, ""),
+        ({"gamma": 0.06, "rate_hz": 10.0}, "gamma 0.06 at 10 Hz delays a switch by 1.2 s, at most"),
+        ({"beta": LIMITS["reconstruction"]}, ""),
+        ({"beta": 0.26}, "threshold beta 0.26 would never object, at most 0.25"),
+        ({"thresholds": LIMITS}, ""),
+        ({"thresholds": {"frame_age": 1.5}}, "frame_age 1.5 would never object, at most 1"),
+        ({"thresholds": {"variance": math.nan}}, "variance nan would never object"),
+        ({"thresholds": {"luck": 1.0}}, "unknown monitor 'luck': choose among uniformity, nea"),
+    ],
+)
+def test_what_no_bundle_may_hold(changes, problem):
+    spec = replace(SelectorSpec(beta=0.1), **changes)
+    with pytest.raises(RenetError, match=problem) if problem else nullcontext():
+        check_selector(spec)

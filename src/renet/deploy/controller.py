@@ -169,7 +169,6 @@ class Controller:
             self.tell(now, "refused", self.machine.refused)
         state = self._newest
         if mode is Mode.DAMPING or state is None:
-            self._target = self._start if state is None else state.joint_position
             command = damping_command(self.robot, self.cfg)
             self.decision = self._decide(command, now)
         elif mode is Mode.STANDING_UP:

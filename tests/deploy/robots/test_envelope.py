@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -25,8 +25,8 @@ from .. import fakes
         ("stiffness", 1000.0, r"stiffness 1000 N m/rad of FL_hip_joint; a Unitree Go1 takes 0 to"),
         ("damping", 11.0, "damping 11 N m s/rad of FL_hip_joint"),
         ("torque_limit", 30.0, "torque_limit 30 N m of FL_hip_joint"),
-        ("lower", -100.0, "lower -100 rad of FL_hip_joint"),
-        ("upper", 100.0, "upper 100 rad of FL_hip_joint"),
+        ("lower", -0.864, "lower -0.864 rad of FL_hip_joint; a Unitree Go1 takes -0.863 to inf"),
+        ("upper", 100.0, "upper 100 rad of FL_hip_joint; a Unitree Go1 takes -inf to 0.863"),
     ],
 )
 def test_a_bundle_beyond_the_robots_envelope_is_refused_by_joint_and_number(
@@ -39,6 +39,22 @@ def test_a_bundle_beyond_the_robots_envelope_is_refused_by_joint_and_number(
     go1_envelope().check(manifest.robot)
 
 
+def test_a_command_within_the_envelope_passes_and_a_joint_too_fast_is_only_braked():
+    envelope, gains = go1_envelope(), (np.full(12, 20.0), np.ones(12))
+    target = fakes.STANDING + 0.1
+    for state in (None, fakes.state(), fakes.state(joint_velocity=np.full(12, 1.0))):
+        command = envelope.clamp(JointCommand(target, *gains), state)
+        for asked, sent in zip((target, *gains), vars(command).values(), strict=True):
+            np.testing.assert_array_equal(asked, sent)
+    fast = np.where(np.arange(12) < 6, 31.0, 0.0)
+    for sign, driven in ((1.0, True), (-1.0, False)):
+        ahead = fakes.STANDING + 3.0 * np.sign(fast)
+        reading = fakes.state(joint_position=fakes.STANDING, joint_velocity=sign * fast)
+        command = envelope.clamp(JointCommand(ahead, gains[0], 0.01 * gains[1]), reading)
+        assert ((command.stiffness == 0) == (driven & (fast > 0))).all()
+        assert (command.damping > 0).all()
+
+
 def test_the_envelope_is_the_task_s_robot():
     envelope, motors = go1_envelope(), GO1.motors
     for joint, name in enumerate(JOINTS):
@@ -47,6 +63,7 @@ def test_the_envelope_is_the_task_s_robot():
         assert envelope.velocity[joint] == pytest.approx(motor.velocity, rel=0.01)
 
 
+@settings(deadline=None)
 @given(
     position=arrays(float, 12, elements=st.floats(-1e6, 1e6)),
     gains=arrays(float, (2, 12), elements=st.floats(-1e6, 1e6)),
@@ -64,6 +81,7 @@ def test_every_command_is_clamped_into_the_envelope(position, gains, joints, spe
     driven = (np.abs(speed) > envelope.velocity) & (spring * speed > 0)
     torque = spring - command.damping * speed
     slow = ~driven & (np.abs(speed) <= envelope.velocity)
-    assert (np.abs(torque[slow]) <= envelope.torque[slow] + 1e-6).all()
+    if (gains[0] > 0).any():  # A command that only brakes is never weakened.
+        assert (np.abs(torque[slow]) <= envelope.torque[slow] + 1e-6).all()
     again = envelope.clamp(command, state)
     np.testing.assert_allclose(again.position, command.position)

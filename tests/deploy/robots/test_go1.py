@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 import socket
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -78,10 +80,6 @@ def command(position=ROBOT.default_position, stiffness=40.0, damping=1.0) -> Joi
     return JointCommand(np.array(position), np.full(12, stiffness), np.full(12, damping))
 
 
-def braked(peer: Peer) -> bool:
-    return peer.braked
-
-
 def test_order_and_signs_are_those_of_the_vendors_own_limits():
     """The library clamps motor by motor: only a knee must never be above -0.8 rad."""
     udp = sdk.UDP(LOW_LEVEL, 0, "127.0.0.1", free_port())
@@ -129,6 +127,10 @@ def test_the_bundles_gains_arrive_unrounded(wire, peer):
 
 
 def test_a_reading_arrives_joint_by_joint(wire, peer):
+    peer.silent = True
+    wire.run(2)
+    assert wire.link.state is None, "the library's empty packet is no reading"
+    peer.silent = False
     peer.pose(np.array(ROBOT.default_position)[list(MOTORS)] + np.linspace(-0.3, 0.3, 12))
     wire.link.command(command(), 0.0)
     wire.run(20)
@@ -138,7 +140,16 @@ def test_a_reading_arrives_joint_by_joint(wire, peer):
     for name in ("joint_position", "joint_velocity", "quaternion", "angular_velocity"):
         np.testing.assert_allclose(getattr(read, name), getattr(truth, name), atol=1e-5)
     np.testing.assert_allclose(read.joint_torque, truth.joint_torque, atol=1 / 256)
-    assert read.time == wire.now
+    assert (read.time, read.temperature) == (wire.now, 30.0)
+
+
+@pytest.mark.parametrize(("charge", "battery"), [(57, 0.57), (1, 0.01), (0, math.nan)])
+def test_a_battery_that_says_nothing_is_not_empty(wire, charge, battery):
+    motor = SimpleNamespace(q=0.0, dq=0.0, tauEst=0.0, temperature=1)
+    imu = SimpleNamespace(quaternion=[1, 0, 0, 0], gyroscope=[0, 0, 0])
+    bms = SimpleNamespace(SOC=charge)
+    wire.link._in = SimpleNamespace(motorState=[motor] * 20, imu=imu, bms=bms)
+    assert wire.link._reading(0.0).battery == pytest.approx(battery, nan_ok=True)
 
 
 @pytest.mark.parametrize("failure", ["silent", "garbled"])
@@ -153,7 +164,7 @@ def test_a_robot_that_falls_silent_or_sends_a_wrong_crc_is_braked(wire, peer, bu
     assert wire.link.state.time <= last + 2 * PERIOD, "no reading is made up"
     assert controller.machine.mode is Mode.DAMPING
     assert "ms old" in controller.machine.reason
-    assert braked(peer)
+    assert peer.braked
 
 
 def test_a_dead_robot_leaves_an_old_reading_and_the_driver_alive(wire, peer):
@@ -172,7 +183,7 @@ def test_a_silent_control_loop_brakes_the_robot(wire, peer):
     wire.run(49)
     assert (peer.commands[-1][:, 4] == 40).all()
     wire.run(4)
-    assert braked(peer)
+    assert peer.braked
     wire.link.command(command(), wire.now)
     wire.run(1)
     assert (peer.commands[-1][:, 4] == 40).all(), "it may speak again"
@@ -186,10 +197,10 @@ def test_a_controller_without_signs_of_life_is_braked_within_20_ms(wire, peer):
     assert (peer.commands[-1][:, 4] == 40).all()
     wire.dead = True
     wire.run(round(0.02 / PERIOD))
-    assert braked(peer)
+    assert peer.braked
     wire.dead = False
     wire.run(5)
-    assert braked(peer), "the old command"
+    assert peer.braked, "the old command"
     wire.link.command(command(), wire.now)
     wire.run(1)
     assert (peer.commands[-1][:, 4] == 40).all()
@@ -253,11 +264,11 @@ def test_a_driver_that_cannot_receive_any_more_brakes_at_once(wire, peer, monkey
 
     wire.link._udp = Deaf(wire.link._udp)
     wire.run(2)
-    assert braked(peer)
+    assert peer.braked
     assert "vendor's driver failed: OSError" in wire.link.problem
     wire.link.command(command(), wire.now)
     wire.run(2)
-    assert braked(peer), "for good"
+    assert peer.braked, "for good"
 
 
 def test_the_power_level_is_the_vendors_guards(peer):
@@ -287,7 +298,7 @@ def test_the_vendors_guard_brakes_for_good(wire, peer):
     wire.link.command(command(), wire.now)
     wire.run(5)
     assert "too much power" in wire.link.problem
-    assert braked(peer)
+    assert peer.braked
 
 
 def test_the_shipped_bundle_stands_up_walks_and_brakes_over_the_wire(wire, peer):
@@ -309,7 +320,7 @@ def test_the_shipped_bundle_stands_up_walks_and_brakes_over_the_wire(wire, peer)
     assert np.linalg.norm((peer.robot.base_position - start)[:2]) > 0.3, "it walks"
     wire.control(controller, 2, stop=True)
     assert controller.machine.reason == "operator stop"
-    assert braked(peer)
+    assert peer.braked
 
 
 @pytest.fixture
@@ -328,16 +339,14 @@ def test_processes_and_sockets_of_the_real_thing(served):
         robot.write(command())
     assert robot.read() is None
     robot.connect()
-    state = robot.read()
-    assert state is not None
-    assert state.temperature == 30.0
+    assert robot.read() is not None
     until(lambda: bool((served.commands[-1][:, 4] > 5).all()), lambda: robot.write(command()))
     moment = robot.now()
     robot.wait(moment + 0.01)
     assert robot.now() >= moment + 0.01
     robot.close()
     robot.close()
-    assert braked(served), "closing brakes"
+    assert served.braked, "closing brakes"
     with pytest.raises(RenetError, match="closed"):
         robot.write(command())
 

@@ -70,18 +70,10 @@ def test_the_shipped_model_is_the_one_that_was_trained(env):
         for field in ("mass", "inertia", "ipos", "iquat", "pos", "quat"):
             if (field, a.name) != ("pos", "trunk"):
                 np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=1e-5)
+    shape = ("type", "size", "pos", "quat", "friction", "condim", "priority", "conaffinity")
     for geom in range(ours.ngeom):
         a, b = ours.geom(geom), theirs.geom(f"robot/{ours.geom(geom).name}")
-        for field in (
-            "type",
-            "size",
-            "pos",
-            "quat",
-            "friction",
-            "condim",
-            "priority",
-            "conaffinity",
-        ):
+        for field in shape:
             np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=1e-5)
     for option in ("timestep", "integrator", "cone", "iterations", "ls_iterations", "impratio"):
         assert getattr(ours.opt, option) == getattr(theirs.opt, option)
