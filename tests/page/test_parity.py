@@ -42,7 +42,6 @@ class Recorder:
     """Walks the simulated robot, and keeps what its controller was given and what it decided."""
 
     def __init__(self, terrain: str, faults: Sequence[str], selector: str) -> None:
-        self.selector = selector
         bundle = Bundle.load()
         model, ground = build_scene(terrain)
         self.robot = MujocoRobot(model, bundle.manifest.robot, ground)

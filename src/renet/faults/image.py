@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from renet.faults.base import FixedPattern, Frames, ImageFault
+from renet.faults.base import FixedPattern, Frames, Holes, ImageFault
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE
 
 ROWS, COLUMNS = DEPTH_SHAPE
@@ -26,10 +26,8 @@ def smooth_field(rng: np.random.Generator, cells: tuple[int, int] = (6, 8)) -> n
     """Spatially correlated noise [48, 64]: a coarse normal grid, interpolated between its nodes."""
     coarse = rng.standard_normal((cells[0] + 1, cells[1] + 1))
     r, c = np.linspace(0, cells[0], ROWS), np.linspace(0, cells[1], COLUMNS)
-    r0, c0 = (
-        np.minimum(r.astype(int), cells[0] - 1)[:, None],
-        np.minimum(c.astype(int), cells[1] - 1),
-    )
+    r0 = np.minimum(r.astype(int), cells[0] - 1)[:, None]
+    c0 = np.minimum(c.astype(int), cells[1] - 1)
     fr, fc = r[:, None] - r0, c - c0
     top = coarse[r0, c0] * (1 - fc) + coarse[r0, c0 + 1] * fc
     bottom = coarse[r0 + 1, c0] * (1 - fc) + coarse[r0 + 1, c0 + 1] * fc
@@ -138,9 +136,8 @@ class Blobs(FixedPattern):
         pattern = np.full(DEPTH_SHAPE, np.nan, np.float32)
         for _ in range(int(self.level)):
             r, c, radius = rng.uniform(0, ROWS), rng.uniform(0, COLUMNS), rng.uniform(1, 4)
-            pattern[(rows - r) ** 2 + (columns - c) ** 2 <= radius**2] = metres(
-                rng.uniform(0.03, 0.2)
-            )
+            inside = (rows - r) ** 2 + (columns - c) ** 2 <= radius**2
+            pattern[inside] = metres(rng.uniform(0.03, 0.2))
         return pattern
 
     def apply(self, image: np.ndarray, pattern: np.ndarray) -> np.ndarray:
@@ -168,7 +165,7 @@ class Grass(ImageFault):
         return np.where(blades, np.minimum(image, depth), image)
 
 
-class Glare(ImageFault):
+class Glare(Holes):
     """Sun blinds the stereo pair: holes, which read zero."""
 
     name = "glare"
@@ -180,16 +177,10 @@ class Glare(ImageFault):
         super().__init__(level, rngs)
         self._fields = [smooth_field(rng) for rng in rngs]
 
-    def mask(self, robot: int) -> np.ndarray:
-        """Where the holes are in a robot's next frame: a fixed patch whose border flickers."""
+    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
+        """A fixed patch whose border flickers."""
         field = self._fields[robot] + 0.25 * smooth_field(self.rngs[robot], (12, 16))
         return field > np.quantile(field, 1 - self.level)
-
-    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        return np.where(self.mask(robot), np.float32(0.0), image)
-
-    def holes(self, image: np.ndarray, robot: int) -> float:
-        return self.level
 
 
 class GlareFilled(Glare):
@@ -198,11 +189,12 @@ class GlareFilled(Glare):
     name = "glare_filled"
     summary = "As glare, but the driver fills the holes from their left: smooth and plausible."
 
-    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        return fill_holes(image, self.mask(robot))
+    def deliver(self, image: np.ndarray, lost: np.ndarray) -> np.ndarray:
+        """The image [48, 64] without a trace of its holes."""
+        return fill_holes(image, lost)
 
 
-class NearField(ImageFault):
+class NearField(Holes):
     """A stereo camera cannot measure what is too close (paper: about 10 cm, at stairs)."""
 
     name = "near_field"
@@ -210,11 +202,9 @@ class NearField(ImageFault):
     unit = "m"
     levels = (0.1, 0.15, 0.2, 0.3, 0.5)
 
-    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        return np.where(image < metres(self.level), np.float32(0.0), image)
-
-    def holes(self, image: np.ndarray, robot: int) -> float:
-        return float((image < metres(self.level)).mean())
+    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
+        """What is nearer than the level."""
+        return image < metres(self.level)
 
 
 class WrongScale(ImageFault):

@@ -102,7 +102,7 @@ class Latency(Fault):
         super().__init__(level, rngs)
         depth = int(np.ceil(1.5e-3 * level / TICK)) + 2
         self._past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=depth)
-        self._served: np.ndarray | None = None
+        self._served = np.full(len(rngs), -np.inf)
         self._now = 0.0
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
@@ -118,9 +118,7 @@ class Latency(Fault):
         newest = np.maximum(newest, 0)
         image = np.stack([self._past[k][0][i] for i, k in enumerate(newest.tolist())])
         capture = taken[newest]
-        fresh = (
-            np.ones(len(elapsed), bool) if self._served is None else capture > self._served + 1e-9
-        )
+        fresh = capture > self._served + 1e-9
         self._served = capture
         age = np.where(fresh, 0.0, self._now - arrivals[newest, np.arange(len(newest))])
         return replace(frames, image=image, fresh=fresh, age=age)

@@ -3,8 +3,8 @@
 import numpy as np
 
 from renet.camera import Intrinsics
+from renet.faults.base import Holes
 from renet.faults.image import metres
-from renet.faults.stereo import Holes
 from renet.interface import DEPTH_RANGE
 
 CAMERA_HEIGHT = 0.33

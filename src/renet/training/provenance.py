@@ -9,8 +9,9 @@ import tyro
 
 from renet.errors import RenetError
 from renet.training import checkpoint as checkpoints
-from renet.training.checkpoint import code_version, described
+from renet.training.checkpoint import described
 from renet.training.train import TrainCfg, settings, task_cfg
+from renet.version import code_version
 
 
 @dataclass(kw_only=True)
