@@ -13,7 +13,7 @@ import torch
 
 from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
-from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
+from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller, Event
 from renet.deploy.observation import heading, observe
@@ -22,6 +22,7 @@ from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.safety import Mode, SafetyCfg
 from renet.deploy.teleop import TeleopCommand
+from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
 from renet.models.actor_critic import fuse
 from renet.models.memory import EstimatorMemory
