@@ -70,7 +70,9 @@ TICK = np.dtype(
 )
 """One control tick: what came in, what was decided, how long that took, and where the base was in
 the world (NaN where nobody knows)."""
-DECIDED = tuple(f.name for f in fields(Decision) if f.name in TICK.fields and f.name != "mode")
+DECIDED = tuple(
+    f.name for f in fields(Decision) if f.name in (TICK.names or ()) and f.name != "mode"
+)
 """Fields of a `Decision` that are recorded as they are."""
 MAX_WAITING = 60
 """Chunks that wait for the disk; two or three are written each second."""

@@ -50,6 +50,7 @@ class Teleop(Protocol):
 
     def command(self, now: float) -> TeleopCommand:
         """The newest command at a time in seconds on the robot's clock."""
+        ...
 
 
 class ScriptedTeleop:

@@ -57,12 +57,15 @@ class EvalEnv(Protocol):
 
     def reset(self) -> StepResult:
         """Put every robot at its start."""
+        ...
 
     def step(self, action: np.ndarray) -> StepResult:
         """Act [N, 12] for one control step."""
+        ...
 
     def poses(self, rows: Sequence[int]) -> np.ndarray:
         """Generalised positions [len(rows), nq], for pictures."""
+        ...
 
 
 @runtime_checkable
@@ -90,6 +93,7 @@ class EvalPolicy(Protocol):
         self, proprioception: np.ndarray, depth: np.ndarray, op_mask: np.ndarray
     ) -> np.ndarray:
         """Actions [N, 12]; `op_mask` is the paper's mask, True where OP is to act."""
+        ...
 
 
 class EvalSelector(Protocol):
@@ -98,9 +102,11 @@ class EvalSelector(Protocol):
     @property
     def probability(self) -> np.ndarray:
         """[N] vision probability P_t."""
+        ...
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """Once each physics step, at `now` s; returns [N] bool, vision is trusted."""
+        ...
 
     def reset(self, mask: np.ndarray) -> None:
         """Start anew for the masked robots [N]."""

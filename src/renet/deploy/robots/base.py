@@ -65,6 +65,7 @@ class RobotDriver(Protocol):
 
     def now(self) -> float:
         """Seconds on the robot's clock, never decreasing."""
+        ...
 
     def wait(self, until: float) -> None:
         """Let time pass until `now()` reaches `until`; return at once if it has."""
