@@ -1,7 +1,5 @@
 """The code's version names the commit of renet's own clone, and of no other repository."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 

@@ -1,7 +1,5 @@
 """Bundles with untrained networks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

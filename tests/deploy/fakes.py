@@ -1,7 +1,5 @@
 """Healthy readings and frames to spoil, and a controller that is fed with them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

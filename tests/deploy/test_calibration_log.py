@@ -1,7 +1,5 @@
 """Scores of a flight's log against what the models say of its images."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from itertools import pairwise

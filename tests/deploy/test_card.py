@@ -1,7 +1,5 @@
 """The model card: every number from the files, text that cannot break it, and refusals."""
 
-from __future__ import annotations
-
 import json
 import re
 

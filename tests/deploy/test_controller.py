@@ -1,7 +1,5 @@
 """The controller against the training side, against lost cameras and threads, and against abuse."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from importlib.resources import files

@@ -1,7 +1,5 @@
 """What a robot's computer needs: NumPy, ONNX Runtime, tyro and rich, and nothing else."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Ticks on a second thread: the same commands, and a thread that dies, hangs or is late."""
 
-from __future__ import annotations
-
 import threading
 from queue import Empty, SimpleQueue
 

@@ -1,7 +1,5 @@
 """The loop with broken devices: it goes on, and ends in OP or in damping as documented."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`renet deploy` as a stranger runs it, and everything that must end it braked and logged."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

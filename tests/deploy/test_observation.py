@@ -1,7 +1,5 @@
 """o_t against numbers worked out by hand, and against rotation matrices."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

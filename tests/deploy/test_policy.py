@@ -4,8 +4,6 @@
 images of a robot walking on flat ground and the same with glare of severity 1.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

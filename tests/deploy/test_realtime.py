@@ -1,7 +1,5 @@
 """Priority, memory and garbage collector of the control loop's thread alone."""
 
-from __future__ import annotations
-
 import gc
 import os
 import threading

@@ -1,7 +1,5 @@
 """Flights come back as they were written, whole or torn, and replay to the last bit."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path

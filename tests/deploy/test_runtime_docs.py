@@ -1,7 +1,5 @@
 """The programs in docs/runtime.md run, and its tables say what the code does."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re

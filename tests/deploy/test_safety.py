@@ -1,7 +1,5 @@
 """Every failure the safety layer promises to catch, injected one by one; limits as properties."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Scores and timelines of flights made by hand, whose falls, metres and delays are known."""
 
-from __future__ import annotations
-
 import json
 import math
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Keys through a real pseudo-terminal, a joystick's events through a pipe."""
 
-from __future__ import annotations
-
 import io
 import os
 import pty

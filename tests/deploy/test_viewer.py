@@ -1,7 +1,5 @@
 """The browser viewer serves the simulated robot."""
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 from urllib.request import urlopen

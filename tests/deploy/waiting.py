@@ -1,7 +1,5 @@
 """Waiting for other threads without asserting on the clock."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Whatever kills or stalls the program, the robot is braked and nothing waits for ever."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

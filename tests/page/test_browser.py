@@ -1,7 +1,5 @@
 """The page in a real browser: it walks, is blinded, stays up, and obeys every control."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator

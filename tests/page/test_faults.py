@@ -1,7 +1,5 @@
 """The page's faults do to images what the catalogue's do."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The page's modules decide as the runtime does, on sequences that the runtime recorded."""
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`renet page` writes one folder, for any bundle, and nothing over what is not a page."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import shutil

@@ -1,7 +1,5 @@
 """One small environment per task, shared by all tests of a module."""
 
-from __future__ import annotations
-
 import math
 from contextlib import redirect_stdout
 from io import StringIO

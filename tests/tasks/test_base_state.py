@@ -1,7 +1,5 @@
 """What is read off MuJoCo's arrays is what mjlab derives from quaternions."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """Goals: when they are drawn anew, from what, and around which yaw."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

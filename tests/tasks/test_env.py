@@ -1,7 +1,5 @@
 """The environment's contract: observations, costs, resets, checkpoints, errors."""
 
-from __future__ import annotations
-
 import traceback
 from contextlib import redirect_stdout
 from copy import deepcopy

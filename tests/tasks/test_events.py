@@ -1,7 +1,5 @@
 """What happens to robots during an episode: pushes, and the clipping of their rewards."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """What is logged beside the rewards."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """mjlab's own commands run the tasks, without anything of `renet`'s."""
 
-from __future__ import annotations
-
 import csv
 import math
 

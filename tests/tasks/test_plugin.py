@@ -1,7 +1,5 @@
 """mjlab finds the tasks by itself, and starting them says nothing."""
 
-from __future__ import annotations
-
 import pytest
 
 from ..forked import fork

@@ -1,7 +1,5 @@
 """Randomisation that is off by default: what it changes, and by how much."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -4,8 +4,6 @@
 708420f): four scattered states of twelve robots, three of which begin an episode before the last.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A robot's description with a mistake is refused in words that name it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco

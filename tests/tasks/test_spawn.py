@@ -1,7 +1,5 @@
 """Where robots begin, on every tile at every level, and what happens to those that get lost."""
 
-from __future__ import annotations
-
 import mujoco
 import pytest
 import torch

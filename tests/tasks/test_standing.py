@@ -1,7 +1,5 @@
 """The paper's two levels of commands, and standing still: asked for, seen, and rewarded."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """Reward, cost and curriculum maths against hand-computed numbers."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

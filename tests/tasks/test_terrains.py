@@ -1,7 +1,5 @@
 """Tiles: their stated sizes, a free start, and symmetry that makes any yaw work."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Bundles round-trip, and nothing damaged or foreign is ever run."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

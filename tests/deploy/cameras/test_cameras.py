@@ -1,7 +1,5 @@
 """Cameras around cameras: faults injected, flights shown again."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

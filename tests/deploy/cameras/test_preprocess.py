@@ -1,7 +1,5 @@
 """Real images against the rays of training, by hand and by projection."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

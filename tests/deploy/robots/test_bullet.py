@@ -1,7 +1,5 @@
 """The second engine: the same robot as MuJoCo's, seen and driven alike."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

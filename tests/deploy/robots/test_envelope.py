@@ -1,7 +1,5 @@
 """The robot's own limits, which no bundle and no command can widen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The real driver and the vendor's real library against a simulated robot behind a socket."""
 
-from __future__ import annotations
-
 import math
 import re
 import socket

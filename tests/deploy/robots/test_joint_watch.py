@@ -1,7 +1,5 @@
 """What the joint-order check says, against the kinematics of the model."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The simulated robot and camera are the training's, and carry commands out as told."""
 
-from __future__ import annotations
-
 import io
 import sys
 from contextlib import redirect_stdout
