@@ -27,8 +27,11 @@ PARTS = {
     "go1": ("deploy/robots/go1_link.py", ["tests/deploy/robots/test_go1.py"]),
 }
 """Modules to mutate, within src/renet, and the tests that mirror them."""
-SURVIVED, UNTESTED = 0, 33
-"""mutmut's exit codes; every other one says that a test failed or never ended."""
+ALIVE, KILLED = (0, 33), (1, 3)
+"""mutmut's exit codes: no test failed or none reaches it; a test failed. Others: it never ended."""
+
+PATIENCE = 600.0
+"""Seconds that a mutant's tests may take on a busy computer, beside 15 times what they took."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,7 @@ def prepare(part: str, skip: str) -> Path:
         "pytest_add_cli_args_test_selection": tests,
         "pytest_add_cli_args": ["-k", f"not ({skip})"] if skip else [],
         "process_isolation": "forkserver",
+        "timeout_constant": PATIENCE / 15.0,
     }
     lines = [f"{name} = {json.dumps(value)}" for name, value in settings.items()]
     text = (ROOT / "pyproject.toml").read_text() + "\n[tool.mutmut]\n" + "\n".join(lines) + "\n"
@@ -93,10 +97,14 @@ def main(cfg: Cfg) -> None:
         names = sorted(mutmut(folder))
         chosen = random.Random(f"{cfg.seed} {part}").sample(names, min(cfg.sample, len(names)))
         codes = mutmut(folder, *chosen)
-        alive = sorted(name for name in chosen if codes[name] in (SURVIVED, UNTESTED))
-        score = round(1.0 - len(alive) / len(chosen), 3)
-        row = {"mutants": len(names), "run": len(chosen), "score": score, "alive": alive}
-        results[part] = row
+        alive = sorted(name for name in chosen if codes[name] in ALIVE)
+        results[part] = {
+            "mutants": len(names),
+            "run": len(chosen),
+            "score": round(1.0 - len(alive) / len(chosen), 3),
+            "ended_by_time": sum(codes[name] not in (*ALIVE, *KILLED) for name in chosen),
+            "alive": alive,
+        }
         report({name: results[name] for name in PARTS if name in results}, cfg.json)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import threading
 import time
 from pathlib import Path
@@ -41,7 +42,7 @@ def processor_time(root: int) -> dict[str, float]:
             command = (folder / "cmdline").read_text()
         except OSError:
             continue
-        kind = command.partition("--type=")[2].partition("\0")[0] or "browser"
+        kind = (re.findall(r"--type=([\w-]+)", command) or ["browser"])[0]
         parents[int(folder.name)] = int(fields[1])
         times[int(folder.name)] = kind, (int(fields[11]) + int(fields[12])) / TICKS
     total: dict[str, float] = {}

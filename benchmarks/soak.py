@@ -27,6 +27,7 @@ from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
+from renet.deploy.main import _interruptible
 from renet.deploy.recorder import MODES, Recorder
 from renet.deploy.recording import Recording, read_recording
 from renet.deploy.robots.mujoco import MujocoRobot
@@ -57,7 +58,7 @@ class Cfg:
     plot: Path | None = None
     """Picture of the results; with --minutes 0 of those that the file holds already."""
     minutes: float = 60.0
-    """Simulated."""
+    """Simulated; Ctrl-C and TERM end it earlier, with the results so far."""
     terrain: str = "obstacles"
     level: int = 3
     seed: int = 1
@@ -162,7 +163,7 @@ def soak(cfg: Cfg, folder: Path) -> dict:
     bundle, begun = Bundle.load(), time.monotonic()
     model, ground = build_scene(cfg.terrain, cfg.level, seed=cfg.seed)
     robot = ShakyRobot(cfg.seed, model, bundle.manifest.robot, ground)
-    recorder = Recorder(folder / "recording.log", {"soak": cfg.seed})
+    recorder = Recorder(folder / "recording.log", {"soak": cfg.seed}, patient=True)
     memory, cpu_ms, end = [], [], 60.0 * cfg.minutes
 
     class Timed(Controller):
@@ -183,12 +184,13 @@ def soak(cfg: Cfg, folder: Path) -> dict:
     controller = Timed(bundle, on_event=recorder.event)
     operator = Operator(robot, controller.machine)
     devices: tuple = (robot, ShakyCamera(robot, bundle), operator, controller, recorder)
-    run_control_loop(
-        *devices,
-        done=lambda: robot.now() >= end,
-        on_step=sample,
-        truth=lambda: robot.base_position,
-    )
+    with _interruptible() as interrupted:
+        run_control_loop(
+            *devices,
+            done=lambda: robot.now() >= end or interrupted(),
+            on_step=sample,
+            truth=lambda: robot.base_position,
+        )
     wall = (time.monotonic() - begun) / 60.0
     recorder.close()
     run = read_recording(recorder.path)

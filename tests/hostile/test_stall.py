@@ -19,6 +19,7 @@ from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
 from renet.deploy.main import _interruptible
 from renet.deploy.recorder import Recorder
+from renet.deploy.recording import read_recording
 from renet.deploy.safety import SafetyCfg
 from renet.deploy.teleop import ScriptedTeleop
 from renet.deploy.terminal import Terminal
@@ -231,6 +232,16 @@ def test_a_hung_disk_neither_delays_a_step_nor_grows_the_queue_nor_hangs_the_end
     assert told[0] == "", "it was told while the robot walked"
     assert told[-1] == log.problem
     assert log.hung
+
+
+def test_a_simulation_waits_for_a_disk_that_is_slower(bundle, tmp_path, monkeypatch):
+    monkeypatch.setattr(recording.os, "fsync", lambda descriptor: time.sleep(0.002))
+    log = Recorder(tmp_path / "a.log", {}, patient=True)
+    log._chunks.maxsize = 1
+    walk(bundle, Standing(), 10.0, log)
+    log.close()
+    assert log.problem == ""
+    assert read_recording(log.path).ticks["now"][-1] == pytest.approx(10.5, abs=0.05)
 
 
 def test_a_hung_terminal_loses_lines_and_nothing_else(monkeypatch, hang):

@@ -144,7 +144,8 @@ def deploy(cfg: DeployCfg) -> Path:
         devices = make_devices(cfg, bundle, terminal.say)
         stack.callback(devices.close)  # Before the start: half of it may have to be undone.
         devices.start()
-        recorder = Recorder(_free_folder(cfg.out) / RECORDING, _header(cfg, bundle))
+        path = _free_folder(cfg.out) / RECORDING
+        recorder = Recorder(path, _header(cfg, bundle), patient=not cfg.live)
         stack.callback(recorder.close)
 
         def tell(event: Event) -> None:

@@ -86,12 +86,15 @@ class Recorder:
     A disk that fails, hangs or does not keep up ends the recording, never the run.
     """
 
-    def __init__(self, path: Path, header: dict[str, Any]) -> None:
+    def __init__(self, path: Path, header: dict[str, Any], patient: bool = False) -> None:
         """Create the file; raises RenetError if that cannot be done.
 
         Args:
             path: of the recording. header: JSON values, such as the bundle's hash.
+            patient: wait for a slow disk, at most `CLOSING` seconds at a time: for runs on a
+                simulated clock, which no disk keeps up with for long.
         """
+        self._patience = CLOSING if patient else 0.0
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file: BinaryIO = path.open("wb")
@@ -190,7 +193,7 @@ class Recorder:
         if self.problem:
             return
         try:
-            self._chunks.put_nowait((tag, data))
+            self._chunks.put((tag, data), self._patience > 0.0, self._patience)
         except Full:
             self.problem = f"the recording {self.path} ends early: the disk does not keep up"
 
