@@ -188,8 +188,7 @@ def test_what_ends_in_damping(bundle, tmp_path, spoil, reason):
 
 def test_a_step_that_is_missed_is_left_out(bundle):
     robot, begun = Standing(), []
-    late = {0.3: 0.015, 0.5: 0.025, 0.7: 0.05}
-    wait = robot.wait
+    late, wait = {0.3: 0.015, 0.5: 0.025, 0.7: 0.05}, robot.wait
     robot.wait = lambda until: wait(until + late.pop(round(until, 6), 0.0))
     done = lambda: begun.append(robot.time) or robot.time > 1.0  # noqa: E731
     run_control_loop(robot, None, ScriptedTeleop(0.5), Controller(bundle, QUICK), done=done)
