@@ -14,6 +14,7 @@ import mmap
 import re
 import tempfile
 import time
+from array import array
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -164,7 +165,7 @@ def soak(cfg: Cfg, folder: Path) -> dict:
     model, ground = build_scene(cfg.terrain, cfg.level, seed=cfg.seed)
     robot = ShakyRobot(cfg.seed, model, bundle.manifest.robot, ground)
     recorder = Recorder(folder / "recording.log", {"soak": cfg.seed}, patient=True)
-    memory, cpu_ms, end = [], [], 60.0 * cfg.minutes
+    memory, cpu_ms, end = [], array("d"), 60.0 * cfg.minutes
 
     class Timed(Controller):
         def tick(self, *arguments):

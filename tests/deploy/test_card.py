@@ -95,14 +95,6 @@ def test_every_number_comes_from_the_files(tmp_path, results):
     assert "not met" in text
 
 
-def test_other_summaries_make_another_card(tmp_path, results):
-    changed = summary()
-    changed["runs"][0]["falls"] = 17
-    text = make(tmp_path, "--results", results(changed))
-    assert "robots fell 17 times" in text
-    assert "robots fell 4 times" not in text
-
-
 def test_many_settings_are_summed_by_mode(tmp_path, results):
     row = summary()["runs"][0]
     text = make(tmp_path, "--results", results(summary(runs=[row] * 41)))

@@ -184,6 +184,16 @@ def test_what_ends_in_damping(bundle, tmp_path, spoil, reason):
     assert mismatch(flight, bundle) == 0.0
 
 
+def test_a_step_that_is_missed_is_left_out(bundle):
+    robot, begun = Standing(), []
+    late, wait = {0.3: 0.015, 0.5: 0.025, 0.7: 0.05}, robot.wait
+    robot.wait = lambda until: wait(until + late.pop(round(until, 6), 0.0))
+    done = lambda: begun.append(robot.time) or robot.time > 1.0  # noqa: E731
+    run_control_loop(robot, None, ScriptedTeleop(0.5), Controller(bundle, QUICK), done=done)
+    assert np.diff(begun).min() > 0.004, "no two at once"
+    assert np.isclose(np.array(begun[-10:]) / CONTROL_DT % 1, [[0], [1]], atol=1e-6).any(0).all()
+
+
 def test_a_terminal_that_is_gone_does_not_end_the_flight(bundle):
     rig = Rig(bundle)
     end = rig.now() + 0.2

@@ -140,8 +140,6 @@ def test_impossible_settings_are_refused():
         conformal_threshold(np.arange(50.0), 0.01)
     with pytest.raises(RenetError, match=r"alpha must be between 0 and 1, got 1.0"):
         conformal_threshold(np.arange(50.0), 1.0)
-    with pytest.raises(RenetError, match=r"alpha must be between 0 and 1, got 0.0"):
-        conformal_threshold(np.arange(50.0), 0.0)
 
 
 @pytest.mark.parametrize("gamma", [-0.1, 0.0, 1.001, math.nan])
@@ -166,7 +164,6 @@ def test_a_selector_without_a_threshold_or_a_rate_is_refused(value):
     ("changes", "problem"),
     [
         ({}, ""),
-        ({"rate_hz": 10.0}, ""),
         ({"rate_hz": 1000.0}, ""),
         ({"rate_hz": 9.9}, "rate_hz must be from 10 to 1000 Hz, got 9.9"),
         ({"rate_hz": 1001.0}, "rate_hz must be from 10 to 1000 Hz, got 1001"),
