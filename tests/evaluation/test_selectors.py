@@ -67,15 +67,8 @@ def test_a_slow_selector_sees_every_frame_once() -> None:
     visions = []
     for update in range(200):
         fresh = np.array([update % 20 == 0])
-        sight = SelectorInput(
-            np.zeros(1),
-            image,
-            fresh,
-            np.zeros(1),
-            np.zeros(1),
-            np.zeros((1, 3)),
-            np.zeros((1, 3)),
-        )
+        still = np.zeros((1, 3))
+        sight = SelectorInput(np.zeros(1), image, fresh, np.zeros(1), np.zeros(1), still, still)
         visions.append(bool(switch.update(sight, (update + 1) * 0.005)[0]))
     # The third equal frame comes at update 40 and is judged at the end of its period.
     assert visions.index(False) == 59

@@ -126,10 +126,7 @@ class StillEvaluator(FakeEvaluator):
 
 
 TINY: dict[str, tuple[Study, type[FakeEvaluator]]] = {
-    "noise": (
-        NoiseStudy(robots=2, onsets=(1.0,), lasts=4.0, seconds=5.0),
-        FakeEvaluator,
-    ),
+    "noise": (NoiseStudy(robots=2, onsets=(1.0,), lasts=4.0, seconds=5.0), FakeEvaluator),
     "faults": (
         FaultStudy(
             faults=("gaussian", "frozen"),

@@ -47,7 +47,9 @@ def draw_detection(runs: Runs) -> Figure:
     """Two tables: share of robots that noticed, under the selector used and the paper's rule."""
     ours = [run for run in runs if run["mode"] == "renet"] or runs
     panels = {
-        name: _cells(ours, lambda run, key=key: _share(run[key], run["vision_active_at_onset"]))
+        name: _cells(
+            ours, lambda run, key=key: run[key] / (run["vision_active_at_onset"] or np.nan)
+        )
         for name, key in (
             ("RENet's selector", "detected"),
             ("the paper's rule alone", "detected_by_paper"),
@@ -55,11 +57,6 @@ def draw_detection(runs: Runs) -> Figure:
     }
     title = "Robots with vision that noticed the fault while it lasted (%)"
     return figures.colour_tables(panels, title, "severity")
-
-
-def _share(count: int, total: int) -> float:
-    """`count` of `total`; NaN of nothing."""
-    return count / total if total else np.nan
 
 
 def _cells(

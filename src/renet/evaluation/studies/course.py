@@ -75,7 +75,6 @@ class CourseStudy(WalkingStudy):
         streams = [trial.robot for trial in trials]
         task = course_env_cfg(lap, [self.level] * len(lap), self.stuck_after, seed, evaluator.robot)
         env = CourseEnv(evaluator.make_env(task, streams, self.speed, seed), lap)
-
         trace = evaluator.rollout(
             f"lap {number}/{laps}, at most",
             env,

@@ -8,7 +8,7 @@ import torch
 
 from renet.evaluation.env import SimEnv
 from renet.evaluation.rollout import StepResult
-from renet.evaluation.studies.course_terrain import AHEAD, FAULTS_HERE
+from renet.evaluation.studies.course_terrain import AHEAD, FAULTS_HERE, along
 from renet.faults import FAULTS, Frames, Injector, fault_class
 from renet.interface import CONTROL_DT
 from renet.tasks.mdp.commands import goal
@@ -78,8 +78,7 @@ class CourseEnv:
 
     def _metres(self) -> np.ndarray:
         """Metres from the beginning of the course, [N]."""
-        length = len(self.lap) * TILE
-        return self._env.scene["robot"].data.root_link_pos_w[:, 1].numpy() + length / 2
+        return along(self._env, course_length(self.lap)).numpy()
 
     def _steer(self) -> None:
         """Point every goal at the middle line."""
