@@ -16,7 +16,7 @@ import tyro
 
 from facts import report
 from renet.deploy.bundle import Bundle
-from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
+from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
@@ -25,6 +25,7 @@ from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.safety import Mode, SafetyCfg
 from renet.deploy.teleop import ScriptedTeleop
+from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
 from renet.selector import SelectorSpec, make_selector
 

@@ -15,7 +15,7 @@ import tyro
 
 from facts import report
 from renet.deploy.bundle import Bundle
-from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
+from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
@@ -23,6 +23,7 @@ from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.safety import Mode
 from renet.deploy.teleop import ScriptedTeleop
+from renet.faults import parse_fault
 from renet.interface import LEGS
 
 AFTER = 3

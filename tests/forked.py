@@ -1,7 +1,5 @@
 """Processes of their own that begin with the large libraries loaded, which takes seconds."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import resource

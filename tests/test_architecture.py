@@ -1,7 +1,5 @@
 """docs/architecture.md: three walks of at most six files that exist, and a picture that is true."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

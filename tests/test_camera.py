@@ -1,7 +1,5 @@
 """Pinhole rays, by hand."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The door: every command explains itself, and every mistake is one line and exit code 2."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,10 +1,10 @@
-"""Commands and links in the documents: each parses, each leads somewhere."""
+"""Documents: commands run here or say what they take; links, files and tests named exist."""
 
-from __future__ import annotations
-
+import ast
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tyro
@@ -12,34 +12,65 @@ import tyro
 from renet import cli
 
 ROOT = Path(__file__).parents[1]
+METHOD = (ROOT / "docs" / "method.md").read_text()
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-BLOCK = re.compile(r"(<!-- not run:[^\n]*\n)?```(?:bash|console)\n(.*?)```", re.DOTALL)
+BLOCK = re.compile(r"```(?:bash|console)\n(.*?)```", re.DOTALL)
+PROGRAM = re.compile(r"(nohup )?(renet|python \w+/\w+\.py) ")
+QUICK = ("renet bundle inspect",)
+"""Commands that are run here; test_cli.py runs every command's --help."""
+TESTS = "".join(path.read_text() for path in (ROOT / "tests").glob("test_ex*.py"))
 
 
-def commands(page: Path) -> list[str]:
-    """The lines `renet …` of a page's blocks, and those of the tables of the README."""
-    text = page.read_text()
-    lines = [
-        line for marker, block in BLOCK.findall(text) if not marker for line in block.split("\n")
-    ]
-    return [line.lstrip("$ ") for line in lines if line.lstrip("$ ").startswith("renet ")]
+def commands(page: Path) -> list[tuple[str, str, str]]:
+    """Each command of a page's blocks with the comment beside it and the last one above it."""
+    found = []
+    for block in BLOCK.findall(page.read_text()):
+        above = ""
+        for line in block.splitlines():
+            command, _, comment = (part.strip() for part in line.partition("#"))
+            if not command:
+                above = comment
+            elif PROGRAM.match(f"{command} "):
+                found.append((command, comment, above))
+    return found
 
 
-COMMANDS = sorted({line for page in PAGES for line in commands(page) if "…" not in line})
+COMMANDS = sorted({(page.name, *found) for page in PAGES for found in commands(page)})
+INLINE = re.findall(r"`(renet [^`…]+)`", (ROOT / "README.md").read_text())
+# How the shipped policy was made is history, with commands and options that are gone.
+LINES = sorted({x for page, x, *_ in COMMANDS if page != "pretrained.md"} | {*INLINE})
 
 
-@pytest.mark.parametrize("line", COMMANDS)
+@pytest.mark.parametrize(("page", "line", "comment", "above"), COMMANDS)
+def test_command_runs_in_a_test_or_says_what_it_takes(page, line, comment, above):
+    script = re.match(r"python examples/(\w+)\.py", line)
+    tested = line in QUICK or line.endswith("--help") or (script and f'"{script[1]}"' in TESTS)
+    assert tested or any(re.match("takes |needs ", said) for said in (comment, above)), page
+
+
+@pytest.mark.parametrize("line", QUICK)
+def test_quick_command_runs(line: str, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(shlex.split(line)[1:]) == 0
+    assert len(capsys.readouterr().out.splitlines()) > 20
+
+
+def parse(arguments: list[str]) -> Any:
+    """The settings of a command line without `renet`; None where it asks for help."""
+    name, rest = cli._match(arguments)
+    _, config, rest = cli.COMMANDS[name].load(rest)
+    if "--help" in rest:
+        return None
+    # A run to go on from is looked for on the disk: its settings are those of any other.
+    settings = [part for part in rest if part not in ("--resume", "latest")]
+    given = {"default": config.defaults(settings)} if hasattr(config, "defaults") else {}
+    return tyro.cli(config, args=rest, **given)
+
+
+@pytest.mark.parametrize("line", [x for x in LINES if re.match("renet (?!COMMAND)", x)])
 def test_command_of_the_documents_parses(line: str):
     for part in line.split("&& "):
-        _, *arguments = shlex.split(part, comments=True)
-        name, rest = cli._match(arguments)
-        _, config, rest = cli.COMMANDS[name].load(rest)
-        if "--help" in rest:
-            continue
-        # A run to go on from is looked for on the disk: its settings are those of any other.
-        settings = [part for part in rest if part not in ("--resume", "latest")]
-        given = {"default": config.defaults(settings)} if hasattr(config, "defaults") else {}
-        tyro.cli(config, args=rest, **given)
+        parse(shlex.split(part)[1:])
 
 
 def anchors(page: Path) -> set[str]:
@@ -59,3 +90,19 @@ def test_every_link_and_anchor_leads_somewhere(page: Path):
         assert other.exists(), target
         if anchor and other.suffix == ".md":
             assert anchor in anchors(other), f"{target}#{anchor}"
+
+
+def test_every_file_the_method_page_names_exists():
+    named = re.findall(r"`([a-z0-9_/]+\.py)`", METHOD)
+    assert len(set(named)) > 25
+    missing = [name for name in named if not (ROOT / "src" / "renet" / name).is_file()]
+    assert not missing
+
+
+def test_every_test_the_method_page_names_exists():
+    named = re.findall(r"`([a-z0-9_/]+\.py)::([a-z0-9_]+)`", METHOD)
+    assert len(set(named)) > 40
+    for file, test in set(named):
+        tree = ast.parse((ROOT / "tests" / file).read_text())
+        defined = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+        assert test in defined, f"{file} has no {test}"

@@ -1,7 +1,5 @@
 """The examples do what their pages say: as a user runs them, from the command line."""
 
-from __future__ import annotations
-
 import importlib.util
 from importlib.util import find_spec
 from pathlib import Path

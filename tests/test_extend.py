@@ -1,7 +1,5 @@
 """The recipes of docs/extend.md: each is one short file, and does what it says."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import sys

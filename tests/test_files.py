@@ -1,7 +1,5 @@
 """Files handed in by strangers: one clear error each, without waiting or eating memory."""
 
-from __future__ import annotations
-
 import os
 import zlib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a newcomer meets first: README, citation, change log, Dockerfile and notebook."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re
@@ -11,12 +9,11 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
-import tyro
 import yaml
 from scipy.stats import beta
 
 import renet
-from renet import cli
+from tests.test_doc_commands import parse
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -78,13 +75,7 @@ def test_the_dockerfile_installs_an_extra_and_runs_a_command():
         assert all((ROOT / name).exists() for name in copied.split())
     command = json.loads(re.findall(r"^CMD (.+)$", text, re.MULTILINE)[0])
     assert command[0] in PROJECT["scripts"]
-    parses(command[1:])
-
-
-def parses(arguments: list[str]) -> None:
-    name, rest = cli._match(arguments)
-    _, config, rest = cli.COMMANDS[name].load(rest)
-    assert tyro.cli(config, args=rest).robot == "mujoco"
+    assert parse(command[1:]).robot == "mujoco"
 
 
 @pytest.fixture

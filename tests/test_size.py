@@ -1,7 +1,5 @@
 """The script that counts lines: what it counts, and that limits only go down."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path

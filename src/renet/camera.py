@@ -3,8 +3,6 @@
 Camera frame: x forward, y left, z up. Images have the top row first; rays go through pixel centres.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -3,8 +3,6 @@
 Commands are imported only when called, so that the robot's install needs no training packages.
 """
 
-from __future__ import annotations
-
 import difflib
 import importlib
 import os
@@ -118,7 +116,7 @@ COMMANDS = {
     ),
     "evaluate report": Command(
         "put every study found in a folder on one self-contained page",
-        "renet.evaluation.report.report:ReportCfg:main",
+        "renet.evaluation.report.report:ReportCfg:make_report",
     ),
     "evaluate pictures": Command(
         "pictures of every tile and of the camera's errors",

@@ -1,7 +1,5 @@
 """The one exception renet raises for anything a user can put right."""
 
-from __future__ import annotations
-
 
 class RenetError(Exception):
     """Bad input or a bad file: the message names what is wrong and what to do about it.

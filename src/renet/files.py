@@ -1,7 +1,5 @@
 """Reads and writes files of unknown origin: regular files only, within stated limits."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

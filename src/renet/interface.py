@@ -4,8 +4,6 @@ Every index elsewhere is derived from these tables; nothing counts by hand.
 Frames: base frame is x forward, y left, z up; quaternions are (w, x, y, z).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 LEGS = ("FR", "FL", "RR", "RL")

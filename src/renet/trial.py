@@ -1,7 +1,5 @@
 """Tries something a stranger wrote in a process of its own, with limits, before it is done here."""
 
-from __future__ import annotations
-
 import os
 import resource
 import subprocess

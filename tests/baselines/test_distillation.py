@@ -1,7 +1,5 @@
 """Two-stage rivals: the student learns what its teachers do, goes on after a kill, counts steps."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace

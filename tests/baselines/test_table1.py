@@ -1,7 +1,5 @@
 """The table's trainer: goes on after a kill, judges the checkpoint, and never invents a number."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import shutil

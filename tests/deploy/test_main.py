@@ -17,7 +17,7 @@ import pytest
 from renet import cli
 from renet.deploy import devices
 from renet.deploy.bundle import Bundle, read_manifest, write_manifest
-from renet.deploy.main import DEADMAN, RECORDING, DeployCfg, deploy
+from renet.deploy.main import DEADMAN, RECORDING, DeployCfg, _interruptible, deploy
 from renet.deploy.recorder import MODES
 from renet.deploy.recording import read_recording
 from renet.deploy.replay import mismatch
@@ -84,19 +84,25 @@ def test_a_dry_run_prints_commands_and_never_moves_the_robot(tmp_path, capsys, m
 
 
 @pytest.mark.parametrize("name", ["INT", "TSTP", "QUIT", "TERM", "HUP", "USR1", "USR2"])
-def test_a_signal_brakes_and_saves_everything(tmp_path, monkeypatch, name):
+def test_a_signal_asks_the_run_to_end(name):
     number = signal.Signals[f"SIG{name}"]
+    before = signal.getsignal(number)
+    with _interruptible() as asked:
+        assert not asked()
+        os.kill(os.getpid(), number)
+        assert asked()
+    assert signal.getsignal(number) is before
 
+
+def test_a_signal_brakes_and_saves_everything(tmp_path, monkeypatch):
     class Impatient(ScriptedTeleop):
         def command(self, now: float) -> TeleopCommand:
             if abs(now - 1.0) < 0.001:
-                os.kill(os.getpid(), number)
+                os.kill(os.getpid(), signal.SIGTSTP)
             return super().command(now)
 
     monkeypatch.setattr(devices, "ScriptedTeleop", Impatient)
-    before = signal.getsignal(number)
     deploy(DeployCfg(out=tmp_path, safety=QUICK))
-    assert signal.getsignal(number) is before
     assert braked_at_the_end(tmp_path)
     score = json.loads((tmp_path / SCORE).read_text())
     assert score["complete"]
@@ -199,7 +205,7 @@ def test_the_replay_camera_shows_a_flights_images(tmp_path):
         ("--robot go1 --camera sim", "looks at a simulation"),
         ("--robot go1 --viewer --dry-run", "look at the robot"),
         ("--robot go1 --host 10.0.0.1 --dry-run", "the robot's is --robot-host"),
-        ("--terrain lava", "unknown terrain 'lava'"),
+        ("--terrain lava", "unknown terrain 'lava': choose one of flat, stairs, rough, "),
         ("--scene nowhere.xml", "cannot read the scene nowhere.xml"),
         ("nowhere", "no bundle at nowhere"),
     ],

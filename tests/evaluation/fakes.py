@@ -1,7 +1,5 @@
 """A evaluator without physics: robots that walk unless a spoilt image drives them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import ClassVar
 

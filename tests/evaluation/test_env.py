@@ -1,7 +1,5 @@
 """The simulated environment: tiles, twins, and physical faults, which change rays alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Films: a real short one, and the mistakes that stop one before it begins."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -10,8 +8,10 @@ import pytest
 
 from renet.deploy.bundle import Bundle
 from renet.errors import RenetError
+from renet.evaluation import play
 from renet.evaluation.env import robot_of
 from renet.evaluation.play import PlayCfg, opened, run_play
+from renet.evaluation.report.video import VideoCfg
 from renet.tasks.config.go1 import GO1
 
 CHECKPOINT = Path(str(files("renet"))) / "pretrained" / "checkpoint"
@@ -36,7 +36,8 @@ def test_mistakes_are_named_before_anything_is_written(tmp_path, fields, message
     assert not list(tmp_path.iterdir())
 
 
-def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path):
+def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path, monkeypatch):
+    monkeypatch.setattr(play, "VideoCfg", lambda: VideoCfg(width=96, height=72, fps=10))
     cfg = PlayCfg(
         bundle=CHECKPOINT,
         viewer="none",

@@ -1,7 +1,5 @@
 """Selectors in rollouts: rates, names, and what each of them is blind to."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What every study shares: recipe, presets on the command line, any registered robot."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

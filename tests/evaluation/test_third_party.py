@@ -1,7 +1,5 @@
 """The example that benchmarks somebody else's policy, on a policy that stands still."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from hashlib import sha256

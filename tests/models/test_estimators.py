@@ -1,7 +1,5 @@
 """Estimators: unrolling, memory across resets and flips, and what each one may see."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """HIM against an independent NumPy reference."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Layer counts of the paper; attention and the anomaly score against other ways to compute them."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 import torch.nn.functional as functional

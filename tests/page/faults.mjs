@@ -30,7 +30,7 @@ function summary(before, { image, invalid, fresh, age }) {
 
 function run(name, level, seed) {
   const fault = new FAULTS[name](level, new Random(seed), contract.camera);
-  return frames.flatMap(({ image, angularVelocity, elapsed }) => {
+  return frames.flatMap(({ image, angularVelocity, elapsed: [elapsed] }) => {
     const frame = { image: Float32Array.from(image), angularVelocity, fresh: true, age: 0, invalid: 0 };
     const delivered = fault.corrupt(frame, elapsed);
     return elapsed < 0 ? [] : [summary(frame.image, delivered)];

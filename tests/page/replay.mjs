@@ -6,11 +6,12 @@ import { pathToFileURL } from "node:url";
 
 const [web, page, file] = process.argv.slice(2);
 const load = (name) => import(pathToFileURL(`${web}/${name}`));
-const { loadRuntime } = await load("runtime.js");
+const { loadModels, loadRuntime } = await load("runtime.js");
 const { Controller } = await load("controller.js");
 
 const read = async (path) => new Uint8Array(await readFile(`${page}/${path}`));
 const runtime = await loadRuntime(read);
+await loadModels(runtime, read);
 const { kind, ticks } = JSON.parse(await readFile(file));
 const controller = new Controller(runtime.manifest, runtime.contract, runtime.sessions, kind);
 

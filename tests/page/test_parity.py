@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from renet.deploy.bundle import Bundle
-from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
+from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.robots.base import next_step
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.teleop import TeleopCommand
+from renet.faults import parse_fault
 from renet.page.writer import WEB
 from tests.page.conftest import run_node
 
@@ -41,7 +42,6 @@ class Recorder:
     """Walks the simulated robot, and keeps what its controller was given and what it decided."""
 
     def __init__(self, terrain: str, faults: Sequence[str], selector: str) -> None:
-        self.selector = selector
         bundle = Bundle.load()
         model, ground = build_scene(terrain)
         self.robot = MujocoRobot(model, bundle.manifest.robot, ground)

@@ -1,7 +1,5 @@
 """Thresholds with a stated rate of false alarms, against tails whose answer is known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

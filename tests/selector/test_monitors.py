@@ -1,7 +1,5 @@
 """Monitors by hand, and what the selector promises."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """A box with more contacts than the buffers hold, on MuJoCo Warp's CPU backend."""
 
-from __future__ import annotations
-
 import warnings
 
 import mujoco

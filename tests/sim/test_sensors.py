@@ -1,7 +1,5 @@
 """Height map and feet height against MuJoCo's rays, their stated geometry and their limits."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import mujoco

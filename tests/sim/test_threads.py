@@ -1,7 +1,5 @@
 """Work on several threads, and torch on one."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest

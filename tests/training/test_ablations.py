@@ -1,7 +1,5 @@
 """Every row of the paper's table trains, and differs in exactly the part it names."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from contextlib import redirect_stdout

@@ -1,7 +1,5 @@
 """The mean of a run's last weights."""
 
-from __future__ import annotations
-
 import torch
 from torch import nn
 

@@ -1,7 +1,5 @@
 """Settings as functions of environment steps."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """Two ranks over gloo train one model: same parameters, and the joined batch's gradients."""
 
-from __future__ import annotations
-
 import os
 import socket
 from dataclasses import asdict

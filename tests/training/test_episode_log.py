@@ -1,7 +1,5 @@
 """The log's curves are rsl_rl's, and it waits for the device once in an iteration."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math

@@ -1,7 +1,5 @@
 """What an estimator remembers when the actor listens to the other, and what each is taught."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 import pytest

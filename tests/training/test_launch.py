@@ -1,7 +1,5 @@
 """Several processes from one command."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

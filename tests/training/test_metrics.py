@@ -1,7 +1,5 @@
 """Curves on disk."""
 
-from __future__ import annotations
-
 import pytest
 
 from renet.errors import RenetError

@@ -1,7 +1,5 @@
 """N-P3O against hand-computed numbers and a problem with a known constrained optimum."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Learning in bfloat16 and side by side, and on a GPU's path without waiting for the device."""
 
-from __future__ import annotations
-
 import resource
 import threading
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """The loop: runs, stops on time, resumes the same curve, refuses what does not fit."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 import pytest

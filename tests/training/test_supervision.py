@@ -1,7 +1,5 @@
 """Loss_OP and Loss_VP (RENet eq. 1 and 2) against sums written out."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

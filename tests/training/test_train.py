@@ -1,7 +1,5 @@
 """What `renet train` does around the loop: folders, settings, devices, and going on."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from dataclasses import replace

@@ -6,8 +6,6 @@ teacher's, drives from the first step, and learns by the Euclidean norm of the d
 actions. docs/comparison.md says what differs.
 """
 
-from __future__ import annotations
-
 from renet.baselines.distillation import STUDENT, TEACHER, Stage
 
 STAGES = (

@@ -8,8 +8,6 @@
 Both read what the robot has at 50 Hz: proprioception, both latents and the anomaly score.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ all of them by DAgger, each on its own tiles; teachers drive at first, ever less
 docs/comparison.md says what differs.
 """
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import torch

@@ -1,7 +1,5 @@
 """The monitors' scores in recorded runs with a healthy camera, for `renet calibrate --log`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

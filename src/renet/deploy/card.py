@@ -1,7 +1,5 @@
 """`renet bundle card`: a model card in the Hugging Face Hub's format, from a bundle's own files."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterable, Sequence

@@ -4,8 +4,6 @@
 inputs give the same commands on a robot, in a simulator and in a replay. It never raises.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,7 +14,7 @@ import numpy as np
 from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.buffer import FrameBuffer
-from renet.deploy.inference import Inference, InlineInference
+from renet.deploy.inference import InlineInference
 from renet.deploy.observation import heading, observe
 from renet.deploy.policy import Policy, infer
 from renet.deploy.robots.base import JointCommand, RobotState
@@ -95,7 +93,7 @@ class Controller:
         self,
         bundle: Bundle,
         safety: SafetyCfg = SafetyCfg(),  # noqa: B008  (frozen)
-        inference: Inference | None = None,
+        inference: InlineInference | None = None,
         selector: str = "monitors",
         on_event: Callable[[Event], None] = lambda event: None,
     ) -> None:

@@ -13,11 +13,12 @@ import numpy as np
 
 from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.base import Camera
-from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
+from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.recording import read_recording
 from renet.deploy.robots.base import RobotDriver
 from renet.deploy.teleop import ScriptedTeleop, Teleop
 from renet.errors import RenetError
+from renet.faults import parse_fault
 
 if TYPE_CHECKING:
     from renet.deploy.main import DeployCfg

@@ -6,38 +6,15 @@ thread that is dead or stuck at the next tick costs vision, not the robot: that 
 blind, and the selector falls back to OP.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from queue import Empty, SimpleQueue
-from typing import Protocol
 
 import onnxruntime as ort
 
 from renet.deploy.policy import EstimatorInput, EstimatorOutput, infer
 
 Sessions = dict[str, ort.InferenceSession]
-
-
-class Inference(Protocol):
-    """Runs ticks of vision and estimators."""
-
-    def ready(self) -> bool:
-        """Whether `begin` may be called; called once at every tick."""
-        ...
-
-    def begin(self, inputs: EstimatorInput) -> None:
-        """Start a tick."""
-        ...
-
-    def take(self) -> EstimatorOutput | None:
-        """The tick's result, once; None if there is none yet."""
-        ...
-
-    def close(self) -> None:
-        """Stop; safe to call twice."""
-        ...
 
 
 class InlineInference:
@@ -48,7 +25,7 @@ class InlineInference:
         self._percept: EstimatorOutput | None = None
 
     def ready(self) -> bool:
-        """Always."""
+        """Whether `begin` may be called; called once at every tick."""
         return True
 
     def begin(self, inputs: EstimatorInput) -> None:
@@ -56,15 +33,15 @@ class InlineInference:
         self._percept = infer(self._sessions, inputs)
 
     def take(self) -> EstimatorOutput | None:
-        """The tick's result, once."""
+        """The tick's result, once; None if there is none yet."""
         output, self._percept = self._percept, None
         return output
 
     def close(self) -> None:
-        """Nothing to stop."""
+        """Stop; safe to call twice."""
 
 
-class ThreadedInference:
+class ThreadedInference(InlineInference):
     """Ticks on a daemon thread; a dead thread is replaced at the next tick."""
 
     def __init__(self, sessions: Sessions, patience: float = 0.008) -> None:
@@ -73,7 +50,8 @@ class ThreadedInference:
         Args:
             sessions: of the bundle. patience: seconds `take` waits in the step that began a tick.
         """
-        self._sessions, self._patience = sessions, patience
+        super().__init__(sessions)
+        self._patience = patience
         self._start()
 
     def _start(self) -> None:

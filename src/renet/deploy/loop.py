@@ -4,12 +4,10 @@ Whatever a device does, the loop goes on: a robot that cannot be read is damped 
 a camera that fails costs vision. However the loop ends, its last commands brake.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -77,22 +75,18 @@ def run_control_loop(
             loop.brake()
 
 
+@dataclass
 class _Loop:
     """One run: its devices, and what each of them last had to say."""
 
-    def __init__(
-        self,
-        robot: RobotDriver,
-        camera: Camera | None,
-        teleop: Teleop,
-        controller: Controller,
-        recorder: Recorder | None,
-        dry_run: bool,
-    ) -> None:
-        self.robot, self.camera, self.teleop = robot, camera, teleop
-        self.controller, self.recorder, self.dry_run = controller, recorder, dry_run
-        self._problems: dict[str, str] = {}
-        self._refused = False
+    robot: RobotDriver
+    camera: Camera | None
+    teleop: Teleop
+    controller: Controller
+    recorder: Recorder | None
+    dry_run: bool
+    _problems: dict[str, str] = field(default_factory=dict)
+    _refused: bool = False
 
     def step(
         self, now: float, ending: bool, truth: Callable[[], np.ndarray | None]

@@ -1,7 +1,5 @@
 """`renet deploy`: put a bundle on a robot, real or simulated; the same program for both."""
 
-from __future__ import annotations
-
 import math
 import signal
 from collections.abc import Callable, Iterator
@@ -16,7 +14,6 @@ import tyro
 
 from renet import __version__
 from renet.deploy.bundle import Bundle
-from renet.deploy.cameras.faulty import parse_fault
 from renet.deploy.controller import Controller, Event
 from renet.deploy.devices import Devices, make_devices
 from renet.deploy.inference import InlineInference, ThreadedInference
@@ -31,6 +28,7 @@ from renet.deploy.score import SCORE, TIMELINE, write_score
 from renet.deploy.teleop import MAX_SPEED
 from renet.deploy.terminal import Terminal
 from renet.errors import RenetError
+from renet.faults import parse_fault
 from renet.interface import CONTROL_DT, JOINTS
 
 RECORDING = "recording.log"

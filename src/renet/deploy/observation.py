@@ -1,7 +1,5 @@
 """The proprioception o_t from a robot's sensors, scaled as in training."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from renet.deploy.bundle.manifest import RobotSpec

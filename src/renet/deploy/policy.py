@@ -1,7 +1,5 @@
 """The deployed policy: three ONNX models and the memory between their ticks, for N robots."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the operating system can do for a control loop, where it allows it."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os

@@ -4,8 +4,6 @@ File: magic, then chunks (tag, length, CRC-32, zlib data). One second of ticks m
 images another. A run that ends with the battery loses at most its last second.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import struct
@@ -72,8 +70,10 @@ TICK = np.dtype(
 )
 """One control tick: what came in, what was decided, how long that took, and where the base was in
 the world (NaN where nobody knows)."""
-DECIDED = {part.name for part in fields(Decision)} & set(TICK.names or ()) - {"mode"}
-"""Parts of a decision that a tick holds as they are."""
+DECIDED = tuple(
+    f.name for f in fields(Decision) if f.name in (TICK.names or ()) and f.name != "mode"
+)
+"""Fields of a `Decision` that are recorded as they are."""
 MAX_WAITING = 60
 """Chunks that wait for the disk; two or three are written each second."""
 CLOSING = 5.0

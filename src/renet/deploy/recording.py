@@ -1,7 +1,5 @@
 """Reads a recording back, whatever happened to its file."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Replays a run: the recorded inputs through the same controller, vision thread and all."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -8,8 +8,6 @@ DAMPING is the start and the end: joints are only braked, and it stays until the
 again. Losing vision is no problem here: the selector falls back to OP within WALKING.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """`renet evaluate log`: what a run came to, from its recording alone."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """Sources of an operator's commands: the terminal's keyboard, a Linux joystick, or a script."""
 
-from __future__ import annotations
-
 import math
 import os
 import select

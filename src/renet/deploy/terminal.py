@@ -1,7 +1,5 @@
 """Prints from a thread of its own: a terminal that stalls must not stall a robot."""
 
-from __future__ import annotations
-
 import threading
 from contextlib import suppress
 from queue import Full, Queue

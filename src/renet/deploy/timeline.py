@@ -1,7 +1,5 @@
 """A run in one picture: anomaly score, vision probability and speed over who was in charge."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path

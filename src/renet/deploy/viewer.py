@@ -1,7 +1,5 @@
 """The simulated robot in a browser, for `renet deploy --viewer`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -1,7 +1,5 @@
 """`renet demo`: break the camera of the shipped policy and watch it keep walking, on one page."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,8 +31,6 @@ class DemoCfg:
     """Of the robots' starts and of the noise."""
     engine: str = "auto"
     """Physics engine: auto, native or warp."""
-    video: bool = True
-    """Make the video; it takes about half a minute."""
 
 
 def run_demo(cfg: DemoCfg, evaluator: Evaluator | None = None) -> Path:
@@ -56,9 +52,7 @@ def run_demo(cfg: DemoCfg, evaluator: Evaluator | None = None) -> Path:
     for table in study.tables(summary):
         show(*table)
     setting = worst_of_vp(summary)
-    video = None
-    if cfg.video:
-        video = film_comparison(study, evaluator, setting, cfg.out / "video.mp4")
+    video = film_comparison(study, evaluator, setting, cfg.out / "video.mp4")
     return write_demo_page(summary, video, setting, cfg.out)
 
 
@@ -103,9 +97,7 @@ def first_to_fall(study: NoiseStudy, trace: Trace) -> int:
     return int(np.lexsort((trace.speed[-150:, index].mean(axis=0), upright))[0])
 
 
-def write_demo_page(
-    summary: dict[str, Any], video: Path | None, setting: Setting, out: Path
-) -> Path:
+def write_demo_page(summary: dict[str, Any], video: Path, setting: Setting, out: Path) -> Path:
     """Write index.html into `out`, from the study's figures there; the video is of `setting`."""
     found = noise_facts(summary)
     sections = [
@@ -117,9 +109,3 @@ def write_demo_page(
     ]
     title = "A robot dog loses its eyes"
     return write_page(out / "index.html", title, noise_headline(summary), sections)
-
-
-def main(cfg: DemoCfg) -> None:
-    """`renet demo`."""
-    page = run_demo(cfg)
-    print(f"Open {page.resolve()} in a browser.")

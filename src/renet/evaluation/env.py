@@ -1,7 +1,5 @@
 """RENet's simulated tasks as the environment of a rollout."""
 
-from __future__ import annotations
-
 import io
 import warnings
 from collections.abc import Mapping, Sequence

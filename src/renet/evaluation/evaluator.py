@@ -1,7 +1,5 @@
 """What every study works with: a bundle, its policy and selector, and environments for them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Figures: one look for all of them, drawn without a display, saved whole with their provenance."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is measured: pure functions of per-step arrays, [T, N] for T control steps and N robots."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Records the monitors' scores in a rollout, and what other selectors would have answered."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """`renet play`: a bundle or a checkpoint on any tile, live in the browser or filmed."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager

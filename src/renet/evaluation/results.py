@@ -21,6 +21,7 @@ import numpy as np
 import renet
 from renet.errors import RenetError
 from renet.files import read_object, write_atomically
+from renet.version import commit
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,16 @@ class Provenance:
     date: str
     """UTC, ISO 8601."""
     renet_version: str
+    commit: str | None = None
+    """Of the clone that renet runs from, if it does."""
 
     @classmethod
     def now(cls, bundle: str, bundle_hash: str, engine: str, seed: int) -> Provenance:
         """The provenance of what this process computes now."""
         command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
         date = datetime.now(UTC).isoformat(timespec="seconds")
-        return cls(bundle, bundle_hash, engine, seed, command, date, renet.__version__)
+        version = renet.__version__
+        return cls(bundle, bundle_hash, engine, seed, command, date, version, commit())
 
     @property
     def line(self) -> str:

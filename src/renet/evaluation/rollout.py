@@ -6,8 +6,6 @@ under the modality the selector last chose, then the selector's filter is update
 (200 Hz, paper) with the anomaly score the tick produced.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -76,7 +74,6 @@ class PerturbableEnv(Protocol):
 
     def perturb_cameras(self, view: ViewPerturbation) -> None:
         """Let the cameras see the scene so from their next image on."""
-        ...
 
 
 class EvalPolicy(Protocol):
@@ -91,7 +88,6 @@ class EvalPolicy(Protocol):
 
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Forget the past of the masked robots [N], of all by default."""
-        ...
 
     def step(
         self, proprioception: np.ndarray, depth: np.ndarray, op_mask: np.ndarray
@@ -114,7 +110,6 @@ class EvalSelector(Protocol):
 
     def reset(self, mask: np.ndarray) -> None:
         """Start anew for the masked robots [N]."""
-        ...
 
 
 @dataclass(frozen=True)

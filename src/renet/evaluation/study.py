@@ -6,8 +6,6 @@ drawn (`draw` and `tables`). Running it, going on after an interruption, and wri
 study with the template of its name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path

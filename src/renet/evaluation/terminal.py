@@ -1,7 +1,5 @@
 """What a study shows in the terminal: progress with the time that is left, and its table."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any

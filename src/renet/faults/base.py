@@ -110,22 +110,41 @@ class Fault:
 class ImageFault(Fault):
     """A fault that spoils each image by itself, without memory of other frames."""
 
+    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
+        super().__init__(level, rngs)
+        self.holes = np.zeros(len(rngs))
+        """Share of pixels without a measurement in each robot's newest image, [n]."""
+
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """Spoil the image of every robot the fault is at work on."""
         image = frames.image.copy()
         invalid = frames.invalid.copy()
         for i in np.flatnonzero(elapsed >= 0).tolist():
             image[i] = np.clip(self.spoil(image[i], i, float(elapsed[i])), 0.0, 1.0)
-            invalid[i] = max(invalid[i], self.holes(frames.image[i], i))
+            invalid[i] = max(invalid[i], self.holes[i])
         return replace(frames, image=image, invalid=invalid)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
         """The spoilt image [48, 64] of one robot; the caller clips it to [0, 1]."""
         raise NotImplementedError
 
-    def holes(self, image: np.ndarray, robot: int) -> float:
-        """Share of pixels the fault leaves without a measurement, called after `spoil`."""
-        return 0.0
+
+class Holes(ImageFault):
+    """An image fault that leaves pixels without a measurement."""
+
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """The image with its holes; the caller clips it to [0, 1]."""
+        lost = self.lost(image, robot)
+        self.holes[robot] = lost.mean()
+        return self.deliver(image, lost)
+
+    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
+        """[48, 64] bool: the pixels of one robot's image that are not measured."""
+        raise NotImplementedError
+
+    def deliver(self, image: np.ndarray, lost: np.ndarray) -> np.ndarray:
+        """What the driver makes of an image [48, 64] and its lost pixels: they read zero."""
+        return np.where(lost, np.float32(0.0), image)
 
 
 class FixedPattern(ImageFault):

@@ -1,7 +1,5 @@
 """The table of all fault models."""
 
-from __future__ import annotations
-
 from renet.errors import RenetError
 from renet.faults import combined, image, physical, stereo, timing, vegetation
 from renet.faults.base import Fault

@@ -1,7 +1,5 @@
 """Faults made of others: two at once, and one that comes and goes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import ClassVar
 

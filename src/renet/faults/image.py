@@ -4,14 +4,12 @@ Depths are normalised: 1 is `DEPTH_RANGE` metres. Only faults said to leave hole
 invalid fraction; the others deliver wrong numbers that the camera calls measurements.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from renet.faults.base import FixedPattern, Frames, ImageFault
+from renet.faults.base import FixedPattern, Frames, Holes, ImageFault
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE
 
 ROWS, COLUMNS = DEPTH_SHAPE
@@ -28,10 +26,8 @@ def smooth_field(rng: np.random.Generator, cells: tuple[int, int] = (6, 8)) -> n
     """Spatially correlated noise [48, 64]: a coarse normal grid, interpolated between its nodes."""
     coarse = rng.standard_normal((cells[0] + 1, cells[1] + 1))
     r, c = np.linspace(0, cells[0], ROWS), np.linspace(0, cells[1], COLUMNS)
-    r0, c0 = (
-        np.minimum(r.astype(int), cells[0] - 1)[:, None],
-        np.minimum(c.astype(int), cells[1] - 1),
-    )
+    r0 = np.minimum(r.astype(int), cells[0] - 1)[:, None]
+    c0 = np.minimum(c.astype(int), cells[1] - 1)
     fr, fc = r[:, None] - r0, c - c0
     top = coarse[r0, c0] * (1 - fc) + coarse[r0, c0 + 1] * fc
     bottom = coarse[r0 + 1, c0] * (1 - fc) + coarse[r0 + 1, c0 + 1] * fc
@@ -62,7 +58,6 @@ class Gaussian(ImageFault):
     levels = (0.1, 0.3, 0.5, 0.7, 1.0)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         noise = self.rngs[robot].standard_normal(image.shape, dtype=np.float32)
         return image + np.float32(self.level) * noise
 
@@ -76,7 +71,6 @@ class SaltAndPepper(ImageFault):
     levels = (0.05, 0.1, 0.3, 0.5, 0.7)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         draw = self.rngs[robot].random(image.shape, dtype=np.float32)
         spoilt = np.where(draw < self.level, np.float32(1.0), image)
         return np.where(draw < 0.5 * self.level, np.float32(0.0), spoilt)
@@ -91,7 +85,6 @@ class Blackout(ImageFault):
     levels = (1.0, 0.5, 0.2, 0.1, 0.0)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         remaining = 1.0 - elapsed / self.level if self.level > 0 else 0.0
         return image * np.float32(max(remaining, 0.0))
 
@@ -105,7 +98,6 @@ class Saturated(ImageFault):
     levels = (0.2, 0.4, 0.6, 0.8, 1.0)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         spoilt = image.copy()
         spoilt[: round(self.level * ROWS)] = 1.0
         return spoilt
@@ -120,7 +112,6 @@ class Occlusion(FixedPattern):
     levels = (0.1, 0.25, 0.5, 0.75, 1.0)
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw a robot's pattern."""
         height, width = (round(n * np.sqrt(self.level)) for n in DEPTH_SHAPE)
         top, left = rng.integers(0, ROWS - height + 1), rng.integers(0, COLUMNS - width + 1)
         pattern = np.zeros(DEPTH_SHAPE, bool)
@@ -128,7 +119,6 @@ class Occlusion(FixedPattern):
         return pattern
 
     def apply(self, image: np.ndarray, pattern: np.ndarray) -> np.ndarray:
-        """The image [48, 64] under a pattern."""
         return np.where(pattern, np.float32(metres(0.04)), image)
 
 
@@ -146,13 +136,11 @@ class Blobs(FixedPattern):
         pattern = np.full(DEPTH_SHAPE, np.nan, np.float32)
         for _ in range(int(self.level)):
             r, c, radius = rng.uniform(0, ROWS), rng.uniform(0, COLUMNS), rng.uniform(1, 4)
-            pattern[(rows - r) ** 2 + (columns - c) ** 2 <= radius**2] = metres(
-                rng.uniform(0.03, 0.2)
-            )
+            inside = (rows - r) ** 2 + (columns - c) ** 2 <= radius**2
+            pattern[inside] = metres(rng.uniform(0.03, 0.2))
         return pattern
 
     def apply(self, image: np.ndarray, pattern: np.ndarray) -> np.ndarray:
-        """The image [48, 64] under a pattern."""
         return np.where(np.isnan(pattern), image, pattern)
 
 
@@ -168,7 +156,6 @@ class Grass(ImageFault):
     levels = (0.0, 0.25, 0.5, 0.75, 1.0)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         rng = self.rngs[robot]
         covered = ROWS * (1 + self.level) / 3
         present = rng.random(COLUMNS) < 0.25 + 0.7 * self.level
@@ -178,7 +165,7 @@ class Grass(ImageFault):
         return np.where(blades, np.minimum(image, depth), image)
 
 
-class Glare(ImageFault):
+class Glare(Holes):
     """Sun blinds the stereo pair: holes, which read zero."""
 
     name = "glare"
@@ -190,18 +177,10 @@ class Glare(ImageFault):
         super().__init__(level, rngs)
         self._fields = [smooth_field(rng) for rng in rngs]
 
-    def mask(self, robot: int) -> np.ndarray:
-        """Where the holes are in a robot's next frame: a fixed patch whose border flickers."""
+    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
+        """A fixed patch whose border flickers."""
         field = self._fields[robot] + 0.25 * smooth_field(self.rngs[robot], (12, 16))
         return field > np.quantile(field, 1 - self.level)
-
-    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
-        return np.where(self.mask(robot), np.float32(0.0), image)
-
-    def holes(self, image: np.ndarray, robot: int) -> float:
-        """Share of pixels the fault leaves without a measurement."""
-        return self.level
 
 
 class GlareFilled(Glare):
@@ -210,12 +189,12 @@ class GlareFilled(Glare):
     name = "glare_filled"
     summary = "As glare, but the driver fills the holes from their left: smooth and plausible."
 
-    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
-        return fill_holes(image, self.mask(robot))
+    def deliver(self, image: np.ndarray, lost: np.ndarray) -> np.ndarray:
+        """The image [48, 64] without a trace of its holes."""
+        return fill_holes(image, lost)
 
 
-class NearField(ImageFault):
+class NearField(Holes):
     """A stereo camera cannot measure what is too close (paper: about 10 cm, at stairs)."""
 
     name = "near_field"
@@ -223,13 +202,9 @@ class NearField(ImageFault):
     unit = "m"
     levels = (0.1, 0.15, 0.2, 0.3, 0.5)
 
-    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
-        return np.where(image < metres(self.level), np.float32(0.0), image)
-
-    def holes(self, image: np.ndarray, robot: int) -> float:
-        """Share of pixels the fault leaves without a measurement."""
-        return float((image < metres(self.level)).mean())
+    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
+        """What is nearer than the level."""
+        return image < metres(self.level)
 
 
 class WrongScale(ImageFault):
@@ -241,7 +216,6 @@ class WrongScale(ImageFault):
     levels = (0.9, 0.8, 0.6, 1.3, 1.6)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """Spoil the image [48, 64] of one robot; the caller clips it to [0, 1]."""
         return image * np.float32(self.level)
 
 

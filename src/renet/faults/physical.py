@@ -69,7 +69,6 @@ class Glass(PhysicalFault):
     """Kinds of tile with obstacles that can be glass."""
 
     def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
-        """Add the fault to the view of the robots `rows`."""
         view.glass[rows] = np.maximum(view.glass[rows], self.level)
 
 
@@ -82,7 +81,6 @@ class Foam(PhysicalFault):
     levels = (0.02, 0.04, 0.07, 0.1, 0.15)
 
     def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
-        """Add the fault to the view of the robots `rows`."""
         view.lift[rows] += self.level
 
 
@@ -102,7 +100,6 @@ class MountKnocked(PhysicalFault):
         """[n, 3]"""
 
     def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
-        """Add the fault to the view of the robots `rows`."""
         view.turn[rows] += self._turn
 
 

@@ -5,14 +5,12 @@ A stereo camera measures disparity d = f * baseline / depth, in pixels between i
 delivered image, so that a D435i's 50 mm and 1 m give 2.5 of its 64 pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 
 from renet.camera import Intrinsics
-from renet.faults.base import ImageFault
+from renet.faults.base import Holes, ImageFault
 from renet.faults.image import metres, smooth_field
 from renet.interface import DEPTH_RANGE
 
@@ -32,28 +30,6 @@ def disparity(image: np.ndarray, baseline: float) -> np.ndarray:
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
     depth = np.median(windows, axis=(2, 3)) * DEPTH_RANGE
     return FOCAL * baseline / np.maximum(depth, NEAREST)
-
-
-class Holes(ImageFault):
-    """An image fault that leaves pixels without a measurement; they read zero."""
-
-    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
-        super().__init__(level, rngs)
-        self._shares = np.zeros(len(rngs))
-
-    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """The image with its holes; the caller clips it to [0, 1]."""
-        lost = self.lost(image, robot)
-        self._shares[robot] = lost.mean()
-        return np.where(lost, np.float32(0.0), image)
-
-    def holes(self, image: np.ndarray, robot: int) -> float:
-        """Share of pixels the fault leaves without a measurement."""
-        return float(self._shares[robot])
-
-    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
-        """[48, 64] bool: the pixels of one robot's image that are not measured."""
-        raise NotImplementedError
 
 
 class EdgeShadow(Holes):

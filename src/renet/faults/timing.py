@@ -1,7 +1,5 @@
 """Faults of time: every image is a good one, but not the one the robot should have now."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,7 +23,6 @@ class Frozen(Fault):
 
     @classmethod
     def lasts(cls, level: float) -> float:
-        """Seconds after which the fault ends by itself."""
         return level
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
@@ -71,7 +68,6 @@ class Dropped(Stale):
     levels = (0.1, 0.3, 0.5, 0.7, 0.9)
 
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
-        """[n] bool: the robots that get no frame at this tick."""
         lost = elapsed >= 0
         for i in np.flatnonzero(lost).tolist():
             lost[i] = self.rngs[i].random() < self.level
@@ -88,11 +84,9 @@ class Unplugged(Stale):
 
     @classmethod
     def lasts(cls, level: float) -> float:
-        """Seconds after which the fault ends by itself."""
         return level
 
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
-        """[n] bool: the robots that get no frame at this tick."""
         return elapsed >= 0
 
 
@@ -108,7 +102,7 @@ class Latency(Fault):
         super().__init__(level, rngs)
         depth = int(np.ceil(1.5e-3 * level / TICK)) + 2
         self._past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=depth)
-        self._served: np.ndarray | None = None
+        self._served = np.full(len(rngs), -np.inf)
         self._now = 0.0
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
@@ -124,9 +118,7 @@ class Latency(Fault):
         newest = np.maximum(newest, 0)
         image = np.stack([self._past[k][0][i] for i, k in enumerate(newest.tolist())])
         capture = taken[newest]
-        fresh = (
-            np.ones(len(elapsed), bool) if self._served is None else capture > self._served + 1e-9
-        )
+        fresh = capture > self._served + 1e-9
         self._served = capture
         age = np.where(fresh, 0.0, self._now - arrivals[newest, np.arange(len(newest))])
         return replace(frames, image=image, fresh=fresh, age=age)

@@ -1,12 +1,10 @@
 """Tall grass as a stereo camera at a small robot's height sees it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from renet.camera import Intrinsics
+from renet.faults.base import Holes
 from renet.faults.image import metres
-from renet.faults.stereo import Holes
 from renet.interface import DEPTH_RANGE
 
 CAMERA_HEIGHT = 0.33

@@ -1,7 +1,5 @@
 """Actor, reward critic and one critic per constraint cost."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

@@ -1,6 +1,6 @@
 """The anomaly detector: an autoencoder of two consecutive depth images (RENet, eq. 4)."""
 
-from __future__ import annotations
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -28,7 +28,7 @@ class DepthAutoencoder(nn.Module):
     ) -> None:
         super().__init__()
         self.detector = detector
-        first, second, third = channels
+        third = channels[-1]
         shape = (third, *(size // 8 for size in DEPTH_SHAPE))
         size = shape[0] * shape[1] * shape[2]
         narrow: list[nn.Module]
@@ -41,23 +41,13 @@ class DepthAutoencoder(nn.Module):
             outputs = FRAMES
             narrow = [nn.Flatten(), nn.Linear(size, BOTTLENECK)]
             widen = [nn.Linear(BOTTLENECK, size), nn.ELU(inplace=True), nn.Unflatten(1, shape)]
-        self.encode = nn.Sequential(
-            nn.Conv2d(FRAMES, first, 4, stride=2, padding=1),
-            nn.ELU(inplace=True),
-            nn.Conv2d(first, second, 4, stride=2, padding=1),
-            nn.ELU(inplace=True),
-            nn.Conv2d(second, third, 4, stride=2, padding=1),
-            nn.ELU(inplace=True),
-            *narrow,
-        )
-        self.decode = nn.Sequential(
-            *widen,
-            nn.ConvTranspose2d(third, second, 4, stride=2, padding=1),
-            nn.ELU(inplace=True),
-            nn.ConvTranspose2d(second, first, 4, stride=2, padding=1),
-            nn.ELU(inplace=True),
-            nn.ConvTranspose2d(first, outputs, 4, stride=2, padding=1),
-        )
+        down, up = [], []
+        for wide, deep in pairwise((FRAMES, *channels)):
+            down += [nn.Conv2d(wide, deep, 4, stride=2, padding=1), nn.ELU(inplace=True)]
+        for deep, wide in pairwise((*reversed(channels), outputs)):
+            up += [nn.ConvTranspose2d(deep, wide, 4, stride=2, padding=1), nn.ELU(inplace=True)]
+        self.encode = nn.Sequential(*down, *narrow)
+        self.decode = nn.Sequential(*widen, *up[:-1])
         # A seventh faster on a CPU.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 

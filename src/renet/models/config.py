@@ -1,7 +1,5 @@
 """What is learned, as one dataclass: every row of the paper's ablation table is one field."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, get_args
 

@@ -1,7 +1,5 @@
 """First compression of an estimator's inputs (paper: two-layer MLP, light three-layer CNN)."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

@@ -1,7 +1,5 @@
 """Fusion of embedded vectors, in the paper's two forms: an MLP or single-head self-attention."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -5,14 +5,13 @@ memory and the latent the actor reads (h_b for OP, h_v for VP). Heads are traini
 except that the runtime also reports what they predict.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
 from renet.interface import FEET, HEIGHT_MAP_SIZE, LATENT
+from renet.models.actor_critic import mlp
 from renet.models.config import ModelCfg
 from renet.models.embeddings import DepthEmbedding, ProprioceptionEmbedding
 from renet.models.encoders import make_encoder
@@ -102,11 +101,7 @@ class VPEstimator(Estimator):
         self.depth = DepthEmbedding(cfg.frames, EMBEDDING)
         self.feet_height_head = nn.Linear(LATENT, FEET) if cfg.predict_feet_height else None
         self.height_map_head = (
-            nn.Sequential(
-                nn.Linear(LATENT, LATENT), nn.ELU(inplace=True), nn.Linear(LATENT, HEIGHT_MAP_SIZE)
-            )
-            if cfg.predict_height_map
-            else None
+            mlp((LATENT, LATENT, HEIGHT_MAP_SIZE)) if cfg.predict_height_map else None
         )
 
     def features(self, history: Tensor, depth: Tensor) -> Tensor:

@@ -5,13 +5,12 @@ target view. Both are assigned to shared prototypes, and each view must predict 
 assignment (swapped prediction), so that the latent carries the robot's response.
 """
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from renet.interface import LATENT, PROPRIOCEPTION_SIZE, proprioception_slices
+from renet.models.actor_critic import mlp
 
 SINKHORN_EPSILON = 0.05
 SINKHORN_ITERATIONS = 3
@@ -28,13 +27,7 @@ class HybridInternalModel(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.source = nn.Linear(LATENT, VIEW)
-        self.target = nn.Sequential(
-            nn.Linear(PROPRIOCEPTION_SIZE, 128),
-            nn.ELU(inplace=True),
-            nn.Linear(128, 64),
-            nn.ELU(inplace=True),
-            nn.Linear(64, VIEW),
-        )
+        self.target = mlp((PROPRIOCEPTION_SIZE, 128, 64, VIEW))
         self.prototypes = nn.Linear(VIEW, PROTOTYPES, bias=False)
         self.usage: Tensor | None = None
         """Number of prototypes the last batch's sources used, a scalar in [1, 32]: the exponential

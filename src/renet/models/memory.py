@@ -1,7 +1,5 @@
 """What the estimators remember of each robot between ticks, batched over environments."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch

@@ -1,7 +1,5 @@
 """All networks of RENet in one module, so that one state dict is one model."""
 
-from __future__ import annotations
-
 import torch
 from rsl_rl.modules import EmpiricalNormalization
 from torch import Tensor, nn

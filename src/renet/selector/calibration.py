@@ -1,7 +1,5 @@
 """Thresholds from healthy runs: the paper's maximum, or a stated rate of false alarms."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The paper's low-pass filter on "vision looks healthy" (RENet eq. 5)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

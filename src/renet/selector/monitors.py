@@ -6,8 +6,6 @@ is healthy while its score stays below the monitor's threshold, and thresholds a
 scores of healthy runs (`renet.selector.calibration`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar

@@ -3,8 +3,6 @@
 With the reconstruction monitor alone and no dwell it is the paper's selector (RENet, Method B).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

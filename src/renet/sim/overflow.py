@@ -1,7 +1,5 @@
 """Contacts and constraints that did not fit MuJoCo Warp's buffers: a robot then falls through."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

@@ -51,10 +51,6 @@ class FeetHeightCfg(SensorCfg):
 class HeightMap(RaySensor[Tensor]):
     """`data` is [N, len(x) * len(y)]: base over terrain less `base_height`, m; y varies fastest."""
 
-    def __init__(self, cfg: HeightMapCfg) -> None:
-        super().__init__()
-        self.cfg = cfg
-
     def initialize(self, mj_model, model, data, device) -> None:
         """Find the body and the terrain; raises RenetError for an unknown body."""
         self._body = object_id(mj_model, mujoco.mjtObj.mjOBJ_BODY, self.cfg.body)
@@ -70,10 +66,6 @@ class HeightMap(RaySensor[Tensor]):
 
 class FeetHeight(RaySensor[Tensor]):
     """`data` is [N, feet]: mean height of each foot above the terrain under it, m."""
-
-    def __init__(self, cfg: FeetHeightCfg) -> None:
-        super().__init__()
-        self.cfg = cfg
 
     def initialize(self, mj_model, model, data, device) -> None:
         """Find the sites and the terrain; raises RenetError for an unknown site."""

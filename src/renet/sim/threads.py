@@ -1,7 +1,5 @@
 """One small thread pool for work that runs outside the GIL (Warp and MuJoCo on the CPU)."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait

@@ -1,7 +1,5 @@
 """`renet export`: a checkpoint becomes a bundle."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -115,17 +113,11 @@ def camera_spec(robot: RobotCfg = GO1, noise_std: float = DepthNoiseCfg.gaussian
         noise_std: of the constant part of the depth error, m.
     """
     camera = DepthCameraCfg(name="depth_camera", mount=robot.camera)
-    intrinsics, mount = camera.intrinsics, camera.mount
     return CameraSpec(
-        height=intrinsics.height,
-        width=intrinsics.width,
+        **vars(camera.intrinsics),
         range=camera.range,
-        fx=intrinsics.fx,
-        fy=intrinsics.fy,
-        cx=intrinsics.cx,
-        cy=intrinsics.cy,
-        position=mount.position,
-        pitch=mount.pitch,
+        position=camera.mount.position,
+        pitch=camera.mount.pitch,
         rate_hz=1.0 / camera.period,
         noise_std=noise_std,
     )

@@ -6,12 +6,9 @@ the last weights, which is exported), `optimizer.safetensors`, `environment.safe
 a killed process or a full disk leaves earlier checkpoints whole.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
-import subprocess
 import sys
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -22,7 +19,6 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from renet import __version__
 from renet.errors import RenetError
 from renet.files import MEGABYTE, read_object, require_regular
 
@@ -229,17 +225,6 @@ def described(value: Any) -> Any:
     if callable(value):
         return f"{value.__module__}.{getattr(value, '__qualname__', type(value).__name__)}"
     return str(value)
-
-
-def code_version() -> str:
-    """Version of renet, with the commit where it runs from a checkout, `+changed` if edited."""
-    folder = Path(__file__).parent
-    try:
-        git = ["git", "-C", str(folder), "describe", "--always", "--dirty=+changed", "--abbrev=12"]
-        found = subprocess.run(git, capture_output=True, text=True, timeout=5, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return __version__
-    return f"{__version__} ({found.stdout.strip()})"
 
 
 class WeightAverage:

@@ -1,7 +1,5 @@
 """Training configuration: N-P3O, supervision, and what mjlab and rsl_rl expect of a runner."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field, fields
 from functools import lru_cache

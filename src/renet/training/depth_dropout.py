@@ -5,8 +5,6 @@ it distrusts them by itself (random masking and noise of depth, as in Miki et al
 samples). Everything else of training stays.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Agreement between ranks; every function is the identity in a single process."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import torch

@@ -1,7 +1,5 @@
 """rsl_rl's logger, which waits for the device once in an iteration, not in every control step."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

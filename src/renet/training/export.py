@@ -1,22 +1,15 @@
 """From trained networks to the three ONNX models a robot runs (paper, Experimental Setup)."""
 
-from __future__ import annotations
-
 import io
 import warnings
+from collections.abc import Iterable
 
 import torch
 from torch import Tensor, nn
 
+from renet.deploy.bundle.models import OPTIONAL, model_shapes
 from renet.errors import RenetError
-from renet.interface import (
-    DEPTH_SHAPE,
-    FEET,
-    FRAMES,
-    HEIGHT_MAP_SIZE,
-    LATENT,
-    PROPRIOCEPTION_SIZE,
-)
+from renet.interface import FEET, HEIGHT_MAP_SIZE
 from renet.models.actor_critic import fuse
 from renet.models.autoencoder import anomaly_score, variance_score
 from renet.models.renet import RENet
@@ -27,9 +20,6 @@ OPSET = 17
 
 class ActorGraph(nn.Module):
     """50 Hz: o_t, both latents and the paper's mask to an action."""
-
-    inputs = ("proprioception", "latent_op", "latent_vp", "op_mask")
-    outputs = ("action",)
 
     def __init__(self, model: RENet) -> None:
         super().__init__()
@@ -44,16 +34,6 @@ class ActorGraph(nn.Module):
 
 class EstimatorGraph(nn.Module):
     """10 Hz: both estimators, their memories in and out, and what they predict."""
-
-    inputs = ("proprioception_history", "depth", "latent_op", "latent_vp")
-    outputs = (
-        "next_latent_op",
-        "next_latent_vp",
-        "velocity_op",
-        "velocity_vp",
-        "feet_height",
-        "height_map",
-    )
 
     def __init__(self, model: RENet) -> None:
         super().__init__()
@@ -83,13 +63,9 @@ class EstimatorGraph(nn.Module):
 class VisionGraph(nn.Module):
     """10 Hz: the autoencoder, its anomaly score, and that of the variance detector."""
 
-    inputs = ("depth",)
-
     def __init__(self, model: RENet) -> None:
         super().__init__()
         self.autoencoder = model.autoencoder
-        variance = ("variance_score",) if model.cfg.detector == "variance" else ()
-        self.outputs = ("reconstruction", "anomaly_score", *variance)
 
     def forward(self, depth: Tensor) -> tuple[Tensor, ...]:
         """Reconstruction [N, 2, 48, 64], Loss_ad [N], perhaps the variance score [N]."""
@@ -106,26 +82,22 @@ def export_models(model: RENet) -> dict[str, bytes]:
     Raises:
         RenetError: the model is the Oracle, which needs the simulator's truth.
     """
-    cfg = model.cfg
-    if cfg.perception == "oracle":
+    if model.cfg.perception == "oracle":
         raise RenetError("the Oracle reads the simulator's truth and cannot be exported")
-    proprioception = torch.zeros(2, PROPRIOCEPTION_SIZE)
-    history = torch.zeros(2, cfg.history, PROPRIOCEPTION_SIZE)
-    depth = torch.zeros(2, FRAMES, *DEPTH_SHAPE)
-    latents = torch.zeros(2, LATENT), torch.zeros(2, LATENT)
-    model = model.cpu().eval()
-    return {
-        "actor": _to_onnx(ActorGraph(model), (proprioception, *latents, torch.zeros(2, 1))),
-        "estimator": _to_onnx(EstimatorGraph(model), (history, depth, *latents)),
-        "vision": _to_onnx(VisionGraph(model), (depth,)),
-    }
+    model, shapes = model.cpu().eval(), model_shapes(model.cfg.history)
+    if model.cfg.detector == "variance":
+        shapes["vision"][1][OPTIONAL] = ()
+    graphs = {"actor": ActorGraph, "estimator": EstimatorGraph, "vision": VisionGraph}
+    return {name: _to_onnx(graph(model), *shapes[name]) for name, graph in graphs.items()}
 
 
-def _to_onnx(
-    graph: ActorGraph | EstimatorGraph | VisionGraph, example: tuple[Tensor, ...]
-) -> bytes:
-    """Serialise one graph; every input and output has the batch as its first axis."""
-    buffer = io.BytesIO()
+def _to_onnx(graph: nn.Module, inputs: dict[str, tuple[int, ...]], outputs: Iterable[str]) -> bytes:
+    """Serialise one graph; every input and output has the batch as its first axis.
+
+    Args:
+        graph: to trace. inputs: shapes by name, without the batch. outputs: names.
+    """
+    buffer, example = io.BytesIO(), tuple(torch.zeros(2, *shape) for shape in inputs.values())
     with warnings.catch_warnings():
         # The tracing exporter is deprecated but keeps these small graphs free of external data.
         warnings.simplefilter("ignore")
@@ -133,9 +105,9 @@ def _to_onnx(
             graph,
             example,
             buffer,  # type: ignore[arg-type]
-            input_names=list(graph.inputs),
-            output_names=list(graph.outputs),
-            dynamic_axes={name: {0: "robots"} for name in (*graph.inputs, *graph.outputs)},
+            input_names=list(inputs),
+            output_names=list(outputs),
+            dynamic_axes={name: {0: "robots"} for name in (*inputs, *outputs)},
             opset_version=OPSET,
             dynamo=False,
         )

@@ -1,7 +1,5 @@
 """`renet train` in several processes, one per GPU, on this machine or on several."""
 
-from __future__ import annotations
-
 import logging
 import os
 from functools import partial

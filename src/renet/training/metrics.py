@@ -1,7 +1,5 @@
 """Training curves: TensorBoard and CSV while a run goes on, one figure when it ends."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -5,8 +5,6 @@ of its normalised cost advantage, V_i how far its cost return is above budget in
 A satisfied constraint contributes nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 

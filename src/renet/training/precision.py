@@ -4,8 +4,6 @@ Actor, log-probabilities and losses stay in single precision, on a GPU by TF32 u
 asked for; what is exported is not touched.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait

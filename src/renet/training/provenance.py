@@ -1,7 +1,5 @@
 """`renet recipe`: how a checkpoint was trained, or a run that would begin now."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +9,9 @@ import tyro
 
 from renet.errors import RenetError
 from renet.training import checkpoint as checkpoints
-from renet.training.checkpoint import code_version, described
+from renet.training.checkpoint import described
 from renet.training.train import TrainCfg, settings, task_cfg
+from renet.version import code_version
 
 
 @dataclass(kw_only=True)

@@ -1,7 +1,5 @@
 """The training loop: rollouts, updates, checkpoints, and stopping on time."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os
@@ -21,11 +19,12 @@ from torch import Tensor
 from renet.errors import RenetError
 from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import RenetAlgorithm
-from renet.training.checkpoint import Checkpoint, code_version, described
+from renet.training.checkpoint import Checkpoint, described
 from renet.training.config import steps_per_env
 from renet.training.episode_log import EpisodeLog
 from renet.training.metrics import MetricsWriter
 from renet.training.precision import keep_freed_memory
+from renet.version import code_version
 
 CHECKPOINTS = "checkpoints"
 

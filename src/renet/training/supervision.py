@@ -1,7 +1,5 @@
 """Supervised losses: Loss_OP (RENet eq. 1), Loss_VP (eq. 2) and Loss_ad (eq. 4)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import partial

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from renet.deploy.cameras.base import DepthFrame
-from renet.deploy.cameras.faulty import FaultyCamera, parse_fault
+from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.replay import ReplayCamera
 from renet.deploy.recorder import TICK
 from renet.deploy.recording import Recording
 from renet.errors import RenetError
-from renet.faults import FAULTS, PhysicalFault
+from renet.faults import FAULTS, PhysicalFault, parse_fault
 from renet.interface import CONTROL_DT
 
 from ..fakes import frame, time_of

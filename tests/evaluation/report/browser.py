@@ -1,7 +1,5 @@
 """A headless Chromium, spoken to through a pipe: no driver, no package, no open port."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os
@@ -34,7 +32,7 @@ class Browser:
         options = "--headless --no-sandbox --disable-gpu --disable-dev-shm-usage --hide-scrollbars"
         options += " --enable-unsafe-swiftshader --disable-background-networking"
         options += f" --remote-debugging-pipe --no-first-run --user-data-dir={self._profile.name}"
-        self._process = subprocess.Popen(
+        self.process = subprocess.Popen(
             ["bash", "-c", f'exec "$0" {options} about:blank 3<&{there} 4>&{back}', program],
             pass_fds=(there, back),
             stdout=subprocess.DEVNULL,
@@ -43,7 +41,7 @@ class Browser:
         os.close(there)
         os.close(back)
         self._rest = b""
-        self._watchdog = threading.Timer(patience, self._process.kill)
+        self._watchdog = threading.Timer(patience, self.process.kill)
         self._watchdog.start()
         self._session = ""
         targets = self.call("Target.getTargets")["targetInfos"]
@@ -115,8 +113,8 @@ class Browser:
     def close(self) -> None:
         """End the browser."""
         self._watchdog.cancel()
-        self._process.kill()
-        self._process.wait()
+        self.process.kill()
+        self.process.wait()
         os.close(self._in)
         os.close(self._out)
         self._profile.cleanup()

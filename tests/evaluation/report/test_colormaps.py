@@ -1,7 +1,5 @@
 """Colours of depth and of height maps: which way is up, and what is bright."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

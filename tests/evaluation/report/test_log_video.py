@@ -1,7 +1,5 @@
 """A film shows what the log holds; the drawing itself is `video`'s, and replaced."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -8,63 +6,24 @@ from pathlib import Path
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation import figures
 from renet.evaluation.report import report
 from renet.evaluation.report.report import STUDIES, ReportCfg, make_report
 from renet.evaluation.report.summary import FACTS, WORSE
-from renet.evaluation.studies.course import CourseStudy
-from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.studies.filter import FilterStudy
-from renet.evaluation.studies.margins import MarginsStudy
-from renet.evaluation.studies.noise import NoiseStudy
-from renet.evaluation.studies.standing import StandingStudy
-from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
 from renet.evaluation.study import Study
 
-from ..fakes import FakeEvaluator
-from ..studies.test_course import StillEvaluator
-from ..studies.test_standing import QUICK, ObedientEvaluator
-from ..studies.test_terrain import HurdlesEvaluator, LadderEvaluator
+from ..tiny import TINY
 from .browser import Browser, find_browser
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Every study, tiny, with pictures of few pixels."""
-    folder = tmp_path_factory.mktemp("results")
-    coarse = pytest.MonkeyPatch()
-    coarse.setattr(figures.save, "__defaults__", (20,))
-    noise = NoiseStudy(out=folder / "noise", robots=1, onsets=(0.2,), lasts=3.2, seconds=3.4)
-    noise.run(FakeEvaluator())
-    FaultStudy(
-        out=folder / "faults",
-        faults=("gaussian", "unplugged", "wrong_scale"),
-        grounds=("flat", "gap"),
-        severities=(1, 5),
-        robots=1,
-        onsets=(0.2,),
-        lasts=0.6,
-        seconds=1.2,
-        healthy_minutes=0,
-    ).run(FakeEvaluator())
-    FilterStudy(out=folder / "filter", robots=1, onset=0.2, seconds=1.2).run(FakeEvaluator())
-    TerrainStudy(out=folder / "terrain", robots=2, seconds=2).run(LadderEvaluator())
-    StandingStudy(out=folder / "standing", **QUICK).run(ObedientEvaluator())
-    MarginsStudy(out=folder / "margins", axes=("payload",), robots=1, seconds=0.2).run(
-        FakeEvaluator()
-    )
-    success = SuccessStudy(out=folder / "success", levels=(1, 3), robots=2, seconds=2)
-    success.run(HurdlesEvaluator())
-    lap = ("flat", "grass")
-    course = CourseStudy(out=folder / "course", lap=lap, laps=1, robots=1, stuck_after=0.2)
-    course.run(StillEvaluator())
-    coarse.undo()
-    return folder
+def results(run_study) -> Path:
+    folders = [run_study(name) for name in TINY]
+    return folders[0].parent
 
 
 @pytest.fixture(scope="module")
-def page(results: Path) -> Path:
-    return make_report(ReportCfg(results, results / "new" / "page.html"))
+def page(results: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_report(ReportCfg(results, tmp_path_factory.mktemp("page") / "new" / "page.html"))
 
 
 def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:

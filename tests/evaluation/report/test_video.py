@@ -1,7 +1,5 @@
 """Pictures of robots."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

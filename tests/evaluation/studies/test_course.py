@@ -1,7 +1,7 @@
-from __future__ import annotations
-
 import json
+import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,7 +20,7 @@ from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.commands import goal
 from renet.terrain.tiles import TILE
 
-from ..fakes import FakeEvaluator
+from ..tiny import TINY, StillEvaluator
 
 KINDS = ("flat", "stairs", "slope", "platform", "gap")
 
@@ -125,32 +125,11 @@ def test_cameras_fail_where_the_grass_is() -> None:
     np.testing.assert_array_equal(injector.apply(Frames.healthy(healthy), 5).image, healthy)
 
 
-class StillEvaluator(FakeEvaluator):
-    """Real physics, and robots that stand still."""
-
-    worlds = 0
-
-    def make_env(self, task, robots, speed, seed):
-        StillEvaluator.worlds += 1
-        return SimEnv(study_env_cfg(task, speed), robots, seed, "auto")
-
-    def make_policy(self, num_robots):
-        policy = super().make_policy(num_robots)
-        policy.step = lambda o, depth, op: np.zeros((num_robots, 12), np.float32)
-        return policy
-
-
-def test_a_course_is_reported_robot_by_robot_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    cfg = CourseStudy(
-        out=tmp_path,
-        lap=("flat", "grass"),
-        laps=2,
-        robots=1,
-        modes=("renet", "op"),
-        stuck_after=0.3,
-    )
-    cfg.run(StillEvaluator())
-    summary = json.loads((tmp_path / "summary.json").read_text())
+def test_a_course_is_reported_robot_by_robot_and_goes_on_where_it_stopped(
+    run_study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = run_study("course")
+    summary = json.loads((folder / "summary.json").read_text())
     assert len(summary["runs"]) == 4
     for run in summary["runs"]:
         assert run["ends"] == ["stuck", "stuck"]
@@ -169,11 +148,14 @@ def test_a_course_is_reported_robot_by_robot_and_goes_on_where_it_stopped(tmp_pa
     }
     assert summary["lap_m"] == 16
     for name in ("course.png", "passages.png", "summary.csv"):
-        assert (tmp_path / name).stat().st_size > 100
+        assert (folder / name).stat().st_size > 100
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     next((tmp_path / "parts").glob("lap_2-*.json")).unlink()
-    StillEvaluator.worlds = 0
-    assert cfg.run(StillEvaluator())["runs"] == summary["runs"]
-    assert StillEvaluator.worlds == 1
+    monkeypatch.setattr(CourseStudy, "draw", lambda *args: {})
+    worlds = StillEvaluator.worlds
+    again = replace(TINY["course"][0], out=tmp_path).run(StillEvaluator())
+    assert again["runs"] == summary["runs"]
+    assert StillEvaluator.worlds == worlds + 1
 
 
 def test_quick_is_short_and_the_whole_is_a_kilometre() -> None:

@@ -1,6 +1,6 @@
-from __future__ import annotations
-
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,22 +10,21 @@ from jsonschema import Draft202012Validator
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial
+from renet.evaluation.studies import benchmark
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard, rank
 from renet.faults import Injection
+from renet.version import commit
 
 from ..fakes import FakeEvaluator
+from ..tiny import TINY
 
-SCHEMA = json.loads((Path(__file__).parents[3] / "docs" / "benchmark.schema.json").read_text())
-SMALL: dict = {"robots": 2, "lasts": 1.0, "seconds": 2.6, "healthy_minutes": 0.1}
-SMALL |= {"grounds": ("flat", "gap"), "severities": (1, 5)}
+SCHEMA = json.loads(benchmark.SCHEMA.read_text())
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("faults")
-    FaultStudy(out=out, faults=("gaussian", "frozen"), **SMALL).run(FakeEvaluator())
-    return out
+@pytest.fixture
+def folder(run_study) -> Path:
+    return run_study("faults")
 
 
 @pytest.fixture
@@ -88,7 +87,9 @@ def test_what_op_does_no_fault_changes() -> None:
     np.testing.assert_allclose(trace.height[:, 0], trace.height[:, 1], atol=1e-5)
 
 
-def test_finished_faults_are_not_run_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_finished_faults_are_not_run_again(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ran = []
     real = FaultStudy._run_batch
 
@@ -97,12 +98,13 @@ def test_finished_faults_are_not_run_again(folder: Path, monkeypatch: pytest.Mon
         return real(study, evaluator, make, name)
 
     monkeypatch.setattr(FaultStudy, "_run_batch", spy)
-    monkeypatch.setattr(FaultStudy, "draw", lambda *args: None)
+    monkeypatch.setattr(FaultStudy, "draw", lambda *args: {})
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     faults = ("gaussian", "frozen", "dropped")
-    study = FaultStudy(out=folder, faults=faults, **SMALL)
+    study = replace(TINY["faults"][0], out=tmp_path, faults=faults)  # type: ignore[call-arg]
     assert len(study.run(FakeEvaluator())["runs"]) == 54
     assert ran == ["dropped"]
-    next((folder / "parts").glob("dropped-*.json")).write_text('{"half')
+    next((tmp_path / "parts").glob("dropped-*.json")).write_text('{"half')
     with pytest.raises(RenetError, match=r"dropped-\w+\.json is not JSON"):
         study.run(FakeEvaluator())
 
@@ -156,6 +158,7 @@ def test_the_result_file_is_valid(folder: Path) -> None:
     result = json.loads((folder / "result.json").read_text())
     Draft202012Validator(SCHEMA).validate(result)
     assert result["policy"]["modes"] == ["vp", "renet", "op"]
+    assert result["provenance"]["commit"] == commit()
     assert {entry["onset"] for entry in result["settings"]} == set(ONSET_NAMES)
     assert {entry["level"] for entry in result["settings"] if entry["ground"] == "gap"} == {3}
 
@@ -177,7 +180,8 @@ def complete(name: str, crossed: float) -> dict:
     ]
     policy = {"name": name, "url": None, "sha256": "0" * 64, "modes": ["vp"]}
     protocol = {"robots": 5, "seed": 1, "speed": 0.6, "quick": True}
-    kind = {"benchmark": "renet-faults", "version": 1}
+    origin = dict.fromkeys(("renet", "commit", "command", "date"), "x") | {"engine": "warp"}
+    kind = {"benchmark": "renet-faults", "version": 1, "provenance": origin}
     return kind | {"policy": policy, "protocol": protocol, "settings": settings}
 
 
@@ -206,8 +210,27 @@ def test_the_leaderboard_is_made_from_files(tmp_path: Path, capsys) -> None:
     files[0].write_text('{"benchmark": "renet-faults", "version": 2}')
     with pytest.raises(RenetError, match="no result of renet-faults, version 1"):
         make_leaderboard(LeaderboardCfg(tuple(files), table))
-    broken = complete("one", 0.5)
-    del broken["settings"][3]["severity"]
-    files[0].write_text(json.dumps(broken))
-    with pytest.raises(RenetError, match="lacks 'severity'"):
-        make_leaderboard(LeaderboardCfg(tuple(files), table))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda r: r["settings"][3].pop("onset"), r"settings\[3\]: 'onset' is a required"),
+        (lambda r: r["settings"][3].update(severity=6), "severity: 6 is greater than"),
+        (lambda r: r["settings"][3]["measures"].pop("switches"), "'switches' is a required"),
+        (lambda r: r["settings"][3]["measures"]["crossed"].update(value=1.2), "1.2 is greater"),
+        (lambda r: r["settings"][3]["measures"]["crossed"].pop("ci95"), "'ci95' is a required"),
+        (lambda r: r["settings"][3]["measures"]["upright"].update(ci95=[0.1]), "upright.ci95: "),
+        (lambda r: r["policy"].update(sha256="unknown"), "'unknown' does not match"),
+        (lambda r: r.update(settings=[]), "settings: "),
+        (lambda r: r.update(settings={"many": "x" * 9000}), "settings: ….*is not of type 'array'"),
+    ],
+)
+def test_a_file_against_the_schema_is_one_line(tmp_path: Path, spoil, message: str) -> None:
+    broken, file = json.loads(json.dumps(complete("one", 0.5))), tmp_path / "one.json"
+    spoil(broken)
+    file.write_text(json.dumps(broken))
+    with pytest.raises(RenetError, match=message) as error:
+        make_leaderboard(LeaderboardCfg((file,), tmp_path / "board.md"))
+    assert len(str(error.value)) < 400
+    assert not (tmp_path / "board.md").exists()

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -12,15 +10,12 @@ from renet.evaluation.studies.faults import FaultStudy, Setting
 from renet.evaluation.studies.noise import NoiseStudy
 
 from ..fakes import SPEED, FakeEvaluator
+from ..tiny import TINY
 
-SMALL: dict = {"robots": 2, "onsets": (1.0,), "lasts": 4.0, "seconds": 5.0}
 
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("noise") / "deep" / "er"
-    NoiseStudy(out=out, **SMALL).run(FakeEvaluator())
-    return out
+@pytest.fixture
+def folder(run_study) -> Path:
+    return run_study("noise")
 
 
 def test_the_preset_is_the_papers_comparison(folder: Path) -> None:
@@ -59,8 +54,7 @@ def test_figures_and_table_are_written_whole(folder: Path) -> None:
 
 
 def test_only_renet_has_a_delay_in_the_table(folder: Path) -> None:
-    study = NoiseStudy(out=folder, **SMALL)
-    ((_, _, rows),) = study.tables(json.loads((folder / "summary.json").read_text()))
+    ((_, _, rows),) = TINY["noise"][0].tables(json.loads((folder / "summary.json").read_text()))
     assert [row[:2] for row in rows[:3]] == [
         ("VP alone", "no noise"),
         ("RENet", "no noise"),
@@ -79,7 +73,9 @@ def test_the_timelines_camera_recovers() -> None:
 
 def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     faults = ("gaussian:2", "gaussian:4")
-    study = NoiseStudy(tmp_path, quick=True, faults=faults, onsets=(0.2,), lasts=0.6, seconds=0.8)
+    study = NoiseStudy(
+        tmp_path / "deep" / "er", quick=True, faults=faults, onsets=(0.2,), lasts=0.6, seconds=0.8
+    )
     walked: list[str] = []
     real = FaultStudy._run_batch
 
@@ -90,9 +86,10 @@ def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.Monkey
         return real(self, evaluator, make, name)
 
     monkeypatch.setattr(FaultStudy, "_run_batch", spy)
+    monkeypatch.setattr(NoiseStudy, "draw", lambda *args: {})
     with pytest.raises(KeyboardInterrupt):
         study.run(FakeEvaluator())
-    assert not (tmp_path / "summary.json").exists()
+    assert not (study.out / "summary.json").exists()
     summary = study.run(FakeEvaluator())
     assert walked == ["gaussian_2", "gaussian_4", "gaussian_4"]
     assert {run["robots"] for run in summary["runs"]} == {5}

@@ -1,7 +1,5 @@
 """Pictures of tiles, camera and height maps: written, with honest numbers beside them."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

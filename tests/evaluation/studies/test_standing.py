@@ -1,6 +1,5 @@
-from __future__ import annotations
-
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,41 +8,7 @@ import pytest
 from renet.errors import RenetError
 from renet.evaluation.studies.standing import StandingStudy, stillness
 
-from ..fakes import FakeEnv, FakeEvaluator
-
-QUICK = {"robots": 2, "walk": 0.2, "settle": 0.2, "stand": 0.4}
-
-
-class Obedient(FakeEnv):
-    """Stops on command; robots of uneven number sway their only joint for ever."""
-
-    told = 0
-
-    def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
-        self.levels = levels
-        self.clock, self.speed = 0, 0.6
-
-    def command(self, speed: float) -> None:
-        Obedient.told += 1
-        self.speed = speed
-
-    def step(self, action: np.ndarray):
-        self.clock += 1
-        before = self.x.copy()
-        result = super().step(action)
-        self.x = before + self.speed * 0.02
-        return result
-
-    def poses(self, rows) -> np.ndarray:
-        pose = np.zeros((len(rows), 8))
-        pose[:, 0] = self.x[list(rows)]
-        pose[1::2, 7] = 0.1 * (self.clock % 2)
-        return pose
-
-
-class ObedientEvaluator(FakeEvaluator):
-    def make_env(self, task, robots, speed, seed):
-        return Obedient(len(robots))
+from ..tiny import TINY, Obedient, ObedientEvaluator
 
 
 def test_drift_counts_from_when_robots_should_stand_and_joints_all_along() -> None:
@@ -56,19 +21,19 @@ def test_drift_counts_from_when_robots_should_stand_and_joints_all_along() -> No
     np.testing.assert_allclose(speed[:, 0], (0.0, 0.5, 0.0, 0.5), atol=1e-12)
 
 
-def test_robots_that_stop_stand_and_restless_ones_do_not(tmp_path: Path) -> None:
-    Obedient.told = 0
-    cfg = StandingStudy(out=tmp_path, kinds=("flat", "stairs_up"), **QUICK)
-    cfg.run(ObedientEvaluator())
-    summary = json.loads((tmp_path / "summary.json").read_text())
+def test_robots_that_stop_stand_and_restless_ones_do_not(run_study) -> None:
+    folder: Path = run_study("standing")
+    summary = json.loads((folder / "summary.json").read_text())
     assert [(run["kind"], run["level"], run["mode"]) for run in summary["runs"]] == [
         ("flat", 1, "vp"), ("flat", 1, "op"), ("stairs_up", 3, "vp"), ("stairs_up", 3, "op")
     ]  # fmt: skip
     assert {(run["robots"], run["still"], run["falls"]) for run in summary["runs"]} == {(2, 1, 0)}
     assert all(run["drift_m"] == 0 for run in summary["runs"])
-    assert (tmp_path / "standing.png").stat().st_size > 10_000
-    cfg.run(ObedientEvaluator())
-    assert Obedient.told == 1, "a finished study is not run again"
+    assert (folder / "standing.png").stat().st_size > 10_000
+    told = Obedient.told
+    again = replace(TINY["standing"][0], out=folder).run(ObedientEvaluator())
+    assert Obedient.told == told, "a finished study is not run again"
+    assert again["runs"] == summary["runs"]
 
 
 def test_the_simulated_world_obeys() -> None:

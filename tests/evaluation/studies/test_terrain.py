@@ -1,6 +1,5 @@
-from __future__ import annotations
-
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,39 +16,10 @@ from renet.evaluation.studies.terrain import (
     worse_than_op,
 )
 from renet.faults import ViewPerturbation
-from renet.terrain.tiles import LEVELS, tiles
+from renet.terrain.tiles import LEVELS
 
 from ..fakes import FakeEnv, FakeEvaluator, FakePolicy, FakeSelector
-
-
-class Ladder(FakeEnv):
-    """Robots leave their tile after 20 steps up to a level of their kind, and fall above it."""
-
-    reach = np.array(
-        [10 if k == "stairs_up" else {"stairs_down": 3, "gap": 6}.get(k, 4) for k in tiles()]
-    )
-    able: np.ndarray | None = None
-    """Who can; None on flat ground, which nobody leaves."""
-
-    def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
-        self.able = levels < self.reach[kinds]
-        self.clock = 0
-
-    def step(self, action: np.ndarray):
-        result = super().step(action)
-        if self.able is None:
-            result.fell[0] = result.ended[0] = True
-            return result
-        self.clock += 1
-        over = np.full(self.num_robots, self.clock % 20 == 0)
-        result.ended[:] = over
-        result.fell[:] = over & ~self.able
-        return result
-
-
-class LadderEvaluator(FakeEvaluator):
-    def make_env(self, task, robots, speed, seed):
-        return Ladder(len(robots))
+from ..tiny import TINY, Hurdles
 
 
 def test_highest_level_counts_passes_in_a_row() -> None:
@@ -64,9 +34,9 @@ def test_a_robot_passes_by_leaving_its_tile_even_after_a_fall() -> None:
     assert passed(trace).tolist() == [True, False, False]
 
 
-def test_summary_holds_the_papers_table(tmp_path: Path) -> None:
-    TerrainStudy(out=tmp_path, robots=3, seconds=2).run(LadderEvaluator())
-    summary = json.loads((tmp_path / "summary.json").read_text())
+def test_summary_holds_the_papers_table(run_study) -> None:
+    folder = run_study("terrain")
+    summary = json.loads((folder / "summary.json").read_text())
     assert summary["levels_by_kind"] == {
         "gap": 6,
         "platform": 4,
@@ -79,7 +49,7 @@ def test_summary_holds_the_papers_table(tmp_path: Path) -> None:
     assert summary["collisions"] == 0
     assert 0.99 < summary["lin_vel_reward"] <= 1
     assert len(summary["runs"]) == 4 * LEVELS
-    assert (tmp_path / "terrain.png").stat().st_size > 10_000
+    assert (folder / "terrain.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(
@@ -106,38 +76,6 @@ def test_no_success_means_no_runs() -> None:
     assert successful_runs(trace) == []
 
 
-class Hurdles(FakeEnv):
-    """Robots cross after 20 steps; on gaps beyond level 2 they fall, beyond level 4 they stand."""
-
-    def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
-        gap = kinds == list(tiles()).index("gap")
-        self.falls = gap & (levels >= 2) & (levels < 4)
-        self.stands = gap & (levels >= 4)
-        self.clock = 0
-
-    def step(self, action: np.ndarray):
-        result = super().step(action)
-        self.clock += 1
-        over = (self.clock % 20 == 0) & ~self.stands
-        result.ended[:] = over
-        # A second try would succeed, and must not count.
-        result.fell[:] = over & self.falls & (self.clock <= 20)
-        return result
-
-
-class HurdlesEvaluator(FakeEvaluator):
-    def make_env(self, task, robots, speed, seed):
-        yaw = task.events["spawn"].params["pose_range"]["yaw"]
-        assert -0.2 < yaw[0] < yaw[1] < 0.2
-        return Hurdles(len(robots))
-
-
-def success(out: Path, **settings) -> SuccessStudy:
-    return SuccessStudy(
-        out=out, kinds=("gap", "stairs_up"), levels=(1, 3, 5), robots=3, seconds=2, **settings
-    )
-
-
 def test_only_the_first_try_counts() -> None:
     trace = Trace.empty(5, 4)
     trace.ended[1, 0] = trace.ended[2, 1] = trace.fell[2, 1] = trace.ended[4, 1] = True
@@ -148,9 +86,9 @@ def test_only_the_first_try_counts() -> None:
     np.testing.assert_allclose(seconds, [0.04, 0.06, np.nan, 0.02])
 
 
-def test_every_size_and_mode_has_its_row(tmp_path: Path) -> None:
-    success(tmp_path).run(HurdlesEvaluator())
-    summary = json.loads((tmp_path / "summary.json").read_text())
+def test_every_size_and_mode_has_its_row(run_study) -> None:
+    folder = run_study("success")
+    summary = json.loads((folder / "summary.json").read_text())
     runs = {(r["kind"], r["level"], r["mode"]): r for r in summary["runs"]}
     assert len(runs) == 2 * 3 * 3
     for mode in ("vp", "renet", "op"):
@@ -165,8 +103,8 @@ def test_every_size_and_mode_has_its_row(tmp_path: Path) -> None:
     assert runs["gap", 5, "op"]["median_seconds"] is None
     assert summary["worse"] == []
     assert summary["provenance"]["bundle_hash"] == "0" * 64
-    assert (tmp_path / "success.png").stat().st_size > 10_000
-    assert (tmp_path / "summary.csv").read_text().count("\n") == 19
+    assert (folder / "success.png").stat().st_size > 10_000
+    assert (folder / "summary.csv").read_text().count("\n") == 19
 
 
 def test_where_renet_crosses_less_often_than_op_alone_is_listed() -> None:
@@ -210,7 +148,8 @@ def test_faults_of_the_scene_reach_the_cameras(tmp_path: Path) -> None:
         def make_env(self, task, robots, speed, seed):
             return Hall(len(robots))
 
-    success(tmp_path, fault="foam:3", speed=1.5).run(HallEvaluator())
+    study = replace(TINY["success"][0], out=tmp_path, fault="foam:3", speed=1.5)  # type: ignore[call-arg]
+    study.run(HallEvaluator())
     assert seen[0] == 0
     assert max(seen) == pytest.approx(0.07)
 

@@ -1,7 +1,5 @@
 """The viewer in the browser: a real server, a real session, and every control pressed."""
 
-from __future__ import annotations
-
 import socket
 import urllib.request
 

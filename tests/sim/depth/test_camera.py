@@ -1,7 +1,5 @@
 """Depth and terrain scans against closed-form scenes, MuJoCo's own rays and stated statistics."""
 
-from __future__ import annotations
-
 import math
 from contextlib import redirect_stdout
 from io import StringIO

@@ -1,7 +1,5 @@
 """What a CPU draws from bins of shapes against rays cast through a mesh of the same terrain."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

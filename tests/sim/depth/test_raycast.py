@@ -1,7 +1,5 @@
 """The terrain mesh and its ray caster against MuJoCo's own rays."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

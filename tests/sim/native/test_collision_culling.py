@@ -1,7 +1,5 @@
 """Skipping what is out of reach must change nothing."""
 
-from __future__ import annotations
-
 from contextlib import redirect_stdout
 from io import StringIO
 

@@ -1,7 +1,5 @@
 """C++ compiled by Warp: structs shared with Python, and calls that several threads work on."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import threading

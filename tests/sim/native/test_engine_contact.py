@@ -1,7 +1,5 @@
 """The native engine in contact: randomised friction, touch, pushes, partial resets, stock Rough."""
 
-from __future__ import annotations
-
 from contextlib import redirect_stdout
 from io import StringIO
 

@@ -1,7 +1,5 @@
 """Stages shown a part of the model, against MuJoCo's own step on all of it."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """`renet bundle inspect`: what exactly a policy is fed, number by number."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

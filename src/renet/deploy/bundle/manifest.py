@@ -1,7 +1,5 @@
 """`manifest.json`: everything a robot must agree with before it runs three ONNX models."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 import types
@@ -14,20 +12,11 @@ import numpy as np
 from renet.camera import Intrinsics
 from renet.errors import RenetError
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION
+from renet.interface import Term as InputTerm
 from renet.selector import SelectorSpec, check_selector
 
 SCHEMA = 1
 MAX_TEXT = 500
-
-
-@dataclass(frozen=True)
-class InputTerm:
-    """One block of o_t."""
-
-    name: str
-    size: int
-    unit: str
-    scale: float
 
 
 @dataclass(frozen=True)
@@ -132,9 +121,7 @@ class Manifest:
     provenance: Provenance = Provenance()
     history: int = HISTORY
     frames: int = FRAMES
-    proprioception: tuple[InputTerm, ...] = tuple(
-        InputTerm(t.name, t.size, t.unit, t.scale) for t in PROPRIOCEPTION
-    )
+    proprioception: tuple[InputTerm, ...] = PROPRIOCEPTION
     sha256: dict[str, str] = field(default_factory=dict)
     schema: int = SCHEMA
 
@@ -148,8 +135,7 @@ class Manifest:
                 f"the bundle's joint order is {', '.join(self.robot.joints)}; this renet uses "
                 f"{', '.join(JOINTS)}"
             )
-        own = tuple(InputTerm(t.name, t.size, t.unit, t.scale) for t in PROPRIOCEPTION)
-        if self.proprioception != own:
+        if self.proprioception != PROPRIOCEPTION:
             raise RenetError(
                 "the bundle's proprioception differs from this renet's: export it anew"
             )

@@ -4,8 +4,6 @@ A model is a program: it may loop for ever or ask for any amount of memory. It i
 in a process of its own, with limits, before this process loads it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

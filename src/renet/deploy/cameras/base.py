@@ -1,7 +1,5 @@
 """What every depth camera offers: images prepared exactly as in training."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -27,12 +25,9 @@ class Camera(Protocol):
 
     def start(self) -> None:
         """Begin to stream; raises RenetError with what to do when that fails."""
-        ...
 
     def latest(self) -> DepthFrame | None:
         """Newest frame, the same one until the next arrives; None before the first."""
-        ...
 
     def close(self) -> None:
         """Stop streaming; safe to call twice."""
-        ...

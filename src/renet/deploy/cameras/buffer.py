@@ -4,8 +4,6 @@ A frame that is malformed, or no newer than the last, is as good as none: the im
 and grows old, and the selector leaves vision.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

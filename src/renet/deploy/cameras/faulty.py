@@ -1,15 +1,11 @@
 """Any camera with something wrong with it: fault models between the camera and the controller."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from renet.deploy.cameras.base import Camera, DepthFrame
-from renet.faults import TICK, Frames, Injection, Injector, ViewPerturbation, parse_fault
+from renet.faults import TICK, Frames, Injection, Injector, ViewPerturbation
 from renet.interface import CONTROL_DT
-
-__all__ = ["FaultyCamera", "parse_fault"]
 
 
 class FaultyCamera:

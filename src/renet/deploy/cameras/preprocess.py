@@ -4,8 +4,6 @@ Training casts one ray through the centre of each pixel of a cropped, resized im
 therefore sampled where those rays meet it, whatever its own size and lens.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from renet.camera import Intrinsics

@@ -1,7 +1,5 @@
 """Intel RealSense depth cameras through librealsense: its filters, our crop, honest timestamps."""
 
-from __future__ import annotations
-
 import atexit
 import threading
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A camera that shows the images of a run again, on another robot's clock."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,14 +1,11 @@
 """A simulated depth camera: the engine's own rays, the training camera's geometry and noise."""
 
-from __future__ import annotations
-
-from typing import Protocol
-
 import mujoco
 import numpy as np
 
 from renet.deploy.bundle.manifest import CameraSpec
 from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import TERRAIN
 from renet.errors import RenetError
 from renet.faults import ViewPerturbation
@@ -18,44 +15,16 @@ RELATIVE_STD = 0.01
 """Noise of the training camera in proportion to distance, m/m."""
 
 
-class SimulatedRobot(Protocol):
-    """What the camera needs of a robot in a physics engine."""
-
-    model: mujoco.MjModel
-    """The scene, whichever engine simulates it."""
-
-    @property
-    def base_position(self) -> np.ndarray:
-        """[3] m, world."""
-        ...
-
-    @property
-    def base_rotation(self) -> np.ndarray:
-        """[3, 3], base to world."""
-        ...
-
-    def now(self) -> float:
-        """Simulated seconds."""
-        ...
-
-    def hide(self, geoms: list[int]) -> None:
-        """Let rays pass through these geoms; raises RenetError if the engine cannot."""
-        ...
-
-    def cast(self, eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Distances in m along unit directions [R, 3], infinite where nothing is."""
-        ...
-
-
 class SimCamera:
     """Looks at the terrain of a simulated robot's scene, at the camera's rate on the robot's clock.
 
     What it sees is within a millimetre of the training camera's; both are tested against each
-    other.
+    other. A robot of another engine offers what `MujocoRobot` does: `model`, `base_position`,
+    `base_rotation`, `now`, `hide` and `cast`.
     """
 
     def __init__(
-        self, robot: SimulatedRobot, camera: CameraSpec, seed: int = 0, noise: bool = True
+        self, robot: MujocoRobot, camera: CameraSpec, seed: int = 0, noise: bool = True
     ) -> None:
         self._robot, self._spec = robot, camera
         self._random = np.random.default_rng(seed) if noise else None

@@ -56,15 +56,12 @@ class RobotDriver(Protocol):
 
     def connect(self) -> None:
         """Begin to talk; raises RenetError with what to do when that fails."""
-        ...
 
     def read(self) -> RobotState | None:
         """Newest reading, without waiting; None before the first."""
-        ...
 
     def write(self, command: JointCommand) -> None:
         """Hand a command to the joint servos, which hold it until the next."""
-        ...
 
     def now(self) -> float:
         """Seconds on the robot's clock, never decreasing."""
@@ -72,11 +69,9 @@ class RobotDriver(Protocol):
 
     def wait(self, until: float) -> None:
         """Let time pass until `now()` reaches `until`; return at once if it has."""
-        ...
 
     def close(self) -> None:
         """Let go of the robot; safe to call twice."""
-        ...
 
 
 def next_step(robot: RobotDriver, due: float) -> float:

@@ -5,8 +5,6 @@ rays of its depth camera. The robot (masses, inertias, joints, collision geoms, 
 terrain are read from the compiled MuJoCo scene, so that both engines simulate the same things.
 """
 
-from __future__ import annotations
-
 import time
 
 import mujoco

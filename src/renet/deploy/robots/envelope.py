@@ -1,7 +1,5 @@
 """What a robot's joints may ever be told, whatever a bundle says."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path

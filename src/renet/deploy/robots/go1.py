@@ -1,7 +1,5 @@
 """Unitree Go1: the controller's side of the process that talks to the robot."""
 
-from __future__ import annotations
-
 import mmap
 import os
 import socket

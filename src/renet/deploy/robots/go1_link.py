@@ -4,8 +4,6 @@ The robot answers every command with a reading. The vendor's library checks leng
 what it receives and keeps the newest good packet.
 """
 
-from __future__ import annotations
-
 import importlib
 import math
 from typing import Any

@@ -5,8 +5,6 @@ controller has: the system closes that however the controller dies. It then brak
 it sinks, and ends. It runs in a session of its own, so that no key of the terminal reaches it.
 """
 
-from __future__ import annotations
-
 import mmap
 import select
 import signal

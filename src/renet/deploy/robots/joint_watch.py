@@ -1,7 +1,5 @@
 """Says which joint was moved and which way it must have gone, for the joint-order check."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The newest value of a fixed layout in memory that two processes share."""
 
-from __future__ import annotations
-
 import mmap
 import zlib
 

@@ -1,7 +1,5 @@
 """The Go1 in C MuJoCo, in this process: as fast as it goes, or paced to the wall clock."""
 
-from __future__ import annotations
-
 import time
 
 import mujoco

@@ -1,7 +1,5 @@
 """Scenes for the simulated robot: the Go1 on a plane, on a training tile, or on anyone's MJCF."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,8 +14,6 @@ from renet.terrain.tiles import TILE, find_tile
 from renet.trial import judge, run_trial
 
 GO1 = Path(__file__).with_name("go1.xml")
-TERRAIN_GROUP = 0
-"""MuJoCo geom group of what the camera sees; the robot's collision geoms are in group 3."""
 TERRAIN = "terrain"
 """Body of a tile."""
 FLAT = "flat"

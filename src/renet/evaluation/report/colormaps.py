@@ -1,7 +1,5 @@
 """Depth images and height maps as colours."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures of the course: the selector's timeline, lap by lap, and how each passage went."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A scene without a robot, for pictures of faults: flat ground and five blocks."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import mujoco

@@ -1,7 +1,5 @@
 """Figures of the fault benchmark: survival and detection at a glance, curves, and a gallery."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

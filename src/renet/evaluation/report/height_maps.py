@@ -1,7 +1,5 @@
 """The height map VP predicts beside the true one, on every kind of tile."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,14 +1,11 @@
 """`renet play --log`: a recording of `renet deploy` as a film."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from mjlab.entity import Entity
 
-from renet.deploy.cameras.faulty import parse_fault
 from renet.deploy.recording import Recording, read_recording
 from renet.deploy.robots.mujoco import BASE, START_HEIGHT
 from renet.deploy.robots.scene import scene_spec
@@ -16,6 +13,7 @@ from renet.deploy.score import fallen, track
 from renet.errors import RenetError
 from renet.evaluation.report.video import Panel, VideoCfg, make_video
 from renet.evaluation.results import output_folder
+from renet.faults import parse_fault
 from renet.interface import CONTROL_DT, DEPTH_SHAPE, JOINTS
 from renet.tasks.config.go1 import GO1
 

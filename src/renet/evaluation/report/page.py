@@ -1,9 +1,8 @@
 """Self-contained HTML pages from templates: everything inline, readable on a phone, no network."""
 
-from __future__ import annotations
-
 import base64
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -51,12 +50,19 @@ def study_sections(summary: dict[str, Any], name: str, folder: Path) -> list[Sec
     Raises:
         RenetError: the summary lacks something, or holds text for numbers, or a figure is missing.
     """
-    try:
+    with reading(f"{name} in {folder}"):
         section = render(name, summary=summary, settings=summary["settings"], folder=folder)
         return [section, provenance_section(summary)]
+
+
+@contextmanager
+def reading(what: str) -> Iterator[None]:
+    """Raise RenetError for whatever a summary lacks, or holds of another type."""
+    try:
+        yield
     except (UndefinedError, LookupError, TypeError, ValueError, AttributeError, OSError) as error:
         raise RenetError(
-            f"the results of {name} in {folder} are incomplete or damaged ({error}): run it again"
+            f"the results of {what} are incomplete or damaged ({error}): run the study again"
         ) from error
 
 

@@ -1,7 +1,5 @@
 """The top of the report: the large numbers, and everything that went wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

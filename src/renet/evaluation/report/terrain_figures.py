@@ -1,7 +1,5 @@
 """The figure of the terrain study."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,5 @@
 """Videos without OpenGL: MuJoCo Warp's own ray tracer draws the robots, on a CPU as on a GPU."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

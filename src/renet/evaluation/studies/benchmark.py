@@ -3,15 +3,15 @@
 docs/benchmark.md is the specification.
 """
 
-from __future__ import annotations
-
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from jsonschema import Draft202012Validator
+
 from renet.errors import RenetError
 from renet.evaluation.results import read_results
-from renet.evaluation.studies.fault_metrics import MEASURES
 
 BENCHMARK, VERSION = "renet-faults", 1
 GROUNDS = {
@@ -25,16 +25,15 @@ GROUNDS = {
 """Grounds and their levels, 1 to 10."""
 ONSETS = {0.5: "on_the_way", 1.5: "before_the_edge"}
 """Names of the seconds at which faults begin."""
-KEYS = ("ground", "level", "fault", "severity", "onset", "mode")
-"""Of an entry of `settings` beside its measures."""
+SCHEMA = Path(__file__).with_name("benchmark.schema.json")
+"""Of result files, JSON Schema 2020-12."""
 
 
-def result(summary: Mapping[str, Any], commit: str | None = None) -> dict[str, Any]:
+def result(summary: Mapping[str, Any]) -> dict[str, Any]:
     """The result file of a fault study's summary.
 
     Args:
         summary: of a study whose onsets are the benchmark's.
-        commit: of the code that ran it.
 
     Raises:
         RenetError: other onsets.
@@ -56,8 +55,7 @@ def result(summary: Mapping[str, Any], commit: str | None = None) -> dict[str, A
         },
         "provenance": {
             "renet": origin["renet_version"],
-            "commit": commit,
-            **{name: origin[name] for name in ("engine", "command", "date")},
+            **{name: origin[name] for name in ("commit", "engine", "command", "date")},
         },
         "protocol": {
             "robots": summary["robots"],
@@ -75,7 +73,7 @@ def result(summary: Mapping[str, Any], commit: str | None = None) -> dict[str, A
 
 
 def read_result(path: Path) -> dict[str, Any]:
-    """A result file of this version.
+    """A result file of this version, valid under `SCHEMA`.
 
     Raises:
         RenetError: anything else.
@@ -83,11 +81,9 @@ def read_result(path: Path) -> dict[str, Any]:
     found = read_results(path)
     if (found.get("benchmark"), found.get("version")) != (BENCHMARK, VERSION):
         raise RenetError(f"{path} is no result of {BENCHMARK}, version {VERSION}")
-    try:
-        for entry in found["settings"]:
-            _ = [entry[name] for name in KEYS]
-            _ = [entry["measures"][name]["change"]["value"] for name in MEASURES]
-        _ = found["policy"]["name"], found["policy"]["modes"], found["protocol"]["quick"]
-    except (KeyError, TypeError) as error:
-        raise RenetError(f"{path} lacks {error}: see docs/benchmark.schema.json") from error
+    error = next(Draft202012Validator(json.loads(SCHEMA.read_text())).iter_errors(found), None)
+    if error is not None:
+        # The message may quote the whole file; what is wrong with it comes last.
+        message = error.message if len(error.message) < 200 else f"… {error.message[-150:]}"
+        raise RenetError(f"{path}, {error.json_path}: {message} (see docs/benchmark.md)")
     return found

@@ -4,8 +4,6 @@ Each lap is one batch of robots on a strip of passages (see `course_terrain`). A
 gets stuck is counted and set down at the beginning of the next passage.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +16,7 @@ from renet.errors import RenetError
 from renet.evaluation import metrics
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report import course_figures
-from renet.evaluation.rollout import StepResult, Trial
+from renet.evaluation.rollout import Trial
 from renet.evaluation.studies.course_env import CourseEnv, PlaceInjector, course_length, time_limit
 from renet.evaluation.studies.course_terrain import LAP, SHORT_LAP, course_env_cfg, passage
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
@@ -78,16 +76,13 @@ class CourseStudy(WalkingStudy):
         task = course_env_cfg(lap, [self.level] * len(lap), self.stuck_after, seed, evaluator.robot)
         env = CourseEnv(evaluator.make_env(task, streams, self.speed, seed), lap)
 
-        def everybody_finished(result: StepResult) -> bool:
-            return bool(env.finished.all())
-
         trace = evaluator.rollout(
             f"lap {number}/{laps}, at most",
             env,
             trials,
             time_limit(lap, self.stuck_after),
             seed,
-            on_step=everybody_finished,
+            on_step=lambda result: bool(env.finished.all()),
             injector=PlaceInjector(env, streams, self.severity, seed),
         )
         logs = {name: env.logged(name) for name in env.log}

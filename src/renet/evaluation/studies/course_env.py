@@ -1,7 +1,5 @@
 """A lap of the course as an environment of rollouts, and the cameras that fail along it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

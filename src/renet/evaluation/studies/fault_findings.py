@@ -4,8 +4,6 @@ Because a walk over obstacles is chaotic, twins part company by chance, in both 
 counts is how much more often the one happens than the other (sign test, McNemar 1947).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

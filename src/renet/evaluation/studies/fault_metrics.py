@@ -5,8 +5,6 @@ twin without the fault: same mode, body, start, camera and noise, alike to the b
 Differences are taken between twins, robot by robot.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

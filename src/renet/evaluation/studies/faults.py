@@ -5,8 +5,6 @@ does, so that leaving vision and returning to it are both measured. One fault is
 robots; each has a twin in a batch without faults. Falls are judged by true poses.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -299,11 +297,14 @@ class FaultStudy(WalkingStudy):
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """Rows compared with their twins, claims, and what went wrong."""
         twins = {(run["ground"], run["mode"]): run for run in parts["no_fault"]["runs"]}
+        each = len(self.looking)
         runs = [
             row
             for name, settings in self.batches.items()
             for number, setting in enumerate(settings)
-            for row in self._rows(setting, self._group(parts[name]["runs"], number), twins)
+            for row in self._rows(
+                setting, parts[name]["runs"][number * each : (number + 1) * each], twins
+            )
         ]
         baseline = [{k: v for k, v in run.items() if k != "values"} for run in twins.values()]
         # The seconds before the faults are the same in all batches: those of the twins count once.
@@ -326,10 +327,6 @@ class FaultStudy(WalkingStudy):
             "robots": self.robots_each,
             "run_seconds": self.steps * CONTROL_DT,
         }
-
-    def _group(self, runs: list[dict[str, Any]], number: int) -> list[dict[str, Any]]:
-        """The rows of a batch's setting."""
-        return runs[number * len(self.looking) : (number + 1) * len(self.looking)]
 
     def _rows(
         self, setting: Setting, runs: list[dict[str, Any]], twins: Mapping[tuple[str, str], Any]

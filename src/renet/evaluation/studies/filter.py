@@ -4,8 +4,6 @@ Robots walk once under the OP estimator while their cameras fail; the recorded a
 played through selectors of every γ and rate. The delay must match the documented formula.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -22,7 +20,7 @@ from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial, check_speed
 from renet.evaluation.study import Figures, Part, Study, Table
 from renet.evaluation.trace import UPDATES_PER_STEP
-from renet.faults import Injection, parse_fault
+from renet.faults import Injection
 from renet.interface import CONTROL_DT, PHYSICS_DT
 from renet.selector import SelectorInput, SelectorSpec, make_selector
 from renet.selector.filter import LowPassFilter, switch_delay
@@ -39,9 +37,7 @@ class FilterStudy(Study):
     rates: tuple[float, ...] = (10.0, 50.0, 200.0)
     """Filter updates per second: whole fractions of 200."""
     robots: int = 20
-    """Robots with a camera that fails for good, and as many whose scores jump."""
-    jumping: str | None = None
-    """Fault under which scores jump, NAME[:SEVERITY]; by default noise in 0.1 s of every 0.4 s."""
+    """Robots with a camera that fails for good, and as many with noise in 0.1 s of every 0.4 s."""
     onset: float = 2.0
     """Seconds at which the faults begin."""
     seconds: float = 12.0
@@ -59,8 +55,6 @@ class FilterStudy(Study):
                 f" {self.seconds}"
             )
         check_speed(self.speed)
-        if self.jumping:
-            parse_fault(self.jumping, self.onset)
         if not (self.gammas and self.rates):
             raise RenetError("give at least one gamma and one rate")
         for gamma in self.gammas:
@@ -87,8 +81,6 @@ class FilterStudy(Study):
         onset = round(self.onset / CONTROL_DT)
         steady = (Injection("gaussian", 1.0, onset),)
         flicker = (Injection("gaussian", 1.0, onset, duration=0.1, period=0.4),)
-        if self.jumping:
-            flicker = (parse_fault(self.jumping, self.onset),)
         robots = range(self.robots_each)
         trials = [Trial("op", fault, robot) for fault in (steady, flicker) for robot in robots]
         env = evaluator.make_env(FLAT, [*robots, *robots], self.speed, self.seed)
@@ -141,10 +133,7 @@ class FilterStudy(Study):
             right.plot(gamma, switches, "o-", color=colour, label=label, markersize=4)
         left.axhline(0.04, color=figures.INK, linestyle=":", linewidth=1)
         left.set(title="(a) Delay of the switch", ylabel="delay (s)", yscale="log")
-        right.set(
-            title="(b) Switches, " + (self.jumping or "camera flickering"),
-            ylabel="switches per minute",
-        )
+        right.set(title="(b) Switches, camera flickering", ylabel="switches per minute")
         for axis in (left, right):
             axis.set(xlabel="γ", xscale="log")
             axis.legend(fontsize=8)

@@ -1,7 +1,5 @@
 """`renet evaluate leaderboard`: policies ranked by their result files of the fault benchmark."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

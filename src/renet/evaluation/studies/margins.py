@@ -5,8 +5,6 @@ Everything a real robot may have otherwise is swept by itself, from mild to viol
 rest of each robot's body stays the same.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The fault study's preset `noise`: the paper's comparison of RENet with the VP estimator alone."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`renet evaluate pictures`: the tiles, the camera's errors, and the ground as VP predicts it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path

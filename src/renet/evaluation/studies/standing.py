@@ -4,8 +4,6 @@ The paper's second level of commands (Method C) asks for it on uneven ground, wh
 rewards otherwise leave a robot stepping on the spot. Judged by true poses.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial

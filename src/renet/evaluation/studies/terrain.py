@@ -11,11 +11,9 @@ Every level of a kind of tile is walked at once, in every mode. The study has tw
 Both are judged by true poses.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -92,11 +90,12 @@ class TerrainStudy(WalkingStudy):
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One batch for each kind of tile, and one on flat ground where that is reported."""
+        make = cache(partial(self._make_env, evaluator))
         parts: dict[str, Callable[[], Part]] = {}
         if not self.one_try:
             parts["flat"] = partial(self._walk_flat, evaluator)
         for kind in self.kinds:
-            parts[kind] = partial(self._walk_tiles, evaluator, kind)
+            parts[kind] = partial(self._walk_tiles, evaluator, make, kind)
         return parts
 
     def _walk_flat(self, evaluator: Evaluator) -> Part:
@@ -108,17 +107,17 @@ class TerrainStudy(WalkingStudy):
         trace = evaluator.rollout("flat", env, trials, steps, self.seed)
         return {"falls": int(trace.fell.sum())}
 
-    def _walk_tiles(self, evaluator: Evaluator, kind: str) -> Part:
+    def _walk_tiles(self, evaluator: Evaluator, make: Any, kind: str) -> Part:
         """All levels and modes of one kind of tile, side by side."""
         settings, each = self.settings, self.robots_each
         level = np.repeat([level - 1 for level, _ in settings], each)
         # With one try, the same robots meet every size; the table's are all different.
-        number = [n % each if self.one_try else n for n in range(len(level))]
+        number = tuple(n % each if self.one_try else n for n in range(len(level)))
         trials = [
             Trial(mode, self.schedule, robot)
             for (_, mode), robot in zip(np.repeat(settings, each, axis=0), number, strict=True)
         ]
-        env = self._make_env(evaluator, number)
+        env = make(number)
         env.place(level, np.full(len(level), list(tiles()).index(kind)))
         ended = np.zeros(len(level), bool)
 

@@ -1,7 +1,5 @@
 """What a robot sees and believes, as panels of mjlab's viewer in the browser."""
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

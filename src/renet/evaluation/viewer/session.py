@@ -1,7 +1,5 @@
 """One robot driven live: its policy, its selector, and camera faults that come on demand."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """mjlab's viewer in the browser, with panels for what RENet sees and buttons that break it."""
 
-from __future__ import annotations
-
 import io
 import math
 import socket

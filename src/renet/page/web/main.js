@@ -3,7 +3,7 @@
 import { Controls } from "./controls.js";
 import { ESTIMATORS } from "./controller.js";
 import { Panel } from "./panel.js";
-import { loadRuntime } from "./runtime.js";
+import { loadModels, loadRuntime } from "./runtime.js";
 import { Simulation } from "./simulation.js";
 import { View } from "./view.js";
 
@@ -31,6 +31,7 @@ async function read(path) {
 class Page {
   constructor(runtime, look) {
     this.runtime = runtime;
+    this.ready = false;
     const { contract, manifest } = runtime;
     const slots = [...document.querySelectorAll(".slot")];
     this.panels = ["vp", "renet"].map(
@@ -183,7 +184,8 @@ class Page {
     const left = OPENING.at - this.now;
     if (this.opening) this.story = left < 2 ? `Both cameras go black in ${Math.ceil(left)} …` : "Same robot, same start.";
     else if (left < -3) this.story = "";
-    if ($("#message").textContent !== this.story) $("#message").textContent = this.story;
+    const message = $("#message");
+    if (this.ready && message.textContent !== this.story) message.textContent = this.story;
   }
 }
 
@@ -203,13 +205,17 @@ function title(name) {
   return words[0].toUpperCase() + words.slice(1);
 }
 
+function sleep(milliseconds) {
+  return new Promise((resolve) => setTimeout(resolve, milliseconds));
+}
+
 /** Simulate in real time, however long pictures take; time stands still while nobody looks. */
 async function simulate(page, stats) {
   const { controlDt } = page.runtime.contract;
   let last = performance.now();
   let debt = 0;
   for (;;) {
-    await new Promise((resolve) => setTimeout(resolve, 4));
+    await sleep(4);
     const now = performance.now();
     const passed = (now - last) / 1000;
     last = now;
@@ -224,12 +230,13 @@ async function simulate(page, stats) {
   }
 }
 
-/** Draw whenever the browser shows a picture; a simulation that falls behind comes first. */
+/** Draw as often as the view asks for; a simulation that falls behind comes first. */
 async function draw(page, stats) {
   let last = performance.now();
   for (;;) {
+    const pause = stats.behind > BEHIND ? RARELY : page.view.pause;
+    if (pause > 0) await sleep(pause);
     const now = await new Promise(requestAnimationFrame);
-    if (stats.behind > BEHIND && now - last < RARELY) continue;
     page.draw(Math.max(now - last, 1) / 1000);
     last = now;
     stats.pictures += 1;
@@ -238,15 +245,23 @@ async function draw(page, stats) {
 }
 
 const stats = { simulated: 0, seconds: 0, pictures: 0, behind: 0 };
+let page;
 try {
   const [runtime, look] = await Promise.all([
     loadRuntime(read),
     read("go1.json").then((bytes) => JSON.parse(new TextDecoder().decode(bytes))),
   ]);
-  const page = new Page(runtime, look);
+  page = new Page(runtime, look);
   globalThis.renetPage = { page, stats };
-  await Promise.all([draw(page, stats), simulate(page, stats)]);
+  const walk = async () => {
+    while (!stats.first) await sleep(1);
+    await loadModels(runtime, read);
+    page.ready = true;
+    await simulate(page, stats);
+  };
+  await Promise.all([draw(page, stats), walk()]);
 } catch (error) {
+  if (page) page.ready = false;
   $("#message").textContent = `The page cannot run here: ${error.message}`;
   throw error;
 }

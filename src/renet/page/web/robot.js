@@ -9,6 +9,9 @@ const WRONG = 0.12;
 /** Error of the believed ground, m, at which its colour ends. */
 const TRACK = 1500;
 /** Points of the track, 0.1 s apart. */
+const SUN = new THREE.Vector3(-0.3, -0.4, 0.87);
+const SHADE = [0.72, 0.38];
+/** Where light is in the colours: the sun, and light on a face across it, and what facing it adds. */
 
 /** Geometries by name of `go1.json`. */
 export function unpackMeshes({ step, meshes }) {
@@ -25,20 +28,35 @@ export function unpackMeshes({ step, meshes }) {
   );
 }
 
+/** The geometry with the light of the sun in its colours, as a part turned like this gets it. */
+function lit({ attributes, index }, turn) {
+  const { position, normal } = attributes;
+  const sun = SUN.clone().applyQuaternion(turn.clone().invert());
+  const face = new THREE.Vector3();
+  const light = Float32Array.from(normal.array, (_, i) =>
+    SHADE[0] + SHADE[1] * face.fromBufferAttribute(normal, Math.floor(i / 3)).dot(sun),
+  );
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", position);
+  geometry.setAttribute("color", new THREE.BufferAttribute(light, 3));
+  return geometry.setIndex(index);
+}
+
 /** What is drawn of one simulated robot. */
 export class Robot {
-  /** `plain`: cheaper materials and a spot for a shadow, for browsers without a GPU. */
+  /** `plain`: light in the colours and a spot for a shadow, for browsers without a GPU. */
   constructor(look, geometries, manifest, contract, plain) {
     Object.assign(this, { contract, plain });
-    const Material = plain ? THREE.MeshLambertMaterial : THREE.MeshPhongMaterial;
+    const Material = plain ? THREE.MeshBasicMaterial : THREE.MeshPhongMaterial;
     this.group = new THREE.Group();
     this.bodies = new Map();
     for (const { body, mesh, position, quaternion } of look.geoms) {
-      const material = new Material({ color: COLOURS[mesh] });
-      const part = new THREE.Mesh(geometries[mesh], material);
       const [w, x, y, z] = quaternion;
+      const turn = new THREE.Quaternion(x, y, z, w);
+      const material = new Material({ color: COLOURS[mesh], vertexColors: plain });
+      const part = new THREE.Mesh(plain ? lit(geometries[mesh], turn) : geometries[mesh], material);
       part.position.set(...position);
-      part.quaternion.set(x, y, z, w);
+      part.quaternion.copy(turn);
       part.castShadow = part.receiveShadow = true;
       part.renderOrder = 2;
       this.body(body).add(part);

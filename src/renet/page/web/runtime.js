@@ -1,4 +1,4 @@
-// Loads what a simulation needs: MuJoCo, the bundle's models, its manifest and the contract.
+// Loads what a simulation needs: MuJoCo, the bundle's manifest, the contract, then the models.
 
 import loadMujoco from "@mujoco/mujoco";
 import * as ort from "onnxruntime-web";
@@ -6,26 +6,25 @@ import * as ort from "onnxruntime-web";
 const MODELS = ["actor", "estimator", "vision"];
 
 /**
+ * What a picture of the start needs; the models, without which nothing walks, come afterwards.
  * @param {(path: string) => Promise<Uint8Array>} read a file of the page.
- * @param {object} mujocoOptions of the WebAssembly module, such as `wasmBinary`.
- * @returns {Promise<object>} mujoco, sessions, manifest and contract, as `Simulation` takes them.
+ * @returns {Promise<object>} mujoco, manifest, contract, and sessions, empty until `loadModels`.
  */
-export async function loadRuntime(read, mujocoOptions = {}) {
-  ort.env.wasm.numThreads = 1;
+export async function loadRuntime(read) {
   const json = async (path) => JSON.parse(new TextDecoder().decode(await read(path)));
-  const session = async (name) =>
-    ort.InferenceSession.create(await read(`bundle/${name}.onnx`), { executionProviders: ["wasm"] });
-  // One after the other: the sessions share one WebAssembly instance, which starts with the first.
-  const open = async () => {
-    const sessions = {};
-    for (const name of MODELS) sessions[name] = await session(name);
-    return sessions;
-  };
-  const [mujoco, sessions, manifest, contract] = await Promise.all([
-    loadMujoco(mujocoOptions),
-    open(),
+  const [mujoco, manifest, contract] = await Promise.all([
+    loadMujoco(),
     json("bundle/manifest.json"),
     json("contract.json"),
   ]);
-  return { mujoco, sessions, manifest, contract };
+  return { mujoco, manifest, contract, sessions: {} };
+}
+
+/** Fill a runtime's sessions, one after the other: they share one WebAssembly instance. */
+export async function loadModels({ sessions }, read) {
+  ort.env.wasm.numThreads = 1;
+  for (const name of MODELS) {
+    const model = await read(`bundle/${name}.onnx`);
+    sessions[name] = await ort.InferenceSession.create(model, { executionProviders: ["wasm"] });
+  }
 }

@@ -5,18 +5,26 @@ import * as THREE from "three";
 const TEXTURE_METRES = 2;
 /** Side of the ground that the texture covers once. */
 const FLOOR = 0xb9c2c9;
+const JOINT = 0x8f979e;
 const WIDE = 5;
 /** Half-size in m from which a box is ground rather than an obstacle, and gets no edges. */
 const BAKED = [0.62, 0.78, 1];
 /** Light on faces across x, y and z where it is in the colours. */
+const SLAB = 0.5;
+/** Side of the ground's slabs, m. */
+const SLABS = 24;
+/** Along each side of the square around a robot in which the floor's joints are drawn as lines. */
+const RAISED = 0.003;
+/** Metres of those lines above the ground. */
 
 /**
- * The terrain as two meshes, and a function for the height of the ground.
+ * The terrain as a group, a function for the height of the ground, and one to be called with the
+ * position of the robot that is drawn next.
  * @param {object} world a `World`.
  * @param {object} mujoco the loaded WebAssembly module.
  * @param {number[]} seenGroups whether the camera sees each geom group.
- * @param {boolean} light is in the colours and texture is not smoothed: for browsers that draw
- *   without a GPU, where texture, light and shadow of each pixel take most of a picture.
+ * @param {boolean} plain light is in the colours, and lines stand for texture: for browsers that
+ *   draw without a GPU, where texture, light and shadow of each pixel take most of a picture.
  */
 export function buildTerrain(world, mujoco, seenGroups, plain) {
   const { model, data } = world;
@@ -33,18 +41,29 @@ export function buildTerrain(world, mujoco, seenGroups, plain) {
   }
   const group = new THREE.Group();
   group.add(solid(boxes, plain), lines(boxes));
-  return { group, heightAt: (x, y) => heightAt(boxes, x, y) };
+  let follow = () => {};
+  if (plain) {
+    const floor = Math.max(...boxes.filter(isWide).map(top));
+    const around = new THREE.GridHelper(SLABS * SLAB, SLABS, JOINT, JOINT).rotateX(Math.PI / 2);
+    const slab = (at) => SLAB * Math.round(at / SLAB);
+    follow = ([x, y]) => around.position.set(slab(x), slab(y), floor + RAISED);
+    group.add(around, joints(boxes));
+  }
+  return { group, heightAt: (x, y) => heightAt(boxes, x, y), follow };
 }
+
+const top = ({ at, half }) => at[2] + half[2];
+const isWide = ({ half }) => Math.max(...half) >= WIDE;
 
 /** Highest surface above a point, or minus infinity. */
 function heightAt(boxes, x, y) {
-  let top = -Infinity;
+  let highest = -Infinity;
   for (const { at, half } of boxes) {
     if (Math.abs(x - at[0]) <= half[0] && Math.abs(y - at[1]) <= half[1]) {
-      top = Math.max(top, at[2] + half[2]);
+      highest = Math.max(highest, at[2] + half[2]);
     }
   }
-  return top;
+  return highest;
 }
 
 /** All boxes as one mesh, so that they are one call to draw. */
@@ -65,8 +84,8 @@ function solid(boxes, plain) {
     return box;
   });
   const material = plain
-    ? new THREE.MeshBasicMaterial({ vertexColors: true, map: groundTexture(plain) })
-    : new THREE.MeshLambertMaterial({ vertexColors: true, map: groundTexture(plain) });
+    ? new THREE.MeshBasicMaterial({ vertexColors: true })
+    : new THREE.MeshLambertMaterial({ vertexColors: true, map: groundTexture() });
   const mesh = new THREE.Mesh(mergeGeometries(parts), material);
   mesh.castShadow = mesh.receiveShadow = !plain;
   return mesh;
@@ -75,16 +94,33 @@ function solid(boxes, plain) {
 /** Edges of obstacles. */
 function lines(boxes) {
   const points = [];
-  for (const { at, half } of boxes) {
-    if (Math.max(...half) < WIDE) {
-      const box = new THREE.BoxGeometry(...half.map((value) => 2 * value + 0.002)).translate(...at);
-      points.push(...new THREE.EdgesGeometry(box).attributes.position.array);
+  for (const { at, half } of boxes.filter((box) => !isWide(box))) {
+    const box = new THREE.BoxGeometry(...half.map((value) => 2 * value + 0.002)).translate(...at);
+    points.push(...new THREE.EdgesGeometry(box).attributes.position.array);
+  }
+  return segments(points, { color: 0x1c2229, transparent: true, opacity: 0.55 });
+}
+
+/** Joints between the slabs on top of obstacles. */
+function joints(boxes) {
+  const points = [];
+  for (const box of boxes.filter((one) => !isWide(one))) {
+    const z = top(box) + RAISED;
+    const ends = [0, 1].map((axis) => [-1, 1].map((way) => box.at[axis] + way * box.half[axis]));
+    for (const axis of [0, 1]) {
+      const [first, last] = ends[axis];
+      for (let at = SLAB * Math.ceil(first / SLAB); at < last; at += SLAB) {
+        for (const end of ends[1 - axis]) points.push(...(axis ? [end, at, z] : [at, end, z]));
+      }
     }
   }
+  return segments(points, { color: JOINT });
+}
+
+function segments(points, look) {
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.Float32BufferAttribute(points, 3));
-  const material = new THREE.LineBasicMaterial({ color: 0x1c2229, transparent: true, opacity: 0.55 });
-  return new THREE.LineSegments(geometry, material);
+  return new THREE.LineSegments(geometry, new THREE.LineBasicMaterial(look));
 }
 
 /** One geometry of many with the same attributes. */
@@ -104,7 +140,7 @@ function mergeGeometries(parts) {
 }
 
 /** Speckled concrete with slabs of half a metre. */
-function groundTexture(plain) {
+function groundTexture() {
   const size = 512;
   const canvas = new OffscreenCanvas(size, size);
   const context = canvas.getContext("2d");
@@ -123,11 +159,7 @@ function groundTexture(plain) {
   }
   const texture = new THREE.CanvasTexture(canvas);
   texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
-  texture.anisotropy = plain ? 1 : 8;
-  if (plain) {
-    texture.magFilter = THREE.NearestFilter;
-    texture.minFilter = THREE.NearestMipmapNearestFilter;
-  }
+  texture.anisotropy = 8;
   texture.colorSpace = THREE.SRGBColorSpace;
   return texture;
 }

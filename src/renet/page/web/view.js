@@ -7,23 +7,30 @@ import { buildTerrain } from "./scenery.js";
 const SKY = 0xd5e0ea;
 const SLOW = 0.045;
 const QUICK = 0.022;
-/** Seconds a picture takes on average: above the one, resolution falls; below the other, it rises. */
+/** Seconds a picture takes on average, beside the pause: above the one, resolution falls; below the
+ *  other, it rises. */
+const SOFTWARE_PAUSE = 33;
+/** Milliseconds from one picture to the next where the processor draws: it simulates, too. */
 
 /** One canvas over all slots. */
 export class View {
   constructor(canvas, slots, look, { manifest, contract, mujoco }) {
     Object.assign(this, { canvas, slots, mujoco, contract });
     const software = drawsInSoftware();
+    // Without a GPU the conversion of each pixel's colour, texture and fog take most of a picture.
+    THREE.ColorManagement.enabled = !software;
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !software });
+    if (software) this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     this.renderer.shadowMap.enabled = !software;
     this.renderer.setScissorTest(true);
-    this.finest = software ? 1 : Math.min(devicePixelRatio, 2);
+    this.finest = software ? 0.8 : Math.min(devicePixelRatio, 2);
     this.ratio = software ? 0.6 : this.finest;
+    this.pause = software ? SOFTWARE_PAUSE : 0;
     this.plain = software;
     this.took = 0.03;
     this.scene = new THREE.Scene();
     this.scene.background = new THREE.Color(SKY);
-    this.scene.fog = new THREE.Fog(SKY, 6, 24);
+    if (!software) this.scene.fog = new THREE.Fog(SKY, 6, 24);
     this.scene.add(new THREE.HemisphereLight(0xf4f8ff, 0x8d887e, 2.1));
     this.sun = this.addSun(1024);
     const geometries = unpackMeshes(look);
@@ -75,7 +82,7 @@ export class View {
 
   /** Draw all simulations; `seconds` since the last picture. */
   draw(simulations, seconds) {
-    this.adapt(seconds);
+    this.adapt(seconds - this.pause / 1000);
     const { canvas, renderer } = this;
     const frame = canvas.getBoundingClientRect();
     if (canvas.width !== Math.floor(frame.width * this.ratio) || this.height !== frame.height) {
@@ -85,6 +92,7 @@ export class View {
     }
     simulations.forEach((simulation, n) => {
       this.robots[n].update(simulation, this.terrain.heightAt);
+      this.terrain.follow(simulation.world.pose().position);
       this.robots.forEach(({ group }, other) => (group.visible = other === n));
       const slot = this.slots[n].getBoundingClientRect();
       const box = [slot.left - frame.left, frame.bottom - slot.bottom, slot.width, slot.height];

@@ -94,8 +94,7 @@ class DepthCamera(RaySensor[DepthImage]):
     """
 
     def __init__(self, cfg: DepthCameraCfg) -> None:
-        super().__init__()
-        self.cfg = cfg
+        super().__init__(cfg)
         self.perturbation: CameraPerturbation | None = None
         """What is wrong with the view, from the next image on."""
 

@@ -1,7 +1,5 @@
 """Depth errors added in training (RENet, Method C, "Raycaster Randomization")."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -1,7 +1,5 @@
 """What the depth camera and the terrain sensors share: rays and the simulation's arrays."""
 
-from __future__ import annotations
-
 from typing import Any, TypeVar
 
 import mujoco
@@ -17,6 +15,10 @@ class RaySensor(Sensor[T]):
     """An mjlab sensor that casts rays against the static terrain."""
 
     _data: Any
+
+    def __init__(self, cfg: Any) -> None:
+        super().__init__()
+        self.cfg = cfg
 
     def edit_spec(self, scene_spec, entities) -> None:
         """Rays need nothing in the model."""

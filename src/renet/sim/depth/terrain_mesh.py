@@ -1,7 +1,5 @@
 """One static triangle mesh of everything a robot can stand on or bump into."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco

@@ -5,8 +5,6 @@ tile of a large terrain pays for all tiles, more than for its own dynamics. Bodi
 masks are zero are skipped; contacts out of reach could not have happened, so results are the same.
 """
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

@@ -4,8 +4,6 @@ A file holds structs and `static` functions, without standard headers. Python re
 the file itself, as ctypes classes, and fills in what a function is called with.
 """
 
-from __future__ import annotations
-
 import ctypes
 import re
 from functools import cache

@@ -4,8 +4,6 @@ Names are the same on both sides (mujoco_warp mirrors mjData and mjModel), so th
 of names; sizes and types are derived and checked.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import mujoco

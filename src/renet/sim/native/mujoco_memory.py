@@ -4,8 +4,6 @@ Functions come from the library that the package has loaded. Fields are found by
 are not found where MuJoCo lays out its structs in another way than `VERSION` does.
 """
 
-from __future__ import annotations
-
 import ctypes
 from functools import cache
 from pathlib import Path

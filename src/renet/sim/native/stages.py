@@ -5,8 +5,6 @@ where they come last, every stage but collision detection is shown a model that 
 Results are the same, but for sums over the whole world.
 """
 
-from __future__ import annotations
-
 import logging
 from ctypes import c_void_p
 from functools import cache

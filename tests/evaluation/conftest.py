@@ -1,0 +1,21 @@
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from .tiny import TINY
+
+
+@pytest.fixture(scope="session")
+def run_study(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Runs a study of `TINY`, once; returns its results, which tests must not change."""
+    root = tmp_path_factory.mktemp("results")
+
+    def run(name: str) -> Path:
+        study, evaluator = TINY[name]
+        replace(study, out=root / name).run(evaluator())
+        return root / name
+
+    return cache(run)

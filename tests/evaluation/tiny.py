@@ -1,0 +1,162 @@
+"""Every study with hardly anything in it, and the stand-ins for a simulator it is run with."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from renet.evaluation.env import SimEnv, study_env_cfg
+from renet.evaluation.studies.course import CourseStudy
+from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.studies.filter import FilterStudy
+from renet.evaluation.studies.margins import MarginsStudy
+from renet.evaluation.studies.noise import NoiseStudy
+from renet.evaluation.studies.standing import StandingStudy
+from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
+from renet.evaluation.study import Study
+from renet.terrain.tiles import tiles
+
+from .fakes import FakeEnv, FakeEvaluator
+
+
+class Ladder(FakeEnv):
+    """Robots leave their tile after 20 steps up to a level of their kind, and fall above it."""
+
+    reach = np.array(
+        [10 if k == "stairs_up" else {"stairs_down": 3, "gap": 6}.get(k, 4) for k in tiles()]
+    )
+    able: np.ndarray | None = None
+    """Who can; None on flat ground, which nobody leaves."""
+
+    def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
+        self.able = levels < self.reach[kinds]
+        self.clock = 0
+
+    def step(self, action: np.ndarray):
+        result = super().step(action)
+        if self.able is None:
+            result.fell[0] = result.ended[0] = True
+            return result
+        self.clock += 1
+        over = np.full(self.num_robots, self.clock % 20 == 0)
+        result.ended[:] = over
+        result.fell[:] = over & ~self.able
+        return result
+
+
+class LadderEvaluator(FakeEvaluator):
+    def make_env(self, task, robots, speed, seed):
+        return Ladder(len(robots))
+
+
+class Hurdles(FakeEnv):
+    """Robots cross after 20 steps; on gaps beyond level 2 they fall, beyond level 4 they stand."""
+
+    def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
+        gap = kinds == list(tiles()).index("gap")
+        self.falls = gap & (levels >= 2) & (levels < 4)
+        self.stands = gap & (levels >= 4)
+        self.clock = 0
+
+    def step(self, action: np.ndarray):
+        result = super().step(action)
+        self.clock += 1
+        over = (self.clock % 20 == 0) & ~self.stands
+        result.ended[:] = over
+        # A second try would succeed, and must not count.
+        result.fell[:] = over & self.falls & (self.clock <= 20)
+        return result
+
+
+class HurdlesEvaluator(FakeEvaluator):
+    def make_env(self, task, robots, speed, seed):
+        yaw = task.events["spawn"].params["pose_range"]["yaw"]
+        assert -0.2 < yaw[0] < yaw[1] < 0.2
+        return Hurdles(len(robots))
+
+
+class Obedient(FakeEnv):
+    """Stops on command; robots of uneven number sway their only joint for ever."""
+
+    told = 0
+
+    def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
+        self.levels = levels
+        self.clock, self.speed = 0, 0.6
+
+    def command(self, speed: float) -> None:
+        Obedient.told += 1
+        self.speed = speed
+
+    def step(self, action: np.ndarray):
+        self.clock += 1
+        before = self.x.copy()
+        result = super().step(action)
+        self.x = before + self.speed * 0.02
+        return result
+
+    def poses(self, rows) -> np.ndarray:
+        pose = np.zeros((len(rows), 8))
+        pose[:, 0] = self.x[list(rows)]
+        pose[1::2, 7] = 0.1 * (self.clock % 2)
+        return pose
+
+
+class ObedientEvaluator(FakeEvaluator):
+    def make_env(self, task, robots, speed, seed):
+        return Obedient(len(robots))
+
+
+class StillEvaluator(FakeEvaluator):
+    """Real physics, and robots that stand still."""
+
+    worlds = 0
+
+    built: ClassVar[dict[int, SimEnv]] = {}
+
+    def make_env(self, task, robots, speed, seed):
+        StillEvaluator.worlds += 1
+        if seed not in self.built:
+            self.built[seed] = SimEnv(study_env_cfg(task, speed), robots, seed, "auto")
+        return self.built[seed]
+
+    def make_policy(self, num_robots):
+        policy = super().make_policy(num_robots)
+        policy.step = lambda o, depth, op: np.zeros((num_robots, 12), np.float32)
+        return policy
+
+
+TINY: dict[str, tuple[Study, type[FakeEvaluator]]] = {
+    "noise": (
+        NoiseStudy(robots=2, onsets=(1.0,), lasts=4.0, seconds=5.0),
+        FakeEvaluator,
+    ),
+    "faults": (
+        FaultStudy(
+            faults=("gaussian", "frozen"),
+            robots=2,
+            lasts=1.0,
+            seconds=2.6,
+            healthy_minutes=0.1,
+            grounds=("flat", "gap"),
+            severities=(1, 5),
+        ),
+        FakeEvaluator,
+    ),
+    "success": (
+        SuccessStudy(kinds=("gap", "stairs_up"), levels=(1, 3, 5), robots=3, seconds=2),
+        HurdlesEvaluator,
+    ),
+    "terrain": (TerrainStudy(robots=3, seconds=2), LadderEvaluator),
+    "standing": (
+        StandingStudy(kinds=("flat", "stairs_up"), robots=2, walk=0.2, settle=0.2, stand=0.4),
+        ObedientEvaluator,
+    ),
+    "margins": (MarginsStudy(axes=("payload",), robots=1, seconds=0.2), FakeEvaluator),
+    "course": (
+        CourseStudy(
+            lap=("flat", "grass"), laps=2, robots=1, modes=("renet", "op"), stuck_after=0.3
+        ),
+        StillEvaluator,
+    ),
+    "filter": (FilterStudy(robots=2, onset=1.0, seconds=4.2), FakeEvaluator),
+}

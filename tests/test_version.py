@@ -1,0 +1,25 @@
+"""The code's version names the commit of renet's own clone, and of no other repository."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+
+from renet import __version__, version
+
+
+def test_an_edited_clone_is_told_from_a_clean_one_and_from_an_installed_package(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(version, "CHECKOUT", tmp_path / "inside")
+    (tmp_path / "inside").mkdir()
+    (tmp_path / "file").write_text("1")
+    git = ["git", "-C", str(tmp_path), "-c", "user.name=x", "-c", "user.email=x"]
+    for command in (["init", "-q"], ["add", "file"], ["commit", "-q", "-m", "x"]):
+        subprocess.run([*git, *command], check=True)
+    assert version.code_version() == __version__
+
+    monkeypatch.setattr(version, "CHECKOUT", tmp_path)
+    assert re.fullmatch(rf"{__version__} \([0-9a-f]{{12}}\)", version.code_version())
+    (tmp_path / "file").write_text("2")
+    assert str(version.commit()).endswith("+changed")
