@@ -175,13 +175,6 @@ def test_what_nobody_foresaw_brakes_and_is_named(bundle):
     assert run.controller.decision.mode is Mode.DAMPING
 
 
-def test_a_listener_that_fails_does_not_stop_the_robot(bundle):
-    run = Run(bundle)
-    run.controller._on_event = lambda event: 1 / 0
-    run.ticks(40)
-    assert run.controller.decision.mode is Mode.WALKING
-
-
 class Broken:
     @property
     def image(self):
