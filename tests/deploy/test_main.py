@@ -203,7 +203,7 @@ def test_the_replay_camera_shows_a_flights_images(tmp_path):
         ("--robot go1 --camera sim", "looks at a simulation"),
         ("--robot go1 --viewer --dry-run", "look at the robot"),
         ("--robot go1 --host 10.0.0.1 --dry-run", "the robot's is --robot-host"),
-        ("--terrain lava", "unknown terrain 'lava'"),
+        ("--terrain lava", "unknown terrain 'lava': choose one of flat, stairs, rough, "),
         ("--scene nowhere.xml", "cannot read the scene nowhere.xml"),
         ("nowhere", "no bundle at nowhere"),
     ],

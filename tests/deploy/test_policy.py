@@ -113,8 +113,3 @@ def test_a_model_without_the_output_ignores_its_threshold(bundle):
     easy = replace(SPEC, beta=0.25, thresholds={"variance": 1e-6, "reconstruction": 0.25})
     assert trusted(bundle, "monitors", "healthy", easy)
     assert Policy(bundle).variance_score.tolist() == [0.0]
-
-
-def test_a_threshold_that_never_objects_is_refused(manifest):
-    with pytest.raises(RenetError, match="variance 1000 would never object"):
-        replace(manifest, selector=SelectorSpec(beta=0.01, thresholds={"variance": 1000.0}))

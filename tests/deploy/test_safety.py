@@ -49,7 +49,6 @@ def moved(joint: int, value: float) -> np.ndarray:
     [
         ({}, CFG.max_state_age, ""),
         ({}, 0.06, "the state is 60 ms old"),
-        ({}, 1.0, "the state is 1000 ms old"),
         ({"quaternion": roll(69)}, 0.0, ""),
         ({"quaternion": roll(71)}, 0.0, "tilted by more than 70 degrees"),
         ({"quaternion": roll(180)}, 0.0, "tilted by more than 70 degrees"),

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from renet import cli
 from renet.deploy.controller import Event
 from renet.deploy.recorder import GOOD, MODES, NONE, TICK
 from renet.deploy.recording import Recording
@@ -134,8 +133,3 @@ def test_a_folder_that_cannot_be_written(flight, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RenetError, match="cannot write the score"):
         write_score(flight, tmp_path / "file")
-
-
-def test_the_command_needs_a_recording(tmp_path, capsys):
-    assert cli.main(["evaluate", "log", str(tmp_path / "none")]) == 2
-    assert "cannot read the recording" in capsys.readouterr().err

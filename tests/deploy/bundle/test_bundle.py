@@ -75,8 +75,6 @@ def test_tampered_model(bundle_path):
         (lambda m: m["camera"].update(fx=0.0), r"camera\.fx must be positive"),
         (lambda m: m["camera"].update(width=80), r"\(48, 64\), it is \(48, 80\)"),
         (lambda m: m["camera"].update(position=[0.3]), r"position must have 3 numbers"),
-        (lambda m: m["selector"].update(rate_hz=-200.0), r"selector\.rate_hz must be positive"),
-        (lambda m: m["selector"].update(gamma=2), r"gamma must be within 0 and 1"),
         (lambda m: m.update(history=0), "history must be positive"),
         (lambda m: m.update(frames=3), "frames must be 2, got 3"),
         (lambda m: m["robot"].update(joints=[]), r"robot\.joints must not be empty"),
@@ -85,12 +83,6 @@ def test_tampered_model(bundle_path):
 def test_wrong_manifest(bundle_path, change, message):
     edit(bundle_path, change)
     with pytest.raises(RenetError, match=message):
-        Bundle.load(bundle_path)
-
-
-def test_manifest_that_is_not_json(bundle_path):
-    (bundle_path / MANIFEST).write_text("{")
-    with pytest.raises(RenetError, match="not JSON"):
         Bundle.load(bundle_path)
 
 
@@ -105,13 +97,11 @@ def test_models_of_another_architecture(tmp_path, manifest):
 
 
 def test_a_folder_that_is_not_a_bundle_is_never_replaced(tmp_path, manifest, models):
-    (tmp_path / "thesis").mkdir()
-    (tmp_path / "thesis" / "chapter.txt").write_text("years")
-    with pytest.raises(RenetError, match="no part of a bundle"):
-        write_bundle(tmp_path / "thesis", models, manifest)
-    assert (tmp_path / "thesis" / "chapter.txt").read_text() == "years"
-    with pytest.raises(RenetError, match="not a bundle"):
-        write_bundle(tmp_path / "thesis" / "chapter.txt", models, manifest)
+    (tmp_path / "chapter.txt").write_text("years")
+    for path, reason in ((tmp_path, "no part of a bundle"), (tmp_path / "chapter.txt", "not a b")):
+        with pytest.raises(RenetError, match=reason):
+            write_bundle(path, models, manifest)
+    assert (tmp_path / "chapter.txt").read_text() == "years"
 
 
 def test_the_current_folder_can_become_a_bundle(tmp_path, manifest, models, monkeypatch):
@@ -173,9 +163,3 @@ def test_a_bundle_is_replaced_whole_or_not_at_all(bundle_path, manifest, models,
     write_bundle(bundle_path, models, newer)
     assert Bundle.load(bundle_path).manifest.provenance.iteration == 7
     assert [p.name for p in bundle_path.parent.iterdir()] == [bundle_path.name]
-
-
-def test_no_bundle_holds_a_selector_that_is_switched_off(bundle_path):
-    edit(bundle_path, lambda m: m["selector"].update(thresholds={"uniformity": 0.0}))
-    with pytest.raises(RenetError, match="uniformity 0 would never object"):
-        Bundle.load(bundle_path)

@@ -264,10 +264,3 @@ def test_without_the_vendors_module_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     with pytest.raises(RenetError, match=r"renet-locomotion\[realsense\]'.*libusb-1.0-0"):
         RealSenseCamera(camera_spec(), time.monotonic)
-
-
-def test_a_late_frame_is_as_old_as_it_is():
-    offset = ClockOffset()
-    assert offset.time(100.0, 7.0) == 7.0
-    assert offset.time(100.1, 7.3) == pytest.approx(7.1, abs=1e-3), "0.2 s on the way"
-    assert offset.time(100.2, 7.19) == pytest.approx(7.19), "the fastest so far"

@@ -214,9 +214,7 @@ def test_scenes_from_files_and_their_mistakes(tmp_path):
         MujocoRobot(mujoco.MjModel.from_xml_string("<mujoco/>"), ROBOT)
 
 
-def test_unknown_terrain_and_level():
-    with pytest.raises(RenetError, match="choose one of flat, stairs, rough, "):
-        build_scene("lava")
+def test_unknown_level():
     with pytest.raises(RenetError, match="level must be 1 to 10, got 11"):
         build_scene("gap", 11)
 

@@ -79,6 +79,6 @@ def next_step(robot: RobotDriver, due: float) -> float:
 
     A step that is missed is left out: two in quick succession help no robot.
     """
-    due += CONTROL_DT * max(math.ceil((robot.now() - due) / CONTROL_DT), 1)
+    due += CONTROL_DT * (math.floor((robot.now() - due) / CONTROL_DT + 0.1) + 1)
     robot.wait(due)
     return due
