@@ -49,10 +49,10 @@ def terrain_levels(env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]
     level = before + (steps > 0) * (up.long() - down.long())
     highest = len(terrain.terrain_origins)
     tiles = terrain.cfg.terrain_generator.sub_terrains
-    flat_start = [getattr(tile, "flat_start", False) for tile in tiles.values()]
-    lowest = torch.tensor(flat_start, device=env.device).long()[types]
-    other = lowest + torch.randint_like(level, FIRST_LEVELS)
-    other = torch.where(before < lowest, before, other)  # Still on the flat level.
+    lowest = torch.zeros_like(types)
+    for kind, tile in enumerate(tiles.values()):
+        lowest += (types == kind) * getattr(tile, "flat_start", False)
+    other = torch.where(before < lowest, before, lowest + torch.randint_like(level, FIRST_LEVELS))
     level = torch.where((level < lowest) & ~up, other, level)
     level = torch.where(level >= highest, torch.randint_like(level, highest), level)
     terrain.terrain_levels[env_ids] = level
