@@ -62,7 +62,7 @@ def prepare(part: str, skip: str) -> Path:
         "source_paths": ["src"],
         "only_mutate": [f"src/renet/{modules}"],
         "pytest_add_cli_args_test_selection": tests,
-        "pytest_add_cli_args": ["-k", f"not ({skip})"] if skip else [],
+        "pytest_add_cli_args": ["-n", "0", *(["-k", f"not ({skip})"] if skip else [])],
         "process_isolation": "forkserver",
         "timeout_constant": PATIENCE / 15.0,
     }
