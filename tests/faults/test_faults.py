@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from renet.errors import RenetError
 from renet.faults import FAULTS, SEVERITIES, TICK, Frames, Injection, Injector, PhysicalFault
-from renet.faults.image import FOCAL_PIXELS, fill_holes, shifted
+from renet.faults.image import fill_holes, shifted
 from renet.interface import DEPTH_SHAPE
 
 SENSOR_FAULTS = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
@@ -162,7 +162,8 @@ def test_motion_blur_moves_the_image_by_rate_times_exposure() -> None:
     injector = Injector([(Injection("motion_blur", 40, 0),)], [0], 0)
     blurred = injector.apply(Frames.healthy(edge, np.array([[0.0, 0.0, 3.0]])), 0).image[0, 0]
     width = 1 / np.abs(np.diff(blurred)).max()
-    assert width == pytest.approx(3.0 * 0.04 * FOCAL_PIXELS, abs=1.5)
+    # 66 degrees across 64 columns.
+    assert width == pytest.approx(3.0 * 0.04 * 32 / np.tan(np.radians(33)), abs=1.0)
     still = injector.apply(Frames.healthy(edge), 0).image
     np.testing.assert_allclose(still, edge, atol=1e-6)
 

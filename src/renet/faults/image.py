@@ -9,12 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from renet.camera import Intrinsics
 from renet.faults.base import FixedPattern, Frames, Holes, ImageFault
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE
 
 ROWS, COLUMNS = DEPTH_SHAPE
-FOCAL_PIXELS = 0.5 * COLUMNS / np.tan(np.radians(87.0) / 2)
-"""Pixels per radian near the image centre: a D435i's 87° across the image's width."""
 
 
 def metres(distance: float) -> float:
@@ -232,7 +231,7 @@ class MotionBlur(ImageFault):
         """The mean of the image along the way it moves during the exposure."""
         image = frames.image.copy()
         # Nose down moves the picture up, a turn to the left moves it right.
-        pixels = np.array((-1.0, 1.0)) * (self.level * 1e-3 * FOCAL_PIXELS)
+        pixels = np.array((-1.0, 1.0)) * (self.level * 1e-3 * Intrinsics.fx)
         travel = frames.angular_velocity[:, 1:] * pixels
         for i in np.flatnonzero(elapsed >= 0).tolist():
             shifts = np.linspace(-0.5, 0.5, self.samples)[:, None] * travel[i]

@@ -18,7 +18,6 @@ from renet.deploy.robots.scene import FLAT, scene_spec
 from renet.deploy.safety import SafetyCfg
 from renet.deploy.teleop import MAX_SPEED
 from renet.faults import FAULTS, SEVERITIES, Fault, combined, stereo, vegetation
-from renet.faults.image import FOCAL_PIXELS
 from renet.faults.physical import Glass, obstacles, spread
 from renet.interface import (
     CONTROL_DT,
@@ -71,7 +70,7 @@ def contract() -> dict[str, Any]:
         "camera": {
             "relativeStd": RELATIVE_STD,
             "seenGroups": SEEN_GROUPS.tolist(),
-            "focalPixels": FOCAL_PIXELS,
+            "focalPixels": Intrinsics.fx,
             "stereo": {
                 "focal": stereo.FOCAL,
                 "baseline": stereo.BASELINE,

@@ -7,8 +7,8 @@ from renet.interface import DEPTH_SHAPE
 
 
 def test_the_ground_lies_where_geometry_says() -> None:
-    # The lowest rays look down by 30 degrees and half a pixel less than 24.
-    angle = np.arctan(23.5 / (32 / np.tan(np.radians(87 / 2))))
+    # The lowest rays look down by 30 degrees and half a pixel less than half of 52 degrees.
+    angle = np.arctan(23.5 / 24 * 0.4875)
     near = 0.3 / np.sin(np.radians(30) + angle) * np.cos(angle)
     assert scene()[-1, 31:33] * 2.0 == pytest.approx(near, abs=1e-5)
     foam = ViewPerturbation(np.array([0.15]), np.zeros((1, 3)), np.zeros(1))

@@ -9,7 +9,6 @@ from renet.camera import Intrinsics
 from renet.deploy.cameras.sim import rotation, tilt
 from renet.deploy.robots.mujoco import cast
 from renet.faults import TICK, Frames, Injection, Injector, ViewPerturbation
-from renet.faults.image import FOCAL_PIXELS
 from renet.faults.physical import spread
 from renet.interface import CONTROL_DT, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TICK
 
@@ -54,7 +53,7 @@ def scene(view: ViewPerturbation | None = None, walked: float = 0.0) -> np.ndarr
     view, data = view or ViewPerturbation.none(1), _ground_and_blocks()
     blocks = list(range(1, data.model.ngeom))
     hidden = sorted(spread(blocks, float(view.glass[0]))) if view.glass[0] else []
-    rays = Intrinsics(fx=FOCAL_PIXELS, fy=FOCAL_PIXELS).rays()
+    rays = Intrinsics().rays()
     lengths = np.linalg.norm(rays, axis=1)
     eye = np.array([walked, 0.0, EYE - view.lift[0]])
     camera = tilt(TILT) @ rotation(view.turn[0])
