@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.figures import MODE_NAMES, noise_label
+from renet.evaluation.figures import noise_label
 from renet.evaluation.report.page import provenance_section, render, write_page
 from renet.evaluation.report.summary import noise_facts, noise_headline
 from renet.evaluation.report.video import VideoCfg, film
@@ -64,15 +64,17 @@ def film_comparison(
     cfg: VideoCfg | None = None,
 ) -> Path:
     """Film VP alone beside RENet: one setting walks again, as it did in the study."""
-    cfg, modes = cfg or VideoCfg(), ("vp", "renet")
+    cfg, modes = cfg or VideoCfg(), {"vp": "VP alone: always on camera", "renet": "RENet"}
     trials = study.trials([setting])
     env = study.make_env(evaluator, tuple(trial.robot for trial in trials))
     everybody, title = range(len(trials)), "one setting, filmed"
     trace = evaluator.rollout(title, env, trials, study.steps, study.seed, everybody)
     robot = first_to_fall(study, trace)
     first = {mode: study.modes.index(mode) * study.robots_each for mode in modes}
-    titles = {first[mode] + robot: MODE_NAMES[mode] for mode in modes}
-    return film(path, env.scene_spec, trace, titles, label(setting), cfg)
+    titles = {first[mode] + robot: title for mode, title in modes.items()}
+    level = fault_class(setting.fault).level_of(setting.severity)
+    noise = f"{setting.fault.replace('_', ' ')} {100 * level:.0f} %"
+    return film(path, env.scene_spec, trace, titles, noise, cfg)
 
 
 def worst_of_vp(summary: dict[str, Any]) -> Setting:

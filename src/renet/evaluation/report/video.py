@@ -140,7 +140,7 @@ class Panel:
         draw.rectangle((0, 0, width, 24), fill=(16, 18, 22, 190))
         draw.text((8, 4), self.title, font=_font(14), fill=WHITE)
         vision = bool(self.vision[frame])
-        chip = ("VP · vision" if vision else "OP · blind", GREEN if vision else RED)
+        chip = ("on camera" if vision else "blind", GREEN if vision else RED)
         draw.text((width - 8, 4), chip[0], font=_font(14), fill=chip[1], anchor="ra")
         inset = Image.fromarray(self.depth[frame]).resize((96, 72), Image.Resampling.NEAREST)
         corner = (width - 104, 34)
