@@ -79,11 +79,7 @@ def calibrate_monitors(
     if not scores:
         raise RenetError("calibration needs the scores of at least one monitor")
     hours = sum(len(run) for run in next(iter(scores.values()))) / rate_hz / 3600.0
-    varied = [
-        n
-        for n, runs in scores.items()
-        if np.ptp(_checked(np.concatenate([np.zeros(0), *runs]))) > 0
-    ]
+    varied = [name for name, runs in scores.items() if np.ptp(_checked(*runs)) > 0]
     share = false_alarms_per_hour / max(len(varied), 1)
     found = {
         name: return_level(runs, share * hours) if name in varied else float(runs[0][0])
@@ -109,7 +105,7 @@ def return_level(runs: Sequence[np.ndarray], expected: float) -> float:
     Args:
         runs: [T] scores of each unbroken run. expected: may be a fraction.
     """
-    joined = _checked(np.concatenate([*runs]))
+    joined = _checked(*runs)
     high = float(np.quantile(joined, 1.0 - TAIL))
     excess = np.array([peak for run in runs for peak in decluster(run, high)]) - high
     if len(excess) == 0:
@@ -131,8 +127,8 @@ def decluster(run: np.ndarray, level: float) -> list[float]:
     return [float(np.asarray(run)[group].max()) for group in groups]
 
 
-def _checked(scores: np.ndarray) -> np.ndarray:
-    scores = np.asarray(scores, float).ravel()
+def _checked(*runs: np.ndarray) -> np.ndarray:
+    scores = np.concatenate([np.zeros(0), *map(np.ravel, runs)])
     if scores.size == 0 or not np.isfinite(scores).all():
         raise RenetError("calibration needs at least one score, all of them finite")
     return scores
