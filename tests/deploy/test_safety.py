@@ -15,7 +15,7 @@ from renet.deploy.safety import (
     clean_state,
     damping_command,
     limited_command,
-    limited_teleop,
+    limited_speed,
     pre_arm_problem,
     stand_up_problem,
     stand_up_target,
@@ -97,8 +97,7 @@ def test_a_reading_outlives_its_drivers_buffer():
 
 def test_requests():
     assert teleop_problem(TeleopCommand(speed=9.0)) == ""
-    assert limited_teleop(TeleopCommand(speed=9.0)).speed == 1.0
-    assert limited_teleop(TeleopCommand(speed=-1.0)).speed == 0.0
+    assert [limited_speed(speed) for speed in (9.0, 0.3, -1.0)] == [1.0, 0.3, 0.0]
     assert teleop_problem(TeleopCommand(arm=True, stop=True)) == "operator stop"
     for wrong in (TeleopCommand(turn=math.nan), TeleopCommand(speed=math.inf)):
         assert teleop_problem(wrong) == "the operator's command is not finite"
