@@ -276,5 +276,5 @@ def limited_command(
     target = np.minimum(np.maximum(target, limit["lower"]), limit["upper"])
     stiffness, damping = limit["stiffness"], limit["damping"]
     torque = stiffness * (target - state.joint_position) - damping * state.joint_velocity
-    scale = np.minimum(1.0, limit["torque_limit"] / np.maximum(np.abs(torque), 1e-9))
+    scale = limit["torque_limit"] / np.maximum(np.abs(torque), limit["torque_limit"])
     return JointCommand(target, scale * stiffness, scale * damping)
