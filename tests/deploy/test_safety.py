@@ -261,12 +261,10 @@ ranges = st.lists(st.floats(0, 1), min_size=12, max_size=12).map(
 def test_no_command_leaves_its_limits(target, previous, position, velocity):
     reading = state(joint_position=position, joint_velocity=np.array(velocity))
     command = limited_command(target, previous, reading, GO1, CFG)
-    assert (command.position >= GO1.lower).all()
-    assert (command.position <= GO1.upper).all()
+    assert ((command.position >= GO1.lower) & (command.position <= GO1.upper)).all()
     assert (np.abs(command.position - previous) <= CFG.target_rate * CONTROL_DT + 1e-9).all()
     assert (command.stiffness <= 40.0).all()
-    assert (command.damping <= 1.0).all()
-    assert (command.damping >= 0.0).all()
+    assert ((command.damping >= 0.0) & (command.damping <= 1.0)).all()
     torque = command.stiffness * (command.position - position) - command.damping * velocity
     assert (np.abs(torque) <= np.array(GO1.torque_limit) + 1e-6).all()
 

@@ -91,7 +91,7 @@ class MonitorSelector:
         """Every monitor's score at the last update, [M, N], in the order of `monitors`."""
         self._thresholds = np.array([[monitor.threshold] for monitor in self.monitors])
         self._periods: int | None = None
-        self._healthy_since = np.full(num_robots, -np.inf)
+        self._healthy_since = np.zeros(num_robots)
         self._returned = np.full(num_robots, -np.inf)
 
     @property
@@ -139,7 +139,7 @@ class MonitorSelector:
         self.filter.reset(mask)
         self.vision = self.vision | mask
         self.reason[mask] = ""
-        self._healthy_since[mask] = self._returned[mask] = -np.inf
+        self._returned[mask] = -np.inf
         for monitor in self.monitors:
             monitor.reset(mask)
 
