@@ -103,6 +103,7 @@ def main(cfg: Cfg) -> None:
             "run": len(chosen),
             "score": round(1.0 - len(alive) / len(chosen), 3),
             "ended_by_time": sum(codes[name] not in (*ALIVE, *KILLED) for name in chosen),
+            "tests_left_out": cfg.skip,
             "alive": alive,
         }
         report({name: results[name] for name in PARTS if name in results}, cfg.json)

@@ -85,10 +85,13 @@ class RandomCamera:
         slope = np.linspace(0.9, 0.3, DEPTH_SHAPE[0])[:, None]
         noise = 0.03 * random.standard_normal((50, *DEPTH_SHAPE))
         self._images = np.clip(slope + noise, 0.0, 1.0).astype(np.float32)
+        self._frame = DepthFrame(self._images[0], -1, 0.0)
 
     def latest(self) -> DepthFrame:
         number = int(10.0 * time.monotonic())
-        return DepthFrame(self._images[number % 50], number, number / 10.0)
+        if number != self._frame.number:
+            self._frame = DepthFrame(self._images[number % 50], number, number / 10.0)
+        return self._frame
 
 
 class Stopwatch:

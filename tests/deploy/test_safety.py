@@ -15,7 +15,7 @@ from renet.deploy.safety import (
     clean_state,
     damping_command,
     limited_command,
-    limited_teleop,
+    limited_speed,
     pre_arm_problem,
     stand_up_problem,
     stand_up_target,
@@ -97,8 +97,7 @@ def test_a_reading_outlives_its_drivers_buffer():
 
 def test_requests():
     assert teleop_problem(TeleopCommand(speed=9.0)) == ""
-    assert limited_teleop(TeleopCommand(speed=9.0)).speed == 1.0
-    assert limited_teleop(TeleopCommand(speed=-1.0)).speed == 0.0
+    assert [limited_speed(speed) for speed in (9.0, 0.3, -1.0)] == [1.0, 0.3, 0.0]
     assert teleop_problem(TeleopCommand(arm=True, stop=True)) == "operator stop"
     for wrong in (TeleopCommand(turn=math.nan), TeleopCommand(speed=math.inf)):
         assert teleop_problem(wrong) == "the operator's command is not finite"
@@ -262,12 +261,10 @@ ranges = st.lists(st.floats(0, 1), min_size=12, max_size=12).map(
 def test_no_command_leaves_its_limits(target, previous, position, velocity):
     reading = state(joint_position=position, joint_velocity=np.array(velocity))
     command = limited_command(target, previous, reading, GO1, CFG)
-    assert (command.position >= GO1.lower).all()
-    assert (command.position <= GO1.upper).all()
+    assert ((command.position >= GO1.lower) & (command.position <= GO1.upper)).all()
     assert (np.abs(command.position - previous) <= CFG.target_rate * CONTROL_DT + 1e-9).all()
     assert (command.stiffness <= 40.0).all()
-    assert (command.damping <= 1.0).all()
-    assert (command.damping >= 0.0).all()
+    assert ((command.damping >= 0.0) & (command.damping <= 1.0)).all()
     torque = command.stiffness * (command.position - position) - command.damping * velocity
     assert (np.abs(torque) <= np.array(GO1.torque_limit) + 1e-6).all()
 

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renet.errors import RenetError
-from renet.selector import MONITORS, calibrate_monitors, default_monitors
+from renet.selector import MONITORS, calibrate, calibrate_monitors, conformal_threshold
 from renet.selector.calibration import decluster, return_level
-from renet.selector.monitors import CEILINGS, FALLBACK, FLOORS
+from renet.selector.monitors import CEILINGS, FALLBACK, FLOORS, default_monitors
 
 
 def hours(n: float, seed: int = 0, runs: int = 40) -> list[np.ndarray]:
@@ -19,14 +19,22 @@ def hours(n: float, seed: int = 0, runs: int = 40) -> list[np.ndarray]:
     return list(draw.exponential(1.0, (runs, round(n * 36000 / runs))))
 
 
-@pytest.mark.parametrize("expected", [5.0, 1.0, 0.1])
-def test_the_level_of_an_exponential_tail_is_its_quantile(expected: float) -> None:
-    found = return_level(hours(2.0), expected)
-    maximum = max(run.max() for run in hours(2.0))
-    exact = math.log(72000 / expected)
-    # Peaks of decluster are fewer than exceedances; the margin above the maximum comes on top.
-    assert found == pytest.approx(max(exact, maximum + 1.0), abs=1.8)
-    assert found > maximum
+@pytest.mark.parametrize("shape", [-0.2, -0.1, 0.0])
+def test_the_level_of_a_pareto_tail_far_beyond_all_scores_is_its_quantile(shape: float) -> None:
+    """A generalised Pareto tail by its exact quantiles, one burst in 50 scores."""
+
+    def excess(exceeded: np.ndarray) -> np.ndarray:
+        return (exceeded**-shape - 1.0) / shape if shape else -np.log(exceeded)
+
+    run = np.full(50_000, 5.0)
+    run[::50] += excess((np.arange(1000) + 0.5) / 1000)
+    assert return_level([run], 1e-6) - 5.0 == pytest.approx(excess(np.array(1e-9)), rel=0.06)
+
+
+def test_bursts_that_all_peak_alike_have_a_level() -> None:
+    equal = np.ones(2000)
+    equal[::50] = 2.0
+    assert 2.0 < return_level([equal], 0.1) < 4.5
 
 
 def test_the_level_of_a_bounded_tail_stays_near_its_bound() -> None:
@@ -46,6 +54,7 @@ def test_a_blank_image_is_never_healthy() -> None:
 def test_calibrated_monitors_keep_the_stated_rate_on_new_robots() -> None:
     found = calibrate_monitors({"reconstruction": hours(3.0), "disagreement": hours(3.0, 1)}, 1.0)
     assert found.robot_hours == pytest.approx(3.0)
+    assert found.false_alarms_per_hour == 1.0
     new = {"reconstruction": hours(40.0, 2), "disagreement": hours(40.0, 3)}
     alarms = sum(
         len(decluster(run, found.thresholds[name])) for name, runs in new.items() for run in runs
@@ -60,6 +69,8 @@ def test_what_never_varies_gets_its_floor_or_nothing() -> None:
     )
     assert found.thresholds["invalid_fraction"] == FLOORS["invalid_fraction"]
     assert "disagreement" not in found.thresholds
+    holes = calibrate_monitors({"invalid_fraction": [np.full(100, 0.4)]}).thresholds
+    assert 0.4 < holes["invalid_fraction"] < 0.401, "what was healthy must not object"
 
 
 def test_holes_of_a_real_camera_raise_the_floor() -> None:
@@ -100,6 +111,13 @@ def test_fewer_false_alarms_never_lower_a_threshold(lower, factor) -> None:
         (lambda: calibrate_monitors({}), "needs the scores of at least one monitor"),
         (lambda: calibrate_monitors({"age": [np.array([np.nan])]}), "one score, all of them fin"),
         (lambda: calibrate_monitors({"age": []}), "needs at least one score"),
+        (lambda: calibrate_monitors({"age": [np.ones(9)]}, 0.0), "must be positive, got 0.0"),
+        (lambda: calibrate_monitors({"age": [np.ones(9)]}, math.inf), "must be positive, got inf"),
+        (lambda: calibrate(np.array([])), "needs at least one score, all of them finite"),
+        (lambda: calibrate(np.array([1.0, math.nan])), "at least one score, all of them finite"),
+        (lambda: conformal_threshold(np.arange(50.0), 0.01), "of 0.01 needs at least 99 .* got 50"),
+        (lambda: conformal_threshold(np.arange(50.0), 0.0), "between 0 and 1, got 0.0"),
+        (lambda: conformal_threshold(np.arange(50.0), 1.0), "between 0 and 1, got 1.0"),
         (lambda: default_monitors(0.01, {"luck": 1.0}, 1), "unknown monitor 'luck': choose among"),
     ],
 )
@@ -115,9 +133,3 @@ def test_a_bundle_without_thresholds_gets_the_documented_ones() -> None:
     calibrated = default_monitors(0.01, thresholds, 2)
     assert [monitor.name for monitor in calibrated] == list(MONITORS)
     assert {m.name: m.threshold for m in calibrated}["reconstruction"] == 0.02
-
-
-@pytest.mark.parametrize("rate", [0.0, -1.0, math.nan, math.inf])
-def test_a_rate_that_is_none_is_refused(rate) -> None:
-    with pytest.raises(RenetError, match="must be positive"):
-        calibrate_monitors({"uniformity": hours(0.1)}, rate)

@@ -77,6 +77,9 @@ def test_three_equal_images_in_a_row_are_a_frozen_camera():
         # Updates between frames see the held image and must not count it.
         for _ in range(5):
             healthy(monitor, seen(image=images, fresh=np.zeros(2, bool)))
+        # Nor do those that only another robot's camera has sent.
+        images = np.stack((live.random((48, 64)), frozen))
+        healthy(monitor, seen(image=images, fresh=np.array([True, False])))
     assert verdicts == [[True, True], [True, True], [True, False], [True, False]]
     monitor.reset(np.array([False, True]))
     assert healthy(monitor, seen(image=np.stack((frozen, frozen)))).all()
@@ -104,6 +107,25 @@ def test_it_leaves_as_fast_as_the_papers_filter_and_says_why():
     assert visions[5].tolist() == [True, True]
     assert visions[6].tolist() == [True, False]
     assert chosen.reason.tolist() == ["", "no new image"]
+    run(chosen, seen(), 0.035, 1.0)
+    assert chosen.reason.tolist() == ["", "no new image"], "until vision returns"
+    run(chosen, seen(), 1.0, 1.1)
+    assert chosen.vision.all()
+    assert chosen.reason.tolist() == ["", ""]
+
+
+def test_a_robot_that_only_begins_to_object_has_no_reason_when_another_leaves():
+    chosen = selector()
+    run(chosen, STALE, 0.0, 0.03)
+    chosen.update(seen(age=np.ones(2)), 0.03)
+    assert chosen.vision.tolist() == [True, False]
+    assert chosen.reason.tolist() == ["", "no new image"]
+
+
+def test_a_score_at_its_threshold_objects():
+    chosen = selector()
+    run(chosen, seen(age=np.array([0.2, np.nextafter(0.2, 0.0)])), 0.0, 0.05)
+    assert chosen.vision.tolist() == [False, True]
 
 
 @settings(max_examples=60, deadline=None)
@@ -175,6 +197,7 @@ def test_reset_uses_vision_again():
     run(chosen, seen(age=np.ones(2)), 0.0, 0.05)
     chosen.reset(np.array([True, False]))
     assert chosen.vision.tolist() == [True, False]
+    assert chosen.reason.tolist() == ["", "no new image"]
     assert chosen.probability[0] == 1.0
     chosen.reset()
     assert chosen.vision.all()

@@ -87,6 +87,10 @@ def test_the_papers_selector_leaves_and_returns_by_the_filter_alone():
     for update in range(7, 15):
         vision = selector.update(SelectorInput(np.full(4, 0.4)), 0.005 * update)
     assert vision.all(), "no dwell"
+    for update in range(15, 35):
+        scores = np.full(4, 0.6 if update < 25 else 0.4)
+        vision = selector.update(SelectorInput(scores), 0.005 * update)
+    assert vision.all(), "nor any rest between two returns"
 
 
 def test_a_bundles_selector_takes_all_its_settings():
@@ -115,17 +119,6 @@ def test_calibration_is_the_maximum_or_a_guaranteed_quantile():
     assert np.mean(exceeded) < 0.06
 
 
-@pytest.mark.parametrize("scores", [[], [1.0, np.nan]])
-def test_calibration_refuses_what_it_cannot_use(scores):
-    with pytest.raises(RenetError, match="finite"):
-        calibrate(np.array(scores))
-
-
-def test_impossible_settings_are_refused():
-    with pytest.raises(RenetError, match="at least 99"):
-        conformal_threshold(np.arange(50.0), 0.01)
-
-
 @pytest.mark.parametrize("gamma", [-0.1, 0.0, 1.001, math.nan])
 def test_a_filter_that_is_none_is_refused(gamma):
     with pytest.raises(RenetError, match=rf"the filter's gamma must be in \(0, 1\], got {gamma}"):
@@ -148,6 +141,9 @@ def test_a_selector_without_a_threshold_or_a_rate_is_refused(value):
     ("changes", "problem"),
     [
         ({}, ""),
+        ({"rate_hz": 10.0}, ""),
+        ({"rate_hz": 1000.0}, ""),
+        ({"rate_hz": 1000.1}, "rate_hz must be from 10 to 1000 Hz, got 1000.1"),
         ({"rate_hz": 9.9}, "rate_hz must be from 10 to 1000 Hz, got 9.9"),
         ({"gamma": 0.06, "rate_hz": 10.0}, "gamma 0.06 at 10 Hz delays a switch by 1.2 s, at most"),
         ({"beta": 0.26}, "threshold beta 0.26 would never object, at most 0.25"),

@@ -22,10 +22,11 @@ from renet.deploy.safety import (
     Mode,
     SafetyCfg,
     SafetyMachine,
+    all_finite,
     clean_state,
     damping_command,
     limited_command,
-    limited_teleop,
+    limited_speed,
     stand_up_problem,
     stand_up_target,
     state_problem,
@@ -119,7 +120,6 @@ class Controller:
         self._state_error = "no state from the robot"
         self._start = self._target = np.array(self.robot.default_position)
         self._yaw = self._turn = 0.0
-        self._image = BLACK
         self._start_over()
         self.decision = self._decide(damping_command(self.robot, safety), 0.0)
         """What the last tick decided."""
@@ -181,7 +181,7 @@ class Controller:
             if before is not Mode.WALKING:
                 self._start_over()
                 self._yaw, self._turn = heading(state.quaternion), teleop.turn
-            command = self._walk(state, limited_teleop(teleop), now)
+            command = self._walk(state, teleop, now)
         return command
 
     def _read(self, raw: RobotState | None, now: float) -> None:
@@ -197,8 +197,7 @@ class Controller:
             self._newest = state
 
     def _problem(self, teleop: TeleopCommand, now: float) -> str:
-        problem = teleop_problem(teleop)
-        if problem:
+        if problem := teleop_problem(teleop):
             return problem
         if self._newest is None:
             return self._state_error
@@ -217,11 +216,11 @@ class Controller:
 
     def _walk(self, state: RobotState, teleop: TeleopCommand, now: float) -> JointCommand:
         self._steer(teleop.turn, heading(state.quaternion))
-        observation = observe(state, self.robot, teleop.speed, self._yaw, self._action)[None]
+        speed = limited_speed(teleop.speed)
+        observation = observe(state, self.robot, speed, self._yaw, self._action)[None]
         self.policy.remember(observation)
         image, fresh, fallback = None, False, False
-        due = self.policy.due
-        if due:
+        if self.policy.due:
             image, fresh = self._buffer.take()
             fallback = self._begin_tick(image, now)
         output = self._perception.take()
@@ -229,7 +228,7 @@ class Controller:
             self.policy.accept(output)
         vision = self._vision and self._buffer.image is not None
         action = self.policy.act(observation, np.array([not vision]))[0]
-        if not np.isfinite(action).all():
+        if not all_finite(action):
             raise RenetError("the policy's action is not finite")
         self._action = action
         command = self._limited(self.policy.joint_target(action), state)

@@ -1,10 +1,14 @@
 """The proprioception o_t from a robot's sensors, scaled as in training."""
 
+import math
+
 import numpy as np
 
 from renet.deploy.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import RobotState
 from renet.interface import PROPRIOCEPTION
+
+SCALES = np.concatenate([np.full(term.size, term.scale) for term in PROPRIOCEPTION])
 
 
 def observe(
@@ -21,22 +25,22 @@ def observe(
     terms = {
         "base_angular_velocity": state.angular_velocity,
         "projected_gravity": projected_gravity(state.quaternion),
-        "command": (speed, np.sin(error), np.cos(error)),
-        "joint_position": np.asarray(state.joint_position) - robot.default_position,
+        "command": (speed, math.sin(error), math.cos(error)),
+        "joint_position": state.joint_position - robot.arrays["default_position"],
         "joint_velocity": state.joint_velocity,
         "last_action": last_action,
     }
-    blocks = [term.scale * np.asarray(terms[term.name], float) for term in PROPRIOCEPTION]
-    return np.concatenate(blocks).astype(np.float32)
+    return (SCALES * np.concatenate([terms[t.name] for t in PROPRIOCEPTION])).astype(np.float32)
 
 
-def projected_gravity(quaternion: np.ndarray) -> np.ndarray:
-    """Unit vector of gravity in the base frame, [3], from base-to-world (w, x, y, z)."""
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    return -np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+def projected_gravity(quaternion: np.ndarray) -> tuple[float, float, float]:
+    """Unit vector of gravity in the base frame, from base-to-world (w, x, y, z)."""
+    w, x, y, z = quaternion.tolist()
+    double = 2.0 / (w * w + x * x + y * y + z * z or math.nan)
+    return double * (w * y - x * z), -double * (y * z + w * x), double * (x * x + y * y) - 1.0
 
 
 def heading(quaternion: np.ndarray) -> float:
     """Yaw of the base, rad: direction of its x axis seen from above."""
-    w, x, y, z = quaternion
-    return float(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
+    w, x, y, z = quaternion.tolist()
+    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)

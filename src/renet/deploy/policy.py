@@ -77,9 +77,8 @@ def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> 
             "latent_vp": inputs.latent_vp,
         },
     )
-    found = dict(zip(ESTIMATES, estimates, strict=True))
     return EstimatorOutput(
-        **found,
+        **dict(zip(ESTIMATES, estimates, strict=True)),
         anomaly_score=seen["anomaly_score"].reshape(-1),
         variance_score=seen.get("variance_score", np.zeros(count, np.float32)).reshape(-1),
         reconstruction=seen.get("reconstruction"),
@@ -161,8 +160,9 @@ class Policy:
         """Push o_t [N, 45] onto the history."""
         self._history[:, :-1] = self._history[:, 1:]
         self._history[:, -1] = proprioception
-        self._history[self._blank] = proprioception[self._blank, None]
-        self._blank[:] = False
+        if self._blank.any():
+            self._history[self._blank] = proprioception[self._blank, None]
+            self._blank[:] = False
 
     def look(self, depth: np.ndarray | None) -> EstimatorInput:
         """Push an image [N, 48, 64], if there is one; returns what `infer` needs."""
@@ -193,15 +193,16 @@ class Policy:
             "latent_vp": self.latent_vp,
             "op_mask": op_mask.reshape(-1, 1).astype(np.float32),
         }
-        outputs: Any = self.sessions["actor"].run(None, inputs)
+        outputs: Any = self.sessions["actor"].run(["action"], inputs)
         self._step += 1
         clip = self.manifest.robot.action_clip
-        return np.clip(outputs[0].reshape(self.num_robots, ACTION_SIZE), -clip, clip)
+        action = outputs[0].reshape(self.num_robots, ACTION_SIZE)
+        return np.minimum(np.maximum(action, -clip), clip)
 
     def joint_target(self, action: np.ndarray) -> np.ndarray:
         """Joint positions [N, 12] in rad that an action asks for."""
         robot = self.manifest.robot
-        return np.asarray(robot.default_position) + robot.action_scale * action
+        return robot.arrays["default_position"] + robot.action_scale * action
 
     def _checked(self, value: np.ndarray, name: str, shape: tuple[int, ...]) -> np.ndarray:
         value = np.asarray(value, np.float32)

@@ -9,7 +9,7 @@ again. Losing vision is no problem here: the selector falls back to OP within WA
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -96,16 +96,21 @@ def clean_state(raw: RobotState, now: float) -> RobotState:
             raise RenetError(f"{name} is not made of numbers") from error
         if value.shape != (size,):
             raise RenetError(f"{name} has shape {value.shape}, expected ({size},)")
-        if not np.isfinite(value).all():
+        if not all_finite(value):
             raise RenetError(f"{name} is not finite")
         arrays[name] = value
     if not math.isfinite(raw.time):
         raise RenetError("the state's time is not finite")
     if raw.time > now + FUTURE:
         raise RenetError("the state's time lies in the future")
-    if abs(np.linalg.norm(arrays["quaternion"]) - 1.0) > 0.1:
+    if abs(math.hypot(*arrays["quaternion"]) - 1.0) > 0.1:
         raise RenetError("the quaternion's length is not 1")
     return RobotState(float(raw.time), **arrays)
+
+
+def all_finite(values: np.ndarray) -> bool:
+    """Whether a few numbers are finite: for a dozen this is three times as fast as NumPy."""
+    return all(map(math.isfinite, values.tolist()))
 
 
 def state_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg, now: float) -> str:
@@ -114,15 +119,14 @@ def state_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg, now: floa
         return f"the state is {1000 * (now - state.time):.0f} ms old"
     if projected_gravity(state.quaternion)[2] > -math.cos(cfg.max_tilt):
         return f"tilted by more than {math.degrees(cfg.max_tilt):.0f} degrees"
-    low = np.asarray(robot.lower) - cfg.joint_margin
-    high = np.asarray(robot.upper) + cfg.joint_margin
-    outside = (state.joint_position < low) | (state.joint_position > high)
-    if outside.any():
-        return f"{robot.joints[int(np.argmax(outside))]} is out of its range"
-    fast = np.abs(state.joint_velocity) > cfg.max_joint_speed
-    if fast.any():
-        return f"{robot.joints[int(np.argmax(fast))]} is too fast"
-    if np.abs(state.angular_velocity).max() > cfg.max_turn_rate:
+    margin, angles = cfg.joint_margin, state.joint_position.tolist()
+    for joint, angle, low, high in zip(robot.joints, angles, robot.lower, robot.upper, strict=True):
+        if not low - margin <= angle <= high + margin:
+            return f"{joint} is out of its range"
+    for joint, speed in zip(robot.joints, state.joint_velocity.tolist(), strict=True):
+        if abs(speed) > cfg.max_joint_speed:
+            return f"{joint} is too fast"
+    if max(map(abs, state.angular_velocity.tolist())) > cfg.max_turn_rate:
         return "the base turns too fast"
     return ""
 
@@ -145,9 +149,9 @@ def teleop_problem(teleop: TeleopCommand) -> str:
     return ""
 
 
-def limited_teleop(teleop: TeleopCommand) -> TeleopCommand:
-    """The teleop with its speed within training's."""
-    return replace(teleop, speed=min(max(float(teleop.speed), 0.0), MAX_SPEED))
+def limited_speed(speed: float) -> float:
+    """An operator's speed within training's."""
+    return min(max(float(speed), 0.0), MAX_SPEED)
 
 
 def pre_arm_problem(
@@ -265,12 +269,12 @@ def limited_command(
     Raises:
         RenetError: the target is not finite.
     """
-    if not np.isfinite(target).all():
+    if not all_finite(target):
         raise RenetError("the joint target is not finite")
-    reach = cfg.target_rate * CONTROL_DT
-    target = np.clip(target, previous - reach, previous + reach)
-    target = np.clip(target, robot.lower, robot.upper)
-    stiffness, damping = np.asarray(robot.stiffness), np.asarray(robot.damping)
+    limit, reach = robot.arrays, cfg.target_rate * CONTROL_DT
+    target = np.minimum(np.maximum(target, previous - reach), previous + reach)
+    target = np.minimum(np.maximum(target, limit["lower"]), limit["upper"])
+    stiffness, damping = limit["stiffness"], limit["damping"]
     torque = stiffness * (target - state.joint_position) - damping * state.joint_velocity
-    scale = np.minimum(1.0, np.asarray(robot.torque_limit) / np.maximum(np.abs(torque), 1e-9))
+    scale = limit["torque_limit"] / np.maximum(np.abs(torque), limit["torque_limit"])
     return JointCommand(target, scale * stiffness, scale * damping)

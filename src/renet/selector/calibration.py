@@ -31,14 +31,14 @@ def conformal_threshold(scores: np.ndarray, alpha: float) -> float:
     Raises:
         RenetError: too few scores for so small an alpha.
     """
+    if not 0.0 < alpha < 1.0:
+        raise RenetError(f"alpha must be between 0 and 1, got {alpha}")
     scores = np.sort(_checked(scores))
     rank = math.ceil((len(scores) + 1) * (1.0 - alpha))
-    if not 0.0 < alpha < 1.0 or rank > len(scores):
+    if rank > len(scores):
         raise RenetError(
             f"a false-alarm probability of {alpha} needs at least {math.ceil(1 / alpha) - 1} "
             f"healthy scores, got {len(scores)}"
-            if 0.0 < alpha < 1.0
-            else f"alpha must be between 0 and 1, got {alpha}"
         )
     return float(scores[max(rank, 1) - 1])
 
@@ -79,16 +79,9 @@ def calibrate_monitors(
     if not scores:
         raise RenetError("calibration needs the scores of at least one monitor")
     hours = sum(len(run) for run in next(iter(scores.values()))) / rate_hz / 3600.0
-    varied = [
-        n
-        for n, runs in scores.items()
-        if np.ptp(_checked(np.concatenate([np.zeros(0), *runs]))) > 0
-    ]
+    varied = [name for name, runs in scores.items() if np.ptp(_checked(*runs)) > 0]
     share = false_alarms_per_hour / max(len(varied), 1)
-    found = {
-        name: return_level(runs, share * hours) if name in varied else float(runs[0][0])
-        for name, runs in scores.items()
-    }
+    found = {name: return_level(runs, share * hours) for name, runs in scores.items()}
     # Scores that never vary, as a simulated camera's holes, have no tail: floors stand for them.
     thresholds = {
         name: min(max(value, FLOORS.get(name, -math.inf)), CEILINGS.get(name, math.inf))
@@ -109,13 +102,15 @@ def return_level(runs: Sequence[np.ndarray], expected: float) -> float:
     Args:
         runs: [T] scores of each unbroken run. expected: may be a fraction.
     """
-    joined = _checked(np.concatenate([*runs]))
+    joined = _checked(*runs)
     high = float(np.quantile(joined, 1.0 - TAIL))
     excess = np.array([peak for run in runs for peak in decluster(run, high)]) - high
     if len(excess) == 0:
         return float(np.nextafter(joined.max(), np.inf))
     mean, ratio = float(excess.mean()), max(len(excess) / expected, 1.0)
-    shape = 0.5 * (1.0 - mean**2 / float(excess.var())) if len(excess) >= ENOUGH else 0.0
+    # Bursts that all peak alike, as counts of equal images do, have no variance.
+    spread = max(float(excess.var()), 1e-9 * mean**2)
+    shape = 0.5 * (1.0 - mean**2 / spread) if len(excess) >= ENOUGH else 0.0
     shape = float(np.clip(shape, -0.5, 0.0))
     scale = mean * (1.0 - shape)
     rise = scale * (math.log(ratio) if shape == 0.0 else (ratio**shape - 1.0) / shape)
@@ -131,8 +126,8 @@ def decluster(run: np.ndarray, level: float) -> list[float]:
     return [float(np.asarray(run)[group].max()) for group in groups]
 
 
-def _checked(scores: np.ndarray) -> np.ndarray:
-    scores = np.asarray(scores, float).ravel()
+def _checked(*runs: np.ndarray) -> np.ndarray:
+    scores = np.concatenate([np.zeros(0), *map(np.ravel, runs)])
     if scores.size == 0 or not np.isfinite(scores).all():
         raise RenetError("calibration needs at least one score, all of them finite")
     return scores

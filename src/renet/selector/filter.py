@@ -22,7 +22,6 @@ class LowPassFilter:
 
     def update(self, healthy: np.ndarray, count: int = 1) -> np.ndarray:
         """Take P^_t ([N] bool) `count` times; returns whether P_t chooses vision, [N] bool."""
-        healthy = np.asarray(healthy, float)
         self.probability = healthy + (1.0 - self.gamma) ** count * (self.probability - healthy)
         return self.probability > VISION_THRESHOLD
 

@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from renet.errors import RenetError
+from renet.interface import DEPTH_SHAPE
 
 NEAR = 0.05
 """Normalised depth (10 cm of 2 m) below which a stereo camera sees nothing real (paper, IV-D)."""
@@ -51,13 +52,15 @@ class Monitor:
     name: ClassVar[str]
     reason: ClassVar[str]
     """Said when it is the first to object."""
+    judges: ClassVar[str]
+    """Part of the input that is its score; monitors that compute theirs need none."""
 
     def __init__(self, threshold: float) -> None:
         self.threshold = threshold
 
     def score(self, seen: SelectorInput) -> np.ndarray:
         """How suspicious vision is, [N]; larger is worse."""
-        raise NotImplementedError
+        return getattr(seen, self.judges)
 
     def reset(self, mask: np.ndarray) -> None:
         """Forget the past of the masked robots."""
@@ -67,40 +70,25 @@ class Reconstruction(Monitor):
     """The paper's: the autoencoder cannot rebuild the image."""
 
     name, reason = "reconstruction", "images unlike those of training"
-
-    def score(self, seen: SelectorInput) -> np.ndarray:
-        """Loss_ad."""
-        return seen.anomaly_score
+    judges = "anomaly_score"
 
 
 class Variance(Monitor):
     """The autoencoder's error by how unusual it is: edges are hard to draw, flat ground is not."""
 
-    name, reason = "variance", "images unlike those of training"
-
-    def score(self, seen: SelectorInput) -> np.ndarray:
-        """Mean squared error over predicted variance."""
-        return seen.variance_score
+    name, reason, judges = "variance", "images unlike those of training", "variance_score"
 
 
 class FrameAge(Monitor):
     """No image arrives; at 10 Hz a threshold of 0.2 s is two missed frames."""
 
-    name, reason = "frame_age", "no new image"
-
-    def score(self, seen: SelectorInput) -> np.ndarray:
-        """Seconds."""
-        return seen.age
+    name, reason, judges = "frame_age", "no new image", "age"
 
 
 class InvalidFraction(Monitor):
     """Too many holes before filling, which hides them from the reconstruction."""
 
-    name, reason = "invalid_fraction", "too many pixels without depth"
-
-    def score(self, seen: SelectorInput) -> np.ndarray:
-        """Share of pixels."""
-        return seen.invalid
+    name, reason, judges = "invalid_fraction", "too many pixels without depth", "invalid"
 
 
 class Disagreement(Monitor):
@@ -110,7 +98,8 @@ class Disagreement(Monitor):
 
     def score(self, seen: SelectorInput) -> np.ndarray:
         """Distance of both velocities, m/s."""
-        return np.linalg.norm(seen.velocity_op - seen.velocity_vp, axis=-1)
+        apart = seen.velocity_op - seen.velocity_vp
+        return np.sqrt(np.vecdot(apart, apart))
 
 
 class FrozenFrame(Monitor):
@@ -120,25 +109,22 @@ class FrozenFrame(Monitor):
 
     def __init__(self, num_robots: int, threshold: float) -> None:
         super().__init__(threshold)
-        self._last: np.ndarray | None = None
+        self._last = np.full((num_robots, *DEPTH_SHAPE), np.nan)
         self._run = np.zeros(num_robots)
 
     def score(self, seen: SelectorInput) -> np.ndarray:
         """How many equal images arrived in a row."""
         if not seen.fresh.any():
-            return self._run.copy()
-        if self._last is None:
-            self._last = np.full_like(seen.image, np.nan)
+            return self._run
         same = (seen.image == self._last).all(axis=(1, 2))
         self._run = np.where(seen.fresh, np.where(same, self._run + 1, 1), self._run)
         self._last = np.where(seen.fresh[:, None, None], seen.image, self._last)
-        return self._run.copy()
+        return self._run
 
     def reset(self, mask: np.ndarray) -> None:
         """Forget the masked robots' last images."""
         self._run[mask] = 0
-        if self._last is not None:
-            self._last[mask] = np.nan
+        self._last[mask] = np.nan
 
 
 class ImageMonitor(Monitor):

@@ -91,7 +91,7 @@ class MonitorSelector:
         """Every monitor's score at the last update, [M, N], in the order of `monitors`."""
         self._thresholds = np.array([[monitor.threshold] for monitor in self.monitors])
         self._periods: int | None = None
-        self._healthy_since = np.full(num_robots, -np.inf)
+        self._healthy_since = np.zeros(num_robots)
         self._returned = np.full(num_robots, -np.inf)
 
     @property
@@ -110,7 +110,7 @@ class MonitorSelector:
             "Use vision", [N] bool.
         """
         # Every monitor looks at every input: some count images.
-        self.scores = np.stack([monitor.score(seen) for monitor in self.monitors])
+        self.scores = np.array([monitor.score(seen) for monitor in self.monitors])
         due = self._due(now)
         if due == 0:
             return self.vision
@@ -118,16 +118,17 @@ class MonitorSelector:
         healthy = np.logical_and.reduce(verdicts)
         likely = self.filter.update(healthy, due)
         self._healthy_since = np.where(healthy, np.minimum(self._healthy_since, now), np.inf)
-        leaving = self.vision & ~likely
+        if (likely == self.vision).all():
+            return self.vision
         rested = (now - self._healthy_since >= self.cfg.dwell - 1e-9) & (
             now - self._returned >= self.cfg.between_returns - 1e-9
         )
         returning = ~self.vision & likely & rested
-        for robot in np.flatnonzero(leaving & ~healthy):
+        for robot in np.flatnonzero(self.vision & ~likely & ~healthy):
             self.reason[robot] = self.monitors[int(verdicts[:, robot].argmin())].reason
         self._returned[returning] = now
         self.reason[returning] = ""
-        self.vision = (self.vision & ~leaving) | returning
+        self.vision = (self.vision & likely) | returning
         return self.vision
 
     def reset(self, mask: np.ndarray | None = None) -> None:
@@ -138,7 +139,7 @@ class MonitorSelector:
         self.filter.reset(mask)
         self.vision = self.vision | mask
         self.reason[mask] = ""
-        self._healthy_since[mask] = self._returned[mask] = -np.inf
+        self._returned[mask] = -np.inf
         for monitor in self.monitors:
             monitor.reset(mask)
 

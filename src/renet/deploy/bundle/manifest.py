@@ -5,6 +5,7 @@ import sys
 import types
 import typing
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from renet.selector import SelectorSpec, check_selector
 
 SCHEMA = 1
 MAX_TEXT = 500
+NUMBERS = ("default_position", "stiffness", "damping", "torque_limit", "lower", "upper")
+"""Fields of `RobotSpec` with one number for each joint."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class RobotSpec:
 
     def __post_init__(self) -> None:
         _demand(self.joints, "robot.joints must not be empty")
-        for name in ("default_position", "stiffness", "damping", "torque_limit", "lower", "upper"):
+        for name in NUMBERS:
             found, wanted = len(getattr(self, name)), len(self.joints)
             _demand(found == wanted, f"robot.{name} must have {wanted} numbers, it has {found}")
         for name in ("stiffness", "damping"):
@@ -59,6 +62,11 @@ class RobotSpec:
                 f"robot.default_position of {joint}, {middle} rad, must be between robot.lower, "
                 f"{low} rad, and robot.upper, {high} rad",
             )
+
+    @cached_property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Its lists of numbers by name, [12] each: made once instead of at every control step."""
+        return {name: np.array(getattr(self, name)) for name in NUMBERS}
 
 
 @dataclass(frozen=True)

@@ -28,13 +28,14 @@ class FrameBuffer:
         """Share of its pixels without a measurement."""
         self.problem = ""
         """What was wrong with the last frame offered; empty if nothing was."""
+        self._frame: DepthFrame | None = None
         self._time = -math.inf
         self._fresh = False
 
     def offer(self, frame: DepthFrame | None, now: float) -> None:
         """Look at what the camera has; called at every control tick."""
         self.problem = ""
-        if frame is None:
+        if frame is None or frame is self._frame:
             return
         try:
             image, time = clean_frame(frame, now)
@@ -43,7 +44,7 @@ class FrameBuffer:
             return
         if time <= self._time:
             return  # The same frame again, or one that arrived out of order.
-        self.image, self._time, self._fresh = image, time, True
+        self.image, self._frame, self._time, self._fresh = image, frame, time, True
         self.invalid = float(frame.invalid)
 
     def age(self, now: float) -> float:
