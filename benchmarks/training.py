@@ -11,11 +11,11 @@ import time
 from collections import defaultdict
 from collections.abc import Callable
 from contextlib import redirect_stdout
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Literal
 
 import torch
 import tyro
@@ -31,8 +31,8 @@ from renet.sim.native.engine import use_engine
 from renet.tasks import RenetEnv, make_env
 from renet.tasks.env import env_cfg
 from renet.tasks.robot_cfg import ACTION_CLIP, TRUNK
-from renet.training.config import LearningCfg
 from renet.training.runner import RenetRunner
+from renet.training.train import TrainCfg, settings, task_cfg
 
 STOCK = "Mjlab-Velocity-Flat-Unitree-Go1"
 
@@ -57,8 +57,8 @@ class Cfg:
     """Also train mjlab's stock Go1."""
     camera_envs: int = 16
     """Environments in which both depth cameras are timed, on a CPU mjlab's takes long; 0: none."""
-    learning: LearningCfg = field(default_factory=LearningCfg)
-    """Learning settings."""
+    preset: Literal["renet", "paper"] = "renet"
+    """The recipe, or the paper to the letter."""
     json: Path | None = None
     """Result file."""
 
@@ -113,10 +113,11 @@ def operations(env: RenetEnv) -> dict[str, float]:
 
 
 def profile(cfg: Cfg, folder: str) -> dict[str, Any]:
+    recipe = TrainCfg.defaults([cfg.task, "--preset", cfg.preset])
     with redirect_stdout(StringIO()):
-        env = make_env(cfg.task, cfg.num_envs, cfg.device, engine=cfg.engine)
+        env = make_env(task_cfg(recipe), cfg.num_envs, cfg.device, engine=cfg.engine)
         vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
-        runner = RenetRunner(vec_env, asdict(cfg.learning), folder, cfg.device)
+        runner = RenetRunner(vec_env, settings(recipe), folder, cfg.device)
     runner.open_log()
     if cfg.resume:
         runner.load(str(cfg.resume))
