@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.figures import noise_label
 from renet.evaluation.report.page import provenance_section, render, write_page
 from renet.evaluation.report.summary import noise_facts, noise_headline
 from renet.evaluation.report.video import VideoCfg, film
@@ -70,11 +69,8 @@ def film_comparison(
     everybody, title = range(len(trials)), "one setting, filmed"
     trace = evaluator.rollout(title, env, trials, study.steps, study.seed, everybody)
     robot = first_to_fall(study, trace)
-    first = {mode: study.modes.index(mode) * study.robots_each for mode in modes}
-    titles = {first[mode] + robot: title for mode, title in modes.items()}
-    level = fault_class(setting.fault).level_of(setting.severity)
-    noise = f"{setting.fault.replace('_', ' ')} {100 * level:.0f} %"
-    return film(path, env.scene_spec, trace, titles, noise, cfg)
+    titles = {study.modes.index(m) * study.robots_each + robot: t for m, t in modes.items()}
+    return film(path, env.scene_spec, trace, titles, label(setting), cfg)
 
 
 def worst_of_vp(summary: dict[str, Any]) -> Setting:
@@ -85,8 +81,9 @@ def worst_of_vp(summary: dict[str, Any]) -> Setting:
 
 
 def label(setting: Setting) -> str:
-    """A noise as the paper writes it."""
-    return noise_label(setting.fault, fault_class(setting.fault).level_of(setting.severity))
+    """A noise in words, such as "salt and pepper 30 %"."""
+    level = fault_class(setting.fault).level_of(setting.severity)
+    return f"{setting.fault.replace('_', ' ')} {100 * level:.0f} %"
 
 
 def first_to_fall(study: NoiseStudy, trace: Trace) -> int:
