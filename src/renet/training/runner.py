@@ -112,16 +112,13 @@ class RenetRunner(OnPolicyRunner):
         longest = told = 0.0
         with self._progress() as progress:
             task = progress.add_task("train", total=num_learning_iterations, status="")
+            by_line = progress.disable and self.gpu_global_rank == 0
             while self.alg.iteration < last:
                 lap = time.monotonic()
                 obs = self._iterate(obs, first, last)
                 longest = max(longest, time.monotonic() - lap)
                 progress.update(task, advance=1, status=self._status())
-                if (
-                    progress.disable
-                    and self.gpu_global_rank == 0
-                    and time.monotonic() - told > 10.0
-                ):
+                if by_line and time.monotonic() - told > 10.0:
                     told = time.monotonic()
                     print(f"{self.alg.iteration}/{last}  {self._status()}", flush=True)
                 left = np.inf if time_budget_s is None else began + time_budget_s - time.monotonic()
