@@ -124,16 +124,8 @@ def test_critics_keep_their_rate_while_the_actors_adapts():
 def test_a_satisfied_constraint_contributes_nothing():
     torch.manual_seed(0)
     cfg = NP3OCfg(cost_budget=(1e6, 1e6, 1e6))
-    rollout = PolicyRollout(
-        *(torch.randn(4, 8, n) for n in (45, 128, 4, 12)),
-        torch.randn(4, 8),
-        torch.randn(4, 8, 12),
-        torch.randn(4, 8, 4),
-        torch.rand(4, 8, 4),
-        torch.zeros(4, 8, dtype=torch.bool),
-    )
-    targets = make_targets(rollout, torch.zeros(8, 4), cfg)
-    cost = cost_surrogate(torch.full((32,), 1.1), targets.cost_advantage, cfg.clip)
+    targets = make_targets(*random_rollout(Actor(ModelCfg())), cfg)
+    cost = cost_surrogate(torch.full((30,), 1.1), targets.cost_advantage, cfg.clip)
     assert torch.relu(cost + targets.violation).sum() == 0.0
 
 
@@ -175,7 +167,7 @@ def random_rollout(actor: Actor) -> tuple[PolicyRollout, torch.Tensor]:
     return rollout, torch.randn(3, 4)
 
 
-def test_entropy_divergence_and_budgets_follow_their_schedules():
+def test_entropy_divergence_lambda_and_budgets_follow_their_schedules():
     actor = Actor(ModelCfg())
     cfg = NP3OCfg(
         entropy="0.01@0,0.0@10M",
@@ -192,3 +184,7 @@ def test_entropy_divergence_and_budgets_follow_their_schedules():
     algorithm.learn(rollout, last, 0, steps=5e6)
     assert algorithm._entropy == pytest.approx(0.005)
     assert algorithm._desired_kl == pytest.approx(0.015)
+    late = make_targets(rollout, last, NP3OCfg(lam="1@5M,0@10M"), steps=10e6)
+    following = torch.cat((rollout.value[1:], last[None]))
+    one_step = rollout.rewards_and_costs + cfg.gamma * following
+    torch.testing.assert_close(late.value_target, one_step.flatten(0, 1))

@@ -22,10 +22,9 @@ def terrain_levels(env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]
     Up when half a tile lies behind, down below half of what was commanded (no more than half a tile
     can be covered, whatever the command). A flat first level is for robots that cannot walk yet:
     none comes back to it, or most steps would go to flat ground, where episodes last longest. A
-    robot that fell owes the whole episode, lest falling
-    early look like keeping up; one that was cut off, as in a run's first, randomly shortened
-    episodes, owes what it had time for. One that has not walked keeps its level, as after loading a
-    checkpoint. After the last level comes any.
+    robot that fell owes the whole episode, lest falling early look like keeping up; one that was
+    cut off, as in a run's first, randomly shortened episodes, owes what it had time for. One that
+    has not walked keeps its level, as after loading a checkpoint. After the last level comes any.
 
     Args:
         env: environment on tiles.
