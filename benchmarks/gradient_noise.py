@@ -31,6 +31,8 @@ from renet.training.train import TrainCfg, resolve_resume, restored, train
 COLUMNS = ("reward", *CONSTRAINTS)
 SPLITS = 3
 """Random halves compared in a rollout."""
+CLEAR = 0.05
+"""Signal below which an agreement would be noise."""
 
 
 @dataclass
@@ -69,13 +71,16 @@ class Probe(RenetRunner):
             if number >= 3:
                 self._compare(algorithm._rollout, sums)
         for name in dict.fromkeys(name for name, _ in sums):
-            first = sums[name, cfg.lambdas[0]][0].clamp_min(1e-12)
+            first, own, _ = sums[name, cfg.lambdas[0]]
             for lam in cfg.lambdas:
-                both, own, cross = sums[name, lam]
-                row = {"of": name, "lambda": lam, "signal": (both / own).item()}
-                row["agreement"] = (cross / (both.clamp_min(1e-12) * first).sqrt()).item()
+                both, mine, cross = sums[name, lam]
+                row = {"of": name, "lambda": lam, "signal": round((both / mine).item(), 3)}
+                clear = min(both / mine, first / own) > CLEAR
+                row["agreement"] = (
+                    round((cross / (both * first).sqrt()).item(), 2) if clear else None
+                )
                 Probe.results.append(row)
-                print(f"{name:<24} {lam:<6} {row['signal']:>6.3f} {row['agreement']:>6.2f}")
+                print(f"{name:<24} {lam:<6} {row['signal']:>6} {row['agreement'] or '-':>6}")
 
     def _compare(self, rollout: PolicyRollout, sums: dict[tuple[str, float], Tensor]) -> None:
         """Add the halves' products: with one another, themselves, and the first lambda's."""
