@@ -74,13 +74,12 @@ class Probe(RenetRunner):
             first, own, _ = sums[name, cfg.lambdas[0]]
             for lam in cfg.lambdas:
                 both, mine, cross = sums[name, lam]
-                row = {"of": name, "lambda": lam, "signal": round((both / mine).item(), 3)}
                 clear = min(both / mine, first / own) > CLEAR
-                row["agreement"] = (
-                    round((cross / (both * first).sqrt()).item(), 2) if clear else None
-                )
+                agreement = round((cross / (both * first).sqrt()).item(), 2) if clear else None
+                row = {"of": name, "lambda": lam, "signal": round((both / mine).item(), 3)}
+                row["agreement"] = agreement
                 Probe.results.append(row)
-                print(f"{name:<24} {lam:<6} {row['signal']:>6} {row['agreement'] or '-':>6}")
+                print(f"{name:<24} {lam:<6} {row['signal']:>6} {agreement or '-':>6}")
 
     def _compare(self, rollout: PolicyRollout, sums: dict[tuple[str, float], Tensor]) -> None:
         """Add the halves' products: with one another, themselves, and the first lambda's."""
