@@ -1,7 +1,7 @@
-"""Draw what `renet train Renet-Go1-Parkour` learns: `python tools/recipe_curves.py RUN...`.
+"""Draw what `renet train Renet-Go1-Parkour` learns: `python tools/recipe_curves.py RUN[=LABEL]...`.
 
 Writes docs/figures/recipe.csv, every tenth iteration of each run, and docs/figures/recipe.png from
-that file; without runs the figure alone is drawn again.
+that file; without runs the figure alone is drawn again. A run's label is its seed by default.
 """
 
 from __future__ import annotations
@@ -24,8 +24,10 @@ EVERY = 10
 """Iterations, of which the mean is kept."""
 
 
-def rows(run: Path) -> list[dict[str, float]]:
+def rows(argument: str) -> list[dict[str, str | float]]:
     """Environment steps, hours and the curriculum's levels of a run, every tenth iteration."""
+    folder, _, label = argument.partition("=")
+    run = Path(folder)
     config, curves = json.loads((run / "config.json").read_text()), read_curves(run)
     taken, seconds, steps = 0.0, 0.0, []
     for fps in curves["Perf/total_fps"][1]:
@@ -34,25 +36,26 @@ def rows(run: Path) -> list[dict[str, float]]:
         seconds += each * config["num_envs"] / fps
         steps.append((taken, seconds / 3600))
     values = {n.removeprefix(LEVEL): c[1] for n, c in curves.items() if n.startswith(LEVEL)}
+    label = label or f"seed {config['seed']}"
     return [
-        {"seed": config["seed"], "steps": steps[end - 1][0], "hours": round(steps[end - 1][1], 3)}
+        {"run": label, "steps": steps[end - 1][0], "hours": round(steps[end - 1][1], 3)}
         | {kind: round(float(np.mean(v[end - EVERY : end])), 3) for kind, v in values.items()}
         for end in range(EVERY, len(steps) + 1, EVERY)
     ]
 
 
 def draw(table: list[dict[str, str]]) -> None:
-    """A panel for each kind of tile, a line for each seed, a dot at each hour."""
-    kinds = [name for name in table[0] if name not in ("seed", "steps", "hours")]
+    """A panel for each kind of tile, a line for each run, a dot at each hour."""
+    kinds = [name for name in table[0] if name not in ("run", "steps", "hours")]
     with plt.rc_context(figures.STYLE):
         figure, axes = plt.subplots(2, 3, figsize=(10, 5), sharex=True, sharey=True)
         for axis, kind in zip(axes.flat, kinds, strict=True):
-            for seed in dict.fromkeys(row["seed"] for row in table):
-                own = [row for row in table if row["seed"] == seed]
+            for run in dict.fromkeys(row["run"] for row in table):
+                own = [row for row in table if row["run"] == run]
                 steps, hours, level = (
                     np.array([row[name] for row in own], float) for name in ("steps", "hours", kind)
                 )
-                (line,) = axis.plot(steps / 1e6, level, label=f"seed {seed}")
+                (line,) = axis.plot(steps / 1e6, level, label=run)
                 whole = np.arange(1, int(hours[-1]) + 1)
                 at = np.interp(whole, hours, steps)
                 axis.plot(at / 1e6, np.interp(at, steps, level), "o", color=line.get_color())
@@ -66,7 +69,7 @@ def draw(table: list[dict[str, str]]) -> None:
         figure.savefig(OUT.with_suffix(".png"), dpi=110)
 
 
-def main(runs: list[Path]) -> None:
+def main(runs: list[str]) -> None:
     """Keep the runs' levels, and draw them."""
     path = OUT.with_suffix(".csv")
     if runs:
@@ -80,4 +83,4 @@ def main(runs: list[Path]) -> None:
 
 
 if __name__ == "__main__":
-    main([Path(argument) for argument in sys.argv[1:]])
+    main(sys.argv[1:])
