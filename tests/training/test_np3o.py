@@ -167,7 +167,7 @@ def random_rollout(actor: Actor) -> tuple[PolicyRollout, torch.Tensor]:
     return rollout, torch.randn(3, 4)
 
 
-def test_entropy_divergence_lambda_and_budgets_follow_their_schedules():
+def test_entropy_divergence_and_budgets_follow_their_schedules():
     actor = Actor(ModelCfg())
     cfg = NP3OCfg(
         entropy="0.01@0,0.0@10M",
@@ -184,7 +184,3 @@ def test_entropy_divergence_lambda_and_budgets_follow_their_schedules():
     algorithm.learn(rollout, last, 0, steps=5e6)
     assert algorithm._entropy == pytest.approx(0.005)
     assert algorithm._desired_kl == pytest.approx(0.015)
-    late = make_targets(rollout, last, NP3OCfg(lam="1@5M,0@10M"), steps=10e6)
-    following = torch.cat((rollout.value[1:], last[None]))
-    one_step = rollout.rewards_and_costs + cfg.gamma * following
-    torch.testing.assert_close(late.value_target, one_step.flatten(0, 1))

@@ -81,7 +81,7 @@ class NP3OCfg:
     """KL divergence per step the rate is adapted to; 0 keeps the rate fixed."""
     gamma: float = 0.99
     """Discount per 20 ms control step."""
-    lam: Schedule = 0.95
+    lam: float = 0.95
     """Lambda of generalised advantage estimation."""
     clip: float = 0.2
     """Clipping range of ratio and value."""
@@ -101,7 +101,7 @@ class NP3OCfg:
 
     def __post_init__(self) -> None:
         _at_least_one(self, "num_learning_epochs", "num_mini_batches")
-        for schedule in (self.desired_kl, self.entropy, self.lam, *self.cost_budget):
+        for schedule in (self.desired_kl, self.entropy, *self.cost_budget):
             value_at(schedule, 0.0)
 
 

@@ -96,9 +96,8 @@ def make_targets(
     rollout: PolicyRollout, last_value: Tensor, cfg: NP3OCfg, steps: float = 0.0
 ) -> Targets:
     """Advantages, violations and returns of a rollout; statistics span all ranks."""
-    lam = value_at(cfg.lam, steps)
     advantage = advantages(
-        rollout.rewards_and_costs, rollout.value, last_value, rollout.done, cfg.gamma, lam
+        rollout.rewards_and_costs, rollout.value, last_value, rollout.done, cfg.gamma, cfg.lam
     ).flatten(0, 1)
     value_target = advantage + rollout.value.flatten(0, 1)
     mean, std = distributed.moments(advantage)

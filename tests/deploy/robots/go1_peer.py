@@ -15,11 +15,14 @@ from contextlib import contextmanager, suppress
 import mujoco
 import numpy as np
 
+from renet.deploy.controller import Controller
 from renet.deploy.robots.base import JointCommand
-from renet.deploy.robots.go1_link import PERIOD
+from renet.deploy.robots.go1 import POWER_LEVEL
+from renet.deploy.robots.go1_link import PERIOD, Go1Link
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
-from renet.interface import JOINTS
+from renet.deploy.teleop import TeleopCommand
+from renet.interface import CONTROL_DT, JOINTS
 from renet.training.bundle import robot_spec
 
 JOINT_NAMES = ("hip", "thigh", "calf")
@@ -36,6 +39,8 @@ VENDOR = [f"{leg}_{joint}_joint" for leg in ("FR", "FL", "RR", "RL") for joint i
 """Names of the vendor's motors 0 to 11 (FR_0 ... RL_2 in its examples)."""
 JOINT_OF = np.array([JOINTS.index(name) for name in VENDOR])
 
+STEP = round(CONTROL_DT / PERIOD)
+"""Exchanges in a control step."""
 MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
@@ -160,3 +165,28 @@ def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
+
+
+class Wire:
+    """Driver and peer in lockstep, on simulated time."""
+
+    def __init__(self, peer: Peer) -> None:
+        self.peer = peer
+        self.link = Go1Link("127.0.0.1", peer.port, free_port(), POWER_LEVEL)
+        self.now, self.dead = 0.0, False
+
+    def run(self, exchanges: int) -> None:
+        for _ in range(exchanges):
+            self.now += PERIOD
+            if not self.dead:
+                self.link.alive(self.now)
+            self.link.exchange(self.now)
+            self.peer.serve()
+
+    def control(self, controller: Controller, steps: int, **wishes) -> None:
+        """Let a controller drive for some control steps."""
+        for step in range(steps):
+            teleop = TeleopCommand(**(wishes | {"arm": wishes.get("arm", False) and step == 0}))
+            command = controller.tick(self.link.state, None, teleop, self.now)
+            self.link.command(command, self.now)
+            self.run(STEP)

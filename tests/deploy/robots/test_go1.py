@@ -22,19 +22,17 @@ from renet.deploy.recording import read_recording  # noqa: E402
 from renet.deploy.robots import go1, go1_link  # noqa: E402
 from renet.deploy.robots.base import JointCommand  # noqa: E402
 from renet.deploy.robots.envelope import go1_envelope  # noqa: E402
-from renet.deploy.robots.go1 import POWER_LEVEL, Go1Robot  # noqa: E402
+from renet.deploy.robots.go1 import Go1Robot  # noqa: E402
 from renet.deploy.robots.go1_link import LOW_LEVEL, MOTORS, PERIOD, Go1Link  # noqa: E402
 from renet.deploy.safety import Mode, SafetyCfg, limited_command  # noqa: E402
-from renet.deploy.teleop import TeleopCommand  # noqa: E402
 from renet.errors import RenetError  # noqa: E402
-from renet.interface import CONTROL_DT, JOINTS  # noqa: E402
+from renet.interface import JOINTS  # noqa: E402
 from renet.training.bundle import robot_spec  # noqa: E402
 
 from ..waiting import until  # noqa: E402
-from .go1_peer import VENDOR, Peer, free_port  # noqa: E402
+from .go1_peer import STEP, VENDOR, Peer, Wire, free_port  # noqa: E402
 
 ROBOT = robot_spec()
-STEP = round(CONTROL_DT / PERIOD)
 
 
 @pytest.fixture
@@ -42,31 +40,6 @@ def peer() -> Iterator[Peer]:
     peer = Peer()
     yield peer
     peer.close()
-
-
-class Wire:
-    """Driver and peer in lockstep, on simulated time."""
-
-    def __init__(self, peer: Peer) -> None:
-        self.peer = peer
-        self.link = Go1Link("127.0.0.1", peer.port, free_port(), POWER_LEVEL)
-        self.now, self.dead = 0.0, False
-
-    def run(self, exchanges: int) -> None:
-        for _ in range(exchanges):
-            self.now += PERIOD
-            if not self.dead:
-                self.link.alive(self.now)
-            self.link.exchange(self.now)
-            self.peer.serve()
-
-    def control(self, controller: Controller, steps: int, **wishes) -> None:
-        """Let a controller drive for some control steps."""
-        for step in range(steps):
-            teleop = TeleopCommand(**(wishes | {"arm": wishes.get("arm", False) and step == 0}))
-            command = controller.tick(self.link.state, None, teleop, self.now)
-            self.link.command(command, self.now)
-            self.run(STEP)
 
 
 @pytest.fixture
