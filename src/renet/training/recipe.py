@@ -20,8 +20,8 @@ RENET: dict[str, Any] = {
     "model": ModelCfg(initial_std=0.5, detector="variance"),
     "algorithm": NP3OCfg(
         entropy="0.003@10M,0.001@60M",
-        # With 0.95 most of the actor's gradient is noise; critics that see the truth and explain
-        # nine tenths of the returns take it out (`benchmarks/gradient_noise.py`).
+        # With 0.95 most of the actor's gradient is noise; critics that see the truth explain the
+        # returns well enough to take it out (`benchmarks/gradient_noise.py`).
         lam=0.8,
         # Gradients are half of an iteration's time; a fourth and fifth pass bring less than steps.
         num_learning_epochs=3,
