@@ -165,6 +165,23 @@ def test_foot_clearance_by_hand(flat):
     assert (evaluate(flat, "foot_clearance") == 0.0).all()
 
 
+def test_upright_tracking_asks_for_speed_and_standing_height_over_the_lowest_foot(flat):
+    flat.reset()
+    data, kind = flat.sim.data, flat.cfg.robot
+    goal, robot = flat.command_manager.get_term("goal"), flat.scene["robot"].indexing
+    goal.yaw[:], goal.speed[:] = 0.0, torch.tensor([0.6, 0.6, 0.6, 0.0])
+    data.qvel[:, :2] = 0.0
+    data.qvel[:3, 0] = torch.tensor([0.3, 0.75, -0.3])  # The last stands still, as it was told.
+    standing = kind.map_height - kind.foot_radius
+    below = standing * torch.tensor([1.1, 0.8, 1.0, 0.6])  # Crouching, it earns nothing.
+    feet = data.xpos[:, robot.root_body_id, 2, None] - below[:, None] + torch.zeros(4, 4)
+    feet[:, 1:] += 0.2
+    ids = flat.scene["robot"].find_sites(("FR", "FL", "RR", "RL"), preserve_order=True)[0]
+    data.site_xpos[:, robot.site_ids[ids], 2] = feet
+    got = evaluate(flat, "upright_tracking").tolist()
+    assert got == pytest.approx([0.5, 0.75 * 0.5, 0.0, 0.0], abs=1e-3)
+
+
 def test_standing_motion_is_smoothed_and_counts_only_where_standing_is_asked_for(flat):
     flat.reset()
     goal, data = flat.command_manager.get_term("goal"), flat.sim.data
@@ -187,7 +204,7 @@ def recipe(task: str, weights: dict | None = None, shares: dict | None = None):
 
 
 def test_rewards_beyond_the_papers_are_paid_only_on_request():
-    extra = ("foot_clearance", "standing_motion")
+    extra = ("foot_clearance", "standing_motion", "upright_tracking")
     assert all(env_cfg("Renet-Go1-Flat").rewards[name].weight == 0.0 for name in extra)
     terms = recipe("Renet-Go1-Flat", {"foot_clearance": -16.0}).rewards
     assert (terms["foot_clearance"].weight, terms["yaw"].weight) == (-16.0, 0.5)

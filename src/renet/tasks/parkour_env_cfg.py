@@ -19,7 +19,7 @@ from mjlab.terrains import TerrainEntityCfg
 from mjlab.utils.noise import UniformNoiseCfg
 from mjlab.viewer import ViewerConfig
 
-from renet.interface import CONSTRAINTS, CONTROL_DT, JOINTS, PHYSICS_DT, PROPRIOCEPTION
+from renet.interface import CONSTRAINTS, CONTROL_DT, JOINTS, LEGS, PHYSICS_DT, PROPRIOCEPTION
 from renet.tasks import mdp
 from renet.tasks.config.go1 import GO1
 from renet.tasks.env import RenetEnvCfg
@@ -226,6 +226,7 @@ def _observations() -> dict[str, ObservationGroupCfg]:
 
 def _rewards(robot: RobotCfg) -> dict[str, RewardTermCfg]:
     """Paper's scales; mjlab multiplies each by the step's 0.02 s."""
+    standing_height = robot.map_height - robot.foot_radius
     return {
         "linear_velocity": RewardTermCfg(func=mdp.linear_velocity, weight=1.5),
         "yaw": RewardTermCfg(func=mdp.yaw, weight=0.5),
@@ -245,7 +246,15 @@ def _rewards(robot: RobotCfg) -> dict[str, RewardTermCfg]:
         "foot_clearance": RewardTermCfg(
             func=mdp.foot_clearance,
             weight=0.0,
-            params={"standing_height": robot.map_height - robot.foot_radius},
+            params={"standing_height": standing_height},
+        ),
+        "upright_tracking": RewardTermCfg(
+            func=mdp.upright_tracking,
+            weight=0.0,
+            params={
+                "feet": SceneEntityCfg("robot", site_names=LEGS),
+                "standing_height": standing_height,
+            },
         ),
     }
 

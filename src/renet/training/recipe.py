@@ -27,7 +27,7 @@ RENET: dict[str, Any] = {
         num_learning_epochs=3,
         # A policy that walks hardly violates anything. With budgets of 0 the errors of three
         # critics keep all penalties on: noise that only very large batches average out.
-        cost_budget=("0.5@10M,0.02@60M", "0.5@10M,0.08@60M", "1.0@10M,0.5@60M"),
+        cost_budget=(0.02, "0.5@10M,0.08@60M", "1.0@10M,0.5@60M"),
     ),
     "supervision": SupervisionCfg(
         # Four gradient steps an iteration left VP's map without gaps.
@@ -42,9 +42,10 @@ RENET: dict[str, Any] = {
     "batch_size": "12800@5M,51200@40M",
     "reward_weights": {
         # At the paper's -10 a touch outweighs all else and the clipped sum says nothing where a
-        # robot tries to climb. The others are not the paper's: `tasks/mdp/rewards.py` says so.
+        # robot tries to climb. The others are not the paper's: `tasks/mdp/rewards.py` says why.
         "collision": -1.0,
         "foot_clearance": -20.0,
+        "upright_tracking": 0.75,
         "standing_motion": -0.5,
     },
     # Robots practise where levels rise slowest.
