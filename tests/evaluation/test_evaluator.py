@@ -25,7 +25,8 @@ from renet.evaluation.rollout import Trial, run_rollout
 from renet.faults import Injection
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
-from renet.selector import SelectorInput, make_selector, switch_delay
+from renet.selector import SelectorInput, make_selector
+from renet.selector.filter import switch_delay
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.training.bundle import camera_spec, robot_spec
 from renet.training.export import export_models

@@ -8,8 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renet.errors import RenetError
-from renet.selector import MONITORS, calibrate, calibrate_monitors, conformal_threshold
-from renet.selector.calibration import decluster, return_level
+from renet.selector import MONITORS
+from renet.selector.calibration import (
+    calibrate,
+    calibrate_monitors,
+    conformal_threshold,
+    decluster,
+    return_level,
+)
 from renet.selector.monitors import CEILINGS, FALLBACK, FLOORS, default_monitors
 
 

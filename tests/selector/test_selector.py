@@ -11,18 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from renet.errors import RenetError
-from renet.selector import (
-    LowPassFilter,
-    SelectorCfg,
-    SelectorInput,
-    SelectorSpec,
-    calibrate,
-    check_selector,
-    conformal_threshold,
-    make_selector,
-    switch_delay,
-)
+from renet.selector import SelectorInput, SelectorSpec, make_selector
+from renet.selector.calibration import calibrate, conformal_threshold
+from renet.selector.filter import LowPassFilter, switch_delay
 from renet.selector.monitors import FALLBACK, LIMITS
+from renet.selector.selector import SelectorCfg, check_selector
 
 GAMMAS = st.floats(0.005, 1.0)
 

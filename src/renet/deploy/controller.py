@@ -104,7 +104,7 @@ class Controller:
             bundle: policy, robot, camera and selector.
             safety: limits.
             inference: where vision ticks run; in line by default, which is deterministic.
-            selector: one of `renet.selector.SELECTORS`.
+            selector: one of `renet.selector.selector.SELECTORS`.
             on_event: told every transition with its reason.
         """
         self.robot, self.cfg = bundle.manifest.robot, safety

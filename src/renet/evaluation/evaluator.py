@@ -20,7 +20,9 @@ from renet.evaluation.rollout import (
 from renet.evaluation.terminal import progress
 from renet.evaluation.trace import Trace
 from renet.faults import Injector
-from renet.selector import SelectorInput, check_kind, default_monitors, make_selector
+from renet.selector import SelectorInput, make_selector
+from renet.selector.monitors import default_monitors
+from renet.selector.selector import check_kind
 from renet.tasks import RenetEnvCfg, RobotCfg
 from renet.tasks.sensors import set_depth_noise
 

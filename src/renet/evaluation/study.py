@@ -26,7 +26,7 @@ from renet.evaluation.results import (
 )
 from renet.evaluation.rollout import check_modes, check_speed
 from renet.evaluation.terminal import show
-from renet.selector import check_kind
+from renet.selector.selector import check_kind
 
 Part = dict[str, Any]
 """What is kept of one batch of robots; JSON after `plain`."""

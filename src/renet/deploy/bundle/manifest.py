@@ -14,7 +14,7 @@ from renet.camera import Intrinsics
 from renet.errors import RenetError
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION
 from renet.interface import Term as InputTerm
-from renet.selector import SelectorSpec, check_selector
+from renet.selector.selector import SelectorSpec, check_selector
 
 SCHEMA = 1
 MAX_TEXT = 500
