@@ -84,7 +84,7 @@ def _store(
 ) -> float:
     """Learn β and the thresholds from healthy scores, write them into the manifest, return β."""
     scores = np.concatenate(series["reconstruction"])
-    monitors = calibrate_monitors(series, cfg.false_alarms_per_hour, TICK_RATE)
+    thresholds, hours = calibrate_monitors(series, cfg.false_alarms_per_hour, TICK_RATE)
     beta = conformal_threshold(scores, cfg.false_alarm) if cfg.false_alarm else calibrate(scores)
     rule = f"false alarm {cfg.false_alarm}" if cfg.false_alarm else "maximum"
     how = f"{rule} of {len(scores)} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
@@ -93,16 +93,16 @@ def _store(
         manifest.selector,
         beta=beta,
         calibration=how,
-        thresholds=monitors.thresholds,
-        false_alarms_per_hour=monitors.false_alarms_per_hour,
-        healthy_hours=monitors.robot_hours,
+        thresholds=thresholds,
+        false_alarms_per_hour=cfg.false_alarms_per_hour,
+        healthy_hours=hours,
     )
     write_manifest(bundle.path, replace(manifest, selector=selector))
     print(f"beta {beta:.6g} ({how}) written to {bundle.path}")
-    rows = [(name, f"{value:.4g}") for name, value in monitors.thresholds.items()]
+    rows = [(name, f"{value:.4g}") for name, value in thresholds.items()]
     show(
-        f"Thresholds for {monitors.false_alarms_per_hour:g} false alarms per hour, from"
-        f" {monitors.robot_hours:.2f} healthy robot hours",
+        f"Thresholds for {cfg.false_alarms_per_hour:g} false alarms per hour, from"
+        f" {hours:.2f} healthy robot hours",
         ("monitor", "threshold"),
         rows,
     )

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,23 +42,11 @@ def conformal_threshold(scores: np.ndarray, alpha: float) -> float:
     return float(scores[max(rank, 1) - 1])
 
 
-@dataclass(frozen=True)
-class MonitorCalibration:
-    """Thresholds of the monitors, and what they were learnt from."""
-
-    thresholds: dict[str, float]
-    """By monitor name."""
-    false_alarms_per_hour: float
-    """Stated for all monitors together."""
-    robot_hours: float
-    """Healthy time behind the thresholds."""
-
-
 def calibrate_monitors(
     scores: Mapping[str, Sequence[np.ndarray]],
     false_alarms_per_hour: float = 0.5,
     rate_hz: float = 10.0,
-) -> MonitorCalibration:
+) -> tuple[dict[str, float], float]:
     """Thresholds at which healthy robots leave vision at most so often.
 
     One frame above a threshold costs a departure: the paper's filter forgives less than a frame.
@@ -70,6 +57,9 @@ def calibrate_monitors(
             `rate_hz`; the same runs for all monitors.
         false_alarms_per_hour: stated rate of all monitors together.
         rate_hz: of the scores.
+
+    Returns:
+        Thresholds by monitor name, and the hours of healthy robots that they were learnt from.
 
     Raises:
         RenetError: no scores, one that is not finite, or a rate that is not positive.
@@ -88,7 +78,7 @@ def calibrate_monitors(
         for name, value in found.items()
         if name in varied or name in FLOORS
     }
-    return MonitorCalibration(thresholds, false_alarms_per_hour, hours)
+    return thresholds, hours
 
 
 def return_level(runs: Sequence[np.ndarray], expected: float) -> float:
