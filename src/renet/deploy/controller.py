@@ -79,8 +79,6 @@ class Decision:
     """[3] m/s, base frame."""
     velocity_vp: np.ndarray
     """[3] m/s, base frame."""
-    image: np.ndarray | None
-    """[48, 64] taken from the camera in this step; None between vision ticks and without camera."""
     inferred: bool
     """The result of a vision tick was taken over in this step."""
     fallback: bool
@@ -236,7 +234,7 @@ class Controller:
             self._image = image[None]
         self._switch(fresh, now)
         inferred = output is not None or fallback
-        self.decision = self._decide(command, now, vision, image, inferred, fallback)
+        self.decision = self._decide(command, now, vision, inferred, fallback)
         return command
 
     def _steer(self, turn: float, here: float) -> None:
@@ -284,7 +282,6 @@ class Controller:
         command: JointCommand,
         now: float,
         vision: bool = False,
-        image: np.ndarray | None = None,
         inferred: bool = False,
         fallback: bool = False,
     ) -> Decision:
@@ -302,7 +299,6 @@ class Controller:
             latent=latent if walking else np.zeros(LATENT),
             velocity_op=policy.velocity_op[0],
             velocity_vp=policy.velocity_vp[0],
-            image=image,
             inferred=inferred,
             fallback=fallback,
         )

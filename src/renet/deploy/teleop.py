@@ -161,8 +161,6 @@ class JoystickTeleop:
         self._held: dict[int, float] = {}
         self._turn, self._time = 0.0, None
         self._deadman = Deadman(deadman)
-        self.quit = False
-        """The operator wants to end the program."""
 
     def command(self, now: float) -> TeleopCommand:
         """Where the sticks are; an unplugged joystick stops the robot."""

@@ -10,7 +10,6 @@ import numpy as np
 
 from renet import __version__
 from renet.camera import Intrinsics
-from renet.deploy.bundle.manifest import InputTerm
 from renet.deploy.cameras.sim import RELATIVE_STD
 from renet.deploy.controller import MAX_LEAD
 from renet.deploy.robots.mujoco import BASE, SEEN_GROUPS, START_HEIGHT
@@ -61,7 +60,7 @@ def contract() -> dict[str, Any]:
         "depthShape": DEPTH_SHAPE,
         "depthRange": DEPTH_RANGE,
         "latent": LATENT,
-        "proprioception": [asdict(InputTerm(**asdict(term))) for term in PROPRIOCEPTION],
+        "proprioception": [asdict(term) for term in PROPRIOCEPTION],
         "heightMap": {"x": HEIGHT_MAP_X, "y": HEIGHT_MAP_Y, "baseHeight": MAP_HEIGHT},
         "safety": asdict(SafetyCfg()),
         "maxLead": MAX_LEAD,

@@ -87,8 +87,6 @@ class MonitorSelector:
         """Whether each robot uses vision, [N]."""
         self.reason = np.full(num_robots, "", object)
         """Reason of the first objecting monitor when vision was last left, [N]; empty on vision."""
-        self.scores = np.zeros((len(self.monitors), num_robots))
-        """Every monitor's score at the last update, [M, N], in the order of `monitors`."""
         self._thresholds = np.array([[monitor.threshold] for monitor in self.monitors])
         self._periods: int | None = None
         self._healthy_since = np.zeros(num_robots)
@@ -110,11 +108,11 @@ class MonitorSelector:
             "Use vision", [N] bool.
         """
         # Every monitor looks at every input: some count images.
-        self.scores = np.array([monitor.score(seen) for monitor in self.monitors])
+        scores = np.array([monitor.score(seen) for monitor in self.monitors])
         due = self._due(now)
         if due == 0:
             return self.vision
-        verdicts = self.scores < self._thresholds
+        verdicts = scores < self._thresholds
         healthy = np.logical_and.reduce(verdicts)
         likely = self.filter.update(healthy, due)
         self._healthy_since = np.where(healthy, np.minimum(self._healthy_since, now), np.inf)

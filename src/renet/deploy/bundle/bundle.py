@@ -14,7 +14,7 @@ from pathlib import Path
 
 import onnxruntime as ort
 
-from renet.deploy.bundle.manifest import SCHEMA, Manifest, from_json, to_json
+from renet.deploy.bundle.manifest import SCHEMA, Manifest, from_json
 from renet.deploy.bundle.models import MODELS, read_model, session, try_models
 from renet.errors import RenetError
 from renet.files import MAX_JSON, read_bytes, read_object, write_atomically
@@ -63,9 +63,8 @@ class Bundle:
     @property
     def sha256(self) -> str:
         """One digest for how the bundle decides: of its models' digests and its selector."""
-        digests = json.dumps(
-            [self.manifest.sha256, to_json(self.manifest.selector)], sort_keys=True
-        )
+        decides = [self.manifest.sha256, dataclasses.asdict(self.manifest.selector)]
+        digests = json.dumps(decides, sort_keys=True)
         return hashlib.sha256(digests.encode()).hexdigest()
 
 
@@ -139,7 +138,7 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
 
 
 def _json(manifest: Manifest) -> bytes:
-    return (json.dumps(to_json(manifest), indent=1) + "\n").encode()
+    return (json.dumps(dataclasses.asdict(manifest), indent=1) + "\n").encode()
 
 
 def _demand_replaceable(path: Path) -> None:

@@ -12,8 +12,7 @@ import numpy as np
 
 from renet.camera import Intrinsics
 from renet.errors import RenetError
-from renet.interface import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION
-from renet.interface import Term as InputTerm
+from renet.interface import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION, Term
 from renet.selector.selector import SelectorSpec, check_selector
 
 SCHEMA = 1
@@ -129,7 +128,7 @@ class Manifest:
     provenance: Provenance = Provenance()
     history: int = HISTORY
     frames: int = FRAMES
-    proprioception: tuple[InputTerm, ...] = PROPRIOCEPTION
+    proprioception: tuple[Term, ...] = PROPRIOCEPTION
     sha256: dict[str, str] = field(default_factory=dict)
     schema: int = SCHEMA
 
@@ -153,11 +152,6 @@ def _demand(holds: Any, what: str) -> None:
     """Raise RenetError saying what a manifest must be, unless it is."""
     if not holds:
         raise RenetError(f"the manifest makes no sense: {what}")
-
-
-def to_json(value: Any) -> Any:
-    """Dataclasses to plain JSON values."""
-    return dataclasses.asdict(value)
 
 
 def from_json(cls: Any, value: Any, where: str = "manifest") -> Any:
