@@ -69,23 +69,14 @@ class Go1Link:
         self._udp.InitCmdData(self._out)
         self._envelope = go1_envelope()
         self._command: JointCommand | None = None
-        self._commanded = self._alive = -math.inf
-        self._too_old = -math.inf
+        self.commanded = -math.inf
+        """When the newest command was given; -inf before the first: until then joints are limp."""
+        self._alive = self._too_old = -math.inf
         self._tick: int | None = None
         self.state: RobotState | None = None
         """Newest reading; its time stands still when the robot falls silent."""
         self.problem = ""
         """Why the robot is braked for good; empty while it is not."""
-
-    @property
-    def moved(self) -> bool:
-        """Whether the joints were ever commanded: until then they are limp."""
-        return self._command is not None
-
-    @property
-    def commanded(self) -> float:
-        """When the newest command was given; -inf before the first."""
-        return self._commanded
 
     def alive(self, since: float) -> None:
         """The controller's process lived at this time."""
@@ -98,7 +89,7 @@ class Go1Link:
             RenetError: it is not made of 12 finite numbers each; the one before stands.
         """
         self._command = self._envelope.clamp(command, self.state)
-        self._commanded = now
+        self.commanded = now
 
     def exchange(self, now: float) -> None:
         """Read what arrived, send the newest command; raises only what sending itself raises."""
@@ -108,7 +99,7 @@ class Go1Link:
             self.problem = f"the vendor's driver failed: {type(error).__name__}: {error}"
         if now - self._alive > LIFELESS:
             self._too_old = now  # A command from before the gap must not be obeyed after it.
-        silent = now - self._commanded > SILENCE or self._commanded <= self._too_old
+        silent = now - self.commanded > SILENCE or self.commanded <= self._too_old
         for joint, motor in enumerate(MOTORS):
             servo = self._out.motorCmd[motor]
             servo.mode = SERVO

@@ -76,7 +76,7 @@ def main(arguments: list[str]) -> None:
         while clock() < end:
             if end == np.inf and select.select([pipe], [], [], 0.0)[0]:  # The controller is gone.
                 link.problem = link.problem or "the connection was closed"
-                end = clock() + float(sink) if link.moved else 0.0
+                end = clock() + float(sink) if link.commanded > -np.inf else 0.0
             step(link, alive, commands, readings, refused)
             due = max(due + PERIOD, clock())
             time.sleep(max(0.0, due - clock()))
