@@ -59,6 +59,11 @@ class Devices:
         """The operator wants to end the program."""
         return getattr(self.teleop, "quit", False)
 
+    @property
+    def refused(self) -> str:
+        """What the system refused the robot's driver; empty if nothing."""
+        return getattr(self.robot, "refused", "")
+
     def close(self) -> None:
         """Let go of everything, the robot first."""
         with ExitStack() as stack:

@@ -162,8 +162,8 @@ def deploy(cfg: DeployCfg) -> Path:
             devices.show()
 
         with _interruptible() as interrupted, _priority(cfg) as refused:
-            if refused:
-                terminal.say(refused)
+            for line in filter(None, (refused, devices.refused)):
+                terminal.say(line)
             begun = devices.robot.now()
             run_control_loop(
                 devices.robot,

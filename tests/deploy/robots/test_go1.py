@@ -1,6 +1,7 @@
 """The real driver and the vendor's real library against a simulated robot behind a socket."""
 
 import math
+import os
 import re
 import socket
 from collections.abc import Iterator
@@ -33,6 +34,12 @@ from ..waiting import until  # noqa: E402
 from .go1_peer import STEP, VENDOR, Peer, Wire, free_port  # noqa: E402
 
 ROBOT = robot_spec()
+REFUSING = """
+import os
+def refuse(*arguments):
+    raise PermissionError(1, "Operation not permitted")
+os.sched_setscheduler = refuse
+"""
 
 
 @pytest.fixture
@@ -345,6 +352,18 @@ def test_a_dry_run_tells_what_moves_and_commands_nothing(served, monkeypatch, tm
     assert re.search(r"FR_hip [+-]\d\.\d\d \(Kp 40\)", shown), "what it would have commanded"
     assert all((sent[:, 4:] == 0).all() for sent in served.commands)
     assert len(read_recording(tmp_path / "recording.log").ticks) > 10
+
+
+def test_what_the_system_refuses_the_sender_is_printed_once(served, monkeypatch, tmp_path, capsys):
+    (tmp_path / "sitecustomize.py").write_text(REFUSING)  # Every Python process reads it.
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    robot = partial(Go1Robot, port=served.port, local_port=free_port())
+    monkeypatch.setattr(go1, "Go1Robot", robot)
+    cfg = DeployCfg(robot="go1", robot_host="127.0.0.1", dry_run=True, seconds=0.5, out=tmp_path)
+    deploy(replace(cfg, camera="none"))
+    told = re.findall(r".*to the process that talks to the Go1", capsys.readouterr().out)
+    assert len(told) == 1
+    assert told[0].startswith("the system refused real-time priority (Operation not permitted)")
 
 
 def test_a_sender_that_died_is_named(served):

@@ -128,10 +128,11 @@ class Go1Robot:
         self._commands.write(message)
 
     @property
-    def problem(self) -> str:
+    def refused(self) -> str:
         """What the system refused the sender, such as real-time priority; empty if nothing."""
         found = None if self._sender is None else self._readings.read()
-        return "" if found is None else found["refused"].decode(errors="replace")
+        said = "" if found is None else found["refused"].decode(errors="replace")
+        return said and f"{said} to the process that talks to the Go1"
 
     def now(self) -> float:
         """Seconds on this computer's clock, which goes on while it sleeps."""
