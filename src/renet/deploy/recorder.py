@@ -19,8 +19,8 @@ import numpy as np
 
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Decision, Event
-from renet.deploy.robots.base import RobotState
-from renet.deploy.safety import VECTORS, Mode
+from renet.deploy.robots.base import VECTORS, RobotState
+from renet.deploy.safety import Mode
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT
@@ -34,13 +34,12 @@ NONE, GOOD, BAD = 0, 1, 2
 """Whether a reading or a frame was there at a tick, and whether it could be stored."""
 MODES = tuple(Mode)
 
-READING: list[tuple[str, Any, Any]] = [(name, "f8", size) for name, size in VECTORS.items()]
 TICK = np.dtype(
     [
         ("now", "f8"),
         ("state", "u1"),
         ("state_time", "f8"),
-        *READING,
+        *((name, "f8", size) for name, size in VECTORS.items()),
         ("speed", "f8"),
         ("turn", "f8"),
         ("arm", "?"),
@@ -225,13 +224,13 @@ def _store_state(tick: np.ndarray, state: RobotState | None) -> int:
         return NONE
     try:
         tick["state_time"] = state.time
-        for name, _, size in READING:
+        for name, size in VECTORS.items():
             value = np.asarray(getattr(state, name), float)
             if value.shape != (size,):
                 raise ValueError(name)
             tick[name] = value
     except Exception:  # As above.
-        for name, _, _ in READING:
+        for name in VECTORS:
             tick[name] = np.nan
         return BAD
     return GOOD

@@ -10,9 +10,9 @@ from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller, Decision
 from renet.deploy.inference import InlineInference
 from renet.deploy.loop import REFUSED
-from renet.deploy.recorder import GOOD, NONE, READING
+from renet.deploy.recorder import GOOD, NONE
 from renet.deploy.recording import Recording
-from renet.deploy.robots.base import RobotState
+from renet.deploy.robots.base import VECTORS, RobotState
 from renet.deploy.safety import SafetyCfg
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
@@ -81,7 +81,7 @@ def mismatch(run: Recording, bundle: Bundle) -> float:
 def _state(tick: np.ndarray) -> RobotState | None:
     if tick["state"] == NONE:
         return None
-    values: dict[str, Any] = {name: tick[name] for name, _, _ in READING}
+    values: dict[str, Any] = {name: tick[name] for name in VECTORS}
     return RobotState(float(tick["state_time"]), **values)
 
 

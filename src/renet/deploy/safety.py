@@ -17,7 +17,7 @@ import numpy as np
 from renet.deploy.bundle.manifest import RobotSpec
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.observation import projected_gravity
-from renet.deploy.robots.base import JointCommand, RobotState
+from renet.deploy.robots.base import VECTORS, JointCommand, RobotState
 from renet.deploy.teleop import MAX_SPEED, TeleopCommand
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, CONTROL_DT
@@ -69,13 +69,6 @@ class SafetyCfg:
             )
 
 
-VECTORS = {
-    "joint_position": ACTION_SIZE,
-    "joint_velocity": ACTION_SIZE,
-    "joint_torque": ACTION_SIZE,
-    "quaternion": 4,
-    "angular_velocity": 3,
-}
 MIN_BATTERY = 0.2
 """Charge below which a robot does not stand up."""
 MAX_TEMPERATURE = 65.0

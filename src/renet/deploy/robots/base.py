@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from renet.interface import CONTROL_DT
+from renet.interface import ACTION_SIZE, CONTROL_DT
 
 if TYPE_CHECKING:
     from renet.deploy.robots.envelope import Envelope
@@ -34,6 +34,16 @@ class RobotState:
     """Of the hottest motor, °C; NaN if the robot does not say."""
     battery: float = math.nan
     """Charge left, 0 to 1; NaN if the robot does not say."""
+
+
+VECTORS = {
+    "joint_position": ACTION_SIZE,
+    "joint_velocity": ACTION_SIZE,
+    "joint_torque": ACTION_SIZE,
+    "quaternion": 4,
+    "angular_velocity": 3,
+}
+"""Arrays of a reading, and how many numbers each has."""
 
 
 @dataclass(frozen=True)
