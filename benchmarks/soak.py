@@ -29,8 +29,7 @@ from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
 from renet.deploy.main import _interruptible
-from renet.deploy.recorder import MODES, Recorder
-from renet.deploy.recording import Recording, read_recording
+from renet.deploy.recording import MODES, Recorder, Recording, read_recording
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.safety import Mode, SafetyMachine

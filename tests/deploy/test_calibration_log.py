@@ -12,8 +12,7 @@ from renet.deploy import calibration_log
 from renet.deploy.bundle import Bundle, write_bundle
 from renet.deploy.calibration_log import healthy_walks, recorded_scores
 from renet.deploy.main import DeployCfg, deploy
-from renet.deploy.recorder import MODES
-from renet.deploy.recording import Recording, read_recording
+from renet.deploy.recording import MODES, Recording, read_recording
 from renet.deploy.safety import Mode
 from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate

@@ -14,8 +14,7 @@ from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller, Event
 from renet.deploy.inference import ThreadedInference
 from renet.deploy.loop import BRAKING, run_control_loop
-from renet.deploy.recorder import Recorder
-from renet.deploy.recording import read_recording
+from renet.deploy.recording import Recorder, read_recording
 from renet.deploy.replay import mismatch
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene

@@ -16,8 +16,7 @@ from renet import cli
 from renet.deploy import devices
 from renet.deploy.bundle import Bundle, read_manifest, write_manifest
 from renet.deploy.main import DEADMAN, RECORDING, DeployCfg, _interruptible, deploy
-from renet.deploy.recorder import MODES
-from renet.deploy.recording import read_recording
+from renet.deploy.recording import MODES, read_recording
 from renet.deploy.replay import mismatch
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.safety import Mode, SafetyCfg

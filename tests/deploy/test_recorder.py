@@ -11,7 +11,7 @@ import pytest
 from renet.deploy.bundle import Bundle
 from renet.deploy.controller import Controller
 from renet.deploy.inference import ThreadedInference
-from renet.deploy.recorder import (
+from renet.deploy.recording import (
     BAD,
     EVENTS,
     HEADER,
@@ -20,8 +20,9 @@ from renet.deploy.recorder import (
     MODES,
     TICKS,
     Recorder,
+    Recording,
+    read_recording,
 )
-from renet.deploy.recording import Recording, read_recording
 from renet.deploy.replay import mismatch, replay
 from renet.deploy.safety import Mode, SafetyCfg
 from renet.deploy.teleop import TeleopCommand

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from renet.deploy.controller import Event
-from renet.deploy.recorder import GOOD, MODES, NONE, TICK
-from renet.deploy.recording import Recording
+from renet.deploy.recording import GOOD, MODES, NONE, TICK, Recording
 from renet.deploy.safety import Mode
 from renet.deploy.score import score, track, write_score
 from renet.deploy.timeline import BANDS, draw_timeline

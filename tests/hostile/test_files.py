@@ -20,7 +20,7 @@ from safetensors.numpy import save_file
 from renet import trial
 from renet.cli import main
 from renet.deploy.bundle import DEFAULT, MANIFEST, pretrained
-from renet.deploy.recorder import CHUNK, MAGIC, TICK
+from renet.deploy.recording import CHUNK, MAGIC, TICK
 
 from ..forked import Done, fork
 

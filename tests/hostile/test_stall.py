@@ -13,13 +13,12 @@ import pytest
 
 pytest.importorskip("unitree_legged_sdk.robot_interface", reason="needs renet-locomotion[go1]")
 
-from renet.deploy import recorder as recording
+from renet.deploy import recording
 from renet.deploy.bundle import Bundle
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
 from renet.deploy.main import _interruptible
-from renet.deploy.recorder import Recorder
-from renet.deploy.recording import read_recording
+from renet.deploy.recording import Recorder, read_recording
 from renet.deploy.safety import SafetyCfg
 from renet.deploy.teleop import ScriptedTeleop
 from renet.deploy.terminal import Terminal

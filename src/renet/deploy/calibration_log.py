@@ -7,8 +7,7 @@ import numpy as np
 
 from renet.deploy.bundle import Bundle
 from renet.deploy.loop import ENDED
-from renet.deploy.recorder import GOOD, MODES
-from renet.deploy.recording import Recording, read_recording
+from renet.deploy.recording import GOOD, MODES, Recording, read_recording
 from renet.deploy.safety import Mode
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, STEPS_PER_TICK

@@ -14,7 +14,7 @@ import numpy as np
 
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.controller import Controller
-from renet.deploy.recorder import Recorder
+from renet.deploy.recording import Recorder
 from renet.deploy.robots.base import JointCommand, RobotDriver, RobotState, next_step
 from renet.deploy.safety import Mode, damping_command, pre_arm_problem
 from renet.deploy.teleop import Teleop, TeleopCommand

@@ -19,8 +19,7 @@ from renet.deploy.devices import Devices, make_devices
 from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.loop import run_control_loop
 from renet.deploy.realtime import realtime
-from renet.deploy.recorder import Recorder
-from renet.deploy.recording import read_recording
+from renet.deploy.recording import Recorder, read_recording
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.go1 import POWER_LEVEL, ROBOT_HOST
 from renet.deploy.safety import Mode, SafetyCfg

@@ -1,28 +1,85 @@
-"""Reads a recording back, whatever happened to its file."""
+"""Records every control tick, so that a run can be replayed bit by bit, and reads it back.
 
+File: magic, then chunks (tag, length, CRC-32, zlib data). One second of ticks makes a chunk, its
+images another. A run that ends with the battery loses at most its last second; a file that is torn
+or damaged is read up to there.
+"""
+
+import json
+import os
+import struct
+import threading
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from queue import Full, Queue
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from renet.deploy.controller import Event
-from renet.deploy.recorder import (
-    CHUNK,
-    END,
-    EVENTS,
-    HEADER,
-    IMAGES,
-    MAGIC,
-    MODES,
-    TICK,
-    TICKS,
-)
+from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.controller import Decision, Event
+from renet.deploy.robots.base import VECTORS, RobotState
+from renet.deploy.safety import Mode
+from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 from renet.files import MEGABYTE, decompress, parse_json, require_regular
-from renet.interface import DEPTH_SHAPE
+from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT
+
+MAGIC = b"RENETLOG3\n"
+CHUNK = struct.Struct("<4sII")
+HEADER, TICKS, IMAGES, EVENTS, END = b"HEAD", b"TICK", b"IMAG", b"EVNT", b"END."
+TICKS_PER_CHUNK = 50
+
+NONE, GOOD, BAD = 0, 1, 2
+"""Whether a reading or a frame was there at a tick, and whether it could be stored."""
+MODES = tuple(Mode)
+
+TICK = np.dtype(
+    [
+        ("now", "f8"),
+        ("state", "u1"),
+        ("state_time", "f8"),
+        *((name, "f8", size) for name, size in VECTORS.items()),
+        ("speed", "f8"),
+        ("turn", "f8"),
+        ("arm", "?"),
+        ("stop", "?"),
+        ("frame", "u1"),
+        ("frame_number", "i8"),
+        ("frame_time", "f8"),
+        ("frame_invalid", "f8"),
+        ("mode", "u1"),
+        ("vision", "?"),
+        ("inferred", "?"),
+        ("fallback", "?"),
+        ("probability", "f4"),
+        ("anomaly", "f4"),
+        ("variance", "f4"),
+        ("frame_age", "f4"),
+        ("action", "f4", ACTION_SIZE),
+        ("position", "f8", ACTION_SIZE),
+        ("stiffness", "f8", ACTION_SIZE),
+        ("damping", "f8", ACTION_SIZE),
+        ("latent", "f4", LATENT),
+        ("velocity_op", "f4", 3),
+        ("velocity_vp", "f4", 3),
+        ("compute_ms", "f4"),
+        ("base_position", "f4", 3),
+    ]
+)
+"""One control tick: what came in, what was decided, how long that took, and where the base was in
+the world (NaN where nobody knows)."""
+DECIDED = tuple(
+    f.name for f in fields(Decision) if f.name in (TICK.names or ()) and f.name != "mode"
+)
+"""Fields of a `Decision` that are recorded as they are."""
+MAX_WAITING = 60
+"""Chunks that wait for the disk; two or three are written each second."""
+CLOSING = 5.0
+"""Seconds that `close` waits for the disk."""
 
 MAX_FILE = 4000 * MEGABYTE
 """Bytes of a recording: about eight hours."""
@@ -33,6 +90,163 @@ MAX_RATIO = 16
 LONGEST = 1e6
 """Seconds from the first to the last tick."""
 TEXTS = ("bundle", "bundle_sha256", "robot", "selector", "terrain")
+
+
+class Recorder:
+    """Writes a recording; compression and disk are left to a thread of its own.
+
+    A disk that fails, hangs or does not keep up ends the recording, never the run.
+    """
+
+    def __init__(self, path: Path, header: dict[str, Any], patient: bool = False) -> None:
+        """Create the file; raises RenetError if that cannot be done.
+
+        Args:
+            path: of the recording. header: JSON values, such as the bundle's hash.
+            patient: wait for a slow disk, at most `CLOSING` seconds at a time: for runs on a
+                simulated clock, which no disk keeps up with for long.
+        """
+        self._patience = CLOSING if patient else 0.0
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: BinaryIO = path.open("wb")
+            self._file.write(MAGIC)
+        except OSError as error:
+            raise RenetError(f"cannot write the recording {path}: {error}") from error
+        self.path, self.problem = path, ""
+        """Why the recording ended early; empty while it goes on."""
+        self.hung = False
+        """Whether the disk still had not answered when the recording was closed."""
+        self._ticks: list[np.ndarray] = []
+        self._images: list[tuple[int, np.ndarray]] = []
+        self._events: list[Event] = []
+        self._count, self._last_frame = 0, None
+        self._chunks: Queue[tuple[bytes, bytes] | None] = Queue(MAX_WAITING)
+        self._thread = threading.Thread(target=self._write, daemon=True)
+        self._thread.start()
+        self._put(HEADER, json.dumps(header).encode())
+
+    def event(self, event: Event) -> None:
+        """Record a transition (`Controller.on_event`)."""
+        self._events.append(event)
+
+    def append(
+        self,
+        state: RobotState | None,
+        frame: DepthFrame | None,
+        teleop: TeleopCommand,
+        now: float,
+        decision: Decision,
+        compute_ms: float,
+        base_position: np.ndarray | None = None,
+    ) -> None:
+        """Record one control tick; whatever it is given, it does not raise."""
+        tick = np.zeros((), TICK)
+        tick["now"], tick["compute_ms"] = now, compute_ms
+        tick["base_position"] = np.nan if base_position is None else base_position
+        tick["state"] = _store_state(tick, state)
+        tick["frame"] = self._store_frame(tick, frame)
+        _store_teleop(tick, teleop)
+        tick["mode"] = MODES.index(decision.mode)
+        for name in ("position", "stiffness", "damping"):
+            tick[name] = getattr(decision.command, name)
+        for name in DECIDED:
+            tick[name] = getattr(decision, name)
+        self._ticks.append(tick)
+        self._count += 1
+        if len(self._ticks) == TICKS_PER_CHUNK:
+            self._flush()
+
+    def close(self) -> None:
+        """Write what is left, for at most `CLOSING` seconds; safe to call twice."""
+        if self._thread.is_alive():
+            self._flush()
+            self._put(END, b"")
+            with suppress(Full):
+                self._chunks.put(None, timeout=CLOSING)
+            self._thread.join(CLOSING)
+        self.hung = self._thread.is_alive()
+        if self.hung:
+            self.problem = self.problem or f"the recording {self.path} ends early: the disk hangs"
+            return  # Closing the file would wait for the same disk.
+        with suppress(OSError):  # Already told as `problem`.
+            self._file.close()
+
+    def _store_frame(self, tick: np.ndarray, frame: DepthFrame | None) -> int:
+        if frame is None:
+            return NONE
+        try:
+            tick["frame_number"], tick["frame_time"] = frame.number, frame.time
+            tick["frame_invalid"] = frame.invalid
+            key = (frame.number, frame.time)
+            if key != self._last_frame:
+                if np.shape(frame.image) != DEPTH_SHAPE:
+                    return BAD
+                with np.errstate(over="ignore"):
+                    image = np.asarray(frame.image, np.float16)
+                self._images.append((self._count, image))
+                self._last_frame = key
+        except Exception:  # A driver's object may fail in any way.
+            return BAD
+        return GOOD
+
+    def _flush(self) -> None:
+        if self._ticks:
+            self._put(TICKS, np.stack(self._ticks).tobytes())
+        if self._images:
+            rows = np.array([row for row, _ in self._images], np.uint32)
+            pictures = np.stack([image for _, image in self._images])
+            self._put(IMAGES, rows.tobytes() + pictures.tobytes())
+        if self._events:
+            self._put(EVENTS, json.dumps([asdict(event) for event in self._events]).encode())
+        self._ticks, self._images, self._events = [], [], []
+
+    def _put(self, tag: bytes, data: bytes) -> None:
+        if self.problem:
+            return
+        try:
+            self._chunks.put((tag, data), self._patience > 0.0, self._patience)
+        except Full:
+            self.problem = f"the recording {self.path} ends early: the disk does not keep up"
+
+    def _write(self) -> None:
+        while (chunk := self._chunks.get()) is not None:
+            tag, data = chunk
+            packed = zlib.compress(data, 1)
+            try:
+                self._file.write(CHUNK.pack(tag, len(packed), zlib.crc32(packed)) + packed)
+                self._file.flush()
+                os.fsync(self._file.fileno())  # The battery may go next.
+            except (OSError, ValueError) as error:
+                self.problem = f"the recording {self.path} ends early: {error}"
+                return
+
+
+def _store_teleop(tick: np.ndarray, teleop: TeleopCommand) -> None:
+    """Copy the operator's command; what is none stops the robot, now as in a replay."""
+    try:
+        for name in ("speed", "turn", "arm", "stop"):
+            tick[name] = getattr(teleop, name)
+    except Exception:  # A driver's object may fail in any way.
+        tick["stop"] = True
+
+
+def _store_state(tick: np.ndarray, state: RobotState | None) -> int:
+    """Copy a reading; one that is malformed leaves NaN, which a replay refuses alike."""
+    if state is None:
+        return NONE
+    try:
+        tick["state_time"] = state.time
+        for name, size in VECTORS.items():
+            value = np.asarray(getattr(state, name), float)
+            if value.shape != (size,):
+                raise ValueError(name)
+            tick[name] = value
+    except Exception:  # As above.
+        for name in VECTORS:
+            tick[name] = np.nan
+        return BAD
+    return GOOD
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller, Decision
 from renet.deploy.inference import InlineInference
 from renet.deploy.loop import REFUSED
-from renet.deploy.recorder import GOOD, NONE
-from renet.deploy.recording import Recording
+from renet.deploy.recording import GOOD, NONE, Recording
 from renet.deploy.robots.base import VECTORS, RobotState
 from renet.deploy.safety import SafetyCfg
 from renet.deploy.teleop import TeleopCommand

@@ -11,8 +11,7 @@ import tyro
 
 from renet.deploy.bundle import Bundle
 from renet.deploy.observation import heading, projected_gravity
-from renet.deploy.recorder import GOOD, MODES
-from renet.deploy.recording import Recording, read_recording
+from renet.deploy.recording import GOOD, MODES, Recording, read_recording
 from renet.deploy.replay import mismatch
 from renet.deploy.safety import Mode
 from renet.deploy.timeline import draw_timeline

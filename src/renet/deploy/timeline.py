@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from renet.deploy.recorder import MODES
-from renet.deploy.recording import Recording
+from renet.deploy.recording import MODES, Recording
 from renet.deploy.safety import Mode
 from renet.errors import RenetError
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from renet.deploy.main import DeployCfg, deploy
-from renet.deploy.recorder import Recorder
-from renet.deploy.recording import read_recording
+from renet.deploy.recording import Recorder, read_recording
 from renet.deploy.safety import SafetyCfg
 from renet.errors import RenetError
 from renet.evaluation.report import log_video
