@@ -11,8 +11,7 @@ import pytest
 from renet.deploy.controller import Event
 from renet.deploy.recording import GOOD, MODES, NONE, TICK, Recording
 from renet.deploy.safety import Mode
-from renet.deploy.score import score, track, write_score
-from renet.deploy.timeline import BANDS, draw_timeline
+from renet.deploy.score import BANDS, draw_timeline, score, track, write_score
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT
 
