@@ -22,8 +22,9 @@ import tyro
 
 from facts import report
 from renet.deploy import inference
-from renet.deploy.bundle import MODELS, Bundle
+from renet.deploy.bundle import Bundle
 from renet.deploy.bundle.manifest import RobotSpec
+from renet.deploy.bundle.models import MODELS
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop

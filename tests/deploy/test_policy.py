@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from renet.deploy.bundle import Bundle
-from renet.deploy.bundle.bundle import write_bundle
+from renet.deploy.bundle import Bundle, write_bundle
 from renet.deploy.policy import Policy
 from renet.errors import RenetError
 from renet.models.actor_critic import fuse

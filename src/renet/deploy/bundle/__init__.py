@@ -1,24 +1,166 @@
-"""Bundles: three ONNX models and the manifest that says how to use them."""
+"""A bundle: a folder with three ONNX models and the manifest that says how to use them."""
 
-from renet.deploy.bundle.bundle import (
-    DEFAULT,
-    MANIFEST,
-    Bundle,
-    pretrained,
-    read_manifest,
-    write_bundle,
-    write_manifest,
-)
-from renet.deploy.bundle.models import MODELS, model_shapes
+from __future__ import annotations
 
-__all__ = [
-    "DEFAULT",
-    "MANIFEST",
-    "MODELS",
-    "Bundle",
-    "model_shapes",
-    "pretrained",
-    "read_manifest",
-    "write_bundle",
-    "write_manifest",
-]
+import dataclasses
+import hashlib
+import json
+import os
+import tempfile
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import onnxruntime as ort
+
+from renet.deploy.bundle.manifest import SCHEMA, Manifest, from_json
+from renet.deploy.bundle.models import MODELS, read_model, session, try_models
+from renet.errors import RenetError
+from renet.files import MAX_JSON, read_bytes, read_object, write_atomically
+
+MANIFEST, PREVIOUS = "manifest.json", "manifest.previous.json"
+OURS = (MANIFEST, PREVIOUS, *(f"{name}.onnx" for name in MODELS))
+"""Every file that a bundle may hold."""
+DEFAULT = "go1-parkour"
+"""The bundle that ships with the package."""
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A loaded and verified bundle."""
+
+    path: Path
+    manifest: Manifest
+    sessions: dict[str, ort.InferenceSession]
+
+    @staticmethod
+    def load(path: Path | str | None = None, threads: int = 1) -> Bundle:
+        """Read and verify a bundle.
+
+        Args:
+            path: its folder; None is the one that ships with renet.
+            threads: ONNX Runtime threads per model.
+
+        Raises:
+            RenetError: missing or altered file, other schema, or models that do not fit.
+        """
+        folder = pretrained(DEFAULT) if path is None else Path(path)
+        manifest = read_manifest(folder)
+        models = {
+            name: read_model(folder / f"{name}.onnx", manifest.sha256.get(f"{name}.onnx"))
+            for name in MODELS
+        }
+        try_models(models, manifest.history, str(folder))
+        sessions = {name: session(data, threads) for name, data in models.items()}
+        return Bundle(folder, manifest, sessions)
+
+    @property
+    def name(self) -> str:
+        """The folder's name."""
+        return self.path.name
+
+    @property
+    def sha256(self) -> str:
+        """One digest for how the bundle decides: of its models' digests and its selector."""
+        decides = [self.manifest.sha256, dataclasses.asdict(self.manifest.selector)]
+        digests = json.dumps(decides, sort_keys=True)
+        return hashlib.sha256(digests.encode()).hexdigest()
+
+
+def pretrained(name: str) -> Path:
+    """Folder of a bundle that ships with renet."""
+    return Path(str(files("renet").joinpath("pretrained", name)))
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Read and check `manifest.json` alone; raises RenetError."""
+    if not folder.is_dir():
+        raise RenetError(f"no bundle at {folder}: give a folder made by `renet export`")
+    value = read_object(folder / MANIFEST, "manifest")
+    if value.get("schema") != SCHEMA:
+        schema = str(value.get("schema"))[:40]
+        raise RenetError(f"{folder} has manifest schema {schema}; this renet reads {SCHEMA}")
+    return from_json(Manifest, value)
+
+
+def write_bundle(path: Path, models: dict[str, bytes], manifest: Manifest) -> Path:
+    """Write a bundle beside its final place and rename it: nobody sees half of one.
+
+    A bundle that is already there is replaced; anything else is left as it is.
+
+    Args:
+        path: of the folder. models: ONNX bytes by name. manifest: without digests.
+
+    Raises:
+        RenetError: `path` holds anything that is not a bundle's, the models do not fit the
+            manifest, or it cannot be written.
+    """
+    path = path.resolve()  # "." has no name to rename to.
+    _demand_replaceable(path)
+    try_models({name: models[name] for name in MODELS}, manifest.history, "the new bundle")
+    digests = {f"{name}.onnx": hashlib.sha256(data).hexdigest() for name, data in models.items()}
+    manifest = dataclasses.replace(manifest, sha256=digests)
+    contents = {f"{name}.onnx": data for name, data in models.items()}
+    contents[MANIFEST] = _json(manifest)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        partial.chmod(0o755)
+        old = None
+        try:
+            for name, data in contents.items():
+                (partial / name).write_bytes(data)
+            if path.is_dir() and any(path.iterdir()):
+                old = path.rename(partial.with_name(f"{partial.name}.old"))
+            os.replace(partial, path)
+        except OSError:
+            if old is not None and not path.exists():
+                old.rename(path)
+            _remove(partial)
+            raise
+        if old is not None:
+            _remove(old)
+    except OSError as error:
+        raise RenetError(f"cannot write the bundle {path}: {error}") from error
+    return path
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Replace a bundle's manifest, its models untouched; the old one stays as `PREVIOUS`.
+
+    Raises:
+        RenetError: it cannot be written.
+    """
+    before = read_bytes(folder / MANIFEST, MAX_JSON, "manifest")
+    write_atomically(folder / PREVIOUS, before, "manifest")
+    write_atomically(folder / MANIFEST, _json(manifest), "manifest")
+
+
+def _json(manifest: Manifest) -> bytes:
+    return (json.dumps(dataclasses.asdict(manifest), indent=1) + "\n").encode()
+
+
+def _demand_replaceable(path: Path) -> None:
+    """Raise RenetError unless nothing is at a path, or an empty folder, or exactly a bundle."""
+    if path.is_symlink() or (path.exists() and not path.is_dir()):
+        raise RenetError(f"{path} exists and is not a bundle: choose another folder")
+    if not path.is_dir() or not any(path.iterdir()):
+        return
+    foreign = [p for p in path.iterdir() if p.name not in OURS or p.is_symlink() or not p.is_file()]
+    if foreign:
+        raise RenetError(
+            f"{path} holds {foreign[0].name}, which is no part of a bundle: choose another folder"
+        )
+    try:
+        read_manifest(path)
+    except RenetError as error:
+        raise RenetError(f"{path} is not a bundle ({error}): choose another folder") from error
+
+
+def _remove(folder: Path) -> None:
+    """Remove a bundle's files and then its folder, which stays if it holds anything else."""
+    for name in OURS:
+        (folder / name).unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()

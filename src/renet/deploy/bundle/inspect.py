@@ -8,8 +8,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from renet.deploy.bundle import MODELS, Bundle
+from renet.deploy.bundle import Bundle
 from renet.deploy.bundle.manifest import Manifest
+from renet.deploy.bundle.models import MODELS
 
 AXES = ("x", "y", "z")
 ELEMENTS = {"command": ("c_x", "sin(c_yaw - yaw)", "cos(c_yaw - yaw)")}
