@@ -14,7 +14,6 @@ from renet.files import (
     decompress,
     parse_json,
     read_bytes,
-    read_json,
     read_object,
     require_regular,
     write_atomically,
@@ -52,7 +51,7 @@ def test_what_is_not_json_is_named(tmp_path, bad):
     path = tmp_path / "x.json"
     path.write_text(bad, encoding="latin-1")
     with pytest.raises(RenetError, match=f"summary {path} is not JSON"):
-        read_json(path, "summary")
+        read_object(path, "summary")
 
 
 @pytest.mark.parametrize("depth", [MAX_DEPTH + 1, 1_000, 1_000_000])

@@ -46,23 +46,6 @@ def read_bytes(path: Path, limit: int, what: str = "file") -> bytes:
     return data
 
 
-def read_json(path: Path, what: str = "file", limit: int = MAX_JSON) -> Any:
-    """Read a JSON file.
-
-    Args:
-        path: of the file.
-        what: the file's name in messages.
-        limit: most bytes it may have.
-
-    Returns:
-        Its value. Callers check its type.
-
-    Raises:
-        RenetError: as `read_bytes`; or not JSON, or nested deeper than `MAX_DEPTH`.
-    """
-    return parse_json(read_bytes(path, limit, what), f"{what} {path}")
-
-
 def parse_json(data: bytes | str, what: str) -> Any:
     """Parse JSON; raises RenetError naming `what` if it is none or too deep."""
     try:
@@ -85,8 +68,17 @@ def parse_json(data: bytes | str, what: str) -> Any:
 
 
 def read_object(path: Path, what: str = "file", limit: int = MAX_JSON) -> dict[str, Any]:
-    """`read_json` of a file that must hold a JSON object; raises RenetError if it does not."""
-    value = read_json(path, what, limit)
+    """Read a JSON file that must hold an object.
+
+    Args:
+        path: of the file.
+        what: the file's name in messages.
+        limit: most bytes it may have.
+
+    Raises:
+        RenetError: as `read_bytes`; or not JSON, nested deeper than `MAX_DEPTH`, or no object.
+    """
+    value = parse_json(read_bytes(path, limit, what), f"{what} {path}")
     if not isinstance(value, dict):
         raise RenetError(f"the {what} {path} must hold a JSON object, not {type(value).__name__}")
     return value
