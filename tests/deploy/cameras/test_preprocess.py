@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from renet.camera import Intrinsics
-from renet.deploy.cameras.preprocess import DepthPreprocessor, invalid_share
+from renet.deploy.cameras.preprocess import DepthPreprocessor
 from renet.errors import RenetError
 from renet.training.bundle import camera_spec
 
@@ -54,9 +54,9 @@ def test_only_the_policys_view_counts_as_invalid():
     raw = np.ones((480, 848), np.uint16)
     preprocessor = DepthPreprocessor(LENS, camera_spec())
     raw[:, :100] = 0
-    assert invalid_share(preprocessor.crop(raw)) == 0.0
+    assert preprocessor.invalid(raw) == 0.0
     raw[:240] = 0
-    assert invalid_share(preprocessor.crop(raw)) == pytest.approx(0.5, abs=0.01)
+    assert preprocessor.invalid(raw) == pytest.approx(0.5, abs=0.01)
 
 
 def test_a_narrow_camera_is_refused():
@@ -68,6 +68,6 @@ def test_a_narrow_camera_is_refused():
 
 def test_an_image_of_another_size_than_its_lens_is_refused():
     preprocessor = DepthPreprocessor(LENS, camera_spec())
-    for look in (preprocessor.image, preprocessor.crop):
+    for look in (preprocessor.image, preprocessor.invalid):
         with pytest.raises(RenetError, match=r"\(240, 424\) rows and columns"):
             look(np.ones((240, 424)))

@@ -36,10 +36,15 @@ class DepthPreprocessor:
         """Rows, columns of the images it takes."""
         self._range = spec.range
 
-    def crop(self, image: np.ndarray) -> np.ndarray:
-        """The part of an image [rows, columns] that the policy's view covers, full resolution."""
+    def invalid(self, image: np.ndarray) -> float:
+        """Share of pixels of the policy's view, full resolution, that the camera gives as 0.
+
+        Those it could not measure. Raises RenetError for an image of another size.
+        """
         self._check(image)
-        return image[self._rows[0] : self._rows[-1] + 1, self._columns[0] : self._columns[-1] + 1]
+        rows = slice(self._rows[0], self._rows[-1] + 1)
+        columns = slice(self._columns[0], self._columns[-1] + 1)
+        return float((image[rows, columns] == 0).mean())
 
     def image(self, depth: np.ndarray) -> np.ndarray:
         """Metres [rows, columns], 0 where nothing was measured, to [48, 64] in [0, 1].
@@ -57,8 +62,3 @@ class DepthPreprocessor:
             raise RenetError(
                 f"the depth image has {image.shape} rows and columns, its lens says {self.size}"
             )
-
-
-def invalid_share(image: np.ndarray) -> float:
-    """Share of pixels without a measurement, which cameras give as 0."""
-    return float((image == 0).mean())

@@ -3,6 +3,7 @@
 import atexit
 import threading
 from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from renet.camera import Intrinsics
 from renet.deploy.bundle.manifest import CameraSpec
 from renet.deploy.cameras.base import DepthFrame
-from renet.deploy.cameras.preprocess import DepthPreprocessor, invalid_share
+from renet.deploy.cameras.preprocess import DepthPreprocessor
 from renet.errors import RenetError
 
 WIDTH, HEIGHT, FPS = 848, 480, 30
@@ -37,30 +38,20 @@ def realsense() -> Any:
     return pyrealsense2
 
 
-class Filters:
+def _filters(rs: Any) -> tuple[Any, ...]:
     """librealsense's own post-processing in the order its vendor recommends."""
-
-    def __init__(self, rs: Any) -> None:
-        decimation = rs.decimation_filter(2)
-        temporal = rs.temporal_filter()
-        # Its persistence would refill holes from old frames: a partly frozen image.
-        temporal.set_option(rs.option.holes_fill, 0)
+    temporal = rs.temporal_filter()
+    # Its persistence would refill holes from old frames: a partly frozen image.
+    temporal.set_option(rs.option.holes_fill, 0)
+    return (
+        rs.decimation_filter(2),
+        rs.disparity_transform(True),
+        rs.spatial_filter(),
+        temporal,
+        rs.disparity_transform(False),
         # Nearest neighbour, as published Go1 parkour policies: an obstacle too close stays close.
-        holes = rs.hole_filling_filter(2)
-        self._chain = (
-            decimation,
-            rs.disparity_transform(True),
-            rs.spatial_filter(),
-            temporal,
-            rs.disparity_transform(False),
-            holes,
-        )
-
-    def apply(self, frame: Any) -> Any:
-        """The filtered depth frame."""
-        for step in self._chain:
-            frame = step.process(frame)
-        return frame.as_depth_frame()
+        rs.hole_filling_filter(2),
+    )
 
 
 class ClockOffset:
@@ -182,7 +173,7 @@ class RealSenseCamera:
 
     def _stream(self, queue: Any) -> None:
         """Prepare frames until they stop."""
-        filters, offset, last = Filters(self._rs), ClockOffset(), -np.inf
+        chain, offset, last = _filters(self._rs), ClockOffset(), -np.inf
         raw_preprocessor: DepthPreprocessor | None = None
         preprocessor: DepthPreprocessor | None = None
         while not self._stop.is_set():
@@ -197,7 +188,7 @@ class RealSenseCamera:
                 self.problem = "the camera's clock started anew"
                 return
             last = stamp
-            filtered = filters.apply(raw)
+            filtered = reduce(lambda image, step: step.process(image), chain, raw).as_depth_frame()
             if raw_preprocessor is None or preprocessor is None:
                 raw_preprocessor = DepthPreprocessor(_lens(raw.get_profile()), self._spec)
                 preprocessor = DepthPreprocessor(_lens(filtered.get_profile()), self._spec)
@@ -206,7 +197,7 @@ class RealSenseCamera:
                 image=preprocessor.image(metres),
                 number=raw.get_frame_number(),
                 time=offset.time(stamp, now),
-                invalid=invalid_share(raw_preprocessor.crop(np.asanyarray(raw.get_data()))),
+                invalid=raw_preprocessor.invalid(np.asanyarray(raw.get_data())),
             )
             self.problem = ""
 
