@@ -206,10 +206,11 @@ def test_bundles(bundle, tmp_path, spoil):
 
 
 def test_markup_in_a_bundle_is_printed_as_it_is(bundle):
-    edited(provenance={"task": "[bold red]x[/]"})(bundle)
+    markup = "[bold red]x[/]"
+    edited(provenance={"task": markup}, robot={"name": markup})(bundle)
     done = run("bundle", "inspect", bundle)
     assert done.returncode == 0, done.stderr
-    assert "[bold red]x[/]" in done.stdout
+    assert done.stdout.count(markup) == 2, "in a line and over a table"
 
 
 def chunk(tag: bytes, data: bytes) -> bytes:

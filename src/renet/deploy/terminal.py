@@ -1,8 +1,13 @@
-"""Prints from a thread of its own: a terminal that stalls must not stall a robot."""
+"""Prints tables, and lines from a thread of its own: a stalled terminal must not stall a robot."""
 
 import threading
+from collections.abc import Sequence
 from contextlib import suppress
 from queue import Full, Queue
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
 
 MAX_WAITING = 1000
 """Lines that wait for a terminal that takes none; later ones are lost."""
@@ -36,3 +41,11 @@ class Terminal:
                 print(line, flush=True)
             except OSError:  # The terminal is gone.
                 return
+
+
+def show(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    """Print a table on standard output, texts as they are: a bundle's are a stranger's."""
+    table = Table(*header, title=title, title_justify="left", title_style="bold")
+    for row in rows:
+        table.add_row(*map(str, row))
+    Console(markup=False, emoji=False).print(table)

@@ -16,9 +16,9 @@ import tyro
 
 from renet.deploy.bundle import Bundle, write_manifest
 from renet.deploy.calibration_log import recorded_scores
+from renet.deploy.terminal import show
 from renet.errors import RenetError
 from renet.evaluation.monitor_log import TICK_RATE, MonitorLog, healthy_series
-from renet.evaluation.terminal import show
 from renet.interface import CONTROL_DT
 from renet.selector.calibration import calibrate, calibrate_monitors, conformal_threshold
 

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from renet.deploy.terminal import show
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report.page import provenance_section, render, write_page
 from renet.evaluation.report.summary import noise_facts, noise_headline
 from renet.evaluation.report.video import VideoCfg, film
 from renet.evaluation.studies.faults import Setting
 from renet.evaluation.studies.noise import NoiseStudy
-from renet.evaluation.terminal import show
 from renet.evaluation.trace import Trace
 from renet.faults import fault_class
 from renet.interface import CONTROL_DT

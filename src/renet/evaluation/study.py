@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
+from renet.deploy.terminal import show
 from renet.errors import RenetError
 from renet.evaluation import figures
 from renet.evaluation.evaluator import Evaluator
@@ -25,7 +26,6 @@ from renet.evaluation.results import (
     write_json,
 )
 from renet.evaluation.rollout import check_modes, check_speed
-from renet.evaluation.terminal import show
 from renet.selector.selector import check_kind
 
 Part = dict[str, Any]

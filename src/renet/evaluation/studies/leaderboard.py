@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import tyro
 
+from renet.deploy.terminal import show
 from renet.errors import RenetError
 from renet.evaluation.metrics import bootstrap_interval
 from renet.evaluation.studies.benchmark import ONSETS, read_result
 from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.terminal import show
 from renet.files import write_atomically
 
 HEADER = ("", "policy", "mode", "crossed", "95 %", "upright", "speed error", "J/m", "blind (s)")
