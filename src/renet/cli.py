@@ -141,10 +141,7 @@ def main(argv: list[str] | None = None) -> int:
     # A spinning OpenMP team starves whatever shares the machine; must be set before torch loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     try:
-        try:
-            return _run(arguments)
-        finally:
-            sys.stdout.flush()
+        return _run(arguments)
     except BrokenPipeError:
         # `renet … | head`: nobody reads on, and what is still held back must not raise at exit.
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -163,6 +160,8 @@ def _run(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         print("renet: interrupted", file=sys.stderr)
         return 130
+    finally:
+        sys.stdout.flush()
 
 
 def _dispatch(arguments: list[str]) -> int:
