@@ -62,7 +62,11 @@ def run_page(cfg: PageCfg) -> Path:
     """
     folder = write_page(cfg)
     if cfg.open:
-        serve(folder, cfg.port)
+        with make_server(folder, cfg.port) as server:
+            address = f"http://{LOOPBACK}:{server.server_port}/"
+            print(f"{address} (Ctrl-C ends it)", flush=True)
+            webbrowser.open(address)
+            server.serve_forever()
     return folder
 
 
@@ -111,15 +115,6 @@ def _fill(folder: Path, bundle: Bundle, vendor: list[Path]) -> None:
         for path in sorted(WEB.glob(pattern)):
             shutil.copyfile(path, folder / path.relative_to(WEB))
     (folder / MARK).write_text(json.dumps({**contract(), "bundle": bundle.name}))
-
-
-def serve(folder: Path, port: int) -> None:
-    """Serve a page on loopback and open it, until interrupted; raises as `make_server`."""
-    with make_server(folder, port) as server:
-        address = f"http://{LOOPBACK}:{server.server_port}/"
-        print(f"{address} (Ctrl-C ends it)", flush=True)
-        webbrowser.open(address)
-        server.serve_forever()
 
 
 def make_server(folder: Path, port: int) -> ThreadingHTTPServer:
