@@ -6,6 +6,7 @@ images of a robot walking on flat ground and the same with glare of severity 1.
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -68,6 +69,19 @@ def test_bad_input_is_refused_and_nothing_is_remembered(policy, observation, ima
         policy.step(observation, image, np.zeros(3, bool))
     np.testing.assert_array_equal(policy._history, before)
     assert policy._blank.all()
+
+
+def test_a_strangers_output_replaces_nothing_of_the_policy(bundle):
+    class Vision:
+        def get_outputs(self):
+            return [SimpleNamespace(name=name) for name in ("anomaly_score", "manifest")]
+
+        def run(self, names, feed):
+            return [np.zeros(1, np.float32) for _ in names]
+
+    policy = Policy(replace(bundle, sessions=bundle.sessions | {"vision": Vision()}))
+    policy.step(np.zeros((1, 45)), np.zeros((1, 48, 64)), np.zeros(1, bool))
+    assert policy.manifest is bundle.manifest
 
 
 DATA = Path(__file__).with_name("data")

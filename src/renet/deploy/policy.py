@@ -1,7 +1,6 @@
 """The deployed policy: three ONNX models and the memory between their ticks, for N robots."""
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import onnxruntime as ort
@@ -20,69 +19,38 @@ from renet.interface import (
 )
 
 
-@dataclass(frozen=True)
-class EstimatorInput:
+class EstimatorInput(NamedTuple):
     """What one 10 Hz tick of vision and of both estimators reads: copies, safe on any thread."""
 
-    history: np.ndarray
-    """[N, H1, 45], oldest first."""
-    frames: np.ndarray
-    """[N, 2, 48, 64], newest first."""
-    latent_op: np.ndarray
-    """[N, 64]"""
-    latent_vp: np.ndarray
-    """[N, 64]"""
+    feed: dict[str, np.ndarray]
+    """The estimators' inputs, by the names that their model gives them."""
     blind: bool
-    """No image has arrived: the anomaly score is infinite."""
+    """No image has arrived: vision does not run, and the anomaly score is infinite."""
 
 
-@dataclass(frozen=True)
-class EstimatorOutput:
-    """What a tick found, [N, …]."""
-
-    latent_op: np.ndarray
-    latent_vp: np.ndarray
-    velocity_op: np.ndarray
-    """Base frame, m/s, as are all velocities."""
-    velocity_vp: np.ndarray
-    feet_height: np.ndarray
-    height_map: np.ndarray
-    anomaly_score: np.ndarray
-    """Loss_ad, [N]."""
-    variance_score: np.ndarray
-    """[N]; zero when blind, and from models that predict no variance."""
-    reconstruction: np.ndarray | None
-    """[N, 2, 48, 64]; None when blind."""
-
-
+Percept = dict[str, np.ndarray]
+"""What a tick found, by the names of `Policy`'s attributes that it replaces."""
 ESTIMATES = ("latent_op", "latent_vp", "velocity_op", "velocity_vp", "feet_height", "height_map")
 SCORES = ("anomaly_score", "variance_score")
+SEEN = (*SCORES, "reconstruction")
+"""Outputs of the vision model that are used, where it has them; a stranger's may have any others,
+which must replace no attribute."""
 
 
-def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> EstimatorOutput:
+def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> Percept:
     """One tick of vision and both estimators: a pure function, so that any thread may call it."""
-    count = len(inputs.frames)
-    seen: dict[str, Any] = {"anomaly_score": np.full(count, np.inf, np.float32)}
+    depth = inputs.feed["depth"]
+    percept: dict[str, Any] = {
+        "anomaly_score": np.full(len(depth), np.inf, np.float32),
+        "variance_score": np.zeros(len(depth), np.float32),
+    }
     if not inputs.blind:
         vision = sessions["vision"]
-        outputs = [output.name for output in vision.get_outputs()]
-        seen = dict(zip(outputs, vision.run(outputs, {"depth": inputs.frames}), strict=True))
+        names = [output.name for output in vision.get_outputs() if output.name in SEEN]
+        percept |= zip(names, vision.run(names, {"depth": depth}), strict=True)
     names = [f"next_{name}" if name.startswith("latent") else name for name in ESTIMATES]
-    estimates: Any = sessions["estimator"].run(
-        names,
-        {
-            "proprioception_history": inputs.history,
-            "depth": inputs.frames,
-            "latent_op": inputs.latent_op,
-            "latent_vp": inputs.latent_vp,
-        },
-    )
-    return EstimatorOutput(
-        **dict(zip(ESTIMATES, estimates, strict=True)),
-        anomaly_score=seen["anomaly_score"].reshape(-1),
-        variance_score=seen.get("variance_score", np.zeros(count, np.float32)).reshape(-1),
-        reconstruction=seen.get("reconstruction"),
-    )
+    percept |= zip(ESTIMATES, sessions["estimator"].run(names, inputs.feed), strict=True)
+    return percept | {name: percept[name].reshape(-1) for name in SCORES}
 
 
 class Policy:
@@ -99,18 +67,23 @@ class Policy:
         self.manifest, self.sessions = bundle.manifest, bundle.sessions
         n = self.num_robots = num_robots
         self._history = np.zeros((n, self.manifest.history, PROPRIOCEPTION_SIZE), np.float32)
+        """Oldest first."""
         self._frames = np.zeros((n, FRAMES, *DEPTH_SHAPE), np.float32)
+        """Newest first."""
         self.latent_op = np.zeros((n, LATENT), np.float32)
         self.latent_vp = np.zeros((n, LATENT), np.float32)
         self.velocity_op = np.zeros((n, 3), np.float32)
         self.velocity_vp = np.zeros((n, 3), np.float32)
+        """Base frame, m/s, as OP's."""
         self.feet_height = np.zeros((n, FEET), np.float32)
         self.height_map = np.zeros((n, HEIGHT_MAP_SIZE), np.float32)
         self.reconstruction = np.zeros((n, FRAMES, *DEPTH_SHAPE), np.float32)
+        """Of the newest images; those before a blind tick stay."""
         self.anomaly_score = np.zeros(n, np.float32)
         """Loss_ad of the newest images, [N]; infinite without a camera."""
         self.variance_score = np.zeros(n, np.float32)
-        """Squared error over predicted variance, [N]; zero from models that predict none."""
+        """Squared error over predicted variance, [N]; zero when blind, and from models that predict
+        none."""
         self._blank = np.ones(n, bool)
         self._fresh = np.ones(n, bool)
         self._step = 0
@@ -170,20 +143,18 @@ class Policy:
             self._frames[:, 1] = np.where(self._fresh[:, None, None], depth, self._frames[:, 0])
             self._frames[:, 0] = depth
             self._fresh[:] = False
-        return EstimatorInput(
-            self._history.copy(),
-            self._frames.copy(),
-            self.latent_op,
-            self.latent_vp,
-            depth is None,
-        )
+        feed = {
+            "proprioception_history": self._history.copy(),
+            "depth": self._frames.copy(),
+            "latent_op": self.latent_op,
+            "latent_vp": self.latent_vp,
+        }
+        return EstimatorInput(feed, blind=depth is None)
 
-    def accept(self, output: EstimatorOutput) -> None:
+    def accept(self, percept: Percept) -> None:
         """Go on with what a tick found."""
-        for name in (*ESTIMATES, *SCORES):
-            setattr(self, name, getattr(output, name))
-        if output.reconstruction is not None:
-            self.reconstruction = output.reconstruction
+        for name, value in percept.items():
+            setattr(self, name, value)
 
     def act(self, proprioception: np.ndarray, op_mask: np.ndarray) -> np.ndarray:
         """Actions [N, 12] under the paper's mask [N] bool; ends the control step."""
