@@ -1,6 +1,5 @@
 """The examples do what their pages say: as a user runs them, from the command line."""
 
-import importlib.util
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -22,12 +21,9 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def go2():
-    spec = importlib.util.spec_from_file_location("go2", GO2)
-    assert spec
-    assert spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    import go2
+
+    return go2
 
 
 @pytest.fixture(scope="module")

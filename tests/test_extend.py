@@ -1,8 +1,7 @@
 """The recipes of docs/extend.md: each is one short file, and does what it says."""
 
-import importlib.util
 import json
-import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -18,17 +17,7 @@ FILES = ("add_reward", "add_fault", "go2", "add_study", "third_party_policy")
 @pytest.fixture
 def load(monkeypatch):
     monkeypatch.setattr(cli, "COMMANDS", dict(cli.COMMANDS))
-
-    def run(name: str):
-        spec = importlib.util.spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
-        assert spec
-        assert spec.loader
-        module = importlib.util.module_from_spec(spec)
-        monkeypatch.setitem(sys.modules, name, module)
-        spec.loader.exec_module(module)
-        return module
-
-    return run
+    return import_module
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -1,24 +1,16 @@
 """The table's trainer: goes on after a kill, judges the checkpoint, and never invents a number."""
 
-import importlib.util
 import json
 import shutil
-import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 
+import table1
 from renet.errors import RenetError
 from renet.evaluation.studies.terrain import TerrainStudy
 from renet.training import checkpoint as checkpoints
-
-PATH = Path(__file__).parents[2] / "benchmarks" / "table1.py"
-SPEC = importlib.util.spec_from_file_location("table1", PATH)
-assert SPEC is not None
-assert SPEC.loader is not None
-table1 = sys.modules["table1"] = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(table1)
 
 STUDY = TerrainStudy(levels=(1,), robots=1, seconds=1.0)
 

@@ -1,29 +1,16 @@
 """The example that benchmarks somebody else's policy, on a policy that stands still."""
 
-import importlib.util
 import json
 from hashlib import sha256
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper
 
+import third_party_policy as example
 from renet.evaluation.studies.faults import FaultStudy
-
-EXAMPLE = Path(__file__).parents[2] / "examples" / "third_party_policy.py"
-
-
-@pytest.fixture(scope="module")
-def example() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("third_party_policy", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +45,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_blind_policy_sees_nothing_near(example: ModuleType, model: Path) -> None:
+def test_a_blind_policy_sees_nothing_near(model: Path) -> None:
     policy = example.TheirPolicy(model, 2)
     depth = np.full((2, 48, 64), 0.25, np.float16)
     action = policy.step(np.zeros((2, 45), np.float32), depth, np.array([False, True]))
@@ -66,7 +53,7 @@ def test_a_blind_policy_sees_nothing_near(example: ModuleType, model: Path) -> N
 
 
 def test_it_enters_the_leaderboard_with_one_command(
-    example: ModuleType, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small = {"faults": ("frozen:3",), "grounds": ("flat", "gap"), "robots": 1, "healthy_minutes": 0}
     small |= {"onsets": (0.5,), "lasts": 0.2, "seconds": 0.8, "quick": False}

@@ -1,16 +1,15 @@
 """The simulated robot and camera are the training's, and carry commands out as told."""
 
 import io
-import sys
 from contextlib import redirect_stdout
 from dataclasses import replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 import torch
 
+import go1_model
 from renet.camera import Intrinsics
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.observation import observe
@@ -228,8 +227,5 @@ def test_the_camera_sees_the_plane_wherever_the_robot_walks():
 
 
 def test_the_model_file_is_what_the_tool_writes(tmp_path):
-    sys.path.insert(0, str(Path(__file__).parents[3] / "tools"))
-    import go1_model
-
     go1_model.write(tmp_path / "go1.xml")
     assert (tmp_path / "go1.xml").read_text() == GO1.read_text()
