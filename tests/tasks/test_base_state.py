@@ -3,15 +3,13 @@
 import pytest
 import torch
 
-from renet.tasks import mdp
+from renet.tasks import make_env, mdp
 from renet.tasks.mdp.base_state import base_heading, base_position, base_velocity
-
-from .conftest import build
 
 
 @pytest.fixture(scope="module", params=["native", "warp"])
 def env(request):
-    made = build("Renet-Go1-Flat", 3, seed=2, engine=request.param)
+    made = make_env("Renet-Go1-Flat", 3, seed=2, engine=request.param)
     yield made
     made.close()
 

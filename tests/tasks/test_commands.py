@@ -5,9 +5,7 @@ import math
 import pytest
 import torch
 
-from renet.tasks import env_cfg
-
-from .conftest import build
+from renet.tasks import env_cfg, make_env
 
 STILL = torch.zeros(64, 12)
 
@@ -18,7 +16,7 @@ def walkers():
     cfg = env_cfg("Renet-Go1-Flat")
     cfg.terminations = {"time_out": cfg.terminations["time_out"]}
     cfg.events.pop("push")
-    env = build(cfg, 64)
+    env = make_env(cfg, 64)
     yield env
     env.close()
 
@@ -91,7 +89,7 @@ def test_others_keep_their_goals_when_some_begin_anew(walkers):
 
 
 def test_the_second_level_asks_for_standing():
-    env = build("Renet-Go1-Flat", 256)
+    env = make_env("Renet-Go1-Flat", 256)
     goal = env.command_manager.get_term("goal")
     goal.stage = 1
     env.reset()
@@ -109,7 +107,7 @@ def test_the_second_level_asks_for_standing():
 def test_a_fixed_goal_is_kept():
     cfg = env_cfg("Renet-Go1-Flat", play=True)
     cfg.commands["goal"].fixed_speed = 0.6
-    env = build(cfg, 8)
+    env = make_env(cfg, 8)
     env.reset()
     goal = env.command_manager.get_term("goal")
     assert (goal.speed == 0.6).all()

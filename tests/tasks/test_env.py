@@ -1,9 +1,7 @@
 """The environment's contract: observations, costs, resets, checkpoints, errors."""
 
 import traceback
-from contextlib import redirect_stdout
 from copy import deepcopy
-from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -23,8 +21,6 @@ from renet.interface import (
 from renet.sim.native.stages import moving_part
 from renet.tasks import env_cfg, make_env, mdp
 from renet.tasks.parkour_env_cfg import NOISE
-
-from .conftest import build
 
 
 def test_observation_groups(parkour):
@@ -165,7 +161,7 @@ def test_fallen_robot_terminates(flat):
 def test_same_seed_same_rollout():
     results = []
     for _ in range(2):
-        env = build("Renet-Go1-Flat", 2, seed=5)
+        env = make_env("Renet-Go1-Flat", 2, seed=5)
         obs, _ = env.reset()
         for _ in range(6):
             obs, reward, *_ = env.step(torch.full((2, 12), 0.2))
@@ -186,7 +182,7 @@ def test_curriculum_state_round_trips_and_survives_another_size(parkour):
     assert parkour.common_step_counter == 77
     origins = terrain.terrain_origins[terrain.terrain_levels, terrain.terrain_types]
     assert torch.equal(terrain.env_origins, origins)
-    smaller = build("Renet-Go1-Parkour", 6)
+    smaller = make_env("Renet-Go1-Parkour", 6)
     smaller.load_curriculum_state(state)
     for kind, level in zip(
         smaller.scene.terrain.terrain_types, smaller.scene.terrain.terrain_levels, strict=True
@@ -195,7 +191,7 @@ def test_curriculum_state_round_trips_and_survives_another_size(parkour):
 
 
 def test_resuming_keeps_levels_through_the_reset_that_follows():
-    first, second = (build("Renet-Go1-Parkour", 12, seed=s) for s in (1, 2))
+    first, second = (make_env("Renet-Go1-Parkour", 12, seed=s) for s in (1, 2))
     for env in (first, second):
         env.reset()
     first.scene.terrain.terrain_levels[:] = torch.tensor([0, 3, 6, 9]).repeat(3)
@@ -209,7 +205,7 @@ def test_resuming_keeps_levels_through_the_reset_that_follows():
 
 def test_a_configuration_can_be_used_twice():
     cfg = env_cfg("Renet-Go1-Flat", play=True)
-    steps = [build(cfg, n).step_dt for n in (1, 2)]
+    steps = [make_env(cfg, n).step_dt for n in (1, 2)]
     assert steps == [pytest.approx(0.02)] * 2
     assert (cfg.decimation, cfg.scene.num_envs) == (4, 1)
 
@@ -219,7 +215,7 @@ def test_fused_substeps_are_the_same_physics():
     watched.metrics["watch"] = MetricsTermCfg(
         func=lambda env: env.sim.data.qpos[:, 2], per_substep=True
     )
-    envs = [build(cfg, 2, seed=3) for cfg in (fused, watched)]
+    envs = [make_env(cfg, 2, seed=3) for cfg in (fused, watched)]
     assert [env.cfg.decimation for env in envs] == [1, 4]
     for env in envs:
         env.reset(seed=4)
@@ -246,7 +242,7 @@ def test_leaving_the_tile_is_a_time_out_and_a_gap_is_not(parkour):
 
 
 def test_play_shows_every_level():
-    env = build("Renet-Go1-Parkour", 200, play=True)
+    env = make_env("Renet-Go1-Parkour", 200, play=True)
     env.reset()
     assert set(env.scene.terrain.terrain_levels.tolist()) == set(range(10))
 
@@ -295,7 +291,7 @@ def test_noise_is_within_its_bounds_and_scaled_with_what_it_is_added_to(parkour)
 def test_a_task_without_rewards_and_ends_goes_on():
     cfg = env_cfg("Renet-Go1-Flat")
     cfg.rewards, cfg.terminations, cfg.metrics = {}, {}, {}
-    env = build(cfg, 2)
+    env = make_env(cfg, 2)
     env.reset()
     _, reward, terminated, truncated, _ = env.step(torch.zeros(2, 12))
     assert not reward.any()
@@ -309,10 +305,9 @@ def test_mjlabs_own_environment_runs_a_task_as_ours_does():
     rollouts = []
     for make in (
         lambda: ManagerBasedRlEnv(deepcopy(cfg), "cpu"),
-        lambda: build(cfg, 3, seed=4, engine="warp"),
+        lambda: make_env(cfg, 3, seed=4, engine="warp"),
     ):
-        with redirect_stdout(StringIO()):
-            env = make()
+        env = make()
         env.reset(seed=5)
         steps = [env.step(torch.full((3, 12), 4.0)) for _ in range(8)]
         last = {**steps[-1][0], "costs": env.extras["costs"]}

@@ -3,9 +3,7 @@
 import pytest
 import torch
 
-from renet.tasks import env_cfg
-
-from .conftest import build
+from renet.tasks import env_cfg, make_env
 
 
 @pytest.fixture(scope="module")
@@ -14,7 +12,7 @@ def pushed():
     cfg = env_cfg("Renet-Go1-Flat")
     assert cfg.events["push"].interval_range_s == (6.0, 10.0)
     cfg.events["push"].interval_range_s = (0.1, 0.2)
-    env = build(cfg, 64)
+    env = make_env(cfg, 64)
     yield env
     env.close()
 
@@ -55,9 +53,9 @@ def test_a_step_never_pays_less_than_nothing_and_how_often_it_would_is_logged():
     cfg.events.pop("push")
     for name, term in cfg.rewards.items():
         term.weight = {"linear_velocity": 1.5, "action_rate": -100.0}.get(name, 0.0)
-    envs = [build(cfg, 3, seed=2)]
+    envs = [make_env(cfg, 3, seed=2)]
     cfg.events.pop("clip_reward")
-    envs.append(build(cfg, 3, seed=2))
+    envs.append(make_env(cfg, 3, seed=2))
     for env in envs:
         env.reset(seed=3)
     for action in (torch.ones(3, 12), torch.ones(3, 12), torch.zeros(3, 12)):

@@ -4,18 +4,18 @@ import pytest
 import torch
 
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
-from renet.tasks import env_cfg, mdp
+from renet.tasks import env_cfg, make_env, mdp
 from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.terrains import single_tile_terrain
 
-from .conftest import build, evaluate
+from .conftest import evaluate
 
 
 @pytest.mark.parametrize("weight", [0.0, -2.0])
 def test_a_rewards_value_is_logged_whatever_its_weight(weight):
     cfg = env_cfg("Renet-Go1-Flat")
     cfg.rewards["linear_velocity"].weight = weight
-    env = build(cfg, 2)
+    env = make_env(cfg, 2)
     env.reset()
     env.sim.data.qvel[:, :2] = 0.3
     env.reward_buf = env.reward_manager.compute(dt=0.02)
@@ -42,7 +42,7 @@ def test_an_edge_is_relief_within_half_a_metre(parkour):
 def test_the_share_of_steps_near_an_edge_is_logged(kind, distance, edge):
     cfg = tile_env_cfg(single_tile_terrain(kind, 5), play=True)
     cfg.events["spawn"].params["pose_range"] = {"x": (distance, distance), "z": (0.02, 0.02)}
-    env = build(cfg, 2)
+    env = make_env(cfg, 2)
     env.reset()
     for _ in range(3):
         env.step(torch.zeros(2, 12))

@@ -4,17 +4,15 @@ import pytest
 import torch
 
 from renet.interface import proprioception_slices
-from renet.tasks import env_cfg
+from renet.tasks import env_cfg, make_env
 from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
-
-from .conftest import build
 
 
 def randomized(robots: int, **ranges: float):
     """Robots that stand still on a plane unless randomisation moves them."""
     cfg = env_cfg("Renet-Go1-Flat", play=True)
     randomize(cfg, RandomizationCfg(**ranges))
-    env = build(cfg, robots)
+    env = make_env(cfg, robots)
     env.reset()
     return env
 

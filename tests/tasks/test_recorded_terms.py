@@ -11,8 +11,9 @@ import pytest
 import torch
 
 from renet.interface import PROPRIOCEPTION
+from renet.tasks import make_env
 
-from .conftest import build, scatter
+from .conftest import scatter
 
 RECORDED = np.load(Path(__file__).with_name("recorded_terms.npz"))
 
@@ -20,7 +21,7 @@ RECORDED = np.load(Path(__file__).with_name("recorded_terms.npz"))
 @pytest.fixture(scope="module")
 def evaluated() -> dict[str, np.ndarray]:
     """All terms in all states, by the names of the recording."""
-    env = build("Renet-Go1-Parkour", 12)
+    env = make_env("Renet-Go1-Parkour", 12)
     env.reset()
     terrain = env.scene.terrain
     terrain.terrain_levels[:] = torch.arange(12) % 10

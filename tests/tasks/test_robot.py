@@ -6,12 +6,11 @@ import mujoco
 import pytest
 
 from renet.errors import RenetError
+from renet.tasks import make_env
 from renet.tasks.config.go1 import GO1
 from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
 from renet.tasks.robot_cfg import RobotCfg, rename_parts
 from renet.tasks.terrains import single_tile_terrain
-
-from .conftest import build
 
 
 def without(*geoms: str, site: str | None = None) -> RobotCfg:
@@ -38,7 +37,7 @@ def without(*geoms: str, site: str | None = None) -> RobotCfg:
 )
 def test_what_is_missing_is_named(robot, problem):
     with pytest.raises(RenetError, match=problem):
-        build(flat_env_cfg(robot=robot), 1)
+        make_env(flat_env_cfg(robot=robot), 1)
 
 
 def test_margins_of_a_vendors_geoms_are_dropped():
@@ -51,7 +50,7 @@ def test_margins_of_a_vendors_geoms_are_dropped():
     assert not replace(GO1, spec=spec).checked_spec().compile().geom_margin.any()
     # Which MuJoCo Warp would have refused on boxes.
     cfg = tile_env_cfg(single_tile_terrain("gap", 1), robot=replace(GO1, spec=spec))
-    build(cfg, 1).close()
+    make_env(cfg, 1).close()
 
 
 def test_all_feet_must_be_named():

@@ -4,9 +4,8 @@ import mujoco
 import pytest
 import torch
 
+from renet.tasks import make_env
 from renet.terrain.tiles import LEVELS, tiles
-
-from .conftest import build
 
 KINDS = list(tiles())
 
@@ -14,7 +13,7 @@ KINDS = list(tiles())
 @pytest.fixture(scope="module")
 def everywhere():
     """One robot on every tile of the curriculum."""
-    env = build("Renet-Go1-Parkour", LEVELS * len(KINDS), play=True)
+    env = make_env("Renet-Go1-Parkour", LEVELS * len(KINDS), play=True)
     terrain = env.scene.terrain
     tile = torch.arange(env.num_envs)
     terrain.terrain_levels[:], terrain.terrain_types[:] = tile // len(KINDS), tile % len(KINDS)
@@ -91,7 +90,7 @@ def test_a_lost_robot_is_put_back_on_its_tile(everywhere, shift, why):
 
 
 def test_every_kind_of_tile_logs_its_level():
-    env = build("Renet-Go1-Parkour", 12)
+    env = make_env("Renet-Go1-Parkour", 12)
     env.reset()
     env.scene.terrain.terrain_levels[:] = env.scene.terrain.terrain_types + 1
     env.command_manager.get_term("goal").commanded_distance[:] = 10.0

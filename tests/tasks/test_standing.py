@@ -6,16 +6,16 @@ import torch
 from renet.cli import main
 from renet.errors import RenetError
 from renet.interface import proprioception_slices
-from renet.tasks import mdp
+from renet.tasks import make_env, mdp
 from renet.training.train import TrainCfg
 
-from .conftest import build, evaluate
+from .conftest import evaluate
 
 
 @pytest.fixture(scope="module")
 def asked_to_stand():
     """Robots 0 and 1 are asked to stand; 2 and 3 to walk at 0.5 m/s."""
-    env = build("Renet-Go1-Flat", 4, play=True)
+    env = make_env("Renet-Go1-Flat", 4, play=True)
     env.reset()
     command = env.command_manager.get_term("goal")
     command.speed[:] = torch.tensor([0.0, 0.0, 0.5, 0.5])

@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from renet.errors import RenetError
-from renet.tasks import env_cfg, mdp
+from renet.tasks import env_cfg, make_env, mdp
 from renet.terrain.tiles import tiles
 from renet.training.train import TrainCfg, task_cfg
 
-from .conftest import build, evaluate
+from .conftest import evaluate
 
 
 def test_goal_velocity_is_equation_6(flat):
@@ -214,7 +214,7 @@ def test_rewards_beyond_the_papers_are_paid_only_on_request():
 
 def test_tiles_are_shared_out_as_asked():
     cfg = recipe("Renet-Go1-Parkour", shares=dict.fromkeys(tiles(), 1.0) | {"gap": 3.0})
-    env = build(cfg, 14)
+    env = make_env(cfg, 14)
     found = torch.bincount(env.scene.terrain.terrain_types).tolist()
     assert found == [2, 2, 2, 2, 4, 2]
     for share, problem in (

@@ -7,12 +7,11 @@ import torch
 
 from renet.errors import RenetError
 from renet.sim.depth.raycast import scanner
+from renet.tasks import make_env
 from renet.tasks.mdp.curriculums import FIRST_LEVELS
 from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.terrains import parkour_terrain, single_tile_terrain
 from renet.terrain.tiles import LEVELS, TILE, Tile, dense_tiles, tiles
-
-from .conftest import build
 
 KINDS = list(tiles())
 
@@ -197,7 +196,7 @@ def test_the_last_level_leads_back_to_any(parkour):
 
 @pytest.mark.parametrize("kind", tiles())
 def test_a_robot_can_be_put_on_every_single_tile(kind):
-    env = build(tile_env_cfg(single_tile_terrain(kind, LEVELS), play=True), 1)
+    env = make_env(tile_env_cfg(single_tile_terrain(kind, LEVELS), play=True), 1)
     env.reset()
     above = env.scene["robot"].data.root_link_pos_w[0, 2] - env.scene.env_origins[0, 2]
     assert 0.25 < above < 0.35
@@ -205,7 +204,7 @@ def test_a_robot_can_be_put_on_every_single_tile(kind):
 
 
 def test_single_tiles_for_evaluation():
-    env = build(tile_env_cfg(single_tile_terrain("gap", 10), play=True), 1)
+    env = make_env(tile_env_cfg(single_tile_terrain("gap", 10), play=True), 1)
     env.reset()
     line = torch.stack((torch.arange(0.0, 4.0, 0.02), torch.zeros(200)), dim=-1)
     gap = scanner(env.sim.mj_model, "cpu").height(line) < -0.99

@@ -2,10 +2,8 @@
 
 import re
 from collections.abc import Callable
-from contextlib import redirect_stdout
 from dataclasses import asdict
 from functools import cache
-from io import StringIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -56,8 +54,7 @@ ROWS = {
 @pytest.fixture(scope="module")
 def losses(tmp_path_factory) -> Callable[[str], set[str]]:
     """Names of what a row learns in two iterations, without what HIM is watched by."""
-    with redirect_stdout(StringIO()):
-        env = RslRlVecEnvWrapper(make_env("Renet-Go1-Parkour", 6), clip_actions=4.8)
+    env = RslRlVecEnvWrapper(make_env("Renet-Go1-Parkour", 6), clip_actions=4.8)
 
     @cache
     def train(row: str) -> set[str]:

@@ -1,7 +1,5 @@
 """The log's curves are rsl_rl's, and it waits for the device once in an iteration."""
 
-import contextlib
-import io
 import math
 
 import pytest
@@ -53,8 +51,7 @@ def walk(log: Logger, seed: int) -> None:
 
 
 def finish(log: Logger, iteration: int) -> None:
-    with contextlib.redirect_stdout(io.StringIO()):
-        log.log(iteration, 0, 9, 1.0, 1.0, {"surrogate": 0.1}, 1e-3, torch.ones(12), None)
+    log.log(iteration, 0, 9, 1.0, 1.0, {"surrogate": 0.1}, 1e-3, torch.ones(12), None)
 
 
 def test_curves_are_rsl_rls():

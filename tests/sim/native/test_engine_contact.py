@@ -1,8 +1,5 @@
 """The native engine in contact: randomised friction, touch, pushes, partial resets, stock Rough."""
 
-from contextlib import redirect_stdout
-from io import StringIO
-
 import mujoco
 import numpy as np
 import pytest
@@ -137,7 +134,7 @@ def rough(engine: str) -> ManagerBasedRlEnv:
     cfg.scene.num_envs, cfg.seed = NUM_ENVS, 5
     generator = cfg.scene.terrain.terrain_generator
     generator.num_rows, generator.num_cols = 1, 2
-    with redirect_stdout(StringIO()), use_engine(engine, "cpu"):
+    with use_engine(engine, "cpu"):
         return ManagerBasedRlEnv(cfg, "cpu")
 
 
