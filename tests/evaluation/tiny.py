@@ -77,14 +77,11 @@ class HurdlesEvaluator(FakeEvaluator):
 class Obedient(FakeEnv):
     """Stops on command; robots of uneven number sway their only joint for ever."""
 
-    told = 0
-
     def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
         self.levels = levels
         self.clock, self.speed = 0, 0.6
 
     def command(self, speed: float) -> None:
-        Obedient.told += 1
         self.speed = speed
 
     def step(self, action: np.ndarray):
@@ -109,12 +106,9 @@ class ObedientEvaluator(FakeEvaluator):
 class StillEvaluator(FakeEvaluator):
     """Real physics, and robots that stand still."""
 
-    worlds = 0
-
     built: ClassVar[dict[int, SimEnv]] = {}
 
     def make_env(self, task, robots, speed, seed):
-        StillEvaluator.worlds += 1
         if seed not in self.built:
             self.built[seed] = SimEnv(study_env_cfg(task, speed), robots, seed, "auto")
         return self.built[seed]

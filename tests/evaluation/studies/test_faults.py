@@ -1,6 +1,4 @@
 import json
-import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +13,6 @@ from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard, rank
 from renet.faults import Injection
 from renet.version import commit
-
-from ..fakes import FakeEvaluator
-from ..tiny import TINY
 
 SCHEMA = json.loads(benchmark.SCHEMA.read_text())
 
@@ -85,28 +80,6 @@ def test_what_op_does_no_fault_changes() -> None:
     trace = evaluator.rollout("op", env, trials, 40, 1)
     assert (trace.anomaly[20:, 0] > 2 * trace.anomaly[20:, 1]).all()
     np.testing.assert_allclose(trace.height[:, 0], trace.height[:, 1], atol=1e-5)
-
-
-def test_finished_faults_are_not_run_again(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ran = []
-    real = FaultStudy._run_batch
-
-    def spy(study, evaluator, make, name):
-        ran.append(name)
-        return real(study, evaluator, make, name)
-
-    monkeypatch.setattr(FaultStudy, "_run_batch", spy)
-    monkeypatch.setattr(FaultStudy, "draw", lambda *args: {})
-    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
-    faults = ("gaussian", "frozen", "dropped")
-    study = replace(TINY["faults"][0], out=tmp_path, faults=faults)  # type: ignore[call-arg]
-    assert len(study.run(FakeEvaluator())["runs"]) == 54
-    assert ran == ["dropped"]
-    next((tmp_path / "parts").glob("dropped-*.json")).write_text('{"half')
-    with pytest.raises(RenetError, match=r"dropped-\w+\.json is not JSON"):
-        study.run(FakeEvaluator())
 
 
 @pytest.mark.parametrize(

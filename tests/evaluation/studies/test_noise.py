@@ -93,6 +93,12 @@ def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.Monkey
     summary = study.run(FakeEvaluator())
     assert walked == ["gaussian_2", "gaussian_4", "gaussian_4"]
     assert {run["robots"] for run in summary["runs"]} == {5}
+    more = replace(study, faults=(*faults, "gaussian:5"))
+    assert len(more.run(FakeEvaluator())["runs"]) == 6
+    assert walked[3:] == ["gaussian_5"], "finished faults are not run again"
+    next((study.out / "parts").glob("gaussian_5-*.json")).write_text('{"half')
+    with pytest.raises(RenetError, match=r"gaussian_5-\w+\.json is not JSON"):
+        more.run(FakeEvaluator())
     whole = replace(study, out=tmp_path / "whole").run(FakeEvaluator())
     assert whole["runs"] == summary["runs"]
 
