@@ -10,7 +10,7 @@ from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import StepResult
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
-from renet.selector.monitors import SelectorInput
+from renet.selector import MonitorSelector, SelectorSpec, make_selector
 from renet.tasks.config.go1 import GO1
 
 GROUND = np.full(DEPTH_SHAPE, 0.5, np.float32)
@@ -90,22 +90,6 @@ class FakePolicy:
         return action
 
 
-class FakeSelector:
-    """The paper's filter."""
-
-    def __init__(self, num_robots: int, beta: float) -> None:
-        self.probability, self.beta = np.ones(num_robots), beta
-        self.fresh = 0
-
-    def update(self, sight: SelectorInput, now: float) -> np.ndarray:
-        self.fresh += int(sight.fresh.any())
-        self.probability = 0.9 * self.probability + 0.1 * (sight.anomaly_score < self.beta)
-        return self.probability > 0.5
-
-    def reset(self, mask: np.ndarray) -> None:
-        self.probability[mask] = 1
-
-
 class FakeEvaluator:
     """Stands in for `renet.evaluation.evaluator.Evaluator`."""
 
@@ -123,5 +107,5 @@ class FakeEvaluator:
     def make_policy(self, num_robots: int) -> FakePolicy:
         return FakePolicy(num_robots)
 
-    def make_selector(self, num_robots: int, selector: str = "paper") -> FakeSelector:
-        return FakeSelector(num_robots, self.beta)
+    def make_selector(self, num_robots: int, selector: str = "paper") -> MonitorSelector:
+        return make_selector("paper", SelectorSpec(beta=self.beta), num_robots)

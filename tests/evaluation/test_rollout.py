@@ -4,17 +4,19 @@ import pytest
 from renet.errors import RenetError
 from renet.evaluation.rollout import Trial, run_rollout
 from renet.faults import Injection
+from renet.selector import SelectorSpec, make_selector
 
-from .fakes import SPEED, FakeEnv, FakePolicy, FakeSelector
+from .fakes import SPEED, FakeEnv, FakePolicy
 
 NOISE = (Injection("gaussian", 1.0, onset=20),)
 MODES = ("vp", "renet", "op", "oracle-switch")
 
 
 def roll(rows: list[Trial], steps: int = 60, **kwargs):
-    controller, switch = FakePolicy(len(rows)), FakeSelector(len(rows), 0.01)
-    trace = run_rollout(FakeEnv(len(rows)), controller, switch, rows, steps, 0, **kwargs)
-    return trace, controller, switch
+    controller = FakePolicy(len(rows))
+    selector = make_selector("paper", SelectorSpec(beta=0.01), len(rows))
+    trace = run_rollout(FakeEnv(len(rows)), controller, selector, rows, steps, 0, **kwargs)
+    return trace, controller
 
 
 def test_each_mode_uses_the_estimator_it_is_named_after() -> None:
@@ -28,7 +30,7 @@ def test_each_mode_uses_the_estimator_it_is_named_after() -> None:
 
 
 def test_a_fall_is_latched_and_stops_the_count() -> None:
-    trace, controller, _ = roll([Trial("vp", NOISE), Trial("op", NOISE)])
+    trace, controller = roll([Trial("vp", NOISE), Trial("op", NOISE)])
     assert trace.fallen[:, 1].sum() == 0
     first = int(trace.fallen[:, 0].argmax())
     assert first > 20
@@ -40,9 +42,10 @@ def test_a_fall_is_latched_and_stops_the_count() -> None:
 
 
 def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
-    class Doubtful(FakeSelector):
+    class Doubtful:
         """Trusts nobody but a robot that has just started anew."""
 
+        probability = np.ones(1)
         trusted = np.zeros(1, bool)
 
         def update(self, sight, now):
@@ -60,7 +63,7 @@ def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
             fell = np.array([self.steps == 10])
             return self.result(np.full(1, SPEED), fell)
 
-    trace = run_rollout(Stumbling(1), FakePolicy(1), Doubtful(1, 1.0), [Trial("renet")], 15, 0)
+    trace = run_rollout(Stumbling(1), FakePolicy(1), Doubtful(), [Trial("renet")], 15, 0)
     assert np.flatnonzero(trace.vision[:, 0]).tolist() == [0, 10]
 
 
@@ -83,12 +86,14 @@ def test_robots_of_one_number_get_the_same_noise_in_every_mode() -> None:
 
 
 def test_a_frame_is_fresh_once_a_tick() -> None:
-    _, _, switch = roll([Trial("renet")], steps=50)
-    assert switch.fresh == 10
+    fresh = []
+    roll([Trial("renet")], steps=50, on_update=lambda seen: fresh.append(seen.fresh.all()))
+    assert sum(fresh) == 10
 
 
 def test_wrong_input_is_refused() -> None:
     with pytest.raises(RenetError, match="unknown mode 'blind'"):
         Trial("blind")
+    selector = make_selector("paper", SelectorSpec(beta=1.0))
     with pytest.raises(RenetError, match="2 trials"):
-        run_rollout(FakeEnv(1), FakePolicy(1), FakeSelector(1, 1), [Trial("vp")] * 2, 5, 0)
+        run_rollout(FakeEnv(1), FakePolicy(1), selector, [Trial("vp")] * 2, 5, 0)

@@ -14,6 +14,13 @@ from renet.errors import RenetError
 from renet.evaluation.env import FLAT, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import MAX_JSON, read_results
+from renet.evaluation.studies.course import CourseStudy
+from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.studies.filter import FilterStudy
+from renet.evaluation.studies.margins import MarginsStudy
+from renet.evaluation.studies.standing import StandingStudy
+from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
+from renet.evaluation.study import Study
 from renet.tasks import register_tasks
 from renet.tasks.config.go1 import GO1
 
@@ -79,6 +86,65 @@ def test_a_study_walks_the_bundles_own_robot(tmp_path: Path) -> None:
     assert env.env.cfg.robot.name == "Somebody's Go1"
     with pytest.raises(RenetError, match="this task's robot is a Unitree Go1"):
         evaluator.make_env("Renet-Go1-Flat", range(2), 0.6, 1)
+
+
+WRONG: dict[type[Study], dict[str, list]] = {
+    CourseStudy: {
+        "lap": [(), ("lava",)],
+        "level": [11],
+        "severity": [0],
+        "laps": [0],
+        "stuck_after": [0.0],
+    },
+    FaultStudy: {
+        "faults": [("smoke",), ("gaussian:9",), ("gaussian:x",), ()],
+        "severities": [(0,)],
+        "modes": [("blind",), ()],
+        "speed": [0.0],
+        "robots": [0],
+        "grounds": [("lava",)],
+        "level": [11],
+        "onsets": [(0.5, 8.0)],
+        "healthy_minutes": [-1.0],
+        "selector": ["coin"],
+    },
+    FilterStudy: {
+        "robots": [0],
+        "gammas": [(), (0.1, 2.0)],
+        "rates": [(200.0, 30.0), (0.0,)],
+        "onset": [14.0],
+        "speed": [0.0],
+    },
+    MarginsStudy: {"axes": [("luck",)], "grounds": [("lava",), ()], "level": [0], "robots": [0]},
+    StandingStudy: {
+        "kinds": [("lava",)],
+        "modes": [("x",)],
+        "level": [11],
+        "robots": [0],
+        "stand": [0],
+    },
+    SuccessStudy: {"kinds": [("lava",)], "levels": [(0,), ()], "fault": ["gremlins", "frozen:9"]},
+    TerrainStudy: {"kinds": [("lava",), ()], "robots": [0], "modes": [("x",)]},
+}
+"""Any one of these values is refused, with all others at their defaults."""
+
+
+@pytest.mark.parametrize(
+    ("study", "wrong"),
+    [
+        *(
+            (study, {name: value})
+            for study, names in WRONG.items()
+            for name, values in names.items()
+            for value in values
+        ),
+        (FaultStudy, {"faults": ("glass",), "grounds": ("flat", "gap")}),
+        (SuccessStudy, {"speed": -0.6, "fault": "foam"}),
+    ],
+)
+def test_bad_settings_are_refused(study: type[Study], wrong: dict) -> None:
+    with pytest.raises(RenetError):
+        study(**wrong)
 
 
 def test_files_that_are_no_results_are_refused(tmp_path: Path) -> None:

@@ -60,7 +60,8 @@ def test_survival_and_detection_are_those_of_the_robots(summary: dict) -> None:
     assert found["gaussian", 5, "renet"]["over_op"] == 0
     assert found["gaussian", 5, "vp"]["over_op"] is None
     assert summary["harmful"] == summary["missed"] == []
-    assert {claim["met"] for claim in summary["claims"]} <= {True, False}
+    # Of all that is claimed only this is not so: that frozen images are noticed.
+    assert [claim["met"] for claim in summary["claims"]] == [True, True, True, True, False]
 
 
 def test_healthy_time_is_that_of_robots_whose_cameras_never_fail(summary: dict) -> None:
@@ -80,31 +81,6 @@ def test_what_op_does_no_fault_changes() -> None:
     trace = evaluator.rollout("op", env, trials, 40, 1)
     assert (trace.anomaly[20:, 0] > 2 * trace.anomaly[20:, 1]).all()
     np.testing.assert_allclose(trace.height[:, 0], trace.height[:, 1], atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"faults": ("smoke",)},
-        {"faults": ("gaussian:9",)},
-        {"faults": ("gaussian:x",)},
-        {"faults": ()},
-        {"faults": ("glass",), "grounds": ("flat", "gap")},
-        {"severities": (0,)},
-        {"modes": ("blind",)},
-        {"modes": ()},
-        {"speed": 0.0},
-        {"robots": 0},
-        {"grounds": ("lava",)},
-        {"level": 11},
-        {"onsets": (0.5, 8.0)},
-        {"healthy_minutes": -1.0},
-        {"selector": "coin"},
-    ],
-)
-def test_bad_settings_are_refused(wrong) -> None:
-    with pytest.raises(RenetError):
-        FaultStudy(**wrong)
 
 
 def test_quick_is_smaller_and_glass_is_studied_where_there_are_obstacles() -> None:

@@ -2,12 +2,9 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from renet.errors import RenetError
-from renet.evaluation.studies.filter import FilterStudy, replay
-from renet.selector import SelectorSpec
+from renet.evaluation.studies.filter import FilterStudy
 
 from ..fakes import FakeEvaluator
 
@@ -42,30 +39,3 @@ def test_quick_is_fewer_robots_and_new_gammas_need_no_new_walk(
     assert summary["settings"]["quick"]
     assert [run["robots"] for run in runs] == [4, 4, 4]
     assert replace(quick, gammas=(0.1, 1.0)).run(Busy())["runs"][::2] == runs
-
-
-def test_replay_is_the_papers_recursion() -> None:
-    scores = np.array([[0.0], [2.0], [2.0]])
-    trusted = replay(scores, SelectorSpec(beta=1.0, gamma=0.3, rate_hz=200.0))
-    probability, expected = 1.0, []
-    for score in np.repeat(scores[:, 0], 4):
-        probability = 0.7 * probability + 0.3 * (score < 1.0)
-        expected.append(probability > 0.5)
-    np.testing.assert_array_equal(trusted.ravel(), expected)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"robots": 0},
-        {"gammas": ()},
-        {"gammas": (0.1, 2.0)},
-        {"rates": (200.0, 30.0)},
-        {"rates": (0.0,)},
-        {"onset": 14.0},
-        {"speed": 0.0},
-    ],
-)
-def test_bad_settings_are_refused(wrong) -> None:
-    with pytest.raises(RenetError):
-        FilterStudy(**wrong)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from renet.errors import RenetError
 from renet.evaluation.env import grounds_env_cfg
 from renet.evaluation.studies.margins import ALLOWED, AXES, MarginsStudy, margin
 from renet.tasks.config.go1 import GO1
@@ -102,12 +101,3 @@ def test_robots_fall_at_the_violent_end_and_the_sweep_stops_there(
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
     assert (tmp_path / "margins.png").stat().st_size > 10_000
     assert study.tables(summary)[0][2] == [("payload", "1 kg")]
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"axes": ("luck",)}, {"grounds": ("lava",)}, {"grounds": ()}, {"level": 0}, {"robots": 0}],
-)
-def test_bad_settings_are_refused(wrong) -> None:
-    with pytest.raises(RenetError):
-        MarginsStudy(**wrong)

@@ -2,10 +2,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from renet.errors import RenetError
-from renet.evaluation.studies.standing import StandingStudy, stillness
+from renet.evaluation.studies.standing import stillness
 
 
 def test_drift_counts_from_when_robots_should_stand_and_joints_all_along() -> None:
@@ -37,11 +35,3 @@ def test_the_simulated_world_obeys() -> None:
     world.command(0.0)
     after = world.step(np.zeros((2, 12), np.float32))
     np.testing.assert_allclose(after.proprioception[:, 6], 0.0)
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"kinds": ("lava",)}, {"modes": ("x",)}, {"level": 11}, {"robots": 0}, {"stand": 0}]
-)
-def test_bad_settings_are_refused(wrong) -> None:
-    with pytest.raises(RenetError):
-        StandingStudy(**wrong)

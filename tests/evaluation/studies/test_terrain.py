@@ -5,12 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from renet.errors import RenetError
-from renet.evaluation.monitor_log import successful_runs
-from renet.evaluation.rollout import Trace, Trial, run_rollout
+from renet.evaluation.rollout import Trace
 from renet.evaluation.studies.terrain import (
     SuccessStudy,
-    TerrainStudy,
     highest_level,
     passed,
     worse_than_op,
@@ -18,7 +15,7 @@ from renet.evaluation.studies.terrain import (
 from renet.faults import ViewPerturbation
 from renet.terrain.tiles import LEVELS
 
-from ..fakes import FakeEnv, FakeEvaluator, FakePolicy, FakeSelector
+from ..fakes import FakeEvaluator
 from ..tiny import TINY, Hurdles
 
 
@@ -50,30 +47,6 @@ def test_summary_holds_the_papers_table(run_study) -> None:
     assert 0.99 < summary["lin_vel_reward"] <= 1
     assert len(summary["runs"]) == 4 * LEVELS
     assert (folder / "terrain.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"kinds": ("lava",)}, {"kinds": ()}, {"robots": 0}, {"modes": ("x",)}]
-)
-def test_bad_settings_are_refused(wrong) -> None:
-    with pytest.raises(RenetError):
-        TerrainStudy(**wrong)
-
-
-def test_only_successful_episodes_calibrate() -> None:
-    trace = Trace.empty(25, 2)
-    # Robot 0 falls at step 7 and stands at the end; robot 1 leaves its tile at step 12, then falls.
-    trace.ended[7, 0] = trace.fell[7, 0] = True
-    trace.ended[[12, 24], 1] = True
-    trace.fell[24, 1] = True
-    assert successful_runs(trace) == [(0, slice(2, 5)), (1, slice(0, 3))]
-
-
-def test_no_success_means_no_runs() -> None:
-    rows = [Trial("vp")]
-    trace = run_rollout(FakeEnv(1), FakePolicy(1), FakeSelector(1, 1), rows, 10, 0)
-    trace.fell[-1] = trace.ended[-1] = True
-    assert successful_runs(trace) == []
 
 
 def test_only_the_first_try_counts() -> None:
@@ -119,22 +92,6 @@ def test_where_renet_crosses_less_often_than_op_alone_is_listed() -> None:
         ]
     ]
     assert worse_than_op(runs) == [{"kind": "gap", "size_m": 0.2, "renet": 0.5, "op": 0.8}]
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"kinds": ("lava",)},
-        {"levels": (0,)},
-        {"levels": ()},
-        {"speed": -0.6, "fault": "foam"},
-        {"fault": "gremlins"},
-        {"fault": "frozen:9"},
-    ],
-)
-def test_bad_settings_of_one_try_are_refused(wrong) -> None:
-    with pytest.raises(RenetError):
-        SuccessStudy(**wrong)
 
 
 def test_faults_of_the_scene_reach_the_cameras(tmp_path: Path) -> None:
