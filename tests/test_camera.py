@@ -1,8 +1,6 @@
 """Pinhole rays, by hand."""
 
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -25,9 +23,3 @@ def test_the_default_crop_is_66_by_52_degrees_with_square_pixels():
         52.0, abs=0.1
     )
     assert camera.fx == pytest.approx(camera.fy, rel=1e-4)
-
-
-def test_a_robot_needs_neither_torch_nor_warp_for_it():
-    code = "import sys, renet.camera; print({'torch', 'warp'} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "set()"

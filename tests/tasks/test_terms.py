@@ -219,7 +219,7 @@ def test_tiles_are_shared_out_as_asked():
     assert found == [2, 2, 2, 2, 4, 2]
     for share, problem in (
         ({"moat": 1.0}, "no tile 'moat': choose one of rough"),
-        ({"gap": -1.0}, "0"),
+        ({"gap": 0.0}, "must be above 0"),
     ):
         with pytest.raises(RenetError, match=problem):
             recipe("Renet-Go1-Parkour", shares=share)

@@ -8,7 +8,7 @@ from rsl_rl.utils.logger import Logger
 
 from renet.training.episode_log import EpisodeLog
 
-from .test_precision import Waits
+from ..waits import Waits
 
 ROBOTS, STEPS = 6, 40
 

@@ -6,7 +6,6 @@ from dataclasses import asdict
 
 import pytest
 import torch
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from renet.models.config import ModelCfg
 from renet.training import precision
@@ -21,6 +20,7 @@ from renet.training.precision import (
 )
 
 from ..forked import fork
+from ..waits import Waits
 
 STEPS = 10
 
@@ -131,24 +131,6 @@ def test_rows_in_halves_are_those_of_the_whole_and_carry_no_gradients(two_thread
     assert torch.get_num_threads() == 2
 
 
-class Waits(TorchDispatchMode):
-    """Notes every operation whose result a host must have before it goes on."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.seen: set[str] = set()
-        self.waits: list[str] = []
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        name = func.overloadpacket.__name__
-        self.seen.add(name)
-        masks = args[1] if name in ("index", "index_put", "index_put_") else ()
-        by_mask = any(m is not None and m.dtype == torch.bool for m in masks)
-        if by_mask or name in ("_local_scalar_dense", "nonzero", "masked_select", "equal"):
-            self.waits.append(name)
-        return func(*args, **(kwargs or {}))
-
-
 def test_nothing_on_a_gpus_path_waits_for_the_device(toy_env):
     env = toy_env()
     alg = algorithm(env, "float32")
@@ -170,7 +152,8 @@ def test_the_watch_would_notice():
         value = torch.randn(4)
         bool(value.sum() > 0)
         value[value > 0]
-    assert watch.waits == ["_local_scalar_dense", "index"]
+        torch.tensor([1.0, 2.0])
+    assert watch.waits == ["_local_scalar_dense", "index", "lift_fresh"]
 
 
 def take_and_free(keep: bool) -> None:

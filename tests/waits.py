@@ -1,0 +1,34 @@
+"""Where code would make the host of a GPU wait."""
+
+import traceback
+from pathlib import Path
+
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+
+class Waits(TorchDispatchMode):
+    """Notes every operation whose result a host must have, or whose data it must copy."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: set[str] = set()
+        """All operations."""
+        self.waits: list[str] = []
+        """Those that wait."""
+        self.files: list[str] = []
+        """Files of renet in which they do; "mjlab" where it is none."""
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        name = func.overloadpacket.__name__
+        self.seen.add(name)
+        masks = args[1] if name in ("index", "index_put", "index_put_") else ()
+        by_mask = any(m is not None and m.dtype == torch.bool for m in masks)
+        of_list = name == "lift_fresh" and args[0].ndim > 0
+        always = ("_local_scalar_dense", "nonzero", "masked_select", "equal")
+        if by_mask or of_list or name in always:
+            calls = [frame.filename for frame in traceback.extract_stack()]
+            own = [file for file in calls if "/mjlab/" in file or "/renet/" in file]
+            self.waits.append(name)
+            self.files.append(Path(own[-1]).name if own and "/renet/" in own[-1] else "mjlab")
+        return func(*args, **(kwargs or {}))
