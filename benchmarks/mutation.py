@@ -22,7 +22,10 @@ ROOT = Path(__file__).parents[1]
 PARTS = {
     "selector": ("selector/*.py", ["tests/selector"]),
     "safety": ("deploy/safety.py", ["tests/deploy/test_safety.py"]),
-    "controller": ("deploy/controller.py", ["tests/deploy/test_controller.py"]),
+    "controller": (
+        "deploy/controller.py",
+        ["tests/deploy/test_controller.py", "tests/deploy/test_loop.py"],
+    ),
     "envelope": ("deploy/robots/envelope.py", ["tests/deploy/robots/test_envelope.py"]),
     "go1": ("deploy/robots/go1_link.py", ["tests/deploy/robots/test_go1.py"]),
 }

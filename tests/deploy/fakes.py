@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
@@ -26,6 +27,11 @@ def state(time: float = 0.0, **changes) -> RobotState:
         angular_velocity=np.zeros(3),
     )
     return replace(standing, **changes)
+
+
+def turned(axis: str, degrees: float) -> np.ndarray:
+    """The quaternion of a turn about x (to the right), y (nose down) or z (to the left)."""
+    return Rotation.from_euler(axis, degrees, degrees=True).as_quat(scalar_first=True)
 
 
 def frame(number: int, time: float, seed: int = 0) -> DepthFrame:

@@ -1,21 +1,18 @@
-"""o_t against numbers worked out by hand, and against rotation matrices."""
-
-import math
+"""o_t against numbers worked out by hand, and against scipy's rotations."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from renet.deploy.observation import heading, observe, projected_gravity
 from renet.interface import proprioception_slices
 from renet.training.bundle import robot_spec
 
-from .fakes import state
+from .fakes import state, turned
 
 AT = proprioception_slices()
-HALF = math.sqrt(0.5)
-LEFT_90 = (HALF, 0.0, 0.0, HALF)
 
 
 def test_every_block_by_hand():
@@ -25,7 +22,7 @@ def test_every_block_by_hand():
         joint_position=joints,
         joint_velocity=np.arange(12.0),
         angular_velocity=np.array([1.0, -2.0, 4.0]),
-        quaternion=np.array(LEFT_90),
+        quaternion=turned("z", 90),
     )
     action = np.linspace(-1, 1, 12)
     o = observe(reading, robot_spec(), speed=0.6, yaw=0.0, last_action=action)
@@ -52,27 +49,10 @@ def test_zeros_are_no_rotation_and_no_error():
 
 
 @given(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
-def test_against_a_product_of_elementary_rotations(angles):
-    roll, pitch, yaw = angles
-    pitch /= 2.1  # Within a quarter turn, where yaw is unique.
-
-    def rotation(axis: int, angle: float) -> np.ndarray:
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        matrix = np.eye(3)
-        matrix[i, i] = matrix[j, j] = math.cos(angle)
-        matrix[i, j], matrix[j, i] = -math.sin(angle), math.sin(angle)
-        return matrix
-
-    def times(p, q):
-        w, v = p[0] * q[0] - p[1:] @ q[1:], p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])
-        return np.array([w, *v])
-
-    def quaternion(axis: int, angle: float) -> np.ndarray:
-        q = np.zeros(4)
-        q[0], q[1 + axis] = math.cos(angle / 2), math.sin(angle / 2)
-        return q
-
-    turn = rotation(2, yaw) @ rotation(1, pitch) @ rotation(0, roll)
-    q = times(times(quaternion(2, yaw), quaternion(1, pitch)), quaternion(0, roll))
-    np.testing.assert_allclose(projected_gravity(q), turn.T @ [0, 0, -1], atol=1e-9)
-    assert heading(q) == pytest.approx(math.atan2(turn[1, 0], turn[0, 0]), abs=1e-6)
+def test_against_scipys_rotations(angles):
+    yaw, pitch, roll = angles
+    # Pitch within a quarter turn, where yaw is unique.
+    turn = Rotation.from_euler("ZYX", (yaw, pitch / 2.1, roll))
+    q = turn.as_quat(scalar_first=True)
+    np.testing.assert_allclose(projected_gravity(q), turn.inv().apply([0, 0, -1]), atol=1e-9)
+    assert heading(q) == pytest.approx(yaw, abs=1e-6)

@@ -145,6 +145,7 @@ def test_a_flipped_bit_ends_the_flight_there(recorded, tmp_path):
         (HEADER, b"{"),
         (TICKS, b"123"),
         (EVENTS, b'[{"when": 3}]'),
+        (EVENTS, b'[{"time": "a", "what": 1, "why": 2}]'),
         (EVENTS, b"7"),
         (IMAGES, bytes(6150)),
     ],

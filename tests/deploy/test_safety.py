@@ -27,15 +27,10 @@ from renet.errors import RenetError
 from renet.interface import CONTROL_DT
 from renet.training.bundle import robot_spec
 
-from .fakes import STANDING, frame, state, time_of
+from .fakes import STANDING, frame, state, time_of, turned
 
 GO1, CFG = robot_spec(), SafetyCfg()
 IDLE = TeleopCommand()
-
-
-def roll(degrees: float) -> np.ndarray:
-    half = math.radians(degrees) / 2
-    return np.array([math.cos(half), math.sin(half), 0.0, 0.0])
 
 
 def moved(joint: int, value: float) -> np.ndarray:
@@ -49,9 +44,9 @@ def moved(joint: int, value: float) -> np.ndarray:
     [
         ({}, CFG.max_state_age, ""),
         ({}, 0.06, "the state is 60 ms old"),
-        ({"quaternion": roll(69)}, 0.0, ""),
-        ({"quaternion": roll(71)}, 0.0, "tilted by more than 70 degrees"),
-        ({"quaternion": roll(180)}, 0.0, "tilted by more than 70 degrees"),
+        ({"quaternion": turned("x", 69)}, 0.0, ""),
+        ({"quaternion": turned("x", 71)}, 0.0, "tilted by more than 70 degrees"),
+        ({"quaternion": turned("x", 180)}, 0.0, "tilted by more than 70 degrees"),
         ({"joint_position": moved(0, GO1.lower[0] - CFG.joint_margin)}, 0.0, ""),
         ({"joint_position": moved(1, GO1.upper[1] + CFG.joint_margin)}, 0.0, ""),
         ({"joint_velocity": np.full(12, CFG.max_joint_speed)}, 0.0, ""),

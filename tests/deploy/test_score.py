@@ -1,7 +1,6 @@
 """Scores and timelines of flights made by hand, whose falls, metres and delays are known."""
 
 import json
-import math
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
@@ -15,17 +14,9 @@ from renet.deploy.score import BANDS, draw_timeline, score, track, write_score
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT
 
+from .fakes import turned
+
 STEPS, RISEN, BLIND = 500, 100, 300
-
-
-def tilted(degrees: float) -> tuple[float, ...]:
-    half = math.radians(degrees) / 2
-    return (math.cos(half), math.sin(half), 0.0, 0.0)
-
-
-def turned(degrees: float) -> tuple[float, ...]:
-    half = math.radians(degrees) / 2
-    return (math.cos(half), 0.0, 0.0, math.sin(half))
 
 
 @pytest.fixture
@@ -33,7 +24,7 @@ def flight() -> Recording:
     """2 s of rising, then walking at 0.5 m/s to the left of the start; OP from 6 s on."""
     ticks = np.zeros(STEPS, TICK)
     ticks["now"] = 1000.0 + CONTROL_DT * np.arange(STEPS)
-    ticks["state"], ticks["quaternion"] = GOOD, turned(90)
+    ticks["state"], ticks["quaternion"] = GOOD, turned("z", 90)
     ticks["mode"] = MODES.index(Mode.WALKING)
     ticks["mode"][:RISEN] = MODES.index(Mode.STANDING_UP)
     ticks["vision"][RISEN:BLIND] = True
@@ -80,11 +71,11 @@ def test_switch_delays(flight):
 
 def test_falls_are_counted_once_each(flight):
     quaternion = flight.ticks["quaternion"]
-    quaternion[200:220] = tilted(61)
-    quaternion[300:] = tilted(-120)
+    quaternion[200:220] = turned("x", 61)
+    quaternion[300:] = turned("x", -120)
     quaternion[:5] = np.nan
     quaternion[5:8] = 0.0
-    quaternion[100:120] = tilted(59)
+    quaternion[100:120] = turned("x", 59)
     flight.ticks["state"][250:260] = NONE
     assert score(flight, [])["falls"] == 2
 

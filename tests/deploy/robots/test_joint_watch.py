@@ -8,7 +8,7 @@ from renet.deploy.robots.joint_watch import TURN, WAYS, JointWatch
 from renet.deploy.robots.scene import GO1
 from renet.interface import JOINTS
 
-from ..fakes import STANDING, state
+from ..fakes import STANDING, state, turned
 
 
 @pytest.fixture
@@ -72,15 +72,13 @@ def test_the_words_are_what_the_model_does(name):
 def test_which_end_is_down(watched):
     watch, seen, said = watched
     turns = {
-        "nose": (0, 1, 0),
-        "tail": (0, -1, 0),
-        "left side": (-1, 0, 0),
-        "right side": (1, 0, 0),
+        "nose": ("y", 30),
+        "tail": ("y", -30),
+        "left side": ("x", -30),
+        "right side": ("x", 30),
     }
-    for end, axis in turns.items():
-        quaternion = np.zeros(4)
-        mujoco.mju_axisAngle2Quat(quaternion, np.array(axis, float), 0.5)
-        seen[0] = state(quaternion=quaternion)
+    for end, turn in turns.items():
+        seen[0] = state(quaternion=turned(*turn))
         watch.look()
         watch.look()
         assert said == [f"the base leans: {end} down"]
