@@ -96,9 +96,7 @@ def end(process: subprocess.Popen) -> None:
     process.stdout.close()
 
 
-@pytest.mark.parametrize(
-    "name", ["KILL", "SEGV", "ABRT", "STOP", "USR1", "USR2", "BUS", "TERM", "HUP", "QUIT"]
-)
+@pytest.mark.parametrize("name", ["KILL", "STOP", "TERM", "HUP"])
 def test_a_signal_that_ends_or_stops_the_controller_brakes_at_once(peer, controller, name):
     process = controller()
     process.send_signal(signal.Signals[f"SIG{name}"])
