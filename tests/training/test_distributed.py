@@ -17,6 +17,7 @@ from renet.training.storage import PolicyRollout
 
 from .. import forked  # noqa: F401  What processes begin with.
 from .conftest import ToyEnv
+from .test_np3o import random_rollout
 
 RANKS = 2
 
@@ -61,30 +62,15 @@ def work(rank: int, folder: str, port: int) -> None:
 
 def rollout() -> tuple[PolicyRollout, torch.Tensor]:
     """Four steps of eight environments; a rank takes half of the environments."""
-    random = torch.Generator().manual_seed(3)
-
-    def draw(*shape: int) -> torch.Tensor:
-        return torch.randn(4, 8, *shape, generator=random)
-
-    data = PolicyRollout(
-        proprioception=draw(45),
-        latent=draw(128),
-        critic_observation=draw(10),
-        action=draw(12),
-        log_prob=draw() - 20.0,
-        mean=draw(12),
-        value=draw(4),
-        rewards_and_costs=draw(4),
-        done=draw() > 1.5,
-    )
-    return data, torch.randn(8, 4, generator=random)
+    torch.manual_seed(3)
+    return random_rollout(Actor(ModelCfg()), steps=4, robots=8)
 
 
 def gradients(data: PolicyRollout, last_value: torch.Tensor) -> list[torch.Tensor]:
     torch.manual_seed(0)
     model = ModelCfg(actor_hidden=(16,), critic_hidden=(16,), cost_critic_hidden=(8,))
     cfg = NP3OCfg(max_grad_norm=1e9, desired_kl=0.0)
-    algorithm = NP3O(Actor(model), Critics(model, 10), cfg)
+    algorithm = NP3O(Actor(model), Critics(model, 4), cfg)
     targets = make_targets(data, last_value, cfg)
     rows = torch.arange(data.log_prob.numel())
     algorithm._step(data.flatten(), targets, rows, algorithm.actor.log_std.detach().exp())

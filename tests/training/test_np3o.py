@@ -146,25 +146,29 @@ def test_a_noisy_critic_does_not_change_the_actors_step():
     assert all(torch.equal(a, b) for a, b in zip(*moved, strict=True))
 
 
-def random_rollout(actor: Actor) -> tuple[PolicyRollout, torch.Tensor]:
-    """Ten steps of three robots, and the values after the last."""
-    proprioception, latent = torch.randn(10, 3, 45), torch.randn(10, 3, 128)
+def random_rollout(actor: Actor, steps=10, robots=3) -> tuple[PolicyRollout, torch.Tensor]:
+    """An actor's answers to noise, and the values after the last step."""
+
+    def draw(*shape: int) -> torch.Tensor:
+        return torch.randn(steps, robots, *shape)
+
+    proprioception, latent = draw(45), draw(128)
     with torch.no_grad():
-        mean = actor(proprioception.flatten(0, 1), latent.flatten(0, 1)).unflatten(0, (10, 3))
-        action = mean + torch.randn(10, 3, 12)
+        mean = actor(proprioception, latent)
+        action = mean + draw(12)
         log_prob = actor.log_prob(mean, action)
     rollout = PolicyRollout(
         proprioception=proprioception,
         latent=latent,
-        critic_observation=torch.randn(10, 3, 4),
+        critic_observation=draw(4),
         action=action,
         log_prob=log_prob,
         mean=mean,
-        value=torch.randn(10, 3, 4),
-        rewards_and_costs=torch.randn(10, 3, 4),
-        done=torch.zeros(10, 3, dtype=torch.bool),
+        value=draw(4),
+        rewards_and_costs=draw(4),
+        done=draw() > 1.5,
     )
-    return rollout, torch.randn(3, 4)
+    return rollout, torch.randn(robots, 4)
 
 
 def test_entropy_divergence_and_budgets_follow_their_schedules():
