@@ -210,7 +210,9 @@ class NP3O:
         ratio = torch.exp(log_prob - batch.log_prob[index])
         surrogate = reward_surrogate(ratio, targets.reward_advantage[index], self.cfg.clip)
         cost = cost_surrogate(ratio, targets.cost_advantage[index], self.cfg.clip)
-        penalty = self.cost_weight * torch.relu(cost + targets.violation).sum()
+        excess = cost + targets.violation
+        exceeded = distributed.mean(cost.detach()) + targets.violation > 0  # On all ranks or none.
+        penalty = self.cost_weight * (exceeded * excess).sum()
         entropy = distribution.entropy().sum(-1).mean()
         (surrogate + penalty - self._entropy * entropy).backward()
         losses = {"surrogate": surrogate, "cost": penalty, "entropy": entropy}
