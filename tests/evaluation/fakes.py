@@ -10,7 +10,8 @@ from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import StepResult
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
-from renet.selector import MonitorSelector, SelectorSpec, make_selector
+from renet.selector import SelectorSpec, make_selector
+from renet.selector.selector import MonitorSelector
 from renet.tasks.config.go1 import GO1
 
 GROUND = np.full(DEPTH_SHAPE, 0.5, np.float32)
