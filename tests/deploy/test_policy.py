@@ -122,7 +122,7 @@ def test_it_leaves_on_glare_that_the_papers_rule_misses(seeing):
     assert trusted(seeing, "paper", "glare")
 
 
-def test_a_model_without_the_output_ignores_its_threshold(bundle):
-    easy = replace(SPEC, beta=0.25, thresholds={"variance": 1e-6, "reconstruction": 0.25})
-    assert trusted(bundle, "monitors", "healthy", easy)
-    assert Policy(bundle).variance_score.tolist() == [0.0]
+def test_a_threshold_without_the_output_it_judges_is_refused(models, manifest, tmp_path):
+    path = write_bundle(tmp_path / "blind", models, replace(manifest, selector=SPEC))
+    with pytest.raises(RenetError, match="no variance_score: run `renet calibrate`"):
+        Bundle.load(path)

@@ -10,6 +10,7 @@ from renet import cli
 from renet.deploy.bundle import (
     DEFAULT,
     MANIFEST,
+    MODELS,
     Bundle,
     pretrained,
     read_manifest,
@@ -94,6 +95,23 @@ def test_calibration_is_written_into_the_bundle(tmp_path: Path) -> None:
     assert Evaluator(bundle, selector="paper").beta == pytest.approx(beta)
     assert Bundle.load(bundle).sha256 != Bundle.load(pretrained(DEFAULT)).sha256
     assert json.loads((bundle / "manifest.json").read_text())["selector"]["gamma"] == 0.1
+
+
+def test_where_a_variance_is_predicted_its_threshold_allows_for_sparse_grass(tmp_path) -> None:
+    shipped = pretrained(DEFAULT)
+    models = {name: (shipped / f"{name}.onnx").read_bytes() for name in MODELS}
+    models["vision"] = (Path(__file__).parents[1] / "deploy/data/variance.onnx").read_bytes()
+    bundle = write_bundle(tmp_path / "bundle", models, read_manifest(shipped))
+    beta = run_calibrate(CalibrateCfg(bundle, robots=2, seconds=3.0, terrains=("flat",)))
+    selector = read_manifest(bundle).selector
+    assert "reconstruction" not in selector.thresholds
+    assert selector.healthy_hours == pytest.approx(12 / 3600), "half of it in grass"
+    # This detector never saw a blade: 3 to 9 on healthy images, 12 and more through grass.
+    assert selector.thresholds["variance"] > 12.0
+    assert beta < 0.02, "the paper's rule knows healthy images alone"
+    names = {monitor.name for monitor in Evaluator(bundle).make_selector(1).monitors}
+    assert "variance" in names
+    assert "reconstruction" not in names
 
 
 @pytest.mark.parametrize(

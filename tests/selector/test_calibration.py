@@ -135,6 +135,8 @@ def test_bad_input_is_refused(wrong, message: str) -> None:
 def test_a_bundle_without_thresholds_gets_the_documented_ones() -> None:
     found = {monitor.name: monitor.threshold for monitor in default_monitors(0.01, {}, 2)}
     assert found == FALLBACK | {"reconstruction": 0.01}
+    by_variance = {monitor.name for monitor in default_monitors(0.01, {"variance": 4.0}, 2)}
+    assert by_variance == (found.keys() | {"variance"}) - {"reconstruction"}
     thresholds = {"reconstruction": 0.02, "variance": 4.0, "disagreement": 0.3}
     calibrated = default_monitors(0.01, thresholds, 2)
     assert [monitor.name for monitor in calibrated] == list(MONITORS)

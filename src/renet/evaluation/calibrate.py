@@ -19,18 +19,24 @@ from renet.deploy.calibration_log import recorded_scores
 from renet.deploy.terminal import show
 from renet.errors import RenetError
 from renet.evaluation.monitor_log import TICK_RATE, MonitorLog, healthy_series
+from renet.faults import Injection
 from renet.interface import CONTROL_DT
 from renet.selector.calibration import calibrate, calibrate_monitors, conformal_threshold
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
 
+Series = dict[str, list[np.ndarray]]
+"""Scores [T] of each unbroken run, by monitor."""
+
 
 @dataclass(frozen=True)
 class CalibrateCfg:
     """How β and the monitors' thresholds are measured: from episodes that succeed, cameras healthy.
 
-    β is the paper's; the monitors of the default selector get thresholds of their own.
+    β is the paper's; the monitors of the default selector get thresholds of their own. Where the
+    detector predicts its variance, as many robots walk in sparse grass, which the monitors shall
+    not object to.
     """
 
     bundle: tyro.conf.Positional[Path]
@@ -74,17 +80,22 @@ def run_calibrate(cfg: CalibrateCfg, evaluator: Evaluator | None = None) -> floa
     """
     if cfg.log:
         bundle = Bundle.load(cfg.bundle)
-        return _store(cfg, bundle, recorded_scores(cfg.log, bundle), f"{len(cfg.log)} recording(s)")
-    bundle, series = _simulated_scores(cfg, evaluator)
-    return _store(cfg, bundle, series, f"successful episodes, seed {cfg.seed}")
+        series = recorded_scores(cfg.log, bundle)
+        return _store(cfg, bundle, series, {}, f"{len(cfg.log)} recording(s)")
+    return _store(cfg, *_simulated_scores(cfg, evaluator), f"successful episodes, seed {cfg.seed}")
 
 
-def _store(
-    cfg: CalibrateCfg, bundle: Bundle, series: dict[str, list[np.ndarray]], source: str
-) -> float:
-    """Learn β and the thresholds from healthy scores, write them into the manifest, return β."""
+def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series, source: str) -> float:
+    """Learn β and the thresholds from healthy scores, write them into the manifest, return β.
+
+    β is learnt without the `grassy` runs, and so is the reconstruction's threshold: it is used only
+    where there is none of the variance.
+    """
     scores = np.concatenate(series["reconstruction"])
-    thresholds, hours = calibrate_monitors(series, cfg.false_alarms_per_hour, TICK_RATE)
+    judged = {name: runs + grassy.get(name, []) for name, runs in series.items()}
+    if np.any(np.concatenate(series["variance"]) > 0):
+        del judged["reconstruction"]
+    thresholds, hours = calibrate_monitors(judged, cfg.false_alarms_per_hour, TICK_RATE)
     beta = conformal_threshold(scores, cfg.false_alarm) if cfg.false_alarm else calibrate(scores)
     rule = f"false alarm {cfg.false_alarm}" if cfg.false_alarm else "maximum"
     how = f"{rule} of {len(scores)} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
@@ -111,8 +122,8 @@ def _store(
 
 def _simulated_scores(
     cfg: CalibrateCfg, evaluator: Evaluator | None
-) -> tuple[Bundle, dict[str, list[np.ndarray]]]:
-    """The bundle, and every monitor's scores in successful episodes, by name.
+) -> tuple[Bundle, Series, Series]:
+    """The bundle, and every monitor's scores in successful episodes, without and with grass.
 
     Raises:
         RenetError: settings that cannot be run, or a policy that never succeeds.
@@ -131,17 +142,21 @@ def _simulated_scores(
         raise RenetError(f"terrains {cfg.terrains}: choose among {FLAT}, {PARKOUR}")
     check_speed(cfg.speed)
     evaluator = evaluator or Evaluator(cfg.bundle, cfg.engine)
-    runs = [_healthy_runs(cfg, evaluator, terrain) for terrain in cfg.terrains]
-    series = {name: [scores for run in runs for scores in run[name]] for name in runs[0]}
+    series = _healthy_runs(cfg, evaluator, grass=False)
     if not series["reconstruction"]:
         raise RenetError("no episode succeeded: train the policy before calibrating its selector")
-    return evaluator.bundle, series
+    predicts = np.any(np.concatenate(series["variance"]) > 0)
+    return evaluator.bundle, series, _healthy_runs(cfg, evaluator, grass=True) if predicts else {}
 
 
-def _healthy_runs(
-    cfg: CalibrateCfg, evaluator: Evaluator, terrain: str
-) -> dict[str, list[np.ndarray]]:
-    """Every monitor's scores in one terrain's successful episodes, VP in charge throughout."""
+def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Series:
+    """Every monitor's scores in the successful episodes on all terrains, by name."""
+    runs = [_runs_on(terrain, cfg, evaluator, grass) for terrain in cfg.terrains]
+    return {name: [scores for run in runs for scores in run[name]] for name in runs[0]}
+
+
+def _runs_on(terrain: str, cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Series:
+    """The same on one terrain, VP in charge throughout; in grass of severity 1 and 2 in turn."""
     from renet.evaluation.env import PARKOUR
     from renet.evaluation.rollout import Trial
     from renet.terrain.tiles import tiles
@@ -150,7 +165,8 @@ def _healthy_runs(
     if terrain == PARKOUR:
         robot = np.arange(cfg.robots)
         env.place(robot // len(tiles()) % cfg.levels, robot % len(tiles()))
-    trials = [Trial("vp", robot=robot) for robot in range(cfg.robots)]
+    sparse = [(Injection.of("tall_grass", severity, onset=0),) for severity in (1, 2)]
+    trials = [Trial("vp", sparse[robot % 2] if grass else (), robot) for robot in range(cfg.robots)]
     log, steps = MonitorLog(cfg.robots), round(cfg.seconds / CONTROL_DT)
     trace = evaluator.rollout(terrain, env, trials, steps, cfg.seed, on_update=log)
     return healthy_series(log, trace, cfg.speed)

@@ -218,7 +218,8 @@ def default_monitors(
 
     Args:
         beta: the paper's threshold on the anomaly score.
-        thresholds: calibrated ones by monitor name; those missing use `FALLBACK`.
+        thresholds: calibrated ones by monitor name; those missing use `FALLBACK`, reconstruction β
+            unless there is one of the variance, which judges the same images better.
         num_robots: N.
 
     Raises:
@@ -227,7 +228,9 @@ def default_monitors(
     unknown = sorted(set(thresholds) - set(MONITORS))
     if unknown:
         raise RenetError(f"unknown monitor '{unknown[0]}': choose among {', '.join(MONITORS)}")
-    known = {"reconstruction": beta} | FALLBACK | dict(thresholds)
+    known = FALLBACK | dict(thresholds)
+    if "variance" not in thresholds:
+        known = {"reconstruction": beta} | known
     return [
         FrozenFrame(num_robots, known[name]) if monitor is FrozenFrame else monitor(known[name])
         for name, monitor in MONITORS.items()

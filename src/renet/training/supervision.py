@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from renet.models.estimators import Estimator
 from renet.models.him import HybridInternalModel, target_view
 from renet.models.renet import RENet
-from renet.training import distributed
+from renet.training import distributed, sparse_grass
 from renet.training.config import SupervisionCfg, value_at
 from renet.training.precision import computed_in, side_by_side
 from renet.training.storage import TickRollout
@@ -70,6 +70,7 @@ class Supervision:
         """Set up for a model that is where it is to stay; its depth embedding learns in `dtype`."""
         self.model, self.cfg, self.dtype = model, cfg, dtype
         self.parameters = model.supervised_parameters()
+        self._grass = sparse_grass.draw_views().to(self.parameters[0].device)
         rate = value_at(cfg.learning_rate, 0.0)
         self.optimizer = torch.optim.Adam(self.parameters, lr=rate, fused=True)
 
@@ -169,4 +170,6 @@ class Supervision:
         pairs = frames.flatten(0, 1)
         count = min(self.cfg.autoencoder_images, math.ceil(AUTOENCODER_SHARE * pairs.shape[0]))
         pairs = pairs[torch.randperm(pairs.shape[0], device=pairs.device)[:count]].float()
+        if self.model.cfg.detector == "variance":
+            pairs = sparse_grass.grow(pairs, self._grass)
         return self.model.autoencoder.loss(pairs)

@@ -15,7 +15,7 @@ from pathlib import Path
 import onnxruntime as ort
 
 from renet.deploy.bundle.manifest import SCHEMA, Manifest, from_json
-from renet.deploy.bundle.models import MODELS, read_model, session, try_models
+from renet.deploy.bundle.models import MODELS, OPTIONAL, read_model, session, try_models
 from renet.errors import RenetError
 from renet.files import MAX_JSON, read_bytes, read_object, write_atomically
 
@@ -53,6 +53,12 @@ class Bundle:
         }
         try_models(models, manifest.history, str(folder))
         sessions = {name: session(data, threads) for name, data in models.items()}
+        outputs = {output.name for output in sessions["vision"].get_outputs()}
+        if "variance" in manifest.selector.thresholds and OPTIONAL not in outputs:
+            raise RenetError(
+                f"{folder}: the selector has a threshold of the variance, but vision.onnx has no"
+                f" {OPTIONAL}: run `renet calibrate`"
+            )
         return Bundle(folder, manifest, sessions)
 
     @property

@@ -80,7 +80,7 @@ export class Panel {
     this.show(this.reconstruction, walking ? controller.policy.reconstruction : null);
     if (Math.abs(simulation.now - this.drawnAt) < CURVES_EVERY) return;
     this.drawnAt = simulation.now;
-    this.curves.draw(selector.threshold("reconstruction"));
+    this.curves.draw(selector.beta);
   }
 
   /** Draw a depth image where it is another than the one that is shown. */

@@ -56,6 +56,10 @@ export class Selector {
   constructor(kind, spec, contract) {
     const paper = kind === "paper";
     const thresholds = paper ? {} : spec.thresholds;
+    /** Of the reconstruction loss. */
+    this.beta = thresholds.reconstruction ?? spec.beta;
+    // Unless told otherwise, the error over its predicted variance judges the same images better.
+    const beta = thresholds.reconstruction ?? ("variance" in thresholds ? null : spec.beta);
     this.contract = contract;
     this.gamma = spec.gamma;
     this.rate = spec.rate_hz;
@@ -66,7 +70,7 @@ export class Selector {
       .map(({ name, reason, fallback }) => ({
         name,
         reason,
-        threshold: thresholds[name] ?? (name === "reconstruction" ? spec.beta : fallback),
+        threshold: name === "reconstruction" ? beta : thresholds[name] ?? fallback,
       }))
       .filter(({ threshold }) => threshold !== null);
     this.reset();
@@ -80,11 +84,6 @@ export class Selector {
     this.reason = "";
     this.start = null;
     this.healthySince = this.returned = -Infinity;
-  }
-
-  /** Threshold of a monitor, or undefined where it is not used. */
-  threshold(name) {
-    return this.monitors.find((monitor) => monitor.name === name)?.threshold;
   }
 
   /**
