@@ -10,8 +10,8 @@ import math
 import os
 import shlex
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -120,44 +120,30 @@ PARTS_FORMAT = 5
 """Raised when a study keeps other things in its parts: those of before are made anew."""
 
 
-class ResultCache:
-    """Finished parts of a study, kept in `parts/`: an interrupted study goes on where it stopped.
+def kept(
+    folder: Path, name: str, key: Mapping[str, Any], make: Callable[[], dict[str, Any]]
+) -> dict[str, Any]:
+    """A finished part of a study: from an earlier run, or made and written to `folder` now.
 
-    A part is used again by a run of the same settings, bundle and renet; others keep theirs.
+    An interrupted study thus goes on where it stopped.
+
+    Args:
+        folder: of the study's parts.
+        name: of the part.
+        key: what its numbers depend on; parts of other keys lie beside it.
+        make: makes it.
+
+    Raises:
+        RenetError: there is an earlier part, and it is damaged.
     """
-
-    def __init__(
-        self, out: Path, cfg: Any, provenance: Provenance, free: Collection[str] = ()
-    ) -> None:
-        """Open the folder.
-
-        Args:
-            out: the study's results.
-            cfg: its settings, a dataclass.
-            provenance: of its numbers.
-            free: settings that may differ, besides `out` and `bundle`.
-
-        Raises:
-            RenetError: the folder cannot be made.
-        """
-        self._folder = output_folder(out / "parts")
-        fixed = {k: v for k, v in asdict(cfg).items() if k not in {"out", "bundle", *free}}
-        fixed |= {name: getattr(provenance, name) for name in ("bundle_hash", "renet_version")}
-        self._key = plain(fixed | {"format": PARTS_FORMAT})
-
-    def get(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """The part of that name: from an earlier run, or made and written now.
-
-        Raises:
-            RenetError: there is an earlier part, and it is damaged.
-        """
-        key = json.dumps(self._key, sort_keys=True).encode()
-        path = self._folder / f"{name}-{hashlib.sha256(key).hexdigest()[:8]}.json"
-        if path.exists():
-            return read_results(path)
-        part = plain(make()) | {"key": self._key}
-        write_json(path, part)
-        return part
+    key = plain(dict(key) | {"format": PARTS_FORMAT})
+    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
+    path = folder / f"{name}-{digest[:8]}.json"
+    if path.exists():
+        return read_results(path)
+    part = plain(make()) | {"key": key}
+    write_json(path, part)
+    return part
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -18,13 +18,7 @@ from renet.deploy.terminal import show
 from renet.errors import RenetError
 from renet.evaluation import figures
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.results import (
-    ResultCache,
-    output_folder,
-    plain,
-    write_csv,
-    write_json,
-)
+from renet.evaluation.results import kept, output_folder, plain, write_csv, write_json
 from renet.evaluation.rollout import check_modes, check_speed
 from renet.selector.selector import check_kind
 
@@ -105,8 +99,13 @@ class Study:
         evaluator = evaluator or self.make_evaluator()
         out = output_folder(self.out)
         provenance = evaluator.provenance(self.seed)
-        cache = ResultCache(out, self, provenance, self.selectable)
-        parts = {name: cache.get(name, make) for name, make in self.parts(evaluator).items()}
+        free = {"out", "bundle", *self.selectable}
+        key = {name: value for name, value in asdict(self).items() if name not in free}
+        key |= {name: getattr(provenance, name) for name in ("bundle_hash", "renet_version")}
+        folder = output_folder(out / "parts")
+        parts = {
+            name: kept(folder, name, key, make) for name, make in self.parts(evaluator).items()
+        }
         summary = plain(
             {"study": self.name}
             | self.summarise(parts, evaluator)
