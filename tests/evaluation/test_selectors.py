@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from renet.evaluation.monitor_log import SelectorProbe, combined_score, successful_runs
+from renet.evaluation.monitor_log import MonitorLog, combined_score, replay, successful_runs
 from renet.evaluation.rollout import Trial, run_rollout
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
@@ -25,11 +25,8 @@ class LiveEnv(FakeEnv):
         return type(result)(**(vars(result) | {"depth": result.depth + grain}))
 
 
-def roll(
-    kind: str, fault: str, level: float, duration: float = 2.0
-) -> tuple[np.ndarray, SelectorProbe]:
-    switches = {"paper": make_selector("paper", SPEC, 2)}
-    witness = SelectorProbe(2, switches)
+def roll(kind: str, fault: str, level: float, duration: float = 2.0) -> tuple[Trace, MonitorLog]:
+    log = MonitorLog(2)
     rows = [Trial("renet", (Injection(fault, level, 50, duration),)), Trial("renet")]
     trace = run_rollout(
         LiveEnv(2),
@@ -38,9 +35,9 @@ def roll(
         rows,
         300,
         0,
-        on_update=witness,
+        on_update=log,
     )
-    return trace.trusted, witness
+    return trace, log
 
 
 @pytest.mark.parametrize(
@@ -49,11 +46,11 @@ def roll(
     [("frozen", np.inf, 0.135), ("unplugged", np.inf, 0.135), ("blackout", 0.0, 0.035)],
 )
 def test_monitors_notice_what_the_papers_rule_cannot(fault, level, delay) -> None:
-    trusted, witness = roll("monitors", fault, level)
-    flat = trusted.reshape(-1, 2)
+    trace, _ = roll("monitors", fault, level)
+    flat = trace.trusted.reshape(-1, 2)
     assert (~flat[:, 0]).argmax() == pytest.approx((1.0 + delay) * 200 - 1, abs=1.01)
     assert flat[:, 1].all()
-    assert witness.trusted("paper").all()
+    assert replay(make_selector("paper", SPEC, 2), trace.anomaly).all()
     # Back a second after the fault is over, not before.
     back = flat[600:, 0].argmax() / 200
     assert 0.95 <= back <= 1.25
@@ -77,14 +74,14 @@ def test_the_combined_score_is_one_at_any_threshold_and_zero_as_usual() -> None:
 
 
 def test_the_log_keeps_the_highest_score_of_a_tick() -> None:
-    _, witness = roll("paper", "unplugged", 0.5, duration=0.5)
-    age = witness.log.scores["frame_age"]
+    _, log = roll("paper", "unplugged", 0.5, duration=0.5)
+    age = log.scores["frame_age"]
     assert age.shape == (60, 2)
     np.testing.assert_allclose(age[:, 1], 0.095)
     np.testing.assert_allclose(
         age[9:17, 0], [0.095, 0.195, 0.295, 0.395, 0.495, 0.595, 0.095, 0.095]
     )
-    assert witness.log.scores["uniformity"].max() < -0.01
+    assert log.scores["uniformity"].max() < -0.01
 
 
 def test_calibration_learns_from_robots_that_get_somewhere() -> None:

@@ -76,28 +76,16 @@ def healthy_series(
     }
 
 
-class SelectorProbe:
-    """Records scores and the answers of further selectors, which no robot obeys.
+def replay(selector: EvalSelector, anomaly: np.ndarray) -> np.ndarray:
+    """A selector's answers [T, U, N] to the anomaly scores [T, N] of a run, which did not obey it.
 
-    Pass it to `run_rollout` as `on_update`.
+    It judges anomaly scores alone, as the paper's does.
     """
-
-    def __init__(self, num_robots: int, selectors: Mapping[str, EvalSelector]) -> None:
-        self.log = MonitorLog(num_robots)
-        self._selectors = dict(selectors)
-        self._answers: dict[str, list[np.ndarray]] = {name: [] for name in selectors}
-
-    def __call__(self, sight: SelectorInput) -> None:
-        """Take one update."""
-        self.log(sight)
-        for name, selector in self._selectors.items():
-            now = self.log.updates * PHYSICS_DT
-            self._answers[name].append(selector.update(sight, now).copy())
-
-    def trusted(self, name: str) -> np.ndarray:
-        """[T, U, N] bool: one selector's answers, as `Trace.trusted`."""
-        answers = np.stack(self._answers[name])
-        return answers.reshape(-1, UPDATES_PER_STEP, answers.shape[1])
+    answers = [
+        selector.update(SelectorInput(score), number * PHYSICS_DT).copy()
+        for number, score in enumerate(np.repeat(anomaly, UPDATES_PER_STEP, axis=0), start=1)
+    ]
+    return np.array(answers).reshape(len(anomaly), UPDATES_PER_STEP, -1)
 
 
 def combined_score(

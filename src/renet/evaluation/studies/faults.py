@@ -19,7 +19,7 @@ from renet.errors import RenetError
 from renet.evaluation import metrics
 from renet.evaluation.env import FLAT, SimEnv, grounds_env_cfg
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.monitor_log import SelectorProbe, combined_score, healthy_series
+from renet.evaluation.monitor_log import MonitorLog, combined_score, healthy_series, replay
 from renet.evaluation.report import fault_figures
 from renet.evaluation.results import write_json
 from renet.evaluation.rollout import StepResult, Trial
@@ -198,11 +198,12 @@ class FaultStudy(WalkingStudy):
         """All settings and modes of one fault."""
         settings, each = self.batches[name], self.robots_each
         trials = self.trials(settings)
-        probe = SelectorProbe(len(trials), {"paper": evaluator.make_selector(len(trials), "paper")})
+        log = MonitorLog(len(trials))
         title = f"{list(self.batches).index(name) + 1}/{len(self.batches)} {name}"
         grounds = [s.ground for s in settings for _ in range(each * len(self.looking))]
-        trace = self.walk(evaluator, make, title, trials, grounds, on_update=probe)
-        scores, paper = probe.log.scores, probe.trusted("paper")
+        trace = self.walk(evaluator, make, title, trials, grounds, on_update=log)
+        scores = log.scores
+        paper = replay(evaluator.make_selector(len(trials), "paper"), trace.anomaly)
         healthy_ticks = round(min(self.onsets) / CONTROL_DT) // STEPS_PER_TICK
         combined = combined_score(scores, evaluator.thresholds, healthy_ticks)
         runs, seen = [], {}
@@ -277,11 +278,11 @@ class FaultStudy(WalkingStudy):
         steps = max(round(60 * minutes / robots / CONTROL_DT), STEPS_PER_TICK)
         # Another seed than the calibration's and the faults', for robots not seen there.
         seed = self.seed + 1000
-        probe = SelectorProbe(robots, {})
+        log = MonitorLog(robots)
         env = evaluator.make_env(FLAT, range(robots), self.speed, seed)
         trials = [Trial("renet", (), robot) for robot in range(robots)]
-        trace = evaluator.rollout("healthy cameras", env, trials, steps, seed, on_update=probe)
-        series = healthy_series(probe.log, trace)
+        trace = evaluator.rollout("healthy cameras", env, trials, steps, seed, on_update=log)
+        series = healthy_series(log, trace)
         return {
             "false_switches": metrics.false_switches(trace.trusted, trace.failing),
             "robot_hours": metrics.healthy_hours(trace.failing),

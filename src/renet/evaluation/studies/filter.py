@@ -17,12 +17,12 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.env import FLAT
 from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.monitor_log import replay
 from renet.evaluation.rollout import Trial, check_speed
 from renet.evaluation.study import Figures, Part, Study, Table
-from renet.evaluation.trace import UPDATES_PER_STEP
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, PHYSICS_DT
-from renet.selector import SelectorInput, SelectorSpec, make_selector
+from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import LowPassFilter, switch_delay
 
 
@@ -102,7 +102,7 @@ class FilterStudy(Study):
     def _run(self, scores: np.ndarray, spec: SelectorSpec) -> dict[str, Any]:
         """Delay on the cameras that fail, switches on those that flicker."""
         onset, each = round(self.onset / CONTROL_DT), self.robots_each
-        trusted = replay(scores, spec)
+        trusted = replay(make_selector("paper", spec, scores.shape[1]), scores)
         delay = metrics.switch_delay(trusted[:, :, :each], onset)
         switched = metrics.switches(trusted[onset - 1 :, :, each:])
         found = ~np.isnan(delay)
@@ -147,14 +147,3 @@ class FilterStudy(Study):
             for run in summary["runs"]
         ]
         return [("The selector's filter", header, rows)]
-
-
-def replay(scores: np.ndarray, spec: SelectorSpec) -> np.ndarray:
-    """A selector's answers [T, U, N] to anomaly scores [T, N], as in a rollout."""
-    selector = make_selector("paper", spec, scores.shape[1])
-    updates = np.repeat(scores, UPDATES_PER_STEP, axis=0)
-    trusted = [
-        selector.update(SelectorInput(score), number * PHYSICS_DT)
-        for number, score in enumerate(updates, start=1)
-    ]
-    return np.array(trusted).reshape(len(scores), UPDATES_PER_STEP, -1)
