@@ -4,13 +4,17 @@ import math
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
+from renet.faults import Frames
+from renet.faults.vegetation import TallGrass
+from renet.interface import DEPTH_SHAPE, FRAMES
 from renet.models.estimators import Estimator
 from renet.models.him import HybridInternalModel, target_view
 from renet.models.renet import RENet
-from renet.training import distributed, sparse_grass
+from renet.training import distributed
 from renet.training.config import SupervisionCfg, value_at
 from renet.training.precision import computed_in, side_by_side
 from renet.training.storage import TickRollout
@@ -18,6 +22,12 @@ from renet.training.storage import TickRollout
 AUTOENCODER_SHARE = 0.4
 """Of a mini-batch's image pairs, at most: with few robots, whose pairs are much alike, the
 autoencoder would else learn from each and take longer than both estimators."""
+GRASS_SHARE = 0.15
+"""Of the image pairs that the detector learns from; with twice as many it notices less else."""
+GRASS_BLADES = 20
+"""Most blades in view: `tall_grass` at severity 2 of 5."""
+GRASS_VIEWS = 512
+"""Different views of blades."""
 
 
 def estimator_losses(
@@ -70,7 +80,7 @@ class Supervision:
         """Set up for a model that is where it is to stay; its depth embedding learns in `dtype`."""
         self.model, self.cfg, self.dtype = model, cfg, dtype
         self.parameters = model.supervised_parameters()
-        self._grass = sparse_grass.draw_views().to(self.parameters[0].device)
+        self._grass = draw_grass().to(self.parameters[0].device)
         rate = value_at(cfg.learning_rate, 0.0)
         self.optimizer = torch.optim.Adam(self.parameters, lr=rate, fused=True)
 
@@ -171,5 +181,23 @@ class Supervision:
         count = min(self.cfg.autoencoder_images, math.ceil(AUTOENCODER_SHARE * pairs.shape[0]))
         pairs = pairs[torch.randperm(pairs.shape[0], device=pairs.device)[:count]].float()
         if self.model.cfg.detector == "variance":
-            pairs = sparse_grass.grow(pairs, self._grass)
+            pairs = grow_grass(pairs, self._grass)
         return self.model.autoencoder.loss(pairs)
+
+
+def draw_grass(seed: int = 0) -> Tensor:
+    """Depth of blades alone, [512, 48, 64]: 1 where there are none, 0 where one is not measured."""
+    rng = np.random.default_rng(seed)
+    nothing = Frames.healthy(np.ones((1, *DEPTH_SHAPE), np.float32))
+    views = [
+        TallGrass(count, [rng]).corrupt(nothing, np.zeros(1)).image[0]
+        for count in rng.integers(1, GRASS_BLADES + 1, GRASS_VIEWS)
+    ]
+    return torch.from_numpy(np.stack(views))
+
+
+def grow_grass(pairs: Tensor, views: Tensor) -> Tensor:
+    """Put blades before the first 15 % of image pairs [B, 2, 48, 64], other ones in each image."""
+    count = round(GRASS_SHARE * len(pairs))
+    drawn = torch.randint(len(views), (count, FRAMES), device=pairs.device)
+    return torch.cat([torch.minimum(pairs[:count], views[drawn]), pairs[count:]])
