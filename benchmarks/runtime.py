@@ -28,7 +28,7 @@ from renet.deploy.bundle.models import MODELS
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
-from renet.deploy.policy import EstimatorInput, Percept, infer
+from renet.deploy.policy import EstimatorInput, EstimatorOutput, infer
 from renet.deploy.realtime import realtime
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import go1_envelope
@@ -102,7 +102,7 @@ class Stopwatch:
         self.wall_ms: list[float] = []
         self.cpu_ms: list[float] = []
 
-    def __call__(self, sessions: inference.Sessions, inputs: EstimatorInput) -> Percept:
+    def __call__(self, sessions: inference.Sessions, inputs: EstimatorInput) -> EstimatorOutput:
         wall, cpu = time.perf_counter(), time.thread_time()
         output = infer(sessions, inputs)
         self.wall_ms.append(1000.0 * (time.perf_counter() - wall))

@@ -48,7 +48,7 @@ def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
         probability = np.ones(1)
         trusted = np.zeros(1, bool)
 
-        def update(self, sight, now):
+        def update(self, seen, now):
             trusted, self.trusted = self.trusted, np.zeros(1, bool)
             return trusted
 

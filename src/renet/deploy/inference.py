@@ -12,7 +12,7 @@ from queue import Empty, SimpleQueue
 
 import onnxruntime as ort
 
-from renet.deploy.policy import EstimatorInput, Percept, infer
+from renet.deploy.policy import EstimatorInput, EstimatorOutput, infer
 
 Sessions = dict[str, ort.InferenceSession]
 
@@ -22,7 +22,7 @@ class InlineInference:
 
     def __init__(self, sessions: Sessions) -> None:
         self._sessions = sessions
-        self._percept: Percept | None = None
+        self._output: EstimatorOutput | None = None
 
     def ready(self) -> bool:
         """Whether `begin` may be called; called once at every tick."""
@@ -30,11 +30,11 @@ class InlineInference:
 
     def begin(self, inputs: EstimatorInput) -> None:
         """Start a tick."""
-        self._percept = infer(self._sessions, inputs)
+        self._output = infer(self._sessions, inputs)
 
-    def take(self) -> Percept | None:
+    def take(self) -> EstimatorOutput | None:
         """The tick's result, once; None if there is none yet."""
-        output, self._percept = self._percept, None
+        output, self._output = self._output, None
         return output
 
     def close(self) -> None:
@@ -56,7 +56,7 @@ class ThreadedInference(InlineInference):
 
     def _start(self) -> None:
         self._jobs: SimpleQueue[EstimatorInput | None] = SimpleQueue()
-        self._results: SimpleQueue[Percept] = SimpleQueue()
+        self._results: SimpleQueue[EstimatorOutput] = SimpleQueue()
         self._outstanding, self._deadline = False, 0.0
         self._thread = threading.Thread(
             target=_work, args=(self._sessions, self._jobs, self._results), daemon=True
@@ -83,13 +83,13 @@ class ThreadedInference(InlineInference):
         self._outstanding, self._deadline = True, time.monotonic() + self._patience
         self._jobs.put(inputs)
 
-    def take(self) -> Percept | None:
+    def take(self) -> EstimatorOutput | None:
         """The tick's result, once, or None; waits at most for the rest of `patience`."""
         if not self._outstanding or self._deadline == 0.0:
             return None
         return self._collect(max(self._deadline - time.monotonic(), 0.0))
 
-    def _collect(self, wait: float) -> Percept | None:
+    def _collect(self, wait: float) -> EstimatorOutput | None:
         try:
             output = self._results.get(timeout=wait) if wait > 0 else self._results.get_nowait()
         except Empty:
@@ -106,7 +106,7 @@ class ThreadedInference(InlineInference):
 def _work(
     sessions: Sessions,
     jobs: SimpleQueue[EstimatorInput | None],
-    results: SimpleQueue[Percept],
+    results: SimpleQueue[EstimatorOutput],
 ) -> None:
     while (inputs := jobs.get()) is not None:
         try:

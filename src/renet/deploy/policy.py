@@ -28,7 +28,7 @@ class EstimatorInput(NamedTuple):
     """No image has arrived: vision does not run, and the anomaly score is infinite."""
 
 
-Percept = dict[str, np.ndarray]
+EstimatorOutput = dict[str, np.ndarray]
 """What a tick found, by the names of `Policy`'s attributes that it replaces."""
 ESTIMATES = ("latent_op", "latent_vp", "velocity_op", "velocity_vp", "feet_height", "height_map")
 SCORES = ("anomaly_score", "variance_score")
@@ -37,20 +37,20 @@ SEEN = (*SCORES, "reconstruction")
 which must replace no attribute."""
 
 
-def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> Percept:
+def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> EstimatorOutput:
     """One tick of vision and both estimators: a pure function, so that any thread may call it."""
     depth = inputs.feed["depth"]
-    percept: dict[str, Any] = {
+    found: dict[str, Any] = {
         "anomaly_score": np.full(len(depth), np.inf, np.float32),
         "variance_score": np.zeros(len(depth), np.float32),
     }
     if not inputs.blind:
         vision = sessions["vision"]
         names = [output.name for output in vision.get_outputs() if output.name in SEEN]
-        percept |= zip(names, vision.run(names, {"depth": depth}), strict=True)
+        found |= zip(names, vision.run(names, {"depth": depth}), strict=True)
     names = [f"next_{name}" if name.startswith("latent") else name for name in ESTIMATES]
-    percept |= zip(ESTIMATES, sessions["estimator"].run(names, inputs.feed), strict=True)
-    return percept | {name: percept[name].reshape(-1) for name in SCORES}
+    found |= zip(ESTIMATES, sessions["estimator"].run(names, inputs.feed), strict=True)
+    return found | {name: found[name].reshape(-1) for name in SCORES}
 
 
 class Policy:
@@ -151,9 +151,9 @@ class Policy:
         }
         return EstimatorInput(feed, blind=depth is None)
 
-    def accept(self, percept: Percept) -> None:
+    def accept(self, found: EstimatorOutput) -> None:
         """Go on with what a tick found."""
-        for name, value in percept.items():
+        for name, value in found.items():
             setattr(self, name, value)
 
     def act(self, proprioception: np.ndarray, op_mask: np.ndarray) -> np.ndarray:

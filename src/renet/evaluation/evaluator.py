@@ -114,7 +114,7 @@ class Evaluator:
         seed: int,
         film: Sequence[int] = (),
         on_step: Callable[[StepResult], Any] = lambda result: None,
-        on_update: Callable[[SelectorInput], Any] = lambda sight: None,
+        on_update: Callable[[SelectorInput], Any] = lambda seen: None,
         policy: EvalPolicy | None = None,
         injector: Injector | None = None,
     ) -> Trace:

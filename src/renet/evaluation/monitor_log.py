@@ -25,9 +25,9 @@ class MonitorLog:
         self.updates = 0
         """Taken so far, one each physics step."""
 
-    def __call__(self, sight: SelectorInput) -> None:
+    def __call__(self, seen: SelectorInput) -> None:
         """Take the scores of one update; a tick keeps the highest of its updates."""
-        scores = np.stack([monitor.score(sight) for monitor in self._monitors])
+        scores = np.stack([monitor.score(seen) for monitor in self._monitors])
         if self.updates % UPDATES_PER_TICK == 0:
             self._ticks.append(scores)
         else:

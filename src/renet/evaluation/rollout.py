@@ -153,7 +153,7 @@ class ClosedLoop:
         selector: EvalSelector,
         modes: Sequence[str],
         injector: Injector,
-        on_update: Callable[[SelectorInput], Any] = lambda sight: None,
+        on_update: Callable[[SelectorInput], Any] = lambda seen: None,
     ) -> None:
         """Put the parts together; call `reset` before the first step.
 
@@ -204,10 +204,10 @@ class ClosedLoop:
         self.answers = np.zeros((UPDATES_PER_STEP, len(self.modes)), bool)
         """[U, N] bool: vision is trusted after each update of this step."""
         for update in range(UPDATES_PER_STEP):
-            sight = selector_input(self.policy, self.frames, self._steps, update)
-            self._on_update(sight)
+            seen = selector_input(self.policy, self.frames, self._steps, update)
+            self._on_update(seen)
             now = (self.clock * UPDATES_PER_STEP + update + 1) * PHYSICS_DT
-            self.answers[update] = self.trusted = self.selector.update(sight, now)
+            self.answers[update] = self.trusted = self.selector.update(seen, now)
         self.clock += 1
         self._steps += 1
         self._perturb()
@@ -238,7 +238,7 @@ def run_rollout(
     film: Sequence[int] = (),
     on_step: Callable[[StepResult], Any] = lambda result: None,
     injector: Injector | None = None,
-    on_update: Callable[[SelectorInput], Any] = lambda sight: None,
+    on_update: Callable[[SelectorInput], Any] = lambda seen: None,
 ) -> Trace:
     """Run every trial for a number of control steps.
 

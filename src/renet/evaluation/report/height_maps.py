@@ -28,9 +28,9 @@ class MapLog:
         self._policy, self._sensor = policy, env.env.scene[HEIGHT_MAP]
         self._calls, self._maps = 0, []
 
-    def note(self, sight: SelectorInput) -> None:
+    def note(self, seen: SelectorInput) -> None:
         """To be called at every update of the selector."""
-        del sight
+        del seen
         if self._calls % UPDATES_PER_STEP == 0:
             true = self._sensor.data.numpy()
             self._maps.append(np.stack((self._policy.height_map, true), axis=1))
