@@ -18,6 +18,7 @@ from renet.interface import (
 from renet.sim.native.stages import moving_part
 from renet.tasks import env_cfg, make_env, mdp
 from renet.tasks.parkour_env_cfg import NOISE
+from renet.training.recipe import RENET
 
 from ..waits import Waits
 
@@ -57,13 +58,16 @@ def test_depth_changes_at_the_global_tick_only(flat):
         held = obs["depth"].clone()
 
 
-def test_a_control_step_waits_for_a_gpu_only_where_mjlab_does(parkour):
+def test_a_control_step_waits_for_a_gpu_only_where_mjlab_does(parkour, monkeypatch):
+    for name in RENET["reward_weights"]:  # Without a weight a term is not evaluated.
+        monkeypatch.setattr(parkour.reward_manager.get_term_cfg(name), "weight", 1.0)
     parkour.reset()
     parkour.step(torch.zeros(12, 12))  # At first use Warp's arrays are wrapped.
     with Waits() as watch:
         for _ in range(STEPS_PER_TICK):
             parkour.step(torch.zeros(12, 12))
         parkour._reset_idx(torch.arange(3))
+        parkour.step(torch.zeros(12, 12))
     # The rasterizer draws on a CPU alone; a GPU casts rays.
     assert set(watch.files) - {"rasterizer.py"} == {"mjlab"}
 

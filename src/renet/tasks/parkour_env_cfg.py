@@ -19,7 +19,7 @@ from mjlab.terrains import TerrainEntityCfg
 from mjlab.utils.noise import UniformNoiseCfg
 from mjlab.viewer import ViewerConfig
 
-from renet.interface import CONSTRAINTS, CONTROL_DT, JOINTS, LEGS, PHYSICS_DT, PROPRIOCEPTION
+from renet.interface import CONSTRAINTS, CONTROL_DT, JOINTS, PHYSICS_DT, PROPRIOCEPTION
 from renet.tasks import mdp
 from renet.tasks.config.go1 import GO1
 from renet.tasks.env import RenetEnvCfg
@@ -251,10 +251,7 @@ def _rewards(robot: RobotCfg) -> dict[str, RewardTermCfg]:
         "upright_tracking": RewardTermCfg(
             func=mdp.upright_tracking,
             weight=0.0,
-            params={
-                "feet": SceneEntityCfg("robot", site_names=LEGS),
-                "standing_height": standing_height,
-            },
+            params={"standing_height": standing_height},
         ),
     }
 

@@ -93,7 +93,7 @@ class DepthDropoutEnv:
             setattr(self._env, name, value)
 
     def get_observations(self) -> TensorDict:
-        """As the environment's; cameras stay in their state."""
+        """As the environment's: nothing fails before the first step, when this is asked for."""
         return self._env.get_observations()
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict]:

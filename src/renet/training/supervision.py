@@ -80,7 +80,8 @@ class Supervision:
         """Set up for a model that is where it is to stay; its depth embedding learns in `dtype`."""
         self.model, self.cfg, self.dtype = model, cfg, dtype
         self.parameters = model.supervised_parameters()
-        self._grass = draw_grass().to(self.parameters[0].device)
+        if model.cfg.detector == "variance":
+            self._grass = draw_grass().to(self.parameters[0].device)
         rate = value_at(cfg.learning_rate, 0.0)
         self.optimizer = torch.optim.Adam(self.parameters, lr=rate, fused=True)
 

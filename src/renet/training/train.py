@@ -143,6 +143,8 @@ class TrainCfg(LearningCfg):
         asked = _options(arguments, "preset", "resume", "log-root")
         task = next((a for a in arguments[:1] if not a.startswith("-")), tyro.MISSING)
         if "resume" in asked:
+            if asked["resume"] == LATEST and task is tyro.MISSING:
+                raise RenetError("write the task first: renet train TASK --resume latest")
             root = Path(asked["log-root"]) if "log-root" in asked else None
             found = resolve_resume(asked["resume"], root, task)
             return restored(checkpoints.load_state(found), task)
@@ -208,7 +210,8 @@ def train(cfg: TrainCfg) -> Path | None:
             "the very first one and must be above that"
         )
     task = task_cfg(cfg)
-    task.curriculum["command_stage"].params["switch_step"] = _switch_step(cfg, earlier)
+    if "command_stage" in task.curriculum:
+        task.curriculum["command_stage"].params["switch_step"] = _switch_step(cfg, earlier)
     # mjlab prints tables of terms and warns of its own randomisation.
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")

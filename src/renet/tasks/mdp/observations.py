@@ -117,35 +117,24 @@ class smoothed_joint_velocity:
 class physical_parameters:
     """What randomisation drew: trunk mass change (kg), CoM offset (m), foot friction, servo gains.
 
-    [N, 1 + 3 + 1 + 12 + 12], gains as a ratio of the nominal ones. Events change them at most at a
-    reset, so they are gathered anew only then.
+    [N, 1 + 3 + 1 + 12 + 12], gains as a ratio of the nominal ones. Parameters: `trunk`, the body;
+    `foot`, whose first geom stands for all.
     """
 
     def __init__(self, cfg: ObservationTermCfg, env: ManagerBasedRlEnv) -> None:
-        del cfg, env
-        self._gathered: Tensor | None = None
+        ids = env.scene["robot"].indexing
+        self._body = ids.body_ids[cfg.params["trunk"].body_ids]
+        self._geom = ids.geom_ids[cfg.params["foot"].geom_ids][:1]
 
     def __call__(
         self, env: ManagerBasedRlEnv, trunk: SceneEntityCfg, foot: SceneEntityCfg
     ) -> Tensor:
         """[N, 29]."""
-        if self._gathered is None:
-            self._gathered = self._gather(env, trunk, foot)
-        return self._gathered
-
-    def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """Parameters may have been drawn again."""
-        del env_ids
-        self._gathered = None
-
-    @staticmethod
-    def _gather(env: ManagerBasedRlEnv, trunk: SceneEntityCfg, foot: SceneEntityCfg) -> Tensor:
-        robot, model, nominal = env.scene["robot"], env.sim.model, env.sim.get_default_field
-        body = robot.indexing.body_ids[trunk.body_ids]
-        geom = robot.indexing.geom_ids[foot.geom_ids][:1]
+        del trunk, foot
+        model, nominal, body = env.sim.model, env.sim.get_default_field, self._body
         mass = model.body_mass[:, body] - nominal("body_mass")[body]
         com = model.body_ipos[:, body].flatten(1) - nominal("body_ipos")[body].flatten()
         stiffness = model.actuator_gainprm[:, :, 0] / nominal("actuator_gainprm")[:, 0]
         damping = model.actuator_biasprm[:, :, 2] / nominal("actuator_biasprm")[:, 2]
-        friction = model.geom_friction[:, geom, 0]
+        friction = model.geom_friction[:, self._geom, 0]
         return torch.cat((mass, com, friction, stiffness, damping), dim=-1)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import torch
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.managers.reward_manager import RewardTermCfg
-from mjlab.managers.scene_entity_config import SceneEntityCfg
 from torch import Tensor
 
 from renet.interface import LEGS
@@ -135,13 +134,7 @@ class standing_motion:
         self._velocity.value[env_ids] = 0.0
 
 
-def upright_tracking(
-    env: ManagerBasedRlEnv,
-    feet: SceneEntityCfg,
-    standing_height: float,
-    crouch: float = 0.6,
-    tolerance: float = 0.4,
-) -> Tensor:
+class upright_tracking:
     """Velocity tracking as far as the trunk is carried at standing height, 0 to 1, [N].
 
     Not in the paper: millions of steps on a CPU, instead of billions on a GPU, otherwise end in a
@@ -149,22 +142,32 @@ def upright_tracking(
     teaches nothing there. Tracking is r_lin_vel less the share of c_x by which c_x is exceeded; a
     part of that is free, for who runs meets more obstacles in a step and learns sooner.
 
-    Args:
-        env: the environment.
-        feet: sites of the robot's feet; heights are over the lowest, so that climbing costs none.
-        standing_height: of the base over feet that stand, m.
-        crouch: share of it up to which nothing is earned; from there on it grows linearly.
-        tolerance: share of c_x by which it may be exceeded.
+    Parameters: `standing_height` of the base over feet that stand, m, measured over the lowest, so
+    that climbing costs none; `crouch`, the share of it up to which nothing is earned, from where it
+    grows linearly; `tolerance`, the share of c_x by which it may be exceeded.
     """
-    sites = env.scene["robot"].indexing.site_ids[feet.site_ids]
-    lowest = env.sim.data.site_xpos[:, sites, 2].amin(-1)
-    height = (base_position(env)[:, 2] - lowest) / standing_height
-    carried = ((height - crouch) / (1.0 - crouch)).clamp(0.0, 1.0)
-    command = goal(env)
-    towards = (base_velocity(env)[:, :2] * command.direction).sum(-1)
-    share = towards / (command.speed + 1e-5)
-    excess = torch.relu(share - 1.0 - tolerance) * (command.speed > 0.0)
-    return carried * (linear_velocity(env) - excess).clamp_min(0.0)
+
+    def __init__(self, cfg: RewardTermCfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        robot = env.scene["robot"]
+        self._feet = robot.indexing.site_ids[robot.find_sites(LEGS)[0]]
+
+    def __call__(
+        self,
+        env: ManagerBasedRlEnv,
+        standing_height: float,
+        crouch: float = 0.6,
+        tolerance: float = 0.4,
+    ) -> Tensor:
+        """Evaluate the present state."""
+        lowest = env.sim.data.site_xpos[:, self._feet, 2].amin(-1)
+        height = (base_position(env)[:, 2] - lowest) / standing_height
+        carried = ((height - crouch) / (1.0 - crouch)).clamp(0.0, 1.0)
+        command = goal(env)
+        towards = (base_velocity(env)[:, :2] * command.direction).sum(-1)
+        share = towards / (command.speed + 1e-5)
+        excess = torch.relu(share - 1.0 - tolerance) * (command.speed > 0.0)
+        return carried * (linear_velocity(env) - excess).clamp_min(0.0)
 
 
 class foot_clearance:
