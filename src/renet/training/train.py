@@ -71,7 +71,8 @@ def _from(preset_: str, name: str) -> Any:
 class TrainCfg(LearningCfg):
     """Train RENet. On a CPU the native engine steps C MuJoCo; on a GPU MuJoCo Warp.
 
-    Without options but size and time this is the default recipe (`training/recipe.py`). One GPU: `renet train TASK --num-envs 4096`. Four: add `--processes 4`;
+    Without options but size and time this is the default recipe (`training/recipe.py`). One GPU:
+    `renet train TASK --num-envs 4096`. Four: add `--processes 4`;
     each trains its own 4096. Two machines of four, reached by ssh: add `--hosts first second`.
     docs/training.md says how to use torchrun or Slurm instead.
     """
