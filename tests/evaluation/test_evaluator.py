@@ -97,12 +97,13 @@ def test_calibration_is_written_into_the_bundle(tmp_path: Path) -> None:
     assert json.loads((bundle / "manifest.json").read_text())["selector"]["gamma"] == 0.1
 
 
-def test_where_a_variance_is_predicted_its_threshold_allows_for_sparse_grass(tmp_path) -> None:
+def test_thresholds_allow_for_sparse_grass_where_a_variance_is_predicted(tmp_path) -> None:
     shipped = pretrained(DEFAULT)
     models = {name: (shipped / f"{name}.onnx").read_bytes() for name in MODELS}
     models["vision"] = (Path(__file__).parents[1] / "deploy/data/variance.onnx").read_bytes()
     bundle = write_bundle(tmp_path / "bundle", models, read_manifest(shipped))
-    beta = run_calibrate(CalibrateCfg(bundle, robots=2, seconds=3.0, terrains=("flat",)))
+    short = {"robots": 2, "seconds": 3.0, "terrains": ("flat",), "sparse_grass": True}
+    beta = run_calibrate(CalibrateCfg(bundle, **short))
     selector = read_manifest(bundle).selector
     assert "reconstruction" not in selector.thresholds
     assert selector.healthy_hours == pytest.approx(6 / 3600)
@@ -112,6 +113,8 @@ def test_where_a_variance_is_predicted_its_threshold_allows_for_sparse_grass(tmp
     names = {monitor.name for monitor in Evaluator(bundle).make_selector(1).monitors}
     assert "variance" in names
     assert "reconstruction" not in names
+    with pytest.raises(RenetError, match="needs a model with"):
+        run_calibrate(CalibrateCfg(shipped, **short))
 
 
 @pytest.mark.parametrize(
