@@ -98,8 +98,10 @@ def test_the_second_level_asks_for_standing():
     goal.time_left[:] = 0.01
     goal.compute(dt=0.02)
     # Of those that replace them three tenths by choice, and a tenth of the rest.
-    assert 0.27 < (goal.speed == 0.0).float().mean() < 0.47
-    walking = goal.speed[goal.speed > 0.0]
+    stands = goal.speed == 0.0
+    assert 0.27 < stands.float().mean() < 0.47
+    assert torch.equal(goal.time_left < 4.0, stands), "two fifths of 4 to 10 s"
+    walking = goal.speed[~stands]
     assert 0.1 <= walking.min() < 0.2 < walking.max() <= 1.0
     env.close()
 

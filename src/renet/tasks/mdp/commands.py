@@ -22,7 +22,6 @@ COMMAND = "goal"
 class GoalCommandCfg(CommandTermCfg):
     """How goals are drawn."""
 
-    entity_name: str = "robot"
     resampling_time_range: tuple[float, float] = (2.0, 8.0)
     """Seconds between goals. Most robots have left their tile after 7 s: with later changes they
     learn to stand, but not to stop."""
@@ -33,6 +32,9 @@ class GoalCommandCfg(CommandTermCfg):
     standing_share: float = 0.3
     """Share of stage 1's redrawn goals with c_x = 0: a uniform draw alone would never ask for it.
     None at an episode's start: to stop is harder than to stand."""
+    standing_time: float = 0.4
+    """Share of other goals' time after which one to stand is replaced: to stop is learned at its
+    beginning, and who stands meets no edges."""
     slowest: float = 0.1
     """At stage 1 a smaller c_x is set to 0, m/s: eq. 6 divides by c_x, and sensor noise hides
     slower motion."""
@@ -55,7 +57,7 @@ class GoalCommand(CommandTerm):
 
     def __init__(self, cfg: GoalCommandCfg, env: ManagerBasedRlEnv) -> None:
         super().__init__(cfg, env)
-        self.robot: Entity = env.scene[cfg.entity_name]
+        self.robot: Entity = env.scene["robot"]
         self.stage = 0
         """0: walk only; 1: standing still is asked for too (paper's two-level curriculum)."""
         self.speed = torch.zeros(self.num_envs, device=self.device)
@@ -111,7 +113,9 @@ class GoalCommand(CommandTerm):
         else:
             speed = uniform(*cfg.later_speed)
             stands = (uniform(0.0, 1.0) < cfg.standing_share) & ~begins
-            speed *= ~(stands | (speed < cfg.slowest))
+            stands |= speed < cfg.slowest
+            speed *= ~stands
+            self.time_left[env_ids] *= torch.where(stands, cfg.standing_time, 1.0)
         self.speed[env_ids] = speed
         around = torch.where(begins, self._written_heading(env_ids), self.yaw[env_ids])
         self.yaw[env_ids] = wrap_to_pi(around + turn)
