@@ -35,6 +35,7 @@ apidoc_modules = [
                 "evaluation",
                 "models",
                 "page",
+                "registry.py",
                 "sim",
                 "tasks",
                 "training",

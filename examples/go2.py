@@ -12,8 +12,9 @@ from importlib.resources import files
 import mujoco
 
 from renet.cli import main
+from renet.registry import register_tasks
 from renet.sim.depth.camera import MountCfg
-from renet.tasks import Motor, RobotCfg, register_tasks, rename_parts
+from renet.tasks import Motor, RobotCfg, rename_parts
 
 
 def spec() -> mujoco.MjSpec:

@@ -116,7 +116,7 @@ COMMANDS = {
     ),
     "evaluate report": Command(
         "put every study found in a folder on one self-contained page",
-        "renet.evaluation.report.report:ReportCfg:make_report",
+        "renet.evaluation.studies.report:ReportCfg:make_report",
     ),
     "evaluate pictures": Command(
         "pictures of every tile and of the camera's errors",

@@ -14,8 +14,8 @@ from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller, Event
-from renet.deploy.observation import heading, observe
-from renet.deploy.robots.base import RobotState
+from renet.deploy.observation import observe
+from renet.deploy.robots.base import RobotState, heading
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.safety import Mode, SafetyCfg

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from renet.deploy.observation import heading, observe, projected_gravity
+from renet.deploy.observation import observe
+from renet.deploy.robots.base import heading, projected_gravity
 from renet.interface import proprioception_slices
 from renet.training.bundle import robot_spec
 

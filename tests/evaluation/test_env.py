@@ -11,7 +11,7 @@ from renet.faults.physical import spread
 from renet.selector import SelectorSpec, make_selector
 from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
-from renet.tasks.terrains import single_tile_terrain
+from renet.tasks.terrains import tile_row
 from renet.terrain.tiles import LEVELS, TILE, tiles
 
 from .fakes import FakeEnv, FakePolicy
@@ -27,7 +27,7 @@ def quiet(cfg):
 
 @pytest.fixture(scope="module")
 def tile() -> SimEnv:
-    cfg = tile_env_cfg(single_tile_terrain("platform", 8), play=True)
+    cfg = tile_env_cfg(tile_row({"platform": 8}), play=True)
     return SimEnv(quiet(study_env_cfg(cfg, 0.5)), [0, 0, 0, 0], 3, "native")
 
 

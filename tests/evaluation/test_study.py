@@ -21,7 +21,7 @@ from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.standing import StandingStudy
 from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
 from renet.evaluation.study import Study
-from renet.tasks import register_tasks
+from renet.registry import register_tasks
 from renet.tasks.config.go1 import GO1
 
 from .fakes import SPEED, FakeEvaluator

@@ -6,7 +6,7 @@ import torch
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
 from renet.tasks import env_cfg, make_env, mdp
 from renet.tasks.parkour_env_cfg import tile_env_cfg
-from renet.tasks.terrains import single_tile_terrain
+from renet.tasks.terrains import tile_row
 
 from .conftest import evaluate
 
@@ -40,7 +40,7 @@ def test_an_edge_is_relief_within_half_a_metre(parkour):
 
 @pytest.mark.parametrize(("kind", "distance", "edge"), [("gap", 1.1, 1.0), ("gap", 0.0, 0.0)])
 def test_the_share_of_steps_near_an_edge_is_logged(kind, distance, edge):
-    cfg = tile_env_cfg(single_tile_terrain(kind, 5), play=True)
+    cfg = tile_env_cfg(tile_row({kind: 5}), play=True)
     cfg.events["spawn"].params["pose_range"] = {"x": (distance, distance), "z": (0.02, 0.02)}
     env = make_env(cfg, 2)
     env.reset()

@@ -10,7 +10,7 @@ from renet.tasks import make_env
 from renet.tasks.config.go1 import GO1
 from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
 from renet.tasks.robot_cfg import RobotCfg, rename_parts
-from renet.tasks.terrains import single_tile_terrain
+from renet.tasks.terrains import tile_row
 
 
 def without(*geoms: str, site: str | None = None) -> RobotCfg:
@@ -49,7 +49,7 @@ def test_margins_of_a_vendors_geoms_are_dropped():
 
     assert not replace(GO1, spec=spec).checked_spec().compile().geom_margin.any()
     # Which MuJoCo Warp would have refused on boxes.
-    cfg = tile_env_cfg(single_tile_terrain("gap", 1), robot=replace(GO1, spec=spec))
+    cfg = tile_env_cfg(tile_row({"gap": 1}), robot=replace(GO1, spec=spec))
     make_env(cfg, 1).close()
 
 

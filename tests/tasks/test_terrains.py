@@ -10,7 +10,7 @@ from renet.sim.depth.raycast import scanner
 from renet.tasks import make_env
 from renet.tasks.mdp.curriculums import FIRST_LEVELS
 from renet.tasks.parkour_env_cfg import tile_env_cfg
-from renet.tasks.terrains import parkour_terrain, single_tile_terrain
+from renet.tasks.terrains import parkour_terrain, tile_row
 from renet.terrain.tiles import LEVELS, TILE, Tile, dense_tiles, tiles
 
 KINDS = list(tiles())
@@ -196,7 +196,7 @@ def test_the_last_level_leads_back_to_any(parkour):
 
 @pytest.mark.parametrize("kind", tiles())
 def test_a_robot_can_be_put_on_every_single_tile(kind):
-    env = make_env(tile_env_cfg(single_tile_terrain(kind, LEVELS), play=True), 1)
+    env = make_env(tile_env_cfg(tile_row({kind: LEVELS}), play=True), 1)
     env.reset()
     above = env.scene["robot"].data.root_link_pos_w[0, 2] - env.scene.env_origins[0, 2]
     assert 0.25 < above < 0.35
@@ -204,15 +204,14 @@ def test_a_robot_can_be_put_on_every_single_tile(kind):
 
 
 def test_single_tiles_for_evaluation():
-    env = make_env(tile_env_cfg(single_tile_terrain("gap", 10), play=True), 1)
+    env = make_env(tile_env_cfg(tile_row({"gap": 10}), play=True), 1)
     env.reset()
     line = torch.stack((torch.arange(0.0, 4.0, 0.02), torch.zeros(200)), dim=-1)
     gap = scanner(env.sim.mj_model, "cpu").height(line) < -0.99
     assert gap.sum() * 0.02 == pytest.approx(0.70, abs=0.03)
-    with pytest.raises(RenetError, match="rough, obstacles"):
-        single_tile_terrain("lava", 1)
-    with pytest.raises(RenetError, match="1 to 10"):
-        single_tile_terrain("gap", 11)
+    for unknown, why in (({"lava": 1}, "rough, obstacles"), ({"gap": 11}, "1 to 10")):
+        with pytest.raises(RenetError, match=why):
+            tile_row(unknown)
 
 
 def edges(tile: Tile, difficulty: float) -> np.ndarray:
@@ -240,5 +239,5 @@ def test_dense_tiles_have_more_edges_and_begin_flat(kind):
 
 
 def test_evaluation_draws_other_tiles_than_training():
-    assert single_tile_terrain("obstacles", 5).terrain_generator.seed != 0
+    assert tile_row({"obstacles": 5}).terrain_generator.seed != 0
     assert parkour_terrain().terrain_generator.seed == 0

@@ -57,7 +57,7 @@ def test_sequence_matches_pytorch(fields):
         with torch.no_grad():
             estimate = model.vp.predict(memory.latent_vp)
             action = model.actor(observation, fuse(memory.latent_op, memory.latent_vp, mask))
-            reconstruction = model.autoencoder(memory.frames.float())
+            reconstruction = model.autoencoder.predict(memory.frames.float())[0]
         for name in ("feet_height", "height_map"):
             expected = getattr(estimate, name)
             expected = np.zeros_like(result[name]) if expected is None else expected.numpy()

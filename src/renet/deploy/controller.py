@@ -15,9 +15,9 @@ from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.buffer import FrameBuffer
 from renet.deploy.inference import InlineInference
-from renet.deploy.observation import heading, observe
+from renet.deploy.observation import observe
 from renet.deploy.policy import Policy, infer
-from renet.deploy.robots.base import JointCommand, RobotState
+from renet.deploy.robots.base import JointCommand, RobotState, heading
 from renet.deploy.safety import (
     Mode,
     SafetyCfg,

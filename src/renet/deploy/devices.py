@@ -136,7 +136,7 @@ def _camera(cfg: DeployCfg, bundle: Bundle, robot: RobotDriver) -> Camera | None
 
         return RealSenseCamera(spec, robot.now, serial=cfg.serial)
     if kind == "replay":
-        from renet.deploy.cameras.replay import ReplayCamera
+        from renet.deploy.replay import ReplayCamera
 
         assert cfg.recording is not None
         return ReplayCamera(read_recording(cfg.recording), robot.now)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from renet.deploy.bundle.manifest import RobotSpec
-from renet.deploy.robots.base import RobotState
+from renet.deploy.robots.base import RobotState, heading, projected_gravity
 from renet.interface import PROPRIOCEPTION
 
 SCALES = np.concatenate([np.full(term.size, term.scale) for term in PROPRIOCEPTION])
@@ -31,16 +31,3 @@ def observe(
         "last_action": last_action,
     }
     return (SCALES * np.concatenate([terms[t.name] for t in PROPRIOCEPTION])).astype(np.float32)
-
-
-def projected_gravity(quaternion: np.ndarray) -> tuple[float, float, float]:
-    """Unit vector of gravity in the base frame, from base-to-world (w, x, y, z)."""
-    w, x, y, z = quaternion.tolist()
-    double = 2.0 / (w * w + x * x + y * y + z * z or math.nan)
-    return double * (w * y - x * z), -double * (y * z + w * x), double * (x * x + y * y) - 1.0
-
-
-def heading(quaternion: np.ndarray) -> float:
-    """Yaw of the base, rad: direction of its x axis seen from above."""
-    w, x, y, z = quaternion.tolist()
-    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)

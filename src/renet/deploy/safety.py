@@ -16,8 +16,7 @@ import numpy as np
 
 from renet.deploy.bundle.manifest import RobotSpec
 from renet.deploy.cameras.base import DepthFrame
-from renet.deploy.observation import projected_gravity
-from renet.deploy.robots.base import VECTORS, JointCommand, RobotState
+from renet.deploy.robots.base import VECTORS, JointCommand, RobotState, projected_gravity
 from renet.deploy.teleop import MAX_SPEED, TeleopCommand
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, CONTROL_DT

@@ -11,9 +11,9 @@ import numpy as np
 import tyro
 
 from renet.deploy.bundle import Bundle
-from renet.deploy.observation import heading, projected_gravity
 from renet.deploy.recording import GOOD, MODES, Recording, read_recording
 from renet.deploy.replay import mismatch
+from renet.deploy.robots.base import heading, projected_gravity
 from renet.deploy.safety import Mode
 from renet.errors import RenetError
 from renet.files import write_atomically

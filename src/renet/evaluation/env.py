@@ -22,7 +22,7 @@ from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg, goal
 from renet.tasks.mdp.rewards import collision, joint_energy
 from renet.tasks.parkour_env_cfg import flat_env_cfg, parkour_env_cfg, tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
-from renet.tasks.terrains import single_tile_terrain, tile_row
+from renet.tasks.terrains import tile_row
 
 FLAT, PARKOUR = "flat", "parkour"
 """Ground without tiles, and the training curriculum's field of tiles."""
@@ -57,7 +57,7 @@ def terrain_env_cfg(terrain: str, level: int, robot: RobotCfg) -> RenetEnvCfg:
         return flat_env_cfg(play=True, robot=robot)
     if terrain == PARKOUR:
         return parkour_env_cfg(play=True, robot=robot)
-    return tile_env_cfg(single_tile_terrain(terrain, level), play=True, robot=robot)
+    return tile_env_cfg(tile_row({terrain: level}), play=True, robot=robot)
 
 
 def grounds_env_cfg(grounds: Mapping[str, int], robot: RobotCfg) -> RenetEnvCfg:

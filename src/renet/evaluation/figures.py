@@ -75,6 +75,11 @@ def save(figure: Figure, path: Path, provenance: Provenance, dpi: int = 150) -> 
     return path
 
 
+def setting_label(finding: dict[str, Any]) -> str:
+    """A finding's setting, such as "glare 5 on gap"."""
+    return f"{finding['fault']} {finding['severity']} on {finding['ground'].replace('_', ' ')}"
+
+
 def noise_label(noise: str, level: float) -> str:
     """A noise setting as the paper writes it, such as "GA 30 %"."""
     short = {"gaussian": "GA", "salt_and_pepper": "SP"}

@@ -8,6 +8,8 @@ from torch import Tensor, nn
 from renet.interface import DEPTH_SHAPE, FRAMES
 from renet.models.config import Detector
 
+CHANNELS = (8, 16, 32)
+"""Of the three convolutions down."""
 BOTTLENECK = 32
 """Width of the paper's detector between encoder and decoder."""
 SPATIAL_BOTTLENECK = 4
@@ -23,12 +25,10 @@ class DepthAutoencoder(nn.Module):
     edges are hard to draw and flat ground is not, so that an error counts by how unusual it is.
     """
 
-    def __init__(
-        self, detector: Detector = "reconstruction", channels: tuple[int, int, int] = (8, 16, 32)
-    ) -> None:
+    def __init__(self, detector: Detector = "reconstruction") -> None:
         super().__init__()
         self.detector = detector
-        third = channels[-1]
+        third = CHANNELS[-1]
         shape = (third, *(size // 8 for size in DEPTH_SHAPE))
         size = shape[0] * shape[1] * shape[2]
         narrow: list[nn.Module]
@@ -42,9 +42,9 @@ class DepthAutoencoder(nn.Module):
             narrow = [nn.Flatten(), nn.Linear(size, BOTTLENECK)]
             widen = [nn.Linear(BOTTLENECK, size), nn.ELU(inplace=True), nn.Unflatten(1, shape)]
         down, up = [], []
-        for wide, deep in pairwise((FRAMES, *channels)):
+        for wide, deep in pairwise((FRAMES, *CHANNELS)):
             down += [nn.Conv2d(wide, deep, 4, stride=2, padding=1), nn.ELU(inplace=True)]
-        for deep, wide in pairwise((*reversed(channels), outputs)):
+        for deep, wide in pairwise((*reversed(CHANNELS), outputs)):
             up += [nn.ConvTranspose2d(deep, wide, 4, stride=2, padding=1), nn.ELU(inplace=True)]
         self.encode = nn.Sequential(*down, *narrow)
         self.decode = nn.Sequential(*widen, *up[:-1])
@@ -65,10 +65,6 @@ class DepthAutoencoder(nn.Module):
         if self.detector != "variance":
             return decoded + 0.5, None
         return decoded[:, :FRAMES] + 0.5, decoded[:, FRAMES:].clamp(*LOG_VARIANCE)
-
-    def forward(self, depth: Tensor) -> Tensor:
-        """Reconstruct depth images [B, 2, 48, 64] in [0, 1]."""
-        return self.predict(depth)[0]
 
     def loss(self, depth: Tensor) -> dict[str, Tensor]:
         """What the detector learns from image pairs [B, 2, 48, 64]; named scalars.

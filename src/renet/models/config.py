@@ -6,6 +6,7 @@ from typing import Literal, get_args
 from renet.errors import RenetError
 from renet.interface import FRAMES, HISTORY
 
+Encoder = Literal["attention", "mlp"]
 Perception = Literal["renet", "vp", "op", "oracle"]
 Detector = Literal["reconstruction", "variance"]
 
@@ -17,7 +18,7 @@ class ModelCfg:
     perception: Perception = "renet"
     """Which latents the actor reads: both estimators in turn (paper), VP only, OP only, or the
     true height map and velocity in their place (Oracle)."""
-    encoder: Literal["attention", "mlp"] = "attention"
+    encoder: Encoder = "attention"
     """Feature fusion: single-layer single-head self-attention (SA) or an MLP (paper)."""
     history: int = HISTORY
     """H1, proprioceptions an estimator sees; 1 is the row "One Obs"."""
@@ -46,7 +47,8 @@ class ModelCfg:
     def __post_init__(self) -> None:
         if not 1 <= self.frames <= FRAMES:
             raise RenetError(f"model.frames must be 1..{FRAMES}, got {self.frames}")
-        for name, kind in (("perception", Perception), ("detector", Detector)):
+        kinds = {"perception": Perception, "encoder": Encoder, "detector": Detector}
+        for name, kind in kinds.items():
             if getattr(self, name) not in (known := get_args(kind)):
                 raise RenetError(
                     f"model.{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}"

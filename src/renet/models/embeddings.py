@@ -22,23 +22,20 @@ class ProprioceptionEmbedding(nn.Sequential):
 class DepthEmbedding(nn.Module):
     """Three-layer CNN for d_t^{H2}: [B, H2, 48, 64] in [0, 1] to [B, width]."""
 
-    def __init__(
-        self, frames: int, width: int, channels: tuple[int, int, int] = (16, 32, 32)
-    ) -> None:
+    def __init__(self, frames: int, width: int) -> None:
         super().__init__()
-        first, second, third = channels
         self.convolutions = nn.Sequential(
-            nn.Conv2d(frames, first, 5, stride=2, padding=2),
+            nn.Conv2d(frames, 16, 5, stride=2, padding=2),
             nn.ELU(inplace=True),
-            nn.Conv2d(first, second, 3, stride=2, padding=1),
+            nn.Conv2d(16, 32, 3, stride=2, padding=1),
             nn.ELU(inplace=True),
-            nn.Conv2d(second, third, 3, stride=2, padding=1),
+            nn.Conv2d(32, 32, 3, stride=2, padding=1),
             nn.ELU(inplace=True),
         )
         # A third faster on a CPU.
         self.convolutions.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         rows, columns = (size // 8 for size in DEPTH_SHAPE)
-        self.project = nn.Sequential(nn.Linear(third * rows * columns, width), nn.ELU(inplace=True))
+        self.project = nn.Sequential(nn.Linear(32 * rows * columns, width), nn.ELU(inplace=True))
 
     def forward(self, depth: Tensor) -> Tensor:
         """Embed depth images; centring them keeps the first layer's inputs zero-mean."""

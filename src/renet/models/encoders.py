@@ -5,8 +5,6 @@ import math
 import torch
 from torch import Tensor, nn
 
-from renet.errors import RenetError
-
 
 class MlpEncoder(nn.Module):
     """Concatenate the embeddings ([B, width] each) and compress them to [B, out]."""
@@ -52,10 +50,3 @@ class AttentionEncoder(nn.Module):
 
 
 ENCODERS: dict[str, type[nn.Module]] = {"attention": AttentionEncoder, "mlp": MlpEncoder}
-
-
-def make_encoder(kind: str, inputs: int, width: int, out: int) -> nn.Module:
-    """Build the encoder named `kind`; raises RenetError listing the known ones."""
-    if kind not in ENCODERS:
-        raise RenetError(f"unknown encoder {kind!r}: choose one of {', '.join(ENCODERS)}")
-    return ENCODERS[kind](inputs, width, out)

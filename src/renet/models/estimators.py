@@ -14,7 +14,7 @@ from renet.interface import FEET, HEIGHT_MAP_SIZE, LATENT
 from renet.models.actor_critic import mlp
 from renet.models.config import ModelCfg
 from renet.models.embeddings import DepthEmbedding, ProprioceptionEmbedding
-from renet.models.encoders import make_encoder
+from renet.models.encoders import ENCODERS
 
 EMBEDDING = 64
 """Width of every embedded vector."""
@@ -39,9 +39,9 @@ class Estimator(nn.Module):
 
     def __init__(self, cfg: ModelCfg, inputs: int) -> None:
         super().__init__()
-        self.history, self.frames = cfg.history, cfg.frames
+        self.frames = cfg.frames
         self.proprioception = ProprioceptionEmbedding(cfg.history, EMBEDDING)
-        self.encoder = make_encoder(cfg.encoder, inputs, EMBEDDING, EMBEDDING)
+        self.encoder = ENCODERS[cfg.encoder](inputs, EMBEDDING, EMBEDDING)
         self.gru = nn.GRUCell(EMBEDDING, LATENT)
         self.velocity_head = nn.Linear(LATENT, 3) if cfg.predict_velocity else None
 

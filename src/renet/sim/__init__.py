@@ -3,8 +3,8 @@
 import os
 from contextlib import suppress
 
-# Importing mjlab loads renet.tasks, which needs this package's modules: begin there, or one of them
-# would be met half-initialised. The ray caster alone works without mjlab.
+# Importing mjlab loads renet.registry, which needs this package's modules: begin there, or one
+# of them would be met half-initialised. The ray caster alone works without mjlab.
 with suppress(ModuleNotFoundError):
     import mjlab  # noqa: F401
 

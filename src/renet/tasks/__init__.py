@@ -1,38 +1,8 @@
-"""What the robot is asked to do. mjlab finds these tasks through the `mjlab.tasks` entry point."""
+"""What the robot is asked to do, in mjlab's terms; `renet.registry` gives the tasks their ids."""
 
-from __future__ import annotations
+import mjlab  # noqa: F401  Loads renet.registry, which needs this package: see renet.sim.
 
-from mjlab.tasks.registry import register_mjlab_task
-
-from renet.tasks.config.go1 import GO1
 from renet.tasks.env import RenetEnv, RenetEnvCfg, env_cfg, make_env
-from renet.tasks.parkour_env_cfg import flat_env_cfg, parkour_env_cfg
 from renet.tasks.robot_cfg import Motor, RobotCfg, rename_parts
-from renet.training.config import RenetRunnerCfg
-from renet.training.runner import RenetRunner
 
-__all__ = [
-    "Motor",
-    "RenetEnv",
-    "RenetEnvCfg",
-    "RobotCfg",
-    "env_cfg",
-    "make_env",
-    "register_tasks",
-    "rename_parts",
-]
-
-
-def register_tasks(name: str, robot: RobotCfg) -> None:
-    """Give a robot the tasks Renet-`name`-Flat and Renet-`name`-Parkour."""
-    for terrain, cfg in (("Flat", flat_env_cfg), ("Parkour", parkour_env_cfg)):
-        register_mjlab_task(
-            task_id=f"Renet-{name}-{terrain}",
-            env_cfg=cfg(robot=robot),
-            play_env_cfg=cfg(play=True, robot=robot),
-            rl_cfg=RenetRunnerCfg(num_steps_per_env=25),  # As many as mjlab's own, in whole ticks.
-            runner_cls=RenetRunner,
-        )
-
-
-register_tasks("Go1", GO1)
+__all__ = ["Motor", "RenetEnv", "RenetEnvCfg", "RobotCfg", "env_cfg", "make_env", "rename_parts"]

@@ -95,7 +95,7 @@ def parkour_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
 def tile_env_cfg(
     terrain: TerrainEntityCfg, play: bool = False, robot: RobotCfg = GO1
 ) -> RenetEnvCfg:
-    """The parkour task on any terrain made of tiles (see terrains.single_tile_terrain)."""
+    """The parkour task on any terrain made of tiles (see terrains.tile_row)."""
     cfg = _base_env_cfg(terrain, robot)
     if terrain.terrain_generator is not None and terrain.terrain_generator.num_rows == 1:
         cfg.scene.spec_fn = _clear_of_terrain
@@ -137,7 +137,7 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
             "time_out": TerminationTermCfg(func=mdp.time_out, time_out=True),
             "fallen": TerminationTermCfg(
                 # 80 degrees.
-                func=mdp.fallen,
+                func=mdp.bad_orientation,
                 params={"limit_angle": math.acos(0.17)},
             ),
             "not_finite": TerminationTermCfg(func=mdp.not_finite),

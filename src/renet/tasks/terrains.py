@@ -1,23 +1,17 @@
-"""The curriculum of tiles for mjlab, and single tiles for evaluation."""
+"""The curriculum of tiles for mjlab, and tiles in a row for evaluation."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import cast
+from typing import Any, cast
 
 from mjlab.terrains import TerrainEntityCfg, TerrainGeneratorCfg
-from mjlab.terrains.terrain_generator import SubTerrainCfg
 
-from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
+from renet.terrain.tiles import LEVELS, TILE, find_tile, tiles
 
 DIFFICULT = ("gap", "platform")
 """Kinds of tile that force vision; all others are simple."""
-
-
-def as_mjlab(kinds: dict[str, Tile]) -> dict[str, SubTerrainCfg]:
-    """Tiles as mjlab's sub-terrains, whose fields and method they have."""
-    return cast(dict[str, SubTerrainCfg], kinds)
 
 
 UNSEEN = 1
@@ -33,17 +27,12 @@ def parkour_terrain() -> TerrainEntityCfg:
         border_width=TILE,
         num_rows=LEVELS,
         color_scheme="none",
-        sub_terrains=as_mjlab(tiles()),
+        sub_terrains=cast(Any, tiles()),
         add_lights=True,
     )
     return TerrainEntityCfg(
         terrain_type="generator", terrain_generator=generator, max_init_terrain_level=1
     )
-
-
-def single_tile_terrain(kind: str, level: int) -> TerrainEntityCfg:
-    """One tile of `kind` at `level` (1 to 10) with a flat border; see `tile_row`."""
-    return tile_row({kind: level})
 
 
 def tile_row(grounds: Mapping[str, int]) -> TerrainEntityCfg:
@@ -67,5 +56,5 @@ def tile_row(grounds: Mapping[str, int]) -> TerrainEntityCfg:
     generator = cfg.terrain_generator
     assert generator is not None
     generator.num_rows, generator.seed = 1, UNSEEN
-    generator.sub_terrains = as_mjlab(kinds)
+    generator.sub_terrains = cast(Any, kinds)
     return cfg

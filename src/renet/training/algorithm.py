@@ -1,6 +1,5 @@
 """RENet as an rsl_rl algorithm: estimators at 10 Hz, N-P3O at 50 Hz, one stage."""
 
-from contextlib import nullcontext
 from functools import partial
 from typing import Any, Self
 
@@ -17,7 +16,6 @@ from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
 from renet.sim.native.engine import NativeSimulation
 from renet.sim.overflow import OverflowWatch
-from renet.sim.threads import one_torch_thread
 from renet.training import distributed
 from renet.training.checkpoint import WeightAverage
 from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg, from_dict
@@ -28,8 +26,6 @@ from renet.training.supervision import Supervision
 
 CRITIC_GROUPS = ("proprioception_clean", "velocity", "feet_height", "height_map", "privileged")
 """Observation groups the critics see; the actor sees `proprioception` and the latent."""
-FEW = 128
-"""Robots whose actions a second thread does not hasten: waking it takes longer than its half."""
 NORMALIZED_AT_ONCE = 65_536
 """Rows of a rollout whose statistics ranks exchange in one message (80 MB)."""
 
@@ -152,9 +148,8 @@ class RenetAlgorithm:
         if self._is_tick():
             self._tick(obs, mask)
         latent = self.latent(obs, mask)
-        with one_torch_thread(self.device) if len(latent) <= FEW else nullcontext():
-            distribution = self.model.actor.distribution(proprioception, latent)
-            action = distribution.sample()
+        distribution = self.model.actor.distribution(proprioception, latent)
+        action = distribution.sample()
         self._steps.begin(
             proprioception=proprioception,
             latent=latent,

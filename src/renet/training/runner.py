@@ -18,10 +18,10 @@ from torch import Tensor
 
 from renet.errors import RenetError
 from renet.training import checkpoint as checkpoints
+from renet.training import distributed
 from renet.training.algorithm import RenetAlgorithm
 from renet.training.checkpoint import Checkpoint, described
 from renet.training.config import steps_per_env
-from renet.training.episode_log import EpisodeLog
 from renet.training.metrics import MetricsWriter
 from renet.training.precision import keep_freed_memory
 from renet.version import code_version
@@ -56,16 +56,6 @@ class RenetRunner(OnPolicyRunner):
             "rnd_cfg": None,
         }
         super().__init__(env, train_cfg, log_dir, device)
-        self.logger = EpisodeLog(
-            log_dir=log_dir,
-            cfg=self.cfg,
-            env_cfg=env.cfg,
-            num_envs=env.num_envs,
-            is_distributed=self.is_distributed,
-            gpu_world_size=self.gpu_world_size,
-            gpu_global_rank=self.gpu_global_rank,
-            device=self.device,
-        )
         self.logger.git_status_repos = []
         self.folder = Path(log_dir) / CHECKPOINTS if log_dir else None
 
@@ -73,7 +63,6 @@ class RenetRunner(OnPolicyRunner):
         """Join the process group: NCCL between GPUs, gloo on the CPU (and in tests)."""
         self.gpu_world_size = int(os.getenv("WORLD_SIZE", "1"))
         self.gpu_global_rank = int(os.getenv("RANK", "0"))
-        self.gpu_local_rank = int(os.getenv("LOCAL_RANK", "0"))
         self.is_distributed = self.gpu_world_size > 1
         self.cfg["multi_gpu"] = None
         if not self.is_distributed:
@@ -196,11 +185,7 @@ class RenetRunner(OnPolicyRunner):
 
     def _agree(self, stop: bool) -> bool:
         """All ranks stop together: one that wants to decides for all."""
-        if not self.is_distributed:
-            return stop
-        flag = torch.tensor(float(stop), device=self.device)
-        dist.all_reduce(flag, op=dist.ReduceOp.MAX)
-        return bool(flag > 0)
+        return bool(distributed.mean(torch.tensor(float(stop), device=self.device)) > 0)
 
     def _progress(self) -> Progress:
         return Progress(

@@ -16,7 +16,7 @@ from datetime import datetime
 from functools import partial
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 
 import torch
 import tyro
@@ -114,7 +114,7 @@ class TrainCfg(LearningCfg):
     depth_noise_std: float = RENET["depth_noise_std"]
     """Standard deviation of the constant part of the depth error, m."""
     depth_dropout: DepthDropoutCfg = field(default_factory=DepthDropoutCfg)
-    """Cameras that fail during training: a rival of the selector, off by default."""
+    """Cameras that fail during training: a baseline for the selector, off by default."""
     standing_after: float = RENET["standing_after"]
     """Environment steps after which goals ask for standing still, too: the second of the paper's
     two levels of commands."""
@@ -254,7 +254,6 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
     """
     from renet.tasks import env_cfg
     from renet.tasks.sensors import set_depth_noise
-    from renet.tasks.terrains import as_mjlab
     from renet.terrain.tiles import dense_tiles
 
     task = env_cfg(cfg.task)
@@ -269,7 +268,7 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
     if generator is None:
         return task
     if cfg.dense_tiles:
-        generator.sub_terrains = as_mjlab(dense_tiles())
+        generator.sub_terrains = cast(Any, dense_tiles())
         task.scene.terrain.max_init_terrain_level = 0  # It is flat.
     for name, share in shares.items():
         if name not in generator.sub_terrains:

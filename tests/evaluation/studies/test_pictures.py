@@ -8,8 +8,8 @@ from PIL import Image
 
 from renet.errors import RenetError
 from renet.evaluation.report.height_maps import WARM_UP, errors
-from renet.evaluation.report.report import ReportCfg, make_report
 from renet.evaluation.studies.pictures import SENSOR, PicturesStudy, _kept
+from renet.evaluation.studies.report import ReportCfg, make_report
 from renet.interface import HEIGHT_MAP_SIZE
 from renet.terrain.tiles import tiles
 

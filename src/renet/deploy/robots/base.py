@@ -92,3 +92,16 @@ def next_step(robot: RobotDriver, due: float) -> float:
     due += CONTROL_DT * (math.floor((robot.now() - due) / CONTROL_DT + 0.1) + 1)
     robot.wait(due)
     return due
+
+
+def projected_gravity(quaternion: np.ndarray) -> tuple[float, float, float]:
+    """Unit vector of gravity in the base frame, from base-to-world (w, x, y, z)."""
+    w, x, y, z = quaternion.tolist()
+    double = 2.0 / (w * w + x * x + y * y + z * z or math.nan)
+    return double * (w * y - x * z), -double * (y * z + w * x), double * (x * x + y * y) - 1.0
+
+
+def heading(quaternion: np.ndarray) -> float:
+    """Yaw of the base, rad: direction of its x axis seen from above."""
+    w, x, y, z = quaternion.tolist()
+    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)

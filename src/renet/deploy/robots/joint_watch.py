@@ -4,8 +4,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from renet.deploy.observation import projected_gravity
-from renet.deploy.robots.base import RobotState
+from renet.deploy.robots.base import RobotState, projected_gravity
 from renet.interface import JOINTS
 
 TURN = 0.25

@@ -3,9 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from renet.evaluation.figures import MODE_NAMES
+from renet.evaluation.figures import MODE_NAMES, setting_label
 from renet.evaluation.report.page import Section, render
-from renet.evaluation.studies.fault_findings import label
 
 Found = Mapping[str, dict[str, Any]]
 """Summaries by study."""
@@ -98,7 +97,7 @@ def _worse_faults(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     harmful = [
         (
             "faults",
-            label(f) + _doubt(f),
+            setting_label(f) + _doubt(f),
             _percent(f["renet"]),
             _percent(f["op"]),
         )
@@ -107,7 +106,7 @@ def _worse_faults(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     missed = [
         (
             "faults",
-            f"{label(m)} goes unnoticed; {m['vp_falls']} fall with VP only"
+            f"{setting_label(m)} goes unnoticed; {m['vp_falls']} fall with VP only"
             f" then, {m['vp_spared']} only without it" + _doubt(m),
             f"{m['undetected']} robots",
             "",

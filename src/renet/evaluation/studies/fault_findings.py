@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from renet.evaluation.figures import setting_label
 from renet.tasks.terrains import DIFFICULT
 
 Runs = list[dict[str, Any]]
@@ -154,16 +155,11 @@ def _beyond_chance(
     }
 
 
-def label(finding: dict[str, Any]) -> str:
-    """A finding's setting, such as "glare 5 on gap"."""
-    return f"{finding['fault']} {finding['severity']} on {finding['ground'].replace('_', ' ')}"
-
-
 def _beyond_and_within(found: Runs, what: str) -> str:
     """How many of the findings chance cannot explain, and which it can."""
     clear = [f for f in found if f["beyond_chance"]]
-    unclear = [label(f) for f in found if not f["beyond_chance"]]
-    named = ": " + ", ".join(map(label, clear)) if clear else ""
+    unclear = [setting_label(f) for f in found if not f["beyond_chance"]]
+    named = ": " + ", ".join(map(setting_label, clear)) if clear else ""
     aside = f" ({', '.join(unclear)} within chance)" if unclear else ""
     return f"{len(clear)} {what}{named}{aside}"
 
@@ -202,7 +198,7 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
             f"median detection within 0.2 s of faults of severity >= {SEVERE} that make VP fall",
             delay <= 0.2,
             f"{delay:.3f} s; worst 95th percentile {worst['detection_delay_p95_s']:.2f} s"
-            f" ({label(worst)})",
+            f" ({setting_label(worst)})",
         )
     ]
 

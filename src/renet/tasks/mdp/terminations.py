@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.managers.termination_manager import TerminationTermCfg
@@ -11,7 +9,6 @@ from torch import Tensor
 
 from renet.tasks.mdp.base_state import (
     base_position,
-    base_rotation,
     distance_from_start,
     height_above_start,
 )
@@ -20,16 +17,6 @@ from renet.terrain.tiles import TILE
 
 PIT_DEPTH = 0.25
 """Metres below a tile's start at which the base is in a gap, not above it."""
-
-
-def fallen(env: ManagerBasedRlEnv, limit_angle: float) -> Tensor:
-    """Rolled or pitched over, [N].
-
-    Args:
-        env: the environment.
-        limit_angle: tilt of the base above which the robot lies, rad.
-    """
-    return base_rotation(env)[:, 2, 2] < math.cos(limit_angle)
 
 
 def not_finite(env: ManagerBasedRlEnv) -> Tensor:

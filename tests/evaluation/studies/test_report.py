@@ -6,13 +6,12 @@ from pathlib import Path
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.report import report
-from renet.evaluation.report.report import STUDIES, ReportCfg, make_report
 from renet.evaluation.report.summary import FACTS, WORSE
+from renet.evaluation.studies.report import STUDIES, ReportCfg, make_report, run_studies
 from renet.evaluation.study import Study
 
+from ..report.browser import Browser, find_browser
 from ..tiny import TINY
-from .browser import Browser, find_browser
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +173,7 @@ def test_text_of_a_summary_is_escaped(results: Path, tmp_path: Path) -> None:
 def test_run_runs_every_study_into_its_folder(tmp_path: Path, monkeypatch) -> None:
     ran = {}
     monkeypatch.setattr(Study, "main", lambda self: ran.update({self.name: self}))
-    report.run_studies(ReportCfg(tmp_path, run=True, quick=True, seed=7))
+    run_studies(ReportCfg(tmp_path, run=True, quick=True, seed=7))
     assert list(ran) == list(STUDIES)
     for name, study in ran.items():
         assert (study.out, study.seed, study.quick) == (tmp_path / name, 7, True)
