@@ -125,13 +125,17 @@ def test_same_seed_same_rollout():
 
 def test_curriculum_state_round_trips_and_survives_another_size(parkour):
     terrain = parkour.scene.terrain
+    passed = parkour.curriculum_manager.get_term_cfg("level").func.passed
     terrain.terrain_levels[:] = torch.arange(12) % 10
+    passed[:] = torch.arange(12) % 10 < 5
     parkour.common_step_counter = 77
     state = {name: value.clone() for name, value in parkour.curriculum_state().items()}
     terrain.terrain_levels[:] = 0
+    passed[:] = False
     parkour.common_step_counter = 0
     parkour.load_curriculum_state(state)
     assert torch.equal(terrain.terrain_levels, torch.arange(12) % 10)
+    assert torch.equal(passed, torch.arange(12) % 10 < 5)
     assert parkour.common_step_counter == 77
     origins = terrain.terrain_origins[terrain.terrain_levels, terrain.terrain_types]
     assert torch.equal(terrain.env_origins, origins)
@@ -141,6 +145,10 @@ def test_curriculum_state_round_trips_and_survives_another_size(parkour):
         smaller.scene.terrain.terrain_types, smaller.scene.terrain.terrain_levels, strict=True
     ):
         assert level in state["levels"][state["kinds"] == kind]
+    assert torch.equal(
+        smaller.curriculum_manager.get_term_cfg("level").func.passed,
+        smaller.scene.terrain.terrain_levels < 5,
+    ), "level and mark stay together"
 
 
 def test_resuming_keeps_levels_through_the_reset_that_follows():

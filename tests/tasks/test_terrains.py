@@ -194,6 +194,28 @@ def test_the_last_level_leads_back_to_any(parkour):
     assert reached == set(range(LEVELS))
 
 
+def test_who_passed_the_last_level_counts_as_there_until_it_fails(parkour):
+    curriculum, goal = parkour.curriculum_manager, parkour.command_manager.get_term("goal")
+    passed = curriculum.get_term_cfg("level").func.passed
+    passed[:] = False
+    types = parkour.scene.terrain.terrain_types
+    rough = (types == types[0]).nonzero()[:, 0]
+    at_level(parkour, LEVELS - 1)
+    base(parkour)[0, 1] -= 4.1
+    curriculum.compute(env_ids=torch.arange(12))
+    expected = (LEVELS + (LEVELS - 1) * (len(rough) - 1)) / len(rough)
+    assert curriculum.reset()["Curriculum/level/rough"] == pytest.approx(expected)
+    at_level(parkour, 3)  # Neither up nor down.
+    curriculum.compute(env_ids=torch.arange(12))
+    expected = (LEVELS + 3 * (len(rough) - 1)) / len(rough)
+    assert curriculum.reset()["Curriculum/level/rough"] == pytest.approx(expected)
+    at_level(parkour, 3)
+    goal.commanded_distance[:] = 20.0
+    curriculum.compute(env_ids=torch.arange(12))
+    assert curriculum.reset()["Curriculum/level/rough"] == pytest.approx(2.0)
+    assert not passed.any()
+
+
 @pytest.mark.parametrize("kind", tiles())
 def test_a_robot_can_be_put_on_every_single_tile(kind):
     env = make_env(tile_env_cfg(tile_row({kind: LEVELS}), play=True), 1)

@@ -76,6 +76,8 @@ class RenetEnv(ManagerBasedRlEnv):
         terrain = self.scene.terrain
         if terrain is not None and terrain.terrain_origins is not None:
             state |= {"levels": terrain.terrain_levels, "kinds": terrain.terrain_types}
+        if "level" in self.curriculum_manager.active_terms:
+            state["passed"] = self.curriculum_manager.get_term_cfg("level").func.passed
         return state
 
     def load_curriculum_state(self, state: dict[str, Tensor]) -> None:
@@ -85,15 +87,17 @@ class RenetEnv(ManagerBasedRlEnv):
         terrain = self.scene.terrain
         if terrain is None or terrain.terrain_origins is None or "levels" not in state:
             return
-        levels, kinds = (state[name].to(self.device) for name in ("levels", "kinds"))
-        if torch.equal(kinds, terrain.terrain_types):
-            terrain.terrain_levels[:] = levels
-        else:
+        kinds = state["kinds"].to(self.device)
+        robots = torch.arange(self.num_envs, device=self.device)
+        if not torch.equal(kinds, terrain.terrain_types):
             for kind in kinds.unique():
-                here = terrain.terrain_types == kind
-                pool = levels[kinds == kind]
+                here, pool = terrain.terrain_types == kind, (kinds == kind).nonzero()[:, 0]
                 picks = torch.randint(len(pool), (int(here.sum()),), device=self.device)
-                terrain.terrain_levels[here] = pool[picks]
+                robots[here] = pool[picks]
+        terrain.terrain_levels[:] = state["levels"].to(self.device)[robots]
+        if "passed" in state and "level" in self.curriculum_manager.active_terms:
+            term = self.curriculum_manager.get_term_cfg("level").func
+            term.passed[:] = state["passed"].to(self.device)[robots]
         terrain.env_origins[:] = terrain.terrain_origins[
             terrain.terrain_levels, terrain.terrain_types
         ]

@@ -103,7 +103,7 @@ def tile_env_cfg(
     cfg.terminations["below_map"] = TerminationTermCfg(func=mdp.below_map)
     cfg.terminations["left_tile"] = TerminationTermCfg(func=mdp.left_tile, time_out=True)
     cfg.metrics["near_edge"] = MetricsTermCfg(func=mdp.near_edge)
-    cfg.curriculum["level"] = CurriculumTermCfg(func=mdp.terrain_levels)
+    cfg.curriculum["level"] = CurriculumTermCfg(func=mdp.TerrainLevels)
     return _play(cfg) if play else cfg
 
 

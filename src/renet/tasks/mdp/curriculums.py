@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from mjlab.envs import ManagerBasedRlEnv
+from mjlab.managers.curriculum_manager import CurriculumTermCfg
 from torch import Tensor
 
 from renet.tasks.mdp.base_state import distance_from_start
@@ -16,7 +17,7 @@ invisible (10 cm, seen from 30 cm above through the camera's noise): where all r
 it, VP never learns what a gap looks like."""
 
 
-def terrain_levels(env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]:
+class TerrainLevels:
     """Move robots whose episodes end up or down a level (Rudin et al. 2022).
 
     Up when half a tile lies behind, down below half of what was commanded (no more than half a tile
@@ -26,40 +27,57 @@ def terrain_levels(env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]
     cut off, as in a run's first, randomly shortened episodes, owes what it had time for. One that
     has not walked keeps its level, as after loading a checkpoint. After the last level comes any.
 
-    Args:
-        env: environment on tiles.
-        env_ids: robots whose episodes end.
-
-    Returns:
-        Mean level of each kind of tile.
+    Attributes:
+        passed: robots that passed the last level and have not failed since, [N] bool. They count
+            as having reached the number of levels: the mean of the levels that they are sent to
+            would be 6 of 10 for robots that always succeed.
     """
-    terrain, command = env.scene.terrain, goal(env)
-    assert terrain is not None
-    assert terrain.terrain_origins is not None
-    assert terrain.cfg.terrain_generator is not None
-    steps = env.episode_length_buf[env_ids]
-    left = (env.max_episode_length - steps).clamp_min(0) * env.step_dt
-    fell = env.termination_manager.terminated[env_ids]
-    owed = command.commanded_distance[env_ids] + fell * left * command.speed[env_ids]
-    distance = distance_from_start(env)[env_ids]
-    up = distance > TILE / 2
-    down = ~up & (distance < 0.5 * owed.clamp_max(TILE / 2))
-    before, types = terrain.terrain_levels[env_ids], terrain.terrain_types[env_ids]
-    level = before + (steps > 0) * (up.long() - down.long())
-    highest = len(terrain.terrain_origins)
-    tiles = terrain.cfg.terrain_generator.sub_terrains
-    lowest = torch.zeros_like(types)
-    for kind, tile in enumerate(tiles.values()):
-        lowest += (types == kind) * getattr(tile, "flat_start", False)
-    other = torch.where(before < lowest, before, lowest + torch.randint_like(level, FIRST_LEVELS))
-    level = torch.where((level < lowest) & ~up, other, level)
-    level = torch.where(level >= highest, torch.randint_like(level, highest), level)
-    terrain.terrain_levels[env_ids] = level
-    terrain.env_origins[env_ids] = terrain.terrain_origins[level, types]
-    means = torch.zeros(len(tiles), device=env.device).scatter_reduce(
-        0, terrain.terrain_types, terrain.terrain_levels.float(), "mean", include_self=False
-    )
-    return dict(zip(tiles, means.unbind(), strict=True))
+
+    def __init__(self, cfg: CurriculumTermCfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        self.passed = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+
+    def __call__(self, env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]:
+        """Set the levels of robots whose episodes end.
+
+        Args:
+            env: environment on tiles.
+            env_ids: these robots.
+
+        Returns:
+            Mean level of each kind of tile.
+        """
+        terrain, command = env.scene.terrain, goal(env)
+        assert terrain is not None
+        assert terrain.terrain_origins is not None
+        assert terrain.cfg.terrain_generator is not None
+        steps = env.episode_length_buf[env_ids]
+        left = (env.max_episode_length - steps).clamp_min(0) * env.step_dt
+        fell = env.termination_manager.terminated[env_ids]
+        owed = command.commanded_distance[env_ids] + fell * left * command.speed[env_ids]
+        distance = distance_from_start(env)[env_ids]
+        up = (steps > 0) & (distance > TILE / 2)
+        down = (steps > 0) & ~up & (distance < 0.5 * owed.clamp_max(TILE / 2))
+        before, types = terrain.terrain_levels[env_ids], terrain.terrain_types[env_ids]
+        level = before + up.long() - down.long()
+        highest = len(terrain.terrain_origins)
+        tiles = terrain.cfg.terrain_generator.sub_terrains
+        lowest = torch.zeros_like(types)
+        for kind, tile in enumerate(tiles.values()):
+            lowest += (types == kind) * getattr(tile, "flat_start", False)
+        other = torch.where(
+            before < lowest, before, lowest + torch.randint_like(level, FIRST_LEVELS)
+        )
+        level = torch.where((level < lowest) & ~up, other, level)
+        self.passed[env_ids] = (level >= highest) | (self.passed[env_ids] & ~down)
+        level = torch.where(level >= highest, torch.randint_like(level, highest), level)
+        terrain.terrain_levels[env_ids] = level
+        terrain.env_origins[env_ids] = terrain.terrain_origins[level, types]
+        reached = torch.where(self.passed, highest, terrain.terrain_levels).float()
+        means = torch.zeros(len(tiles), device=env.device).scatter_reduce(
+            0, terrain.terrain_types, reached, "mean", include_self=False
+        )
+        return dict(zip(tiles, means.unbind(), strict=True))
 
 
 def command_stage(env: ManagerBasedRlEnv, env_ids: Tensor, switch_step: int) -> Tensor:
