@@ -97,7 +97,7 @@ def test_every_control_answers_to_keys(browser: Browser):
     press(browser, "h")
     assert pages("simulations[0].camera.fault === null")
 
-    for rule, monitors in (("paper", 1), ("monitors", 7)):
+    for rule, monitors in (("paper", 1), ("monitors", 8)):
         press(browser, "l")
         assert pages("rule.value") == rule
         assert 1 <= pages("simulations[1].controller.selector.monitors.length") <= monitors

@@ -150,11 +150,11 @@ def _simulated_scores(
         raise RenetError(f"terrains {cfg.terrains}: choose among {FLAT}, {PARKOUR}")
     check_speed(cfg.speed)
     evaluator = evaluator or Evaluator(cfg.bundle, cfg.engine)
+    if cfg.sparse_grass and not evaluator.bundle.predicts_variance:
+        raise RenetError("--sparse-grass needs a model with --model.detector variance")
     series = _healthy_runs(cfg, evaluator, grass=False)
     if not series["reconstruction"]:
         raise RenetError("no episode succeeded: train the policy before calibrating its selector")
-    if cfg.sparse_grass and not np.any(np.concatenate(series["variance"]) > 0):
-        raise RenetError("--sparse-grass needs a model with --model.detector variance")
     grassy = _healthy_runs(cfg, evaluator, grass=True) if cfg.sparse_grass else {}
     return evaluator.bundle, series, grassy
 

@@ -53,13 +53,18 @@ class Bundle:
         }
         try_models(models, manifest.history, str(folder))
         sessions = {name: session(data, threads) for name, data in models.items()}
-        outputs = {output.name for output in sessions["vision"].get_outputs()}
-        if "variance" in manifest.selector.thresholds and OPTIONAL not in outputs:
+        bundle = Bundle(folder, manifest, sessions)
+        if "variance" in manifest.selector.thresholds and not bundle.predicts_variance:
             raise RenetError(
                 f"{folder}: the selector has a threshold of the variance, but vision.onnx has no"
                 f" {OPTIONAL}: run `renet calibrate`"
             )
-        return Bundle(folder, manifest, sessions)
+        return bundle
+
+    @property
+    def predicts_variance(self) -> bool:
+        """Whether its detector predicts the variance of its own error."""
+        return OPTIONAL in {output.name for output in self.sessions["vision"].get_outputs()}
 
     @property
     def name(self) -> str:
