@@ -66,8 +66,9 @@ def film_comparison(
     cfg, modes = cfg or VideoCfg(), {"vp": "VP alone: always on camera", "renet": "RENet"}
     trials = study.trials([setting])
     env = study.make_env(evaluator, tuple(trial.robot for trial in trials))
-    everybody, title = range(len(trials)), "one setting, filmed"
-    trace = evaluator.rollout(title, env, trials, study.steps, study.seed, everybody)
+    everybody, grounds = range(len(trials)), [setting.ground] * len(trials)
+    title = "one setting, filmed"
+    trace = study.walk(evaluator, lambda _: env, title, trials, grounds, film=everybody)
     robot = first_to_fall(study, trace)
     titles = {study.modes.index(m) * study.robots_each + robot: t for m, t in modes.items()}
     return film(path, env.scene_spec, trace, titles, label(setting), cfg)

@@ -60,8 +60,18 @@ def test_only_renet_has_a_delay_in_the_table(folder: Path) -> None:
         ("RENet", "no noise"),
         ("VP alone", "GA 30 %"),
     ]
-    assert {row[4] for row in rows if row[0] == "VP alone"} == {"-"}
-    assert {row[4] for row in rows[8:]} == {"35"}
+    assert {row[5] for row in rows if row[0] == "VP alone"} == {"-"}
+    assert {row[5] for row in rows[8:]} == {"35"}
+    assert {row[3] for row in rows} == {"-"}, "flat ground has no end"
+
+
+def test_on_tiles_the_table_says_who_crossed(tmp_path: Path) -> None:
+    study = NoiseStudy(tmp_path, robots=2, faults=("gaussian:5",), grounds=("stairs_up",), level=2)
+    study = replace(study, onsets=(0.2,), lasts=0.6, seconds=0.8)
+    ((title, _, rows),) = study.tables(study.run(FakeEvaluator()))
+    assert title == "Camera noise: stairs up"
+    # Nobody leaves the tile in the fake environment.
+    assert [row[3] for row in rows] == ["0 of 2"] * 4
 
 
 def test_the_timelines_camera_recovers() -> None:

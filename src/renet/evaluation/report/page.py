@@ -13,6 +13,7 @@ from jinja2.exceptions import UndefinedError
 from markupsafe import Markup
 
 from renet.errors import RenetError
+from renet.evaluation.env import FLAT
 from renet.evaluation.figures import MODE_NAMES, noise_label
 from renet.faults import fault_class
 from renet.files import write_atomically
@@ -101,6 +102,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {
+        "crossed": crossed,
         "data_uri": data_uri,
         "fault_level": lambda run: fault_class(run["fault"]).describe(float(run["level"])),
         "measured": _measured,
@@ -115,6 +117,12 @@ def _environment() -> Environment:
 def _measured(value: float | None, form: str, scale: float = 1.0, missing: str = "–") -> str:
     """A number as text, or what stands for one that was not measured."""
     return missing if value is None else form % (scale * value)
+
+
+def crossed(run: dict[str, Any]) -> str:
+    """How many robots of a fault study's row crossed; flat ground has no end."""
+    share = run["measures"]["crossed"]["value"]
+    return "-" if run["ground"] == FLAT else f"{share * run['robots']:.0f} of {run['robots']}"
 
 
 def noise_rows(summary: dict[str, Any]) -> list[dict[str, Any]]:

@@ -201,6 +201,8 @@ class FaultStudy(WalkingStudy):
         log = MonitorLog(len(trials))
         title = f"{list(self.batches).index(name) + 1}/{len(self.batches)} {name}"
         grounds = [s.ground for s in settings for _ in range(each * len(self.looking))]
+        # A robot that a preset adds belongs to the first setting.
+        grounds += [settings[0].ground] * (len(trials) - len(grounds))
         trace = self.walk(evaluator, make, title, trials, grounds, on_update=log)
         scores = log.scores
         paper = replay(evaluator.make_selector(len(trials), "paper"), trace.anomaly)
@@ -307,7 +309,12 @@ class FaultStudy(WalkingStudy):
                 setting, parts[name]["runs"][number * each : (number + 1) * each], twins
             )
         ]
-        baseline = [{k: v for k, v in run.items() if k != "values"} for run in twins.values()]
+        first = str(self.onsets[0])
+        baseline = [
+            {k: v for k, v in run.items() if k != "values"}
+            | {"measures": fault_metrics.estimates(run["values"][first], run["values"][first])}
+            for run in twins.values()
+        ]
         # The seconds before the faults are the same in all batches: those of the twins count once.
         calm = [parts["no_fault"]] + [parts[name] for name in parts if name == "healthy"]
         hours = sum(part.get("robot_hours", part.get("healthy_robot_hours", 0)) for part in calm)

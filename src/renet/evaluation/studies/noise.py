@@ -9,7 +9,7 @@ import numpy as np
 
 from renet.evaluation import figures
 from renet.evaluation.env import FLAT
-from renet.evaluation.report.page import noise_rows
+from renet.evaluation.report.page import crossed, noise_rows
 from renet.evaluation.rollout import Trial
 from renet.evaluation.studies.faults import FaultStudy, Setting
 from renet.evaluation.study import Figures, Part, Table
@@ -31,7 +31,7 @@ class NoiseStudy(FaultStudy):
     modes: tuple[str, ...] = ("vp", "renet")
     """Policy modes to compare: vp, renet, op, oracle-switch."""
     grounds: tuple[str, ...] = (FLAT,)
-    """Flat ground without end."""
+    """Flat ground without end, or one or more kinds of tile: see `faults`."""
     onsets: tuple[float, ...] = (3.0,)
     """Seconds at which the noise begins."""
     lasts: float = 6.0
@@ -92,16 +92,18 @@ class NoiseStudy(FaultStudy):
         }
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """Falls, speed and delay by mode and noise."""
+        """Falls, speed and delay by mode and noise, and on tiles who crossed."""
         rows = [
             (
                 figures.MODE_NAMES[run["mode"]],
                 figures.noise_label(run.get("fault", "none"), run.get("level", 0.0)),
                 f"{run['falls']} of {run['robots']}",
+                crossed(run),
                 f"{run['mean_forward_velocity']:.2f}",
                 "-" if (s := run["detection_delay_s"]) is None else f"{1000 * s:.0f}",
             )
             for run in noise_rows(summary)
         ]
-        header = ("policy", "noise", "falls", "speed (m/s)", "switch delay (ms)")
-        return [("Camera noise on flat ground", header, rows)]
+        header = ("policy", "noise", "falls", "crossed", "speed (m/s)", "switch delay (ms)")
+        grounds = ", ".join(self.grounds).replace("_", " ")
+        return [(f"Camera noise: {grounds}", header, rows)]
