@@ -58,7 +58,9 @@ NESTED: dict[str, type] = {
 }
 MERGED = ("reward_weights", "terrain_proportions")
 """Settings whose entries replace those of the preset one by one."""
-PER_SESSION = ("resume", "time_budget", "log_root", "device", "processes", "hosts", "task_cfg.seed")
+NOT_KEPT = ("resume", "time_budget", "log_root")
+"""Settings of the machine and the hour, which a checkpoint does not keep."""
+PER_SESSION = (*NOT_KEPT, "device", "processes", "hosts", "task_cfg.seed")
 """Settings that say how a run is carried out, not what it learns, or that are told elsewhere."""
 
 
@@ -170,7 +172,7 @@ def restored(state: dict[str, Any], task: Any = tyro.MISSING) -> TrainCfg:
         state: of the checkpoint; settings it lacks have their defaults.
         task: in place of the checkpoint's own.
     """
-    own = {f.name for f in fields(TrainCfg)} - {"task", "resume", "time_budget", "log_root"}
+    own = {f.name for f in fields(TrainCfg)} - {"task", *NOT_KEPT}
     settings = {name: value for name, value in state["config"].items() if name in own}
     for name, kind in NESTED.items():
         if name in settings:
@@ -243,7 +245,8 @@ def train(cfg: TrainCfg) -> Path | None:
 
 def settings(cfg: TrainCfg) -> dict[str, Any]:
     """The configuration as the runner takes it and a checkpoint keeps it: plain JSON."""
-    return json.loads(json.dumps(asdict(cfg), default=str))
+    kept = {name: value for name, value in asdict(cfg).items() if name not in NOT_KEPT}
+    return json.loads(json.dumps(kept, default=str))
 
 
 def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
