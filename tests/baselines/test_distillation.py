@@ -116,7 +116,7 @@ def test_the_loss_is_that_of_the_actions_taken(teachers, tmp_path) -> None:
 def test_learns_a_fixed_batch(teachers, tmp_path) -> None:
     runner = student(tmp_path, teachers)
     kept = []
-    runner.alg._learn = lambda ticks: kept.append(ticks) or {"kept": 0.0}
+    runner.alg._learn = lambda ticks: kept.append(ticks) or {"kept": torch.zeros(())}
     runner.learn(1)
     batch = DistillationRollout(**vars(kept[0]), **runner.alg._lessons.stack())
     losses = [runner.alg.supervision.update(batch)["imitation"] for _ in range(25)]

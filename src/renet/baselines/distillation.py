@@ -206,7 +206,7 @@ class DistillationAlgorithm(RenetAlgorithm):
         drawn = torch.rand(len(dones), device=self._driven.device) < share
         self._driven = torch.where(dones.bool(), drawn, self._driven)
 
-    def _learn(self, ticks: TickRollout) -> dict[str, float]:
+    def _learn(self, ticks: TickRollout) -> dict[str, Tensor]:
         """Imitate, in place of reinforcement."""
         rollout = DistillationRollout(**vars(ticks), **self._lessons.stack())
         return self.supervision.update(rollout, self.steps)

@@ -241,7 +241,9 @@ class RenetAlgorithm:
         length = self._rollout.done.shape[0]
         latent_op, latent_vp = self._initial_latents
         ticks = TickRollout(**self._ticks.stack(), latent_op=latent_op, latent_vp=latent_vp)
-        losses = self._learn(ticks)
+        learned = self._learn(ticks)
+        numbers = torch.stack(list(learned.values())).tolist()  # At once: a GPU is waited for.
+        losses = dict(zip(learned, numbers, strict=True))
         self.average.update(self.model)
         for name, cost in zip(CONSTRAINTS, (self._cost_sum / length).tolist(), strict=True):
             losses[f"cost_{name}"] = cost
@@ -253,7 +255,7 @@ class RenetAlgorithm:
         self.steps += self._rollout.done.numel() * distributed.world_size()
         return losses
 
-    def _learn(self, ticks: TickRollout) -> dict[str, float]:
+    def _learn(self, ticks: TickRollout) -> dict[str, Tensor]:
         """Take an iteration's gradient steps; returns losses by name."""
         losses = self.np3o.update(self._rollout, self._last_value, self.iteration, self.steps)
         return losses | self.supervision.update(ticks, self.steps)
