@@ -23,8 +23,8 @@ from renet.interface import PROPRIOCEPTION_SIZE
 from renet.models.config import ModelCfg
 from renet.terrain.tiles import PIT, TILE, Gap, Platform, tiles
 from renet.training import checkpoint as checkpoints
-from renet.training.bundle import load_networks
 from renet.training.config import LearningCfg, SupervisionCfg
+from renet.training.export import load_networks
 from renet.training.metrics import read_curves
 from renet.training.runner import RenetRunner
 from tests.training.conftest import ToyEnv, single_precision  # noqa: F401  applies to all tests

@@ -25,8 +25,8 @@ from renet.models.actor_critic import Actor
 from renet.models.renet import RENet
 from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import RenetAlgorithm
-from renet.training.bundle import load_networks
 from renet.training.config import SupervisionCfg, from_dict
+from renet.training.export import load_networks
 from renet.training.runner import RenetRunner
 from renet.training.storage import Recorder, TickRollout
 from renet.training.supervision import Supervision

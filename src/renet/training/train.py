@@ -1,4 +1,4 @@
-"""`renet train`: one process, or one per GPU."""
+"""`renet train`: one process, or one per GPU; and `renet recipe`, which says how."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from renet.files import write_atomically
 from renet.interface import CONTROL_DT
 from renet.models.config import ModelCfg
 from renet.training import checkpoint as checkpoints
-from renet.training.checkpoint import Checkpoint
+from renet.training.checkpoint import Checkpoint, described
 from renet.training.config import (
     AdaptationCfg,
     LearningCfg,
@@ -40,6 +40,7 @@ from renet.training.depth_dropout import DepthDropoutCfg, DepthDropoutEnv
 from renet.training.metrics import CURVES, write_run_report
 from renet.training.recipe import RENET, preset
 from renet.training.runner import CHECKPOINTS, RenetRunner
+from renet.version import code_version
 
 if TYPE_CHECKING:
     from renet.tasks import RenetEnvCfg
@@ -380,3 +381,29 @@ def resolve_resume(resume: str, root: Path | None, task: str) -> Path:
     if not folder.exists():
         raise RenetError(f"nothing to resume: {folder} does not exist")
     return checkpoints.find(folder)
+
+
+@dataclass(kw_only=True)
+class RecipeCfg:
+    """Print how a checkpoint was trained, or how `renet train` would begin now, as JSON."""
+
+    checkpoint: tyro.conf.Positional[Path | None] = None
+    """Checkpoint, or a run folder whose newest checkpoint is taken; by default, the recipe of a run
+    that would begin now."""
+    task: str = "Renet-Go1-Parkour"
+    """Task of the run that would begin now."""
+    preset: Literal["renet", "paper"] = "renet"
+    """Preset of the run that would begin now."""
+
+
+def show(cfg: RecipeCfg) -> None:
+    """Print settings, the task's rules and the code's version; raises RenetError without any."""
+    if cfg.checkpoint is None:
+        run = TrainCfg.defaults([cfg.task, "--preset", cfg.preset])
+        recipe = {"config": settings(run), "task_cfg": described(task_cfg(run))}
+        print(json.dumps(recipe | {"code": code_version()}, indent=1))
+        return
+    if not cfg.checkpoint.exists():
+        raise RenetError(f"no checkpoint at {cfg.checkpoint}")
+    found = checkpoints.find(cfg.checkpoint)
+    print(json.dumps(checkpoints.load_state(found) | {"numpy_rng": "not shown"}, indent=1))

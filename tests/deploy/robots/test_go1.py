@@ -28,7 +28,7 @@ from renet.deploy.robots.go1_link import LOW_LEVEL, MOTORS, PERIOD, Go1Link  # n
 from renet.deploy.safety import Mode, SafetyCfg, limited_command  # noqa: E402
 from renet.errors import RenetError  # noqa: E402
 from renet.interface import JOINTS  # noqa: E402
-from renet.training.bundle import robot_spec  # noqa: E402
+from renet.training.export import robot_spec  # noqa: E402
 
 from ..waiting import until  # noqa: E402
 from .go1_peer import STEP, VENDOR, Peer, Wire, free_port  # noqa: E402

@@ -22,7 +22,7 @@ from renet.sim.depth.camera import mount_rotation
 from renet.sim.depth.raycast import TerrainScanner
 from renet.tasks import make_env
 from renet.tasks.parkour_env_cfg import flat_env_cfg
-from renet.training.bundle import camera_spec, robot_spec
+from renet.training.export import camera_spec, robot_spec
 
 ROBOT, CAMERA = robot_spec(), camera_spec()
 
