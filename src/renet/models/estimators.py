@@ -24,8 +24,6 @@ EMBEDDING = 64
 class Estimate:
     """What an estimator says at each tick; absent heads are None. Shapes start with [..., ]."""
 
-    latent: Tensor
-    """[..., 64], h_b or h_v."""
     velocity: Tensor | None
     """[..., 3] m/s, base frame."""
     feet_height: Tensor | None = None
@@ -52,7 +50,7 @@ class Estimator(nn.Module):
     def predict(self, latent: Tensor) -> Estimate:
         """Apply the heads to latents [..., 64]."""
         velocity = self.velocity_head(latent) if self.velocity_head is not None else None
-        return Estimate(latent, velocity)
+        return Estimate(velocity)
 
     def forward(self, history: Tensor, depth: Tensor, latent: Tensor) -> Tensor:
         """One 10 Hz tick: previous latent [B, 64] to the next one."""

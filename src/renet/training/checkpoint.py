@@ -100,6 +100,8 @@ def find(path: Path) -> Path:
     """
     if (path / "state.json").is_file():
         return path
+    if not path.exists():
+        raise RenetError(f"no checkpoint at {path}")
     found = [
         p.parent
         for p in path.glob(f"**/{PREFIX}*/state.json")

@@ -52,8 +52,6 @@ class ExportCfg:
 
 def export(cfg: ExportCfg) -> Path:
     """Export and return the bundle's folder; raises RenetError for a foreign checkpoint."""
-    if not cfg.checkpoint.exists():
-        raise RenetError(f"no checkpoint at {cfg.checkpoint}")
     found = checkpoints.find(cfg.checkpoint)
     loaded = checkpoints.load(found)
     model = load_networks(loaded, found)

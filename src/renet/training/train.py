@@ -36,7 +36,7 @@ from renet.training.config import (
     SupervisionCfg,
     from_dict,
 )
-from renet.training.depth_dropout import DepthDropoutCfg, DepthDropoutEnv
+from renet.training.depth_dropout import DepthDropoutCfg, spoil_depth
 from renet.training.metrics import CURVES, write_run_report
 from renet.training.recipe import RENET, preset
 from renet.training.runner import CHECKPOINTS, RenetRunner
@@ -219,7 +219,7 @@ def train(cfg: TrainCfg) -> Path | None:
         env = make_env(task, num_envs, device, cfg.seed + rank, cfg.engine)
     vec_env: Any = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
     if cfg.depth_dropout.share:
-        vec_env = DepthDropoutEnv(vec_env, cfg.depth_dropout, CONTROL_DT)
+        spoil_depth(vec_env, cfg.depth_dropout, CONTROL_DT)
     # Another task's run stays as it is.
     own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
     run = None if rank else resumed_run(own, cfg.log_root) or new_run(cfg.log_root, cfg.task)
@@ -403,7 +403,5 @@ def show(cfg: RecipeCfg) -> None:
         recipe = {"config": settings(run), "task_cfg": described(task_cfg(run))}
         print(json.dumps(recipe | {"code": code_version()}, indent=1))
         return
-    if not cfg.checkpoint.exists():
-        raise RenetError(f"no checkpoint at {cfg.checkpoint}")
     found = checkpoints.find(cfg.checkpoint)
     print(json.dumps(checkpoints.load_state(found) | {"numpy_rng": "not shown"}, indent=1))

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from renet.camera import Intrinsics
 from renet.sim.depth.terrain_mesh import terrain_shapes
-from renet.sim.native.compiler import Call, Source, Struct
+from renet.sim.native.compiler import Call, Source
 
 SOURCE = Source(Path(__file__).with_name("rasterizer.cpp"))
 BIN = 0.25
@@ -96,7 +96,7 @@ class Rasterizer:
         }
         calls = vars(self._calls)  # Of this thread only.
         if "draw" not in calls:
-            argument = SOURCE.struct("Draw")(work=_work(), terrain=self._terrain, **fields)
+            argument = SOURCE.struct("Draw")(terrain=self._terrain, **fields)
             calls["draw"] = Call(draw, argument)
         calls["draw"].argument.set(**fields)
         calls["draw"]()
@@ -126,7 +126,6 @@ class Rasterizer:
         count, points = len(position) * len(parts), len(pattern)
         clearance = torch.empty(len(position), len(parts), points)
         argument = SOURCE.struct("Scan")(
-            work=_work(),
             terrain=self._terrain,
             frames=count,
             positions=position.numpy(),
@@ -148,10 +147,6 @@ class Rasterizer:
             return clearance
 
         return look
-
-
-def _work() -> Struct:
-    return SOURCE.struct("Work")(threads=0, taken=0)
 
 
 def _bins(low: np.ndarray, high: np.ndarray) -> dict[str, object]:

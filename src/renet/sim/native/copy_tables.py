@@ -111,11 +111,6 @@ def store_data(
     return copies
 
 
-def time_copy(wp_data: Any, time: np.ndarray) -> FieldCopy:
-    """The time, which MuJoCo keeps at `time` [1]."""
-    return FieldCopy(wp_data.time.numpy(), time)
-
-
 def _whole(wp_data: Any, name: str, mj_data: mujoco.MjData, num_envs: int) -> list[FieldCopy]:
     """All of one field, or nothing where the model has none of it."""
     source, target = getattr(wp_data, name), getattr(mj_data, name)
