@@ -25,7 +25,8 @@ from renet.evaluation.study import Study, Table
 from renet.interface import CONTROL_DT, DEPTH_RANGE
 from renet.sim.depth.camera import MountCfg, mount_rotation
 from renet.sim.depth.noise import DepthNoiseCfg, add_noise
-from renet.sim.depth.raycast import TerrainScanner, scanner
+from renet.sim.depth.rasterizer import scanner
+from renet.sim.depth.raycast import TerrainScanner
 from renet.terrain.tiles import LEVELS as TOP
 from renet.terrain.tiles import TILE, tiles
 

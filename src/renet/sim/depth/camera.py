@@ -14,8 +14,8 @@ from renet.camera import Intrinsics
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK
 from renet.sim.depth.noise import DepthNoiseCfg, add_noise
+from renet.sim.depth.rasterizer import scanner
 from renet.sim.depth.ray_sensor import RaySensor, object_id
-from renet.sim.depth.raycast import scanner
 
 
 @dataclass
