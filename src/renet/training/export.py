@@ -25,8 +25,7 @@ from renet.models.autoencoder import anomaly_score, variance_score
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.selector import SelectorSpec
-from renet.sim.depth.camera import DepthCameraCfg
-from renet.sim.depth.noise import DepthNoiseCfg
+from renet.sim.depth.camera import DepthCameraCfg, DepthNoiseCfg
 from renet.tasks import env_cfg
 from renet.tasks.config.go1 import GO1
 from renet.tasks.robot_cfg import ACTION_CLIP, RobotCfg
