@@ -50,13 +50,6 @@ CONFIG = "config.json"
 LOGS = Path("logs")
 DEFAULT_ENVS = {"cpu": 512, "cuda": 4096}
 Pairs = tuple[tuple[str, float], ...]
-NESTED: dict[str, type] = {
-    "model": ModelCfg,
-    "algorithm": NP3OCfg,
-    "supervision": SupervisionCfg,
-    "adaptation": AdaptationCfg,
-    "depth_dropout": DepthDropoutCfg,
-}
 MERGED = ("reward_weights", "terrain_proportions")
 """Settings whose entries replace those of the preset one by one."""
 PER_SESSION = ("resume", "time_budget", "log_root", "device", "processes", "hosts", "task_cfg.seed")
@@ -173,14 +166,8 @@ def restored(state: dict[str, Any], task: Any = tyro.MISSING) -> TrainCfg:
     """
     own = {f.name for f in fields(TrainCfg)} - {"task", "resume", "time_budget", "log_root"}
     settings = {name: value for name, value in state["config"].items() if name in own}
-    for name, kind in NESTED.items():
-        if name in settings:
-            settings[name] = from_dict(kind, settings[name])
-    for name in ("hosts", *MERGED):
-        if name in settings:
-            settings[name] = tuple(tuple(x) if isinstance(x, list) else x for x in settings[name])
     task = state["task"] if task is tyro.MISSING else task
-    return TrainCfg(task=task, **settings)
+    return from_dict(TrainCfg, settings | {"task": task})
 
 
 def train(cfg: TrainCfg) -> Path | None:

@@ -30,7 +30,7 @@ from renet.errors import RenetError
 from renet.sim.native import mujoco_memory, stages
 from renet.sim.native.collision_culling import CollisionCulling
 from renet.sim.native.compiler import Call, Source, Struct
-from renet.sim.native.copy_tables import POSE, FieldCopy, load_data, load_model, store_data
+from renet.sim.native.copy_tables import POSE, STATE, FieldCopy, load_model, store_data, whole_data
 from renet.sim.native.stages import DERIVE, StepStages
 from renet.sim.threads import THREADS
 
@@ -103,8 +103,8 @@ class Worker:
         self.data = mujoco.MjData(model)
         mujoco.mj_forward(model, self.data)
         wp_data, num_envs = simulation.wp_data, simulation.num_envs
-        self.pose = load_data(wp_data, self.data, num_envs, POSE)
-        self.state = load_data(wp_data, self.data, num_envs)
+        self.pose = whole_data(wp_data, self.data, num_envs, POSE)
+        self.state = whole_data(wp_data, self.data, num_envs, STATE)
         self.fields = load_model(simulation.wp_model, model, sorted(simulation.expanded_fields))
         self.stores = store_data(wp_data, self.data, model, num_envs)
 
