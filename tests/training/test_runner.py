@@ -126,7 +126,7 @@ def test_few_robots_take_more_steps_each_unless_told_otherwise(robots, steps):
 
 def test_batches_grow_with_the_steps_taken(toy_env, tmp_path):
     runner = make_runner(toy_env(), tmp_path)
-    runner._asked_steps, runner.cfg["batch_size"] = None, "200@200,400@600"
+    runner._recipe |= {"num_steps_per_env": None, "batch_size": "200@200,400@600"}
     steps = []
     for _ in range(4):
         runner.learn(1)

@@ -45,10 +45,6 @@ class RenetRunner(OnPolicyRunner):
         if not device.startswith("cuda"):
             keep_freed_memory()
         self._recipe = deepcopy(train_cfg)
-        self._asked_steps = train_cfg["num_steps_per_env"]
-        train_cfg["num_steps_per_env"] = steps_per_env(
-            self._asked_steps, train_cfg["batch_size"], env.num_envs, 0.0
-        )
         # Keys rsl_rl reads unconditionally; constructing the algorithm consumes the class name.
         train_cfg["algorithm"] = {
             **train_cfg["algorithm"],
@@ -129,10 +125,10 @@ class RenetRunner(OnPolicyRunner):
         """One rollout and one update, logged."""
         iteration = self.alg.iteration
         start = time.monotonic()
-        self.cfg["num_steps_per_env"] = steps_per_env(
-            self._asked_steps, self.cfg["batch_size"], self.env.num_envs, self.alg.steps
-        )
-        for _ in range(self.cfg["num_steps_per_env"]):
+        asked, batch_size = self._recipe["num_steps_per_env"], self._recipe["batch_size"]
+        steps = steps_per_env(asked, batch_size, self.env.num_envs, self.alg.steps)
+        self.cfg["num_steps_per_env"] = steps  # Which rsl_rl's logger reads.
+        for _ in range(steps):
             actions = self.alg.act(obs)
             obs, rewards, dones, extras = self.env.step(actions.to(self.env.device))
             obs, rewards = obs.to(self.device), rewards.to(self.device)
