@@ -231,7 +231,8 @@ class RenetRunner(OnPolicyRunner):
             "task": self.cfg.get("task", ""),
             **self.provenance(),
         }
-        environment = dict(self._curriculum(), torch_rng=torch.get_rng_state())
+        curriculum = cast(Any, self.env).unwrapped.curriculum_state()
+        environment = curriculum | {"torch_rng": torch.get_rng_state()}
         if self.device.startswith("cuda"):
             environment["cuda_rng"] = torch.cuda.get_rng_state(self.device)
         checkpoint = Checkpoint(
@@ -274,15 +275,10 @@ class RenetRunner(OnPolicyRunner):
         self._restore_curriculum(environment)
         return state
 
-    def _curriculum(self) -> dict[str, Tensor]:
-        env = cast(Any, self.env).unwrapped
-        return env.curriculum_state() if hasattr(env, "curriculum_state") else {}
-
     def _restore_curriculum(self, tensors: dict[str, Tensor]) -> None:
-        env = cast(Any, self.env).unwrapped
-        if tensors and hasattr(env, "load_curriculum_state"):
-            env.load_curriculum_state(tensors)
-            self.env.reset()
+        if tensors:
+            cast(Any, self.env).unwrapped.load_curriculum_state(tensors)
+            cast(Any, self.env).reset()
 
 
 def _numpy_state() -> list:
