@@ -38,7 +38,7 @@ def algorithm(env, kind: str) -> RenetAlgorithm:
     cfg = LearningCfg(num_steps_per_env=STEPS, precision=kind)
     cfg.model = ModelCfg(critic_hidden=(64, 64))
     made = RenetAlgorithm.construct_algorithm(env.get_observations(), env, asdict(cfg), "cpu")
-    made.train_mode()
+    made.model.train()
     return made
 
 

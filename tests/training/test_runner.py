@@ -57,7 +57,7 @@ def test_resume_restores_everything(toy_env, tmp_path):
     second = make_runner(toy_env(), tmp_path)
     state = second.load(str(tmp_path))
     assert state["iteration"] == 2
-    assert second.alg.learning_rate == first.alg.learning_rate
+    assert second.alg.np3o.learning_rate == first.alg.np3o.learning_rate
     assert second.alg.np3o.cost_weight == first.alg.np3o.cost_weight
     assert torch.equal(second.env.levels, first.env.levels)
     for a, b in zip(

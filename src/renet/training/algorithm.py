@@ -75,8 +75,6 @@ def _overflow_watch(env: VecEnv) -> OverflowWatch | None:
 class RenetAlgorithm:
     """Acts, records and learns; the runner only loops (rsl_rl's algorithm interface)."""
 
-    rnd = None
-
     def __init__(self, model: RENet, env: VecEnv, cfg: dict[str, Any], device: str) -> None:
         """Set up for an environment; see `construct_algorithm`, which builds the model."""
         self.device = device
@@ -252,22 +250,7 @@ class RenetAlgorithm:
             [] if rollout.rewards_and_costs.isfinite().all() else ["rewards or costs"]
         )
 
-    # What rsl_rl's runner and logger ask for.
-
-    @property
-    def learning_rate(self) -> float:
-        """Current rate of N-P3O."""
-        return self.np3o.learning_rate
-
     @property
     def action_std(self) -> Tensor:
         """Deviation of each action, [12]."""
         return self.model.actor.log_std.detach().exp()
-
-    def train_mode(self) -> None:
-        """Switch networks to training mode."""
-        self.model.train()
-
-    def broadcast_parameters(self) -> None:
-        """Start all ranks from rank 0's networks."""
-        distributed.broadcast(self.model)

@@ -89,8 +89,8 @@ class RenetRunner(OnPolicyRunner):
                 self.env.episode_length_buf, high=int(self.env.max_episode_length)
             )
         obs = self.env.get_observations().to(self.device)
-        self.alg.train_mode()
-        self.alg.broadcast_parameters()
+        self.alg.model.train()
+        distributed.broadcast(self.alg.model)
         self.open_log()
         first = self.alg.iteration
         last = first + num_learning_iterations
@@ -149,7 +149,7 @@ class RenetRunner(OnPolicyRunner):
                 collect_time=collected - start,
                 learn_time=time.monotonic() - collected,
                 loss_dict=losses,
-                learning_rate=self.alg.learning_rate,
+                learning_rate=self.alg.np3o.learning_rate,
                 action_std=self.alg.action_std,
                 rnd_weight=None,
             )
@@ -269,7 +269,7 @@ class RenetRunner(OnPolicyRunner):
         torch_rng, cuda_rng = environment.pop("torch_rng"), environment.pop("cuda_rng", None)
         if self.gpu_global_rank == 0:  # Others draw numbers of their own.
             torch.set_rng_state(torch_rng.cpu())
-            _set_numpy_state(state["numpy_rng"])
+            np.random.set_state(tuple(state["numpy_rng"]))  # noqa: NPY002
             if cuda_rng is not None and self.device.startswith("cuda"):
                 torch.cuda.set_rng_state(cuda_rng.cpu(), self.device)
         self._restore_curriculum(environment)
@@ -284,7 +284,3 @@ class RenetRunner(OnPolicyRunner):
 def _numpy_state() -> list:
     name, keys, *rest = np.random.get_state()  # noqa: NPY002  mjlab draws terrain from it
     return [name, np.asarray(keys).tolist(), *rest]
-
-
-def _set_numpy_state(state: list) -> None:
-    np.random.set_state(tuple(state))  # noqa: NPY002
