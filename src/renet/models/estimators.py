@@ -6,7 +6,6 @@ except that the runtime also reports what they predict.
 """
 
 import math
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -101,18 +100,6 @@ class AttentionEncoder(nn.Module):
 ENCODERS: dict[str, type[nn.Module]] = {"attention": AttentionEncoder, "mlp": MlpEncoder}
 
 
-@dataclass
-class Estimate:
-    """What an estimator says at each tick; absent heads are None. Shapes start with [..., ]."""
-
-    velocity: Tensor | None
-    """[..., 3] m/s, base frame."""
-    feet_height: Tensor | None = None
-    """[..., 4] m, order of interface.LEGS."""
-    height_map: Tensor | None = None
-    """[..., 132] m below the nominal base height, interface.HEIGHT_MAP_X by HEIGHT_MAP_Y."""
-
-
 class Estimator(nn.Module):
     """What OP and VP share: encoder, GRU, velocity head, and unrolling over ticks."""
 
@@ -128,10 +115,15 @@ class Estimator(nn.Module):
         """Encode o^{H1} [B, H1, 45] and, for VP, d^{H2} [B, >=H2, 48, 64] to [B, 64]."""
         raise NotImplementedError
 
-    def predict(self, latent: Tensor) -> Estimate:
-        """Apply the heads to latents [..., 64]."""
-        velocity = self.velocity_head(latent) if self.velocity_head is not None else None
-        return Estimate(velocity)
+    def predict(self, latent: Tensor) -> dict[str, Tensor]:
+        """Apply the heads to latents [..., 64], h_b or h_v.
+
+        Returns:
+            What there is a head for: `velocity` [..., 3] m/s, base frame; `feet_height` [..., 4] m,
+            order of interface.LEGS; `height_map` [..., 132] m below the nominal base height,
+            interface.HEIGHT_MAP_X by HEIGHT_MAP_Y.
+        """
+        return {} if self.velocity_head is None else {"velocity": self.velocity_head(latent)}
 
     def forward(self, history: Tensor, depth: Tensor, latent: Tensor) -> Tensor:
         """One 10 Hz tick: previous latent [B, 64] to the next one."""
@@ -187,11 +179,11 @@ class VPEstimator(Estimator):
         """See Estimator.features."""
         return self.encoder([self.proprioception(history), self.depth(depth[:, : self.frames])])
 
-    def predict(self, latent: Tensor) -> Estimate:
+    def predict(self, latent: Tensor) -> dict[str, Tensor]:
         """See Estimator.predict."""
         estimate = super().predict(latent)
         if self.feet_height_head is not None:
-            estimate.feet_height = self.feet_height_head(latent)
+            estimate["feet_height"] = self.feet_height_head(latent)
         if self.height_map_head is not None:
-            estimate.height_map = self.height_map_head(latent)
+            estimate["height_map"] = self.height_map_head(latent)
         return estimate

@@ -173,10 +173,10 @@ class EstimatorGraph(nn.Module):
         next_vp = self.vp(history, depth, latent_vp)
         op, vp = self.op.predict(next_op), self.vp.predict(next_vp)
         predictions = (
-            (op.velocity, 3),
-            (vp.velocity, 3),
-            (vp.feet_height, FEET),
-            (vp.height_map, HEIGHT_MAP_SIZE),
+            (op.get("velocity"), 3),
+            (vp.get("velocity"), 3),
+            (vp.get("feet_height"), FEET),
+            (vp.get("height_map"), HEIGHT_MAP_SIZE),
         )
         zeros = torch.zeros_like(next_vp[:, :1])
         return (

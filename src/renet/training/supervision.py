@@ -56,14 +56,11 @@ def estimator_losses(
         return {}
     rollout, initial, chosen = rollout.environments(mine), initial[mine], chosen[:, mine]
     latent = estimator.unroll(rollout.history, rollout.frames.float(), initial, rollout.fresh)
-    estimate = estimator.predict(latent)
     counts = chosen.to(latent.dtype)
     losses = {}
-    for name in ("velocity", "feet_height", "height_map"):
-        predicted = getattr(estimate, name)
-        if predicted is not None:
-            error = (predicted - getattr(rollout, name)).square().mean(-1)
-            losses[name] = (error * counts).sum() / counts.sum().clamp_min(1.0)
+    for name, predicted in estimator.predict(latent).items():
+        error = (predicted - getattr(rollout, name)).square().mean(-1)
+        losses[name] = (error * counts).sum() / counts.sum().clamp_min(1.0)
     if him is not None:
         paired = (counts * rollout.next_valid).flatten()
         following = target_view(rollout.next_proprioception, rollout.next_velocity)

@@ -63,15 +63,15 @@ class Rasterizer(TerrainScanner):
         super().__init__(model, "cpu", without)
         wp.load_module(__name__, device="cpu")  # Else every thread compiles it.
         self._calls = local()
-        shapes = terrain_shapes(model, without)
-        reach = np.abs(shapes.boxes[:, 3:12].reshape(-1, 3, 3)) @ shapes.boxes[:, 12:, None]
-        middle = shapes.boxes[:, :3]
-        low = np.concatenate((middle - reach[..., 0], shapes.triangles.min(1)))
-        high = np.concatenate((middle + reach[..., 0], shapes.triangles.max(1)))
+        boxes, triangles = terrain_shapes(model, without)
+        reach = np.abs(boxes[:, 3:12].reshape(-1, 3, 3)) @ boxes[:, 12:, None]
+        middle = boxes[:, :3]
+        low = np.concatenate((middle - reach[..., 0], triangles.min(1)))
+        high = np.concatenate((middle + reach[..., 0], triangles.max(1)))
         self._terrain = SOURCE.struct("Terrain")(
-            boxes=np.ascontiguousarray(shapes.boxes, np.float32),
-            num_boxes=len(shapes.boxes),
-            triangles=np.ascontiguousarray(shapes.triangles, np.float32),
+            boxes=np.ascontiguousarray(boxes, np.float32),
+            num_boxes=len(boxes),
+            triangles=np.ascontiguousarray(triangles, np.float32),
             **_bins(low[:, :2], high[:, :2]),
         )
 
