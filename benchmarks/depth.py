@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 
-import numpy as np
 import torch
 import tyro
 from mjlab.utils.lab_api.math import matrix_from_quat
@@ -18,6 +17,7 @@ from mjlab.utils.lab_api.math import matrix_from_quat
 from facts import report
 from renet.interface import STEPS_PER_TICK
 from renet.sim.depth.camera import DepthCamera
+from renet.sim.depth.raycast import TerrainScanner
 from renet.sim.threads import THREADS
 from renet.tasks import make_env
 
@@ -73,11 +73,11 @@ def main(cfg: Cfg) -> None:
     camera._render()  # Compiles kernels.
     scanner, poses, limit = camera._scanner, view(camera), camera.cfg.range
     lens = camera.cfg.intrinsics
-    rays = torch.from_numpy(lens.rays(np.float32)).to(cfg.device)
-    scanner.cast_depth(*poses, rays, limit)
+    caster = TerrainScanner(env.sim.mj_model, cfg.device)
+    caster.depth(*poses, lens, limit)
     measure = core_seconds if cfg.device == "cpu" else seconds
     drawn_s = measure(cfg, lambda: scanner.depth(*poses, lens, limit))
-    cast_s = measure(cfg, lambda: scanner.cast_depth(*poses, rays, limit))
+    cast_s = measure(cfg, lambda: caster.depth(*poses, lens, limit))
     image_s = seconds(cfg, camera._render)
     actions, steps = torch.zeros(cfg.num_envs, 12, device=cfg.device), 10 * STEPS_PER_TICK
     env.step(actions)
@@ -85,7 +85,7 @@ def main(cfg: Cfg) -> None:
     for _ in range(steps):
         env.step(actions)
     step_s = (time.perf_counter() - start) / steps
-    count = cfg.num_envs * len(rays)
+    count = cfg.num_envs * lens.height * lens.width
     report(
         {
             "num_envs": cfg.num_envs,

@@ -149,7 +149,7 @@ def main(cfg: Cfg) -> None:
         runner = RenetRunner(RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP), settings(recipe))
     runner.load(str(found))
     env.episode_length_buf = torch.randint_like(env.episode_length_buf, env.max_episode_length)
-    runner.alg.train_mode()
+    runner.alg.model.train()
     measurement = Measurement(cfg, runner)
     for number in track(range(SETTLING + cfg.rollouts), "rollouts", transient=True):
         rollout = collect(runner, cfg.steps)

@@ -30,7 +30,7 @@ from renet.models.memory import EstimatorMemory
 from renet.tasks import make_env
 from renet.tasks.config.go1 import GO1
 from renet.training import checkpoint as checkpoints
-from renet.training.bundle import load_networks
+from renet.training.export import load_networks
 
 
 @dataclass(frozen=True)

@@ -138,7 +138,7 @@ class Operator:
         self._speed, self._turn, self._goal = 0.0, 0.0, np.zeros(2)
 
     def command(self, now: float) -> TeleopCommand:
-        mode, upright = self._machine.mode, self._robot.upright
+        mode, upright = self._machine.mode, self._robot.base_rotation[2, 2] > 0.5
         waited = now - max(self._since, self._machine.since) > PATIENCE
         self._since = now if waited else self._since
         self._tried = 0 if mode is Mode.WALKING else self._tried + waited

@@ -74,7 +74,7 @@ def walk(bundle: Bundle, terrain: str, seconds: float, seed: int) -> list[tuple]
         camera,
         ScriptedTeleop(0.6),
         controller,
-        done=lambda: robot.now() >= seconds or not robot.upright,
+        done=lambda: robot.now() >= seconds or robot.base_rotation[2, 2] <= 0.5,
         on_step=look,
     )
     return rows

@@ -34,8 +34,8 @@ from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
 from renet.tasks.robot_cfg import ACTION_CLIP
 from renet.training import checkpoint as checkpoints
-from renet.training.bundle import load_networks
 from renet.training.config import from_dict, steps_per_env
+from renet.training.export import load_networks
 from renet.training.train import TrainCfg, train
 
 TASK = "Renet-Go1-Parkour"

@@ -138,7 +138,7 @@ def profile(cfg: Cfg, folder: str) -> dict[str, Any]:
         (runner.alg.supervision, "update", "update: supervision"),
     ):
         watch.wrap(owner, method, part)
-    runner.alg.train_mode()
+    runner.alg.model.train()
     obs = runner._iterate(vec_env.get_observations(), 0, cfg.iterations + 1)
     watch.seconds.clear()
     start = watch.now()

@@ -60,11 +60,11 @@ COMMANDS = {
     "train": Command("train RENet on a CPU or GPUs", "renet.training.launch:TrainCfg:launch"),
     "recipe": Command(
         "print the whole recipe: of a checkpoint, or of a run that would begin now",
-        "renet.training.provenance:RecipeCfg:show",
+        "renet.training.train:RecipeCfg:show",
     ),
     "export": Command(
         "turn a checkpoint into a bundle of three ONNX models",
-        "renet.training.bundle:ExportCfg:export",
+        "renet.training.export:ExportCfg:export",
     ),
     "play": Command(
         "watch a bundle or a checkpoint live in the browser, or film it",

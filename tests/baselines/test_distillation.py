@@ -23,8 +23,8 @@ from renet.interface import PROPRIOCEPTION_SIZE
 from renet.models.config import ModelCfg
 from renet.terrain.tiles import PIT, TILE, Gap, Platform, tiles
 from renet.training import checkpoint as checkpoints
-from renet.training.bundle import load_networks
 from renet.training.config import LearningCfg, SupervisionCfg
+from renet.training.export import load_networks
 from renet.training.metrics import read_curves
 from renet.training.runner import RenetRunner
 from tests.training.conftest import ToyEnv, single_precision  # noqa: F401  applies to all tests
@@ -116,7 +116,7 @@ def test_the_loss_is_that_of_the_actions_taken(teachers, tmp_path) -> None:
 def test_learns_a_fixed_batch(teachers, tmp_path) -> None:
     runner = student(tmp_path, teachers)
     kept = []
-    runner.alg._learn = lambda ticks: kept.append(ticks) or {"kept": 0.0}
+    runner.alg._learn = lambda ticks: kept.append(ticks) or {"kept": torch.zeros(())}
     runner.learn(1)
     batch = DistillationRollout(**vars(kept[0]), **runner.alg._lessons.stack())
     losses = [runner.alg.supervision.update(batch)["imitation"] for _ in range(25)]

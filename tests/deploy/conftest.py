@@ -12,8 +12,7 @@ from renet.deploy.bundle.manifest import Manifest
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.selector import SelectorSpec
-from renet.training.bundle import camera_spec, robot_spec
-from renet.training.export import export_models
+from renet.training.export import camera_spec, export_models, robot_spec
 
 
 @pytest.fixture(scope="session")

@@ -25,7 +25,7 @@ from renet.interface import CONTROL_DT
 from renet.models.actor_critic import fuse
 from renet.models.memory import EstimatorMemory
 from renet.training import checkpoint as checkpoints
-from renet.training.bundle import ExportCfg, export, load_networks
+from renet.training.export import ExportCfg, export, load_networks
 
 from .fakes import ARM, GO, STANDING, WALKS_AT, Run, frame, state, time_of, turned
 

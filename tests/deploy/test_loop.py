@@ -128,7 +128,7 @@ def test_a_camera_unplugged_and_replugged_50_times_in_one_run(bundle):
     rig.run(26.2)
     assert len(set(plugs)) >= 50
     assert rig.modes[-BRAKING - 1] is Mode.WALKING
-    assert rig.body.upright
+    assert rig.body.base_rotation[2, 2] > 0.5
     assert np.hypot(*rig.body.base_position[:2]) > 3.0
     assert sum(event.what == "op" for event in rig.events) <= 26.2 / 5 + 1
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import heading, projected_gravity
 from renet.interface import proprioception_slices
-from renet.training.bundle import robot_spec
+from renet.training.export import robot_spec
 
 from .fakes import state, turned
 

@@ -25,7 +25,7 @@ from renet.deploy.safety import (
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT
-from renet.training.bundle import robot_spec
+from renet.training.export import robot_spec
 
 from .fakes import STANDING, frame, state, time_of, turned
 

@@ -9,7 +9,7 @@ from renet.deploy.main import LOOPBACK, DeployCfg
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.viewer import BrowserViewer
-from renet.training.bundle import robot_spec
+from renet.training.export import robot_spec
 
 pytest.importorskip("mjviser")
 

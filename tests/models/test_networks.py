@@ -7,9 +7,14 @@ from torch import nn
 
 from renet.models.autoencoder import DepthAutoencoder, anomaly_score, variance_score
 from renet.models.config import ModelCfg
-from renet.models.embeddings import DepthEmbedding, ProprioceptionEmbedding
-from renet.models.encoders import AttentionEncoder, MlpEncoder
-from renet.models.estimators import OPEstimator, VPEstimator
+from renet.models.estimators import (
+    AttentionEncoder,
+    DepthEmbedding,
+    MlpEncoder,
+    OPEstimator,
+    ProprioceptionEmbedding,
+    VPEstimator,
+)
 
 
 def count(module: nn.Module, *kinds: type[nn.Module]) -> int:

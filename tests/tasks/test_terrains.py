@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from renet.errors import RenetError
-from renet.sim.depth.raycast import scanner
+from renet.sim.depth.rasterizer import scanner
 from renet.tasks import make_env
 from renet.tasks.mdp.curriculums import FIRST_LEVELS
 from renet.tasks.parkour_env_cfg import tile_env_cfg

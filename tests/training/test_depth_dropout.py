@@ -5,7 +5,7 @@ import torch
 
 from renet.errors import RenetError
 from renet.training.config import LearningCfg
-from renet.training.depth_dropout import DepthDropout, DepthDropoutCfg, DepthDropoutEnv
+from renet.training.depth_dropout import DepthDropout, DepthDropoutCfg, spoil_depth
 from renet.training.runner import RenetRunner
 
 
@@ -41,7 +41,8 @@ def test_each_kind_spoils_as_it_says_and_healthy_images_stay() -> None:
 def test_trains_and_only_the_depth_image_differs(toy_env) -> None:
     torch.manual_seed(0)
     plain = toy_env(8, seed=3)
-    spoilt = DepthDropoutEnv(toy_env(8, seed=3), DepthDropoutCfg(0.5, 0.1), 0.02)
+    spoilt = toy_env(8, seed=3)
+    spoil_depth(spoilt, DepthDropoutCfg(0.5, 0.1), 0.02)
     changed = False
     for _ in range(30):
         mine, its = spoilt.step(torch.zeros(8, 12)), plain.step(torch.zeros(8, 12))

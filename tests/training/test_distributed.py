@@ -53,7 +53,7 @@ def work(rank: int, folder: str, port: int) -> None:
     half = PolicyRollout(**{name: value[:, mine] for name, value in vars(data).items()})
     found = {
         "model": runner.alg.model.state_dict(),
-        "rate": runner.alg.learning_rate,
+        "rate": runner.alg.np3o.learning_rate,
         "weight": runner.alg.np3o.cost_weight,
         "gradients": gradients(half, last_value[mine]),
     }

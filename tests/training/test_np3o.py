@@ -185,6 +185,6 @@ def test_entropy_divergence_and_budgets_follow_their_schedules():
     gap = (early.violation - late.violation) * torch.tensor([1.0, 0.0, 0.0])
     torch.testing.assert_close(early.violation - late.violation, gap)
     assert gap[0] > 0
-    algorithm.learn(rollout, last, 0, steps=5e6)
+    algorithm.update(rollout, last, 0, steps=5e6)
     assert algorithm._entropy == pytest.approx(0.005)
     assert algorithm._desired_kl == pytest.approx(0.015)

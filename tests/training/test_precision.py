@@ -38,7 +38,7 @@ def algorithm(env, kind: str) -> RenetAlgorithm:
     cfg = LearningCfg(num_steps_per_env=STEPS, precision=kind)
     cfg.model = ModelCfg(critic_hidden=(64, 64))
     made = RenetAlgorithm.construct_algorithm(env.get_observations(), env, asdict(cfg), "cpu")
-    made.train_mode()
+    made.model.train()
     return made
 
 
@@ -141,7 +141,7 @@ def test_nothing_on_a_gpus_path_waits_for_the_device(toy_env):
             obs, reward, done, extras = env.step(action)
             alg.process_env_step(obs, reward, done, extras)
         alg.compute_returns(obs)
-        alg.np3o.learn(alg._rollout, alg._last_value, 0)
+        alg.np3o.update(alg._rollout, alg._last_value, 0)
     assert watch.waits == ["lift_fresh"], "the budgets alone, once an iteration"
     # It saw the way back and the optimiser, too.
     assert {"elu_backward", "_fused_adam_"} <= watch.seen

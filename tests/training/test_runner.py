@@ -57,7 +57,7 @@ def test_resume_restores_everything(toy_env, tmp_path):
     second = make_runner(toy_env(), tmp_path)
     state = second.load(str(tmp_path))
     assert state["iteration"] == 2
-    assert second.alg.learning_rate == first.alg.learning_rate
+    assert second.alg.np3o.learning_rate == first.alg.np3o.learning_rate
     assert second.alg.np3o.cost_weight == first.alg.np3o.cost_weight
     assert torch.equal(second.env.levels, first.env.levels)
     for a, b in zip(
@@ -126,7 +126,7 @@ def test_few_robots_take_more_steps_each_unless_told_otherwise(robots, steps):
 
 def test_batches_grow_with_the_steps_taken(toy_env, tmp_path):
     runner = make_runner(toy_env(), tmp_path)
-    runner._asked_steps, runner.cfg["batch_size"] = None, "200@200,400@600"
+    runner._recipe |= {"num_steps_per_env": None, "batch_size": "200@200,400@600"}
     steps = []
     for _ in range(4):
         runner.learn(1)

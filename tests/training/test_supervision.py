@@ -72,7 +72,7 @@ def test_loss_vp_adds_feet_height_and_height_map(model, rollout):
     assert set(losses) == {"velocity", "him", "feet_height", "height_map"}
     latents = replay(model.vp, rollout, rollout.latent_vp)
     for name in ("velocity", "feet_height", "height_map"):
-        said = [getattr(model.vp.predict(latent[2:]), name) for latent in latents]
+        said = [model.vp.predict(latent[2:])[name] for latent in latents]
         expected = mean_square(zip(said, getattr(rollout, name)[:, 2:], strict=True))
         assert losses[name].item() == pytest.approx(expected, rel=1e-4)
 

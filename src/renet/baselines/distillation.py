@@ -25,8 +25,8 @@ from renet.models.actor_critic import Actor
 from renet.models.renet import RENet
 from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import RenetAlgorithm
-from renet.training.bundle import load_networks
 from renet.training.config import SupervisionCfg, from_dict
+from renet.training.export import load_networks
 from renet.training.runner import RenetRunner
 from renet.training.storage import Recorder, TickRollout
 from renet.training.supervision import Supervision
@@ -206,7 +206,7 @@ class DistillationAlgorithm(RenetAlgorithm):
         drawn = torch.rand(len(dones), device=self._driven.device) < share
         self._driven = torch.where(dones.bool(), drawn, self._driven)
 
-    def _learn(self, ticks: TickRollout) -> dict[str, float]:
+    def _learn(self, ticks: TickRollout) -> dict[str, Tensor]:
         """Imitate, in place of reinforcement."""
         rollout = DistillationRollout(**vars(ticks), **self._lessons.stack())
         return self.supervision.update(rollout, self.steps)

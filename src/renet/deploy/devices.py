@@ -54,16 +54,6 @@ class Devices:
                 return
             time.sleep(0.01)
 
-    @property
-    def quit(self) -> bool:
-        """The operator wants to end the program."""
-        return getattr(self.teleop, "quit", False)
-
-    @property
-    def refused(self) -> str:
-        """What the system refused the robot's driver; empty if nothing."""
-        return getattr(self.robot, "refused", "")
-
     def close(self) -> None:
         """Let go of everything, the robot first."""
         with ExitStack() as stack:

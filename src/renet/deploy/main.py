@@ -161,7 +161,7 @@ def deploy(cfg: DeployCfg) -> Path:
             devices.show()
 
         with _interruptible() as interrupted, _priority(cfg) as refused:
-            for line in filter(None, (refused, devices.refused)):
+            for line in filter(None, (refused, getattr(devices.robot, "refused", ""))):
                 terminal.say(line)
             begun = devices.robot.now()
             run_control_loop(
@@ -238,7 +238,8 @@ def _over(cfg: DeployCfg, devices: Devices, controller: Controller, begun: float
         machine.since >= begun or (passed > 1.0 and not cfg.dry_run)
     )
     late = passed >= cfg.length - CONTROL_DT / 2
-    return late or devices.quit or (damped and cfg.teleop == "auto")
+    leaves = getattr(devices.teleop, "quit", False)
+    return late or leaves or (damped and cfg.teleop == "auto")
 
 
 def _check(cfg: DeployCfg) -> None:

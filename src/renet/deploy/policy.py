@@ -6,17 +6,9 @@ import numpy as np
 import onnxruntime as ort
 
 from renet.deploy.bundle import Bundle
+from renet.deploy.bundle.models import model_shapes
 from renet.errors import RenetError
-from renet.interface import (
-    ACTION_SIZE,
-    DEPTH_SHAPE,
-    FEET,
-    FRAMES,
-    HEIGHT_MAP_SIZE,
-    LATENT,
-    PROPRIOCEPTION_SIZE,
-    STEPS_PER_TICK,
-)
+from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE, STEPS_PER_TICK
 
 
 class EstimatorInput(NamedTuple):
@@ -66,18 +58,23 @@ class Policy:
     def __init__(self, bundle: Bundle, num_robots: int = 1) -> None:
         self.manifest, self.sessions = bundle.manifest, bundle.sessions
         n = self.num_robots = num_robots
-        self._history = np.zeros((n, self.manifest.history, PROPRIOCEPTION_SIZE), np.float32)
+        shapes = model_shapes(self.manifest.history)
+        inputs, estimates = shapes["estimator"]
+
+        def zeros(shape: tuple[int, ...]) -> np.ndarray:
+            return np.zeros((n, *shape), np.float32)
+
+        self._history = zeros(inputs["proprioception_history"])
         """Oldest first."""
-        self._frames = np.zeros((n, FRAMES, *DEPTH_SHAPE), np.float32)
+        self._frames = zeros(inputs["depth"])
         """Newest first."""
-        self.latent_op = np.zeros((n, LATENT), np.float32)
-        self.latent_vp = np.zeros((n, LATENT), np.float32)
-        self.velocity_op = np.zeros((n, 3), np.float32)
-        self.velocity_vp = np.zeros((n, 3), np.float32)
+        self.latent_op, self.latent_vp = zeros(inputs["latent_op"]), zeros(inputs["latent_vp"])
+        self.velocity_op = zeros(estimates["velocity_op"])
+        self.velocity_vp = zeros(estimates["velocity_vp"])
         """Base frame, m/s, as OP's."""
-        self.feet_height = np.zeros((n, FEET), np.float32)
-        self.height_map = np.zeros((n, HEIGHT_MAP_SIZE), np.float32)
-        self.reconstruction = np.zeros((n, FRAMES, *DEPTH_SHAPE), np.float32)
+        self.feet_height = zeros(estimates["feet_height"])
+        self.height_map = zeros(estimates["height_map"])
+        self.reconstruction = zeros(shapes["vision"][1]["reconstruction"])
         """Of the newest images; those before a blind tick stay."""
         self.anomaly_score = np.zeros(n, np.float32)
         """Loss_ad of the newest images, [N]; infinite without a camera."""

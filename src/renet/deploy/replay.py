@@ -106,31 +106,26 @@ class ReplayCamera:
         """
         if not run.images:
             raise RenetError("the recording holds no images: it was made without a camera")
-        self._now = now
-        self._begun = math.inf
-        rows = sorted(run.images)
-        first = float(run.ticks["now"][rows[0]])
-        self._frames = []
-        for row in rows:
-            tick = run.ticks[row]
-            since = float(tick["now"]) - first
-            invalid = float(tick["frame_invalid"])
-            self._frames.append((since, int(tick["frame_number"]), run.images[row], invalid))
-        self._next = 0
+        self._run, self._now, self._begun = run, now, math.inf
+        self._rows = sorted(run.images)
+        times = run.ticks["now"][self._rows]
+        self._times = times - times[0]
 
     def start(self) -> None:
         """The first image is shown now."""
-        self._begun, self._next = self._now(), 0
+        self._begun = self._now()
 
     def latest(self) -> DepthFrame | None:
         """Newest frame; None before the first."""
         since = self._now() - self._begun
-        while self._next < len(self._frames) and self._frames[self._next][0] <= since + 1e-6:
-            self._next += 1
-        if self._next == 0:
+        newest = int(np.searchsorted(self._times, since + 1e-6, side="right")) - 1
+        if newest < 0:
             return None
-        time, number, image, invalid = self._frames[self._next - 1]
-        return DepthFrame(image, number, self._begun + time, invalid)
+        row, time = self._rows[newest], self._begun + float(self._times[newest])
+        number, invalid = (
+            self._run.ticks[row][n].item() for n in ("frame_number", "frame_invalid")
+        )
+        return DepthFrame(self._run.images[row], number, time, invalid)
 
     def close(self) -> None:
         """Nothing to stop."""

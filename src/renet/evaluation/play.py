@@ -21,7 +21,7 @@ from renet.evaluation.results import output_folder
 from renet.evaluation.rollout import Trial, check_modes
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
-from renet.training.bundle import ExportCfg, export
+from renet.training.export import ExportCfg, export
 
 
 @dataclass(frozen=True)

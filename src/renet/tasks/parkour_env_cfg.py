@@ -25,7 +25,7 @@ from renet.tasks.config.go1 import GO1
 from renet.tasks.env import RenetEnvCfg
 from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg
 from renet.tasks.robot_cfg import FEET, TRUNK, RobotCfg
-from renet.tasks.sensors import FEET_HEIGHT, HEIGHT_MAP, contact_sensors, terrain_sensors
+from renet.tasks.sensors import FEET_HEIGHT, HEIGHT_MAP, sensors
 from renet.tasks.terrains import parkour_terrain
 
 NOISE = {
@@ -123,7 +123,7 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
         scene=SceneCfg(
             terrain=terrain,
             entities={"robot": robot.entity()},
-            sensors=(*contact_sensors(), *terrain_sensors(robot)),
+            sensors=sensors(robot),
         ),
         observations=_observations(),
         actions={

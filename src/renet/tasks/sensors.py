@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mjlab.envs import ManagerBasedRlEnvCfg
-from mjlab.sensor import ContactMatch, ContactSensorCfg
+from mjlab.sensor import ContactMatch, ContactSensorCfg, SensorCfg
 
 from renet.interface import LEGS
 from renet.sim.depth.camera import DepthCameraCfg
@@ -18,8 +18,8 @@ THIGH_TRUNK_CONTACT = "thigh_trunk_contact"
 CALF_CONTACT = "calf_contact"
 
 
-def contact_sensors() -> tuple[ContactSensorCfg, ...]:
-    """Of feet, of thighs and trunk, and of calves, with the terrain."""
+def sensors(robot: RobotCfg) -> tuple[SensorCfg, ...]:
+    """Contacts of feet, of thighs and trunk, and of calves with the terrain; camera; terrain."""
 
     def touching(name: str, mode, pattern: tuple[str, ...], field: str) -> ContactSensorCfg:
         return ContactSensorCfg(
@@ -35,6 +35,9 @@ def contact_sensors() -> tuple[ContactSensorCfg, ...]:
         touching(FEET_CONTACT, "geom", FEET, "found"),
         touching(THIGH_TRUNK_CONTACT, "body", (*thighs, TRUNK), "force"),
         touching(CALF_CONTACT, "geom", CALVES, "force"),
+        DepthCameraCfg(name=DEPTH_CAMERA, mount=robot.camera),
+        HeightMapCfg(name=HEIGHT_MAP, base_height=robot.map_height),
+        FeetHeightCfg(name=FEET_HEIGHT, radius=robot.foot_radius),
     )
 
 
@@ -43,12 +46,3 @@ def set_depth_noise(cfg: ManagerBasedRlEnvCfg, std: float) -> None:
     for sensor in cfg.scene.sensors:
         if isinstance(sensor, DepthCameraCfg):
             sensor.noise.gaussian_std = std
-
-
-def terrain_sensors(robot: RobotCfg) -> tuple[DepthCameraCfg, HeightMapCfg, FeetHeightCfg]:
-    """The depth camera, and the true terrain."""
-    return (
-        DepthCameraCfg(name=DEPTH_CAMERA, mount=robot.camera),
-        HeightMapCfg(name=HEIGHT_MAP, base_height=robot.map_height),
-        FeetHeightCfg(name=FEET_HEIGHT, radius=robot.foot_radius),
-    )

@@ -72,7 +72,7 @@ class Tile:
         self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
     ) -> BuiltTile:
         """Build the tile with its corner at the origin (mjlab moves it into place)."""
-        builder = TileBuilder(tile_body(spec))
+        builder = TileBuilder(spec)
         height = self.build(builder, self.measure(difficulty), rng)
         return BuiltTile(self.start(height), builder.geometries)
 
@@ -85,16 +85,15 @@ class Tile:
         raise NotImplementedError
 
 
-def tile_body(spec: mujoco.MjSpec) -> mujoco.MjsBody:
-    """A new body of a tile's own: engines can tell tiles apart by it and skip those far away."""
-    return spec.body("terrain").add_body(name=f"tile_{len(spec.bodies)}")
-
-
 class TileBuilder:
-    """Adds boxes given in tile coordinates centred on the tile's middle."""
+    """Adds boxes given in tile coordinates centred on the tile's middle.
 
-    def __init__(self, body: mujoco.MjsBody) -> None:
-        self.body = body
+    A tile has a body of its own: engines can tell tiles apart by it and skip those far away.
+    """
+
+    def __init__(self, spec: mujoco.MjSpec) -> None:
+        self.spec = spec
+        self.body = spec.body("terrain").add_body(name=f"tile_{len(spec.bodies)}")
         self.geometries: list[TileGeom] = []
 
     def box(
@@ -135,30 +134,29 @@ class Rough(Tile):
     proportion: float = 2.0
     """Twice as many robots as on other kinds: most ground is of this kind."""
 
-    def function(
-        self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
-    ) -> BuiltTile:
-        """Height field instead of boxes; see Tile.function."""
-        relief, nodes = max(self.measure(difficulty), 1e-3), int(TILE / 0.2) + 1
-        heights = rng.uniform(0.0, 1.0, (nodes, nodes)) * (self.measure(difficulty) > 0)
+    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
+        """Add a height field instead of boxes; the start is at height 0."""
+        relief, nodes = max(measure, 1e-3), int(TILE / 0.2) + 1
+        heights = rng.uniform(0.0, 1.0, (nodes, nodes)) * (measure > 0)
         middle, clear = nodes // 2, 4
         inside = slice(middle - clear, middle + clear + 1)
         heights[inside, inside] = heights[0] = heights[-1] = 0.0
         heights[:, 0] = heights[:, -1] = 0.0
-        field = spec.add_hfield(
-            name=f"rough_{len(spec.hfields)}",
+        field = builder.spec.add_hfield(
+            name=f"rough_{len(builder.spec.hfields)}",
             size=(TILE / 2, TILE / 2, relief, 0.2),
             nrow=nodes,
             ncol=nodes,
             userdata=heights.flatten(),
         )
-        geom = tile_body(spec).add_geom(
+        geom = builder.body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_HFIELD,
             hfieldname=field.name,
             pos=(TILE / 2, TILE / 2, 0.0),
             rgba=STONE,
         )
-        return BuiltTile(self.start(0.0), [TileGeom(geom, STONE, field)])
+        builder.geometries.append(TileGeom(geom, STONE, field))
+        return 0.0
 
 
 @dataclass

@@ -20,7 +20,7 @@ from renet.training import distributed
 from renet.training.checkpoint import WeightAverage
 from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg, from_dict
 from renet.training.np3o import NP3O
-from renet.training.precision import Precision, in_halves, learning_type
+from renet.training.precision import in_halves, learning_type
 from renet.training.storage import PolicyRollout, Recorder, TickRollout
 from renet.training.supervision import Supervision
 
@@ -75,28 +75,17 @@ def _overflow_watch(env: VecEnv) -> OverflowWatch | None:
 class RenetAlgorithm:
     """Acts, records and learns; the runner only loops (rsl_rl's algorithm interface)."""
 
-    rnd = None
-
-    def __init__(
-        self,
-        model: RENet,
-        num_envs: int,
-        np3o: NP3OCfg,
-        supervision: SupervisionCfg,
-        adaptation: AdaptationCfg,
-        device: str,
-        precision: Precision = "auto",
-        overflow: OverflowWatch | None = None,
-        average_over: int = 1,
-    ) -> None:
+    def __init__(self, model: RENet, env: VecEnv, cfg: dict[str, Any], device: str) -> None:
+        """Set up for an environment; see `construct_algorithm`, which builds the model."""
         self.device = device
         self.model = model.to(device)
-        self.adaptation = adaptation
-        dtype = learning_type(precision, device)
-        self.np3o = NP3O(model.actor, model.critics, np3o, dtype)
-        self.supervision = Supervision(model, supervision, dtype)
-        self.memory = EstimatorMemory(model.cfg, num_envs, device)
-        self.average = WeightAverage(self.model, average_over)
+        self.adaptation = from_dict(AdaptationCfg, cfg["adaptation"])
+        dtype = learning_type(cfg["precision"], device)
+        np3o = {k: v for k, v in cfg["algorithm"].items() if k not in ("class_name", "rnd_cfg")}
+        self.np3o = NP3O(model.actor, model.critics, from_dict(NP3OCfg, np3o), dtype)
+        self.supervision = Supervision(model, from_dict(SupervisionCfg, cfg["supervision"]), dtype)
+        self.memory = EstimatorMemory(model.cfg, env.num_envs, device)
+        self.average = WeightAverage(self.model, cfg["average_over"])
         self.iteration = 0
         self.steps = 0
         """Environment steps taken, of all robots and processes."""
@@ -105,7 +94,7 @@ class RenetAlgorithm:
         self._step_count = 0
         self._initial_latents = (self.memory.latent_op, self.memory.latent_vp)
         self._cost_sum = torch.zeros(len(CONSTRAINTS), device=device)
-        self._overflow = overflow
+        self._overflow = _overflow_watch(env)
 
     @classmethod
     def construct_algorithm(
@@ -120,22 +109,8 @@ class RenetAlgorithm:
                 f"the task lacks the observation groups {', '.join(missing)}: RENet trains on "
                 "tasks built like renet.tasks (Renet-Go1-Flat, Renet-Go1-Parkour)"
             )
-        algorithm = {
-            k: v for k, v in cfg["algorithm"].items() if k not in ("class_name", "rnd_cfg")
-        }
         critic_size = critic_observation(obs, torch.zeros_like(obs["difficult"][:, 0])).shape[-1]
-        model = RENet(from_dict(ModelCfg, cfg["model"]), critic_size)
-        return cls(
-            model,
-            env.num_envs,
-            from_dict(NP3OCfg, algorithm),
-            from_dict(SupervisionCfg, cfg["supervision"]),
-            from_dict(AdaptationCfg, cfg["adaptation"]),
-            device,
-            cfg["precision"],
-            _overflow_watch(env),
-            cfg["average_over"],
-        )
+        return cls(RENet(from_dict(ModelCfg, cfg["model"]), critic_size), env, cfg, device)
 
     # Rollout.
 
@@ -241,7 +216,9 @@ class RenetAlgorithm:
         length = self._rollout.done.shape[0]
         latent_op, latent_vp = self._initial_latents
         ticks = TickRollout(**self._ticks.stack(), latent_op=latent_op, latent_vp=latent_vp)
-        losses = self._learn(ticks)
+        learned = self._learn(ticks)
+        numbers = torch.stack(list(learned.values())).tolist()  # At once: a GPU is waited for.
+        losses = dict(zip(learned, numbers, strict=True))
         self.average.update(self.model)
         for name, cost in zip(CONSTRAINTS, (self._cost_sum / length).tolist(), strict=True):
             losses[f"cost_{name}"] = cost
@@ -253,7 +230,7 @@ class RenetAlgorithm:
         self.steps += self._rollout.done.numel() * distributed.world_size()
         return losses
 
-    def _learn(self, ticks: TickRollout) -> dict[str, float]:
+    def _learn(self, ticks: TickRollout) -> dict[str, Tensor]:
         """Take an iteration's gradient steps; returns losses by name."""
         losses = self.np3o.update(self._rollout, self._last_value, self.iteration, self.steps)
         return losses | self.supervision.update(ticks, self.steps)
@@ -273,22 +250,7 @@ class RenetAlgorithm:
             [] if rollout.rewards_and_costs.isfinite().all() else ["rewards or costs"]
         )
 
-    # What rsl_rl's runner and logger ask for.
-
-    @property
-    def learning_rate(self) -> float:
-        """Current rate of N-P3O."""
-        return self.np3o.learning_rate
-
     @property
     def action_std(self) -> Tensor:
         """Deviation of each action, [12]."""
         return self.model.actor.log_std.detach().exp()
-
-    def train_mode(self) -> None:
-        """Switch networks to training mode."""
-        self.model.train()
-
-    def broadcast_parameters(self) -> None:
-        """Start all ranks from rank 0's networks."""
-        distributed.broadcast(self.model)

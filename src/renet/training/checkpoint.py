@@ -100,6 +100,8 @@ def find(path: Path) -> Path:
     """
     if (path / "state.json").is_file():
         return path
+    if not path.exists():
+        raise RenetError(f"no checkpoint at {path}")
     found = [
         p.parent
         for p in path.glob(f"**/{PREFIX}*/state.json")
@@ -127,13 +129,10 @@ def load(path: Path, device: str | torch.device = "cpu") -> Checkpoint:
     """Read a checkpoint; raises RenetError naming the file that is missing or damaged."""
     state = load_state(path)
     try:
-        tensors = {
-            name: load_file(_tensors(path, name), device=str(device))
-            for name in ("model", "environment")
-        }
-        for name in ("optimizer", "average"):
-            there = (path / f"{name}.safetensors").exists()
-            tensors[name] = load_file(_tensors(path, name), device=str(device)) if there else {}
+        tensors: dict[str, dict[str, Tensor]] = {"optimizer": {}, "average": {}}  # Not in all.
+        for name in ("model", "environment", *tensors):
+            if name not in tensors or (path / f"{name}.safetensors").exists():
+                tensors[name] = load_file(_tensors(path, name), device=str(device))
     except (OSError, ValueError, SafetensorError) as error:
         raise RenetError(f"checkpoint {path} is incomplete or damaged: {error}") from error
     return Checkpoint(**tensors, state=state)

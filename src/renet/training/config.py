@@ -1,7 +1,7 @@
 """Training configuration: N-P3O, supervision, and what mjlab and rsl_rl expect of a runner."""
 
 import re
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import lru_cache
 from math import ceil
 from typing import Any, Literal, TypeVar, get_type_hints
@@ -215,7 +215,7 @@ class RenetRunnerCfg(LearningCfg, RslRlBaseRunnerCfg):  # type: ignore[misc]
 
 
 def from_dict(cls: type[T], values: dict[str, Any]) -> T:
-    """Build a dataclass; lists become tuples where the field is one.
+    """Build a dataclass, and those in it, from JSON; lists become tuples.
 
     Raises:
         RenetError: a key is unknown, which means a file of another version.
@@ -228,9 +228,9 @@ def from_dict(cls: type[T], values: dict[str, Any]) -> T:
             f"{cls.__name__} has no field {', '.join(unknown)}: the configuration was written by "
             "another version of renet"
         )
-    return cls(
-        **{
-            name: tuple(value) if str(hints[name]).startswith("tuple") else value
-            for name, value in values.items()
-        }
-    )
+    nested = {k: from_dict(hints[k], v) for k, v in values.items() if is_dataclass(hints[k])}
+    return cls(**{name: _tuples(value) for name, value in values.items()} | nested)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value

@@ -75,29 +75,18 @@ class DepthDropout:
         return torch.where(kind == 3, noisy, spoilt)
 
 
-class DepthDropoutEnv:
-    """A vectorised environment whose cameras fail; all else is passed through."""
+def spoil_depth(env: Any, cfg: DepthDropoutCfg, dt: float) -> None:
+    """Let the cameras of a vectorised environment fail from its first step on, in place.
 
-    def __init__(self, env: Any, cfg: DepthDropoutCfg, dt: float) -> None:
-        self._env = env
-        self._dropout = DepthDropout(cfg, env.num_envs, dt, env.device)
+    Args:
+        env: what rsl_rl steps; its observations have a `depth`. cfg: how much fails.
+        dt: seconds between steps.
+    """
+    dropout, step = DepthDropout(cfg, env.num_envs, dt, env.device), env.step
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._env, name)
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        # rsl_rl's runner writes the episodes' lengths into its environment.
-        if name in ("_env", "_dropout"):
-            object.__setattr__(self, name, value)
-        else:
-            setattr(self._env, name, value)
-
-    def get_observations(self) -> TensorDict:
-        """As the environment's: nothing fails before the first step, when this is asked for."""
-        return self._env.get_observations()
-
-    def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict]:
-        """One control step; the camera's state advances with it."""
-        observation, reward, done, extras = self._env.step(actions)
-        observation["depth"] = self._dropout(observation["depth"])
+    def spoilt(actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict]:
+        observation, reward, done, extras = step(actions)
+        observation["depth"] = dropout(observation["depth"])
         return observation, reward, done, extras
+
+    env.step = spoilt

@@ -7,23 +7,18 @@ import torch.distributed as dist
 from torch import Tensor, nn
 
 
-def is_distributed() -> bool:
-    """True when several processes train one model."""
-    return dist.is_available() and dist.is_initialized() and dist.get_world_size() > 1
-
-
 def world_size() -> int:
     """Number of processes that train one model."""
-    return dist.get_world_size() if is_distributed() else 1
+    return dist.get_world_size() if dist.is_available() and dist.is_initialized() else 1
 
 
 def mean(value: Tensor) -> Tensor:
     """Average a tensor over ranks."""
-    if not is_distributed():
+    if world_size() == 1:
         return value
     total = value.clone()
     dist.all_reduce(total)
-    return total / dist.get_world_size()
+    return total / world_size()
 
 
 def moments(value: Tensor) -> tuple[Tensor, Tensor]:
@@ -35,7 +30,7 @@ def moments(value: Tensor) -> tuple[Tensor, Tensor]:
 
 def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
     """Replace each gradient by its mean over ranks; what no rank has a gradient of keeps none."""
-    if not is_distributed():
+    if world_size() == 1:
         return
     parameters = list(parameters)
     has = torch.tensor([p.grad is not None for p in parameters], dtype=torch.float32)
@@ -51,15 +46,15 @@ def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
 
 def broadcast(module: nn.Module) -> None:
     """Give every rank the parameters and buffers of rank 0."""
-    if is_distributed():
+    if world_size() > 1:
         for tensor in module.state_dict().values():
             dist.broadcast(tensor, src=0)
 
 
 def gather_rows(value: Tensor) -> Tensor:
     """Concatenate all ranks' rows, so that running statistics agree everywhere."""
-    if not is_distributed():
+    if world_size() == 1:
         return value
-    pieces = [torch.empty_like(value) for _ in range(dist.get_world_size())]
+    pieces = [torch.empty_like(value) for _ in range(world_size())]
     dist.all_gather(pieces, value.contiguous())
     return torch.cat(pieces)

@@ -5,6 +5,7 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from itertools import accumulate
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -122,7 +123,7 @@ def write_run_report(run: Path) -> Path:
         )
         for name in names:
             iterations, values = curves[name]
-            smooth = _smooth(values)
+            smooth = list(accumulate(values, lambda a, b: SMOOTHING * a + (1.0 - SMOOTHING) * b))
             last[name] = smooth[-1]
             axis.plot(iterations, smooth, label=name.split("/")[-1])
         axis.set_title(title)
@@ -137,10 +138,3 @@ def write_run_report(run: Path) -> Path:
     except OSError as error:
         raise RenetError(f"cannot write the report of {run}: {error}") from error
     return path
-
-
-def _smooth(values: list[float]) -> list[float]:
-    smooth = [values[0]]
-    for value in values[1:]:
-        smooth.append(SMOOTHING * smooth[-1] + (1.0 - SMOOTHING) * value)
-    return smooth

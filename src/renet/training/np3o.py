@@ -143,8 +143,8 @@ class NP3O:
 
     def update(
         self, rollout: PolicyRollout, last_value: Tensor, iteration: int, steps: float = 0.0
-    ) -> dict[str, float]:
-        """Learn from one rollout.
+    ) -> dict[str, Tensor]:
+        """Learn from one rollout; on a GPU nothing here waits for the device.
 
         Args:
             rollout: what the policy did.
@@ -155,14 +155,6 @@ class NP3O:
         Returns:
             Mean losses by name.
         """
-        losses = self.learn(rollout, last_value, iteration, steps)
-        numbers = torch.stack(list(losses.values())).tolist()
-        return dict(zip(losses, numbers, strict=True)) | {"cost_weight": self.cost_weight}
-
-    def learn(
-        self, rollout: PolicyRollout, last_value: Tensor, iteration: int, steps: float = 0.0
-    ) -> dict[str, Tensor]:
-        """`update` with losses as tensors: on a GPU nothing here waits for the device."""
         self._entropy = value_at(self.cfg.entropy, steps)
         self._desired_kl = value_at(self.cfg.desired_kl, steps)
         targets = make_targets(rollout, last_value, self.cfg, steps)
@@ -177,7 +169,9 @@ class NP3O:
                 order = torch.randperm(batch.log_prob.shape[0], device=batch.log_prob.device)
                 for index in order.chunk(self.cfg.num_mini_batches):
                     taken.append(self._step(batch, targets, index, old_std))
-        return {name: torch.stack([step[name] for step in taken]).mean() for name in taken[0]}
+        losses = {name: torch.stack([step[name] for step in taken]).mean() for name in taken[0]}
+        weight = self._rate.new_full((), self.cost_weight, dtype=torch.float64)
+        return losses | {"cost_weight": weight}
 
     def _step(
         self, batch: PolicyRollout, targets: Targets, index: Tensor, old_std: Tensor

@@ -45,10 +45,6 @@ class RenetRunner(OnPolicyRunner):
         if not device.startswith("cuda"):
             keep_freed_memory()
         self._recipe = deepcopy(train_cfg)
-        self._asked_steps = train_cfg["num_steps_per_env"]
-        train_cfg["num_steps_per_env"] = steps_per_env(
-            self._asked_steps, train_cfg["batch_size"], env.num_envs, 0.0
-        )
         # Keys rsl_rl reads unconditionally; constructing the algorithm consumes the class name.
         train_cfg["algorithm"] = {
             **train_cfg["algorithm"],
@@ -93,8 +89,8 @@ class RenetRunner(OnPolicyRunner):
                 self.env.episode_length_buf, high=int(self.env.max_episode_length)
             )
         obs = self.env.get_observations().to(self.device)
-        self.alg.train_mode()
-        self.alg.broadcast_parameters()
+        self.alg.model.train()
+        distributed.broadcast(self.alg.model)
         self.open_log()
         first = self.alg.iteration
         last = first + num_learning_iterations
@@ -129,10 +125,10 @@ class RenetRunner(OnPolicyRunner):
         """One rollout and one update, logged."""
         iteration = self.alg.iteration
         start = time.monotonic()
-        self.cfg["num_steps_per_env"] = steps_per_env(
-            self._asked_steps, self.cfg["batch_size"], self.env.num_envs, self.alg.steps
-        )
-        for _ in range(self.cfg["num_steps_per_env"]):
+        asked, batch_size = self._recipe["num_steps_per_env"], self._recipe["batch_size"]
+        steps = steps_per_env(asked, batch_size, self.env.num_envs, self.alg.steps)
+        self.cfg["num_steps_per_env"] = steps  # Which rsl_rl's logger reads.
+        for _ in range(steps):
             actions = self.alg.act(obs)
             obs, rewards, dones, extras = self.env.step(actions.to(self.env.device))
             obs, rewards = obs.to(self.device), rewards.to(self.device)
@@ -153,7 +149,7 @@ class RenetRunner(OnPolicyRunner):
                 collect_time=collected - start,
                 learn_time=time.monotonic() - collected,
                 loss_dict=losses,
-                learning_rate=self.alg.learning_rate,
+                learning_rate=self.alg.np3o.learning_rate,
                 action_std=self.alg.action_std,
                 rnd_weight=None,
             )
@@ -235,7 +231,8 @@ class RenetRunner(OnPolicyRunner):
             "task": self.cfg.get("task", ""),
             **self.provenance(),
         }
-        environment = dict(self._curriculum(), torch_rng=torch.get_rng_state())
+        curriculum = cast(Any, self.env).unwrapped.curriculum_state()
+        environment = curriculum | {"torch_rng": torch.get_rng_state()}
         if self.device.startswith("cuda"):
             environment["cuda_rng"] = torch.cuda.get_rng_state(self.device)
         checkpoint = Checkpoint(
@@ -272,27 +269,18 @@ class RenetRunner(OnPolicyRunner):
         torch_rng, cuda_rng = environment.pop("torch_rng"), environment.pop("cuda_rng", None)
         if self.gpu_global_rank == 0:  # Others draw numbers of their own.
             torch.set_rng_state(torch_rng.cpu())
-            _set_numpy_state(state["numpy_rng"])
+            np.random.set_state(tuple(state["numpy_rng"]))  # noqa: NPY002
             if cuda_rng is not None and self.device.startswith("cuda"):
                 torch.cuda.set_rng_state(cuda_rng.cpu(), self.device)
         self._restore_curriculum(environment)
         return state
 
-    def _curriculum(self) -> dict[str, Tensor]:
-        env = cast(Any, self.env).unwrapped
-        return env.curriculum_state() if hasattr(env, "curriculum_state") else {}
-
     def _restore_curriculum(self, tensors: dict[str, Tensor]) -> None:
-        env = cast(Any, self.env).unwrapped
-        if tensors and hasattr(env, "load_curriculum_state"):
-            env.load_curriculum_state(tensors)
-            self.env.reset()
+        if tensors:
+            cast(Any, self.env).unwrapped.load_curriculum_state(tensors)
+            cast(Any, self.env).reset()
 
 
 def _numpy_state() -> list:
     name, keys, *rest = np.random.get_state()  # noqa: NPY002  mjlab draws terrain from it
     return [name, np.asarray(keys).tolist(), *rest]
-
-
-def _set_numpy_state(state: list) -> None:
-    np.random.set_state(tuple(state))  # noqa: NPY002

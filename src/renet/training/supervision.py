@@ -56,14 +56,11 @@ def estimator_losses(
         return {}
     rollout, initial, chosen = rollout.environments(mine), initial[mine], chosen[:, mine]
     latent = estimator.unroll(rollout.history, rollout.frames.float(), initial, rollout.fresh)
-    estimate = estimator.predict(latent)
     counts = chosen.to(latent.dtype)
     losses = {}
-    for name in ("velocity", "feet_height", "height_map"):
-        predicted = getattr(estimate, name)
-        if predicted is not None:
-            error = (predicted - getattr(rollout, name)).square().mean(-1)
-            losses[name] = (error * counts).sum() / counts.sum().clamp_min(1.0)
+    for name, predicted in estimator.predict(latent).items():
+        error = (predicted - getattr(rollout, name)).square().mean(-1)
+        losses[name] = (error * counts).sum() / counts.sum().clamp_min(1.0)
     if him is not None:
         paired = (counts * rollout.next_valid).flatten()
         following = target_view(rollout.next_proprioception, rollout.next_velocity)
@@ -85,7 +82,7 @@ class Supervision:
         rate = value_at(cfg.learning_rate, 0.0)
         self.optimizer = torch.optim.Adam(self.parameters, lr=rate, fused=True)
 
-    def update(self, rollout: TickRollout, steps: float = 0.0) -> dict[str, float]:
+    def update(self, rollout: TickRollout, steps: float = 0.0) -> dict[str, Tensor]:
         """Learn from one rollout's ticks.
 
         Args:
@@ -96,18 +93,6 @@ class Supervision:
             Mean losses by name, and of each HIM the prototypes' effective rank and usage.
         """
         self.optimizer.param_groups[0]["lr"] = value_at(self.cfg.learning_rate, steps)
-        losses = self.learn(rollout)
-        for name in ("op", "vp"):
-            him = getattr(self.model, f"{name}_him")
-            if f"{name}_him" in losses:
-                losses[f"{name}_him_rank"], losses[f"{name}_him_usage"] = (
-                    him.effective_rank(),
-                    him.usage,
-                )
-        return dict(zip(losses, torch.stack(list(losses.values())).tolist(), strict=True))
-
-    def learn(self, rollout: TickRollout) -> dict[str, Tensor]:
-        """Take every gradient step of an iteration; returns mean losses as tensors."""
         environments = rollout.op_mask.shape[1]
         totals: dict[str, list[Tensor]] = {}
         with computed_in(self.dtype, self.model.vp.depth):
@@ -116,7 +101,12 @@ class Supervision:
                 for index in order.chunk(self.cfg.num_mini_batches):
                     for name, loss in self._step(rollout.environments(index)).items():
                         totals.setdefault(name, []).append(loss)
-        return {name: torch.stack(values).mean() for name, values in totals.items()}
+        losses = {name: torch.stack(values).mean() for name, values in totals.items()}
+        for name in ("op", "vp"):
+            him = getattr(self.model, f"{name}_him")
+            if f"{name}_him" in losses:
+                losses |= {f"{name}_him_rank": him.effective_rank(), f"{name}_him_usage": him.usage}
+        return losses
 
     def _step(self, rollout: TickRollout) -> dict[str, Tensor]:
         """One gradient step; returns the losses."""

@@ -1,4 +1,4 @@
-"""`renet train`: one process, or one per GPU."""
+"""`renet train`: one process, or one per GPU; and `renet recipe`, which says how."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from renet.files import write_atomically
 from renet.interface import CONTROL_DT
 from renet.models.config import ModelCfg
 from renet.training import checkpoint as checkpoints
-from renet.training.checkpoint import Checkpoint
+from renet.training.checkpoint import Checkpoint, described
 from renet.training.config import (
     AdaptationCfg,
     LearningCfg,
@@ -36,10 +36,11 @@ from renet.training.config import (
     SupervisionCfg,
     from_dict,
 )
-from renet.training.depth_dropout import DepthDropoutCfg, DepthDropoutEnv
+from renet.training.depth_dropout import DepthDropoutCfg, spoil_depth
 from renet.training.metrics import CURVES, write_run_report
 from renet.training.recipe import RENET, preset
 from renet.training.runner import CHECKPOINTS, RenetRunner
+from renet.version import code_version
 
 if TYPE_CHECKING:
     from renet.tasks import RenetEnvCfg
@@ -49,13 +50,6 @@ CONFIG = "config.json"
 LOGS = Path("logs")
 DEFAULT_ENVS = {"cpu": 512, "cuda": 4096}
 Pairs = tuple[tuple[str, float], ...]
-NESTED: dict[str, type] = {
-    "model": ModelCfg,
-    "algorithm": NP3OCfg,
-    "supervision": SupervisionCfg,
-    "adaptation": AdaptationCfg,
-    "depth_dropout": DepthDropoutCfg,
-}
 MERGED = ("reward_weights", "terrain_proportions")
 """Settings whose entries replace those of the preset one by one."""
 NOT_KEPT = ("resume", "time_budget", "log_root")
@@ -174,14 +168,8 @@ def restored(state: dict[str, Any], task: Any = tyro.MISSING) -> TrainCfg:
     """
     own = {f.name for f in fields(TrainCfg)} - {"task", *NOT_KEPT}
     settings = {name: value for name, value in state["config"].items() if name in own}
-    for name, kind in NESTED.items():
-        if name in settings:
-            settings[name] = from_dict(kind, settings[name])
-    for name in ("hosts", *MERGED):
-        if name in settings:
-            settings[name] = tuple(tuple(x) if isinstance(x, list) else x for x in settings[name])
     task = state["task"] if task is tyro.MISSING else task
-    return TrainCfg(task=task, **settings)
+    return from_dict(TrainCfg, settings | {"task": task})
 
 
 def train(cfg: TrainCfg) -> Path | None:
@@ -220,7 +208,7 @@ def train(cfg: TrainCfg) -> Path | None:
         env = make_env(task, num_envs, device, cfg.seed + rank, cfg.engine)
     vec_env: Any = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
     if cfg.depth_dropout.share:
-        vec_env = DepthDropoutEnv(vec_env, cfg.depth_dropout, CONTROL_DT)
+        spoil_depth(vec_env, cfg.depth_dropout, CONTROL_DT)
     # Another task's run stays as it is.
     own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
     run = None if rank else resumed_run(own, cfg.log_root) or new_run(cfg.log_root, cfg.task)
@@ -383,3 +371,27 @@ def resolve_resume(resume: str, root: Path | None, task: str) -> Path:
     if not folder.exists():
         raise RenetError(f"nothing to resume: {folder} does not exist")
     return checkpoints.find(folder)
+
+
+@dataclass(kw_only=True)
+class RecipeCfg:
+    """Print how a checkpoint was trained, or how `renet train` would begin now, as JSON."""
+
+    checkpoint: tyro.conf.Positional[Path | None] = None
+    """Checkpoint, or a run folder whose newest checkpoint is taken; by default, the recipe of a run
+    that would begin now."""
+    task: str = "Renet-Go1-Parkour"
+    """Task of the run that would begin now."""
+    preset: Literal["renet", "paper"] = "renet"
+    """Preset of the run that would begin now."""
+
+
+def show(cfg: RecipeCfg) -> None:
+    """Print settings, the task's rules and the code's version; raises RenetError without any."""
+    if cfg.checkpoint is None:
+        run = TrainCfg.defaults([cfg.task, "--preset", cfg.preset])
+        recipe = {"config": settings(run), "task_cfg": described(task_cfg(run))}
+        print(json.dumps(recipe | {"code": code_version()}, indent=1))
+        return
+    found = checkpoints.find(cfg.checkpoint)
+    print(json.dumps(checkpoints.load_state(found) | {"numpy_rng": "not shown"}, indent=1))

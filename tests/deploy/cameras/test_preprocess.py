@@ -6,7 +6,7 @@ import pytest
 from renet.camera import Intrinsics
 from renet.deploy.cameras.preprocess import DepthPreprocessor
 from renet.errors import RenetError
-from renet.training.bundle import camera_spec
+from renet.training.export import camera_spec
 
 LENS = Intrinsics(480, 848, 446.8, 446.8, 424.0, 240.0)
 """87 degrees across."""

@@ -17,7 +17,7 @@ rs = pytest.importorskip(
 from renet.deploy.cameras import realsense  # noqa: E402
 from renet.deploy.cameras.realsense import ClockOffset, RealSenseCamera  # noqa: E402
 from renet.errors import RenetError  # noqa: E402
-from renet.training.bundle import camera_spec  # noqa: E402
+from renet.training.export import camera_spec  # noqa: E402
 
 from ..waiting import until  # noqa: E402
 

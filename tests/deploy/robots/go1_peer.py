@@ -23,7 +23,7 @@ from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.teleop import TeleopCommand
 from renet.interface import CONTROL_DT, JOINTS
-from renet.training.bundle import robot_spec
+from renet.training.export import robot_spec
 
 JOINT_NAMES = ("hip", "thigh", "calf")
 COMMAND_BYTES, STATE_BYTES = 614, 792

@@ -12,7 +12,7 @@ from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.course_env import CourseEnv, PlaceInjector, time_limit
 from renet.evaluation.studies.course_terrain import AHEAD, LAP, SET_DOWN, course_env_cfg, passage
 from renet.faults import Frames
-from renet.sim.depth.raycast import scanner
+from renet.sim.depth.rasterizer import scanner
 from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.commands import goal
 from renet.terrain.tiles import TILE

@@ -13,8 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from renet.camera import Intrinsics
 from renet.errors import RenetError
-from renet.sim.depth.camera import DepthCamera, DepthCameraCfg, MountCfg, mount_rotation
-from renet.sim.depth.noise import DepthNoiseCfg, add_noise
+from renet.sim.depth.camera import (
+    DepthCamera,
+    DepthCameraCfg,
+    DepthNoiseCfg,
+    MountCfg,
+    add_noise,
+    mount_rotation,
+)
 from renet.sim.depth.terrain_mesh import terrain_mesh
 from renet.sim.native.engine import use_engine
 from renet.sim.sensors import FeetHeightCfg

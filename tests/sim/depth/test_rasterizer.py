@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from renet.camera import Intrinsics
 from renet.sim.depth.camera import mount_rotation
+from renet.sim.depth.rasterizer import Rasterizer
 from renet.sim.depth.raycast import TerrainScanner
 
 LENS = Intrinsics()
-RAYS = torch.from_numpy(LENS.rays(np.float32))
 
 
 @pytest.fixture(scope="module")
-def scanner() -> TerrainScanner:
+def model() -> mujoco.MjModel:
     """A plane, a wide box, a height field, and boxes that overlap at all angles."""
     random = np.random.default_rng(4)
     boxes = "".join(
@@ -29,17 +29,24 @@ def scanner() -> TerrainScanner:
         for i in range(60)
     )
     bumps = " ".join(map(str, random.random(81)))
-    return TerrainScanner(
-        mujoco.MjModel.from_xml_string(
-            f"""<mujoco>
-            <asset><hfield name="f" nrow="9" ncol="9" size="1 1 .3 .2" elevation="{bumps}"/></asset>
-            <worldbody><geom type="plane" size="0 0 1" pos="0 0 -.6"/>
-            <geom type="box" size="30 30 .1" pos="5 0 -.5"/>
-            <geom type="hfield" hfield="f" pos="1 1 -.1" euler="5 -10 30"/>{boxes}</worldbody>
-            </mujoco>"""
-        ),
-        "cpu",
+    return mujoco.MjModel.from_xml_string(
+        f"""<mujoco>
+        <asset><hfield name="f" nrow="9" ncol="9" size="1 1 .3 .2" elevation="{bumps}"/></asset>
+        <worldbody><geom type="plane" size="0 0 1" pos="0 0 -.6"/>
+        <geom type="box" size="30 30 .1" pos="5 0 -.5"/>
+        <geom type="hfield" hfield="f" pos="1 1 -.1" euler="5 -10 30"/>{boxes}</worldbody>
+        </mujoco>"""
     )
+
+
+@pytest.fixture(scope="module")
+def scanner(model) -> Rasterizer:
+    return Rasterizer(model)
+
+
+@pytest.fixture(scope="module")
+def caster(model) -> TerrainScanner:
+    return TerrainScanner(model, "cpu")
 
 
 @settings(max_examples=40, deadline=None)
@@ -51,11 +58,13 @@ def scanner() -> TerrainScanner:
     yaw=st.floats(-4, 4),
     limit=st.sampled_from([0.3, 2.0, 9.0]),
 )
-def test_an_image_shows_what_rays_hit_also_from_inside_a_box(scanner, x, y, z, pitch, yaw, limit):
+def test_an_image_shows_what_rays_hit_also_from_inside_a_box(
+    scanner, caster, x, y, z, pitch, yaw, limit
+):
     eye = torch.tensor([[x, y, z]])
     rotation = mount_rotation(torch.tensor([pitch]), torch.tensor([yaw]))
     drawn = scanner.depth(eye, rotation, LENS, limit)
-    cast = scanner.cast_depth(eye, rotation, RAYS, limit)
+    cast = caster.depth(eye, rotation, LENS, limit)
     # Rays that graze a surface or an edge may differ.
     assert ((drawn - cast).abs() > 1e-3).float().mean() < 0.002
 
@@ -86,13 +95,13 @@ def test_a_pose_that_is_not_finite_sees_nothing_and_harms_nobody(scanner, number
 
 @pytest.mark.parametrize("turned", [True, False])
 @pytest.mark.parametrize("frames", [3, 600])  # One thread, and all.
-def test_clearances_are_those_rays_find(scanner, frames, turned):
+def test_clearances_are_those_rays_find(scanner, caster, frames, turned):
     random = torch.Generator().manual_seed(1)
     position = torch.rand(frames, 3, generator=random) * 6 - 3
     pattern = torch.rand(7, 2, generator=random) * 2 - 1
     rotation = mount_rotation(*torch.rand(2, frames, generator=random) * 3) if turned else None
     found = scanner.clearance(position, rotation, pattern)
-    cast = scanner.cast_clearance(position, rotation, pattern)
+    cast = caster.clearance(position, rotation, pattern)
     assert found.shape == (frames, 7)
     assert ((found - cast).abs() > 1e-4).float().mean() < 0.002
 
@@ -123,7 +132,7 @@ def test_it_takes_views_and_double_precision(scanner):
 def test_boxes_that_touch_leave_no_gap_between_them():
     pair = "".join(f'<geom type="box" size="1 1 .1" pos="{x} 0 0"/>' for x in (-1, 1))
     xml = f"<mujoco><worldbody>{pair}</worldbody></mujoco>"
-    touching = TerrainScanner(mujoco.MjModel.from_xml_string(xml), "cpu")
+    touching = Rasterizer(mujoco.MjModel.from_xml_string(xml))
     seam = torch.stack((torch.zeros(50), torch.linspace(-1, 1, 50)), -1)
     torch.testing.assert_close(touching.height(seam), torch.full((50,), 0.1))
     down = mount_rotation(torch.full((50,), torch.pi / 2), torch.zeros(50))

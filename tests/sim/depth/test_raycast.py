@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from renet.camera import Intrinsics
 from renet.sim.depth.camera import mount_rotation
+from renet.sim.depth.rasterizer import Rasterizer
 from renet.sim.depth.raycast import TerrainScanner
 from renet.sim.depth.terrain_mesh import terrain_mesh
 
@@ -35,12 +36,11 @@ def assert_sees_what_mujoco_sees(model: mujoco.MjModel, eye, rotation: torch.Ten
 
     Images drawn and rays cast, which are not the same code.
     """
-    scanner, eyes = TerrainScanner(model, "cpu"), torch.tensor(eye)[None]
+    scanners, eyes = (Rasterizer(model), TerrainScanner(model, "cpu")), torch.tensor(eye)[None]
     expected = mujoco_rays(model, np.array(eye), (RAYS[::5] @ rotation[0].T).numpy())
     expected[expected > RANGE] = -1.0
-    drawn = scanner.depth(eyes, rotation, Intrinsics(), RANGE)[0, ::5]
-    cast = scanner.cast_depth(eyes, rotation, RAYS[::5], RANGE)[0]
-    for got in (drawn, cast):
+    for scanner in scanners:
+        got = scanner.depth(eyes, rotation, Intrinsics(), RANGE)[0, ::5]
         differs = np.abs(got.numpy() - expected) > 1e-3
         assert differs.mean() <= 0.02
     return int((expected >= 0).sum())
@@ -92,7 +92,7 @@ def test_a_flat_height_field_has_no_empty_triangles():
 
 def test_a_plane_goes_on_beyond_its_drawn_size():
     far = torch.tensor([[50.0, -80.0]])
-    height = TerrainScanner(scene('<geom type="plane" size="1 1 1" pos="0 0 .1"/>'), "cpu")
+    height = Rasterizer(scene('<geom type="plane" size="1 1 1" pos="0 0 .1"/>'))
     torch.testing.assert_close(height.height(far), torch.tensor([0.1]), atol=1e-4, rtol=0)
 
 
@@ -103,7 +103,7 @@ def test_rays_see_only_what_is_fixed_and_collides():
         '<body mocap="true"><geom type="box" size="1 1 3"/></body>'
         '<body><freejoint/><geom type="box" size="1 1 4"/></body>'
     )
-    height = TerrainScanner(model, "cpu").height(torch.zeros(1, 2))
+    height = Rasterizer(model).height(torch.zeros(1, 2))
     torch.testing.assert_close(height, torch.tensor([0.1]))
 
 
@@ -113,7 +113,7 @@ def test_a_gpu_sees_what_the_cpu_sees():
     model = scene(CLUTTER, SOLID)
     eyes = torch.tensor([[-1.6, 0.1, 0.5], [float("nan"), 0.0, 0.5]])
     rotation = mount_rotation(torch.tensor([0.5, 0.5]), torch.zeros(2))
-    cpu = TerrainScanner(model, "cpu").depth(eyes, rotation, Intrinsics(), RANGE)
+    cpu = Rasterizer(model).depth(eyes, rotation, Intrinsics(), RANGE)
     poses = eyes.cuda(), rotation.cuda()
     gpu = TerrainScanner(model, "cuda:0").depth(*poses, Intrinsics(), RANGE)
     assert (cpu[0] >= 0).any()

@@ -31,7 +31,6 @@ def counted(things: int, alone: bool = False) -> tuple[Call, np.ndarray, np.ndar
     """A call, what it has done, and what each thread has."""
     done, worked = np.zeros(1000, np.float32), np.zeros(64, np.float32)
     argument = SOURCE.struct("Count")(
-        work=SOURCE.struct("Work")(threads=0, taken=0),
         flag=True,
         size=0,
         things=things,

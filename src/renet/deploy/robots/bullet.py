@@ -130,11 +130,6 @@ class BulletRobot:
         """[3, 3], base to world."""
         return self._base()[1]
 
-    @property
-    def upright(self) -> bool:
-        """Whether the base leans by less than 60 degrees."""
-        return bool(self._base()[1][2, 2] > 0.5)
-
     def hide(self, geoms: list[int]) -> None:
         """Glass is MuJoCo's alone."""
         if geoms:

@@ -111,11 +111,6 @@ class MujocoRobot:
         """[3, 3], base to world."""
         return self.data.body(BASE).xmat.reshape(3, 3)
 
-    @property
-    def upright(self) -> bool:
-        """Whether the base leans by less than 60 degrees."""
-        return bool(self.data.body(BASE).xmat[8] > 0.5)
-
     def hide(self, geoms: list[int]) -> None:
         """Let rays pass through these geoms of the terrain, and through no others."""
         self._hidden = geoms

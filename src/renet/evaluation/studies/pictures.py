@@ -23,9 +23,9 @@ from renet.evaluation.results import output_folder, plain, write_json
 from renet.evaluation.rollout import Trial
 from renet.evaluation.study import Study, Table
 from renet.interface import CONTROL_DT, DEPTH_RANGE
-from renet.sim.depth.camera import MountCfg, mount_rotation
-from renet.sim.depth.noise import DepthNoiseCfg, add_noise
-from renet.sim.depth.raycast import TerrainScanner, scanner
+from renet.sim.depth.camera import DepthNoiseCfg, MountCfg, add_noise, mount_rotation
+from renet.sim.depth.rasterizer import scanner
+from renet.sim.depth.raycast import TerrainScanner
 from renet.terrain.tiles import LEVELS as TOP
 from renet.terrain.tiles import TILE, tiles
 

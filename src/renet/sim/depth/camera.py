@@ -13,9 +13,8 @@ from torch import Tensor
 from renet.camera import Intrinsics
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK
-from renet.sim.depth.noise import DepthNoiseCfg, add_noise
+from renet.sim.depth.rasterizer import scanner
 from renet.sim.depth.ray_sensor import RaySensor, object_id
-from renet.sim.depth.raycast import scanner
 
 
 @dataclass
@@ -40,6 +39,21 @@ def mount_rotation(pitch: Tensor, yaw: Tensor) -> Tensor:
 
 
 @dataclass
+class DepthNoiseCfg:
+    """Depth errors added in training (RENet, Method C, "Raycaster Randomization").
+
+    Gaussian errors of every pixel: one in proportion to distance, one constant.
+    """
+
+    relative_std: float = 0.01
+    """Standard deviation of the error in proportion to distance, m/m (paper: 1 %)."""
+    gaussian_std: float = 0.1
+    """Standard deviation of the constant error, m. The paper says "variance 0.01" without a unit:
+    0.1 reads it as m²; 0.01 would read it as a standard deviation in m, and 0.2 as the variance of
+    depth divided by its 2 m range."""
+
+
+@dataclass
 class DepthCameraCfg(SensorCfg):
     """A 10 Hz depth camera; usable in any mjlab task."""
 
@@ -61,6 +75,17 @@ class DepthCameraCfg(SensorCfg):
         if not 0.0 <= self.delay[0] <= self.delay[1] < math.inf:
             raise RenetError(f"camera delay must be (least, most) in s, from 0, got {self.delay}")
         return DepthCamera(self)
+
+
+def add_noise(depth: Tensor, cfg: DepthNoiseCfg) -> Tensor:
+    """Noisy depth of the same shape, m; draws from torch's global generator.
+
+    Both errors are independent Gaussians, hence one draw with the summed variance.
+    """
+    if cfg.relative_std == 0.0 and cfg.gaussian_std == 0.0:
+        return depth
+    variance = (cfg.relative_std * depth) ** 2 + cfg.gaussian_std**2
+    return depth + variance.sqrt() * torch.randn_like(depth)
 
 
 @dataclass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from threading import local
 
@@ -13,8 +14,9 @@ import warp as wp
 from torch import Tensor
 
 from renet.camera import Intrinsics
+from renet.sim.depth.raycast import TerrainScanner
 from renet.sim.depth.terrain_mesh import terrain_shapes
-from renet.sim.native.compiler import Call, Source, Struct
+from renet.sim.native.compiler import Call, Source
 
 SOURCE = Source(Path(__file__).with_name("rasterizer.cpp"))
 BIN = 0.25
@@ -49,7 +51,7 @@ def scan(call: wp.uint64):
     _scan(call)
 
 
-class Rasterizer:
+class Rasterizer(TerrainScanner):
     """Draws depth images shape by shape, and finds heights, on the CPU.
 
     Each shape near the camera fills the pixels it covers, where a ray caster walks a search tree
@@ -58,29 +60,23 @@ class Rasterizer:
 
     def __init__(self, model: mujoco.MjModel, without: frozenset[int] = frozenset()) -> None:
         """Sort the shapes of a model's terrain, save for the geoms `without`, into bins."""
+        super().__init__(model, "cpu", without)
         wp.load_module(__name__, device="cpu")  # Else every thread compiles it.
         self._calls = local()
-        shapes = terrain_shapes(model, without)
-        reach = np.abs(shapes.boxes[:, 3:12].reshape(-1, 3, 3)) @ shapes.boxes[:, 12:, None]
-        middle = shapes.boxes[:, :3]
-        low = np.concatenate((middle - reach[..., 0], shapes.triangles.min(1)))
-        high = np.concatenate((middle + reach[..., 0], shapes.triangles.max(1)))
+        boxes, triangles = terrain_shapes(model, without)
+        reach = np.abs(boxes[:, 3:12].reshape(-1, 3, 3)) @ boxes[:, 12:, None]
+        middle = boxes[:, :3]
+        low = np.concatenate((middle - reach[..., 0], triangles.min(1)))
+        high = np.concatenate((middle + reach[..., 0], triangles.max(1)))
         self._terrain = SOURCE.struct("Terrain")(
-            boxes=np.ascontiguousarray(shapes.boxes, np.float32),
-            num_boxes=len(shapes.boxes),
-            triangles=np.ascontiguousarray(shapes.triangles, np.float32),
+            boxes=np.ascontiguousarray(boxes, np.float32),
+            num_boxes=len(boxes),
+            triangles=np.ascontiguousarray(triangles, np.float32),
             **_bins(low[:, :2], high[:, :2]),
         )
 
     def depth(self, position: Tensor, rotation: Tensor, lens: Intrinsics, limit: float) -> Tensor:
-        """Planar depth of cameras, [N, H * W] m; -1 where nothing is within the limit.
-
-        Args:
-            position: [N, 3] m, world.
-            rotation: [N, 3, 3], camera axes (forward, left, up) as columns, world.
-            lens: rays of every camera.
-            limit: m beyond which nothing is seen.
-        """
+        """See TerrainScanner.depth."""
         images = np.empty((len(position), lens.height * lens.width), np.float32)
         left, up = lens.axes(np.float32)
         fields = {
@@ -96,7 +92,7 @@ class Rasterizer:
         }
         calls = vars(self._calls)  # Of this thread only.
         if "draw" not in calls:
-            argument = SOURCE.struct("Draw")(work=_work(), terrain=self._terrain, **fields)
+            argument = SOURCE.struct("Draw")(terrain=self._terrain, **fields)
             calls["draw"] = Call(draw, argument)
         calls["draw"].argument.set(**fields)
         calls["draw"]()
@@ -108,25 +104,11 @@ class Rasterizer:
         rotation: Tensor | None,
         parts: Sequence[int],
         pattern: Tensor,
-        limits: tuple[float, float],
     ) -> Callable[[], Tensor]:
-        """Prepare clearances of some frames in arrays that stay where they are.
-
-        Args:
-            position: [N, B, 3] m, world.
-            rotation: [N, B, 3, 3], whose yaw turns the pattern; None does not turn it.
-            parts: which of the B.
-            pattern: [P, 2] m around each frame.
-            limits: m, a height above all terrain, and how far below it terrain is taken to be
-                where there is none.
-
-        Returns:
-            A function of none that gives [N, parts, P] m, which its next call may overwrite.
-        """
+        """See TerrainScanner.watch."""
         count, points = len(position) * len(parts), len(pattern)
         clearance = torch.empty(len(position), len(parts), points)
         argument = SOURCE.struct("Scan")(
-            work=_work(),
             terrain=self._terrain,
             frames=count,
             positions=position.numpy(),
@@ -137,8 +119,8 @@ class Rasterizer:
             parts=len(parts),
             pattern=pattern.contiguous().float().numpy(),
             points=points,
-            top=limits[0],
-            drop=limits[1],
+            top=self.top,
+            drop=self.drop,
             clearances=clearance.numpy(),
         )
         call = Call(scan, argument, alone=count * points < FEW)
@@ -150,8 +132,14 @@ class Rasterizer:
         return look
 
 
-def _work() -> Struct:
-    return SOURCE.struct("Work")(threads=0, taken=0)
+@lru_cache(maxsize=8)
+def scanner(
+    model: mujoco.MjModel, device: str, without: frozenset[int] = frozenset()
+) -> TerrainScanner:
+    """The quickest scanner of a model, made once and shared by every sensor on it."""
+    if wp.get_device(device).is_cpu:
+        return Rasterizer(model, without)
+    return TerrainScanner(model, device, without)
 
 
 def _bins(low: np.ndarray, high: np.ndarray) -> dict[str, object]:

@@ -6,7 +6,7 @@ import mujoco
 from mjlab.sensor.sensor import Sensor
 
 from renet.errors import RenetError
-from renet.sim.depth.raycast import scanner
+from renet.sim.depth.rasterizer import scanner
 
 T = TypeVar("T")
 

@@ -1,13 +1,13 @@
 """Ray casting against the terrain mesh with NVIDIA Warp.
 
-The kernels run on a CPU as on a GPU. A CPU uses them only for rays that make no image: images and
-heights come from the rasterizer, which is thirty times as fast there.
+The kernels run on a CPU as on a GPU, but `rasterizer.scanner` gives a CPU the rasterizer, which is
+thirty times as fast there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -17,7 +17,6 @@ import warp as wp
 from torch import Tensor
 
 from renet.camera import Intrinsics
-from renet.sim.depth.rasterizer import Rasterizer
 from renet.sim.depth.terrain_mesh import terrain_mesh
 
 wp.set_module_options({"enable_backward": False})
@@ -78,7 +77,7 @@ def cast_down(
 
 
 class TerrainScanner:
-    """Depth images and heights of a model's terrain; shared by every sensor on that model."""
+    """Depth images and heights of a model's terrain by ray casting on any device."""
 
     def __init__(
         self, model: mujoco.MjModel, device: str, without: frozenset[int] = frozenset()
@@ -93,7 +92,6 @@ class TerrainScanner:
         self.triangles = len(self._faces)
         self.top = float(self._vertices[:, 2].max()) + 1.0
         self.drop = self.top - float(self._vertices[:, 2].min()) + 1.0
-        self._rasterizer = Rasterizer(model, without) if self.device.is_cpu else None
 
     @cached_property
     def _mesh(self) -> wp.Mesh:
@@ -142,25 +140,17 @@ class TerrainScanner:
         Returns:
             A function of none that gives [N, parts, P] m, which its next call may overwrite.
         """
-        if self._rasterizer is not None:
-            limits = (self.top, self.drop)
-            return self._rasterizer.watch(position, rotation, parts, pattern, limits)
         index = torch.tensor(parts, device=position.device)
 
         def look() -> Tensor:
             frames = position[:, index].flatten(0, 1)
             turns = None if rotation is None else rotation[:, index].flatten(0, 1)
-            return self.cast_clearance(frames, turns, pattern).unflatten(0, (-1, len(index)))
+            clearance = torch.empty(len(frames), len(pattern), device=frames.device)
+            poses = _warp(frames, wp.vec3), None if turns is None else _warp(turns, wp.mat33)
+            self._launch(cast_down, clearance, *poses, _warp(pattern, wp.vec2), self.top, self.drop)
+            return clearance.unflatten(0, (-1, len(index)))
 
         return look
-
-    def cast_clearance(self, position: Tensor, rotation: Tensor | None, pattern: Tensor) -> Tensor:
-        """`clearance` by ray casting on any device."""
-        clearance = torch.empty(len(position), len(pattern), device=position.device)
-        turns = None if rotation is None else _warp(rotation, wp.mat33)
-        inputs = (_warp(position, wp.vec3), turns, _warp(pattern, wp.vec2), self.top, self.drop)
-        self._launch(cast_down, clearance, *inputs)
-        return clearance
 
     def depth(self, position: Tensor, rotation: Tensor, lens: Intrinsics, limit: float) -> Tensor:
         """Planar depth of cameras.
@@ -174,13 +164,7 @@ class TerrainScanner:
         Returns:
             [N, H * W] metres to the image plane; -1 where nothing was hit.
         """
-        if self._rasterizer is not None:
-            return self._rasterizer.depth(position, rotation, lens, limit)
         rays = torch.from_numpy(lens.rays(np.float32)).to(position.device)
-        return self.cast_depth(position, rotation, rays, limit)
-
-    def cast_depth(self, position: Tensor, rotation: Tensor, rays: Tensor, limit: float) -> Tensor:
-        """The same along any rays [P, 3] with forward component 1, on any device: [N, P]."""
         depth = torch.empty(len(position), len(rays), device=position.device)
         inputs = (_warp(position, wp.vec3), _warp(rotation, wp.mat33), _warp(rays, wp.vec3), limit)
         self._launch(cast_depth, depth, *inputs)
@@ -205,11 +189,3 @@ def _rows(values: Tensor) -> Tensor:
     """The same as float32, each row in one piece; a view where it is so already."""
     values = values.float()
     return values if values[0:1].is_contiguous() else values.contiguous()
-
-
-@lru_cache(maxsize=8)
-def scanner(
-    model: mujoco.MjModel, device: str, without: frozenset[int] = frozenset()
-) -> TerrainScanner:
-    """The scanner of a model: its mesh is built once."""
-    return TerrainScanner(model, device, without)

@@ -1,7 +1,5 @@
 """One static triangle mesh of everything a robot can stand on or bump into."""
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
@@ -40,18 +38,15 @@ def terrain_mesh(model: mujoco.MjModel, without: frozenset[int] = frozenset()) -
     return vertices, np.concatenate([p[1] for p in parts]).astype(np.int32)
 
 
-@dataclass(frozen=True)
-class Shapes:
-    """The same terrain with its boxes whole."""
+def terrain_shapes(
+    model: mujoco.MjModel, without: frozenset[int] = frozenset()
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same terrain with its boxes whole; raises RenetError as `terrain_mesh` does.
 
-    boxes: np.ndarray
-    """[B, 15]: centre, rotation by rows, half sizes."""
-    triangles: np.ndarray
-    """[T, 3, 3] corners of everything else, m, world."""
-
-
-def terrain_shapes(model: mujoco.MjModel, without: frozenset[int] = frozenset()) -> Shapes:
-    """Boxes and triangles of the terrain; raises RenetError as `terrain_mesh` does."""
+    Returns:
+        Boxes [B, 15]: centre, rotation by rows, half sizes; and corners [T, 3, 3] of the triangles
+        of everything else, m, world.
+    """
     boxes, triangles = [np.zeros((0, 15))], [np.zeros((0, 3, 3))]
     for geom, rotation, position in _terrain_geoms(model, without):
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
@@ -59,7 +54,7 @@ def terrain_shapes(model: mujoco.MjModel, without: frozenset[int] = frozenset())
         else:
             vertices, faces = _triangulate(model, geom)
             triangles.append((vertices @ rotation.T + position)[faces])
-    return Shapes(np.concatenate(boxes), np.concatenate(triangles))
+    return np.concatenate(boxes), np.concatenate(triangles)
 
 
 def _terrain_geoms(

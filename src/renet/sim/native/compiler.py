@@ -24,7 +24,7 @@ class Struct(ctypes.Structure):
     """A struct of a C++ file. What its pointers point to lives as long as it does."""
 
     def __init__(self, **fields: Any) -> None:
-        """Fill in all fields.
+        """Fill in all fields but `work`, which `Call` does.
 
         Args:
             fields: numbers and structs; for pointers NumPy arrays, ctypes objects, addresses or
@@ -34,7 +34,7 @@ class Struct(ctypes.Structure):
             TypeError: a field is missing or unknown.
         """
         super().__init__()
-        known = {field[0] for field in self._fields_}
+        known = {field[0] for field in self._fields_} - {"work"}
         if known != set(fields):
             raise TypeError(f"{type(self).__name__}: missing or unknown {known ^ set(fields)}")
         self._held: dict[str, Any] = {}

@@ -53,11 +53,24 @@ class FieldCopy(NamedTuple):
         self.warp[env].flat = self.mujoco.ravel()
 
 
-def load_data(
-    wp_data: Any, mj_data: mujoco.MjData, num_envs: int, names: tuple[str, ...] = STATE
+def whole_data(
+    wp_data: Any, mj_data: mujoco.MjData, num_envs: int, names: tuple[str, ...]
 ) -> list[FieldCopy]:
-    """State and inputs into an MjData."""
-    return [copy for name in names for copy in _whole(wp_data, name, mj_data, num_envs)]
+    """All of these fields that the model has any of.
+
+    Raises:
+        RenetError: a field has another size in MuJoCo.
+    """
+    copies = []
+    for name in names:
+        source, target = getattr(wp_data, name), getattr(mj_data, name)
+        if target.size == 0 or source.size == 0:
+            continue
+        rows = source.numpy().reshape(source.shape[0], -1)
+        if len(rows) != num_envs or rows.shape[1] < target.size:
+            raise RenetError(f"data field {name} does not match between Warp and MuJoCo")
+        copies.append(FieldCopy(rows[:, : target.size], target))
+    return copies
 
 
 def load_model(wp_model: Any, mj_model: mujoco.MjModel, names: list[str]) -> list[FieldCopy]:
@@ -88,11 +101,7 @@ def store_data(
 ) -> list[FieldCopy]:
     """Results out of an MjData; rows of static bodies are left out."""
     moving = moving_bodies(mj_model)
-    copies = [
-        copy
-        for name in (*INTEGRATED, *SENSED, *FORCES)
-        for copy in _whole(wp_data, name, mj_data, num_envs)
-    ]
+    copies = whole_data(wp_data, mj_data, num_envs, (*INTEGRATED, *SENSED, *FORCES))
     for names, owner in (
         (PER_BODY, np.arange(mj_model.nbody)),
         (PER_GEOM, mj_model.geom_bodyid),
@@ -109,22 +118,6 @@ def store_data(
                 for name in names
             ]
     return copies
-
-
-def time_copy(wp_data: Any, time: np.ndarray) -> FieldCopy:
-    """The time, which MuJoCo keeps at `time` [1]."""
-    return FieldCopy(wp_data.time.numpy(), time)
-
-
-def _whole(wp_data: Any, name: str, mj_data: mujoco.MjData, num_envs: int) -> list[FieldCopy]:
-    """All of one field, or nothing where the model has none of it."""
-    source, target = getattr(wp_data, name), getattr(mj_data, name)
-    if target.size == 0 or source.size == 0:
-        return []
-    rows = source.numpy().reshape(source.shape[0], -1)
-    if len(rows) != num_envs or rows.shape[1] < target.size:
-        raise RenetError(f"data field {name} does not match between Warp and MuJoCo")
-    return [FieldCopy(rows[:, : target.size], target)]
 
 
 def _runs(mask: np.ndarray) -> list[tuple[int, int]]:

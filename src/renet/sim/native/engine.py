@@ -30,14 +30,7 @@ from renet.errors import RenetError
 from renet.sim.native import mujoco_memory, stages
 from renet.sim.native.collision_culling import CollisionCulling
 from renet.sim.native.compiler import Call, Source, Struct
-from renet.sim.native.copy_tables import (
-    POSE,
-    FieldCopy,
-    load_data,
-    load_model,
-    store_data,
-    time_copy,
-)
+from renet.sim.native.copy_tables import POSE, STATE, FieldCopy, load_model, store_data, whole_data
 from renet.sim.native.stages import DERIVE, StepStages
 from renet.sim.threads import THREADS
 
@@ -110,8 +103,8 @@ class Worker:
         self.data = mujoco.MjData(model)
         mujoco.mj_forward(model, self.data)
         wp_data, num_envs = simulation.wp_data, simulation.num_envs
-        self.pose = load_data(wp_data, self.data, num_envs, POSE)
-        self.state = load_data(wp_data, self.data, num_envs)
+        self.pose = whole_data(wp_data, self.data, num_envs, POSE)
+        self.state = whole_data(wp_data, self.data, num_envs, STATE)
         self.fields = load_model(simulation.wp_model, model, sorted(simulation.expanded_fields))
         self.stores = store_data(wp_data, self.data, model, num_envs)
 
@@ -122,7 +115,7 @@ class Worker:
     def struct(self, wp_data: Any, culling: CollisionCulling) -> Struct:
         """The struct Worker of engine.cpp."""
         model, staged = self.model, StepStages(self.model)
-        self.time = [time_copy(wp_data, mujoco_memory.time(self.data))]
+        self.time = [FieldCopy(wp_data.time.numpy(), mujoco_memory.time(self.data))]
         loads = [*self.state, *self.time, *culling.load_masks(model), *self.fields]
         stores = [*self.stores, *self.time]
         return SOURCE.struct("Worker")(
@@ -251,7 +244,6 @@ class NativeSimulation(Simulation):
         if native:
             structs = [worker.struct(self.wp_data, self.culling) for worker in workers]
             argument = SOURCE.struct("Advance")(
-                work=SOURCE.struct("Work")(threads=0, taken=0),
                 environments=self.num_envs,
                 steps=0,
                 derive=False,

@@ -94,24 +94,17 @@ def stalled_seconds(env: ManagerBasedRlEnv) -> Tensor:
     return manager.get_term_cfg("stalled").func.seconds.unsqueeze(-1)
 
 
-class smoothed_joint_velocity:
+class smoothed_joint_velocity(VelocityFilter):
     """Joint velocities as the reward `standing_motion` smooths them, [N, J] rad/s."""
 
-    def __init__(self, cfg: ObservationTermCfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
-        self._velocity = VelocityFilter(env)
-        self._step = 0
+    _step = 0
 
     def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
         """Take in a new control step, if there was one."""
         if env.common_step_counter != self._step:
             self._step = env.common_step_counter
-            self._velocity.update(env)
-        return self._velocity.value
-
-    def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """Begin episodes."""
-        self._velocity.value[env_ids] = 0.0
+            self.smoothed(env)
+        return self._smoothed
 
 
 class physical_parameters:

@@ -6,6 +6,8 @@ no vertical part. Classes remember the step before, and forget it when an episod
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.managers.reward_manager import RewardTermCfg
@@ -101,37 +103,36 @@ def orientation(env: ManagerBasedRlEnv) -> Tensor:
     return base_rotation(env)[:, 2, :2].square().sum(-1)
 
 
+SMOOTHING = 0.2
+"""Time constant of smoothed joint velocities, s."""
+
+
 class VelocityFilter:
-    """Exponentially smoothed joint velocities since the episode began, [N, J] rad/s."""
+    """A term that smooths joint velocities since the episode began exponentially."""
 
-    def __init__(self, env: ManagerBasedRlEnv, time_constant: float = 0.2) -> None:
-        self.value = torch.zeros_like(env.scene["robot"].data.joint_vel)
-        self._share = env.step_dt / time_constant
+    def __init__(self, cfg: Any, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        self._smoothed = torch.zeros_like(env.scene["robot"].data.joint_vel)
 
-    def update(self, env: ManagerBasedRlEnv) -> None:
-        """Take in the velocities of a control step."""
-        self.value.lerp_(env.scene["robot"].data.joint_vel, self._share)
+    def smoothed(self, env: ManagerBasedRlEnv) -> Tensor:
+        """Take in the velocities of a control step; smoothed ones, [N, J] rad/s."""
+        return self._smoothed.lerp_(env.scene["robot"].data.joint_vel, env.step_dt / SMOOTHING)
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> None:
+        """Begin episodes."""
+        self._smoothed[env_ids] = 0.0
 
 
-class standing_motion:
+class standing_motion(VelocityFilter):
     """Sum of squared, smoothed joint velocities of robots told to stand, [N] (rad/s)^2.
 
     Not in the paper, whose reward is all but flat at rest: 7 cm/s of creeping cost it 7 %.
     Smoothed, because exploration shakes the joints as fast as steps move them, but to and fro.
     """
 
-    def __init__(self, cfg: RewardTermCfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
-        self._velocity = VelocityFilter(env)
-
     def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
         """Evaluate a step, once."""
-        self._velocity.update(env)
-        return self._velocity.value.square().sum(-1) * (goal(env).speed <= 0.0)
-
-    def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """Begin episodes."""
-        self._velocity.value[env_ids] = 0.0
+        return self.smoothed(env).square().sum(-1) * (goal(env).speed <= 0.0)
 
 
 class upright_tracking:
