@@ -1,7 +1,7 @@
 """Make the README's moving picture: `python tools/readme_film.py` writes docs/figures/walk.webp.
 
-It is the film of `renet demo`: of 20 pairs with the same start and the same noise, the pair whose
-robot with vision alone is the first to fall.
+Of 20 pairs with the same start on the same stairs and the same noise, it shows the pair whose robot
+with vision alone is the first to fall.
 """
 
 from __future__ import annotations
@@ -19,13 +19,16 @@ from renet.evaluation.studies.faults import Setting
 from renet.evaluation.studies.noise import NoiseStudy
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "walk.webp"
-NOISE = Setting("flat", 3.0, "salt_and_pepper", 3)
+NOISE = Setting("stairs_up", 1.5, "gaussian", 5)
+LEVEL = 5
+"""Stairs with risers of 13 cm."""
 FPS = 10
 
 
 def main() -> None:
     """Film, and write an animated WebP."""
-    study = NoiseStudy()
+    onset = (NOISE.onset,)
+    study = NoiseStudy(grounds=(NOISE.ground,), level=LEVEL, onsets=onset, seconds=7.5)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "film.mp4"
         film_comparison(study, study.make_evaluator(), NOISE, path, VideoCfg(fps=FPS))

@@ -16,10 +16,10 @@ from renet.evaluation.results import read_results
 BENCHMARK, VERSION = "renet-faults", 1
 GROUNDS = {
     "flat": 1,
-    "stairs_up": 3,
-    "stairs_down": 3,
-    "obstacles": 3,
-    "platform": 3,
+    "stairs_up": 6,
+    "stairs_down": 10,
+    "obstacles": 10,
+    "platform": 6,
     "gap": 3,
 }
 """Grounds and their levels, 1 to 10."""
