@@ -2,14 +2,15 @@
 
 `python benchmarks/table1.py` trains and judges what is not done yet, row by row; after any kill the
 same command goes on. `--status` says where it stands, `--table` prints it beside the paper's.
-All state is what lies in the rows' folders: checkpoints of `renet train`, and the terrain study.
+What a row needs to go on lies in its folder: checkpoints of `renet train`, and the terrain study.
+What is measured is kept in `results/table1/`, a file for each row and seed, with the curriculum's
+curves.
 """
 
 from __future__ import annotations
 
 import hashlib
 import io
-import json
 from collections.abc import Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass, field, replace
@@ -25,7 +26,7 @@ from renet.baselines import cheng, zhuang
 from renet.baselines.distillation import DistillationCfg, DistillCfg, Stage
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.results import Provenance
+from renet.evaluation.results import Provenance, read_results, write_json
 from renet.evaluation.studies.terrain import TABLE, TerrainStudy
 from renet.interface import STEPS_PER_TICK
 from renet.models.actor_critic import fuse
@@ -36,8 +37,10 @@ from renet.tasks.robot_cfg import ACTION_CLIP
 from renet.training import checkpoint as checkpoints
 from renet.training.config import from_dict, steps_per_env
 from renet.training.export import load_networks
+from renet.training.metrics import level_curves
 from renet.training.train import TrainCfg, train
 
+RESULTS = Path(__file__).parent / "results" / "table1"
 TASK = "Renet-Go1-Parkour"
 MEASURES = ("gap", "platform", "stairs", "collisions", "lin_vel_reward")
 
@@ -87,7 +90,9 @@ class Cfg:
     """Train and judge the rows of the paper's Table I."""
 
     out: Path = Path("results/table1")
-    """A folder for each row."""
+    """A folder for each row: its runs, and how it was judged."""
+    results: Path = RESULTS
+    """Folder of the rows' results, ROW_SEED.json."""
     rows: tuple[str, ...] = tuple(row.name for row in ROWS)
     """Rows, in the order in which they are trained."""
     steps: float = 15e6
@@ -121,6 +126,10 @@ class Cfg:
     def folder(self, row: Row, stage: Stage) -> Path:
         """Where a stage's run is."""
         return self.out / row.slug / stage.name
+
+    def result(self, row: Row) -> Path:
+        """The file of a row's results."""
+        return self.results / f"{row.slug}_{self.seed}.json"
 
     def training(self, row: Row, stage: Stage) -> TrainCfg:
         """The recipe with the stage's differences; stages before it are done."""
@@ -284,23 +293,32 @@ class CheckpointEvaluator(Evaluator):
         return Provenance.now(self._name, self._digest, "native", seed)
 
 
+def stage_curves(cfg: Cfg, row: Row, stage: Stage) -> list[dict[str, float]]:
+    """The curriculum's levels over a finished stage."""
+    last = checkpoints.find(cfg.folder(row, stage))
+    parent = next((newest(cfg, row, earlier) for earlier in parents(row, stage)), None)
+    begun = 0 if parent is None else checkpoints.load_state(parent)["steps"]
+    return level_curves(last.parents[1], begun)  # RUN/checkpoints/it_…
+
+
 def judge_row(cfg: Cfg, row: Row, checkpoint: Path) -> None:
-    """Run the terrain study of a row's last checkpoint; what is done is not run again."""
-    study = replace(cfg.study, out=cfg.out / row.slug / "terrain", modes=(row.mode,), bundle=None)
-    study.run(CheckpointEvaluator(checkpoint))
+    """Run the terrain study of a row's last checkpoint and keep its results."""
+    out = cfg.out / row.slug / "terrain"
+    study = replace(cfg.study, out=out, modes=(row.mode,), bundle=None)
+    summary = study.run(CheckpointEvaluator(checkpoint))
+    steps, seconds, _ = progress(cfg, row)
+    state = checkpoints.load_state(checkpoint)
+    trained = {"steps": steps, "hours": seconds / 3600, "seed": cfg.seed, "code": state["code"]}
+    curves = {stage.name: stage_curves(cfg, row, stage) for stage in row.stages}
+    cfg.results.mkdir(parents=True, exist_ok=True)
+    write_json(cfg.result(row), {"row": row.name, **trained, **summary, "curves": curves})
 
 
 def measured(cfg: Cfg, row: Row) -> dict[str, Any] | None:
     """The row's results; None where it has not been judged at the whole budget."""
-    path, found = cfg.out / row.slug / "terrain" / "summary.json", newest(cfg, row, row.stages[-1])
-    if found is None or not path.is_file():
-        return None
-    summary = json.loads(path.read_text())
-    steps, seconds, complete = progress(cfg, row)
-    judged_it = summary["provenance"]["bundle"] == found.name
-    if not complete or not judged_it:
-        return None
-    return {**summary, "steps": steps, "hours": seconds / 3600}
+    path = cfg.result(row)
+    found = read_results(path) if path.is_file() else None
+    return found if found and found["steps"] >= cfg.steps else None
 
 
 def passes(summary: dict[str, Any], column: str) -> str:

@@ -15,33 +15,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from renet.evaluation import figures
-from renet.training.config import steps_per_env
-from renet.training.metrics import read_curves
+from renet.training.metrics import level_curves
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "recipe"
-LEVEL = "Curriculum/level/"
-EVERY = 10
-"""Iterations, of which the mean is kept."""
 
 
 def rows(argument: str) -> list[dict[str, str | float]]:
     """Environment steps, hours and the curriculum's levels of a run, every tenth iteration."""
     folder, _, label = argument.partition("=")
     run = Path(folder)
-    config, curves = json.loads((run / "config.json").read_text()), read_curves(run)
-    taken, seconds, steps = 0.0, 0.0, []
-    for fps in curves["Perf/total_fps"][1]:
-        each = steps_per_env(None, config["batch_size"], config["num_envs"], taken)
-        taken += each * config["num_envs"]
-        seconds += each * config["num_envs"] / fps
-        steps.append((taken, seconds / 3600))
-    values = {n.removeprefix(LEVEL): c[1] for n, c in curves.items() if n.startswith(LEVEL)}
-    label = label or f"seed {config['seed']}"
-    return [
-        {"run": label, "steps": steps[end - 1][0], "hours": round(steps[end - 1][1], 3)}
-        | {kind: round(float(np.mean(v[end - EVERY : end])), 3) for kind, v in values.items()}
-        for end in range(EVERY, len(steps) + 1, EVERY)
-    ]
+    label = label or f"seed {json.loads((run / 'config.json').read_text())['seed']}"
+    return [{"run": label, **row} for row in level_curves(run)]
 
 
 def draw(table: list[dict[str, str]]) -> None:

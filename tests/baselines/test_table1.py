@@ -22,9 +22,8 @@ ORACLE, ZHUANG = (next(r for r in table1.ROWS if r.name == n) for n in ("Oracle"
 def done(tmp_path_factory):
     """The Oracle, killed after one iteration of two, then run to its end beside an empty row."""
     out = tmp_path_factory.mktemp("table1")
-    cfg = table1.Cfg(
-        out=out, rows=("Oracle",), steps=400, num_envs=8, num_steps_per_env=25, study=STUDY
-    )
+    small = {"steps": 400, "num_envs": 8, "num_steps_per_env": 25}
+    cfg = table1.Cfg(out=out, results=out / "results", rows=("Oracle",), study=STUDY, **small)
     table1.train(replace(cfg.training(ORACLE, ORACLE.stages[0]), max_iterations=1))
     first = checkpoints.load_state(table1.newest(cfg, ORACLE, ORACLE.stages[0]))
     both = replace(cfg, rows=("Oracle", "Cheng"))
@@ -106,6 +105,19 @@ def test_prints_what_the_study_measured_beside_the_papers(done) -> None:
     assert "missing" not in oracle
     assert cheng.count("missing") == 11
     assert {run["mode"] for run in summary["runs"]} == {"vp"}
+    kept = json.loads(cfg.result(ORACLE).read_text())
+    assert kept["runs"] == summary["runs"]
+    assert (kept["steps"], kept["seed"]) == (400, 1)
+    assert "0.1.0" in kept["code"]
+    assert "run" in kept["curves"]
+
+
+def test_results_outlive_their_runs_and_count_for_their_budget_alone(done, tmp_path) -> None:
+    cfg, _, _ = done
+    elsewhere = replace(cfg, out=tmp_path)
+    assert "missing" not in table1.table(elsewhere).splitlines()[2]
+    assert "missing" in table1.table(replace(elsewhere, steps=401)).splitlines()[2]
+    assert "missing" in table1.table(replace(elsewhere, seed=2)).splitlines()[2]
     assert "judged" in table1.status(cfg)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from itertools import accumulate
 from pathlib import Path
+from statistics import fmean
 
 from matplotlib.figure import Figure
 from rsl_rl.utils.log_writer import LogWriter
@@ -14,12 +15,14 @@ from torch.utils.tensorboard import SummaryWriter
 
 from renet.errors import RenetError
 from renet.interface import CONSTRAINTS
+from renet.training.config import steps_per_env
 
 CURVES = "curves.csv"
+LEVEL = "Curriculum/level/"
 PANELS = (
     ("reward per episode", ("Train/mean_reward",)),
     ("episode length (steps)", ("Train/mean_episode_length",)),
-    ("terrain level", "Curriculum/level/"),
+    ("terrain level", LEVEL),
     ("velocity tracking reward", ("Episode_Metrics/lin_vel_reward",)),
     ("collisions", ("Episode_Metrics/collisions",)),
     ("falls per reset step", ("Episode_Termination/fallen", "Episode_Termination/in_gap")),
@@ -110,6 +113,32 @@ def read_curves(run: Path) -> dict[str, tuple[list[int], list[float]]]:
             with suppress(TypeError, ValueError):
                 points.setdefault(row["name"], {})[int(row["iteration"])] = float(row["value"])
     return {name: (sorted(c), [c[i] for i in sorted(c)]) for name, c in points.items()}
+
+
+def level_curves(run: Path, steps: int = 0, every: int = 10) -> list[dict[str, float]]:
+    """Levels of the curriculum by kind of tile over a run, means of `every` iterations.
+
+    Args:
+        run: its folder.
+        steps: environment steps with which it began, if it went on from another run.
+        every: iterations.
+
+    Returns:
+        Rows of "steps" (environment steps), "hours" and each kind's level.
+    """
+    config = json.loads((run / "config.json").read_text())
+    curves, robots = read_curves(run), config["num_envs"]
+    values = {n.removeprefix(LEVEL): c[1] for n, c in curves.items() if n.startswith(LEVEL)}
+    seconds, rows = 0.0, []
+    for number, fps in enumerate(curves["Perf/total_fps"][1], 1):
+        each = robots * steps_per_env(
+            config["num_steps_per_env"], config["batch_size"], robots, steps
+        )
+        steps, seconds = steps + each, seconds + each / fps
+        if number % every == 0:
+            levels = {k: round(fmean(v[number - every : number]), 3) for k, v in values.items()}
+            rows.append({"steps": steps, "hours": round(seconds / 3600, 3), **levels})
+    return rows
 
 
 def write_run_report(run: Path) -> Path:
