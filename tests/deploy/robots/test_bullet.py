@@ -66,7 +66,7 @@ def test_it_reads_what_mujocos_robot_reads():
 def test_its_camera_sees_what_mujocos_sees(terrain):
     bullet, other = both(terrain)
     place(bullet, other)
-    mine, theirs = (SimCamera(robot, SPEC.camera, noise=False).depth() for robot in (bullet, other))
+    mine, theirs = (SimCamera(robot, SPEC.camera).depth() for robot in (bullet, other))
     error = np.abs(mine - theirs)
     # Rays that graze an edge may fall on either side of it.
     assert (error > 2e-3).mean() < 0.003
