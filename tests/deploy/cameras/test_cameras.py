@@ -8,7 +8,7 @@ from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.recording import TICK, Recording
 from renet.deploy.replay import ReplayCamera
 from renet.errors import RenetError
-from renet.faults import FAULTS, PhysicalFault, parse_fault
+from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
 
 from ..fakes import frame, time_of
@@ -87,20 +87,9 @@ def test_a_silent_camera_stays_silent():
     assert watch(source, "blackout@0s", 10) == [None] * 10
 
 
-IMAGE_FAULTS = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
-
-
 def test_faults_of_the_scene_are_refused():
     with pytest.raises(RenetError, match="acts on the scene"):
         watch(Source(), "glass@1s", 1)
-
-
-@pytest.mark.parametrize("name", IMAGE_FAULTS)
-def test_every_fault_of_the_benchmark_can_be_asked_for(name):
-    for shown in watch(Source(), f"{name}@0.2s", 40):
-        assert shown.image.shape == (48, 64)
-        assert shown.image.min() >= 0.0
-        assert shown.image.max() <= 1.0
 
 
 @pytest.mark.parametrize(
