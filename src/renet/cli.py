@@ -1,8 +1,9 @@
-"""One thin door: `renet <command>`; every command is a dataclass and a function elsewhere.
+"""The command line, `renet <command>`; every command is a dataclass and a function elsewhere.
 
 Commands are imported only when called, so that the robot's install needs no training packages.
 """
 
+import argparse
 import difflib
 import importlib
 import os
@@ -36,14 +37,15 @@ class Command:
         """The function, the dataclass that `--preset` asks for, and the other arguments."""
         module, config, function = self.target.split(":")
         run = attrgetter(function)(importlib.import_module(module))
-        if self.presets and "--preset" in arguments:
-            place = arguments.index("--preset")
-            name = "".join(arguments[place + 1 : place + 2])
-            if name not in self.presets:
+        if self.presets:
+            parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+            parser.add_argument("--preset", nargs="?", const="")
+            asked, arguments = parser.parse_known_args(arguments)
+            if asked.preset not in (None, *self.presets):
                 known = ", ".join(self.presets)
-                raise RenetError(f"unknown preset {name!r}: choose one of {known}")
-            module, config = self.presets[name].split(":")
-            arguments = arguments[:place] + arguments[place + 2 :]
+                raise RenetError(f"unknown preset {asked.preset!r}: choose one of {known}")
+            if asked.preset:
+                module, config = self.presets[asked.preset].split(":")
         return run, getattr(importlib.import_module(module), config), arguments
 
 
@@ -195,17 +197,17 @@ def _dispatch(arguments: list[str]) -> int:
 
 def _match(arguments: list[str]) -> tuple[str, list[str]]:
     """The command (one or two words) and its own arguments."""
-    two_words = " ".join(arguments[:2])
-    if two_words in COMMANDS:
-        return two_words, arguments[2:]
-    if arguments[0] in COMMANDS:
-        return arguments[0], arguments[1:]
+    for words in (2, 1):
+        name = " ".join(arguments[:words])
+        if name in COMMANDS:
+            return name, arguments[words:]
     group = [name for name in COMMANDS if name.split()[0] == arguments[0]]
     if group:
         if len(arguments) == 1 or arguments[1] in ("-h", "--help"):
             print(_help(arguments))
             raise SystemExit(0)
-        raise RenetError(f"unknown command {two_words!r}: choose one of {', '.join(group)}")
+        asked = " ".join(arguments[:2])
+        raise RenetError(f"unknown command {asked!r}: choose one of {', '.join(group)}")
     close = difflib.get_close_matches(arguments[0], COMMANDS, n=1)
     hint = f"did you mean `renet {close[0]}`?" if close else "see `renet --help`"
     raise RenetError(f"unknown command {arguments[0]!r}: {hint}")

@@ -32,18 +32,10 @@ def read_bytes(path: Path, limit: int, what: str = "file") -> bytes:
     try:
         # Without O_NONBLOCK, opening a named pipe waits for its writer.
         with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise RenetError(f"the {what} {path} is not a regular file")
-            data = b"" if os.fstat(file.fileno()).st_size > limit else file.read(limit + 1)
-            size = max(os.fstat(file.fileno()).st_size, len(data))
+            _check_regular(os.fstat(file.fileno()), path, limit, what)
+            return file.read(limit)
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path.
         raise RenetError(f"cannot read the {what} {path}: {error}") from error
-    if size > limit:
-        raise RenetError(
-            f"the {what} {path} has {size / MEGABYTE:.1f} MB; "
-            f"at most {limit / MEGABYTE:g} MB are read"
-        )
-    return data
 
 
 def parse_json(data: bytes | str, what: str) -> Any:
@@ -105,9 +97,13 @@ def require_regular(path: Path, limit: int, what: str = "file") -> Path:
         RenetError: no such file, not a regular file, or larger than the limit.
     """
     try:
-        found = path.stat()
+        _check_regular(path.stat(), path, limit, what)
     except (OSError, ValueError) as error:
         raise RenetError(f"cannot read the {what} {path}: {error}") from error
+    return path
+
+
+def _check_regular(found: os.stat_result, path: Path, limit: int, what: str) -> None:
     if not stat.S_ISREG(found.st_mode):
         raise RenetError(f"the {what} {path} is not a regular file")
     if found.st_size > limit:
@@ -115,7 +111,6 @@ def require_regular(path: Path, limit: int, what: str = "file") -> Path:
             f"the {what} {path} has {found.st_size / MEGABYTE:.1f} MB; "
             f"at most {limit / MEGABYTE:g} MB are read"
         )
-    return path
 
 
 def write_atomically(path: Path, data: bytes, what: str = "file") -> None:

@@ -1,7 +1,8 @@
-"""Tries something a stranger wrote in a process of its own, with limits, before it is done here."""
+"""Loads a file of unknown origin in a process with limits, before this process loads it."""
 
 import os
 import resource
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,9 +15,9 @@ MAX_MEMORY = 400 * MEGABYTE
 """Bytes that a trial may need beside the program's own."""
 MAX_SECONDS = 3
 """Processor time in seconds that a trial may need beside the program's own start."""
-PATIENCE = 5.0
+PATIENCE = 5
 """Seconds of the wall clock from the start of the trial itself; it may wait, as for a pipe."""
-ACCEPTED, STARTED = "accepted", "started"
+ACCEPTED = "accepted"
 
 
 def run_trial(module: str, arguments: list[str], what: str, data: bytes = b"") -> None:
@@ -29,24 +30,9 @@ def run_trial(module: str, arguments: list[str], what: str, data: bytes = b"") -
     Raises:
         RenetError: the trial said what is wrong, or needed too much time or memory.
     """
-    child = subprocess.Popen(
-        [sys.executable, "-P", "-m", module, *arguments],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
-    assert child.stdin is not None
-    assert child.stdout is not None
-    try:
-        with child.stdin as stdin:
-            stdin.write(data)
-        child.stdout.readline()  # The trial begins: imports on a busy computer do not count.
-        child.wait(PATIENCE)
-    except (BrokenPipeError, subprocess.TimeoutExpired):
-        child.kill()
-    with child.stdout as stdout:
-        said = stdout.read().decode(errors="replace").strip()
-    child.wait()
+    command = [sys.executable, "-P", "-m", module, *arguments]
+    done = subprocess.run(command, input=data, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    said = done.stdout.decode(errors="replace").strip()
     if said != ACCEPTED:
         limits = f"{MAX_SECONDS} s or {MAX_MEMORY / MEGABYTE:g} MB"
         raise RenetError(f"{what}: {said or f'it needs more than {limits}'}")
@@ -56,7 +42,7 @@ def judge(trial: Callable[[], str]) -> None:
     """Within a trial's process: run it under the limits and print what it found.
 
     Args:
-        trial: returns what is wrong, or an empty text; RenetErrors count as that, too.
+        trial: returns what is wrong, or an empty text.
     """
     spent = resource.getrusage(resource.RUSAGE_SELF)
     seconds = int(spent.ru_utime + spent.ru_stime) + 1 + MAX_SECONDS
@@ -67,11 +53,8 @@ def judge(trial: Callable[[], str]) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(PATIENCE)  # Ends this process; imports on a busy computer do not count.
     out = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Libraries' own words are no verdict.
-    os.write(out, f"{STARTED}\n".encode())
-    try:
-        said = trial() or ACCEPTED
-    except RenetError as error:
-        said = str(error)
-    os.write(out, said.encode())
+    os.write(out, (trial() or ACCEPTED).encode())

@@ -62,7 +62,7 @@ def test_presets_are_chosen_on_the_command_line(capsys) -> None:
     for words, default in (
         (["faults", "--preset", "noise"], "results/noise"),
         (["faults"], "results/faults"),
-        (["terrain", "--preset", "success"], "results/success"),
+        (["terrain", "--preset=success"], "results/success"),
     ):
         with pytest.raises(SystemExit):
             cli.main(["evaluate", *words, "--help"])

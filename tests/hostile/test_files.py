@@ -17,7 +17,6 @@ import pytest
 from onnx import TensorProto, helper
 from safetensors.numpy import save_file
 
-from renet import trial
 from renet.cli import main
 from renet.deploy.bundle import DEFAULT, MANIFEST, pretrained
 from renet.deploy.recording import CHUNK, MAGIC, TICK
@@ -26,12 +25,6 @@ from ..forked import Done, fork
 
 MEMORY = 500_000
 """Kilobytes that a refusal may need beside what its command needs to start."""
-
-
-def impatient(arguments: list[str]) -> int:
-    """The command, which waits less for a trial that waits for something itself."""
-    trial.PATIENCE = 2.0
-    return main(arguments)
 
 
 def run(*arguments: str | Path) -> Done:
@@ -273,7 +266,7 @@ def test_scenes(tmp_path, kind):
     path = tmp_path / "scene.xml"
     path.write_text(f"<mujoco><asset>{assets}</asset><worldbody>{body}</worldbody></mujoco>")
     options = ["--scene", str(path), "--seconds", "0.1", "--out", str(tmp_path / "out")]
-    refused(fork(impatient, ["deploy", *options]), "deploy")
+    refused(run("deploy", *options), "deploy")
     assert not (tmp_path / "out").exists()
 
 

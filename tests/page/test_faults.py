@@ -120,7 +120,7 @@ def test_physical_fault_shows_what_the_runtime_would_see(node_page: Path, name: 
         robot = MujocoRobot(*_scene("platform"))
         robot.data.qpos[0] = 1.0
         mujoco.mj_forward(robot.model, robot.data)
-        camera = SimCamera(robot, Bundle.load().manifest.camera, noise=False)
+        camera = SimCamera(robot, Bundle.load().manifest.camera)
         np.testing.assert_allclose(seen["clean"], camera.depth().ravel(), atol=1e-4)
         turn = Rotation.from_matrix(seen["turn"] or np.eye(3)).as_rotvec()
         if name == "mount_knocked":

@@ -20,7 +20,6 @@ from renet.faults import FAULTS, SEVERITIES, Fault, combined, stereo, vegetation
 from renet.faults.physical import Glass, obstacles, spread
 from renet.interface import (
     CONTROL_DT,
-    DEPTH_RANGE,
     DEPTH_SHAPE,
     HEIGHT_MAP_X,
     HEIGHT_MAP_Y,
@@ -58,7 +57,6 @@ def contract() -> dict[str, Any]:
         "physicsDt": PHYSICS_DT,
         "stepsPerTick": STEPS_PER_TICK,
         "depthShape": DEPTH_SHAPE,
-        "depthRange": DEPTH_RANGE,
         "latent": LATENT,
         "proprioception": [asdict(term) for term in PROPRIOCEPTION],
         "heightMap": {"x": HEIGHT_MAP_X, "y": HEIGHT_MAP_Y, "baseHeight": MAP_HEIGHT},

@@ -32,14 +32,12 @@ VENDOR = (
     "three/build/three.module.js",
 )
 """Files of the npm packages that a visitor's browser loads."""
-OWN = ("*.js", "faults/*.js", "*.html", "*.css", "go1.json")
-"""The page's own files in `WEB`."""
 LOOPBACK = "127.0.0.1"
 
 
 @dataclass(frozen=True)
 class PageCfg:
-    """Write the page "Break its camera": a bundle walks, and loses its sight, in the browser."""
+    """Write the page "Break its camera": a bundle walks in the browser, and its camera fails."""
 
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder; the one that ships with renet by default."""
@@ -105,15 +103,14 @@ def write_page(cfg: PageCfg) -> Path:
 
 
 def _fill(folder: Path, bundle: Bundle, vendor: list[Path]) -> None:
-    for sub in ("vendor", "bundle", "faults"):
-        (folder / sub).mkdir(parents=True)
+    packages = shutil.ignore_patterns("node_modules", "package*.json", ".*")
+    shutil.copytree(WEB, folder, ignore=packages)
+    for sub in ("vendor", "bundle"):
+        (folder / sub).mkdir()
     for path in vendor:
         shutil.copyfile(path, folder / "vendor" / path.name)
     for name in (MANIFEST, *(f"{model}.onnx" for model in MODELS)):
         shutil.copyfile(bundle.path / name, folder / "bundle" / name)
-    for pattern in OWN:
-        for path in sorted(WEB.glob(pattern)):
-            shutil.copyfile(path, folder / path.relative_to(WEB))
     (folder / MARK).write_text(json.dumps({**contract(), "bundle": bundle.name}))
 
 
@@ -144,7 +141,7 @@ class QuietHandler(SimpleHTTPRequestHandler):
     }
 
     def handle(self) -> None:
-        """Serve; who leaves before a file has arrived is no error."""
+        """Serve; a visitor who leaves before a file has arrived is no error."""
         with suppress(ConnectionError):
             super().handle()
 

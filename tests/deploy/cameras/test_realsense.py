@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -79,11 +81,27 @@ def device() -> Device:
 
 
 @pytest.fixture
-def camera(device):
-    camera = RealSenseCamera(camera_spec(), time.monotonic, device.device)
+def bus(monkeypatch) -> Bus:
+    """What a camera finds that is not told its device."""
+    bus = Bus()
+    monkeypatch.setattr(realsense, "realsense", lambda: bus)
+    return bus
+
+
+@contextmanager
+def streaming(device: Device | None = None, clock=time.monotonic, **options) -> Iterator:
+    """A camera that was started; it is closed twice."""
+    camera = RealSenseCamera(camera_spec(), clock, device and device.device, **options)
     camera.start()
     yield camera
     camera.close()
+    camera.close()
+
+
+@pytest.fixture
+def camera(device):
+    with streaming(device) as camera:
+        yield camera
 
 
 def received(camera: RealSenseCamera, device: Device, millimetres: np.ndarray | int, count=5):
@@ -118,21 +136,19 @@ def test_far_is_one_and_nothing_at_all_is_far(camera, device):
 def test_the_sensors_own_number_and_clock_are_kept(device):
     """Frames 33.3 ms apart; the last two travel for 0.3 s and, after a gap, for 0.1 s more."""
     now = [5.0]
-    camera = RealSenseCamera(camera_spec(), lambda: now[0], device.device)
-    camera.start()
 
     def shown():
         device.send(np.array(700))
         until(lambda: camera.latest() is not None and camera.latest().number == device.number)
         return camera.latest().time
 
-    first = shown()
-    now[0] += 0.3333
-    assert shown() == pytest.approx(first + 0.0333, abs=1e-3)
-    device.number += 9
-    now[0] += 0.4330
-    assert shown() == pytest.approx(first + 11 * 0.0333, abs=1e-3)
-    camera.close()
+    with streaming(device, lambda: now[0]) as camera:
+        first = shown()
+        now[0] += 0.3333
+        assert shown() == pytest.approx(first + 0.0333, abs=1e-3)
+        device.number += 9
+        now[0] += 0.4330
+        assert shown() == pytest.approx(first + 11 * 0.0333, abs=1e-3)
 
 
 def test_a_program_that_ends_without_closing_it_does_so(monkeypatch, device):
@@ -176,88 +192,70 @@ def test_drifting_clocks_are_followed(skew):
 
 def test_a_camera_s_clock_that_jumps_back_starts_the_stream_anew(monkeypatch, device):
     monkeypatch.setattr(realsense, "RETRY", 0.01)
-    camera = RealSenseCamera(camera_spec(), time.monotonic, device.device)
-    camera.start()
-    device.number = 300
-    received(camera, device, 800)
-    device.number = 0
-    device.send(np.array(800))
-    until(lambda: "clock started anew" in camera.problem)
-    received(camera, device, 800)
-    camera.close()
+    with streaming(device) as camera:
+        device.number = 300
+        received(camera, device, 800)
+        device.number = 0
+        device.send(np.array(800))
+        until(lambda: "clock started anew" in camera.problem)
+        received(camera, device, 800)
 
 
 def test_frames_that_stop_and_come_back(monkeypatch, device):
     monkeypatch.setattr(realsense, "SILENCE", 0.05)
     monkeypatch.setattr(realsense, "RETRY", 0.01)
-    camera = RealSenseCamera(camera_spec(), time.monotonic, device.device)
-    camera.start()
-    for _ in range(5):
-        received(camera, device, 800)
-        until(lambda: "no frame" in camera.problem)
-        stale = camera.latest()
-        assert camera.latest() is stale, "what there is grows old; the selector sees that"
-    camera.close()
-    camera.close()
+    with streaming(device) as camera:
+        for _ in range(5):
+            received(camera, device, 800)
+            until(lambda: "no frame" in camera.problem)
+            stale = camera.latest()
+            assert camera.latest() is stale, "what there is grows old; the selector sees that"
 
 
-def test_fifty_replugs_each_with_a_new_device_clock_and_count(monkeypatch):
+def test_fifty_replugs_each_with_a_new_device_clock_and_count(monkeypatch, bus):
     monkeypatch.setattr(realsense, "SILENCE", 0.02)
     monkeypatch.setattr(realsense, "RETRY", 0.005)
-    bus = Bus()
-    monkeypatch.setattr(realsense, "realsense", lambda: bus)
-    bus.plugged = [Device()]
-    camera = RealSenseCamera(camera_spec(), time.monotonic)
-    camera.start()
-    last = -np.inf
-    for round in range(50):
-        seen = camera.latest()
-        device = bus.plugged[0]
-        until(lambda: camera.latest() is not seen, lambda: device.send(np.array(800)))  # noqa: B023
-        assert camera.latest().time > last, "the clock goes on though the camera's began anew"
-        bus.plugged, bus.broken = [], round % 2 == 1
-        cause = "failed to enumerate" if bus.broken else "none is connected"
-        until(lambda: cause in camera.problem)  # noqa: B023
-        last = camera.latest().time
-        bus.plugged, bus.broken = [Device()], False
-    camera.close()
+    bus.plugged, last = [Device()], -np.inf
+    with streaming() as camera:
+        for round in range(50):
+            seen, device = camera.latest(), bus.plugged[0]
+            until(lambda: camera.latest() is not seen, lambda: device.send(np.array(800)))  # noqa: B023
+            assert camera.latest().time > last, "the clock goes on though the camera's began anew"
+            bus.plugged, bus.broken = [], round % 2 == 1
+            cause = "failed to enumerate" if bus.broken else "none is connected"
+            until(lambda: cause in camera.problem)  # noqa: B023
+            last = camera.latest().time
+            bus.plugged, bus.broken = [Device()], False
 
 
-def test_a_camera_is_chosen_by_its_serial_number(monkeypatch):
-    bus = Bus()
-    monkeypatch.setattr(realsense, "realsense", lambda: bus)
+def test_a_camera_is_chosen_by_its_serial_number(bus):
     bus.plugged = [Device(), Device(serial="222")]
-    camera = RealSenseCamera(camera_spec(), time.monotonic, serial="222")
-    camera.start()
-    received(camera, bus.plugged[1], 600)
-    camera.close()
-    with pytest.raises(RenetError, match=r"no RealSense camera 333: 111, 222 connected"):
-        RealSenseCamera(camera_spec(), time.monotonic, serial="333").start()
-    with pytest.raises(RenetError, match=r"several .*222 connected: choose one with --serial"):
-        RealSenseCamera(camera_spec(), time.monotonic).start()
+    with streaming(serial="222") as camera:
+        received(camera, bus.plugged[1], 600)
 
 
-def test_what_cannot_work_is_refused_with_its_cause(monkeypatch):
-    bus = Bus()
-    monkeypatch.setattr(realsense, "realsense", lambda: bus)
-    for plugged, cause in (
-        ([], "no RealSense camera: none is connected"),
-        ([Device(640, 480)], r"it offers 640x480@30.*USB 3"),
-        ([Device(focal=900.0)], "not wide enough"),
-    ):
-        bus.plugged = plugged
-        with pytest.raises(RenetError, match=cause):
-            RealSenseCamera(camera_spec(), time.monotonic).start()
+@pytest.mark.parametrize(
+    ("plugged", "serial", "cause"),
+    [
+        ([], "", "no RealSense camera: none is connected"),
+        ([{}, {"serial": "222"}], "333", r"no RealSense camera 333: 111, 222 connected"),
+        ([{}, {"serial": "222"}], "", r"several .*222 connected: choose one with --serial"),
+        ([{"width": 640}], "", r"it offers 640x480@30.*USB 3"),
+        ([{"focal": 900.0}], "", "not wide enough"),
+    ],
+)
+def test_what_cannot_work_is_refused_with_its_cause(bus, plugged, serial, cause):
+    bus.plugged = [Device(**options) for options in plugged]
+    with pytest.raises(RenetError, match=cause):
+        RealSenseCamera(camera_spec(), time.monotonic, serial=serial).start()
 
 
 def test_a_sensor_that_refuses_to_start_is_closed_again(device):
     device.sensor.open(device.profile)
-    camera = RealSenseCamera(camera_spec(), time.monotonic, device.device)
-    with pytest.raises(RenetError, match="does not start"):
-        camera.start()
-    camera.start()
-    received(camera, device, 900)
-    camera.close()
+    with pytest.raises(RenetError, match="does not start"), streaming(device):
+        pass
+    with streaming(device) as camera:
+        received(camera, device, 900)
 
 
 def test_without_the_vendors_module_the_error_says_what_to_install(monkeypatch):

@@ -133,6 +133,12 @@ class Peer:
         *_, stiffness, damping = self.commands[-1].T
         return bool((stiffness == 0).all() and (damping == 3).all())
 
+    @property
+    def holds(self) -> bool:
+        """Whether the newest command holds a pose with the bundle's gains, to the last bit."""
+        *_, stiffness, damping = self.commands[-1].T
+        return bool((stiffness == 40).all() and (damping == 1).all())
+
     def pose(self, position: np.ndarray) -> None:
         """Put the joints somewhere, in the vendor's order of motors."""
         for name, value in zip(VENDOR, position, strict=True):
@@ -182,6 +188,11 @@ class Wire:
                 self.link.alive(self.now)
             self.link.exchange(self.now)
             self.peer.serve()
+
+    def send(self, command: JointCommand, exchanges: int) -> None:
+        """Command something, then exchange so many times."""
+        self.link.command(command, self.now)
+        self.run(exchanges)
 
     def control(self, controller: Controller, steps: int, **wishes) -> None:
         """Let a controller drive for some control steps."""

@@ -5,7 +5,6 @@ import os
 import re
 import socket
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -25,7 +24,7 @@ from renet.deploy.robots.base import JointCommand  # noqa: E402
 from renet.deploy.robots.envelope import go1_envelope  # noqa: E402
 from renet.deploy.robots.go1 import Go1Robot  # noqa: E402
 from renet.deploy.robots.go1_link import LOW_LEVEL, MOTORS, PERIOD, Go1Link  # noqa: E402
-from renet.deploy.safety import Mode, SafetyCfg, limited_command  # noqa: E402
+from renet.deploy.safety import Mode, SafetyCfg  # noqa: E402
 from renet.errors import RenetError  # noqa: E402
 from renet.interface import JOINTS  # noqa: E402
 from renet.training.export import robot_spec  # noqa: E402
@@ -76,32 +75,15 @@ def test_order_and_signs_are_those_of_the_vendors_own_limits():
     assert [VENDOR[motor] for motor in MOTORS] == list(JOINTS)
 
 
-def test_motors_are_limp_servos_until_the_first_command(wire, peer):
-    wire.run(3)
-    assert (peer.commands[-1][:, 0] == 10).all()
-    assert (peer.commands[-1][:, 4:] == 0).all()
-    assert wire.link.commanded == -math.inf
-
-
 def test_a_command_arrives_motor_by_motor(wire, peer):
     targets = np.array(ROBOT.default_position) + np.linspace(-0.3, 0.3, 12)
     gains = np.linspace(10, 40, 12), np.linspace(0.5, 3, 12)
-    wire.link.command(JointCommand(targets, *gains), wire.now)
-    wire.run(1)
+    wire.send(JointCommand(targets, *gains), 1)
     arrived = peer.commands[-1][list(MOTORS)]
     assert (arrived[:, 0] == 10).all()
     np.testing.assert_allclose(arrived[:, 1], targets, atol=1e-6)
     np.testing.assert_allclose(arrived[:, 4], gains[0], atol=1 / 32)
     np.testing.assert_allclose(arrived[:, 5], gains[1], atol=1 / 16)
-
-
-def test_the_bundles_gains_arrive_unrounded(wire, peer):
-    wire.run(2)
-    default = np.array(ROBOT.default_position)
-    wire.link.command(limited_command(default, default, wire.link.state, ROBOT, SafetyCfg()), 0.0)
-    wire.run(1)
-    np.testing.assert_array_equal(peer.commands[-1][list(MOTORS), 4], ROBOT.stiffness)
-    np.testing.assert_array_equal(peer.commands[-1][list(MOTORS), 5], ROBOT.damping)
 
 
 def test_a_reading_arrives_joint_by_joint(wire, peer):
@@ -110,8 +92,7 @@ def test_a_reading_arrives_joint_by_joint(wire, peer):
     assert wire.link.state is None, "the library's empty packet is no reading"
     peer.silent = False
     peer.pose(np.array(ROBOT.default_position)[list(MOTORS)] + np.linspace(-0.3, 0.3, 12))
-    wire.link.command(command(), 0.0)
-    wire.run(20)
+    wire.send(command(), 20)
     wire.link.exchange(wire.now)  # The answer to the last command comes with the next.
     truth, read = peer.robot.read(), wire.link.state
     assert len(set(np.round(truth.joint_position, 3))) == 12, "no two joints alike"
@@ -157,31 +138,27 @@ def test_a_dead_robot_leaves_an_old_reading_and_the_driver_alive(wire, peer):
 
 def test_a_silent_control_loop_brakes_the_robot(wire, peer):
     wire.run(1)
-    wire.link.command(command(), wire.now)
-    wire.run(49)
-    assert (peer.commands[-1][:, 4] == 40).all()
+    wire.send(command(), 49)
+    assert peer.holds
     wire.run(4)
     assert peer.braked
-    wire.link.command(command(), wire.now)
-    wire.run(1)
-    assert (peer.commands[-1][:, 4] == 40).all(), "it may speak again"
+    wire.send(command(), 1)
+    assert peer.holds, "it may speak again"
 
 
 def test_a_controller_without_signs_of_life_is_braked_within_20_ms(wire, peer):
     """And a command from before the gap is not obeyed after it."""
     wire.run(1)
-    wire.link.command(command(), wire.now)
-    wire.run(5)
-    assert (peer.commands[-1][:, 4] == 40).all()
+    wire.send(command(), 5)
+    assert peer.holds
     wire.dead = True
     wire.run(round(0.02 / PERIOD))
     assert peer.braked
     wire.dead = False
     wire.run(5)
     assert peer.braked, "the old command"
-    wire.link.command(command(), wire.now)
-    wire.run(1)
-    assert (peer.commands[-1][:, 4] == 40).all()
+    wire.send(command(), 1)
+    assert peer.holds
 
 
 @pytest.mark.parametrize(
@@ -192,15 +169,14 @@ def test_a_command_that_is_not_made_of_finite_numbers_is_refused(wire, peer, hos
     with pytest.raises(RenetError, match=r"the command's .* must be"):
         wire.link.command(hostile, wire.now)
     wire.run(1)
-    assert (peer.commands[-1][:, 4] == 40).all(), "the one before stands until silence brakes"
+    assert peer.holds, "the one before stands until silence brakes"
 
 
 @pytest.mark.parametrize("gain", [1e9, -1e9])
 def test_nothing_outside_the_envelope_reaches_the_wire(wire, peer, gain):
     """Sent unchecked, the library would also turn a stiffness of 1100 into -948."""
     wire.run(2)
-    wire.link.command(command(np.full(12, gain), gain, gain), wire.now)
-    wire.run(1)
+    wire.send(command(np.full(12, gain), gain, gain), 1)
     _, position, _, _, stiffness, damping = peer.commands[-1][list(MOTORS)].T
     envelope = go1_envelope()
     assert (position >= envelope.lower - 1e-6).all()
@@ -230,8 +206,7 @@ def test_a_reordered_older_reading_is_no_news(wire, peer):
 
 def test_a_driver_that_cannot_receive_any_more_brakes_at_once(wire, peer, monkeypatch):
     wire.run(2)
-    wire.link.command(command(), wire.now)
-    wire.run(3)
+    wire.send(command(), 3)
 
     class Deaf:
         def __init__(self, real):
@@ -244,8 +219,7 @@ def test_a_driver_that_cannot_receive_any_more_brakes_at_once(wire, peer, monkey
     wire.run(2)
     assert peer.braked
     assert "vendor's driver failed: OSError" in wire.link.problem
-    wire.link.command(command(), wire.now)
-    wire.run(2)
+    wire.send(command(), 2)
     assert peer.braked, "for good"
 
 
@@ -267,14 +241,12 @@ def test_the_power_level_is_the_vendors_guards(peer):
 
 
 def test_the_vendors_guard_brakes_for_good(wire, peer):
-    wire.link.command(command(), wire.now)
-    wire.run(5)
+    wire.send(command(), 5)
     assert wire.link.problem == ""
     peer.overloaded = True
     wire.run(100)
     peer.overloaded = False
-    wire.link.command(command(), wire.now)
-    wire.run(5)
+    wire.send(command(), 5)
     assert "too much power" in wire.link.problem
     assert peer.braked
 
@@ -333,19 +305,27 @@ def test_a_connection_that_only_looked_leaves_the_robot_limp(served):
     robot = robot_of(served)
     robot.connect()
     robot.close()
-    assert all((sent[:, 4:] == 0).all() for sent in served.commands)
+    for sent in served.commands:
+        assert (sent[:, 0] == 10).all(), "a servo"
+        assert (sent[:, 4:] == 0).all()
 
 
-def test_a_dry_run_tells_what_moves_and_commands_nothing(served, monkeypatch, tmp_path, capsys):
-    """The joint-order check of docs/robot.md: a robot that sinks moves its own joints."""
+@pytest.fixture
+def dry_run(served, monkeypatch, tmp_path) -> partial[DeployCfg]:
+    """Settings that watch the served robot."""
     robot = partial(Go1Robot, port=served.port, local_port=free_port())
     monkeypatch.setattr(go1, "Go1Robot", robot)
+    fixed = {"robot": "go1", "robot_host": "127.0.0.1", "camera": "none", "dry_run": True}
+    return partial(DeployCfg, **fixed, out=tmp_path)
+
+
+def test_a_dry_run_tells_what_moves_and_commands_nothing(served, dry_run, tmp_path, capsys):
+    """The joint-order check of docs/robot.md: a robot that sinks moves its own joints."""
     served.robot.data.qpos[2] += 0.5
     served.robot.model.opt.gravity[2] = -50.0
     # Where it is when it is armed depends on how busy the computer is.
     patient = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999, joint_margin=9.0)
-    cfg = DeployCfg(robot="go1", robot_host="127.0.0.1", dry_run=True, seconds=3.5, safety=patient)
-    deploy(replace(cfg, camera="none", out=tmp_path))
+    deploy(dry_run(seconds=3.5, safety=patient))
     shown = capsys.readouterr().out
     assert "rad: front right, knee folds" in shown
     # Which line is printed depends on when it stood; the gain says that it would have acted.
@@ -354,13 +334,10 @@ def test_a_dry_run_tells_what_moves_and_commands_nothing(served, monkeypatch, tm
     assert len(read_recording(tmp_path / "recording.log").ticks) > 10
 
 
-def test_what_the_system_refuses_the_sender_is_printed_once(served, monkeypatch, tmp_path, capsys):
+def test_what_the_system_refuses_the_sender_is_printed_once(dry_run, monkeypatch, tmp_path, capsys):
     (tmp_path / "sitecustomize.py").write_text(REFUSING)  # Every Python process reads it.
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    robot = partial(Go1Robot, port=served.port, local_port=free_port())
-    monkeypatch.setattr(go1, "Go1Robot", robot)
-    cfg = DeployCfg(robot="go1", robot_host="127.0.0.1", dry_run=True, seconds=0.5, out=tmp_path)
-    deploy(replace(cfg, camera="none"))
+    deploy(dry_run(seconds=0.5))
     told = re.findall(r".*to the process that talks to the Go1", capsys.readouterr().out)
     assert len(told) == 1
     assert told[0].startswith("the system refused real-time priority (Operation not permitted)")
@@ -376,11 +353,9 @@ def test_a_sender_that_died_is_named(served):
     robot.close()
 
 
-def test_no_robot_and_no_sense_are_one_clear_line():
+def test_no_robot_is_one_clear_line():
     with pytest.raises(RenetError, match=r"no answer from a Go1 at 127.0.0.1.*cable"):
         Go1Robot("127.0.0.1", free_port(), free_port(), timeout=0.5).connect()
-    with pytest.raises(RenetError, match="power level"):
-        Go1Robot(power_level=11)
 
 
 def test_a_second_program_is_refused():

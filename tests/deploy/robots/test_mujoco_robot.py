@@ -112,7 +112,7 @@ def test_the_camera_sees_what_the_training_camera_sees(kind, view):
     robot.data.qpos[:7] = (1.0, 0.4, robot.base_position[2], 0.95, 0.05, 0.1, 0.3)
     robot.data.qpos[3:7] /= np.linalg.norm(robot.data.qpos[3:7])
     mujoco.mj_forward(robot.model, robot.data)
-    camera = SimCamera(robot, CAMERA, noise=False)
+    camera = SimCamera(robot, CAMERA)
     groups = robot.model.geom_group.copy()
     true = camera.depth()
     camera.disturb(view)
@@ -147,6 +147,7 @@ def test_camera_rate_noise_and_seed():
     robot = robot_on()
     camera, twin = SimCamera(robot, CAMERA, seed=4), SimCamera(robot, CAMERA, seed=4)
     camera.start()
+    np.testing.assert_array_equal(camera.latest().image, twin.latest().image)
     due, numbers, images = robot.now(), [], []
     for _ in range(50):
         shown = camera.latest()
@@ -156,8 +157,7 @@ def test_camera_rate_noise_and_seed():
         due = next_step(robot, due)
     assert numbers[-1] == 9
     assert 0.0 <= images[0].min() < images[0].max() <= 1.0
-    np.testing.assert_array_equal(twin.latest().image.shape, (48, 64))
-    clean = np.clip(SimCamera(robot, CAMERA, noise=False).depth() / CAMERA.range, 0, 1)
+    clean = np.clip(SimCamera(robot, CAMERA).depth() / CAMERA.range, 0, 1)
     inside = (clean > 0.2) & (clean < 0.8)
     for std in (0.03, 0.1):
         noisy = SimCamera(robot, replace(CAMERA, noise_std=std), seed=1).latest().image
@@ -205,18 +205,14 @@ def test_scenes_from_files_and_their_mistakes(tmp_path):
     )
     model, _ = build_scene(file=scene)
     robot = MujocoRobot(model, ROBOT)
-    level = SimCamera(robot, replace(CAMERA, pitch=0.0), noise=False).depth()
+    level = SimCamera(robot, replace(CAMERA, pitch=0.0)).depth()
     assert level[24, 32] == pytest.approx(0.5, abs=1e-6)
-    scene.write_text("<mujoco><worldbody><geom type='box' size='-1 1 1'/></worldbody></mujoco>")
-    with pytest.raises(RenetError, match=r"cannot (use|read) the scene"):
-        build_scene(file=scene)
-    scene.write_text("<mujoco><worldbody><geom type='egg'/></worldbody></mujoco>")
-    with pytest.raises(RenetError, match=r"cannot (use|read) the scene"):
-        build_scene(file=scene)
-    with pytest.raises(RenetError, match=r"cannot (use|read) the scene"):
+    for geom in ("type='box' size='-1 1 1'", "type='egg'"):
+        scene.write_text(f"<mujoco><worldbody><geom {geom}/></worldbody></mujoco>")
+        with pytest.raises(RenetError, match=r"^cannot use the scene \S+: (?!cannot)"):
+            build_scene(file=scene)
+    with pytest.raises(RenetError, match="cannot read the scene"):
         build_scene(file=tmp_path / "none.xml")
-    with pytest.raises(RenetError, match="does not hold the robot"):
-        MujocoRobot(mujoco.MjModel.from_xml_string("<mujoco/>"), ROBOT)
 
 
 def test_unknown_level():
@@ -226,10 +222,10 @@ def test_unknown_level():
 
 def test_the_camera_sees_the_plane_wherever_the_robot_walks():
     robot = robot_on("flat")
-    here = SimCamera(robot, CAMERA, noise=False).depth()
+    here = SimCamera(robot, CAMERA).depth()
     robot.data.qpos[:2] = (15.0, -9.0)
     mujoco.mj_forward(robot.model, robot.data)
-    np.testing.assert_allclose(SimCamera(robot, CAMERA, noise=False).depth(), here, atol=1e-9)
+    np.testing.assert_allclose(SimCamera(robot, CAMERA).depth(), here, atol=1e-9)
 
 
 def test_the_model_file_is_what_the_tool_writes(tmp_path):

@@ -5,9 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 import tempfile
-from contextlib import suppress
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -108,30 +106,26 @@ def write_bundle(path: Path, models: dict[str, bytes], manifest: Manifest) -> Pa
             manifest, or it cannot be written.
     """
     path = path.resolve()  # "." has no name to rename to.
-    _demand_replaceable(path)
     try_models({name: models[name] for name in MODELS}, manifest.history, "the new bundle")
-    digests = {f"{name}.onnx": hashlib.sha256(data).hexdigest() for name, data in models.items()}
-    manifest = dataclasses.replace(manifest, sha256=digests)
     contents = {f"{name}.onnx": data for name, data in models.items()}
-    contents[MANIFEST] = _json(manifest)
+    digests = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
+    contents[MANIFEST] = _json(dataclasses.replace(manifest, sha256=digests))
+    _demand_replaceable(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-        partial.chmod(0o755)
-        old = None
-        try:
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as beside:
+            new, old = Path(beside, "new"), Path(beside, "old")
+            new.mkdir()
             for name, data in contents.items():
-                (partial / name).write_bytes(data)
-            if path.is_dir() and any(path.iterdir()):
-                old = path.rename(partial.with_name(f"{partial.name}.old"))
-            os.replace(partial, path)
-        except OSError:
-            if old is not None and not path.exists():
-                old.rename(path)
-            _remove(partial)
-            raise
-        if old is not None:
-            _remove(old)
+                (new / name).write_bytes(data)
+            try:
+                if path.exists():
+                    path.rename(old)
+                new.rename(path)
+            except BaseException:  # An interrupt, too, must not cost the old bundle.
+                if old.exists() and not path.exists():
+                    old.rename(path)
+                raise
     except OSError as error:
         raise RenetError(f"cannot write the bundle {path}: {error}") from error
     return path
@@ -167,11 +161,3 @@ def _demand_replaceable(path: Path) -> None:
         read_manifest(path)
     except RenetError as error:
         raise RenetError(f"{path} is not a bundle ({error}): choose another folder") from error
-
-
-def _remove(folder: Path) -> None:
-    """Remove a bundle's files and then its folder, which stays if it holds anything else."""
-    for name in OURS:
-        (folder / name).unlink(missing_ok=True)
-    with suppress(OSError):
-        folder.rmdir()

@@ -10,8 +10,12 @@ from renet.deploy.bundle.manifest import Manifest, RobotSpec
 from renet.deploy.bundle.models import MODELS
 from renet.deploy.terminal import show
 
-AXES = ("x", "y", "z")
-ELEMENTS = {"command": ("c_x", "sin(c_yaw - yaw)", "cos(c_yaw - yaw)")}
+ELEMENTS = {
+    "base_angular_velocity": ("x", "y", "z"),
+    "projected_gravity": ("x", "y", "z"),
+    "command": ("c_x", "sin(c_yaw - yaw)", "cos(c_yaw - yaw)"),
+}
+"""Names of the numbers of a term; every other term has one number for each joint."""
 
 
 @dataclass(frozen=True)
@@ -58,17 +62,9 @@ def joint_rows(robot: RobotSpec) -> list[tuple[int | str, ...]]:
 
 def input_rows(manifest: Manifest) -> list[tuple[int | str, ...]]:
     """Index, name, unit and scale of every number of o_t."""
-    rows = []
-    for term in manifest.proprioception:
-        for element in range(term.size):
-            name = _element(manifest, term.name, element)
-            rows.append((len(rows), name, term.unit, f"{term.scale:g}"))
-    return rows
-
-
-def _element(manifest: Manifest, term: str, element: int) -> str:
-    if term in ELEMENTS:
-        return f"{term} {ELEMENTS[term][element]}"
-    if term.startswith("joint") or term == "last_action":
-        return f"{term} {manifest.robot.joints[element]}"
-    return f"{term} {AXES[element]}"
+    rows = [
+        (f"{term.name} {element}", term.unit, f"{term.scale:g}")
+        for term in manifest.proprioception
+        for element in ELEMENTS.get(term.name, manifest.robot.joints)
+    ]
+    return [(index, *row) for index, row in enumerate(rows)]

@@ -2,7 +2,6 @@
 
 import dataclasses
 import sys
-import types
 import typing
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -133,8 +132,7 @@ class Manifest:
     schema: int = SCHEMA
 
     def __post_init__(self) -> None:
-        _demand(self.history > 0, "history must be positive")
-        _demand(self.history <= 100, f"history must be at most 100, got {self.history}")
+        _demand(0 < self.history <= 100, f"history must be 1 to 100, got {self.history}")
         check_selector(self.selector)
         _demand(self.frames == FRAMES, f"frames must be {FRAMES}, got {self.frames}")
         if self.robot.joints != JOINTS:
@@ -174,7 +172,7 @@ def from_json(cls: Any, value: Any, where: str = "manifest") -> Any:
         build: Any = cls
         return build(**{k: from_json(hints[k], v, f"{where}.{k}") for k, v in value.items()})
     if cls is str and isinstance(value, str):
-        # Terminals obey what is not printable.
+        # A terminal carries out control characters.
         if len(value) > MAX_TEXT or not value.isprintable():
             raise RenetError(f"{where} must be at most {MAX_TEXT} printable characters")
         return value
@@ -189,7 +187,7 @@ def from_json(cls: Any, value: Any, where: str = "manifest") -> Any:
         if not abs(value) <= sys.float_info.max:  # Also true of NaN.
             raise RenetError(f"{where} must be a finite number")
         return float(value)
-    if isinstance(origin, types.GenericAlias) or origin or not isinstance(value, cls):
+    if origin or not isinstance(value, cls):
         name = getattr(cls, "__name__", str(cls))
         raise RenetError(f"{where} must be {name}, got {type(value).__name__}")
     return value

@@ -1,4 +1,4 @@
-"""The three ONNX models of a bundle: what they take and give, and whether they can be trusted to.
+"""The three ONNX models of a bundle: their inputs and outputs, and the checks before they run.
 
 A model is a program: it may loop for ever or ask for any amount of memory. It is therefore run once
 in a process of its own, with limits, before this process loads it.
@@ -112,32 +112,31 @@ def session(data: bytes, threads: int) -> ort.InferenceSession:
 def problem(model: ort.InferenceSession, name: str, history: int) -> str:
     """What is wrong with a model's signature or with what it computes; empty if nothing is."""
     inputs, outputs = model_shapes(history)[name]
-    if OPTIONAL in {node.name for node in model.get_outputs()}:
+    wanted = {key: f"tensor(float) {shape} per robot" for key, shape in inputs.items()}
+    taken = {n.name: f"{n.type} {tuple(n.shape[1:])} per robot" for n in model.get_inputs()}
+    for key in wanted | taken:
+        if taken.get(key) != wanted.get(key):
+            return (
+                f"{name}.onnx: input {key!r} is {taken.get(key, 'absent')}, "
+                f"expected {wanted.get(key, 'absent')}"
+            )
+    names = [node.name for node in model.get_outputs()]
+    if OPTIONAL in names:
         outputs = outputs | {OPTIONAL: ()}
-    for kind, expected, found in (
-        ("input", inputs, model.get_inputs()),
-        ("output", outputs, model.get_outputs()),
-    ):
-        nodes = {node.name: node for node in found}
-        if kind == "input" and set(nodes) - set(expected):
-            return f"{name}.onnx has an unknown input {min(set(nodes) - set(expected))!r}"
-        for key, shape in expected.items():
-            if key not in nodes:
-                return f"{name}.onnx has no {kind} {key!r}: wrong architecture"
-            if nodes[key].type != "tensor(float)":
-                return f"{name}.onnx: {kind} {key!r} is {nodes[key].type}, expected tensor(float)"
-            declared = tuple(nodes[key].shape[1:])
-            # The exporter leaves some outputs' sizes open; inputs must be stated.
-            if (kind == "input" or all(isinstance(n, int) for n in declared)) and declared != shape:
-                return f"{name}.onnx: {kind} {key!r} is {declared} per robot, expected {shape}"
     for mask in (0.0, 1.0):
         feed = {key: np.full((1, *shape), 0.5, np.float32) for key, shape in inputs.items()}
         if "op_mask" in feed:
             feed["op_mask"][:] = mask
-        for key, value in zip(outputs, model.run(list(outputs), feed), strict=True):
-            found = np.asarray(value)
-            if found.size != int(np.prod(outputs[key])) or found.dtype != np.float32:
-                return f"{name}.onnx gives {key!r} of {found.dtype} {found.shape}"
+        given = dict(zip(names, map(np.asarray, model.run(None, feed)), strict=True))
+        for key, shape in outputs.items():
+            if key not in given:
+                return f"{name}.onnx has no output {key!r}: wrong architecture"
+            found = given[key]
+            if found.shape != (1, *shape) or found.dtype != np.float32:
+                return (
+                    f"{name}.onnx gives {key!r} of {found.dtype} {found.shape}, expected "
+                    f"float32 {(1, *shape)}"
+                )
             if not np.isfinite(found).all():
                 return f"{name}.onnx gives {key!r} that is not finite"
     return ""

@@ -63,17 +63,13 @@ def clean_frame(frame: DepthFrame, now: float) -> tuple[np.ndarray, float]:
     Images are rounded to half precision, in which training saw them.
     """
     try:
-        shape = np.shape(frame.image)
-        if shape != DEPTH_SHAPE:
-            raise RenetError(f"the depth image has shape {shape}, expected {DEPTH_SHAPE}")
         with np.errstate(over="ignore"):
             image = np.asarray(frame.image, np.float16).astype(np.float32)
-        time, invalid = float(frame.time), float(frame.invalid)
-        int(frame.number)
-    except RenetError:
-        raise
+        time, invalid, _ = float(frame.time), float(frame.invalid), int(frame.number)
     except Exception as error:  # A driver's object may fail in any way.
         raise RenetError("the depth frame is none, or not made of numbers") from error
+    if image.shape != DEPTH_SHAPE:
+        raise RenetError(f"the depth image has shape {image.shape}, expected {DEPTH_SHAPE}")
     if not np.isfinite(image).all():
         raise RenetError("the depth image is not finite")
     if image.min() < 0.0 or image.max() > 1.0:

@@ -1,4 +1,4 @@
-"""Intel RealSense depth cameras through librealsense: its filters, our crop, honest timestamps."""
+"""Intel RealSense depth cameras through librealsense, with frame times on the robot's clock."""
 
 import atexit
 import threading
@@ -122,7 +122,7 @@ class RealSenseCamera:
         try:
             sensor = (self._device or self._find()).first_depth_sensor()
             profile = self._profile(sensor)
-            DepthPreprocessor(_lens(profile), self._spec)  # Refuses too narrow a view at once.
+            self._preprocessor(profile)  # Refuses too narrow a view at once.
             sensor.open(profile)
             sensor.start(queue)
         except RuntimeError as error:
@@ -144,7 +144,7 @@ class RealSenseCamera:
         raise RenetError(f"no {wanted}: {seen}; check its USB 3 cable")
 
     def _profile(self, sensor: Any) -> Any:
-        """The stream to open: 848 x 480 at 30 Hz, or what a sensor of one profile has."""
+        """The stream to open; raises RenetError if the sensor does not offer it."""
         found = [p.as_video_stream_profile() for p in sensor.get_stream_profiles()]
         found = [p for p in found if p and p.format() == self._rs.format.z16]
         for profile in found:
@@ -174,8 +174,6 @@ class RealSenseCamera:
     def _stream(self, queue: Any) -> None:
         """Prepare frames until they stop."""
         chain, offset, last = _filters(self._rs), ClockOffset(), -np.inf
-        raw_preprocessor: DepthPreprocessor | None = None
-        preprocessor: DepthPreprocessor | None = None
         while not self._stop.is_set():
             arrived, frame = queue.try_wait_for_frame(round(1000 * SILENCE))
             if not arrived:
@@ -189,24 +187,22 @@ class RealSenseCamera:
                 return
             last = stamp
             filtered = reduce(lambda image, step: step.process(image), chain, raw).as_depth_frame()
-            if raw_preprocessor is None or preprocessor is None:
-                raw_preprocessor = DepthPreprocessor(_lens(raw.get_profile()), self._spec)
-                preprocessor = DepthPreprocessor(_lens(filtered.get_profile()), self._spec)
             metres = np.asanyarray(filtered.get_data()) * filtered.get_units()
+            pixels = np.asanyarray(raw.get_data())
             self._latest = DepthFrame(
-                image=preprocessor.image(metres),
+                image=self._preprocessor(filtered.get_profile()).image(metres),
                 number=raw.get_frame_number(),
                 time=offset.time(stamp, now),
-                invalid=raw_preprocessor.invalid(np.asanyarray(raw.get_data())),
+                invalid=self._preprocessor(raw.get_profile()).invalid(pixels),
             )
             self.problem = ""
 
-
-def _lens(profile: Any) -> Intrinsics:
-    """As the vendor says it, whose pixel (0, 0) has its centre at (0, 0)."""
-    found = profile.as_video_stream_profile().get_intrinsics()
-    middle = found.ppx + 0.5, found.ppy + 0.5
-    return Intrinsics(found.height, found.width, found.fx, found.fy, *middle)
+    def _preprocessor(self, profile: Any) -> DepthPreprocessor:
+        """For a stream's images; the vendor's pixel (0, 0) has its centre at (0, 0)."""
+        lens = profile.as_video_stream_profile().get_intrinsics()
+        middle = lens.ppx + 0.5, lens.ppy + 0.5
+        intrinsics = Intrinsics(lens.height, lens.width, lens.fx, lens.fy, *middle)
+        return DepthPreprocessor(intrinsics, self._spec)
 
 
 def _shut(sensor: Any) -> None:

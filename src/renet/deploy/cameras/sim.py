@@ -23,11 +23,9 @@ class SimCamera:
     `base_rotation`, `now`, `hide` and `cast`.
     """
 
-    def __init__(
-        self, robot: MujocoRobot, camera: CameraSpec, seed: int = 0, noise: bool = True
-    ) -> None:
+    def __init__(self, robot: MujocoRobot, camera: CameraSpec, seed: int = 0) -> None:
         self._robot, self._spec = robot, camera
-        self._random = np.random.default_rng(seed) if noise else None
+        self._random = np.random.default_rng(seed)
         self._rays = camera.intrinsics.rays()
         self._period, self._due = 1.0 / camera.rate_hz, 0.0
         self._frame: DepthFrame | None = None
@@ -43,7 +41,10 @@ class SimCamera:
         now = self._robot.now()
         if self._frame is None or now >= self._due - 1e-6:
             self._due = max(self._due, now - self._period) + self._period
-            image = np.clip(self._noisy(self.depth()) / self._spec.range, 0.0, 1.0)
+            depth = self.depth()
+            std = np.hypot(RELATIVE_STD * depth, self._spec.noise_std)
+            depth = depth + std * self._random.standard_normal(depth.shape)
+            image = np.clip(depth / self._spec.range, 0.0, 1.0)
             self._frame = DepthFrame(image.astype(np.float32), self._number, now)
             self._number += 1
         return self._frame
@@ -79,12 +80,6 @@ class SimCamera:
         lengths = np.linalg.norm(self._rays, axis=1)
         distance = robot.cast(eye, (self._rays / lengths[:, None]) @ camera.T)
         return np.minimum(distance / lengths, spec.range).reshape(spec.height, spec.width)
-
-    def _noisy(self, depth: np.ndarray) -> np.ndarray:
-        if self._random is None:
-            return depth
-        std = np.hypot(RELATIVE_STD * depth, self._spec.noise_std)
-        return depth + std * self._random.standard_normal(depth.shape)
 
 
 def tilt(pitch: float) -> np.ndarray:

@@ -118,7 +118,7 @@ class BulletRobot:
         if self._engine.isConnected():
             self._engine.disconnect()
 
-    # For judges and the simulated camera, not for the controller: a robot does not know these.
+    # For scores and the simulated camera, not for the controller: a robot does not know these.
 
     @property
     def base_position(self) -> np.ndarray:
@@ -150,10 +150,8 @@ class BulletRobot:
     def _base(self) -> tuple[np.ndarray, np.ndarray]:
         """Position [3] and rotation [3, 3] of the base; Bullet tells its inertial frame's."""
         position, quaternion = self._engine.getBasePositionAndOrientation(self._body)
-        inertial, turned = (
-            np.reshape(pybullet.getMatrixFromQuaternion(quaternion), (3, 3)),
-            np.empty(9),
-        )
+        inertial = np.reshape(pybullet.getMatrixFromQuaternion(quaternion), (3, 3))
+        turned = np.empty(9)
         mujoco.mju_quat2Mat(turned, self.model.body_iquat[self._trunk])
         rotation = inertial @ turned.reshape(3, 3).T
         return np.array(position) - rotation @ self.model.body_ipos[self._trunk], rotation
@@ -198,6 +196,7 @@ class BulletRobot:
             linkJointAxis=model.jnt_axis[joints],
         )
         engine.changeDynamics(made, -1, localInertiaDiagonal=model.body_inertia[base], **STILL)
+        engine.setCollisionFilterGroupMask(made, -1, ROBOT, TERRAIN)
         for link, (body, joint) in enumerate(zip(links, joints, strict=True)):
             low, high = model.jnt_range[joint]
             engine.changeDynamics(
@@ -209,7 +208,6 @@ class BulletRobot:
                 lateralFriction=FRICTION,
                 **STILL,
             )
-        for link in range(-1, len(links)):
             engine.setCollisionFilterGroupMask(made, link, ROBOT, TERRAIN)
         return made, {model.joint(joint).name: link for link, joint in enumerate(joints)}
 

@@ -8,7 +8,6 @@ import numpy as np
 from renet.deploy.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import go1_envelope
-from renet.errors import RenetError
 from renet.interface import JOINTS
 
 START_HEIGHT = 0.30
@@ -33,17 +32,11 @@ class MujocoRobot:
             model: a scene with the robot in it (see scene.build_scene).
             robot: of the bundle. ground: height of what it stands on, m.
             real_time: pace the simulation to the wall clock.
-
-        Raises:
-            RenetError: the scene lacks one of the robot's joints or servos.
         """
         self.model, self.data = model, mujoco.MjData(model)
         self._real_time, self.envelope = real_time, go1_envelope()
-        try:
-            joints = [model.joint(name) for name in JOINTS]
-            self._servos = np.array([model.actuator(name).id for name in JOINTS])
-        except KeyError as error:
-            raise RenetError(f"the scene does not hold the robot: {error.args[0]}") from error
+        joints = [model.joint(name) for name in JOINTS]
+        self._servos = np.array([model.actuator(name).id for name in JOINTS])
         self._position = np.array([joint.qposadr[0] for joint in joints])
         self._velocity = np.array([joint.dofadr[0] for joint in joints])
         free = model.body(BASE).jntadr[0]
@@ -56,7 +49,7 @@ class MujocoRobot:
         limp = np.zeros(len(JOINTS))
         self.write(JointCommand(np.array(robot.default_position), limp, limp))
         mujoco.mj_forward(model, self.data)
-        self._begun: float | None = None
+        self._begun = 0.0
         self._hidden: list[int] = []
 
     def connect(self) -> None:
@@ -64,7 +57,7 @@ class MujocoRobot:
         self._begun = time.monotonic() - self.data.time
 
     def read(self) -> RobotState:
-        """Newest reading, without waiting; None before the first."""
+        """Newest reading, without waiting."""
         data = self.data
         return RobotState(
             time=data.time,
@@ -93,13 +86,13 @@ class MujocoRobot:
             mujoco.mj_step(self.model, self.data)
         # Readings are taken between steps: positions and derived poses must agree.
         mujoco.mj_forward(self.model, self.data)
-        if self._real_time and self._begun is not None:
+        if self._real_time:
             time.sleep(max(0.0, self._begun + self.data.time - time.monotonic()))
 
     def close(self) -> None:
         """Nothing to let go of."""
 
-    # For judges and the simulated camera, not for the controller: a robot does not know these.
+    # For scores and the simulated camera, not for the controller: a robot does not know these.
 
     @property
     def base_position(self) -> np.ndarray:

@@ -1,14 +1,11 @@
 """Scenes for the simulated robot: the Go1 on a plane, on a training tile, or on anyone's MJCF."""
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from renet.errors import RenetError
 from renet.files import MEGABYTE, require_regular
 from renet.terrain.tiles import TILE, find_tile
 from renet.trial import judge, run_trial
@@ -21,7 +18,6 @@ BORDER = 40.0
 """Half-width of the ground around a tile, m."""
 MAX_SCENE = 20 * MEGABYTE
 """Bytes of an MJCF file."""
-_trying = __name__ == "__main__"
 GROUND = (0.62, 0.60, 0.56, 1.0)
 
 
@@ -30,8 +26,7 @@ def build_scene(
 ) -> tuple[mujoco.MjModel, float]:
     """The compiled `scene_spec`, and the height in m of the ground at x = y = 0."""
     spec, start = scene_spec(terrain, level, file, seed)
-    with _readable(file):
-        return spec.compile(), start
+    return spec.compile(), start
 
 
 def scene_spec(
@@ -56,7 +51,9 @@ def scene_spec(
     spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=(0.3, 0.2, -1))
     start = 0.0
     if file is not None:
-        _add_file(spec, file)
+        require_regular(file, MAX_SCENE, "scene")
+        run_trial("renet.deploy.robots.scene", [str(file)], f"cannot use the scene {file}")
+        _attach(spec, file)
     elif terrain == FLAT:
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_PLANE, size=(BORDER, BORDER, 1), rgba=GROUND
@@ -76,24 +73,9 @@ def _ground(body: mujoco.MjsBody, position: tuple[float, float], half: tuple[flo
     )
 
 
-def _add_file(spec: mujoco.MjSpec, file: Path) -> None:
-    require_regular(file, MAX_SCENE, "scene")
-    if not _trying:
-        run_trial("renet.deploy.robots.scene", [str(file)], f"cannot use the scene {file}")
-    with _readable(file):
-        other = mujoco.MjSpec.from_file(str(file))
-        spec.attach(other, prefix="scene/", frame=spec.worldbody.add_frame())
-
-
-@contextmanager
-def _readable(file: Path | None) -> Iterator[None]:
-    """Turn what MuJoCo says of somebody's scene into a RenetError."""
-    try:
-        yield
-    except ValueError as error:
-        if file is None:
-            raise
-        raise RenetError(f"cannot use the scene {file}: {str(error).splitlines()[0]}") from error
+def _attach(spec: mujoco.MjSpec, file: Path) -> None:
+    scene = mujoco.MjSpec.from_file(str(file))
+    spec.attach(scene, prefix="scene/", frame=spec.worldbody.add_frame())
 
 
 def _add_tile(spec: mujoco.MjSpec, kind: str, level: int, seed: int) -> float:
@@ -113,10 +95,15 @@ def _add_tile(spec: mujoco.MjSpec, kind: str, level: int, seed: int) -> float:
 
 
 def _trial() -> str:
+    """What is wrong with the scene file that the command line names."""
+    spec = mujoco.MjSpec.from_file(str(GO1))
     try:
-        build_scene(file=Path(sys.argv[1]))
+        _attach(spec, Path(sys.argv[1]))
+        spec.compile()
     except MemoryError:
         return "it needs too much memory"
+    except ValueError as error:
+        return str(error).splitlines()[0]
     return ""
 
 
