@@ -30,8 +30,8 @@ from renet.interface import (
     STEPS_PER_TICK,
 )
 from renet.selector.filter import VISION_THRESHOLD
-from renet.selector.monitors import FALLBACK, MONITORS, NEAR
-from renet.selector.selector import SelectorCfg
+from renet.selector.monitors import MONITORS, NEAR
+from renet.selector.selector import BETWEEN_RETURNS, DWELL
 
 MAP_HEIGHT = 0.3
 """Metres of the base above the ground that read as zero in a height map, as in training."""
@@ -51,7 +51,6 @@ def contract() -> dict[str, Any]:
     Returns:
         JSON values; infinite durations are null.
     """
-    selector = SelectorCfg()
     return {
         "renet": __version__,
         "controlDt": CONTROL_DT,
@@ -81,11 +80,11 @@ def contract() -> dict[str, Any]:
         },
         "selector": {
             "visionThreshold": VISION_THRESHOLD,
-            "dwell": selector.dwell,
-            "betweenReturns": selector.between_returns,
+            "dwell": DWELL,
+            "betweenReturns": BETWEEN_RETURNS,
             "near": NEAR,
             "monitors": [
-                {"name": name, "reason": monitor.reason, "fallback": FALLBACK.get(name)}
+                {"name": name, "reason": monitor.reason, "fallback": monitor.fallback}
                 for name, monitor in MONITORS.items()
             ],
         },

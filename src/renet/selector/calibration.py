@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from renet.errors import RenetError
-from renet.selector.monitors import CEILINGS, FLOORS
+from renet.selector.monitors import MONITORS
 
 TAIL = 0.02
 """Share of the highest scores from which a distribution's tail is learnt."""
@@ -39,7 +39,7 @@ def conformal_threshold(scores: np.ndarray, alpha: float) -> float:
             f"a false-alarm probability of {alpha} needs at least {math.ceil(1 / alpha) - 1} "
             f"healthy scores, got {len(scores)}"
         )
-    return float(scores[max(rank, 1) - 1])
+    return float(scores[rank - 1])
 
 
 def calibrate_monitors(
@@ -71,13 +71,12 @@ def calibrate_monitors(
     hours = sum(len(run) for run in next(iter(scores.values()))) / rate_hz / 3600.0
     varied = [name for name, runs in scores.items() if np.ptp(_checked(*runs)) > 0]
     share = false_alarms_per_hour / max(len(varied), 1)
-    found = {name: return_level(runs, share * hours) for name, runs in scores.items()}
-    # Scores that never vary, as a simulated camera's holes, have no tail: floors stand for them.
-    thresholds = {
-        name: min(max(value, FLOORS.get(name, -math.inf)), CEILINGS.get(name, math.inf))
-        for name, value in found.items()
-        if name in varied or name in FLOORS
-    }
+    thresholds = {}
+    for name, runs in scores.items():
+        floor, ceiling = MONITORS[name].floor, MONITORS[name].ceiling
+        # Scores that never vary, such as a simulated camera's holes, have no tail.
+        if name in varied or floor > -math.inf:
+            thresholds[name] = min(max(return_level(runs, share * hours), floor), ceiling)
     return thresholds, hours
 
 
