@@ -26,10 +26,7 @@ class TwoFaults(Fault):
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """The frames after both."""
         for fault in self._faults:
-            spoilt = fault.corrupt(frames.copy(), elapsed)
-            working = np.flatnonzero(elapsed >= 0)
-            frames = frames.copy()
-            frames.write(working, spoilt.rows(working))
+            frames = fault.corrupt(frames, elapsed)
         return frames
 
     @classmethod
@@ -78,10 +75,7 @@ class Intermittent(Fault):
         """The frames, spoilt where the fault is on."""
         phase = np.round(elapsed / TICK).astype(int) % PERIOD
         on = (elapsed >= 0) & (phase < round(self.level * PERIOD))
-        spoilt = self._fault.corrupt(frames.copy(), np.where(on, phase * TICK, -1.0))
-        out, rows = frames.copy(), np.flatnonzero(on)
-        out.write(rows, spoilt.rows(rows))
-        return out
+        return self._fault.corrupt(frames, np.where(on, phase * TICK, -1.0))
 
 
 class IntermittentBlackout(Intermittent):

@@ -4,13 +4,12 @@ Depths are normalised: 1 is `DEPTH_RANGE` metres. Only faults said to leave hole
 invalid fraction; the others deliver wrong numbers that the camera calls measurements.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from renet.camera import Intrinsics
-from renet.faults.base import FixedPattern, Frames, Holes, ImageFault
+from renet.faults.base import Frames, ImageFault
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE
 
 ROWS, COLUMNS = DEPTH_SHAPE
@@ -102,7 +101,7 @@ class Saturated(ImageFault):
         return spoilt
 
 
-class Occlusion(FixedPattern):
+class Occlusion(ImageFault):
     """Something sits right in front of part of the lens."""
 
     name = "occlusion"
@@ -117,11 +116,11 @@ class Occlusion(FixedPattern):
         pattern[top : top + height, left : left + width] = True
         return pattern
 
-    def apply(self, image: np.ndarray, pattern: np.ndarray) -> np.ndarray:
-        return np.where(pattern, np.float32(metres(0.04)), image)
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        return np.where(self.patterns[robot], np.float32(metres(0.04)), image)
 
 
-class Blobs(FixedPattern):
+class Blobs(ImageFault):
     """Dirt or rain drops on the lens."""
 
     name = "blobs"
@@ -139,8 +138,8 @@ class Blobs(FixedPattern):
             pattern[inside] = metres(rng.uniform(0.03, 0.2))
         return pattern
 
-    def apply(self, image: np.ndarray, pattern: np.ndarray) -> np.ndarray:
-        return np.where(np.isnan(pattern), image, pattern)
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        return np.where(np.isnan(self.patterns[robot]), image, self.patterns[robot])
 
 
 class Grass(ImageFault):
@@ -164,7 +163,7 @@ class Grass(ImageFault):
         return np.where(blades, np.minimum(image, depth), image)
 
 
-class Glare(Holes):
+class Glare(ImageFault):
     """Sun blinds the stereo pair: holes, which read zero."""
 
     name = "glare"
@@ -172,14 +171,13 @@ class Glare(Holes):
     unit = "share"
     levels = (0.05, 0.15, 0.3, 0.5, 0.8)
 
-    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
-        super().__init__(level, rngs)
-        self._fields = [smooth_field(rng) for rng in rngs]
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        return smooth_field(rng)
 
-    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
-        """A fixed patch whose border flickers."""
-        field = self._fields[robot] + 0.25 * smooth_field(self.rngs[robot], (12, 16))
-        return field > np.quantile(field, 1 - self.level)
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """The image with a fixed patch missing, whose border flickers."""
+        field = self.patterns[robot] + 0.25 * smooth_field(self.rngs[robot], (12, 16))
+        return np.where(field > np.quantile(field, 1 - self.level), np.nan, image)
 
 
 class GlareFilled(Glare):
@@ -188,12 +186,11 @@ class GlareFilled(Glare):
     name = "glare_filled"
     summary = "As glare, but the driver fills the holes from their left: smooth and plausible."
 
-    def deliver(self, image: np.ndarray, lost: np.ndarray) -> np.ndarray:
-        """The image [48, 64] without a trace of its holes."""
-        return fill_holes(image, lost)
+    def fill(self, image: np.ndarray, holes: np.ndarray) -> np.ndarray:
+        return fill_holes(image, holes)
 
 
-class NearField(Holes):
+class NearField(ImageFault):
     """A stereo camera cannot measure what is too close (paper: about 10 cm, at stairs)."""
 
     name = "near_field"
@@ -201,9 +198,8 @@ class NearField(Holes):
     unit = "m"
     levels = (0.1, 0.15, 0.2, 0.3, 0.5)
 
-    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
-        """What is nearer than the level."""
-        return image < metres(self.level)
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        return np.where(image < metres(self.level), np.nan, image)
 
 
 class WrongScale(ImageFault):

@@ -16,14 +16,11 @@ class Frozen(Fault):
     summary = "The same image is delivered as new for as many seconds as the level says."
     unit = "s"
     levels = (0.2, 0.5, 1.0, 3.0, FOREVER)
+    level_is_duration = True
 
     def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
         super().__init__(level, rngs)
         self._last: np.ndarray | None = None
-
-    @classmethod
-    def lasts(cls, level: float) -> float:
-        return level
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """Hold the last image from before the fault."""
@@ -49,13 +46,10 @@ class Stale(Fault):
         """Hold the last delivered frame where none comes."""
         if self._held is None:
             self._held = frames.copy()
-        arrived = np.flatnonzero(~self.missing(elapsed))
-        age = self._held.age + TICK
-        self._held.write(arrived, frames.rows(arrived))
-        lost = np.ones(len(elapsed), bool)
-        lost[arrived] = False
-        self._held.age[lost] = age[lost]
+        lost = self.missing(elapsed)
+        self._held.age[lost] += TICK
         self._held.fresh[lost] = False
+        self._held.write(~lost, frames.rows(~lost))
         return self._held.copy()
 
 
@@ -81,10 +75,7 @@ class Unplugged(Stale):
     summary = "No frames at all; the camera is back after as many seconds as the level says."
     unit = "s"
     levels = (1.0, 2.0, 5.0, 10.0, FOREVER)
-
-    @classmethod
-    def lasts(cls, level: float) -> float:
-        return level
+    level_is_duration = True
 
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
         return elapsed >= 0
