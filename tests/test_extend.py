@@ -27,7 +27,7 @@ def test_each_recipe_is_one_file_of_under_sixty_lines_that_the_page_names(name):
     assert f"examples/{name}.py" in (ROOT / "docs" / "extend.md").read_text()
 
 
-def test_the_added_reward_is_paid_for_turning(load):
+def test_the_added_reward_penalises_turning(load):
     from renet.tasks import make_env
 
     load("add_reward")
@@ -41,7 +41,7 @@ def test_the_added_reward_is_paid_for_turning(load):
     env.close()
 
 
-def test_the_added_fault_spoils_a_flight(load, tmp_path):
+def test_the_added_fault_spoils_a_run(load, tmp_path):
     module = load("add_fault")
     try:
         out = tmp_path / "fog"

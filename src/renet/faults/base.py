@@ -61,12 +61,11 @@ class Fault:
     """One way a camera fails, for n robots, each with its own random stream.
 
     A subclass names itself and its five severities, and spoils frames in `corrupt`. It sees every
-    frame, before, during and after the fault, so that it may keep what it needs of the past.
+    frame, before, during and after the fault, so that it may keep what it needs of the past. The
+    first paragraph of its docstring is shown to users: what happens, and what `level` means.
     """
 
     name: ClassVar[str]
-    summary: ClassVar[str]
-    """One sentence: what happens to the camera, and what `level` means."""
     unit: ClassVar[str]
     levels: ClassVar[tuple[float, ...]]
     """The `level` of severities 1 to 5."""
@@ -97,6 +96,11 @@ class Fault:
     def lasts(cls, level: float) -> float:
         """Seconds after which the fault ends by itself; infinity where it does not."""
         return level if cls.level_is_duration else FOREVER
+
+    @classmethod
+    def summary(cls) -> str:
+        """The first paragraph of the docstring, on one line."""
+        return " ".join((cls.__doc__ or "").split("\n\n")[0].split())
 
     @classmethod
     def describe(cls, level: float) -> str:

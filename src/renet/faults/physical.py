@@ -55,13 +55,11 @@ class PhysicalFault(Fault):
 
 
 class Glass(PhysicalFault):
-    """The camera measures what lies behind an obstacle."""
+    """Obstacles vanish from the camera's rays and stay in the robot's way; level is their share, at
+    least one.
+    """
 
     name = "glass"
-    summary = (
-        "Obstacles vanish from the camera's rays and stay in the robot's way; level is their share,"
-        " at least one."
-    )
     unit = "share"
     levels = (0.2, 0.4, 0.6, 0.8, 1.0)
     terrains = ("obstacles", "stairs_up", "platform")
@@ -72,10 +70,11 @@ class Glass(PhysicalFault):
 
 
 class Foam(PhysicalFault):
-    """Foam, snow or tall grass: the surface that is seen does not carry."""
+    """Every surface appears higher than the ground that carries, as with foam, snow or tall grass;
+    level is by how much.
+    """
 
     name = "foam"
-    summary = "Every surface appears higher than the ground that carries; level is by how much."
     unit = "m"
     levels = (0.02, 0.04, 0.07, 0.1, 0.15)
 
@@ -84,10 +83,9 @@ class Foam(PhysicalFault):
 
 
 class MountKnocked(PhysicalFault):
-    """A knock has turned the camera in its mount."""
+    """A knock has turned the camera about a random axis; level is the angle."""
 
     name = "mount_knocked"
-    summary = "The camera is turned about a random axis; level is the angle."
     unit = "°"
     levels = (3, 6, 10, 15, 25)
 

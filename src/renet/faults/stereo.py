@@ -31,10 +31,12 @@ def disparity(image: np.ndarray, baseline: float) -> np.ndarray:
 
 
 class EdgeShadow(ImageFault):
-    """What only the left imager sees, beside the left edge of something near, has no depth."""
+    """Holes left of depth edges, as wide as the disparity jumps; level is the baseline.
+
+    Only the left imager sees what is there.
+    """
 
     name = "edge_shadow"
-    summary = "Holes left of depth edges, as wide as the disparity jumps; level is the baseline."
     unit = "mm"
     levels = (25, 50, 75, 100, 150)
 
@@ -48,10 +50,12 @@ class EdgeShadow(ImageFault):
 
 
 class DisparitySteps(ImageFault):
-    """Disparity comes in steps: the ground becomes terraces, coarser the farther away."""
+    """Disparity of a 50 mm baseline is rounded to multiples of the level.
+
+    The ground becomes terraces, coarser the farther away.
+    """
 
     name = "disparity_steps"
-    summary = "Disparity of a 50 mm baseline is rounded to multiples of the level."
     unit = "px"
     levels = (0.02, 0.05, 0.1, 0.2, 0.4)
 
@@ -65,10 +69,12 @@ class DisparitySteps(ImageFault):
 
 
 class Textureless(ImageFault):
-    """Nothing to match on smooth ground: large patches have no depth, edges keep theirs."""
+    """Patches of smooth surfaces become holes; level is their share of those surfaces.
+
+    There is nothing to match in them; edges keep their depth.
+    """
 
     name = "textureless"
-    summary = "Patches of smooth surfaces become holes; level is their share of those surfaces."
     unit = "share"
     levels = (0.1, 0.25, 0.45, 0.7, 0.9)
 

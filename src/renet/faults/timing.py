@@ -10,10 +10,9 @@ from renet.faults.base import FOREVER, TICK, Fault, Frames
 
 
 class Frozen(Fault):
-    """The driver serves one old image again and again, each time as a new frame."""
+    """The same image is delivered as new for as many seconds as the level says."""
 
     name = "frozen"
-    summary = "The same image is delivered as new for as many seconds as the level says."
     unit = "s"
     levels = (0.2, 0.5, 1.0, 3.0, FOREVER)
     level_is_duration = True
@@ -54,10 +53,9 @@ class Stale(Fault):
 
 
 class Dropped(Stale):
-    """Frames get lost on the way."""
+    """Each frame is lost with the probability the level says."""
 
     name = "dropped"
-    summary = "Each frame is lost with the probability the level says."
     unit = "share"
     levels = (0.1, 0.3, 0.5, 0.7, 0.9)
 
@@ -69,10 +67,9 @@ class Dropped(Stale):
 
 
 class Unplugged(Stale):
-    """The cable comes out."""
+    """No frames at all; the camera is back after as many seconds as the level says."""
 
     name = "unplugged"
-    summary = "No frames at all; the camera is back after as many seconds as the level says."
     unit = "s"
     levels = (1.0, 2.0, 5.0, 10.0, FOREVER)
     level_is_duration = True
@@ -82,10 +79,12 @@ class Unplugged(Stale):
 
 
 class Latency(Fault):
-    """Frames come late, each by a different delay; the driver stamps them on arrival."""
+    """Each frame is late by 0.5 to 1.5 times the level; the newest that came is used.
+
+    The driver stamps frames on arrival.
+    """
 
     name = "latency"
-    summary = "Each frame is late by 0.5 to 1.5 times the level; the newest that came is used."
     unit = "ms"
     levels = (50, 100, 200, 300, 500)
 

@@ -26,17 +26,13 @@ UNMATCHED = 0.3
 
 
 class TallGrass(ImageFault):
-    """Blades stand between the camera and the ground, and every frame finds them elsewhere.
+    """Blades of 15 to 50 cm, new in every frame: near ones and parts of others are holes, the rest
+    hides the ground; level is their number in view.
 
-    A blade is a strip from root to tip in perspective, for a camera of the Go1's pose. What is
-    nearer than the near range is a hole, as is part of the rest.
+    A blade is a strip from root to tip in perspective, for a camera of the Go1's pose.
     """
 
     name = "tall_grass"
-    summary = (
-        "Blades of 15 to 50 cm, new in every frame: near ones and parts of others are holes, the"
-        " rest hides the ground; level is their number in view."
-    )
     unit = "blades"
     levels = (8, 20, 45, 90, 180)
 

@@ -96,7 +96,7 @@ def contract() -> dict[str, Any]:
 def _fault(fault: type[Fault]) -> dict[str, Any]:
     return {
         "name": fault.name,
-        "summary": fault.summary,
+        "summary": fault.summary(),
         "levels": [_finite(level) for level in fault.levels],
         "described": [fault.describe(fault.level_of(severity)) for severity in SEVERITIES],
         "lasts": [_finite(fault.lasts(level)) for level in fault.levels],

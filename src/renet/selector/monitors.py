@@ -1,9 +1,9 @@
 """Ways to notice that vision failed, beyond the paper's reconstruction loss.
 
-An autoencoder is blind to a frozen image, a blank one, late or missing frames and filled holes:
-each frame by itself looks fine. Every monitor turns what it sees into one score per robot; a robot
-is healthy while its score stays below the monitor's threshold, and thresholds are calibrated from
-scores of healthy runs (`renet.selector.calibration`).
+An autoencoder does not notice a frozen image, a blank one, late or missing frames and filled holes:
+each frame by itself looks healthy. Every monitor computes one score per robot; vision is healthy
+while every score is below its monitor's threshold. Thresholds are calibrated from scores of healthy
+runs (`renet.selector.calibration`).
 """
 
 from __future__ import annotations
