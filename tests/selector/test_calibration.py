@@ -9,13 +9,7 @@ from hypothesis import strategies as st
 
 from renet.errors import RenetError
 from renet.selector import MONITORS
-from renet.selector.calibration import (
-    calibrate,
-    calibrate_monitors,
-    conformal_threshold,
-    decluster,
-    return_level,
-)
+from renet.selector.calibration import calibrate, calibrate_monitors, decluster, return_level
 
 
 def hours(n: float, seed: int = 0, runs: int = 40) -> list[np.ndarray]:
@@ -110,16 +104,11 @@ def test_fewer_false_alarms_never_lower_a_threshold(lower, factor) -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda: calibrate_monitors({}), "needs the scores of at least one monitor"),
         (lambda: calibrate_monitors({"age": [np.array([np.nan])]}), "one score, all of them fin"),
         (lambda: calibrate_monitors({"age": []}), "needs at least one score"),
-        (lambda: calibrate_monitors({"age": [np.ones(9)]}, 0.0), "must be positive, got 0.0"),
-        (lambda: calibrate_monitors({"age": [np.ones(9)]}, math.inf), "must be positive, got inf"),
         (lambda: calibrate(np.array([])), "needs at least one score, all of them finite"),
         (lambda: calibrate(np.array([1.0, math.nan])), "at least one score, all of them finite"),
-        (lambda: conformal_threshold(np.arange(50.0), 0.01), "of 0.01 needs at least 99 .* got 50"),
-        (lambda: conformal_threshold(np.arange(50.0), 0.0), "between 0 and 1, got 0.0"),
-        (lambda: conformal_threshold(np.arange(50.0), 1.0), "between 0 and 1, got 1.0"),
+        (lambda: calibrate(np.arange(50.0), 0.01), "of 0.01 needs at least 99 .* got 50"),
     ],
 )
 def test_bad_input_is_refused(wrong, message: str) -> None:

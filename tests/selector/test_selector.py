@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from renet.errors import RenetError
 from renet.selector import MONITORS, SelectorInput, SelectorSpec, make_selector
-from renet.selector.calibration import calibrate, conformal_threshold
+from renet.selector.calibration import calibrate
 from renet.selector.filter import low_pass, switch_delay
 from renet.selector.selector import BETWEEN_RETURNS, DWELL, check_selector
 
@@ -104,12 +104,10 @@ def test_an_unknown_selector_is_refused():
 def test_calibration_is_the_maximum_or_a_guaranteed_quantile():
     scores = np.arange(1.0, 100.0)
     assert calibrate(scores) == 99.0
-    assert conformal_threshold(scores, 0.01) == 99.0
-    assert conformal_threshold(scores, 0.10) == 90.0
+    assert calibrate(scores, 0.01) == 99.0
+    assert calibrate(scores, 0.10) == 90.0
     random = np.random.default_rng(0)
-    exceeded = [
-        random.random() > conformal_threshold(random.random(199), 0.05) for _ in range(4000)
-    ]
+    exceeded = [random.random() > calibrate(random.random(199), 0.05) for _ in range(4000)]
     assert np.mean(exceeded) < 0.06
 
 

@@ -21,7 +21,7 @@ from renet.errors import RenetError
 from renet.evaluation.monitor_log import TICK_RATE, MonitorLog, healthy_series
 from renet.faults import Injection
 from renet.interface import CONTROL_DT
-from renet.selector.calibration import calibrate, calibrate_monitors, conformal_threshold
+from renet.selector.calibration import calibrate, calibrate_monitors
 from renet.selector.monitors import MONITORS
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series, so
             passes = float(np.quantile([run.max() for run in runs], IN_SPARSE_GRASS))
             passes = min(passes, MONITORS[name].ceiling)
             thresholds[name] = max(thresholds[name], passes)
-    beta = conformal_threshold(scores, cfg.false_alarm) if cfg.false_alarm else calibrate(scores)
+    beta = calibrate(scores, cfg.false_alarm)
     rule = f"false alarm {cfg.false_alarm}" if cfg.false_alarm else "maximum"
     how = f"{rule} of {len(scores)} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
     manifest = bundle.manifest

@@ -100,15 +100,14 @@ class Latency(Fault):
         self._now += TICK
         delay = np.array([rng.uniform(0.5, 1.5) * self.level * 1e-3 for rng in self.rngs])
         arrival = np.where(elapsed >= 0, self._now + delay, self._now)
-        self._past.append((frames.image.copy(), arrival))
-        taken = self._now - TICK * np.arange(len(self._past) - 1, -1, -1)
+        self._past.appendleft((frames.image.copy(), arrival))
         arrivals = np.stack([arrival for _, arrival in self._past])
         here = arrivals <= self._now + 1e-9
-        newest = np.where(here, np.arange(len(self._past))[:, None], -1).max(axis=0)
-        newest = np.maximum(newest, 0)
-        image = np.stack([self._past[k][0][i] for i, k in enumerate(newest.tolist())])
-        capture = taken[newest]
+        here[-1] = True  # Until one arrives the oldest is shown.
+        back = here.argmax(axis=0)
+        image = np.stack([self._past[k][0][i] for i, k in enumerate(back.tolist())])
+        capture = self._now - TICK * back
         fresh = capture > self._served + 1e-9
         self._served = capture
-        age = np.where(fresh, 0.0, self._now - arrivals[newest, np.arange(len(newest))])
+        age = np.where(fresh, 0.0, self._now - arrivals[back, np.arange(len(back))])
         return replace(frames, image=image, fresh=fresh, age=age)
