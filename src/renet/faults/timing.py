@@ -30,8 +30,12 @@ class Frozen(Fault):
         return replace(frames, image=self._last.copy())
 
 
-class Stale(Fault):
-    """Base of faults under which some ticks bring no new frame: the last one is kept and ages."""
+class Dropped(Fault):
+    """Each frame is lost with the probability the level says."""
+
+    name = "dropped"
+    unit = "share"
+    levels = (0.1, 0.3, 0.5, 0.7, 0.9)
 
     def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
         super().__init__(level, rngs)
@@ -39,10 +43,13 @@ class Stale(Fault):
 
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
         """[n] bool: the robots that get no frame at this tick."""
-        raise NotImplementedError
+        lost = elapsed >= 0
+        for i in np.flatnonzero(lost).tolist():
+            lost[i] = self.rngs[i].random() < self.level
+        return lost
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """Hold the last delivered frame where none comes."""
+        """Where no frame comes, the last one delivered is kept and ages."""
         if self._held is None:
             self._held = frames.copy()
         lost = self.missing(elapsed)
@@ -52,21 +59,7 @@ class Stale(Fault):
         return self._held.copy()
 
 
-class Dropped(Stale):
-    """Each frame is lost with the probability the level says."""
-
-    name = "dropped"
-    unit = "share"
-    levels = (0.1, 0.3, 0.5, 0.7, 0.9)
-
-    def missing(self, elapsed: np.ndarray) -> np.ndarray:
-        lost = elapsed >= 0
-        for i in np.flatnonzero(lost).tolist():
-            lost[i] = self.rngs[i].random() < self.level
-        return lost
-
-
-class Unplugged(Stale):
+class Unplugged(Dropped):
     """No frames at all; the camera is back after as many seconds as the level says."""
 
     name = "unplugged"
