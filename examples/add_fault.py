@@ -1,4 +1,4 @@
-"""A fault more: `python examples/add_fault.py deploy --camera sim --fault fog:4@5s`."""
+"""One more fault: `python examples/add_fault.py deploy --camera sim --fault fog:4@5s`."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from renet.faults.base import ImageFault
 
 
 class Fog(ImageFault):
-    """Fog brings the far nearer: it scatters the camera's light back."""
+    """Distant surfaces look nearer, as fog scatters light back; level is by how much."""
 
     name = "fog"
-    summary = "Everything farther than some distance looks nearer; level is how much."
     unit = "share"
     levels = (0.1, 0.3, 0.5, 0.7, 0.9)
 
@@ -23,7 +22,7 @@ class Fog(ImageFault):
         return image * (1.0 - self.level * image) + noise * self.level
 
 
-FAULTS[Fog.name] = Fog  # From here on every command, study and figure knows it.
+FAULTS[Fog.name] = Fog  # Now every command, study and figure offers it.
 
 if __name__ == "__main__":
     raise SystemExit(main())

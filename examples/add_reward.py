@@ -1,4 +1,4 @@
-"""A task with one reward more: `python examples/add_reward.py train Renet-Go1-Level-Flat`."""
+"""A task with one more reward: `python examples/add_reward.py train Renet-Go1-Level-Flat`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def turning(env: ManagerBasedRlEnv) -> Tensor:
 
 
 def make_cfg(play: bool = False):
-    """The flat task, with a trunk that is asked to stay level."""
+    """The flat task with a penalty on roll and pitch rates of the trunk."""
     cfg = flat_env_cfg(play=play, robot=GO1)
     cfg.rewards["turning"] = RewardTermCfg(func=turning, weight=-0.05)
     return cfg

@@ -1,4 +1,4 @@
-"""A study more: `python examples/add_study.py evaluate speeds`: the speed a policy walks at."""
+"""One more study, of walking speeds: `python examples/add_study.py evaluate speeds`."""
 
 from __future__ import annotations
 

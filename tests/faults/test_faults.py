@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -43,6 +45,17 @@ def test_every_fault_spoils_after_its_onset_and_only_then(fault: str, severity: 
             np.testing.assert_array_equal(frame.image, ground(2, t))
             assert frame.fresh.all()
     assert any(np.any(f.image != ground(2, t)) for t, f in enumerate(frames[5:], start=5))
+
+
+@pytest.mark.parametrize("name", SENSOR_FAULTS)
+def test_robots_it_is_not_at_work_on_keep_their_frames(name: str) -> None:
+    fault = FAULTS[name](FAULTS[name].level_of(5), [np.random.default_rng(n) for n in range(2)])
+    for tick in range(20):
+        given = Frames.healthy(ground(2, tick), np.array([[0.0, 0.6, -0.4]] * 2))
+        after = fault.corrupt(given, np.array([tick * TICK, -1.0]))
+        for field, value in vars(after).items():
+            np.testing.assert_array_equal(value[1], getattr(given, field)[1])
+        np.testing.assert_array_equal(given.image, ground(2, tick), "the input is not changed")
 
 
 @pytest.mark.parametrize("fault", SENSOR_FAULTS)
@@ -230,3 +243,40 @@ def test_elapsed_is_within_the_duration_or_off(onset, duration, gap, step) -> No
         assert elapsed == -1
     if step == onset:
         assert elapsed == 0
+
+
+@pytest.mark.parametrize("kind", ["blackout", "frozen", "glare"])
+@pytest.mark.parametrize("severity", SEVERITIES)
+def test_an_intermittent_fault_is_on_for_the_stated_part_of_every_second(kind, severity) -> None:
+    injection = Injection.of(f"intermittent_{kind}", severity, onset=25)
+    frames = play([injection], ticks=40)
+    changed = [bool((f.image != ground(2, t)).any()) for t, f in enumerate(frames)]
+    on = round(10 * injection.level)
+    assert changed == [t >= 5 and (t - 5) % 10 < on for t in range(40)]
+    for t in range(5, 40):
+        if kind == "frozen" and changed[t]:
+            before = 5 + (t - 5) // 10 * 10 - 1
+            np.testing.assert_array_equal(frames[t].image, ground(2, before))
+
+
+def test_lost_frames_show_the_glare_of_the_last_delivered_one() -> None:
+    frames = play([Injection.of("glare_dropped", 4, onset=25)], ticks=40)[5:]
+    glare = FAULTS["glare"].level_of(4)
+    assert all(f.invalid[f.fresh] == pytest.approx(glare, abs=1e-3) for f in frames)
+    lost = 1 - np.mean([f.fresh for f in frames])
+    assert lost == pytest.approx(FAULTS["dropped"].level_of(4), abs=0.15)
+    for before, after in pairwise(frames):
+        held = ~after.fresh
+        np.testing.assert_array_equal(after.image[held], before.image[held])
+
+
+def test_two_faults_spoil_what_both_alone_spoil() -> None:
+    late = play([Injection.of("blobs_latency", 5, onset=25)], ticks=31)[30].image
+    blobs = play([Injection.of("blobs", 5, onset=25)], ticks=6)[5].image
+    dirty = blobs != ground(2, 5)
+    # Pixels of the lens are covered, and the ground beside them is one of an earlier frame.
+    np.testing.assert_array_equal(late[dirty], blobs[dirty])
+    clean = ~dirty[0]
+    matches = [k for k in range(31) if np.array_equal(late[0][clean], ground(2, k)[0][clean])]
+    assert matches[0] < 30
+    assert FAULTS["blobs_latency"].describe(5) == "30 blobs + 500 ms"

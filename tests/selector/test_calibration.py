@@ -9,14 +9,7 @@ from hypothesis import strategies as st
 
 from renet.errors import RenetError
 from renet.selector import MONITORS
-from renet.selector.calibration import (
-    calibrate,
-    calibrate_monitors,
-    conformal_threshold,
-    decluster,
-    return_level,
-)
-from renet.selector.monitors import CEILINGS, FALLBACK, FLOORS, default_monitors
+from renet.selector.calibration import calibrate, calibrate_monitors, decluster, return_level
 
 
 def hours(n: float, seed: int = 0, runs: int = 40) -> list[np.ndarray]:
@@ -54,7 +47,7 @@ def test_a_blank_image_is_never_healthy() -> None:
     noses = [-0.04 * run.clip(max=1.0) for run in hours(0.5)]
     covered = [run.clip(max=1.0) for run in hours(0.5)]
     found, _ = calibrate_monitors({"uniformity": noses, "nearness": covered})
-    assert found == CEILINGS
+    assert found == {name: MONITORS[name].ceiling for name in ("uniformity", "nearness")}
 
 
 def test_calibrated_monitors_keep_the_stated_rate_on_new_robots() -> None:
@@ -73,16 +66,13 @@ def test_what_never_varies_gets_its_floor_or_nothing() -> None:
     found, _ = calibrate_monitors(
         {"reconstruction": hours(0.1), "invalid_fraction": still, "disagreement": still}
     )
-    assert found["invalid_fraction"] == FLOORS["invalid_fraction"]
+    assert found["invalid_fraction"] == MONITORS["invalid_fraction"].floor
     assert "disagreement" not in found
     holes, _ = calibrate_monitors({"invalid_fraction": [np.full(100, 0.4)]})
     assert 0.4 < holes["invalid_fraction"] < 0.401, "what was healthy must not object"
-
-
-def test_holes_of_a_real_camera_raise_the_floor() -> None:
-    holes = [0.3 + 0.01 * run for run in hours(0.1)]
-    found, _ = calibrate_monitors({"invalid_fraction": holes})
-    assert found["invalid_fraction"] > max(run.max() for run in holes)
+    real = [0.3 + 0.01 * run for run in hours(0.1)]
+    raised, _ = calibrate_monitors({"invalid_fraction": real})
+    assert raised["invalid_fraction"] > max(run.max() for run in real)
 
 
 def test_a_burst_is_counted_once() -> None:
@@ -114,30 +104,13 @@ def test_fewer_false_alarms_never_lower_a_threshold(lower, factor) -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda: calibrate_monitors({}), "needs the scores of at least one monitor"),
         (lambda: calibrate_monitors({"age": [np.array([np.nan])]}), "one score, all of them fin"),
         (lambda: calibrate_monitors({"age": []}), "needs at least one score"),
-        (lambda: calibrate_monitors({"age": [np.ones(9)]}, 0.0), "must be positive, got 0.0"),
-        (lambda: calibrate_monitors({"age": [np.ones(9)]}, math.inf), "must be positive, got inf"),
         (lambda: calibrate(np.array([])), "needs at least one score, all of them finite"),
         (lambda: calibrate(np.array([1.0, math.nan])), "at least one score, all of them finite"),
-        (lambda: conformal_threshold(np.arange(50.0), 0.01), "of 0.01 needs at least 99 .* got 50"),
-        (lambda: conformal_threshold(np.arange(50.0), 0.0), "between 0 and 1, got 0.0"),
-        (lambda: conformal_threshold(np.arange(50.0), 1.0), "between 0 and 1, got 1.0"),
-        (lambda: default_monitors(0.01, {"luck": 1.0}, 1), "unknown monitor 'luck': choose among"),
+        (lambda: calibrate(np.arange(50.0), 0.01), "of 0.01 needs at least 99 .* got 50"),
     ],
 )
 def test_bad_input_is_refused(wrong, message: str) -> None:
     with pytest.raises(RenetError, match=message):
         wrong()
-
-
-def test_a_bundle_without_thresholds_gets_the_documented_ones() -> None:
-    found = {monitor.name: monitor.threshold for monitor in default_monitors(0.01, {}, 2)}
-    assert found == FALLBACK | {"reconstruction": 0.01}
-    by_variance = {monitor.name for monitor in default_monitors(0.01, {"variance": 4.0}, 2)}
-    assert by_variance == (found.keys() | {"variance"}) - {"reconstruction"}
-    thresholds = {"reconstruction": 0.02, "variance": 4.0, "disagreement": 0.3}
-    calibrated = default_monitors(0.01, thresholds, 2)
-    assert [monitor.name for monitor in calibrated] == list(MONITORS)
-    assert {m.name: m.threshold for m in calibrated}["reconstruction"] == 0.02

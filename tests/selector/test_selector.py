@@ -11,21 +11,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from renet.errors import RenetError
-from renet.selector import SelectorInput, SelectorSpec, make_selector
-from renet.selector.calibration import calibrate, conformal_threshold
-from renet.selector.filter import LowPassFilter, switch_delay
-from renet.selector.monitors import FALLBACK, LIMITS
-from renet.selector.selector import SelectorCfg, check_selector
+from renet.selector import MONITORS, SelectorInput, SelectorSpec, make_selector
+from renet.selector.calibration import calibrate
+from renet.selector.filter import low_pass, switch_delay
+from renet.selector.selector import BETWEEN_RETURNS, DWELL, check_selector
 
 GAMMAS = st.floats(0.005, 1.0)
+FALLBACKS = {name: m.fallback for name, m in MONITORS.items() if m.fallback is not None}
 
 
 @given(gamma=GAMMAS, rate=st.sampled_from([10.0, 50.0, 200.0]))
 def test_the_delay_formula_equals_what_the_filter_does(gamma, rate):
-    low_pass, updates = LowPassFilter(gamma), 0
-    vision = True
-    while vision:
-        vision = bool(low_pass.update(np.array([False]))[0])
+    probability, updates = np.ones(1), 0
+    while probability > 0.5:
+        probability = low_pass(probability, np.array([False]), gamma)
         updates += 1
     assert switch_delay(gamma, rate) * rate == pytest.approx(updates)
 
@@ -35,36 +34,30 @@ def test_the_papers_switching_time():
     assert switch_delay(0.1, 10.0) == pytest.approx(0.7)
 
 
-@given(gamma=GAMMAS, verdicts=st.lists(st.booleans(), min_size=1, max_size=200))
+@given(
+    gamma=GAMMAS,
+    verdicts=st.lists(st.tuples(st.booleans(), st.integers(0, 60)), min_size=1, max_size=30),
+)
 def test_probability_follows_the_equation_and_stays_a_probability(gamma, verdicts):
-    low_pass, expected = LowPassFilter(gamma), 1.0
-    for verdict in verdicts:
-        vision = low_pass.update(np.array([verdict]))
-        expected = (1.0 - gamma) * expected + gamma * float(verdict)
-        assert low_pass.probability[0] == pytest.approx(expected, abs=1e-12)
-        assert 0.0 <= low_pass.probability[0] <= 1.0
-        assert vision[0] == (low_pass.probability[0] > 0.5)
-
-
-@given(gamma=GAMMAS, count=st.integers(0, 60), start=st.floats(0, 1), verdict=st.booleans())
-def test_many_updates_at_once_equal_as_many_in_turn(gamma, count, start, verdict):
-    at_once, in_turn = LowPassFilter(gamma), LowPassFilter(gamma)
-    at_once.probability[:] = in_turn.probability[:] = start
-    at_once.update(np.array([verdict]), count)
-    for _ in range(count):
-        in_turn.update(np.array([verdict]))
-    assert at_once.probability[0] == pytest.approx(in_turn.probability[0], abs=1e-12)
+    """Each verdict is taken as often as its number says."""
+    probability, expected = np.ones(1), 1.0
+    for verdict, count in verdicts:
+        probability = low_pass(probability, np.array([verdict]), gamma, count)
+        for _ in range(count):
+            expected = (1.0 - gamma) * expected + gamma * float(verdict)
+        assert probability[0] == pytest.approx(expected, abs=1e-12)
+        assert 0.0 <= probability[0] <= 1.0
 
 
 @given(verdicts=st.lists(st.booleans(), min_size=2, max_size=300))
 def test_the_filter_never_switches_more_often_than_its_input(verdicts):
-    low_pass = LowPassFilter(0.1)
-    outputs = [bool(low_pass.update(np.array([v]))[0]) for v in verdicts]
+    steps = itertools.accumulate(verdicts, lambda p, v: low_pass(p, v, 0.1), initial=1.0)
+    outputs = [p > 0.5 for p in steps]
 
     def changes(values: list[bool]) -> int:
         return sum(a != b for a, b in itertools.pairwise(values))
 
-    assert changes([True, *outputs]) <= changes([True, *verdicts])
+    assert changes(outputs) <= changes([True, *verdicts])
 
 
 def test_the_papers_selector_leaves_and_returns_by_the_filter_alone():
@@ -86,13 +79,21 @@ def test_the_papers_selector_leaves_and_returns_by_the_filter_alone():
     assert vision.all(), "nor any rest between two returns"
 
 
-def test_a_bundles_selector_takes_all_its_settings():
-    spec = SelectorSpec(0.02, 0.6, 50.0, {"disagreement": 0.3, "nearness": 0.4})
-    selector = make_selector("monitors", spec, 3)
-    assert selector.cfg == SelectorCfg(gamma=0.6, rate_hz=50.0)
+@pytest.mark.parametrize(
+    ("thresholds", "used"),
+    [
+        ({}, FALLBACKS | {"reconstruction": 0.02}),
+        ({"variance": 4.0, "nearness": 0.4}, FALLBACKS | {"variance": 4.0, "nearness": 0.4}),
+        (dict.fromkeys(MONITORS, 0.3), dict.fromkeys(MONITORS, 0.3)),
+    ],
+)
+def test_a_bundles_selector_takes_all_its_settings(thresholds, used):
+    selector = make_selector("monitors", SelectorSpec(0.02, 0.6, 50.0, thresholds), 3)
+    assert (selector.spec.gamma, selector.spec.rate_hz) == (0.6, 50.0)
+    assert (selector.dwell, selector.between_returns) == (DWELL, BETWEEN_RETURNS)
     assert selector.vision.tolist() == [True] * 3
-    thresholds = {monitor.name: monitor.threshold for monitor in selector.monitors}
-    assert thresholds == FALLBACK | spec.thresholds | {"reconstruction": 0.02}
+    assert selector.spec.used_thresholds == used
+    assert selector.monitors.names == [name for name in MONITORS if name in used]
 
 
 def test_an_unknown_selector_is_refused():
@@ -103,31 +104,25 @@ def test_an_unknown_selector_is_refused():
 def test_calibration_is_the_maximum_or_a_guaranteed_quantile():
     scores = np.arange(1.0, 100.0)
     assert calibrate(scores) == 99.0
-    assert conformal_threshold(scores, 0.01) == 99.0
-    assert conformal_threshold(scores, 0.10) == 90.0
+    assert calibrate(scores, 0.01) == 99.0
+    assert calibrate(scores, 0.10) == 90.0
     random = np.random.default_rng(0)
-    exceeded = [
-        random.random() > conformal_threshold(random.random(199), 0.05) for _ in range(4000)
-    ]
+    exceeded = [random.random() > calibrate(random.random(199), 0.05) for _ in range(4000)]
     assert np.mean(exceeded) < 0.06
 
 
-@pytest.mark.parametrize("gamma", [-0.1, 0.0, 1.001, math.nan])
-def test_a_filter_that_is_none_is_refused(gamma):
-    with pytest.raises(RenetError, match=rf"the filter's gamma must be in \(0, 1\], got {gamma}"):
-        LowPassFilter(gamma)
-    with pytest.raises(RenetError, match=f"selector.gamma must be within 0 and 1, got {gamma}"):
-        SelectorSpec(beta=0.1, gamma=gamma)
-    LowPassFilter(1.0)
-    SelectorSpec(beta=0.1, gamma=1.0)
-
-
-@pytest.mark.parametrize("value", [0.0, -1.0, math.inf, math.nan])
-def test_a_selector_without_a_threshold_or_a_rate_is_refused(value):
-    with pytest.raises(RenetError, match=f"selector.beta must be positive and .* got {value}"):
-        SelectorSpec(beta=value)
-    with pytest.raises(RenetError, match=f"selector.rate_hz must be positive and .* got {value}"):
-        SelectorSpec(beta=0.1, rate_hz=value)
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("gamma", (-0.1, 0.0, 1.001, math.nan)),
+        ("beta", (0.0, -1.0, math.inf, math.nan)),
+        ("rate_hz", (0.0, -1.0, math.inf, math.nan)),
+    ],
+)
+def test_a_selector_without_a_filter_a_threshold_or_a_rate_is_refused(name, values):
+    for value in values:
+        with pytest.raises(RenetError, match=f"selector.{name} must be .* got {value}"):
+            replace(SelectorSpec(beta=0.1, gamma=1.0), **{name: value})
 
 
 @pytest.mark.parametrize(
@@ -140,13 +135,12 @@ def test_a_selector_without_a_threshold_or_a_rate_is_refused(value):
         ({"rate_hz": 9.9}, "rate_hz must be from 10 to 1000 Hz, got 9.9"),
         ({"gamma": 0.06, "rate_hz": 10.0}, "gamma 0.06 at 10 Hz delays a switch by 1.2 s, at most"),
         ({"beta": 0.26}, "threshold beta 0.26 would never object, at most 0.25"),
-        ({"thresholds": LIMITS}, ""),
+        ({"thresholds": {name: monitor.limit for name, monitor in MONITORS.items()}}, ""),
         ({"thresholds": {"frame_age": 1.5}}, "frame_age 1.5 would never object, at most 1"),
         ({"thresholds": {"variance": math.nan}}, "variance nan would never object"),
-        ({"thresholds": {"luck": 1.0}}, "unknown monitor 'luck': choose among uniformity, nea"),
+        ({"thresholds": {"luck": 1.0}}, "unknown monitor 'luck': choose among frame_age, dup"),
     ],
 )
 def test_what_no_bundle_may_hold(changes, problem):
-    spec = replace(SelectorSpec(beta=0.1), **changes)
     with pytest.raises(RenetError, match=problem) if problem else nullcontext():
-        check_selector(spec)
+        check_selector(replace(SelectorSpec(beta=0.1), **changes))

@@ -11,7 +11,7 @@ from renet.deploy.recording import GOOD, MODES, Recording, read_recording
 from renet.deploy.safety import Mode
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
-from renet.selector.monitors import MONITORS, SelectorInput, default_monitors
+from renet.selector.monitors import MONITORS, Monitors, SelectorInput
 
 AWAY = 1.0
 """Seconds without a new image after which the camera was unplugged, not late."""
@@ -71,8 +71,7 @@ def healthy_walks(run: Recording) -> Iterator[range]:
 
 def score_walk(run: Recording, walk: range) -> np.ndarray:
     """Scores [T, monitors] of a stretch of whole ticks."""
-    # Only scores are asked for: thresholds do not matter.
-    monitors = default_monitors(1.0, dict.fromkeys(MONITORS, 1.0), 1)
+    monitors = Monitors(MONITORS, 1)
     newest = run.images[max(row for row in run.images if row <= walk.start)]
     given, image, scores = None, np.zeros(0), []
     for step, row in enumerate(walk):
@@ -91,9 +90,9 @@ def score_walk(run: Recording, walk: range) -> np.ndarray:
             velocity_op=tick["velocity_op"][None],
             velocity_vp=tick["velocity_vp"][None],
         )
-        scores.append([monitor.score(seen)[0] for monitor in monitors])
+        scores.append(monitors.scores(seen)[:, 0])
     table = np.array(scores, float)
-    return table.reshape(-1, STEPS_PER_TICK, len(monitors)).max(axis=1)
+    return table.reshape(-1, STEPS_PER_TICK, len(MONITORS)).max(axis=1)
 
 
 def _check(run: Recording, path: Path, bundle: Bundle) -> None:

@@ -21,8 +21,8 @@ from renet.errors import RenetError
 from renet.evaluation.monitor_log import TICK_RATE, MonitorLog, healthy_series
 from renet.faults import Injection
 from renet.interface import CONTROL_DT
-from renet.selector.calibration import calibrate, calibrate_monitors, conformal_threshold
-from renet.selector.monitors import CEILINGS
+from renet.selector.calibration import calibrate, calibrate_monitors
+from renet.selector.monitors import MONITORS
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
@@ -102,9 +102,9 @@ def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series, so
     for name, runs in grassy.items():
         if name in thresholds and runs:
             passes = float(np.quantile([run.max() for run in runs], IN_SPARSE_GRASS))
-            passes = min(passes, CEILINGS.get(name, math.inf))
+            passes = min(passes, MONITORS[name].ceiling)
             thresholds[name] = max(thresholds[name], passes)
-    beta = conformal_threshold(scores, cfg.false_alarm) if cfg.false_alarm else calibrate(scores)
+    beta = calibrate(scores, cfg.false_alarm)
     rule = f"false alarm {cfg.false_alarm}" if cfg.false_alarm else "maximum"
     how = f"{rule} of {len(scores)} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
     manifest = bundle.manifest

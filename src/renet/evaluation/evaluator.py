@@ -21,7 +21,6 @@ from renet.evaluation.terminal import progress
 from renet.evaluation.trace import Trace
 from renet.faults import Injector
 from renet.selector import SelectorInput, make_selector
-from renet.selector.monitors import default_monitors
 from renet.selector.selector import check_kind
 from renet.tasks import RenetEnvCfg, RobotCfg
 from renet.tasks.sensors import set_depth_noise
@@ -62,8 +61,7 @@ class Evaluator:
     @property
     def thresholds(self) -> dict[str, float]:
         """Thresholds of the default selector's monitors, by name."""
-        spec = self.bundle.manifest.selector
-        return {m.name: m.threshold for m in default_monitors(spec.beta, spec.thresholds, 1)}
+        return self.bundle.manifest.selector.used_thresholds
 
     def provenance(self, seed: int) -> Provenance:
         """The provenance of numbers made with this bundle now."""

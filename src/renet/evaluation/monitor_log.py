@@ -8,7 +8,7 @@ import numpy as np
 from renet.evaluation.rollout import EvalSelector
 from renet.evaluation.trace import UPDATES_PER_STEP, Trace
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
-from renet.selector.monitors import MONITORS, SelectorInput, default_monitors
+from renet.selector.monitors import MONITORS, Monitors, SelectorInput
 
 UPDATES_PER_TICK = UPDATES_PER_STEP * STEPS_PER_TICK
 TICK_RATE = 1.0 / (CONTROL_DT * STEPS_PER_TICK)
@@ -19,15 +19,14 @@ class MonitorLog:
     """Records every monitor's score; pass it to `run_rollout` as `on_update`."""
 
     def __init__(self, num_robots: int) -> None:
-        # Only scores are asked for: thresholds do not matter.
-        self._monitors = default_monitors(1.0, dict.fromkeys(MONITORS, 1.0), num_robots)
+        self._monitors = Monitors(MONITORS, num_robots)
         self._ticks: list[np.ndarray] = []
         self.updates = 0
         """Taken so far, one each physics step."""
 
     def __call__(self, seen: SelectorInput) -> None:
         """Take the scores of one update; a tick keeps the highest of its updates."""
-        scores = np.stack([monitor.score(seen) for monitor in self._monitors])
+        scores = self._monitors.scores(seen)
         if self.updates % UPDATES_PER_TICK == 0:
             self._ticks.append(scores)
         else:
@@ -38,7 +37,7 @@ class MonitorLog:
     def scores(self) -> dict[str, np.ndarray]:
         """Scores by monitor name, [ticks, N]."""
         table = np.stack(self._ticks)
-        return {monitor.name: table[:, i] for i, monitor in enumerate(self._monitors)}
+        return {name: table[:, i] for i, name in enumerate(MONITORS)}
 
 
 def successful_runs(trace: Trace, speed: float = 0.0) -> list[tuple[int, slice]]:

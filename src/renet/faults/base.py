@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -61,34 +61,46 @@ class Fault:
     """One way a camera fails, for n robots, each with its own random stream.
 
     A subclass names itself and its five severities, and spoils frames in `corrupt`. It sees every
-    frame, before, during and after the fault, so that it may keep what it needs of the past.
+    frame, before, during and after the fault, so that it may keep what it needs of the past. The
+    first paragraph of its docstring is shown to users: what happens, and what `level` means.
     """
 
     name: ClassVar[str]
-    summary: ClassVar[str]
-    """One sentence: what happens to the camera, and what `level` means."""
     unit: ClassVar[str]
     levels: ClassVar[tuple[float, ...]]
     """The `level` of severities 1 to 5."""
+    level_is_duration: ClassVar[bool] = False
+    """Whether the fault ends by itself, after as many seconds as the level says."""
 
     def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
         self.level = level
         self.rngs = rngs
+        self.patterns = [self.draw(rng) for rng in rngs]
+        """What `draw` returned for each robot."""
+
+    def draw(self, rng: np.random.Generator) -> Any:
+        """What is drawn once for a robot and stays as long as the fault, such as dirt's place."""
+        return None
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """The frames after the fault.
 
         Args:
-            frames: what the camera delivered at this tick.
-            elapsed: [n] seconds since the fault began; negative where it is not at work: what is
-                returned for those robots is ignored.
+            frames: what the camera delivered at this tick; not changed.
+            elapsed: [n] seconds since the fault began; negative where it is not at work: the
+                frames of those robots are returned as they are.
         """
         raise NotImplementedError
 
     @classmethod
     def lasts(cls, level: float) -> float:
         """Seconds after which the fault ends by itself; infinity where it does not."""
-        return FOREVER
+        return level if cls.level_is_duration else FOREVER
+
+    @classmethod
+    def summary(cls) -> str:
+        """The first paragraph of the docstring, on one line."""
+        return " ".join((cls.__doc__ or "").split("\n\n")[0].split())
 
     @classmethod
     def describe(cls, level: float) -> str:
@@ -110,58 +122,23 @@ class Fault:
 class ImageFault(Fault):
     """A fault that spoils each image by itself, without memory of other frames."""
 
-    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
-        super().__init__(level, rngs)
-        self.holes = np.zeros(len(rngs))
-        """Share of pixels without a measurement in each robot's newest image, [n]."""
-
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """Spoil the image of every robot the fault is at work on."""
-        image = frames.image.copy()
-        invalid = frames.invalid.copy()
+        image, invalid = frames.image.copy(), frames.invalid.copy()
         for i in np.flatnonzero(elapsed >= 0).tolist():
-            image[i] = np.clip(self.spoil(image[i], i, float(elapsed[i])), 0.0, 1.0)
-            invalid[i] = max(invalid[i], self.holes[i])
+            spoilt = self.spoil(image[i], i, float(elapsed[i]))
+            holes = np.isnan(spoilt)
+            invalid[i] = max(invalid[i], holes.mean())
+            image[i] = np.clip(self.fill(spoilt, holes), 0.0, 1.0)
         return replace(frames, image=image, invalid=invalid)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """The spoilt image [48, 64] of one robot; the caller clips it to [0, 1]."""
+        """The spoilt image [48, 64] of one robot, NaN where a pixel has no measurement.
+
+        The caller fills these holes and clips to [0, 1].
+        """
         raise NotImplementedError
 
-
-class Holes(ImageFault):
-    """An image fault that leaves pixels without a measurement."""
-
-    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """The image with its holes; the caller clips it to [0, 1]."""
-        lost = self.lost(image, robot)
-        self.holes[robot] = lost.mean()
-        return self.deliver(image, lost)
-
-    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
-        """[48, 64] bool: the pixels of one robot's image that are not measured."""
-        raise NotImplementedError
-
-    def deliver(self, image: np.ndarray, lost: np.ndarray) -> np.ndarray:
-        """What the driver makes of an image [48, 64] and its lost pixels: they read zero."""
-        return np.where(lost, np.float32(0.0), image)
-
-
-class FixedPattern(ImageFault):
-    """An image fault whose pattern is drawn once for each robot, when the fault begins."""
-
-    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
-        super().__init__(level, rngs)
-        self._patterns = [self.draw(rng) for rng in rngs]
-
-    def draw(self, rng: np.random.Generator) -> np.ndarray:
-        """A robot's pattern."""
-        raise NotImplementedError
-
-    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """The image under the robot's own pattern."""
-        return self.apply(image, self._patterns[robot])
-
-    def apply(self, image: np.ndarray, pattern: np.ndarray) -> np.ndarray:
-        """The image [48, 64] under a pattern."""
-        raise NotImplementedError
+    def fill(self, image: np.ndarray, holes: np.ndarray) -> np.ndarray:
+        """What the driver makes of an image [48, 64] and its holes ([48, 64] bool): zeros."""
+        return np.where(holes, np.float32(0.0), image)

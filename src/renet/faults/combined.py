@@ -26,10 +26,7 @@ class TwoFaults(Fault):
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """The frames after both."""
         for fault in self._faults:
-            spoilt = fault.corrupt(frames.copy(), elapsed)
-            working = np.flatnonzero(elapsed >= 0)
-            frames = frames.copy()
-            frames.write(working, spoilt.rows(working))
+            frames = fault.corrupt(frames, elapsed)
         return frames
 
     @classmethod
@@ -39,26 +36,23 @@ class TwoFaults(Fault):
 
 
 class GlareDropped(TwoFaults):
-    """Low sun, and a processor that is too warm to keep up."""
+    """Low sun on a slow computer: glare and dropped frames, both of the level's severity."""
 
     name = "glare_dropped"
-    summary = "Glare, and frames are lost, both at the severity that is the level."
     kinds = (image.Glare, timing.Dropped)
 
 
 class BlobsLatency(TwoFaults):
-    """Drops on the lens, and a bus that is too busy."""
+    """Drops on the lens and a busy bus: blobs and latency, both of the level's severity."""
 
     name = "blobs_latency"
-    summary = "Blobs on the lens, and frames come late, both at the severity that is the level."
     kinds = (image.Blobs, timing.Latency)
 
 
 class ShadowSteps(TwoFaults):
-    """A stereo camera with a coarse matcher."""
+    """A coarse stereo matcher: edge shadows and disparity steps of the level's severity."""
 
     name = "shadow_steps"
-    summary = "Edge shadows and disparity steps, both at the severity that is the level."
     kinds = (stereo.DisparitySteps, stereo.EdgeShadow)
 
 
@@ -78,31 +72,25 @@ class Intermittent(Fault):
         """The frames, spoilt where the fault is on."""
         phase = np.round(elapsed / TICK).astype(int) % PERIOD
         on = (elapsed >= 0) & (phase < round(self.level * PERIOD))
-        spoilt = self._fault.corrupt(frames.copy(), np.where(on, phase * TICK, -1.0))
-        out, rows = frames.copy(), np.flatnonzero(on)
-        out.write(rows, spoilt.rows(rows))
-        return out
+        return self._fault.corrupt(frames, np.where(on, phase * TICK, -1.0))
 
 
 class IntermittentBlackout(Intermittent):
-    """A loose connector: the picture goes to zero and comes back."""
+    """A loose connector: all zeros in a part of every second; level is that part."""
 
     name = "intermittent_blackout"
-    summary = "The picture is all zeros in a part of every second; level is that part."
     kind, severity = image.Blackout, 5
 
 
 class IntermittentFrozen(Intermittent):
-    """A driver that hangs and recovers."""
+    """A driver that hangs and recovers: frozen in a part of every second; level is that part."""
 
     name = "intermittent_frozen"
-    summary = "The last image is delivered as new in a part of every second; level is that part."
     kind, severity = timing.Frozen, 5
 
 
 class IntermittentGlare(Intermittent):
-    """Sun between trees."""
+    """Sun between trees: glare of severity 5 in a part of every second; level is that part."""
 
     name = "intermittent_glare"
-    summary = "Glare of severity 5 in a part of every second; level is that part."
     kind, severity = image.Glare, 5

@@ -4,13 +4,12 @@ Depths are normalised: 1 is `DEPTH_RANGE` metres. Only faults said to leave hole
 invalid fraction; the others deliver wrong numbers that the camera calls measurements.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from renet.camera import Intrinsics
-from renet.faults.base import FixedPattern, Frames, Holes, ImageFault
+from renet.faults.base import Frames, ImageFault
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE
 
 ROWS, COLUMNS = DEPTH_SHAPE
@@ -49,12 +48,11 @@ def fill_holes(image: np.ndarray, holes: np.ndarray) -> np.ndarray:
 
 
 class Gaussian(ImageFault):
-    """Independent normal noise on every pixel (paper: 30, 70, 100 %)."""
+    """Grain on every pixel and frame; level is its standard deviation, image range 1."""
 
     name = "gaussian"
-    summary = "Grain on every pixel and frame; level is its standard deviation, image range 1."
     unit = "σ"
-    levels = (0.1, 0.3, 0.5, 0.7, 1.0)
+    levels = (0.1, 0.3, 0.5, 0.7, 1.0)  # The paper has 0.3, 0.7 and 1.
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
         noise = self.rngs[robot].standard_normal(image.shape, dtype=np.float32)
@@ -62,12 +60,11 @@ class Gaussian(ImageFault):
 
 
 class SaltAndPepper(ImageFault):
-    """Isolated pixels at 0 or 1 (paper: 10, 30, 70 %)."""
+    """Random pixels become nearest or farthest, half each; level is their share."""
 
     name = "salt_and_pepper"
-    summary = "Random pixels become nearest or farthest, half each; level is their share."
     unit = "share"
-    levels = (0.05, 0.1, 0.3, 0.5, 0.7)
+    levels = (0.05, 0.1, 0.3, 0.5, 0.7)  # The paper has 0.1, 0.3 and 0.7.
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
         draw = self.rngs[robot].random(image.shape, dtype=np.float32)
@@ -76,10 +73,9 @@ class SaltAndPepper(ImageFault):
 
 
 class Blackout(ImageFault):
-    """The picture fades to all zeros."""
+    """The picture fades to all zeros; level is the seconds the fade takes."""
 
     name = "blackout"
-    summary = "Every pixel goes to zero; level is the seconds the fade takes."
     unit = "s"
     levels = (1.0, 0.5, 0.2, 0.1, 0.0)
 
@@ -89,10 +85,9 @@ class Blackout(ImageFault):
 
 
 class Saturated(ImageFault):
-    """The upper part of the picture reads the farthest depth."""
+    """The top rows read the farthest depth; level is their share of the image."""
 
     name = "saturated"
-    summary = "The top rows read the farthest depth; level is their share of the image."
     unit = "share"
     levels = (0.2, 0.4, 0.6, 0.8, 1.0)
 
@@ -102,11 +97,10 @@ class Saturated(ImageFault):
         return spoilt
 
 
-class Occlusion(FixedPattern):
-    """Something sits right in front of part of the lens."""
+class Occlusion(ImageFault):
+    """Something close to the lens: a rectangle reads 4 cm; level is its share of the image."""
 
     name = "occlusion"
-    summary = "A rectangle of the image reads 4 cm; level is its share of the image."
     unit = "share"
     levels = (0.1, 0.25, 0.5, 0.75, 1.0)
 
@@ -117,15 +111,14 @@ class Occlusion(FixedPattern):
         pattern[top : top + height, left : left + width] = True
         return pattern
 
-    def apply(self, image: np.ndarray, pattern: np.ndarray) -> np.ndarray:
-        return np.where(pattern, np.float32(metres(0.04)), image)
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        return np.where(self.patterns[robot], np.float32(metres(0.04)), image)
 
 
-class Blobs(FixedPattern):
-    """Dirt or rain drops on the lens."""
+class Blobs(ImageFault):
+    """Dirt or drops on the lens: near discs of 1 to 4 pixels radius; level is their number."""
 
     name = "blobs"
-    summary = "Near discs of 1 to 4 pixels radius stick to the lens; level is their number."
     unit = "blobs"
     levels = (2, 5, 10, 20, 30)
 
@@ -139,18 +132,16 @@ class Blobs(FixedPattern):
             pattern[inside] = metres(rng.uniform(0.03, 0.2))
         return pattern
 
-    def apply(self, image: np.ndarray, pattern: np.ndarray) -> np.ndarray:
-        return np.where(np.isnan(pattern), image, pattern)
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        return np.where(np.isnan(self.patterns[robot]), image, self.patterns[robot])
 
 
 class Grass(ImageFault):
-    """Blades flicker between the camera and the ground."""
+    """Upright blades at 0.2 to 0.6 m, new in every frame, over the lower third (sparse) up to the
+    lower two thirds (dense) of the image; level is how far between the two.
+    """
 
     name = "grass"
-    summary = (
-        "Upright blades at 0.2 to 0.6 m, new in every frame, over the lower third (sparse) up to"
-        " the lower two thirds (dense); level is how far between the two."
-    )
     unit = "density"
     levels = (0.0, 0.25, 0.5, 0.75, 1.0)
 
@@ -164,53 +155,49 @@ class Grass(ImageFault):
         return np.where(blades, np.minimum(image, depth), image)
 
 
-class Glare(Holes):
-    """Sun blinds the stereo pair: holes, which read zero."""
+class Glare(ImageFault):
+    """Sun blinds the stereo pair: correlated holes, read as zero; level is their share."""
 
     name = "glare"
-    summary = "Spatially correlated holes, read as zero; level is their share of the image."
     unit = "share"
     levels = (0.05, 0.15, 0.3, 0.5, 0.8)
 
-    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
-        super().__init__(level, rngs)
-        self._fields = [smooth_field(rng) for rng in rngs]
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        return smooth_field(rng)
 
-    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
-        """A fixed patch whose border flickers."""
-        field = self._fields[robot] + 0.25 * smooth_field(self.rngs[robot], (12, 16))
-        return field > np.quantile(field, 1 - self.level)
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """The image with a fixed patch missing, whose border flickers."""
+        field = self.patterns[robot] + 0.25 * smooth_field(self.rngs[robot], (12, 16))
+        return np.where(field > np.quantile(field, 1 - self.level), np.nan, image)
 
 
 class GlareFilled(Glare):
-    """The same holes after the driver's hole filling."""
+    """As glare, but the driver fills the holes from their left: smooth and plausible."""
 
     name = "glare_filled"
-    summary = "As glare, but the driver fills the holes from their left: smooth and plausible."
 
-    def deliver(self, image: np.ndarray, lost: np.ndarray) -> np.ndarray:
-        """The image [48, 64] without a trace of its holes."""
-        return fill_holes(image, lost)
+    def fill(self, image: np.ndarray, holes: np.ndarray) -> np.ndarray:
+        return fill_holes(image, holes)
 
 
-class NearField(Holes):
-    """A stereo camera cannot measure what is too close (paper: about 10 cm, at stairs)."""
+class NearField(ImageFault):
+    """Depths below the level become holes, which read zero: too close for a stereo camera.
+
+    The paper has about 10 cm, at stairs.
+    """
 
     name = "near_field"
-    summary = "Depths below the level become holes, which read zero."
     unit = "m"
     levels = (0.1, 0.15, 0.2, 0.3, 0.5)
 
-    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
-        """What is nearer than the level."""
-        return image < metres(self.level)
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        return np.where(image < metres(self.level), np.nan, image)
 
 
 class WrongScale(ImageFault):
-    """The depth unit or the baseline calibration is off."""
+    """Every depth is multiplied by the level: its unit or the baseline's calibration is off."""
 
     name = "wrong_scale"
-    summary = "Every depth is multiplied by the level."
     unit = "factor"
     levels = (0.9, 0.8, 0.6, 1.3, 1.6)
 
@@ -219,10 +206,9 @@ class WrongScale(ImageFault):
 
 
 class MotionBlur(ImageFault):
-    """The image turns while the shutter is open."""
+    """Smeared by the base's pitch and yaw rate during the exposure; level is its length."""
 
     name = "motion_blur"
-    summary = "Smeared by the base's pitch and yaw rate during the exposure; level is its length."
     unit = "ms"
     levels = (5, 10, 20, 30, 40)
     samples = 9

@@ -6,7 +6,6 @@ simulated environment casts its rays accordingly.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -56,13 +55,11 @@ class PhysicalFault(Fault):
 
 
 class Glass(PhysicalFault):
-    """The camera measures what lies behind an obstacle."""
+    """Obstacles vanish from the camera's rays and stay in the robot's way; level is their share, at
+    least one.
+    """
 
     name = "glass"
-    summary = (
-        "Obstacles vanish from the camera's rays and stay in the robot's way; level is their share,"
-        " at least one."
-    )
     unit = "share"
     levels = (0.2, 0.4, 0.6, 0.8, 1.0)
     terrains = ("obstacles", "stairs_up", "platform")
@@ -73,10 +70,11 @@ class Glass(PhysicalFault):
 
 
 class Foam(PhysicalFault):
-    """Foam, snow or tall grass: the surface that is seen does not carry."""
+    """Every surface appears higher than the ground that carries, as with foam, snow or tall grass;
+    level is by how much.
+    """
 
     name = "foam"
-    summary = "Every surface appears higher than the ground that carries; level is by how much."
     unit = "m"
     levels = (0.02, 0.04, 0.07, 0.1, 0.15)
 
@@ -85,22 +83,19 @@ class Foam(PhysicalFault):
 
 
 class MountKnocked(PhysicalFault):
-    """A knock has turned the camera in its mount."""
+    """A knock has turned the camera about a random axis; level is the angle."""
 
     name = "mount_knocked"
-    summary = "The camera is turned about a random axis; level is the angle."
     unit = "°"
     levels = (3, 6, 10, 15, 25)
 
-    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
-        super().__init__(level, rngs)
-        axes = np.array([rng.standard_normal(3) for rng in rngs]).reshape(-1, 3)
-        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-        self._turn = np.radians(level) * axes
-        """[n, 3]"""
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        return rng.standard_normal(3)
 
     def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
-        view.turn[rows] += self._turn
+        axes = np.array(self.patterns)
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        view.turn[rows] += np.radians(self.level) * axes
 
 
 def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[int]:
@@ -115,14 +110,12 @@ def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[int]:
 
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    found = []
+    half, centre = model.geom_size[:, :2], data.geom_xpos[:, :2]
     in_terrain = model.body_rootid[model.geom_bodyid] == model.body("terrain").id
-    for geom in np.flatnonzero(in_terrain).tolist():
-        half, centre = model.geom_size[geom, :2], data.geom_xpos[geom, :2]
-        start = (np.abs(middles - centre) <= half).all(axis=1).any()
-        box = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX
-        if box and not start and (half < TILE / 2 - 1e-6).all():
-            found.append(geom)
+    box = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
+    start = (np.abs(middles[:, None] - centre) <= half).all(axis=2).any(axis=0)
+    within_tile = (half < TILE / 2 - 1e-6).all(axis=1)
+    found = np.flatnonzero(in_terrain & box & ~start & within_tile).tolist()
     if not found:
         raise RenetError(
             "this terrain has no obstacle that could be glass: choose obstacles, stairs_up or"

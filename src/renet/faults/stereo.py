@@ -5,12 +5,10 @@ A stereo camera measures disparity d = f * baseline / depth, in pixels between i
 delivered image, so that a D435i's 50 mm and 1 m give 2.5 of its 64 pixels.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from renet.camera import Intrinsics
-from renet.faults.base import Holes, ImageFault
+from renet.faults.base import ImageFault
 from renet.faults.image import metres, smooth_field
 from renet.interface import DEPTH_RANGE
 
@@ -32,28 +30,32 @@ def disparity(image: np.ndarray, baseline: float) -> np.ndarray:
     return FOCAL * baseline / np.maximum(depth, NEAREST)
 
 
-class EdgeShadow(Holes):
-    """What only the left imager sees, beside the left edge of something near, has no depth."""
+class EdgeShadow(ImageFault):
+    """Holes left of depth edges, as wide as the disparity jumps; level is the baseline.
+
+    Only the left imager sees what is there.
+    """
 
     name = "edge_shadow"
-    summary = "Holes left of depth edges, as wide as the disparity jumps; level is the baseline."
     unit = "mm"
     levels = (25, 50, 75, 100, 150)
 
-    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
-        """Pixels that something to their right hides from the right imager."""
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """The image without what something to its right hides from the right imager."""
         position = np.arange(image.shape[1]) - disparity(image, 1e-3 * self.level)
         nearest = np.minimum.accumulate(position[:, ::-1], axis=1)[:, ::-1]
         hidden = np.zeros(image.shape, bool)
         hidden[:, :-1] = nearest[:, 1:] <= position[:, :-1]
-        return hidden
+        return np.where(hidden, np.nan, image)
 
 
 class DisparitySteps(ImageFault):
-    """Disparity comes in steps: the ground becomes terraces, coarser the farther away."""
+    """Disparity of a 50 mm baseline is rounded to multiples of the level.
+
+    The ground becomes terraces, coarser the farther away.
+    """
 
     name = "disparity_steps"
-    summary = "Disparity of a 50 mm baseline is rounded to multiples of the level."
     unit = "px"
     levels = (0.02, 0.05, 0.1, 0.2, 0.4)
 
@@ -66,25 +68,27 @@ class DisparitySteps(ImageFault):
         return np.where(measured, rounded, image).astype(np.float32)
 
 
-class Textureless(Holes):
-    """Nothing to match on smooth ground: large patches have no depth, edges keep theirs."""
+class Textureless(ImageFault):
+    """Patches of smooth surfaces become holes; level is their share of those surfaces.
+
+    There is nothing to match in them; edges keep their depth.
+    """
 
     name = "textureless"
-    summary = "Patches of smooth surfaces become holes; level is their share of those surfaces."
     unit = "share"
     levels = (0.1, 0.25, 0.45, 0.7, 0.9)
 
-    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
-        super().__init__(level, rngs)
-        self._fields = [smooth_field(rng, (3, 4)) for rng in rngs]
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        return smooth_field(rng, (3, 4))
 
-    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
-        """Patches of what is plane in the image; their borders flicker."""
+    def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
+        """The image without patches of what is plane in it; their borders flicker."""
         smooth = smooth_surface(image)
-        field = self._fields[robot] + 0.15 * smooth_field(self.rngs[robot], (12, 16))
+        field = self.patterns[robot] + 0.15 * smooth_field(self.rngs[robot], (12, 16))
         if not smooth.any():
-            return smooth
-        return smooth & (field > np.quantile(field[smooth], 1 - self.level))
+            return image
+        lost = smooth & (field > np.quantile(field[smooth], 1 - self.level))
+        return np.where(lost, np.nan, image)
 
 
 def smooth_surface(image: np.ndarray) -> np.ndarray:

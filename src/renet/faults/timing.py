@@ -10,20 +10,16 @@ from renet.faults.base import FOREVER, TICK, Fault, Frames
 
 
 class Frozen(Fault):
-    """The driver serves one old image again and again, each time as a new frame."""
+    """The same image is delivered as new for as many seconds as the level says."""
 
     name = "frozen"
-    summary = "The same image is delivered as new for as many seconds as the level says."
     unit = "s"
     levels = (0.2, 0.5, 1.0, 3.0, FOREVER)
+    level_is_duration = True
 
     def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
         super().__init__(level, rngs)
         self._last: np.ndarray | None = None
-
-    @classmethod
-    def lasts(cls, level: float) -> float:
-        return level
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """Hold the last image from before the fault."""
@@ -34,8 +30,12 @@ class Frozen(Fault):
         return replace(frames, image=self._last.copy())
 
 
-class Stale(Fault):
-    """Base of faults under which some ticks bring no new frame: the last one is kept and ages."""
+class Dropped(Fault):
+    """Each frame is lost with the probability the level says."""
+
+    name = "dropped"
+    unit = "share"
+    levels = (0.1, 0.3, 0.5, 0.7, 0.9)
 
     def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
         super().__init__(level, rngs)
@@ -43,58 +43,41 @@ class Stale(Fault):
 
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
         """[n] bool: the robots that get no frame at this tick."""
-        raise NotImplementedError
-
-    def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """Hold the last delivered frame where none comes."""
-        if self._held is None:
-            self._held = frames.copy()
-        arrived = np.flatnonzero(~self.missing(elapsed))
-        age = self._held.age + TICK
-        self._held.write(arrived, frames.rows(arrived))
-        lost = np.ones(len(elapsed), bool)
-        lost[arrived] = False
-        self._held.age[lost] = age[lost]
-        self._held.fresh[lost] = False
-        return self._held.copy()
-
-
-class Dropped(Stale):
-    """Frames get lost on the way."""
-
-    name = "dropped"
-    summary = "Each frame is lost with the probability the level says."
-    unit = "share"
-    levels = (0.1, 0.3, 0.5, 0.7, 0.9)
-
-    def missing(self, elapsed: np.ndarray) -> np.ndarray:
         lost = elapsed >= 0
         for i in np.flatnonzero(lost).tolist():
             lost[i] = self.rngs[i].random() < self.level
         return lost
 
+    def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
+        """Where no frame comes, the last one delivered is kept and ages."""
+        if self._held is None:
+            self._held = frames.copy()
+        lost = self.missing(elapsed)
+        self._held.age[lost] += TICK
+        self._held.fresh[lost] = False
+        self._held.write(~lost, frames.rows(~lost))
+        return self._held.copy()
 
-class Unplugged(Stale):
-    """The cable comes out."""
+
+class Unplugged(Dropped):
+    """No frames at all; the camera is back after as many seconds as the level says."""
 
     name = "unplugged"
-    summary = "No frames at all; the camera is back after as many seconds as the level says."
     unit = "s"
     levels = (1.0, 2.0, 5.0, 10.0, FOREVER)
-
-    @classmethod
-    def lasts(cls, level: float) -> float:
-        return level
+    level_is_duration = True
 
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
         return elapsed >= 0
 
 
 class Latency(Fault):
-    """Frames come late, each by a different delay; the driver stamps them on arrival."""
+    """Each frame is late by 0.5 to 1.5 times the level; the newest that came is used.
+
+    The driver stamps frames on arrival.
+    """
 
     name = "latency"
-    summary = "Each frame is late by 0.5 to 1.5 times the level; the newest that came is used."
     unit = "ms"
     levels = (50, 100, 200, 300, 500)
 
@@ -110,15 +93,14 @@ class Latency(Fault):
         self._now += TICK
         delay = np.array([rng.uniform(0.5, 1.5) * self.level * 1e-3 for rng in self.rngs])
         arrival = np.where(elapsed >= 0, self._now + delay, self._now)
-        self._past.append((frames.image.copy(), arrival))
-        taken = self._now - TICK * np.arange(len(self._past) - 1, -1, -1)
+        self._past.appendleft((frames.image.copy(), arrival))
         arrivals = np.stack([arrival for _, arrival in self._past])
         here = arrivals <= self._now + 1e-9
-        newest = np.where(here, np.arange(len(self._past))[:, None], -1).max(axis=0)
-        newest = np.maximum(newest, 0)
-        image = np.stack([self._past[k][0][i] for i, k in enumerate(newest.tolist())])
-        capture = taken[newest]
+        here[-1] = True  # Until one arrives the oldest is shown.
+        back = here.argmax(axis=0)
+        image = np.stack([self._past[k][0][i] for i, k in enumerate(back.tolist())])
+        capture = self._now - TICK * back
         fresh = capture > self._served + 1e-9
         self._served = capture
-        age = np.where(fresh, 0.0, self._now - arrivals[newest, np.arange(len(newest))])
+        age = np.where(fresh, 0.0, self._now - arrivals[back, np.arange(len(back))])
         return replace(frames, image=image, fresh=fresh, age=age)

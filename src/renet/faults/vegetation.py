@@ -3,7 +3,7 @@
 import numpy as np
 
 from renet.camera import Intrinsics
-from renet.faults.base import Holes
+from renet.faults.base import ImageFault
 from renet.faults.image import metres
 from renet.interface import DEPTH_RANGE
 
@@ -25,32 +25,24 @@ UNMATCHED = 0.3
 """Share of a blade's pixels that find no match: it is narrower than the matcher's window."""
 
 
-class TallGrass(Holes):
-    """Blades stand between the camera and the ground, and every frame finds them elsewhere.
+class TallGrass(ImageFault):
+    """Blades of 15 to 50 cm, new in every frame: near ones and parts of others are holes, the rest
+    hides the ground; level is their number in view.
 
-    A blade is a strip from root to tip in perspective, for a camera of the Go1's pose. What is
-    nearer than the near range is a hole, as is part of the rest.
+    A blade is a strip from root to tip in perspective, for a camera of the Go1's pose.
     """
 
     name = "tall_grass"
-    summary = (
-        "Blades of 15 to 50 cm, new in every frame: near ones and parts of others are holes, the"
-        " rest hides the ground; level is their number in view."
-    )
     unit = "blades"
     levels = (8, 20, 45, 90, 180)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """The image behind the blades; the caller clips it to [0, 1]."""
-        self._blades = self.depth(robot)
-        behind = np.minimum(image, self._blades)
-        return super().spoil(behind, robot, elapsed)
-
-    def lost(self, image: np.ndarray, robot: int) -> np.ndarray:
-        """What of the blades is too near, and part of the rest."""
+        """The image behind the blades, without what of them is too near and part of the rest."""
+        blades = self.depth(robot)
         unmatched = self.rngs[robot].random(image.shape) < UNMATCHED
-        blade = (self._blades < 1.0) & (image >= self._blades)
-        return blade & (unmatched | (self._blades < metres(NEAR_RANGE)))
+        lost = unmatched | (blades < metres(NEAR_RANGE))
+        lost &= (blades < 1.0) & (image >= blades)
+        return np.where(lost, np.nan, np.minimum(image, blades))
 
     def depth(self, robot: int) -> np.ndarray:
         """Depth [48, 64] of the nearest blade in one frame, infinity where there is none."""

@@ -29,8 +29,8 @@ from renet.interface import (
     STEPS_PER_TICK,
 )
 from renet.selector.filter import VISION_THRESHOLD
-from renet.selector.monitors import FALLBACK, MONITORS, NEAR
-from renet.selector.selector import SelectorCfg
+from renet.selector.monitors import MONITORS, NEAR
+from renet.selector.selector import BETWEEN_RETURNS, DWELL
 
 MAP_HEIGHT = 0.3
 """Metres of the base above the ground that read as zero in a height map, as in training."""
@@ -50,7 +50,6 @@ def contract() -> dict[str, Any]:
     Returns:
         JSON values; infinite durations are null.
     """
-    selector = SelectorCfg()
     return {
         "renet": __version__,
         "controlDt": CONTROL_DT,
@@ -79,11 +78,11 @@ def contract() -> dict[str, Any]:
         },
         "selector": {
             "visionThreshold": VISION_THRESHOLD,
-            "dwell": selector.dwell,
-            "betweenReturns": selector.between_returns,
+            "dwell": DWELL,
+            "betweenReturns": BETWEEN_RETURNS,
             "near": NEAR,
             "monitors": [
-                {"name": name, "reason": monitor.reason, "fallback": FALLBACK.get(name)}
+                {"name": name, "reason": monitor.reason, "fallback": monitor.fallback}
                 for name, monitor in MONITORS.items()
             ],
         },
@@ -95,7 +94,7 @@ def contract() -> dict[str, Any]:
 def _fault(fault: type[Fault]) -> dict[str, Any]:
     return {
         "name": fault.name,
-        "summary": fault.summary,
+        "summary": fault.summary(),
         "levels": [_finite(level) for level in fault.levels],
         "described": [fault.describe(fault.level_of(severity)) for severity in SEVERITIES],
         "lasts": [_finite(fault.lasts(level)) for level in fault.levels],

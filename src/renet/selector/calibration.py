@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from renet.errors import RenetError
-from renet.selector.monitors import CEILINGS, FLOORS
+from renet.selector.monitors import MONITORS
 
 TAIL = 0.02
 """Share of the highest scores from which a distribution's tail is learnt."""
@@ -16,30 +16,28 @@ APART = 10
 """Scores (1 s at 10 Hz) between two alarms that count as two: vision is not back earlier."""
 
 
-def calibrate(scores: np.ndarray) -> float:
-    """Beta: the largest anomaly score of successful episodes in simulation (RENet, Method B)."""
-    return float(_checked(scores).max())
+def calibrate(scores: np.ndarray, false_alarm: float = 0.0) -> float:
+    """Beta, from the anomaly scores of successful episodes with healthy cameras.
 
-
-def conformal_threshold(scores: np.ndarray, alpha: float) -> float:
-    """The score a new healthy one exceeds with probability at most `alpha` (split conformal).
-
-    With n scores it is the one of rank ceil((n + 1)(1 - alpha)); the paper's maximum is the case
-    alpha = 1 / (n + 1).
+    Args:
+        scores: of any shape.
+        false_alarm: 0 is the paper's rule, the largest score (RENet, Method B). Above 0, a new
+            healthy score exceeds the result with at most this probability (split conformal): with
+            n scores it is the one of rank ceil((n + 1)(1 - false_alarm)).
 
     Raises:
-        RenetError: too few scores for so small an alpha.
+        RenetError: no scores, one that is not finite, or too few for so small a probability.
     """
-    if not 0.0 < alpha < 1.0:
-        raise RenetError(f"alpha must be between 0 and 1, got {alpha}")
     scores = np.sort(_checked(scores))
-    rank = math.ceil((len(scores) + 1) * (1.0 - alpha))
+    if false_alarm == 0.0:
+        return float(scores[-1])
+    rank = math.ceil((len(scores) + 1) * (1.0 - false_alarm))
     if rank > len(scores):
         raise RenetError(
-            f"a false-alarm probability of {alpha} needs at least {math.ceil(1 / alpha) - 1} "
-            f"healthy scores, got {len(scores)}"
+            f"a false-alarm probability of {false_alarm} needs at least"
+            f" {math.ceil(1 / false_alarm) - 1} healthy scores, got {len(scores)}"
         )
-    return float(scores[max(rank, 1) - 1])
+    return float(scores[rank - 1])
 
 
 def calibrate_monitors(
@@ -55,29 +53,24 @@ def calibrate_monitors(
     Args:
         scores: for each monitor one array [T] for each healthy run without a break, T scores at
             `rate_hz`; the same runs for all monitors.
-        false_alarms_per_hour: stated rate of all monitors together.
+        false_alarms_per_hour: stated rate of all monitors together, above 0.
         rate_hz: of the scores.
 
     Returns:
         Thresholds by monitor name, and the hours of healthy robots that they were learnt from.
 
     Raises:
-        RenetError: no scores, one that is not finite, or a rate that is not positive.
+        RenetError: no scores, or one that is not finite.
     """
-    if not 0.0 < false_alarms_per_hour < math.inf:
-        raise RenetError(f"false alarms per hour must be positive, got {false_alarms_per_hour}")
-    if not scores:
-        raise RenetError("calibration needs the scores of at least one monitor")
     hours = sum(len(run) for run in next(iter(scores.values()))) / rate_hz / 3600.0
     varied = [name for name, runs in scores.items() if np.ptp(_checked(*runs)) > 0]
     share = false_alarms_per_hour / max(len(varied), 1)
-    found = {name: return_level(runs, share * hours) for name, runs in scores.items()}
-    # Scores that never vary, as a simulated camera's holes, have no tail: floors stand for them.
-    thresholds = {
-        name: min(max(value, FLOORS.get(name, -math.inf)), CEILINGS.get(name, math.inf))
-        for name, value in found.items()
-        if name in varied or name in FLOORS
-    }
+    thresholds = {}
+    for name, runs in scores.items():
+        floor, ceiling = MONITORS[name].floor, MONITORS[name].ceiling
+        # Scores that never vary, such as a simulated camera's holes, have no tail.
+        if name in varied or floor > -math.inf:
+            thresholds[name] = min(max(return_level(runs, share * hours), floor), ceiling)
     return thresholds, hours
 
 

@@ -4,30 +4,25 @@ import math
 
 import numpy as np
 
-from renet.errors import RenetError
-
 VISION_THRESHOLD = 0.5
 """Vision is chosen while P_t is larger (paper)."""
 
 
-class LowPassFilter:
-    """P_t = (1 - gamma) P_{t-1} + gamma P^_t for N robots; P_0 = 1: vision is trusted at first."""
+def low_pass(
+    probability: np.ndarray, healthy: np.ndarray, gamma: float, count: int = 1
+) -> np.ndarray:
+    """P_t = (1 - gamma) P_{t-1} + gamma P^_t, `count` times with the same P^_t.
 
-    def __init__(self, gamma: float, num_robots: int = 1) -> None:
-        if not 0.0 < gamma <= 1.0:
-            raise RenetError(f"the filter's gamma must be in (0, 1], got {gamma}")
-        self.gamma = gamma
-        self.probability = np.ones(num_robots)
-        """Vision probability P_t, [N]."""
+    Args:
+        probability: vision probability P_{t-1}, [N].
+        healthy: verdicts P^_t, [N] bool.
+        gamma: weight of a new verdict, above 0 and at most 1.
+        count: updates.
 
-    def update(self, healthy: np.ndarray, count: int = 1) -> np.ndarray:
-        """Take P^_t ([N] bool) `count` times; returns whether P_t chooses vision, [N] bool."""
-        self.probability = healthy + (1.0 - self.gamma) ** count * (self.probability - healthy)
-        return self.probability > VISION_THRESHOLD
-
-    def reset(self, mask: np.ndarray | None = None) -> None:
-        """Trust vision again for the masked robots, by default all."""
-        self.probability[slice(None) if mask is None else mask] = 1.0
+    Returns:
+        P_t, [N].
+    """
+    return healthy + (1.0 - gamma) ** count * (probability - healthy)
 
 
 def switch_delay(gamma: float, rate_hz: float) -> float:

@@ -1,18 +1,19 @@
 """Ways to notice that vision failed, beyond the paper's reconstruction loss.
 
-An autoencoder is blind to a frozen image, a blank one, late or missing frames and filled holes:
-each frame by itself looks fine. Every monitor turns what it sees into one score per robot; a robot
-is healthy while its score stays below the monitor's threshold, and thresholds are calibrated from
-scores of healthy runs (`renet.selector.calibration`).
+An autoencoder does not notice a frozen image, a blank one, late or missing frames and filled holes:
+each frame by itself looks healthy. Every monitor computes one score per robot; vision is healthy
+while every score is below its monitor's threshold. Thresholds are calibrated from scores of healthy
+runs (`renet.selector.calibration`).
 """
 
-from collections.abc import Mapping
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 import numpy as np
 
-from renet.errors import RenetError
 from renet.interface import DEPTH_SHAPE
 
 NEAR = 0.05
@@ -46,193 +47,112 @@ class SelectorInput:
     that predict none."""
 
 
+@dataclass(frozen=True)
 class Monitor:
-    """One score per robot against one threshold."""
+    """How one monitor scores its input, what it says, and between which limits its threshold is."""
 
-    name: ClassVar[str]
-    reason: ClassVar[str]
+    reason: str
     """Said when it is the first to object."""
-    judges: ClassVar[str]
-    """Part of the input that is its score; monitors that compute theirs need none."""
-
-    def __init__(self, threshold: float) -> None:
-        self.threshold = threshold
-
-    def score(self, seen: SelectorInput) -> np.ndarray:
-        """How suspicious vision is, [N]; larger is worse."""
-        return getattr(seen, self.judges)
-
-    def reset(self, mask: np.ndarray) -> None:
-        """Forget the past of the masked robots."""
-
-
-class Reconstruction(Monitor):
-    """The paper's: the autoencoder cannot rebuild the image."""
-
-    name, reason = "reconstruction", "images unlike those of training"
-    judges = "anomaly_score"
+    score: Callable[[SelectorInput, Monitors], np.ndarray]
+    """How suspicious vision is, [N]; larger is worse."""
+    limit: float
+    """A larger threshold would switch the monitor off: no bundle may hold one."""
+    fallback: float | None = None
+    """Threshold in bundles that were never calibrated; without it the monitor is calibrated or not
+    used."""
+    floor: float = -math.inf
+    """Calibration never goes below this: a simulated camera has no holes and never misses a frame,
+    so that healthy runs say nothing of what a real one may be forgiven."""
+    ceiling: float = math.inf
+    """Nor above this, whatever healthy runs say: a blank image or a covered lens must be
+    noticed."""
 
 
-class Variance(Monitor):
-    """The autoencoder's error by how unusual it is: edges are hard to draw, flat ground is not."""
+class Monitors:
+    """Scores N robots with some of the `MONITORS`; each image is judged once."""
 
-    name, reason, judges = "variance", "images unlike those of training", "variance_score"
-
-
-class FrameAge(Monitor):
-    """No image arrives; at 10 Hz a threshold of 0.2 s is two missed frames."""
-
-    name, reason, judges = "frame_age", "no new image", "age"
-
-
-class InvalidFraction(Monitor):
-    """Too many holes before filling, which hides them from the reconstruction."""
-
-    name, reason, judges = "invalid_fraction", "too many pixels without depth", "invalid"
-
-
-class Disagreement(Monitor):
-    """Both estimators know the body's velocity; one that sees nonsense drifts away."""
-
-    name, reason = "disagreement", "the estimators disagree on velocity"
-
-    def score(self, seen: SelectorInput) -> np.ndarray:
-        """Distance of both velocities, m/s."""
-        apart = seen.velocity_op - seen.velocity_vp
-        return np.sqrt(np.vecdot(apart, apart))
-
-
-class FrozenFrame(Monitor):
-    """The same image again and again: live stereo noise never repeats."""
-
-    name, reason = "duplicate", "the image is frozen"
-
-    def __init__(self, num_robots: int, threshold: float) -> None:
-        super().__init__(threshold)
+    def __init__(self, names: Collection[str], num_robots: int) -> None:
+        self.names = [name for name in MONITORS if name in names]
+        self.repeats = np.zeros(num_robots)
+        """Equal images that arrived in a row, [N]."""
+        self.contrast = np.zeros(num_robots)
+        """Standard deviation of the newest image, [N]."""
+        self.near = np.zeros(num_robots)
+        """Share of its pixels nearer than 10 cm, [N]."""
+        self._image: np.ndarray | None = None
         self._last = np.full((num_robots, *DEPTH_SHAPE), np.nan)
-        self._run = np.zeros(num_robots)
 
-    def score(self, seen: SelectorInput) -> np.ndarray:
-        """How many equal images arrived in a row."""
-        if not seen.fresh.any():
-            return self._run
-        same = (seen.image == self._last).all(axis=(1, 2))
-        self._run = np.where(seen.fresh, np.where(same, self._run + 1, 1), self._run)
-        self._last = np.where(seen.fresh[:, None, None], seen.image, self._last)
-        return self._run
+    def scores(self, seen: SelectorInput) -> np.ndarray:
+        """Every monitor's score, [monitors, N] in the order of `names`; larger is worse."""
+        if seen.image.size and seen.image is not self._image:
+            self._image = seen.image
+            self.contrast = seen.image.std(axis=(1, 2))
+            self.near = (seen.image < NEAR).mean(axis=(1, 2))
+        if seen.fresh.any():
+            same = (seen.image == self._last).all(axis=(1, 2))
+            self.repeats = np.where(seen.fresh, np.where(same, self.repeats + 1, 1), self.repeats)
+            self._last = np.where(seen.fresh[:, None, None], seen.image, self._last)
+        return np.array([MONITORS[name].score(seen, self) for name in self.names])
 
     def reset(self, mask: np.ndarray) -> None:
-        """Forget the masked robots' last images."""
-        self._run[mask] = 0
+        """Forget the last images of the masked robots [N]."""
+        self.repeats[mask] = 0
         self._last[mask] = np.nan
 
 
-class ImageMonitor(Monitor):
-    """Judges each image by itself, and each only once."""
-
-    def __init__(self, threshold: float) -> None:
-        super().__init__(threshold)
-        self._image: np.ndarray | None = None
-        self._score = np.zeros(0)
-
-    def score(self, seen: SelectorInput) -> np.ndarray:
-        """Its score, computed once for each new image array."""
-        if seen.image is not self._image:
-            self._image, self._score = seen.image, self.judge(seen.image)
-        return self._score
-
-    def judge(self, image: np.ndarray) -> np.ndarray:
-        """The score of images [N, 48, 64]."""
-        raise NotImplementedError
+def _disagreement(seen: SelectorInput, images: Monitors) -> np.ndarray:
+    """Distance of both estimators' velocities, m/s: one that sees nonsense drifts away."""
+    apart = seen.velocity_op - seen.velocity_vp
+    return np.sqrt(np.vecdot(apart, apart))
 
 
-class LowContrast(ImageMonitor):
-    """A blank image: black, white or covered."""
-
-    name, reason = "uniformity", "the image is blank"
-
-    def judge(self, image: np.ndarray) -> np.ndarray:
-        """Negative standard deviation of the image."""
-        return -image.std(axis=(1, 2))
-
-
-class NearFraction(ImageMonitor):
-    """Something right in front of the lens."""
-
-    name, reason = "nearness", "the lens is covered"
-
-    def judge(self, image: np.ndarray) -> np.ndarray:
-        """Share of pixels nearer than 10 cm."""
-        return (image < NEAR).mean(axis=(1, 2))
-
-
-MONITORS: dict[str, type[Monitor]] = {
+MONITORS = {
     # The first to object is named as the reason: the plainest causes come first.
-    monitor.name: monitor
-    for monitor in (
-        FrameAge,
-        FrozenFrame,
-        InvalidFraction,
-        LowContrast,
-        NearFraction,
-        Variance,
-        Reconstruction,
-        Disagreement,
-    )
+    "frame_age": Monitor(
+        "no new image",
+        lambda seen, images: seen.age,
+        limit=1.0,
+        fallback=0.2,  # Two missed frames at 10 Hz.
+        floor=0.2,
+    ),
+    "duplicate": Monitor(
+        "the image is frozen",  # The noise of a live stereo camera never repeats.
+        lambda seen, images: images.repeats,
+        limit=10.0,
+        fallback=3.0,
+        floor=3.0,
+    ),
+    "invalid_fraction": Monitor(
+        "too many pixels without depth",  # Holes are filled before the reconstruction sees them.
+        lambda seen, images: seen.invalid,
+        limit=0.9,
+        fallback=0.25,  # A cropped D435 image has under a tenth.
+        floor=0.25,
+    ),
+    "uniformity": Monitor(
+        "the image is blank",  # Black, white or covered.
+        lambda seen, images: -images.contrast,
+        limit=-0.005,
+        fallback=-0.03,
+        ceiling=-0.005,
+    ),
+    "nearness": Monitor(
+        "the lens is covered",
+        lambda seen, images: images.near,
+        limit=0.9,
+        fallback=0.5,
+        ceiling=0.9,
+    ),
+    # The error by how unusual it is: edges are hard to draw, flat ground is not. Not every model
+    # predicts a variance. Healthy images score about 1.
+    "variance": Monitor(
+        "images unlike those of training", lambda seen, images: seen.variance_score, limit=100.0
+    ),
+    # The paper's: the autoencoder cannot rebuild the image; without a calibrated threshold β is
+    # used. Images are in [0, 1]: predicting 0.5 everywhere is wrong by 0.25 at most.
+    "reconstruction": Monitor(
+        "images unlike those of training", lambda seen, images: seen.anomaly_score, limit=0.25
+    ),
+    # It has no natural scale.
+    "disagreement": Monitor("the estimators disagree on velocity", _disagreement, limit=3.0),
 }
-FALLBACK = {
-    "frame_age": 0.2,
-    "duplicate": 3.0,
-    "invalid_fraction": 0.25,
-    "uniformity": -0.03,
-    "nearness": 0.5,
-}
-"""Thresholds for bundles that were never calibrated: two missed frames, three equal images, a
-quarter of the pixels without depth (a cropped D435 image has under a tenth), an image without
-contrast, a lens half covered. Reconstruction falls back to the paper's β. Variance and disagreement
-are calibrated or not used: not every model has the one, the other has no natural scale."""
-FLOORS = {name: FALLBACK[name] for name in ("frame_age", "duplicate", "invalid_fraction")}
-"""Calibration never goes below these: a simulated camera has no holes and never misses a frame, so
-that healthy runs say nothing of what a real one may be forgiven."""
-
-CEILINGS = {"uniformity": -0.005, "nearness": 0.9}
-"""Nor above these, whatever healthy runs say: a blank image or a covered lens must be noticed."""
-LIMITS = CEILINGS | {
-    "frame_age": 1.0,
-    "duplicate": 10.0,
-    "invalid_fraction": 0.9,
-    "variance": 100.0,
-    "reconstruction": 0.25,
-    "disagreement": 3.0,
-}
-"""Thresholds above these would switch a monitor off: images are in [0, 1], and predicting 0.5
-everywhere is wrong by 0.25 at most; healthy images have a variance score of about 1."""
-SLOWEST = 1.0
-"""Longest delay of the filter in seconds."""
-
-
-def default_monitors(
-    beta: float, thresholds: Mapping[str, float], num_robots: int
-) -> list[Monitor]:
-    """Fresh monitors for N robots.
-
-    Args:
-        beta: the paper's threshold on the anomaly score.
-        thresholds: calibrated ones by monitor name; those missing use `FALLBACK`, reconstruction β
-            unless there is one of the variance, which judges the same images better.
-        num_robots: N.
-
-    Raises:
-        RenetError: a threshold for a monitor that does not exist.
-    """
-    unknown = sorted(set(thresholds) - set(MONITORS))
-    if unknown:
-        raise RenetError(f"unknown monitor '{unknown[0]}': choose among {', '.join(MONITORS)}")
-    known = FALLBACK | dict(thresholds)
-    if "variance" not in thresholds:
-        known = {"reconstruction": beta} | known
-    return [
-        FrozenFrame(num_robots, known[name]) if monitor is FrozenFrame else monitor(known[name])
-        for name, monitor in MONITORS.items()
-        if name in known
-    ]

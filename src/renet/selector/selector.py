@@ -4,22 +4,21 @@ With the reconstruction monitor alone and no dwell it is the paper's selector (R
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from renet.errors import RenetError
-from renet.selector.filter import LowPassFilter, switch_delay
-from renet.selector.monitors import (
-    LIMITS,
-    SLOWEST,
-    Monitor,
-    Reconstruction,
-    SelectorInput,
-    default_monitors,
-)
+from renet.selector.filter import VISION_THRESHOLD, low_pass, switch_delay
+from renet.selector.monitors import MONITORS, Monitors, SelectorInput
 
+DWELL = 1.0
+"""Seconds without an objection before vision is used again."""
+BETWEEN_RETURNS = 5.0
+"""Shortest time in seconds between two returns to vision."""
+SLOWEST = 1.0
+"""Longest delay of the filter in seconds."""
 SELECTORS = ("monitors", "paper")
 """monitors: all monitors, with a dwell before vision returns. paper: the reconstruction loss
 against beta, filtered, and nothing else."""
@@ -51,27 +50,31 @@ class SelectorSpec:
                 raise RenetError(f"selector.{name} must be positive and finite, got {value}")
         if not 0.0 < self.gamma <= 1.0:
             raise RenetError(f"selector.gamma must be within 0 and 1, got {self.gamma}")
+        for name in self.thresholds:
+            if name not in MONITORS:
+                raise RenetError(
+                    f"unknown monitor '{name[:40]}': choose among {', '.join(MONITORS)}"
+                )
 
+    @property
+    def used_thresholds(self) -> dict[str, float]:
+        """Thresholds of the monitors that `--selector monitors` uses, by name.
 
-@dataclass(frozen=True)
-class SelectorCfg:
-    """How fast vision is left and how slowly it returns."""
-
-    gamma: float = 0.1
-    """Weight of a new verdict in the filter (paper)."""
-    rate_hz: float = 200.0
-    """Filter updates per second."""
-    dwell: float = 1.0
-    """Seconds without an objection before vision is used again."""
-    between_returns: float = 5.0
-    """Shortest time in seconds between two returns to vision."""
+        Calibrated ones, else the monitor's fallback. The reconstruction falls back to beta, unless
+        there is a threshold of the variance, which judges the same images better.
+        """
+        fallbacks = {name: monitor.fallback for name, monitor in MONITORS.items()}
+        if "variance" not in self.thresholds:
+            fallbacks["reconstruction"] = self.beta
+        known = fallbacks | self.thresholds
+        return {name: value for name, value in known.items() if value is not None}
 
 
 class MonitorSelector:
     """Decides for N robots whether vision (VP) or blind walking (OP) acts.
 
     The filter runs on a clock of its own: however often `update` is called, the filter takes
-    `rate_hz` verdicts a second, and `dwell` and `between_returns` are seconds of the caller's
+    `spec.rate_hz` verdicts a second, and `dwell` and `between_returns` are seconds of the caller's
     clock. Verdicts due between two calls are those of the later call, so a caller that comes at
     50 Hz hands the same verdict to a 200 Hz filter four times. A new image every 0.1 s likewise
     counts 20 times: the filter delays the switch by 35 ms and smooths flicker shorter than that,
@@ -79,23 +82,34 @@ class MonitorSelector:
     """
 
     def __init__(
-        self, monitors: Sequence[Monitor], cfg: SelectorCfg = SelectorCfg(), num_robots: int = 1
+        self,
+        thresholds: Mapping[str, float],
+        spec: SelectorSpec,
+        num_robots: int = 1,
+        dwell: float = DWELL,
+        between_returns: float = BETWEEN_RETURNS,
     ) -> None:
-        self.cfg, self.monitors = cfg, list(monitors)
-        self.filter = LowPassFilter(cfg.gamma, num_robots)
+        """Set up for N robots, all using vision.
+
+        Args:
+            thresholds: of the monitors to use, by name.
+            spec: gives the filter's gamma and rate.
+            num_robots: N.
+            dwell: seconds without an objection before vision is used again.
+            between_returns: shortest time in seconds between two returns to vision.
+        """
+        self.spec, self.dwell, self.between_returns = spec, dwell, between_returns
+        self.monitors = Monitors(thresholds, num_robots)
+        self.probability = np.ones(num_robots)
+        """Vision probability P_t, [N]; vision is trusted at first."""
         self.vision = np.ones(num_robots, bool)
         """Whether each robot uses vision, [N]."""
         self.reason = np.full(num_robots, "", object)
         """Reason of the first objecting monitor when vision was last left, [N]; empty on vision."""
-        self._thresholds = np.array([[monitor.threshold] for monitor in self.monitors])
+        self._thresholds = np.array([[thresholds[name]] for name in self.monitors.names])
         self._periods: int | None = None
         self._healthy_since = np.zeros(num_robots)
         self._returned = np.full(num_robots, -np.inf)
-
-    @property
-    def probability(self) -> np.ndarray:
-        """Vision probability P_t, [N]."""
-        return self.filter.probability
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """Take what is known of vision at one moment.
@@ -107,23 +121,24 @@ class MonitorSelector:
         Returns:
             "Use vision", [N] bool.
         """
-        # Every monitor looks at every input: some count images.
-        scores = np.array([monitor.score(seen) for monitor in self.monitors])
+        scores = self.monitors.scores(seen)  # At every call: equal images are counted.
         due = self._due(now)
         if due == 0:
             return self.vision
         verdicts = scores < self._thresholds
         healthy = np.logical_and.reduce(verdicts)
-        likely = self.filter.update(healthy, due)
+        self.probability = low_pass(self.probability, healthy, self.spec.gamma, due)
+        likely = self.probability > VISION_THRESHOLD
         self._healthy_since = np.where(healthy, np.minimum(self._healthy_since, now), np.inf)
         if (likely == self.vision).all():
             return self.vision
-        rested = (now - self._healthy_since >= self.cfg.dwell - 1e-9) & (
-            now - self._returned >= self.cfg.between_returns - 1e-9
+        rested = (now - self._healthy_since >= self.dwell - 1e-9) & (
+            now - self._returned >= self.between_returns - 1e-9
         )
         returning = ~self.vision & likely & rested
         for robot in np.flatnonzero(self.vision & ~likely & ~healthy):
-            self.reason[robot] = self.monitors[int(verdicts[:, robot].argmin())].reason
+            objecting = self.monitors.names[int(verdicts[:, robot].argmin())]
+            self.reason[robot] = MONITORS[objecting].reason
         self._returned[returning] = now
         self.reason[returning] = ""
         self.vision = (self.vision & likely) | returning
@@ -134,16 +149,15 @@ class MonitorSelector:
         if mask is None:
             self._periods = None
             mask = np.ones(len(self.vision), bool)
-        self.filter.reset(mask)
+        self.probability[mask] = 1.0
         self.vision = self.vision | mask
         self.reason[mask] = ""
         self._returned[mask] = -np.inf
-        for monitor in self.monitors:
-            monitor.reset(mask)
+        self.monitors.reset(mask)
 
     def _due(self, now: float) -> int:
         """Filter updates due since the last call, at multiples of their period."""
-        ticks = now * self.cfg.rate_hz
+        ticks = now * self.spec.rate_hz
         # Rounding of the clock must not swallow an update.
         periods = math.floor(ticks + 1e-4)
         last = math.ceil(ticks - 1e-4) - 1 if self._periods is None else self._periods
@@ -165,9 +179,7 @@ def check_selector(spec: SelectorSpec) -> None:
             f"at most {SLOWEST:g} s are allowed"
         )
     for name, value in (("beta", spec.beta), *spec.thresholds.items()):
-        limit = LIMITS.get("reconstruction" if name == "beta" else name)
-        if limit is None:
-            raise RenetError(f"unknown monitor '{name[:40]}': choose among {', '.join(LIMITS)}")
+        limit = MONITORS["reconstruction" if name == "beta" else name].limit
         if not value <= limit:
             raise RenetError(
                 f"selector threshold {name} {value:g} would never object, at most {limit:g}"
@@ -184,7 +196,6 @@ def make_selector(kind: str, spec: SelectorSpec, num_robots: int = 1) -> Monitor
     """A selector for N robots by its name, one of `SELECTORS`; raises RenetError for another."""
     check_kind(kind)
     if kind == "paper":
-        cfg = SelectorCfg(spec.gamma, spec.rate_hz, dwell=0.0, between_returns=0.0)
-        return MonitorSelector([Reconstruction(spec.beta)], cfg, num_robots)
-    monitors = default_monitors(spec.beta, spec.thresholds, num_robots)
-    return MonitorSelector(monitors, SelectorCfg(spec.gamma, spec.rate_hz), num_robots)
+        beta = {"reconstruction": spec.beta}
+        return MonitorSelector(beta, spec, num_robots, dwell=0.0, between_returns=0.0)
+    return MonitorSelector(spec.used_thresholds, spec, num_robots)

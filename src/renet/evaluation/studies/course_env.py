@@ -107,12 +107,9 @@ class PlaceInjector(Injector):
 
     def apply(self, frames: Frames, step: int) -> Frames:
         """Spoil the frames of the robots where the camera fails."""
-        frames = frames.copy()
         for kind, fault in self._faults.items():
-            here = self._here((kind,))
-            spoilt = fault.corrupt(frames, np.where(here, step * CONTROL_DT, -1.0))
-            rows = np.flatnonzero(here)
-            frames.write(rows, spoilt.rows(rows))
+            elapsed = np.where(self._here((kind,)), step * CONTROL_DT, -1.0)
+            frames = fault.corrupt(frames, elapsed)
         return frames
 
     def _here(self, kinds: Sequence[str]) -> np.ndarray:

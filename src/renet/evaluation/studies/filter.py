@@ -23,7 +23,7 @@ from renet.evaluation.study import Figures, Part, Study, Table
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, PHYSICS_DT
 from renet.selector import SelectorSpec, make_selector
-from renet.selector.filter import LowPassFilter, switch_delay
+from renet.selector.filter import switch_delay
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class FilterStudy(Study):
         if not (self.gammas and self.rates):
             raise RenetError("give at least one gamma and one rate")
         for gamma in self.gammas:
-            LowPassFilter(gamma)
+            SelectorSpec(beta=1.0, gamma=gamma)  # Raises where there is no such filter.
         for rate in self.rates:
             every = 1.0 / (PHYSICS_DT * rate) if rate > 0 else 0.0
             if every < 0.5 or abs(every / round(every) - 1.0) > 1e-6:

@@ -41,7 +41,7 @@ class VisionPanels:
             self.severity = gui.add_slider("severity", SEVERITIES[0], SEVERITIES[-1], 1, 3)
             self.clear_fault = gui.add_button("healthy", color="green")
             self.faults = {
-                name: gui.add_button(name.replace("_", " "), hint=fault.summary)
+                name: gui.add_button(name.replace("_", " "), hint=fault.summary())
                 for name, fault in FAULTS.items()
             }
         self._connect()
