@@ -1,4 +1,4 @@
-"""A evaluator without physics: robots that walk unless a spoilt image drives them."""
+"""An evaluator without physics: robots that walk unless a spoilt image drives them."""
 
 from collections.abc import Sequence
 from typing import ClassVar
@@ -9,6 +9,7 @@ import numpy as np
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import StepResult
+from renet.faults import ViewPerturbation
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.selector import MonitorSelector
@@ -38,6 +39,9 @@ class FakeEnv:
         self.x += SPEED * 0.02
         self.x[fell] = 0
         return self.result(SPEED * (1 - np.minimum(harm, 1)), fell)
+
+    def perturb_cameras(self, view: ViewPerturbation) -> None:
+        """Its cameras see one ground, whatever the scene."""
 
     def place_on(self, grounds: Sequence[str]) -> None:
         assert len(grounds) == self.num_robots
