@@ -25,7 +25,7 @@ class LiveViewer(ViserPlayViewer):
         # In the browser elevation is the camera's; in MuJoCo it is that of its line of sight.
         self.cfg = replace(self.cfg, elevation=-self.cfg.elevation)
         self.session = session
-        self._shown = -1
+        self._shown = 0
 
     def setup(self) -> None:
         """Add the panels, then set up as mjlab does."""
@@ -43,6 +43,7 @@ class LiveViewer(ViserPlayViewer):
     def reset_environment(self) -> None:
         """Put the robot back and empty the curves."""
         super().reset_environment()
+        self._shown = 0
         self.panels.clear()
 
 
