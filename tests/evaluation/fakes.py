@@ -104,7 +104,7 @@ class FakeEvaluator:
     rollout = Evaluator.rollout
 
     def provenance(self, seed: int) -> Provenance:
-        return Provenance.now("fake", "0" * 64, "native", seed)
+        return Provenance("fake", "0" * 64, "native", seed)
 
     def make_env(self, task, robots: Sequence[int], speed: float, seed: int) -> FakeEnv:
         return FakeEnv(len(robots))

@@ -59,7 +59,7 @@ class Evaluator:
     def provenance(self, seed: int) -> Provenance:
         """The provenance of numbers made with this bundle now."""
         engine = "native" if self.engine == "auto" else self.engine
-        return Provenance.now(self.bundle.name, self.bundle.sha256, engine, seed)
+        return Provenance(self.bundle.name, self.bundle.sha256, engine, seed)
 
     def make_env(
         self, task: str | RenetEnvCfg, robots: Sequence[int], speed: float, seed: int

@@ -56,11 +56,11 @@ class VisionPanels:
         self.turn.on_click(lambda _: session.steer(self.speed.value, side[self.turn.value]))
         self.clear_fault.on_click(lambda _: session.clear_fault())
         for name, button in self.faults.items():
-            button.on_click(lambda _, fault=name: session.inject(self._chosen(fault)))
+            button.on_click(lambda _, fault=name: self._begin(fault))
 
-    def _chosen(self, fault: str) -> Injection:
-        """A fault that begins now, at the severity of the slider."""
-        return Injection.of(fault, int(self.severity.value), onset=0)
+    def _begin(self, fault: str) -> None:
+        """Let a fault begin, at the severity of the slider."""
+        self.session.inject(Injection.of(fault, int(self.severity.value), onset=0))
 
     def update(self, step: int) -> None:
         """Show what the robot saw and made of it when it took control step `step`, 1 or later."""
