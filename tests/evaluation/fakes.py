@@ -96,18 +96,21 @@ class FakePolicy:
 
 
 class FakeEvaluator:
-    """Stands in for `renet.evaluation.evaluator.Evaluator`."""
+    """Stands in for `renet.evaluation.evaluator.Evaluator`; its robots are of the class `env`."""
 
     beta = 0.01
     thresholds: ClassVar = {"reconstruction": 0.01, "duplicate": 3.0, "frame_age": 0.2}
     robot = GO1
     rollout = Evaluator.rollout
 
+    def __init__(self, env: type[FakeEnv] = FakeEnv) -> None:
+        self.env = env
+
     def provenance(self, seed: int) -> Provenance:
         return Provenance("fake", "0" * 64, "native", seed)
 
     def make_env(self, task, robots: Sequence[int], speed: float, seed: int) -> FakeEnv:
-        return FakeEnv(len(robots))
+        return self.env(len(robots))
 
     def make_policy(self, num_robots: int) -> FakePolicy:
         return FakePolicy(num_robots)

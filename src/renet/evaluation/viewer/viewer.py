@@ -50,7 +50,7 @@ class LiveViewer(ViserPlayViewer):
 def serve(host: str, port: int) -> viser.ViserServer:
     """A server on exactly this port; raises RenetError if something else has it."""
     with socket.socket() as probe:
-        # As the server itself will: a port that was closed a snapshot ago is free.
+        # As the server itself will: a port that was closed a moment ago is free.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))
