@@ -103,6 +103,7 @@ class Evaluator:
         trials: Sequence[Trial],
         steps: int,
         seed: int,
+        *,
         policy: EvalPolicy | None = None,
         **options: Any,
     ) -> Trace:
