@@ -1,6 +1,6 @@
 """A study's progress in the terminal, with the time that is left."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import TypeVar
 
 from rich.console import Console
@@ -10,6 +10,6 @@ console = Console(stderr=True)
 Step = TypeVar("Step")
 
 
-def progress(steps: Sequence[Step], title: str) -> Iterable[Step]:
+def progress(steps: Iterable[Step], title: str) -> Iterable[Step]:
     """The steps one after the other, beside a bar on standard error."""
     return track(steps, f"{title:<24}", console=console)
