@@ -290,7 +290,7 @@ class CheckpointEvaluator(Evaluator):
 
     def provenance(self, seed: int) -> Provenance:
         """The checkpoint's name and hash in place of a bundle's."""
-        return Provenance.now(self._name, self._digest, "native", seed)
+        return Provenance(self._name, self._digest, "native", seed)
 
 
 def stage_curves(cfg: Cfg, row: Row, stage: Stage) -> list[dict[str, float]]:

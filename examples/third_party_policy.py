@@ -32,7 +32,7 @@ class TheirEvaluator(Evaluator):
         super().__init__()
         digest = hashlib.sha256(model.read_bytes()).hexdigest()
         self.make_policy = lambda num_robots: TheirPolicy(model, num_robots)
-        self.provenance = lambda seed: Provenance.now(model.stem, digest, "native", seed)
+        self.provenance = lambda seed: Provenance(model.stem, digest, "native", seed)
 
 
 def main(model: Path, results: Path = Path("results")) -> None:

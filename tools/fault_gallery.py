@@ -21,7 +21,7 @@ WIDTH = 1100
 def main() -> None:
     """Draw, shrink, and write a WebP."""
     with tempfile.TemporaryDirectory() as folder:
-        where = Provenance.now("no policy", "", "MuJoCo", SEED)
+        where = Provenance("no policy", "", "MuJoCo", SEED)
         drawn, path = draw_gallery(list(FAULTS), SEED), Path(folder) / "faults.png"
         picture = Image.open(figures.save(drawn, path, where))
         height = round(picture.height * WIDTH / picture.width)

@@ -1,4 +1,4 @@
-"""A evaluator without physics: robots that walk unless a spoilt image drives them."""
+"""An evaluator without physics: robots that walk unless a spoilt image drives them."""
 
 from collections.abc import Sequence
 from typing import ClassVar
@@ -9,6 +9,7 @@ import numpy as np
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import StepResult
+from renet.faults import ViewPerturbation
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.selector import MonitorSelector
@@ -38,6 +39,9 @@ class FakeEnv:
         self.x += SPEED * 0.02
         self.x[fell] = 0
         return self.result(SPEED * (1 - np.minimum(harm, 1)), fell)
+
+    def perturb_cameras(self, view: ViewPerturbation) -> None:
+        """Its cameras see one ground, whatever the scene."""
 
     def place_on(self, grounds: Sequence[str]) -> None:
         assert len(grounds) == self.num_robots
@@ -92,18 +96,21 @@ class FakePolicy:
 
 
 class FakeEvaluator:
-    """Stands in for `renet.evaluation.evaluator.Evaluator`."""
+    """Stands in for `renet.evaluation.evaluator.Evaluator`; its robots are of the class `env`."""
 
     beta = 0.01
     thresholds: ClassVar = {"reconstruction": 0.01, "duplicate": 3.0, "frame_age": 0.2}
     robot = GO1
     rollout = Evaluator.rollout
 
+    def __init__(self, env: type[FakeEnv] = FakeEnv) -> None:
+        self.env = env
+
     def provenance(self, seed: int) -> Provenance:
-        return Provenance.now("fake", "0" * 64, "native", seed)
+        return Provenance("fake", "0" * 64, "native", seed)
 
     def make_env(self, task, robots: Sequence[int], speed: float, seed: int) -> FakeEnv:
-        return FakeEnv(len(robots))
+        return self.env(len(robots))
 
     def make_policy(self, num_robots: int) -> FakePolicy:
         return FakePolicy(num_robots)

@@ -14,7 +14,7 @@ from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.terrains import tile_row
 from renet.terrain.tiles import LEVELS, TILE, tiles
 
-from .fakes import FakeEnv, FakePolicy
+from .fakes import FakePolicy
 
 
 def quiet(cfg):
@@ -76,14 +76,11 @@ def test_a_pitched_camera_sees_what_was_rows_away(tile: SimEnv) -> None:
     assert shift == pytest.approx(0.1 * 24.0 / 0.4875, abs=1.1)
 
 
-def test_glass_shows_the_ground_behind_and_leaves_the_physics(tile: SimEnv) -> None:
+def test_glass_shows_the_ground_behind(tile: SimEnv) -> None:
     clear = seen(tile, view(glass={0: 1.0}))[0]
     true = seen(tile, ViewPerturbation.none(4))[0]
     assert (clear >= true - 2e-3).all()
     assert (clear > true + 0.05).any()
-    contacts = tile.env.sim.mj_model.ngeom
-    seen(tile, view(glass={0: 1.0}))
-    assert tile.env.sim.mj_model.ngeom == contacts
 
 
 def test_glass_needs_obstacles() -> None:
@@ -104,13 +101,9 @@ def test_a_physical_fault_comes_and_goes_with_its_schedule(tile: SimEnv) -> None
 
 
 def test_cameras_without_a_simulator_refuse_physical_faults() -> None:
-    selector = make_selector("paper", SelectorSpec(beta=1.0))
     for name in ("glass", "foam", "mount_knocked"):
-        schedule = (Injection.of(name, 3),)
         with pytest.raises(RenetError, match="only a simulated world"):
-            Injector([schedule], [0], 0)
-        with pytest.raises(RenetError, match="only a simulated world"):
-            run_rollout(FakeEnv(1), FakePolicy(1), selector, [Trial("vp", schedule)], 5, 0)
+            Injector([(Injection.of(name, 3),)], [0], 0)
 
 
 def test_views_compose_and_images_pass_untouched() -> None:

@@ -5,43 +5,32 @@ from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
-import onnx
+import onnx.parser
 import pytest
-from onnx import TensorProto, helper
 
 import third_party_policy as example
 from renet.evaluation.studies.faults import FaultStudy
 
+STILL = """
+<ir_version: 8, opset_import: ["" : 17]>
+still (float[N, 45] observation, float[N, 48, 64] depth) => (float[N, 12] action)
+{
+    mean = ReduceMean <axes = [1, 2], keepdims = 0> (depth)
+    last = Constant <value_ints = [1]> ()
+    column = Unsqueeze (mean, last)
+    little = Constant <value_float = 0.01> ()
+    small = Mul (column, little)
+    size = Constant <value_ints = [1, 12]> ()
+    action = Expand (small, size)
+}
+"""
+"""Action = 0.01 mean depth, to see what the policy is shown."""
+
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Action = 0 · observation + mean depth, to see what the policy is shown."""
-    weights = helper.make_tensor("weights", TensorProto.FLOAT, (45, 12), [0.0] * 540)
-    nodes = [
-        helper.make_node("MatMul", ["observation", "weights"], ["nothing"]),
-        helper.make_node("ReduceMean", ["depth"], ["means"], axes=[1, 2], keepdims=0),
-        helper.make_node("Unsqueeze", ["means", "one"], ["column"]),
-        helper.make_node("Mul", ["column", "little"], ["small"]),
-        helper.make_node("Add", ["nothing", "small"], ["action"]),
-    ]
-    graph = helper.make_graph(
-        nodes,
-        "still",
-        [
-            helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["N", 45]),
-            helper.make_tensor_value_info("depth", TensorProto.FLOAT, ["N", 48, 64]),
-        ],
-        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["N", 12])],
-        [
-            weights,
-            helper.make_tensor("one", TensorProto.INT64, (1,), [1]),
-            helper.make_tensor("little", TensorProto.FLOAT, (1,), [0.01]),
-        ],
-    )
     path = tmp_path_factory.mktemp("theirs") / "still.onnx"
-    onnx.save(
-        helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), path
-    )
+    onnx.save(onnx.parser.parse_model(STILL), path)
     return path
 
 

@@ -1,5 +1,7 @@
 """Every study with hardly anything in it, and the stand-ins for a simulator it is run with."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -41,11 +43,6 @@ class Ladder(FakeEnv):
         result.ended[:] = over
         result.fell[:] = over & ~self.able
         return result
-
-
-class LadderEvaluator(FakeEvaluator):
-    def make_env(self, task, robots, speed, seed):
-        return Ladder(len(robots))
 
 
 class Hurdles(FakeEnv):
@@ -98,11 +95,6 @@ class Obedient(FakeEnv):
         return pose
 
 
-class ObedientEvaluator(FakeEvaluator):
-    def make_env(self, task, robots, speed, seed):
-        return Obedient(len(robots))
-
-
 class StillEvaluator(FakeEvaluator):
     """Real physics, and robots that stand still."""
 
@@ -119,7 +111,7 @@ class StillEvaluator(FakeEvaluator):
         return policy
 
 
-TINY: dict[str, tuple[Study, type[FakeEvaluator]]] = {
+TINY: dict[str, tuple[Study, Callable[[], FakeEvaluator]]] = {
     "noise": (NoiseStudy(robots=2, onsets=(1.0,), lasts=4.0, seconds=5.0), FakeEvaluator),
     "faults": (
         FaultStudy(
@@ -137,10 +129,10 @@ TINY: dict[str, tuple[Study, type[FakeEvaluator]]] = {
         SuccessStudy(kinds=("gap", "stairs_up"), levels=(1, 3, 5), robots=3, seconds=2),
         HurdlesEvaluator,
     ),
-    "terrain": (TerrainStudy(robots=3, seconds=2), LadderEvaluator),
+    "terrain": (TerrainStudy(robots=3, seconds=2), partial(FakeEvaluator, Ladder)),
     "standing": (
         StandingStudy(kinds=("flat", "stairs_up"), robots=2, walk=0.2, settle=0.2, stand=0.4),
-        ObedientEvaluator,
+        partial(FakeEvaluator, Obedient),
     ),
     "margins": (MarginsStudy(axes=("payload",), robots=1, seconds=0.2), FakeEvaluator),
     "course": (

@@ -19,6 +19,7 @@ from renet.deploy.calibration_log import recorded_scores
 from renet.deploy.terminal import show
 from renet.errors import RenetError
 from renet.evaluation.monitor_log import TICK_RATE, MonitorLog, healthy_series
+from renet.evaluation.rollout import Trial, check_speed
 from renet.faults import Injection
 from renet.interface import CONTROL_DT
 from renet.selector.calibration import calibrate, calibrate_monitors
@@ -84,12 +85,11 @@ def run_calibrate(cfg: CalibrateCfg, evaluator: Evaluator | None = None) -> floa
     """
     if cfg.log:
         bundle = Bundle.load(cfg.bundle)
-        series = recorded_scores(cfg.log, bundle)
-        return _store(cfg, bundle, series, {}, f"{len(cfg.log)} recording(s)")
-    return _store(cfg, *_simulated_scores(cfg, evaluator), f"successful episodes, seed {cfg.seed}")
+        return _store(cfg, bundle, recorded_scores(cfg.log, bundle), {})
+    return _store(cfg, *_simulated_scores(cfg, evaluator))
 
 
-def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series, source: str) -> float:
+def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series) -> float:
     """Learn β and the thresholds from healthy scores, write them into the manifest, return β.
 
     β is learnt without the `grassy` runs, and so is the reconstruction's threshold: it is used only
@@ -106,6 +106,8 @@ def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series, so
             thresholds[name] = max(thresholds[name], passes)
     beta = calibrate(scores, cfg.false_alarm)
     rule = f"false alarm {cfg.false_alarm}" if cfg.false_alarm else "maximum"
+    simulated = f"successful episodes, seed {cfg.seed}"
+    source = f"{len(cfg.log)} recording(s)" if cfg.log else simulated
     how = f"{rule} of {len(scores)} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
     manifest = bundle.manifest
     selector = replace(
@@ -138,7 +140,6 @@ def _simulated_scores(
     """
     from renet.evaluation.env import FLAT, PARKOUR
     from renet.evaluation.evaluator import Evaluator
-    from renet.evaluation.rollout import check_speed
     from renet.terrain.tiles import LEVELS
 
     if cfg.robots < 1 or cfg.seconds < 1 or not 1 <= cfg.levels <= LEVELS:
@@ -160,23 +161,23 @@ def _simulated_scores(
 
 
 def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Series:
-    """Every monitor's scores in the successful episodes on all terrains, by name."""
-    runs = [_runs_on(terrain, cfg, evaluator, grass) for terrain in cfg.terrains]
-    return {name: [scores for run in runs for scores in run[name]] for name in runs[0]}
+    """Every monitor's scores in the successful episodes on all terrains, by name.
 
-
-def _runs_on(terrain: str, cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Series:
-    """The same on one terrain, VP in charge throughout; in grass of severity 1 and 2 in turn."""
+    VP is in charge throughout; `grass` is of severity 1 and 2 in turn.
+    """
     from renet.evaluation.env import PARKOUR
-    from renet.evaluation.rollout import Trial
     from renet.terrain.tiles import tiles
 
-    env = evaluator.make_env(terrain, range(cfg.robots), cfg.speed, cfg.seed)
-    if terrain == PARKOUR:
-        robot = np.arange(cfg.robots)
-        env.place(robot // len(tiles()) % cfg.levels, robot % len(tiles()))
+    robots, steps = np.arange(cfg.robots), round(cfg.seconds / CONTROL_DT)
     sparse = [(Injection.of("tall_grass", severity, onset=0),) for severity in (1, 2)]
-    trials = [Trial("vp", sparse[robot % 2] if grass else (), robot) for robot in range(cfg.robots)]
-    log, steps = MonitorLog(cfg.robots), round(cfg.seconds / CONTROL_DT)
-    trace = evaluator.rollout(terrain, env, trials, steps, cfg.seed, on_update=log)
-    return healthy_series(log, trace, cfg.speed)
+    trials = [Trial("vp", sparse[robot % 2] if grass else (), int(robot)) for robot in robots]
+    found: Series = {name: [] for name in MONITORS}
+    for terrain in cfg.terrains:
+        env = evaluator.make_env(terrain, range(cfg.robots), cfg.speed, cfg.seed)
+        if terrain == PARKOUR:
+            env.place(robots // len(tiles()) % cfg.levels, robots % len(tiles()))
+        log = MonitorLog(cfg.robots)
+        trace = evaluator.rollout(terrain, env, trials, steps, cfg.seed, on_update=log)
+        for name, runs in healthy_series(log, trace, cfg.speed).items():
+            found[name] += runs
+    return found

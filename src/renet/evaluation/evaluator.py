@@ -1,6 +1,6 @@
 """What every study works with: a bundle, its policy and selector, and environments for them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,18 +9,9 @@ from renet.deploy.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.env import FLAT, PARKOUR, SimEnv, robot_of, study_env_cfg, terrain_env_cfg
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import (
-    EvalEnv,
-    EvalPolicy,
-    EvalSelector,
-    StepResult,
-    Trial,
-    run_rollout,
-)
-from renet.evaluation.terminal import progress
+from renet.evaluation.rollout import EvalEnv, EvalPolicy, EvalSelector, Trial, run_rollout
 from renet.evaluation.trace import Trace
-from renet.faults import Injector
-from renet.selector import SelectorInput, make_selector
+from renet.selector import make_selector
 from renet.selector.selector import check_kind
 from renet.tasks import RenetEnvCfg, RobotCfg
 from renet.tasks.sensors import set_depth_noise
@@ -66,7 +57,7 @@ class Evaluator:
     def provenance(self, seed: int) -> Provenance:
         """The provenance of numbers made with this bundle now."""
         engine = "native" if self.engine == "auto" else self.engine
-        return Provenance.now(self.bundle.name, self.bundle.sha256, engine, seed)
+        return Provenance(self.bundle.name, self.bundle.sha256, engine, seed)
 
     def make_env(
         self, task: str | RenetEnvCfg, robots: Sequence[int], speed: float, seed: int
@@ -110,28 +101,17 @@ class Evaluator:
         trials: Sequence[Trial],
         steps: int,
         seed: int,
-        film: Sequence[int] = (),
-        on_step: Callable[[StepResult], Any] = lambda result: None,
-        on_update: Callable[[SelectorInput], Any] = lambda seen: None,
+        *,
         policy: EvalPolicy | None = None,
-        injector: Injector | None = None,
+        **options: Any,
     ) -> Trace:
-        """`run_rollout` of the policy under study, or of `policy`, beside a progress bar."""
-        with progress(title, steps) as advance:
+        """`run_rollout` of the policy under study, or of `policy`, with `title` over its bar.
 
-            def after_step(result: StepResult) -> Any:
-                advance()
-                return on_step(result)
-
-            return run_rollout(
-                env,
-                policy or self.make_policy(len(trials)),
-                self.make_selector(len(trials)),
-                trials,
-                steps,
-                seed,
-                film,
-                after_step,
-                injector,
-                on_update,
-            )
+        Args:
+            title, env, trials, steps, seed: see there.
+            policy: made by `make_policy` by default.
+            options: `film`, `on_step`, `on_update` and `injector`, see there.
+        """
+        policy = policy or self.make_policy(len(trials))
+        selector = self.make_selector(len(trials))
+        return run_rollout(env, policy, selector, trials, steps, seed, title=title, **options)

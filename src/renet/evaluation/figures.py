@@ -1,6 +1,6 @@
 """Figures: one look for all of them, drawn without a display, saved whole with their provenance."""
 
-import os
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from renet.evaluation.results import Provenance
+from renet.files import write_atomically
 from renet.interface import CONTROL_DT
 
 VP_BAND, OP_BAND = "#bed5b4", "#f3c1bb"
@@ -68,10 +69,10 @@ def save(figure: Figure, path: Path, provenance: Provenance, dpi: int = 150) -> 
     line = provenance.line
     shown = line if len(line) <= 150 else line[:149] + "…"
     figure.supxlabel(shown, fontsize=6.5, color=FAINT, x=0.01, ha="left")
-    part = path.with_name(path.name + ".part")
-    figure.savefig(part, format="png", dpi=dpi, metadata={"Description": line})
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=dpi, metadata={"Description": line})
     plt.close(figure)
-    os.replace(part, path)
+    write_atomically(path, picture.getvalue(), "figure")
     return path
 
 

@@ -21,17 +21,16 @@ class MonitorLog:
     def __init__(self, num_robots: int) -> None:
         self._monitors = Monitors(MONITORS, num_robots)
         self._ticks: list[np.ndarray] = []
-        self.updates = 0
-        """Taken so far, one each physics step."""
+        self._updates = 0
 
     def __call__(self, seen: SelectorInput) -> None:
         """Take the scores of one update; a tick keeps the highest of its updates."""
         scores = self._monitors.scores(seen)
-        if self.updates % UPDATES_PER_TICK == 0:
+        if self._updates % UPDATES_PER_TICK == 0:
             self._ticks.append(scores)
         else:
             np.maximum(self._ticks[-1], scores, out=self._ticks[-1])
-        self.updates += 1
+        self._updates += 1
 
     @property
     def scores(self) -> dict[str, np.ndarray]:

@@ -123,7 +123,7 @@ def _film(cfg: PlayCfg) -> Path:
         policy = Policy(evaluator.bundle, count)
     log, title = MapLog(policy, env), f"{cfg.terrain}, {count} robots"
     trace = evaluator.rollout(
-        title, env, trials, steps, cfg.seed, range(count), on_update=log.note, policy=policy
+        title, env, trials, steps, cfg.seed, policy=policy, film=range(count), on_update=log.note
     )
     titles, name = dict(enumerate(cfg.modes)), ", ".join(fault.fault for fault in faults)
     return film(out, env.scene_spec, trace, titles, name, VideoCfg(), log.maps)

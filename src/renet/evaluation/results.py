@@ -11,7 +11,7 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -35,21 +35,15 @@ class Provenance:
     engine: str
     """Physics engine of the rollouts."""
     seed: int
-    command: str
-    """The command line that made them."""
-    date: str
-    """UTC, ISO 8601."""
-    renet_version: str
-    commit: str | None = None
+    command: str = field(
+        default_factory=lambda: shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    )
+    """The command line that made them; this process's by default."""
+    date: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    """UTC, ISO 8601; now by default."""
+    renet_version: str = renet.__version__
+    commit: str | None = field(default_factory=commit)
     """Of the clone that renet runs from, if it does."""
-
-    @classmethod
-    def now(cls, bundle: str, bundle_hash: str, engine: str, seed: int) -> Provenance:
-        """The provenance of what this process computes now."""
-        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-        date = datetime.now(UTC).isoformat(timespec="seconds")
-        version = renet.__version__
-        return cls(bundle, bundle_hash, engine, seed, command, date, version, commit())
 
     @property
     def line(self) -> str:

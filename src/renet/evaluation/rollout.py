@@ -7,25 +7,24 @@ under the modality the selector last chose, then the selector's filter is update
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Protocol
 
 import numpy as np
 
 from renet.errors import RenetError
-from renet.evaluation.trace import UPDATES_PER_STEP, Film, Trace
-from renet.faults import TICK, Frames, Injector, Schedule, ViewPerturbation
+from renet.evaluation.terminal import progress
+from renet.evaluation.trace import UPDATES_PER_STEP, Film, Trace, TrueState
+from renet.faults import Frames, Injector, Schedule, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import SelectorInput
 
-STATE = ("forward_velocity", "height", "travelled", "collisions", "power", "fell", "ended")
-"""What of a `StepResult` a trace keeps."""
 MODES = ("vp", "renet", "op", "oracle-switch")
 """Policy modes: vision always, the selector's choice, never, and a switch that knows the fault."""
 
 
 @dataclass(frozen=True)
-class StepResult:
+class StepResult(TrueState):
     """What N robots sense and truly do after a control step."""
 
     proprioception: np.ndarray
@@ -34,24 +33,10 @@ class StepResult:
     """[N, 48, 64] normalised, held between the camera's ticks."""
     angular_velocity: np.ndarray
     """[N, 3] true base rate, rad/s, base frame."""
-    forward_velocity: np.ndarray
-    """[N] true base velocity along the commanded yaw, m/s."""
-    height: np.ndarray
-    """[N] true height of the base above the ground it started on, m."""
-    travelled: np.ndarray
-    """[N] true horizontal distance from the start, m."""
-    collisions: np.ndarray
-    """[N] thighs, calves and trunks that touch something."""
-    power: np.ndarray
-    """[N] W, sum of |torque * joint velocity|."""
-    fell: np.ndarray
-    """[N] bool: the episode ended in this step by a fall, judged by the true pose."""
-    ended: np.ndarray
-    """[N] bool: the episode ended in this step, by a fall or its time; the robot starts anew."""
 
 
 class EvalEnv(Protocol):
-    """A batch of simulated robots; see `PerturbableEnv` for physical faults."""
+    """A batch of simulated robots."""
 
     num_robots: int
 
@@ -67,13 +52,8 @@ class EvalEnv(Protocol):
         """Generalised positions [len(rows), nq], for pictures."""
         ...
 
-
-@runtime_checkable
-class PerturbableEnv(Protocol):
-    """An environment whose cameras can be made to see what is not there."""
-
     def perturb_cameras(self, view: ViewPerturbation) -> None:
-        """Let the cameras see the scene so from their next image on."""
+        """Let the cameras see the scene so from their next image on: physical faults."""
 
 
 class EvalPolicy(Protocol):
@@ -139,40 +119,30 @@ def check_speed(speed: float) -> None:
         raise RenetError(f"speed must be positive, got {speed}")
 
 
+@dataclass
 class ClosedLoop:
     """Environment, policy, selector and camera faults of N robots, one control step at a time.
 
-    Studies, calibration, films and the live viewer all run this loop. `modes` and `injector` may be
-    replaced between two steps.
+    Studies, calibration, films and the live viewer all run this loop. Call `reset` before the first
+    step; `modes` and `injector` may be replaced between two steps.
     """
 
-    def __init__(
-        self,
-        env: EvalEnv,
-        policy: EvalPolicy,
-        selector: EvalSelector,
-        modes: Sequence[str],
-        injector: Injector,
-        on_update: Callable[[SelectorInput], Any] = lambda seen: None,
-    ) -> None:
-        """Put the parts together; call `reset` before the first step.
-
-        Args:
-            env: N robots.
-            policy: acts for all of them.
-            selector: only robots in mode `renet` obey it.
-            modes: policy mode of each robot, [N].
-            injector: of the camera faults.
-            on_update: shown the input of every update of the selector, before it.
-        """
-        self.env, self.policy, self.selector = env, policy, selector
-        self.modes, self.injector, self._on_update = np.array(modes), injector, on_update
-        self.clock = 0
-        """Control steps so far, over all resets: faults are scheduled by it."""
+    env: EvalEnv
+    policy: EvalPolicy
+    selector: EvalSelector
+    """Only robots in mode `renet` obey it."""
+    modes: np.ndarray
+    """[N] policy mode of each robot."""
+    injector: Injector
+    """Of the camera faults."""
+    on_update: Callable[[SelectorInput], Any] = lambda seen: None
+    """Shown the input of every update of the selector, before it."""
+    clock: int = field(default=0, init=False)
+    """Control steps so far, over all resets: faults are scheduled by it."""
 
     def reset(self) -> StepResult:
         """Put every robot at its start, trusting vision."""
-        self._perturb()
+        self.env.perturb_cameras(self.injector.perturbation(self.clock))
         self.result = self.env.reset()
         self.policy.reset()
         count = self.env.num_robots
@@ -205,12 +175,12 @@ class ClosedLoop:
         """[U, N] bool: vision is trusted after each update of this step."""
         for update in range(UPDATES_PER_STEP):
             seen = selector_input(self.policy, self.frames, self._steps, update)
-            self._on_update(seen)
+            self.on_update(seen)
             now = (self.clock * UPDATES_PER_STEP + update + 1) * PHYSICS_DT
             self.answers[update] = self.trusted = self.selector.update(seen, now)
         self.clock += 1
         self._steps += 1
-        self._perturb()
+        self.env.perturb_cameras(self.injector.perturbation(self.clock))
         return action
 
     def step(self, action: np.ndarray) -> StepResult:
@@ -222,10 +192,6 @@ class ClosedLoop:
             self.selector.reset(ended)
             self.trusted = self.trusted | ended
         return self.result
-
-    def _perturb(self) -> None:
-        if isinstance(self.env, PerturbableEnv):
-            self.env.perturb_cameras(self.injector.perturbation(self.clock))
 
 
 def run_rollout(
@@ -239,8 +205,9 @@ def run_rollout(
     on_step: Callable[[StepResult], Any] = lambda result: None,
     injector: Injector | None = None,
     on_update: Callable[[SelectorInput], Any] = lambda seen: None,
+    title: str = "rollout",
 ) -> Trace:
-    """Run every trial for a number of control steps.
+    """Run every trial for a number of control steps, beside a progress bar.
 
     Args:
         env: as many robots as trials.
@@ -253,25 +220,27 @@ def run_rollout(
         on_step: called after every control step; the run ends early where it returns True.
         injector: of camera faults that depend on more than time; made from the trials by default.
         on_update: shown the input of every update of the selector, before it.
+        title: of the progress bar.
 
     Returns:
         What happened, [steps, N].
 
     Raises:
-        RenetError: the environment does not hold as many robots as there are trials, or cannot
-            carry out a physical fault.
+        RenetError: the environment does not hold as many robots as there are trials, or its scene
+            cannot have one of the faults.
     """
     count = len(trials)
     if env.num_robots != count:
         raise RenetError(f"{count} trials need as many robots, not {env.num_robots}")
     if injector is None:
         schedules, streams = [t.schedule for t in trials], [t.robot for t in trials]
-        injector = Injector(schedules, streams, seed, physical=isinstance(env, PerturbableEnv))
-    loop = ClosedLoop(env, policy, selector, [t.mode for t in trials], injector, on_update)
+        injector = Injector(schedules, streams, seed, physical=True)
+    modes = np.array([t.mode for t in trials])
+    loop = ClosedLoop(env, policy, selector, modes, injector, on_update)
     trace, chosen = Trace.empty(steps, count), list(film)
     poses, images = [], []
     loop.reset()
-    for k in range(steps):
+    for k in progress(range(steps), title):
         delivered = loop.new_frame
         action = loop.act()
         if film:
@@ -282,21 +251,19 @@ def run_rollout(
         trace.anomaly[k], trace.probability[k] = policy.anomaly_score, selector.probability
         trace.vision[k], trace.failing[k] = ~loop.use_op, loop.failing
         result = loop.step(action)
-        for name in STATE:
-            getattr(trace, name)[k] = getattr(result, name)
+        for state in fields(TrueState):
+            getattr(trace, state.name)[k] = getattr(result, state.name)
         if on_step(result) is True:
             trace = trace.until(k + 1)
             break
     if film:
-        trace.film = Film(tuple(film), np.stack(poses), np.stack(images))
+        return replace(trace, film=Film(np.stack(poses), np.stack(images)))
     return trace
 
 
 def selector_input(policy: EvalPolicy, frames: Frames, step: int, update: int) -> SelectorInput:
     """What a selector's update is shown: only the tick's first update has a new frame."""
-    ticks = step % STEPS_PER_TICK
-    passed = ticks * CONTROL_DT + update * PHYSICS_DT
-    assert passed < TICK
+    passed = step % STEPS_PER_TICK * CONTROL_DT + update * PHYSICS_DT
     nothing = np.zeros((len(frames.age), 3))
     none = np.zeros(len(frames.age))
     return SelectorInput(

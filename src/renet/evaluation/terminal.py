@@ -1,32 +1,15 @@
 """A study's progress in the terminal, with the time that is left."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
+from typing import TypeVar
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import track
 
 console = Console(stderr=True)
+Step = TypeVar("Step")
 
 
-@contextmanager
-def progress(description: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar on standard error while the block runs; call what is yielded once per step."""
-    columns = (
-        TextColumn("{task.description:<24}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task(description, total=total)
-        yield lambda: bar.advance(task)
+def progress(steps: Iterable[Step], title: str) -> Iterable[Step]:
+    """The steps one after the other, beside a bar on standard error."""
+    return track(steps, f"{title:<24}", console=console)

@@ -17,38 +17,45 @@ UPDATES_PER_STEP = round(CONTROL_DT / PHYSICS_DT)
 class Film:
     """What pictures of a few rows need."""
 
-    rows: tuple[int, ...]
     poses: np.ndarray
     """[T, R, nq]"""
     images: np.ndarray
     """[ticks, R, 48, 64] uint8: the depth image each robot got at each tick."""
 
 
-@dataclass
-class Trace:
+@dataclass(frozen=True)
+class TrueState:
+    """What only a simulator knows of its robots: [N] after a control step, [T, N] in a run."""
+
+    forward_velocity: np.ndarray
+    """Base velocity along the commanded yaw, m/s."""
+    height: np.ndarray
+    """Of the base above the ground it started on, m."""
+    travelled: np.ndarray
+    """Horizontal distance from where the robot last started, m."""
+    collisions: np.ndarray
+    """Thighs, calves and trunks that touch something."""
+    power: np.ndarray
+    """W, sum of |torque * joint velocity|."""
+    fell: np.ndarray
+    """bool: the episode ended in this step by a fall, judged by the true pose."""
+    ended: np.ndarray
+    """bool: the episode ended in this step, by a fall, its time or its tile's edge. The robot is at
+    its next start, whose velocity this step has."""
+
+
+@dataclass(frozen=True)
+class Trace(TrueState):
     """What happened, for each control step and robot; [T, N] unless said otherwise.
 
     A robot that falls or leaves its tile starts anew and goes on; `over`, `fallen`, `speed` and
     `first_try` are for studies in which only the first try counts.
     """
 
-    forward_velocity: np.ndarray
-    """m/s along the commanded yaw."""
-    height: np.ndarray
-    """m"""
-    travelled: np.ndarray
-    """m from where the robot last started."""
-    collisions: np.ndarray
-    """Thighs, calves and trunks that touch something."""
-    power: np.ndarray
-    """W, sum of |torque * joint velocity|."""
     anomaly: np.ndarray
+    """The policy's anomaly score."""
     probability: np.ndarray
     """Vision probability P_t at the end of the step."""
-    fell: np.ndarray
-    """bool: fell in this step."""
-    ended: np.ndarray
-    """bool: fell or left its tile in this step; the velocity of this step is the next start's."""
     vision: np.ndarray
     """bool: the VP estimator's latent drove this step."""
     failing: np.ndarray

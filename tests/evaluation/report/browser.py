@@ -1,6 +1,5 @@
 """A headless Chromium, spoken to through a pipe: no driver, no package, no open port."""
 
-import base64
 import json
 import os
 import shutil
@@ -103,12 +102,6 @@ class Browser:
         """Errors and console messages since `open`."""
         methods = ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded")
         return [json.dumps(e["params"]) for e in self.events if e["method"] in methods]
-
-    def screenshot(self, path: Path) -> Path:
-        """A picture of the whole page."""
-        picture = self.call("Page.captureScreenshot", captureBeyondViewport=True)
-        path.write_bytes(base64.b64decode(picture["data"]))
-        return path
 
     def close(self) -> None:
         """End the browser."""

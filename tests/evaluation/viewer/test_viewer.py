@@ -17,6 +17,7 @@ from renet.evaluation.viewer.viewer import LiveViewer, serve, watch
 from renet.faults import FAULTS, Injection
 from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.commands import goal
+from renet.tasks.sensors import HEIGHT_MAP
 
 HOST = "127.0.0.1"
 
@@ -73,11 +74,11 @@ def test_panels_follow_the_robot(viewer, session):
     advance(viewer, 6)
     before = (viewer.panels.images.image, len(viewer.panels.loss.data[0]))
     advance(viewer, 5)
-    panels, snapshot = viewer.panels, session.snapshot
+    panels, loop = viewer.panels, session.loop
     assert not np.array_equal(panels.images.image, before[0]), "a new depth image every tick"
     assert len(panels.loss.data[0]) == before[1] + 1
-    assert panels.loss.data[1][-1] == pytest.approx(snapshot.anomaly)
-    assert panels.trust.data[1][-1] == pytest.approx(snapshot.probability)
+    assert panels.loss.data[1][-1] == pytest.approx(session.policy.anomaly_score[0])
+    assert panels.trust.data[1][-1] == pytest.approx(loop.selector.probability[0])
     assert "VP · vision" in panels.status.content
     assert "camera: healthy" in panels.status.content
 
@@ -87,7 +88,8 @@ def test_the_true_map_shows_the_platform(viewer, session):
     session.env.sim.data.qpos[0, 0] = session.env.scene.env_origins[0, 0] + 1.05
     advance(viewer, 6)
     # Its edge is 0.35 m away, which is on the map whichever way the robot looks: 0.15 m at level 3.
-    assert np.ptp(session.snapshot.true) == pytest.approx(0.15, abs=0.01)
+    true = session.env.scene[HEIGHT_MAP].data[0].numpy()
+    assert np.ptp(true) == pytest.approx(0.15, abs=0.01)
     true = viewer.panels.maps.image[:, -176:]
     assert np.ptp(true.reshape(-1, 3), axis=0).max() > 0
 
@@ -97,16 +99,16 @@ def test_every_fault_has_a_button_that_breaks_the_camera(viewer, session):
     for name, button in viewer.panels.faults.items():
         button.value = True
         advance(viewer, 5)
-        assert session.snapshot.fault == name
+        assert session.fault == name
         assert f"camera: {name.replace('_', ' ')}" in viewer.panels.status.content
     viewer.panels.clear_fault.value = True
     advance(viewer, 5)
-    assert session.snapshot.fault == ""
+    assert session.fault == ""
     session.inject(Injection.of("frozen", 1, onset=0))
     advance(viewer, 9)
-    assert session.snapshot.fault == "frozen"
+    assert session.fault == "frozen"
     advance(viewer, 2)
-    assert session.snapshot.fault == "", "it ends by itself after 0.2 s"
+    assert session.fault == "", "it ends by itself after 0.2 s"
 
 
 def test_noise_hands_over_to_op_and_the_panels_say_why(viewer, session):
@@ -114,15 +116,15 @@ def test_noise_hands_over_to_op_and_the_panels_say_why(viewer, session):
     viewer.panels.severity.value = 5
     viewer.panels.faults["gaussian"].value = True
     advance(viewer, 15)
-    assert session.snapshot.anomaly > session.beta
-    assert session.snapshot.probability < 0.5
-    assert not session.snapshot.vision
+    assert session.policy.anomaly_score[0] > session.beta
+    assert session.loop.selector.probability[0] < 0.5
+    assert session.loop.use_op[0]
     assert "OP · blind" in viewer.panels.status.content
     assert "vision is not trusted" in viewer.panels.status.content
     viewer.panels.clear_fault.value = True
     viewer.panels.mode.value = "vp"
     advance(viewer, 1)
-    assert session.snapshot.vision, "vision is forced"
+    assert not session.loop.use_op[0], "vision is forced"
     viewer.panels.mode.value = "renet"
 
 

@@ -1,7 +1,5 @@
 """Depth images and height maps as colours."""
 
-from functools import cache
-
 import numpy as np
 from matplotlib import colormaps
 
@@ -13,13 +11,12 @@ RELIEF = 0.5
 
 def depth_picture(depth: np.ndarray, scale: int = 4) -> np.ndarray:
     """Colours [48 scale, 64 scale, 3] uint8 of a depth image [48, 64] in [0, 1]; near is dark."""
-    return _enlarge(_colours("magma")[_bytes(depth)], scale)
+    return _coloured("magma", depth, scale)
 
 
 def map_picture(height_map: np.ndarray, scale: int = 16) -> np.ndarray:
     """Colours [12 scale, 11 scale, 3] uint8 of a height map [132] m; high ground is bright."""
-    ground = as_seen(height_map)
-    return _enlarge(_colours("viridis")[_bytes(0.5 + ground / (2 * RELIEF))], scale)
+    return _coloured("viridis", 0.5 + as_seen(height_map) / (2 * RELIEF), scale)
 
 
 def as_seen(height_map: np.ndarray) -> np.ndarray:
@@ -35,15 +32,6 @@ def beside(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     return np.concatenate((left, np.full((len(left), 4, 3), 255, np.uint8), right), axis=1)
 
 
-def _bytes(share: np.ndarray) -> np.ndarray:
-    return (255 * np.clip(share, 0.0, 1.0)).astype(np.uint8)
-
-
-def _enlarge(picture: np.ndarray, scale: int) -> np.ndarray:
-    return picture.repeat(scale, axis=0).repeat(scale, axis=1)
-
-
-@cache
-def _colours(name: str) -> np.ndarray:
-    """A colour table [256, 3] uint8."""
-    return (255 * colormaps[name](np.arange(256))[:, :3]).astype(np.uint8)
+def _coloured(colours: str, shares: np.ndarray, scale: int) -> np.ndarray:
+    """Each of `shares` [H, W] as a square of a matplotlib colour map's colour, 0 first, 1 last."""
+    return colormaps[colours](shares, bytes=True)[..., :3].repeat(scale, 0).repeat(scale, 1)

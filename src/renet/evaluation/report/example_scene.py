@@ -1,31 +1,19 @@
-"""A scene without a robot, for pictures of faults: flat ground and five blocks."""
+"""Blocks before a simulated robot, for pictures of faults."""
 
 from functools import cache
 
 import mujoco
 import numpy as np
 
-from renet.camera import Intrinsics
-from renet.deploy.cameras.sim import rotation, tilt
-from renet.deploy.robots.mujoco import cast
+from renet.deploy.bundle import DEFAULT, pretrained, read_manifest
+from renet.deploy.cameras.sim import SimCamera
+from renet.deploy.robots.mujoco import MujocoRobot
+from renet.deploy.robots.scene import build_scene
 from renet.faults import TICK, Frames, Injection, Injector, ViewPerturbation
-from renet.faults.physical import spread
-from renet.interface import CONTROL_DT, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK
 
-EYE = 0.3
-"""Height of the camera above the ground, m."""
-TILT = np.radians(30.0)
-"""By which it looks down."""
-BLOCKS = np.array(
-    [
-        # ahead, left, height of the lower and upper corner, m
-        [(0.70, -0.25, 0.0), (1.10, 0.25, 0.15)],
-        [(0.55, 0.35, 0.0), (0.75, 0.60, 0.10)],
-        [(0.50, -0.65, 0.0), (0.80, -0.35, 0.08)],
-        [(1.30, 0.10, 0.0), (1.60, 0.60, 0.30)],
-        [(1.30, -0.70, 0.0), (1.70, -0.20, 0.25)],
-    ]
-)
+PLACE = 0.3
+"""Where the robot stands on its tile, m ahead of the middle."""
 TURNING = np.array([[0.0, 1.0, 2.0]])
 """Rate of the base in the pictures, rad/s."""
 SHOWN = 5
@@ -50,26 +38,16 @@ def scene(view: ViewPerturbation | None = None, walked: float = 0.0) -> np.ndarr
 
     A `view` of one camera; by default it sees what is there.
     """
-    view, data = view or ViewPerturbation.none(1), _ground_and_blocks()
-    blocks = list(range(1, data.model.ngeom))
-    hidden = sorted(spread(blocks, float(view.glass[0]))) if view.glass[0] else []
-    rays = Intrinsics().rays()
-    lengths = np.linalg.norm(rays, axis=1)
-    eye = np.array([walked, 0.0, EYE - view.lift[0]])
-    camera = tilt(TILT) @ rotation(view.turn[0])
-    depth = cast(data, eye, rays / lengths[:, None] @ camera.T, hidden) / lengths
-    return np.clip(depth / DEPTH_RANGE, 0.0, 1.0).astype(np.float32).reshape(DEPTH_SHAPE)
+    robot, camera = _robot_and_camera()
+    robot.data.qpos[0] = PLACE + walked
+    mujoco.mj_forward(robot.model, robot.data)
+    camera.disturb(view or ViewPerturbation.none(1))
+    return np.clip(camera.depth() / DEPTH_RANGE, 0.0, 1.0).astype(np.float32)
 
 
 @cache
-def _ground_and_blocks() -> mujoco.MjData:
-    spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1))
-    for low, high in BLOCKS:
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX, size=(high - low) / 2, pos=(low + high) / 2
-        )
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    return data
+def _robot_and_camera() -> tuple[MujocoRobot, SimCamera]:
+    manifest = read_manifest(pretrained(DEFAULT))
+    model, ground = build_scene("obstacles", level=10, seed=1)
+    robot = MujocoRobot(model, manifest.robot, ground)
+    return robot, SimCamera(robot, manifest.camera, noise=False)

@@ -8,6 +8,8 @@ from renet.evaluation.report.page import Section, render
 
 Found = Mapping[str, dict[str, Any]]
 """Summaries by study."""
+Row = tuple[str, str, str, str]
+"""Study, setting, RENet's number, and that of OP alone."""
 
 
 def overview_section(found: Found) -> Section:
@@ -93,14 +95,9 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def _worse_faults(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+def _worse_faults(summary: dict[str, Any]) -> list[Row]:
     harmful = [
-        (
-            "faults",
-            setting_label(f) + _doubt(f),
-            _percent(f["renet"]),
-            _percent(f["op"]),
-        )
+        ("faults", setting_label(f) + _doubt(f), _percent(f["renet"]), _percent(f["op"]))
         for f in summary["harmful"]
     ]
     missed = [
@@ -120,7 +117,7 @@ def _doubt(finding: dict[str, Any]) -> str:
     return "" if finding["beyond_chance"] else " (within chance)"
 
 
-def _worse_success(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+def _worse_success(summary: dict[str, Any]) -> list[Row]:
     return [
         (
             "obstacles",
@@ -132,20 +129,14 @@ def _worse_success(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     ]
 
 
-def _worse_course(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
-    blind = {row["kind"]: row for row in summary["passages"] if row["mode"] == "op"}
+def _worse_course(summary: dict[str, Any]) -> list[Row]:
+    rows = {(row["mode"], row["kind"]): row for row in summary["passages"]}
+    share = {key: row["crossed"] / row["tries"] for key, row in rows.items()}
+    count = {key: f"{row['crossed']} of {row['tries']}" for key, row in rows.items()}
     return [
-        (
-            "course",
-            row["kind"],
-            f"{row['crossed']} of {row['tries']}",
-            f"{blind[row['kind']]['crossed']} of {blind[row['kind']]['tries']}",
-        )
-        for row in summary["passages"]
-        if row["mode"] == "renet"
-        and row["kind"] in blind
-        and row["crossed"] / row["tries"]
-        < blind[row["kind"]]["crossed"] / blind[row["kind"]]["tries"] - 0.02
+        ("course", kind, count["renet", kind], count["op", kind])
+        for mode, kind in rows
+        if mode == "renet" and share["renet", kind] < share.get(("op", kind), 0.0) - 0.02
     ]
 
 

@@ -1,7 +1,6 @@
 """Videos without OpenGL: MuJoCo Warp's own ray tracer draws the robots, on a CPU as on a GPU."""
 
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from renet.errors import RenetError
 from renet.evaluation.report.colormaps import beside, map_picture
 from renet.evaluation.terminal import progress
 from renet.evaluation.trace import Trace
+from renet.files import write_atomically
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 
 CAMERA = "renet_tracking_camera"
@@ -101,17 +101,14 @@ class Painter:
     def _viewpoint(self, robot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Position and rotation matrix of a camera that looks at a robot's position [3]."""
         # The camera keeps its height, or a trotting robot would seem to stand on moving ground.
-        ground = np.array([robot[0], robot[1], self._ground(robot)])
+        # Rounding to a grid of 0.1 m does that on even ground.
+        ground = np.array([robot[0], robot[1], round(robot[2] - 0.3, 1)])
         back = AWAY / np.linalg.norm(AWAY)
         right = np.cross([0, 0, 1], back)
         right /= np.linalg.norm(right)
         # Left and low in the picture: the depth image is shown in the upper right corner.
         target = ground + 0.15 * right + [0, 0, 0.26]
         return target + AWAY, np.stack([right, np.cross(back, right), back], axis=1)
-
-    def _ground(self, robot: np.ndarray) -> float:
-        """Height of what lies under the robot, smoothed by never leaving a 0.1 m grid."""
-        return round(robot[2] - 0.3, 1)
 
 
 @dataclass(frozen=True)
@@ -162,40 +159,6 @@ class Panel:
         return np.asarray(image)
 
 
-def panels_of(
-    trace: Trace, titles: Mapping[int, str], fault: str, fps: int, maps: np.ndarray | None = None
-) -> tuple[list[Panel], np.ndarray]:
-    """Panels and poses [F, R, nq] of some rows of a filmed trace, whose rows are all on the film.
-
-    A robot that fell is put back at its start by the simulator: its picture stops instead.
-
-    Args:
-        trace: with its film.
-        titles: by row.
-        fault: what to call a failing camera.
-        fps: frames per second.
-        maps: [T, N, 2, 132] m, see `MapLog.maps`.
-    """
-    film = trace.film
-    assert film is not None
-    frames = np.arange(0, len(trace.fallen), round(1 / (fps * CONTROL_DT)))
-    panels = [
-        Panel(
-            title=title,
-            depth=film.images[frames // STEPS_PER_TICK, row],
-            vision=trace.vision[frames, row],
-            fallen=trace.fallen[frames, row],
-            fault=[fault if failing else "" for failing in trace.failing[frames, row]],
-            speed=trace.speed[frames, row],
-            maps=None if maps is None else maps[frames, row],
-        )
-        for row, title in titles.items()
-    ]
-    upright = np.maximum((~trace.fallen).sum(axis=0) - 1, 0)
-    poses = [film.poses[np.minimum(frames, upright[row]), row] for row in titles]
-    return panels, np.stack(poses, axis=1)
-
-
 def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     """Pillow's own font: the same everywhere, nothing to install."""
     return ImageFont.load_default(size)
@@ -210,9 +173,37 @@ def film(
     cfg: VideoCfg,
     maps: np.ndarray | None = None,
 ) -> Path:
-    """`make_video` of `panels_of`: some rows of a filmed trace."""
-    panels, poses = panels_of(trace, titles, fault, cfg.fps, maps)
-    return make_video(path, spec, poses, panels, cfg)
+    """Film some rows of a trace, whose rows are all on its film; see `make_video`.
+
+    A robot that fell is put back at its start by the simulator: its picture stops instead.
+
+    Args:
+        path: of the mp4.
+        spec: the scene.
+        trace: with its film.
+        titles: by row.
+        fault: what to call a failing camera.
+        cfg: look.
+        maps: [T, N, 2, 132] m, see `MapLog.maps`.
+    """
+    filmed, fallen = trace.film, trace.fallen
+    assert filmed is not None
+    frames = np.arange(0, len(fallen), round(1 / (cfg.fps * CONTROL_DT)))
+    panels = [
+        Panel(
+            title=title,
+            depth=filmed.images[frames // STEPS_PER_TICK, row],
+            vision=trace.vision[frames, row],
+            fallen=fallen[frames, row],
+            fault=[fault if failing else "" for failing in trace.failing[frames, row]],
+            speed=trace.speed[frames, row],
+            maps=None if maps is None else maps[frames, row],
+        )
+        for row, title in titles.items()
+    ]
+    upright = np.maximum((~fallen).sum(axis=0) - 1, 0)
+    poses = [filmed.poses[np.minimum(frames, upright[row]), row] for row in titles]
+    return make_video(path, spec, np.stack(poses, axis=1), panels, cfg)
 
 
 def make_video(
@@ -228,25 +219,18 @@ def make_video(
         cfg: look.
 
     Raises:
-        RenetError: poses and panels do not match, or ffmpeg is missing.
+        RenetError: ffmpeg is missing, or the file cannot be written.
     """
-    if poses.shape[1] != len(panels):
-        raise RenetError(f"{poses.shape[1]} robots but {len(panels)} panels")
     painter = Painter(spec, len(panels), cfg)
-    size = (cfg.height, cfg.width * len(panels))
-    part = path.with_name(f"{path.stem}.part{path.suffix}")
+
+    def pictures() -> Iterator[np.ndarray]:
+        for frame, pose in enumerate(progress(poses, "video")):
+            drawn = zip(panels, painter.draw(pose), strict=True)
+            yield np.concatenate([panel.stamp(one, frame) for panel, one in drawn], axis=1)
+
     try:
-        with (
-            mediapy.VideoWriter(part, size, fps=cfg.fps, codec="h264", crf=26) as writer,
-            progress("video", len(poses)) as advance,
-        ):
-            for frame, pose in enumerate(poses):
-                pictures = painter.draw(pose)
-                stamped = [p.stamp(pictures[i], frame) for i, p in enumerate(panels)]
-                writer.add_image(np.concatenate(stamped, axis=1))
-                advance()
+        video = mediapy.compress_video(pictures(), fps=cfg.fps, crf=26)
     except RuntimeError as error:
-        part.unlink(missing_ok=True)
         raise RenetError(f"cannot write {path}: {str(error).splitlines()[0]}") from error
-    os.replace(part, path)
+    write_atomically(path, video)
     return path

@@ -28,7 +28,7 @@ class CourseEnv:
         """Take over `env`, built from `course_env_cfg`."""
         self._inner, self._env = env, env.env
         self.num_robots = env.num_robots
-        self.poses = env.poses
+        self.poses, self.perturb_cameras = env.poses, env.perturb_cameras
         self.lap = tuple(lap)
         self.passage = np.zeros(self.num_robots, int)
         """The passage each robot is on, [N]."""

@@ -86,7 +86,9 @@ class StandingStudy(WalkingStudy):
                 env.command(0.0)
 
         title, film = f"{len(trials)} robots walk and stand", range(len(trials))
-        trace = evaluator.rollout(title, env, trials, steps, self.seed, film, command_to_stand)
+        trace = evaluator.rollout(
+            title, env, trials, steps, self.seed, film=film, on_step=command_to_stand
+        )
         assert trace.film is not None
         drift, joint_speed = stillness(trace.film.poses, settled)
         fell = np.any(trace.fell[stop:], axis=0)

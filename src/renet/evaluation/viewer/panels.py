@@ -6,9 +6,10 @@ import numpy as np
 import viser
 
 from renet.evaluation.report.colormaps import beside, depth_picture, map_picture
-from renet.evaluation.viewer.session import MODES, Snapshot, ViewerSession
+from renet.evaluation.viewer.session import MODES, ViewerSession
 from renet.faults import FAULTS, SEVERITIES, Injection
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.tasks.sensors import HEIGHT_MAP
 
 SECONDS = 10.0
 """Length of the curves."""
@@ -55,28 +56,27 @@ class VisionPanels:
         self.turn.on_click(lambda _: session.steer(self.speed.value, side[self.turn.value]))
         self.clear_fault.on_click(lambda _: session.clear_fault())
         for name, button in self.faults.items():
-            button.on_click(lambda _, fault=name: session.inject(self._chosen(fault)))
+            button.on_click(lambda _, fault=name: self._begin(fault))
 
-    def _chosen(self, fault: str) -> Injection:
-        """A fault that begins now, at the severity of the slider."""
-        return Injection.of(fault, int(self.severity.value), onset=0)
+    def _begin(self, fault: str) -> None:
+        """Let a fault begin, at the severity of the slider."""
+        self.session.inject(Injection.of(fault, int(self.severity.value), onset=0))
 
     def update(self, step: int) -> None:
-        """Show the session's latest snapshot, that of control step `step`."""
-        snapshot = self.session.snapshot
-        if snapshot is None:
-            return
+        """Show what the robot saw and made of it when it took control step `step`, 1 or later."""
+        session, policy, loop = self.session, self.session.policy, self.session.loop
         self._times.append(step * CONTROL_DT)
-        self._anomaly.append(snapshot.anomaly)
-        self._probability.append(snapshot.probability)
+        self._anomaly.append(float(policy.anomaly_score[0]))
+        self._probability.append(float(loop.selector.probability[0]))
         times = np.array(self._times)
-        self.status.content = status(snapshot, self.session.beta)
+        self.status.content = status(session)
         self.images.image = beside(
-            depth_picture(snapshot.depth), depth_picture(snapshot.reconstruction)
+            depth_picture(loop.frames.image[0]), depth_picture(policy.reconstruction[0, 0])
         )
-        self.maps.image = beside(map_picture(snapshot.predicted), map_picture(snapshot.true))
+        true = session.env.scene[HEIGHT_MAP].data[0].numpy()
+        self.maps.image = beside(map_picture(policy.height_map[0]), map_picture(true))
         for plot, values, line in (
-            (self.loss, self._anomaly, self.session.beta),
+            (self.loss, self._anomaly, session.beta),
             (self.trust, self._probability, 0.5),
         ):
             plot.data = (times, np.array(values), np.full(len(times), line))
@@ -87,15 +87,17 @@ class VisionPanels:
             values.clear()
 
 
-def status(snapshot: Snapshot, beta: float) -> str:
+def status(session: ViewerSession) -> str:
     """Who drives, and why, as HTML."""
-    colour, driver = ("#4f9d4f", "VP · vision") if snapshot.vision else ("#d0453a", "OP · blind")
-    camera = snapshot.fault.replace("_", " ") or "healthy"
-    reason = f"<br/>vision is not trusted: {snapshot.reason}" if snapshot.reason else ""
+    loop = session.loop
+    colour, driver = ("#d0453a", "OP · blind") if loop.use_op[0] else ("#4f9d4f", "VP · vision")
+    reason = getattr(loop.selector, "reason", [""])[0]
+    why = f"<br/>vision is not trusted: {reason}" if reason else ""
     return (
         '<div style="font-size:0.9em;line-height:1.4;padding:0 1em 0.5em 1em">'
-        f'<b style="color:{colour}">{driver}</b> &nbsp; P_t {snapshot.probability:.2f}'
-        f"<br/>loss {snapshot.anomaly:.4f}, β {beta:.4f}<br/>camera: {camera}{reason}</div>"
+        f'<b style="color:{colour}">{driver}</b> &nbsp; P_t {loop.selector.probability[0]:.2f}'
+        f"<br/>loss {session.policy.anomaly_score[0]:.4f}, β {session.beta:.4f}"
+        f"<br/>camera: {session.fault.replace('_', ' ') or 'healthy'}{why}</div>"
     )
 
 

@@ -25,7 +25,7 @@ class LiveViewer(ViserPlayViewer):
         # In the browser elevation is the camera's; in MuJoCo it is that of its line of sight.
         self.cfg = replace(self.cfg, elevation=-self.cfg.elevation)
         self.session = session
-        self._shown = -1
+        self._shown = 0
 
     def setup(self) -> None:
         """Add the panels, then set up as mjlab does."""
@@ -43,13 +43,14 @@ class LiveViewer(ViserPlayViewer):
     def reset_environment(self) -> None:
         """Put the robot back and empty the curves."""
         super().reset_environment()
+        self._shown = 0
         self.panels.clear()
 
 
 def serve(host: str, port: int) -> viser.ViserServer:
     """A server on exactly this port; raises RenetError if something else has it."""
     with socket.socket() as probe:
-        # As the server itself will: a port that was closed a snapshot ago is free.
+        # As the server itself will: a port that was closed a moment ago is free.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))
