@@ -219,8 +219,8 @@ def draw_timelines(laps: Sequence[dict[str, Any]], lap: Sequence[str], beta: flo
     """
     every, marks, events = CONTROL_DT * STEPS_PER_TICK, [], []
     for line in laps:
-        where = [int(i) for i in line["passage"]]
-        starts = [k for k in range(len(where)) if k == 0 or where[k] != where[k - 1]]
+        where = line["passage"]
+        starts = np.flatnonzero(np.diff(where, prepend=-1))
         marks.append([(k * every, lap[where[k]]) for k in starts])
         events.append([(instant, name) for name in ("fell", "stuck") for instant in line[name]])
     return figures.timelines(laps, marks, beta, "", events, every)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
+from mjlab.envs.mdp.terminations import root_height_below_minimum
 from mjlab.managers.termination_manager import TerminationTermCfg
-from mjlab.terrains import TerrainEntityCfg, TerrainGeneratorCfg
 from torch import Tensor
 
 from renet.evaluation.env import SimEnv
@@ -24,6 +24,7 @@ from renet.tasks import RenetEnvCfg, RobotCfg
 from renet.tasks.mdp.commands import goal
 from renet.tasks.mdp.terminations import PIT_DEPTH
 from renet.tasks.parkour_env_cfg import tile_env_cfg
+from renet.tasks.terrains import parkour_terrain
 from renet.terrain.tiles import TILE
 
 if TYPE_CHECKING:
@@ -54,20 +55,15 @@ def course_env_cfg(
     """
     passages = {f"{i}_{kind}": passage(kind, level) for i, kind in enumerate(lap)}
     length = course_length(lap)
-    generator = TerrainGeneratorCfg(
-        seed=seed,
-        curriculum=True,
-        size=(TILE, TILE),
-        border_width=TILE,
-        num_rows=1,
-        num_cols=len(lap),
-        color_scheme="none",
-        sub_terrains=cast(Any, passages),
-        add_lights=True,
-    )
-    terrain = TerrainEntityCfg(terrain_type="generator", terrain_generator=generator)
+    terrain = parkour_terrain()
+    generator = terrain.terrain_generator
+    assert generator is not None
+    generator.num_rows, generator.seed = 1, seed
+    generator.sub_terrains = cast(Any, passages)
     cfg = tile_env_cfg(terrain, play=True, robot=robot)
-    cfg.terminations["in_gap"] = TerminationTermCfg(func=in_pit)
+    cfg.terminations["in_gap"] = TerminationTermCfg(
+        func=root_height_below_minimum, params={"minimum_height": -PIT_DEPTH}
+    )
     cfg.terminations["left_tile"] = TerminationTermCfg(
         func=arrived, params={"length": length}, time_out=True
     )
@@ -82,11 +78,6 @@ def course_env_cfg(
 def along(env: ManagerBasedRlEnv, length: float) -> Tensor:
     """Metres from the beginning of a course of `length`, [N]; the course is centred."""
     return env.scene["robot"].data.root_link_pos_w[:, 1] + length / 2
-
-
-def in_pit(env: ManagerBasedRlEnv) -> Tensor:
-    """Base below the ground: in a gap."""
-    return env.scene["robot"].data.root_link_pos_w[:, 2] < -PIT_DEPTH
 
 
 def arrived(env: ManagerBasedRlEnv, length: float) -> Tensor:

@@ -36,6 +36,8 @@ from renet.tasks.config.go1 import GO1
 
 HEALTHY_ROBOTS = 64
 """Robots side by side in the run without faults."""
+Rows = Mapping[tuple[Any, str], dict[str, Any]]
+"""Of a part, by setting or ground, and mode."""
 
 
 class Setting(NamedTuple):
@@ -330,13 +332,7 @@ class FaultStudy(WalkingStudy):
             "run_seconds": self.steps * CONTROL_DT,
         }
 
-    def _row(
-        self,
-        setting: Setting,
-        mode: str,
-        runs: Mapping[tuple[Setting, str], dict[str, Any]],
-        twins: Mapping[tuple[str, str], Any],
-    ) -> dict[str, Any]:
+    def _row(self, setting: Setting, mode: str, runs: Rows, twins: Rows) -> dict[str, Any]:
         """The row of a setting in one mode, compared with its twins.
 
         Args:
