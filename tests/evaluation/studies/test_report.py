@@ -117,7 +117,7 @@ def test_no_results_are_reported(tmp_path: Path) -> None:
         lambda summary: '{"half',
         lambda summary: "[1, 2]",
         lambda summary: '{"runs": [], "provenance": {"bundle_hash": "b"}}',
-        lambda summary: json.dumps(summary | {"runs": "text"}),
+        lambda summary: '{"runs": "text"}',
         lambda summary: json.dumps(summary | {"runs": [[1]]}),
         lambda summary: json.dumps(summary | {"runs": [summary["runs"][0] | {"still": "many"}]}),
     ],
