@@ -120,6 +120,8 @@ class Imitation(Supervision):
 class DistillationAlgorithm(RenetAlgorithm):
     """DAgger (Ross et al. 2011): the student drives, teachers say what they would have done."""
 
+    distillation: DistillationCfg
+
     @classmethod
     def construct_algorithm(
         cls, obs: TensorDict, env: VecEnv, cfg: dict[str, Any], device: str
@@ -131,7 +133,6 @@ class DistillationAlgorithm(RenetAlgorithm):
         made.supervision = Imitation(
             made.model, supervision.cfg, made.distillation.norm, supervision.dtype
         )
-        made._lessons = Recorder()
         made._load_teachers(env.unwrapped.scene.terrain)  # type: ignore[attr-defined]
         return made
 
@@ -166,6 +167,7 @@ class DistillationAlgorithm(RenetAlgorithm):
         """Curriculum of the teachers, from which the student goes on."""
         if cfg.starts_as_teacher:
             self._begin_as(self._teachers[0][0])
+        self._lessons = Recorder()
         self._driven = torch.full_like(taught, cfg.teacher_drives > 0)
 
     @torch.no_grad()
