@@ -6,10 +6,13 @@ import json
 import os
 import platform
 import sys
+from collections.abc import Sequence
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 LOAD_BEFORE = os.getloadavg()[0]
 """Taken at import: later the benchmark's own work counts."""
@@ -33,6 +36,13 @@ def version_of(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
+
+
+def spread(values: Sequence[float]) -> dict[str, float]:
+    """Median, 90th and 99th percentile, and the largest of the values."""
+    names, shares = ("p50", "p90", "p99", "max"), (50, 90, 99, 100)
+    points = np.percentile(values, shares)
+    return {name: round(float(point), 3) for name, point in zip(names, points, strict=True)}
 
 
 def report(results: dict[str, Any], path: Path | None) -> None:

@@ -97,9 +97,9 @@ def walk(cfg: Cfg, evaluator: Evaluator, glass: bool) -> tuple[dict[str, np.ndar
         robot = np.arange(cfg.healthy_robots)
         world.place(robot // len(tiles()) % 6, robot % len(tiles()))
     recorder = Recorder(evaluator, world)
-    evaluator.make_policy = lambda num_robots: recorder
     rows = [Trial("vp", fault, n) for fault, n in zip(faults, numbers, strict=True)]
-    trace = evaluator.rollout("glass" if glass else "all tiles", world, rows, steps, cfg.seed)
+    title = "glass" if glass else "all tiles"
+    trace = evaluator.rollout(title, world, rows, steps, cfg.seed, policy=recorder)
     return {name: np.stack(values) for name, values in recorder.log.items()}, trace.fallen
 
 

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import tyro
 
-from facts import report
+from facts import report, spread
 from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
@@ -78,13 +78,6 @@ def walk(bundle: Bundle, terrain: str, seconds: float, seed: int) -> list[tuple]
         on_step=look,
     )
     return rows
-
-
-def spread(values: np.ndarray) -> dict[str, float]:
-    points = np.percentile(values, (50, 90, 99, 100))
-    return {
-        n: round(float(v), 3) for n, v in zip(("p50", "p90", "p99", "max"), points, strict=True)
-    }
 
 
 def main(cfg: Cfg) -> None:

@@ -154,7 +154,8 @@ class Cfg:
             for earlier in row.stages
             if earlier.name in stage.teachers
         )
-        return DistillCfg.of(cfg, DistillationCfg(teachers, **stage.distillation))
+        distillation = DistillationCfg(teachers, **stage.distillation)
+        return DistillCfg(**vars(cfg), distillation=distillation)
 
 
 def parents(row: Row, stage: Stage) -> list[Stage]:

@@ -22,11 +22,6 @@ def test_switch_delay_counts_updates_from_the_onset() -> None:
     assert delay[2] == 0
 
 
-def test_recovery_delay_is_the_way_back() -> None:
-    delay = metrics.recovery_delay(trusted(10, 10, on_again=50), over=12)
-    np.testing.assert_allclose(delay, 0.015)
-
-
 def test_switches_and_false_switches() -> None:
     vision = trusted(10, None, on_again=50)
     assert metrics.switches(vision).tolist() == [2, 0]

@@ -92,7 +92,7 @@ WRONG: dict[type[Study], dict[str, list]] = {
     FaultStudy: {
         "faults": [("smoke",), ("gaussian:9",), ("gaussian:x",), ()],
         "severities": [(0,)],
-        "modes": [("blind",), ()],
+        "modes": [("blind",), (), ("op",)],
         "speed": [0.0],
         "robots": [0],
         "grounds": [("lava",)],

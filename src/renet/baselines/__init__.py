@@ -1,1 +1,1 @@
-"""Other answers to the same question, small and readable, run by the same studies."""
+"""Other methods for the same problem, to compare RENet with in the same studies."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -46,7 +46,7 @@ STUDENT = {
 
 @dataclass
 class DistillationCfg:
-    """Whom the student imitates, and how."""
+    """The student's teachers, and how it learns from them."""
 
     teachers: tuple[tuple[str, tuple[str, ...]], ...] = ()
     """Checkpoint of each teacher, and the kinds of tile on which it teaches; none: on all."""
@@ -120,29 +120,29 @@ class Imitation(Supervision):
 class DistillationAlgorithm(RenetAlgorithm):
     """DAgger (Ross et al. 2011): the student drives, teachers say what they would have done."""
 
+    distillation: DistillationCfg
+
     @classmethod
     def construct_algorithm(
         cls, obs: TensorDict, env: VecEnv, cfg: dict[str, Any], device: str
     ) -> Self:
         """See the base class; `cfg` also holds `distillation`."""
         made = super().construct_algorithm(obs, env, cfg, device)
-        made.learn_from(env, from_dict(DistillationCfg, cfg["distillation"]))
+        supervision = made.supervision
+        made.distillation = from_dict(DistillationCfg, cfg["distillation"])
+        made.supervision = Imitation(
+            made.model, supervision.cfg, made.distillation.norm, supervision.dtype
+        )
+        made._load_teachers(env.unwrapped.scene.terrain)  # type: ignore[attr-defined]
         return made
 
-    def learn_from(self, env: VecEnv, cfg: DistillationCfg) -> None:
-        """Load teachers and divide the robots among them.
-
-        Args:
-            env: whose tiles say which teacher a robot has.
-            cfg: whom to imitate.
+    def _load_teachers(self, terrain: Any) -> None:
+        """Load teachers and divide the robots among them, by the tiles these are on.
 
         Raises:
             RenetError: a checkpoint that is none of a teacher, or a robot without one.
         """
-        self.distillation = cfg
-        supervision = self.supervision
-        self.supervision = Imitation(self.model, supervision.cfg, cfg.norm, supervision.dtype)
-        terrain: Any = env.unwrapped.scene.terrain  # type: ignore[attr-defined]
+        cfg = self.distillation
         names, kinds = list(terrain.cfg.terrain_generator.sub_terrains), terrain.terrain_types
         self._teachers: list[tuple[Actor, Tensor]] = []
         reached: list[dict[str, Tensor]] = []
@@ -228,12 +228,6 @@ class DistillCfg(TrainCfg):
     """`TrainCfg` of a student."""
 
     distillation: DistillationCfg = field(default_factory=DistillationCfg)
-    """Whom it imitates, and how."""
+    """Its teachers, and how it learns from them."""
 
     runner: ClassVar[type[RenetRunner]] = DistillationRunner
-
-    @classmethod
-    def of(cls, cfg: TrainCfg, distillation: DistillationCfg) -> DistillCfg:
-        """The settings of a run with those of a student."""
-        own = {f.name: getattr(cfg, f.name) for f in fields(cfg)}
-        return cls(**own, distillation=distillation)

@@ -1,7 +1,7 @@
 """Learned switches between vision and blindness, as selectors beside RENet's.
 
 - `ReturnSwitch` after VB-Com (Ren et al. 2025, arXiv 2502.14814): one estimator of the return for
-  each mode, and the mode with the higher one acts. Here both modes are RENet's estimators under one
+  each mode; the mode with the higher one acts. Here both modes are RENet's estimators under one
   actor, where VB-Com has two policies.
 - `Gate`: a classifier trained on which cameras were failing.
 
@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy import special
 from torch import Tensor, nn
 
 from renet.deploy.policy import Policy
@@ -34,7 +35,7 @@ INPUTS = BLIND + LATENT + 1
 
 @dataclass(frozen=True)
 class Experience:
-    """What robots met: T control steps of N robots."""
+    """Recorded walking: T control steps of N robots."""
 
     inputs: Tensor
     """[T, N, INPUTS]"""
@@ -111,8 +112,8 @@ def fit(
     usable = len(seen.reward) - horizon
     if usable < 1:
         raise RenetError(f"{len(seen.reward)} steps are too few for a horizon of {horizon}")
-    told = seen.vision if isinstance(switch, ReturnSwitch) else seen.failing
-    if told.all() or not told.any():
+    flags = seen.vision if isinstance(switch, ReturnSwitch) else seen.failing
+    if flags.all() or not flags.any():
         what = "VP and OP" if isinstance(switch, ReturnSwitch) else "healthy and failing cameras"
         raise RenetError(f"experience must show both {what}")
     reward = seen.reward.unsqueeze(-1)
@@ -164,29 +165,27 @@ class SwitchSelector:
             smoothing: weight of a new preference in the moving average, per 200 Hz update.
         """
         self._switch, self._policy, self._smoothing = switch, policy, smoothing
-        self._mean = np.zeros(policy.num_robots)
-        self._blank = np.ones(policy.num_robots, bool)
+        self._mean = np.full(policy.num_robots, np.nan)
+        """Smoothed preference; NaN before the first one."""
 
     @property
     def probability(self) -> np.ndarray:
         """[N] logistic function of the smoothed preference."""
-        return 1.0 / (1.0 + np.exp(-np.clip(self._mean, -30, 30)))
+        return special.expit(np.nan_to_num(self._mean))
 
     @torch.no_grad()
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """One update from the policy's newest step; returns [N] bool, vision is trusted."""
         del seen, now
         newest = self._switch.preference(self._policy.inputs).numpy()
-        # A start in vision: the first preference counts from there.
-        before = np.where(self._blank, np.maximum(newest, 0.0), self._mean)
+        # Robots start with vision: a first preference below 0 is averaged with 0.
+        before = np.where(np.isnan(self._mean), np.maximum(newest, 0.0), self._mean)
         self._mean = before + self._smoothing * (newest - before)
-        self._blank[:] = False
         return self._mean >= 0.0
 
     def reset(self, mask: np.ndarray) -> None:
         """Start anew for the masked robots [N]."""
-        self._mean[mask] = 0.0
-        self._blank |= mask
+        self._mean[mask] = np.nan
 
 
 class SwitchEvaluator(Evaluator):
@@ -207,7 +206,7 @@ class SwitchEvaluator(Evaluator):
         return SwitchSelector(self.switch, self._policy)
 
     def provenance(self, seed: int) -> Provenance:
-        """The bundle's, with the switch's class and weights, lest results be taken for its own."""
+        """The bundle's, with the switch's class and weights: other results than the bundle's."""
         own = super().provenance(seed)
         if self.switch is None:
             return own

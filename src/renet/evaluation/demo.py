@@ -66,9 +66,8 @@ def film_comparison(
     cfg, modes = cfg or VideoCfg(), {"vp": "VP alone: always on camera", "renet": "RENet"}
     trials = study.trials([setting])
     env = study.make_env(evaluator, tuple(trial.robot for trial in trials))
-    everybody, grounds = range(len(trials)), [setting.ground] * len(trials)
-    title = "one setting, filmed"
-    trace = study.walk(evaluator, lambda _: env, title, trials, grounds, film=everybody)
+    everybody = range(len(trials))
+    trace = study.walk(evaluator, env, "one setting, filmed", trials, film=everybody)
     robot = first_to_fall(study, trace)
     titles = {study.modes.index(m) * study.robots_each + robot: t for m, t in modes.items()}
     return film(path, env.scene_spec, trace, titles, label(setting), cfg)

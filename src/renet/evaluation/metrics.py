@@ -39,14 +39,6 @@ def switch_delay(vision: np.ndarray, start: int, end: int | None = None) -> np.n
     return delay
 
 
-def recovery_delay(vision: np.ndarray, over: int) -> np.ndarray:
-    """Seconds from the control step a fault is over at until vision is trusted again.
-
-    Args and return value as `switch_delay`; NaN where vision is not trusted again.
-    """
-    return switch_delay(~vision, over)
-
-
 def switches(vision: np.ndarray) -> np.ndarray:
     """[N] changes between vision and OP over the updates of `vision` [T, U, N]."""
     flat = vision.reshape(-1, vision.shape[2])

@@ -100,6 +100,8 @@ class Trial:
     schedule: Schedule = ()
     robot: int = 0
     """Number within its setting; robots of the same number are twins that draw the same noise."""
+    ground: str = "flat"
+    """Where it walks, in an environment of several grounds."""
 
     def __post_init__(self) -> None:
         check_modes((self.mode,))

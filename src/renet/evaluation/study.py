@@ -6,7 +6,7 @@ drawn (`draw` and `tables`). Running it, going on after an interruption, and wri
 study with the template of its name.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -19,7 +19,7 @@ from renet.errors import RenetError
 from renet.evaluation import figures
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import kept, output_folder, plain, write_csv, write_json
-from renet.evaluation.rollout import check_modes, check_speed
+from renet.evaluation.rollout import Trial, check_modes, check_speed
 from renet.selector.selector import check_kind
 
 Part = dict[str, Any]
@@ -155,6 +155,15 @@ class WalkingStudy(Study):
     def robots_each(self) -> int:
         """Robots in each setting and mode, after `quick`."""
         return self.quick_robots if self.quick else self.robots
+
+    def trials_on(self, grounds: Sequence[str]) -> list[Trial]:
+        """Every robot of every mode on every ground, without faults; a mode's side by side."""
+        return [
+            Trial(mode, (), robot, ground)
+            for ground in grounds
+            for mode in self.modes
+            for robot in range(self.robots_each)
+        ]
 
     def make_evaluator(self) -> Evaluator:
         """The evaluator of the settings' bundle and selector."""

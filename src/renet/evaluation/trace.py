@@ -85,6 +85,11 @@ class Trace(TrueState):
         own = {name: value[..., index] for name, value in vars(self).items() if name != "film"}
         return Trace(**own)
 
+    def groups(self, each: int) -> list[Trace]:
+        """The robots in their order, `each` in a group."""
+        starts = range(0, self.fell.shape[1], each)
+        return [self.robots(slice(start, start + each)) for start in starts]
+
     def first_try(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """How each robot's first try ended: [N] crossed, [N] fell (bool), [N] seconds it took.
 

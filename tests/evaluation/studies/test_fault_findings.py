@@ -1,12 +1,4 @@
-import pytest
-
-from renet.evaluation.studies.fault_findings import (
-    beyond_chance,
-    findings,
-    harmful,
-    missed,
-    sign_test,
-)
+from renet.evaluation.studies.fault_findings import beyond_chance, findings, harmful, missed
 
 
 def run(fault: str, mode: str, falls: int = 0, severity: int = 3, **values) -> dict:
@@ -93,16 +85,9 @@ def test_claims_are_judged_by_what_was_measured() -> None:
     assert [c["met"] for c in harmless] == [True, True, False, True]
 
 
-@pytest.mark.parametrize(
-    ("more", "fewer", "chance"), [(5, 0, 1 / 32), (4, 0, 1 / 16), (7, 8, 0.6963806), (0, 0, 1.0)]
-)
-def test_the_sign_test_is_the_textbooks(more: int, fewer: int, chance: float) -> None:
-    assert sign_test(more, fewer) == pytest.approx(chance)
-
-
-def test_where_nothing_ever_happens_once_is_enough() -> None:
-    assert beyond_chance([(1, 0)], calm=True)
-    assert not beyond_chance([(1, 0)], calm=False)
-    assert not beyond_chance([(1, 1)], calm=True)
-    assert beyond_chance([(3, 0), (2, 0)], calm=False)
-    assert not beyond_chance([], calm=True)
+def test_chance_is_judged_by_the_sign_test_and_where_nothing_happens_once_is_enough() -> None:
+    # Heads in all of five tosses: 1 in 32, of four: 1 in 16, 12 of 15: 1.8 %, 11 of 15: 5.9 %.
+    for more, fewer, beyond in ((5, 0, True), (4, 0, False), (12, 3, True), (11, 4, False)):
+        assert beyond_chance(more, fewer, calm=False) == beyond
+    for more, fewer, beyond in ((1, 0, True), (1, 1, False), (0, 0, False)):
+        assert beyond_chance(more, fewer, calm=True) == beyond

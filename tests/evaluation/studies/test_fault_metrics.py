@@ -7,12 +7,11 @@ from renet.evaluation import metrics
 from renet.evaluation.studies.fault_metrics import (
     Batch,
     beside_op,
-    detection,
+    departure,
     end_of,
     estimates,
     noticing,
     pair_counts,
-    recovery,
     robot_measures,
     separability,
     survival,
@@ -36,7 +35,8 @@ def batch(count: int = 4) -> Batch:
     scores = rng.normal(0, 1, (STEPS // 5, count))
     scores[ONSET // 5 : OVER // 5] += 1.5
     paper = np.ones_like(trace.trusted)
-    return Batch(trace, paper, scores, 3 * scores, ONSET, OVER)
+    both = {"reconstruction": scores, "monitors": 3 * scores}
+    return Batch(trace, paper, both, ONSET, OVER)
 
 
 def test_detection_return_and_survival_by_hand() -> None:
@@ -67,10 +67,12 @@ def test_a_fault_ends_by_itself_or_with_the_study() -> None:
 def test_only_what_comes_before_a_fall_counts() -> None:
     trusted, gone = np.ones((50, 4, 2), bool), np.zeros((50, 2), bool)
     trusted[30:], gone[25:, 0] = False, True
-    np.testing.assert_allclose(detection(trusted, gone, 20, 50), [np.nan, 0.205])
+    np.testing.assert_allclose(departure(trusted, gone, 20, 50), [np.nan, 0.205])
     # One that starts anew after a fall has not returned to vision.
     trusted[10:31], trusted[31:], gone[:30, 0] = False, True, False
-    np.testing.assert_allclose(recovery(trusted, gone, 20), [np.nan, 0.225])
+    np.testing.assert_allclose(departure(~trusted, gone, 20), [np.nan, 0.225])
+    # Nothing is seen after the run's end.
+    assert np.isnan(departure(~trusted, gone, 50)).all()
 
 
 def test_areas_match_counting_pairs() -> None:
@@ -78,12 +80,14 @@ def test_areas_match_counting_pairs() -> None:
     three = Batch(
         whole.trace.robots(slice(0, 3)),
         whole.paper[..., :3],
-        *(scores[:, :3] for scores in (whole.reconstruction, whole.monitors)),
+        {name: scores[:, :3] for name, scores in whole.scores.items()},
         ONSET,
         OVER,
     )
     found = separability([three, three])
-    before, after = (three.reconstruction[rows].ravel() for rows in (slice(4), slice(4, 12)))
+    before, after = (
+        three.scores["reconstruction"][rows].ravel() for rows in (slice(4), slice(4, 12))
+    )
     pairs = (after[:, None] > before).mean()
     assert found["auc_reconstruction"] == pytest.approx(pairs)
     assert found["auc_monitors"] == pytest.approx(pairs)

@@ -90,13 +90,9 @@ def test_quick_is_smaller_and_glass_is_studied_where_there_are_obstacles() -> No
     assert (quick.robots_each, full.robots_each) == (5, 20)
     assert {s.severity for s in full.batches["frozen"]} == {1, 2, 3, 4, 5}
     assert {s.ground for s in full.batches["glass"]} == {"obstacles", "stairs_up", "platform"}
-
-
-def test_quick_is_less_than_a_million_robot_steps() -> None:
-    """At the 1,400 a second of two quiet cores that is twelve minutes."""
-    quick = FaultStudy(quick=True)
+    # Less than a million robot steps: at 1,400 a second on two quiet cores twelve minutes.
     robots = sum(len(quick.trials(settings)) for settings in quick.batches.values())
-    robots += len(quick.twins())
+    robots += len(quick.trials_on(quick.grounds))
     assert robots * quick.steps + quick.healthy_minutes / 4 * 60 * 50 < 1_000_000
 
 

@@ -18,48 +18,44 @@ def folder(run_study) -> Path:
     return run_study("noise")
 
 
-def test_the_preset_is_the_papers_comparison(folder: Path) -> None:
-    summary = json.loads((folder / "summary.json").read_text())
+@pytest.fixture
+def summary(folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text())
+
+
+def test_the_preset_is_the_papers_comparison(folder: Path, summary: dict) -> None:
     settings = [(run["fault"], run["level"], run["mode"]) for run in summary["runs"]]
     noises = [("gaussian", level) for level in (0.3, 0.7, 1.0)]
     noises += [("salt_and_pepper", level) for level in (0.1, 0.3, 0.7)]
     assert settings == [(*noise, mode) for noise in noises for mode in ("vp", "renet")]
-    assert {run["robots"] for run in summary["runs"]} == {2}
-    assert [run["mode"] for run in summary["baseline"]] == ["vp", "renet"]
-    assert [run["robots"] for run in summary["baseline"]] == [2, 2]
+    rows = [*summary["runs"], *summary["baseline"]]
+    assert [row["mode"] for row in summary["baseline"]] == ["vp", "renet"]
+    assert {row["robots"] for row in rows} == {2}
     assert summary["provenance"].keys() >= {"bundle_hash", "engine", "seed", "command", "date"}
     assert summary["healthy"]["false_switches"] == 0
     assert summary["healthy"]["robot_hours"] == pytest.approx(4 * 5.0 / 3600, abs=1e-6)
-
-
-def test_measured_values_are_those_of_the_robots(folder: Path) -> None:
-    runs = json.loads((folder / "summary.json").read_text())["runs"]
-    for run in runs:
-        if run["mode"] == "renet":
-            assert run["falls"] == 0
-            assert run["mean_forward_velocity"] == pytest.approx(SPEED, abs=1e-6)
-            assert run["velocity_ci95_low"] == pytest.approx(SPEED, abs=1e-6)
-            assert run["detection_delay_s"] == pytest.approx(0.035)
-            assert run["detected"] == 2
-    strongest = next(r for r in runs if (r["mode"], r["level"]) == ("vp", 1.0))
-    assert strongest["falls"] == 2
-    assert strongest["mean_forward_velocity"] == 0
-
-
-def test_figures_and_table_are_written_whole(folder: Path) -> None:
     for name in ("noise.png", "timeline.png"):
         assert (folder / name).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert len((folder / "summary.csv").read_text().splitlines()) == 1 + 12
     assert not list(folder.glob("*.part"))
 
 
-def test_only_renet_has_a_delay_in_the_table(folder: Path) -> None:
-    ((_, _, rows),) = TINY["noise"][0].tables(json.loads((folder / "summary.json").read_text()))
-    assert [row[:2] for row in rows[:3]] == [
-        ("VP alone", "no noise"),
-        ("RENet", "no noise"),
-        ("VP alone", "GA 30 %"),
-    ]
+def test_measured_values_are_those_of_the_robots(summary: dict) -> None:
+    for run in summary["runs"]:
+        if run["mode"] == "renet":
+            assert run["falls"] == 0
+            assert run["mean_forward_velocity"] == pytest.approx(SPEED, abs=1e-6)
+            assert run["velocity_ci95_low"] == pytest.approx(SPEED, abs=1e-6)
+            assert run["detection_delay_s"] == pytest.approx(0.035)
+            assert run["detected"] == 2
+    strongest = next(r for r in summary["runs"] if (r["mode"], r["level"]) == ("vp", 1.0))
+    assert (strongest["falls"], strongest["mean_forward_velocity"]) == (2, 0)
+
+
+def test_only_renet_has_a_delay_in_the_table(summary: dict) -> None:
+    ((_, _, rows),) = TINY["noise"][0].tables(summary)
+    names = [("VP alone", "no noise"), ("RENet", "no noise"), ("VP alone", "GA 30 %")]
+    assert [row[:2] for row in rows[:3]] == names
     assert {row[5] for row in rows if row[0] == "VP alone"} == {"-"}
     assert {row[5] for row in rows[8:]} == {"35"}
     assert {row[3] for row in rows} == {"-"}, "flat ground has no end"
@@ -113,13 +109,10 @@ def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.Monkey
     assert whole["runs"] == summary["runs"]
 
 
-def test_a_file_in_the_way_is_reported(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_to_is_reported(tmp_path: Path, monkeypatch) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(RenetError, match="cannot write"):
         NoiseStudy(out=tmp_path / "file").run(FakeEvaluator())
-
-
-def test_a_folder_that_is_not_ours_is_reported(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr("os.access", lambda path, mode: False)
     with pytest.raises(RenetError, match="permission denied"):
         NoiseStudy(out=tmp_path).run(FakeEvaluator())

@@ -66,39 +66,26 @@ def test_results_of_different_bundles_are_pointed_out(results: Path, tmp_path: P
 
 
 def test_what_is_worse_than_op_alone_is_listed() -> None:
+    glare = {"fault": "glare", "severity": 5, "ground": "gap", "beyond_chance": True}
+    frozen = {"fault": "frozen", "severity": 3, "ground": "stairs_up", "beyond_chance": False}
     faults = {
-        "harmful": [
-            {"fault": "glare", "severity": 5, "ground": "gap", "beyond_chance": True}
-            | {"renet": 0.5, "op": 1.0}
-        ],
-        "missed": [
-            {
-                "fault": "frozen",
-                "severity": 3,
-                "ground": "stairs_up",
-                "undetected": 2,
-                "vp_falls": 4,
-                "vp_spared": 1,
-                "beyond_chance": False,
-            }
-        ],
+        "harmful": [glare | {"renet": 0.5, "op": 1.0}],
+        "missed": [frozen | {"undetected": 2, "vp_falls": 4, "vp_spared": 1}],
     }
+    unnoticed = (
+        "frozen 3 on stairs up goes unnoticed; 4 fall with VP only then, 1 only without it"
+        " (within chance)"
+    )
     assert WORSE["faults"](faults) == [
         ("faults", "glare 5 on gap", "50 %", "100 %"),
-        (
-            "faults",
-            "frozen 3 on stairs up goes unnoticed; 4 fall with VP only then, 1 only without it"
-            " (within chance)",
-            "2 robots",
-            "",
-        ),
+        ("faults", unnoticed, "2 robots", ""),
     ]
     passages = [
-        {"mode": "renet", "kind": "gap", "crossed": 1, "tries": 4},
-        {"mode": "op", "kind": "gap", "crossed": 2, "tries": 4},
-        {"mode": "renet", "kind": "flat", "crossed": 4, "tries": 4},
-        {"mode": "op", "kind": "flat", "crossed": 4, "tries": 4},
-    ]
+        {"mode": mode, "kind": kind, "crossed": crossed, "tries": 4}
+        for mode, kind, crossed in (
+            ("renet", "gap", 1), ("op", "gap", 2), ("renet", "flat", 4), ("op", "flat", 4)
+        )
+    ]  # fmt: skip
     assert WORSE["course"]({"passages": passages}) == [("course", "gap", "1 of 4", "2 of 4")]
     worse = [{"kind": "gap", "size_m": 0.1, "renet": 0.2, "op": 0.3}]
     assert WORSE["success"]({"worse": worse}) == [("obstacles", "gap 10 cm", "20 %", "30 %")]
@@ -123,40 +110,35 @@ def test_no_results_are_reported(tmp_path: Path) -> None:
     assert not (tmp_path / "page.html").exists()
 
 
-def test_incomplete_results_are_reported(tmp_path: Path) -> None:
-    (tmp_path / "filter").mkdir()
-    summary = {"runs": [], "provenance": {"bundle_hash": "b"}}
-    (tmp_path / "filter" / "summary.json").write_text(json.dumps(summary))
-    with pytest.raises(RenetError, match="results of filter"):
-        make_report(ReportCfg(tmp_path, tmp_path / "page.html"))
-
-
 @pytest.mark.parametrize(
-    "damage",
+    "damaged",
     [
-        "[" * 100_000,
-        '{"runs": "text"}',
-        "[1, 2]",
-        "null",
-        '{"half',
-        pytest.param("number", id="text for a number"),
-        pytest.param("inner", id="a list for a row"),
+        lambda summary: "[" * 100_000,
+        lambda summary: '{"half',
+        lambda summary: "[1, 2]",
+        lambda summary: '{"runs": [], "provenance": {"bundle_hash": "b"}}',
+        lambda summary: '{"runs": "text"}',
+        lambda summary: json.dumps(summary | {"runs": [[1]]}),
+        lambda summary: json.dumps(summary | {"runs": [summary["runs"][0] | {"still": "many"}]}),
+    ],
+    ids=[
+        "deep",
+        "half",
+        "list",
+        "incomplete",
+        "text for rows",
+        "list for a row",
+        "text for number",
     ],
 )
-def test_damaged_results_end_in_one_line(results: Path, tmp_path: Path, damage: str) -> None:
+def test_damaged_results_end_in_one_line(results: Path, tmp_path: Path, damaged) -> None:
     shutil.copytree(results / "standing", tmp_path / "standing")
     path = tmp_path / "standing" / "summary.json"
-    content = json.loads(path.read_text())
-    if damage == "number":
-        content["runs"][0]["still"] = "many"
-        damage = json.dumps(content)
-    elif damage == "inner":
-        content["runs"][0] = [1]
-        damage = json.dumps(content)
-    path.write_text(damage)
+    path.write_text(damaged(json.loads(path.read_text())))
     with pytest.raises(RenetError, match="standing") as caught:
-        make_report(ReportCfg(tmp_path))
+        make_report(ReportCfg(tmp_path, tmp_path / "page.html"))
     assert "\n" not in str(caught.value)
+    assert not (tmp_path / "page.html").exists()
 
 
 def test_text_of_a_summary_is_escaped(results: Path, tmp_path: Path) -> None:

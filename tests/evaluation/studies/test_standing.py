@@ -3,6 +3,7 @@ from pathlib import Path
 
 import numpy as np
 
+from renet.evaluation.env import SimEnv, study_env_cfg
 from renet.evaluation.studies.standing import stillness
 
 
@@ -28,8 +29,6 @@ def test_robots_that_stop_stand_and_restless_ones_do_not(run_study) -> None:
 
 
 def test_the_simulated_world_obeys() -> None:
-    from renet.evaluation.env import SimEnv, study_env_cfg
-
     world = SimEnv(study_env_cfg("Renet-Go1-Flat", 0.6), range(2), 1, "native")
     world.reset()
     world.command(0.0)

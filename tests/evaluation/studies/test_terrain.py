@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from renet.evaluation.rollout import Trace
-from renet.evaluation.studies.terrain import (
-    SuccessStudy,
-    highest_level,
-    passed,
-    worse_than_op,
-)
+from renet.evaluation.studies.terrain import SuccessStudy, highest_level, passed, worse_than_op
 from renet.faults import ViewPerturbation
 from renet.terrain.tiles import LEVELS
 
@@ -34,12 +29,8 @@ def test_a_robot_passes_by_leaving_its_tile_even_after_a_fall() -> None:
 def test_summary_holds_the_papers_table(run_study) -> None:
     folder = run_study("terrain")
     summary = json.loads((folder / "summary.json").read_text())
-    assert summary["levels_by_kind"] == {
-        "gap": 6,
-        "platform": 4,
-        "stairs_up": 10,
-        "stairs_down": 3,
-    }
+    reached = {"gap": 6, "platform": 4, "stairs_up": 10, "stairs_down": 3}
+    assert summary["levels_by_kind"] == reached
     assert summary["levels"] == {"gap": 6, "platform": 4, "stairs": 6.5}
     assert summary["robots"] == 3
     assert summary["falls_on_flat"] == 100
@@ -81,15 +72,11 @@ def test_every_size_and_mode_has_its_row(run_study) -> None:
 
 
 def test_where_renet_crosses_less_often_than_op_alone_is_listed() -> None:
+    rates = {1: (0.9, 0.91), 2: (0.5, 0.8), 3: (0.5,)}
     runs = [
         {"kind": "gap", "level": level, "size_m": level / 10, "mode": mode, "success_rate": rate}
-        for level, mode, rate in [
-            (1, "renet", 0.9),
-            (1, "op", 0.91),
-            (2, "renet", 0.5),
-            (2, "op", 0.8),
-            (3, "renet", 0.5),
-        ]
+        for level, both in rates.items()
+        for mode, rate in zip(("renet", "op"), both, strict=False)
     ]
     assert worse_than_op(runs) == [{"kind": "gap", "size_m": 0.2, "renet": 0.5, "op": 0.8}]
 

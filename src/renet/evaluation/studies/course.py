@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -18,15 +17,21 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial
-from renet.evaluation.studies.course_env import CourseEnv, PlaceInjector, course_length, time_limit
-from renet.evaluation.studies.course_terrain import LAP, SHORT_LAP, course_env_cfg, passage
+from renet.evaluation.studies.course_env import (
+    CourseEnv,
+    PlaceInjector,
+    course_env_cfg,
+    course_length,
+    time_limit,
+)
+from renet.evaluation.studies.course_terrain import LAP, SHORT_LAP, passage
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import SEVERITIES
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 
-ENDS = {"crossed": "#7fb98d", "stuck": "#e9c46a", "fell": "#d1584b"}
-"""How a passage ends, and its colour."""
+ENDS = ("crossed", "fell", "stuck")
+"""How a passage ends."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +82,7 @@ class CourseStudy(WalkingStudy):
         seed = self.seed + number - 1
         trials = [Trial(mode, robot=robot) for mode in self.modes for robot in range(robots)]
         streams = [trial.robot for trial in trials]
-        task = course_env_cfg(lap, [self.level] * len(lap), self.stuck_after, seed, evaluator.robot)
+        task = course_env_cfg(lap, self.level, self.stuck_after, seed, evaluator.robot)
         env = CourseEnv(evaluator.make_env(task, streams, self.speed, seed), lap)
         trace = evaluator.rollout(
             f"lap {number}/{laps}, at most",
@@ -88,11 +93,16 @@ class CourseStudy(WalkingStudy):
             on_step=lambda result: bool(env.finished.all()),
             injector=PlaceInjector(env, streams, self.severity, seed),
         )
-        logs = {name: env.logged(name) for name in env.log}
-        runs = [_run(logs, trace, trial, i, number, len(lap)) for i, trial in enumerate(trials)]
-        shown = next((i for i, trial in enumerate(trials) if trial.mode == "renet"), None)
-        timeline = None if shown is None else _timeline(logs, trace, shown)
-        return {"runs": [run | {"seed": seed} for run in runs], "timeline": timeline}
+        logs, runs, timeline = env.logged(), [], None
+        for robot, trial in enumerate(trials):
+            steps = int((~logs["finished"][:, robot]).sum())
+            log = {name: values[:steps, robot] for name, values in logs.items()}
+            own = trace.robots(slice(robot, robot + 1)).until(steps)
+            named = {"mode": trial.mode, "lap": number, "robot": trial.robot}
+            runs.append(named | _run(log, own, len(lap)) | {"seed": seed})
+            if trial.mode == "renet" and timeline is None:
+                timeline = _timeline(log, own)
+        return {"runs": runs, "timeline": timeline}
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """Rows by robot and lap, and sums by mode, robot and passage."""
@@ -140,27 +150,19 @@ class CourseStudy(WalkingStudy):
         return [(f"{laps} of {summary['lap_m']:.0f} m", header, rows)]
 
 
-def _run(
-    logs: dict[str, np.ndarray], trace: Trace, trial: Trial, index: int, lap: int, passages: int
-) -> dict[str, Any]:
-    """One robot's lap."""
-    steps = int((~logs["finished"][:, index]).sum())
-    log = {name: values[:steps, index] for name, values in logs.items()}
+def _run(log: dict[str, np.ndarray], trace: Trace, passages: int) -> dict[str, Any]:
+    """One robot's lap, from what `CourseEnv.logged` and the trace hold of it."""
     ends = ["crossed"] * passages
     for name in ("fell", "stuck"):
         for where in log["passage"][log[name]]:
             ends[int(where)] = name
-    vision = trace.vision[:steps, index]
-    failing = trace.failing[:steps, index]
+    vision, failing = trace.vision, trace.failing
     return {
-        "mode": trial.mode,
-        "lap": lap,
-        "robot": trial.robot,
         "distance_m": float(log["metres"].sum()),
-        "seconds": steps * CONTROL_DT,
+        "seconds": len(vision) * CONTROL_DT,
         "falls": int(log["fell"].sum()),
         "stuck": int(log["stuck"].sum()),
-        "switches": int(metrics.switches(trace.trusted[:steps, :, index : index + 1])[0]),
+        "switches": int(metrics.switches(trace.trusted)[0]),
         "vision_share": float(vision.mean()),
         "vision_share_healthy": float(vision[~failing].mean()),
         "vision_share_failing": float(vision[failing].mean()) if failing.any() else None,
@@ -168,55 +170,43 @@ def _run(
     }
 
 
-def _timeline(logs: dict[str, np.ndarray], trace: Trace, index: int) -> dict[str, Any]:
-    """What the figure shows of one robot's lap, at 10 Hz."""
-    steps = int((~logs["finished"][:, index]).sum())
-    ticks = slice(STEPS_PER_TICK - 1, steps, STEPS_PER_TICK)
-
-    def events(name: str) -> list[float]:
-        return (np.flatnonzero(logs[name][:steps, index]) * CONTROL_DT).tolist()
-
+def _timeline(log: dict[str, np.ndarray], trace: Trace) -> dict[str, Any]:
+    """What the figure shows of one robot's lap, at 10 Hz, and the seconds at which it failed."""
+    ticks = slice(STEPS_PER_TICK - 1, None, STEPS_PER_TICK)
     return {
-        "anomaly": trace.anomaly[ticks, index],
-        "probability": trace.probability[ticks, index],
-        "vision": trace.vision[ticks, index].astype(int),
-        "passage": logs["passage"][ticks, index],
-        "fell": events("fell"),
-        "stuck": events("stuck"),
+        "anomaly": trace.anomaly[ticks, 0],
+        "probability": trace.probability[ticks, 0],
+        "vision": trace.vision[ticks, 0].astype(int),
+        "passage": log["passage"][ticks],
+        **{name: np.flatnonzero(log[name]) * CONTROL_DT for name in ("fell", "stuck")},
     }
 
 
 def _total(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Sums over the laps of one mode."""
-    distance, failures = (sum(r[k] for r in runs) for k in ("distance_m", "falls"))
+    names = ("distance_m", "seconds", "falls", "stuck", "switches")
+    sums = {name: sum(run[name] for run in runs) for name in names}
+    ends = [end for run in runs for end in run["ends"]]
+    distance = sums["distance_m"]
     return {
         "mode": runs[0]["mode"],
-        "distance_m": distance,
-        "seconds": sum(r["seconds"] for r in runs),
-        "falls": failures,
-        "stuck": sum(r["stuck"] for r in runs),
-        "falls_per_km": 1000 * failures / distance if distance > 0 else None,
-        "passages": sum(len(r["ends"]) for r in runs),
-        "crossed": sum(r["ends"].count("crossed") for r in runs),
-        "switches": sum(r["switches"] for r in runs),
+        **sums,
+        "falls_per_km": 1000 * sums["falls"] / distance if distance > 0 else None,
+        "passages": len(ends),
+        "crossed": ends.count("crossed"),
     }
 
 
 def _passages(runs: list[dict[str, Any]], lap: tuple[str, ...]) -> list[dict[str, Any]]:
     """How each kind of passage went in each mode."""
-    rows = []
-    for mode in dict.fromkeys(run["mode"] for run in runs):
-        for kind in dict.fromkeys(lap):
-            ends = [
-                end
-                for run in runs
-                if run["mode"] == mode
-                for end, here in zip(run["ends"], lap, strict=True)
-                if here == kind
-            ]
-            counts = {name: ends.count(name) for name in ("crossed", "fell", "stuck")}
-            rows.append({"mode": mode, "kind": kind, "tries": len(ends), **counts})
-    return rows
+    ends: dict[tuple[str, str], list[str]] = {}
+    for run in runs:
+        for kind, end in zip(lap, run["ends"], strict=True):
+            ends.setdefault((run["mode"], kind), []).append(end)
+    return [
+        {"mode": mode, "kind": kind, "tries": len(own)} | {end: own.count(end) for end in ENDS}
+        for (mode, kind), own in ends.items()
+    ]
 
 
 def draw_timelines(laps: Sequence[dict[str, Any]], lap: Sequence[str], beta: float) -> Figure:
@@ -229,35 +219,19 @@ def draw_timelines(laps: Sequence[dict[str, Any]], lap: Sequence[str], beta: flo
     """
     every, marks, events = CONTROL_DT * STEPS_PER_TICK, [], []
     for line in laps:
-        where = [int(i) for i in line["passage"]]
-        starts = [k for k in range(len(where)) if k == 0 or where[k] != where[k - 1]]
+        where = line["passage"]
+        starts = np.flatnonzero(np.diff(where, prepend=-1))
         marks.append([(k * every, lap[where[k]]) for k in starts])
         events.append([(instant, name) for name in ("fell", "stuck") for instant in line[name]])
     return figures.timelines(laps, marks, beta, "", events, every)
 
 
 def draw_passages(passages: Sequence[dict[str, Any]]) -> Figure:
-    """Shares of tries on each kind of passage that were crossed, got stuck or fell, by mode."""
-    modes = list(dict.fromkeys(row["mode"] for row in passages))
-    kinds = list(dict.fromkeys(row["kind"] for row in passages))
-    with plt.rc_context({"axes.grid": False}):
-        figure, axes = plt.subplots(
-            1, len(modes), figsize=(9, 0.32 * len(kinds) + 1.5), sharey=True, squeeze=False
-        )
-        for axis, mode in zip(axes[0], modes, strict=True):
-            rows = {row["kind"]: row for row in passages if row["mode"] == mode}
-            left = np.zeros(len(kinds))
-            for end, colour in ENDS.items():
-                share = np.array([100 * rows[k][end] / max(rows[k]["tries"], 1) for k in kinds])
-                axis.barh(kinds, share, left=left, color=colour, label=end, height=0.72)
-                left += share
-            for y, kind in enumerate(kinds):
-                row = rows[kind]
-                text = f"{row['crossed']} of {row['tries']}"
-                axis.text(2, y, text, va="center", fontsize=8, color=figures.INK)
-            axis.set(title=figures.MODE_NAMES[mode], xlabel="tries (%)", xlim=(0, 100))
-            axis.tick_params(axis="y", length=0)
-        axes[0][0].invert_yaxis()
-        handles, labels = axes[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=9)
-        return figure
+    """A table of colours: tries on each kind of passage that crossed it, and how others ended."""
+    cells = {}
+    for row in passages:
+        text = f"{row['crossed']} of {row['tries']}"
+        ends = [f"{row[end]} {end}" for end in ("fell", "stuck") if row[end]]
+        share = 100 * row["crossed"] / row["tries"]
+        cells[row["kind"], figures.MODE_NAMES[row["mode"]]] = share, ", ".join([text, *ends])
+    return figures.colour_tables({"": cells}, "Passages crossed", width=1.7)

@@ -1,21 +1,108 @@
-"""A lap of the course as an environment of rollouts, and the cameras that fail along it."""
+"""A lap of the course as an environment of rollouts, and the cameras that fail along it.
+
+Grass and an occlusion are faults of the camera for as long as the robot is on that passage.
+"""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
+from mjlab.envs.mdp.terminations import root_height_below_minimum
+from mjlab.managers.termination_manager import TerminationTermCfg
+from torch import Tensor
 
 from renet.evaluation.env import SimEnv
 from renet.evaluation.rollout import StepResult
-from renet.evaluation.studies.course_terrain import AHEAD, FAULTS_HERE, along
-from renet.faults import FAULTS, Frames, Injector, fault_class
+from renet.evaluation.studies.course_terrain import passage
+from renet.faults import FAULTS, Frames, Injector
 from renet.interface import CONTROL_DT
+from renet.tasks import RenetEnvCfg, RobotCfg
 from renet.tasks.mdp.commands import goal
+from renet.tasks.mdp.terminations import PIT_DEPTH
+from renet.tasks.parkour_env_cfg import tile_env_cfg
+from renet.tasks.terrains import parkour_terrain
 from renet.terrain.tiles import TILE
 
+if TYPE_CHECKING:
+    from mjlab.envs import ManagerBasedRlEnv
+
+AHEAD = math.pi / 2
+"""World yaw of the course, rad."""
 LOOK_AHEAD = 3.0
 """The goal yaw points at the course's middle line this far ahead, m, as an operator would steer."""
+FAILING = ("grass", "occlusion")
+"""Passages on which the camera fails, by the fault of the same name."""
+
+
+def course_env_cfg(
+    lap: Sequence[str], level: int, stuck_after: float, seed: int, robot: RobotCfg
+) -> RenetEnvCfg:
+    """A lap as an environment.
+
+    Args:
+        lap: kinds of passage, in order.
+        level: of all passages, 1 to 10.
+        stuck_after: seconds on one passage after which a robot counts as stuck.
+        seed: of relief and blocks.
+        robot: to walk it.
+
+    Raises:
+        RenetError: unknown kind or level.
+    """
+    passages = {f"{i}_{kind}": passage(kind, level) for i, kind in enumerate(lap)}
+    length = course_length(lap)
+    terrain = parkour_terrain()
+    generator = terrain.terrain_generator
+    assert generator is not None
+    generator.num_rows, generator.seed = 1, seed
+    generator.sub_terrains = cast(Any, passages)
+    cfg = tile_env_cfg(terrain, play=True, robot=robot)
+    cfg.terminations["in_gap"] = TerminationTermCfg(
+        func=root_height_below_minimum, params={"minimum_height": -PIT_DEPTH}
+    )
+    cfg.terminations["left_tile"] = TerminationTermCfg(
+        func=arrived, params={"length": length}, time_out=True
+    )
+    cfg.terminations["stuck"] = TerminationTermCfg(
+        func=Stuck, params={"seconds": stuck_after, "length": length}, time_out=True
+    )
+    around = cfg.events["spawn"].params["pose_range"]
+    around["x"], around["y"], around["yaw"] = (-0.3, 0.3), (-0.2, 0.2), (AHEAD - 0.1, AHEAD + 0.1)
+    return cfg
+
+
+def along(env: ManagerBasedRlEnv, length: float) -> Tensor:
+    """Metres from the beginning of a course of `length`, [N]; the course is centred."""
+    return env.scene["robot"].data.root_link_pos_w[:, 1] + length / 2
+
+
+def arrived(env: ManagerBasedRlEnv, length: float) -> Tensor:
+    """At the end of the course."""
+    return along(env, length) > length
+
+
+class Stuck:
+    """Too long on one passage."""
+
+    def __init__(self, cfg: TerminationTermCfg, env: ManagerBasedRlEnv) -> None:
+        self._farthest = torch.full((env.num_envs,), -1, device=env.device)
+        self._seconds = torch.zeros(env.num_envs, device=env.device)
+
+    def __call__(self, env: ManagerBasedRlEnv, seconds: float, length: float) -> Tensor:
+        """[N] bool; call once per control step."""
+        now = (along(env, length) / TILE).floor().long()
+        self._seconds += env.step_dt
+        self._seconds[now > self._farthest] = 0.0
+        self._farthest = torch.maximum(self._farthest, now)
+        return self._seconds > seconds
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> None:
+        """A robot that is set down has all its time."""
+        self._farthest[slice(None) if env_ids is None else env_ids] = -1
 
 
 class CourseEnv:
@@ -34,14 +121,14 @@ class CourseEnv:
         """The passage each robot is on, [N]."""
         self.finished = np.zeros(self.num_robots, bool)
         """[N]: at the end of the course; what happens afterwards does not count."""
-        self.log: dict[str, list[np.ndarray]] = {}
+        self.log: list[dict[str, np.ndarray]] = []
 
     def reset(self) -> StepResult:
         """Put every robot at the beginning of the course."""
         nowhere = np.zeros(self.num_robots, int)
         self._inner.place(nowhere, nowhere)
         self.passage[:], self.finished[:] = 0, False
-        self.log = {name: [] for name in ("passage", "metres", "fell", "stuck", "finished")}
+        self.log = []
         result = self._inner.reset()
         self._steer()
         return result
@@ -55,26 +142,25 @@ class CourseEnv:
         result = self._inner.step(action)
         stuck = self._env.termination_manager.get_term("stuck").numpy() & ~result.fell
         failed = result.fell | stuck
-        end = result.ended & ~failed
-        self.finished |= end | (failed & (before == last))
+        self.finished |= result.ended & (~failed | (before == last))
         reached = np.floor(self._metres() / TILE).astype(int)
         walked = np.maximum(before, np.clip(reached, 0, last))
         self.passage = np.where(result.ended, following, walked)
-        gone = np.where(result.ended, 0.0, self._metres() - metres)
-        for name, value in (
-            ("passage", before),
-            ("metres", gone),
-            ("fell", result.fell & ~over),
-            ("stuck", stuck & ~over),
-            ("finished", over),
-        ):
-            self.log[name].append(value)
+        self.log.append(
+            {
+                "passage": before,
+                "metres": np.where(result.ended, 0.0, self._metres() - metres),
+                "fell": result.fell & ~over,
+                "stuck": stuck & ~over,
+                "finished": over,
+            }
+        )
         self._steer()
         return result
 
-    def logged(self, name: str) -> np.ndarray:
-        """[T, N]: passage, metres gone in the step, fell, stuck, or finished before the step."""
-        return np.array(self.log[name])
+    def logged(self) -> dict[str, np.ndarray]:
+        """[T, N] each: passage, metres gone in the step, fell, stuck, finished before the step."""
+        return {name: np.array([row[name] for row in self.log]) for name in self.log[0]}
 
     def _metres(self) -> np.ndarray:
         """Metres from the beginning of the course, [N]."""
@@ -94,16 +180,16 @@ class PlaceInjector(Injector):
         super().__init__([()] * len(streams), streams, seed)
         self._inner = env
         self._faults = {
-            kind: FAULTS[name](
-                fault_class(name).level_of(severity),
+            kind: FAULTS[kind](
+                FAULTS[kind].level_of(severity),
                 [np.random.default_rng([seed, place, stream]) for stream in streams],
             )
-            for place, (kind, name) in enumerate(FAULTS_HERE.items())
+            for place, kind in enumerate(FAILING)
         }
 
     def at_work(self, step: int) -> np.ndarray:
         """[N] bool: the robots that are where the camera fails."""
-        return self._here(tuple(self._faults))
+        return self._here(FAILING)
 
     def apply(self, frames: Frames, step: int) -> Frames:
         """Spoil the frames of the robots where the camera fails."""

@@ -1,10 +1,9 @@
-"""What the rows of the fault benchmark add up to: promises kept and broken, harm and misses.
+"""Findings of the fault benchmark: claims, settings where RENet does harm, faults it misses.
 
-Because a walk over obstacles is chaotic, twins part company by chance, in both directions: what
-counts is how much more often the one happens than the other (sign test, McNemar 1947).
+A walk over obstacles is chaotic: twins diverge by chance, in both directions. What counts is how
+much more often one outcome happens than its opposite (sign test, McNemar 1947).
 """
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,8 @@ from renet.tasks.terrains import DIFFICULT
 Runs = list[dict[str, Any]]
 Setting = tuple[str, float, str, int]
 """Ground, onset, fault and severity."""
+Claim = tuple[str, bool, str]
+"""What is claimed, whether it is so, and what was measured."""
 CHANCE = 0.05
 """Probability below which a difference is not put down to chance."""
 MARGIN = 0.02
@@ -32,21 +33,17 @@ def setting_of(run: dict[str, Any]) -> Setting:
     return run["ground"], run["onset"], run["fault"], run["severity"]
 
 
-def sign_test(more: int, fewer: int) -> float:
-    """Probability of `more` heads or still more among more + fewer tosses of a fair coin."""
-    tosses = more + fewer
-    return float(stats.binomtest(more, tosses, alternative="greater").pvalue) if tosses else 1.0
-
-
-def beyond_chance(pairs: Iterable[tuple[int, int]], calm: bool) -> bool:
-    """Whether one thing happens more often than its opposite, all pairs of counts together.
+def beyond_chance(more: int, fewer: int, calm: bool) -> bool:
+    """Whether one thing happens more often than its opposite, beyond chance (sign test).
 
     Args:
-        pairs: (more, fewer) of each setting.
+        more: times it happens. fewer: times its opposite does.
         calm: nothing ever happens to healthy robots there: then once is enough.
     """
-    more, fewer = (sum(counts) for counts in zip((0, 0), *pairs, strict=True))
-    return more > fewer and (calm or sign_test(more, fewer) < CHANCE)
+    if more <= fewer:
+        return False
+    chance = stats.binomtest(more, more + fewer, alternative="greater").pvalue
+    return calm or bool(chance < CHANCE)
 
 
 def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
@@ -60,12 +57,12 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
     simple = [h for h in harm if h["ground"] not in DIFFICULT]
     severe = [miss for miss in misses if miss["severity"] >= SEVERE]
     claims = [
-        _claim(
+        (
             "survival at least OP alone's minus 2 points, every fault on simple ground",
             not any(h["beyond_chance"] for h in simple),
             _beyond_and_within(simple, "settings below"),
         ),
-        _claim(
+        (
             f"no fault of severity >= {SEVERE} that makes VP fall goes unnoticed",
             not any(miss["beyond_chance"] for miss in severe),
             _beyond_and_within(severe, "settings not noticed by every robot"),
@@ -74,7 +71,12 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
         *_false_switch_claim(healthy),
         *_blind_claims(runs),
     ]
-    return {"harmful": harm, "missed": misses, "claims": claims}
+    names = ("claim", "met", "measured")
+    return {
+        "harmful": harm,
+        "missed": misses,
+        "claims": [dict(zip(names, claim, strict=True)) for claim in claims],
+    }
 
 
 def harmful(runs: Runs, baseline: Runs) -> Runs:
@@ -98,11 +100,11 @@ def harmful(runs: Runs, baseline: Runs) -> Runs:
     ]
 
 
-def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, bool]:
-    """Settings with more falls under VP than its healthy twins have.
+def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, dict[str, Any]]:
+    """VP's rows of the settings with more falls than its healthy twins have.
 
     Returns:
-        Whether that is beyond chance, judged from all of a fault's severe settings on the ground
+        By setting; with `beyond_chance`, judged from all of a fault's severe settings on the ground
         together (of its mild ones where it has no severe ones).
     """
     severe = [r for r in runs if r["severity"] >= SEVERE]
@@ -110,7 +112,7 @@ def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, bool]:
     judged = severe + [r for r in runs if r["fault"] in mild]
     worse = _beyond_chance(judged, baseline, "vp", "falls_by_fault", "falls_spared")
     return {
-        setting_of(r): (r["ground"], r["fault"]) in worse
+        setting_of(r): r | {"beyond_chance": (r["ground"], r["fault"]) in worse}
         for r in runs
         if r["mode"] == "vp" and r["falls_by_fault"] > r["falls_spared"]
     }
@@ -118,19 +120,18 @@ def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, bool]:
 
 def missed(runs: Runs, baseline: Runs) -> Runs:
     """Faults that make VP fall and that the selector did not notice on every robot."""
-    falls_more = settings_vp_falls_in(runs, baseline)
-    vp = {setting_of(r): r for r in runs if r["mode"] == "vp"}
+    vp = settings_vp_falls_in(runs, baseline)
     return [
         _where(r)
         | {
             "undetected": r["vision_active_at_onset"] - r["detected"],
             "vp_falls": vp[setting_of(r)]["falls_by_fault"],
             "vp_spared": vp[setting_of(r)]["falls_spared"],
-            "beyond_chance": falls_more[setting_of(r)],
+            "beyond_chance": vp[setting_of(r)]["beyond_chance"],
         }
         for r in runs
         if r["mode"] == "renet"
-        and setting_of(r) in falls_more
+        and setting_of(r) in vp
         and r["detected"] < r["vision_active_at_onset"]
     ]
 
@@ -144,14 +145,16 @@ def _beyond_chance(
 ) -> set[tuple[str, str]]:
     """Grounds and faults for which one count exceeds its opposite beyond chance."""
     with_falls = {run["ground"] for run in baseline if run["mode"] == mode and run["falls"] > 0}
-    rows: dict[tuple[str, str], Runs] = {}
+    counts: dict[tuple[str, str], tuple[int, int]] = {}
     for run in runs:
         if run["mode"] == mode and run[more] is not None:
-            rows.setdefault((run["ground"], run["fault"]), []).append(run)
+            place = run["ground"], run["fault"]
+            before = counts.get(place, (0, 0))
+            counts[place] = before[0] + run[more], before[1] + run[fewer]
     return {
         (ground, fault)
-        for (ground, fault), own in rows.items()
-        if beyond_chance([(r[more], r[fewer]) for r in own], ground not in with_falls)
+        for (ground, fault), both in counts.items()
+        if beyond_chance(*both, calm=ground not in with_falls)
     }
 
 
@@ -164,60 +167,49 @@ def _beyond_and_within(found: Runs, what: str) -> str:
     return f"{len(clear)} {what}{named}{aside}"
 
 
-def _claim(claim: str, met: bool, measured: str) -> dict[str, Any]:
-    return {"claim": claim, "met": bool(met), "measured": measured}
-
-
-def _false_switch_claim(healthy: dict[str, Any]) -> Runs:
+def _false_switch_claim(healthy: dict[str, Any]) -> list[Claim]:
     """Nothing is said of healthy hours where there are none."""
     if not healthy["robot_hours"]:
         return []
     rate, limit = healthy["false_switches_per_hour"], healthy["upper_95_per_hour"]
-    return [
-        _claim(
-            "at most 1 false switch per healthy hour",
-            rate <= 1.0,
-            f"{rate:.2f} ({healthy['false_switches']} in {healthy['robot_hours']:.2f} robot hours;"
-            f" 95 % limit {limit:.2f})",
-        )
-    ]
+    measured = (
+        f"{rate:.2f} ({healthy['false_switches']} in {healthy['robot_hours']:.2f} robot hours;"
+        f" 95 % limit {limit:.2f})"
+    )
+    return [("at most 1 false switch per healthy hour", rate <= 1.0, measured)]
 
 
-def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
+def _delay_claim(runs: Runs, baseline: Runs) -> list[Claim]:
     """The median of the severe settings' median delays where VP falls; nothing if it never does."""
-    worse = settings_vp_falls_in(runs, baseline).items()
-    falls = {setting for setting, clear in worse if clear and setting[-1] >= SEVERE}
-    noticed = [r for r in runs if r["mode"] == "renet" and r["detection_delay_s"] is not None]
-    where = [r for r in noticed if setting_of(r) in falls]
+    vp = settings_vp_falls_in(runs, baseline)
+    where = [
+        r
+        for r in runs
+        if r["mode"] == "renet" and r["detection_delay_s"] is not None and r["severity"] >= SEVERE
+        if setting_of(r) in vp and vp[setting_of(r)]["beyond_chance"]
+    ]
     if not where:
         return []
     delay = float(np.median([r["detection_delay_s"] for r in where]))
     worst = max(where, key=lambda r: r["detection_delay_p95_s"])
-    return [
-        _claim(
-            f"median detection within 0.2 s of faults of severity >= {SEVERE} that make VP fall",
-            delay <= 0.2,
-            f"{delay:.3f} s; worst 95th percentile {worst['detection_delay_p95_s']:.2f} s"
-            f" ({setting_label(worst)})",
-        )
-    ]
+    claim = f"median detection within 0.2 s of faults of severity >= {SEVERE} that make VP fall"
+    measured = (
+        f"{delay:.3f} s; worst 95th percentile {worst['detection_delay_p95_s']:.2f} s"
+        f" ({setting_label(worst)})"
+    )
+    return [(claim, delay <= 0.2, measured)]
 
 
-def _blind_claims(runs: Runs) -> Runs:
+def _blind_claims(runs: Runs) -> list[Claim]:
     """Frozen and uniform images: noticed by the monitors, and what the paper's rule alone does."""
+    worst = [run for run in runs if run["mode"] == "renet" and run["severity"] == 5]
     claims = []
     for what, faults in (("frozen", FROZEN), ("uniform", UNIFORM)):
-        rows = [r for r in runs if r["mode"] == "renet" and r["fault"] in faults]
-        rows = [r for r in rows if r["severity"] == 5]
-        robots = sum(r["vision_active_at_onset"] for r in rows)
+        names = ("vision_active_at_onset", "detected", "detected_by_paper")
+        robots, detected, paper = (
+            sum(run[name] for run in worst if run["fault"] in faults) for name in names
+        )
         if robots:
-            detected = sum(r["detected"] for r in rows)
-            paper = sum(r["detected_by_paper"] for r in rows)
-            claims.append(
-                _claim(
-                    f"{what} images are noticed",
-                    detected == robots,
-                    f"{detected} of {robots} robots; by the paper's rule alone {paper}",
-                )
-            )
+            measured = f"{detected} of {robots} robots; by the paper's rule alone {paper}"
+            claims.append((f"{what} images are noticed", detected == robots, measured))
     return claims

@@ -1,7 +1,7 @@
 """What the fault benchmark measures of each robot and of each setting, with intervals and pairs.
 
 Robots fall over obstacles with healthy cameras, too. Each robot of a fault's batch therefore has a
-twin without the fault: same mode, body, start, camera and noise, alike to the bit until the onset.
+twin without the fault: same mode, body, start, camera and noise, bit for bit alike until the onset.
 Differences are taken between twins, robot by robot.
 """
 
@@ -28,7 +28,7 @@ MEASURES = (
 )
 """Of docs/benchmark.md, in its order."""
 TRAVELLED = 0.2
-"""m from the onset on below which energy per metre says nothing."""
+"""m from the onset on; below it energy per metre is not computed."""
 ROC_POINTS = 60
 """Points kept of a curve."""
 Values = Mapping[str, Any]
@@ -96,19 +96,17 @@ def pair_counts(values: Values, twins: Values) -> dict[str, int]:
     }
 
 
-def beside_op(values: Values | None, op: Values | None) -> dict[str, Any]:
-    """How RENet's robots fare beside the same robots under OP; all None without either."""
-    names = ("only_op_upright", "only_renet_upright", "over_op", "over_op_ci95_low")
-    if values is None or op is None:
-        return dict.fromkeys((*names, "over_op_ci95_high"))
+def beside_op(values: Values, op: Values | None) -> dict[str, Any]:
+    """How RENet's robots fare beside the same robots under OP; all None without these."""
+    if op is None:
+        names = ("only_op_upright", "only_renet_upright", "over_op")
+        return dict.fromkeys((*names, "over_op_ci95_low", "over_op_ci95_high"))
     gain = np.array(values["upright"], float) - np.array(op["upright"], float)
-    low, high = metrics.bootstrap_interval(gain)
     return {
         "only_op_upright": int((gain < 0).sum()),
         "only_renet_upright": int((gain > 0).sum()),
         "over_op": float(gain.mean()),
-        "over_op_ci95_low": low,
-        "over_op_ci95_high": high,
+        **metrics.with_interval("over_op", gain),
     }
 
 
@@ -119,10 +117,8 @@ class Batch:
     trace: Trace
     paper: np.ndarray
     """[T, U, N] bool: vision trusted by the paper's selector."""
-    reconstruction: np.ndarray
-    """[ticks, N] the reconstruction score."""
-    monitors: np.ndarray
-    """[ticks, N] the whole set's score; see `monitor_log.combined_score`."""
+    scores: Mapping[str, np.ndarray]
+    """[ticks, N] each: `reconstruction`, and of all `monitors` (`monitor_log.combined_score`)."""
     onset: int
     """Control step at which the fault begins."""
     end: int
@@ -156,74 +152,57 @@ def noticing(batch: Batch) -> dict[str, Any]:
     comes while vision is not trusted can be neither noticed nor missed: `vision_active_at_onset`
     counts the robots that trusted vision.
     """
-    trace, onset, end = batch.trace, batch.onset, batch.end
+    trusted, over, onset, end = batch.trace.trusted, batch.trace.over, batch.onset, batch.end
     # A last image from before the end is judged until the next tick.
     until = end + STEPS_PER_TICK
-    delay = detection(trace.trusted, trace.over, onset, until)
-    active = trace.trusted[onset - 1, -1] & ~trace.over[onset - 1]
-    paper = np.where(active, detection(batch.paper, trace.over, onset, until), np.nan)
-    back = recovery(trace.trusted, trace.over, end)
+    delay = departure(trusted, over, onset, until)
+    active = trusted[onset - 1, -1] & ~over[onset - 1]
+    paper = np.where(active, departure(batch.paper, over, onset, until), np.nan)
+    back = departure(~trusted, over, end)
+    low, high = metrics.bootstrap_interval(delay, np.median)
     return {
         "vision_active_at_onset": int(active.sum()),
         "detected": int((~np.isnan(delay)).sum()),
-        **_delays("detection_delay", delay),
+        "detection_delay_s": _quantile(delay, 0.5),
+        "detection_delay_p95_s": _quantile(delay, 0.95),
+        "detection_delay_ci95_low": low,
+        "detection_delay_ci95_high": high,
         "detected_by_paper": int((~np.isnan(paper)).sum()),
-        "paper_detection_delay_s": _delays("paper", paper)["paper_s"],
-        "away_at_end": int(away(trace.trusted, trace.over, end).sum()),
+        "paper_detection_delay_s": _quantile(paper, 0.5),
+        "away_at_end": int((~trusted[end - 1, -1] & ~over[end - 1]).sum()),
         "recovered": int((~np.isnan(back)).sum()),
-        "recovery_delay_s": _delays("back", back)["back_s"],
-        "recovery_delay_p95_s": _delays("back", back)["back_p95_s"],
+        "recovery_delay_s": _quantile(back, 0.5),
+        "recovery_delay_p95_s": _quantile(back, 0.95),
     }
 
 
-def detection(trusted: np.ndarray, gone: np.ndarray, onset: int, end: int) -> np.ndarray:
-    """[N] seconds from the onset to the selector's departure from vision.
+def departure(
+    trusted: np.ndarray, gone: np.ndarray, start: int, end: int | None = None
+) -> np.ndarray:
+    """Seconds from a control step until the selector first stops trusting vision.
 
-    NaN where it missed the fault, or had left before.
-
-    Args:
-        trusted: [T, U, N] bool. gone: [T, N] bool, fallen or across. onset, end: control steps.
-    """
-    delay = metrics.switch_delay(trusted, onset, end)
-    return np.where(trusted[onset - 1, -1], _in_time(delay, gone, onset), np.nan)
-
-
-def recovery(trusted: np.ndarray, gone: np.ndarray, over: int) -> np.ndarray:
-    """[N] seconds from the end of a fault to the return to vision.
-
-    NaN where vision was not left, or the robot fell first: one that starts anew trusts vision.
+    Of `~trusted` it is the delay of the return to vision. A robot that starts anew after a fall
+    trusts vision, which is no return.
 
     Args:
-        trusted: [T, U, N] bool. gone: [T, N] bool, fallen or across. over: control step.
+        trusted: [T, U, N] bool.
+        gone: [T, N] bool, fallen or across.
+        start: control step. end: the one from which on departures do not count.
+
+    Returns:
+        [N]; NaN where it had left vision before `start`, or has not when it is gone or at `end`.
     """
-    if over >= len(trusted):
+    if start >= len(trusted):
         return np.full(trusted.shape[-1], np.nan)
-    delay = _in_time(metrics.recovery_delay(trusted, over), gone, over)
-    return np.where(away(trusted, gone, over), delay, np.nan)
+    delay = metrics.switch_delay(trusted, start, end)
+    left = np.where(gone.any(axis=0), gone.argmax(axis=0) - start + 1, np.inf) * CONTROL_DT
+    return np.where(trusted[start - 1, -1] & (delay <= left), delay, np.nan)
 
 
-def _in_time(delay: np.ndarray, gone: np.ndarray, start: int) -> np.ndarray:
-    """`delay` [N] s from the control step `start`; NaN where the robot was gone by then."""
-    end = np.where(gone.any(axis=0), gone.argmax(axis=0) - start + 1, np.inf) * CONTROL_DT
-    return np.where(delay <= end, delay, np.nan)
-
-
-def away(trusted: np.ndarray, gone: np.ndarray, over: int) -> np.ndarray:
-    """[N] bool: on its way and without vision just before a control step; see `recovery`."""
-    return ~trusted[over - 1, -1] & ~gone[over - 1]
-
-
-def _delays(name: str, delay: np.ndarray) -> dict[str, float | None]:
-    """Median with its interval, and 95th percentile, of the delays there are."""
-    found = delay[~np.isnan(delay)]
-    known = len(found) > 0
-    low, high = metrics.bootstrap_interval(found, np.median)
-    return {
-        f"{name}_s": float(np.median(found)) if known else None,
-        f"{name}_p95_s": float(np.quantile(found, 0.95)) if known else None,
-        f"{name}_ci95_low": low if known else None,
-        f"{name}_ci95_high": high if known else None,
-    }
+def _quantile(values: np.ndarray, share: float) -> float | None:
+    """A quantile of the values [N] there are; None where there are none."""
+    found = values[~np.isnan(values)]
+    return float(np.quantile(found, share)) if len(found) else None
 
 
 def separability(batches: Sequence[Batch]) -> dict[str, Any]:
@@ -234,11 +213,11 @@ def separability(batches: Sequence[Batch]) -> dict[str, Any]:
         reconstruction score alone and for the whole set; frames after a fall do not count.
     """
     found: dict[str, Any] = {}
-    for name in ("reconstruction", "monitors"):
+    for name in batches[0].scores:
         before, after = [], []
         for batch in batches:
             first, last = batch.onset // STEPS_PER_TICK, -(-batch.end // STEPS_PER_TICK)
-            counts, scores = ~batch.trace.over[::STEPS_PER_TICK], getattr(batch, name)
+            counts, scores = ~batch.trace.over[::STEPS_PER_TICK], batch.scores[name]
             before.append(scores[:first][counts[:first]])
             after.append(scores[first:last][counts[first:last]])
         false, true, area = metrics.roc(np.concatenate(before), np.concatenate(after))

@@ -36,6 +36,8 @@ from renet.tasks.config.go1 import GO1
 
 HEALTHY_ROBOTS = 64
 """Robots side by side in the run without faults."""
+Rows = Mapping[tuple[Any, str], dict[str, Any]]
+"""Of a part, by setting or ground, and mode."""
 
 
 class Setting(NamedTuple):
@@ -52,10 +54,14 @@ class Setting(NamedTuple):
         """Control step at which the fault begins."""
         return round(self.onset / CONTROL_DT)
 
+    def injection(self, seconds: float) -> Injection:
+        """The fault, over after some seconds at the latest."""
+        return Injection.of(self.fault, self.severity, self.step, seconds)
+
 
 @dataclass(frozen=True)
 class FaultStudy(WalkingStudy):
-    """Every way a depth camera fails, on grounds where sight matters, in every mode.
+    """Every way a depth camera fails, on several grounds, in every mode.
 
     `--preset noise` is the paper's noise figure: VP alone against RENet under six noises.
     """
@@ -88,6 +94,10 @@ class FaultStudy(WalkingStudy):
         for fault, severity in (s[2:] for batch in self.batches.values() for s in batch):
             fault_class(fault).level_of(severity)
         super().__post_init__()
+        if not self.vision_modes:
+            raise RenetError(
+                f"modes {self.modes}: no camera fault matters to OP, give another mode"
+            )
         if not any(self.batches.values()):
             raise RenetError("give a fault, a severity, a ground and an onset that fit together")
         if self.lasts <= 0 or self.healthy_minutes < 0:
@@ -136,28 +146,21 @@ class FaultStudy(WalkingStudy):
         return round(self.seconds / CONTROL_DT)
 
     @property
-    def looking(self) -> list[str]:
-        """Modes that a fault can matter to: what OP does is what its twin does."""
+    def vision_modes(self) -> list[str]:
+        """Modes that use the camera; a robot in OP walks as its twin does."""
         return [mode for mode in self.modes if mode != "op"]
 
+    def groups(self, settings: Sequence[Setting]) -> list[tuple[Setting, str]]:
+        """Setting and mode of each group of robots in a batch."""
+        return [(setting, mode) for setting in settings for mode in self.vision_modes]
+
     def trials(self, settings: Sequence[Setting]) -> list[Trial]:
-        """Every robot of every mode that looks, setting by setting."""
+        """Every robot of a batch, group by group."""
         return [
-            Trial(mode, (Injection.of(*setting[2:], setting.step, self.lasts),), robot)
-            for setting in settings
-            for mode in self.looking
+            Trial(mode, (setting.injection(self.lasts),), robot, setting.ground)
+            for setting, mode in self.groups(settings)
             for robot in range(self.robots_each)
         ]
-
-    @property
-    def twin_settings(self) -> list[tuple[str, str]]:
-        """Ground and mode of every group of robots without faults."""
-        return [(ground, mode) for ground in self.grounds for mode in self.modes]
-
-    def twins(self) -> list[Trial]:
-        """Every robot of every mode on every ground, without faults."""
-        each = range(self.robots_each)
-        return [Trial(mode, robot=robot) for _, mode in self.twin_settings for robot in each]
 
     def make_env(self, evaluator: Evaluator, robots: tuple[int, ...]) -> SimEnv:
         """Robots of these numbers, on no ground yet."""
@@ -166,12 +169,11 @@ class FaultStudy(WalkingStudy):
         return evaluator.make_env(cfg, robots, self.speed, self.seed)
 
     def walk(
-        self, evaluator: Evaluator, make: Any, title: str, trials: Sequence[Trial], grounds, **more
+        self, evaluator: Evaluator, env: SimEnv, title: str, trials: Sequence[Trial], **more: Any
     ) -> Trace:
-        """Run trials, each on one of `grounds`, until all robots are done."""
-        env = make(tuple(trial.robot for trial in trials))
+        """Run trials, each on its ground, until all robots are done."""
         if self.grounds != (FLAT,):
-            env.place_on(grounds)
+            env.place_on([trial.ground for trial in trials])
         least = round((max(self.onsets) + self.lasts) / CONTROL_DT) + STEPS_PER_TICK
         done, taken = np.zeros(len(trials), bool), count(1)
 
@@ -200,32 +202,31 @@ class FaultStudy(WalkingStudy):
         trials = self.trials(settings)
         log = MonitorLog(len(trials))
         title = f"{list(self.batches).index(name) + 1}/{len(self.batches)} {name}"
-        grounds = [s.ground for s in settings for _ in range(each * len(self.looking))]
-        # A robot that a preset adds belongs to the first setting.
-        grounds += [settings[0].ground] * (len(trials) - len(grounds))
-        trace = self.walk(evaluator, make, title, trials, grounds, on_update=log)
-        scores = log.scores
+        env = make(tuple(trial.robot for trial in trials))
+        trace = self.walk(evaluator, env, title, trials, on_update=log)
         paper = replay(evaluator.make_selector(len(trials), "paper"), trace.anomaly)
         healthy_ticks = round(min(self.onsets) / CONTROL_DT) // STEPS_PER_TICK
-        combined = combined_score(scores, evaluator.thresholds, healthy_ticks)
-        runs, seen = [], {}
-        for number, setting in enumerate(settings):
+        combined = combined_score(log.scores, evaluator.thresholds, healthy_ticks)
+        scores = {"reconstruction": log.scores["reconstruction"], "monitors": combined}
+        runs: list[dict[str, Any]] = []
+        seen: dict[int, list[fault_metrics.Batch]] = {}
+        for number, (setting, mode) in enumerate(self.groups(settings)):
+            rows = slice(number * each, (number + 1) * each)
             over = setting.step + round(self.lasts / CONTROL_DT)
-            end = fault_metrics.end_of(*setting[2:], setting.step, over)
-
-            def batch(rows: slice, onset=setting.step, end=end) -> fault_metrics.Batch:
-                recorded = (paper[..., rows], scores["reconstruction"][:, rows], combined[:, rows])
-                return fault_metrics.Batch(trace.robots(rows), *recorded, onset, end)
-
-            for place, mode in enumerate(self.looking, start=number * len(self.looking)):
-                own = batch(slice(place * each, (place + 1) * each))
-                seen.setdefault(setting.severity, []).append(own)
-                runs.append(
-                    self.labels(setting, mode)
-                    | fault_metrics.survival(own.trace, over)
-                    | fault_metrics.noticing(own)
-                    | {"values": fault_metrics.robot_measures(own.trace, own.onset, self.speed)}
-                )
+            own = fault_metrics.Batch(
+                trace.robots(rows),
+                paper[..., rows],
+                {score: table[:, rows] for score, table in scores.items()},
+                setting.step,
+                fault_metrics.end_of(*setting[2:], setting.step, over),
+            )
+            seen.setdefault(setting.severity, []).append(own)
+            runs.append(
+                self.labels(setting, mode)
+                | fault_metrics.survival(own.trace, over)
+                | fault_metrics.noticing(own)
+                | {"values": fault_metrics.robot_measures(own.trace, own.onset, self.speed)}
+            )
         curves = {
             severity: {"fault": settings[0].fault, "severity": severity}
             | fault_metrics.separability(batches)
@@ -234,7 +235,7 @@ class FaultStudy(WalkingStudy):
         for run in runs:
             found = curves[run["severity"]]
             run |= {key: value for key, value in found.items() if key.startswith("auc_")}
-        return {"runs": runs, "roc": list(curves.values())} | self.curves(trace, self.looking)
+        return {"runs": runs, "roc": list(curves.values())} | self.curves(trace, self.vision_modes)
 
     def labels(self, setting: Setting, mode: str) -> dict[str, Any]:
         """What a row of the summary begins with."""
@@ -251,26 +252,24 @@ class FaultStudy(WalkingStudy):
 
     def _run_twins(self, evaluator: Evaluator, make: Any) -> Part:
         """Every fault's twins, with cameras that never fail."""
-        each = self.robots_each
-        grounds = [ground for ground, _ in self.twin_settings for _ in range(each)]
-        trace = self.walk(evaluator, make, "no fault", self.twins(), grounds)
-        runs, calm = [], np.zeros(len(grounds), bool)
-        for number, (ground, mode) in enumerate(self.twin_settings):
-            rows = slice(number * each, (number + 1) * each)
-            own = trace.robots(rows)
-            calm[rows] = ground == self.grounds[0]
-            named = {"mode": mode, "ground": ground, "ground_level": self.levels[ground]}
+        each, trials = self.robots_each, self.trials_on(self.grounds)
+        env = make(tuple(trial.robot for trial in trials))
+        trace = self.walk(evaluator, env, "no fault", trials)
+        runs = []
+        for trial, own in zip(trials[::each], trace.groups(each), strict=True):
+            level = self.levels[trial.ground]
+            named = {"mode": trial.mode, "ground": trial.ground, "ground_level": level}
             values = {
                 str(onset): fault_metrics.robot_measures(own, round(onset / CONTROL_DT), self.speed)
                 for onset in self.onsets
             }
             runs.append(named | fault_metrics.survival(own) | {"values": values})
-        simple = np.flatnonzero(calm)
-        gone = trace.over[:, simple]
+        # The first ground's robots come first.
+        simple = trace.robots(slice(each * len(self.modes)))
         return {
             "runs": runs,
-            "false_switches": metrics.false_switches(trace.trusted[..., simple], gone),
-            "healthy_robot_hours": metrics.healthy_hours(gone),
+            "false_switches": metrics.false_switches(simple.trusted, simple.over),
+            "healthy_robot_hours": metrics.healthy_hours(simple.over),
         } | self.curves(trace, self.modes)
 
     def _run_healthy(self, evaluator: Evaluator) -> Part:
@@ -300,15 +299,12 @@ class FaultStudy(WalkingStudy):
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """Rows compared with their twins, claims, and what went wrong."""
         twins = {(run["ground"], run["mode"]): run for run in parts["no_fault"]["runs"]}
-        each = len(self.looking)
-        runs = [
-            row
-            for name, settings in self.batches.items()
-            for number, setting in enumerate(settings)
-            for row in self._rows(
-                setting, parts[name]["runs"][number * each : (number + 1) * each], twins
-            )
-        ]
+        runs = []
+        for name, settings in self.batches.items():
+            own = dict(zip(self.groups(settings), parts[name]["runs"], strict=True))
+            runs += [
+                self._row(setting, mode, own, twins) for setting in settings for mode in self.modes
+            ]
         first = str(self.onsets[0])
         baseline = [
             {k: v for k, v in run.items() if k != "values"}
@@ -316,15 +312,15 @@ class FaultStudy(WalkingStudy):
             for run in twins.values()
         ]
         # The seconds before the faults are the same in all batches: those of the twins count once.
-        calm = [parts["no_fault"]] + [parts[name] for name in parts if name == "healthy"]
-        hours = sum(part.get("robot_hours", part.get("healthy_robot_hours", 0)) for part in calm)
-        switches = sum(part["false_switches"] for part in calm)
+        calm, walks = parts["no_fault"], parts.get("healthy", {})
+        hours = calm["healthy_robot_hours"] + walks.get("robot_hours", 0)
+        switches = calm["false_switches"] + walks.get("false_switches", 0)
         healthy = {
             "false_switches": switches,
             "robot_hours": hours,
             "false_switches_per_hour": switches / hours if hours else math.nan,
             "upper_95_per_hour": metrics.poisson_upper(switches) / hours if hours else math.nan,
-            "alarms_by_monitor": parts["healthy"]["alarms"] if "healthy" in parts else {},
+            "alarms_by_monitor": walks.get("alarms", {}),
         }
         return {
             "runs": runs,
@@ -336,28 +332,28 @@ class FaultStudy(WalkingStudy):
             "run_seconds": self.steps * CONTROL_DT,
         }
 
-    def _rows(
-        self, setting: Setting, runs: list[dict[str, Any]], twins: Mapping[tuple[str, str], Any]
-    ) -> list[dict[str, Any]]:
-        """The rows of a setting in the order of the modes, each compared with its twins."""
-        rows, own = [], {run["mode"]: run for run in runs}
-        op = twins.get((setting.ground, "op"), {}).get("values", {}).get(str(setting.onset))
-        for mode in self.modes:
-            twin = twins[setting.ground, mode]
-            calm = twin["values"][str(setting.onset)]
-            row = own.get(mode)
-            if row is None:
-                unseen = dict.fromkeys(runs[0] if runs else ())
-                unseen |= {"detected": 0, "detected_by_paper": 0, "vision_active_at_onset": 0}
-                row = unseen | twin | self.labels(setting, mode) | {"values": calm}
-            values = row["values"]
-            rows.append(
-                {k: v for k, v in row.items() if k != "values"}
-                | fault_metrics.pair_counts(values, calm)
-                | fault_metrics.beside_op(values if mode == "renet" else None, op)
-                | {"measures": fault_metrics.estimates(values, calm)}
-            )
-        return rows
+    def _row(self, setting: Setting, mode: str, runs: Rows, twins: Rows) -> dict[str, Any]:
+        """The row of a setting in one mode, compared with its twins.
+
+        Args:
+            setting: of a batch. mode: of the study.
+            runs: of the batch, by setting and mode. twins: by ground and mode.
+        """
+        twin, onset = twins[setting.ground, mode], str(setting.onset)
+        calm = twin["values"][onset]
+        row = runs.get((setting, mode))
+        if row is None:
+            row = dict.fromkeys(next(iter(runs.values())))
+            row |= {"detected": 0, "detected_by_paper": 0, "vision_active_at_onset": 0}
+            row |= twin | self.labels(setting, mode) | {"values": calm}
+        values, op = row["values"], twins.get((setting.ground, "op"))
+        beside = op["values"][onset] if op is not None and mode == "renet" else None
+        return (
+            {k: v for k, v in row.items() if k != "values"}
+            | fault_metrics.pair_counts(values, calm)
+            | fault_metrics.beside_op(values, beside)
+            | {"measures": fault_metrics.estimates(values, calm)}
+        )
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
         """Run the study; where its onsets are the benchmark's, write result.json as well."""
@@ -383,13 +379,13 @@ class FaultStudy(WalkingStudy):
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Robots that crossed, by ground and fault, and the claims."""
-        share: dict[tuple[str, str], dict[str, list[float]]] = {}
+        shares: dict[tuple[str, str, str], list[float]] = {}
         for run in summary["runs"]:
-            group = share.setdefault((run["ground"], run["fault"]), {})
-            group.setdefault(run["mode"], []).append(run["measures"]["crossed"]["value"])
+            group = run["ground"], run["fault"], run["mode"]
+            shares.setdefault(group, []).append(run["measures"]["crossed"]["value"])
         crossed = [
-            (*where, *(f"{100 * np.mean(values[mode]):.0f}" for mode in self.modes))
-            for where, values in share.items()
+            (*where, *(f"{100 * np.mean(shares[*where, mode]):.0f}" for mode in self.modes))
+            for where in dict.fromkeys(group[:2] for group in shares)
         ]
         claims = [
             ("yes" if claim["met"] else "NO", claim["claim"], claim["measured"])

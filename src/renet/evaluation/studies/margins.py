@@ -1,8 +1,8 @@
 """The margins study: how far a robot may be from the simulated one before the policy falls.
 
-Everything a real robot may have otherwise is swept by itself, from mild to violent, until more than
-5 % of the robots fall, or stop where they were told to walk, in every mode on every ground. The
-rest of each robot's body stays the same.
+Each way in which a real robot may differ is swept alone, from mild to violent, until more than 5 %
+of the robots fall, or stop where they were told to walk, in every mode on every ground. The rest of
+each robot's body stays the same.
 """
 
 import math
@@ -19,7 +19,6 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.env import grounds_env_cfg
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.rollout import Trial
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT, PROPRIOCEPTION
 from renet.sim.depth.camera import DepthCameraCfg
@@ -194,9 +193,9 @@ class MarginsStudy(WalkingStudy):
         cfg = grounds_env_cfg(dict.fromkeys(self.grounds, self.level), evaluator.robot)
         if level is not None:
             AXES[axis].apply(cfg, level)
-        trials = [Trial(mode, robot=robot) for _, mode in self.settings for robot in range(each)]
+        trials = self.trials_on(self.grounds)
         env = evaluator.make_env(cfg, [trial.robot for trial in trials], self.speed, self.seed)
-        env.place_on([ground for ground, _ in self.settings for _ in range(each)])
+        env.place_on([trial.ground for trial in trials])
         title = axis if level is None else f"{axis} {level:g} {AXES[axis].unit}"
         steps = round(self.seconds / CONTROL_DT)
         trace = evaluator.rollout(title, env, trials, steps, self.seed)
@@ -207,8 +206,8 @@ class MarginsStudy(WalkingStudy):
             {
                 "axis": axis,
                 "level": level,
-                "ground": ground,
-                "mode": mode,
+                "ground": trial.ground,
+                "mode": trial.mode,
                 "robots": each,
                 "falls": int(fell[group].sum()),
                 "stopped": int(stopped[group].sum()),
@@ -216,8 +215,8 @@ class MarginsStudy(WalkingStudy):
                 **metrics.with_interval("failed", (fell | stopped)[group]),
                 "seed": self.seed,
             }
-            for (ground, mode), group in zip(
-                self.settings, np.arange(len(trials)).reshape(-1, each), strict=True
+            for trial, group in zip(
+                trials[::each], np.arange(len(trials)).reshape(-1, each), strict=True
             )
         ]
 

@@ -14,7 +14,7 @@ from renet.evaluation.rollout import Trial
 from renet.evaluation.studies.faults import FaultStudy, Setting
 from renet.evaluation.study import Figures, Part, Table
 from renet.evaluation.trace import Trace
-from renet.faults import Injection, fault_class
+from renet.faults import fault_class
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,8 @@ class NoiseStudy(FaultStudy):
 
     def trials(self, settings: Sequence[Setting]) -> list[Trial]:
         """As the fault study's, and one robot more, whose camera recovers half-way."""
-        first = settings[0]
-        passing = Injection.of(*first[2:], first.step, self.lasts / 2)
-        return [*super().trials(settings), Trial("renet", (passing,))]
+        passing = settings[0].injection(self.lasts / 2)
+        return [*super().trials(settings), Trial("renet", (passing,), 0, settings[0].ground)]
 
     def curves(self, trace: Trace, modes: Sequence[str]) -> Part:
         """Mean speed over time of each mode, and the timeline of the robot that recovers."""
@@ -71,7 +70,7 @@ class NoiseStudy(FaultStudy):
         }
         batches = {("none", 0.0): parts["no_fault"]} | batches
         curves = {
-            # What OP does it does under every noise.
+            # OP walks alike under every noise.
             mode: {
                 setting: np.array(part["speed"].get(mode, parts["no_fault"]["speed"][mode]))
                 for setting, part in batches.items()

@@ -1,6 +1,6 @@
 """`renet evaluate report`: whatever studies have been run, on one self-contained page.
 
-With `--run` it runs them all first: one command that makes every number anew.
+With `--run` it runs them all first: one command computes every number again.
 """
 
 from dataclasses import dataclass

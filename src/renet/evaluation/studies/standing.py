@@ -18,7 +18,7 @@ from renet.errors import RenetError
 from renet.evaluation import figures
 from renet.evaluation.env import FLAT, PARKOUR
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.rollout import StepResult, Trial
+from renet.evaluation.rollout import StepResult
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT
 from renet.terrain.tiles import LEVELS, tiles
@@ -59,24 +59,18 @@ class StandingStudy(WalkingStudy):
         if min(self.walk, self.settle, self.stand) < 0.1:
             raise RenetError("walk, settle and stand must be at least 0.1 s")
 
-    @property
-    def settings(self) -> list[tuple[str, str]]:
-        """Ground and mode of every group of robots."""
-        return [(kind, mode) for kind in self.kinds for mode in self.modes]
-
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """All robots of every ground and mode, side by side."""
         return {"runs": partial(self._stand, evaluator)}
 
     def _stand(self, evaluator: Evaluator) -> Part:
-        settings, each = self.settings, self.robots_each
-        trials = [Trial(mode, robot=robot) for _, mode in settings for robot in range(each)]
-        numbers = [trial.robot for trial in trials]
-        env = evaluator.make_env(PARKOUR, numbers, self.speed, self.seed)
+        each, trials = self.robots_each, self.trials_on(self.kinds)
+        robots = [trial.robot for trial in trials]
+        env = evaluator.make_env(PARKOUR, robots, self.speed, self.seed)
         # The first level of rough ground has no relief.
-        kinds = np.repeat(["rough" if kind == FLAT else kind for kind, _ in settings], each)
-        levels = np.repeat([0 if kind == FLAT else self.level - 1 for kind, _ in settings], each)
-        env.place(levels, np.array([list(tiles()).index(kind) for kind in kinds]))
+        levels = [0 if trial.ground == FLAT else self.level - 1 for trial in trials]
+        kinds = ["rough" if trial.ground == FLAT else trial.ground for trial in trials]
+        env.place(np.array(levels), np.array([list(tiles()).index(kind) for kind in kinds]))
         seconds = np.cumsum((self.walk, self.settle, self.stand))
         stop, settled, steps = np.round(seconds / CONTROL_DT).astype(int)
         taken = count(1)
@@ -96,15 +90,15 @@ class StandingStudy(WalkingStudy):
         gone = np.any(trace.ended[stop:], axis=0)
         still = ~gone & (drift[-1] < DRIFT) & (joint_speed[settled:].mean(axis=0) < MOVING)
         runs = []
-        for number, (kind, mode) in enumerate(settings):
-            own = np.arange(number * each, (number + 1) * each)
+        groups = np.arange(len(trials)).reshape(-1, each)
+        for trial, own in zip(trials[::each], groups, strict=True):
             stayed = own[~gone[own]]
             speed = joint_speed[settled:, stayed]
             runs.append(
                 {
-                    "kind": kind,
-                    "level": 1 if kind == FLAT else self.level,
-                    "mode": mode,
+                    "kind": trial.ground,
+                    "level": 1 if trial.ground == FLAT else self.level,
+                    "mode": trial.mode,
                     "robots": each,
                     "still": int(still[own].sum()),
                     "falls": int(fell[own].sum()),
@@ -113,7 +107,7 @@ class StandingStudy(WalkingStudy):
                     "seed": self.seed,
                 }
             )
-        curves = joint_speed.reshape(len(joint_speed), len(settings), each).mean(axis=-1)
+        curves = joint_speed.reshape(len(joint_speed), -1, each).mean(axis=-1)
         return {"runs": runs, "joint_speed": curves}
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:

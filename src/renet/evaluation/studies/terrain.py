@@ -123,12 +123,12 @@ class TerrainStudy(WalkingStudy):
         settings, each = self.settings, self.robots_each
         level = np.repeat([level - 1 for level, _ in settings], each)
         # With one try, the same robots meet every size; the table's are all different.
-        number = tuple(n % each if self.one_try else n for n in range(len(level)))
         trials = [
-            Trial(mode, self.schedule, robot)
-            for (_, mode), robot in zip(np.repeat(settings, each, axis=0), number, strict=True)
+            Trial(mode, self.schedule, robot if self.one_try else group * each + robot)
+            for group, (_, mode) in enumerate(settings)
+            for robot in range(each)
         ]
-        env = make(number)
+        env = make(tuple(trial.robot for trial in trials))
         env.place(level, np.full(len(level), list(tiles()).index(kind)))
         ended = np.zeros(len(level), bool)
 
@@ -139,12 +139,9 @@ class TerrainStudy(WalkingStudy):
         steps = round(self.seconds / CONTROL_DT)
         title = f"{self.kinds.index(kind) + 1}/{len(self.kinds)} {kind}"
         trace = evaluator.rollout(title, env, trials, steps, self.seed, on_step=everybody_ended)
-        rows = [slice(n * each, (n + 1) * each) for n in range(len(settings))]
-        runs = [
-            self._run(kind, *setting, trace.robots(own))
-            for setting, own in zip(settings, rows, strict=True)
-        ]
-        return {"runs": runs, "passed": [passed(trace)[own] for own in rows]} | self._walking(trace)
+        groups = trace.groups(each)
+        runs = [self._run(kind, *s, own) for s, own in zip(settings, groups, strict=True)]
+        return {"runs": runs, "passed": [passed(own) for own in groups]} | self._walking(trace)
 
     def _make_env(self, evaluator: Evaluator, numbers: Sequence[int]) -> SimEnv:
         """The curriculum's field of tiles, walked along +x where there is one try."""
@@ -278,25 +275,18 @@ def worse_than_op(runs: Sequence[dict[str, Any]], margin: float = 0.02) -> list[
 def draw_success(summary: dict[str, Any]) -> Figure:
     """Draw the share of robots that cross against the size, one panel for each kind of tile."""
     kinds = list(dict.fromkeys(run["kind"] for run in summary["runs"]))
-    columns = min(len(kinds), 2)
-    lines = -(-len(kinds) // columns)
-    figure, axes = plt.subplots(
-        lines, columns, figsize=(9, 2.7 * lines + 0.6), sharey=True, squeeze=False
-    )
-    for axis, kind in zip(axes.flat, kinds, strict=False):
-        runs = [run for run in summary["runs"] if run["kind"] == kind]
-        _rates(axis, runs)
+    size = (2.4 * len(kinds) + 1, 3.4)
+    figure, axes = plt.subplots(1, len(kinds), figsize=size, sharey=True, squeeze=False)
+    for axis, kind in zip(axes[0], kinds, strict=True):
+        _draw_rates(axis, [run for run in summary["runs"] if run["kind"] == kind])
         axis.set(xlabel=f"{SIZES[kind]} (cm)", ylim=(-4, 104))
-    for axis in axes.flat[len(kinds) :]:
-        axis.set_axis_off()
-    for line in axes:
-        line[0].set_ylabel("robots that cross (%)")
+    axes[0][0].set_ylabel("robots that cross (%)")
     handles, labels = axes[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
 
 
-def _rates(axis: Axes, runs: list[dict[str, Any]]) -> None:
+def _draw_rates(axis: Axes, runs: list[dict[str, Any]]) -> None:
     """Shares in percent against the size in cm, one line with its intervals for each mode."""
     modes = list(dict.fromkeys(run["mode"] for run in runs))
     sizes = sorted({100 * run["size_m"] for run in runs})
@@ -309,11 +299,7 @@ def _rates(axis: Axes, runs: list[dict[str, Any]]) -> None:
         )
         # Side by side, or equal shares would hide each other.
         size = [100 * run["size_m"] + (number - (len(modes) - 1) / 2) * apart for run in line]
-        look: dict[str, Any] = {
-            "color": figures.MODE_COLOURS[mode],
-            "label": figures.MODE_NAMES[mode],
-        }
-        axis.errorbar(
-            size, share, np.abs(ends - share), fmt="o-", markersize=4, elinewidth=1, **look
-        )
+        look: Any = {"color": figures.MODE_COLOURS[mode], "label": figures.MODE_NAMES[mode]}
+        error = np.abs(ends - share)
+        axis.errorbar(size, share, error, fmt="o-", markersize=4, elinewidth=1, **look)
     axis.set_xticks(sizes, [f"{size:.0f}" for size in sizes])
