@@ -209,7 +209,7 @@ class RenetRunner(OnPolicyRunner):
 
     # Checkpoints.
 
-    def save(self, *_: Any) -> None:
+    def save(self, *_: Any) -> None:  # type: ignore[override]
         """Write a checkpoint to the run's folder (rank 0 only)."""
         if self.folder is None or self.gpu_global_rank != 0:
             return
