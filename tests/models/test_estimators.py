@@ -3,7 +3,6 @@
 import pytest
 import torch
 
-from renet.errors import RenetError
 from renet.models.actor_critic import fuse
 from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
@@ -73,14 +72,3 @@ def test_memory_fills_on_the_first_observation_and_forgets_on_reset(model):
     assert torch.equal(memory.history[1, -2], first[1])
     assert torch.equal(memory.frames[0, 0], memory.frames[0, 1])
     assert torch.equal(memory.frames[1, 1], image[1].half())
-
-
-@pytest.mark.parametrize(("field", "value"), [("frames", 3), ("frames", 0), ("history", 0)])
-def test_impossible_sizes_are_refused(field, value):
-    with pytest.raises(RenetError, match=field):
-        ModelCfg(**{field: value})
-
-
-def test_unknown_encoder_names_the_known_ones():
-    with pytest.raises(RenetError, match="attention, mlp"):
-        RENet(ModelCfg(encoder="lstm"), critic_size=5)  # type: ignore[arg-type]

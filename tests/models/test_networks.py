@@ -22,8 +22,8 @@ def count(module: nn.Module, *kinds: type[nn.Module]) -> int:
 
 
 def test_embeddings_have_as_many_layers_as_the_papers():
-    assert count(ProprioceptionEmbedding(10, 64), nn.Linear) == 2
-    assert count(DepthEmbedding(2, 64), nn.Conv2d) == 3
+    assert count(ProprioceptionEmbedding(10), nn.Linear) == 2
+    assert count(DepthEmbedding(2), nn.Conv2d) == 3
 
 
 def test_each_estimator_has_one_gru_layer_of_64():
@@ -34,7 +34,7 @@ def test_each_estimator_has_one_gru_layer_of_64():
 
 def test_attention_is_one_layer_with_one_head():
     torch.manual_seed(0)
-    encoder, inputs = AttentionEncoder(2, 64, 64), [torch.randn(5, 64), torch.randn(5, 64)]
+    encoder, inputs = AttentionEncoder(2), [torch.randn(5, 64), torch.randn(5, 64)]
     tokens = torch.cat(inputs, dim=-1).reshape(5, 8, 16) + encoder.position
     parts = (tokens @ encoder.query_key_value.weight.T + encoder.query_key_value.bias).split(16, -1)
     mixed = functional.scaled_dot_product_attention(*(part[:, None] for part in parts))[:, 0]
@@ -43,7 +43,7 @@ def test_attention_is_one_layer_with_one_head():
 
 
 def test_the_mlp_encoder_compresses_the_concatenation():
-    encoder, inputs = MlpEncoder(2, 64, 64), [torch.randn(5, 64), torch.randn(5, 64)]
+    encoder, inputs = MlpEncoder(2), [torch.randn(5, 64), torch.randn(5, 64)]
     torch.testing.assert_close(encoder(inputs), encoder.fuse(torch.cat(inputs, dim=-1)))
     assert encoder.fuse[0].in_features == 128
 

@@ -1,7 +1,8 @@
-"""A tiny environment with RENet's observation groups, for tests of learning alone."""
+"""A tiny environment with RENet's observation groups, and runners that learn in it."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from types import SimpleNamespace
 
 import pytest
@@ -10,6 +11,9 @@ from tensordict import TensorDict
 
 from renet.interface import ACTION_SIZE, CONSTRAINTS
 from renet.training import precision
+from renet.training.algorithm import RenetAlgorithm
+from renet.training.config import RenetRunnerCfg
+from renet.training.runner import RenetRunner
 
 
 @pytest.fixture(autouse=True)
@@ -70,6 +74,19 @@ class ToyEnv:
         self.levels = tensors["levels"].clone()
 
 
-@pytest.fixture
-def toy_env():
-    return ToyEnv
+def make_runner(env, folder=None, seed: int = 0, **settings) -> RenetRunner:
+    """Untrained, with the same weights each time; curves and checkpoints go to `folder`."""
+    torch.manual_seed(seed)
+    cfg = RenetRunnerCfg(**({"num_steps_per_env": 10, "save_interval": 2} | settings))
+    return RenetRunner(env, asdict(cfg), str(folder) if folder else None, "cpu")
+
+
+def collect(alg: RenetAlgorithm, env, steps: int = 10) -> torch.Tensor:
+    """Record a rollout; returns its rewards [T, N]."""
+    rewards, obs = [], env.get_observations()
+    for _ in range(steps):
+        obs, reward, done, extras = env.step(alg.act(obs))
+        alg.process_env_step(obs, reward, done, extras)
+        rewards.append(reward)
+    alg.compute_returns(obs)
+    return torch.stack(rewards)

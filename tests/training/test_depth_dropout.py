@@ -1,12 +1,10 @@
-from dataclasses import asdict
-
 import pytest
 import torch
 
 from renet.errors import RenetError
-from renet.training.config import LearningCfg
 from renet.training.depth_dropout import DepthDropout, DepthDropoutCfg, spoil_depth
-from renet.training.runner import RenetRunner
+
+from .conftest import ToyEnv, make_runner
 
 
 def test_fails_for_the_stated_share_of_time_and_mean_length() -> None:
@@ -38,10 +36,10 @@ def test_each_kind_spoils_as_it_says_and_healthy_images_stay() -> None:
     assert 0 <= noisy.min() <= noisy.max() <= 1
 
 
-def test_trains_and_only_the_depth_image_differs(toy_env) -> None:
+def test_trains_and_only_the_depth_image_differs() -> None:
     torch.manual_seed(0)
-    plain = toy_env(8, seed=3)
-    spoilt = toy_env(8, seed=3)
+    plain = ToyEnv(8, seed=3)
+    spoilt = ToyEnv(8, seed=3)
     spoil_depth(spoilt, DepthDropoutCfg(0.5, 0.1), 0.02)
     changed = False
     for _ in range(30):
@@ -52,7 +50,7 @@ def test_trains_and_only_the_depth_image_differs(toy_env) -> None:
             changed |= not same
         assert torch.equal(mine[2], its[2])
     assert changed
-    RenetRunner(spoilt, asdict(LearningCfg(num_steps_per_env=25)), None, "cpu").learn(1)
+    make_runner(spoilt, num_steps_per_env=25).learn(1)
 
 
 @pytest.mark.parametrize("wrong", [{"share": 1.0}, {"share": -0.1}, {"seconds": 0.0}])

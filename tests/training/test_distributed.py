@@ -2,22 +2,17 @@
 
 import os
 import socket
-from dataclasses import asdict
 
 import pytest
 import torch
 from torch.multiprocessing.spawn import start_processes
 
-from renet.models.actor_critic import Actor, Critics
-from renet.models.config import ModelCfg
-from renet.training.config import LearningCfg, NP3OCfg
-from renet.training.np3o import NP3O, make_targets
-from renet.training.runner import RenetRunner
+from renet.training.np3o import make_targets
 from renet.training.storage import PolicyRollout
 
 from .. import forked  # noqa: F401  What processes begin with.
-from .conftest import ToyEnv
-from .test_np3o import random_rollout
+from .conftest import ToyEnv, make_runner
+from .test_np3o import random_rollout, small
 
 RANKS = 2
 
@@ -44,9 +39,8 @@ def work(rank: int, folder: str, port: int) -> None:
         "MASTER_ADDR": "127.0.0.1",
         "MASTER_PORT": str(port),
     }
-    torch.manual_seed(rank)
-    cfg = asdict(LearningCfg(num_steps_per_env=5))
-    runner = RenetRunner(ToyEnv(seed=rank), cfg, folder if rank == 0 else None, "cpu")
+    own = None if rank else folder
+    runner = make_runner(ToyEnv(seed=rank), own, rank, num_steps_per_env=5, save_interval=9)
     runner.learn(5)
     data, last_value = rollout()
     mine = slice(4 * rank, 4 * rank + 4)
@@ -63,15 +57,13 @@ def work(rank: int, folder: str, port: int) -> None:
 def rollout() -> tuple[PolicyRollout, torch.Tensor]:
     """Four steps of eight environments; a rank takes half of the environments."""
     torch.manual_seed(3)
-    return random_rollout(Actor(ModelCfg()), steps=4, robots=8)
+    return random_rollout(small().actor, steps=4, robots=8)
 
 
 def gradients(data: PolicyRollout, last_value: torch.Tensor) -> list[torch.Tensor]:
     torch.manual_seed(0)
-    model = ModelCfg(actor_hidden=(16,), critic_hidden=(16,), cost_critic_hidden=(8,))
-    cfg = NP3OCfg(max_grad_norm=1e9, desired_kl=0.0)
-    algorithm = NP3O(Actor(model), Critics(model, 4), cfg)
-    targets = make_targets(data, last_value, cfg)
+    algorithm = small(max_grad_norm=1e9, desired_kl=0.0)
+    targets = make_targets(data, last_value, algorithm.cfg)
     rows = torch.arange(data.log_prob.numel())
     algorithm._step(data.flatten(), targets, rows, algorithm.actor.log_std.detach().exp())
     return [parameter.grad for parameter in algorithm.parameters]

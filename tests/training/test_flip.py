@@ -1,30 +1,24 @@
 """What an estimator remembers when the actor listens to the other, and what each is taught."""
 
-from dataclasses import asdict
-
 import pytest
 import torch
 
-from renet.models.config import ModelCfg
 from renet.training.algorithm import RenetAlgorithm, op_mask
-from renet.training.config import LearningCfg
-from renet.training.runner import RenetRunner
+from renet.training.config import SupervisionCfg
+
+from .conftest import ToyEnv, make_runner
 
 PERIOD = 20
 SIMPLE, DIFFICULT = slice(0, 8, 2), slice(1, 8, 2)
 """Rows of the toy environment."""
 
 
-def algorithm(toy_env, iteration: int, **supervision) -> tuple[RenetAlgorithm, object]:
+def algorithm(iteration: int, **supervision) -> tuple[RenetAlgorithm, ToyEnv]:
     """The same untrained networks and the same observations each time."""
-    torch.manual_seed(0)
-    cfg = LearningCfg(model=ModelCfg(), num_steps_per_env=10)
-    for name, value in supervision.items():
-        setattr(cfg.supervision, name, value)
-    env = toy_env()
-    runner = RenetRunner(env, asdict(cfg), None, "cpu")
-    runner.alg.iteration = iteration
-    return runner.alg, env
+    env = ToyEnv()
+    alg = make_runner(env, supervision=SupervisionCfg(**supervision)).alg
+    alg.iteration = iteration
+    return alg, env
 
 
 def run(alg: RenetAlgorithm, env, steps: int, flip_at: int | None = None) -> list[torch.Tensor]:
@@ -41,9 +35,9 @@ def run(alg: RenetAlgorithm, env, steps: int, flip_at: int | None = None) -> lis
     return read
 
 
-def test_both_memories_go_on_whoever_is_listened_to(toy_env):
-    steered_by_vp, first = algorithm(toy_env, iteration=0)
-    steered_by_op, second = algorithm(toy_env, iteration=PERIOD)
+def test_both_memories_go_on_whoever_is_listened_to():
+    steered_by_vp, first = algorithm(iteration=0)
+    steered_by_op, second = algorithm(iteration=PERIOD)
     run(steered_by_vp, first, 11)
     run(steered_by_op, second, 11)
     for name in ("latent_op", "latent_vp", "history", "frames"):
@@ -52,8 +46,8 @@ def test_both_memories_go_on_whoever_is_listened_to(toy_env):
         assert one.abs().sum() > 0
 
 
-def test_a_flip_finds_a_warm_memory_and_changes_at_once_what_the_actor_reads(toy_env):
-    alg, env = algorithm(toy_env, iteration=PERIOD - 1)
+def test_a_flip_finds_a_warm_memory_and_changes_at_once_what_the_actor_reads():
+    alg, env = algorithm(iteration=PERIOD - 1)
     read = run(alg, env, 10, flip_at=7)
     before, after = read[6], read[7]
     op, vp = slice(0, 64), slice(64, 128)
@@ -64,7 +58,7 @@ def test_a_flip_finds_a_warm_memory_and_changes_at_once_what_the_actor_reads(toy
     assert torch.equal(after[SIMPLE, op], alg.memory.latent_op[SIMPLE])
     assert (after[SIMPLE, vp] == 0).all()
     assert torch.equal(after[DIFFICULT], before[DIFFICULT])
-    undisturbed, other = algorithm(toy_env, iteration=0)
+    undisturbed, other = algorithm(iteration=0)
     run(undisturbed, other, 10)
     assert torch.equal(alg.memory.latent_op, undisturbed.memory.latent_op)
 
@@ -78,10 +72,8 @@ def test_a_flip_finds_a_warm_memory_and_changes_at_once_what_the_actor_reads(toy
         (PERIOD, "all", {"op", "vp"}),
     ],
 )
-def test_an_estimator_learns_from_the_environments_it_steers_or_from_all(
-    toy_env, iteration, data, taught
-):
-    alg, env = algorithm(toy_env, iteration, estimator_data=data)
+def test_an_estimator_learns_from_the_environments_it_steers_or_from_all(iteration, data, taught):
+    alg, env = algorithm(iteration, estimator_data=data)
     start = {name: value.clone() for name, value in alg.model.named_parameters()}
     run(alg, env, 10)
     alg.compute_returns(env.get_observations())
@@ -92,8 +84,8 @@ def test_an_estimator_learns_from_the_environments_it_steers_or_from_all(
         assert moved == (name in taught)
 
 
-def test_the_policy_gradient_stops_at_the_latent(toy_env):
-    alg, _ = algorithm(toy_env, iteration=0)
+def test_the_policy_gradient_stops_at_the_latent():
+    alg, _ = algorithm(iteration=0)
     networks = (alg.model.actor, alg.model.critics)
     policy = {id(p) for network in networks for p in network.parameters()}
     supervised = {id(p) for p in alg.model.supervised_parameters()}
@@ -102,15 +94,11 @@ def test_the_policy_gradient_stops_at_the_latent(toy_env):
     assert trained == policy
 
 
-OF_TILES = torch.tensor([[0.0], [1.0], [0.0]])
-
-
 def test_simple_terrain_alternates_and_difficult_terrain_keeps_vision():
+    tiles = torch.tensor([[0.0], [1.0], [0.0]])
     for iteration, simple in ((0, False), (19, False), (20, True), (39, True), (40, False)):
-        assert op_mask("renet", iteration, OF_TILES, 20).tolist() == [simple, False, simple]
-
-
-def test_single_estimator_ablations_never_alternate():
-    assert op_mask("op", 3, OF_TILES, 20).all()
-    assert not op_mask("vp", 25, OF_TILES, 20).any()
-    assert not op_mask("oracle", 25, OF_TILES, 20).any()
+        assert op_mask("renet", iteration, tiles, 20).tolist() == [simple, False, simple]
+        # Ablations with a single estimator never alternate.
+        assert op_mask("op", iteration, tiles, 20).all()
+        assert not op_mask("vp", iteration, tiles, 20).any()
+        assert not op_mask("oracle", iteration, tiles, 20).any()

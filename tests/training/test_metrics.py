@@ -16,12 +16,14 @@ def test_a_resumed_runs_last_value_counts(tmp_path):
     assert read_curves(tmp_path) == {"Loss/value": ([7], [2.0])}
 
 
-def test_a_full_disk_is_named(tmp_path):
-    (tmp_path / CURVES).symlink_to("/dev/full")
-    writer = MetricsWriter(str(tmp_path))
-    writer.add_scalar("Loss/value", 1.0, 1)
+def test_a_full_disk_and_a_file_that_cannot_be_opened_are_named(tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / CURVES).symlink_to("/dev/full")
     with pytest.raises(RenetError, match=r"cannot write the curves .*No space left"):
-        writer.flush()
+        MetricsWriter(str(tmp_path / "full"))
+    (tmp_path / CURVES).mkdir()
+    with pytest.raises(RenetError, match="cannot write the curves"):
+        MetricsWriter(str(tmp_path))
 
 
 def test_a_row_torn_by_a_power_cut_costs_itself_alone(tmp_path):
@@ -34,12 +36,6 @@ def test_a_row_torn_by_a_power_cut_costs_itself_alone(tmp_path):
     writer.add_scalar("Loss/value", 3.0, 3)
     writer.stop()
     assert read_curves(tmp_path) == {"Loss/value": ([1, 3], [1.0, 3.0])}
-
-
-def test_curves_that_cannot_be_opened_are_named(tmp_path):
-    (tmp_path / CURVES).mkdir()
-    with pytest.raises(RenetError, match="cannot write the curves"):
-        MetricsWriter(str(tmp_path))
 
 
 def test_levels_over_steps_follow_the_batches_schedule(tmp_path):

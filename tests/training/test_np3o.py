@@ -63,6 +63,13 @@ def test_advantages_match_a_plain_loop():
     np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
+def small(initial_std: float = 1.0, **settings) -> NP3O:
+    """Of networks that learn quickly."""
+    hidden = dict.fromkeys(("actor_hidden", "critic_hidden", "cost_critic_hidden"), (16,))
+    cfg = ModelCfg(**hidden, initial_std=initial_std)
+    return NP3O(Actor(cfg), Critics(cfg, 4), NP3OCfg(**settings))
+
+
 def bandit(algorithm: NP3O, iterations: int) -> float:
     """One-step episodes: reward -|a - 2|^2, first cost relu(a0 - 1); returns the final mean a0.
 
@@ -96,10 +103,8 @@ def bandit(algorithm: NP3O, iterations: int) -> float:
 @pytest.mark.parametrize(("weight", "low", "high"), [(4.0, 0.5, 1.15), (0.0, 1.7, 2.3)])
 def test_constraint_is_kept_where_plain_ppo_breaks_it(weight, low, high):
     torch.manual_seed(0)
-    cfg = ModelCfg(
-        actor_hidden=(16,), critic_hidden=(16,), cost_critic_hidden=(16,), initial_std=0.3
-    )
-    settings = NP3OCfg(
+    algorithm = small(
+        initial_std=0.3,
         cost_weight=weight,
         entropy=0.0,
         learning_rate=1e-2,
@@ -107,14 +112,12 @@ def test_constraint_is_kept_where_plain_ppo_breaks_it(weight, low, high):
         num_learning_epochs=2,
         num_mini_batches=2,
     )
-    algorithm = NP3O(Actor(cfg), Critics(cfg, 4), settings)
     assert low < bandit(algorithm, 100) < high
 
 
 def test_critics_keep_their_rate_while_the_actors_adapts():
-    cfg = ModelCfg(actor_hidden=(8,), critic_hidden=(8,), cost_critic_hidden=(8,))
     # Hardly any step is as small as this divergence: the actor's rate falls.
-    algorithm = NP3O(Actor(cfg), Critics(cfg, 4), NP3OCfg(desired_kl=1e-9))
+    algorithm = small(desired_kl=1e-9)
     bandit(algorithm, 2)
     actor, critics = (group["lr"] for group in algorithm.optimizer.param_groups)
     assert float(actor) == algorithm.learning_rate < 1e-3
@@ -133,8 +136,8 @@ def test_a_noisy_critic_does_not_change_the_actors_step():
     moved = []
     for noise in (0.0, 1e4):
         torch.manual_seed(0)
-        actor, critics = Actor(ModelCfg()), Critics(ModelCfg(), 4)
-        algorithm = NP3O(actor, critics, NP3OCfg(num_learning_epochs=1, num_mini_batches=1))
+        algorithm = small(num_learning_epochs=1, num_mini_batches=1)
+        actor = algorithm.actor
         rollout, last = random_rollout(actor)
         targets = make_targets(rollout, last, algorithm.cfg)
         targets.value_target += noise
@@ -172,16 +175,14 @@ def random_rollout(actor: Actor, steps=10, robots=3) -> tuple[PolicyRollout, tor
 
 
 def test_entropy_divergence_and_budgets_follow_their_schedules():
-    actor = Actor(ModelCfg())
-    cfg = NP3OCfg(
+    algorithm = small(
         entropy="0.01@0,0.0@10M",
         desired_kl="0.01@0,0.02@10M",
         cost_budget=("0@0,4@10M", 1.0, "2"),
         num_learning_epochs=1,
     )
-    algorithm = NP3O(actor, Critics(ModelCfg(), 4), cfg)
-    rollout, last = random_rollout(actor)
-    late, early = (make_targets(rollout, last, cfg, steps) for steps in (5e6, 0))
+    rollout, last = random_rollout(algorithm.actor)
+    late, early = (make_targets(rollout, last, algorithm.cfg, steps) for steps in (5e6, 0))
     gap = (early.violation - late.violation) * torch.tensor([1.0, 0.0, 0.0])
     torch.testing.assert_close(early.violation - late.violation, gap)
     assert gap[0] > 0

@@ -2,15 +2,12 @@
 
 import resource
 import threading
-from dataclasses import asdict
 
 import pytest
 import torch
 
 from renet.models.config import ModelCfg
 from renet.training import precision
-from renet.training.algorithm import RenetAlgorithm
-from renet.training.config import LearningCfg
 from renet.training.precision import (
     computed_in,
     in_halves,
@@ -21,8 +18,7 @@ from renet.training.precision import (
 
 from ..forked import fork
 from ..waits import Waits
-
-STEPS = 10
+from .conftest import ToyEnv, collect, make_runner
 
 
 @pytest.fixture
@@ -33,28 +29,11 @@ def two_threads():
     torch.set_num_threads(before)
 
 
-def algorithm(env, kind: str) -> RenetAlgorithm:
-    torch.manual_seed(0)
-    cfg = LearningCfg(num_steps_per_env=STEPS, precision=kind)
-    cfg.model = ModelCfg(critic_hidden=(64, 64))
-    made = RenetAlgorithm.construct_algorithm(env.get_observations(), env, asdict(cfg), "cpu")
-    made.model.train()
-    return made
-
-
-def collect(alg: RenetAlgorithm, env) -> None:
-    obs = env.get_observations()
-    for _ in range(STEPS):
-        obs, reward, done, extras = env.step(alg.act(obs))
-        alg.process_env_step(obs, reward, done, extras)
-    alg.compute_returns(obs)
-
-
-def test_bfloat16_learns_what_single_precision_learns(toy_env, two_threads):
+def test_bfloat16_learns_what_single_precision_learns(two_threads):
     losses, models = [], []
     for kind in ("float32", "bfloat16"):
-        env = toy_env(num_envs=16)
-        alg = algorithm(env, kind)
+        env = ToyEnv(num_envs=16)
+        alg = make_runner(env, model=ModelCfg(critic_hidden=(64, 64)), precision=kind).alg
         before = alg.model.state_dict()["critics.reward.0.weight"].clone()
         collect(alg, env)
         losses.append(alg.update())
@@ -94,7 +73,8 @@ def test_work_side_by_side_shares_the_threads_and_gives_them_back(two_threads):
     def fail() -> int:
         raise ValueError("no")
 
-    with computed_in(torch.bfloat16):
+    layer = torch.nn.Linear(1, 1)
+    with computed_in(torch.bfloat16, layer):
         assert torch.get_num_threads() == 1
         assert side_by_side(work, work) == (1, 1)
         for pair in ((fail, lambda: 1), (lambda: 1, fail)):
@@ -102,21 +82,17 @@ def test_work_side_by_side_shares_the_threads_and_gives_them_back(two_threads):
                 side_by_side(*pair)
     assert torch.get_num_threads() == 2
     for dtype in (torch.float32, torch.bfloat16):
-        with pytest.raises(ValueError, match="no"), computed_in(dtype):
+        with pytest.raises(ValueError, match="no"), computed_in(dtype, layer):
             fail()
         assert torch.get_num_threads() == 2
 
 
-def test_one_thread_does_one_piece_of_work_after_the_other():
-    before = torch.get_num_threads()
-    try:
-        torch.set_num_threads(1)
-        with computed_in(torch.bfloat16):
-            done = side_by_side(threading.get_ident, threading.get_ident)
-        assert done == (threading.get_ident(),) * 2
-        assert torch.get_num_threads() == 1
-    finally:
-        torch.set_num_threads(before)
+def test_one_thread_does_one_piece_of_work_after_the_other(two_threads):
+    torch.set_num_threads(1)
+    with computed_in(torch.bfloat16, torch.nn.Linear(1, 1)):
+        done = side_by_side(threading.get_ident, threading.get_ident)
+    assert done == (threading.get_ident(),) * 2
+    assert torch.get_num_threads() == 1
 
 
 @pytest.mark.parametrize("rows", [1, 2, 7])
@@ -131,16 +107,11 @@ def test_rows_in_halves_are_those_of_the_whole_and_carry_no_gradients(two_thread
     assert torch.get_num_threads() == 2
 
 
-def test_nothing_on_a_gpus_path_waits_for_the_device(toy_env):
-    env = toy_env()
-    alg = algorithm(env, "float32")
-    obs = env.get_observations()
+def test_nothing_on_a_gpus_path_waits_for_the_device():
+    env = ToyEnv()
+    alg = make_runner(env, precision="float32").alg
     with Waits() as watch:
-        for _ in range(STEPS):
-            action = alg.act(obs)
-            obs, reward, done, extras = env.step(action)
-            alg.process_env_step(obs, reward, done, extras)
-        alg.compute_returns(obs)
+        collect(alg, env)
         alg.np3o.update(alg._rollout, alg._last_value, 0)
     assert watch.waits == ["lift_fresh"], "the budgets alone, once an iteration"
     # It saw the way back and the optimiser, too.

@@ -1,5 +1,6 @@
 """The loop: runs, stops on time, resumes the same curve, refuses what does not fit."""
 
+import json
 from dataclasses import asdict
 
 import pytest
@@ -22,16 +23,12 @@ from renet.training.config import (
 from renet.training.metrics import read_curves
 from renet.training.runner import RenetRunner
 
-
-def make_runner(env, log_dir, **fields):
-    torch.manual_seed(0)
-    cfg = RenetRunnerCfg(num_steps_per_env=10, save_interval=2, **fields)
-    return RenetRunner(env, asdict(cfg), str(log_dir), "cpu")
+from .conftest import ToyEnv, make_runner
 
 
-def test_trains_and_writes_curves_and_checkpoints(toy_env, tmp_path):
-    runner = make_runner(toy_env(), tmp_path)
-    before = [p.clone() for p in runner.alg.model.parameters()]
+def test_trains_and_writes_curves_and_checkpoints(tmp_path):
+    runner = make_runner(ToyEnv(), tmp_path)
+    before = {name: p.clone() for name, p in runner.alg.model.named_parameters()}
     runner.learn(3)
     curves = read_curves(tmp_path)
     for name in ("Loss/surrogate", "Loss/vp_height_map", "Loss/anomaly", "Loss/cost_torque"):
@@ -42,59 +39,72 @@ def test_trains_and_writes_curves_and_checkpoints(toy_env, tmp_path):
         "it_00000002",
         "it_00000003",
     ]
-    after = list(runner.alg.model.parameters())
-    moved = [not torch.equal(a, b) for a, b in zip(before, after, strict=True)]
+    after = dict(runner.alg.model.named_parameters())
+    unmoved = {name for name in before if torch.equal(before[name], after[name])}
     # VP steers first, so OP's own set is empty for the first 20 iterations.
-    untouched = sum(p.numel() > 0 for p in [*runner.alg.model.op.parameters()])
-    untouched += len([*runner.alg.model.op_him.parameters()])
-    assert len(moved) - sum(moved) == untouched
+    assert unmoved == {name for name in before if name.startswith(("op.", "op_him."))}
 
 
-def test_resume_restores_everything(toy_env, tmp_path):
-    first = make_runner(toy_env(), tmp_path)
+def test_resume_restores_everything(tmp_path):
+    first = make_runner(ToyEnv(), tmp_path)
     first.env.levels += 3
     first.learn(2)
-    second = make_runner(toy_env(), tmp_path)
+    state_file = checkpoints.find(tmp_path) / "state.json"
+    state = json.loads(state_file.read_text()) | {"numpy_rng": ["MT19937", [1, 2], 624, 0, 0.0]}
+    state_file.write_text(json.dumps(state))  # As earlier versions wrote it.
+    second = make_runner(ToyEnv(), tmp_path)
     state = second.load(str(tmp_path))
     assert state["iteration"] == 2
+    drawn = torch.rand(3)
+    torch.set_rng_state(checkpoints.load(state_file.parent).environment["torch_rng"])
+    assert torch.equal(drawn, torch.rand(3))
     assert second.alg.np3o.learning_rate == first.alg.np3o.learning_rate
     assert second.alg.np3o.cost_weight == first.alg.np3o.cost_weight
+    assert second.alg.average.n_averaged == 2
     assert torch.equal(second.env.levels, first.env.levels)
-    for a, b in zip(
-        first.alg.model.state_dict().values(), second.alg.model.state_dict().values(), strict=True
+    for tensors in (
+        lambda alg: alg.model.state_dict(),
+        lambda alg: alg.average.module.state_dict(),
+        lambda alg: checkpoints.optimizer_tensors(alg.optimizers),
     ):
-        assert torch.equal(a, b)
-    for a, b in (
-        (first.alg.np3o, second.alg.np3o),
-        (first.alg.supervision, second.alg.supervision),
-    ):
-        ours, theirs = (o.optimizer.state_dict()["state"] for o in (a, b))
+        ours, theirs = tensors(first.alg), tensors(second.alg)
         assert ours.keys() == theirs.keys()
-        assert all(torch.equal(ours[i][k], theirs[i][k]) for i in ours for k in ours[i])
+        assert all(torch.equal(ours[name], theirs[name]) for name in ours)
     second.learn(1)
     assert read_curves(tmp_path)["Loss/surrogate"][0] == [0, 1, 2]
 
 
-def test_time_budget_stops_with_a_checkpoint(toy_env, tmp_path):
-    runner = make_runner(toy_env(), tmp_path)
+def test_time_budget_stops_with_a_checkpoint(tmp_path):
+    runner = make_runner(ToyEnv(), tmp_path)
     runner.learn(10_000, time_budget_s=0.5)
     assert 0 < runner.alg.iteration < 10_000
     found = checkpoints.find(tmp_path)
     assert checkpoints.load(found).state["iteration"] == runner.alg.iteration
 
 
-def test_refuses_a_checkpoint_of_another_architecture(toy_env, tmp_path):
-    make_runner(toy_env(), tmp_path).learn(1)
-    other = make_runner(toy_env(), tmp_path / "other", model=ModelCfg(encoder="mlp"))
-    with pytest.raises(RenetError, match="encoder was attention, now mlp"):
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        ({"encoder": "mlp"}, "encoder was attention, now mlp"),
+        ({"perception": "vp"}, "perception was renet, now vp"),  # Its weights would fit.
+    ],
+)
+def test_refuses_a_checkpoint_of_another_model(tmp_path, model, message):
+    make_runner(ToyEnv(), tmp_path).learn(1)
+    other = make_runner(ToyEnv(), tmp_path / "other", model=ModelCfg(**model))
+    with pytest.raises(RenetError, match=message):
         other.load(str(tmp_path))
 
 
-def test_refuses_a_checkpoint_of_another_model_that_would_fit(toy_env, tmp_path):
-    make_runner(toy_env(), tmp_path, model=ModelCfg(perception="vp")).learn(1)
-    other = make_runner(toy_env(), tmp_path / "other")
-    with pytest.raises(RenetError, match="perception was vp, now renet"):
-        other.load(str(tmp_path))
+def test_refuses_weights_of_another_architecture(tmp_path):
+    module = torch.nn.Linear(3, 2)
+    for wrong, message in (
+        ({"weight": torch.zeros(2, 3)}, "Missing key.*bias"),
+        (module.state_dict() | {"other": torch.zeros(1)}, "Unexpected key.*other"),
+        (module.state_dict() | {"bias": torch.zeros(3)}, "size mismatch for bias"),
+    ):
+        with pytest.raises(RenetError, match=f"is of another architecture: {message}"):
+            checkpoints.load_model(module, wrong, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -108,7 +118,11 @@ def test_refuses_a_checkpoint_of_another_model_that_would_fit(toy_env, tmp_path)
         (lambda: SupervisionCfg(num_learning_epochs=0), "num-learning-epochs must be at least 1"),
         (lambda: AdaptationCfg(period=0), "period must be at least 1"),
         (lambda: ModelCfg(perception="vip"), "must be one of renet, vp, op, oracle"),  # type: ignore[arg-type]
+        (lambda: ModelCfg(encoder="lstm"), "must be one of attention, mlp"),  # type: ignore[arg-type]
         (lambda: ModelCfg(initial_std=0.0), "initial_std must be above 0"),
+        (lambda: ModelCfg(frames=3), "frames must be 1..2, got 3"),
+        (lambda: ModelCfg(frames=0), "frames must be 1..2, got 0"),
+        (lambda: ModelCfg(history=0), "history must be at least 1, got 0"),
     ],
 )
 def test_impossible_settings_are_refused_before_anything_is_built(make, message):
@@ -124,8 +138,8 @@ def test_few_robots_take_more_steps_each_unless_told_otherwise(robots, steps):
     assert steps_per_env(10, 6_400, robots, 0) == 10
 
 
-def test_batches_grow_with_the_steps_taken(toy_env, tmp_path):
-    runner = make_runner(toy_env(), tmp_path)
+def test_batches_grow_with_the_steps_taken(tmp_path):
+    runner = make_runner(ToyEnv(), tmp_path)
     runner._recipe |= {"num_steps_per_env": None, "batch_size": "200@200,400@600"}
     steps = []
     for _ in range(4):
@@ -135,8 +149,8 @@ def test_batches_grow_with_the_steps_taken(toy_env, tmp_path):
     assert steps == [200, 400, 720, 1120]
 
 
-def test_a_checkpoint_tells_its_settings_rules_and_code(toy_env, tmp_path):
-    runner = make_runner(toy_env(), tmp_path)
+def test_a_checkpoint_tells_its_settings_rules_and_code(tmp_path):
+    runner = make_runner(ToyEnv(), tmp_path)
     runner.learn(5)
     found = checkpoints.load(checkpoints.find(tmp_path))
     assert found.state["config"]["algorithm"] == asdict(NP3OCfg()) | {"cost_budget": [0.0] * 3}
@@ -145,27 +159,23 @@ def test_a_checkpoint_tells_its_settings_rules_and_code(toy_env, tmp_path):
     assert "task_cfg" in found.state
     # What is exported is the average, not the newest weights.
     assert found.exported is found.average
-    newest = found.model["actor.log_std"]
-    assert not torch.equal(
-        found.exported["actor.mean.0.weight"], found.model["actor.mean.0.weight"]
-    )
-    assert newest.shape == found.exported["actor.log_std"].shape
+    for name in ("actor.mean.0.weight", "actor.log_std"):
+        assert found.exported[name].shape == found.model[name].shape
+        assert not torch.equal(found.exported[name], found.model[name])
 
 
-def test_the_critics_see_who_drives(toy_env, tmp_path):
-    alg = make_runner(toy_env(), tmp_path).alg
-    obs = alg_obs = toy_env().get_observations()
-    simple, difficult = (critic_observation(alg_obs, m) for m in (torch.ones(8), torch.zeros(8)))
-    assert (simple[:, -1] == 1).all()
-    assert (difficult[:, -1] == 0).all()
+def test_the_critics_see_who_drives():
+    alg, obs = make_runner(ToyEnv()).alg, ToyEnv().get_observations()
+    for mask in (torch.ones(8), torch.zeros(8)):
+        assert torch.equal(critic_observation(obs, mask)[:, -1], mask)
     alg.iteration = 20
     alg.act(obs)
     seen = alg._steps.newest["critic_observation"][:, -1]
     assert torch.equal(seen, 1 - obs["difficult"][:, 0])
 
 
-def test_a_policy_that_diverged_is_not_saved(toy_env, tmp_path):
-    runner = make_runner(toy_env(), tmp_path)
+def test_a_policy_that_diverged_is_not_saved(tmp_path):
+    runner = make_runner(ToyEnv(), tmp_path)
     runner.learn(2)
     update = runner.alg.update
     runner.alg.update = lambda: update() | {"surrogate": float("nan")}
@@ -174,11 +184,11 @@ def test_a_policy_that_diverged_is_not_saved(toy_env, tmp_path):
     assert checkpoints.find(tmp_path).name == "it_00000002"
 
 
-def test_only_rank_0_goes_on_with_rank_0s_random_numbers(toy_env, tmp_path):
-    make_runner(toy_env(), tmp_path).learn(1)
+def test_only_rank_0_goes_on_with_rank_0s_random_numbers(tmp_path):
+    make_runner(ToyEnv(), tmp_path).learn(1)
     drawn = []
     for rank in (0, 1):
-        runner = make_runner(toy_env(), tmp_path)
+        runner = make_runner(ToyEnv(), tmp_path)
         torch.manual_seed(100 + rank)
         runner.gpu_global_rank = rank
         runner.load(str(tmp_path))
@@ -186,8 +196,8 @@ def test_only_rank_0_goes_on_with_rank_0s_random_numbers(toy_env, tmp_path):
     assert not torch.equal(*drawn)
 
 
-def test_going_back_does_not_remove_what_was_just_written(toy_env, tmp_path):
-    runner = make_runner(toy_env(), tmp_path, keep_checkpoints=3)
+def test_going_back_does_not_remove_what_was_just_written(tmp_path):
+    runner = make_runner(ToyEnv(), tmp_path, keep_checkpoints=3)
     runner.learn(6)
     runner.alg.iteration = 1
     runner.save()
@@ -196,8 +206,8 @@ def test_going_back_does_not_remove_what_was_just_written(toy_env, tmp_path):
 
 
 @pytest.mark.parametrize("group", ["velocity", "proprioception", "privileged"])
-def test_a_nan_in_what_the_environment_returns_stops_training(toy_env, tmp_path, group):
-    env = toy_env()
+def test_a_nan_in_what_the_environment_returns_stops_training(tmp_path, group):
+    env = ToyEnv()
     runner = make_runner(env, tmp_path)
     step = env.step
 

@@ -1,10 +1,8 @@
-from dataclasses import asdict
-
 import torch
 
-from renet.training.config import LearningCfg
-from renet.training.runner import RenetRunner
 from renet.training.storage import Recorder
+
+from .conftest import ToyEnv, collect, make_runner
 
 
 def test_a_record_outlives_the_buffers_it_was_taken_from() -> None:
@@ -19,16 +17,10 @@ def test_a_record_outlives_the_buffers_it_was_taken_from() -> None:
     assert rows["time_out"][:, 0].tolist() == [False, True, False]
 
 
-def test_only_the_step_that_was_cut_short_is_bootstrapped(toy_env) -> None:
-    env = toy_env()
-    alg = RenetRunner(env, asdict(LearningCfg(num_steps_per_env=25)), None, "cpu").alg
-    obs, rewards = env.get_observations(), []
-    for _ in range(25):
-        obs, reward, done, extras = env.step(alg.act(obs))
-        alg.process_env_step(obs, reward, done, extras)
-        rewards.append(reward)
-    alg.compute_returns(obs)
-    rollout = alg._rollout
+def test_only_the_step_that_was_cut_short_is_bootstrapped() -> None:
+    env = ToyEnv()
+    alg = make_runner(env).alg
+    rewards, rollout = collect(alg, env, 25), alg._rollout
     assert 0 < rollout.done.sum() < rollout.done.numel() / 2
     bonus = alg.np3o.cfg.gamma * rollout.value[..., 0] * rollout.done
-    torch.testing.assert_close(rollout.rewards_and_costs[..., 0], torch.stack(rewards) + bonus)
+    torch.testing.assert_close(rollout.rewards_and_costs[..., 0], rewards + bonus)

@@ -8,7 +8,7 @@ from renet.models.him import target_view
 from renet.models.renet import RENet
 from renet.training.config import SupervisionCfg
 from renet.training.storage import TickRollout
-from renet.training.supervision import Supervision, draw_grass, estimator_losses, grow_grass
+from renet.training.supervision import Supervision, draw_grass, grow_grass
 
 TICKS, ROBOTS = 3, 4
 
@@ -29,8 +29,8 @@ def rollout() -> TickRollout:
         next_proprioception=torch.randn(TICKS, ROBOTS, 45),
         next_velocity=torch.randn(TICKS, ROBOTS, 3),
         next_valid=torch.ones(TICKS, ROBOTS, dtype=torch.bool),
-        latent_op=torch.randn(ROBOTS, 64),
-        latent_vp=torch.randn(ROBOTS, 64),
+        latent_op=torch.randn(TICKS, ROBOTS, 64),
+        latent_vp=torch.randn(TICKS, ROBOTS, 64),
     )
 
 
@@ -40,8 +40,13 @@ def model() -> RENet:
     return RENet(ModelCfg(), critic_size=5).eval()
 
 
-def replay(estimator, rollout: TickRollout, latent: torch.Tensor) -> list[torch.Tensor]:
+def losses_of(name: str, model: RENet, rollout: TickRollout) -> dict[str, torch.Tensor]:
+    return Supervision(model, SupervisionCfg()).estimator_losses(name, rollout)
+
+
+def replay(name: str, model: RENet, rollout: TickRollout) -> list[torch.Tensor]:
     """Latents of all robots, tick by tick as in flight."""
+    estimator, latent = getattr(model, name), getattr(rollout, f"latent_{name}")[0]
     latents = []
     for tick in range(TICKS):
         latent = estimator(rollout.history[tick], rollout.frames[tick].float(), latent)
@@ -54,27 +59,26 @@ def mean_square(pairs) -> float:
 
 
 def test_loss_op_is_velocity_and_him_of_its_own_robots(model, rollout):
-    losses = estimator_losses(model.op, model.op_him, rollout, rollout.latent_op, rollout.op_mask)
-    assert set(losses) == {"velocity", "him"}
-    latents = replay(model.op, rollout, rollout.latent_op)
+    losses = losses_of("op", model, rollout)
+    assert set(losses) == {"op_velocity", "op_him"}
+    latents = replay("op", model, rollout)
     velocity = [model.op.velocity_head(latent[:2]) for latent in latents]
     expected = mean_square(zip(velocity, rollout.velocity[:, :2], strict=True))
-    assert losses["velocity"].item() == pytest.approx(expected, rel=1e-4)
+    assert losses["op_velocity"].item() == pytest.approx(expected, rel=1e-4)
     own = torch.cat([latent[:2] for latent in latents])
     following = target_view(rollout.next_proprioception, rollout.next_velocity)
     him = model.op_him(own, following[:, :2].flatten(0, 1))
-    assert losses["him"].item() == pytest.approx(him.item(), rel=1e-4)
+    assert losses["op_him"].item() == pytest.approx(him.item(), rel=1e-4)
 
 
 def test_loss_vp_adds_feet_height_and_height_map(model, rollout):
-    own = ~rollout.op_mask
-    losses = estimator_losses(model.vp, model.vp_him, rollout, rollout.latent_vp, own)
-    assert set(losses) == {"velocity", "him", "feet_height", "height_map"}
-    latents = replay(model.vp, rollout, rollout.latent_vp)
+    losses = losses_of("vp", model, rollout)
+    assert set(losses) == {"vp_velocity", "vp_him", "vp_feet_height", "vp_height_map"}
+    latents = replay("vp", model, rollout)
     for name in ("velocity", "feet_height", "height_map"):
         said = [model.vp.predict(latent[2:])[name] for latent in latents]
         expected = mean_square(zip(said, getattr(rollout, name)[:, 2:], strict=True))
-        assert losses[name].item() == pytest.approx(expected, rel=1e-4)
+        assert losses[f"vp_{name}"].item() == pytest.approx(expected, rel=1e-4)
 
 
 def test_the_whole_loss_is_the_sum_of_both_and_the_autoencoders_in_scaled_units(model, rollout):
@@ -100,13 +104,13 @@ def test_the_whole_loss_is_the_sum_of_both_and_the_autoencoders_in_scaled_units(
 
 
 def test_a_step_that_ended_the_episode_teaches_him_nothing(model, rollout):
-    before = estimator_losses(model.op, model.op_him, rollout, rollout.latent_op, rollout.op_mask)
+    before = losses_of("op", model, rollout)
     rollout.next_valid[1, 0] = False
     rollout.next_proprioception[1, 0] = 1e3  # The next episode's first observation.
-    after = estimator_losses(model.op, model.op_him, rollout, rollout.latent_op, rollout.op_mask)
-    assert torch.isfinite(after["him"])
-    assert after["velocity"] == before["velocity"]
-    assert after["him"] < 2 * before["him"]
+    after = losses_of("op", model, rollout)
+    assert torch.isfinite(after["op_him"])
+    assert after["op_velocity"] == before["op_velocity"]
+    assert after["op_him"] < 2 * before["op_him"]
 
 
 def test_an_estimator_that_does_not_drive_is_not_moved_by_momentum(model, rollout):

@@ -16,25 +16,22 @@ from renet.models.config import ModelCfg
 
 EMBEDDING = 64
 """Width of every embedded vector."""
+TOKEN = 16
+"""Width of the attention's tokens, four to an embedded vector."""
 
 
 class ProprioceptionEmbedding(nn.Sequential):
-    """Two-layer MLP for o_t^{H1}: [B, H1, 45] to [B, width]."""
+    """Two-layer MLP for o_t^{H1}: [B, H1, 45] to [B, 64]."""
 
-    def __init__(self, history: int, width: int) -> None:
-        super().__init__(
-            nn.Flatten(),
-            nn.Linear(history * PROPRIOCEPTION_SIZE, 2 * width),
-            nn.ELU(inplace=True),
-            nn.Linear(2 * width, width),
-            nn.ELU(inplace=True),
-        )
+    def __init__(self, history: int) -> None:
+        layers = mlp((history * PROPRIOCEPTION_SIZE, 2 * EMBEDDING, EMBEDDING))
+        super().__init__(nn.Flatten(), *layers, nn.ELU(inplace=True))
 
 
 class DepthEmbedding(nn.Module):
-    """Three-layer CNN for d_t^{H2}: [B, H2, 48, 64] in [0, 1] to [B, width]."""
+    """Three-layer CNN for d_t^{H2}: [B, H2, 48, 64] in [0, 1] to [B, 64]."""
 
-    def __init__(self, frames: int, width: int) -> None:
+    def __init__(self, frames: int) -> None:
         super().__init__()
         self.convolutions = nn.Sequential(
             nn.Conv2d(frames, 16, 5, stride=2, padding=2),
@@ -47,7 +44,9 @@ class DepthEmbedding(nn.Module):
         # A third faster on a CPU.
         self.convolutions.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         rows, columns = (size // 8 for size in DEPTH_SHAPE)
-        self.project = nn.Sequential(nn.Linear(32 * rows * columns, width), nn.ELU(inplace=True))
+        self.project = nn.Sequential(
+            nn.Linear(32 * rows * columns, EMBEDDING), nn.ELU(inplace=True)
+        )
 
     def forward(self, depth: Tensor) -> Tensor:
         """Embed depth images; centring them keeps the first layer's inputs zero-mean."""
@@ -55,19 +54,16 @@ class DepthEmbedding(nn.Module):
 
 
 class MlpEncoder(nn.Module):
-    """Concatenate the embeddings ([B, width] each) and compress them to [B, out]."""
+    """Concatenate the embeddings ([B, 64] each) and compress them to [B, 64]."""
 
-    def __init__(self, inputs: int, width: int, out: int) -> None:
+    def __init__(self, inputs: int) -> None:
         super().__init__()
         self.fuse = nn.Sequential(
-            nn.Linear(inputs * width, out),
-            nn.ELU(inplace=True),
-            nn.Linear(out, out),
-            nn.ELU(inplace=True),
+            *mlp((inputs * EMBEDDING, EMBEDDING, EMBEDDING)), nn.ELU(inplace=True)
         )
 
     def forward(self, embeddings: list[Tensor]) -> Tensor:
-        """Fuse a list of [B, width] into [B, out]."""
+        """Fuse a list of [B, 64] into [B, 64]."""
         return self.fuse(torch.cat(embeddings, dim=-1))
 
 
@@ -78,22 +74,21 @@ class AttentionEncoder(nn.Module):
     a learned position so that proprioception and vision stay distinguishable.
     """
 
-    def __init__(self, inputs: int, width: int, out: int, tokens_per_input: int = 4) -> None:
+    def __init__(self, inputs: int) -> None:
         super().__init__()
-        self.token_size = width // tokens_per_input
-        tokens = inputs * tokens_per_input
-        self.position = nn.Parameter(0.02 * torch.randn(tokens, self.token_size))
-        self.query_key_value = nn.Linear(self.token_size, 3 * self.token_size)
-        self.norm = nn.LayerNorm(self.token_size)
+        tokens = inputs * EMBEDDING // TOKEN
+        self.position = nn.Parameter(0.02 * torch.randn(tokens, TOKEN))
+        self.query_key_value = nn.Linear(TOKEN, 3 * TOKEN)
+        self.norm = nn.LayerNorm(TOKEN)
         self.compress = nn.Sequential(
-            nn.Linear(tokens * self.token_size, out), nn.ELU(inplace=True)
+            nn.Linear(inputs * EMBEDDING, EMBEDDING), nn.ELU(inplace=True)
         )
 
     def forward(self, embeddings: list[Tensor]) -> Tensor:
-        """Fuse a list of [B, width] into [B, out]."""
-        tokens = torch.cat(embeddings, dim=-1).unflatten(-1, (-1, self.token_size)) + self.position
+        """Fuse a list of [B, 64] into [B, 64]."""
+        tokens = torch.cat(embeddings, dim=-1).unflatten(-1, (-1, TOKEN)) + self.position
         query, key, value = self.query_key_value(tokens).chunk(3, dim=-1)
-        weights = torch.softmax(query @ key.transpose(-1, -2) / math.sqrt(self.token_size), dim=-1)
+        weights = torch.softmax(query @ key.transpose(-1, -2) / math.sqrt(TOKEN), dim=-1)
         return self.compress(torch.flatten(self.norm(tokens + weights @ value), 1))
 
 
@@ -106,8 +101,8 @@ class Estimator(nn.Module):
     def __init__(self, cfg: ModelCfg, inputs: int) -> None:
         super().__init__()
         self.frames = cfg.frames
-        self.proprioception = ProprioceptionEmbedding(cfg.history, EMBEDDING)
-        self.encoder = ENCODERS[cfg.encoder](inputs, EMBEDDING, EMBEDDING)
+        self.proprioception = ProprioceptionEmbedding(cfg.history)
+        self.encoder = ENCODERS[cfg.encoder](inputs)
         self.gru = nn.GRUCell(EMBEDDING, LATENT)
         self.velocity_head = nn.Linear(LATENT, 3) if cfg.predict_velocity else None
 
@@ -169,7 +164,7 @@ class VPEstimator(Estimator):
 
     def __init__(self, cfg: ModelCfg) -> None:
         super().__init__(cfg, inputs=2)
-        self.depth = DepthEmbedding(cfg.frames, EMBEDDING)
+        self.depth = DepthEmbedding(cfg.frames)
         self.feet_height_head = nn.Linear(LATENT, FEET) if cfg.predict_feet_height else None
         self.height_map_head = (
             mlp((LATENT, LATENT, HEIGHT_MAP_SIZE)) if cfg.predict_height_map else None

@@ -7,6 +7,7 @@ import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch import Tensor
+from torch.optim import Optimizer
 
 from renet.errors import RenetError
 from renet.interface import CONSTRAINTS, STEPS_PER_TICK
@@ -92,7 +93,6 @@ class RenetAlgorithm:
         self._steps = Recorder()
         self._ticks = Recorder()
         self._step_count = 0
-        self._initial_latents = (self.memory.latent_op, self.memory.latent_vp)
         self._cost_sum = torch.zeros(len(CONSTRAINTS), device=device)
         self._overflow = _overflow_watch(env)
 
@@ -152,13 +152,15 @@ class RenetAlgorithm:
     def _tick(self, obs: TensorDict, mask: Tensor) -> None:
         """Advance the estimators and record what they are to be taught."""
         memory = self.memory
-        fresh = memory.fresh.clone()
+        fresh, latent_op, latent_vp = memory.fresh.clone(), memory.latent_op, memory.latent_vp
         memory.see(obs["depth"])
         memory.tick(partial(in_halves, self.model.advance))
         self._ticks.begin(
             history=memory.history,
             frames=memory.frames,
             fresh=fresh,
+            latent_op=latent_op,
+            latent_vp=latent_vp,
             op_mask=mask,
             velocity=obs["velocity"],
             feet_height=obs["feet_height"],
@@ -214,18 +216,15 @@ class RenetAlgorithm:
     def update(self) -> dict[str, float]:
         """Learn from the rollout; returns losses and mean costs by name."""
         length = self._rollout.done.shape[0]
-        latent_op, latent_vp = self._initial_latents
-        ticks = TickRollout(**self._ticks.stack(), latent_op=latent_op, latent_vp=latent_vp)
-        learned = self._learn(ticks)
+        learned = self._learn(TickRollout(**self._ticks.stack()))
         numbers = torch.stack(list(learned.values())).tolist()  # At once: a GPU is waited for.
         losses = dict(zip(learned, numbers, strict=True))
-        self.average.update(self.model)
+        self.average.update_parameters(self.model)
         for name, cost in zip(CONSTRAINTS, (self._cost_sum / length).tolist(), strict=True):
             losses[f"cost_{name}"] = cost
         if self._overflow is not None:
             losses |= self._overflow.report()
         self._cost_sum.zero_()
-        self._initial_latents = (self.memory.latent_op, self.memory.latent_vp)
         self.iteration += 1
         self.steps += self._rollout.done.numel() * distributed.world_size()
         return losses
@@ -249,6 +248,11 @@ class RenetAlgorithm:
         return broken or (
             [] if rollout.rewards_and_costs.isfinite().all() else ["rewards or costs"]
         )
+
+    @property
+    def optimizers(self) -> dict[str, Optimizer]:
+        """By the names that checkpoints give them."""
+        return {"np3o": self.np3o.optimizer, "supervision": self.supervision.optimizer}
 
     @property
     def action_std(self) -> Tensor:

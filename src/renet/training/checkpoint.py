@@ -18,6 +18,8 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
+from torch.optim import Optimizer
+from torch.optim.swa_utils import AveragedModel
 
 from renet.errors import RenetError
 from renet.files import MEGABYTE, read_object, require_regular
@@ -56,11 +58,8 @@ def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Pat
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
         for name in ("model", "average", "optimizer", "environment"):
-            if not getattr(checkpoint, name) and name == "average":
-                continue
-            tensors = {
-                k: v.detach().cpu().contiguous() for k, v in getattr(checkpoint, name).items()
-            }
+            tensors = getattr(checkpoint, name).items()
+            tensors = {k: v.detach().cpu().contiguous() for k, v in tensors}
             save_file(tensors, partial / f"{name}.safetensors")
         state = {"format": FORMAT, "iteration": iteration, **checkpoint.state}
         (partial / "state.json").write_text(json.dumps(state, indent=1) + "\n")
@@ -111,10 +110,7 @@ def find(path: Path) -> Path:
         raise RenetError(
             f"no checkpoint in {path}: give a run folder or one of its {PREFIX}* folders"
         )
-    runs = {p.parent.parent for p in found}
-    newest = max(runs, key=_date)
-    # A copy or a checkout changes the times of files, but not their iterations.
-    checkpoint = max((p for p in found if p.parent.parent == newest), key=lambda p: p.name)
+    checkpoint = max(found, key=lambda p: (_date(p.parent.parent), p.name))
     print(f"Checkpoint: {checkpoint}", file=sys.stderr)
     return checkpoint
 
@@ -131,8 +127,10 @@ def load(path: Path, device: str | torch.device = "cpu") -> Checkpoint:
     try:
         tensors: dict[str, dict[str, Tensor]] = {"optimizer": {}, "average": {}}  # Not in all.
         for name in ("model", "environment", *tensors):
-            if name not in tensors or (path / f"{name}.safetensors").exists():
-                tensors[name] = load_file(_tensors(path, name), device=str(device))
+            file = path / f"{name}.safetensors"
+            if name not in tensors or file.exists():
+                file = require_regular(file, MAX_TENSORS, "checkpoint's file")
+                tensors[name] = load_file(file, device=str(device))
     except (OSError, ValueError, SafetensorError) as error:
         raise RenetError(f"checkpoint {path} is incomplete or damaged: {error}") from error
     return Checkpoint(**tensors, state=state)
@@ -144,11 +142,8 @@ def load_state(path: Path) -> dict[str, Any]:
     written = state.get("format")
     if written != FORMAT:
         raise RenetError(f"{path} has checkpoint format {written}, this renet reads {FORMAT}")
+    state.pop("numpy_rng", None)  # Of older checkpoints; nothing draws from it.
     return state
-
-
-def _tensors(path: Path, name: str) -> Path:
-    return require_regular(path / f"{name}.safetensors", MAX_TENSORS, "checkpoint's file")
 
 
 def check_config(ours: dict[str, Any], theirs: dict[str, Any], path: Path) -> None:
@@ -162,49 +157,39 @@ def check_config(ours: dict[str, Any], theirs: dict[str, Any], path: Path) -> No
         )
 
 
-def load_model(module: nn.Module, tensors: dict[str, Tensor], path: Path) -> None:
-    """Load weights; raises RenetError naming the first difference of architecture."""
-    check_same_architecture(module.state_dict(), tensors, path)
-    module.load_state_dict(tensors)
-
-
-def check_same_architecture(
-    expected: dict[str, Tensor], tensors: dict[str, Tensor], path: Path
+def load_model(
+    module: nn.Module, tensors: dict[str, Tensor], path: Path, assign: bool = False
 ) -> None:
-    """Refuse weights of other names or shapes than expected; raises RenetError with the first."""
-    for name, tensor in expected.items():
-        if name not in tensors:
-            raise RenetError(f"{path} is of another architecture: it lacks {name}")
-        if tensors[name].shape != tensor.shape:
-            raise RenetError(
-                f"{path} is of another architecture: {name} is {tuple(tensors[name].shape)}, "
-                f"expected {tuple(tensor.shape)}"
-            )
-    surplus = sorted(set(tensors) - set(expected))
-    if surplus:
-        raise RenetError(f"{path} is of another architecture: unexpected {surplus[0]}")
+    """Load weights, or let `module` take the tensors themselves (`assign`).
+
+    Raises:
+        RenetError: other names or shapes than the module's, with PyTorch's word on it.
+    """
+    try:
+        module.load_state_dict(tensors, assign=assign)
+    except RuntimeError as error:
+        first = str(error).splitlines()[1].strip()[:200]
+        raise RenetError(f"{path} is of another architecture: {first}") from error
 
 
-def optimizer_tensors(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, Tensor]:
-    """Adam's moments as flat names `prefix/parameter/moment`."""
+def optimizer_tensors(optimizers: dict[str, Optimizer]) -> dict[str, Tensor]:
+    """Adam's moments as flat names `optimizer/parameter/moment`."""
     return {
-        f"{prefix}/{index}/{name}": torch.as_tensor(value)
+        f"{owner}/{index}/{name}": value
+        for owner, optimizer in optimizers.items()
         for index, moments in optimizer.state_dict()["state"].items()
         for name, value in moments.items()
     }
 
 
-def load_optimizer(
-    optimizer: torch.optim.Optimizer, tensors: dict[str, Tensor], prefix: str
-) -> None:
+def load_optimizers(optimizers: dict[str, Optimizer], tensors: dict[str, Tensor]) -> None:
     """Inverse of `optimizer_tensors`; the groups' settings stay as configured."""
-    moments: dict[int, dict[str, Tensor]] = {}
+    moments: dict[str, dict[int, dict[str, Tensor]]] = {owner: {} for owner in optimizers}
     for key, value in tensors.items():
         owner, index, name = key.split("/")
-        if owner == prefix:
-            moments.setdefault(int(index), {})[name] = value
-    groups = optimizer.state_dict()["param_groups"]
-    optimizer.load_state_dict({"state": moments, "param_groups": groups})
+        moments[owner].setdefault(int(index), {})[name] = value
+    for owner, optimizer in optimizers.items():
+        optimizer.load_state_dict(optimizer.state_dict() | {"state": moments[owner]})
 
 
 def described(value: Any) -> Any:
@@ -213,20 +198,18 @@ def described(value: Any) -> Any:
     Args:
         value: nested dataclasses, dictionaries, sequences, numbers and callables.
     """
-    if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: described(getattr(value, f.name)) for f in fields(value)}
-    if isinstance(value, dict):
-        return {str(key): described(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set):
-        return [described(item) for item in value]
-    if value is None or isinstance(value, str | int | float | bool):
-        return value
-    if callable(value):
-        return f"{value.__module__}.{getattr(value, '__qualname__', type(value).__name__)}"
-    return str(value)
+
+    def plain(item: Any) -> Any:
+        if is_dataclass(item) and not isinstance(item, type):
+            return {f.name: getattr(item, f.name) for f in fields(item)}
+        if callable(item):
+            return f"{item.__module__}.{getattr(item, '__qualname__', type(item).__name__)}"
+        return list(item) if isinstance(item, set) else str(item)
+
+    return json.loads(json.dumps(value, default=plain))
 
 
-class WeightAverage:
+class WeightAverage(AveragedModel):
     """Exponential moving average of a model's parameters and buffers, which is exported.
 
     Each gradient step leaves noise of its own in the weights. Their mean along a run has less of it
@@ -240,23 +223,17 @@ class WeightAverage:
             model: network on the device where it is to stay.
             over: updates the average reaches back, about; 1 keeps the newest weights alone.
         """
-        self.over, self.updates = over, 0
-        self.tensors = {name: value.clone() for name, value in model.state_dict().items()}
+        super().__init__(model, avg_fn=self._average, use_buffers=True)
+        self.over = over
 
-    @torch.no_grad()
-    def update(self, model: nn.Module) -> None:
-        """Take in the model's present weights; counts such as a normaliser's are taken over."""
-        self.updates += 1
+    def _average(self, average: Tensor, newest: Tensor, updates: Tensor | int) -> Tensor:
+        """Counts such as a normaliser's are taken over."""
+        if not newest.is_floating_point():
+            return newest
         # Reaches back a quarter of the run at most: early weights say nothing about later ones.
-        share = 1.0 / max(1.0, min(self.over, self.updates / 4))
-        for name, value in model.state_dict().items():
-            if value.is_floating_point():
-                self.tensors[name].lerp_(value, share)
-            else:
-                self.tensors[name].copy_(value)
+        return average.lerp(newest, 1.0 / max(1.0, min(self.over, (int(updates) + 1) / 4)))
 
     def load(self, tensors: dict[str, Tensor], updates: int) -> None:
         """Go on with an average that was saved after so many updates."""
-        self.updates = updates
-        for name, value in tensors.items():
-            self.tensors[name].copy_(value)
+        self.module.load_state_dict(tensors)
+        self.n_averaged.fill_(updates)

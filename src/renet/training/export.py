@@ -80,12 +80,12 @@ def load_networks(checkpoint: Checkpoint, path: Path) -> RENet:
         cfg = from_dict(ModelCfg, checkpoint.state["config"]["model"])
         critic_size = checkpoint.model["critic_normalizer._mean"].shape[-1]
         with torch.device("meta"):  # Takes no memory, whatever sizes a stranger wrote.
-            shapes = RENet(cfg, critic_size).state_dict()
+            shapes = RENet(cfg, critic_size)
     except KeyError as error:
         raise RenetError(f"{path} is not a checkpoint of RENet: it lacks {error}") from error
     except (TypeError, ValueError, RuntimeError, OverflowError, AttributeError) as error:
         raise RenetError(f"{path}: the model's settings make no sense: {error}") from error
-    checkpoints.check_same_architecture(shapes, checkpoint.model, path)
+    checkpoints.load_model(shapes, checkpoint.model, path, assign=True)
     model = RENet(cfg, critic_size)
     checkpoints.load_model(model, checkpoint.exported, path)
     return model.eval()

@@ -8,7 +8,7 @@ from pathlib import Path
 from renet.errors import RenetError
 from renet.training.train import LOGS, TrainCfg, train
 
-COPIED = ("MUJOCO*", "OMP*", "CUDA*", "NCCL*", "GLOO*")
+COPIED = ("MUJOCO*", "OMP*", "GLOO*")
 """Environment variables every worker inherits, besides torchrunx's own choice."""
 
 
@@ -43,7 +43,7 @@ def launch(cfg: TrainCfg) -> Path | None:
 
 
 def _handlers(cfg: TrainCfg) -> list[logging.Handler]:
-    """Everybody's output in a file each, the first worker's on the terminal as well.
+    """Every worker's output in a file of its own, the first one's on the terminal as well.
 
     Not the agents': torchrunx stops them with a signal at the end, which they report as an error.
     """

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from itertools import accumulate
@@ -45,20 +44,17 @@ SMOOTHING = 0.9
 class MetricsWriter(LogWriter):
     """rsl_rl log writer that also appends (iteration, name, value) rows to `curves.csv`.
 
-    Rows are flushed once an iteration, so that a killed run keeps its curve; a resumed run appends.
+    Each row goes to the disk at once, so that a killed run keeps its curve; a resumed run appends.
     """
 
     def __init__(self, log_dir: str) -> None:
         self._path = Path(log_dir) / CURVES
         with self._writing():
             self._board = SummaryWriter(log_dir=log_dir, flush_secs=10)
-            torn = _torn(self._path)
-            self._file = self._path.open("a", newline="")
+            self._file = self._path.open("a", newline="", buffering=1)
             self._rows = csv.writer(self._file)
-            if self._file.tell() == 0:
-                self._rows.writerow(("iteration", "name", "value"))
-            elif torn:
-                self._file.write("\n")
+            # After a row that a killed run left torn, too: empty lines are no rows.
+            self._rows.writerow(() if self._file.tell() else ("iteration", "name", "value"))
         self.latest: dict[str, float] = {}
 
     def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None:
@@ -69,11 +65,6 @@ class MetricsWriter(LogWriter):
             self._board.add_scalar(tag, value, global_step)
             if not tag.endswith("/time"):  # rsl_rl logs these against seconds, not iterations.
                 self._rows.writerow((global_step, tag, f"{value:.6g}"))
-
-    def flush(self) -> None:
-        """Put rows on disk."""
-        with self._writing():
-            self._file.flush()
 
     def stop(self) -> None:
         """Close both files."""
@@ -91,15 +82,6 @@ class MetricsWriter(LogWriter):
                 f"cannot write the curves {self._path}: {error}. Free the disk and go on with "
                 "--resume; checkpoints are intact"
             ) from error
-
-
-def _torn(path: Path) -> bool:
-    """Whether the last row lacks its end: the run was killed while it was written."""
-    if not path.exists() or path.stat().st_size == 0:
-        return False
-    with path.open("rb") as file:
-        file.seek(-1, os.SEEK_END)
-        return file.read() != b"\n"
 
 
 def read_curves(run: Path) -> dict[str, tuple[list[int], list[float]]]:

@@ -123,11 +123,11 @@ class NP3O:
         self.actor, self.critics, self.cfg, self.dtype = actor, critics, cfg, dtype
         self.parameters = [*actor.parameters(), *critics.parameters()]
         self._entropy = self._desired_kl = 0.0
-        # A tensor: adapting it on a GPU must not wait for the divergence to arrive on the host.
-        self._rate = torch.tensor(cfg.learning_rate, device=self.parameters[0].device)
         self.cost_weight = cfg.cost_weight
+        # A tensor: adapting it on a GPU must not wait for the divergence to arrive on the host.
+        rate = torch.tensor(cfg.learning_rate, device=self.parameters[0].device)
         groups = [
-            {"params": list(actor.parameters()), "lr": self._rate},
+            {"params": list(actor.parameters()), "lr": rate},
             {"params": list(critics.parameters()), "lr": cfg.critic_learning_rate},
         ]
         self.optimizer = torch.optim.Adam(groups, fused=True)
@@ -135,11 +135,11 @@ class NP3O:
     @property
     def learning_rate(self) -> float:
         """Current rate of the actor's Adam."""
-        return self._rate.item()
+        return self.optimizer.param_groups[0]["lr"].item()
 
     @learning_rate.setter
     def learning_rate(self, rate: float) -> None:
-        self._rate.fill_(rate)
+        self.optimizer.param_groups[0]["lr"].fill_(rate)
 
     def update(
         self, rollout: PolicyRollout, last_value: Tensor, iteration: int, steps: float = 0.0
@@ -170,7 +170,7 @@ class NP3O:
                 for index in order.chunk(self.cfg.num_mini_batches):
                     taken.append(self._step(batch, targets, index, old_std))
         losses = {name: torch.stack([step[name] for step in taken]).mean() for name in taken[0]}
-        weight = self._rate.new_full((), self.cost_weight, dtype=torch.float64)
+        weight = torch.full((), self.cost_weight, dtype=torch.float64, device=old_std.device)
         return losses | {"cost_weight": weight}
 
     def _step(
@@ -178,11 +178,10 @@ class NP3O:
     ) -> dict[str, Tensor]:
         """One gradient step on the rows in `index`."""
         self.optimizer.zero_grad()
-        policy = partial(self._policy_gradient, batch, targets, index, old_std)
-        value = partial(self._value_gradient, batch, targets, index)
-        # In single precision the critics would take twice as long as the actor.
-        together = self.dtype != torch.float32 and index.device.type == "cpu"
-        of_policy, of_value = side_by_side(policy, value) if together else (policy(), value())
+        of_policy, of_value = side_by_side(
+            partial(self._policy_gradient, batch, targets, index, old_std),
+            partial(self._value_gradient, batch, targets, index),
+        )
         distributed.average_gradients(self.parameters)
         norms = {
             f"{name}_grad_norm": nn.utils.clip_grad_norm_(
@@ -228,10 +227,8 @@ class NP3O:
     def _adapt_rate(self, kl: Tensor) -> None:
         """Keep the actor's KL divergence per step near its target, as rsl_rl does."""
         if self._desired_kl > 0:
-            low, high = LEARNING_RATES
-            slower = (self._rate / 1.5).clamp_min(low)
-            faster = (self._rate * 1.5).clamp_max(high)
+            rate, (low, high) = self.optimizer.param_groups[0]["lr"], LEARNING_RATES
+            slower, faster = (rate / 1.5).clamp_min(low), (rate * 1.5).clamp_max(high)
             close = (kl > 0.0) & (kl < 0.5 * self._desired_kl)
-            rate = torch.where(close, faster, self._rate)
-            self._rate.copy_(torch.where(kl > 2.0 * self._desired_kl, slower, rate))
-        self.optimizer.param_groups[0]["lr"] = self._rate  # Loading a checkpoint leaves a copy.
+            adapted = torch.where(close, faster, rate)
+            rate.copy_(torch.where(kl > 2.0 * self._desired_kl, slower, adapted))

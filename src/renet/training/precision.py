@@ -7,7 +7,7 @@ asked for; what is exported is not touched.
 import ctypes
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from typing import Any, Literal, TypeVar
 
@@ -48,23 +48,23 @@ def learning_type(precision: Precision, device: str | torch.device) -> torch.dty
 
 
 @contextmanager
-def computed_in(dtype: torch.dtype, *modules: nn.Module) -> Iterator[None]:
-    """Let modules compute in `dtype` while inside; what they return is single precision.
+def computed_in(dtype: torch.dtype, module: nn.Module) -> Iterator[None]:
+    """Let a module compute in `dtype` while inside; what it returns is single precision.
 
-    Other than in single precision, learning on a CPU then runs `side_by_side`, on half of torch's
-    threads; so does what stands between, for small tensors are done before more threads wake.
+    Other than in single precision, in which one piece of work would take twice as long as the
+    other, learning on a CPU then runs `side_by_side`, on half of torch's threads; so does what
+    stands between, for small tensors are done before more threads wake.
     """
     if dtype == torch.float32:
         yield
         return
-    for module in modules:
-        module.forward = partial(_autocast, module.forward, dtype)
+    on_cpu = next(module.parameters()).device.type == "cpu"
+    module.forward = partial(_autocast, module.forward, dtype)
     try:
-        with _half_of_the_threads():
+        with _half_of_the_threads() if on_cpu else nullcontext():
             yield
     finally:
-        for module in modules:
-            del module.forward
+        del module.forward
 
 
 @contextmanager
@@ -86,7 +86,7 @@ def _autocast(forward: Callable[..., Tensor], dtype: torch.dtype, value: Tensor)
 
 
 def side_by_side(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]:
-    """Run two pieces of work on a CPU, inside `computed_in` each on half of torch's threads.
+    """Run two pieces of work, on a CPU inside `computed_in` at once, each on half of the threads.
 
     They may each build a graph and go back through it if they share no parameters; only one of
     them may draw random numbers. Half as many threads per layer wait less for each other.

@@ -8,6 +8,7 @@ millions does not. Settings that change during training are schedules over envir
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any
 
 from renet.errors import RenetError
@@ -84,8 +85,8 @@ PAPER: dict[str, Any] = {
 PRESETS = {"renet": RENET, "paper": PAPER}
 
 
-def preset(name: str) -> dict[str, Any]:
-    """Settings of a preset; raises RenetError listing the known ones."""
+def preset(name: str = "renet") -> dict[str, Any]:
+    """A copy of a preset's settings; raises RenetError listing the known ones."""
     if name not in PRESETS:
         raise RenetError(f"unknown preset {name!r}: choose one of {', '.join(PRESETS)}")
-    return PRESETS[name]
+    return deepcopy(PRESETS[name])

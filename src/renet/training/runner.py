@@ -22,7 +22,6 @@ from renet.training import distributed
 from renet.training.algorithm import RenetAlgorithm
 from renet.training.checkpoint import Checkpoint, described
 from renet.training.config import steps_per_env
-from renet.training.metrics import MetricsWriter
 from renet.training.precision import keep_freed_memory
 from renet.version import code_version
 
@@ -153,14 +152,12 @@ class RenetRunner(OnPolicyRunner):
                 action_std=self.alg.action_std,
                 rnd_weight=None,
             )
-        if isinstance(self.logger.writer, MetricsWriter):
-            self.logger.writer.flush()
         return obs
 
     def _check_learning(self, losses: dict[str, float], obs: Any) -> None:
         """Stop before a policy that is no longer one is saved; raises RenetError.
 
-        What is not finite in a rollout shows in the losses, so that nobody looks at each step.
+        What is not finite in a rollout shows in the losses: steps need no check of their own.
         """
         bad = [name for name, loss in losses.items() if not np.isfinite(loss)]
         if not self.alg.action_std.isfinite().all():
@@ -212,22 +209,17 @@ class RenetRunner(OnPolicyRunner):
 
     # Checkpoints.
 
-    def save(self, path: str | None = None, infos: dict | None = None) -> None:
-        """Write a checkpoint to the run's folder (rank 0 only); `path` overrides the folder."""
-        del infos
-        folder = Path(path) if path else self.folder
-        if folder is None or self.gpu_global_rank != 0:
+    def save(self, *_: Any) -> None:  # type: ignore[override]
+        """Write a checkpoint to the run's folder (rank 0 only)."""
+        if self.folder is None or self.gpu_global_rank != 0:
             return
         algorithm = self.alg
-        optimizer = checkpoints.optimizer_tensors(algorithm.np3o.optimizer, "np3o")
-        optimizer |= checkpoints.optimizer_tensors(algorithm.supervision.optimizer, "supervision")
         state = {
             "learning_rate": algorithm.np3o.learning_rate,
             "cost_weight": algorithm.np3o.cost_weight,
             "steps": algorithm.steps,
-            "averaged": algorithm.average.updates,
+            "averaged": int(algorithm.average.n_averaged),
             "seconds": self.logger.tot_time,
-            "numpy_rng": _numpy_state(),
             "task": self.cfg.get("task", ""),
             **self.provenance(),
         }
@@ -236,9 +228,14 @@ class RenetRunner(OnPolicyRunner):
         if self.device.startswith("cuda"):
             environment["cuda_rng"] = torch.cuda.get_rng_state(self.device)
         checkpoint = Checkpoint(
-            algorithm.model.state_dict(), optimizer, environment, state, algorithm.average.tensors
+            algorithm.model.state_dict(),
+            checkpoints.optimizer_tensors(algorithm.optimizers),
+            environment,
+            state,
+            algorithm.average.module.state_dict(),
         )
-        checkpoints.save(checkpoint, folder, algorithm.iteration, self.cfg["keep_checkpoints"])
+        keep = self.cfg["keep_checkpoints"]
+        checkpoints.save(checkpoint, self.folder, algorithm.iteration, keep)
 
     def provenance(self) -> dict[str, Any]:
         """Everything that shaped the policy: settings, the task's rules, the code's version."""
@@ -255,10 +252,7 @@ class RenetRunner(OnPolicyRunner):
         algorithm, state = self.alg, checkpoint.state
         checkpoints.check_config(self.cfg["model"], state["config"]["model"], found)
         checkpoints.load_model(algorithm.model, checkpoint.model, found)
-        checkpoints.load_optimizer(algorithm.np3o.optimizer, checkpoint.optimizer, "np3o")
-        checkpoints.load_optimizer(
-            algorithm.supervision.optimizer, checkpoint.optimizer, "supervision"
-        )
+        checkpoints.load_optimizers(algorithm.optimizers, checkpoint.optimizer)
         algorithm.np3o.learning_rate = state["learning_rate"]
         algorithm.np3o.cost_weight = state["cost_weight"]
         algorithm.iteration = self.current_learning_iteration = state["iteration"]
@@ -269,18 +263,11 @@ class RenetRunner(OnPolicyRunner):
         torch_rng, cuda_rng = environment.pop("torch_rng"), environment.pop("cuda_rng", None)
         if self.gpu_global_rank == 0:  # Others draw numbers of their own.
             torch.set_rng_state(torch_rng.cpu())
-            np.random.set_state(tuple(state["numpy_rng"]))  # noqa: NPY002
             if cuda_rng is not None and self.device.startswith("cuda"):
                 torch.cuda.set_rng_state(cuda_rng.cpu(), self.device)
         self._restore_curriculum(environment)
         return state
 
     def _restore_curriculum(self, tensors: dict[str, Tensor]) -> None:
-        if tensors:
-            cast(Any, self.env).unwrapped.load_curriculum_state(tensors)
-            cast(Any, self.env).reset()
-
-
-def _numpy_state() -> list:
-    name, keys, *rest = np.random.get_state()  # noqa: NPY002  mjlab draws terrain from it
-    return [name, np.asarray(keys).tolist(), *rest]
+        cast(Any, self.env).unwrapped.load_curriculum_state(tensors)
+        cast(Any, self.env).reset()

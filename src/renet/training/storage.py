@@ -62,21 +62,13 @@ class TickRollout:
     next_valid: Tensor
     """False where that step ended the episode, [K, N] bool."""
     latent_op: Tensor
-    """h_b before the first tick, [N, 64]."""
+    """h_b before the tick, [K, N, 64]."""
     latent_vp: Tensor
-    """h_v before the first tick, [N, 64]."""
+    """h_v before the tick, [K, N, 64]."""
 
     def environments(self, index: Tensor) -> Self:
         """Whole sequences of the environments in `index`."""
-        initial = ("latent_op", "latent_vp")
-        return type(self)(
-            *(
-                getattr(self, f.name)[index]
-                if f.name in initial
-                else getattr(self, f.name)[:, index]
-                for f in fields(self)
-            )
-        )
+        return type(self)(*(getattr(self, f.name)[:, index] for f in fields(self)))
 
 
 class Recorder:
@@ -90,7 +82,8 @@ class Recorder:
 
     def begin(self, **values: Tensor) -> None:
         """Start a row with what is known before the environment steps."""
-        self._rows.append(_copied(values))
+        self._rows.append({})
+        self.finish(**values)
 
     @property
     def newest(self) -> dict[str, Tensor]:
@@ -99,13 +92,9 @@ class Recorder:
 
     def finish(self, **values: Tensor) -> None:
         """Complete the newest row with what the step brought."""
-        self.newest.update(_copied(values))
+        self.newest.update({name: value.clone() for name, value in values.items()})
 
     def stack(self) -> dict[str, Tensor]:
         """All rows as [T, ...] tensors; the recorder is then empty."""
         rows, self._rows = self._rows, []
         return {key: torch.stack([row[key] for row in rows]) for key in rows[0]}
-
-
-def _copied(values: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {name: value.clone() for name, value in values.items()}

@@ -11,8 +11,7 @@ from torch import Tensor, nn
 from renet.faults import Frames
 from renet.faults.vegetation import TallGrass
 from renet.interface import DEPTH_SHAPE, FRAMES
-from renet.models.estimators import Estimator
-from renet.models.him import HybridInternalModel, target_view
+from renet.models.him import target_view
 from renet.models.renet import RENet
 from renet.training import distributed
 from renet.training.config import SupervisionCfg, value_at
@@ -28,44 +27,6 @@ GRASS_BLADES = 20
 """Most blades in view: `tall_grass` at severity 2 of 5."""
 GRASS_VIEWS = 512
 """Different views of blades."""
-
-
-def estimator_losses(
-    estimator: Estimator,
-    him: HybridInternalModel | None,
-    rollout: TickRollout,
-    initial: Tensor,
-    chosen: Tensor,
-) -> dict[str, Tensor]:
-    """Every term of an estimator's loss over the ticks in `chosen`.
-
-    Args:
-        estimator: OP or VP.
-        him: its hybrid internal model; None leaves Loss_HIM out.
-        rollout: sequences of K ticks of B environments.
-        initial: latent before the first tick, [B, 64].
-        chosen: [K, B] bool, the ticks that count; none may.
-
-    Returns:
-        Named scalars; their sum is the loss. Absent heads are absent, and nothing is returned where
-        no tick counts: gradients of zero would let Adam's momentum move an estimator that does not
-        learn.
-    """
-    mine = chosen.any(dim=0)
-    if not mine.any():
-        return {}
-    rollout, initial, chosen = rollout.environments(mine), initial[mine], chosen[:, mine]
-    latent = estimator.unroll(rollout.history, rollout.frames.float(), initial, rollout.fresh)
-    counts = chosen.to(latent.dtype)
-    losses = {}
-    for name, predicted in estimator.predict(latent).items():
-        error = (predicted - getattr(rollout, name)).square().mean(-1)
-        losses[name] = (error * counts).sum() / counts.sum().clamp_min(1.0)
-    if him is not None:
-        paired = (counts * rollout.next_valid).flatten()
-        following = target_view(rollout.next_proprioception, rollout.next_velocity)
-        losses["him"] = him(latent.flatten(0, 1), following.flatten(0, 1), paired)
-    return losses
 
 
 class Supervision:
@@ -111,13 +72,10 @@ class Supervision:
     def _step(self, rollout: TickRollout) -> dict[str, Tensor]:
         """One gradient step; returns the losses."""
         self.optimizer.zero_grad()
-        blind, seeing = (
+        rest, vp = side_by_side(
             partial(self._gradient, self._blind_losses, rollout),
             partial(self._gradient, self._vp_losses, rollout),
         )
-        # In single precision VP's convolutions would take twice as long as all the rest.
-        together = self.dtype != torch.float32 and rollout.frames.device.type == "cpu"
-        rest, vp = side_by_side(blind, seeing) if together else (blind(), seeing())
         distributed.average_gradients(self.parameters)
         # Apart: the detector's likelihood must not shorten the estimators' steps.
         detector = list(self.model.autoencoder.parameters())
@@ -130,41 +88,59 @@ class Supervision:
     def _gradient(
         self, terms: Callable[[TickRollout], dict[str, Tensor]], rollout: TickRollout
     ) -> dict[str, Tensor]:
-        """Go back through some terms; returns them."""
-        losses = terms(rollout)
-        if losses:
-            self.weighted(losses).backward()
-        return {name: loss.detach() for name, loss in losses.items()}
+        """Go back through the sum of some terms, in the scaled units of `SupervisionCfg`.
 
-    def weighted(self, losses: dict[str, Tensor]) -> Tensor:
-        """Sum of the terms in the scaled units of `SupervisionCfg`; logs are in m/s and m."""
+        Returns:
+            The terms, in m/s and m.
+        """
         weights = {
             "velocity": self.cfg.velocity_scale**2,
             "feet_height": self.cfg.height_scale**2,
             "height_map": self.cfg.height_scale**2,
         }
-        terms = [loss * weights.get(name[3:], 1.0) for name, loss in losses.items()]
-        return torch.stack(terms).sum()
+        losses = terms(rollout)
+        if losses:
+            scaled = [loss * weights.get(name[3:], 1.0) for name, loss in losses.items()]
+            torch.stack(scaled).sum().backward()
+        return {name: loss.detach() for name, loss in losses.items()}
 
     def _blind_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
         """Terms that share no parameter with VP's."""
-        model, terms = self.model, {}
-        if model.cfg.perception in ("renet", "op"):
-            chosen = self._chosen(rollout.op_mask)
-            terms = estimator_losses(model.op, model.op_him, rollout, rollout.latent_op, chosen)
-        losses = {f"op_{name}": value for name, value in terms.items()}
-        return losses | self._anomaly_losses(rollout.frames)
+        return self.estimator_losses("op", rollout) | self._anomaly_losses(rollout.frames)
 
     def _vp_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
-        model, terms = self.model, {}
-        if model.cfg.perception in ("renet", "vp"):
-            chosen = self._chosen(~rollout.op_mask)
-            terms = estimator_losses(model.vp, model.vp_him, rollout, rollout.latent_vp, chosen)
-        return {f"vp_{name}": value for name, value in terms.items()}
+        return self.estimator_losses("vp", rollout)
 
-    def _chosen(self, own: Tensor) -> Tensor:
-        """Ticks that train an estimator, given those it steers."""
-        return own if self.cfg.estimator_data == "own" else torch.ones_like(own)
+    def estimator_losses(self, name: str, rollout: TickRollout) -> dict[str, Tensor]:
+        """Every term of an estimator's loss over the ticks that train it.
+
+        Args:
+            name: op or vp.
+            rollout: sequences of K ticks of B environments.
+
+        Returns:
+            Named scalars. Absent heads are absent, and nothing is returned where no tick trains the
+            estimator: gradients of zero would let Adam's momentum move one that does not learn.
+        """
+        chosen = rollout.op_mask if name == "op" else ~rollout.op_mask
+        if self.cfg.estimator_data == "all":
+            chosen = torch.ones_like(chosen)
+        mine = chosen.any(dim=0)
+        if self.model.cfg.perception not in ("renet", name) or not mine.any():
+            return {}
+        rollout, counts = rollout.environments(mine), chosen[:, mine].float()
+        estimator, him = getattr(self.model, name), getattr(self.model, f"{name}_him")
+        initial = getattr(rollout, f"latent_{name}")[0]
+        latent = estimator.unroll(rollout.history, rollout.frames.float(), initial, rollout.fresh)
+        losses = {}
+        for head, predicted in estimator.predict(latent).items():
+            error = (predicted - getattr(rollout, head)).square().mean(-1)
+            losses[f"{name}_{head}"] = (error * counts).sum() / counts.sum().clamp_min(1.0)
+        if him is not None:
+            paired = (counts * rollout.next_valid).flatten()
+            following = target_view(rollout.next_proprioception, rollout.next_velocity)
+            losses[f"{name}_him"] = him(latent.flatten(0, 1), following.flatten(0, 1), paired)
+        return losses
 
     def _anomaly_losses(self, frames: Tensor) -> dict[str, Tensor]:
         """The detector's losses on randomly drawn image pairs."""

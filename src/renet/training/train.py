@@ -10,10 +10,8 @@ import re
 import time
 import warnings
 from collections.abc import Sequence
-from copy import deepcopy
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import datetime
-from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
@@ -58,11 +56,6 @@ PER_SESSION = (*NOT_KEPT, "device", "processes", "hosts", "task_cfg.seed")
 """Settings that say how a run is carried out, not what it learns, or that are told elsewhere."""
 
 
-def _from(preset_: str, name: str) -> Any:
-    """A fresh copy of a preset's setting."""
-    return deepcopy(preset(preset_)[name])
-
-
 @dataclass(kw_only=True)
 class TrainCfg(LearningCfg):
     """Train RENet. On a CPU the native engine steps C MuJoCo; on a GPU MuJoCo Warp.
@@ -88,17 +81,12 @@ class TrainCfg(LearningCfg):
     """Machines to train on, with renet installed in the same place on each."""
     engine: str = "auto"
     """Physics engine: auto, native (C MuJoCo on threads, CPU only) or warp."""
-    model: ModelCfg = field(default_factory=partial(_from, "renet", "model"))
-    """Networks and the paper's ablations."""
-    algorithm: NP3OCfg = field(default_factory=partial(_from, "renet", "algorithm"))
-    """Policy optimisation."""
-    supervision: SupervisionCfg = field(default_factory=partial(_from, "renet", "supervision"))
-    """Estimators and autoencoder."""
-    adaptation: AdaptationCfg = field(default_factory=partial(_from, "renet", "adaptation"))
-    """Which estimator steers where."""
+    # What LearningCfg documents, as the recipe sets it.
+    model: ModelCfg = field(default_factory=lambda: preset()["model"])
+    algorithm: NP3OCfg = field(default_factory=lambda: preset()["algorithm"])
+    supervision: SupervisionCfg = field(default_factory=lambda: preset()["supervision"])
+    adaptation: AdaptationCfg = field(default_factory=lambda: preset()["adaptation"])
     batch_size: Schedule = RENET["batch_size"]
-    """Environment steps of all robots of a process in an iteration, at least: 25 control steps of
-    each, or as many more as fewer robots need (rounded up to a multiple of the 5 between ticks)."""
     reward_weights: Pairs = ()
     """Weights in place of the preset's, e.g. `--reward-weights collision -10 yaw 1`; the others
     stay."""
@@ -145,7 +133,7 @@ class TrainCfg(LearningCfg):
             found = resolve_resume(asked["resume"], root, task)
             return restored(checkpoints.load_state(found), task)
         name: Any = asked.get("preset", "renet")
-        own = {key: value for key, value in deepcopy(preset(name)).items() if key not in MERGED}
+        own = {key: value for key, value in preset(name).items() if key not in MERGED}
         return cls(task=task, preset=name, **own)
 
 
@@ -181,16 +169,11 @@ def train(cfg: TrainCfg) -> Path | None:
     Raises:
         RenetError: anything a user can put right.
     """
-    from renet.tasks import make_env
-    from renet.tasks.robot_cfg import ACTION_CLIP
-
     began = time.monotonic()
     rank = int(os.getenv("RANK", "0"))
     budget = None if cfg.time_budget is None else seconds(cfg.time_budget)
     device = resolve_device(cfg.device)
     num_envs = DEFAULT_ENVS[device.partition(":")[0]] if cfg.num_envs is None else cfg.num_envs
-    if num_envs < 1:
-        raise RenetError(f"--num-envs must be at least 1, got {num_envs}")
     cfg = replace(cfg, num_envs=num_envs)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
     earlier = None if resume is None else checkpoints.load(resume)
@@ -202,13 +185,7 @@ def train(cfg: TrainCfg) -> Path | None:
     task = task_cfg(cfg)
     if "command_stage" in task.curriculum:
         task.curriculum["command_stage"].params["switch_step"] = _switch_step(cfg, earlier)
-    # mjlab prints tables of terms and warns of its own randomisation.
-    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        env = make_env(task, num_envs, device, cfg.seed + rank, cfg.engine)
-    vec_env: Any = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
-    if cfg.depth_dropout.share:
-        spoil_depth(vec_env, cfg.depth_dropout, CONTROL_DT)
+    vec_env = _make_vec_env(cfg, task, device, cfg.seed + rank)
     # Another task's run stays as it is.
     own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
     run = None if rank else resumed_run(own, cfg.log_root) or new_run(cfg.log_root, cfg.task)
@@ -231,6 +208,21 @@ def train(cfg: TrainCfg) -> Path | None:
     return run
 
 
+def _make_vec_env(cfg: TrainCfg, task: RenetEnvCfg, device: str, seed: int) -> Any:
+    """The task's environments as rsl_rl takes them."""
+    from renet.tasks import make_env
+    from renet.tasks.robot_cfg import ACTION_CLIP
+
+    # mjlab prints tables of terms and warns of its own randomisation.
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        env = make_env(task, cast(int, cfg.num_envs), device, seed, cfg.engine)
+    vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
+    if cfg.depth_dropout.share:
+        spoil_depth(vec_env, cfg.depth_dropout, CONTROL_DT)
+    return vec_env
+
+
 def settings(cfg: TrainCfg) -> dict[str, Any]:
     """The configuration as the runner takes it and a checkpoint keeps it: plain JSON."""
     kept = {name: value for name, value in asdict(cfg).items() if name not in NOT_KEPT}
@@ -248,7 +240,7 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
     from renet.terrain.tiles import dense_tiles
 
     task = env_cfg(cfg.task)
-    weights, shares = (dict(preset(cfg.preset)[n]) | dict(getattr(cfg, n)) for n in MERGED)
+    weights, shares = (preset(cfg.preset)[name] | dict(getattr(cfg, name)) for name in MERGED)
     for name, weight in weights.items():
         if name not in task.rewards:
             known = ", ".join(task.rewards)
@@ -288,13 +280,11 @@ def say_differences(before: dict[str, Any], now: dict[str, Any]) -> None:
         before: state of the checkpoint that is resumed; what it does not tell is passed over.
         now: provenance of the run that goes on.
     """
-    for part in ("config", "task_cfg", "code"):
-        if part not in before:
-            continue
-        old, new = _flat({part: before[part]}), _flat({part: now[part]})
-        for name in sorted(set(old) | set(new)):
-            if old.get(name) != new.get(name) and name.removeprefix("config.") not in PER_SESSION:
-                print(f"{name} was {old.get(name, 'absent')}, now {new.get(name, 'absent')}")
+    parts = before.keys() & now.keys()
+    old, new = (_flat({part: state[part] for part in parts}) for state in (before, now))
+    for name in sorted(set(old) | set(new)):
+        if old.get(name) != new.get(name) and name.removeprefix("config.") not in PER_SESSION:
+            print(f"{name} was {old.get(name, 'absent')}, now {new.get(name, 'absent')}")
 
 
 def _flat(settings: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -393,5 +383,4 @@ def show(cfg: RecipeCfg) -> None:
         recipe = {"config": settings(run), "task_cfg": described(task_cfg(run))}
         print(json.dumps(recipe | {"code": code_version()}, indent=1))
         return
-    found = checkpoints.find(cfg.checkpoint)
-    print(json.dumps(checkpoints.load_state(found) | {"numpy_rng": "not shown"}, indent=1))
+    print(json.dumps(checkpoints.load_state(checkpoints.find(cfg.checkpoint)), indent=1))
