@@ -88,7 +88,10 @@ class Source:
         inputs = [ctypes.addressof(argument)]
         kernel = self._kernel(function, type(argument).__name__)
         launch = wp.launch(kernel, dim=1, inputs=inputs, device="cpu", record_cmd=True).launch
-        launch() if alone else on_all_threads(launch)
+        if alone:
+            launch()
+        else:
+            on_all_threads(launch)
 
     @cache  # noqa: B019
     def _kernel(self, function: str, argument: str) -> wp.Kernel:

@@ -74,7 +74,7 @@ def stages_of(model: mujoco.MjModel, steps: int, derive: bool) -> list[Stage]:
         step = (*POSITION, *CONTACTS, *UNSENSED, INTEGRATORS[model.opt.integrator])
         # Sensors wait for the last step.
         last_step = (*POSITION, *CONTACTS, *SENSED, "mj_step2")
-    functions = (*step * (steps - 1), *last_step, *(DERIVE if derive else ()))
+    functions = step * (steps - 1) + last_step + (DERIVE if derive else ())
     return [Stage(name, *shown.get(name, moving)) for name in functions]
 
 
