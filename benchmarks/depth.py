@@ -82,7 +82,7 @@ def main(cfg: Cfg) -> None:
         {
             "num_envs": cfg.num_envs,
             "device": cfg.device,
-            "triangles": scanner.triangles,
+            "triangles": len(scanner.triangles),
             "rays_per_s_per_core": count / drawn_s,
             "rays_cast_per_s_per_core": count / cast_s,
             "threads": THREADS,

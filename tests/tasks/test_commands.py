@@ -81,8 +81,10 @@ def test_goals_change_after_their_time_and_turn_no_further_than_they_may(walkers
 def test_others_keep_their_goals_when_some_begin_anew(walkers):
     goal = walkers.command_manager.get_term("goal")
     walkers.reset(seed=5)
+    walkers.step(STILL)
     speed, left = goal.speed.clone(), goal.time_left.clone()
     walkers.reset(env_ids=torch.tensor([1, 2]))
+    assert (goal.commanded_distance == 0.0).nonzero().flatten().tolist() == [1, 2]
     assert torch.equal(goal.speed[3:], speed[3:])
     assert torch.equal(goal.time_left[3:], left[3:])
     assert (goal.speed[1:3] != speed[1:3]).all()

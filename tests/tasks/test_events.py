@@ -39,15 +39,6 @@ def test_each_robot_is_pushed_sideways_at_its_own_time(pushed):
     assert len(set(hit.int().argmax(0).tolist())) > 3
 
 
-def test_an_episode_begins_without_a_push(pushed):
-    pushed.reset(seed=2)
-    push(pushed, 4)
-    pushed.event_manager.reset(torch.arange(32))
-    hit = (push(pushed, 4)[..., :2].abs() > 1e-4).any(-1).any(0)
-    assert not hit[:32].any()
-    assert hit[32:].any()
-
-
 def test_a_step_never_pays_less_than_nothing_and_how_often_it_would_is_logged():
     cfg = env_cfg("Renet-Go1-Flat")
     cfg.events.pop("push")

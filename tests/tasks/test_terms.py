@@ -40,17 +40,6 @@ def test_collision_counts_bodies_not_geoms(flat):
     assert evaluate(flat, "collision").tolist() == [3.0, 0.0, 0.0, 0.0]
 
 
-def test_commanded_distance_is_the_integral_of_the_command(flat):
-    flat.reset()
-    goal = flat.command_manager.get_term("goal")
-    goal.speed[:] = torch.tensor([0.0, 0.25, 0.5, 1.0])
-    for _ in range(5):
-        flat.step(torch.zeros(4, 12))
-    torch.testing.assert_close(goal.commanded_distance, 0.1 * goal.speed)
-    flat.reset(env_ids=torch.tensor([2]))
-    assert goal.commanded_distance.tolist() == pytest.approx([0.0, 0.025, 0.0, 0.1])
-
-
 def test_penalties_by_hand(flat):
     flat.reset()
     data, robot = flat.sim.data, flat.scene["robot"]

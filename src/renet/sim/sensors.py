@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import mujoco
 import torch
 from mjlab.sensor.sensor import SensorCfg
 from torch import Tensor
 
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, LEGS
-from renet.sim.depth.ray_sensor import RaySensor, object_id
+from renet.sim.depth.ray_sensor import RaySensor
 
 
 @dataclass
@@ -52,15 +51,15 @@ class HeightMap(RaySensor[Tensor]):
     """`data` is [N, len(x) * len(y)]: base over terrain less `base_height`, m; y varies fastest."""
 
     def initialize(self, mj_model, model, data, device) -> None:
-        """Find the body and the terrain; raises RenetError for an unknown body."""
-        self._body = object_id(mj_model, mujoco.mjtObj.mjOBJ_BODY, self.cfg.body)
+        """Find the body and the terrain; raises KeyError for an unknown body."""
+        self._body = mj_model.body(self.cfg.body).id
         super().initialize(mj_model, model, data, device)
         x, y = (torch.tensor(axis, device=device) for axis in (self.cfg.x, self.cfg.y))
-        grid = torch.cartesian_prod(x, y)
-        self._look = self._scanner.watch(data.xpos[:], data.xmat[:], [self._body], grid)
+        self._grid = torch.cartesian_prod(x, y)
 
     def _compute_data(self) -> Tensor:
-        over = self._look().squeeze(1) - self.cfg.base_height
+        pose = self._data.xpos[:, self._body], self._data.xmat[:, self._body]
+        over = self._scanner.clearance(*pose, self._grid) - self.cfg.base_height
         return over.clamp_(-self.cfg.limit, self.cfg.limit)
 
 
@@ -68,12 +67,14 @@ class FeetHeight(RaySensor[Tensor]):
     """`data` is [N, feet]: mean height of each foot above the terrain under it, m."""
 
     def initialize(self, mj_model, model, data, device) -> None:
-        """Find the sites and the terrain; raises RenetError for an unknown site."""
-        sites = [object_id(mj_model, mujoco.mjtObj.mjOBJ_SITE, name) for name in self.cfg.sites]
+        """Find the sites and the terrain; raises KeyError for an unknown site."""
+        sites = [mj_model.site(name).id for name in self.cfg.sites]
+        self._sites = torch.tensor(sites, device=device)
         super().initialize(mj_model, model, data, device)
         step = torch.linspace(-self.cfg.patch / 2, self.cfg.patch / 2, 3, device=device)
-        patch = torch.cartesian_prod(step, step)
-        self._look = self._scanner.watch(data.site_xpos[:], None, sites, patch)
+        self._patch = torch.cartesian_prod(step, step)
 
     def _compute_data(self) -> Tensor:
-        return (self._look().mean(-1) - self.cfg.radius).clamp_(*self.cfg.limits)
+        feet = self._data.site_xpos[:, self._sites]
+        over = self._scanner.clearance(feet.flatten(0, 1), None, self._patch)
+        return (over.mean(-1) - self.cfg.radius).clamp_(*self.cfg.limits).view(feet.shape[:2])

@@ -11,7 +11,7 @@ from renet.camera import Intrinsics
 from renet.sim.depth.camera import mount_rotation
 from renet.sim.depth.rasterizer import Rasterizer
 from renet.sim.depth.raycast import TerrainScanner
-from renet.sim.depth.terrain_mesh import terrain_mesh
+from renet.sim.depth.terrain_mesh import terrain_shapes
 
 RANGE = 2.0
 RAYS = torch.from_numpy(Intrinsics().rays(np.float32))
@@ -84,10 +84,10 @@ def test_a_height_field_has_walls_and_a_base(heading):
 
 def test_a_flat_height_field_has_no_empty_triangles():
     flat = f'<hfield name="f" nrow="3" ncol="3" size="1 1 1 1" elevation="{"0 " * 9}"/>'
-    vertices, faces = terrain_mesh(scene('<geom type="hfield" hfield="f"/>', flat))
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    _, triangles = terrain_shapes(scene('<geom type="hfield" hfield="f"/>', flat))
+    a, b, c = np.moveaxis(triangles, 1, 0)
     assert (np.linalg.norm(np.cross(b - a, c - a), axis=-1) > 0).all()
-    assert len(faces) == 2 * 4 + 10  # The surface, and a box without its top.
+    assert len(triangles) == 2 * 4 + 10  # The surface, and a box without its top.
 
 
 def test_a_plane_goes_on_beyond_its_drawn_size():

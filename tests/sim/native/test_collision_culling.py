@@ -54,7 +54,7 @@ def test_only_tables_within_reach_can_be_touched():
     qpos[0] = 4.0
     here = look(model, qpos)
     # Radius 0.3 + 0.2 + 0.1 around the root, and the travel; tables are up to 1 m long.
-    assert here.culling.reach == pytest.approx([0.6 + collision_culling.TRAVEL])
+    assert here.culling.fields["reach"] == pytest.approx([0.6 + collision_culling.TRAVEL])
     assert touchable(here) == [False, True, False, False, False]
     assert here.culling.masks[0][0, model.body("robot").id]
 

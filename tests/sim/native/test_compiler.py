@@ -2,51 +2,36 @@
 
 import ctypes
 import gc
-import threading
 import weakref
 from pathlib import Path
 
 import numpy as np
 import pytest
-import warp as wp
 
 from renet.sim import threads
 from renet.sim.depth import rasterizer
 from renet.sim.native import engine
-from renet.sim.native.compiler import Call, Source
+from renet.sim.native.compiler import Source, Struct
 
 SOURCE = Source(Path(__file__).with_name("count.cpp"))
 
 
-@wp.func_native(SOURCE.snippet("count", "Count"))
-def _count(call: wp.uint64): ...
-
-
-@wp.kernel
-def count(call: wp.uint64):
-    _count(call)
-
-
-def counted(things: int, alone: bool = False) -> tuple[Call, np.ndarray, np.ndarray]:
-    """A call, what it has done, and what each thread has."""
+def counter(things: int, waits_for: int = 0) -> tuple[Struct, np.ndarray, np.ndarray]:
+    """What `count` is called with, what it has done, and what each thread has."""
     done, worked = np.zeros(1000, np.float32), np.zeros(64, np.float32)
     argument = SOURCE.struct("Count")(
-        flag=True,
-        size=0,
-        things=things,
-        done=done,
-        threads=worked,
+        flag=True, size=0, things=things, waits_for=waits_for, done=done, threads=worked
     )
-    return Call(count, argument, alone), done, worked
+    return argument, done, worked
 
 
 @pytest.mark.parametrize("things", [0, 1, 3, 1000])
 @pytest.mark.parametrize("alone", [True, False])
 def test_all_is_done_once_each_time(monkeypatch, things: int, alone: bool):
     monkeypatch.setattr(threads, "THREADS", 5)
-    call, done, worked = counted(things, alone)
+    argument, done, worked = counter(things)
     for time in (1, 2, 3):
-        call()
+        SOURCE.call("count", argument, alone)
         assert (done[:things] == time).all()
         assert not done[things:].any()
         assert worked[0] == time
@@ -55,42 +40,25 @@ def test_all_is_done_once_each_time(monkeypatch, things: int, alone: bool):
 
 def test_several_threads_work(monkeypatch):
     monkeypatch.setattr(threads, "THREADS", 2)
-    call, _, worked = counted(0)
-    launch, meeting = call._launch.launch, threading.Barrier(2, timeout=20)
-
-    def wait_and_launch() -> None:
-        meeting.wait()  # One thread alone never ends.
-        launch()
-
-    monkeypatch.setattr(call._launch, "launch", wait_and_launch)
-    call._alone = False
-    call()
+    argument, _, worked = counter(0, waits_for=2)
+    SOURCE.call("count", argument)
     assert worked[:2].tolist() == [1.0, 1.0]
 
 
-def test_fields_can_be_replaced_between_calls():
-    call, first, _ = counted(9)
-    second = np.zeros(64, np.float32)
-    call.argument.set(done=second, things=4)
-    call()
-    assert not first.any()
-    assert second.nonzero()[0].tolist() == [0, 1, 2, 3]
-
-
 def test_python_and_c_lay_structs_out_alike():
-    call, _, _ = counted(0)
-    call()
-    assert call.argument.size == ctypes.sizeof(SOURCE.struct("Count"))
-    assert call.argument.flag == 0
+    argument, _, _ = counter(0)
+    SOURCE.call("count", argument)
+    assert argument.size == ctypes.sizeof(SOURCE.struct("Count"))
+    assert argument.flag == 0
 
 
 def test_a_struct_keeps_alive_what_it_points_to():
-    call, done, _ = counted(1000)
+    argument, done, _ = counter(1000)
     gone = weakref.ref(done)
     del done
     gc.collect()
     assert gone() is not None
-    call.argument.set(done=np.zeros(1000, np.float32))
+    del argument
     gc.collect()
     assert gone() is None
 

@@ -1,11 +1,11 @@
-"""The native engine against MuJoCo Warp: same start, same actions, same results."""
+"""The native engine behind mjlab's Simulation: poses, resets, randomisation, the stock Go1."""
 
 import mujoco
 import numpy as np
 import pytest
 import torch
 from mjlab.envs import ManagerBasedRlEnv
-from mjlab.sim.sim import MujocoCfg, Simulation, SimulationCfg
+from mjlab.sim.sim import MujocoCfg, SimulationCfg
 from mjlab.tasks.registry import load_env_cfg
 
 from renet.errors import RenetError
@@ -30,43 +30,21 @@ FREE_BODY = """
 """.replace('<geom type="capsule"', '<site name="s"/><geom type="capsule"')
 
 
-def free_body(kind: type[Simulation]) -> Simulation:
+def free_body() -> NativeSimulation:
     cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005))
-    return kind(NUM_ENVS, cfg, mujoco.MjModel.from_xml_string(FREE_BODY), "cpu")
+    return NativeSimulation(NUM_ENVS, cfg, mujoco.MjModel.from_xml_string(FREE_BODY), "cpu")
 
 
-def pair(kind_of_start) -> list[Simulation]:
-    sims = [free_body(kind) for kind in (Simulation, NativeSimulation)]
-    for sim in sims:
-        kind_of_start(sim)
-    return sims
-
-
-def spin(sim: Simulation) -> None:
+def spin(sim: NativeSimulation) -> None:
     sim.data.qvel[:] = torch.linspace(-0.5, 0.5, 7).repeat(NUM_ENVS, 1)
     sim.data.ctrl[:] = torch.tensor([[0.02], [-0.01], [0.0]])
-
-
-def test_free_flight_is_equal_to_1e5_over_100_control_steps():
-    sims = pair(spin)
-    for sim in sims:
-        for _ in range(400):
-            sim.step()
-        sim.forward()
-    # What is derived from the state as differences of large terms loses digits in Warp's single
-    # precision.
-    derived = {"sensordata": 1e-4, "cvel": 1e-4, "qacc": 1e-3}
-    for name in ("qpos", "qvel", "xpos", "xquat", "time", *derived):
-        warp, native = (getattr(sim.data, name)[:].numpy() for sim in sims)
-        error = np.max(np.abs(warp - native) / np.maximum(1.0, np.abs(warp)))
-        assert error < derived.get(name, 1e-5), name
 
 
 DERIVED = ("xpos", "xquat", "xmat", "site_xpos", "cvel", "subtree_com", "sensordata")
 
 
 def test_a_control_step_ends_with_poses_and_velocities_of_the_state_it_leads_to():
-    sim = free_body(NativeSimulation)
+    sim = free_body()
     spin(sim)
     sim.step_n(4)
     derived = {name: getattr(sim.data, name)[:].clone() for name in DERIVED}
@@ -76,7 +54,7 @@ def test_a_control_step_ends_with_poses_and_velocities_of_the_state_it_leads_to(
 
 
 def test_only_what_was_written_is_derived_anew():
-    sim = free_body(NativeSimulation)
+    sim = free_body()
     spin(sim)
     sim.step_n(4)
     sim.data.xpos[:] = 7.0
@@ -94,7 +72,7 @@ def test_only_what_was_written_is_derived_anew():
 
 @pytest.mark.parametrize("lost", ["a physics step", "other fields"])
 def test_what_is_known_is_forgotten(lost):
-    sim = free_body(NativeSimulation)
+    sim = free_body()
     spin(sim)
     sim.step_n(4)
     if lost == "a physics step":
@@ -116,20 +94,8 @@ def test_bodies_moved_by_hand_count_as_written():
     assert sim.data.xpos[:, 1].tolist() == [[0, 0, 0], [1, 2, 3], [0, 0, 0]]
 
 
-def test_randomised_mass_is_honoured_per_environment():
-    sims = pair(lambda sim: sim.expand_model_fields(("body_mass", "body_inertia")))
-    for sim in sims:
-        sim.model.body_mass[:, 1] = torch.tensor([1.0, 2.0, 4.0])
-        sim.data.xfrc_applied[:, 1, 0] = 1.0
-        for _ in range(20):
-            sim.step()
-    warp, native = (sim.data.qvel[:, 0].numpy() for sim in sims)
-    np.testing.assert_allclose(native, warp, rtol=1e-4)
-    assert native[0] > 1.5 * native[1] > 2.0 * native[2]
-
-
 def test_randomised_colours_are_left_to_viewers():
-    plain, coloured = free_body(NativeSimulation), free_body(NativeSimulation)
+    plain, coloured = free_body(), free_body()
     coloured.expand_model_fields(("geom_rgba",))
     for sim in (plain, coloured):
         spin(sim)
@@ -137,18 +103,17 @@ def test_randomised_colours_are_left_to_viewers():
     assert torch.equal(plain.data.qpos[:], coloured.data.qpos[:])
 
 
-def test_partial_reset_touches_only_its_environments():
-    sims = pair(spin)
-    for sim in sims:
-        for _ in range(10):
-            sim.step()
-        sim.reset(torch.tensor([1]))
-        sim.forward()
-    for name in ("qpos", "qvel", "ctrl", "time", "xpos", "sensordata"):
-        warp, native = (getattr(sim.data, name)[:].numpy() for sim in sims)
-        np.testing.assert_allclose(native, warp, atol=1e-4, rtol=1e-5, err_msg=name)
-    assert sims[1].data.time[1] == 0.0
-    assert sims[1].data.time[0] > 0.0
+def test_a_reset_puts_its_environments_where_they_began_and_no_others():
+    new, sim = free_body(), free_body()
+    spin(sim)
+    sim.step_n(10)
+    names = ("qpos", "qvel", "ctrl", "time", "sensordata")
+    before = {name: getattr(sim.data, name)[:].clone() for name in names}
+    sim.reset(torch.tensor([1]))
+    for name in names:
+        now = getattr(sim.data, name)[:]
+        assert torch.equal(now[1], getattr(new.data, name)[1]), name
+        assert torch.equal(now[[0, 2]], before[name][[0, 2]]), name
 
 
 def make(engine: str) -> ManagerBasedRlEnv:

@@ -66,7 +66,8 @@ def test_steps_are_mujocos_own(order, integrator):
     mujoco.mj_step(reference, data, STEPS)
     assert data.ncon > 2
     assert data.sensordata[-4] > 0.0  # The foot touches something.
-    for name in ("qpos", "qvel", "qacc", "qfrc_constraint", "sensordata", "xpos", "geom_xpos"):
+    poses = ("xpos", "xquat", "cvel", "geom_xpos", "site_xpos")
+    for name in ("time", "qpos", "qvel", "qacc", "qfrc_constraint", "sensordata", *poses):
         mine, own = getattr(simulation.data, name)[:].numpy(), getattr(data, name)
         np.testing.assert_array_equal(mine, np.float32(np.stack([own] * NUM_ENVS)), err_msg=name)
 

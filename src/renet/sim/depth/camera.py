@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import mujoco
 import torch
 from mjlab.sensor.sensor import SensorCfg
+from mjlab.utils.buffers import CircularBuffer
 from torch import Tensor
 
 from renet.camera import Intrinsics
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK
 from renet.sim.depth.rasterizer import scanner
-from renet.sim.depth.ray_sensor import RaySensor, object_id
+from renet.sim.depth.ray_sensor import RaySensor
 
 
 @dataclass
@@ -89,16 +89,6 @@ def add_noise(depth: Tensor, cfg: DepthNoiseCfg) -> Tensor:
 
 
 @dataclass
-class DepthImage:
-    """What the camera delivers."""
-
-    depth: Tensor
-    """[N, H, W] metres to the image plane, top row first, capped at the range."""
-    valid: Tensor
-    """[N, H, W] bool, false where no surface was hit within range."""
-
-
-@dataclass
 class CameraPerturbation:
     """How cameras see a scene that is not so: for faults that act on rays, not on images."""
 
@@ -110,8 +100,10 @@ class CameraPerturbation:
     """Geoms that rays pass through, and the environments [n] whose rays do."""
 
 
-class DepthCamera(RaySensor[DepthImage]):
-    """Renders when an image is due and somebody looks, and holds it until the next is due.
+class DepthCamera(RaySensor[Tensor]):
+    """`data` is [N, H, W]: metres to the image plane, top row first, capped at the range.
+
+    Renders when an image is due and somebody looks, and holds it until the next is due.
 
     All environments share one clock. Resetting all of them between two steps restarts it; a reset
     inside a step, of some or by chance of all, does not, for consumers count their ticks on. The
@@ -124,8 +116,8 @@ class DepthCamera(RaySensor[DepthImage]):
         """What is wrong with the view, from the next image on."""
 
     def initialize(self, mj_model, model, data, device) -> None:
-        """Draw the mounts; raises RenetError for an unknown body or a scene without terrain."""
-        self._body = object_id(mj_model, mujoco.mjtObj.mjOBJ_BODY, self.cfg.body)
+        """Draw the mounts; raises KeyError for an unknown body, RenetError without terrain."""
+        self._body = mj_model.body(self.cfg.body).id
         super().initialize(mj_model, model, data, device)
         self._model = mj_model
         self._nominal = torch.tensor(self.cfg.mount.position, device=device)
@@ -134,11 +126,9 @@ class DepthCamera(RaySensor[DepthImage]):
         self._rotation = torch.empty(count, 3, 3, device=device)
         self._delay = torch.zeros(count, dtype=torch.long, device=device)
         """Control steps by which images are late."""
-        self._age = torch.zeros_like(self._delay)
-        """Control steps since the episode began."""
         self._most = round(self.cfg.delay[1] / CONTROL_DT)
-        self._poses: list[tuple[Tensor, Tensor]] = []
-        """The body's positions and rotations at the last control steps, newest first."""
+        self._poses = CircularBuffer(self._most + 1, count, device)
+        """`_pose` at the last control steps of the episode; empty where images are never late."""
         self._elapsed, self._since_pose, self._due = 0.0, 0.0, True
         self._remount(torch.arange(count, device=device))
 
@@ -160,7 +150,7 @@ class DepthCamera(RaySensor[DepthImage]):
         ids = torch.arange(len(self._delay), device=self._device)
         ids = ids if env_ids is None else ids[env_ids]
         self._remount(ids)
-        self._age[ids] = 0
+        self._poses.reset(ids)
         if between_steps and len(ids) == len(self._delay):
             self._elapsed, self._since_pose, self._due = 0.0, 0.0, True
 
@@ -177,46 +167,39 @@ class DepthCamera(RaySensor[DepthImage]):
     def _remember_pose(self, dt: float) -> None:
         """Keep the body's pose once in a control step."""
         self._since_pose += dt
-        if self._since_pose < CONTROL_DT - 1e-6:
-            return
-        self._since_pose -= CONTROL_DT
-        self._age += 1
-        position, rotation = self._pose()
-        self._poses = [(position.clone(), rotation.clone()), *self._poses[: self._most]]
+        if self._since_pose >= CONTROL_DT - 1e-6:
+            self._since_pose -= CONTROL_DT
+            self._poses.append(self._pose())
 
-    def _pose(self) -> tuple[Tensor, Tensor]:
-        """The body's position [N, 3] and rotation [N, 3, 3] of now."""
-        return self._data.xpos[:, self._body], self._data.xmat[:, self._body]
+    def _pose(self) -> Tensor:
+        """The body's position and rotation of now, [N, 3 + 9]."""
+        position, rotation = self._data.xpos[:, self._body], self._data.xmat[:, self._body]
+        return torch.cat((position, rotation.flatten(1)), dim=-1)
 
-    def _delayed_pose(self) -> tuple[Tensor, Tensor]:
+    def _delayed_pose(self) -> Tensor:
         """The same of when the images that are due were taken."""
-        if not self._most:
+        if not self._poses.is_initialized:
             return self._pose()
-        steps = torch.minimum(self._delay, (self._age - 1).clamp(min=0))
-        robots = torch.arange(len(steps), device=self._device)
-        poses = (self._pose(), *self._poses[1:])
-        position, rotation = (
-            torch.stack(field)[steps, robots] for field in zip(*poses, strict=True)
-        )
-        return position, rotation
+        steps = torch.minimum(self._delay, self._poses.current_length - 1)
+        return torch.where(steps.unsqueeze(-1) > 0, self._poses[steps], self._pose())
 
-    def _compute_data(self) -> DepthImage:
+    def _compute_data(self) -> Tensor:
         if self._due:
             self._due = False
             self._image = self._render()
-            self._normalised = (self._image.depth / self.cfg.range).half()
+            self._normalised = (self._image / self.cfg.range).half()
         return self._image
 
-    def _render(self) -> DepthImage:
+    def _render(self) -> Tensor:
         """Cast all rays from the poses of when the images were taken."""
-        position, base = self._delayed_pose()
+        position, base = self._delayed_pose().split((3, 9), dim=-1)
+        base = base.unflatten(-1, (3, 3))
         eye = position + (base @ self._position.unsqueeze(-1)).squeeze(-1)
         raw = self._cast(eye, base @ self._rotation)
         raw = raw.unflatten(-1, (self.cfg.intrinsics.height, self.cfg.intrinsics.width))
         # A ray from a pose that is not finite hits nothing sensible; NaN fails this comparison.
-        valid = raw >= 0.0
-        depth = torch.where(valid, raw, self.cfg.range)
-        return DepthImage(add_noise(depth, self.cfg.noise).clamp_(0.0, self.cfg.range), valid)
+        depth = torch.where(raw >= 0.0, raw, self.cfg.range)
+        return add_noise(depth, self.cfg.noise).clamp_(0.0, self.cfg.range)
 
     def _cast(self, eye: Tensor, rotation: Tensor) -> Tensor:
         """Depth [N, H * W] from `eye` [N, 3] and axes [N, 3, 3] as they truly are; -1: nothing."""

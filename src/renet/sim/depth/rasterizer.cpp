@@ -48,13 +48,9 @@ struct Draw {
 struct Scan {
     Work work;
     Terrain terrain;
-    int frames;              // Environments times parts.
-    const float* positions;  // [N, B, 3] m, world.
-    int64 position_stride;   // Floats from one environment to the next.
-    const float* rotations;  // [N, B, 3, 3] whose yaw turns the pattern; NULL: it is not turned.
-    int64 rotation_stride;
-    const int64* part;       // [parts] which of the B.
-    int parts;
+    int frames;
+    const float* positions;  // [frames, 3] m, world.
+    const float* rotations;  // [frames, 3, 3] whose yaw turns the pattern; NULL: it is not turned.
     const float* pattern;    // [points, 2] m around each frame.
     int points;
     float top;               // m, above all terrain.
@@ -373,11 +369,10 @@ static float highest_at(const Scan& call, float x, float y) {
 // Heights of frames over the highest surface at each point of a pattern around them.
 static void scan(Scan& call) {
     for (int frame; (frame = take(call.work, 1)) < call.frames;) {
-        const int64 row = frame / call.parts, column = call.part[frame % call.parts];
-        const float* origin = call.positions + call.position_stride * row + 3 * column;
+        const float* origin = call.positions + 3 * frame;
         float cosine = 1.0f, sine = 0.0f;
         if (call.rotations) {
-            const float* rotation = call.rotations + call.rotation_stride * row + 9 * column;
+            const float* rotation = call.rotations + 9 * frame;
             const float a = rotation[0], b = rotation[3], size = __builtin_sqrtf(a * a + b * b);
             cosine = a / (size > 1e-12f ? size : 1e-12f);
             sine = b / (size > 1e-12f ? size : 1e-12f);

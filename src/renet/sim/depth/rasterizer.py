@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from threading import local
 
 import mujoco
 import numpy as np
@@ -15,8 +13,7 @@ from torch import Tensor
 
 from renet.camera import Intrinsics
 from renet.sim.depth.raycast import TerrainScanner
-from renet.sim.depth.terrain_mesh import terrain_shapes
-from renet.sim.native.compiler import Call, Source
+from renet.sim.native.compiler import Source
 
 SOURCE = Source(Path(__file__).with_name("rasterizer.cpp"))
 BIN = 0.25
@@ -27,28 +24,6 @@ MAX_BINS = 1 << 20
 """About; larger terrains get larger bins."""
 FEW = 4096
 """Points that one thread looks at before another would have been of help."""
-
-wp.set_module_options({"enable_backward": False})
-
-
-@wp.func_native(SOURCE.snippet("draw", "Draw"))
-def _draw(call: wp.uint64): ...
-
-
-@wp.kernel
-def draw(call: wp.uint64):
-    """Draw depth images; `call` is the address of a struct Draw of rasterizer.cpp."""
-    _draw(call)
-
-
-@wp.func_native(SOURCE.snippet("scan", "Scan"))
-def _scan(call: wp.uint64): ...
-
-
-@wp.kernel
-def scan(call: wp.uint64):
-    """Measure heights over terrain; `call` is the address of a struct Scan of rasterizer.cpp."""
-    _scan(call)
 
 
 class Rasterizer(TerrainScanner):
@@ -61,9 +36,7 @@ class Rasterizer(TerrainScanner):
     def __init__(self, model: mujoco.MjModel, without: frozenset[int] = frozenset()) -> None:
         """Sort the shapes of a model's terrain, save for the geoms `without`, into bins."""
         super().__init__(model, "cpu", without)
-        wp.load_module(__name__, device="cpu")  # Else every thread compiles it.
-        self._calls = local()
-        boxes, triangles = terrain_shapes(model, without)
+        boxes, triangles = self._shapes
         reach = np.abs(boxes[:, 3:12].reshape(-1, 3, 3)) @ boxes[:, 12:, None]
         middle = boxes[:, :3]
         low = np.concatenate((middle - reach[..., 0], triangles.min(1)))
@@ -77,59 +50,39 @@ class Rasterizer(TerrainScanner):
 
     def depth(self, position: Tensor, rotation: Tensor, lens: Intrinsics, limit: float) -> Tensor:
         """See TerrainScanner.depth."""
-        images = np.empty((len(position), lens.height * lens.width), np.float32)
+        depth = torch.empty(len(position), lens.height * lens.width)
         left, up = lens.axes(np.float32)
-        fields = {
-            "cameras": len(position),
-            "eyes": position.contiguous().float().numpy(),
-            "rotations": rotation.contiguous().float().numpy(),
-            "width": lens.width,
-            "height": lens.height,
-            "left": left,
-            "up": up,
-            "limit": limit,
-            "images": images,
-        }
-        calls = vars(self._calls)  # Of this thread only.
-        if "draw" not in calls:
-            argument = SOURCE.struct("Draw")(terrain=self._terrain, **fields)
-            calls["draw"] = Call(draw, argument)
-        calls["draw"].argument.set(**fields)
-        calls["draw"]()
-        return torch.from_numpy(images)
+        argument = SOURCE.struct("Draw")(
+            terrain=self._terrain,
+            cameras=len(position),
+            eyes=position.float().contiguous().numpy(),
+            rotations=rotation.float().contiguous().numpy(),
+            width=lens.width,
+            height=lens.height,
+            left=left,
+            up=up,
+            limit=limit,
+            images=depth.numpy(),
+        )
+        SOURCE.call("draw", argument)
+        return depth
 
-    def watch(
-        self,
-        position: Tensor,
-        rotation: Tensor | None,
-        parts: Sequence[int],
-        pattern: Tensor,
-    ) -> Callable[[], Tensor]:
-        """See TerrainScanner.watch."""
-        count, points = len(position) * len(parts), len(pattern)
-        clearance = torch.empty(len(position), len(parts), points)
+    def clearance(self, position: Tensor, rotation: Tensor | None, pattern: Tensor) -> Tensor:
+        """See TerrainScanner.clearance."""
+        clearance = torch.empty(len(position), len(pattern))
         argument = SOURCE.struct("Scan")(
             terrain=self._terrain,
-            frames=count,
-            positions=position.numpy(),
-            position_stride=position.stride(0),
-            rotations=None if rotation is None else rotation.numpy(),
-            rotation_stride=0 if rotation is None else rotation.stride(0),
-            part=np.array(parts, np.int64),
-            parts=len(parts),
-            pattern=pattern.contiguous().float().numpy(),
-            points=points,
+            frames=len(position),
+            positions=position.float().contiguous().numpy(),
+            rotations=None if rotation is None else rotation.float().contiguous().numpy(),
+            pattern=pattern.float().contiguous().numpy(),
+            points=len(pattern),
             top=self.top,
             drop=self.drop,
             clearances=clearance.numpy(),
         )
-        call = Call(scan, argument, alone=count * points < FEW)
-
-        def look() -> Tensor:
-            call()
-            return clearance
-
-        return look
+        SOURCE.call("scan", argument, alone=clearance.numel() < FEW)
+        return clearance
 
 
 @lru_cache(maxsize=8)

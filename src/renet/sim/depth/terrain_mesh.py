@@ -1,4 +1,4 @@
-"""One static triangle mesh of everything a robot can stand on or bump into."""
+"""Boxes and triangles of everything static that a robot can stand on or bump into."""
 
 import mujoco
 import numpy as np
@@ -16,45 +16,33 @@ BOX_FACES = np.array(
     ]
 )  # fmt: skip
 
-Part = tuple[np.ndarray, np.ndarray]
-"""Vertices [V, 3] and faces [F, 3]."""
-
-
-def terrain_mesh(model: mujoco.MjModel, without: frozenset[int] = frozenset()) -> Part:
-    """Triangulate the world-fixed geoms of a model that can collide, save those `without`.
-
-    Returns:
-        Vertices [V, 3] float32 in metres, world frame, and faces [F, 3] int32.
-
-    Raises:
-        RenetError: a geom is of a kind that cannot be turned into triangles, or there is none.
-    """
-    parts, count = [], 0
-    for geom, rotation, position in _terrain_geoms(model, without):
-        vertices, faces = _triangulate(model, geom)
-        parts.append((vertices @ rotation.T + position, faces + count))
-        count += len(vertices)
-    vertices = np.concatenate([p[0] for p in parts]).astype(np.float32)
-    return vertices, np.concatenate([p[1] for p in parts]).astype(np.int32)
-
 
 def terrain_shapes(
     model: mujoco.MjModel, without: frozenset[int] = frozenset()
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same terrain with its boxes whole; raises RenetError as `terrain_mesh` does.
+    """The world-fixed geoms of a model that can collide, save those `without`.
 
     Returns:
         Boxes [B, 15]: centre, rotation by rows, half sizes; and corners [T, 3, 3] of the triangles
         of everything else, m, world.
+
+    Raises:
+        RenetError: a geom is of a kind that cannot be turned into triangles, or there is none.
     """
     boxes, triangles = [np.zeros((0, 15))], [np.zeros((0, 3, 3))]
     for geom, rotation, position in _terrain_geoms(model, without):
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
             boxes.append(np.concatenate((position, rotation.ravel(), model.geom_size[geom]))[None])
         else:
-            vertices, faces = _triangulate(model, geom)
-            triangles.append((vertices @ rotation.T + position)[faces])
+            triangles.append(_triangles(model, geom) @ rotation.T + position)
     return np.concatenate(boxes), np.concatenate(triangles)
+
+
+def box_triangles(boxes: np.ndarray) -> np.ndarray:
+    """Corners [12 B, 3, 3] of the triangles of boxes [B, 15], as `terrain_shapes` gives them."""
+    rotation = boxes[:, 3:12].reshape(-1, 3, 3).transpose(0, 2, 1)
+    corners = (BOX_CORNERS * boxes[:, None, 12:]) @ rotation + boxes[:, None, :3]
+    return corners[:, BOX_FACES].reshape(-1, 3, 3)
 
 
 def _terrain_geoms(
@@ -76,14 +64,12 @@ def _terrain_geoms(
     return found
 
 
-def _triangulate(model: mujoco.MjModel, geom: int) -> Part:
-    """One geom in its own frame."""
-    kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
-    if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        return BOX_CORNERS * size, BOX_FACES
+def _triangles(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """Corners [T, 3, 3] of the triangles of one geom in its own frame, m."""
+    kind = mujoco.mjtGeom(model.geom_type[geom])
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
-        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * PLANE_HALF
-        return np.pad(corners, ((0, 0), (0, 1))), np.array([(0, 1, 2), (0, 2, 3)])
+        corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) * PLANE_HALF
+        return corners[[(0, 1, 2), (0, 2, 3)]]
     if kind == mujoco.mjtGeom.mjGEOM_HFIELD:
         return _height_field(model, int(model.geom_dataid[geom]))
     name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom) or f"number {geom}"
@@ -93,7 +79,7 @@ def _triangulate(model: mujoco.MjModel, geom: int) -> Part:
     )
 
 
-def _height_field(model: mujoco.MjModel, field: int) -> Part:
+def _height_field(model: mujoco.MjModel, field: int) -> np.ndarray:
     """A solid as MuJoCo's: each cell split along its diagonal, walls, and a box for a base."""
     rows, columns = model.hfield_nrow[field], model.hfield_ncol[field]
     half_x, half_y, height, depth = model.hfield_size[field]
@@ -119,5 +105,6 @@ def _height_field(model: mujoco.MjModel, field: int) -> Part:
         )
     )
     base = BOX_CORNERS * (half_x, half_y, depth / 2) - (0.0, 0.0, depth / 2)
-    box = BOX_FACES[(base[BOX_FACES, 2] < 0.0).any(-1)] + len(top) + len(foot)
-    return np.concatenate((top, foot, base)), np.concatenate((surface, walls, box))
+    box = BOX_FACES[(base[BOX_FACES, 2] < 0.0).any(-1)]
+    faces = np.concatenate((surface, walls))
+    return np.concatenate((np.concatenate((top, foot))[faces], base[box]))

@@ -28,10 +28,9 @@ class CollisionCulling:
         self.masks = [np.tile(getattr(model, name), (num_envs, 1)) for name in MASKS]
         """[N, nbody] each, which engine.cpp writes."""
         whole = [mask[0].copy() for mask in self.masks]
-        roots, self.reach = _roots(model)
+        roots, reach = _roots(model)
         bodies = _bounded_static_bodies(model) if roots else np.empty(0, int)
         bounds = [_bounds(model, data, body) for body in bodies]
-        self.is_active = len(bodies) > 0
         self.fields = {
             "bodies": len(bodies),
             "roots": len(roots),
@@ -39,7 +38,7 @@ class CollisionCulling:
             "body": bodies.astype(np.int32),
             "bounds": np.array(bounds, np.float32),
             "column": np.array(roots, np.int32),
-            "reach": np.array(self.reach, np.float32),
+            "reach": np.array(reach, np.float32),
             "half_travel": TRAVEL / 2,
             "last": np.full((num_envs, len(roots), 2), np.nan, np.float32),
             **dict(zip(("contype", "conaffinity"), self.masks, strict=True)),
@@ -49,7 +48,7 @@ class CollisionCulling:
 
     def load_masks(self, model: mujoco.MjModel) -> list[FieldCopy]:
         """Copies of the masks into a worker's model; none where nothing is culled."""
-        if not self.is_active:
+        if not self.fields["bodies"]:
             return []
         return [FieldCopy(m, getattr(model, n)) for m, n in zip(self.masks, MASKS, strict=True)]
 

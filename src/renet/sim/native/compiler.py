@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from renet.sim.threads import THREADS, on_all_threads
+from renet.sim.threads import on_all_threads
 
 TYPES = {"int": ctypes.c_int, "int64": ctypes.c_int64, "float": ctypes.c_float}
 TYPES["bool"] = ctypes.c_bool
@@ -24,7 +24,7 @@ class Struct(ctypes.Structure):
     """A struct of a C++ file. What its pointers point to lives as long as it does."""
 
     def __init__(self, **fields: Any) -> None:
-        """Fill in all fields but `work`, which `Call` does.
+        """Fill in all fields but `work`, which `Source.call` does.
 
         Args:
             fields: numbers and structs; for pointers NumPy arrays, ctypes objects, addresses or
@@ -37,12 +37,7 @@ class Struct(ctypes.Structure):
         known = {field[0] for field in self._fields_} - {"work"}
         if known != set(fields):
             raise TypeError(f"{type(self).__name__}: missing or unknown {known ^ set(fields)}")
-        self._held: dict[str, Any] = {}
-        self.set(**fields)
-
-    def set(self, **fields: Any) -> None:
-        """Replace some fields."""
-        self._held |= fields
+        self._held = fields
         for name, value in fields.items():
             if isinstance(value, np.ndarray):
                 value = value.ctypes.data
@@ -60,16 +55,6 @@ class Source:
         text = path.read_text()
         include = re.compile(r'^#include "(.+)"$', re.MULTILINE)
         self.text = include.sub(lambda found: (path.parent / found[1]).read_text(), text)
-
-    def snippet(self, function: str, argument: str) -> str:
-        """Code for `wp.func_native` of one uint64 named `call`.
-
-        Args:
-            function: what to call, `static void function(argument&)`.
-            argument: the struct that lies at the address `call`.
-        """
-        # A function's body cannot hold functions, but a struct in it can.
-        return f"struct File {{\n{self.text}\n}};\nFile::{function}(*(File::{argument}*)call);"
 
     @cache  # noqa: B019  Sources are module constants.
     def struct(self, name: str) -> type[Struct]:
@@ -91,30 +76,35 @@ class Source:
         ]
         return type(name, (Struct,), {"_fields_": fields})
 
-
-class Call:
-    """A kernel around a C++ function whose struct begins with `Work work`; to be called often.
-
-    Warp's own launch looks up and packs each time what takes longer than a small call.
-    """
-
-    def __init__(self, kernel: Any, argument: Struct, alone: bool = False) -> None:
-        """Prepare a call.
+    def call(self, function: str, argument: Struct, alone: bool = False) -> None:
+        """Call a function of the file until all its work is done.
 
         Args:
-            kernel: its one argument is the address of `argument`.
-            argument: what the function reads; may be changed between calls.
+            function: `static void function(Argument&)`, whose struct begins with `Work work`.
+            argument: what it reads.
             alone: leave the work to the calling thread, which releases the GIL in any case.
         """
-        self.argument = argument
-        address = ctypes.addressof(argument)
-        self._launch = wp.launch(kernel, dim=1, inputs=[address], device="cpu", record_cmd=True)
-        self._alone = alone or THREADS == 1
-
-    def __call__(self) -> None:
-        """Do all the work."""
-        self.argument.work.threads = self.argument.work.taken = 0
-        if self._alone:
-            self._launch.launch()
+        argument.work.threads = argument.work.taken = 0
+        inputs = [ctypes.addressof(argument)]
+        kernel = self._kernel(function, type(argument).__name__)
+        launch = wp.launch(kernel, dim=1, inputs=inputs, device="cpu", record_cmd=True).launch
+        if alone:
+            launch()
         else:
-            on_all_threads(self._launch.launch)
+            on_all_threads(launch)
+
+    @cache  # noqa: B019
+    def _kernel(self, function: str, argument: str) -> wp.Kernel:
+        """A kernel of one number, the address of a struct `argument`, that calls a function."""
+
+        # A function's body cannot hold functions, but a struct in it can.
+        @wp.func_native(
+            f"struct File {{\n{self.text}\n}};\nFile::{function}(*(File::{argument}*)address);"
+        )
+        def native(address: wp.uint64): ...
+
+        @wp.kernel(module="unique", enable_backward=False)
+        def kernel(address: wp.uint64):
+            native(address)
+
+        return kernel

@@ -21,11 +21,6 @@ struct Stage {
     int64 geoms;
 };
 
-struct Stages {
-    const Stage* stages;
-    int count;
-};
-
 // One thread's model and data.
 struct Worker {
     void* model;
@@ -34,10 +29,6 @@ struct Worker {
     int64* ngeom;
     int64 bodies;  // What they really are.
     int64 geoms;
-    Stages step;
-    Stages last_step;
-    Stages derive;   // What the last step leaves to be computed from the state it leads to.
-    Stages forward;
     const Copy* loads;
     int num_loads;
     int num_finite;  // Leading loads that must be finite.
@@ -65,8 +56,9 @@ struct Culling {
 struct Advance {
     Work work;
     int environments;
-    int steps;          // 0: only forward.
-    bool derive;        // After the last step.
+    const Stage* stages;
+    int num_stages;
+    bool derives;       // Whether they end with all that follows from the pose.
     bool only_written;  // Leave environments alone whose pose is as it was left.
     Culling culling;
     const Worker* workers;  // One for each thread.
@@ -163,16 +155,6 @@ static void store(const Worker& worker, int env) {
     }
 }
 
-static void run(const Worker& worker, const Stages& stages) {
-    for (int s = 0; s < stages.count; ++s) {
-        *worker.nbody = stages.stages[s].bodies;
-        *worker.ngeom = stages.stages[s].geoms;
-        ((mj_function)stages.stages[s].function)(worker.model, worker.data);
-    }
-    *worker.nbody = worker.bodies;
-    *worker.ngeom = worker.geoms;
-}
-
 // An environment whose state is not finite is left alone: its NaN stays for the task to see.
 static void advance(Advance& call) {
     const Worker& worker = call.workers[join(call.work)];
@@ -180,10 +162,14 @@ static void advance(Advance& call) {
         if (call.only_written && !is_written(call, env)) continue;
         cull(call, env);
         if (!load(worker, env)) continue;
-        for (int i = 1; i < call.steps; ++i) run(worker, worker.step);
-        run(worker, call.steps ? worker.last_step : worker.forward);
-        if (call.steps && call.derive) run(worker, worker.derive);
+        for (int s = 0; s < call.num_stages; ++s) {
+            *worker.nbody = call.stages[s].bodies;
+            *worker.ngeom = call.stages[s].geoms;
+            ((mj_function)call.stages[s].function)(worker.model, worker.data);
+        }
+        *worker.nbody = worker.bodies;
+        *worker.ngeom = worker.geoms;
         store(worker, env);
-        if (call.derive || !call.steps) remember(call, env);
+        if (call.derives) remember(call, env);
     }
 }

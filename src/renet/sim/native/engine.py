@@ -22,16 +22,15 @@ import mjlab.envs.manager_based_rl_env as mjlab_env
 import mujoco
 import numpy as np
 import torch
-import warp as wp
 from mjlab.scene import Scene
 from mjlab.sim.sim import Simulation
 
 from renet.errors import RenetError
 from renet.sim.native import mujoco_memory, stages
 from renet.sim.native.collision_culling import CollisionCulling
-from renet.sim.native.compiler import Call, Source, Struct
+from renet.sim.native.compiler import Source, Struct
 from renet.sim.native.copy_tables import POSE, STATE, FieldCopy, load_model, store_data, whole_data
-from renet.sim.native.stages import DERIVE, StepStages
+from renet.sim.native.stages import DERIVE, stages_of
 from renet.sim.threads import THREADS
 
 ENGINES = ("auto", "native", "warp")
@@ -42,16 +41,6 @@ RESET_TO_ZERO += ("time", "sensordata")
 
 INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_armature"}
 """Model fields that MuJoCo does not look at in a body on its own: its inertia is compiled."""
-
-
-@wp.func_native(SOURCE.snippet("advance", "Advance"))
-def _advance(call: wp.uint64): ...
-
-
-@wp.kernel
-def advance(call: wp.uint64):
-    """Step environments; `call` is the address of a struct Advance of engine.cpp."""
-    _advance(call)
 
 
 def forget_coinciding_frames(model: mujoco.MjModel, randomised: set[str]) -> None:
@@ -114,10 +103,10 @@ class Worker:
 
     def struct(self, wp_data: Any, culling: CollisionCulling) -> Struct:
         """The struct Worker of engine.cpp."""
-        model, staged = self.model, StepStages(self.model)
-        self.time = [FieldCopy(wp_data.time.numpy(), mujoco_memory.time(self.data))]
-        loads = [*self.state, *self.time, *culling.load_masks(model), *self.fields]
-        stores = [*self.stores, *self.time]
+        model = self.model
+        time = [FieldCopy(wp_data.time.numpy(), mujoco_memory.time(self.data))]
+        loads = [*self.state, *time, *culling.load_masks(model), *self.fields]
+        stores = [*self.stores, *time]
         return SOURCE.struct("Worker")(
             model=model._address,
             data=self.data._address,
@@ -125,22 +114,12 @@ class Worker:
             ngeom=mujoco_memory.model_size(model, "ngeom"),
             bodies=model.nbody,
             geoms=model.ngeom,
-            **{
-                name: _stages(getattr(staged, name))
-                for name in ("step", "last_step", "derive", "forward")
-            },
             loads=_copies(loads),
             num_loads=len(loads),
-            num_finite=len(self.state) + len(self.time),
+            num_finite=len(self.state) + len(time),
             stores=_copies(stores),
             num_stores=len(stores),
         )
-
-
-def _stages(listed: list[stages.Stage]) -> Struct:
-    kind, library = SOURCE.struct("Stage"), mujoco_memory.library()
-    table = [kind(function=getattr(library, s[0]), bodies=s[1], geoms=s[2]) for s in listed]
-    return SOURCE.struct("Stages")(stages=(kind * len(table))(*table), count=len(table))
 
 
 def _copies(listed: list[FieldCopy]) -> Any:
@@ -168,11 +147,9 @@ class NativeSimulation(Simulation):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         self._workers: list[Worker] = []
-        self._call: Any = None
-        self._alone: Any = None
+        self._arguments: dict[tuple[int, bool, bool], Struct] = {}
+        """The struct Advance of engine.cpp, by the arguments of `_advance`."""
         super().__init__(*args, **kwargs)
-        if not self.wp_device.is_cpu:
-            raise RenetError(f"the native engine runs on the CPU, not on {self.device}")
         self.culling = CollisionCulling(self.mj_model, self.mj_data, self.num_envs)
         self._zeroed = [getattr(self.wp_data, name).numpy() for name in RESET_TO_ZERO]
         if stages.are_mujocos():
@@ -229,35 +206,43 @@ class NativeSimulation(Simulation):
         if not stages.are_mujocos():
             self._advance_plainly(steps, derive, only_written)
             return
+        key = steps, derive, only_written
+        if key not in self._arguments:
+            self._arguments[key] = self._argument(*key)
         # What was written is little: another thread would begin too late.
-        call = self._alone if only_written else self._call
-        call.argument.set(steps=steps, derive=derive, only_written=only_written)
-        call()
+        SOURCE.call("advance", self._arguments[key], alone=only_written)
 
     def _prepare(self) -> None:
         """Set up the threads, and forget which poses are known."""
         native = stages.are_mujocos()
-        workers = [Worker(self) for _ in range(THREADS if native else 1)]
-        pose = workers[0].pose
-        size = sum(copy.mujoco.size for copy in pose)
+        self._workers = [Worker(self) for _ in range(THREADS if native else 1)]
+        size = sum(copy.mujoco.size for copy in self._workers[0].pose)
         self._known = np.full((self.num_envs, size), np.nan, np.float32)
+        self._arguments = {}
         if native:
-            structs = [worker.struct(self.wp_data, self.culling) for worker in workers]
-            argument = SOURCE.struct("Advance")(
-                environments=self.num_envs,
-                steps=0,
-                derive=False,
-                only_written=False,
-                culling=SOURCE.struct("Culling")(**self.culling.fields),
-                workers=(SOURCE.struct("Worker") * len(structs))(*structs),
-                pose=_copies(pose),
-                num_pose=len(pose),
-                known=self._known,
-                known_stride=self._known.strides[0],
-            )
-            self._structs = structs  # The array above has copies, which keep nothing alive.
-            self._call, self._alone = (Call(advance, argument, alone) for alone in (False, True))
-        self._workers = workers
+            self._structs = [worker.struct(self.wp_data, self.culling) for worker in self._workers]
+
+    def _argument(self, steps: int, derive: bool, only_written: bool) -> Struct:
+        """The struct Advance of engine.cpp."""
+        stage, library = SOURCE.struct("Stage"), mujoco_memory.library()
+        table = [
+            stage(function=getattr(library, name), bodies=bodies, geoms=geoms)
+            for name, bodies, geoms in stages_of(self.mj_model, steps, derive)
+        ]
+        pose = self._workers[0].pose
+        return SOURCE.struct("Advance")(
+            environments=self.num_envs,
+            stages=(stage * len(table))(*table),
+            num_stages=len(table),
+            derives=derive or not steps,
+            only_written=only_written,
+            culling=SOURCE.struct("Culling")(**self.culling.fields),
+            workers=(SOURCE.struct("Worker") * len(self._structs))(*self._structs),
+            pose=_copies(pose),
+            num_pose=len(pose),
+            known=self._known,
+            known_stride=self._known.strides[0],
+        )
 
     def _advance_plainly(self, steps: int, derive: bool, only_written: bool) -> None:
         """The same by MuJoCo's Python functions, one environment after another."""
@@ -290,7 +275,7 @@ def _compute(model: mujoco.MjModel, data: mujoco.MjData, steps: int, derive: boo
 
 
 class MovingFirst(Scene):
-    """mjlab's Scene with the terrain after all that moves, where StepStages can leave it out."""
+    """mjlab's Scene with the terrain after all that moves, where stages can leave it out."""
 
     def _add_terrain(self) -> None:
         """Not yet."""

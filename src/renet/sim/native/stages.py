@@ -50,31 +50,32 @@ class Stage(NamedTuple):
     geoms: int
 
 
-class StepStages:
-    """What one physics step, or part of it, calls for a model."""
+def stages_of(model: mujoco.MjModel, steps: int, derive: bool) -> list[Stage]:
+    """What physics steps of a model call, one after another.
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        """Split a model's step."""
-        whole, moving = (model.nbody, model.ngeom), moving_part(model)
-        # MuJoCo sweeps along principal axes of all geoms' positions but the world's. With one geom
-        # these are the world's axes, along which tiles lie: fewer bounding boxes overlap.
-        of_world = int((model.geom_bodyid == 0).sum())
-        colliding = (model.nbody, min(of_world + 1, model.ngeom))
-
-        def staged(*functions: str) -> list[Stage]:
-            return [
-                Stage(name, *(colliding if name == "mj_collision" else moving))
-                for name in functions
-            ]
-
-        self.forward = [Stage("mj_forward", *whole)]
-        self.derive = staged(*DERIVE)
-        self.step = self.last_step = [Stage("mj_step", *whole)]
-        if moving != whole:
-            integrator = INTEGRATORS[model.opt.integrator]
-            self.step = staged(*POSITION, *CONTACTS, *UNSENSED, integrator)
-            # Sensors wait for the last step.
-            self.last_step = staged(*POSITION, *CONTACTS, *SENSED, "mj_step2")
+    Args:
+        model: is not changed.
+        steps: their number; 0 computes all that follows from the state instead.
+        derive: end with poses and velocities of the state that the last step leads to.
+    """
+    whole, moving = (model.nbody, model.ngeom), moving_part(model)
+    if not steps:
+        return [Stage("mj_forward", *whole)]
+    # MuJoCo sweeps along principal axes of all geoms' positions but the world's. With one geom
+    # these are the world's axes, along which tiles lie: fewer bounding boxes overlap.
+    of_world = int((model.geom_bodyid == 0).sum())
+    shown = {
+        "mj_step": whole,
+        "mj_collision": (model.nbody, min(of_world + 1, model.ngeom)),
+    }
+    if moving == whole:
+        step = last_step = ("mj_step",)
+    else:
+        step = (*POSITION, *CONTACTS, *UNSENSED, INTEGRATORS[model.opt.integrator])
+        # Sensors wait for the last step.
+        last_step = (*POSITION, *CONTACTS, *SENSED, "mj_step2")
+    functions = step * (steps - 1) + last_step + (DERIVE if derive else ())
+    return [Stage(name, *shown.get(name, moving)) for name in functions]
 
 
 def moving_part(model: mujoco.MjModel) -> tuple[int, int]:
@@ -129,9 +130,9 @@ def _problem() -> str:
     try:
         sizes = [mujoco_memory.model_size(model, name) for name in ("nbody", "ngeom")]
         library, time = mujoco_memory.library(), mujoco_memory.time(staged)
-        stages = StepStages(model)
         mujoco.mj_forward(model, staged)  # Poses of what never moves.
-        for stage in (*stages.step, *stages.last_step):
+        whole = model.nbody, model.ngeom
+        for stage in stages_of(model, 2, derive=False):
             for size, shown in zip(sizes, stage[1:], strict=True):
                 size.value = shown
             function = getattr(library, stage.function)
@@ -139,8 +140,8 @@ def _problem() -> str:
             function(model._address, staged._address)
     except (LookupError, AttributeError, OSError) as error:
         return str(error)
-    for size, whole in zip(sizes, (stages.forward[0][1:]), strict=True):
-        size.value = whole
+    for size, value in zip(sizes, whole, strict=True):
+        size.value = value
     mujoco.mj_step(model, own, 2)
     same = all(
         np.array_equal(getattr(own, name), getattr(staged, name))
