@@ -50,4 +50,4 @@ def _robot_and_camera() -> tuple[MujocoRobot, SimCamera]:
     manifest = read_manifest(pretrained(DEFAULT))
     model, ground = build_scene("obstacles", level=10, seed=1)
     robot = MujocoRobot(model, manifest.robot, ground)
-    return robot, SimCamera(robot, manifest.camera, noise=False)
+    return robot, SimCamera(robot, manifest.camera)

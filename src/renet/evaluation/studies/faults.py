@@ -341,7 +341,7 @@ class FaultStudy(WalkingStudy):
         """
         twin, onset = twins[setting.ground, mode], str(setting.onset)
         calm = twin["values"][onset]
-        row = runs.get((setting, mode))
+        row: dict[str, Any] | None = runs.get((setting, mode))
         if row is None:
             row = dict.fromkeys(next(iter(runs.values())))
             row |= {"detected": 0, "detected_by_paper": 0, "vision_active_at_onset": 0}
