@@ -10,7 +10,7 @@ import matplotlib
 import numpy as np
 import pytest
 import yaml
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 import renet
 from tests.test_doc_commands import parse
@@ -32,7 +32,8 @@ def test_the_moving_picture_is_small():
 
 
 def test_counts_in_the_readme_are_those_measured_with_exact_intervals():
-    measured = (ROOT / "docs" / "pretrained.md").read_text()
+    page = (ROOT / "docs" / "pretrained.md").read_text()
+    measured = page.split("### Stairs and a camera that fails")[1]
     rows = {
         "no fault": "no noise",
         "Gaussian noise 70 %": "Gaussian 70 %",
@@ -46,9 +47,13 @@ def test_counts_in_the_readme_are_those_measured_with_exact_intervals():
         counts = re.findall(r"(\d+) of (\d+) \((\d+) to (\d+) %\)", line[0])
         assert [c[:2] for c in counts] == re.findall(r"(\d+) of (\d+)", original[0])
         for k, n, low, high in (map(int, c) for c in counts):
-            exact = (beta.ppf(0.025, k, n - k + 1) if k else 0, beta.ppf(0.975, k + 1, n - k))
-            assert (low, high) == tuple(round(100 * x) for x in exact)
-    assert "0 in 2.00 robot hours; 95 % limit 1.50" in measured
+            exact = binomtest(k, n).proportion_ci(0.95, "exact")
+            assert (low, high) == (round(100 * exact.low), round(100 * exact.high))
+    hours = re.search(r"0 in ([\d.]+) h \(95 % limit ([\d.]+) per hour\)", README)
+    assert hours
+    assert f"0 false switches in {hours[1]} robot hours" in page
+    # Exact Poisson limit of no event: exp(-limit * hours) is 5 %.
+    assert float(hours[2]) == round(-np.log(0.05) / float(hours[1]), 1)
 
 
 def test_the_citation_has_what_readers_of_the_format_need():

@@ -105,10 +105,13 @@ def test_ctrl_c_in_that_program_brakes_and_closes(link, monkeypatch):
             os.kill(os.getpid(), signal.SIGINT)
 
     link.servo = interrupted  # type: ignore[method-assign]
+    # A shell's background jobs ignore it.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with os.fdopen(slave) as stream:
         monkeypatch.setattr(sys, "stdin", stream)
         with pytest.raises(KeyboardInterrupt):
             exec(program("my_sdk"), {})
+    signal.signal(signal.SIGINT, before)
     os.close(master)
     assert link.closed
     assert not link.told[-1].any()

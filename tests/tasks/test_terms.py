@@ -73,6 +73,7 @@ def test_penalties_by_hand(flat):
 
 def test_torque_is_judged_before_the_motor_saturates(flat):
     flat.reset()
+    flat.step(torch.zeros(4, 12))
     data, robot = flat.sim.data, flat.scene["robot"]
     data.qpos[:, 7:] = robot.data.default_joint_pos
     data.qvel[:] = 0.0

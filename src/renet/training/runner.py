@@ -223,7 +223,8 @@ class RenetRunner(OnPolicyRunner):
             "task": self.cfg.get("task", ""),
             **self.provenance(),
         }
-        curriculum = cast(Any, self.env).unwrapped.curriculum_state()
+        # The environment of mjlab's own command has none.
+        curriculum = getattr(cast(Any, self.env).unwrapped, "curriculum_state", dict)()
         environment = curriculum | {"torch_rng": torch.get_rng_state()}
         if self.device.startswith("cuda"):
             environment["cuda_rng"] = torch.cuda.get_rng_state(self.device)
@@ -269,5 +270,6 @@ class RenetRunner(OnPolicyRunner):
         return state
 
     def _restore_curriculum(self, tensors: dict[str, Tensor]) -> None:
-        cast(Any, self.env).unwrapped.load_curriculum_state(tensors)
-        cast(Any, self.env).reset()
+        if tensors:
+            cast(Any, self.env).unwrapped.load_curriculum_state(tensors)
+            cast(Any, self.env).reset()
