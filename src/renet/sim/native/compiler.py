@@ -94,7 +94,7 @@ class Source:
             on_all_threads(launch)
 
     @cache  # noqa: B019
-    def _kernel(self, function: str, argument: str) -> wp.Kernel:
+    def _kernel(self, function: str, argument: str) -> Any:
         """A kernel of one number, the address of a struct `argument`, that calls a function."""
 
         # A function's body cannot hold functions, but a struct in it can.
