@@ -27,6 +27,11 @@ def test_folders_of_the_readme_tree_exist():
     assert not [name for name in names if not (ROOT / "src" / "renet" / name).exists()]
 
 
+def test_commands_to_run_it_and_to_test_it_stand_in_the_readme():
+    assert "-e '.[sim]'\nrenet deploy" in README
+    assert "-e '.[train,dev]' && pytest`" in README
+
+
 def test_the_moving_picture_is_small():
     assert (ROOT / "docs/figures/walk.webp").stat().st_size <= 1_500_000
 
