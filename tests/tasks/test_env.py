@@ -126,16 +126,19 @@ def test_same_seed_same_rollout():
 def test_curriculum_state_round_trips_and_survives_another_size(parkour):
     parkour.reset()  # Who has not walked keeps its level.
     terrain = parkour.scene.terrain
-    passed = parkour.curriculum_manager.get_term_cfg("level").func.passed
-    terrain.terrain_levels[:] = torch.arange(12) % 10
+    term = parkour.curriculum_manager.get_term_cfg("level").func
+    levels, passed = term.levels, term.passed
+    levels[:] = torch.arange(12) % 10
+    terrain.terrain_levels[:] = 0  # All are on an easier tile.
     passed[:] = torch.arange(12) % 10 < 5
     parkour.common_step_counter = 77
     state = {name: value.clone() for name, value in parkour.curriculum_state().items()}
-    terrain.terrain_levels[:] = 0
+    levels[:] = 0
     passed[:] = False
     parkour.common_step_counter = 0
     parkour.load_curriculum_state(state)
-    assert torch.equal(terrain.terrain_levels, torch.arange(12) % 10)
+    assert torch.equal(levels, torch.arange(12) % 10)
+    assert torch.equal(terrain.terrain_levels, levels)
     assert torch.equal(passed, torch.arange(12) % 10 < 5)
     assert parkour.common_step_counter == 77
     parkour.reset()

@@ -87,7 +87,8 @@ def test_a_lost_robot_is_put_back_on_its_tile(everywhere, shift, why):
 def test_every_kind_of_tile_logs_its_level():
     env = make_env("Renet-Go1-Parkour", 12)
     env.reset()
-    env.scene.terrain.terrain_levels[:] = env.scene.terrain.terrain_types + 1
+    term = env.curriculum_manager.get_term_cfg("level").func
+    term.levels[:] = env.scene.terrain.terrain_levels[:] = env.scene.terrain.terrain_types + 1
     env.command_manager.get_term("goal").commanded_distance[:] = 10.0
     env.episode_length_buf[:] = env.max_episode_length
     *_, extras = env.step(torch.zeros(12, 12))

@@ -36,17 +36,25 @@ def test_the_second_level_begins_at_its_switch_point(flat):
     command.stage = 0
 
 
-def test_the_switch_point_is_an_option_of_training(monkeypatch):
+def test_the_switch_points_are_options_of_training(monkeypatch):
     asked = []
 
     def refuse(task, *_):
-        asked.append(task.curriculum["command_stage"].params["switch_step"])
+        terms = task.curriculum
+        asked.append([terms["command_stage"].params["switch_step"], terms["level"].params])
         raise RenetError("that is all")
 
     monkeypatch.setattr("renet.tasks.make_env", refuse)
-    command = ["train", "Renet-Go1-Flat", "--num-envs", "100"]
-    assert main(command) == main([*command, "--standing-after", "30000"]) == 2
-    assert asked == [TrainCfg(task="").standing_after / 100, 300]
+    command = ["train", "Renet-Go1-Parkour", "--num-envs", "100"]
+    later = ["--standing-after", "30000", "--easier-after", "40000"]
+    assert main(command) == main([*command, *later]) == 2
+    assert main([*command, "--easier-after", "None"]) == 2
+    default = TrainCfg(task="")
+    assert asked == [
+        [default.standing_after / 100, {"easier_step": default.easier_after / 100}],
+        [300, {"easier_step": 400}],
+        [default.standing_after / 100, {}],
+    ]
 
 
 def test_a_robot_that_stands_as_asked_is_paid_nearly_all_there_is(asked_to_stand):

@@ -109,6 +109,7 @@ def at_level(env, level: int, steps: int = 500) -> torch.Tensor:
     env.reset()
     terrain = env.scene.terrain
     terrain.terrain_levels[:] = level
+    env.curriculum_manager.get_term_cfg("level").func.levels[:] = level
     terrain.env_origins[:] = terrain.terrain_origins[level, terrain.terrain_types]
     base(env)[:] = terrain.env_origins + torch.tensor([0.0, 0.0, 0.3])
     env.episode_length_buf[:] = steps
@@ -182,6 +183,46 @@ def test_none_comes_back_to_a_flat_first_level(parkour):
             parkour.curriculum_manager.compute(env_ids=torch.arange(6))
             reached |= set(levels[:6].tolist())
     assert reached == set(range(1, 1 + FIRST_LEVELS))
+
+
+@pytest.mark.parametrize("flat_start", [False, True])
+def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypatch, flat_start):
+    term, terrain = parkour.curriculum_manager.get_term_cfg("level"), parkour.scene.terrain
+    monkeypatch.setattr(parkour, "common_step_counter", 1_000)
+    monkeypatch.setitem(term.params, "easier_step", 1_000)
+    for kind in terrain.cfg.terrain_generator.sub_terrains.values():
+        monkeypatch.setattr(kind, "flat_start", flat_start)
+    robots, met = torch.arange(12), []
+    for _ in range(50):
+        at_level(parkour, 4)
+        parkour.curriculum_manager.compute(env_ids=robots)
+        met += terrain.terrain_levels.tolist()
+        starts = terrain.terrain_origins[terrain.terrain_levels, terrain.terrain_types]
+        assert torch.equal(terrain.env_origins, starts)
+        assert (term.func.levels == 4).all()
+    assert set(met) == set(range(int(flat_start), 5))
+    # Three quarters of 600, and those of the rest that are drawn at 4: five deviations around.
+    expected = 0.75 + 0.25 / (5 - flat_start)
+    assert met.count(4) / 600 == pytest.approx(expected, abs=5 * (0.25 / 600) ** 0.5)
+    # On easier tiles: who passes, and who fails, keeps its own level, and is told by it.
+    at_level(parkour, 4)
+    terrain.terrain_levels[:] = 2
+    base(parkour)[:6, 0] += 4.1
+    parkour.command_manager.get_term("goal").commanded_distance[:] = 20.0
+    parkour.curriculum_manager.compute(env_ids=robots)
+    assert (term.func.levels == 4).all()
+    assert parkour.curriculum_manager.reset()["Curriculum/level/rough"] == 4.0
+    # Who has not passed a flat level meets nothing else.
+    for _ in range(10):
+        at_level(parkour, 0)
+        parkour.curriculum_manager.compute(env_ids=robots)
+        assert (terrain.terrain_levels == 0).all()
+    # Not before its time.
+    monkeypatch.setitem(term.params, "easier_step", 1_001)
+    for _ in range(10):
+        at_level(parkour, 4)
+        parkour.curriculum_manager.compute(env_ids=robots)
+        assert (terrain.terrain_levels == 4).all()
 
 
 def test_the_last_level_leads_back_to_any(parkour):

@@ -17,7 +17,7 @@ from renet.training.config import NP3OCfg, SupervisionCfg
 from renet.training.recipe import RENET
 from renet.training.train import (
     TrainCfg,
-    _switch_step,
+    _control_step,
     new_run,
     resolve_device,
     resumed_run,
@@ -69,9 +69,9 @@ def test_an_older_checkpoint_of_a_run_branches_off(tmp_path):
 
 def test_standing_is_asked_for_after_so_many_steps_however_many_robots(tmp_path):
     resumed = Checkpoint({}, {}, {"common_step_counter": torch.tensor(5000)}, {"steps": 1e6})
-    fresh = cfg(tmp_path, num_envs=500, standing_after=4e6)
-    assert _switch_step(fresh, None) == 8000
-    assert _switch_step(fresh, resumed) == 5000 + 6000
+    fresh = cfg(tmp_path, num_envs=500)
+    assert _control_step(4e6, fresh, None) == 8000
+    assert _control_step(4e6, fresh, resumed) == 5000 + 6000
 
 
 def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(

@@ -77,7 +77,8 @@ class RenetEnv(ManagerBasedRlEnv):
         if terrain is not None and terrain.terrain_origins is not None:
             state |= {"levels": terrain.terrain_levels, "kinds": terrain.terrain_types}
         if "level" in self.curriculum_manager.active_terms:
-            state["passed"] = self.curriculum_manager.get_term_cfg("level").func.passed
+            term = self.curriculum_manager.get_term_cfg("level").func
+            state |= {"levels": term.levels, "passed": term.passed}
         return state
 
     def load_curriculum_state(self, state: dict[str, Tensor]) -> None:
@@ -97,6 +98,7 @@ class RenetEnv(ManagerBasedRlEnv):
         terrain.terrain_levels[:] = state["levels"].to(self.device)[robots]
         if "passed" in state and "level" in self.curriculum_manager.active_terms:
             term = self.curriculum_manager.get_term_cfg("level").func
+            term.levels[:] = terrain.terrain_levels
             term.passed[:] = state["passed"].to(self.device)[robots]
         terrain.env_origins[:] = terrain.terrain_origins[
             terrain.terrain_levels, terrain.terrain_types

@@ -65,6 +65,8 @@ RENET: dict[str, Any] = {
     "depth_noise_std": 0.03,
     # Sooner, a third of the steps goes to standing while levels could rise.
     "standing_after": 2e7,
+    # Once the levels have risen, nobody meets a narrow gap, and its crossing is forgotten.
+    "easier_after": 5.5e7,
 }
 
 PAPER: dict[str, Any] = {
@@ -80,6 +82,7 @@ PAPER: dict[str, Any] = {
     "depth_noise_std": 0.1,
     # Iteration 4,000 of 15,000 with 4,096 robots.
     "standing_after": 4e8,
+    "easier_after": None,
 }
 
 PRESETS = {"renet": RENET, "paper": PAPER}

@@ -102,6 +102,9 @@ class TrainCfg(LearningCfg):
     standing_after: float = RENET["standing_after"]
     """Environment steps after which goals ask for standing still, too: the second of the paper's
     two levels of commands."""
+    easier_after: float | None = RENET["easier_after"]
+    """Environment steps after which a quarter of the episodes is on tiles of levels up to a robot's
+    own instead of its own; None: never."""
     resume: str | None = None
     """Run folder or checkpoint to go on from, with its settings; `latest` takes the newest run of
     this task."""
@@ -184,7 +187,11 @@ def train(cfg: TrainCfg) -> Path | None:
         )
     task = task_cfg(cfg)
     if "command_stage" in task.curriculum:
-        task.curriculum["command_stage"].params["switch_step"] = _switch_step(cfg, earlier)
+        switch_step = _control_step(cfg.standing_after, cfg, earlier)
+        task.curriculum["command_stage"].params["switch_step"] = switch_step
+    if "level" in task.curriculum and cfg.easier_after is not None:
+        easier_step = _control_step(cfg.easier_after, cfg, earlier)
+        task.curriculum["level"].params["easier_step"] = easier_step
     vec_env = _make_vec_env(cfg, task, device, cfg.seed + rank)
     # Another task's run stays as it is.
     own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
@@ -263,14 +270,14 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
     return task
 
 
-def _switch_step(cfg: TrainCfg, earlier: Checkpoint | None) -> int:
-    """Control step of the environment at which `standing_after` environment steps are done."""
+def _control_step(env_steps: float, cfg: TrainCfg, earlier: Checkpoint | None) -> int:
+    """The environment's control step at which so many environment steps are done."""
     taken = steps = 0
     if earlier is not None:
         taken = int(earlier.environment.get("common_step_counter", 0))
         steps = earlier.state["steps"]
     robots = (cfg.num_envs or 1) * int(os.getenv("WORLD_SIZE", "1"))
-    return taken + round((cfg.standing_after - steps) / robots)
+    return taken + round((env_steps - steps) / robots)
 
 
 def say_differences(before: dict[str, Any], now: dict[str, Any]) -> None:

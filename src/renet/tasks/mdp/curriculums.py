@@ -17,6 +17,10 @@ invisible (10 cm, seen from 30 cm above through the camera's noise): where all r
 it, VP never learns what a gap looks like."""
 
 
+EASIER_SHARE = 0.25
+"""Share of episodes on easier tiles, once there are any."""
+
+
 class TerrainLevels:
     """Move robots whose episodes end up or down a level (Rudin et al. 2022).
 
@@ -27,7 +31,12 @@ class TerrainLevels:
     cut off, as in a run's first, randomly shortened episodes, owes what it had time for. One that
     has not walked keeps its level, as after loading a checkpoint. After the last level comes any.
 
+    Once `easier_step` (a parameter) control steps have been taken, a share of the episodes is on
+    the tile of a level drawn from those up to the robot's own, which such an episode does not
+    change: who no longer meets narrow gaps forgets how to cross them.
+
     Attributes:
+        levels: each robot's own level, [N]; `terrain.terrain_levels` is that of the tile it is on.
         passed: robots that passed the last level and have not failed since, [N] bool. They count
             as having reached the number of levels: the mean of the levels that they are sent to
             would be 6 of 10 for robots that always succeed.
@@ -35,14 +44,19 @@ class TerrainLevels:
 
     def __init__(self, cfg: CurriculumTermCfg, env: ManagerBasedRlEnv) -> None:
         del cfg
+        assert env.scene.terrain is not None
+        self.levels = env.scene.terrain.terrain_levels.clone()
         self.passed = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
 
-    def __call__(self, env: ManagerBasedRlEnv, env_ids: Tensor) -> dict[str, Tensor]:
-        """Set the levels of robots whose episodes end.
+    def __call__(
+        self, env: ManagerBasedRlEnv, env_ids: Tensor, easier_step: int | None = None
+    ) -> dict[str, Tensor]:
+        """Set the levels and tiles of robots whose episodes end.
 
         Args:
             env: environment on tiles.
             env_ids: these robots.
+            easier_step: see above; None is never.
 
         Returns:
             Mean level of each kind of tile.
@@ -56,9 +70,10 @@ class TerrainLevels:
         fell = env.termination_manager.terminated[env_ids]
         owed = command.commanded_distance[env_ids] + fell * left * command.speed[env_ids]
         distance = distance_from_start(env)[env_ids]
-        up = (steps > 0) & (distance > TILE / 2)
-        down = (steps > 0) & ~up & (distance < 0.5 * owed.clamp_max(TILE / 2))
-        before, types = terrain.terrain_levels[env_ids], terrain.terrain_types[env_ids]
+        before, types = self.levels[env_ids], terrain.terrain_types[env_ids]
+        counts = (steps > 0) & (terrain.terrain_levels[env_ids] == before)
+        up = counts & (distance > TILE / 2)
+        down = counts & ~up & (distance < 0.5 * owed.clamp_max(TILE / 2))
         level = before + up.long() - down.long()
         highest = len(terrain.terrain_origins)
         tiles = terrain.cfg.terrain_generator.sub_terrains
@@ -71,13 +86,23 @@ class TerrainLevels:
         level = torch.where((level < lowest) & ~up, other, level)
         self.passed[env_ids] = (level >= highest) | (self.passed[env_ids] & ~down)
         level = torch.where(level >= highest, torch.randint_like(level, highest), level)
-        terrain.terrain_levels[env_ids] = level
-        terrain.env_origins[env_ids] = terrain.terrain_origins[level, types]
-        reached = torch.where(self.passed, highest, terrain.terrain_levels).float()
+        self.levels[env_ids] = level
+        eased = easier_step is not None and env.common_step_counter >= easier_step
+        tile = _some_easier(level, lowest) if eased else level
+        terrain.terrain_levels[env_ids] = tile
+        terrain.env_origins[env_ids] = terrain.terrain_origins[tile, types]
+        reached = torch.where(self.passed, highest, self.levels).float()
         means = torch.zeros(len(tiles), device=env.device).scatter_reduce(
             0, terrain.terrain_types, reached, "mean", include_self=False
         )
         return dict(zip(tiles, means.unbind(), strict=True))
+
+
+def _some_easier(level: Tensor, lowest: Tensor) -> Tensor:
+    """Levels, a share of them replaced by ones drawn from `lowest` up to themselves, all [N]."""
+    drawn = torch.rand_like(level, dtype=torch.float) < EASIER_SHARE
+    depth = torch.rand_like(level, dtype=torch.float) * (level - lowest + 1)
+    return torch.where(drawn & (level > lowest), lowest + depth.long(), level)
 
 
 def command_stage(env: ManagerBasedRlEnv, env_ids: Tensor, switch_step: int) -> Tensor:
