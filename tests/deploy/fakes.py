@@ -41,6 +41,16 @@ def frame(number: int, time: float, seed: int = 0) -> DepthFrame:
     return DepthFrame(image, number, time)
 
 
+class Broken:
+    """A driver's object none of whose parts can be read."""
+
+    @property
+    def image(self):
+        raise RuntimeError("the driver's object is gone")
+
+    number = time = speed = image
+
+
 def time_of(step: int) -> float:
     return round(step * CONTROL_DT, 6)
 

@@ -1,6 +1,7 @@
 """Scores of a flight's log against what the models say of its images."""
 
 import json
+import shutil
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from renet.deploy import calibration_log
-from renet.deploy.bundle import Bundle, write_bundle
+from renet.deploy.bundle import DEFAULT, Bundle, pretrained
 from renet.deploy.calibration_log import healthy_walks, recorded_scores
 from renet.deploy.main import DeployCfg, deploy
 from renet.deploy.recording import MODES, Recording, read_recording
@@ -22,18 +23,14 @@ from renet.selector import MONITORS
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory) -> Path:
     """A copy of the shipped bundle."""
-    shipped = Bundle.load(None)
-    names = ("actor", "estimator", "vision")
-    models = {name: (shipped.path / f"{name}.onnx").read_bytes() for name in names}
-    return write_bundle(tmp_path_factory.mktemp("own") / "bundle", models, shipped.manifest)
+    return Path(shutil.copytree(pretrained(DEFAULT), tmp_path_factory.mktemp("own") / "bundle"))
 
 
 @pytest.fixture(scope="module")
 def log(bundle, tmp_path_factory) -> Path:
     """Six simulated seconds on the plane, of which four are walked."""
-    return (
-        deploy(DeployCfg(bundle, seconds=6.0, out=tmp_path_factory.mktemp("out"))) / "recording.log"
-    )
+    out = deploy(DeployCfg(bundle, seconds=6.0, out=tmp_path_factory.mktemp("out")))
+    return out / "recording.log"
 
 
 @pytest.fixture(scope="module")
@@ -70,15 +67,12 @@ def test_a_walk_that_ended_in_trouble_does_not_count(flight):
 
 
 def test_a_walk_without_a_camera_does_not_count(flight):
-    ticks = flight.ticks.copy()
-    ticks["frame"] = 0
-    assert list(healthy_walks(replace(flight, ticks=ticks))) == []
-    ticks = flight.ticks.copy()
-    ticks["frame_age"][-100] = 1.5
-    assert list(healthy_walks(replace(flight, ticks=ticks))) == [], "it was unplugged"
-    ticks = flight.ticks.copy()
-    ticks["mode"] = MODES.index(Mode.DAMPING)
-    assert list(healthy_walks(replace(flight, ticks=ticks))) == []
+    everywhere, damped = slice(None), MODES.index(Mode.DAMPING)
+    changes = (("frame", everywhere, 0), ("frame_age", -100, 1.5), ("mode", everywhere, damped))
+    for name, rows, value in changes:
+        ticks = flight.ticks.copy()
+        ticks[name][rows] = value
+        assert list(healthy_walks(replace(flight, ticks=ticks))) == [], name
 
 
 @pytest.mark.usefixtures("short_logs_will_do")

@@ -27,7 +27,7 @@ from renet.models.memory import EstimatorMemory
 from renet.training import checkpoint as checkpoints
 from renet.training.export import ExportCfg, export, load_networks
 
-from .fakes import ARM, GO, STANDING, WALKS_AT, Run, frame, state, time_of, turned
+from .fakes import ARM, GO, STANDING, WALKS_AT, Broken, Run, frame, state, time_of, turned
 
 CHECKPOINT = Path(str(files("renet").joinpath("pretrained", "checkpoint")))
 SECONDS = 20.0
@@ -156,12 +156,6 @@ def test_whoever_stops_it_from_outside_is_quoted_once(bundle):
         run.controller.trip(why, time_of(40))
     assert run.events[-1] == Event(time_of(40), "damping", "the robot takes no commands")
     assert not run.tick().stiffness.any()
-
-
-class Broken:
-    @property
-    def image(self):
-        raise RuntimeError("the driver's frame is gone")
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_logs_are_scored_replayed_and_calibrated_from_without_them(log, tmp_path
     [
         (["calibrate", "x"], "pip install 'renet-locomotion[train]'"),
         (["play", "--log", "x"], "pip install 'renet-locomotion[train]'"),
-        (["deploy"], "--robot mujoco needs mujoco: pip install 'renet-locomotion[sim]'"),
+        (["deploy"], "`renet deploy` needs mujoco: pip install 'renet-locomotion[sim]'"),
     ],
 )
 def test_what_needs_more_says_what_to_install(command, hint):

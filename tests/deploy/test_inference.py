@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from renet.deploy.bundle import Bundle
+from renet.deploy.controller import LATE
 from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.safety import Mode
 from renet.interface import CONTROL_DT
@@ -63,8 +64,9 @@ def test_a_dead_vision_thread_is_replaced_and_costs_one_tick_of_vision(bundle, s
     run.ticks(6)
     sabotage.mood = "well"
     run.ticks(20)
-    assert "inference" in run.whats()
-    assert run.events[-1].what == "op"
+    assert run.whats()[:4] == ["standing_up", "walking", "inference", "op"]
+    assert run.events[3].why == LATE
+    assert run.events[3].time - run.events[2].time <= 0.2
     run.controller._perception._patience = 5.0  # type: ignore[attr-defined]
     assert all(run.ticks(150)[-50:]), "vision comes back"
     assert run.controller.decision.mode is Mode.WALKING

@@ -1,6 +1,7 @@
 """`renet deploy` as a stranger runs it, and everything that must end it braked and logged."""
 
 import json
+import math
 import os
 import signal
 import sys
@@ -16,7 +17,7 @@ from renet import cli
 from renet.deploy import devices
 from renet.deploy.bundle import Bundle, read_manifest, write_manifest
 from renet.deploy.main import DEADMAN, RECORDING, DeployCfg, _interruptible, deploy
-from renet.deploy.recording import MODES, read_recording
+from renet.deploy.recording import MODES, Recording, read_recording
 from renet.deploy.replay import mismatch
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.safety import Mode, SafetyCfg
@@ -27,8 +28,14 @@ from renet.errors import RenetError
 QUICK = SafetyCfg(stand_up_seconds=0.5)
 
 
-def braked_at_the_end(path: Path) -> bool:
-    ticks = read_recording(path / "recording.log").ticks[-25:]
+def run(out: Path, **options) -> Recording:
+    """A run that stands up quickly, read back."""
+    cfg = DeployCfg(out=out, **({"safety": QUICK, "seconds": 1.5} | options))
+    return read_recording(deploy(cfg) / RECORDING)
+
+
+def braked_at_the_end(flight: Recording) -> bool:
+    ticks = flight.ticks[-25:]
     return bool((ticks["mode"] == MODES.index(Mode.DAMPING)).all() and not ticks["stiffness"].any())
 
 
@@ -48,17 +55,14 @@ def test_out_of_the_box_it_walks_on_and_switches_within_a_fifth_of_a_second(tmp_
     (delay,) = score["switch_delay_s"]
     assert 0.0 < delay <= 0.2
     assert ET.parse(tmp_path / TIMELINE)
-    flight = read_recording(tmp_path / "recording.log")
-    assert braked_at_the_end(tmp_path)
+    flight = read_recording(tmp_path / RECORDING)
+    assert braked_at_the_end(flight)
     assert mismatch(flight, Bundle.load()) == 0.0
     assert [event.why for event in flight.events][-1] == "the run ends"
 
 
 def test_the_papers_selector_is_told_to_the_log(tmp_path):
-    cfg = DeployCfg(
-        out=tmp_path, selector="paper", safety=QUICK, seconds=1.5, fault=("gaussian@1",)
-    )
-    flight = read_recording(deploy(cfg) / "recording.log")
+    flight = run(tmp_path, selector="paper", fault=("gaussian@1",))
     beta = Bundle.load().manifest.selector.beta
     assert flight.header["selector"] == "paper"
     assert flight.header["beta"] == beta
@@ -70,8 +74,7 @@ def test_a_dry_run_prints_commands_and_never_moves_the_robot(tmp_path, capsys, m
     written = []
     real = MujocoRobot.write
     monkeypatch.setattr(MujocoRobot, "write", lambda s, c: (written.append(c), real(s, c)))
-    cfg = DeployCfg(out=tmp_path, dry_run=True, seconds=1.5, safety=QUICK)
-    deploy(cfg)
+    run(tmp_path, dry_run=True)
     assert len(written) == 1, "limp, before the flight"
     assert not written[0].stiffness.any()
     out = capsys.readouterr().out
@@ -99,8 +102,7 @@ def test_a_signal_brakes_and_saves_everything(tmp_path, monkeypatch):
             return super().command(now)
 
     monkeypatch.setattr(devices, "ScriptedTeleop", Impatient)
-    deploy(DeployCfg(out=tmp_path, safety=QUICK))
-    assert braked_at_the_end(tmp_path)
+    assert braked_at_the_end(run(tmp_path, seconds=None))
     score = json.loads((tmp_path / SCORE).read_text())
     assert score["complete"]
     assert score["seconds"] == pytest.approx(1.5, abs=0.05)
@@ -108,11 +110,9 @@ def test_a_signal_brakes_and_saves_everything(tmp_path, monkeypatch):
 
 
 def test_a_fall_ends_a_flight_that_nobody_steers(tmp_path):
-    tight = replace(QUICK, max_tilt=0.02)
-    deploy(DeployCfg(out=tmp_path, safety=tight, seconds=60.0))
-    score = json.loads((tmp_path / SCORE).read_text())
-    assert score["seconds"] < 10.0
-    assert score["events"][-1]["why"].startswith("tilted")
+    flight = run(tmp_path, safety=replace(QUICK, max_tilt=0.02), seconds=60.0)
+    assert len(flight.ticks) < 500
+    assert flight.events[-1].why.startswith("tilted")
 
 
 def test_a_flight_never_overwrites_another(tmp_path, monkeypatch, capsys):
@@ -121,9 +121,7 @@ def test_a_flight_never_overwrites_another(tmp_path, monkeypatch, capsys):
     (log,) = Path("results/deploy").glob("*/recording.log")
     assert f"Results: {log.parent}\n" in capsys.readouterr().out
     out = Path("mine")
-    flights = [
-        read_recording(deploy(DeployCfg(out=out, seconds=s)) / RECORDING) for s in (0.1, 0.2, 0.3)
-    ]
+    flights = [run(out, seconds=seconds) for seconds in (0.1, 0.2, 0.3)]
     kept = [
         read_recording(folder / RECORDING) for folder in (out / "earlier-1", out / "earlier-2", out)
     ]
@@ -131,51 +129,42 @@ def test_a_flight_never_overwrites_another(tmp_path, monkeypatch, capsys):
     assert (out / "earlier-2" / TIMELINE).exists()
 
 
-def test_a_real_robots_operator_must_show_signs_of_life():
-    assert DeployCfg(robot="go1").operator_timeout == DEADMAN
-    assert DeployCfg(robot="go1", deadman=2.0).operator_timeout == 2.0
-    assert DeployCfg(teleop="keyboard").operator_timeout == float("inf")
+@pytest.mark.parametrize(
+    ("options", "live", "length", "operator_timeout"),
+    [
+        ({}, False, 15.0, math.inf),
+        ({"teleop": "keyboard"}, True, math.inf, math.inf),
+        ({"teleop": "joystick", "seconds": 3.0}, True, 3.0, math.inf),
+        ({"robot": "go1", "teleop": "joystick"}, True, math.inf, DEADMAN),
+        ({"robot": "go1", "deadman": 2.0}, True, 15.0, 2.0),
+    ],
+)
+def test_who_steers_decides_on_clock_end_and_deadman(options, live, length, operator_timeout):
+    cfg = DeployCfg(**options)
+    assert (cfg.live, cfg.length, cfg.operator_timeout) == (live, length, operator_timeout)
 
 
 def test_the_go1s_address_and_power_level_are_options():
     cfg = DeployCfg(robot="go1", camera="none", robot_host="10.0.0.1", power_level=5, dry_run=True)
-    robot = devices.make_devices(cfg, Bundle.load(), print).robot
+    robot, _ = devices.make_robot(cfg, Bundle.load(), print)
     assert robot._address == ("10.0.0.1", 8007, 8080, 5)  # type: ignore[attr-defined]
 
 
-def test_operators_fly_in_real_time_and_without_an_end():
-    assert DeployCfg().length == 15.0
-    assert not DeployCfg().live
-    assert DeployCfg(teleop="keyboard").length == float("inf")
-    assert DeployCfg(teleop="keyboard").live
-    assert DeployCfg(teleop="joystick", seconds=3.0).length == 3.0
-    assert DeployCfg(robot="go1", teleop="joystick").live
-
-
 def test_real_time_flies_on_the_threads_and_replays(tmp_path):
-    deploy(DeployCfg(out=tmp_path, real_time=True, seconds=1.5, safety=QUICK))
-    flight = read_recording(tmp_path / "recording.log")
-    assert mismatch(flight, Bundle.load()) == 0.0
+    assert mismatch(run(tmp_path, real_time=True), Bundle.load()) == 0.0
 
 
 def test_a_fault_of_the_scene_is_seen_from_its_onset(tmp_path):
-    cfg = DeployCfg(out=tmp_path / "a", seconds=1.5, safety=QUICK)
-    clear = read_recording(deploy(cfg) / "recording.log").images
-    foam = replace(cfg, out=tmp_path / "b", fault=("foam@1s",))
-    seen = read_recording(deploy(foam) / "recording.log").images
+    clear = run(tmp_path / "a").images
+    seen = run(tmp_path / "b", fault=("foam@1s",)).images
     np.testing.assert_array_equal(seen[45], clear[45])
     nearer = clear[50].astype(float) - seen[50]
     assert np.median(nearer[24:]) > 0.03
 
 
 def test_the_replay_camera_shows_a_flights_images(tmp_path):
-    deploy(DeployCfg(out=tmp_path / "a", seconds=1.5, safety=QUICK))
-    source = tmp_path / "a" / "recording.log"
-    again = DeployCfg(
-        out=tmp_path / "b", seconds=1.5, camera="replay", recording=source, safety=QUICK
-    )
-    deploy(again)
-    a, b = read_recording(source), read_recording(tmp_path / "b" / "recording.log")
+    a = run(tmp_path / "a")
+    b = run(tmp_path / "b", camera="replay", recording=tmp_path / "a" / RECORDING)
     # The second camera spoke first in the same control step: same image, same step.
     for row, image in a.images.items():
         np.testing.assert_array_equal(b.images[row], image)
@@ -205,6 +194,7 @@ def test_the_replay_camera_shows_a_flights_images(tmp_path):
         ("--terrain lava", "unknown terrain 'lava': choose one of flat, stairs, rough, "),
         ("--scene nowhere.xml", "cannot read the scene nowhere.xml"),
         ("nowhere", "no bundle at nowhere"),
+        ("--out /dev/null", "cannot write the recording"),
     ],
 )
 def test_mistakes_are_told_before_anything_moves(tmp_path, capsys, monkeypatch, arguments, message):
@@ -221,37 +211,19 @@ def test_another_robots_bundle_is_refused(tmp_path, bundle_path):
         deploy(DeployCfg(bundle=bundle_path, out=tmp_path))
 
 
-@pytest.mark.parametrize(
-    ("missing", "arguments", "hint"),
-    [
-        ("mujoco", "--robot mujoco", "pip install 'renet-locomotion[sim]'"),
-        ("mjviser", "--viewer", "pip install mjviser"),
-    ],
-)
-def test_missing_packages_are_named(tmp_path, capsys, monkeypatch, missing, arguments, hint):
-    for name in [name for name in sys.modules if name.startswith("renet.deploy.robots.")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, missing, None)
-    assert cli.main(["deploy", *arguments.split(), "--out", str(tmp_path)]) == 2
-    assert hint in capsys.readouterr().err
-
-
-def test_a_results_folder_that_cannot_be_made_is_named(tmp_path, capsys):
-    (tmp_path / "file").write_text("")
-    assert cli.main(["deploy", "--out", str(tmp_path / "file")]) == 2
-    assert "cannot write the recording" in capsys.readouterr().err
+def test_a_missing_viewer_is_named(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mjviser", None)
+    assert cli.main(["deploy", "--viewer", "--out", str(tmp_path)]) == 2
+    assert "pip install mjviser" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("teleop", ["keyboard", "joystick"])
 def test_the_deadman_reaches_the_operators_device(monkeypatch, teleop):
     given = []
     for name in ("KeyboardTeleop", "JoystickTeleop"):
-        monkeypatch.setattr(
-            f"renet.deploy.teleop.{name}", lambda deadman: given.append(deadman), raising=True
-        )
+        monkeypatch.setattr(devices, name, lambda deadman: given.append(deadman))
     for deadman in (2.5, None):
-        cfg = DeployCfg(robot="go1", camera="none", teleop=teleop, deadman=deadman)
-        devices.make_devices(cfg, Bundle.load(), print)
+        devices.make_teleop(DeployCfg(robot="go1", teleop=teleop, deadman=deadman))
     assert given == [2.5, DEADMAN]
 
 
@@ -271,8 +243,9 @@ def test_devices_are_closed_robot_first_even_after_half_a_start(tmp_path, monkey
         def close(self) -> None:
             closed.append(self.name)
 
-    parts = devices.Devices(Part("robot"), Part("camera"), Part("teleop"))  # type: ignore[arg-type]
-    monkeypatch.setattr("renet.deploy.main.make_devices", lambda *arguments: parts)
+    made = {"robot": (Part("robot"), lambda: None), "camera": Part("camera")}
+    for name, device in (made | {"teleop": Part("teleop")}).items():
+        monkeypatch.setattr(devices, f"make_{name}", lambda *_, device=device: device)
     with pytest.raises(RenetError, match="does not start"):
         deploy(DeployCfg(out=tmp_path / "out"))
     assert closed == ["robot", "camera", "teleop"]
@@ -292,6 +265,6 @@ def test_nothing_is_printed_by_the_thread_that_drives_the_robot(tmp_path, monkey
     closed = []
     monkeypatch.setattr(MujocoRobot, "close", lambda robot: closed.append(1))
     monkeypatch.setattr("builtins.print", show)
-    deploy(DeployCfg(out=tmp_path, dry_run=True, seconds=1.5, safety=QUICK))
+    run(tmp_path, dry_run=True)
     assert printed
     assert not any(printed)

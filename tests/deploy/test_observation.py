@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -39,21 +39,18 @@ def test_every_block_by_hand():
     np.testing.assert_allclose(o[AT["last_action"]], action, rtol=1e-6)
 
 
-def test_a_quaternion_and_its_negative_are_one_rotation():
-    q = np.array([0.8, 0.1, -0.3, 0.5])
-    np.testing.assert_allclose(projected_gravity(q), projected_gravity(-q))
-    assert heading(q) == pytest.approx(heading(-q))
-
-
 def test_zeros_are_no_rotation_and_no_error():
     assert np.isnan(projected_gravity(np.zeros(4))).all()
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
 def test_against_scipys_rotations(angles):
     yaw, pitch, roll = angles
     # Pitch within a quarter turn, where yaw is unique.
     turn = Rotation.from_euler("ZYX", (yaw, pitch / 2.1, roll))
     q = turn.as_quat(scalar_first=True)
-    np.testing.assert_allclose(projected_gravity(q), turn.inv().apply([0, 0, -1]), atol=1e-9)
-    assert heading(q) == pytest.approx(yaw, abs=1e-6)
+    for same in (q, -q):  # One rotation has two quaternions.
+        down = turn.inv().apply([0, 0, -1])
+        np.testing.assert_allclose(projected_gravity(same), down, atol=1e-9)
+        assert heading(same) == pytest.approx(yaw, abs=1e-6)

@@ -24,21 +24,20 @@ from renet.deploy.recording import (
     read_recording,
 )
 from renet.deploy.replay import mismatch, replay
-from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.safety import Mode
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 
-from .fakes import STANDING, frame, state, time_of
+from .fakes import QUICK, STANDING, Broken, frame, state, time_of
 from .waiting import until
 
 STEPS = 230
-CFG = SafetyCfg(stand_up_seconds=0.1)
 
 
 def run_control_loop(bundle: Bundle, path, inference=None) -> None:
-    header = {"bundle_sha256": bundle.sha256, "safety": asdict(CFG), "selector": "monitors"}
+    header = {"bundle_sha256": bundle.sha256, "safety": asdict(QUICK), "selector": "monitors"}
     log = Recorder(path, header)
-    controller = Controller(bundle, CFG, inference, on_event=log.event)
+    controller = Controller(bundle, QUICK, inference, on_event=log.event)
     random = np.random.default_rng(3)
     for step in range(STEPS):
         now = time_of(step)
@@ -166,7 +165,7 @@ def test_not_a_flight(tmp_path):
 
 def test_a_full_disk_ends_the_log_and_not_the_flight(bundle):
     log = Recorder(Path("/dev/full"), {})
-    controller = Controller(bundle, CFG)
+    controller = Controller(bundle, QUICK)
     until(lambda: log.problem != "")
     for step in range(60):
         controller.tick(state(time_of(step)), None, TeleopCommand(), time_of(step))
@@ -174,14 +173,6 @@ def test_a_full_disk_ends_the_log_and_not_the_flight(bundle):
     assert log._chunks.empty(), "nothing piles up in memory"
     log.close()
     assert "ends early" in log.problem
-
-
-class Broken:
-    @property
-    def number(self):
-        raise RuntimeError("the driver's object is gone")
-
-    time = speed = number
 
 
 def test_objects_that_fail_are_logged_as_bad(tmp_path):

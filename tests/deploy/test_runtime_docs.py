@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,7 +20,7 @@ from renet.deploy.robots.scene import GO1 as GO1_XML
 from renet.deploy.safety import SafetyCfg
 from renet.selector.monitors import MONITORS
 
-from .fakes import STANDING
+from .fakes import state
 from .waiting import until
 
 PAGE = (Path(__file__).parents[2] / "docs" / "runtime.md").read_text()
@@ -39,16 +40,9 @@ class Link:
         self.closed = False
 
     def newest(self) -> SimpleNamespace:
-        zeros = np.zeros(12)
-        upright = np.array([1.0, 0, 0, 0])
-        return SimpleNamespace(
-            time=time.monotonic(),
-            q=STANDING,
-            dq=zeros,
-            torque=zeros,
-            quaternion_wxyz=upright,
-            gyro=np.zeros(3),
-        )
+        names = ("time", "q", "dq", "torque", "quaternion_wxyz", "gyro")
+        reading = vars(state(time.monotonic())).values()
+        return SimpleNamespace(**dict(zip(names, reading, strict=False)))
 
     def servo(self, position, stiffness, damping) -> None:
         self.told.append(stiffness)
@@ -67,14 +61,21 @@ def link(tmp_path, monkeypatch) -> Link:
     return link
 
 
-def test_another_robot_in_a_page(link, tmp_path, monkeypatch):
+@pytest.fixture
+def keyboard(monkeypatch) -> Iterator[int]:
+    """What is written here are keys pressed on the program's terminal."""
     master, slave = pty.openpty()
     with os.fdopen(slave) as stream:
         monkeypatch.setattr(sys, "stdin", stream)
-        keys = threading.Thread(target=press, args=(master, link))
-        keys.start()
-        exec(program("my_sdk"), {})
-        keys.join()
+        yield master
+    os.close(master)
+
+
+def test_another_robot_in_a_page(link, keyboard, tmp_path):
+    keys = threading.Thread(target=press, args=(keyboard, link))
+    keys.start()
+    exec(program("my_sdk"), {})
+    keys.join()
     assert link.closed
     assert any(stiffness.any() for stiffness in link.told), "it stood up"
     assert not link.told[-1].any(), "it ends braking"
@@ -85,34 +86,30 @@ def test_another_robot_in_a_page(link, tmp_path, monkeypatch):
     assert len(body.splitlines()) < 30
 
 
-def press(master: int, link: Link) -> None:
+def press(keyboard: int, link: Link) -> None:
     """Stand up, then quit; keys typed before the program starts are not its own."""
     until(lambda: bool(link.told))
-    os.write(master, b"r")
+    os.write(keyboard, b"r")
     until(lambda: any(stiffness.any() for stiffness in link.told))
-    os.write(master, b"q")
+    os.write(keyboard, b"q")
 
 
-def test_ctrl_c_in_that_program_brakes_and_closes(link, monkeypatch):
-    master, slave = pty.openpty()
+def test_ctrl_c_in_that_program_brakes_and_closes(link, keyboard):
     servo = link.servo
 
     def interrupted(position, stiffness, damping) -> None:
         servo(position, stiffness, damping)
         if len(link.told) == 1:
-            os.write(master, b"r")
+            os.write(keyboard, b"r")
         if stiffness.any():
             os.kill(os.getpid(), signal.SIGINT)
 
     link.servo = interrupted  # type: ignore[method-assign]
     # A shell's background jobs ignore it.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    with os.fdopen(slave) as stream:
-        monkeypatch.setattr(sys, "stdin", stream)
-        with pytest.raises(KeyboardInterrupt):
-            exec(program("my_sdk"), {})
+    with pytest.raises(KeyboardInterrupt):
+        exec(program("my_sdk"), {})
     signal.signal(signal.SIGINT, before)
-    os.close(master)
     assert link.closed
     assert not link.told[-1].any()
 

@@ -27,7 +27,7 @@ from renet.errors import RenetError
 from renet.interface import CONTROL_DT
 from renet.training.export import robot_spec
 
-from .fakes import STANDING, frame, state, time_of, turned
+from .fakes import ARM, STANDING, frame, state, time_of, turned
 
 GO1, CFG = robot_spec(), SafetyCfg()
 IDLE = TeleopCommand()
@@ -138,7 +138,7 @@ def drive(machine: SafetyMachine, steps: int, first: int = 0, teleop: TeleopComm
 def walking() -> SafetyMachine:
     machine = SafetyMachine(SafetyCfg(stand_up_seconds=0.1))
     machine.update("", IDLE, 0.0)
-    machine.update("", TeleopCommand(arm=True), time_of(1))
+    machine.update("", ARM, time_of(1))
     assert machine.mode is Mode.STANDING_UP
     assert machine.reason == "armed"
     drive(machine, 8, first=2)
@@ -147,30 +147,20 @@ def walking() -> SafetyMachine:
     return machine
 
 
-def test_it_stays_damped_until_armed():
+def test_arming_waits_for_health_and_must_be_pressed_anew():
     machine = SafetyMachine(CFG)
     assert (machine.reason, machine.refused) == ("start", "")
     drive(machine, 50)
-    assert machine.mode is Mode.DAMPING
-
-
-def test_arming_waits_for_health_and_must_be_pressed_anew():
-    machine = SafetyMachine(CFG)
-    machine.update("tilted", TeleopCommand(arm=True), 0.0)
-    assert machine.mode is Mode.DAMPING
-    machine.update("", TeleopCommand(arm=True), 0.02)
-    assert machine.mode is Mode.DAMPING, "a button held down is not pressed again"
-    machine.update("", IDLE, 0.04)
-    machine.update("", TeleopCommand(arm=True), 0.06)
-    assert machine.mode is Mode.STANDING_UP
-
-
-def test_why_a_wish_to_rise_is_refused():
-    machine = SafetyMachine(CFG)
-    machine.update("tilted", TeleopCommand(arm=True), 0.0)
-    assert machine.refused == "tilted"
-    machine.update("tilted", TeleopCommand(arm=True), 0.02)
+    assert machine.mode is Mode.DAMPING, "nobody armed it"
+    machine.update("tilted", ARM, time_of(50))
+    assert (machine.mode, machine.refused) == (Mode.DAMPING, "tilted")
+    machine.update("tilted", ARM, time_of(51))
     assert machine.refused == "", "a button held down asks once"
+    machine.update("", ARM, time_of(52))
+    assert machine.mode is Mode.DAMPING, "and is not pressed again"
+    machine.update("", IDLE, time_of(53))
+    machine.update("", ARM, time_of(54))
+    assert machine.mode is Mode.STANDING_UP
     assert walking().refused == ""
 
 

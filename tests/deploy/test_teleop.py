@@ -20,33 +20,33 @@ def terminal():
         yield master, stream
 
 
-def test_keys(terminal):
+@pytest.mark.parametrize(
+    ("keys", "command"),
+    [
+        ("r", TeleopCommand(arm=True)),
+        ("www", TeleopCommand(speed=0.3)),
+        ("ww" + "s" * 9 + "w", TeleopCommand(speed=0.1)),
+        ("w" * 50, TeleopCommand(speed=1.0)),
+        ("aad?", TeleopCommand(turn=0.1)),
+        ("wö€", TeleopCommand(speed=0.1)),  # A foreign letter is no key.
+        ("wwwr", TeleopCommand(arm=True)),  # Arming again forgets the old speed.
+        ("w w", TeleopCommand(speed=0.2, stop=True)),
+    ],
+)
+def test_keys(terminal, keys, command):
     master, stream = terminal
     keyboard = KeyboardTeleop(stream)
     assert keyboard.command(0.0) == TeleopCommand()
-    os.write(master, b"r")
-    assert keyboard.command(0.0) == TeleopCommand(arm=True)
-    os.write(master, b"wwwsaad?")
-    teleop = keyboard.command(0.0)
-    assert (teleop.speed, teleop.turn) == (pytest.approx(0.2), pytest.approx(0.1))
-    os.write(master, b"w" * 50)
-    assert keyboard.command(0.0).speed == 1.0
-    os.write(master, b" ")
-    assert keyboard.command(0.0).stop
+    os.write(master, keys.encode())
+    found = keyboard.command(0.0)
+    assert (found.speed, found.turn) == (pytest.approx(command.speed), pytest.approx(command.turn))
+    assert (found.arm, found.stop) == (command.arm, command.stop)
     assert not keyboard.command(0.0).stop
     assert not keyboard.quit
     os.write(master, b"q")
     assert keyboard.command(0.0).stop
     assert keyboard.command(0.0).stop
     assert keyboard.quit
-
-
-def test_a_foreign_letter_is_no_key(terminal):
-    master, stream = terminal
-    keyboard = KeyboardTeleop(stream)
-    os.write(master, "wö€".encode())
-    assert keyboard.command(0.0) == TeleopCommand(speed=0.1)
-    assert not keyboard.quit
 
 
 def test_without_any_key_it_stands_until_told_anew(terminal):
@@ -60,13 +60,6 @@ def test_without_any_key_it_stands_until_told_anew(terminal):
     assert keyboard.command(11.7) == TeleopCommand()
     os.write(master, b"\n")
     assert keyboard.command(11.8) == TeleopCommand(), "it does not leap back to the old speed"
-
-
-def test_arming_again_forgets_the_old_speed(terminal):
-    master, stream = terminal
-    keyboard = KeyboardTeleop(stream)
-    os.write(master, b"wwwr")
-    assert keyboard.command(0.0) == TeleopCommand(arm=True)
 
 
 def test_the_terminal_is_given_back(terminal):
@@ -116,22 +109,15 @@ def test_sticks_and_buttons(stick):
     event(-16384, 2, 3)
     teleop = joystick.command(0.1)
     assert (teleop.speed, teleop.turn) == (1.0, pytest.approx(0.05, abs=1e-4))
-    assert joystick.command(0.2).turn == pytest.approx(0.1, abs=1e-4)
+    assert joystick.command(100.0).turn == pytest.approx(0.1, abs=1e-4), "no far turn after a pause"
     event(32767, 2, 1)
     event(1000, 2, 3)
-    teleop = joystick.command(0.3)
+    teleop = joystick.command(100.1)
     assert teleop.speed == 0.0, "it walks forwards only"
     assert teleop.turn == pytest.approx(0.1, abs=1e-4), "small deflections are none"
     event(1, 1, 0)
-    assert joystick.command(0.4).stop
-    assert not joystick.command(0.5).stop
-
-
-def test_a_long_pause_does_not_turn_the_robot_far(stick):
-    joystick, event, _ = stick
-    event(-32767, 2, 3)
-    joystick.command(0.0)
-    assert joystick.command(100.0).turn == pytest.approx(0.1)
+    assert joystick.command(100.2).stop
+    assert not joystick.command(100.3).stop
 
 
 def test_a_joystick_out_of_range_stands(stick):

@@ -19,11 +19,10 @@ from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
 from renet.deploy.main import _interruptible
 from renet.deploy.recording import Recorder, read_recording
-from renet.deploy.safety import SafetyCfg
 from renet.deploy.teleop import ScriptedTeleop
 from renet.deploy.terminal import Terminal
 
-from ..deploy.fakes import Standing
+from ..deploy.fakes import QUICK, Standing
 from ..deploy.robots.go1_peer import Peer, free_port
 from ..deploy.waiting import until
 
@@ -149,7 +148,7 @@ def bundle() -> Bundle:
 
 
 def walk(bundle: Bundle, robot: Standing, seconds=1.0, log=None, **options) -> Controller:
-    controller = Controller(bundle, SafetyCfg(stand_up_seconds=0.1))
+    controller = Controller(bundle, QUICK)
     done = options.pop("done", lambda: robot.time >= seconds)
     run_control_loop(robot, None, ScriptedTeleop(0.5), controller, log, done=done, **options)
     return controller

@@ -1,1 +1,1 @@
-"""How it reaches a robot: bundle, policy, observation. NumPy and ONNX Runtime only."""
+"""Runs a bundle on a robot, real or simulated; NumPy and ONNX Runtime are enough for a real one."""

@@ -174,7 +174,7 @@ def _by_mode(runs: Sequence[dict[str, Any]]) -> str:
 
 
 def _limits(bundle: Bundle, summaries: Sequence[dict[str, Any]]) -> Iterable[str]:
-    """What the files say against it."""
+    """What the files show that the policy cannot do or was not tested for."""
     if not bundle.manifest.selector.healthy_hours:
         yield "The selector's thresholds were never calibrated on healthy runs."
     for summary in summaries:
@@ -248,16 +248,15 @@ def _read_summary(path: Path, bundle: Bundle) -> dict[str, Any]:
     summary = read_object(path, "summary", MAX_SUMMARY)
     try:
         made = summary["provenance"]
-        for key in ("seed", "engine", "renet_version", "date", "command", "bundle_hash"):
-            made[key]
         if not all(isinstance(run, dict) for run in summary["runs"]):
             raise TypeError("runs must be objects")
         # Whatever else it lacks shows here, before anything is written.
         card(bundle, [summary], "")
+        of_another = made["bundle_hash"] != bundle.sha256
     except KeyError as error:
         raise RenetError(f"{path} is no study's summary: it lacks {error}") from error
     except (ValueError, TypeError, AttributeError) as error:
         raise RenetError(f"{path} is no study's summary: {error}") from error
-    if made["bundle_hash"] != bundle.sha256:
+    if of_another:
         raise RenetError(f"{path} is of another bundle: run the study with this one")
     return summary

@@ -166,20 +166,19 @@ class Controller:
         if self.machine.refused:
             self.tell(now, "refused", self.machine.refused)
         state = self._newest
-        if mode is Mode.DAMPING or state is None:
-            command = damping_command(self.robot, self.cfg)
-            self.decision = self._decide(command, now)
-        elif mode is Mode.STANDING_UP:
+        if mode is Mode.WALKING and state is not None:
+            if before is not Mode.WALKING:
+                self._start_over()
+                self._yaw, self._turn = heading(state.quaternion), teleop.turn
+            return self._walk(state, teleop, now)
+        if mode is Mode.STANDING_UP and state is not None:
             if before is not Mode.STANDING_UP:
                 self._start = self._target = state.joint_position
             share = (now - self.machine.since) / self.cfg.stand_up_seconds
             command = self._limited(stand_up_target(self._start, self.robot, share), state)
-            self.decision = self._decide(command, now)
         else:
-            if before is not Mode.WALKING:
-                self._start_over()
-                self._yaw, self._turn = heading(state.quaternion), teleop.turn
-            command = self._walk(state, teleop, now)
+            command = damping_command(self.robot, self.cfg)
+        self.decision = self._decide(command, now)
         return command
 
     def _read(self, raw: RobotState | None, now: float) -> None:

@@ -10,8 +10,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.controller import Controller
 from renet.deploy.recording import Recorder
@@ -38,7 +36,6 @@ def run_control_loop(
     *,
     done: Callable[[], bool] = lambda: False,
     on_step: Callable[[JointCommand], None] = lambda command: None,
-    truth: Callable[[], np.ndarray | None] = lambda: None,
     dry_run: bool = False,
 ) -> None:
     """Drive a robot until `done`, then brake.
@@ -51,7 +48,6 @@ def run_control_loop(
         recorder: of the run; None without.
         done: asked at every control step.
         on_step: told every command.
-        truth: the base's position [3] m, if anyone knows it.
         dry_run: never write to the robot.
 
     Raises:
@@ -61,18 +57,17 @@ def run_control_loop(
     robot.envelope.check(controller.robot)
     loop = _Loop(robot, camera, teleop, controller, recorder, dry_run)
     due, braking = robot.now(), 0
-    finished = False
     try:
         while braking < BRAKING:
             braking += braking > 0 or done()
-            command = loop.step(robot.now(), ending=braking > 0, truth=truth)
+            command = loop.step(robot.now(), ending=braking > 0)
             with suppress(Exception):  # A closed terminal must not end a run.
                 on_step(command)
             due = next_step(robot, due)
-        finished = True
-    finally:
-        if not (finished or dry_run):
+    except BaseException:
+        if not dry_run:
             loop.brake()
+        raise
 
 
 @dataclass
@@ -88,16 +83,13 @@ class _Loop:
     _problems: dict[str, str] = field(default_factory=dict)
     _refused: bool = False
 
-    def step(
-        self, now: float, ending: bool, truth: Callable[[], np.ndarray | None]
-    ) -> JointCommand:
+    def step(self, now: float, ending: bool) -> JointCommand:
         """One control step; returns what was commanded."""
         controller = self.controller
         if ending:
             controller.trip(ENDED, now)
         state = self._ask("robot", self.robot.read, None)
-        frame = None if self.camera is None else self._ask("camera", self.camera.latest, None)
-        self._complain("camera", getattr(self.camera, "problem", ""))
+        frame = None if self.camera is None else self._ask("camera", self._look, None)
         asked = self._ask("teleop", lambda: self.teleop.command(now), TeleopCommand(stop=True))
         if ending:
             asked = TeleopCommand(stop=True)  # Also so that a replay of the recording brakes here.
@@ -109,10 +101,16 @@ class _Loop:
             self._write(command, state, now)
         if self.recorder is not None:
             with suppress(Exception):  # Out of memory, for one: walk on without the recording.
+                where = getattr(self.robot, "base_position", None)  # Simulated robots know.
                 decision = controller.decision
-                self.recorder.append(state, frame, asked, now, decision, compute_ms, truth())
+                self.recorder.append(state, frame, asked, now, decision, compute_ms, where)
             self._complain("recorder", self.recorder.problem)
         return command
+
+    def _look(self) -> DepthFrame | None:
+        frame = self.camera.latest()
+        self._complain("camera", getattr(self.camera, "problem", ""))
+        return frame
 
     def brake(self) -> None:
         """Tell the robot to brake, whatever failed before."""

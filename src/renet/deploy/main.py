@@ -3,7 +3,7 @@
 import math
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from itertools import count
@@ -15,14 +15,14 @@ import tyro
 from renet import __version__
 from renet.deploy.bundle import Bundle
 from renet.deploy.controller import Controller, Event
-from renet.deploy.devices import Devices, make_devices
+from renet.deploy.devices import start_devices
 from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.loop import run_control_loop
 from renet.deploy.realtime import realtime
 from renet.deploy.recording import Recorder, read_recording
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.go1 import POWER_LEVEL, ROBOT_HOST
-from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.safety import Mode, SafetyCfg, SafetyMachine
 from renet.deploy.score import SCORE, TIMELINE, write_score
 from renet.deploy.teleop import MAX_SPEED
 from renet.deploy.terminal import Terminal
@@ -140,9 +140,7 @@ def deploy(cfg: DeployCfg) -> Path:
     with ExitStack() as stack:
         terminal = Terminal()
         stack.callback(terminal.close)
-        devices = make_devices(cfg, bundle, terminal.say)
-        stack.callback(devices.close)  # Before the start: half of it may have to be undone.
-        devices.start()
+        robot, camera, teleop, show = start_devices(cfg, bundle, terminal.say, stack)
         path = _free_folder(cfg.out) / RECORDING
         recorder = Recorder(path, _header(cfg, bundle), patient=not cfg.live)
         stack.callback(recorder.close)
@@ -158,21 +156,29 @@ def deploy(cfg: DeployCfg) -> Path:
 
         def on_step(command: JointCommand) -> None:
             echo(command)
-            devices.show()
+            show()
 
-        with _interruptible() as interrupted, _priority(cfg) as refused:
-            for line in filter(None, (refused, getattr(devices.robot, "refused", ""))):
+        def done() -> bool:
+            return (
+                interrupted()
+                or getattr(teleop, "quit", False)
+                or _over(cfg, controller.machine, begun, robot.now())
+            )
+
+        # A simulation with priority would starve the rest of the computer.
+        priority = nullcontext("") if cfg.simulated else realtime(PRIORITY)
+        with _interruptible() as interrupted, priority as refused:
+            for line in filter(None, (refused, getattr(robot, "refused", ""))):
                 terminal.say(line)
-            begun = devices.robot.now()
+            begun = robot.now()
             run_control_loop(
-                devices.robot,
-                devices.camera,
-                devices.teleop,
+                robot,
+                camera,
+                teleop,
                 controller,
                 recorder,
-                done=lambda: interrupted() or _over(cfg, devices, controller, begun),
+                done=done,
                 on_step=on_step,
-                truth=devices.truth,
                 dry_run=cfg.dry_run,
             )
     folder = recorder.path.parent
@@ -230,16 +236,13 @@ def printer(say: Callable[[str], None]) -> Callable[[JointCommand], None]:
     return show
 
 
-def _over(cfg: DeployCfg, devices: Devices, controller: Controller, begun: float) -> bool:
-    """The time is up, the operator leaves, or nobody is there to arm a damped robot again."""
-    machine = controller.machine
-    passed = devices.robot.now() - begun
+def _over(cfg: DeployCfg, machine: SafetyMachine, begun: float, now: float) -> bool:
+    """The time is up, or nobody is there to arm a damped robot again."""
+    passed = now - begun
     damped = machine.mode is Mode.DAMPING and (
         machine.since >= begun or (passed > 1.0 and not cfg.dry_run)
     )
-    late = passed >= cfg.length - CONTROL_DT / 2
-    leaves = getattr(devices.teleop, "quit", False)
-    return late or leaves or (damped and cfg.teleop == "auto")
+    return passed >= cfg.length - CONTROL_DT / 2 or (damped and cfg.teleop == "auto")
 
 
 def _check(cfg: DeployCfg) -> None:
@@ -291,11 +294,6 @@ def _header(cfg: DeployCfg, bundle: Bundle) -> dict[str, Any]:
         "onsets": [parse_fault(text).onset * CONTROL_DT for text in cfg.fault],
         "seed": cfg.seed,
     }
-
-
-def _priority(cfg: DeployCfg) -> AbstractContextManager[str]:
-    """Real-time priority for a real robot; a simulation would starve the rest of the computer."""
-    return nullcontext("") if cfg.simulated else realtime(PRIORITY)
 
 
 @contextmanager

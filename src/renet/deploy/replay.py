@@ -96,7 +96,10 @@ def _frame(tick: np.ndarray, image: np.ndarray) -> DepthFrame | None:
 
 
 class ReplayCamera:
-    """Shows each image as long after `start` as it came after the run's first; then none."""
+    """Gives each image as long after `start` as it came after the run's first image.
+
+    After the last image no new one comes.
+    """
 
     def __init__(self, run: Recording, now: Callable[[], float]) -> None:
         """Set up; raises RenetError if the run has no images.

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -75,29 +74,32 @@ def write_score(run: Recording, folder: Path, onsets: Sequence[float] = ()) -> d
 def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     """Falls, distance, speed, switches and timing of a run.
 
+    The distance is from where walking began to where it ended.
+
     Args:
         run: read back. onsets: seconds from its start at which vision was spoilt.
     """
     ticks = run.ticks
-    now = ticks["now"] - ticks["now"][0] if len(ticks) else np.zeros(0)
+    start = ticks["now"][0] if len(ticks) else 0.0
     walking = ticks["mode"] == MODES.index(Mode.WALKING)
     seconds = float(walking.sum()) * CONTROL_DT
-    metres, source = distance(ticks, walking)
-    to_op = [event for event in run.events if event.what == "op"]
-    first = ticks["now"][0] + min(onsets, default=np.inf) if len(ticks) else np.inf
+    path = track(ticks)[walking]
+    metres = float(np.hypot(*(path[-1] - path[0])[:2])) if len(path) else 0.0
+    first = start + min(onsets, default=np.inf)
+    blind = ticks["now"][walking & ~ticks["vision"]] - start
     return {
         "seconds": round(len(ticks) * CONTROL_DT, 2),
         "complete": run.complete,
         "walking_seconds": round(seconds, 2),
-        "falls": falls(ticks),
+        "falls": int((np.diff(fallen(ticks).astype(int), prepend=0) > 0).sum()),
         "distance_m": round(metres, 3),
-        "distance_from": source,
+        "distance_from": "simulator" if simulated(ticks) else "estimator",
         "speed_m_s": round(metres / seconds, 3) if seconds else 0.0,
         "commanded_m_s": round(_mean(ticks["speed"][walking]), 3),
         "vision_share": round(_mean(ticks["vision"][walking]), 4),
         "switches": sum(event.what in ("op", "vp") for event in run.events),
-        "op_before_first_fault": sum(bool(event.time < first) for event in to_op),
-        "switch_delay_s": [switch_delay(now, walking, ticks["vision"], at) for at in onsets],
+        "op_before_first_fault": sum(e.what == "op" and bool(e.time < first) for e in run.events),
+        "switch_delay_s": [switch_delay(blind, onset) for onset in onsets],
         "compute_ms": spread(ticks["compute_ms"]),
         "period_ms": spread(1000.0 * np.diff(ticks["now"])),
         "events": [asdict(event) for event in run.events],
@@ -105,22 +107,14 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def switch_delay(
-    now: np.ndarray, walking: np.ndarray, vision: np.ndarray, onset: float
-) -> float | None:
+def switch_delay(blind: np.ndarray, onset: float) -> float | None:
     """Seconds from an onset to OP; zero if OP acted already, None if it never did.
 
     Args:
-        now: [T] seconds from the run's start. walking, vision: [T] bool.
+        blind: seconds from the run's start of the steps that walked on OP. onset: the same.
     """
-    blind = (now >= onset - 1e-9) & walking & ~vision
-    return round(float(now[blind][0] - onset), 3) if blind.any() else None
-
-
-def falls(ticks: np.ndarray) -> int:
-    """How often the base came to lean by more than 60 degrees."""
-    down = fallen(ticks)
-    return int((down & ~np.concatenate([[False], down[:-1]])).sum())
+    later = blind[blind >= onset - 1e-9]
+    return round(float(later[0] - onset), 3) if len(later) else None
 
 
 def fallen(ticks: np.ndarray) -> np.ndarray:
@@ -137,21 +131,17 @@ def fallen(ticks: np.ndarray) -> np.ndarray:
     return down
 
 
-def distance(ticks: np.ndarray, walking: np.ndarray) -> tuple[float, str]:
-    """Metres from where walking began to where it ended, and how that is known.
-
-    A simulator knows; a robot adds up the velocity estimated by whichever estimator acted.
-    """
-    path = track(ticks)[walking]
-    if not len(path):
-        return 0.0, "nothing"
-    known = bool(np.isfinite(ticks["base_position"][walking]).all())
-    return float(np.hypot(*(path[-1] - path[0])[:2])), "simulator" if known else "estimator"
+def simulated(ticks: np.ndarray) -> bool:
+    """Whether the recording says where the base was: only a simulator knows."""
+    return bool(np.isfinite(ticks["base_position"]).all())
 
 
 def track(ticks: np.ndarray) -> np.ndarray:
-    """Base positions [T, 3] m: the simulator's, or dead reckoning at a constant height."""
-    if np.isfinite(ticks["base_position"]).all():
+    """Base positions [T, 3] m: the simulator's, or dead reckoning at a constant height.
+
+    A robot adds up the velocity estimated by whichever estimator acted.
+    """
+    if simulated(ticks):
         return ticks["base_position"].astype(float)
     walking = ticks["mode"] == MODES.index(Mode.WALKING)
     velocity = np.where(ticks["vision"][:, None], ticks["velocity_vp"], ticks["velocity_op"])
@@ -213,12 +203,13 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
     )
     figure = Figure(figsize=(10, 6), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)
-    kind = np.where(walking, np.where(vision, 1, 2), 0)
-    edges = [0, *(np.flatnonzero(np.diff(kind)) + 1), len(kind) - 1] if len(kind) else []
+    acting = np.where(walking, np.where(vision, 1, 2), 0)
     for axis, (label, curves, line) in zip(axes, panels, strict=True):
-        for first, last in pairwise(edges):
-            colour = list(BANDS.values())[kind[first]]
-            axis.axvspan(time[first], time[last], color=colour, linewidth=0)
+        height = axis.get_xaxis_transform()
+        for kind, (name, colour) in enumerate(BANDS.items()):
+            axis.fill_between(
+                time, 0, 1, acting == kind, color=colour, label=name, transform=height, lw=0
+            )
         for values, colour in curves:
             shown = np.where(walking & np.isfinite(values) & (np.abs(values) < 1e6), values, np.nan)
             axis.plot(time, shown, color=colour, linewidth=1)
@@ -229,8 +220,6 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
             axis.axvline(onset, color="#a3121f", linestyle=":", linewidth=1)
     axes[-1].set_xlabel("s")
     axes[0].set_title(_title(run), fontsize=10, parse_math=False)
-    for name, colour in BANDS.items():
-        axes[0].bar(0, 0, color=colour, label=name)
     axes[0].legend(loc="upper right", fontsize=7, ncols=3)
     begun = run.ticks["now"][0] if len(run.ticks) else 0.0
     told = [event for event in run.events if event.what in ("op", "damping")][:MAX_MARKS]

@@ -67,7 +67,10 @@ class ScriptedTeleop:
 
 
 class Deadman:
-    """Notices that nobody steers: a joystick out of range or a dead link only falls silent."""
+    """Takes the speed away when an operator gives no sign for too long.
+
+    A joystick out of range or a broken link sends nothing: it cannot be told from a still hand.
+    """
 
     def __init__(self, timeout: float) -> None:
         """Set up with the seconds of silence after which nobody steers."""
