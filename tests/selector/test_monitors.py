@@ -46,7 +46,7 @@ def blank(value: float) -> np.ndarray:
         ("invalid_fraction", 0.1, {"invalid": np.array([0.05, 0.3])}),
         ("uniformity", -0.01, {"image": blank(0.0)}),
         ("uniformity", -0.01, {"image": blank(1.0)}),
-        ("nearness", 0.5, {"image": blank(0.02)}),
+        ("nearness", 1.0, {"image": blank(0.02)}),
         ("disagreement", 0.5, {"velocity_vp": np.array([[0.0, 0, 0], [0.4, 0.4, 0]])}),
     ],
 )
@@ -72,6 +72,23 @@ def test_equal_images_in_a_row_are_counted():
         monitors.scores(seen(image=images, fresh=np.array([True, False])))
     monitors.reset(np.array([False, True]))
     assert monitors.scores(seen(image=np.stack((frozen, frozen)))).tolist() == [[1, 1]]
+
+
+def test_only_a_lens_that_stays_covered_counts_as_such():
+    monitors = Monitors(["nearness"], 2)
+    nose = blank(0.02)
+    nose[1, :4] = 0.5  # A twelfth of its pixels see past the platform.
+    for count in range(1, 6):
+        assert monitors.scores(seen(image=nose.copy())).tolist() == [[0, count]]
+        for _ in range(5):
+            monitors.scores(seen(image=nose.copy(), fresh=np.zeros(2, bool)))
+    assert count < MONITORS["nearness"].fallback
+    assert monitors.scores(seen()).tolist() == [[0, 0]], "it is up"
+    nose[1, :5] = 0.5
+    assert monitors.scores(seen(image=nose)).tolist() == [[0, 0]], "less than nine tenths"
+    monitors.scores(seen(image=blank(0.02)))
+    monitors.reset(np.array([False, True]))
+    assert monitors.scores(seen(image=blank(0.02))).tolist() == [[0, 1]]
 
 
 STEP = 1 / 200

@@ -29,7 +29,7 @@ from renet.interface import (
     STEPS_PER_TICK,
 )
 from renet.selector.filter import VISION_THRESHOLD
-from renet.selector.monitors import MONITORS, NEAR
+from renet.selector.monitors import COVERED, MONITORS, NEAR
 from renet.selector.selector import BETWEEN_RETURNS, DWELL
 
 MAP_HEIGHT = 0.3
@@ -81,6 +81,7 @@ def contract() -> dict[str, Any]:
             "dwell": DWELL,
             "betweenReturns": BETWEEN_RETURNS,
             "near": NEAR,
+            "covered": COVERED,
             "monitors": [
                 {"name": name, "reason": monitor.reason, "fallback": monitor.fallback}
                 for name, monitor in MONITORS.items()

@@ -18,6 +18,8 @@ from renet.interface import DEPTH_SHAPE
 
 NEAR = 0.05
 """Normalised depth (10 cm of 2 m) below which a stereo camera sees nothing real (paper, IV-D)."""
+COVERED = 0.9
+"""Share of an image's pixels below that from which the lens may be covered."""
 
 
 def _absent() -> np.ndarray:
@@ -78,7 +80,7 @@ class Monitors:
         self.contrast = np.zeros(num_robots)
         """Standard deviation of the newest image, [N]."""
         self.near = np.zeros(num_robots)
-        """Share of its pixels nearer than 10 cm, [N]."""
+        """Images in a row of which hardly a pixel is farther than 10 cm, [N]."""
         self._image: np.ndarray | None = None
         self._last = np.full((num_robots, *DEPTH_SHAPE), np.nan)
 
@@ -87,16 +89,17 @@ class Monitors:
         if seen.image.size and seen.image is not self._image:
             self._image = seen.image
             self.contrast = seen.image.std(axis=(1, 2))
-            self.near = (seen.image < NEAR).mean(axis=(1, 2))
         if seen.fresh.any():
             same = (seen.image == self._last).all(axis=(1, 2))
+            near = (seen.image < NEAR).mean(axis=(1, 2)) > COVERED
             self.repeats = np.where(seen.fresh, np.where(same, self.repeats + 1, 1), self.repeats)
+            self.near = np.where(seen.fresh, np.where(near, self.near + 1, 0), self.near)
             self._last = np.where(seen.fresh[:, None, None], seen.image, self._last)
         return np.array([MONITORS[name].score(seen, self) for name in self.names])
 
     def reset(self, mask: np.ndarray) -> None:
         """Forget the last images of the masked robots [N]."""
-        self.repeats[mask] = 0
+        self.repeats[mask] = self.near[mask] = 0
         self._last[mask] = np.nan
 
 
@@ -138,10 +141,12 @@ MONITORS = {
     ),
     "nearness": Monitor(
         "the lens is covered",
+        # Who climbs a platform has its nose to it for half a second.
         lambda seen, images: images.near,
-        limit=0.9,
-        fallback=0.5,
-        ceiling=0.9,
+        limit=20.0,
+        fallback=10.0,  # A second.
+        floor=10.0,
+        ceiling=10.0,
     ),
     # The error by how unusual it is: edges are hard to draw, flat ground is not. Not every model
     # predicts a variance. Healthy images score about 1.

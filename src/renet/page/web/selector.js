@@ -11,8 +11,7 @@ const SCORES = {
     Math.hypot(...seen.velocityOp.map((value, i) => value - seen.velocityVp[i])),
   duplicate: equalInARow,
   uniformity: () => oncePerImage((image) => -standardDeviation(image)),
-  nearness: (contract) =>
-    oncePerImage((image) => count(image, (value) => value < contract.near) / image.length),
+  nearness: coveredInARow,
 };
 
 /** How many equal images arrived in a row. */
@@ -24,6 +23,16 @@ function equalInARow() {
       run = last && image.every((value, i) => value === last[i]) ? run + 1 : 1;
       last = image;
     }
+    return run;
+  };
+}
+
+/** How many images arrived in a row of which hardly a pixel is farther than 10 cm. */
+function coveredInARow(contract) {
+  let run = 0;
+  return ({ image, fresh }) => {
+    const near = (value) => value < contract.near;
+    if (fresh) run = image.filter(near).length > contract.covered * image.length ? run + 1 : 0;
     return run;
   };
 }
@@ -40,10 +49,6 @@ function oncePerImage(judge) {
 function standardDeviation(values) {
   const mean = values.reduce((sum, value) => sum + value, 0) / values.length;
   return Math.sqrt(values.reduce((sum, value) => sum + (value - mean) ** 2, 0) / values.length);
-}
-
-function count(values, holds) {
-  return values.reduce((sum, value) => sum + Number(holds(value)), 0);
 }
 
 /** Decides whether vision (VP) or blind walking (OP) acts; its filter has a clock of its own. */
