@@ -17,6 +17,7 @@ from torch import Tensor
 from renet.baselines.distillation import STUDENT, TEACHER, Stage
 from renet.interface import LEGS
 from renet.tasks.env import RenetEnvCfg
+from renet.tasks.mdp.base_state import on_tiles
 from renet.tasks.parkour_env_cfg import parkour_env_cfg
 from renet.tasks.sensors import FEET_HEIGHT
 from renet.terrain.tiles import ACCENT, PIT, tiles
@@ -43,17 +44,12 @@ def soften(spec: mujoco.MjSpec) -> None:
 
 def penetration(env: ManagerBasedRlEnv) -> Tensor:
     """Depth of the feet in soft obstacles or below the edge of a gap, summed over feet, [N] m."""
-    terrain, robot = env.scene.terrain, env.scene["robot"]
-    assert terrain is not None
-    assert terrain.cfg.terrain_generator is not None
+    robot = env.scene["robot"]
     inside = torch.relu(-env.scene[FEET_HEIGHT].data)
     feet, _ = robot.find_sites(LEGS, preserve_order=True)
     height = env.sim.data.site_xpos[:, robot.indexing.site_ids[feet], 2]
     sunk = torch.relu(env.scene.env_origins[:, 2:] - height)
-    over_gap = terrain.terrain_types == list(terrain.cfg.terrain_generator.sub_terrains).index(
-        "gap"
-    )
-    return torch.where(over_gap.unsqueeze(-1), sunk, inside).sum(-1)
+    return torch.where(on_tiles(env, "gap").unsqueeze(-1), sunk, inside).sum(-1)
 
 
 def soft_env_cfg(play: bool = False) -> RenetEnvCfg:

@@ -18,6 +18,7 @@ from renet.faults.physical import obstacles, spread
 from renet.sim.depth.camera import CameraPerturbation, DepthCamera
 from renet.tasks import RenetEnv, RenetEnvCfg, RobotCfg, env_cfg, make_env
 from renet.tasks.config.go1 import GO1
+from renet.tasks.mdp.base_state import tile_terrain
 from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg, goal
 from renet.tasks.mdp.rewards import collision, joint_energy
 from renet.tasks.parkour_env_cfg import flat_env_cfg, parkour_env_cfg, tile_env_cfg
@@ -158,19 +159,14 @@ class SimEnv:
         Args:
             levels: [N] row of the terrain, 0 the easiest. kinds: [N] its column.
         """
-        terrain = self.env.scene.terrain
-        assert terrain is not None
-        assert terrain.terrain_origins is not None
+        terrain = tile_terrain(self.env)
         terrain.terrain_levels[:] = torch.as_tensor(levels)
         terrain.terrain_types[:] = torch.as_tensor(kinds)
         terrain.env_origins[:] = terrain.terrain_origins[levels, kinds]
 
     def place_on(self, grounds: Sequence[str]) -> None:
         """Put each robot on a ground of `grounds_env_cfg`, from the next reset on; [N] names."""
-        terrain = self.env.scene.terrain
-        assert terrain is not None
-        assert terrain.cfg.terrain_generator is not None
-        kinds = list(terrain.cfg.terrain_generator.sub_terrains)
+        kinds = list(tile_terrain(self.env).cfg.terrain_generator.sub_terrains)
         self.place(np.zeros(len(grounds), int), np.array([kinds.index(g) for g in grounds]))
 
     def command(self, speed: float) -> None:
@@ -181,10 +177,9 @@ class SimEnv:
         """Let the cameras see the scene so from their next image on."""
         if view == self._view:
             return
-        terrain, camera = self.env.scene.terrain, self.env.scene[DEPTH_CAMERA]
-        assert terrain is not None
+        camera = self.env.scene[DEPTH_CAMERA]
         assert isinstance(camera, DepthCamera)
-        origins = terrain.terrain_origins
+        origins = tile_terrain(self.env).terrain_origins
         middles = np.zeros((0, 2)) if origins is None else origins[..., :2].reshape(-1, 2).numpy()
         camera.perturbation = ray_perturbation(view, self.env.sim.mj_model, middles)
         self._view = view

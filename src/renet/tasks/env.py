@@ -17,6 +17,7 @@ from renet.errors import RenetError
 from renet.sim.native.engine import use_engine
 from renet.sim.threads import one_torch_thread
 from renet.tasks.config.go1 import GO1
+from renet.tasks.mdp.base_state import tile_terrain
 from renet.tasks.mdp.commands import goal
 from renet.tasks.robot_cfg import RobotCfg
 
@@ -73,21 +74,19 @@ class RenetEnv(ManagerBasedRlEnv):
             "command_stage": torch.tensor(goal(self).stage),
             "common_step_counter": torch.tensor(self.common_step_counter),
         }
-        terrain = self.scene.terrain
-        if terrain is not None and terrain.terrain_origins is not None:
-            state |= {"levels": terrain.terrain_levels, "kinds": terrain.terrain_types}
         if "level" in self.curriculum_manager.active_terms:
             term = self.curriculum_manager.get_term_cfg("level").func
-            state |= {"levels": term.levels, "passed": term.passed}
+            kinds = tile_terrain(self).terrain_types
+            state |= {"levels": term.levels, "passed": term.passed, "kinds": kinds}
         return state
 
     def load_curriculum_state(self, state: dict[str, Tensor]) -> None:
         """Restore `curriculum_state`; other numbers of robots on the tiles resample the levels."""
         goal(self).stage = int(state["command_stage"])
         self.common_step_counter = int(state["common_step_counter"])
-        terrain = self.scene.terrain
-        if terrain is None or terrain.terrain_origins is None or "levels" not in state:
+        if "level" not in self.curriculum_manager.active_terms or "levels" not in state:
             return
+        term, terrain = self.curriculum_manager.get_term_cfg("level").func, tile_terrain(self)
         kinds = state["kinds"].to(self.device)
         robots = torch.arange(self.num_envs, device=self.device)
         if not torch.equal(kinds, terrain.terrain_types):
@@ -95,14 +94,10 @@ class RenetEnv(ManagerBasedRlEnv):
                 here, pool = terrain.terrain_types == kind, (kinds == kind).nonzero()[:, 0]
                 picks = torch.randint(len(pool), (int(here.sum()),), device=self.device)
                 robots[here] = pool[picks]
-        terrain.terrain_levels[:] = state["levels"].to(self.device)[robots]
-        if "passed" in state and "level" in self.curriculum_manager.active_terms:
-            term = self.curriculum_manager.get_term_cfg("level").func
-            term.levels[:] = terrain.terrain_levels
+        term.levels[:] = terrain.terrain_levels[:] = state["levels"].to(self.device)[robots]
+        if "passed" in state:
             term.passed[:] = state["passed"].to(self.device)[robots]
-        terrain.env_origins[:] = terrain.terrain_origins[
-            terrain.terrain_levels, terrain.terrain_types
-        ]
+        terrain.env_origins[:] = terrain.terrain_origins[term.levels, terrain.terrain_types]
 
 
 def _looks_at_substeps(cfg: RenetEnvCfg) -> bool:

@@ -26,6 +26,7 @@ from renet.interface import CONTROL_DT, DEPTH_RANGE
 from renet.sim.depth.camera import DepthNoiseCfg, MountCfg, add_noise, mount_rotation
 from renet.sim.depth.rasterizer import scanner
 from renet.sim.depth.raycast import TerrainScanner
+from renet.tasks.mdp.base_state import tile_terrain
 from renet.terrain.tiles import LEVELS as TOP
 from renet.terrain.tiles import TILE, tiles
 
@@ -64,15 +65,13 @@ class PicturesStudy(Study):
         evaluator = evaluator or self.make_evaluator()
         out, kinds = output_folder(self.out), list(tiles())
         env = evaluator.make_env(PARKOUR, range(len(kinds)), self.speed, self.seed)
-        terrain = env.env.scene.terrain
-        assert terrain is not None
-        assert terrain.terrain_origins is not None
+        origins = tile_terrain(env.env).terrain_origins
         rays = scanner(env.env.sim.mj_model, "cpu")
         torch.manual_seed(self.seed)
         provenance = evaluator.provenance(self.seed)
         drawn = {
-            "tiles.png": draw_tiles(rays, terrain.terrain_origins),
-            "camera.png": draw_camera(rays, terrain.terrain_origins),
+            "tiles.png": draw_tiles(rays, origins),
+            "camera.png": draw_camera(rays, origins),
         }
         env.place(np.full(len(kinds), self.level - 1), np.arange(len(kinds)))
         policy, trials = Policy(evaluator.bundle, len(kinds)), [Trial("vp") for _ in kinds]

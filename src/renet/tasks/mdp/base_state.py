@@ -7,6 +7,8 @@ from body velocities and quaternions.
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from mjlab.envs import ManagerBasedRlEnv
 from torch import Tensor
@@ -31,6 +33,24 @@ def base_heading(env: ManagerBasedRlEnv) -> Tensor:
     """Yaw of the base's forward axis in the world frame, [N] rad."""
     forward = base_rotation(env)[:, :, 0]
     return torch.atan2(forward[:, 1], forward[:, 0])
+
+
+def tile_terrain(env: ManagerBasedRlEnv) -> Any:
+    """The terrain of a task on tiles; mjlab's type allows for none, and for planes."""
+    return env.scene.terrain
+
+
+def on_tiles(env: ManagerBasedRlEnv, *kinds: str) -> Tensor:
+    """Robots on tiles of these kinds, [N] bool: none where the task has no such tiles."""
+    found, terrain = (
+        torch.zeros(env.num_envs, dtype=torch.bool, device=env.device),
+        tile_terrain(env),
+    )
+    generator = terrain.cfg.terrain_generator if terrain is not None else None
+    for number, kind in enumerate(generator.sub_terrains if generator is not None else ()):
+        if kind in kinds:
+            found |= terrain.terrain_types == number
+    return found
 
 
 def height_above_start(env: ManagerBasedRlEnv) -> Tensor:

@@ -7,7 +7,7 @@ from mjlab.envs import ManagerBasedRlEnv
 from mjlab.managers.curriculum_manager import CurriculumTermCfg
 from torch import Tensor
 
-from renet.tasks.mdp.base_state import distance_from_start
+from renet.tasks.mdp.base_state import distance_from_start, on_tiles, tile_terrain
 from renet.tasks.mdp.commands import goal
 from renet.terrain.tiles import TILE
 
@@ -44,8 +44,7 @@ class TerrainLevels:
 
     def __init__(self, cfg: CurriculumTermCfg, env: ManagerBasedRlEnv) -> None:
         del cfg
-        assert env.scene.terrain is not None
-        self.levels = env.scene.terrain.terrain_levels.clone()
+        self.levels = tile_terrain(env).terrain_levels.clone()
         self.passed = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
 
     def __call__(
@@ -61,10 +60,7 @@ class TerrainLevels:
         Returns:
             Mean level of each kind of tile.
         """
-        terrain, command = env.scene.terrain, goal(env)
-        assert terrain is not None
-        assert terrain.terrain_origins is not None
-        assert terrain.cfg.terrain_generator is not None
+        terrain, command = tile_terrain(env), goal(env)
         steps = env.episode_length_buf[env_ids]
         left = (env.max_episode_length - steps).clamp_min(0) * env.step_dt
         fell = env.termination_manager.terminated[env_ids]
@@ -77,9 +73,8 @@ class TerrainLevels:
         level = before + up.long() - down.long()
         highest = len(terrain.terrain_origins)
         tiles = terrain.cfg.terrain_generator.sub_terrains
-        lowest = torch.zeros_like(types)
-        for kind, tile in enumerate(tiles.values()):
-            lowest += (types == kind) * getattr(tile, "flat_start", False)
+        flat_starts = (kind for kind, tile in tiles.items() if getattr(tile, "flat_start", False))
+        lowest = on_tiles(env, *flat_starts)[env_ids].long()
         other = torch.where(
             before < lowest, before, lowest + torch.randint_like(level, FIRST_LEVELS)
         )

@@ -11,7 +11,7 @@ from mjlab.managers.scene_entity_config import SceneEntityCfg
 from torch import Tensor
 
 from renet.sim.depth.camera import DepthCamera
-from renet.tasks.mdp.base_state import base_rotation, base_velocity
+from renet.tasks.mdp.base_state import base_rotation, base_velocity, on_tiles
 from renet.tasks.mdp.commands import goal
 from renet.tasks.mdp.rewards import VelocityFilter
 from renet.tasks.sensors import DEPTH_CAMERA, FEET_CONTACT
@@ -65,22 +65,9 @@ def feet_contact(env: ManagerBasedRlEnv) -> Tensor:
     return (env.scene[FEET_CONTACT].data.found > 0).float()
 
 
-class difficult:
+def difficult(env: ManagerBasedRlEnv) -> Tensor:
     """1 where the tile forces vision, [N, 1]."""
-
-    def __init__(self, cfg: ObservationTermCfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
-        terrain = env.scene.terrain
-        generator = terrain.cfg.terrain_generator if terrain is not None else None
-        self._on_tiles = generator is not None
-        kinds = list(generator.sub_terrains) if generator is not None else env.num_envs * [""]
-        hard = [[float(kind in DIFFICULT)] for kind in kinds]
-        self._hard = torch.tensor(hard, device=env.device)
-
-    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
-        """Look up each robot's tile."""
-        terrain = env.scene.terrain
-        return self._hard[terrain.terrain_types] if self._on_tiles and terrain else self._hard
+    return on_tiles(env, *DIFFICULT).float().unsqueeze(-1)
 
 
 def stalled_seconds(env: ManagerBasedRlEnv) -> Tensor:

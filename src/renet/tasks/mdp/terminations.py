@@ -11,6 +11,7 @@ from renet.tasks.mdp.base_state import (
     base_position,
     distance_from_start,
     height_above_start,
+    on_tiles,
 )
 from renet.tasks.mdp.commands import goal
 from renet.terrain.tiles import TILE
@@ -32,14 +33,7 @@ def in_gap(env: ManagerBasedRlEnv, depth: float = PIT_DEPTH) -> Tensor:
         env: environment on tiles.
         depth: metres below the tile's start.
     """
-    below = height_above_start(env) < -depth
-    terrain = env.scene.terrain
-    assert terrain is not None
-    assert terrain.cfg.terrain_generator is not None
-    kinds = list(terrain.cfg.terrain_generator.sub_terrains)
-    if "gap" not in kinds:
-        return torch.zeros_like(below)
-    return below & (terrain.terrain_types == kinds.index("gap"))
+    return (height_above_start(env) < -depth) & on_tiles(env, "gap")
 
 
 def below_map(env: ManagerBasedRlEnv, depth: float = 3.0) -> Tensor:
