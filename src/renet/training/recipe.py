@@ -22,6 +22,8 @@ RENET: dict[str, Any] = {
     "model": ModelCfg(initial_std=0.5, detector="variance"),
     "algorithm": NP3OCfg(
         entropy="0.003@10M,0.001@60M",
+        # Late, nearly all of the gradient is noise: smaller steps average over more of it.
+        desired_kl="0.01@75M,0.004@78M",
         # With 0.95 most of the actor's gradient is noise; critics that see the truth explain the
         # returns well enough to take it out (`benchmarks/gradient_noise.py`).
         lam=0.8,
