@@ -196,7 +196,7 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
         ("anomaly score", [(ticks["anomaly"], "#3c3ca0")], beta),
         ("vision probability P", [(ticks["probability"], "#2f7d32")], 0.5),
         (
-            "forward speed in m/s\n(black: asked)",
+            "forward speed in m/s\n(black: commanded)",
             [(ticks["speed"], "#222730"), (speed, "#b5532f")],
             None,
         ),

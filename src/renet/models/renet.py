@@ -29,7 +29,7 @@ class RENet(nn.Module):
     def advance(
         self, history: Tensor, depth: Tensor, latent_op: Tensor, latent_vp: Tensor
     ) -> Tensor:
-        """One 10 Hz tick of both estimators: see Estimator.forward. [B, 128], OP's 64 first."""
+        """Both estimators' latents after a 10 Hz tick, [B, 128], OP's first; `fuse` is eq. 3."""
         depth = depth.to(history.dtype)
         next_op = self.op(history, depth, latent_op)
         return torch.cat((next_op, self.vp(history, depth, latent_vp)), dim=-1)

@@ -1,4 +1,4 @@
-"""Ways to notice that vision failed, beyond the paper's reconstruction loss.
+"""Ways to notice that vision failed: the paper's reconstruction loss, and others.
 
 An autoencoder does not notice a frozen image, a blank one, late or missing frames and filled holes:
 each frame by itself looks healthy. Every monitor computes one score per robot; vision is healthy
@@ -19,7 +19,7 @@ from renet.interface import DEPTH_SHAPE
 NEAR = 0.05
 """Normalised depth (10 cm of 2 m) below which a stereo camera sees nothing real (paper, IV-D)."""
 COVERED = 0.9
-"""Share of an image's pixels below that from which the lens may be covered."""
+"""With a larger share of an image's pixels nearer than `NEAR` the lens may be covered."""
 
 
 def _absent() -> np.ndarray:
@@ -80,7 +80,7 @@ class Monitors:
         self.contrast = np.zeros(num_robots)
         """Standard deviation of the newest image, [N]."""
         self.near = np.zeros(num_robots)
-        """Images in a row of which hardly a pixel is farther than 10 cm, [N]."""
+        """Consecutive images with over nine tenths of the pixels nearer than 10 cm, [N]."""
         self._image: np.ndarray | None = None
         self._last = np.full((num_robots, *DEPTH_SHAPE), np.nan)
 
@@ -141,7 +141,7 @@ MONITORS = {
     ),
     "nearness": Monitor(
         "the lens is covered",
-        # Who climbs a platform has its nose to it for half a second.
+        # A robot that climbs a platform touches it with its nose for half a second. Not calibrated.
         lambda seen, images: images.near,
         limit=20.0,
         fallback=10.0,  # A second.

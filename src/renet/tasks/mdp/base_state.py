@@ -1,8 +1,8 @@
-"""State of the floating base, read from MuJoCo's arrays.
+"""State of the floating base, read from MuJoCo's arrays, and the tile it is on.
 
-The velocities of a free joint are those of the base: linear in the world frame, angular in the
-base frame. They are as new as `qvel`, and cost one operation where mjlab's EntityData derives them
-from body velocities and quaternions.
+The linear velocity of a free joint is that of the base in the world frame. It is as new as `qvel`,
+and costs one operation where mjlab's EntityData derives it from body velocities and quaternions.
+Positions and rotations are those of the last kinematics.
 """
 
 from __future__ import annotations
@@ -36,18 +36,17 @@ def base_heading(env: ManagerBasedRlEnv) -> Tensor:
 
 
 def tile_terrain(env: ManagerBasedRlEnv) -> Any:
-    """The terrain of a task on tiles; mjlab's type allows for none, and for planes."""
+    """The scene's terrain; its type in mjlab allows for None, which tasks on tiles never have."""
     return env.scene.terrain
 
 
 def on_tiles(env: ManagerBasedRlEnv, *kinds: str) -> Tensor:
-    """Robots on tiles of these kinds, [N] bool: none where the task has no such tiles."""
-    found, terrain = (
-        torch.zeros(env.num_envs, dtype=torch.bool, device=env.device),
-        tile_terrain(env),
-    )
-    generator = terrain.cfg.terrain_generator if terrain is not None else None
-    for number, kind in enumerate(generator.sub_terrains if generator is not None else ()):
+    """Whether each robot is on a tile of one of these kinds, [N] bool; false on a plane."""
+    found = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+    terrain = tile_terrain(env)
+    if terrain is None or terrain.cfg.terrain_generator is None:
+        return found
+    for number, kind in enumerate(terrain.cfg.terrain_generator.sub_terrains):
         if kind in kinds:
             found |= terrain.terrain_types == number
     return found

@@ -15,10 +15,8 @@ FIRST_LEVELS = 2
 """A robot that fails at the first level tries one of so many next. The narrowest gap is all but
 invisible (10 cm, seen from 30 cm above through the camera's noise): where all robots start over at
 it, VP never learns what a gap looks like."""
-
-
 EASIER_SHARE = 0.25
-"""Share of episodes on easier tiles, once there are any."""
+"""Share of episodes whose tile is of a level drawn from those up to the robot's own."""
 
 
 class TerrainLevels:
@@ -26,14 +24,15 @@ class TerrainLevels:
 
     Up when half a tile lies behind, down below half of what was commanded (no more than half a tile
     can be covered, whatever the command). A flat first level is for robots that cannot walk yet:
-    none comes back to it, or most steps would go to flat ground, where episodes last longest. A
-    robot that fell owes the whole episode, lest falling early look like keeping up; one that was
-    cut off, as in a run's first, randomly shortened episodes, owes what it had time for. One that
-    has not walked keeps its level, as after loading a checkpoint. After the last level comes any.
+    failing does not lead back to it, or most steps would go to flat ground, where episodes last
+    longest. A robot that fell owes the whole episode, lest falling early look like keeping up; one
+    that was cut off, as in a run's first, randomly shortened episodes, owes what it had time for.
+    One that has not walked keeps its level, as after loading a checkpoint. A robot that passes the
+    last level is sent to any level.
 
-    Once `easier_step` (a parameter) control steps have been taken, a share of the episodes is on
-    the tile of a level drawn from those up to the robot's own, which such an episode does not
-    change: who no longer meets narrow gaps forgets how to cross them.
+    From control step `easier_step` (a parameter) on, a share of the episodes use a tile of a level
+    drawn uniformly up to the robot's own. They do not change that level. Without them robots forget
+    how to cross narrow gaps.
 
     Attributes:
         levels: each robot's own level, [N]; `terrain.terrain_levels` is that of the tile it is on.
@@ -55,7 +54,7 @@ class TerrainLevels:
         Args:
             env: environment on tiles.
             env_ids: these robots.
-            easier_step: see above; None is never.
+            easier_step: control step from which easier tiles are drawn; None: never.
 
         Returns:
             Mean level of each kind of tile.
@@ -63,8 +62,8 @@ class TerrainLevels:
         terrain, command = tile_terrain(env), goal(env)
         steps = env.episode_length_buf[env_ids]
         left = (env.max_episode_length - steps).clamp_min(0) * env.step_dt
-        fell = env.termination_manager.terminated[env_ids]
-        owed = command.commanded_distance[env_ids] + fell * left * command.speed[env_ids]
+        failed = env.termination_manager.terminated[env_ids]
+        owed = command.commanded_distance[env_ids] + failed * left * command.speed[env_ids]
         distance = distance_from_start(env)[env_ids]
         before, types = self.levels[env_ids], terrain.terrain_types[env_ids]
         counts = (steps > 0) & (terrain.terrain_levels[env_ids] == before)
@@ -75,10 +74,8 @@ class TerrainLevels:
         tiles = terrain.cfg.terrain_generator.sub_terrains
         flat_starts = (kind for kind, tile in tiles.items() if getattr(tile, "flat_start", False))
         lowest = on_tiles(env, *flat_starts)[env_ids].long()
-        other = torch.where(
-            before < lowest, before, lowest + torch.randint_like(level, FIRST_LEVELS)
-        )
-        level = torch.where((level < lowest) & ~up, other, level)
+        retry = lowest + torch.randint_like(level, FIRST_LEVELS)
+        level = torch.where((before >= lowest) & (level < lowest), retry, level).clamp_min(0)
         self.passed[env_ids] = (level >= highest) | (self.passed[env_ids] & ~down)
         level = torch.where(level >= highest, torch.randint_like(level, highest), level)
         self.levels[env_ids] = level
