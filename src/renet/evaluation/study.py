@@ -136,7 +136,7 @@ class WalkingStudy(Study):
     modes: tuple[str, ...] = ("vp", "renet", "op")
     """Policy modes to compare: vp, renet, op, oracle-switch."""
     robots: int = 20
-    """Robots in each setting and mode."""
+    """Robots in each setting and mode; with `quick` always fewer."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
     selector: str = "monitors"
