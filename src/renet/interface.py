@@ -16,6 +16,8 @@ CONTROL_DT = 0.02
 """Seconds between policy ticks (50 Hz)."""
 STEPS_PER_TICK = 5
 """Policy ticks per estimator and vision tick (10 Hz)."""
+TICK_DT = CONTROL_DT * STEPS_PER_TICK
+"""Seconds between two estimator ticks, and between two depth images (10 Hz, paper)."""
 PHYSICS_DT = 0.005
 """Seconds between physics steps, and the selector's default update period (200 Hz)."""
 
@@ -58,7 +60,7 @@ HEIGHT_MAP_Y = tuple(round(-0.75 + 0.15 * i, 2) for i in range(11))
 """Metres ahead of and left of the base, in the yaw-aligned base frame; the 2.5D map m_t is
 flattened with y fastest (index = i_x * len(HEIGHT_MAP_Y) + i_y)."""
 HEIGHT_MAP_SIZE = len(HEIGHT_MAP_X) * len(HEIGHT_MAP_Y)
-FEET = len(LEGS)
+NUM_FEET = len(LEGS)
 
 
 def proprioception_slices() -> dict[str, slice]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from renet.deploy.controller import Event
-from renet.deploy.recording import GOOD, MODES, NONE, TICK, Recording
+from renet.deploy.recording import GOOD, MODES, NONE, TICK_DTYPE, Recording
 from renet.deploy.safety import Mode
 from renet.deploy.score import BANDS, draw_timeline, score, track, write_score
 from renet.errors import RenetError
@@ -22,7 +22,7 @@ STEPS, RISEN, BLIND = 500, 100, 300
 @pytest.fixture
 def flight() -> Recording:
     """2 s of rising, then walking at 0.5 m/s to the left of the start; OP from 6 s on."""
-    ticks = np.zeros(STEPS, TICK)
+    ticks = np.zeros(STEPS, TICK_DTYPE)
     ticks["now"] = 1000.0 + CONTROL_DT * np.arange(STEPS)
     ticks["state"], ticks["quaternion"] = GOOD, turned("z", 90)
     ticks["mode"] = MODES.index(Mode.WALKING)
@@ -81,7 +81,7 @@ def test_falls_are_counted_once_each(flight):
 
 
 def test_an_empty_flight(tmp_path):
-    empty = Recording({}, np.zeros(0, TICK), {}, [], False)
+    empty = Recording({}, np.zeros(0, TICK_DTYPE), {}, [], False)
     result = write_score(empty, tmp_path / "new", [1.0])
     assert result["walking_seconds"] == result["distance_m"] == result["falls"] == 0
     assert result["switch_delay_s"] == [None]
@@ -114,7 +114,7 @@ def test_long_and_tiny_runs_are_drawn(flight, tmp_path):
         flight.ticks["now"] = np.linspace(0.0, end, STEPS)
         assert len(drawn(flight, [], tmp_path)) < 400_000
     many = [Event(1000.0 + i, "op", "x" * 500) for i in range(1000)]
-    nothing = Recording({}, np.zeros(0, TICK), {}, many, False)
+    nothing = Recording({}, np.zeros(0, TICK_DTYPE), {}, many, False)
     assert len(drawn(nothing, [], tmp_path)) < 400_000
 
 

@@ -9,7 +9,7 @@ from renet.selector import SelectorSpec, make_selector
 from .fakes import SPEED, FakeEnv, FakePolicy
 
 NOISE = (Injection("gaussian", 1.0, onset=20),)
-MODES = ("vp", "renet", "op", "oracle-switch")
+POLICY_MODES = ("vp", "renet", "op", "oracle-switch")
 
 
 def roll(rows: list[Trial], steps: int = 60, **kwargs):
@@ -20,7 +20,7 @@ def roll(rows: list[Trial], steps: int = 60, **kwargs):
 
 
 def test_each_mode_uses_the_estimator_it_is_named_after() -> None:
-    trace, *_ = roll([Trial(mode, NOISE) for mode in MODES])
+    trace, *_ = roll([Trial(mode, NOISE) for mode in POLICY_MODES])
     vp, renet, op, oracle = trace.vision.T
     assert vp.all()
     assert not op.any()

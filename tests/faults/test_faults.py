@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renet.errors import RenetError
-from renet.faults import FAULTS, SEVERITIES, TICK, Frames, Injection, Injector, PhysicalFault
+from renet.faults import FAULTS, SEVERITIES, Frames, Injection, Injector, PhysicalFault
 from renet.faults.image import fill_holes, shifted
-from renet.interface import DEPTH_SHAPE
+from renet.interface import DEPTH_SHAPE, TICK_DT
 
 SENSOR_FAULTS = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
 
@@ -52,7 +52,7 @@ def test_robots_it_is_not_at_work_on_keep_their_frames(name: str) -> None:
     fault = FAULTS[name](FAULTS[name].level_of(5), [np.random.default_rng(n) for n in range(2)])
     for tick in range(20):
         given = Frames.healthy(ground(2, tick), np.array([[0.0, 0.6, -0.4]] * 2))
-        after = fault.corrupt(given, np.array([tick * TICK, -1.0]))
+        after = fault.corrupt(given, np.array([tick * TICK_DT, -1.0]))
         for field, value in vars(after).items():
             np.testing.assert_array_equal(value[1], getattr(given, field)[1])
         np.testing.assert_array_equal(given.image, ground(2, tick), "the input is not changed")
@@ -95,7 +95,7 @@ def test_salt_and_pepper_hits_the_stated_share_half_each() -> None:
 def test_blackout_fades_linearly_to_zero() -> None:
     frames = play([Injection("blackout", 0.5, onset=0)], ticks=8)
     for t in range(8):
-        remaining = max(1 - t * TICK / 0.5, 0)
+        remaining = max(1 - t * TICK_DT / 0.5, 0)
         np.testing.assert_allclose(frames[t].image, ground(2, t) * remaining, atol=1e-6)
 
 
@@ -146,7 +146,7 @@ def test_unplugged_delivers_nothing_and_ages_until_it_returns() -> None:
     for t in range(5, 15):
         np.testing.assert_array_equal(frames[t].image, ground(2, 4))
         assert not frames[t].fresh.any()
-        np.testing.assert_allclose(frames[t].age, (t - 4) * TICK)
+        np.testing.assert_allclose(frames[t].age, (t - 4) * TICK_DT)
     assert frames[15].fresh.all()
     np.testing.assert_array_equal(frames[15].image, ground(2, 15))
 
@@ -162,7 +162,7 @@ def test_latency_serves_an_image_as_old_as_stated() -> None:
     for t in range(8, 30):
         for i in range(8):
             match = [k for k in range(t + 1) if np.array_equal(frames[t].image[i], ground(8, k)[i])]
-            ages.append((t - match[0]) * TICK)
+            ages.append((t - match[0]) * TICK_DT)
     # Delays of 0.1 to 0.3 s on a 0.1 s grid; a newer frame may overtake.
     assert min(ages) >= 0.1 - 1e-9
     assert max(ages) <= 0.4 + 1e-9

@@ -20,7 +20,7 @@ from safetensors.numpy import save_file
 
 from renet.cli import main
 from renet.deploy.bundle import DEFAULT, MANIFEST, pretrained
-from renet.deploy.recording import CHUNK, MAGIC, TICK
+from renet.deploy.recording import CHUNK, MAGIC, TICK_DTYPE
 
 from ..forked import Done, fork
 
@@ -210,7 +210,7 @@ HEAD = MAGIC + chunk(b"HEAD", b"{}")
 
 
 def ticks(**fields) -> bytes:
-    rows = np.zeros(3, TICK)
+    rows = np.zeros(3, TICK_DTYPE)
     rows["now"] = [1.0, 1.02, 1.04]
     for name, value in fields.items():
         rows[name] = value
@@ -218,8 +218,8 @@ def ticks(**fields) -> bytes:
 
 
 RECORDINGS = {
-    "a bomb of zeros": HEAD + chunk(b"TICK", bytes(2_000_000_000 // TICK.itemsize)) * 60_000,
-    "one chunk of 100 MB": HEAD + chunk(b"TICK", bytes(TICK.itemsize * 60_000)),
+    "a bomb of zeros": HEAD + chunk(b"TICK", bytes(2_000_000_000 // TICK_DTYPE.itemsize)) * 60_000,
+    "one chunk of 100 MB": HEAD + chunk(b"TICK", bytes(TICK_DTYPE.itemsize * 60_000)),
     "text for a number": MAGIC + chunk(b"HEAD", b'{"beta": "low", "onsets": ["now"]}'),
     "a deep header": MAGIC + chunk(b"HEAD", b'{"a":' * 100_000),
     "times of 1e15": ticks(now=[0.0, 1.0, 1e15]),

@@ -22,9 +22,9 @@ function image(text) {
 
 const decided = [];
 let frame = null;
-for (const { state, frame: next, request, now } of ticks) {
+for (const { state, frame: next, teleop, now } of ticks) {
   if (next) frame = { ...next, image: image(next.image) };
-  const command = await controller.tick(state, frame, request, now);
+  const command = await controller.tick(state, frame, teleop, now);
   const { mode, policy, selector, observation, action, driving } = controller;
   decided.push({
     mode,

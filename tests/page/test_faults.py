@@ -126,7 +126,7 @@ def test_physical_fault_shows_what_the_runtime_would_see(node_page: Path, name: 
         if name == "mount_knocked":
             assert np.linalg.norm(turn) == pytest.approx(np.radians(level))
         lift, glass = (np.array([level * (name == one)]) for one in ("foam", "glass"))
-        camera.disturb(ViewPerturbation(lift, turn[None], glass))
+        camera.perturb(ViewPerturbation(lift, turn[None], glass))
         np.testing.assert_allclose(seen["spoilt"], camera.depth().ravel(), atol=1e-4)
         changed = not np.allclose(seen["spoilt"], seen["clean"], atol=1e-3)
         assert changed or severity == 1, "what is glass may be out of sight at severity 1"

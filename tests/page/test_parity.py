@@ -54,8 +54,8 @@ class Recorder:
         due, shown = self.robot.now(), None
         for step in range(round(seconds / 0.02)):
             now, state, frame = self.robot.now(), self.robot.read(), self.camera.latest()
-            request = TeleopCommand(speed=0.6, turn=0.2 * np.sin(now), arm=step == 0)
-            command = self.controller.tick(state, frame, request, now)
+            teleop = TeleopCommand(speed=0.6, turn=0.2 * np.sin(now), arm=step == 0)
+            command = self.controller.tick(state, frame, teleop, now)
             new, shown = frame is not shown, frame
             self.given.append(
                 {
@@ -67,7 +67,7 @@ class Recorder:
                         "angularVelocity": state.angular_velocity.tolist(),
                     },
                     "frame": _frame(frame) if new else None,
-                    "request": {"speed": 0.6, "turn": request.turn, "arm": request.arm},
+                    "teleop": {"speed": 0.6, "turn": teleop.turn, "arm": teleop.arm},
                     "now": now,
                 }
             )

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renet.selector import MONITORS, SelectorInput, SelectorSpec
-from renet.selector.filter import switch_delay
+from renet.selector.filter import filter_delay
 from renet.selector.monitors import Monitors
 from renet.selector.selector import MonitorSelector
 
@@ -137,7 +137,7 @@ def test_delay_dwell_and_rest_are_seconds_at_any_rate_of_filter_and_caller(rate,
     times, visions = run(chosen, STALE, fault, fault + 3.0, step)
     left = times[(~visions[:, 1]).argmax()] - fault
     assert not visions[:, 1].all()
-    assert abs(left - switch_delay(0.1, rate)) <= tolerance
+    assert abs(left - filter_delay(0.1, rate)) <= tolerance
     times, visions = run(chosen, seen(), fault + 3.0, fault + 6.0, step)
     # P must also come back above one half, which a slow filter takes longer for.
     back = times[visions[:, 1].argmax()] - (fault + 3.0)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from renet.errors import RenetError
 from renet.selector import MONITORS, SelectorInput, SelectorSpec, make_selector
 from renet.selector.calibration import calibrate
-from renet.selector.filter import low_pass, switch_delay
+from renet.selector.filter import filter_delay, low_pass
 from renet.selector.selector import BETWEEN_RETURNS, DWELL, check_selector
 
 GAMMAS = st.floats(0.005, 1.0)
@@ -26,12 +26,12 @@ def test_the_delay_formula_equals_what_the_filter_does(gamma, rate):
     while probability > 0.5:
         probability = low_pass(probability, np.array([False]), gamma)
         updates += 1
-    assert switch_delay(gamma, rate) * rate == pytest.approx(updates)
+    assert filter_delay(gamma, rate) * rate == pytest.approx(updates)
 
 
 def test_the_papers_switching_time():
-    assert switch_delay(0.1, 200.0) == pytest.approx(0.035)
-    assert switch_delay(0.1, 10.0) == pytest.approx(0.7)
+    assert filter_delay(0.1, 200.0) == pytest.approx(0.035)
+    assert filter_delay(0.1, 10.0) == pytest.approx(0.7)
 
 
 @given(

@@ -126,7 +126,7 @@ class DistillationAlgorithm(RenetAlgorithm):
     def construct_algorithm(
         cls, obs: TensorDict, env: VecEnv, cfg: dict[str, Any], device: str
     ) -> Self:
-        """See the base class; `cfg` also holds `distillation`."""
+        """Build from rsl_rl's dictionary, with `distillation` in it; raises RenetError."""
         made = super().construct_algorithm(obs, env, cfg, device)
         supervision = made.supervision
         made.distillation = from_dict(DistillationCfg, cfg["distillation"])
@@ -199,7 +199,7 @@ class DistillationAlgorithm(RenetAlgorithm):
     def process_env_step(
         self, obs: TensorDict, rewards: Tensor, dones: Tensor, extras: dict[str, Any]
     ) -> None:
-        """See the base class; also draws who drives the episodes that begin."""
+        """Record what the environment answered; draw who drives the episodes that begin."""
         super().process_env_step(obs, rewards, dones, extras)
         over = self.distillation.teacher_drives
         share = math.exp(-self.iteration / over) if over else 0.0

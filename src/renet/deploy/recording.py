@@ -37,7 +37,7 @@ NONE, GOOD, BAD = 0, 1, 2
 """Whether a reading or a frame was there at a tick, and whether it could be stored."""
 MODES = tuple(Mode)
 
-TICK = np.dtype(
+TICK_DTYPE = np.dtype(
     [
         ("now", "f8"),
         ("state", "u1"),
@@ -73,7 +73,7 @@ TICK = np.dtype(
 """One control tick: what came in, what was decided, how long that took, and where the base was in
 the world (NaN where nobody knows)."""
 DECIDED = tuple(
-    f.name for f in fields(Decision) if f.name in (TICK.names or ()) and f.name != "mode"
+    f.name for f in fields(Decision) if f.name in (TICK_DTYPE.names or ()) and f.name != "mode"
 )
 """Fields of a `Decision` that are recorded as they are."""
 MAX_WAITING = 60
@@ -141,7 +141,7 @@ class Recorder:
         base_position: np.ndarray | None = None,
     ) -> None:
         """Record one control tick; whatever it is given, it does not raise."""
-        tick = np.zeros((), TICK)
+        tick = np.zeros((), TICK_DTYPE)
         tick["now"], tick["compute_ms"] = now, compute_ms
         tick["base_position"] = np.nan if base_position is None else base_position
         tick["state"] = _store_state(tick, state)
@@ -256,7 +256,7 @@ class Recording:
     header: dict[str, Any]
     """What ran: bundle, limits, devices, faults."""
     ticks: np.ndarray
-    """[T] of dtype `TICK`."""
+    """[T] of dtype `TICK_DTYPE`."""
     images: dict[int, np.ndarray]
     """[48, 64] float16 by the tick at which it was new."""
     events: list[Event]
@@ -285,7 +285,7 @@ def read_recording(path: Path) -> Recording:
                 if tag == HEADER:
                     header = _header(parse_json(chunk, "header"))
                 elif tag == TICKS:
-                    ticks.append(np.frombuffer(chunk, TICK))
+                    ticks.append(np.frombuffer(chunk, TICK_DTYPE))
                 elif tag == IMAGES:
                     images |= _images(chunk)
                 elif tag == EVENTS:
@@ -293,7 +293,7 @@ def read_recording(path: Path) -> Recording:
                 complete = tag == END
         if header is None:
             raise RenetError(f"{path} has no readable header: nothing of the run was saved")
-        rows = np.concatenate(ticks) if ticks else np.zeros(0, TICK)
+        rows = np.concatenate(ticks) if ticks else np.zeros(0, TICK_DTYPE)
         _check(rows, images, events)
     except OSError as error:
         raise RenetError(f"cannot read the recording {path}: {error}") from error

@@ -99,7 +99,7 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
         "vision_share": round(_mean(ticks["vision"][walking]), 4),
         "switches": sum(event.what in ("op", "vp") for event in run.events),
         "op_before_first_fault": sum(e.what == "op" and bool(e.time < first) for e in run.events),
-        "switch_delay_s": [switch_delay(blind, onset) for onset in onsets],
+        "switch_delay_s": [delay_to_op(blind, onset) for onset in onsets],
         "compute_ms": spread(ticks["compute_ms"]),
         "period_ms": spread(1000.0 * np.diff(ticks["now"])),
         "events": [asdict(event) for event in run.events],
@@ -107,7 +107,7 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def switch_delay(blind: np.ndarray, onset: float) -> float | None:
+def delay_to_op(blind: np.ndarray, onset: float) -> float | None:
     """Seconds from an onset to OP; zero if OP acted already, None if it never did.
 
     Args:

@@ -18,10 +18,10 @@ from renet.deploy.bundle import Bundle, write_manifest
 from renet.deploy.calibration_log import recorded_scores
 from renet.deploy.terminal import show
 from renet.errors import RenetError
-from renet.evaluation.monitor_log import TICK_RATE, MonitorLog, healthy_series
+from renet.evaluation.monitor_log import MonitorLog, healthy_series
 from renet.evaluation.rollout import Trial, check_speed
 from renet.faults import Injection
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, TICK_DT
 from renet.selector.calibration import calibrate, calibrate_monitors
 from renet.selector.monitors import MONITORS
 
@@ -98,7 +98,7 @@ def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series) ->
     scores = np.concatenate(series["reconstruction"])
     if grassy:
         series = {name: runs for name, runs in series.items() if name != "reconstruction"}
-    thresholds, hours = calibrate_monitors(series, cfg.false_alarms_per_hour, TICK_RATE)
+    thresholds, hours = calibrate_monitors(series, cfg.false_alarms_per_hour, 1.0 / TICK_DT)
     for name, runs in grassy.items():
         if name in thresholds and runs:
             passes = float(np.quantile([run.max() for run in runs], IN_SPARSE_GRASS))

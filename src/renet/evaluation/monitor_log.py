@@ -11,8 +11,6 @@ from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import MONITORS, Monitors, SelectorInput
 
 UPDATES_PER_TICK = UPDATES_PER_STEP * STEPS_PER_TICK
-TICK_RATE = 1.0 / (CONTROL_DT * STEPS_PER_TICK)
-"""Hz."""
 
 
 class MonitorLog:

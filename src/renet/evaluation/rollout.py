@@ -19,7 +19,7 @@ from renet.faults import Frames, Injector, Schedule, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import SelectorInput
 
-MODES = ("vp", "renet", "op", "oracle-switch")
+POLICY_MODES = ("vp", "renet", "op", "oracle-switch")
 """Policy modes: vision always, the selector's choice, never, and a switch that knows the fault."""
 
 
@@ -109,10 +109,10 @@ class Trial:
 
 def check_modes(modes: Sequence[str]) -> None:
     """Raise RenetError where there is no mode, or one that is unknown."""
-    unknown = [mode for mode in modes if mode not in MODES]
+    unknown = [mode for mode in modes if mode not in POLICY_MODES]
     if unknown or not modes:
         said = f"unknown mode '{unknown[0]}'" if unknown else "no mode given"
-        raise RenetError(f"{said}: choose among {', '.join(MODES)}")
+        raise RenetError(f"{said}: choose among {', '.join(POLICY_MODES)}")
 
 
 def check_speed(speed: float) -> None:

@@ -1,6 +1,6 @@
 """Every way a depth camera fails, in five severities: pure NumPy, for any policy."""
 
-from renet.faults.base import SEVERITIES, TICK, Fault, Frames
+from renet.faults.base import SEVERITIES, Fault, Frames
 from renet.faults.catalogue import FAULTS, fault_class
 from renet.faults.injection import Injection, Injector, Schedule, parse_fault
 from renet.faults.physical import PhysicalFault, ViewPerturbation
@@ -8,7 +8,6 @@ from renet.faults.physical import PhysicalFault, ViewPerturbation
 __all__ = [
     "FAULTS",
     "SEVERITIES",
-    "TICK",
     "Fault",
     "Frames",
     "Injection",

@@ -9,10 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from renet.errors import RenetError
-from renet.interface import CONTROL_DT, STEPS_PER_TICK
 
-TICK = CONTROL_DT * STEPS_PER_TICK
-"""Seconds between two frames of the depth camera (10 Hz, paper)."""
 SEVERITIES = (1, 2, 3, 4, 5)
 FOREVER = float("inf")
 """Seconds."""

@@ -6,7 +6,8 @@ from typing import ClassVar
 import numpy as np
 
 from renet.faults import image, stereo, timing
-from renet.faults.base import SEVERITIES, TICK, Fault, Frames
+from renet.faults.base import SEVERITIES, Fault, Frames
+from renet.interface import TICK_DT
 
 PERIOD = 10
 """Frames from one onset of an intermittent fault to the next: 1 s."""
@@ -70,9 +71,9 @@ class Intermittent(Fault):
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """The frames, spoilt where the fault is on."""
-        phase = np.round(elapsed / TICK).astype(int) % PERIOD
+        phase = np.round(elapsed / TICK_DT).astype(int) % PERIOD
         on = (elapsed >= 0) & (phase < round(self.level * PERIOD))
-        return self._fault.corrupt(frames, np.where(on, phase * TICK, -1.0))
+        return self._fault.corrupt(frames, np.where(on, phase * TICK_DT, -1.0))
 
 
 class IntermittentBlackout(Intermittent):

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from renet.faults.base import FOREVER, TICK, Fault, Frames
+from renet.faults.base import FOREVER, Fault, Frames
+from renet.interface import TICK_DT
 
 
 class Frozen(Fault):
@@ -53,7 +54,7 @@ class Dropped(Fault):
         if self._held is None:
             self._held = frames.copy()
         lost = self.missing(elapsed)
-        self._held.age[lost] += TICK
+        self._held.age[lost] += TICK_DT
         self._held.fresh[lost] = False
         self._held.write(~lost, frames.rows(~lost))
         return self._held.copy()
@@ -83,14 +84,14 @@ class Latency(Fault):
 
     def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
         super().__init__(level, rngs)
-        depth = int(np.ceil(1.5e-3 * level / TICK)) + 2
+        depth = int(np.ceil(1.5e-3 * level / TICK_DT)) + 2
         self._past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=depth)
         self._served = np.full(len(rngs), -np.inf)
         self._now = 0.0
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """Serve the newest image that has arrived by now."""
-        self._now += TICK
+        self._now += TICK_DT
         delay = np.array([rng.uniform(0.5, 1.5) * self.level * 1e-3 for rng in self.rngs])
         arrival = np.where(elapsed >= 0, self._now + delay, self._now)
         self._past.appendleft((frames.image.copy(), arrival))
@@ -99,7 +100,7 @@ class Latency(Fault):
         here[-1] = True  # Until one arrives the oldest is shown.
         back = here.argmax(axis=0)
         image = np.stack([self._past[k][0][i] for i, k in enumerate(back.tolist())])
-        capture = self._now - TICK * back
+        capture = self._now - TICK_DT * back
         fresh = capture > self._served + 1e-9
         self._served = capture
         age = np.where(fresh, 0.0, self._now - arrivals[back, np.arange(len(back))])

@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from renet.interface import DEPTH_SHAPE, FEET, HEIGHT_MAP_SIZE, LATENT, PROPRIOCEPTION_SIZE
+from renet.interface import DEPTH_SHAPE, HEIGHT_MAP_SIZE, LATENT, NUM_FEET, PROPRIOCEPTION_SIZE
 from renet.models.actor_critic import mlp
 from renet.models.config import ModelCfg
 
@@ -154,7 +154,7 @@ class OPEstimator(Estimator):
         super().__init__(cfg, inputs=1)
 
     def features(self, history: Tensor, depth: Tensor) -> Tensor:
-        """See Estimator.features; depth is ignored."""
+        """Encode o^{H1} [B, H1, 45] to [B, 64]; depth is ignored."""
         del depth
         return self.encoder([self.proprioception(history)])
 
@@ -165,17 +165,17 @@ class VPEstimator(Estimator):
     def __init__(self, cfg: ModelCfg) -> None:
         super().__init__(cfg, inputs=2)
         self.depth = DepthEmbedding(cfg.frames)
-        self.feet_height_head = nn.Linear(LATENT, FEET) if cfg.predict_feet_height else None
+        self.feet_height_head = nn.Linear(LATENT, NUM_FEET) if cfg.predict_feet_height else None
         self.height_map_head = (
             mlp((LATENT, LATENT, HEIGHT_MAP_SIZE)) if cfg.predict_height_map else None
         )
 
     def features(self, history: Tensor, depth: Tensor) -> Tensor:
-        """See Estimator.features."""
+        """Encode o^{H1} [B, H1, 45] and d^{H2} [B, >=H2, 48, 64] to [B, 64]."""
         return self.encoder([self.proprioception(history), self.depth(depth[:, : self.frames])])
 
     def predict(self, latent: Tensor) -> dict[str, Tensor]:
-        """See Estimator.predict."""
+        """Apply the heads to h_v [..., 64]; what `Estimator.predict` lists, as far as trained."""
         estimate = super().predict(latent)
         if self.feet_height_head is not None:
             estimate["feet_height"] = self.feet_height_head(latent)

@@ -77,7 +77,7 @@ def calibrate_monitors(
 def return_level(runs: Sequence[np.ndarray], expected: float) -> float:
     """The level that runs like these exceed `expected` times in all, and these never.
 
-    Peaks over threshold: exceedances of a high quantile, the peak of each burst, follow a
+    Peaks over threshold: exceedances of a high quantile, the peak of each cluster, follow a
     generalised Pareto distribution (Pickands, Balkema and de Haan). Its shape is found by moments
     and kept at 0 (an exponential tail) or below (a bounded one, as of shares of an image). Never
     below the maximum plus the mean exceedance: where tails are heavier, the margin has to hold.
@@ -91,7 +91,7 @@ def return_level(runs: Sequence[np.ndarray], expected: float) -> float:
     if len(excess) == 0:
         return float(np.nextafter(joined.max(), np.inf))
     mean, ratio = float(excess.mean()), max(len(excess) / expected, 1.0)
-    # Bursts that all peak alike, as counts of equal images do, have no variance.
+    # Clusters that all peak alike, as counts of equal images do, have no variance.
     spread = max(float(excess.var()), 1e-9 * mean**2)
     shape = 0.5 * (1.0 - mean**2 / spread) if len(excess) >= ENOUGH else 0.0
     shape = float(np.clip(shape, -0.5, 0.0))

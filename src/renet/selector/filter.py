@@ -25,7 +25,7 @@ def low_pass(
     return healthy + (1.0 - gamma) ** count * (probability - healthy)
 
 
-def switch_delay(gamma: float, rate_hz: float) -> float:
+def filter_delay(gamma: float, rate_hz: float) -> float:
     """Seconds from the first unhealthy update to OP, starting from P = 1.
 
     P falls to (1 - gamma)^n after n updates and must not exceed one half: at gamma = 0.1 that

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from renet.errors import RenetError
-from renet.selector.filter import VISION_THRESHOLD, low_pass, switch_delay
+from renet.selector.filter import VISION_THRESHOLD, filter_delay, low_pass
 from renet.selector.monitors import MONITORS, Monitors, SelectorInput
 
 DWELL = 1.0
@@ -172,7 +172,7 @@ def check_selector(spec: SelectorSpec) -> None:
     """
     if not 10.0 <= spec.rate_hz <= 1000.0:
         raise RenetError(f"selector.rate_hz must be from 10 to 1000 Hz, got {spec.rate_hz:g}")
-    delay = switch_delay(spec.gamma, spec.rate_hz)
+    delay = filter_delay(spec.gamma, spec.rate_hz)
     if delay > SLOWEST:
         raise RenetError(
             f"selector.gamma {spec.gamma:g} at {spec.rate_hz:g} Hz delays a switch by {delay:g} s, "

@@ -170,7 +170,7 @@ class Obstacles(Tile):
     """Half-width of the free square in the middle, m."""
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See Tile.build."""
+        """Add the blocks; robots start on the ground, at 0 m."""
         builder.square(TILE / 2, FLOOR)
         for _ in range(self.count):
             a, b = rng.uniform(0.2, 0.5, 2)
@@ -201,7 +201,7 @@ class Stairs(Tile):
     descend: bool = True
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See Tile.build."""
+        """Add the steps; returns the height of the summit or of the pit, m."""
         edge = self.landing + self.steps * self.tread
         top = self.steps * measure
         if self.descend:

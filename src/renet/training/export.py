@@ -16,10 +16,10 @@ from torch import Tensor, nn
 
 from renet import __version__
 from renet.deploy.bundle import write_bundle
-from renet.deploy.bundle.manifest import CameraSpec, Manifest, Provenance, RobotSpec, from_json
+from renet.deploy.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpec, from_json
 from renet.deploy.bundle.models import OPTIONAL, model_shapes
 from renet.errors import RenetError
-from renet.interface import FEET, HEIGHT_MAP_SIZE, JOINTS
+from renet.interface import HEIGHT_MAP_SIZE, JOINTS, NUM_FEET
 from renet.models.actor_critic import fuse
 from renet.models.autoencoder import anomaly_score, variance_score
 from renet.models.config import ModelCfg
@@ -129,7 +129,7 @@ def camera_spec(robot: RobotCfg = GO1, noise_std: float = DepthNoiseCfg.gaussian
     )
 
 
-def _provenance(state: dict[str, Any], cfg: ModelCfg) -> Provenance:
+def _provenance(state: dict[str, Any], cfg: ModelCfg) -> ProvenanceSpec:
     found = {
         "task": state["task"] or "",
         "iteration": state["iteration"],
@@ -141,7 +141,7 @@ def _provenance(state: dict[str, Any], cfg: ModelCfg) -> Provenance:
         "date": date.today().isoformat(),
         "renet": __version__,
     }
-    return from_json(Provenance, found, "checkpoint")
+    return from_json(ProvenanceSpec, found, "checkpoint")
 
 
 class ActorGraph(nn.Module):
@@ -175,7 +175,7 @@ class EstimatorGraph(nn.Module):
         predictions = (
             (op.get("velocity"), 3),
             (vp.get("velocity"), 3),
-            (vp.get("feet_height"), FEET),
+            (vp.get("feet_height"), NUM_FEET),
             (vp.get("height_map"), HEIGHT_MAP_SIZE),
         )
         zeros = torch.zeros_like(next_vp[:, :1])

@@ -5,7 +5,7 @@ import pytest
 
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.faulty import FaultyCamera
-from renet.deploy.recording import TICK, Recording
+from renet.deploy.recording import TICK_DTYPE, Recording
 from renet.deploy.replay import ReplayCamera
 from renet.errors import RenetError
 from renet.faults import parse_fault
@@ -114,7 +114,7 @@ def test_unreadable_faults_are_refused(text):
 
 
 def test_a_flight_is_shown_again_on_another_clock():
-    ticks = np.zeros(20, TICK)
+    ticks = np.zeros(20, TICK_DTYPE)
     ticks["now"] = 7.0 + CONTROL_DT * np.arange(20)
     ticks["frame_number"][[3, 8]] = (11, 12)
     ticks["frame_invalid"][8] = 0.25

@@ -115,7 +115,7 @@ def test_the_camera_sees_what_the_training_camera_sees(kind, view):
     camera = SimCamera(robot, CAMERA)
     groups = robot.model.geom_group.copy()
     true = camera.depth()
-    camera.disturb(view)
+    camera.perturb(view)
     mine = camera.depth()
     assert (view is SEEN) == np.array_equal(true, mine)
     np.testing.assert_array_equal(robot.model.geom_group, groups)
@@ -140,7 +140,7 @@ def test_the_camera_sees_what_the_training_camera_sees(kind, view):
 
 def test_a_plane_cannot_be_glass():
     with pytest.raises(RenetError, match="choose a --terrain"):
-        SimCamera(robot_on("flat"), CAMERA).disturb(GLASS)
+        SimCamera(robot_on("flat"), CAMERA).perturb(GLASS)
 
 
 def test_camera_rate_noise_and_seed():

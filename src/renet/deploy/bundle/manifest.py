@@ -103,7 +103,7 @@ class CameraSpec:
 
 
 @dataclass(frozen=True)
-class Provenance:
+class ProvenanceSpec:
     """Where the weights come from."""
 
     task: str = ""
@@ -124,7 +124,7 @@ class Manifest:
     robot: RobotSpec
     camera: CameraSpec
     selector: SelectorSpec
-    provenance: Provenance = Provenance()
+    provenance: ProvenanceSpec = ProvenanceSpec()
     history: int = HISTORY
     frames: int = FRAMES
     proprioception: tuple[Term, ...] = PROPRIOCEPTION

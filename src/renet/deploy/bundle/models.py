@@ -17,10 +17,10 @@ from renet.files import MEGABYTE, read_bytes
 from renet.interface import (
     ACTION_SIZE,
     DEPTH_SHAPE,
-    FEET,
     FRAMES,
     HEIGHT_MAP_SIZE,
     LATENT,
+    NUM_FEET,
     PROPRIOCEPTION_SIZE,
 )
 from renet.trial import judge, run_trial
@@ -58,7 +58,7 @@ def model_shapes(history: int) -> dict[str, tuple[dict, dict]]:
                 "next_latent_vp": (LATENT,),
                 "velocity_op": (3,),
                 "velocity_vp": (3,),
-                "feet_height": (FEET,),
+                "feet_height": (NUM_FEET,),
                 "height_map": (HEIGHT_MAP_SIZE,),
             },
         ),

@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from renet.deploy.cameras.base import Camera, DepthFrame
-from renet.faults import TICK, Frames, Injection, Injector, ViewPerturbation
-from renet.interface import CONTROL_DT
+from renet.faults import Frames, Injection, Injector, ViewPerturbation
+from renet.interface import CONTROL_DT, TICK_DT
 
 
 class FaultyCamera:
@@ -28,13 +28,13 @@ class FaultyCamera:
             RenetError: a fault that this camera or its scene cannot have.
         """
         self._camera, self._now = camera, now
-        self._disturb = getattr(camera, "disturb", None)
+        self._perturb = getattr(camera, "perturb", None)
         """Of a simulated camera, which can see what is not so."""
-        self._injector = Injector([tuple(faults)], [0], seed, self._disturb is not None)
-        if self._disturb is not None:
+        self._injector = Injector([tuple(faults)], [0], seed, self._perturb is not None)
+        if self._perturb is not None:
             for fault in faults:  # Refused now rather than while walking.
-                self._disturb(self._injector.perturbation(fault.onset))
-            self._disturb(ViewPerturbation.none(1))
+                self._perturb(self._injector.perturbation(fault.onset))
+            self._perturb(ViewPerturbation.none(1))
         self._begun: float | None = None
         self._due = float("-inf")
         self._shown: DepthFrame | None = None
@@ -47,13 +47,13 @@ class FaultyCamera:
         """Newest frame; None before the first."""
         now = self._now()
         self._begun = now if self._begun is None else self._begun
-        if self._disturb is not None:
-            self._disturb(self._injector.perturbation(self._step(now)))
+        if self._perturb is not None:
+            self._perturb(self._injector.perturbation(self._step(now)))
         frame = self._camera.latest()
         # Fault models know frames at 10 Hz; a faster camera is thinned out.
         if frame is None or frame.time < self._due - CONTROL_DT / 2:
             return self._shown
-        self._due = max(self._due + TICK, frame.time)
+        self._due = max(self._due + TICK_DT, frame.time)
         healthy = Frames.healthy(frame.image[None])
         spoilt = self._injector.apply(healthy, self._step(frame.time))
         if spoilt.fresh[0]:

@@ -52,8 +52,8 @@ class SimCamera:
     def close(self) -> None:
         """Nothing to stop."""
 
-    def disturb(self, view: ViewPerturbation) -> None:
-        """See the scene as it is not, from the next image on: physical faults.
+    def perturb(self, view: ViewPerturbation) -> None:
+        """Apply physical faults from the next image on.
 
         Raises:
             RenetError: obstacles are to be glass where there are none.

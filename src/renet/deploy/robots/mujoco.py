@@ -109,7 +109,7 @@ class MujocoRobot:
         self._hidden = geoms
 
     def cast(self, eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """See the function `cast`."""
+        """Distance in m from `eye` [3] m to the terrain along unit directions [R, 3]: [R]."""
         return cast(self.data, eye, directions, self._hidden)
 
 

@@ -9,8 +9,8 @@ from renet.deploy.bundle import DEFAULT, pretrained, read_manifest
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
-from renet.faults import TICK, Frames, Injection, Injector, ViewPerturbation
-from renet.interface import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK
+from renet.faults import Frames, Injection, Injector, ViewPerturbation
+from renet.interface import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK, TICK_DT
 
 PLACE = 0.3
 """Where the robot stands on its tile, m ahead of the middle."""
@@ -27,7 +27,7 @@ def example(fault: str, severity: int, seed: int) -> np.ndarray:
     frames = Frames.healthy(scene()[None])
     for step in range(0, (SHOWN + 1) * STEPS_PER_TICK, STEPS_PER_TICK):
         # The robot walks, so that an old image differs from a new one.
-        walked = 0.6 * (step * CONTROL_DT - SHOWN * TICK)
+        walked = 0.6 * (step * CONTROL_DT - SHOWN * TICK_DT)
         image = scene(injector.perturbation(step), walked)
         frames = injector.apply(Frames.healthy(image[None], TURNING), step)
     return frames.image[0]
@@ -41,7 +41,7 @@ def scene(view: ViewPerturbation | None = None, walked: float = 0.0) -> np.ndarr
     robot, camera = _robot_and_camera()
     robot.data.qpos[0] = PLACE + walked
     mujoco.mj_forward(robot.model, robot.data)
-    camera.disturb(view or ViewPerturbation.none(1))
+    camera.perturb(view or ViewPerturbation.none(1))
     return np.clip(camera.depth() / DEPTH_RANGE, 0.0, 1.0).astype(np.float32)
 
 

@@ -28,7 +28,7 @@ from renet.evaluation.studies.course_terrain import LAP, SHORT_LAP, passage
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import SEVERITIES
-from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, STEPS_PER_TICK, TICK_DT
 
 ENDS = ("crossed", "fell", "stuck")
 """How a passage ends."""
@@ -217,13 +217,13 @@ def draw_timelines(laps: Sequence[dict[str, Any]], lap: Sequence[str], beta: flo
         lap: kinds of passage.
         beta: threshold.
     """
-    every, marks, events = CONTROL_DT * STEPS_PER_TICK, [], []
+    marks, events = [], []
     for line in laps:
         where = line["passage"]
         starts = np.flatnonzero(np.diff(where, prepend=-1))
-        marks.append([(k * every, lap[where[k]]) for k in starts])
+        marks.append([(k * TICK_DT, lap[where[k]]) for k in starts])
         events.append([(instant, name) for name in ("fell", "stuck") for instant in line[name]])
-    return figures.timelines(laps, marks, beta, "", events, every)
+    return figures.timelines(laps, marks, beta, "", events, TICK_DT)
 
 
 def draw_passages(passages: Sequence[dict[str, Any]]) -> Figure:

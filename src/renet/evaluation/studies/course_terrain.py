@@ -115,7 +115,7 @@ class Passage(Tile):
         return np.array([HALF, SET_DOWN, height])
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """See `Tile.build`."""
+        """Add the passage's geoms, of size `measure`, m; returns the start's height, 0 m."""
         self.obstacle(builder, measure)
         return 0.0
 

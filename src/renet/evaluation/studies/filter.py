@@ -23,7 +23,7 @@ from renet.evaluation.study import Figures, Part, Study, Table
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, PHYSICS_DT
 from renet.selector import SelectorSpec, make_selector
-from renet.selector.filter import switch_delay
+from renet.selector.filter import filter_delay
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class FilterStudy(Study):
             "gamma": spec.gamma,
             "rate_hz": spec.rate_hz,
             "delay_s": float(np.median(delay[found])) if found.any() else None,
-            "formula_s": switch_delay(spec.gamma, spec.rate_hz),
+            "formula_s": filter_delay(spec.gamma, spec.rate_hz),
             "detected": int(found.sum()),
             "switches_per_minute": float(switched.mean() * 60 / (self.seconds - self.onset)),
             "robots": each,

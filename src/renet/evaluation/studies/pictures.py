@@ -27,10 +27,9 @@ from renet.sim.depth.camera import DepthNoiseCfg, MountCfg, add_noise, mount_rot
 from renet.sim.depth.rasterizer import scanner
 from renet.sim.depth.raycast import TerrainScanner
 from renet.tasks.mdp.base_state import tile_terrain
-from renet.terrain.tiles import LEVELS as TOP
-from renet.terrain.tiles import TILE, tiles
+from renet.terrain.tiles import LEVELS, TILE, tiles
 
-LEVELS = (1, 5, 10)
+PICTURED_LEVELS = (1, 5, 10)
 EYE = (0.55, 0.0, 0.33)
 """Where the pictured camera's robot stands on its tile, m from the middle, facing out."""
 SENSOR = Intrinsics(
@@ -55,8 +54,8 @@ class PicturesStudy(Study):
     name: ClassVar[str] = "pictures"
 
     def __post_init__(self) -> None:
-        if not 1 <= self.level <= TOP:
-            raise RenetError(f"terrain level must be 1 to {TOP}, got {self.level}")
+        if not 1 <= self.level <= LEVELS:
+            raise RenetError(f"terrain level must be 1 to {LEVELS}, got {self.level}")
         if self.seconds < 2.0:
             raise RenetError(f"height maps need at least 2 seconds, got {self.seconds}")
 
@@ -110,11 +109,11 @@ def draw_tiles(rays: TerrainScanner, origins: torch.Tensor) -> Figure:
     """Shaded relief of every kind of tile at three levels."""
     kinds = list(tiles())
     figure, axes = plt.subplots(
-        len(LEVELS), len(kinds), figsize=(2.4 * len(kinds), 7.6), constrained_layout=True
+        len(PICTURED_LEVELS), len(kinds), figsize=(2.4 * len(kinds), 7.6), constrained_layout=True
     )
     side = torch.linspace(-TILE / 2, TILE / 2, 200)
     grid = torch.cartesian_prod(side, side)
-    for row, level in enumerate(LEVELS):
+    for row, level in enumerate(PICTURED_LEVELS):
         for column, kind in enumerate(kinds):
             origin = origins[level - 1, column]
             relief = rays.height(grid + origin[:2]).reshape(200, 200).numpy()

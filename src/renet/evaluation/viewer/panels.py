@@ -6,14 +6,14 @@ import numpy as np
 import viser
 
 from renet.evaluation.report.colormaps import beside, depth_picture, map_picture
-from renet.evaluation.viewer.session import MODES, ViewerSession
+from renet.evaluation.viewer.session import VIEWER_MODES, ViewerSession
 from renet.faults import FAULTS, SEVERITIES, Injection
-from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, TICK_DT
 from renet.tasks.sensors import HEIGHT_MAP
 
 SECONDS = 10.0
 """Length of the curves."""
-TICKS = round(SECONDS / (CONTROL_DT * STEPS_PER_TICK))
+TICKS = round(SECONDS / TICK_DT)
 
 
 class VisionPanels:
@@ -34,7 +34,7 @@ class VisionPanels:
             self.loss = _curve(gui, "loss and its threshold β", ("loss", "β"))
             self.trust = _curve(gui, "vision probability P_t", ("P_t", "switch"), (-0.05, 1.05))
         with gui.add_folder("Drive"):
-            self.mode = gui.add_dropdown("estimator", MODES)
+            self.mode = gui.add_dropdown("estimator", VIEWER_MODES)
             speed = session.cfg.commands["goal"].fixed_speed  # type: ignore[attr-defined]
             self.speed = gui.add_slider("m/s", 0.0, 1.0, 0.05, initial_value=speed)
             self.turn = gui.add_button_group("turn", ("left", "right"))

@@ -13,7 +13,7 @@ from renet.faults import Injection, Injector
 from renet.tasks.env import RenetEnv, RenetEnvCfg
 from renet.tasks.mdp.commands import GoalCommandCfg, goal
 
-MODES = ("renet", "vp", "op")
+VIEWER_MODES = ("renet", "vp", "op")
 """The selector's choice, vision always, vision never."""
 
 
@@ -38,7 +38,7 @@ class ViewerSession:
         self.beta = evaluator.beta
         healthy = Injector([()], [0], seed)
         selector = evaluator.make_selector(1)
-        modes = np.array(MODES[:1])
+        modes = np.array(VIEWER_MODES[:1])
         self.loop = ClosedLoop(self.eval_env, self.policy, selector, modes, healthy)
         self.reset()
 

@@ -57,14 +57,14 @@ export class Controller {
    * One control step.
    * @param {object} state time, jointPosition, jointVelocity, quaternion, angularVelocity.
    * @param {object | null} frame newest of the camera: image, time, invalid.
-   * @param {object} request speed, turn (sum of all turns asked for, rad), arm.
+   * @param {object} teleop speed, turn (sum of all turns asked for, rad), arm.
    * @param {number} now seconds on the robot's clock.
    * @returns {Promise<object>} command: position, stiffness, damping, [12] each.
    */
-  async tick(state, frame, request, now) {
+  async tick(state, frame, teleop, now) {
     this.frames.offer(frame);
     const before = this.mode;
-    this.changeMode(this.problem(state, now), request, now);
+    this.changeMode(this.problem(state, now), teleop, now);
     if (this.mode === DAMPING) {
       this.target = Array.from(state.jointPosition);
       return this.damped();
@@ -76,14 +76,14 @@ export class Controller {
     if (before !== WALKING) {
       this.forget();
       this.yaw = heading(state.quaternion);
-      this.turn = request.turn;
+      this.turn = teleop.turn;
     }
-    return this.walk(state, request, now);
+    return this.walk(state, teleop, now);
   }
 
-  async walk(state, request, now) {
-    this.steer(request.turn, heading(state.quaternion));
-    const speed = Math.min(Math.max(request.speed, 0), this.contract.maxSpeed);
+  async walk(state, teleop, now) {
+    this.steer(teleop.turn, heading(state.quaternion));
+    const speed = Math.min(Math.max(teleop.speed, 0), this.contract.maxSpeed);
     const terms = this.contract.proprioception;
     this.observation = observe(state, this.robot, terms, speed, this.yaw, this.action);
     this.policy.remember(this.observation);
@@ -120,9 +120,9 @@ export class Controller {
     this.turn = turn;
   }
 
-  changeMode(problem, request, now) {
-    const arm = request.arm && !this.armed;
-    this.armed = Boolean(request.arm);
+  changeMode(problem, teleop, now) {
+    const arm = teleop.arm && !this.armed;
+    this.armed = Boolean(teleop.arm);
     if (problem) {
       if (this.mode !== DAMPING) this.enter(DAMPING, problem, now);
     } else if (this.mode === DAMPING && arm) {

@@ -30,7 +30,7 @@ export class Controls {
   }
 
   /** Called once a control step of `dt` seconds; returns speed and the sum of all turns. */
-  request(dt) {
+  command(dt) {
     const side = Number(this.held.has("left")) - Number(this.held.has("right"));
     const way = Math.min(Math.max(side + this.stick, -1), 1);
     this.turn += way * TURN_RATE * dt;

@@ -165,13 +165,13 @@ class Page {
   /** One control step of all robots. */
   async step() {
     const { contract } = this.runtime;
-    const request = this.controls.request(contract.controlDt);
+    const teleop = this.controls.command(contract.controlDt);
     if (this.opening && this.now >= OPENING.at - 1e-9) {
       this.breakCamera(contract.faults.findIndex(({ name }) => name === OPENING.fault));
       this.story = "Both cameras just went black.";
     }
     for (const [n, simulation] of this.simulations.entries()) {
-      await simulation.step(request);
+      await simulation.step(teleop);
       this.panels[n].note(simulation);
     }
     if (this.wanted) this.start();

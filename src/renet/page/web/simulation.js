@@ -143,8 +143,8 @@ export class Simulation {
     const before = world.pose().position;
     const state = world.read();
     const frame = this.camera.latest(now, state.angularVelocity);
-    const request = { speed, turn, arm: now === 0 };
-    world.write(await this.controller.tick(state, frame, request, now));
+    const teleop = { speed, turn, arm: now === 0 };
+    world.write(await this.controller.tick(state, frame, teleop, now));
     world.advance();
     const { position } = world.pose();
     const moved = Math.hypot(position[0] - before[0], position[1] - before[1]);

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from renet.camera import Intrinsics
 from renet.errors import RenetError
-from renet.interface import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, DEPTH_RANGE, TICK_DT
 from renet.sim.depth.rasterizer import scanner
 from renet.sim.depth.ray_sensor import RaySensor
 
@@ -64,7 +64,7 @@ class DepthCameraCfg(SensorCfg):
     noise: DepthNoiseCfg = field(default_factory=DepthNoiseCfg)
     range: float = DEPTH_RANGE
     """Depth is capped here, m (paper)."""
-    period: float = CONTROL_DT * STEPS_PER_TICK
+    period: float = TICK_DT
     """Seconds between images."""
     delay: tuple[float, float] = (0.0, 0.0)
     """Age of an image when it is delivered, s, in whole control steps, uniform per episode. It

@@ -49,7 +49,7 @@ class Rasterizer(TerrainScanner):
         )
 
     def depth(self, position: Tensor, rotation: Tensor, lens: Intrinsics, limit: float) -> Tensor:
-        """See TerrainScanner.depth."""
+        """Planar depth, as `TerrainScanner.depth`: [N, H * W] m, at most `limit`."""
         depth = torch.empty(len(position), lens.height * lens.width)
         left, up = lens.axes(np.float32)
         argument = SOURCE.struct("Draw")(
@@ -68,7 +68,7 @@ class Rasterizer(TerrainScanner):
         return depth
 
     def clearance(self, position: Tensor, rotation: Tensor | None, pattern: Tensor) -> Tensor:
-        """See TerrainScanner.clearance."""
+        """Height over the terrain, as `TerrainScanner.clearance`: [N, P] m."""
         clearance = torch.empty(len(position), len(pattern))
         argument = SOURCE.struct("Scan")(
             terrain=self._terrain,

@@ -3,7 +3,7 @@
 export const ROWS = 48;
 export const COLUMNS = 64;
 export const RANGE = 2.0;
-export const TICK = 0.1;
+export const TICK_DT = 0.1;
 
 /** One way a camera fails; sees every frame, also before and after the fault. */
 export class Fault {

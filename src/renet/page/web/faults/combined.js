@@ -1,6 +1,6 @@
 // Faults made of others: two at once, and one that comes and goes.
 
-import { Fault, TICK } from "./base.js";
+import { Fault, TICK_DT } from "./base.js";
 import { Blackout, Blobs, Glare } from "./image.js";
 import { DisparitySteps, EdgeShadow } from "./stereo.js";
 import { Dropped, Frozen, Latency } from "./timing.js";
@@ -35,9 +35,9 @@ function intermittent(name, Kind) {
     }
 
     corrupt(frame, elapsed) {
-      const phase = Math.round(elapsed / TICK) % PERIOD;
+      const phase = Math.round(elapsed / TICK_DT) % PERIOD;
       const on = elapsed >= 0 && phase < Math.round(this.level * PERIOD);
-      const spoilt = this.fault.corrupt(frame, on ? phase * TICK : -1);
+      const spoilt = this.fault.corrupt(frame, on ? phase * TICK_DT : -1);
       return on ? spoilt : frame;
     }
   };

@@ -1,6 +1,6 @@
 // Faults of time: every image is a good one, but not the one the robot should have now.
 
-import { Fault, TICK } from "./base.js";
+import { Fault, TICK_DT } from "./base.js";
 
 export class Frozen extends Fault {
   corrupt(frame, elapsed) {
@@ -14,7 +14,7 @@ export class Stale extends Fault {
   corrupt(frame, elapsed) {
     this.held ??= frame;
     const lost = this.missing(elapsed);
-    this.held = lost ? { ...this.held, fresh: false, age: this.held.age + TICK } : frame;
+    this.held = lost ? { ...this.held, fresh: false, age: this.held.age + TICK_DT } : frame;
     return this.held;
   }
 }
@@ -37,10 +37,10 @@ export class Latency extends Fault {
   served = -Infinity;
 
   corrupt(frame, elapsed) {
-    this.now += TICK;
+    this.now += TICK_DT;
     const delay = this.random.uniform(0.5, 1.5) * this.level * 1e-3;
     const arrival = elapsed >= 0 ? this.now + delay : this.now;
-    const depth = Math.ceil((1.5e-3 * this.level) / TICK) + 2;
+    const depth = Math.ceil((1.5e-3 * this.level) / TICK_DT) + 2;
     const taken = { image: frame.image, taken: this.now, arrival };
     this.past = [...this.past.slice(1 - depth), taken];
     const newest = this.past.findLast((one) => one.arrival <= this.now + 1e-9) ?? this.past[0];
