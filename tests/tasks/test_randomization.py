@@ -3,9 +3,12 @@
 import pytest
 import torch
 
+from renet.errors import RenetError
 from renet.interface import proprioception_slices
 from renet.tasks import env_cfg, make_env
 from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
+from renet.tasks.sensors import depth_camera
+from renet.training.train import TrainCfg, task_cfg
 
 
 def randomized(robots: int, **ranges: float):
@@ -17,24 +20,29 @@ def randomized(robots: int, **ranges: float):
     return env
 
 
-def test_nothing_is_randomised_by_default():
-    plain, same = env_cfg("Renet-Go1-Flat"), env_cfg("Renet-Go1-Flat")
-    randomize(same, RandomizationCfg())
-    assert plain.events.keys() == same.events.keys()
-    assert plain.scene.entities["robot"].articulation == same.scene.entities["robot"].articulation
+def test_training_randomises_what_it_is_asked_to_and_nothing_by_default():
+    plain = task_cfg(TrainCfg(task="Renet-Go1-Flat"))
+    assert plain.events.keys() == env_cfg("Renet-Go1-Flat").events.keys()
+    asked = RandomizationCfg(0.2, action_delay=0.02, camera_delay=0.1, joint_offset=0.03)
+    cfg = task_cfg(TrainCfg(task="Renet-Go1-Flat", randomization=asked))
+    assert cfg.events.keys() - plain.events.keys() == {"motor_strength", "joint_offset"}
+    for task, age, steps in ((plain, 0.0, 0), (cfg, 0.1, 4)):  # Of 5 ms.
+        assert depth_camera(task).delay == (0.0, age)
+        for actuator in task.scene.entities["robot"].articulation.actuators:
+            assert actuator.delay_max_lag == steps
+    with pytest.raises(RenetError, match="camera_delay must be from 0 to 1"):
+        RandomizationCfg(camera_delay=-0.1)
 
 
 def test_motors_differ_in_strength():
     env = randomized(64, motor_strength=0.2)
     limits = env.sim.model.actuator_forcerange[:, :, 1]
     ratio = limits / env.sim.get_default_field("actuator_forcerange")[:, 1]
-    assert 0.8 - 1e-4 <= ratio.min() < 0.82
-    assert 1.18 < ratio.max() <= 1.2 + 1e-4
+    assert 0.8 - 1e-4 <= ratio.min() < 0.82 < 1.18 < ratio.max() <= 1.2 + 1e-4
     # The strongest command is cut off at each motor's own limit.
     env.step(torch.full((64, 12), 20.0))
     force = env.sim.data.actuator_force[:].abs()
-    assert (force <= limits + 1e-3).all()
-    assert ((force - limits).abs() < 1e-3).any()
+    assert (force - limits).max().abs() < 1e-3
     env.close()
 
 
@@ -50,19 +58,12 @@ def test_joint_zeros_are_off_in_what_is_seen_and_in_what_is_done():
     env.close()
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.02])
-def test_actions_arrive_late(delay):
-    env = randomized(32, action_delay=delay)
+def test_some_actions_arrive_late():
+    env, late = randomized(32, action_delay=0.02), []
+    moved = env.sim.mj_model.actuator_trnid[:, 0] - 1  # After the free joint.
     for step in range(20):
         env.step(torch.full((32, 12), 1.0 if step % 2 else -1.0))
-        moved = env.sim.mj_model.actuator_trnid[:, 0] - 1  # After the free joint.
         target = env.scene["robot"].data.joint_pos_target[:, moved]
-        arrived = (env.sim.data.ctrl[:] - target).abs() < 1e-5
-        if delay == 0.0:
-            assert arrived.all()
-        elif step > 2 and not arrived.all():
-            assert arrived.any(), "some delays are shorter"
-            break
-    else:
-        assert delay == 0.0, "no action was late"
+        late.append(((env.sim.data.ctrl[:] - target).abs() > 1e-5).any(dim=1))
+    assert 0.0 < torch.stack(late[3:]).float().mean() < 1.0
     env.close()

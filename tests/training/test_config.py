@@ -24,8 +24,7 @@ def test_a_number_is_the_same_at_all_times(value, steps):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        *((text, "write a number, or VALUE@STEPS") for text in ("", "fast", "1@", "@3M", "1@3G")),
-        *((text, "write a number, or VALUE@STEPS") for text in ("1@-3M", "1@1M;2@2M")),
+        *((t, "VALUE@STEPS") for t in ("", "fast", "1@", "@3M", "1@3G", "1@-3M", "1@1M;2@2M")),
         ("1@3M,2@1M", "must not fall"),
     ],
 )

@@ -14,7 +14,7 @@ from renet.evaluation.trace import Trace
 from renet.selector import make_selector
 from renet.selector.selector import check_kind
 from renet.tasks import RenetEnvCfg, RobotCfg
-from renet.tasks.sensors import set_depth_noise
+from renet.tasks.sensors import depth_camera
 
 
 class Evaluator:
@@ -83,7 +83,7 @@ class Evaluator:
                 f"bundle {self.bundle.name} drives a {own}, this task's robot is a"
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
-        set_depth_noise(cfg, self.bundle.manifest.camera.noise_std)
+        depth_camera(cfg).noise.gaussian_std = self.bundle.manifest.camera.noise_std
         return SimEnv(cfg, robots, seed, self.engine)
 
     def make_policy(self, num_robots: int) -> EvalPolicy:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 from mjlab.managers.curriculum_manager import CurriculumTermCfg
@@ -19,13 +21,14 @@ from mjlab.terrains import TerrainEntityCfg
 from mjlab.utils.noise import UniformNoiseCfg
 from mjlab.viewer import ViewerConfig
 
+from renet.errors import RenetError
 from renet.interface import CONSTRAINTS, CONTROL_DT, JOINTS, PHYSICS_DT, PROPRIOCEPTION
 from renet.tasks import mdp
 from renet.tasks.config.go1 import GO1
 from renet.tasks.env import RenetEnvCfg
 from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg
 from renet.tasks.robot_cfg import FEET, TRUNK, RobotCfg
-from renet.tasks.sensors import FEET_HEIGHT, HEIGHT_MAP, sensors
+from renet.tasks.sensors import FEET_HEIGHT, HEIGHT_MAP, depth_camera, sensors
 from renet.tasks.terrains import parkour_terrain
 
 NOISE = {
@@ -39,15 +42,21 @@ NOISE = {
 
 @dataclass
 class RandomizationCfg:
-    """Randomisation beyond the task's own, all of it off by default; each robot draws once."""
+    """Randomisation beyond the task's own, off by default. But for delays, robots draw once."""
 
     motor_strength: float = 0.0
     """Largest relative change of each motor's torque limit, e.g. 0.2."""
     action_delay: float = 0.0
-    """Longest delay of joint targets, s, in whole physics steps, e.g. 0.02; drawn anew each step.
-    The native engine then no longer fuses physics steps."""
+    """Longest delay of joint targets, s, in whole physics steps (then slower), e.g. 0.02."""
+    camera_delay: float = 0.0
+    """Largest age of a delivered image, s, in whole control steps, e.g. 0.1; drawn each episode."""
     joint_offset: float = 0.0
     """Largest error of each joint's zero position, rad, in observations and targets, e.g. 0.03."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0.0 <= value <= 1.0:
+                raise RenetError(f"randomization {name} must be from 0 to 1, got {value}")
 
 
 def randomize(cfg: RenetEnvCfg, how: RandomizationCfg) -> None:
@@ -58,24 +67,21 @@ def randomize(cfg: RenetEnvCfg, how: RandomizationCfg) -> None:
         how: ranges; what is zero is not added.
     """
     if how.motor_strength:
-        cfg.events["motor_strength"] = EventTermCfg(
-            func=mdp.dr.effort_limits,
-            mode="startup",
-            params={
-                "asset_cfg": SceneEntityCfg("robot", actuator_names=[".*"]),
-                "effort_limit_range": (1.0 - how.motor_strength, 1.0 + how.motor_strength),
-            },
+        cfg.events["motor_strength"] = _at_startup(
+            mdp.dr.effort_limits,
+            asset_cfg=SceneEntityCfg("robot", actuator_names=[".*"]),
+            effort_limit_range=(1.0 - how.motor_strength, 1.0 + how.motor_strength),
         )
     if how.joint_offset:
-        cfg.events["joint_offset"] = EventTermCfg(
-            func=mdp.dr.encoder_bias,
-            mode="startup",
-            params={"bias_range": (-how.joint_offset, how.joint_offset)},
+        cfg.events["joint_offset"] = _at_startup(
+            mdp.dr.encoder_bias, bias_range=(-how.joint_offset, how.joint_offset)
         )
     articulation = cfg.scene.entities["robot"].articulation
     assert articulation is not None
     for actuator in articulation.actuators:
         actuator.delay_max_lag = round(how.action_delay / PHYSICS_DT)
+    if how.camera_delay:
+        depth_camera(cfg).delay = (0.0, how.camera_delay)
 
 
 def flat_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
@@ -307,37 +313,31 @@ def _events() -> dict[str, EventTermCfg]:
             params={"velocity_range": {"x": (-0.5, 0.5), "y": (-0.5, 0.5)}},
         ),
         "clip_reward": EventTermCfg(func=mdp.clip_reward, mode="step"),
-        "foot_friction": EventTermCfg(
-            func=mdp.dr.geom_friction,
-            mode="startup",
-            params={
-                "asset_cfg": feet,
-                "operation": "abs",
-                "ranges": (0.6, 2.0),
-                "shared_random": True,
-            },
+        "foot_friction": _at_startup(
+            mdp.dr.geom_friction,
+            asset_cfg=feet,
+            operation="abs",
+            ranges=(0.6, 2.0),
+            shared_random=True,
         ),
-        "payload": EventTermCfg(
-            func=mdp.dr.body_mass,
-            mode="startup",
-            params={"asset_cfg": trunk, "operation": "add", "ranges": (0.0, 3.0)},
+        "payload": _at_startup(
+            mdp.dr.body_mass, asset_cfg=trunk, operation="add", ranges=(0.0, 3.0)
         ),
-        "centre_of_mass": EventTermCfg(
-            func=mdp.dr.body_com_offset,
-            mode="startup",
-            params={
-                "asset_cfg": trunk,
-                "operation": "add",
-                "ranges": {0: (-0.05, 0.05), 1: (-0.05, 0.05), 2: (-0.05, 0.05)},
-            },
+        "centre_of_mass": _at_startup(
+            mdp.dr.body_com_offset,
+            asset_cfg=trunk,
+            operation="add",
+            ranges={axis: (-0.05, 0.05) for axis in range(3)},
         ),
-        "servo_gains": EventTermCfg(
-            func=mdp.dr.pd_gains,
-            mode="startup",
-            params={
-                "asset_cfg": SceneEntityCfg("robot", actuator_names=[".*"]),
-                "kp_range": (0.8, 1.2),
-                "kd_range": (0.8, 1.2),
-            },
+        "servo_gains": _at_startup(
+            mdp.dr.pd_gains,
+            asset_cfg=SceneEntityCfg("robot", actuator_names=[".*"]),
+            kp_range=(0.8, 1.2),
+            kd_range=(0.8, 1.2),
         ),
     }
+
+
+def _at_startup(function: Callable[..., None], **params: Any) -> EventTermCfg:
+    """Randomisation that each robot draws once."""
+    return EventTermCfg(func=function, mode="startup", params=params)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from mjlab.envs import ManagerBasedRlEnvCfg
 from mjlab.sensor import ContactMatch, ContactSensorCfg, SensorCfg
 
+from renet.errors import RenetError
 from renet.interface import LEGS
 from renet.sim.depth.camera import DepthCameraCfg
 from renet.sim.sensors import FeetHeightCfg, HeightMapCfg
@@ -41,8 +42,9 @@ def sensors(robot: RobotCfg) -> tuple[SensorCfg, ...]:
     )
 
 
-def set_depth_noise(cfg: ManagerBasedRlEnvCfg, std: float) -> None:
-    """Set the constant part of the depth error of a task's cameras, a standard deviation in m."""
+def depth_camera(cfg: ManagerBasedRlEnvCfg) -> DepthCameraCfg:
+    """The depth camera of a task, to change it in place; raises RenetError without one."""
     for sensor in cfg.scene.sensors:
         if isinstance(sensor, DepthCameraCfg):
-            sensor.noise.gaussian_std = std
+            return sensor
+    raise RenetError("the task has no depth camera: take one that is built like renet.tasks")

@@ -24,6 +24,7 @@ from renet.errors import RenetError
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT
 from renet.models.config import ModelCfg
+from renet.tasks.parkour_env_cfg import RandomizationCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.checkpoint import Checkpoint, described
 from renet.training.config import (
@@ -97,6 +98,8 @@ class TrainCfg(LearningCfg):
     """Train on tiles with two to three times as many edges on the way out (`terrain/tiles.py`)."""
     depth_noise_std: float = RENET["depth_noise_std"]
     """Standard deviation of the constant part of the depth error, m."""
+    randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
+    """How the robots differ beyond the task's own randomisation."""
     depth_dropout: DepthDropoutCfg = field(default_factory=DepthDropoutCfg)
     """Cameras that fail during training: a baseline for the selector, off by default."""
     standing_after: float = RENET["standing_after"]
@@ -237,13 +240,14 @@ def settings(cfg: TrainCfg) -> dict[str, Any]:
 
 
 def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
-    """The task as the recipe sets it: weights, tiles and their shares, depth noise.
+    """The task as the recipe sets it: weights, tiles and their shares, camera, randomisation.
 
     Raises:
         RenetError: a reward or a tile the task does not have, or a share of nothing.
     """
     from renet.tasks import env_cfg
-    from renet.tasks.sensors import set_depth_noise
+    from renet.tasks.parkour_env_cfg import randomize
+    from renet.tasks.sensors import depth_camera
     from renet.terrain.tiles import dense_tiles
 
     task = env_cfg(cfg.task)
@@ -253,7 +257,8 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
             known = ", ".join(task.rewards)
             raise RenetError(f"{cfg.task} has no reward {name!r}: choose one of {known}")
         task.rewards[name].weight = weight
-    set_depth_noise(task, cfg.depth_noise_std)
+    depth_camera(task).noise.gaussian_std = cfg.depth_noise_std
+    randomize(task, cfg.randomization)
     generator = task.scene.terrain.terrain_generator if task.scene.terrain else None
     if generator is None:
         return task

@@ -21,11 +21,10 @@ from renet.evaluation.env import grounds_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT, PROPRIOCEPTION
-from renet.sim.depth.camera import DepthCameraCfg
 from renet.tasks import RenetEnvCfg
 from renet.tasks.config.go1 import GO1
 from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
-from renet.tasks.sensors import DEPTH_CAMERA
+from renet.tasks.sensors import depth_camera
 
 ALLOWED = 0.05
 """Share of robots that may fail within the margin."""
@@ -45,12 +44,12 @@ def delay_actions(cfg: RenetEnvCfg, milliseconds: float) -> None:
 
 def delay_camera(cfg: RenetEnvCfg, milliseconds: float) -> None:
     """Let images come late."""
-    _camera(cfg).delay = (milliseconds / 1e3, milliseconds / 1e3)
+    depth_camera(cfg).delay = (milliseconds / 1e3, milliseconds / 1e3)
 
 
 def tilt_camera(cfg: RenetEnvCfg, degrees: float) -> None:
     """Let the camera look further down, or up where it is negative."""
-    camera = _camera(cfg)
+    camera = depth_camera(cfg)
     camera.mount = replace(camera.mount, pitch=camera.mount.pitch + math.radians(degrees))
 
 
@@ -87,12 +86,6 @@ def bias_sensor(cfg: RenetEnvCfg, size: float, name: str, scale: float = 1.0) ->
     errors = ((scale * size if term.name == name else 0.0, term.size) for term in PROPRIOCEPTION)
     bias = tuple(error for error, axes in errors for _ in range(axes))
     group.enable_corruption, group.terms["value"].noise = True, ConstantNoiseCfg(bias=bias)
-
-
-def _camera(cfg: RenetEnvCfg) -> DepthCameraCfg:
-    camera = next(sensor for sensor in cfg.scene.sensors if sensor.name == DEPTH_CAMERA)
-    assert isinstance(camera, DepthCameraCfg)
-    return camera
 
 
 @dataclass(frozen=True)
