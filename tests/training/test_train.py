@@ -78,12 +78,11 @@ def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(
     finished, tmp_path, capsys, monkeypatch
 ):
     run = shutil.copytree(finished, tmp_path / "logs" / "Renet-Go1-Flat" / finished.name)
-    line = ["Renet-Go1-Flat", "--resume", str(run), "--seed", "3"]
+    line = ["Renet-Go1-Flat", "--resume", str(run), "--seed=3", "--randomization.camera-delay=0.1"]
     again = tyro.cli(TrainCfg, args=line, default=TrainCfg.defaults(line))
     assert again.num_envs == 4
     assert again.reward_weights == (("collision", -3.0),)
     assert again.supervision.learning_rate == 5e-4
-    assert again.seed == 3
     learn, given = training.RenetRunner.learn, []
     monkeypatch.setattr(
         training.RenetRunner,
@@ -94,7 +93,8 @@ def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(
     assert train(replace(again, max_iterations=2, time_budget="60s")) == run
     out = capsys.readouterr().out.splitlines()
     assert "config.seed was 1, now 3" in out
-    assert sum(" was " in row for row in out) == 2  # And the number of iterations.
+    assert "task_cfg.scene.sensors.depth_camera.delay was [0.0, 0.0], now [0.0, 0.1]" in out
+    assert sum(" was " in row for row in out) == 4  # Its setting, and the number of iterations.
     assert 0.0 < given[0] < 59.9, "the time budget counts from the start"
 
 

@@ -12,6 +12,7 @@ import shutil
 import sys
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import torch
@@ -26,6 +27,8 @@ from renet.files import MEGABYTE, read_object, require_regular
 
 FORMAT = 1
 PREFIX = "it_"
+UNTOLD = ("config.device", "config.processes", "config.hosts", "task_cfg.seed")
+"""Settings that say how a run is carried out, not what it learns, or that are told elsewhere."""
 MAX_TENSORS = 4000 * MEGABYTE
 """Bytes of one file of tensors."""
 
@@ -207,6 +210,28 @@ def described(value: Any) -> Any:
         return list(item) if isinstance(item, set) else str(item)
 
     return json.loads(json.dumps(value, default=plain))
+
+
+def say_differences(before: Any, now: Any, name: str) -> None:
+    """Print where two trees of JSON differ, as deep as both go.
+
+    Args:
+        before: settings, task rules or code version of a checkpoint that is resumed.
+        now: those of the run that goes on. name: of both, with dots between levels.
+    """
+    before, now = _by_name(before), _by_name(now)
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in sorted(before.keys() | now.keys()):
+            say_differences(before.get(key, "absent"), now.get(key, "absent"), f"{name}.{key}")
+    elif before != now and name not in UNTOLD:
+        print(f"{name} was {shorten(str(before), 80)}, now {shorten(str(now), 80)}")
+
+
+def _by_name(value: Any) -> Any:
+    """A list of objects, such as a scene's sensors, as a dictionary by their names or places."""
+    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+        return value
+    return {item.get("name", str(place)): item for place, item in enumerate(value)}
 
 
 class WeightAverage(AveragedModel):

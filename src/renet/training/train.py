@@ -26,7 +26,7 @@ from renet.interface import CONTROL_DT
 from renet.models.config import ModelCfg
 from renet.tasks.parkour_env_cfg import RandomizationCfg
 from renet.training import checkpoint as checkpoints
-from renet.training.checkpoint import Checkpoint, described
+from renet.training.checkpoint import Checkpoint, described, say_differences
 from renet.training.config import (
     AdaptationCfg,
     LearningCfg,
@@ -53,8 +53,6 @@ MERGED = ("reward_weights", "terrain_proportions")
 """Settings whose entries replace those of the preset one by one."""
 NOT_KEPT = ("resume", "time_budget", "log_root")
 """Settings of the machine and the hour, which a checkpoint does not keep."""
-PER_SESSION = (*NOT_KEPT, "device", "processes", "hosts", "task_cfg.seed")
-"""Settings that say how a run is carried out, not what it learns, or that are told elsewhere."""
 
 
 @dataclass(kw_only=True)
@@ -205,7 +203,8 @@ def train(cfg: TrainCfg) -> Path | None:
     if run:
         if earlier is not None:
             print(f"Going on from {resume} ({runner.alg.steps / 1e6:.2f} M steps)")
-            say_differences(earlier.state, runner.provenance())
+            for part, value in runner.provenance().items():
+                say_differences(earlier.state.get(part, value), value, part)
         print(f"Training {cfg.task} with {num_envs} robots in {run}")
         write_atomically(run / CONFIG, (json.dumps(settings(cfg), indent=1) + "\n").encode())
     try:
@@ -285,29 +284,6 @@ def _control_step(env_steps: float, cfg: TrainCfg, earlier: Checkpoint | None) -
     return taken + round((env_steps - steps) / robots)
 
 
-def say_differences(before: dict[str, Any], now: dict[str, Any]) -> None:
-    """Print in which settings, task rules and code two states of checkpoints differ.
-
-    Args:
-        before: state of the checkpoint that is resumed; what it does not tell is passed over.
-        now: provenance of the run that goes on.
-    """
-    parts = before.keys() & now.keys()
-    old, new = (_flat({part: state[part] for part in parts}) for state in (before, now))
-    for name in sorted(set(old) | set(new)):
-        if old.get(name) != new.get(name) and name.removeprefix("config.") not in PER_SESSION:
-            print(f"{name} was {old.get(name, 'absent')}, now {new.get(name, 'absent')}")
-
-
-def _flat(settings: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings by dotted names."""
-    flat = {}
-    for name, value in settings.items():
-        inner = isinstance(value, dict)
-        flat |= _flat(value, f"{prefix}{name}.") if inner else {f"{prefix}{name}": value}
-    return flat
-
-
 def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
     """The run that goes on; None where a new one begins.
 
@@ -339,17 +315,13 @@ def resolve_device(name: str) -> str:
         name = "cuda" if torch.cuda.is_available() else "cpu"
     if name == "cuda":
         name = f"cuda:{os.getenv('LOCAL_RANK', '0')}"
-    try:
-        device = torch.device(name)
-    except RuntimeError as error:
-        raise RenetError(f"unknown device {name!r}: use cpu, cuda or cuda:N") from error
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+    if not re.fullmatch(r"cpu|cuda:\d+", name):
+        raise RenetError(f"unknown device {name!r}: use cpu, cuda or cuda:N")
+    if name != "cpu" and int(name.removeprefix("cuda:")) >= torch.cuda.device_count():
         raise RenetError(
             f"device {name} is absent: {torch.cuda.device_count()} CUDA devices are visible; "
             "use --device cpu, or cuda:0 where each process sees a GPU of its own"
         )
-    if device.type not in ("cpu", "cuda"):
-        raise RenetError(f"device {name!r} is not supported: use cpu, cuda or cuda:N")
     return name
 
 
@@ -390,9 +362,10 @@ class RecipeCfg:
 
 def show(cfg: RecipeCfg) -> None:
     """Print settings, the task's rules and the code's version; raises RenetError without any."""
-    if cfg.checkpoint is None:
+    if cfg.checkpoint is not None:
+        recipe = checkpoints.load_state(checkpoints.find(cfg.checkpoint))
+    else:
         run = TrainCfg.defaults([cfg.task, "--preset", cfg.preset])
-        recipe = {"config": settings(run), "task_cfg": described(task_cfg(run))}
-        print(json.dumps(recipe | {"code": code_version()}, indent=1))
-        return
-    print(json.dumps(checkpoints.load_state(checkpoints.find(cfg.checkpoint)), indent=1))
+        task = described(task_cfg(run))
+        recipe = {"config": settings(run), "task_cfg": task, "code": code_version()}
+    print(json.dumps(recipe, indent=1))
