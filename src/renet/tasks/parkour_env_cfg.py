@@ -47,7 +47,8 @@ class RandomizationCfg:
     motor_strength: float = 0.0
     """Largest relative change of each motor's torque limit, e.g. 0.2."""
     action_delay: float = 0.0
-    """Longest delay of joint targets, s, in whole physics steps (then slower), e.g. 0.02."""
+    """Longest delay of joint targets, s, in whole physics steps (then slower), e.g. 0.02; drawn
+    each second: delays that change with every step blur targets rather than delay them."""
     camera_delay: float = 0.0
     """Largest age of a delivered image, s, in whole control steps, e.g. 0.1; drawn each episode."""
     joint_offset: float = 0.0
@@ -78,8 +79,9 @@ def randomize(cfg: RenetEnvCfg, how: RandomizationCfg) -> None:
         )
     articulation = cfg.scene.entities["robot"].articulation
     assert articulation is not None
-    for actuator in articulation.actuators:
+    for actuator in articulation.actuators if how.action_delay else ():
         actuator.delay_max_lag = round(how.action_delay / PHYSICS_DT)
+        actuator.delay_update_period = round(1.0 / PHYSICS_DT)
     if how.camera_delay:
         depth_camera(cfg).delay = (0.0, how.camera_delay)
 

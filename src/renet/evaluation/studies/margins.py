@@ -20,7 +20,7 @@ from renet.evaluation import figures, metrics
 from renet.evaluation.env import grounds_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
-from renet.interface import CONTROL_DT, PROPRIOCEPTION
+from renet.interface import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION
 from renet.tasks import RenetEnvCfg
 from renet.tasks.config.go1 import GO1
 from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
@@ -35,11 +35,10 @@ does not tip over."""
 
 def delay_actions(cfg: RenetEnvCfg, milliseconds: float) -> None:
     """Let joint targets reach the motors late."""
-    randomize(cfg, RandomizationCfg(action_delay=milliseconds / 1e3))
     articulation = cfg.scene.entities["robot"].articulation
     assert articulation is not None
     for actuator in articulation.actuators:
-        actuator.delay_min_lag = actuator.delay_max_lag
+        actuator.delay_min_lag = actuator.delay_max_lag = round(milliseconds / 1e3 / PHYSICS_DT)
 
 
 def delay_camera(cfg: RenetEnvCfg, milliseconds: float) -> None:
