@@ -4,11 +4,13 @@ import io
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
+from typing import cast
 
 import mujoco
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
+from torch import Tensor
 
 from renet.deploy.bundle.manifest import Manifest
 from renet.errors import RenetError
@@ -92,8 +94,9 @@ def study_env_cfg(task: str | RenetEnvCfg, speed: float) -> RenetEnvCfg:
 class SimEnv:
     """A batch of robots in RENet's environment; see `rollout.EvalEnv`.
 
-    Rows with the same robot number are twins: the same masses, friction and gains, the same start.
-    What differs between them is what a study varies, and the camera's own noise and mount.
+    Rows with the same robot number are twins, in all environments of one seed and one set of robot
+    numbers: bodies, camera mounts, starts and the noise of images are the same until an episode
+    ends. What differs is what a study varies.
     """
 
     def __init__(self, cfg: RenetEnvCfg, robots: Sequence[int], seed: int, engine: str) -> None:
@@ -101,19 +104,30 @@ class SimEnv:
         # mjlab prints its tables and warns of choices the task makes on purpose.
         with redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
             self.env: RenetEnv = make_env(cfg, len(robots), seed=seed, engine=engine)
+            self._robot = self.env.scene["robot"].data
+            self._camera = cast(DepthCamera, self.env.scene[DEPTH_CAMERA])
+            self._draw_bodies(robots, seed)
         self.num_robots = len(robots)
         self._seed = seed
-        self._robot = self.env.scene["robot"].data
         self._start = np.zeros((self.num_robots, 2))
         self._view = ViewPerturbation.none(self.num_robots)
+        self._camera.normal, self._noise = self._draw_noise, torch.Generator()
+
+    def _draw_bodies(self, robots: Sequence[int], seed: int) -> None:
+        """Draw a body for each robot number, whatever the number of rows, and copy it to twins."""
         _, first, number = np.unique(np.asarray(robots), return_index=True, return_inverse=True)
-        self._twin = torch.from_numpy(first[number])
+        self._first, self._number = torch.from_numpy(first), torch.from_numpy(number)
+        """The first row of each of R robot numbers, [R], and of each row the place among them."""
+        self._twin = self._first[self._number]
         """The row each row is a twin of, [N]."""
+        torch.manual_seed(seed)
+        self.env.event_manager.apply("startup", self._first)
         for field in self.env.sim.expanded_fields:
             if not getattr(self.env.sim.wp_model, field).size:
                 continue  # mjlab cannot read what the robot has none of, such as tendons.
             values = getattr(self.env.sim.model, field)
             values[:] = values[self._twin]
+        self._robot.encoder_bias[:] = self._robot.encoder_bias[self._twin]
 
     @property
     def scene_spec(self) -> mujoco.MjSpec:
@@ -131,19 +145,27 @@ class SimEnv:
 
     def _start_as_twins(self) -> dict:
         """Give every row its twin's start and observe anew, as mjlab's reset does."""
-        env, twin = self.env, self._twin
+        env, twin, everybody = self.env, self._twin, torch.arange(self.num_robots)
+        env.scene.reset(everybody)
+        torch.manual_seed(self._seed)
+        self._noise.manual_seed(self._seed)
+        env.event_manager.apply("reset", self._first, global_env_step_count=0)
+        self._camera.reset(self._first)
+        self._camera.copy_mounts(twin)
         position, velocity = env.sim.data.qpos, env.sim.data.qvel
         start = position[twin]
         start[:, :3] += env.scene.env_origins - env.scene.env_origins[twin]
         position[:], velocity[:] = start, velocity[twin]
-        command = goal(env)
-        command.yaw[:] = command.yaw[twin]
-        everybody = torch.arange(self.num_robots)
-        env.scene.reset(everybody)
         env.sim.forward()
+        env.command_manager.reset(everybody)
         env.command_manager.compute(dt=0.0, env_ids=everybody)
         env.sim.sense()
         return env.observation_manager.compute(update_history=True)
+
+    def _draw_noise(self, depth: Tensor) -> Tensor:
+        """Standard normal numbers for images [N, H, W], the same for twins."""
+        drawn = torch.randn((len(self._first), *depth.shape[1:]), generator=self._noise)
+        return drawn[self._number]
 
     def step(self, action: np.ndarray) -> StepResult:
         """Act [N, 12] for one control step."""
@@ -177,11 +199,9 @@ class SimEnv:
         """Let the cameras see the scene so from their next image on."""
         if view == self._view:
             return
-        camera = self.env.scene[DEPTH_CAMERA]
-        assert isinstance(camera, DepthCamera)
         origins = tile_terrain(self.env).terrain_origins
         middles = np.zeros((0, 2)) if origins is None else origins[..., :2].reshape(-1, 2).numpy()
-        camera.perturbation = ray_perturbation(view, self.env.sim.mj_model, middles)
+        self._camera.perturbation = ray_perturbation(view, self.env.sim.mj_model, middles)
         self._view = view
 
     def poses(self, rows: Sequence[int]) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import torch
@@ -77,15 +78,18 @@ class DepthCameraCfg(SensorCfg):
         return DepthCamera(self)
 
 
-def add_noise(depth: Tensor, cfg: DepthNoiseCfg) -> Tensor:
-    """Noisy depth of the same shape, m; draws from torch's global generator.
+def add_noise(
+    depth: Tensor, cfg: DepthNoiseCfg, normal: Callable[[Tensor], Tensor] = torch.randn_like
+) -> Tensor:
+    """Noisy depth of the same shape, m; both errors are Gaussian, so one draw has both variances.
 
-    Both errors are independent Gaussians, hence one draw with the summed variance.
+    Args:
+        depth: m, of any shape. cfg: standard deviations. normal: draws numbers for a tensor.
     """
     if cfg.relative_std == 0.0 and cfg.gaussian_std == 0.0:
         return depth
     variance = (cfg.relative_std * depth) ** 2 + cfg.gaussian_std**2
-    return depth + variance.sqrt() * torch.randn_like(depth)
+    return depth + variance.sqrt() * normal(depth)
 
 
 @dataclass
@@ -114,6 +118,8 @@ class DepthCamera(RaySensor[Tensor]):
         super().__init__(cfg)
         self.perturbation: CameraPerturbation | None = None
         """What is wrong with the view, from the next image on."""
+        self.normal: Callable[[Tensor], Tensor] = torch.randn_like
+        """Draws the noise of images [N, H, W]."""
 
     def initialize(self, mj_model, model, data, device) -> None:
         """Draw the mounts; raises KeyError for an unknown body, RenetError without terrain."""
@@ -153,6 +159,11 @@ class DepthCamera(RaySensor[Tensor]):
         self._poses.reset(ids)
         if between_steps and len(ids) == len(self._delay):
             self._elapsed, self._since_pose, self._due = 0.0, 0.0, True
+
+    def copy_mounts(self, source: Tensor) -> None:
+        """Give every environment the mount and delay of another, `source` [N]."""
+        for drawn in (self._position, self._rotation, self._delay):
+            drawn[:] = drawn[source]
 
     def update(self, dt: float) -> None:
         """Let `dt` seconds pass."""
@@ -199,7 +210,7 @@ class DepthCamera(RaySensor[Tensor]):
         raw = raw.unflatten(-1, (self.cfg.intrinsics.height, self.cfg.intrinsics.width))
         # A ray from a pose that is not finite hits nothing sensible; NaN fails this comparison.
         depth = torch.where(raw >= 0.0, raw, self.cfg.range)
-        return add_noise(depth, self.cfg.noise).clamp_(0.0, self.cfg.range)
+        return add_noise(depth, self.cfg.noise, self.normal).clamp_(0.0, self.cfg.range)
 
     def _cast(self, eye: Tensor, rotation: Tensor) -> Tensor:
         """Depth [N, H * W] from `eye` [N, 3] and axes [N, 3, 3] as they truly are; -1: nothing."""
