@@ -127,10 +127,10 @@ def test_views_compose_and_images_pass_untouched() -> None:
 
 @pytest.mark.parametrize(("count", "share", "expected"), [(4, 0.2, 1), (24, 0.2, 5), (24, 1.0, 24)])
 def test_a_share_of_the_obstacles_at_least_one(count: int, share: float, expected: int) -> None:
-    chosen = spread(list(range(count)), share)
-    assert len(chosen) == expected
-    assert chosen <= set(range(count))
-    assert spread(list(range(count)), min(share + 0.2, 1.0)) >= chosen or share < 1
+    tiles = [list(range(count)), list(range(100, 100 + count))]
+    chosen = spread(tiles, share)
+    assert [len(chosen & set(geoms)) for geoms in tiles] == [expected, expected]
+    assert len(chosen) == 2 * expected
 
 
 def test_robots_stand_on_the_tiles_they_are_placed_on() -> None:

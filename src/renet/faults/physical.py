@@ -98,8 +98,8 @@ class MountKnocked(PhysicalFault):
         view.turn[rows] += np.radians(self.level) * axes
 
 
-def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[int]:
-    """Geoms one could walk around or over: boxes that neither span a tile nor carry its start.
+def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:
+    """Geoms of each tile to walk around or over: boxes that neither span it nor carry its start.
 
     Raises:
         RenetError: there is none.
@@ -115,16 +115,20 @@ def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[int]:
     box = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
     start = (np.abs(middles[:, None] - centre) <= half).all(axis=2).any(axis=0)
     within_tile = (half < TILE / 2 - 1e-6).all(axis=1)
-    found = np.flatnonzero(in_terrain & box & ~start & within_tile).tolist()
-    if not found:
+    found = np.flatnonzero(in_terrain & box & ~start & within_tile)
+    if not len(found):
         raise RenetError(
             "this terrain has no obstacle that could be glass: choose obstacles, stairs_up or"
             " platform"
         )
-    return found
+    tiles = model.geom_bodyid[found]
+    return [found[tiles == tile].tolist() for tile in np.unique(tiles)]
 
 
-def spread(geoms: list[int], share: float) -> frozenset[int]:
-    """A share of the geoms, at least one, spread evenly over their order."""
-    counts = np.ceil(np.arange(len(geoms) + 1) * share - 1e-9)
-    return frozenset(g for g, more in zip(geoms, np.diff(counts) > 0, strict=True) if more)
+def spread(tiles: list[list[int]], share: float) -> frozenset[int]:
+    """A share of the geoms of each tile, at least one, spread evenly over their order."""
+    chosen: set[int] = set()
+    for geoms in tiles:
+        counts = np.ceil(np.arange(len(geoms) + 1) * share - 1e-9)
+        chosen.update(np.array(geoms)[np.diff(counts) > 0].tolist())
+    return frozenset(chosen)
