@@ -37,10 +37,7 @@ def test_every_command_has_help(capsys, name):
     [
         (("trian",), "did you mean `renet train`"),
         (("train", "Renet-Go1-Moon"), "choose one of Renet-Go1-Flat"),
-        (
-            ("train", "Renet-Go1-Flat", "--num-envs", "0"),
-            "environments must be at least 1",
-        ),
+        (("train", "Renet-Go1-Flat", "--num-envs", "0"), "environments must be at least 1"),
         (("train", "Renet-Go1-Flat", "--device", "cuda:7"), "device cuda:7 is absent"),
         (("train", "Renet-Go1-Flat", "--device", "tpu"), "unknown device 'tpu'"),
         (("train", "Renet-Go1-Flat", "--engine", "bullet"), "unknown engine 'bullet'"),

@@ -144,7 +144,7 @@ class TrainCfg(LearningCfg):
 def _options(arguments: Sequence[str], *names: str) -> dict[str, str]:
     """Values of some options of a command line, in the forms `--name value` and `--name=value`."""
     found = {}
-    for argument, following in zip(arguments, [*arguments[1:], ""], strict=True):
+    for argument, following in zip(arguments, [*arguments, ""][1:], strict=True):
         name, equals, value = argument.removeprefix("--").partition("=")
         if argument.startswith("--") and (name := name.replace("_", "-")) in names:
             found[name] = value if equals else following
