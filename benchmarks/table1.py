@@ -316,10 +316,13 @@ def judge_row(cfg: Cfg, row: Row, checkpoint: Path) -> None:
 
 
 def measured(cfg: Cfg, row: Row) -> dict[str, Any] | None:
-    """The row's results; None where it has not been judged at the whole budget."""
+    """The row's results; None where it has not been judged so, at the whole budget."""
     path = cfg.result(row)
     found = read_results(path) if path.is_file() else None
-    return found if found and found["steps"] >= cfg.steps else None
+    if found is None or found["steps"] < cfg.steps:
+        return None
+    names = ("robots", "quick", "seed", "speed", "seconds")
+    return found if all(found["settings"][n] == getattr(cfg.study, n) for n in names) else None
 
 
 def passes(summary: dict[str, Any], column: str) -> str:

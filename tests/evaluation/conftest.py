@@ -1,3 +1,4 @@
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -20,3 +21,9 @@ def run_study(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]
         return root / name
 
     return cache(run)
+
+
+@pytest.fixture
+def summary(folder: Path) -> dict:
+    """Of the study that a file of tests has as its `folder`."""
+    return json.loads((folder / "summary.json").read_text())

@@ -31,12 +31,6 @@ def test_switches_and_false_switches() -> None:
     assert metrics.healthy_hours(healthy) == pytest.approx(40 * 0.02 / 3600)
 
 
-def test_mean_forward_velocity_looks_at_the_last_seconds_only() -> None:
-    speed = np.concatenate([np.zeros((50, 2)), np.full((150, 2), 0.6)])
-    assert metrics.mean_forward_velocity(speed, 3.0) == pytest.approx(0.6)
-    assert metrics.mean_forward_velocity(speed, 4.0) == pytest.approx(0.45)
-
-
 def test_bootstrap_interval_of_a_mean_matches_the_normal_one() -> None:
     values = np.random.default_rng(0).normal(3, 2, 400)
     low, high = metrics.bootstrap_interval(values)

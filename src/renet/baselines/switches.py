@@ -245,5 +245,5 @@ def collect(
         on_step=lambda result: inputs.append(evaluator._policy.inputs),
     )
     reward = np.clip(trace.forward_velocity / speed, 0.0, 1.0) + fall * trace.fell
-    arrays = (reward.astype(np.float32), trace.ended, trace.vision, trace.failing)
+    arrays = (reward.astype(np.float32), trace.fell, trace.vision, trace.failing)
     return Experience(torch.stack(inputs), *map(torch.from_numpy, arrays))

@@ -18,11 +18,6 @@ CARD = "README.md"
 """Name that the Hub shows as a repository's card."""
 MAX_SUMMARY = 64_000_000
 """Bytes."""
-MAX_ROWS = 40
-"""A study with more rows than this is shown by mode only."""
-INTERVAL = "_ci95"
-LABELS = ("seed", "robot")
-"""Columns of a summary that say nothing where they are the same in every row."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +121,7 @@ def _study(summary: dict[str, Any]) -> str:
         intervals = summary.get("levels_ci95", {})
         rows = [(k, v, _interval(intervals.get(k))) for k, v in summary["levels"].items()]
         parts.append(_table(("tile", "mean highest level", "95 % interval"), rows))
-    parts.append(_by_mode(runs) if len(runs) > MAX_ROWS else _all_rows(runs))
+    parts.append(_by_mode(runs))
     if summary.get("claims"):
         rows = [
             (c["claim"], "met" if c["met"] else "not met", c.get("measured", ""))
@@ -138,29 +133,6 @@ def _study(summary: dict[str, Any]) -> str:
         f" {escape(made['renet_version'])}, {escape(made['date'])}: {escape(made['command'])}"
     )
     return "\n\n".join(part for part in parts if part)
-
-
-def _all_rows(runs: Sequence[dict[str, Any]]) -> str:
-    """Every row; intervals in one column, and no column that is empty or a constant label."""
-    names = [
-        name
-        for name in dict.fromkeys(key for run in runs for key in run)
-        if not name.endswith("_high")
-        and any(run.get(name) is not None for run in runs)
-        and not any(isinstance(run.get(name), list | dict) for run in runs)
-        and not (name in LABELS and len({str(run.get(name)) for run in runs}) == 1)
-    ]
-    rows = [
-        [
-            _interval((run.get(name), run.get(name.removesuffix("_low") + "_high")))
-            if name.endswith(f"{INTERVAL}_low")
-            else run.get(name)
-            for name in names
-        ]
-        for run in runs
-    ]
-    header = [name.replace(f"{INTERVAL}_low", " 95 % interval").replace("_", " ") for name in names]
-    return _table(header, rows)
 
 
 def _by_mode(runs: Sequence[dict[str, Any]]) -> str:

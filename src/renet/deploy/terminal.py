@@ -1,14 +1,16 @@
-"""Prints tables, and lines from a thread of its own: a stalled terminal must not stall a robot."""
+"""Progress bars, tables, and lines from a thread: a stalled terminal must not stall a robot."""
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from queue import Full, Queue
-from typing import Any
+from typing import Any, TypeVar
 
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 
+Step = TypeVar("Step")
 MAX_WAITING = 1000
 """Lines that wait for a terminal that takes none; later ones are lost."""
 
@@ -49,3 +51,8 @@ def show(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> No
     for row in rows:
         table.add_row(*map(str, row))
     Console(markup=False, emoji=False).print(table)
+
+
+def progress(steps: Iterable[Step], title: str) -> Iterable[Step]:
+    """The steps one after the other, beside a bar on standard error with the time that is left."""
+    return track(steps, f"{title:<24}", console=Console(stderr=True))

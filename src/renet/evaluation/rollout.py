@@ -12,8 +12,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from renet.deploy.terminal import progress
 from renet.errors import RenetError
-from renet.evaluation.terminal import progress
 from renet.evaluation.trace import UPDATES_PER_STEP, Film, Trace, TrueState
 from renet.faults import Frames, Injector, Schedule, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK

@@ -102,6 +102,7 @@ class Study:
         free = {"out", "bundle", *self.selectable}
         key = {name: value for name, value in asdict(self).items() if name not in free}
         key |= {name: getattr(provenance, name) for name in ("bundle_hash", "renet_version")}
+        key["policy"] = type(evaluator).make_policy.__qualname__
         folder = output_folder(out / "parts")
         parts = {
             name: kept(folder, name, key, make) for name, make in self.parts(evaluator).items()

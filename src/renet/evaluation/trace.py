@@ -80,8 +80,8 @@ class Trace(TrueState):
             **{name: value[:steps] for name, value in vars(self).items() if name != "film"}
         )
 
-    def robots(self, index: slice) -> Trace:
-        """Some robots only, without film."""
+    def robots(self, index: slice | np.ndarray) -> Trace:
+        """Some robots only, by their places or a mask [N], without film."""
         own = {name: value[..., index] for name, value in vars(self).items() if name != "film"}
         return Trace(**own)
 

@@ -40,7 +40,7 @@ def batch(count: int = 4) -> Batch:
 
 
 def test_detection_return_and_survival_by_hand() -> None:
-    row = noticing(batch()) | survival(batch().trace)
+    row = noticing(batch()) | survival(batch().trace, STEPS)
     assert row["detected"] == 2
     assert row["detection_delay_s"] == pytest.approx((0.045 + 0.405) / 2)
     assert row["detected_by_paper"] == 0
@@ -111,11 +111,15 @@ def walk() -> Trace:
 
 
 def test_every_measure_by_hand() -> None:
-    found = robot_measures(walk(), 20, 0.6)
+    found = robot_measures(walk(), 20, 0.6, STEPS)
     np.testing.assert_array_equal(found["crossed"], [1, 0, 0, 1])
     np.testing.assert_array_equal(found["upright"], [1, 0, 1, 1])
     # Robot 1 stands still for the 40 of 80 steps after its fall.
     np.testing.assert_allclose(found["speed_error"], [0.2, 0.3, 0.6, 0.0], atol=1e-12)
+    longer = robot_measures(walk(), 20, 0.6, STEPS + 100)
+    np.testing.assert_allclose(longer["speed_error"], [0.2, 84 / 180, 0.6, 0.0], atol=1e-12)
+    mean = survival(walk(), STEPS)["mean_forward_velocity"]
+    assert mean == pytest.approx((0.8 + 0.36 + 0.0 + 0.6) / 4)  # Robot 0 until it crosses.
     steps = np.array([60, 40, np.nan, 80])
     speed = np.array([0.8, 0.6, np.nan, 0.6])
     expected = 60.0 * steps * 0.02 / (steps * 0.02 * speed)
@@ -126,7 +130,7 @@ def test_every_measure_by_hand() -> None:
 
 
 def test_changes_are_paired_by_robot() -> None:
-    values = robot_measures(walk(), 20, 0.6)
+    values = robot_measures(walk(), 20, 0.6, STEPS)
     found = estimates(values, values | {"speed_error": values["speed_error"] - 0.1})
     assert found["crossed"]["value"] == 0.5
     assert found["crossed"]["ci95"] == pytest.approx([0.150, 0.850], abs=1e-3)  # Wilson's.

@@ -8,23 +8,19 @@ from jsonschema import Draft202012Validator
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial
-from renet.evaluation.studies import benchmark
+from renet.evaluation.studies.benchmark import GROUNDS
+from renet.evaluation.studies.benchmark import SCHEMA as FILE
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard, rank
 from renet.faults import Injection
 from renet.version import commit
 
-SCHEMA = json.loads(benchmark.SCHEMA.read_text())
+SCHEMA = json.loads(FILE.read_text())
 
 
 @pytest.fixture
 def folder(run_study) -> Path:
     return run_study("faults")
-
-
-@pytest.fixture
-def summary(folder: Path) -> dict:
-    return json.loads((folder / "summary.json").read_text())
 
 
 def test_one_row_for_each_setting_and_mode(folder: Path, summary: dict) -> None:
@@ -118,13 +114,13 @@ def complete(name: str, crossed: float) -> dict:
     measures |= dict.fromkeys(("collisions", "seconds_without_sight", "switches"), share)
     names = dict(zip((0.5, 1.5), ONSET_NAMES, strict=True))
     settings = [
-        {"ground": s.ground, "level": 3, "fault": s.fault, "severity": s.severity}
+        {"ground": s.ground, "level": GROUNDS[s.ground], "fault": s.fault, "severity": s.severity}
         | {"onset": names[s.onset], "mode": "vp", "measures": measures}
         for settings in FaultStudy(quick=True).batches.values()
         for s in settings
     ]
     policy = {"name": name, "url": None, "sha256": "0" * 64, "modes": ["vp"]}
-    protocol = {"robots": 5, "seed": 1, "speed": 0.6, "quick": True}
+    protocol = {"robots": 5, "seed": 1, "speed": 0.6, "lasts": 4.0, "seconds": 10.0, "quick": True}
     origin = dict.fromkeys(("renet", "commit", "command", "date"), "x") | {"engine": "warp"}
     kind = {"benchmark": "renet-faults", "version": 1, "provenance": origin}
     return kind | {"policy": policy, "protocol": protocol, "settings": settings}
@@ -133,11 +129,16 @@ def complete(name: str, crossed: float) -> dict:
 def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked() -> None:
     poor, good, cheat = complete("poor", 0.4), complete("good", 0.6), complete("cheat", 1.0)
     cheat["settings"] = cheat["settings"][1:]
-    rows = rank([poor, cheat, good])
+    easy, lucky = complete("easy", 0.9), complete("lucky", 0.8)
+    easy["settings"] = [entry | {"level": 1} for entry in easy["settings"]]
+    lucky["protocol"]["seed"] = 77
+    rows = rank([poor, cheat, good, lucky, easy])
     assert [row[:4] for row in rows] == [
         ("1", "good", "vp", "60.0 %"),
         ("2", "poor", "vp", "40.0 %"),
         ("incomplete", "cheat", "vp", "100.0 %"),
+        ("incomplete", "easy", "vp", "90.0 %"),
+        ("incomplete", "lucky", "vp", "80.0 %"),
     ]
     with pytest.raises(RenetError, match="one protocol"):
         rank([poor, good | {"protocol": good["protocol"] | {"quick": False}}])

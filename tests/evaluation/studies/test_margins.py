@@ -3,6 +3,7 @@ import math
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from renet.evaluation.env import grounds_env_cfg
@@ -58,8 +59,11 @@ def test_levels_are_in_the_units_they_are_shown_in() -> None:
     assert found["motor_strength"]["effort_limit_range"] == (0.4, 0.4)
     assert found["camera"][0] == (0.3, 0.3)
     bias = found["sensors"][1]["bias"]
-    assert bias[3:6] == pytest.approx([math.radians(10)] * 3)
-    assert sum(bias) == pytest.approx(sum(bias[3:6]))
+    seen = np.add(bias[3:6], (0.0, 0.0, -1.0))
+    assert np.linalg.norm(seen) == pytest.approx(1.0)
+    # A turn of 10 degrees about each of two axes is one of 14.1 degrees.
+    assert -seen[2] == pytest.approx(math.cos(math.radians(10) * math.sqrt(2)))
+    assert sum(map(abs, bias)) == pytest.approx(sum(map(abs, bias[3:6])))
     AXES["action_delay"].apply(cfg, 20)
     assert settings(cfg)["delays"] == {(4, 4)}
 
@@ -82,17 +86,17 @@ def test_the_margin_ends_at_the_first_level_beyond_it() -> None:
 def test_robots_fall_at_the_violent_end_and_the_sweep_stops_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(AXES, "payload", replace(AXES["payload"], levels=(1.0, 60.0, 80.0)))
+    monkeypatch.setitem(AXES, "payload", replace(AXES["payload"], levels=(1.0, 90.0, 99.0)))
     study = MarginsStudy(
         out=tmp_path, axes=("payload",), grounds=("flat",), modes=("op",), robots=2, seconds=1.2
     )
     summary = study.run()
     assert [(r["axis"], r["level"]) for r in summary["runs"]] == [
-        ("nominal", None), ("payload", 1.0), ("payload", 60.0)
+        ("nominal", None), ("payload", 1.0), ("payload", 90.0)
     ]  # fmt: skip
     assert [run["failed"] for run in summary["runs"]] == [0, 0, 1]
     (found,) = summary["margins"]
-    assert (found["margin"], found["broke"]) == (1.0, 60.0)
+    assert (found["margin"], found["broke"]) == (1.0, 90.0)
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
     assert (tmp_path / "margins.png").stat().st_size > 10_000
     assert study.tables(summary)[0][2] == [("payload", "1 kg")]

@@ -1,4 +1,3 @@
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,11 +15,6 @@ from ..tiny import TINY
 @pytest.fixture
 def folder(run_study) -> Path:
     return run_study("noise")
-
-
-@pytest.fixture
-def summary(folder: Path) -> dict:
-    return json.loads((folder / "summary.json").read_text())
 
 
 def test_the_preset_is_the_papers_comparison(folder: Path, summary: dict) -> None:

@@ -11,7 +11,7 @@ from renet.faults import ViewPerturbation
 from renet.terrain.tiles import LEVELS
 
 from ..fakes import FakeEvaluator
-from ..tiny import TINY, Hurdles
+from ..tiny import TINY, Hurdles, Ladder
 
 
 def test_highest_level_counts_passes_in_a_row() -> None:
@@ -38,6 +38,17 @@ def test_summary_holds_the_papers_table(run_study) -> None:
     assert 0.99 < summary["lin_vel_reward"] <= 1
     assert len(summary["runs"]) == 4 * LEVELS
     assert (folder / "terrain.png").stat().st_size > 10_000
+
+
+def test_collisions_are_those_of_the_first_mode(tmp_path: Path) -> None:
+    class Scraping(Ladder):
+        def result(self, speed, fell):
+            found = super().result(speed, fell)
+            found.collisions[:] = np.arange(self.num_robots) // 3 % 2  # OP's.
+            return found
+
+    study = replace(TINY["terrain"][0], out=tmp_path, modes=("vp", "op"), kinds=("gap",))
+    assert study.run(FakeEvaluator(Scraping))["collisions"] == 0
 
 
 def test_only_the_first_try_counts() -> None:

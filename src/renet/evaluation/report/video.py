@@ -11,9 +11,9 @@ import numpy as np
 import warp as wp
 from PIL import Image, ImageDraw, ImageFont
 
+from renet.deploy.terminal import progress
 from renet.errors import RenetError
 from renet.evaluation.report.colormaps import beside, map_picture
-from renet.evaluation.terminal import progress
 from renet.evaluation.trace import Trace
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT, STEPS_PER_TICK

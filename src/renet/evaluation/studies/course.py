@@ -162,7 +162,7 @@ def _run(log: dict[str, np.ndarray], trace: Trace, passages: int) -> dict[str, A
         "seconds": len(vision) * CONTROL_DT,
         "falls": int(log["fell"].sum()),
         "stuck": int(log["stuck"].sum()),
-        "switches": int(metrics.switches(trace.trusted)[0]),
+        "switches": int(metrics.switches(trace.vision[:, None])[0]),
         "vision_share": float(vision.mean()),
         "vision_share_healthy": float(vision[~failing].mean()),
         "vision_share_failing": float(vision[failing].mean()) if failing.any() else None,

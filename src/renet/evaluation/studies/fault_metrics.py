@@ -5,6 +5,7 @@ twin without the fault: same mode, body, start, camera and noise, bit for bit al
 Differences are taken between twins, robot by robot.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -35,33 +36,33 @@ Values = Mapping[str, Any]
 """A number for each robot, [N], by measure; NaN or None where it was not taken."""
 
 
-def robot_measures(trace: Trace, onset: int, command: float) -> dict[str, np.ndarray]:
+def robot_measures(trace: Trace, onset: int, command: float, steps: int) -> dict[str, np.ndarray]:
     """Every measure of each robot, [N].
 
     Args:
         trace: of the run. onset: control step from which on they count.
-        command: commanded speed, m/s.
+        command: commanded speed, m/s. steps: of the longest run: so long a fallen robot lies.
     """
     crossed, fell, seconds = trace.first_try()
     # Endless ground ends no episode: there, as far as a tile's edge is across.
     crossed = crossed | (np.isnan(seconds) & (trace.travelled.max(axis=0) >= TILE / 2))
     since = np.arange(len(trace.ended))[:, None] >= onset
     walking = since & ~trace.over
-    steps = walking.sum(axis=0)
-    counted = since & (~trace.over | fell)
-    speed = np.where(trace.over, 0.0, trace.forward_velocity)
+    walked = walking.sum(axis=0)
+    lying = np.where(fell, steps - onset - walked, 0)
+    error = (np.abs(trace.forward_velocity - command) * walking).sum(0) + command * lying
     last = (~trace.over).sum(axis=0) - 1
     robots = np.arange(len(last))
     distance = trace.travelled[last, robots] - trace.travelled[onset - 1, robots]
-    distance = np.where((steps > 0) & (distance >= TRAVELLED), distance, np.nan)
+    distance = np.where((walked > 0) & (distance >= TRAVELLED), distance, np.nan)
     changed = np.diff(trace.vision, axis=0, prepend=trace.vision[:1])
     with np.errstate(invalid="ignore"):
         return {
             "crossed": crossed.astype(float),
             "upright": (~fell).astype(float),
-            "speed_error": (np.abs(speed - command) * counted).sum(0) / counted.sum(0),
+            "speed_error": error / (walked + lying),
             "energy_per_metre": (trace.power * walking).sum(0) * CONTROL_DT / distance,
-            "collisions": (trace.collisions * walking).sum(0) / steps,
+            "collisions": (trace.collisions * walking).sum(0) / walked,
             "seconds_without_sight": (~trace.vision & walking).sum(0) * CONTROL_DT,
             "switches": (changed & walking).sum(0).astype(float),
         }
@@ -132,16 +133,22 @@ def end_of(fault: str, severity: int, onset: int, over: int) -> int:
     return over if np.isinf(lasts) else min(over, onset + round(lasts / CONTROL_DT))
 
 
-def survival(trace: Trace, until: int | None = None) -> dict[str, Any]:
-    """Falls, and the mean speed over the last 3 s before a control step, with intervals."""
-    upright, speed = ~trace.fallen[-1], trace.speed[:until]
+def survival(trace: Trace, until: int) -> dict[str, Any]:
+    """Falls, and the mean speed over the 3 s before control step `until`, with intervals.
+
+    A fallen robot counts with zero, one that has left its tile until then.
+    """
+    upright, last = ~trace.fallen[-1], slice(max(until - round(3.0 / CONTROL_DT), 0), until)
+    counted = (~trace.over | trace.fallen)[last]
+    walked = counted.any(axis=0)
+    speed = trace.speed[last][:, walked].mean(axis=0, where=counted[:, walked])
     return {
         "robots": len(upright),
         "falls": int((~upright).sum()),
         "survival": float(upright.mean()),
         **metrics.with_interval("survival", upright),
-        "mean_forward_velocity": metrics.mean_forward_velocity(speed),
-        **metrics.with_interval("velocity", speed[metrics.window(3.0)].mean(axis=0)),
+        "mean_forward_velocity": float(speed.mean()) if len(speed) else math.nan,
+        **metrics.with_interval("velocity", speed),
     }
 
 

@@ -113,7 +113,8 @@ class FaultStudy(WalkingStudy):
     @property
     def levels(self) -> dict[str, int]:
         """Level of each ground."""
-        return {g: self.level or GROUNDS.get(g, GROUNDS["obstacles"]) for g in self.grounds}
+        own = GROUNDS if self.level is None else dict.fromkeys(self.grounds, self.level)
+        return {ground: own.get(ground, GROUNDS["obstacles"]) for ground in self.grounds}
 
     @property
     def batches(self) -> dict[str, list[Setting]]:
@@ -221,11 +222,12 @@ class FaultStudy(WalkingStudy):
                 fault_metrics.end_of(*setting[2:], setting.step, over),
             )
             seen.setdefault(setting.severity, []).append(own)
+            values = self.measures(own.trace, own.onset)
             runs.append(
                 self.labels(setting, mode)
                 | fault_metrics.survival(own.trace, over)
                 | fault_metrics.noticing(own)
-                | {"values": fault_metrics.robot_measures(own.trace, own.onset, self.speed)}
+                | {"values": values}
             )
         curves = {
             severity: {"fault": settings[0].fault, "severity": severity}
@@ -236,6 +238,10 @@ class FaultStudy(WalkingStudy):
             found = curves[run["severity"]]
             run |= {key: value for key, value in found.items() if key.startswith("auc_")}
         return {"runs": runs, "roc": list(curves.values())} | self.curves(trace, self.vision_modes)
+
+    def measures(self, trace: Trace, onset: int) -> dict[str, np.ndarray]:
+        """Every measure of each robot, [N], from a control step on."""
+        return fault_metrics.robot_measures(trace, onset, self.speed, self.steps)
 
     def labels(self, setting: Setting, mode: str) -> dict[str, Any]:
         """What a row of the summary begins with."""
@@ -260,10 +266,10 @@ class FaultStudy(WalkingStudy):
             level = self.levels[trial.ground]
             named = {"mode": trial.mode, "ground": trial.ground, "ground_level": level}
             values = {
-                str(onset): fault_metrics.robot_measures(own, round(onset / CONTROL_DT), self.speed)
-                for onset in self.onsets
+                str(onset): self.measures(own, round(onset / CONTROL_DT)) for onset in self.onsets
             }
-            runs.append(named | fault_metrics.survival(own) | {"values": values})
+            until = round((max(self.onsets) + self.lasts) / CONTROL_DT)
+            runs.append(named | fault_metrics.survival(own, until) | {"values": values})
         # The first ground's robots come first.
         simple = trace.robots(slice(each * len(self.modes)))
         return {
@@ -358,6 +364,7 @@ class FaultStudy(WalkingStudy):
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
         """Run the study; where its onsets are the benchmark's, write result.json as well."""
         summary = super().run(evaluator)
+        (self.out / "result.json").unlink(missing_ok=True)
         if set(self.onsets) <= set(ONSETS):
             write_json(self.out / "result.json", result(summary))
         return summary

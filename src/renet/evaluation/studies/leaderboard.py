@@ -1,5 +1,6 @@
 """`renet evaluate leaderboard`: policies ranked by their result files of the fault benchmark."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ import tyro
 from renet.deploy.terminal import show
 from renet.errors import RenetError
 from renet.evaluation.metrics import bootstrap_interval
-from renet.evaluation.studies.benchmark import ONSETS, read_result
+from renet.evaluation.studies.benchmark import ONSETS, PROTOCOL, read_result
 from renet.evaluation.studies.faults import FaultStudy
 from renet.files import write_atomically
 
@@ -43,7 +44,7 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
 
 
 def rank(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Rows of the leaderboard, best first; a result that lacks a setting comes last, unranked.
+    """Rows of the leaderboard, best first; results of other robots or fewer settings come last.
 
     Raises:
         RenetError: results of different protocols.
@@ -76,19 +77,22 @@ def _row(found: Mapping[str, Any], mode: str) -> dict[str, Any]:
 
     def mean(entries: Sequence[Mapping[str, Any]], name: str) -> float:
         measured = values(entries, name)
-        return float(np.nanmean(measured)) if (~np.isnan(measured)).any() else 0.0
+        return float(np.nanmean(measured)) if (~np.isnan(measured)).any() else math.nan
 
     study = FaultStudy(quick=found["protocol"]["quick"])
+    asked = {"robots": study.robots_each, **{name: getattr(study, name) for name in PROTOCOL}}
+    levels = study.levels
     wanted = {
-        (setting.ground, setting.fault, setting.severity, ONSETS[setting.onset])
+        (*setting[:1], levels[setting.ground], ONSETS[setting.onset], *setting[2:])
         for settings in study.batches.values()
         for setting in settings
     }
-    names = ("ground", "fault", "severity", "onset")
+    names = ("ground", "level", "onset", "fault", "severity")
     return {
         "policy": found["policy"]["name"],
         "mode": mode,
-        "complete": wanted <= {tuple(entry[name] for name in names) for entry in own},
+        "complete": asked == found["protocol"]
+        and wanted <= {tuple(entry[name] for name in names) for entry in own},
         "crossed": mean(tiles, "crossed"),
         # Settings are the same for every policy: the interval is over them.
         "interval": bootstrap_interval(values(tiles, "crossed")),

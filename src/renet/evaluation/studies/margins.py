@@ -14,13 +14,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 from mjlab.utils.noise import ConstantNoiseCfg
+from scipy.spatial.transform import Rotation
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.env import grounds_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
-from renet.interface import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION
+from renet.interface import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION_SIZE, proprioception_slices
 from renet.tasks import RenetEnvCfg
 from renet.tasks.config.go1 import GO1
 from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
@@ -79,12 +80,24 @@ def offset_joints(cfg: RenetEnvCfg, radians: float) -> None:
     randomize(cfg, RandomizationCfg(joint_offset=radians))
 
 
-def bias_sensor(cfg: RenetEnvCfg, size: float, name: str, scale: float = 1.0) -> None:
-    """Add `size` times `scale` to every axis of a sensor of the body."""
-    group = cfg.observations["proprioception"]
-    errors = ((scale * size if term.name == name else 0.0, term.size) for term in PROPRIOCEPTION)
-    bias = tuple(error for error, axes in errors for _ in range(axes))
-    group.enable_corruption, group.terms["value"].noise = True, ConstantNoiseCfg(bias=bias)
+def tilt_imu(cfg: RenetEnvCfg, degrees: float) -> None:
+    """Let the IMU be mounted with a turn about each horizontal axis, as gravity shows it."""
+    down = np.array((0.0, 0.0, -1.0))
+    seen = Rotation.from_rotvec((degrees, degrees, 0.0), degrees=True).apply(down)
+    _bias_sensor(cfg, "projected_gravity", seen - down)
+
+
+def bias_gyroscope(cfg: RenetEnvCfg, rate: float) -> None:
+    """Add a rate, rad/s, on every axis."""
+    _bias_sensor(cfg, "base_angular_velocity", np.full(3, rate))
+
+
+def _bias_sensor(cfg: RenetEnvCfg, name: str, error: np.ndarray) -> None:
+    """Add an error to a term of the proprioception."""
+    group, bias = cfg.observations["proprioception"], np.zeros(PROPRIOCEPTION_SIZE)
+    bias[proprioception_slices()[name]] = error
+    noise = ConstantNoiseCfg(bias=tuple(bias.tolist()))
+    group.enable_corruption, group.terms["value"].noise = True, noise
 
 
 @dataclass(frozen=True)
@@ -108,18 +121,8 @@ AXES = {
     "soft_gains": Axis("softer servos", "%", (70, 60, 50, 40, 30), scale_gains),
     "stiff_gains": Axis("stiffer servos", "%", (130, 160, 200, 300, 400), scale_gains),
     "joint_zeros": Axis("joint zeros off by", "rad", (0.03, 0.06, 0.1, 0.15, 0.25), offset_joints),
-    "gravity": Axis(
-        "IMU tilted by",
-        "°",
-        (2, 5, 10, 15, 25),
-        partial(bias_sensor, name="projected_gravity", scale=math.radians(1.0)),
-    ),
-    "gyro": Axis(
-        "gyroscope's bias",
-        "rad/s",
-        (0.1, 0.2, 0.5, 1.0, 2.0),
-        partial(bias_sensor, name="base_angular_velocity"),
-    ),
+    "gravity": Axis("IMU tilted by", "°", (2, 5, 10, 15, 25), tilt_imu),
+    "gyro": Axis("gyroscope's bias", "rad/s", (0.1, 0.2, 0.5, 1.0, 2.0), bias_gyroscope),
     "camera_down": Axis("camera tilted down", "°", (5, 10, 15, 25, 40), tilt_camera),
     "camera_up": Axis("camera tilted up", "°", (-5, -10, -15, -25, -40), tilt_camera),
 }
@@ -192,7 +195,7 @@ class MarginsStudy(WalkingStudy):
         steps = round(self.seconds / CONTROL_DT)
         trace = evaluator.rollout(title, env, trials, steps, self.seed)
         crossed, fell, _ = trace.first_try()
-        slow = trace.forward_velocity[metrics.window(1.0)].mean(axis=0) < STOPPED
+        slow = trace.forward_velocity[-round(1.0 / CONTROL_DT) :].mean(axis=0) < STOPPED
         stopped = slow & ~crossed & ~fell
         return [
             {

@@ -3,6 +3,7 @@
 With `--run` it runs them all first: one command computes every number again.
 """
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +21,6 @@ from renet.evaluation.studies.pictures import PicturesStudy
 from renet.evaluation.studies.standing import StandingStudy
 from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
 from renet.evaluation.study import Study
-from renet.evaluation.terminal import console
 
 STUDIES: dict[str, type[Study]] = {
     study.name: study
@@ -99,5 +99,5 @@ def run_studies(cfg: ReportCfg) -> None:
     """
     Evaluator(cfg.bundle, cfg.engine)
     for number, (name, study) in enumerate(STUDIES.items(), start=1):
-        console.print(f"[bold]{number}/{len(STUDIES)} {name}")
+        print(f"{number}/{len(STUDIES)} {name}", file=sys.stderr)
         study(cfg.results / name, cfg.bundle, cfg.quick, cfg.seed, cfg.engine).main()

@@ -124,8 +124,8 @@ class TerrainStudy(WalkingStudy):
         level = np.repeat([level - 1 for level, _ in settings], each)
         # With one try, the same robots meet every size; the table's are all different.
         trials = [
-            Trial(mode, self.schedule, robot if self.one_try else group * each + robot)
-            for group, (_, mode) in enumerate(settings)
+            Trial(mode, self.schedule, robot if self.one_try else level * each + robot)
+            for level, mode in settings
             for robot in range(each)
         ]
         env = make(tuple(trial.robot for trial in trials))
@@ -141,7 +141,8 @@ class TerrainStudy(WalkingStudy):
         trace = evaluator.rollout(title, env, trials, steps, self.seed, on_step=everybody_ended)
         groups = trace.groups(each)
         runs = [self._run(kind, *s, own) for s, own in zip(settings, groups, strict=True)]
-        return {"runs": runs, "passed": [passed(own) for own in groups]} | self._walking(trace)
+        first = trace.robots(np.repeat([mode == self.modes[0] for _, mode in settings], each))
+        return {"runs": runs, "passed": [passed(own) for own in groups]} | self._walking(first)
 
     def _make_env(self, evaluator: Evaluator, numbers: Sequence[int]) -> SimEnv:
         """The curriculum's field of tiles, walked along +x where there is one try."""
@@ -171,7 +172,7 @@ class TerrainStudy(WalkingStudy):
         }
 
     def _walking(self, trace: Trace) -> Part:
-        """Sums over the steps of every robot's first try: collisions, and the reward for speed."""
+        """Sums over the steps of robots' first tries: collisions, and the reward for speed."""
         over = trace.over
         along = np.minimum(trace.forward_velocity, self.speed) / (self.speed + 1e-5)
         return {
