@@ -10,6 +10,7 @@ import numpy as np
 import tyro
 
 from renet.deploy.bundle import Bundle
+from renet.deploy.loop import ENDED
 from renet.deploy.recording import GOOD, MODES, Recording, read_recording
 from renet.deploy.replay import mismatch
 from renet.deploy.robots.base import heading, projected_gravity
@@ -86,12 +87,15 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     path = track(ticks)[walking]
     metres = float(np.hypot(*(path[-1] - path[0])[:2])) if len(path) else 0.0
     first = start + min(onsets, default=np.inf)
+    # Who is let go on stairs when the run ends may topple: that is no fall of the policy.
+    until = next((event.time for event in run.events if event.why == ENDED), np.inf)
+    felled = np.diff(fallen(ticks).astype(int), prepend=0) > 0
     blind = ticks["now"][walking & ~ticks["vision"]] - start
     return {
         "seconds": round(len(ticks) * CONTROL_DT, 2),
         "complete": run.complete,
         "walking_seconds": round(seconds, 2),
-        "falls": int((np.diff(fallen(ticks).astype(int), prepend=0) > 0).sum()),
+        "falls": int((felled & (ticks["now"] < until)).sum()),
         "distance_m": round(metres, 3),
         "distance_from": "simulator" if simulated(ticks) else "estimator",
         "speed_m_s": round(metres / seconds, 3) if seconds else 0.0,
