@@ -95,9 +95,7 @@ class FaultStudy(WalkingStudy):
             fault_class(fault).level_of(severity)
         super().__post_init__()
         if not self.vision_modes:
-            raise RenetError(
-                f"modes {self.modes}: no camera fault matters to OP, give another mode"
-            )
+            raise RenetError(f"modes {self.modes}: no camera fault matters to OP, add a mode")
         if not any(self.batches.values()):
             raise RenetError("give a fault, a severity, a ground and an onset that fit together")
         if self.lasts <= 0 or self.healthy_minutes < 0:
@@ -165,8 +163,7 @@ class FaultStudy(WalkingStudy):
 
     def make_env(self, evaluator: Evaluator, robots: tuple[int, ...]) -> SimEnv:
         """Robots of these numbers, on no ground yet."""
-        endless = self.grounds == (FLAT,)
-        cfg = FLAT if endless else grounds_env_cfg(self.levels, evaluator.robot)
+        cfg = FLAT if self.grounds == (FLAT,) else grounds_env_cfg(self.levels, evaluator.robot)
         return evaluator.make_env(cfg, robots, self.speed, self.seed)
 
     def walk(
@@ -222,12 +219,11 @@ class FaultStudy(WalkingStudy):
                 fault_metrics.end_of(*setting[2:], setting.step, over),
             )
             seen.setdefault(setting.severity, []).append(own)
-            values = self.measures(own.trace, own.onset)
             runs.append(
                 self.labels(setting, mode)
                 | fault_metrics.survival(own.trace, over)
                 | fault_metrics.noticing(own)
-                | {"values": values}
+                | {"values": self.measures(own.trace, own.onset)}
             )
         curves = {
             severity: {"fault": settings[0].fault, "severity": severity}
