@@ -120,7 +120,7 @@ def test_reset_trusts_vision_again() -> None:
     assert own.update(NOTHING, 0.0).tolist() == [True, False]
 
 
-def test_runs_in_the_closed_loop_of_the_studies() -> None:
+def test_runs_in_the_closed_loop_of_the_studies(monkeypatch: pytest.MonkeyPatch) -> None:
     evaluator = SwitchEvaluator()
     fault = (Injection.of("blackout", 5, onset=5),)
     trials = [Trial(mode, fault if bad else ()) for mode in ("vp", "op") for bad in (0, 1)]
@@ -142,3 +142,6 @@ def test_runs_in_the_closed_loop_of_the_studies() -> None:
     trace = evaluator.rollout("switch", env, obeying, 60, 1)
     assert not trace.vision[-1, [1, 3]].any()
     assert trace.vision[-1, [0, 2]].all()
+    step = env.step
+    monkeypatch.setattr(env, "step", lambda action: replace(step(action), ended=np.ones(4, bool)))
+    assert not collect(evaluator, env, trials, 2, 1).done.any(), "who crosses a tile goes on"

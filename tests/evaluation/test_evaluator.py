@@ -20,9 +20,12 @@ from renet.deploy.bundle import (
 from renet.deploy.bundle.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
+from renet.evaluation.env import terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial, run_rollout
 from renet.faults import Injection
+from renet.tasks.config.go1 import GO1
+from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
 from renet.tasks.sensors import DEPTH_CAMERA
 
 
@@ -139,7 +142,12 @@ def test_twins_are_alike_in_batches_of_any_size_and_every_run_is_the_same(bundle
     evaluator = Evaluator(bundle)
 
     def walk(*robots: int) -> tuple[np.ndarray, np.ndarray]:
-        env = evaluator.make_env("Renet-Go1-Flat", robots, 0.6, 1)
+        cfg = terrain_env_cfg("flat", 1, GO1)
+        randomize(cfg, RandomizationCfg(joint_offset=0.05))
+        env = evaluator.make_env(cfg, robots, 0.6, 1)
+        zeros = env.env.scene["robot"].data.encoder_bias
+        assert all((zeros[row] == zeros[robots.index(n)]).all() for row, n in enumerate(robots))
+        assert len(zeros.unique(dim=0)) == 2
         seen = env.reset().depth.copy()
         rows = [Trial("vp", robot=number) for number in robots]
         traces = [evaluator.rollout("twins", env, rows, 40, 1) for _ in range(2)]

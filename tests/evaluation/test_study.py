@@ -48,6 +48,13 @@ def test_the_recipe_of_a_study_runs_and_goes_on(tmp_path: Path, monkeypatch) -> 
 
     study.run(Counting())
     assert made == [0.6], "only what is missing is run"
+
+    class Other(Counting):
+        def make_policy(self, num_robots):
+            return super().make_policy(num_robots)
+
+    study.run(Other())
+    assert made == [0.6, 0.3, 0.6, 0.9], "another policy's results are not gone on with"
     assert study.tables(summary)[0][2][0] == (0.3, pytest.approx(SPEED), 0)
 
 

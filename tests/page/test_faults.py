@@ -21,19 +21,9 @@ from tests.page.conftest import run_node
 STREAMS = 16
 SEVERITIES = (1, 3, 5)
 CERTAIN = (
-    "blackout",
-    "saturated",
-    "near_field",
-    "wrong_scale",
-    "motion_blur",
-    "frozen",
-    "unplugged",
-    "edge_shadow",
-    "disparity_steps",
-    "shadow_steps",
-    "intermittent_blackout",
-    "intermittent_frozen",
-)
+    "blackout", "saturated", "near_field", "wrong_scale", "motion_blur", "frozen", "unplugged",
+    "edge_shadow", "disparity_steps", "shadow_steps", "intermittent_blackout", "intermittent_frozen"
+)  # fmt: skip
 """Faults without randomness: the same image, up to rounding."""
 NAMES = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
 

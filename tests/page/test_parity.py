@@ -23,17 +23,9 @@ from tests.page.conftest import run_node
 
 TOLERANCE = 1e-4
 NUMBERS = (
-    "observation",
-    "action",
-    "position",
-    "stiffness",
-    "damping",
-    "latent_op",
-    "latent_vp",
-    "height_map",
-    "anomaly",
-    "probability",
-)
+    "observation", "action", "position", "stiffness", "damping", "latent_op", "latent_vp",
+    "height_map", "anomaly", "probability",
+)  # fmt: skip
 
 
 class Recorder:

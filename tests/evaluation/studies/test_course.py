@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from renet.evaluation.env import SimEnv, study_env_cfg
-from renet.evaluation.studies.course import CourseStudy
+from renet.evaluation.studies.course import CourseStudy, _run
 from renet.evaluation.studies.course_env import (
     AHEAD,
     CourseEnv,
@@ -18,6 +18,7 @@ from renet.evaluation.studies.course_env import (
     time_limit,
 )
 from renet.evaluation.studies.course_terrain import LAP, SET_DOWN, passage
+from renet.evaluation.trace import Trace
 from renet.faults import Frames
 from renet.sim.depth.rasterizer import scanner
 from renet.tasks.config.go1 import GO1
@@ -138,6 +139,14 @@ def test_a_course_is_reported_robot_by_robot(run_study) -> None:
     assert summary["lap_m"] == 16
     for name in ("course.png", "passages.png", "summary.csv"):
         assert (folder / name).stat().st_size > 100
+
+
+def test_switches_are_those_of_the_estimator_in_use() -> None:
+    trace, nothing = Trace.empty(6, 1), np.zeros(6, bool)
+    trace.vision[:3] = True
+    trace.trusted[::2] = False
+    log = {name: nothing for name in ("fell", "stuck", "metres")} | {"passage": nothing.astype(int)}
+    assert _run(log, trace.robots(slice(0, 1)), 1)["switches"] == 1
 
 
 def test_quick_is_short_and_the_whole_is_a_kilometre() -> None:

@@ -121,15 +121,7 @@ def test_no_results_are_reported(tmp_path: Path) -> None:
         lambda summary: json.dumps(summary | {"runs": [[1]]}),
         lambda summary: json.dumps(summary | {"runs": [summary["runs"][0] | {"still": "many"}]}),
     ],
-    ids=[
-        "deep",
-        "half",
-        "list",
-        "incomplete",
-        "text for rows",
-        "list for a row",
-        "text for number",
-    ],
+    ids=["deep", "half", "list", "incomplete", "text for rows", "list for row", "text for number"],
 )
 def test_damaged_results_end_in_one_line(results: Path, tmp_path: Path, damaged) -> None:
     shutil.copytree(results / "standing", tmp_path / "standing")
