@@ -341,21 +341,31 @@ def table(cfg: Cfg) -> str:
     columns += ["M steps", "hours", "seed"]
     lines = [row_of("row", columns), row_of("---", ["---"] * len(columns))]
     for row in cfg.chosen:
-        found = measured(cfg, row)
-        cells = []
-        for number, name in enumerate(MEASURES):
-            ours = None if found is None else {**found, **found["levels"]}.get(name)
-            digits = 2 if name in TABLE else 3
-            said = "missing" if ours is None else f"{ours:.{digits}f}"
-            paper = "not in the paper" if row.paper is None else f"{row.paper[number]:g}"
-            cells.append(f"{said} ({paper})")
-        if found is None:
-            cells += ["missing"] * (len(columns) - len(cells))
-        else:
-            cells += [passes(found, column) for column in TABLE]
-            cells += [f"{found['steps'] / 1e6:.2f}", f"{found['hours']:.1f}", str(cfg.seed)]
-        lines.append(row_of(row.name, cells))
+        lines += [row_of(row.name, cells(own, row, len(columns))) for own in by_seed(cfg, row)]
     return "\n".join(lines)
+
+
+def by_seed(cfg: Cfg, row: Row) -> list[Cfg]:
+    """The configuration with each seed that the row was judged with, or as it is."""
+    names = [path.stem for path in cfg.results.glob(f"{row.slug}_*.json")]
+    seeds = sorted(int(name.rpartition("_")[2]) for name in names)
+    return [replace(cfg, seed=seed) for seed in seeds or [cfg.seed]]
+
+
+def cells(cfg: Cfg, row: Row, count: int) -> list[str]:
+    """What was measured of a row with one seed, in `count` columns."""
+    found = measured(cfg, row)
+    texts = []
+    for number, name in enumerate(MEASURES):
+        ours = None if found is None else {**found, **found["levels"]}.get(name)
+        digits = 2 if name in TABLE else 3
+        said = "missing" if ours is None else f"{ours:.{digits}f}"
+        paper = "not in the paper" if row.paper is None else f"{row.paper[number]:g}"
+        texts.append(f"{said} ({paper})")
+    if found is None:
+        return texts + ["missing"] * (count - len(texts))
+    texts += [passes(found, column) for column in TABLE]
+    return [*texts, f"{found['steps'] / 1e6:.2f}", f"{found['hours']:.1f}", str(cfg.seed)]
 
 
 def row_of(first: str, cells: Sequence[str]) -> str:

@@ -1,7 +1,7 @@
 """Draw what `renet train Renet-Go1-Parkour` learns: `python tools/recipe_curves.py RUN[=LABEL]...`.
 
 Writes docs/figures/recipe.csv, every tenth iteration of each run, and docs/figures/recipe.png from
-that file; without runs the figure alone is drawn again. A run's label is its seed by default.
+that file; without runs the figure alone is drawn again. Runs of one label have one colour.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from renet.evaluation import figures
+from renet.terrain.tiles import tiles
 from renet.training.metrics import level_curves
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "recipe"
@@ -23,33 +24,36 @@ OUT = Path(__file__).parents[1] / "docs" / "figures" / "recipe"
 def rows(argument: str) -> list[dict[str, str | float]]:
     """Environment steps, hours and the curriculum's levels of a run, every tenth iteration."""
     folder, _, label = argument.partition("=")
-    run = Path(folder)
-    label = label or f"seed {json.loads((run / 'config.json').read_text())['seed']}"
-    return [{"run": label, **row} for row in level_curves(run)]
+    seed = json.loads((Path(folder) / "config.json").read_text())["seed"]
+    return [
+        {"run": label or f"seed {seed}", "seed": seed, **row} for row in level_curves(Path(folder))
+    ]
 
 
 def draw(table: list[dict[str, str]]) -> None:
     """A panel for each kind of tile, a line for each run, a dot at each hour."""
-    kinds = [name for name in table[0] if name not in ("run", "steps", "hours")]
+    labels = list(dict.fromkeys(row["run"] for row in table))
+    runs = dict.fromkeys((row["run"], row["seed"]) for row in table)
     with plt.rc_context(figures.STYLE):
         figure, axes = plt.subplots(2, 3, figsize=(10, 5), sharex=True, sharey=True)
-        for axis, kind in zip(axes.flat, kinds, strict=True):
-            for run in dict.fromkeys(row["run"] for row in table):
-                own = [row for row in table if row["run"] == run]
+        for axis, kind in zip(axes.flat, tiles(), strict=True):
+            for label, seed in runs:
+                own = [row for row in table if (row["run"], row["seed"]) == (label, seed)]
                 steps, hours, level = (
                     np.array([row[name] for row in own], float) for name in ("steps", "hours", kind)
                 )
-                (line,) = axis.plot(steps / 1e6, level, label=run)
-                whole = np.arange(1, int(hours[-1]) + 1)
-                at = np.interp(whole, hours, steps)
-                axis.plot(at / 1e6, np.interp(at, steps, level), "o", color=line.get_color())
+                colour = f"C{labels.index(label)}"
+                axis.plot(steps / 1e6, level, color=colour, linewidth=1)
+                at = np.interp(np.arange(1, int(hours[-1]) + 1), hours, steps)
+                axis.plot(at / 1e6, np.interp(at, steps, level), ".", color=colour)
             axis.set_title(kind.replace("_", " "))
             axis.set_ylim(0, 10)
         for axis in axes[1]:
             axis.set_xlabel("million environment steps")
         for axis in axes[:, 0]:
             axis.set_ylabel("curriculum's level")
-        axes[0, 0].legend()
+        lines = [plt.Line2D([], [], color=f"C{number}") for number in range(len(labels))]
+        axes[0, 0].legend(lines, labels)
         figure.savefig(OUT.with_suffix(".png"), dpi=110)
 
 
