@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -339,16 +338,16 @@ def table(cfg: Cfg) -> str:
     """Markdown: each measured number with the paper's in parentheses; nothing is filled in."""
     columns = [*TABLE, "collisions", "linear velocity", *(f"{c} passed" for c in TABLE)]
     columns += ["M steps", "hours", "seed"]
-    lines = [row_of("row", columns), row_of("---", ["---"] * len(columns))]
+    lines = [["row", *columns], ["---"] * (len(columns) + 1)]
     for row in cfg.chosen:
-        lines += [row_of(row.name, cells(own, row, len(columns))) for own in by_seed(cfg, row)]
-    return "\n".join(lines)
+        lines += [[row.name, *cells(own, row, len(columns))] for own in by_seed(cfg, row)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def by_seed(cfg: Cfg, row: Row) -> list[Cfg]:
     """The configuration with each seed that the row was judged with, or as it is."""
-    names = [path.stem for path in cfg.results.glob(f"{row.slug}_*.json")]
-    seeds = sorted(int(name.rpartition("_")[2]) for name in names)
+    found = cfg.results.glob(f"{row.slug}_*.json")
+    seeds = sorted(int(path.stem.rpartition("_")[2]) for path in found)
     return [replace(cfg, seed=seed) for seed in seeds or [cfg.seed]]
 
 
@@ -366,11 +365,6 @@ def cells(cfg: Cfg, row: Row, count: int) -> list[str]:
         return texts + ["missing"] * (count - len(texts))
     texts += [passes(found, column) for column in TABLE]
     return [*texts, f"{found['steps'] / 1e6:.2f}", f"{found['hours']:.1f}", str(cfg.seed)]
-
-
-def row_of(first: str, cells: Sequence[str]) -> str:
-    """One line of a Markdown table."""
-    return "| " + " | ".join([first, *cells]) + " |"
 
 
 def status(cfg: Cfg) -> str:
