@@ -10,7 +10,6 @@ from renet.models.config import ModelCfg
 from renet.training import precision
 from renet.training.precision import (
     computed_in,
-    in_halves,
     keep_freed_memory,
     learning_type,
     side_by_side,
@@ -93,18 +92,6 @@ def test_one_thread_does_one_piece_of_work_after_the_other(two_threads):
         done = side_by_side(threading.get_ident, threading.get_ident)
     assert done == (threading.get_ident(),) * 2
     assert torch.get_num_threads() == 1
-
-
-@pytest.mark.parametrize("rows", [1, 2, 7])
-def test_rows_in_halves_are_those_of_the_whole_and_carry_no_gradients(two_threads, rows: int):
-    layer = torch.nn.Bilinear(4, 4, 3)
-    left, right = torch.randn(rows, 4), torch.randn(rows, 4)
-    with torch.no_grad():
-        together = layer(left, right)
-        halves = in_halves(layer, left, right)
-    assert not halves.requires_grad
-    torch.testing.assert_close(halves, together)
-    assert torch.get_num_threads() == 2
 
 
 def test_nothing_on_a_gpus_path_waits_for_the_device():

@@ -1,6 +1,5 @@
 """RENet as an rsl_rl algorithm: estimators at 10 Hz, N-P3O at 50 Hz, one stage."""
 
-from functools import partial
 from typing import Any, Self
 
 import torch
@@ -21,7 +20,7 @@ from renet.training import distributed
 from renet.training.checkpoint import WeightAverage
 from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg, from_dict
 from renet.training.np3o import NP3O
-from renet.training.precision import in_halves, learning_type
+from renet.training.precision import learning_type
 from renet.training.storage import PolicyRollout, Recorder, TickRollout
 from renet.training.supervision import Supervision
 
@@ -154,7 +153,7 @@ class RenetAlgorithm:
         memory = self.memory
         fresh, latent_op, latent_vp = memory.fresh.clone(), memory.latent_op, memory.latent_vp
         memory.see(obs["depth"])
-        memory.tick(partial(in_halves, self.model.advance))
+        memory.tick(self.model.advance)
         self._ticks.begin(
             history=memory.history,
             frames=memory.frames,

@@ -100,24 +100,6 @@ def side_by_side(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]
         wait([other])
 
 
-def in_halves(function: Callable[..., Tensor], *rows: Tensor) -> Tensor:
-    """`function(*rows)` without gradients; on a CPU half of torch's threads take half of the rows.
-
-    A second thread hardly hastens the convolutions of a few small images, but can do half of them.
-    """
-    middle = len(rows[0]) // 2
-    if rows[0].device.type != "cpu" or not middle:
-        return function(*rows)
-    # Whether there are gradients is a thread's own setting, too.
-    ahead = torch.no_grad()(lambda *half: function(*half))
-    with _half_of_the_threads():
-        halves = side_by_side(
-            lambda: ahead(*(row[:middle] for row in rows)),
-            lambda: ahead(*(row[middle:] for row in rows)),
-        )
-    return torch.cat(halves)
-
-
 def _on_threads(share: int, work: Callable[[], Any]) -> Any:
     torch.set_num_threads(share)  # OpenMP's number belongs to the calling thread.
     return work()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from renet.cli import main
 from renet.errors import RenetError
 from renet.evaluation.report.height_maps import WARM_UP, errors
 from renet.evaluation.studies.pictures import SENSOR, PicturesStudy, _kept
@@ -23,14 +24,16 @@ def test_every_picture_is_written_and_the_numbers_are_those_of_the_robots(tmp_pa
         with Image.open(out / name) as picture:
             assert picture.info["Description"].startswith("bundle go1-parkour")
     summary = json.loads((out / "summary.json").read_text())
-    assert [row["terrain"] for row in summary["height_map"]] == list(tiles())
-    flat = {row["terrain"]: row["rmse_of_flat_ground_m"] for row in summary["height_map"]}
+    assert [row["terrain"] for row in summary["runs"]] == list(tiles())
+    flat = {row["terrain"]: row["rmse_of_flat_ground_m"] for row in summary["runs"]}
     # Level 8 of the stairs is far from flat; that of rough ground is much nearer.
     assert flat["stairs_up"] > 2 * flat["rough"]
     assert summary["provenance"]["bundle_hash"]
     page = make_report(ReportCfg(tmp_path)).read_text()
     assert "The ground as the VP estimator predicts it" in page
     assert page.count("<img") == 3
+    card = ["bundle", "card", "--results", str(tmp_path), "--out", str(tmp_path / "card")]
+    assert main(card) == 0
 
 
 def test_errors_by_hand():

@@ -83,7 +83,7 @@ class PicturesStudy(Study):
         summary = plain(
             {
                 "study": self.name,
-                "height_map": errors(log.maps, kinds),
+                "runs": errors(log.maps, kinds),
                 "settings": asdict(self),
                 "provenance": vars(provenance),
             }
@@ -99,7 +99,7 @@ class PicturesStudy(Study):
                 f"{100 * row['rmse_m']:.1f}",
                 f"{100 * row['rmse_of_flat_ground_m']:.1f}",
             )
-            for row in summary["height_map"]
+            for row in summary["runs"]
         ]
         header = ("terrain", "error (cm)", "of flat ground (cm)")
         return [("Height maps of the VP estimator", header, rows)]
