@@ -4,14 +4,18 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from mjlab.terrains import TerrainGenerator
 
 from renet.errors import RenetError
+from renet.evaluation.env import PARKOUR, grounds_env_cfg, terrain_env_cfg
 from renet.sim.depth.rasterizer import scanner
-from renet.tasks import make_env
+from renet.tasks import RenetEnvCfg, make_env
+from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.curriculums import FIRST_LEVELS
 from renet.tasks.parkour_env_cfg import tile_env_cfg
-from renet.tasks.terrains import parkour_terrain, tile_row
+from renet.tasks.terrains import tile_row
 from renet.terrain.tiles import LEVELS, TILE, Tile, dense_tiles, tiles
+from renet.training.train import TrainCfg, task_cfg
 
 KINDS = list(tiles())
 
@@ -301,6 +305,19 @@ def test_dense_tiles_have_more_edges_and_begin_flat(kind):
         assert dense_tiles()[kind].measure(mine) == pytest.approx(tiles()[kind].measure(theirs))
 
 
-def test_evaluation_draws_other_tiles_than_training():
-    assert tile_row({"obstacles": 5}).terrain_generator.seed != 0
-    assert parkour_terrain().terrain_generator.seed == 0
+def drawn(cfg: RenetEnvCfg) -> set[bytes]:
+    """Relief of each rough tile and size of each block that a task's field is built with."""
+    spec = mujoco.MjSpec()
+    TerrainGenerator(cfg.scene.terrain.terrain_generator, device="cpu").compile(spec)
+    return {np.array(field.userdata).tobytes() for field in spec.hfields if any(field.userdata)} | {
+        geom.size[:2].tobytes() for geom in spec.geoms if 0 < geom.size[:2].max() < 0.5
+    }
+
+
+@pytest.mark.parametrize("preset", ["renet", "paper"])
+def test_studies_draw_other_tiles_than_training(preset):
+    trained = drawn(task_cfg(TrainCfg.defaults(["Renet-Go1-Parkour", f"--preset={preset}"])))
+    grounds = {"rough": 5, "obstacles": 5}
+    for judged in (terrain_env_cfg(PARKOUR, 1, GO1), grounds_env_cfg(grounds, GO1)):
+        assert len(drawn(judged)) > 20
+        assert not drawn(judged) & trained

@@ -166,6 +166,7 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
     VP is in charge throughout; `grass` is of severity 1 and 2 in turn.
     """
     from renet.evaluation.env import PARKOUR
+    from renet.tasks.parkour_env_cfg import parkour_env_cfg
     from renet.terrain.tiles import tiles
 
     robots, steps = np.arange(cfg.robots), round(cfg.seconds / CONTROL_DT)
@@ -173,7 +174,10 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
     trials = [Trial("vp", sparse[robot % 2] if grass else (), int(robot)) for robot in robots]
     found: Series = {name: [] for name in MONITORS}
     for terrain in cfg.terrains:
-        env = evaluator.make_env(terrain, range(cfg.robots), cfg.speed, cfg.seed)
+        task = terrain
+        if terrain == PARKOUR:  # Training's tiles: studies are to judge on others.
+            task = parkour_env_cfg(play=True, robot=evaluator.robot)
+        env = evaluator.make_env(task, range(cfg.robots), cfg.speed, cfg.seed)
         if terrain == PARKOUR:
             env.place(robots // len(tiles()) % cfg.levels, robots % len(tiles()))
         log = MonitorLog(cfg.robots)

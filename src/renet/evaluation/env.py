@@ -23,12 +23,12 @@ from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.base_state import tile_terrain
 from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg, goal
 from renet.tasks.mdp.rewards import collision, joint_energy
-from renet.tasks.parkour_env_cfg import flat_env_cfg, parkour_env_cfg, tile_env_cfg
+from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
-from renet.tasks.terrains import tile_row
+from renet.tasks.terrains import UNSEEN, parkour_terrain, tile_row
 
 FLAT, PARKOUR = "flat", "parkour"
-"""Ground without tiles, and the training curriculum's field of tiles."""
+"""Ground without tiles, and a field of all tiles at all levels."""
 NEVER = 1e9
 """Seconds no run lasts."""
 
@@ -49,7 +49,8 @@ def terrain_env_cfg(terrain: str, level: int, robot: RobotCfg) -> RenetEnvCfg:
     """A task to measure in.
 
     Args:
-        terrain: "flat", "parkour" (all tiles at all levels) or a kind of tile.
+        terrain: "flat", "parkour" (all tiles at all levels) or a kind of tile; random tiles are not
+            training's.
         level: of the tile, 1 to 10.
         robot: to put there.
 
@@ -59,7 +60,7 @@ def terrain_env_cfg(terrain: str, level: int, robot: RobotCfg) -> RenetEnvCfg:
     if terrain == FLAT:
         return flat_env_cfg(play=True, robot=robot)
     if terrain == PARKOUR:
-        return parkour_env_cfg(play=True, robot=robot)
+        return tile_env_cfg(parkour_terrain(UNSEEN), play=True, robot=robot)
     return tile_env_cfg(tile_row({terrain: level}), play=True, robot=robot)
 
 

@@ -12,16 +12,18 @@ from renet.terrain.tiles import LEVELS, TILE, find_tile, tiles
 
 DIFFICULT = ("gap", "platform")
 """Kinds of tile that force vision; all others are simple."""
-
-
 UNSEEN = 1
 """Seed of evaluation's tiles; training's is 0."""
 
 
-def parkour_terrain() -> TerrainEntityCfg:
-    """The curriculum: one column per kind, one row per level."""
+def parkour_terrain(seed: int = 0) -> TerrainEntityCfg:
+    """The curriculum: one column per kind, one row per level.
+
+    Args:
+        seed: of rough ground and obstacles; other tiles hold nothing random.
+    """
     generator = TerrainGeneratorCfg(
-        seed=0,
+        seed=seed,
         curriculum=True,
         size=(TILE, TILE),
         border_width=TILE,
@@ -52,9 +54,9 @@ def tile_row(grounds: Mapping[str, int]) -> TerrainEntityCfg:
         tile, difficulty = find_tile("rough" if kind == "flat" else kind, level)
         size = 0.0 if kind == "flat" else tile.measure(difficulty)
         kinds[kind] = replace(tile, low=size, high=size, proportion=1.0, flat_start=False)
-    cfg = parkour_terrain()
+    cfg = parkour_terrain(UNSEEN)
     generator = cfg.terrain_generator
     assert generator is not None
-    generator.num_rows, generator.seed = 1, UNSEEN
+    generator.num_rows = 1
     generator.sub_terrains = cast(Any, kinds)
     return cfg

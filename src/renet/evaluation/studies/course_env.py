@@ -55,10 +55,10 @@ def course_env_cfg(
     """
     passages = {f"{i}_{kind}": passage(kind, level) for i, kind in enumerate(lap)}
     length = course_length(lap)
-    terrain = parkour_terrain()
+    terrain = parkour_terrain(seed)
     generator = terrain.terrain_generator
     assert generator is not None
-    generator.num_rows, generator.seed = 1, seed
+    generator.num_rows = 1
     generator.sub_terrains = cast(Any, passages)
     cfg = tile_env_cfg(terrain, play=True, robot=robot)
     cfg.terminations["in_gap"] = TerminationTermCfg(
