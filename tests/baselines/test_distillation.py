@@ -14,7 +14,6 @@ from renet.baselines.distillation import (
     STUDENT,
     TEACHER,
     DistillationCfg,
-    DistillationRollout,
     DistillationRunner,
     DistillCfg,
 )
@@ -111,16 +110,6 @@ def test_the_loss_is_that_of_the_actions_taken(teachers, tmp_path) -> None:
     expected = (rollout.mean - torch.stack(said)).abs().sum(-1).mean().item()
     (found,) = read_curves(tmp_path)["Loss/imitation"][1]
     assert found == pytest.approx(expected, rel=1e-4)
-
-
-def test_learns_a_fixed_batch(teachers, tmp_path) -> None:
-    runner = student(tmp_path, teachers)
-    kept = []
-    runner.alg._learn = lambda ticks: kept.append(ticks) or {"kept": torch.zeros(())}
-    runner.learn(1)
-    batch = DistillationRollout(**vars(kept[0]), **runner.alg._lessons.stack())
-    losses = [runner.alg.supervision.update(batch)["imitation"] for _ in range(25)]
-    assert losses[-1] < 0.5 * losses[0]
 
 
 def test_goes_on_after_a_kill_from_the_levels_of_its_teachers(teachers, tmp_path) -> None:

@@ -1,17 +1,22 @@
 """HIM against an independent NumPy reference."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import renet
 from renet.models.him import (
     HybridInternalModel,
     sinkhorn,
     swapped_prediction_loss,
     target_view,
 )
+from renet.training import checkpoint as checkpoints
+from renet.training.export import load_networks
 
 
 def reference_sinkhorn(score: np.ndarray) -> np.ndarray:
@@ -85,6 +90,12 @@ def test_training_pulls_matching_views_together():
     assert him.effective_rank() > 8
     assert him.usage is not None
     assert him.usage > 16
+
+
+def test_the_shipped_prototypes_have_not_collapsed():
+    found = checkpoints.find(Path(renet.__file__).parent / "pretrained" / "checkpoint")
+    model = load_networks(checkpoints.load(found), found)
+    assert min(model.op_him.effective_rank(), model.vp_him.effective_rank()) > 8
 
 
 def test_a_collapsed_module_shows_in_rank_and_usage():

@@ -1,6 +1,7 @@
 """What `renet train` does around the loop: folders, settings, devices, and going on."""
 
 import os
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +11,11 @@ import torch
 import tyro
 
 from renet.errors import RenetError
+from renet.tasks.sensors import depth_camera
 from renet.training import checkpoint as checkpoints
 from renet.training import train as training
 from renet.training.checkpoint import Checkpoint
-from renet.training.config import NP3OCfg, SupervisionCfg
+from renet.training.config import NP3OCfg, SupervisionCfg, value_at
 from renet.training.recipe import RENET
 from renet.training.train import (
     TrainCfg,
@@ -95,6 +97,8 @@ def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(
     assert "config.seed was 1, now 3" in out
     assert "task_cfg.scene.sensors.depth_camera.delay was [0.0, 0.0], now [0.0, 0.1]" in out
     assert sum(" was " in row for row in out) == 4  # Its setting, and the number of iterations.
+    ours = re.compile(r"Going on|config|task_cfg|Training|Curves|Results|2/2  ")
+    assert all(map(ours.match, out)), "no library says anything"
     assert 0.0 < given[0] < 59.9, "the time budget counts from the start"
 
 
@@ -104,7 +108,11 @@ def test_presets_are_what_a_command_line_starts_from():
     task = task_cfg(paper)
     assert task.rewards["collision"].weight == -10.0
     assert task.rewards["foot_clearance"].weight == 0.0
-    ours = task_cfg(TrainCfg.defaults(["Renet-Go1-Parkour"]))
+    recipe = TrainCfg.defaults(["Renet-Go1-Parkour"])
+    assert recipe.supervision.num_mini_batches == 12
+    assert value_at(recipe.supervision.learning_rate, 150e6) == 2e-4
+    ours = task_cfg(recipe)
+    assert depth_camera(ours).noise.gaussian_std == 0.03
     assert ours.rewards["collision"].weight == RENET["reward_weights"]["collision"]
     own = replace(TrainCfg(task="Renet-Go1-Parkour"), reward_weights=(("collision", -2.0),))
     assert task_cfg(own).rewards["collision"].weight == -2.0

@@ -9,7 +9,7 @@ from PIL import Image
 from renet.cli import main
 from renet.errors import RenetError
 from renet.evaluation.report.height_maps import WARM_UP, errors
-from renet.evaluation.studies.pictures import SENSOR, PicturesStudy, _kept
+from renet.evaluation.studies.pictures import PicturesStudy
 from renet.evaluation.studies.report import ReportCfg, make_report
 from renet.interface import HEIGHT_MAP_SIZE
 from renet.terrain.tiles import tiles
@@ -45,14 +45,6 @@ def test_errors_by_hand():
     found = errors(maps, ["gap"])[0]
     assert found["rmse_m"] == pytest.approx(0.1)
     assert found["rmse_of_flat_ground_m"] == pytest.approx(0.3)
-
-
-def test_the_kept_part_is_inside_the_sensors_view():
-    (left, top), width, height = _kept()
-    assert 0 < left < left + width < SENSOR.width
-    assert 0 < top < top + height < SENSOR.height
-    # 66 x 52 of 87 x 58 degrees.
-    assert width / SENSOR.width == pytest.approx(np.tan(0.5762) / np.tan(0.7592), abs=0.01)
 
 
 @pytest.mark.parametrize(
