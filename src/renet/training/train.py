@@ -68,7 +68,7 @@ class TrainCfg(LearningCfg):
     task: tyro.conf.Positional[str]
     """Task id: Renet-Go1-Flat, Renet-Go1-Parkour, or one registered by a plug-in."""
     preset: Literal["renet", "paper"] = "renet"
-    """Where the defaults of all other settings come from: our recipe, or the paper to the letter
+    """Where the defaults of all other settings come from: our recipe, or the paper's
     (for 1.5 billion steps)."""
     num_envs: int | None = None
     """Parallel environments of each process; by default 512 on a CPU and 4096 on a GPU (paper)."""
