@@ -174,11 +174,11 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
     trials = [Trial("vp", sparse[robot % 2] if grass else (), int(robot)) for robot in robots]
     found: Series = {name: [] for name in MONITORS}
     for terrain in cfg.terrains:
-        task = terrain
-        if terrain == PARKOUR:  # Training's tiles: studies are to judge on others.
-            task = parkour_env_cfg(play=True, robot=evaluator.robot)
+        tiled = terrain == PARKOUR
+        # Training's own tiles: studies are to judge on others.
+        task = parkour_env_cfg(play=True, robot=evaluator.robot) if tiled else terrain
         env = evaluator.make_env(task, range(cfg.robots), cfg.speed, cfg.seed)
-        if terrain == PARKOUR:
+        if tiled:
             env.place(robots // len(tiles()) % cfg.levels, robots % len(tiles()))
         log = MonitorLog(cfg.robots)
         trace = evaluator.rollout(terrain, env, trials, steps, cfg.seed, on_update=log)
