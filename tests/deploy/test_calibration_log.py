@@ -83,7 +83,8 @@ def test_calibrate_writes_what_the_log_says(log, flight, bundle):
     selector = Bundle.load(bundle).manifest.selector
     assert selector.beta == beta
     assert "1 recording(s)" in selector.calibration
-    assert selector.thresholds["reconstruction"] > beta
+    assert selector.thresholds["variance"] > flight.ticks["variance"][walk.start : walk.stop].max()
+    assert "reconstruction" not in selector.thresholds
     before = (bundle / "manifest.json").read_bytes()
     assert run_calibrate(CalibrateCfg(bundle, log=(log,))) == beta, "again, though beta is new"
     assert (bundle / "manifest.previous.json").read_bytes() == before, "the old one is kept"

@@ -85,7 +85,7 @@ def test_simulated_cameras_err_as_in_the_bundles_training(bundle: Path, tmp_path
 def test_calibration_is_written_into_the_bundle(tmp_path: Path) -> None:
     # Only robots that walk count: the shipped policy's do.
     bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
-    cfg = CalibrateCfg(bundle, robots=2, seconds=3.0, terrains=("flat",))
+    cfg = CalibrateCfg(bundle, robots=2, seconds=3.0, terrains=("flat",), sparse_grass=False)
     beta = run_calibrate(cfg)
     selector = read_manifest(bundle).selector
     assert selector.beta == pytest.approx(beta)
@@ -105,8 +105,7 @@ def test_thresholds_allow_for_sparse_grass_where_a_variance_is_predicted(tmp_pat
     models = {name: (shipped / f"{name}.onnx").read_bytes() for name in MODELS}
     models["vision"] = (Path(__file__).parents[1] / "deploy/data/variance.onnx").read_bytes()
     bundle = write_bundle(tmp_path / "bundle", models, read_manifest(shipped))
-    short = {"robots": 2, "seconds": 3.0, "terrains": ("flat",), "sparse_grass": True}
-    beta = run_calibrate(CalibrateCfg(bundle, **short))
+    beta = run_calibrate(CalibrateCfg(bundle, robots=2, seconds=3.0, terrains=("flat",)))
     selector = read_manifest(bundle).selector
     assert "reconstruction" not in selector.thresholds
     assert selector.healthy_hours == pytest.approx(6 / 3600)
@@ -118,6 +117,13 @@ def test_thresholds_allow_for_sparse_grass_where_a_variance_is_predicted(tmp_pat
     assert "reconstruction" not in names
 
 
+def test_the_same_blades_in_both_of_the_first_images_raise_no_threshold(tmp_path: Path) -> None:
+    bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
+    run_calibrate(CalibrateCfg(bundle, robots=2, seconds=3.0, terrains=("flat",)))
+    # That pair scores 5 to 12, all others of sparse grass below 3.
+    assert 1.0 < read_manifest(bundle).selector.thresholds["variance"] < 4.0
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -127,7 +133,6 @@ def test_thresholds_allow_for_sparse_grass_where_a_variance_is_predicted(tmp_pat
         {"speed": 0.0},
         {"false_alarm": 2.0},
         {"false_alarms_per_hour": 0.0},
-        {"sparse_grass": True},  # This bundle's detector predicts no variance.
     ],
 )
 def test_calibration_refuses_mistakes_before_anybody_walks(

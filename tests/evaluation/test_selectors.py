@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.monitor_log import MonitorLog, combined_score, replay, successful_runs
 from renet.evaluation.rollout import Trial, run_rollout
 from renet.evaluation.trace import Trace
@@ -99,3 +100,13 @@ def test_calibration_learns_from_robots_that_get_somewhere() -> None:
     assert successful_runs(trace, 0.6) == walked
     stood = [(1, slice(0, 20)), (4, slice(2, 20)), (5, slice(0, 3))]
     assert successful_runs(trace) == sorted(walked + stood)
+
+
+def test_the_shipped_selector_walks_on_vision_through_sparse_grass_alone() -> None:
+    evaluator, severities = Evaluator(), (1, 2, 4, 5)
+    grass = {s: (Injection.of("tall_grass", s, onset=20),) for s in severities}
+    trials = [Trial("renet", grass[s], robot) for s in severities for robot in range(5)]
+    env = evaluator.make_env("flat", [trial.robot for trial in trials], 0.6, 1)
+    left = ~evaluator.rollout("grass", env, trials, 120, 1).vision.all(axis=0).reshape(4, 5)
+    assert left[:2].sum() <= 1
+    assert left[2:].all()

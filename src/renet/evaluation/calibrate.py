@@ -28,7 +28,9 @@ from renet.selector.monitors import MONITORS
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
 
-IN_SPARSE_GRASS = 0.9
+SPARSE_GRASS = 2
+"""Severity of `tall_grass`: the variance detector learns blades up to this density."""
+IN_SPARSE_GRASS = 0.95
 """Share of the runs through sparse grass in which a monitor does not object."""
 Series = dict[str, list[np.ndarray]]
 """Scores [T] of each unbroken run, by monitor."""
@@ -60,9 +62,9 @@ class CalibrateCfg:
     at most this probability (split conformal)."""
     false_alarms_per_hour: float = 0.5
     """How often all monitors together may make a healthy robot leave vision."""
-    sparse_grass: bool = False
-    """Lift thresholds until no monitor objects in nine of ten walks through sparse grass, and let
-    the variance stand in for the reconstruction: glare and blobs then pass, too."""
+    sparse_grass: bool = True
+    """Of a model that predicts a variance: judge images by it instead of the reconstruction, and
+    lift thresholds until each monitor accepts 19 of 20 simulated walks through sparse grass."""
     seed: int = 7
     """Of the robots' starts."""
     engine: str = "auto"
@@ -92,11 +94,10 @@ def run_calibrate(cfg: CalibrateCfg, evaluator: Evaluator | None = None) -> floa
 def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series) -> float:
     """Learn β and the thresholds from healthy scores, write them into the manifest, return β.
 
-    β is learnt without the `grassy` runs, and so is the reconstruction's threshold: it is used only
-    where there is none of the variance.
+    β is learnt without the `grassy` runs.
     """
     scores = np.concatenate(series["reconstruction"])
-    if grassy:
+    if cfg.sparse_grass and bundle.predicts_variance:
         series = {name: runs for name, runs in series.items() if name != "reconstruction"}
     thresholds, hours = calibrate_monitors(series, cfg.false_alarms_per_hour, 1.0 / TICK_DT)
     for name, runs in grassy.items():
@@ -151,27 +152,26 @@ def _simulated_scores(
         raise RenetError(f"terrains {cfg.terrains}: choose among {FLAT}, {PARKOUR}")
     check_speed(cfg.speed)
     evaluator = evaluator or Evaluator(cfg.bundle, cfg.engine)
-    if cfg.sparse_grass and not evaluator.bundle.predicts_variance:
-        raise RenetError("--sparse-grass needs a model with --model.detector variance")
     series = _healthy_runs(cfg, evaluator, grass=False)
     if not series["reconstruction"]:
         raise RenetError("no episode succeeded: train the policy before calibrating its selector")
-    grassy = _healthy_runs(cfg, evaluator, grass=True) if cfg.sparse_grass else {}
+    through_grass = cfg.sparse_grass and evaluator.bundle.predicts_variance
+    grassy = _healthy_runs(cfg, evaluator, grass=True) if through_grass else {}
     return evaluator.bundle, series, grassy
 
 
 def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Series:
     """Every monitor's scores in the successful episodes on all terrains, by name.
 
-    VP is in charge throughout; `grass` is of severity 1 and 2 in turn.
+    VP is in charge throughout; with `grass` all walk through sparse grass.
     """
     from renet.evaluation.env import PARKOUR
     from renet.tasks.parkour_env_cfg import parkour_env_cfg
     from renet.terrain.tiles import tiles
 
     robots, steps = np.arange(cfg.robots), round(cfg.seconds / CONTROL_DT)
-    sparse = [(Injection.of("tall_grass", severity, onset=0),) for severity in (1, 2)]
-    trials = [Trial("vp", sparse[robot % 2] if grass else (), int(robot)) for robot in robots]
+    faults = (Injection.of("tall_grass", SPARSE_GRASS, onset=0),) if grass else ()
+    trials = [Trial("vp", faults, int(robot)) for robot in robots]
     found: Series = {name: [] for name in MONITORS}
     for terrain in cfg.terrains:
         tiled = terrain == PARKOUR
@@ -183,5 +183,6 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
         log = MonitorLog(cfg.robots)
         trace = evaluator.rollout(terrain, env, trials, steps, cfg.seed, on_update=log)
         for name, runs in healthy_series(log, trace, cfg.speed).items():
-            found[name] += runs
+            # A robot's first image stands in for the one before it, too: the same blades twice.
+            found[name] += [run[1:] for run in runs if len(run) > 1] if grass else runs
     return found

@@ -18,7 +18,7 @@ from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg
 RENET: dict[str, Any] = {
     # A policy that already stands needs no noise of radians; what remains shrinks as it learns.
     # It knows which errors are usual: notices glare and occlusion two to eight times as often. It
-    # also learns what sparse grass looks like (`renet calibrate --sparse-grass`).
+    # also learns what sparse grass looks like (`renet calibrate`).
     "model": ModelCfg(initial_std=0.5, detector="variance"),
     "algorithm": NP3OCfg(
         entropy="0.003@10M,0.001@60M",
