@@ -92,10 +92,7 @@ def run_calibrate(cfg: CalibrateCfg, evaluator: Evaluator | None = None) -> floa
 
 
 def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series) -> float:
-    """Learn β and the thresholds from healthy scores, write them into the manifest, return β.
-
-    β is learnt without the `grassy` runs.
-    """
+    """Learn thresholds, and β without the `grassy` runs; write them into the manifest, return β."""
     scores = np.concatenate(series["reconstruction"])
     if cfg.sparse_grass and bundle.predicts_variance:
         series = {name: runs for name, runs in series.items() if name != "reconstruction"}
