@@ -85,6 +85,8 @@ def test_a_strangers_output_replaces_nothing_of_the_policy(bundle):
 
 
 DATA = Path(__file__).with_name("data")
+
+
 def trusted(bundle: Bundle, kind: str, images: str) -> bool:
     """Whether vision is used after six images."""
     policy, selector = Policy(bundle), make_selector(kind, bundle.manifest.selector)
