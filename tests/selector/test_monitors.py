@@ -77,15 +77,15 @@ def test_equal_images_in_a_row_are_counted():
 def test_only_a_lens_that_stays_covered_counts_as_such():
     monitors = Monitors(["nearness"], 2)
     nose = blank(0.02)
-    nose[1, :4] = 0.5  # A twelfth of its pixels see past the platform.
+    nose[1, :28] = 0.5  # Over half of its pixels see past the platform.
     for count in range(1, 6):
         assert monitors.scores(seen(image=nose.copy())).tolist() == [[0, count]]
         for _ in range(5):
             monitors.scores(seen(image=nose.copy(), fresh=np.zeros(2, bool)))
     assert count < MONITORS["nearness"].fallback
     assert monitors.scores(seen()).tolist() == [[0, 0]], "it is up"
-    nose[1, :5] = 0.5
-    assert monitors.scores(seen(image=nose)).tolist() == [[0, 0]], "less than nine tenths"
+    nose[1, :29] = 0.5
+    assert monitors.scores(seen(image=nose)).tolist() == [[0, 0]], "less than two fifths"
     monitors.scores(seen(image=blank(0.02)))
     monitors.reset(np.array([False, True]))
     assert monitors.scores(seen(image=blank(0.02))).tolist() == [[0, 1]]

@@ -18,7 +18,7 @@ from renet.interface import DEPTH_SHAPE
 
 NEAR = 0.05
 """Normalised depth (10 cm of 2 m) below which a stereo camera sees nothing real (paper, IV-D)."""
-COVERED = 0.9
+COVERED = 0.4
 """With a larger share of an image's pixels nearer than `NEAR` the lens may be covered."""
 
 
@@ -80,7 +80,7 @@ class Monitors:
         self.contrast = np.zeros(num_robots)
         """Standard deviation of the newest image, [N]."""
         self.near = np.zeros(num_robots)
-        """Consecutive images with over nine tenths of the pixels nearer than 10 cm, [N]."""
+        """Consecutive images with over two fifths of the pixels nearer than 10 cm, [N]."""
         self._image: np.ndarray | None = None
         self._last = np.full((num_robots, *DEPTH_SHAPE), np.nan)
 
