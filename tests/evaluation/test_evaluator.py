@@ -105,7 +105,7 @@ def test_sparse_grass_passes_where_a_variance_is_predicted(tmp_path: Path) -> No
     selector = read_manifest(bundle).selector
     assert selector.healthy_hours == pytest.approx(6 / 3600)
     assert selector.thresholds["invalid_fraction"] > 0.28, "blades hide what is behind them"
-    # Pairs of sparse grass score below 3; one with the same blades in both images 5 to 12.
+    # The pair with the same blades in both images scores more.
     assert 1.0 < selector.thresholds["variance"] < 4.0
     assert beta < 0.02, "the paper's rule knows healthy images alone"
     names = Evaluator(bundle).make_selector(1).monitors.names
