@@ -11,6 +11,7 @@ import torch
 
 from renet.baselines import cheng, zhuang
 from renet.baselines.distillation import (
+    OF_ROBOTS,
     STUDENT,
     TEACHER,
     DistillationCfg,
@@ -40,10 +41,11 @@ class TiledEnv(ToyEnv):
         self.scene = SimpleNamespace(terrain=SimpleNamespace(cfg=cfg, terrain_types=kinds))
 
     def curriculum_state(self):
-        return {"levels": self.levels.clone(), "kinds": self.scene.terrain.terrain_types}
+        kinds = self.scene.terrain.terrain_types
+        return {"levels": self.levels.clone(), "passed": self.levels > 5, "kinds": kinds}
 
     def load_curriculum_state(self, tensors):
-        self.levels, self.kinds = tensors["levels"].clone(), tensors["kinds"].clone()
+        self.levels, self.passed, self.kinds = (tensors[name] for name in OF_ROBOTS)
 
 
 def teacher(folder, seed: int, level: float, perception: str = "oracle"):
@@ -116,6 +118,7 @@ def test_goes_on_after_a_kill_from_the_levels_of_its_teachers(teachers, tmp_path
     first = student(tmp_path, teachers)
     hard = torch.isin(first.env.kinds, torch.tensor([4, 5]))
     assert (first.env.levels == torch.where(hard, 7.0, 2.0)).all()
+    assert torch.equal(first.env.passed, hard), "not those of another teacher's robots"
     first.learn(1)
     second = student(tmp_path, teachers)
     second.load(str(tmp_path))

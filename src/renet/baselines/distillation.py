@@ -42,6 +42,8 @@ STUDENT = {
     "him": False,
 }
 """The same for one that reads depth and is taught actions alone."""
+OF_ROBOTS = ("levels", "passed", "kinds")
+"""Curriculum state of each robot, [N]."""
 
 
 @dataclass
@@ -158,11 +160,11 @@ class DistillationAlgorithm(RenetAlgorithm):
             self._teachers.append((model.actor, robots.nonzero().squeeze(-1)))
             state = checkpoint.environment
             its = torch.isin(state["kinds"], wanted.to(state["kinds"].device))
-            reached.append(state | {name: state[name][its] for name in ("levels", "kinds")})
+            reached.append(state | {name: state[name][its] for name in OF_ROBOTS})
         if not taught.all():
             raise RenetError(f"nobody teaches on {names[int(kinds[~taught][0])]}")
         self.reached = reached[-1] | {
-            name: torch.cat([state[name] for state in reached]) for name in ("levels", "kinds")
+            name: torch.cat([state[name] for state in reached]) for name in OF_ROBOTS
         }
         """Curriculum of the teachers, from which the student goes on."""
         if cfg.starts_as_teacher:

@@ -105,8 +105,7 @@ def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series) ->
             thresholds[name] = max(thresholds[name], passes)
     beta = calibrate(scores, cfg.false_alarm)
     rule = f"false alarm {cfg.false_alarm}" if cfg.false_alarm else "maximum"
-    simulated = f"successful episodes, seed {cfg.seed}"
-    source = f"{len(cfg.log)} recording(s)" if cfg.log else simulated
+    source = f"{len(cfg.log)} recording(s)" if cfg.log else f"successful episodes, seed {cfg.seed}"
     how = f"{rule} of {len(scores)} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
     manifest = bundle.manifest
     selector = replace(
