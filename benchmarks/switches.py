@@ -37,7 +37,8 @@ class Cfg:
     severity: int = 4
     """Of the faults it learns from: every one but those of the scene, in both modes."""
     robots: int = 2
-    """Robots for each fault and mode in training, in turn on the study's grounds."""
+    """Robots for each fault and mode in training, in turn on the study's grounds; each has a twin
+    whose camera stays healthy."""
     steps: int = 500
     """Control steps of training's rollout; faults begin after a tenth."""
     epochs: int = 200
@@ -57,8 +58,9 @@ def trained(cfg: Cfg) -> SwitchEvaluator:
     torch.manual_seed(cfg.seed)
     faults = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
     trials = [
-        Trial(mode, (Injection.of(fault, cfg.severity, cfg.steps // 10),), number)
+        Trial(mode, schedule, number)
         for number, fault in enumerate(faults * cfg.robots)
+        for schedule in ((Injection.of(fault, cfg.severity, cfg.steps // 10),), ())
         for mode in ("vp", "op")
     ]
     study = cfg.study
