@@ -11,7 +11,6 @@ import torch
 
 from renet.baselines import cheng, zhuang
 from renet.baselines.distillation import (
-    OF_ROBOTS,
     STUDENT,
     TEACHER,
     DistillationCfg,
@@ -45,7 +44,8 @@ class TiledEnv(ToyEnv):
         return {"levels": self.levels.clone(), "passed": self.levels > 5, "kinds": kinds}
 
     def load_curriculum_state(self, tensors):
-        self.levels, self.passed, self.kinds = (tensors[name] for name in OF_ROBOTS)
+        self.levels, self.passed = tensors["levels"].clone(), tensors["passed"]
+        self.kinds = tensors["kinds"]
 
 
 def teacher(folder, seed: int, level: float, perception: str = "oracle"):

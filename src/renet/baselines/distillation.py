@@ -42,8 +42,6 @@ STUDENT = {
     "him": False,
 }
 """The same for one that reads depth and is taught actions alone."""
-OF_ROBOTS = ("levels", "passed", "kinds")
-"""Curriculum state of each robot, [N]."""
 
 
 @dataclass
@@ -160,11 +158,11 @@ class DistillationAlgorithm(RenetAlgorithm):
             self._teachers.append((model.actor, robots.nonzero().squeeze(-1)))
             state = checkpoint.environment
             its = torch.isin(state["kinds"], wanted.to(state["kinds"].device))
-            reached.append(state | {name: state[name][its] for name in OF_ROBOTS})
+            reached.append({name: state[name][its] for name in ("levels", "passed", "kinds")})
         if not taught.all():
             raise RenetError(f"nobody teaches on {names[int(kinds[~taught][0])]}")
-        self.reached = reached[-1] | {
-            name: torch.cat([state[name] for state in reached]) for name in OF_ROBOTS
+        self.reached = checkpoint.environment | {
+            name: torch.cat([own[name] for own in reached]) for name in reached[0]
         }
         """Curriculum of the teachers, from which the student goes on."""
         if cfg.starts_as_teacher:
