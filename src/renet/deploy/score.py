@@ -230,8 +230,9 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
     for row, event in enumerate(told):
         text = f"{event.what}: {event.why[:60]}"
         place = (event.time - begun, 0.85 - 0.15 * (row % 4))
-        transform = axes[0].get_xaxis_transform()
-        axes[0].text(*place, text, transform=transform, fontsize=7, parse_math=False, clip_on=True)
+        look = {"transform": axes[0].get_xaxis_transform(), "fontsize": 7, "parse_math": False}
+        side = "left" if place[0] < time.max(initial=0.0) / 2 else "right"
+        axes[0].text(*place, text, ha=side, clip_on=True, **look)
     try:
         figure.savefig(path)
     except OSError as error:
