@@ -22,8 +22,8 @@ def test_fails_for_the_stated_share_of_time_and_mean_length() -> None:
 
 def test_each_kind_spoils_as_it_says_and_healthy_images_stay() -> None:
     torch.manual_seed(0)
-    dropout = DepthDropout(DepthDropoutCfg(0.6, 1.0), 100, 0.02, "cpu")
-    image = torch.full((100, 48, 64), 0.5)
+    dropout = DepthDropout(DepthDropoutCfg(0.6, 1.0), 2000, 0.02, "cpu")
+    image = torch.full((2000, 48, 64), 0.5)
     for _ in range(60):
         after = dropout(image)
     assert set(dropout.kind.tolist()) == {0, 1, 2, 3}
@@ -31,6 +31,11 @@ def test_each_kind_spoils_as_it_says_and_healthy_images_stay() -> None:
     assert (after[dropout.kind == 1] == 0).all()
     boxes = after[dropout.kind == 2]
     assert set(boxes.unique().tolist()) == {0.0, 0.5}
+    hidden = (boxes == 0).float().mean(dim=0).unflatten(1, (2, 32)).unflatten(0, (2, 24))
+    # A pixel at the share x of an axis is covered with probability 2 x (1 - x), 1/3 on average.
+    torch.testing.assert_close(
+        hidden.mean(dim=(1, 3)), torch.full((2, 2), 1 / 9), atol=0.03, rtol=0
+    )
     noisy = after[dropout.kind == 3]
     assert noisy.std() > 0.3
     assert 0 <= noisy.min() <= noisy.max() <= 1

@@ -62,9 +62,9 @@ class DepthDropout:
         begins = ~failing & (draw < self._begins)
         new = torch.randint(1, KINDS + 1, (count,), device=device)
         self.kind = torch.where(begins, new, self.kind * (~failing | (draw >= self._ends)))
-        self._box = torch.where(
-            begins[:, None], torch.rand(count, 4, device=device).sort(dim=-1).values, self._box
-        )
+        # Top, left, bottom and right: two numbers in order along each axis.
+        boxes = torch.rand(count, 2, 2, device=device).sort(dim=1).values.flatten(1)
+        self._box = torch.where(begins[:, None], boxes, self._box)
         rows = torch.arange(height, device=device)[None, :, None] / height
         columns = torch.arange(width, device=device)[None, None, :] / width
         top, left, bottom, right = (side[:, None, None] for side in self._box.unbind(-1))
