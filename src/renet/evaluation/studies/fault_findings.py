@@ -1,7 +1,7 @@
 """Findings of the fault benchmark: claims, settings where RENet does harm, faults it misses.
 
-A walk over obstacles is chaotic: twins diverge by chance, in both directions. What counts is how
-much more often one outcome happens than its opposite (sign test, McNemar 1947).
+A walk over obstacles is chaotic: twins diverge by chance, in both directions. Falls under a fault
+are therefore compared with those of the same robots without it by Fisher's exact test (1922).
 """
 
 from typing import Any
@@ -31,19 +31,6 @@ UNIFORM = ("blackout", "saturated", "occlusion")
 def setting_of(run: dict[str, Any]) -> Setting:
     """Which setting a row is of."""
     return run["ground"], run["onset"], run["fault"], run["severity"]
-
-
-def beyond_chance(more: int, fewer: int, calm: bool) -> bool:
-    """Whether one thing happens more often than its opposite, beyond chance (sign test).
-
-    Args:
-        more: times it happens. fewer: times its opposite does.
-        calm: nothing ever happens to healthy robots there: then once is enough.
-    """
-    if more <= fewer:
-        return False
-    chance = stats.binomtest(more, more + fewer, alternative="greater").pvalue
-    return calm or bool(chance < CHANCE)
 
 
 def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
@@ -82,11 +69,10 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
 def harmful(runs: Runs, baseline: Runs) -> Runs:
     """Settings in which RENet survives less often than OP alone, beyond the margin.
 
-    Chance is judged fault by fault on each ground, all severities together: one more fall among ten
-    robots says little where as many fall with healthy cameras.
+    Chance is judged fault by fault on each ground, all severities and onsets together.
     """
     survival = {setting_of(r): r["survival"] for r in runs if r["mode"] == "op"}
-    worse = _beyond_chance(runs, baseline, "renet", "only_op_upright", "only_renet_upright")
+    worse = _beyond_chance(runs, baseline, "renet", "op")
     return [
         _where(r)
         | {
@@ -110,7 +96,7 @@ def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, dict[str, 
     severe = [r for r in runs if r["severity"] >= SEVERE]
     mild = {r["fault"] for r in runs} - {r["fault"] for r in severe}
     judged = severe + [r for r in runs if r["fault"] in mild]
-    worse = _beyond_chance(judged, baseline, "vp", "falls_by_fault", "falls_spared")
+    worse = _beyond_chance(judged, baseline, "vp", "vp")
     return {
         setting_of(r): r | {"beyond_chance": (r["ground"], r["fault"]) in worse}
         for r in runs
@@ -140,22 +126,27 @@ def _where(run: dict[str, Any]) -> dict[str, Any]:
     return {name: run[name] for name in ("fault", "severity", "ground", "onset")}
 
 
-def _beyond_chance(
-    runs: Runs, baseline: Runs, mode: str, more: str, fewer: str
-) -> set[tuple[str, str]]:
-    """Grounds and faults for which one count exceeds its opposite beyond chance."""
-    with_falls = {run["ground"] for run in baseline if run["mode"] == mode and run["falls"] > 0}
-    counts: dict[tuple[str, str], tuple[int, int]] = {}
+def _beyond_chance(runs: Runs, baseline: Runs, mode: str, reference: str) -> set[tuple[str, str]]:
+    """Grounds and faults under which `mode` falls more often, beyond chance, than `reference`.
+
+    The mode `reference` is taken without faults: one run of a ground stands beside all settings.
+    """
+    usual = {r["ground"]: _falls_and_not(r) for r in baseline if r["mode"] == reference}
+    counts: dict[tuple[str, str], np.ndarray] = {}
     for run in runs:
-        if run["mode"] == mode and run[more] is not None:
+        if run["mode"] == mode and run["ground"] in usual:
             place = run["ground"], run["fault"]
-            before = counts.get(place, (0, 0))
-            counts[place] = before[0] + run[more], before[1] + run[fewer]
+            counts[place] = counts.get(place, np.zeros(2, int)) + _falls_and_not(run)
     return {
-        (ground, fault)
-        for (ground, fault), both in counts.items()
-        if beyond_chance(*both, calm=ground not in with_falls)
+        place
+        for place, count in counts.items()
+        if stats.fisher_exact([count, usual[place[0]]], alternative="greater").pvalue < CHANCE
     }
+
+
+def _falls_and_not(run: dict[str, Any]) -> np.ndarray:
+    """Robots that fell and that did not, [2]."""
+    return np.array([run["falls"], run["robots"] - run["falls"]])
 
 
 def _beyond_and_within(found: Runs, what: str) -> str:

@@ -44,7 +44,7 @@ def robot_measures(trace: Trace, onset: int, command: float, steps: int) -> dict
         command: commanded speed, m/s. steps: of the longest run: so long a fallen robot lies.
     """
     crossed, fell, seconds = trace.first_try()
-    # Endless ground ends no episode: there, as far as a tile's edge is across.
+    # On endless ground and towards a tile's corner as far as a tile's edge is across.
     crossed = crossed | (np.isnan(seconds) & (trace.travelled.max(axis=0) >= TILE / 2))
     since = np.arange(len(trace.ended))[:, None] >= onset
     walking = since & ~trace.over
@@ -100,15 +100,9 @@ def pair_counts(values: Values, twins: Values) -> dict[str, int]:
 def beside_op(values: Values, op: Values | None) -> dict[str, Any]:
     """How RENet's robots fare beside the same robots under OP; all None without these."""
     if op is None:
-        names = ("only_op_upright", "only_renet_upright", "over_op")
-        return dict.fromkeys((*names, "over_op_ci95_low", "over_op_ci95_high"))
+        return dict.fromkeys(("over_op", "over_op_ci95_low", "over_op_ci95_high"))
     gain = np.array(values["upright"], float) - np.array(op["upright"], float)
-    return {
-        "only_op_upright": int((gain < 0).sum()),
-        "only_renet_upright": int((gain > 0).sum()),
-        "over_op": float(gain.mean()),
-        **metrics.with_interval("over_op", gain),
-    }
+    return {"over_op": float(gain.mean()), **metrics.with_interval("over_op", gain)}
 
 
 @dataclass(frozen=True)
