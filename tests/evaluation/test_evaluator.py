@@ -18,11 +18,12 @@ from renet.deploy.bundle import (
 )
 from renet.deploy.bundle.manifest import SelectorSpec
 from renet.errors import RenetError
-from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
+from renet.evaluation.calibrate import CalibrateCfg, _store, run_calibrate
 from renet.evaluation.env import terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial, run_rollout
 from renet.faults import Injection
+from renet.selector.monitors import MONITORS
 from renet.tasks.config.go1 import GO1
 from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
 from renet.tasks.sensors import DEPTH_CAMERA
@@ -110,6 +111,16 @@ def test_sparse_grass_passes_where_a_variance_is_predicted(tmp_path: Path) -> No
     assert {"variance", "reconstruction"} & {*names} == {"variance"}
 
 
+def test_thresholds_below_zero_are_lifted_for_sparse_grass_too(tmp_path: Path) -> None:
+    bundle = Bundle.load(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
+    scores = np.linspace(0.01, 0.02, 300)
+    healthy = {name: [scores] for name in MONITORS} | {"uniformity": [scores - 0.22]}
+    _store(CalibrateCfg(bundle.path), bundle, healthy, {"uniformity": [scores - 0.14]})
+    assert read_manifest(bundle.path).selector.thresholds["uniformity"] == pytest.approx(
+        -0.12, abs=1e-3
+    )
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -119,6 +130,7 @@ def test_sparse_grass_passes_where_a_variance_is_predicted(tmp_path: Path) -> No
         {"speed": 0.0},
         {"false_alarm": 2.0},
         {"false_alarms_per_hour": 0.0},
+        {"seconds": np.inf},
     ],
 )
 def test_calibration_refuses_mistakes_before_anybody_walks(

@@ -101,7 +101,8 @@ def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series) ->
         if name in thresholds and runs:
             passes = float(np.quantile([run.max() for run in runs], IN_SPARSE_GRASS))
             # A detector that has not learned grass yet must still notice other things.
-            passes = min(passes, MONITORS[name].ceiling, 2.0 * thresholds[name])
+            twofold = max(2.0 * thresholds[name], 0.5 * thresholds[name])  # It may be negative.
+            passes = min(passes, MONITORS[name].ceiling, twofold)
             thresholds[name] = max(thresholds[name], passes)
     beta = calibrate(scores, cfg.false_alarm)
     rule = f"false alarm {cfg.false_alarm}" if cfg.false_alarm else "maximum"
@@ -140,7 +141,7 @@ def _simulated_scores(
     from renet.evaluation.evaluator import Evaluator
     from renet.terrain.tiles import LEVELS
 
-    if cfg.robots < 1 or cfg.seconds < 1 or not 1 <= cfg.levels <= LEVELS:
+    if cfg.robots < 1 or not 1 <= cfg.seconds < math.inf or not 1 <= cfg.levels <= LEVELS:
         raise RenetError(
             f"robots {cfg.robots} and seconds {cfg.seconds} must be >= 1, levels {cfg.levels}"
             f" between 1 and {LEVELS}"
