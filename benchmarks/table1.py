@@ -25,7 +25,7 @@ from renet.baselines import cheng, zhuang
 from renet.baselines.distillation import DistillationCfg, DistillCfg, Stage
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.results import Provenance, read_results, write_json
+from renet.evaluation.results import Provenance, plain, read_results, write_json
 from renet.evaluation.studies.terrain import TABLE, TerrainStudy
 from renet.interface import STEPS_PER_TICK
 from renet.models.actor_critic import fuse
@@ -320,8 +320,9 @@ def measured(cfg: Cfg, row: Row) -> dict[str, Any] | None:
     found = read_results(path) if path.is_file() else None
     if found is None or found["steps"] < cfg.steps:
         return None
-    names = ("robots", "quick", "seed", "speed", "seconds")
-    return found if all(found["settings"][n] == getattr(cfg.study, n) for n in names) else None
+    names = ("robots", "quick", "seed", "speed", "seconds", "levels", "kinds", "fault")
+    asked = plain({name: getattr(cfg.study, name) for name in names})
+    return found if asked == {name: found["settings"][name] for name in names} else None
 
 
 def passes(summary: dict[str, Any], column: str) -> str:
