@@ -8,6 +8,7 @@ import numpy as np
 import onnxruntime as ort
 
 from renet.evaluation.evaluator import Evaluator, Provenance
+from renet.evaluation.studies.benchmark import read_result
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard
 
@@ -37,7 +38,8 @@ class TheirEvaluator(Evaluator):
 
 def main(model: Path, results: Path = Path("results")) -> None:
     FaultStudy(out=results / model.stem, quick=True).run(TheirEvaluator(model))
-    found = tuple(sorted(results.glob("*/result.json")))  # Also RENet's, if it was run there.
+    files = sorted(results.glob("*/result.json"))  # Also RENet's `--quick` one, if it is there.
+    found = tuple(file for file in files if read_result(file)["protocol"]["quick"])
     make_leaderboard(LeaderboardCfg(found, results / "leaderboard.md"))
 
 

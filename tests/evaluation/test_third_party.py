@@ -44,9 +44,14 @@ def test_a_blind_policy_sees_nothing_near(model: Path) -> None:
 def test_it_enters_the_leaderboard_with_one_command(
     model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    small = {"faults": ("frozen:3",), "grounds": ("flat", "gap"), "robots": 1, "healthy_minutes": 0}
-    small |= {"onsets": (0.5,), "lasts": 0.2, "seconds": 0.8, "quick": False}
+    small = {"faults": ("frozen:3",), "grounds": ("flat", "gap"), "healthy_minutes": 0}
+    small |= {"onsets": (0.5,), "lasts": 0.2, "seconds": 0.8}
     monkeypatch.setattr(example, "FaultStudy", lambda **given: FaultStudy(**(given | small)))
+    example.main(model, tmp_path)
+    full = json.loads((tmp_path / "still" / "result.json").read_text())
+    full["protocol"]["quick"] = False
+    (tmp_path / "renet").mkdir()
+    (tmp_path / "renet" / "result.json").write_text(json.dumps(full))
     example.main(model, tmp_path)
     summary = json.loads((tmp_path / "still" / "summary.json").read_text())
     assert summary["provenance"]["bundle_hash"] == sha256(model.read_bytes()).hexdigest()
