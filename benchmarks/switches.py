@@ -35,7 +35,7 @@ class Cfg:
     """What is studied; by default in results/switch_NAME, and only the mode that obeys the switch:
     the others are the bundle's own."""
     severity: int = 4
-    """Of the faults it learns from: every one but those of the scene, in both modes."""
+    """Of the faults it learns from, in both modes: all but glass, foam and a knocked mount."""
     robots: int = 2
     """Robots for each fault and mode in training, in turn on the study's grounds; each has a twin
     whose camera stays healthy."""
