@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from renet.evaluation.report.colormaps import RELIEF, beside, depth_picture, map_picture
-from renet.interface import HEIGHT_MAP_SIZE, HEIGHT_MAP_X, HEIGHT_MAP_Y
+from renet.evaluation.report.colormaps import RELIEF, depth_picture, map_picture
+from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
 
 
 def test_near_is_dark_and_far_is_bright():
@@ -28,9 +28,3 @@ def test_ahead_is_up_and_left_is_left(x, y, row, column):
     expected = [row % len(HEIGHT_MAP_X), column % len(HEIGHT_MAP_Y)]
     assert high.tolist() == [expected]
     assert brightness[row, column] > brightness[5, 5]
-
-
-def test_numbers_beyond_the_range_keep_the_last_colour():
-    high = map_picture(np.full(HEIGHT_MAP_SIZE, -9.0))
-    assert (high == map_picture(np.full(HEIGHT_MAP_SIZE, -RELIEF))).all()
-    assert beside(high, high).shape == (192, 2 * 176 + 4, 3)

@@ -179,17 +179,3 @@ def test_a_real_browser_shows_the_page_without_complaint(
     )
     ink, paper = colours
     assert (ink > 200 and paper < 50) if dark else (ink < 50 and paper > 200)
-
-
-def test_the_browser_is_told_of_errors_requests_and_overflow(
-    browser: Browser, tmp_path: Path
-) -> None:
-    bad = tmp_path / "bad.html"
-    bad.write_text(
-        '<img src="http://localhost:9/x.png"><div style="width:900px">x</div>'
-        "<script>console.error('no'); undefined.x</script>"
-    )
-    browser.open(bad, 390, dark=False)
-    assert "http://localhost:9/x.png" in browser.requests
-    assert len(browser.complaints) >= 2
-    assert browser.ask("document.documentElement.scrollWidth") > 390
