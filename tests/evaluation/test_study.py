@@ -4,6 +4,7 @@ import json
 import runpy
 import shutil
 from dataclasses import replace
+from math import inf, nan
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.filter import FilterStudy
 from renet.evaluation.studies.margins import MarginsStudy
+from renet.evaluation.studies.pictures import PicturesStudy
 from renet.evaluation.studies.standing import StandingStudy
 from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
 from renet.evaluation.study import Study
@@ -94,7 +96,7 @@ WRONG: dict[type[Study], dict[str, list]] = {
         "level": [11],
         "severity": [0],
         "laps": [0],
-        "stuck_after": [0.0],
+        "stuck_after": [0.0, nan, inf],
     },
     FaultStudy: {
         "faults": [("smoke",), ("gaussian:9",), ("gaussian:x",), ()],
@@ -105,26 +107,28 @@ WRONG: dict[type[Study], dict[str, list]] = {
         "grounds": [("lava",)],
         "level": [11],
         "onsets": [(0.5, 8.0)],
-        "healthy_minutes": [-1.0],
+        "seconds": [nan, inf],
+        "healthy_minutes": [-1.0, nan, inf],
         "selector": ["coin"],
     },
     FilterStudy: {
         "robots": [0],
         "gammas": [(), (0.1, 2.0)],
         "rates": [(200.0, 30.0), (0.0,)],
-        "onset": [14.0],
+        "onset": [14.0, nan],
+        "seconds": [inf],
         "speed": [0.0],
     },
-    MarginsStudy: {"axes": [("luck",)], "grounds": [("lava",), ()], "level": [0], "robots": [0]},
-    StandingStudy: {
-        "kinds": [("lava",)],
-        "modes": [("x",)],
-        "level": [11],
-        "robots": [0],
-        "stand": [0],
-    },
+    MarginsStudy: {"axes": [("luck",)], "grounds": [("lava",), ()], "level": [0], "seconds": [inf]},
+    PicturesStudy: {"level": [0], "seconds": [nan, inf]},
+    StandingStudy: {"kinds": [("lava",)], "modes": [("x",)], "level": [11], "stand": [0]},
     SuccessStudy: {"kinds": [("lava",)], "levels": [(0,), ()], "fault": ["gremlins", "frozen:9"]},
-    TerrainStudy: {"kinds": [("lava",), ()], "robots": [0], "modes": [("x",)]},
+    TerrainStudy: {
+        "kinds": [("lava",), ()],
+        "robots": [0],
+        "modes": [("x",)],
+        "seconds": [nan, inf],
+    },
 }
 """Any one of these values is refused, with all others at their defaults."""
 

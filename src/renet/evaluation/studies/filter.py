@@ -49,7 +49,7 @@ class FilterStudy(Study):
     selectable: ClassVar[tuple[str, ...]] = ("gammas", "rates")
 
     def __post_init__(self) -> None:
-        if self.robots < 1 or not 0 < self.onset < self.seconds:
+        if self.robots < 1 or not 0 < self.onset < self.seconds < np.inf:
             raise RenetError(
                 f"robots {self.robots} must be >= 1 and 0 < onset {self.onset} < seconds"
                 f" {self.seconds}"

@@ -82,8 +82,8 @@ class TerrainStudy(WalkingStudy):
         if not self.levels or not all(1 <= level <= LEVELS for level in self.levels):
             raise RenetError(f"levels {self.levels}: choose among 1 to {LEVELS}")
         super().__post_init__()
-        if self.seconds < 1:
-            raise RenetError(f"seconds must be at least 1, got {self.seconds}")
+        if not 1 <= self.seconds < np.inf:
+            raise RenetError(f"seconds must be at least 1 and finite, got {self.seconds}")
         _ = self.schedule
 
     @property
