@@ -17,7 +17,7 @@ class EstimatorInput(NamedTuple):
     feed: dict[str, np.ndarray]
     """The estimators' inputs, by the names that their model gives them."""
     blind: bool
-    """No image has arrived: vision does not run, and the anomaly score is infinite."""
+    """No image has arrived: vision does not run, and its scores are infinite."""
 
 
 EstimatorOutput = dict[str, np.ndarray]
@@ -32,10 +32,8 @@ which must replace no attribute."""
 def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> EstimatorOutput:
     """One tick of vision and both estimators: a pure function, so that any thread may call it."""
     depth = inputs.feed["depth"]
-    found: dict[str, Any] = {
-        "anomaly_score": np.full(len(depth), np.inf, np.float32),
-        "variance_score": np.zeros(len(depth), np.float32),
-    }
+    unseen = np.inf if inputs.blind else 0.0
+    found: dict[str, Any] = {name: np.full(len(depth), unseen, np.float32) for name in SCORES}
     if not inputs.blind:
         vision = sessions["vision"]
         names = [output.name for output in vision.get_outputs() if output.name in SEEN]
@@ -79,8 +77,8 @@ class Policy:
         self.anomaly_score = np.zeros(n, np.float32)
         """Loss_ad of the newest images, [N]; infinite without a camera."""
         self.variance_score = np.zeros(n, np.float32)
-        """Squared error over predicted variance, [N]; zero when blind, and from models that predict
-        none."""
+        """Squared error over predicted variance, [N]; infinite without a camera, else zero from
+        models that predict none."""
         self._blank = np.ones(n, bool)
         self._fresh = np.ones(n, bool)
         self._step = 0

@@ -76,7 +76,7 @@ export class Policy {
       this.fresh = false;
     }
     const depth = new Tensor("float32", this.frames, this.shapes.frames);
-    this.anomalyScore = Infinity;
+    this.anomalyScore = this.varianceScore = Infinity;
     if (image) {
       const seen = await this.sessions.vision.run({ depth });
       this.anomalyScore = seen.anomaly_score.data[0];
