@@ -44,6 +44,7 @@ def moved(joint: int, value: float) -> np.ndarray:
     [
         ({}, CFG.max_state_age, ""),
         ({}, 0.06, "the state is 60 ms old"),
+        ({}, -0.06, "the state is -60 ms old"),  # The clock jumped back.
         ({"quaternion": turned("x", 69)}, 0.0, ""),
         ({"quaternion": turned("x", 71)}, 0.0, "tilted by more than 70 degrees"),
         ({"quaternion": turned("x", 180)}, 0.0, "tilted by more than 70 degrees"),

@@ -107,7 +107,7 @@ def all_finite(values: np.ndarray) -> bool:
 
 def state_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg, now: float) -> str:
     """Why a clean reading forbids motion; empty if it does not."""
-    if now - state.time > cfg.max_state_age:
+    if abs(now - state.time) > cfg.max_state_age:  # After a clock's jump back it is negative.
         return f"the state is {1000 * (now - state.time):.0f} ms old"
     if projected_gravity(state.quaternion)[2] > -math.cos(cfg.max_tilt):
         return f"tilted by more than {math.degrees(cfg.max_tilt):.0f} degrees"

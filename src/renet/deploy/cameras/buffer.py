@@ -48,8 +48,8 @@ class FrameBuffer:
         self.invalid = float(frame.invalid)
 
     def age(self, now: float) -> float:
-        """Seconds since the image was taken."""
-        return min(max(now - self._time, 0.0), OLDEST)
+        """Seconds since the image was taken, or until then after a clock's jump back."""
+        return min(abs(now - self._time), OLDEST)
 
     def take(self) -> tuple[np.ndarray | None, bool]:
         """The image for a vision tick, and whether it is new since the last one."""
