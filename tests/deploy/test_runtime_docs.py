@@ -89,7 +89,9 @@ def test_another_robot_in_a_page(link, keyboard, tmp_path):
 def press(keyboard: int, link: Link) -> None:
     """Stand up, then quit; keys typed before the program starts are not its own."""
     until(lambda: bool(link.told))
-    until(lambda: os.write(keyboard, b"r") > 0 and any(s.any() for s in link.told))
+    # Every two seconds: on a busy machine the first press may come too early.
+    again = lambda: len(link.told) % 100 == 1 and os.write(keyboard, b"r")  # noqa: E731
+    until(lambda: any(s.any() for s in link.told), again)
     os.write(keyboard, b"q")
 
 
@@ -100,7 +102,7 @@ def test_ctrl_c_in_that_program_brakes_and_closes(link, keyboard):
         servo(position, stiffness, damping)
         if stiffness.any():
             os.kill(os.getpid(), signal.SIGINT)
-        else:
+        elif len(link.told) % 100 == 1:
             os.write(keyboard, b"r")  # Again: on a busy machine the first may come too early.
 
     link.servo = interrupted  # type: ignore[method-assign]

@@ -49,6 +49,15 @@ def test_keys(terminal, keys, command):
     assert keyboard.quit
 
 
+def test_a_held_key_arms_once(terminal):
+    master, stream = terminal
+    keyboard, armed = KeyboardTeleop(stream), []
+    for now in (0.0, 0.7, 1.4, 2.5):
+        os.write(master, b"r")
+        armed.append(keyboard.command(now).arm)
+    assert armed == [True, False, False, True]
+
+
 def test_without_any_key_it_stands_until_told_anew(terminal):
     master, stream = terminal
     keyboard = KeyboardTeleop(stream, deadman=5.0)

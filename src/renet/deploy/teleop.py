@@ -105,6 +105,7 @@ class KeyboardTeleop:
                 "--teleop keyboard needs a terminal: run renet in one, or take a joystick"
             ) from error
         self.speed = self.turn = 0.0
+        self._armed = -math.inf
         self._deadman = Deadman(deadman)
         self.quit = False
         """The operator wants to end the program."""
@@ -126,7 +127,8 @@ class KeyboardTeleop:
                 case "d":
                     self.turn -= TURN_STEP
                 case "r":
-                    arm, self.speed = True, 0.0
+                    # Terminals repeat a held key, which must be released before it arms again.
+                    arm, self.speed, self._armed = now - self._armed > 1.0, 0.0, now
                 case "q":
                     self.quit = True
         authority = self._deadman.authority(bool(keys), now)
