@@ -76,7 +76,7 @@ class Envelope:
         damping = np.clip(parts["damping"], 0.0, self.damping)
         if state is not None and stiffness.any():
             asked = stiffness * (position - state.joint_position) - damping * state.joint_velocity
-            share = np.minimum(1.0, self.torque / np.maximum(np.abs(asked), 1e-9))
+            share = np.minimum(1.0, self.torque / np.fmax(np.abs(asked), 1e-9))
             stiffness, damping = share * stiffness, share * damping
             speed = state.joint_velocity
             driven = (np.abs(speed) > self.velocity) & (asked * speed > 0.0)
