@@ -75,6 +75,16 @@ def test_a_walk_without_a_camera_does_not_count(flight):
         assert list(healthy_walks(replace(flight, ticks=ticks))) == [], name
 
 
+def test_a_late_tick_of_vision_parts_a_walk_and_without_images_there_is_none(flight):
+    (walk,) = healthy_walks(flight)
+    ticks = flight.ticks.copy()
+    ticks["anomaly"][walk.start + 50 : walk.start + 55] = np.inf
+    first, second = healthy_walks(replace(flight, ticks=ticks))
+    assert (first.start, first.stop) == (walk.start, walk.start + 50)
+    assert second.start == walk.start + 55 + calibration_log.WARM_UP
+    assert list(healthy_walks(replace(flight, images={}))) == []
+
+
 @pytest.mark.usefixtures("short_logs_will_do")
 def test_calibrate_writes_what_the_log_says(log, flight, bundle):
     beta = run_calibrate(CalibrateCfg(bundle, log=(log,)))

@@ -57,7 +57,9 @@ def healthy_walks(run: Recording) -> Iterator[range]:
     One that the log does not see the end of may have ended in a fall, or the battery's pulling.
     """
     ticks = run.ticks
-    walking = np.concatenate([[False], ticks["mode"] == MODES.index(Mode.WALKING), [False]])
+    # A tick of vision that came too late ends a stretch; what follows is one of its own.
+    walking = (ticks["mode"] == MODES.index(Mode.WALKING)) & np.isfinite(ticks["anomaly"])
+    walking = np.concatenate([[False], walking, [False]])
     edges = np.flatnonzero(walking[1:] != walking[:-1])
     for start, end in edges.reshape(-1, 2).tolist():
         after = [e for e in run.events if e.time > ticks["now"][end - 1] and e.what in MODES]
@@ -65,7 +67,7 @@ def healthy_walks(run: Recording) -> Iterator[range]:
         last = first + (end - first) // STEPS_PER_TICK * STEPS_PER_TICK
         healthy = bool(after) and after[0].why in HEALTHY_ENDS
         imaged = (ticks["frame"][first:last] == GOOD) & (ticks["frame_age"][first:last] < AWAY)
-        if healthy and last > first and imaged.all():
+        if healthy and last > first and imaged.all() and min(run.images, default=end) <= first:
             yield range(first, last)
 
 
