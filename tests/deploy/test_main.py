@@ -7,8 +7,10 @@ import signal
 import sys
 import threading
 import xml.etree.ElementTree as ET
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -225,6 +227,16 @@ def test_the_deadman_reaches_the_operators_device(monkeypatch, teleop):
     for deadman in (2.5, None):
         devices.make_teleop(DeployCfg(robot="go1", teleop=teleop, deadman=deadman))
     assert given == [2.5, DEADMAN]
+
+
+def test_faults_begin_with_the_run_not_with_the_wait_for_a_first_image(monkeypatch):
+    camera = SimpleNamespace(start=lambda: None, latest=iter([None, None, "image"]).__next__)
+    robot = SimpleNamespace(connect=lambda: None, now=lambda: 0.0)
+    monkeypatch.setattr(devices, "make_robot", lambda *given: (robot, lambda: None))
+    monkeypatch.setattr(devices, "make_camera", lambda *given: camera)
+    cfg = DeployCfg(robot="go1", fault=("blackout@5s",), teleop="auto")
+    _, faulty, *_ = devices.start_devices(cfg, Bundle.load(), print, ExitStack())
+    assert faulty._begun is None
 
 
 def test_devices_are_closed_robot_first_even_after_half_a_start(tmp_path, monkeypatch):

@@ -45,9 +45,6 @@ def start_devices(
     """
     robot, show = make_robot(cfg, bundle, say)
     camera = make_camera(cfg, bundle, robot)
-    if cfg.fault and camera is not None:
-        faults = [parse_fault(text) for text in cfg.fault]
-        camera = FaultyCamera(camera, faults, robot.now, cfg.seed)
     teleop = make_teleop(cfg)
     for device in (teleop, camera, robot):
         stack.callback(getattr(device, "close", lambda: None))
@@ -59,6 +56,9 @@ def start_devices(
             if camera.latest() is not None:
                 break
             time.sleep(0.01)
+        if cfg.fault:  # Onsets count from its first look, hence from the run's first step.
+            faults = [parse_fault(text) for text in cfg.fault]
+            camera = FaultyCamera(camera, faults, robot.now, cfg.seed)
     return robot, camera, teleop, show
 
 
