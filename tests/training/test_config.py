@@ -14,6 +14,7 @@ from renet.training.config import value_at
 )
 def test_linear_between_points_and_constant_outside(steps, value):
     assert value_at("3@500,2@1k,1@1M", steps) == pytest.approx(value)
+    assert [value_at("1@5M,0.5@5M", at) for at in (4e6, 6e6)] == [1.0, 0.5], "a step down"
 
 
 @given(value=st.floats(-1e6, 1e6), steps=st.floats(0, 1e12))
@@ -24,7 +25,10 @@ def test_a_number_is_the_same_at_all_times(value, steps):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        *((t, "VALUE@STEPS") for t in ("", "fast", "1@", "@3M", "1@3G", "1@-3M", "1@1M;2@2M")),
+        *(
+            (t, "VALUE@STEPS")
+            for t in ("", "fast", "1@", "@3M", "1@3G", "1@-3M", "1@1M;2@2M", "inf", "nan")
+        ),
         ("1@3M,2@1M", "must not fall"),
     ],
 )

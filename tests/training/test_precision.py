@@ -105,15 +105,6 @@ def test_nothing_on_a_gpus_path_waits_for_the_device():
     assert {"elu_backward", "_fused_adam_"} <= watch.seen
 
 
-def test_the_watch_would_notice():
-    with Waits() as watch:
-        value = torch.randn(4)
-        bool(value.sum() > 0)
-        value[value > 0]
-        torch.tensor([1.0, 2.0])
-    assert watch.waits == ["_local_scalar_dense", "index", "lift_fresh"]
-
-
 def take_and_free(keep: bool) -> None:
     """Print the page faults of 64 MiB (16,384 pages of 4 KiB) ten times."""
     if keep and not keep_freed_memory():

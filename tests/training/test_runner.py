@@ -74,6 +74,15 @@ def test_resume_restores_everything(tmp_path):
     assert read_curves(tmp_path)["Loss/surrogate"][0] == [0, 1, 2]
 
 
+def test_a_rate_and_a_weight_that_are_asked_for_anew_are_obeyed(tmp_path):
+    make_runner(ToyEnv(), tmp_path).learn(2)
+    asked = NP3OCfg(learning_rate=1e-5, cost_weight=0.0)
+    runner = make_runner(ToyEnv(), tmp_path, algorithm=asked)
+    runner.load(str(tmp_path))
+    assert runner.alg.np3o.learning_rate == pytest.approx(1e-5)
+    assert runner.alg.np3o.cost_weight == 0.0
+
+
 def test_time_budget_stops_with_a_checkpoint(tmp_path):
     runner = make_runner(ToyEnv(), tmp_path)
     runner.learn(10_000, time_budget_s=0.5)

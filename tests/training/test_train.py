@@ -1,5 +1,6 @@
 """What `renet train` does around the loop: folders, settings, devices, and going on."""
 
+import math
 import os
 import re
 import shutil
@@ -73,6 +74,7 @@ def test_standing_is_asked_for_after_so_many_steps_however_many_robots(tmp_path)
     resumed = Checkpoint({}, {}, {"common_step_counter": torch.tensor(5000)}, {"steps": 1e6})
     fresh = cfg(tmp_path, num_envs=500)
     assert _control_step(4e6, fresh, None) == 8000
+    assert _control_step(math.inf, fresh, None) == math.inf, "never"
     assert _control_step(4e6, fresh, resumed) == 5000 + 6000
 
 

@@ -39,10 +39,8 @@ def value_at(schedule: Schedule, steps: float) -> float:
 def _points(schedule: str) -> tuple[tuple[float, float], ...]:
     """(steps, value) of each point, in the order of steps."""
     try:
-        if "@" not in schedule:
-            return ((0.0, float(schedule)),)
         points = []
-        for text in schedule.split(","):
+        for text in (schedule if "@" in schedule else f"{schedule}@0").split(","):
             match = _POINT.fullmatch(text.strip())
             if match is None:
                 raise ValueError(text)
@@ -52,7 +50,7 @@ def _points(schedule: str) -> tuple[tuple[float, float], ...]:
             f"cannot read the schedule {schedule!r}: write a number, or VALUE@STEPS points joined "
             "by commas, such as 0.003@10M,0.001@60M"
         ) from error
-    if sorted(points) != points:
+    if sorted(points, key=lambda point: point[0]) != points:
         raise RenetError(f"the steps of the schedule {schedule!r} must not fall")
     return tuple(points)
 

@@ -254,8 +254,10 @@ class RenetRunner(OnPolicyRunner):
         checkpoints.check_config(self.cfg["model"], state["config"]["model"], found)
         checkpoints.load_model(algorithm.model, checkpoint.model, found)
         checkpoints.load_optimizers(algorithm.optimizers, checkpoint.optimizer)
-        algorithm.np3o.learning_rate = state["learning_rate"]
-        algorithm.np3o.cost_weight = state["cost_weight"]
+        before, now = state["config"]["algorithm"], self._recipe["algorithm"]
+        for name in ("learning_rate", "cost_weight"):
+            if before[name] == now[name]:  # Else it was asked for anew.
+                setattr(algorithm.np3o, name, state[name])
         algorithm.iteration = self.current_learning_iteration = state["iteration"]
         algorithm.steps = state["steps"]
         algorithm.average.load(checkpoint.exported, state.get("averaged", algorithm.iteration))

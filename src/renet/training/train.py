@@ -274,14 +274,14 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
     return task
 
 
-def _control_step(env_steps: float, cfg: TrainCfg, earlier: Checkpoint | None) -> int:
+def _control_step(env_steps: float, cfg: TrainCfg, earlier: Checkpoint | None) -> float:
     """The environment's control step at which so many environment steps are done."""
     taken = steps = 0
     if earlier is not None:
         taken = int(earlier.environment.get("common_step_counter", 0))
         steps = earlier.state["steps"]
     robots = (cfg.num_envs or 1) * int(os.getenv("WORLD_SIZE", "1"))
-    return taken + round((env_steps - steps) / robots)
+    return taken + (env_steps - steps) / robots
 
 
 def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
