@@ -94,9 +94,11 @@ class RenetEnv(ManagerBasedRlEnv):
                 here, pool = terrain.terrain_types == kind, (kinds == kind).nonzero()[:, 0]
                 picks = torch.randint(len(pool), (int(here.sum()),), device=self.device)
                 robots[here] = pool[picks]
-        term.levels[:] = terrain.terrain_levels[:] = state["levels"].to(self.device)[robots]
-        if "passed" in state:
-            term.passed[:] = state["passed"].to(self.device)[robots]
+        known = torch.isin(terrain.terrain_types, kinds)
+        for name in ("levels", "passed"):
+            if name in state:
+                getattr(term, name)[known] = state[name].to(self.device)[robots[known]]
+        terrain.terrain_levels[:] = term.levels
         terrain.env_origins[:] = terrain.terrain_origins[term.levels, terrain.terrain_types]
 
 
