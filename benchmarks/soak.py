@@ -33,6 +33,7 @@ from renet.deploy.recording import MODES, Recorder, Recording, read_recording
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.safety import Mode, SafetyMachine
+from renet.deploy.score import fallen
 from renet.deploy.teleop import TeleopCommand
 from renet.faults import FAULTS, Injection
 from renet.interface import CONTROL_DT
@@ -216,8 +217,8 @@ def by_minute(run: Recording, memory: list, cpu_ms: np.ndarray, robot: ShakyRobo
     half = (limits.upper - limits.lower) / 2
     share = np.abs((ticks["position"] - limits.lower - half) / half).max(axis=1)
     walking = ticks["mode"] == MODES.index(Mode.WALKING)
-    leans = 1.0 - 2.0 * (ticks["quaternion"][:, 1:3] ** 2).sum(axis=1) < 0.5
-    falls = leans & ~np.roll(leans, 1)
+    down = fallen(ticks)
+    falls = down & ~np.roll(down, 1)
     for minute, megabytes in enumerate(memory):
         now = ticks["now"] // 60.0 == minute
         told = Counter(event.what for event in run.events if event.time // 60.0 == minute)

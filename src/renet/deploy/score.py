@@ -13,7 +13,7 @@ from renet.deploy.bundle import Bundle
 from renet.deploy.loop import ENDED
 from renet.deploy.recording import GOOD, MODES, Recording, read_recording
 from renet.deploy.replay import mismatch
-from renet.deploy.robots.base import heading, projected_gravity
+from renet.deploy.robots.base import heading
 from renet.deploy.safety import Mode
 from renet.errors import RenetError
 from renet.files import write_atomically
@@ -123,16 +123,10 @@ def delay_to_op(blind: np.ndarray, onset: float) -> float | None:
 
 def fallen(ticks: np.ndarray) -> np.ndarray:
     """Whether the base leans by more than 60 degrees, [T] bool; as before where nobody knows."""
-    down = np.zeros(len(ticks), bool)
-    for step, (state, quaternion) in enumerate(
-        zip(ticks["state"], ticks["quaternion"], strict=True)
-    ):
-        known = state == GOOD and abs(np.linalg.norm(quaternion) - 1.0) < 0.1
-        if known:
-            down[step] = -projected_gravity(quaternion)[2] < UPRIGHT
-        elif step:
-            down[step] = down[step - 1]
-    return down
+    quaternion = ticks["quaternion"]
+    known = (ticks["state"] == GOOD) & (np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) < 0.1)
+    down = known & (1.0 - 2.0 * (quaternion[:, 1:3] ** 2).sum(axis=1) < UPRIGHT)
+    return down[np.maximum.accumulate(np.where(known, np.arange(len(ticks)), 0))]
 
 
 def simulated(ticks: np.ndarray) -> bool:
