@@ -9,7 +9,6 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
-import yaml
 from scipy.stats import binomtest
 
 import renet
@@ -59,15 +58,6 @@ def test_counts_in_the_readme_are_those_measured_with_exact_intervals():
     assert f"0 false switches in {hours[1]} robot hours" in page
     # Exact Poisson limit of no event: exp(-limit * hours) is 5 %.
     assert float(hours[2]) == round(-np.log(0.05) / float(hours[1]), 1)
-
-
-def test_the_citation_has_what_readers_of_the_format_need():
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
-    assert {"cff-version", "title", "message", "authors", "license"} <= set(citation)
-    assert citation["version"] == renet.__version__
-    paper = citation["preferred-citation"]
-    assert {"type", "title", "authors", "journal", "year", "doi"} <= set(paper)
-    assert all({"family-names", "given-names"} <= set(author) for author in paper["authors"])
 
 
 def test_the_change_log_knows_this_version():

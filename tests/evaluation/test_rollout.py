@@ -92,7 +92,7 @@ def test_a_frame_is_fresh_once_a_tick() -> None:
 
 
 def test_wrong_input_is_refused() -> None:
-    with pytest.raises(RenetError, match="unknown mode 'blind'"):
+    with pytest.raises(RenetError, match="modes blind: choose"):
         Trial("blind")
     selector = make_selector("paper", SelectorSpec(beta=1.0))
     with pytest.raises(RenetError, match="2 trials"):

@@ -19,6 +19,7 @@ from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.filter import FilterStudy
 from renet.evaluation.studies.margins import MarginsStudy
+from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.studies.pictures import PicturesStudy
 from renet.evaluation.studies.standing import StandingStudy
 from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
@@ -121,14 +122,13 @@ WRONG: dict[type[Study], dict[str, list]] = {
     },
     MarginsStudy: {"axes": [("luck",)], "grounds": [("lava",), ()], "level": [0], "seconds": [inf]},
     PicturesStudy: {"level": [0], "seconds": [nan, inf]},
-    StandingStudy: {"kinds": [("lava",)], "modes": [("x",)], "level": [11], "stand": [0]},
-    SuccessStudy: {"kinds": [("lava",)], "levels": [(0,), ()], "fault": ["gremlins", "frozen:9"]},
-    TerrainStudy: {
-        "kinds": [("lava",), ()],
-        "robots": [0],
-        "modes": [("x",)],
-        "seconds": [nan, inf],
+    StandingStudy: {"kinds": [("lava",)], "modes": [("x",)], "level": [11], "stand": [0, inf]},
+    SuccessStudy: {
+        "kinds": [("lava",)],
+        "levels": [(0,), (), (1, 1)],
+        "fault": ["gremlins", "frozen:9"],
     },
+    TerrainStudy: {"kinds": [()], "robots": [0], "modes": [("x",), ("vp",) * 2], "seconds": [inf]},
 }
 """Any one of these values is refused, with all others at their defaults."""
 
@@ -144,6 +144,7 @@ WRONG: dict[type[Study], dict[str, list]] = {
         ),
         (FaultStudy, {"faults": ("glass",), "grounds": ("flat", "gap")}),
         (SuccessStudy, {"speed": -0.6, "fault": "foam"}),
+        (NoiseStudy, {"grounds": ("flat", "gap")}),
     ],
 )
 def test_bad_settings_are_refused(study: type[Study], wrong: dict) -> None:

@@ -72,8 +72,10 @@ class Evaluator:
             seed: of bodies and starts.
 
         Raises:
-            RenetError: the bundle is for another robot than the task's.
+            RenetError: a seed NumPy has not, or a bundle for another robot than the task's.
         """
+        if not 0 <= seed < 2**32:
+            raise RenetError(f"seed must be from 0 to 2^32 - 1, got {seed}")
         if task in (FLAT, PARKOUR):
             task = terrain_env_cfg(str(task), 1, self.robot)
         cfg = study_env_cfg(task, speed)

@@ -111,7 +111,7 @@ def _film(cfg: PlayCfg) -> Path:
     if out.suffix != ".mp4":
         raise RenetError(f"a film is an .mp4: give --out {out.name}.mp4, not {out.name}")
     if not 1.0 <= cfg.seconds < math.inf:
-        raise RenetError(f"a film needs one second or more, got {cfg.seconds}")
+        raise RenetError(f"a film needs at least one second, got {cfg.seconds}")
     check_modes(cfg.modes)
     faults = tuple(parse_fault(text) for text in cfg.fault)
     trials = [Trial(mode, faults) for mode in cfg.modes]

@@ -108,17 +108,16 @@ class Trial:
 
 
 def check_modes(modes: Sequence[str]) -> None:
-    """Raise RenetError where there is no mode, or one that is unknown."""
-    unknown = [mode for mode in modes if mode not in POLICY_MODES]
-    if unknown or not modes:
-        said = f"unknown mode '{unknown[0]}'" if unknown else "no mode given"
-        raise RenetError(f"{said}: choose among {', '.join(POLICY_MODES)}")
+    """Raise RenetError where there is no mode, or one that is unknown or given twice."""
+    if not modes or not {*modes} <= {*POLICY_MODES} or len({*modes}) < len(modes):
+        known = ", ".join(POLICY_MODES)
+        raise RenetError(f"modes {', '.join(modes) or 'none'}: choose, once each, among {known}")
 
 
 def check_speed(speed: float) -> None:
     """Raise RenetError unless robots are told to walk, `speed` m/s."""
-    if not speed > 0:
-        raise RenetError(f"speed must be positive, got {speed}")
+    if not 0 < speed < np.inf:
+        raise RenetError(f"speed must be positive and finite, got {speed}")
 
 
 @dataclass

@@ -62,7 +62,7 @@ class Injection:
 
 FAULT = re.compile(
     r"(?P<name>[a-z_]+)(:(?P<severity>\d))?"
-    r"(@(?P<onset>\d+(\.\d+)?)s?(\+(?P<length>\d+(\.\d+)?)s?)?)?"
+    r"(@(?P<onset>\d{1,9}(\.\d+)?)s?(\+(?P<length>\d{1,9}(\.\d+)?)s?)?)?"
 )
 WORST = 5
 """Severity of a fault that does not name one."""

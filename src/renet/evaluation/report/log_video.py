@@ -35,7 +35,7 @@ def film_log(log: Path, out: Path | None = None) -> Path:
     output_folder(out.parent)
     frames = np.arange(0, len(recording.ticks), round(1 / (look.fps * CONTROL_DT)))
     header = recording.header
-    simulated = header.get("robot") == "mujoco"
+    simulated = header.get("robot") in ("mujoco", "pybullet")
     terrain = header["terrain"] if simulated else "flat"
     scene = Path(header["scene"]) if simulated and header["scene"] else None
     robot = Entity(GO1.entity()).spec  # With its visual meshes.

@@ -21,7 +21,7 @@ from renet.evaluation.monitor_log import replay
 from renet.evaluation.rollout import Trial, check_speed
 from renet.evaluation.study import Figures, Part, Study, Table
 from renet.faults import Injection
-from renet.interface import CONTROL_DT, PHYSICS_DT
+from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK, TICK_DT
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import filter_delay
 
@@ -65,6 +65,11 @@ class FilterStudy(Study):
                 raise RenetError(f"rate {rate} Hz: give 200 Hz or a whole fraction of that")
 
     @property
+    def onset_step(self) -> int:
+        """Control step at which cameras fail: one of an image, for a delay begins with one."""
+        return max(round(self.onset / TICK_DT), 1) * STEPS_PER_TICK
+
+    @property
     def robots_each(self) -> int:
         """Robots of each kind, after `quick`."""
         return 4 if self.quick else self.robots
@@ -78,7 +83,7 @@ class FilterStudy(Study):
         return {"scores": partial(self._walk, evaluator)}
 
     def _walk(self, evaluator: Evaluator) -> Part:
-        onset = round(self.onset / CONTROL_DT)
+        onset = self.onset_step
         steady = (Injection("gaussian", 1.0, onset),)
         flicker = (Injection("gaussian", 1.0, onset, duration=0.1, period=0.4),)
         robots = range(self.robots_each)
@@ -101,7 +106,7 @@ class FilterStudy(Study):
 
     def _run(self, scores: np.ndarray, spec: SelectorSpec) -> dict[str, Any]:
         """Delay on the cameras that fail, switches on those that flicker."""
-        onset, each = round(self.onset / CONTROL_DT), self.robots_each
+        onset, each = self.onset_step, self.robots_each
         trusted = replay(make_selector("paper", spec, scores.shape[1]), scores)
         delay = metrics.switch_delay(trusted[:, :, :each], onset)
         switched = metrics.switches(trusted[onset - 1 :, :, each:])

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from renet.errors import RenetError
 from renet.evaluation import figures
 from renet.evaluation.env import FLAT
 from renet.evaluation.report.page import crossed, noise_rows
@@ -31,7 +32,7 @@ class NoiseStudy(FaultStudy):
     modes: tuple[str, ...] = ("vp", "renet")
     """Policy modes to compare: vp, renet, op, oracle-switch."""
     grounds: tuple[str, ...] = (FLAT,)
-    """Flat ground without end, or one or more kinds of tile: see `faults`."""
+    """Flat ground without end, or one kind of tile: see `faults`."""
     onsets: tuple[float, ...] = (3.0,)
     """Seconds at which the noise begins."""
     lasts: float = 6.0
@@ -42,6 +43,11 @@ class NoiseStudy(FaultStudy):
     """Further robot minutes with a healthy camera, in which false switches are counted."""
 
     name: ClassVar[str] = "noise"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if any(len(settings) > 1 for settings in self.batches.values()):
+            raise RenetError("give the noise study one ground, one onset, and NAME:SEVERITY")
 
     def trials(self, settings: Sequence[Setting]) -> list[Trial]:
         """As the fault study's, and one robot more, whose camera recovers half-way."""

@@ -65,7 +65,7 @@ class TerrainStudy(WalkingStudy):
     """Policy modes to compare: vp, renet, op, oracle-switch."""
     fault: str | None = None
     """A camera fault, NAME[:SEVERITY][@SECONDS[+DURATION]]; without a time it begins half a second
-    before the obstacle."""
+    before a robot is 1.2 m from its start, where gaps and stairs up begin."""
     seconds: float = 20.0
     """Time to leave a tile (an episode's length in training)."""
 
@@ -79,8 +79,9 @@ class TerrainStudy(WalkingStudy):
         unknown = [kind for kind in self.kinds if kind not in tiles()]
         if unknown or not self.kinds:
             raise RenetError(f"kinds {self.kinds}: choose among {', '.join(tiles())}")
-        if not self.levels or not all(1 <= level <= LEVELS for level in self.levels):
-            raise RenetError(f"levels {self.levels}: choose among 1 to {LEVELS}")
+        levels = set(self.levels) & set(range(1, LEVELS + 1))
+        if not levels or len(levels) < len(self.levels):
+            raise RenetError(f"levels {self.levels}: choose, once each, among 1 to {LEVELS}")
         super().__post_init__()
         if not 1 <= self.seconds < np.inf:
             raise RenetError(f"seconds must be at least 1 and finite, got {self.seconds}")

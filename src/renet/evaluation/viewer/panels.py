@@ -36,7 +36,7 @@ class VisionPanels:
         with gui.add_folder("Drive"):
             self.mode = gui.add_dropdown("estimator", VIEWER_MODES)
             speed = session.cfg.commands["goal"].fixed_speed  # type: ignore[attr-defined]
-            self.speed = gui.add_slider("m/s", 0.0, 1.0, 0.05, initial_value=speed)
+            self.speed = gui.add_slider("m/s", 0.0, max(1.0, speed), 0.05, speed)
             self.turn = gui.add_button_group("turn", ("left", "right"))
         with gui.add_folder("Break the camera"):
             self.severity = gui.add_slider("severity", SEVERITIES[0], SEVERITIES[-1], 1, 3)
