@@ -44,6 +44,7 @@ def test_every_command_has_help(capsys, name):
         (("train", "Renet-Go1-Flat", "--time-budget", "soon"), "not a duration"),
         (("train", "Renet-Go1-Flat", "--resume", "nowhere"), "nowhere does not exist"),
         (("export", "nowhere"), "no checkpoint at nowhere"),
+        (("bundle", "inspect", "x" * 300), "File name too long"),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, arguments, message):
@@ -79,7 +80,8 @@ def test_a_log_folder_that_cannot_be_written_is_named(capsys, tmp_path):
 def test_a_reader_that_leaves_ends_it_quietly(tmp_path, arguments):
     # Unbuffered, the first line already meets the closed pipe; buffered, the last flush does.
     for unbuffered in ([], ["-u"]):
-        command = [sys.executable, *unbuffered, "-m", "renet.cli", *arguments]
+        code = "from renet.cli import main; raise SystemExit(main())"
+        command = [sys.executable, *unbuffered, "-c", code, *arguments]
         with open(tmp_path / "errors", "w+") as errors:
             process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors)
             assert process.stdout is not None

@@ -31,10 +31,6 @@ def test_commands_to_run_it_and_to_test_it_stand_in_the_readme():
     assert "-e '.[train,dev]' && pytest`" in README
 
 
-def test_the_moving_picture_is_small():
-    assert (ROOT / "docs/figures/walk.webp").stat().st_size <= 1_500_000
-
-
 def test_counts_in_the_readme_are_those_measured_with_exact_intervals():
     page = (ROOT / "docs" / "pretrained.md").read_text()
     measured = page.split("### Stairs and a camera that fails")[1]

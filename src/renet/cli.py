@@ -156,7 +156,9 @@ def _run(arguments: list[str]) -> int:
     """Run a command; what the user can put right becomes one line."""
     try:
         return _dispatch(arguments)
-    except RenetError as error:
+    except (RenetError, OSError) as error:
+        if getattr(error, "filename", "") is None:  # About no file that the user named.
+            raise
         print(f"renet: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -220,7 +222,3 @@ def _help(arguments: list[str]) -> str:
     lines = [f"renet {__version__}: quadruped locomotion that survives the loss of its camera", ""]
     lines += [f"  renet {name:<{width}}  {text}" for name, text in rows]
     return "\n".join([*lines, "", "`renet <command> --help` shows every option with its default."])
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

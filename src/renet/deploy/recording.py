@@ -158,7 +158,7 @@ class Recorder:
             self._flush()
 
     def close(self) -> None:
-        """Write what is left, for at most `CLOSING` seconds; safe to call twice."""
+        """Write what is left, for at most twice `CLOSING` seconds; safe to call twice."""
         if self._thread.is_alive():
             self._flush()
             self._put(END, b"")
