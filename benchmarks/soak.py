@@ -145,6 +145,8 @@ class Operator:
         self._tried = 0 if mode is Mode.WALKING else self._tried + waited
         if waited and mode is Mode.DAMPING and (not upright or self._tried > 1):
             self._robot.put_back()
+            # Armed at once it would rise from the joints it lay with, and topple.
+            self._tried, waited = 0, False
             self.lifts += 1
         elif waited and mode is Mode.WALKING:
             away = self._goal - self._robot.base_position[:2]
