@@ -57,7 +57,7 @@ class PicturesStudy(Study):
         if not 1 <= self.level <= LEVELS:
             raise RenetError(f"terrain level must be 1 to {LEVELS}, got {self.level}")
         if not 2.0 <= self.seconds < math.inf:
-            raise RenetError(f"height maps need 2 seconds or more, got {self.seconds}")
+            raise RenetError(f"height maps need at least 2 seconds, got {self.seconds}")
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
         """Draw all pictures; see `Study.run`. Nothing is kept in parts."""
