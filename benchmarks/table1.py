@@ -3,8 +3,7 @@
 `python benchmarks/table1.py` trains and judges what is not done yet, row by row; after any kill the
 same command goes on. `--status` says where it stands, `--table` prints it beside the paper's.
 What a row needs to go on lies in its folder: checkpoints of `renet train`, and the terrain study.
-What is measured is kept in `results/table1/`, a file for each row and seed, with the curriculum's
-curves.
+What is measured, with the curriculum's curves, is in `results/table1/`, a file a row and seed.
 """
 
 from __future__ import annotations
@@ -321,8 +320,8 @@ def measured(cfg: Cfg, row: Row) -> dict[str, Any] | None:
     if found is None or found["steps"] < cfg.steps:
         return None
     names = ("robots", "quick", "seed", "speed", "seconds", "levels", "kinds", "fault")
-    asked = plain({name: getattr(cfg.study, name) for name in names})
-    return found if asked == {name: found["settings"][name] for name in names} else None
+    same = all(found["settings"][n] == plain(getattr(cfg.study, n)) for n in names)
+    return found if same else None
 
 
 def passes(summary: dict[str, Any], column: str) -> str:

@@ -19,7 +19,7 @@ from renet.deploy.calibration_log import recorded_scores
 from renet.deploy.terminal import show
 from renet.errors import RenetError
 from renet.evaluation.monitor_log import MonitorLog, healthy_series
-from renet.evaluation.rollout import Trial, check_speed
+from renet.evaluation.rollout import Trial, check_finite, check_speed
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, TICK_DT
 from renet.selector.calibration import calibrate, calibrate_monitors
@@ -141,7 +141,8 @@ def _simulated_scores(
     from renet.evaluation.evaluator import Evaluator
     from renet.terrain.tiles import LEVELS
 
-    if cfg.robots < 1 or not 1 <= cfg.seconds < math.inf or not 1 <= cfg.levels <= LEVELS:
+    check_finite(cfg)
+    if cfg.robots < 1 or cfg.seconds < 1 or not 1 <= cfg.levels <= LEVELS:
         raise RenetError(
             f"robots {cfg.robots} and seconds {cfg.seconds} must be >= 1, levels {cfg.levels}"
             f" between 1 and {LEVELS}"

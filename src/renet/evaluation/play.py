@@ -1,6 +1,5 @@
 """`renet play`: a bundle or a checkpoint on any tile, live in the browser or filmed."""
 
-import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +18,7 @@ from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report.height_maps import MapLog
 from renet.evaluation.report.video import VideoCfg, film
 from renet.evaluation.results import output_folder
-from renet.evaluation.rollout import Trial, check_modes
+from renet.evaluation.rollout import Trial, check_finite, check_modes
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
 from renet.training.export import ExportCfg, export
@@ -110,7 +109,8 @@ def _film(cfg: PlayCfg) -> Path:
     out = cfg.out or Path("results/play.mp4")
     if out.suffix != ".mp4":
         raise RenetError(f"a film is an .mp4: give --out {out.name}.mp4, not {out.name}")
-    if not 1.0 <= cfg.seconds < math.inf:
+    check_finite(cfg)
+    if cfg.seconds < 1.0:
         raise RenetError(f"a film needs at least one second, got {cfg.seconds}")
     check_modes(cfg.modes)
     faults = tuple(parse_fault(text) for text in cfg.fault)

@@ -116,8 +116,15 @@ def check_modes(modes: Sequence[str]) -> None:
 
 def check_speed(speed: float) -> None:
     """Raise RenetError unless robots are told to walk, `speed` m/s."""
-    if not 0 < speed < np.inf:
-        raise RenetError(f"speed must be positive and finite, got {speed}")
+    if not speed > 0:
+        raise RenetError(f"speed must be positive, got {speed}")
+
+
+def check_finite(settings: Any) -> None:
+    """Raise RenetError naming a number of a dataclass that is infinite or none."""
+    for name, value in vars(settings).items():
+        if isinstance(value, float) and not np.isfinite(value):
+            raise RenetError(f"{name.replace('_', ' ')} must be a finite number, got {value}")
 
 
 @dataclass

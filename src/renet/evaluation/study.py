@@ -19,7 +19,7 @@ from renet.errors import RenetError
 from renet.evaluation import figures
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import kept, output_folder, plain, write_csv, write_json
-from renet.evaluation.rollout import Trial, check_modes, check_speed
+from renet.evaluation.rollout import Trial, check_finite, check_modes, check_speed
 from renet.selector.selector import check_kind
 
 Part = dict[str, Any]
@@ -49,6 +49,9 @@ class Study:
     """Of the study's folder in the results, and of its template."""
     selectable: ClassVar[tuple[str, ...]] = ()
     """Settings of which a part's result does not depend: they select which parts are made."""
+
+    def __post_init__(self) -> None:
+        check_finite(self)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """Batches of robots by name, each kept on disk once it has run.
@@ -146,6 +149,7 @@ class WalkingStudy(Study):
     quick_robots: ClassVar[int] = 5
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_modes(self.modes)
         check_speed(self.speed)
         check_kind(self.selector)

@@ -64,8 +64,8 @@ class CourseStudy(WalkingStudy):
         super().__post_init__()
         if self.severity not in SEVERITIES:
             raise RenetError(f"severity {self.severity}: choose 1 to 5")
-        if self.laps < 1 or not 0 < self.stuck_after < np.inf:
-            raise RenetError("laps must be at least 1, stuck after positive and finite")
+        if self.laps < 1 or self.stuck_after <= 0:
+            raise RenetError("laps must be at least 1, stuck after positive")
 
     def effective(self) -> tuple[tuple[str, ...], int, int]:
         """Lap, number of laps and robots after `quick`."""

@@ -127,26 +127,18 @@ def _where(run: dict[str, Any]) -> dict[str, Any]:
 
 
 def _beyond_chance(runs: Runs, baseline: Runs, mode: str, reference: str) -> set[tuple[str, str]]:
-    """Grounds and faults under which `mode` falls more often, beyond chance, than `reference`.
-
-    The mode `reference` is taken without faults: one run of a ground stands beside all settings.
-    """
-    usual = {r["ground"]: _falls_and_not(r) for r in baseline if r["mode"] == reference}
+    """Grounds and faults under which `mode` falls more, beyond chance, than `reference` without."""
+    usual = {r["ground"]: (r["falls"], r["robots"]) for r in baseline if r["mode"] == reference}
     counts: dict[tuple[str, str], np.ndarray] = {}
     for run in runs:
         if run["mode"] == mode and run["ground"] in usual:
-            place = run["ground"], run["fault"]
-            counts[place] = counts.get(place, np.zeros(2, int)) + _falls_and_not(run)
-    return {
-        place
+            place, count = (run["ground"], run["fault"]), np.array([run["falls"], run["robots"]])
+            counts[place] = counts.get(place, np.zeros(2, int)) + count
+    tables = {
+        place: [(falls, robots - falls) for falls, robots in (count, usual[place[0]])]
         for place, count in counts.items()
-        if stats.fisher_exact([count, usual[place[0]]], alternative="greater").pvalue < CHANCE
     }
-
-
-def _falls_and_not(run: dict[str, Any]) -> np.ndarray:
-    """Robots that fell and that did not, [2]."""
-    return np.array([run["falls"], run["robots"] - run["falls"]])
+    return {p for p, t in tables.items() if stats.fisher_exact(t, "greater").pvalue < CHANCE}
 
 
 def _beyond_and_within(found: Runs, what: str) -> str:

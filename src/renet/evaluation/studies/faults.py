@@ -98,16 +98,13 @@ class FaultStudy(WalkingStudy):
             raise RenetError(f"modes {self.modes}: no camera fault matters to OP, add a mode")
         if not any(self.batches.values()):
             raise RenetError("give a fault, a severity, a ground and an onset that fit together")
-        if self.lasts <= 0 or not 0 <= self.healthy_minutes < math.inf:
+        if self.lasts <= 0 or self.healthy_minutes < 0:
             raise RenetError(
-                f"lasts {self.lasts} must be positive, healthy minutes"
-                f" {self.healthy_minutes} finite and >= 0"
+                f"lasts {self.lasts} must be positive, healthy minutes {self.healthy_minutes} >= 0"
             )
-        end = max(self.onsets) + self.lasts
-        if not 0 < min(self.onsets) <= end <= self.seconds + 1e-6 < math.inf:
+        if not 0 < min(self.onsets) <= max(self.onsets) + self.lasts <= self.seconds + 1e-6:
             raise RenetError(
-                f"0 < onsets {self.onsets} + lasts {self.lasts} <= finite seconds"
-                f" {self.seconds} must hold"
+                f"0 < onsets {self.onsets} + lasts {self.lasts} <= seconds {self.seconds} must hold"
             )
         grounds_env_cfg(self.levels, GO1)
 

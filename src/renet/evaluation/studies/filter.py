@@ -21,7 +21,7 @@ from renet.evaluation.monitor_log import replay
 from renet.evaluation.rollout import Trial, check_speed
 from renet.evaluation.study import Figures, Part, Study, Table
 from renet.faults import Injection
-from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK, TICK_DT
+from renet.interface import CONTROL_DT, PHYSICS_DT
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import filter_delay
 
@@ -49,11 +49,13 @@ class FilterStudy(Study):
     selectable: ClassVar[tuple[str, ...]] = ("gammas", "rates")
 
     def __post_init__(self) -> None:
-        if self.robots < 1 or not 0 < self.onset < self.seconds < np.inf:
-            raise RenetError(
-                f"robots {self.robots} must be >= 1 and 0 < onset {self.onset} < seconds"
-                f" {self.seconds}"
-            )
+        super().__post_init__()
+        if (
+            self.robots < 1
+            or not 0 < self.onset < self.seconds
+            or round(self.onset, 1) != self.onset
+        ):
+            raise RenetError("robots >= 1 and 0 < onset < seconds, in tenths as images, must hold")
         check_speed(self.speed)
         if not (self.gammas and self.rates):
             raise RenetError("give at least one gamma and one rate")
@@ -63,11 +65,6 @@ class FilterStudy(Study):
             every = 1.0 / (PHYSICS_DT * rate) if rate > 0 else 0.0
             if every < 0.5 or abs(every / round(every) - 1.0) > 1e-6:
                 raise RenetError(f"rate {rate} Hz: give 200 Hz or a whole fraction of that")
-
-    @property
-    def onset_step(self) -> int:
-        """Control step at which cameras fail: one of an image, for a delay begins with one."""
-        return max(round(self.onset / TICK_DT), 1) * STEPS_PER_TICK
 
     @property
     def robots_each(self) -> int:
@@ -83,7 +80,7 @@ class FilterStudy(Study):
         return {"scores": partial(self._walk, evaluator)}
 
     def _walk(self, evaluator: Evaluator) -> Part:
-        onset = self.onset_step
+        onset = round(self.onset / CONTROL_DT)
         steady = (Injection("gaussian", 1.0, onset),)
         flicker = (Injection("gaussian", 1.0, onset, duration=0.1, period=0.4),)
         robots = range(self.robots_each)
@@ -106,7 +103,7 @@ class FilterStudy(Study):
 
     def _run(self, scores: np.ndarray, spec: SelectorSpec) -> dict[str, Any]:
         """Delay on the cameras that fail, switches on those that flicker."""
-        onset, each = self.onset_step, self.robots_each
+        onset, each = round(self.onset / CONTROL_DT), self.robots_each
         trusted = replay(make_selector("paper", spec, scores.shape[1]), scores)
         delay = metrics.switch_delay(trusted[:, :, :each], onset)
         switched = metrics.switches(trusted[onset - 1 :, :, each:])

@@ -54,9 +54,10 @@ class PicturesStudy(Study):
     name: ClassVar[str] = "pictures"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 1 <= self.level <= LEVELS:
             raise RenetError(f"terrain level must be 1 to {LEVELS}, got {self.level}")
-        if not 2.0 <= self.seconds < math.inf:
+        if self.seconds < 2.0:
             raise RenetError(f"height maps need at least 2 seconds, got {self.seconds}")
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:

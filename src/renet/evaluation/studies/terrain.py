@@ -79,12 +79,11 @@ class TerrainStudy(WalkingStudy):
         unknown = [kind for kind in self.kinds if kind not in tiles()]
         if unknown or not self.kinds:
             raise RenetError(f"kinds {self.kinds}: choose among {', '.join(tiles())}")
-        levels = set(self.levels) & set(range(1, LEVELS + 1))
-        if not levels or len(levels) < len(self.levels):
+        if not self.levels or len({*self.levels} & {*range(1, LEVELS + 1)}) < len(self.levels):
             raise RenetError(f"levels {self.levels}: choose, once each, among 1 to {LEVELS}")
         super().__post_init__()
-        if not 1 <= self.seconds < np.inf:
-            raise RenetError(f"seconds must be at least 1 and finite, got {self.seconds}")
+        if self.seconds < 1:
+            raise RenetError(f"seconds must be at least 1, got {self.seconds}")
         _ = self.schedule
 
     @property
