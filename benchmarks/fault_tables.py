@@ -1,0 +1,129 @@
+"""Tables of the documentation from result files of the fault benchmark, and who noticed what.
+
+`python benchmarks/fault_tables.py benchmarks/results/leaderboard/go1-parkour.json --noticed
+benchmarks/results/shipped/faults.csv` prints those of docs/pretrained.md, and with `--severity 5
+--onset before_the_edge` and all files of that folder those of docs/comparison.md.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter, defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from renet.evaluation.studies.benchmark import GROUNDS, read_result
+
+LOSS = 0.1 - 1e-6
+"""Share of robots from which on a difference counts as ten points."""
+BLIND = ("platform", "gap")
+"""Grounds that OP seldom crosses."""
+Setting = tuple[str, ...]
+"""Ground, onset, fault, severity."""
+
+
+@dataclass(frozen=True)
+class Cfg:
+    """Print tables of result files."""
+
+    files: tyro.conf.Positional[tuple[Path, ...]]
+    """result.json of each policy."""
+    severity: int | None = None
+    """Of the settings that count; all by default."""
+    onset: str | None = None
+    """on_the_way or before_the_edge; both by default."""
+    noticed: Path | None = None
+    """summary.csv of a study: who noticed its faults."""
+
+
+def shares(cfg: Cfg) -> dict[str, dict[Setting, np.ndarray]]:
+    """By policy and mode and by setting: crossed, upright; the same of healthy twins; switches."""
+    found: dict[str, dict[Setting, np.ndarray]] = defaultdict(dict)
+    for result in map(read_result, cfg.files):
+        for row in result["settings"]:
+            chosen = cfg.severity in (None, row["severity"]) and cfg.onset in (None, row["onset"])
+            if not chosen:
+                continue
+            measures = [row["measures"][name] for name in ("crossed", "upright", "switches")]
+            own = [measure["value"] for measure in measures]
+            twin = [measure["value"] - measure["change"]["value"] for measure in measures]
+            place = row["ground"], row["onset"], row["fault"], row["severity"]
+            found[f"{result['policy']['name']} {row['mode']}"][place] = np.array(own[:2] + twin)
+    return found
+
+
+def percent(values: np.ndarray) -> str:
+    """Robots that cross, and in parentheses that stay upright."""
+    return f"{100 * values[0]:.1f} ({100 * values[1]:.1f})"
+
+
+def by_ground(found: dict[str, dict[Setting, np.ndarray]]) -> None:
+    """A row for each policy and mode: a fault, and in brackets a healthy camera and switches."""
+    print("| policy and mode |", *(f"{ground} |" for ground in GROUNDS), "all but flat | all |")
+    for name, settings in found.items():
+        cells = []
+        for grounds in (*((ground,) for ground in GROUNDS), tuple(GROUNDS)[1:], tuple(GROUNDS)):
+            values = [value for place, value in settings.items() if place[0] in grounds]
+            if not values:
+                cells.append("-")
+                continue
+            mean = np.mean(values, axis=0)
+            healthy = f" [{percent(mean[2:4])}, {mean[4]:.2f}]" if len(grounds) == 1 else ""
+            cells.append(f"{percent(mean)}{healthy}, {len(values)} settings")
+        print(f"| {name} |", " | ".join(cells), "|")
+
+
+def by_severity(found: dict[str, dict[Setting, np.ndarray]]) -> None:
+    """Crossed on all ground but the flat, and upright on all."""
+    for name, settings in found.items():
+        for severity in sorted({place[3] for place in settings}):
+            rows = [(p[0], v) for p, v in settings.items() if p[3] == severity]
+            crossed = np.mean([value[0] for ground, value in rows if ground != "flat"])
+            upright = np.mean([value[1] for _, value in rows])
+            print(f"{name}, severity {severity}: {100 * crossed:.1f} ({100 * upright:.1f})")
+
+
+def separation(vp: dict[Setting, np.ndarray], renet: dict[Setting, np.ndarray]) -> None:
+    """Settings in which VP is ten points apart from RENet, or behind its own healthy twins."""
+    count: Counter[tuple[str, str]] = Counter()
+    for place, value in vp.items():
+        behind = bool((renet[place][:2] - value[:2] > LOSS).any())
+        harmed = bool((value[2:4] - value[:2] > LOSS).any())
+        for ground in (place[0], "on platforms and gaps" if place[0] in BLIND else "elsewhere"):
+            count[ground, "settings"] += 1
+            count[ground, "VP behind RENet"] += behind
+            count[ground, "VP ahead"] += bool((value[:2] - renet[place][:2] > LOSS).any())
+            count[ground, "VP behind its twins"] += harmed
+            count[ground, "and behind RENet"] += harmed and behind
+    for ground in dict.fromkeys(ground for ground, _ in count):
+        told = (f"{what} {number}" for (where, what), number in count.items() if where == ground)
+        print(f"{ground}: {', '.join(told)}")
+
+
+def noticing(path: Path) -> None:
+    """Robots in mode renet that noticed, of those that used vision, severity by severity."""
+    seen: dict[str, Counter[str]] = defaultdict(Counter)
+    with path.open(newline="") as file:
+        for row in csv.DictReader(file):
+            if row["mode"] == "renet":
+                seen[row["fault"]][row["severity"]] += int(row["detected"])
+                seen[row["fault"]]["of"] += int(row["vision_active_at_onset"])
+    for fault, counts in seen.items():
+        robots = counts.pop("of") // len(counts)
+        print(f"{fault}: {', '.join(map(str, counts.values()))} of {robots} each")
+
+
+if __name__ == "__main__":
+    cfg = tyro.cli(Cfg)
+    found = shares(cfg)
+    by_ground(found)
+    by_severity(found)
+    policies = {name.rsplit(" ", 1)[0] for name in found}
+    for policy in sorted(policies):
+        if {f"{policy} vp", f"{policy} renet"} <= set(found):
+            separation(found[f"{policy} vp"], found[f"{policy} renet"])
+    if cfg.noticed is not None:
+        noticing(cfg.noticed)
