@@ -3,7 +3,7 @@
 `python benchmarks/table1.py` trains and judges what is not done yet, row by row; after any kill the
 same command goes on. `--status` says where it stands, `--table` prints it beside the paper's.
 What a row needs to go on lies in its folder: checkpoints of `renet train`, and the terrain study.
-What is measured, with the curriculum's curves, is in `results/table1/`, a file a row and seed.
+What is measured, with the curriculum's curves, is in `--results`, a file a row and seed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ from renet.training.export import load_networks
 from renet.training.metrics import level_curves
 from renet.training.train import TrainCfg, train
 
-RESULTS = Path(__file__).parent / "results" / "table1"
 TASK = "Renet-Go1-Parkour"
 MEASURES = ("gap", "platform", "stairs", "collisions", "lin_vel_reward")
 
@@ -89,7 +88,7 @@ class Cfg:
 
     out: Path = Path("results/table1")
     """A folder for each row: its runs, and how it was judged."""
-    results: Path = RESULTS
+    results: Path = Path("results/table1")
     """Folder of the rows' results, ROW_SEED.json."""
     rows: tuple[str, ...] = tuple(row.name for row in ROWS)
     """Rows, in the order in which they are trained."""

@@ -7,7 +7,7 @@ import { pathToFileURL } from "node:url";
 const [web, page, file] = process.argv.slice(2);
 const { FAULTS } = await import(pathToFileURL(`${web}/faults.js`));
 const { Random } = await import(pathToFileURL(`${web}/random.js`));
-const contract = JSON.parse(await readFile(`${page}/contract.json`));
+const contract = JSON.parse(await readFile(`${page}/renet-page.json`));
 const { frames, streams, severities } = JSON.parse(await readFile(file));
 
 /** As `summary` of test_faults.py. */

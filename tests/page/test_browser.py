@@ -38,6 +38,16 @@ def press(browser: Browser, key: str) -> None:
         browser.call("Input.dispatchKeyEvent", type=kind, key=key)
 
 
+def middle(browser: Browser, selector: str) -> dict[str, float]:
+    """Where an element is in the window, once it has been scrolled there."""
+    return browser.ask(
+        f"""(() => {{ const one = document.querySelector("{selector}");
+          one.scrollIntoView({{block: "center"}});
+          const {{ x, y, width, height }} = one.getBoundingClientRect();
+          return {{ x: x + width / 2, y: y + height / 2 }}; }})()"""
+    )
+
+
 def errors(browser: Browser) -> list[str]:
     """What the console complains of, without the browser's notes on drawing without a GPU."""
     said = [json.loads(complaint) for complaint in browser.complaints]
@@ -96,6 +106,10 @@ def test_every_control_answers_to_keys(browser: Browser):
     assert pages("simulations[1].camera.fault.severity") == 4
     press(browser, "h")
     assert pages("simulations[0].camera.fault === null")
+    for key in "---5":
+        press(browser, key)
+    assert pages("last") == 4
+    until(browser, "document.querySelector('#repair').ariaPressed === 'true'")  # After 0.2 s.
 
     for rule, monitors in (("paper", 1), ("monitors", 8)):
         press(browser, "l")
@@ -104,6 +118,11 @@ def test_every_control_answers_to_keys(browser: Browser):
 
     press(browser, "m")
     assert pages("simulations[1].controller.estimator") == "op"
+    clicked = middle(browser, ".slot:nth-of-type(2) label:nth-of-type(3)")
+    for kind in ("mousePressed", "mouseReleased"):
+        browser.call("Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **clicked)
+    press(browser, "ArrowUp")
+    assert pages("simulations[1].controller.estimator") == "op", "who clicked drives on"
     press(browser, "t")
     until(browser, "renetPage.page.simulations[0].now < 1 && !renetPage.page.wanted")
     assert pages("scene.name") == "platform"
@@ -120,22 +139,18 @@ def test_gamepad_and_touch_drive(browser: Browser):
     browser.ask(
         """(() => {
           const pressed = [{pressed: true}, {pressed: true}];
-          navigator.getGamepads = () => [null, {axes: [0.8, 0, 0, 0], buttons: pressed}];
+          navigator.getGamepads = () => [
+            null, {mapping: "standard", axes: [0.8, 1, 0, 0], buttons: pressed}];
           return true;
         })()"""
     )
     until(browser, "renetPage.page.controls.stick < -0.5 && renetPage.page.fault !== null")
-    until(browser, "renetPage.page.controls.turn < -0.01")
-    browser.ask("Boolean((navigator.getGamepads = () => [null]))")
+    until(browser, "renetPage.page.controls.turn < -0.01 && renetPage.page.controls.speed < 0.3")
+    browser.ask("Boolean((navigator.getGamepads = () => { throw new Error('forbidden'); }))")
     until(browser, "renetPage.page.controls.stick === 0")
 
-    box = browser.ask(
-        """(() => { const left = document.querySelector("#left");
-          left.scrollIntoView({block: "center"});
-          const { x, y, width, height } = left.getBoundingClientRect();
-          return { x: x + width / 2, y: y + height / 2 }; })()"""
-    )
-    browser.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[box])
+    touch = middle(browser, "#left")
+    browser.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[touch])
     until(browser, "renetPage.page.controls.held.has('left')")
     browser.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
     until(browser, "renetPage.page.controls.held.size === 0")
@@ -158,7 +173,8 @@ def test_page_fits_a_phone(browser: Browser, address: str):
     assert errors(browser) == []
 
 
-def test_missing_file_is_named_on_the_page(browser: Browser, address: str):
-    browser.call("Network.setBlockedURLs", urls=["*estimator.onnx"])
+@pytest.mark.parametrize("missing", ["*estimator.onnx", "*three.module.js"])
+def test_missing_file_is_named_on_the_page(browser: Browser, address: str, missing: str):
+    browser.call("Network.setBlockedURLs", urls=[missing])
     browser.open(address, WIDTH, dark=False)
     until(browser, "document.querySelector('#message').textContent.startsWith('The page cannot')")

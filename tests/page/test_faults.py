@@ -103,7 +103,7 @@ def test_fault_does_what_the_catalogue_says(delivered, name: str, severity: int)
 
 @pytest.mark.parametrize("name", ["glass", "foam", "mount_knocked"])
 def test_physical_fault_shows_what_the_runtime_would_see(node_page: Path, name: str):
-    contract = json.loads((node_page / "contract.json").read_text())
+    contract = json.loads((node_page / "renet-page.json").read_text())
     for severity in (1, 5):
         seen = run_node("view.mjs", WEB, node_page, name, severity)
         level = FAULTS[name].level_of(severity)
@@ -130,5 +130,5 @@ def _scene(terrain: str):
 
 
 def test_page_offers_every_fault_of_the_catalogue(node_page: Path):
-    offered = json.loads((node_page / "contract.json").read_text())["faults"]
+    offered = json.loads((node_page / "renet-page.json").read_text())["faults"]
     assert [fault["name"] for fault in offered] == list(FAULTS)

@@ -38,7 +38,7 @@ def test_page_has_the_bundle_the_packages_and_the_modules(tmp_path, runtime):
     selector = replace(manifest.selector, calibration="mine")
     write_manifest(bundle, replace(manifest, selector=selector))
     page = write_page(PageCfg(bundle, tmp_path / "page", runtime))
-    assert json.loads((page / "contract.json").read_text())["bundle"] == "mine"
+    assert json.loads((page / "renet-page.json").read_text())["bundle"] == "mine"
     assert read_manifest(page / "bundle").selector.calibration == "mine"
     for name in VENDOR:
         assert (page / "vendor" / Path(name).name).read_text() == name
@@ -61,6 +61,9 @@ def test_page_may_be_written_again_but_nothing_else_is_overwritten(tmp_path, run
         write_page(replace(cfg, out=other))
     with pytest.raises(RenetError, match="is not a page"):
         write_page(replace(cfg, out=other / "chapter.tex"))
+    (cfg.out / ".git").mkdir()
+    with pytest.raises(RenetError, match="is not a page"):
+        write_page(cfg)
     assert (other / "chapter.tex").read_text() == "years of work"
 
 

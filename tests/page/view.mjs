@@ -11,7 +11,7 @@ const { World } = await load("simulation.js");
 const { DepthCamera } = await load("camera.js");
 
 const json = async (file) => JSON.parse(await readFile(`${page}/${file}`));
-const [contract, manifest] = [await json("contract.json"), await json("bundle/manifest.json")];
+const [contract, manifest] = [await json("renet-page.json"), await json("bundle/manifest.json")];
 const scene = contract.scenes.find((one) => one.name === "platform");
 const world = new World(await loadMujoco(), scene, manifest.robot, contract);
 world.data.qpos[world.free] = 1;

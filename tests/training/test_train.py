@@ -20,7 +20,6 @@ from renet.training.config import NP3OCfg, SupervisionCfg, value_at
 from renet.training.recipe import RENET
 from renet.training.train import (
     TrainCfg,
-    _control_step,
     new_run,
     resolve_device,
     resumed_run,
@@ -72,10 +71,11 @@ def test_an_older_checkpoint_of_a_run_branches_off(tmp_path):
 
 def test_standing_is_asked_for_after_so_many_steps_however_many_robots(tmp_path):
     resumed = Checkpoint({}, {}, {"common_step_counter": torch.tensor(5000)}, {"steps": 1e6})
-    fresh = cfg(tmp_path, num_envs=500)
-    assert _control_step(4e6, fresh, None) == 8000
-    assert _control_step(math.inf, fresh, None) == math.inf, "never"
-    assert _control_step(4e6, fresh, resumed) == 5000 + 6000
+    runs = [(4e6, None), (math.inf, None), (4e6, resumed)]
+    fresh = cfg(tmp_path, "Renet-Go1-Parkour", num_envs=500)
+    tasks = [task_cfg(replace(fresh, standing_after=steps), run) for steps, run in runs]
+    switches = [task.curriculum["command_stage"].params["switch_step"] for task in tasks]
+    assert switches == [8000, math.inf, 5000 + 6000]
 
 
 def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(

@@ -20,7 +20,7 @@ from renet.page.contract import contract
 
 WEB = Path(__file__).with_name("web")
 """The page's own files, and the lock of the npm packages it runs on."""
-MARK = "contract.json"
+MARK = "renet-page.json"
 """A folder with this file is a page, and may be written anew."""
 VENDOR = (
     "@mujoco/mujoco/mujoco.js",
@@ -81,7 +81,8 @@ def write_page(cfg: PageCfg) -> Path:
         RenetError: a bad bundle, a folder that holds something else, or missing npm packages.
     """
     out = cfg.out.resolve()
-    if out.exists() and not (out / MARK).is_file() and (out.is_file() or any(out.iterdir())):
+    is_page = (out / MARK).is_file() and not (out / ".git").exists()
+    if out.exists() and not is_page and (out.is_file() or any(out.iterdir())):
         raise RenetError(f"{cfg.out} exists and is not a page: choose another folder")
     vendor = [cfg.runtime / name for name in VENDOR]
     missing = next((path for path in vendor if not path.is_file()), None)

@@ -120,10 +120,7 @@ class TrainCfg(LearningCfg):
 
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> TrainCfg:
-        """What a command line starts from: its `--preset`, or the run it resumes.
-
-        Args:
-            arguments: command line of `renet train`.
+        """What a command line of `renet train` starts from: its `--preset`, or the run it resumes.
 
         Raises:
             RenetError: unknown preset, or nothing to resume.
@@ -152,12 +149,7 @@ def _options(arguments: Sequence[str], *names: str) -> dict[str, str]:
 
 
 def restored(state: dict[str, Any], task: Any = tyro.MISSING) -> TrainCfg:
-    """The settings a checkpoint was trained with.
-
-    Args:
-        state: of the checkpoint; settings it lacks have their defaults.
-        task: in place of the checkpoint's own.
-    """
+    """The settings in a checkpoint's state, defaults for what it lacks, and the task if given."""
     own = {f.name for f in fields(TrainCfg)} - {"task", *NOT_KEPT}
     settings = {name: value for name, value in state["config"].items() if name in own}
     task = state["task"] if task is tyro.MISSING else task
@@ -177,8 +169,7 @@ def train(cfg: TrainCfg) -> Path | None:
     rank = int(os.getenv("RANK", "0"))
     budget = None if cfg.time_budget is None else seconds(cfg.time_budget)
     device = resolve_device(cfg.device)
-    num_envs = DEFAULT_ENVS[device.partition(":")[0]] if cfg.num_envs is None else cfg.num_envs
-    cfg = replace(cfg, num_envs=num_envs)
+    cfg = with_robots(cfg, device)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
     earlier = None if resume is None else checkpoints.load(resume)
     if earlier is not None and earlier.state["iteration"] >= cfg.max_iterations:
@@ -186,13 +177,7 @@ def train(cfg: TrainCfg) -> Path | None:
             f"{resume} is at iteration {earlier.state['iteration']}: --max-iterations counts from "
             "the very first one and must be above that"
         )
-    task = task_cfg(cfg)
-    if "command_stage" in task.curriculum:
-        switch_step = _control_step(cfg.standing_after, cfg, earlier)
-        task.curriculum["command_stage"].params["switch_step"] = switch_step
-    if "level" in task.curriculum and cfg.easier_after is not None:
-        easier_step = _control_step(cfg.easier_after, cfg, earlier)
-        task.curriculum["level"].params["easier_step"] = easier_step
+    task = task_cfg(cfg, earlier)
     vec_env = _make_vec_env(cfg, task, device, cfg.seed + rank)
     # Another task's run stays as it is.
     own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
@@ -205,7 +190,7 @@ def train(cfg: TrainCfg) -> Path | None:
             print(f"Going on from {resume} ({runner.alg.steps / 1e6:.2f} M steps)")
             for part, value in runner.provenance().items():
                 say_differences(earlier.state.get(part, value), value, part)
-        print(f"Training {cfg.task} with {num_envs} robots in {run}")
+        print(f"Training {cfg.task} with {cfg.num_envs} robots in {run}")
         write_atomically(run / CONFIG, (json.dumps(settings(cfg), indent=1) + "\n").encode())
     try:
         left = None if budget is None else budget - (time.monotonic() - began)
@@ -215,6 +200,12 @@ def train(cfg: TrainCfg) -> Path | None:
     if run and (run / CURVES).exists():
         print(f"Curves: {write_run_report(run)}")
     return run
+
+
+def with_robots(cfg: TrainCfg, device: str) -> TrainCfg:
+    """The settings with the device's default number of robots where none is given."""
+    kind = device.partition(":")[0]
+    return replace(cfg, num_envs=DEFAULT_ENVS[kind]) if cfg.num_envs is None else cfg
 
 
 def _make_vec_env(cfg: TrainCfg, task: RenetEnvCfg, device: str, seed: int) -> Any:
@@ -238,8 +229,8 @@ def settings(cfg: TrainCfg) -> dict[str, Any]:
     return json.loads(json.dumps(kept, default=str))
 
 
-def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
-    """The task as the recipe sets it: weights, tiles and their shares, camera, randomisation.
+def task_cfg(cfg: TrainCfg, earlier: Checkpoint | None = None) -> RenetEnvCfg:
+    """The task as the recipe sets it, for a run that goes on from the checkpoint `earlier`.
 
     Raises:
         RenetError: a reward or a tile the task does not have, or a share of nothing.
@@ -258,6 +249,12 @@ def task_cfg(cfg: TrainCfg) -> RenetEnvCfg:
         task.rewards[name].weight = weight
     depth_camera(task).noise.gaussian_std = cfg.depth_noise_std
     randomize(task, cfg.randomization)
+    if "command_stage" in task.curriculum:
+        switch_step = _control_step(cfg.standing_after, cfg, earlier)
+        task.curriculum["command_stage"].params["switch_step"] = switch_step
+    if "level" in task.curriculum and cfg.easier_after is not None:
+        easier_step = _control_step(cfg.easier_after, cfg, earlier)
+        task.curriculum["level"].params["easier_step"] = easier_step
     generator = task.scene.terrain.terrain_generator if task.scene.terrain else None
     if generator is None:
         return task
@@ -366,6 +363,7 @@ def show(cfg: RecipeCfg) -> None:
         recipe = checkpoints.load_state(checkpoints.find(cfg.checkpoint))
     else:
         run = TrainCfg.defaults([cfg.task, "--preset", cfg.preset])
+        run = with_robots(run, resolve_device(run.device))
         task = described(task_cfg(run))
         recipe = {"config": settings(run), "task_cfg": task, "code": code_version()}
     print(json.dumps(recipe, indent=1))

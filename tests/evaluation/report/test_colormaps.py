@@ -1,17 +1,10 @@
-"""Colours of depth and of height maps: which way is up, and what is bright."""
+"""Colours of height maps: which way is up, and what is bright."""
 
 import numpy as np
 import pytest
 
-from renet.evaluation.report.colormaps import RELIEF, depth_picture, map_picture
+from renet.evaluation.report.colormaps import RELIEF, map_picture
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
-
-
-def test_near_is_dark_and_far_is_bright():
-    picture = depth_picture(np.linspace(0, 1, 48 * 64).reshape(48, 64), scale=2)
-    assert picture.shape == (96, 128, 3)
-    brightness = picture.astype(int).sum(-1)
-    assert brightness[0, 0] < brightness[48, 64] < brightness[-1, -1]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import pytest
 from PIL import Image
 
 from renet.cli import main
-from renet.errors import RenetError
 from renet.evaluation.report.height_maps import WARM_UP, errors
 from renet.evaluation.studies.pictures import PicturesStudy
 from renet.evaluation.studies.report import ReportCfg, make_report
@@ -45,11 +44,3 @@ def test_errors_by_hand():
     found = errors(maps, ["gap"])[0]
     assert found["rmse_m"] == pytest.approx(0.1)
     assert found["rmse_of_flat_ground_m"] == pytest.approx(0.3)
-
-
-@pytest.mark.parametrize(
-    ("fields", "message"), [({"level": 11}, "1 to 10"), ({"seconds": 0.5}, "at least 2 seconds")]
-)
-def test_mistakes_are_named(fields, message):
-    with pytest.raises(RenetError, match=message):
-        PicturesStudy(**fields)

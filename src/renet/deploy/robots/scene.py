@@ -14,7 +14,7 @@ GO1 = Path(__file__).with_name("go1.xml")
 TERRAIN = "terrain"
 """Body of a tile."""
 FLAT = "flat"
-BORDER = 40.0
+BORDER = 1000.0
 """Half-width of the ground around a tile, m."""
 MAX_SCENE = 20 * MEGABYTE
 """Bytes of an MJCF file."""

@@ -46,7 +46,7 @@ export class DepthCamera {
 
   /** Whether a fault is at work. */
   broken(now) {
-    return this.fault !== null && now - this.fault.onset < this.fault.lasts;
+    return this.fault !== null && now - this.fault.onset < this.fault.lasts - 1e-6;
   }
 
   /** Newest frame; casts rays when an image is due. */

@@ -11,6 +11,7 @@ export class Controls {
     this.handlers = handlers;
     this.held = new Set();
     this.stick = 0;
+    this.lever = 0;
     this.turn = 0;
     this.pressed = [];
     this.speedSlider = document.querySelector("#speed");
@@ -18,11 +19,7 @@ export class Controls {
     this.bindKeys();
     this.bindButtons();
     this.bindPad(document.querySelector("#pad"));
-    this.showSpeed();
-  }
-
-  get speed() {
-    return Number(this.speedSlider.value);
+    this.setSpeed(Number(this.speedSlider.value));
   }
 
   get severity() {
@@ -34,21 +31,22 @@ export class Controls {
     const side = Number(this.held.has("left")) - Number(this.held.has("right"));
     const way = Math.min(Math.max(side + this.stick, -1), 1);
     this.turn += way * TURN_RATE * dt;
+    if (this.lever) this.setSpeed(this.speed - this.lever * dt);
     return { speed: this.speed, turn: this.turn };
   }
 
   /** Read the first gamepad; called once a picture. */
   poll() {
-    const pad = Array.from(navigator.getGamepads()).find(Boolean);
+    const pad = gamepads().find((one) => one?.mapping === "standard");
     if (!pad) {
-      if (this.driven) this.stick = 0;
+      if (this.driven) this.stick = this.lever = 0;
       this.driven = false;
       return;
     }
     this.driven = true;
     const axis = (n) => (Math.abs(pad.axes[n] ?? 0) > DEAD_ZONE ? pad.axes[n] : 0);
     this.stick = -(axis(2) || axis(0));
-    if (axis(1)) this.setSpeed(this.speed - 0.02 * axis(1));
+    this.lever = axis(1);
     const now = pad.buttons.map((button) => button.pressed);
     const [push, spoil] = [0, 1].map((n) => now[n] && !this.pressed[n]);
     this.pressed = now;
@@ -57,17 +55,14 @@ export class Controls {
   }
 
   setSpeed(value) {
-    this.speedSlider.value = Math.min(Math.max(value, 0), 1);
-    this.showSpeed();
+    this.speed = Math.min(Math.max(value, 0), 1);
+    this.speedSlider.value = this.speed;
+    document.querySelector("#speed-value").textContent = `${this.speed.toFixed(1)} m/s`;
   }
 
   setSeverity(value) {
     this.severitySlider.value = value;
     this.handlers.severity();
-  }
-
-  showSpeed() {
-    document.querySelector("#speed-value").textContent = `${this.speed.toFixed(1)} m/s`;
   }
 
   bindKeys() {
@@ -86,8 +81,12 @@ export class Controls {
     };
     const names = { arrowup: "w", arrowdown: "s", arrowleft: "a", arrowright: "d", "=": "+" };
     const sides = { a: "left", d: "right" };
+    // Arrows belong to a field that was reached with Tab; whoever clicked one drives on.
+    let clicked = false;
+    addEventListener("pointerdown", () => (clicked = true), true);
     addEventListener("keydown", (event) => {
-      const inField = event.target.matches("input, select");
+      if (event.key === "Tab") clicked = false;
+      const inField = !clicked && event.target.matches("input, select");
       const given = event.key.toLowerCase();
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       if (inField && given.startsWith("arrow")) return;
@@ -120,7 +119,7 @@ export class Controls {
     }
     document.querySelector("#push").addEventListener("click", this.handlers.push);
     document.querySelector("#reset").addEventListener("click", this.handlers.reset);
-    this.speedSlider.addEventListener("input", () => this.showSpeed());
+    this.speedSlider.addEventListener("input", () => this.setSpeed(Number(this.speedSlider.value)));
     this.severitySlider.addEventListener("input", this.handlers.severity);
   }
 
@@ -149,5 +148,14 @@ export class Controls {
         knob.style.transform = "";
       });
     }
+  }
+}
+
+/** Gamepads; none where the browser has no such thing, or the site forbids them. */
+function gamepads() {
+  try {
+    return Array.from(navigator.getGamepads());
+  } catch {
+    return [];
   }
 }

@@ -134,8 +134,9 @@ class Page {
 
   /** Give both cameras a fault of the catalogue by its index, or none. */
   breakCamera(index) {
-    this.opening = false;
     if (index !== null && this.chips[index].disabled) return;
+    if (this.opening) this.story = "";
+    this.opening = false;
     this.fault = index;
     if (index !== null) this.last = index;
     const fault = index === null ? null : this.runtime.contract.faults[index];
@@ -174,6 +175,8 @@ class Page {
       await simulation.step(teleop);
       this.panels[n].note(simulation);
     }
+    const over = this.simulations.every(({ camera, now }) => !camera.broken(now));
+    if (this.fault !== null && over) this.breakCamera(null);
     if (this.wanted) this.start();
   }
 

@@ -15,7 +15,7 @@ export async function loadRuntime(read) {
   const [mujoco, manifest, contract] = await Promise.all([
     loadMujoco(),
     json("bundle/manifest.json"),
-    json("contract.json"),
+    json("renet-page.json"),
   ]);
   return { mujoco, manifest, contract, sessions: {} };
 }

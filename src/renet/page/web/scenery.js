@@ -35,7 +35,7 @@ export function buildTerrain(world, mujoco, seenGroups, plain) {
     const at = Array.from(data.geom_xpos.slice(3 * geom, 3 * geom + 3));
     const rgba = model.geom_rgba.slice(4 * geom, 4 * geom + 3);
     const plane = model.geom_type[geom] === mujoco.mjtGeom.mjGEOM_PLANE.value;
-    const half = plane ? [40, 40, 0.5] : size;
+    const half = plane ? [size[0], size[1], 0.5] : size;
     if (plane) at[2] -= 0.5;
     boxes.push({ at, half, colour: new THREE.Color().setRGB(...rgba, THREE.SRGBColorSpace) });
   }
