@@ -3,10 +3,10 @@
 import os
 import resource
 import signal
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from subprocess import DEVNULL, PIPE, run
 
 from renet.errors import RenetError
 from renet.files import MEGABYTE
@@ -31,7 +31,9 @@ def run_trial(module: str, arguments: list[str], what: str, data: bytes = b"") -
         RenetError: the trial said what is wrong, or needed too much time or memory.
     """
     command = [sys.executable, "-P", "-m", module, *arguments]
-    done = subprocess.run(command, input=data, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    # Each thread's own heap reserves address space, which the limit counts.
+    env = os.environ | {"MALLOC_ARENA_MAX": "1"}
+    done = run(command, input=data, stdout=PIPE, stderr=DEVNULL, env=env)
     said = done.stdout.decode(errors="replace").strip()
     if said != ACCEPTED:
         limits = f"{MAX_SECONDS} s or {MAX_MEMORY / MEGABYTE:g} MB"
@@ -46,11 +48,11 @@ def judge(trial: Callable[[], str]) -> None:
     """
     spent = resource.getrusage(resource.RUSAGE_SELF)
     seconds = int(spent.ru_utime + spent.ru_stime) + 1 + MAX_SECONDS
-    # Address space: what is only promised counts, too.
-    mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    most = mapped + MAX_MEMORY
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    if sys.platform == "linux":  # Others do not limit address space: what is promised counts, too.
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        most = pages * resource.getpagesize() + MAX_MEMORY
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.signal(signal.SIGALRM, signal.SIG_DFL)

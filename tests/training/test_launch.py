@@ -32,6 +32,12 @@ def test_two_processes_train_one_model(tmp_path):
     assert len(list((tmp_path / "workers").glob("*/localhost[[]?].log"))) == 2
 
 
+def test_a_process_that_fails_ends_those_that_wait_for_it(tmp_path):
+    (tmp_path / "Renet-Go1-Flat").touch()  # Rank 0 cannot make its folder there.
+    with pytest.raises(RenetError, match="a process failed"):
+        launch(cfg(tmp_path, processes=2))
+
+
 @pytest.mark.parametrize("wrong", [{"processes": 0}, {"hosts": ()}])
 def test_nobody_to_train_is_an_error(tmp_path, wrong):
     with pytest.raises(RenetError, match="--processes"):

@@ -219,19 +219,15 @@ def summary(score: dict[str, Any]) -> str:
 
 def printer(say: Callable[[str], None]) -> Callable[[JointCommand], None]:
     """Says every half second what a dry run would command, if it is something else than before."""
-    count, said = 0, ""
+    steps, said = count(), ""
 
     def show(command: JointCommand) -> None:
-        nonlocal count, said
-        if count % PRINT_EVERY == 0:
-            pairs = zip(JOINTS, command.position, command.stiffness, strict=True)
-            line = "  ".join(
-                f"{n.removesuffix('_joint')} {p:+.2f} (Kp {k:.0f})" for n, p, k in pairs
-            )
-            if line != said:
-                said = line
-                say(line)
-        count += 1
+        nonlocal said
+        pairs = zip(JOINTS, command.position, command.stiffness, strict=True)
+        parts = [f"{n.removesuffix('_joint')} {p:+.2f} (Kp {k:.0f})" for n, p, k in pairs]
+        if next(steps) % PRINT_EVERY == 0 and (line := "  ".join(parts)) != said:
+            said = line
+            say(line)
 
     return show
 

@@ -190,14 +190,11 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
     vision = ticks["vision"]
     beta = float(run.header.get("beta") or 0.0)
     speed = np.where(vision[:, None], ticks["velocity_vp"], ticks["velocity_op"])[:, 0]
+    speeds = [(ticks["speed"], "#222730"), (speed, "#b5532f")]
     panels = (
         ("anomaly score", [(ticks["anomaly"], "#3c3ca0")], beta),
         ("vision probability P", [(ticks["probability"], "#2f7d32")], 0.5),
-        (
-            "forward speed in m/s\n(black: commanded)",
-            [(ticks["speed"], "#222730"), (speed, "#b5532f")],
-            None,
-        ),
+        ("forward speed in m/s\n(black: commanded)", speeds, None),
     )
     figure = Figure(figsize=(10, 6), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
@@ -141,6 +142,7 @@ def make_env(
     cfg = env_cfg(task, play) if isinstance(task, str) else deepcopy(task)
     cfg.scene.num_envs = num_envs
     cfg.seed = seed
+    gc.collect()  # Earlier environments: few objects with much memory that refer to one another.
     with use_engine(engine, device):
         return RenetEnv(cfg, device)
 

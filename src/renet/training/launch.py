@@ -36,10 +36,21 @@ def launch(cfg: TrainCfg) -> Path | None:
     )
     launcher.set_logging_handlers(partial(_handlers, cfg))
     try:
-        return launcher.run(train, cfg).rank(0)
-    except (OSError, torchrunx.AgentFailedError, torchrunx.WorkerFailedError) as error:
+        return launcher.run(worker, cfg).rank(0)
+    except torchrunx.WorkerFailedError as error:
+        logs = (cfg.log_root or LOGS) / "workers"
+        raise RenetError(f"a process failed: what each one said is in {logs}") from error
+    except (OSError, torchrunx.AgentFailedError) as error:
         why = str(error) or type(error).__name__
         raise RenetError(f"training on {', '.join(cfg.hosts)} failed: {why}") from error
+
+
+def worker(cfg: TrainCfg) -> Path | None:
+    """`train`; one that fails must exit: torchrunx lets others wait for one that only raises."""
+    try:
+        return train(cfg)
+    except Exception as error:
+        raise SystemExit(f"{type(error).__name__}: {error}") from error
 
 
 def _handlers(cfg: TrainCfg) -> list[logging.Handler]:

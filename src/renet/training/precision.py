@@ -40,8 +40,8 @@ def learning_type(precision: Precision, device: str | torch.device) -> torch.dty
     """
     device = torch.device(device)
     if device.type == "cuda":
-        torch.set_float32_matmul_precision("highest" if precision == "float32" else "high")
-        torch.backends.cudnn.allow_tf32 = precision != "float32"
+        exact = "ieee" if precision == "float32" else "tf32"
+        torch.backends.cuda.matmul.fp32_precision = torch.backends.cudnn.fp32_precision = exact
     if precision == "float32" or (precision == "auto" and not has_bfloat16(device)):
         return torch.float32
     return torch.bfloat16

@@ -169,7 +169,10 @@ def train(cfg: TrainCfg) -> Path | None:
     rank = int(os.getenv("RANK", "0"))
     budget = None if cfg.time_budget is None else seconds(cfg.time_budget)
     device = resolve_device(cfg.device)
-    cfg = with_robots(cfg, device)
+    if device != "cpu":  # Before mjlab wraps Warp's streams: as those of the current device.
+        torch.cuda.set_device(device)
+    num_envs = DEFAULT_ENVS[device.partition(":")[0]] if cfg.num_envs is None else cfg.num_envs
+    cfg = replace(cfg, num_envs=num_envs)
     resume = None if cfg.resume is None else resolve_resume(cfg.resume, cfg.log_root, cfg.task)
     earlier = None if resume is None else checkpoints.load(resume)
     if earlier is not None and earlier.state["iteration"] >= cfg.max_iterations:
@@ -190,7 +193,7 @@ def train(cfg: TrainCfg) -> Path | None:
             print(f"Going on from {resume} ({runner.alg.steps / 1e6:.2f} M steps)")
             for part, value in runner.provenance().items():
                 say_differences(earlier.state.get(part, value), value, part)
-        print(f"Training {cfg.task} with {cfg.num_envs} robots in {run}")
+        print(f"Training {cfg.task} with {num_envs} robots in {run}")
         write_atomically(run / CONFIG, (json.dumps(settings(cfg), indent=1) + "\n").encode())
     try:
         left = None if budget is None else budget - (time.monotonic() - began)
@@ -200,12 +203,6 @@ def train(cfg: TrainCfg) -> Path | None:
     if run and (run / CURVES).exists():
         print(f"Curves: {write_run_report(run)}")
     return run
-
-
-def with_robots(cfg: TrainCfg, device: str) -> TrainCfg:
-    """The settings with the device's default number of robots where none is given."""
-    kind = device.partition(":")[0]
-    return replace(cfg, num_envs=DEFAULT_ENVS[kind]) if cfg.num_envs is None else cfg
 
 
 def _make_vec_env(cfg: TrainCfg, task: RenetEnvCfg, device: str, seed: int) -> Any:
@@ -317,7 +314,7 @@ def resolve_device(name: str) -> str:
     if name != "cpu" and int(name.removeprefix("cuda:")) >= torch.cuda.device_count():
         raise RenetError(
             f"device {name} is absent: {torch.cuda.device_count()} CUDA devices are visible; "
-            "use --device cpu, or cuda:0 where each process sees a GPU of its own"
+            "use fewer --processes, --device cpu, or cuda:0 where each process sees its own GPU"
         )
     return name
 
@@ -363,7 +360,7 @@ def show(cfg: RecipeCfg) -> None:
         recipe = checkpoints.load_state(checkpoints.find(cfg.checkpoint))
     else:
         run = TrainCfg.defaults([cfg.task, "--preset", cfg.preset])
-        run = with_robots(run, resolve_device(run.device))
+        run = replace(run, num_envs=DEFAULT_ENVS[resolve_device("auto").partition(":")[0]])
         task = described(task_cfg(run))
         recipe = {"config": settings(run), "task_cfg": task, "code": code_version()}
     print(json.dumps(recipe, indent=1))

@@ -6,7 +6,7 @@ import pytest
 import torch
 from mjlab.sim.sim import MujocoCfg, SimulationCfg
 
-from renet.sim.native import mujoco_memory, stages
+from renet.sim.native import engine, mujoco_memory, stages
 from renet.sim.native.engine import NativeSimulation
 from renet.sim.native.stages import moving_part
 
@@ -48,15 +48,16 @@ def scene(*bodies: str, sensors: str = SENSORS) -> mujoco.MjModel:
 
 @pytest.mark.parametrize("order", [(PLANE, WALKER, TILES), (WALKER, TILES), (TILES, WALKER)])
 @pytest.mark.parametrize("integrator", ["implicitfast", "euler"])
-def test_steps_are_mujocos_own(order, integrator):
+def test_steps_are_mujocos_own(order, integrator, monkeypatch):
     """Also while limbs touch the tiles; state, forces and every sensor."""
+    monkeypatch.setattr(engine, "THREADS", 64)
     cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005, integrator=integrator))
     simulation = NativeSimulation(NUM_ENVS, cfg, scene(*order), "cpu")
     model = simulation.mj_model
     assert (moving_part(model)[0] < model.nbody) == (order[-1] is TILES)
     simulation.data.ctrl[:, 0], simulation.data.ctrl[:, 1] = 0.5, -0.5
     simulation._advance(STEPS)
-    assert all(worker.model.nbody == model.nbody for worker in simulation._workers)
+    assert [worker.model.nbody for worker in simulation._workers] == [model.nbody] * NUM_ENVS
 
     reference = model.__copy__()
     reference.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE

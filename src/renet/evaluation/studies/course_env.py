@@ -44,11 +44,9 @@ def course_env_cfg(
     """A lap as an environment.
 
     Args:
-        lap: kinds of passage, in order.
-        level: of all passages, 1 to 10.
+        lap: kinds of passage, in order. level: of all passages, 1 to 10.
         stuck_after: seconds on one passage after which a robot counts as stuck.
-        seed: of relief and blocks.
-        robot: to walk it.
+        seed: of relief and blocks. robot: to walk it.
 
     Raises:
         RenetError: unknown kind or level.

@@ -254,11 +254,7 @@ class MarginsStudy(WalkingStudy):
 
 
 def margin(runs: list[dict[str, Any]], axis: str, levels: tuple[float, ...]) -> dict[str, Any]:
-    """How far robots of one ground and mode hold on an axis.
-
-    Args:
-        runs: their rows, of the nominal robots and of all axes.
-        axis: swept. levels: of the sweep.
+    """How far robots of one ground and mode hold on an axis, from their rows of all axes.
 
     Returns:
         `margin`, the last level before more than the allowed share fell, None where that is so at

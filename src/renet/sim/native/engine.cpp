@@ -61,7 +61,7 @@ struct Advance {
     bool derives;       // Whether they end with all that follows from the pose.
     bool only_written;  // Leave environments alone whose pose is as it was left.
     Culling culling;
-    const Worker* workers;  // One for each thread.
+    const Worker* workers;  // One for each thread that finds an environment.
     const Copy* pose;       // qpos first.
     int num_pose;
     char* known;            // [N, known_stride] poses that all else was derived from.
@@ -157,7 +157,9 @@ static void store(const Worker& worker, int env) {
 
 // An environment whose state is not finite is left alone: its NaN stays for the task to see.
 static void advance(Advance& call) {
-    const Worker& worker = call.workers[join(call.work)];
+    const int number = join(call.work);
+    if (number >= call.environments) return; 
+    const Worker& worker = call.workers[number];
     for (int env; (env = take(call.work, 1)) < call.environments;) {
         if (call.only_written && !is_written(call, env)) continue;
         cull(call, env);

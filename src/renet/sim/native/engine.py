@@ -215,7 +215,7 @@ class NativeSimulation(Simulation):
     def _prepare(self) -> None:
         """Set up the threads, and forget which poses are known."""
         native = stages.are_mujocos()
-        self._workers = [Worker(self) for _ in range(THREADS if native else 1)]
+        self._workers = [Worker(self) for _ in range(min(THREADS, self.num_envs) if native else 1)]
         size = sum(copy.mujoco.size for copy in self._workers[0].pose)
         self._known = np.full((self.num_envs, size), np.nan, np.float32)
         self._arguments = {}
