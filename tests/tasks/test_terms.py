@@ -71,6 +71,13 @@ def test_penalties_by_hand(flat):
     assert weigh("action_rate") == pytest.approx(-0.1 * 0.5 * math.sqrt(12), rel=1e-4)
 
 
+def test_the_footnotes_scales(flat):
+    terms = ("linear_velocity", "yaw", "collision", "joint_energy", "action_rate")
+    terms += ("default_position", "hip_position", "joint_acceleration", "orientation")
+    scales = [1.5, 0.5, -10.0, -1e-5, -0.1, -0.04, -0.5, -2.5e-7, -1.0]
+    assert [flat.reward_manager.get_term_cfg(name).weight for name in terms] == scales
+
+
 def test_torque_is_judged_before_the_motor_saturates(flat):
     flat.reset()
     flat.step(torch.zeros(4, 12))

@@ -174,7 +174,7 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
     found: Series = {name: [] for name in MONITORS}
     for terrain in cfg.terrains:
         tiled = terrain == PARKOUR
-        # Training's own tiles: studies are to judge on others.
+        # Tiles of the paper's preset: studies are to judge on others.
         task = parkour_env_cfg(play=True, robot=evaluator.robot) if tiled else terrain
         env = evaluator.make_env(task, range(cfg.robots), cfg.speed, cfg.seed)
         if tiled:

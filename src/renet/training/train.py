@@ -93,7 +93,7 @@ class TrainCfg(LearningCfg):
     """Share of the robots on each kind of tile, relative to the others', in place of the preset's,
     e.g. `--terrain-proportions gap 3`; the others stay."""
     dense_tiles: bool = RENET["dense_tiles"]
-    """Train on tiles with two to three times as many edges on the way out (`terrain/tiles.py`)."""
+    """Train on tiles with more edges: gaps two to three times as many (`terrain/tiles.py`)."""
     depth_noise_std: float = RENET["depth_noise_std"]
     """Standard deviation of the constant part of the depth error, m."""
     randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
