@@ -62,6 +62,9 @@ def test_a_walk_that_ended_in_trouble_does_not_count(flight):
     end = next(event for event in flight.events if event.why == "the run ends")
     fallen = replace(end, why="tilted by more than 70 degrees")
     assert list(healthy_walks(replace(flight, events=[*flight.events[:-1], fallen]))) == []
+    toppled = flight.ticks.copy()
+    toppled["quaternion"][-20:] = np.cos(0.7), np.sin(0.7), 0.0, 0.0
+    assert list(healthy_walks(replace(flight, ticks=toppled))) == [], "80 degrees about x"
     torn = replace(flight, events=flight.events[:-1], complete=False)
     assert list(healthy_walks(torn)) == [], "nobody knows how it ended"
 

@@ -234,9 +234,13 @@ def test_faults_begin_with_the_run_not_with_the_wait_for_a_first_image(monkeypat
     robot = SimpleNamespace(connect=lambda: None, now=lambda: 0.0)
     monkeypatch.setattr(devices, "make_robot", lambda *given: (robot, lambda: None))
     monkeypatch.setattr(devices, "make_camera", lambda *given: camera)
-    cfg = DeployCfg(robot="go1", fault=("blackout@5s",), teleop="auto")
+    pressed = []
+    teleop = SimpleNamespace(command=pressed.append)
+    monkeypatch.setattr(devices, "make_teleop", lambda cfg: teleop)
+    cfg = DeployCfg(robot="go1", fault=("blackout@5s",), teleop="keyboard")
     _, faulty, *_ = devices.start_devices(cfg, Bundle.load(), print, ExitStack())
     assert faulty._begun is None
+    assert pressed, "keys of that time are taken, so that they cannot arm later"
 
 
 def test_devices_are_closed_robot_first_even_after_half_a_start(tmp_path, monkeypatch):

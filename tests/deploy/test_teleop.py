@@ -111,7 +111,10 @@ def stick(tmp_path):
 
 def test_sticks_and_buttons(stick):
     joystick, event, _ = stick
-    event(0, 0x82, 1)
+    event(-32767, 0x82, 3)
+    event(1, 1, 7)
+    assert not joystick.command(0.0).arm, "a stick that is held would turn the robot"
+    event(0, 2, 3)
     event(1, 1, 7)
     assert joystick.command(0.0) == TeleopCommand(arm=True)
     event(-32767, 2, 1)

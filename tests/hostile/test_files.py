@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from onnx import TensorProto, helper
+from onnx import TensorProto as Type
+from onnx import helper
 from safetensors.numpy import save_file
 
 from renet.cli import main
@@ -24,6 +25,7 @@ from renet.deploy.recording import CHUNK, MAGIC, TICK_DTYPE
 
 from ..forked import Done, fork
 
+info, node = helper.make_tensor_value_info, helper.make_node
 MEMORY = 500_000
 """Kilobytes that a refusal may need beside what its command needs to start."""
 
@@ -77,10 +79,6 @@ def device(path: Path) -> None:
     (path / MANIFEST).symlink_to("/dev/zero")
 
 
-def sparse(path: Path) -> None:
-    os.truncate(path / MANIFEST, 300_000_000)
-
-
 def model(path: Path, name: str, data: bytes) -> None:
     """Replace a model and make the manifest vouch for it."""
     (path / f"{name}.onnx").write_bytes(data)
@@ -88,28 +86,28 @@ def model(path: Path, name: str, data: bytes) -> None:
     edited(sha256=digests)(path)
 
 
-def actor(nodes: list, initializers=(), element=TensorProto.FLOAT, **sizes) -> bytes:
+def actor(nodes: list, initializers=(), element=Type.FLOAT, **sizes) -> bytes:
     """An ONNX actor of our own making."""
     shapes = {"proprioception": 45, "latent_op": 64, "latent_vp": 64, "op_mask": 1} | sizes
-    inputs = [helper.make_tensor_value_info(n, element, ["n", s]) for n, s in shapes.items()]
-    outputs = [helper.make_tensor_value_info("action", element, None)]
+    inputs = [info(n, element, ["n", s]) for n, s in shapes.items()]
+    outputs = [info("action", element, None)]
     graph = helper.make_graph(nodes, "actor", inputs, outputs, list(initializers))
     opset = [helper.make_opsetid("", 17)]
     return helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString()
 
 
 def constant(value: float):
-    return helper.make_tensor("c", TensorProto.FLOAT, [1, 12], [value] * 12)
+    return helper.make_tensor("c", Type.FLOAT, [1, 12], [value] * 12)
 
 
 def add(name: str) -> list:
-    return [helper.make_node("Add", ["c", "op_mask"], [name])]
+    return [node("Add", ["c", "op_mask"], [name])]
 
 
 def external(path: Path) -> None:
     tensor = constant(0.1)
     tensor.ClearField("float_data")
-    tensor.data_location = TensorProto.EXTERNAL
+    tensor.data_location = Type.EXTERNAL
     tensor.external_data.add(key="location", value="weights.bin")
     (path / "weights.bin").write_bytes(bytes(48))
     model(path, "actor", actor(add("action"), [tensor]))
@@ -117,43 +115,32 @@ def external(path: Path) -> None:
 
 def endless(path: Path) -> None:
     body = helper.make_graph(
-        [helper.make_node("Identity", ["go"], ["on"]), helper.make_node("Identity", ["x"], ["y"])],
+        [node("Identity", ["go"], ["on"]), node("Identity", ["x"], ["y"])],
         "body",
-        [
-            helper.make_tensor_value_info("i", TensorProto.INT64, []),
-            helper.make_tensor_value_info("go", TensorProto.BOOL, []),
-            helper.make_tensor_value_info("x", TensorProto.FLOAT, None),
-        ],
-        [
-            helper.make_tensor_value_info("on", TensorProto.BOOL, []),
-            helper.make_tensor_value_info("y", TensorProto.FLOAT, None),
-        ],
+        [info("i", Type.INT64, []), info("go", Type.BOOL, []), info("x", Type.FLOAT, None)],
+        [info("on", Type.BOOL, []), info("y", Type.FLOAT, None)],
     )
-    count = helper.make_tensor("count", TensorProto.INT64, [], [2**62])
-    yes = helper.make_tensor("yes", TensorProto.BOOL, [], [True])
-    loop = helper.make_node("Loop", ["count", "yes", "c"], ["l"], body=body)
-    nodes = [loop, helper.make_node("Add", ["l", "op_mask"], ["action"])]
+    count = helper.make_tensor("count", Type.INT64, [], [2**62])
+    yes = helper.make_tensor("yes", Type.BOOL, [], [True])
+    loop = node("Loop", ["count", "yes", "c"], ["l"], body=body)
+    nodes = [loop, node("Add", ["l", "op_mask"], ["action"])]
     model(path, "actor", actor(nodes, [count, yes, constant(0.0)]))
 
 
 def gigantic(path: Path) -> None:
-    shape = helper.make_tensor("shape", TensorProto.INT64, [1], [4_000_000_000])
+    shape = helper.make_tensor("shape", Type.INT64, [1], [4_000_000_000])
     nodes = [
-        helper.make_node("ConstantOfShape", ["shape"], ["big"]),
-        helper.make_node("ReduceSum", ["big"], ["s"], keepdims=0),
-        helper.make_node("Add", ["c", "s"], ["action"]),
+        node("ConstantOfShape", ["shape"], ["big"]),
+        node("ReduceSum", ["big"], ["s"], keepdims=0),
+        node("Add", ["c", "s"], ["action"]),
     ]
     model(path, "actor", actor(nodes, [shape, constant(0.0)]))
-
-
-def huge(path: Path) -> None:
-    os.truncate(path / "actor.onnx", 4_000_000_000)
 
 
 BUNDLES: dict[str, Callable[[Path], object]] = {
     "manifest is a pipe": fifo,
     "manifest is a device": device,
-    "manifest of 300 MB": sparse,
+    "manifest of 300 MB": lambda p: os.truncate(p / MANIFEST, 300_000_000),
     "manifest nested a million deep": text("[" * 1_000_000),
     "manifest of one long number": text("1" * 100_000),
     "manifest of another type": text("[1, 2]"),
@@ -162,20 +149,13 @@ BUNDLES: dict[str, Callable[[Path], object]] = {
     "history 1e9": edited(history=10**9),
     "escape codes in a text": edited(provenance={"task": "\x1b]0;owned\x07"}),
     "a text of a megabyte": edited(provenance={"task": "x" * 1_000_000}),
-    "model of 4 GB": huge,
+    "model of 4 GB": lambda p: os.truncate(p / "actor.onnx", 4_000_000_000),
     "model that loops for ever": endless,
     "model that asks for 16 GB": gigantic,
     "model with weights elsewhere": external,
-    "model that gives NaN": lambda p: model(
-        p, "actor", actor(add("action"), [constant(float("nan"))])
-    ),
+    "model that gives NaN": lambda p: model(p, "actor", actor(add("action"), [constant(np.nan)])),
     "model of another type": lambda p: model(
-        p,
-        "actor",
-        actor(
-            [helper.make_node("Cast", ["op_mask"], ["action"], to=TensorProto.DOUBLE)],
-            element=TensorProto.DOUBLE,
-        ),
+        p, "actor", actor([node("Cast", ["op_mask"], ["action"], to=11)], element=Type.DOUBLE)
     ),
     "model of symbolic sizes": lambda p: model(
         p, "actor", actor(add("action"), [constant(0.1)], proprioception="k")

@@ -9,6 +9,7 @@ from renet.deploy.bundle import Bundle
 from renet.deploy.loop import ENDED
 from renet.deploy.recording import GOOD, MODES, Recording, read_recording
 from renet.deploy.safety import Mode
+from renet.deploy.score import fallen
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.selector.monitors import MONITORS, Monitors, SelectorInput
@@ -66,6 +67,7 @@ def healthy_walks(run: Recording) -> Iterator[range]:
         first = start + WARM_UP
         last = first + (end - first) // STEPS_PER_TICK * STEPS_PER_TICK
         healthy = bool(after) and after[0].why in HEALTHY_ENDS
+        healthy &= not fallen(ticks)[start : end + 50].any()  # Stopped as it toppled, too.
         imaged = (ticks["frame"][first:last] == GOOD) & (ticks["frame_age"][first:last] < AWAY)
         if healthy and last > first and imaged.all() and min(run.images, default=end) <= first:
             yield range(first, last)

@@ -59,6 +59,8 @@ def start_devices(
         if cfg.fault:  # Onsets count from its first look, hence from the run's first step.
             faults = [parse_fault(text) for text in cfg.fault]
             camera = FaultyCamera(camera, faults, robot.now, cfg.seed)
+    if cfg.teleop != "auto":
+        teleop.command(robot.now())  # What was pressed before the robot answered.
     return robot, camera, teleop, show
 
 
@@ -126,6 +128,7 @@ def make_teleop(cfg: DeployCfg) -> Teleop:
     if cfg.teleop == "auto":
         return ScriptedTeleop(cfg.speed)
     if cfg.teleop == "joystick":
+        print(JoystickTeleop.__doc__)
         return JoystickTeleop(deadman=cfg.operator_timeout)
     print(f"keys: {KEYS}")
     if cfg.operator_timeout < math.inf:

@@ -108,6 +108,7 @@ class _Loop:
         return command
 
     def _look(self) -> DepthFrame | None:
+        self.camera.busy = self.controller.machine.mode is not Mode.DAMPING
         frame = self.camera.latest()
         self._complain("camera", getattr(self.camera, "problem", ""))
         return frame

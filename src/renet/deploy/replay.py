@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from renet.deploy.bundle import Bundle
-from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.controller import Controller, Decision
 from renet.deploy.inference import InlineInference
 from renet.deploy.loop import REFUSED
@@ -95,7 +95,7 @@ def _frame(tick: np.ndarray, image: np.ndarray) -> DepthFrame | None:
     return DepthFrame(image, number, time, invalid)
 
 
-class ReplayCamera:
+class ReplayCamera(Camera):
     """Gives each image as long after `start` as it came after the run's first image.
 
     After the last image no new one comes.
@@ -129,6 +129,3 @@ class ReplayCamera:
             self._run.ticks[row][n].item() for n in ("frame_number", "frame_invalid")
         )
         return DepthFrame(self._run.images[row], number, time, invalid)
-
-    def close(self) -> None:
-        """Nothing to stop."""

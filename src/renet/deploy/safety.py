@@ -63,9 +63,7 @@ class SafetyCfg:
             if not (math.isfinite(value) and value > 0):
                 raise RenetError(f"the safety limit {name} must be positive, got {value}")
         if self.max_tilt > math.pi:
-            raise RenetError(
-                f"the safety limit max_tilt is in rad, at most pi, got {self.max_tilt}"
-            )
+            raise RenetError(f"the safety limit max_tilt is in rad, got {self.max_tilt}")
 
 
 MIN_BATTERY = 0.2

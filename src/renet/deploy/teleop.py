@@ -144,7 +144,7 @@ class KeyboardTeleop:
 
 
 class JoystickTeleop:
-    """Left stick up: speed. Right stick left and right: heading. Start arms; A or B stops."""
+    """Left stick up: speed. Right stick, at rest to arm: heading. Start arms; A or B stops."""
 
     EVENT = struct.Struct("<IhBB")
     BUTTON, AXIS, INITIAL = 1, 2, 0x80
@@ -190,7 +190,7 @@ class JoystickTeleop:
         authority = self._deadman.authority(heard, now)
         self._turn -= authority * TURN_RATE * self._axis(self.TURN_AXIS) * min(passed, 0.1)
         speed = authority * MAX_SPEED * max(-self._axis(self.SPEED_AXIS), 0.0)
-        return TeleopCommand(speed, self._turn, arm, stop)
+        return TeleopCommand(speed, self._turn, arm and not self._axis(self.TURN_AXIS), stop)
 
     def close(self) -> None:
         """Close the device."""

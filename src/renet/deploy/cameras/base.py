@@ -23,6 +23,9 @@ class DepthFrame:
 class Camera(Protocol):
     """A depth camera that never makes its caller wait."""
 
+    busy: bool = False
+    """Whether the robot may not be disturbed: it is not braked."""
+
     def start(self) -> None:
         """Begin to stream; raises RenetError with what to do when that fails."""
 

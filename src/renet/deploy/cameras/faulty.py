@@ -8,7 +8,7 @@ from renet.faults import Frames, Injection, Injector, ViewPerturbation
 from renet.interface import CONTROL_DT, TICK_DT
 
 
-class FaultyCamera:
+class FaultyCamera(Camera):
     """Passes a camera's frames, at most ten a second, through a fault injector.
 
     Faults spoil images, hold them back or leave holes; those of the scene (foam, glass, a knocked
@@ -49,6 +49,7 @@ class FaultyCamera:
         self._begun = now if self._begun is None else self._begun
         if self._perturb is not None:
             self._perturb(self._injector.perturbation(self._step(now)))
+        self._camera.busy = self.busy
         frame = self._camera.latest()
         # Fault models know frames at 10 Hz; a faster camera is thinned out.
         if frame is None or frame.time < self._due - CONTROL_DT / 2:

@@ -49,7 +49,7 @@ class DepthPreprocessor:
     def image(self, depth: np.ndarray) -> np.ndarray:
         """Metres [rows, columns], 0 where nothing was measured, to [48, 64] in [0, 1].
 
-        A pixel without a measurement becomes 1, as a ray that hits nothing within range does.
+        A pixel without a measurement becomes 1, as a ray that hits nothing does before noise.
         Raises RenetError for an image of another size.
         """
         self._check(depth)

@@ -10,7 +10,7 @@ import numpy as np
 
 from renet.camera import Intrinsics
 from renet.deploy.bundle.manifest import CameraSpec
-from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.cameras.preprocess import DepthPreprocessor
 from renet.errors import RenetError
 
@@ -73,10 +73,10 @@ class ClockOffset:
         return min(arrival, stamp + self._offset)
 
 
-class RealSenseCamera:
+class RealSenseCamera(Camera):
     """A depth camera on a thread of its own.
 
-    It opens the camera anew whenever frames stop, so that one that is replugged comes back.
+    It opens the camera anew when frames stop, unless `busy`: librealsense stalls all threads.
     """
 
     def __init__(
@@ -123,6 +123,8 @@ class RealSenseCamera:
             sensor = (self._device or self._find()).first_depth_sensor()
             profile = self._profile(sensor)
             self._preprocessor(profile)  # Refuses too narrow a view at once.
+            if sensor.supports(self._rs.option.global_time_enabled):  # It follows the wall clock.
+                sensor.set_option(self._rs.option.global_time_enabled, 0)
             sensor.open(profile)
             sensor.start(queue)
         except RuntimeError as error:
@@ -164,9 +166,11 @@ class RealSenseCamera:
                 self.problem = f"{type(error).__name__}: {error}"
             _shut(stream[0])
             while not self._stop.wait(RETRY):
+                if self.busy:
+                    continue
                 try:
                     stream = self._open()
-                except RenetError as error:
+                except Exception as error:
                     self.problem = str(error)
                 else:
                     break
@@ -183,8 +187,7 @@ class RealSenseCamera:
             raw = frame.as_depth_frame()
             stamp = raw.get_timestamp() / 1000.0
             if stamp < last - RESTART:
-                self.problem = "the camera's clock started anew"
-                return
+                offset = ClockOffset()
             last = stamp
             filtered = reduce(lambda image, step: step.process(image), chain, raw).as_depth_frame()
             metres = np.asanyarray(filtered.get_data()) * filtered.get_units()

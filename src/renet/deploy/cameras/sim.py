@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from renet.deploy.bundle.manifest import CameraSpec
-from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import TERRAIN
 from renet.errors import RenetError
@@ -15,7 +15,7 @@ RELATIVE_STD = 0.01
 """Noise of the training camera in proportion to distance, m/m."""
 
 
-class SimCamera:
+class SimCamera(Camera):
     """Looks at the terrain of a simulated robot's scene, at the camera's rate on the robot's clock.
 
     What it sees is within a millimetre of the training camera's; both are tested against each
@@ -48,9 +48,6 @@ class SimCamera:
             self._frame = DepthFrame(image.astype(np.float32), self._number, now)
             self._number += 1
         return self._frame
-
-    def close(self) -> None:
-        """Nothing to stop."""
 
     def perturb(self, view: ViewPerturbation) -> None:
         """Apply physical faults from the next image on.

@@ -48,13 +48,7 @@ class Painter:
     """Ray-traces a few robots of one model, each from a camera that follows it."""
 
     def __init__(self, spec: mujoco.MjSpec, num_robots: int, cfg: VideoCfg) -> None:
-        """Prepare the scene.
-
-        Args:
-            spec: the scene; it is copied.
-            num_robots: images drawn at a time.
-            cfg: look.
-        """
+        """Prepare a scene, which is copied, for `num_robots` images at a time."""
         spec = spec.copy()
         spec.worldbody.add_camera(name=CAMERA, fovy=38)
         self._cfg = cfg
