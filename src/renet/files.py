@@ -21,8 +21,7 @@ def read_bytes(path: Path, limit: int, what: str = "file") -> bytes:
     """Read a whole file without ever waiting for another program.
 
     Args:
-        path: of the file.
-        limit: most bytes it may have.
+        path: of the file. limit: most bytes it may have.
         what: the file's name in messages, such as "manifest".
 
     Raises:
@@ -63,9 +62,7 @@ def read_object(path: Path, what: str = "file", limit: int = MAX_JSON) -> dict[s
     """Read a JSON file that must hold an object.
 
     Args:
-        path: of the file.
-        what: the file's name in messages.
-        limit: most bytes it may have.
+        path: of the file. what: its name in messages. limit: most bytes it may have.
 
     Raises:
         RenetError: as `read_bytes`; or not JSON, nested deeper than `MAX_DEPTH`, or no object.

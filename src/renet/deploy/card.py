@@ -35,13 +35,7 @@ class CardCfg:
 
 
 def write_card(cfg: CardCfg) -> Path:
-    """Write the card.
-
-    Args:
-        cfg: what to describe, and where to write.
-
-    Returns:
-        The folder of README.md.
+    """Write the card; returns the folder of README.md.
 
     Raises:
         RenetError: a damaged bundle, results that are missing, damaged or of another bundle, or a
@@ -56,15 +50,11 @@ def write_card(cfg: CardCfg) -> Path:
 
 
 def card(bundle: Bundle, summaries: Sequence[dict[str, Any]], license: str) -> str:
-    """The card's text; every number in it is read from the bundle or from the summaries.
+    """Markdown with YAML front matter; every number is read from the bundle or from the summaries.
 
     Args:
-        bundle: a verified bundle.
-        summaries: contents of summary.json of studies of this bundle.
+        bundle: verified. summaries: contents of summary.json of studies of this bundle.
         license: the Hub's identifier.
-
-    Returns:
-        Markdown with YAML front matter.
     """
     front = {
         "license": license,

@@ -45,11 +45,7 @@ class ThreadedInference(InlineInference):
     """Ticks on a daemon thread; a dead thread is replaced at the next tick."""
 
     def __init__(self, sessions: Sessions, patience: float = 0.008) -> None:
-        """Start the thread.
-
-        Args:
-            sessions: of the bundle. patience: seconds `take` waits in the step that began a tick.
-        """
+        """Start the thread; `take` waits `patience` seconds in the step that began a tick."""
         super().__init__(sessions)
         self._patience = patience
         self._start()

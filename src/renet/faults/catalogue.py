@@ -41,11 +41,7 @@ FAULTS: dict[str, type[Fault]] = {
 
 
 def fault_class(name: str) -> type[Fault]:
-    """The fault model of a name.
-
-    Raises:
-        RenetError: no such fault; the message lists those there are.
-    """
+    """The fault model of a name; raises RenetError, listing those there are, for another."""
     if name not in FAULTS:
         raise RenetError(f"unknown fault '{name}': choose one of {', '.join(FAULTS)}")
     return FAULTS[name]

@@ -25,14 +25,12 @@ class TwoFaults(Fault):
         self._faults = [kind(kind.level_of(int(level)), rngs) for kind in self.kinds]
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """The frames after both."""
         for fault in self._faults:
             frames = fault.corrupt(frames, elapsed)
         return frames
 
     @classmethod
     def describe(cls, level: float) -> str:
-        """Both levels."""
         return " + ".join(kind.describe(kind.level_of(int(level))) for kind in cls.kinds)
 
 
@@ -70,7 +68,6 @@ class Intermittent(Fault):
         self._fault = self.kind(self.kind.level_of(self.severity), rngs)
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """The frames, spoilt where the fault is on."""
         phase = np.round(elapsed / TICK_DT).astype(int) % PERIOD
         on = (elapsed >= 0) & (phase < round(self.level * PERIOD))
         return self._fault.corrupt(frames, np.where(on, phase * TICK_DT, -1.0))

@@ -45,10 +45,9 @@ SCENES = {
 
 
 def contract() -> dict[str, Any]:
-    """Sizes, limits and thresholds of the runtime, the scenes, and the catalogue of faults.
+    """JSON values: sizes, limits and thresholds of the runtime, the scenes, and the faults.
 
-    Returns:
-        JSON values; infinite durations are null.
+    Infinite durations are null.
     """
     return {
         "renet": __version__,

@@ -71,12 +71,6 @@ def run_page(cfg: PageCfg) -> Path:
 def write_page(cfg: PageCfg) -> Path:
     """Write the folder beside its final place and rename it: nobody sees half of one.
 
-    Args:
-        cfg: what to write where.
-
-    Returns:
-        The folder.
-
     Raises:
         RenetError: a bad bundle, a folder that holds something else, or missing npm packages.
     """
@@ -116,15 +110,7 @@ def _fill(folder: Path, bundle: Bundle, vendor: list[Path]) -> None:
 
 
 def make_server(folder: Path, port: int) -> ThreadingHTTPServer:
-    """A server of a page on loopback.
-
-    Args:
-        folder: the page.
-        port: 0 is any that is free.
-
-    Raises:
-        RenetError: the port is taken.
-    """
+    """A server of a page on loopback, at any free port for 0; raises RenetError for one taken."""
     try:
         return ThreadingHTTPServer((LOOPBACK, port), partial(QuietHandler, directory=str(folder)))
     except (OSError, OverflowError) as error:

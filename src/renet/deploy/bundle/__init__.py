@@ -132,11 +132,7 @@ def write_bundle(path: Path, models: dict[str, bytes], manifest: Manifest) -> Pa
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Replace a bundle's manifest, its models untouched; the old one stays as `PREVIOUS`.
-
-    Raises:
-        RenetError: it cannot be written.
-    """
+    """Replace a bundle's manifest alone; the old one stays as `PREVIOUS`. Raises RenetError."""
     before = read_bytes(folder / MANIFEST, MAX_JSON, "manifest")
     write_atomically(folder / PREVIOUS, before, "manifest")
     write_atomically(folder / MANIFEST, _json(manifest), "manifest")

@@ -15,11 +15,7 @@ class DepthPreprocessor:
     """Picks a policy's pixels from one camera's images."""
 
     def __init__(self, lens: Intrinsics, spec: CameraSpec) -> None:
-        """Find the pixels in images without distortion.
-
-        Raises:
-            RenetError: the camera's view is too narrow.
-        """
+        """Find the pixels in images without distortion; raises RenetError for too narrow a view."""
         left, up = spec.intrinsics.axes()
         self._columns = np.rint(lens.cx - 0.5 - lens.fx * left).astype(int)
         self._rows = np.rint(lens.cy - 0.5 - lens.fy * up).astype(int)

@@ -24,11 +24,7 @@ class JointWatch:
     """Compares readings with those before; meant for a limp robot moved by hand."""
 
     def __init__(self, read: Callable[[], RobotState | None], say: Callable[[str], None]) -> None:
-        """Set up.
-
-        Args:
-            read: newest reading of the robot. say: told each movement in one line.
-        """
+        """Set up with what gives the newest reading, and what is told each movement in one line."""
         self._read, self._say = read, say
         self._from: np.ndarray | None = None
         self._leaning = ""
