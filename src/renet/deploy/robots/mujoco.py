@@ -109,28 +109,16 @@ class MujocoRobot:
         self._hidden = geoms
 
     def cast(self, eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Distance in m from `eye` [3] m to the terrain along unit directions [R, 3]: [R]."""
-        return cast(self.data, eye, directions, self._hidden)
+        """Distance [R] in m from `eye` [3] m to the terrain along unit directions [R, 3].
 
-
-def cast(
-    data: mujoco.MjData, eye: np.ndarray, directions: np.ndarray, hidden: list[int]
-) -> np.ndarray:
-    """Distance in m from `eye` [3] to the terrain along unit directions [R, 3].
-
-    Args:
-        data: of the scene. eye: [3] m. directions: [R, 3].
-        hidden: geoms that rays pass through.
-
-    Returns:
-        [R] m, infinite where there is none.
-    """
-    model, count = data.model, len(directions)
-    distance, geoms = np.empty(count), np.empty(count, np.int32)
-    groups = model.geom_group[hidden]
-    model.geom_group[hidden] = UNSEEN_GROUP
-    rays = np.ascontiguousarray(directions).ravel()
-    found = (geoms, distance, None)
-    mujoco.mj_multiRay(model, data, eye, rays, SEEN_GROUPS, True, -1, *found, count, ANY_DISTANCE)
-    model.geom_group[hidden] = groups
-    return np.where(geoms >= 0, distance, np.inf)
+        Infinite where there is none.
+        """
+        model, hidden, count = self.model, self._hidden, len(directions)
+        distance, geoms = np.empty(count), np.empty(count, np.int32)
+        groups = model.geom_group[hidden]
+        model.geom_group[hidden] = UNSEEN_GROUP
+        rays = np.ascontiguousarray(directions).ravel()
+        hits = (geoms, distance, None, count, ANY_DISTANCE)
+        mujoco.mj_multiRay(model, self.data, eye, rays, SEEN_GROUPS, True, -1, *hits)
+        model.geom_group[hidden] = groups
+        return np.where(geoms >= 0, distance, np.inf)
