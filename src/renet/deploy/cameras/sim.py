@@ -73,16 +73,11 @@ class SimCamera(Camera):
         # Surfaces that seem higher are surfaces seen from lower down.
         lower = (0.0, 0.0, self._view.lift[0])
         eye = robot.base_position + base @ np.array(spec.position) - lower
-        camera = base @ tilt(spec.pitch) @ rotation(self._view.turn[0])
+        mount = rotation(np.array([0.0, spec.pitch, 0.0]))  # Looks down.
+        camera = base @ mount @ rotation(self._view.turn[0])
         lengths = np.linalg.norm(self._rays, axis=1)
         distance = robot.cast(eye, (self._rays / lengths[:, None]) @ camera.T)
         return np.minimum(distance / lengths, spec.range).reshape(spec.height, spec.width)
-
-
-def tilt(pitch: float) -> np.ndarray:
-    """Rotation [3, 3] of a camera that looks down by `pitch` rad."""
-    sine, cosine = np.sin(pitch), np.cos(pitch)
-    return np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
 
 
 def rotation(turn: np.ndarray) -> np.ndarray:
