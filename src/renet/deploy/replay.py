@@ -63,7 +63,7 @@ def replay(run: Recording, bundle: Bundle) -> Iterator[Decision]:
     for step, tick in enumerate(run.ticks):
         inference.step = step
         image = run.images.get(step, image)
-        teleop = TeleopCommand(*(tick[name].item() for name in ("speed", "turn", "arm", "stop")))
+        teleop = TeleopCommand(*tick[["speed", "turn", "arm", "stop"]].item())
         controller.tick(_state(tick), _frame(tick, image), teleop, float(tick["now"]))
         yield controller.decision
         if float(tick["now"]) in refused:
@@ -89,10 +89,7 @@ def _frame(tick: np.ndarray, image: np.ndarray) -> DepthFrame | None:
     if tick["frame"] == NONE:
         return None
     image = image if tick["frame"] == GOOD else UNREADABLE
-    number, time, invalid = (
-        tick[name].item() for name in ("frame_number", "frame_time", "frame_invalid")
-    )
-    return DepthFrame(image, number, time, invalid)
+    return DepthFrame(image, *tick[["frame_number", "frame_time", "frame_invalid"]].item())
 
 
 class ReplayCamera(Camera):
@@ -125,7 +122,5 @@ class ReplayCamera(Camera):
         if newest < 0:
             return None
         row, time = self._rows[newest], self._begun + float(self._times[newest])
-        number, invalid = (
-            self._run.ticks[row][n].item() for n in ("frame_number", "frame_invalid")
-        )
+        number, invalid = self._run.ticks[row][["frame_number", "frame_invalid"]].item()
         return DepthFrame(self._run.images[row], number, time, invalid)
