@@ -357,7 +357,7 @@ def _check(ticks: np.ndarray, images: dict[int, np.ndarray], events: list[Event]
         raise ValueError(f"it lasts longer than {LONGEST:g} s")
     if (ticks["mode"] >= len(MODES)).any():
         raise ValueError(f"mode {ticks['mode'].max()} does not exist")
-    if ticks[["state", "frame"]].tolist() and max(ticks["state"].max(), ticks["frame"].max()) > 2:
+    if (ticks["state"] > BAD).any() or (ticks["frame"] > BAD).any():
         raise ValueError("a reading is neither absent, good nor bad")
     if max(images, default=-1) >= len(ticks):
         raise ValueError(f"an image belongs to tick {max(images)} of {len(ticks)}")
