@@ -29,14 +29,11 @@ class Intrinsics:
 
     def axes(self, dtype: Any = np.float64) -> tuple[np.ndarray, np.ndarray]:
         """Left [width] and up [height] components of rays with forward component 1."""
-        left, up = (
-            (dtype(centre - 0.5) - np.arange(size, dtype=dtype)) / dtype(focal)
-            for centre, size, focal in (
-                (self.cx, self.width, self.fx),
-                (self.cy, self.height, self.fy),
-            )
-        )
-        return left, up
+
+        def axis(centre: float, size: int, focal: float) -> np.ndarray:
+            return (dtype(centre - 0.5) - np.arange(size, dtype=dtype)) / dtype(focal)
+
+        return axis(self.cx, self.width, self.fx), axis(self.cy, self.height, self.fy)
 
     def rays(self, dtype: Any = np.float64) -> np.ndarray:
         """Directions (forward, left, up) with forward component 1, row-major: [H * W, 3]."""
