@@ -11,9 +11,6 @@ from renet.deploy.robots.base import JointCommand, RobotState
 from renet.errors import RenetError
 from renet.interface import JOINTS
 
-MAX_STIFFNESS, MAX_DAMPING = 100.0, 10.0
-"""N m/rad, N m s/rad. The Go1's published policies use 20 to 40 and 0.5 to 1."""
-
 
 @dataclass(frozen=True)
 class Envelope:
@@ -29,10 +26,10 @@ class Envelope:
     """[12] N m"""
     velocity: np.ndarray
     """[12] rad/s, beyond which a joint is only braked, not driven further."""
-    stiffness: float = MAX_STIFFNESS
-    """Largest Kp, N m/rad."""
-    damping: float = MAX_DAMPING
-    """Largest Kd, N m s/rad."""
+    stiffness: float = 100.0
+    """Largest Kp, N m/rad; the Go1's published policies use 20 to 40."""
+    damping: float = 10.0
+    """Largest Kd, N m s/rad; they use 0.5 to 1."""
 
     def check(self, robot: RobotSpec) -> None:
         """Raise RenetError naming joint and number unless a bundle stays within these limits."""
