@@ -15,15 +15,7 @@ import numpy as np
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import go1_envelope
 from renet.deploy.robots.go1_link import HEARTBEAT, PERIOD, unitree
-from renet.deploy.robots.go1_sender import (
-    ALIVE,
-    COMMAND,
-    SINK,
-    SIZE,
-    VALUES,
-    clock,
-    mailboxes,
-)
+from renet.deploy.robots.go1_sender import ALIVE, COMMAND, SINK, SIZE, VALUES, clock, mailboxes
 from renet.errors import RenetError
 
 ROBOT_HOST, ROBOT_PORT, LOCAL_PORT = "192.168.123.10", 8007, 8080
@@ -121,11 +113,8 @@ class Go1Robot:
         if found is not None and found["problem"]:
             raise RenetError(found["problem"].decode(errors="replace"))
         within = self.envelope.clamp(command)
-        message = np.zeros((), COMMAND)
-        message["time"] = clock()
-        for name in ("position", "stiffness", "damping"):
-            message[name] = getattr(within, name)
-        self._commands.write(message)
+        message = (clock(), within.position, within.stiffness, within.damping)
+        self._commands.write(np.array(message, COMMAND))
 
     @property
     def refused(self) -> str:
@@ -153,10 +142,8 @@ class Go1Robot:
 
     def _live(self) -> None:
         """Give signs of life until the end."""
-        sign = np.zeros((), ALIVE)
         while not self._stop.wait(HEARTBEAT):
-            sign["time"] = clock()
-            self._alive.write(sign)
+            self._alive.write(np.array((clock(),), ALIVE))
 
 
 def _claim(port: int) -> None:
