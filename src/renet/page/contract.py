@@ -132,13 +132,7 @@ def _scene(terrain: str, title: str, level: int) -> dict[str, Any]:
     if terrain in Glass.terrains:
         found = obstacles(model, np.zeros((1, 2)))
         glass = [sorted(spread(found, share)) for share in Glass.levels]
-    return {
-        "name": terrain,
-        "title": title,
-        "xml": spec.to_xml(),
-        "start": start,
-        "glass": glass,
-    }
+    return {"name": terrain, "title": title, "xml": spec.to_xml(), "start": start, "glass": glass}
 
 
 def _finite(value: float) -> float | None:
