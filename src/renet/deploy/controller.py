@@ -100,7 +100,6 @@ class Controller:
 
         Args:
             bundle: policy, robot, camera and selector.
-            safety: limits.
             inference: where vision ticks run; in line by default, which is deterministic.
             selector: one of `renet.selector.selector.SELECTORS`.
             on_event: told every transition with its reason.

@@ -43,8 +43,6 @@ def run_control_loop(
     Args:
         robot: connected. Its envelope must hold the controller's bundle.
         camera: started; None without.
-        teleop: the operator's.
-        controller: decides.
         recorder: of the run; None without.
         done: asked at every control step.
         on_step: told every command.

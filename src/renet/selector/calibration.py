@@ -54,7 +54,6 @@ def calibrate_monitors(
         scores: for each monitor one array [T] for each healthy run without a break, T scores at
             `rate_hz`; the same runs for all monitors.
         false_alarms_per_hour: stated rate of all monitors together, above 0.
-        rate_hz: of the scores.
 
     Returns:
         Thresholds by monitor name, and the hours of healthy robots that they were learnt from.

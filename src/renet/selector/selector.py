@@ -94,7 +94,6 @@ class MonitorSelector:
         Args:
             thresholds: of the monitors to use, by name.
             spec: gives the filter's gamma and rate.
-            num_robots: N.
             dwell: seconds without an objection before vision is used again.
             between_returns: shortest time in seconds between two returns to vision.
         """
