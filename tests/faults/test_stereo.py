@@ -22,12 +22,6 @@ def floor() -> np.ndarray:
     return np.minimum(depth / DEPTH_RANGE, 1.0)[:, None] * np.ones(DEPTH_SHAPE[1])
 
 
-def floor_with_box() -> np.ndarray:
-    image = floor()
-    image[5:25, 30:45] = 0.2
-    return image
-
-
 @pytest.mark.parametrize("baseline", [25, 50, 100])
 def test_shadow_is_as_wide_as_the_disparity_jumps_and_on_the_left_only(baseline: float) -> None:
     image = np.full(DEPTH_SHAPE, 0.9)
@@ -62,7 +56,8 @@ def test_disparities_are_multiples_of_the_step_and_nearest_ones(step: float) -> 
 
 @pytest.mark.parametrize("share", [0.1, 0.45, 0.9])
 def test_the_stated_share_of_smooth_surfaces_is_lost_and_edges_stay(share: float) -> None:
-    image = floor_with_box()
+    image = floor()
+    image[5:25, 30:45] = 0.2  # A box.
     frames = spoil("textureless", share, image)
     holes, smooth = frames.image == 0, smooth_surface(image)
     assert 0.6 < smooth.mean() < 1

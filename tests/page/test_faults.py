@@ -104,13 +104,15 @@ def test_fault_does_what_the_catalogue_says(delivered, name: str, severity: int)
 @pytest.mark.parametrize("name", ["glass", "foam", "mount_knocked"])
 def test_physical_fault_shows_what_the_runtime_would_see(node_page: Path, name: str):
     contract = json.loads((node_page / "renet-page.json").read_text())
+    model, ground = build_scene("platform", SCENES["platform"][1])
+    manifest = Bundle.load().manifest
     for severity in (1, 5):
         seen = run_node("view.mjs", WEB, node_page, name, severity)
         level = FAULTS[name].level_of(severity)
-        robot = MujocoRobot(*_scene("platform"))
+        robot = MujocoRobot(model, manifest.robot, ground)
         robot.data.qpos[0] = 1.0
         mujoco.mj_forward(robot.model, robot.data)
-        camera = SimCamera(robot, Bundle.load().manifest.camera)
+        camera = SimCamera(robot, manifest.camera)
         np.testing.assert_allclose(seen["clean"], camera.depth().ravel(), atol=1e-4)
         turn = Rotation.from_matrix(seen["turn"] or np.eye(3)).as_rotvec()
         if name == "mount_knocked":
@@ -122,11 +124,6 @@ def test_physical_fault_shows_what_the_runtime_would_see(node_page: Path, name: 
         assert changed or severity == 1, "what is glass may be out of sight at severity 1"
         assert seen["repaired"] == seen["clean"]
     assert {s["name"] for s in contract["scenes"] if s["glass"]} == {"stairs_up", "platform"}
-
-
-def _scene(terrain: str):
-    model, ground = build_scene(terrain, SCENES[terrain][1])
-    return model, Bundle.load().manifest.robot, ground
 
 
 def test_page_offers_every_fault_of_the_catalogue(node_page: Path):

@@ -15,11 +15,10 @@ from renet import cli
 from renet.deploy.bundle import pretrained, read_manifest, write_manifest
 from renet.deploy.robots.scene import build_scene
 from renet.errors import RenetError
+from renet.files import MEGABYTE
 from renet.page.contract import MAP_HEIGHT, SCENES, contract
 from renet.page.writer import VENDOR, WEB, PageCfg, make_server, write_page
 from renet.sim.sensors import HeightMapCfg
-
-MEGABYTE = 1e6
 
 
 @pytest.fixture
