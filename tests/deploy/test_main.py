@@ -9,6 +9,7 @@ import threading
 import xml.etree.ElementTree as ET
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -246,21 +247,15 @@ def test_faults_begin_with_the_run_not_with_the_wait_for_a_first_image(monkeypat
 def test_devices_are_closed_robot_first_even_after_half_a_start(tmp_path, monkeypatch):
     closed = []
 
-    class Part:
-        def __init__(self, name: str) -> None:
-            self.name = name
+    def refuse() -> None:
+        raise RenetError("the camera does not start")
 
-        def connect(self) -> None:
-            pass
+    def part(name: str) -> SimpleNamespace:
+        close = partial(closed.append, name)
+        return SimpleNamespace(connect=lambda: None, start=refuse, close=close)
 
-        def start(self) -> None:
-            raise RenetError("the camera does not start")
-
-        def close(self) -> None:
-            closed.append(self.name)
-
-    made = {"robot": (Part("robot"), lambda: None), "camera": Part("camera")}
-    for name, device in (made | {"teleop": Part("teleop")}).items():
+    made = {"robot": (part("robot"), lambda: None), "camera": part("camera")}
+    for name, device in (made | {"teleop": part("teleop")}).items():
         monkeypatch.setattr(devices, f"make_{name}", lambda *_, device=device: device)
     with pytest.raises(RenetError, match="does not start"):
         deploy(DeployCfg(out=tmp_path / "out"))

@@ -204,18 +204,14 @@ def test_a_reordered_older_reading_is_no_news(wire, peer):
     assert wire.link._tick < 10, "the counter goes on from zero"
 
 
-def test_a_driver_that_cannot_receive_any_more_brakes_at_once(wire, peer, monkeypatch):
+def test_a_driver_that_cannot_receive_any_more_brakes_at_once(wire, peer):
+    def deaf() -> None:
+        raise OSError("bad file descriptor")
+
     wire.run(2)
     wire.send(command(), 3)
-
-    class Deaf:
-        def __init__(self, real):
-            self.SetSend, self.Send = real.SetSend, real.Send
-
-        def Recv(self):
-            raise OSError("bad file descriptor")
-
-    wire.link._udp = Deaf(wire.link._udp)
+    udp = wire.link._udp
+    wire.link._udp = SimpleNamespace(SetSend=udp.SetSend, Send=udp.Send, Recv=deaf)
     wire.run(2)
     assert peer.braked
     assert "vendor's driver failed: OSError" in wire.link.problem
