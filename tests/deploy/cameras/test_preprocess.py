@@ -19,12 +19,9 @@ def test_every_pixel_is_taken_where_training_casts_its_ray():
     left = (LENS.cx - 0.5 - columns) / LENS.fx
     up = (LENS.cy - 0.5 - rows) / LENS.fy
     half_pixel = 0.5 / LENS.fx
-    np.testing.assert_allclose(
-        preprocessor.image(left + 1.0), (rays[..., 1] + 1) / 2, atol=half_pixel
-    )
-    np.testing.assert_allclose(
-        preprocessor.image(up + 1.0), (rays[..., 2] + 1) / 2, atol=half_pixel
-    )
+    for direction, axis in ((left, 1), (up, 2)):
+        seen = preprocessor.image(direction + 1.0)
+        np.testing.assert_allclose(seen, (rays[..., axis] + 1) / 2, atol=half_pixel)
 
 
 def test_clipping_and_holes():
