@@ -167,9 +167,8 @@ def test_arming_waits_for_health_and_must_be_pressed_anew():
 
 def test_joints_that_did_not_follow():
     blocked = state(joint_position=moved(8, -2.6))
-    assert (
-        stand_up_problem(blocked, GO1, CFG) == "RR_calf_joint did not follow: 0.80 rad are missing"
-    )
+    problem = stand_up_problem(blocked, GO1, CFG)
+    assert problem == "RR_calf_joint did not follow: 0.80 rad are missing"
     assert stand_up_problem(state(joint_position=STANDING + 0.2), GO1, CFG) == "", "its own weight"
     assert stand_up_problem(state(joint_position=moved(0, 0.6)), GO1, CFG) == "", "just so"
 

@@ -39,6 +39,5 @@ def test_specification_states_the_catalogues_levels(name: str) -> None:
     numbers = [float(n) for n in re.findall(r"\d+(?:\.\d+)?", re.sub(r" \(D435i\)", "", listed))]
     percent = FAULTS[name].unit == "share"
     levels = [100 * n if percent else n for n in FAULTS[name].levels]
-    assert any(numbers[k : k + 5] == pytest.approx(levels) for k in range(len(numbers) - 4)), (
-        numbers
-    )
+    fives = [numbers[k : k + 5] for k in range(len(numbers) - 4)]
+    assert any(five == pytest.approx(levels) for five in fives), numbers

@@ -68,9 +68,7 @@ def controller(peer: Peer) -> Iterator[Callable[..., subprocess.Popen]]:
     def start(how: str = "pass") -> subprocess.Popen:
         code = CONTROLLER.replace("{how}", how)
         arguments = [sys.executable, "-c", code, str(peer.port), str(free_port())]
-        process = subprocess.Popen(
-            arguments, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=os.environ
-        )
+        process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
         started.append(process)
         assert process.stdout is not None
         assert process.stdout.readline() == b"up\n"
