@@ -131,10 +131,9 @@ class MonitorSelector:
         self._healthy_since = np.where(healthy, np.minimum(self._healthy_since, now), np.inf)
         if (likely == self.vision).all():
             return self.vision
-        rested = (now - self._healthy_since >= self.dwell - 1e-9) & (
-            now - self._returned >= self.between_returns - 1e-9
-        )
-        returning = ~self.vision & likely & rested
+        dwelt = now - self._healthy_since >= self.dwell - 1e-9
+        rested = now - self._returned >= self.between_returns - 1e-9
+        returning = ~self.vision & likely & dwelt & rested
         for robot in np.flatnonzero(self.vision & ~likely & ~healthy):
             objecting = self.monitors.names[int(verdicts[:, robot].argmin())]
             self.reason[robot] = MONITORS[objecting].reason
