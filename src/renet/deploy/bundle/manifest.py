@@ -52,9 +52,8 @@ class RobotSpec:
             _demand(min(getattr(self, name)) >= 0.0, f"robot.{name} must not be negative")
         for name in ("torque_limit", "action_scale", "action_clip"):
             _demand(np.min(getattr(self, name)) > 0.0, f"robot.{name} must be positive")
-        for joint, low, middle, high in zip(
-            self.joints, self.lower, self.default_position, self.upper, strict=True
-        ):
+        ranges = zip(self.joints, self.lower, self.default_position, self.upper, strict=True)
+        for joint, low, middle, high in ranges:
             _demand(
                 low < high and low <= middle <= high,
                 f"robot.default_position of {joint}, {middle} rad, must be between robot.lower, "
