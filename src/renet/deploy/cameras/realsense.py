@@ -3,6 +3,7 @@
 import atexit
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from functools import reduce
 from typing import Any
 
@@ -211,7 +212,5 @@ class RealSenseCamera(Camera):
 def _shut(sensor: Any) -> None:
     """Stop and close, each of which fails if the camera is gone."""
     for end in (sensor.stop, sensor.close):
-        try:
+        with suppress(RuntimeError):
             end()
-        except RuntimeError:
-            continue
