@@ -40,10 +40,10 @@ def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np
         for walk in healthy_walks(run):
             for name, scores in zip(found, score_walk(run, walk).T, strict=True):
                 found[name].append(scores)
-    if not next(iter(found.values())):
+    walks = next(iter(found.values()))
+    if not walks:
         raise RenetError("the logs hold no walk with a camera that an operator ended: record one")
-    ticks = sum(len(run) for run in next(iter(found.values())))
-    minutes = ticks * STEPS_PER_TICK * CONTROL_DT / 60.0
+    minutes = sum(map(len, walks)) * STEPS_PER_TICK * CONTROL_DT / 60.0
     if minutes < MIN_MINUTES:
         raise RenetError(
             f"the logs hold {minutes:.1f} minutes of healthy walking; calibration needs at least "
