@@ -29,6 +29,11 @@ def state(time: float = 0.0, **changes) -> RobotState:
     return replace(standing, **changes)
 
 
+def command(position=STANDING, stiffness=40.0, damping=1.0) -> JointCommand:
+    """To hold a pose, with the same gains for every joint."""
+    return JointCommand(np.array(position), np.full(12, stiffness), np.full(12, damping))
+
+
 def turned(axis: str, degrees: float) -> np.ndarray:
     """The quaternion of a turn about x (to the right), y (nose down) or z (to the left)."""
     return Rotation.from_euler(axis, degrees, degrees=True).as_quat(scalar_first=True)

@@ -72,7 +72,7 @@ def test_its_camera_sees_what_mujocos_sees(terrain):
     assert theirs.min() < 1.0
 
 
-def test_the_shipped_policy_walks_on_through_a_blackout(tmp_path, capsys):
+def test_the_shipped_policy_walks_on_through_a_blackout(tmp_path):
     """Another engine, the same program."""
     out = str(tmp_path / "run")
     options = ["--robot", "pybullet", "--seconds", "8", "--fault", "blackout@4s", "--out", out]

@@ -63,8 +63,7 @@ def test_the_envelope_is_the_task_s_robot():
 
 def test_a_reading_that_is_no_number_does_not_reach_the_gains():
     state = fakes.state(joint_position=np.full(12, np.nan))
-    asked = JointCommand(np.zeros(12), np.full(12, 40.0), np.ones(12))
-    command = go1_envelope().clamp(asked, state)
+    command = go1_envelope().clamp(fakes.command(np.zeros(12)), state)
     assert np.isfinite([command.stiffness, command.damping]).all()
 
 

@@ -29,6 +29,7 @@ from renet.errors import RenetError  # noqa: E402
 from renet.interface import JOINTS  # noqa: E402
 from renet.training.export import robot_spec  # noqa: E402
 
+from ..fakes import command  # noqa: E402
 from ..waiting import until  # noqa: E402
 from .go1_peer import STEP, VENDOR, Peer, Wire, free_port  # noqa: E402
 
@@ -51,10 +52,6 @@ def peer() -> Iterator[Peer]:
 @pytest.fixture
 def wire(peer) -> Wire:
     return Wire(peer)
-
-
-def command(position=ROBOT.default_position, stiffness=40.0, damping=1.0) -> JointCommand:
-    return JointCommand(np.array(position), np.full(12, stiffness), np.full(12, damping))
 
 
 def test_order_and_signs_are_those_of_the_vendors_own_limits():

@@ -11,7 +11,7 @@ import go1_model
 from renet.camera import Intrinsics
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.observation import observe
-from renet.deploy.robots.base import JointCommand, next_step
+from renet.deploy.robots.base import next_step
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import GO1, build_scene
 from renet.errors import RenetError
@@ -24,16 +24,14 @@ from renet.tasks import make_env
 from renet.tasks.parkour_env_cfg import flat_env_cfg
 from renet.training.export import camera_spec, robot_spec
 
+from ..fakes import STANDING, command
+
 ROBOT, CAMERA = robot_spec(), camera_spec()
 
 
-def robot_on(terrain: str = "flat", level: int = 3, real_time: bool = False) -> MujocoRobot:
+def robot_on(terrain: str = "flat", level: int = 3) -> MujocoRobot:
     model, ground = build_scene(terrain, level)
-    return MujocoRobot(model, ROBOT, ground, real_time)
-
-
-def hold(robot: MujocoRobot, position=ROBOT.default_position, stiffness=40.0) -> JointCommand:
-    return JointCommand(np.array(position), np.full(12, stiffness), np.ones(12))
+    return MujocoRobot(model, ROBOT, ground)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +84,7 @@ def test_same_start_same_actions_same_steps_as_the_training_environment(env):
         theirs = observation["proprioception_clean"][0].numpy()
         np.testing.assert_allclose(mine, theirs, atol=5e-3)
         action = 0.5 * random.normal(size=12).astype(np.float32)
-        robot.write(hold(robot, ROBOT.default_position + ROBOT.action_scale * action))
+        robot.write(command(STANDING + ROBOT.action_scale * action))
         robot.wait(robot.now() + CONTROL_DT)
         observation = env.step(torch.from_numpy(action)[None])[0]
 
@@ -153,7 +151,7 @@ def test_camera_rate_noise_and_seed():
         shown = camera.latest()
         numbers.append(shown.number)
         images.append(shown.image)
-        robot.write(hold(robot))
+        robot.write(command())
         due = next_step(robot, due)
     assert numbers[-1] == 9
     assert 0.0 <= images[0].min() < images[0].max() <= 1.0
@@ -179,12 +177,12 @@ def robot(request):
 
 def test_it_stands_when_told_to_and_sinks_when_braked(robot):
     robot.connect()
-    robot.write(hold(robot))
+    robot.write(command())
     robot.wait(1.0)
     assert robot.now() == pytest.approx(1.0)
     assert robot.base_position[2] > 0.22
     assert robot.base_rotation[2, 2] > 0.5
-    robot.write(hold(robot, stiffness=0.0))
+    robot.write(command(stiffness=0.0))
     robot.wait(3.0)
     assert robot.base_position[2] < 0.15
     for _ in range(2):
@@ -192,7 +190,7 @@ def test_it_stands_when_told_to_and_sinks_when_braked(robot):
 
 
 def test_torque_saturates_at_the_motors_limit(robot):
-    robot.write(hold(robot, np.array(ROBOT.default_position) + 2.0, stiffness=400.0))
+    robot.write(command(STANDING + 2.0, stiffness=400.0))
     robot.wait(0.005)
     np.testing.assert_allclose(np.abs(robot.read().joint_torque), ROBOT.torque_limit)
 
