@@ -17,10 +17,7 @@ class Frozen(Fault):
     unit = "s"
     levels = (0.2, 0.5, 1.0, 3.0, FOREVER)
     level_is_duration = True
-
-    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
-        super().__init__(level, rngs)
-        self._last: np.ndarray | None = None
+    _last: np.ndarray | None = None
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """Hold the last image from before the fault."""
@@ -37,10 +34,7 @@ class Dropped(Fault):
     name = "dropped"
     unit = "share"
     levels = (0.1, 0.3, 0.5, 0.7, 0.9)
-
-    def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
-        super().__init__(level, rngs)
-        self._held: Frames | None = None
+    _held: Frames | None = None
 
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
         """[n] bool: the robots that get no frame at this tick."""
