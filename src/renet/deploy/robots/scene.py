@@ -55,9 +55,8 @@ def scene_spec(
         run_trial("renet.deploy.robots.scene", [str(file)], f"cannot use the scene {file}")
         _attach(spec, file)
     elif terrain == FLAT:
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_PLANE, size=(BORDER, BORDER, 1), rgba=GROUND
-        )
+        plane = mujoco.mjtGeom.mjGEOM_PLANE
+        spec.worldbody.add_geom(type=plane, size=(BORDER, BORDER, 1), rgba=GROUND)
     else:
         start = _add_tile(spec, terrain, level, seed)
     return spec, start
@@ -65,12 +64,8 @@ def scene_spec(
 
 def _ground(body: mujoco.MjsBody, position: tuple[float, float], half: tuple[float, float]) -> None:
     """A slab whose top is at z = 0."""
-    body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=(*half, 0.5),
-        pos=(position[0], position[1], -0.5),
-        rgba=GROUND,
-    )
+    box = mujoco.mjtGeom.mjGEOM_BOX
+    body.add_geom(type=box, size=(*half, 0.5), pos=(*position, -0.5), rgba=GROUND)
 
 
 def _attach(spec: mujoco.MjSpec, file: Path) -> None:
