@@ -84,14 +84,12 @@ def test_a_strangers_output_replaces_nothing_of_the_policy(bundle):
     assert policy.manifest is bundle.manifest
 
 
-DATA = Path(__file__).with_name("data")
-
-
 def trusted(bundle: Bundle, kind: str, images: str) -> bool:
     """Whether vision is used after six images."""
     policy, selector = Policy(bundle), make_selector(kind, bundle.manifest.selector)
     blind, proprioception = np.zeros(1, bool), np.zeros((1, 45))
-    for tick, image in enumerate(np.load(DATA / "images.npz")[images].astype(np.float32)):
+    recorded = np.load(Path(__file__).with_name("data") / "images.npz")[images]
+    for tick, image in enumerate(recorded.astype(np.float32)):
         for _ in range(5):
             policy.step(proprioception, image[None], blind)
         seen = SelectorInput(

@@ -1,7 +1,7 @@
 """Flights come back as they were written, whole or torn, and replay to the last bit."""
 
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +46,7 @@ def run_control_loop(bundle: Bundle, path, inference=None) -> None:
         if step == 150:
             reading = state(now, joint_position=np.zeros(5))
         if step == 100:
-            picture = frame(step, now)
-            picture = type(picture)(np.zeros((2, 2)), step, now)
+            picture = replace(frame(step, now), image=np.zeros((2, 2)))
         teleop = TeleopCommand(speed=0.5, turn=0.01 * step, arm=step in (1, 160))
         controller.tick(reading, picture, teleop, now)
         log.append(reading, picture, teleop, now, controller.decision, compute_ms=1.5)
