@@ -112,7 +112,7 @@ class Evaluator:
         Args:
             title, env, trials, steps, seed: see there.
             policy: made by `make_policy` by default.
-            options: `film`, `on_step`, `on_update` and `injector`, see there.
+            options: `film`, `on_step`, `on_update`, `injector` and `until_ended`, see there.
         """
         policy = policy or self.make_policy(len(trials))
         selector = self.make_selector(len(trials))

@@ -214,6 +214,7 @@ def run_rollout(
     injector: Injector | None = None,
     on_update: Callable[[SelectorInput], Any] = lambda seen: None,
     title: str = "rollout",
+    until_ended: int | None = None,
 ) -> Trace:
     """Run every trial for a number of control steps, beside a progress bar.
 
@@ -229,6 +230,8 @@ def run_rollout(
         injector: of camera faults that depend on more than time; made from the trials by default.
         on_update: shown the input of every update of the selector, before it.
         title: of the progress bar.
+        until_ended: control steps after which the run ends once every robot's first try is over;
+            None: it does not.
 
     Returns:
         What happened, [steps, N].
@@ -261,7 +264,8 @@ def run_rollout(
         result = loop.step(action)
         for state in fields(TrueState):
             getattr(trace, state.name)[k] = getattr(result, state.name)
-        if on_step(result) is True:
+        due = until_ended is not None and k >= until_ended
+        if on_step(result) is True or (due and trace.ended[: k + 1].any(axis=0).all()):
             trace = trace.until(k + 1)
             break
     if film:

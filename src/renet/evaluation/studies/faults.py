@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from itertools import count
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -22,7 +21,7 @@ from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.monitor_log import MonitorLog, combined_score, healthy_series, replay
 from renet.evaluation.report import fault_figures
 from renet.evaluation.results import write_json
-from renet.evaluation.rollout import StepResult, Trial
+from renet.evaluation.rollout import Trial
 from renet.evaluation.studies import fault_metrics
 from renet.evaluation.studies.benchmark import GROUNDS, ONSETS, result
 from renet.evaluation.studies.fault_findings import findings
@@ -173,14 +172,8 @@ class FaultStudy(WalkingStudy):
         if self.grounds != (FLAT,):
             env.place_on([trial.ground for trial in trials])
         least = round((max(self.onsets) + self.lasts) / CONTROL_DT) + STEPS_PER_TICK
-        done, taken = np.zeros(len(trials), bool), count(1)
-
-        def everybody_done(result: StepResult) -> bool:
-            done[:] |= result.ended
-            return next(taken) > least and bool(done.all())
-
         return evaluator.rollout(
-            title, env, trials, self.steps, self.seed, on_step=everybody_done, **more
+            title, env, trials, self.steps, self.seed, until_ended=least, **more
         )
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:

@@ -26,7 +26,7 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.env import FLAT, PARKOUR, SimEnv, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.rollout import StepResult, Trial
+from renet.evaluation.rollout import Trial
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Schedule, parse_fault
@@ -130,15 +130,10 @@ class TerrainStudy(WalkingStudy):
         ]
         env = make(tuple(trial.robot for trial in trials))
         env.place(level, np.full(len(level), list(tiles()).index(kind)))
-        ended = np.zeros(len(level), bool)
-
-        def everybody_ended(result: StepResult) -> bool:
-            ended[:] |= result.ended
-            return self.one_try and bool(ended.all())
-
         steps = round(self.seconds / CONTROL_DT)
+        least = 0 if self.one_try else None
         title = f"{self.kinds.index(kind) + 1}/{len(self.kinds)} {kind}"
-        trace = evaluator.rollout(title, env, trials, steps, self.seed, on_step=everybody_ended)
+        trace = evaluator.rollout(title, env, trials, steps, self.seed, until_ended=least)
         groups = trace.groups(each)
         runs = [self._run(kind, *s, own) for s, own in zip(settings, groups, strict=True)]
         first = trace.robots(np.repeat([mode == self.modes[0] for _, mode in settings], each))
