@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from mjlab.terrains import TerrainEntityCfg, TerrainGeneratorCfg
 
-from renet.terrain.tiles import LEVELS, TILE, find_tile, tiles
+from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
 
 DIFFICULT = ("gap", "platform")
 """Kinds of tile that force vision; all others are simple."""
@@ -16,20 +16,23 @@ UNSEEN = 1
 """Seed of evaluation's tiles; training's is 0."""
 
 
-def parkour_terrain(seed: int = 0) -> TerrainEntityCfg:
+def parkour_terrain(
+    seed: int = 0, kinds: Mapping[str, Tile] | None = None, levels: int = LEVELS
+) -> TerrainEntityCfg:
     """The curriculum: one column per kind, one row per level.
 
     Args:
         seed: of rough ground and obstacles; other tiles hold nothing random.
+        kinds: of tile by name, the training's by default. levels: number of rows.
     """
     generator = TerrainGeneratorCfg(
         seed=seed,
         curriculum=True,
         size=(TILE, TILE),
         border_width=TILE,
-        num_rows=LEVELS,
+        num_rows=levels,
         color_scheme="none",
-        sub_terrains=cast(Any, tiles()),
+        sub_terrains=cast(Any, tiles() if kinds is None else kinds),
         add_lights=True,
     )
     return TerrainEntityCfg(
@@ -54,9 +57,4 @@ def tile_row(grounds: Mapping[str, int]) -> TerrainEntityCfg:
         tile, difficulty = find_tile("rough" if kind == "flat" else kind, level)
         size = 0.0 if kind == "flat" else tile.measure(difficulty)
         kinds[kind] = replace(tile, low=size, high=size, proportion=1.0, flat_start=False)
-    cfg = parkour_terrain(UNSEEN)
-    generator = cfg.terrain_generator
-    assert generator is not None
-    generator.num_rows = 1
-    generator.sub_terrains = cast(Any, kinds)
-    return cfg
+    return parkour_terrain(UNSEEN, kinds, levels=1)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -53,12 +53,7 @@ def course_env_cfg(
     """
     passages = {f"{i}_{kind}": passage(kind, level) for i, kind in enumerate(lap)}
     length = course_length(lap)
-    terrain = parkour_terrain(seed)
-    generator = terrain.terrain_generator
-    assert generator is not None
-    generator.num_rows = 1
-    generator.sub_terrains = cast(Any, passages)
-    cfg = tile_env_cfg(terrain, play=True, robot=robot)
+    cfg = tile_env_cfg(parkour_terrain(seed, passages, levels=1), play=True, robot=robot)
     cfg.terminations["in_gap"] = TerminationTermCfg(
         func=root_height_below_minimum, params={"minimum_height": -PIT_DEPTH}
     )
