@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
 import json
@@ -125,27 +126,19 @@ class TrainCfg(LearningCfg):
         Raises:
             RenetError: unknown preset, or nothing to resume.
         """
-        asked = _options(arguments, "preset", "resume", "log-root")
+        parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+        parser.add_argument("--preset", nargs="?", const="", default="renet")
+        parser.add_argument("--resume", nargs="?", const="")
+        parser.add_argument("--log-root", "--log_root", nargs="?", type=Path)
+        asked, _ = parser.parse_known_args(arguments)
         task = next((a for a in arguments[:1] if not a.startswith("-")), tyro.MISSING)
-        if "resume" in asked:
-            if asked["resume"] == LATEST and task is tyro.MISSING:
+        if asked.resume is not None:
+            if asked.resume == LATEST and task is tyro.MISSING:
                 raise RenetError("write the task first: renet train TASK --resume latest")
-            root = Path(asked["log-root"]) if "log-root" in asked else None
-            found = resolve_resume(asked["resume"], root, task)
+            found = resolve_resume(asked.resume, asked.log_root, task)
             return restored(checkpoints.load_state(found), task)
-        name: Any = asked.get("preset", "renet")
-        own = {key: value for key, value in preset(name).items() if key not in MERGED}
-        return cls(task=task, preset=name, **own)
-
-
-def _options(arguments: Sequence[str], *names: str) -> dict[str, str]:
-    """Values of some options of a command line, in the forms `--name value` and `--name=value`."""
-    found = {}
-    for argument, following in zip(arguments, [*arguments, ""][1:], strict=True):
-        name, equals, value = argument.removeprefix("--").partition("=")
-        if argument.startswith("--") and (name := name.replace("_", "-")) in names:
-            found[name] = value if equals else following
-    return found
+        own = {key: value for key, value in preset(asked.preset).items() if key not in MERGED}
+        return cls(task=task, preset=asked.preset, **own)
 
 
 def restored(state: dict[str, Any], task: Any = tyro.MISSING) -> TrainCfg:
