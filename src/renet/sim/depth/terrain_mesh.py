@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 
 from renet.errors import RenetError
+from renet.sim.native.stages import moving_bodies
 
 PLANE_HALF = 200.0
 """Half-width in metres that stands for a plane, which collides without bounds whatever its size."""
@@ -51,17 +52,12 @@ def _terrain_geoms(
     """World-fixed geoms that can collide, with rotation [3, 3] and position [3]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    found = []
-    for geom in range(model.ngeom):
-        body = model.geom_bodyid[geom]
-        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
-        mocap = model.body_mocapid[model.body_rootid[body]] >= 0
-        if model.body_weldid[body] != 0 or mocap or not collides or geom in without:
-            continue
-        found.append((geom, data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]))
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    fixed = np.flatnonzero(collides & ~moving_bodies(model)[model.geom_bodyid]).tolist()
+    found = [geom for geom in fixed if geom not in without]
     if not found:
         raise RenetError("the scene has no terrain: nothing for rays to hit")
-    return found
+    return [(geom, data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]) for geom in found]
 
 
 def _triangles(model: mujoco.MjModel, geom: int) -> np.ndarray:
