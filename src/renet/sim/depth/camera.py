@@ -168,19 +168,15 @@ class DepthCamera(RaySensor[Tensor]):
     def update(self, dt: float) -> None:
         """Let `dt` seconds pass."""
         super().update(dt)
-        if self._most:
-            self._remember_pose(dt)
+        if self._most:  # Poses are kept once in a control step.
+            self._since_pose += dt
+            if self._since_pose >= CONTROL_DT - 1e-6:
+                self._since_pose -= CONTROL_DT
+                self._poses.append(self._pose())
         self._elapsed += dt
         if self._elapsed >= self.cfg.period - 1e-6:
             self._elapsed -= self.cfg.period
             self._due = True
-
-    def _remember_pose(self, dt: float) -> None:
-        """Keep the body's pose once in a control step."""
-        self._since_pose += dt
-        if self._since_pose >= CONTROL_DT - 1e-6:
-            self._since_pose -= CONTROL_DT
-            self._poses.append(self._pose())
 
     def _pose(self) -> Tensor:
         """The body's position and rotation of now, [N, 3 + 9]."""

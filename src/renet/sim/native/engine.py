@@ -255,23 +255,17 @@ class NativeSimulation(Simulation):
             for copy in (*worker.state, *worker.fields):
                 copy.load(env)
             worker.data.time = time[env]
-            _compute(worker.model, worker.data, steps, derive)
+            if steps:
+                mujoco.mj_step(worker.model, worker.data, steps)
+            else:
+                mujoco.mj_forward(worker.model, worker.data)
+            for stage in DERIVE if derive else ():
+                getattr(mujoco, stage)(worker.model, worker.data)
             for copy in worker.stores:
                 copy.store(env)
             time[env] = worker.data.time
             if derive or not steps:
                 self._known[env] = worker.pose_of(env)
-
-
-def _compute(model: mujoco.MjModel, data: mujoco.MjData, steps: int, derive: bool) -> None:
-    """Step one environment, or compute all that follows from its state if `steps` is 0."""
-    if not steps:
-        mujoco.mj_forward(model, data)
-        return
-    mujoco.mj_step(model, data, steps)
-    if derive:
-        for stage in DERIVE:
-            getattr(mujoco, stage)(model, data)
 
 
 class MovingFirst(Scene):
