@@ -12,11 +12,9 @@ from pathlib import Path
 
 import torch
 import tyro
-from mjlab.utils.lab_api.math import matrix_from_quat
 
 from facts import report
 from renet.interface import STEPS_PER_TICK
-from renet.sim.depth.camera import DepthCamera
 from renet.sim.depth.raycast import TerrainScanner
 from renet.sim.threads import THREADS
 from renet.tasks import make_env
@@ -50,20 +48,13 @@ def seconds(
     return statistics.median(times)
 
 
-def view(camera: DepthCamera) -> tuple[torch.Tensor, torch.Tensor]:
-    """Positions and rotations of the cameras at the current poses."""
-    base = matrix_from_quat(camera._data.xquat[:, camera._body])
-    eye = camera._data.xpos[:, camera._body] + (base @ camera._position.unsqueeze(-1)).squeeze(-1)
-    return eye, base @ camera._rotation
-
-
 def main(cfg: Cfg) -> None:
     with redirect_stdout(StringIO()):
         env = make_env("Renet-Go1-Parkour", cfg.num_envs, cfg.device)
     env.reset()
     camera = env.scene["depth_camera"]
     camera._render()  # Compiles kernels.
-    scanner, poses, limit = camera._scanner, view(camera), camera.cfg.range
+    scanner, poses, limit = camera._scanner, camera._view(), camera.cfg.range
     lens = camera.cfg.intrinsics
     caster = TerrainScanner(env.sim.mj_model, cfg.device)
     caster.depth(*poses, lens, limit)

@@ -197,12 +197,15 @@ class DepthCamera(RaySensor[Tensor]):
             self._normalised = (self._image / self.cfg.range).half()
         return self._image
 
-    def _render(self) -> Tensor:
-        """Cast all rays from the poses of when the images were taken."""
+    def _view(self) -> tuple[Tensor, Tensor]:
+        """Eyes [N, 3] and axes [N, 3, 3] of the cameras when the images were taken."""
         position, base = self._delayed_pose().split((3, 9), dim=-1)
         base = base.unflatten(-1, (3, 3))
-        eye = position + (base @ self._position.unsqueeze(-1)).squeeze(-1)
-        raw = self._cast(eye, base @ self._rotation)
+        return position + (base @ self._position.unsqueeze(-1)).squeeze(-1), base @ self._rotation
+
+    def _render(self) -> Tensor:
+        """Cast all rays."""
+        raw = self._cast(*self._view())
         raw = raw.unflatten(-1, (self.cfg.intrinsics.height, self.cfg.intrinsics.width))
         # A ray from a pose that is not finite hits nothing sensible; NaN fails this comparison.
         depth = torch.where(raw >= 0.0, raw, self.cfg.range)
