@@ -139,7 +139,7 @@ def test_speed_and_turn_reach_the_command(viewer, session):
     assert command.yaw.item() - yaw == pytest.approx(np.pi / 6)
     viewer.reset_environment()
     assert command.speed.item() == 0.0, "a reset keeps the speed that was asked for"
-    assert len(viewer.panels._times) == 0, "and begins new curves"
+    assert len(viewer.panels._points) == 0, "and begins new curves"
 
 
 def test_a_fall_restarts_policy_and_selector(viewer, session):

@@ -21,9 +21,8 @@ class VisionPanels:
 
     def __init__(self, server: viser.ViserServer, session: ViewerSession) -> None:
         self.session = session
-        self._times: deque[float] = deque(maxlen=TICKS)
-        self._anomaly: deque[float] = deque(maxlen=TICKS)
-        self._probability: deque[float] = deque(maxlen=TICKS)
+        self._points: deque[tuple[float, float, float]] = deque(maxlen=TICKS)
+        """Seconds, anomaly score and P_t of the ticks shown."""
         gui, empty = server.gui, np.zeros((8, 8, 3), np.uint8)
         with gui.add_folder("Vision"):
             self.status = gui.add_html("")
@@ -65,26 +64,21 @@ class VisionPanels:
     def update(self, step: int) -> None:
         """Show what the robot saw and made of it when it took control step `step`, 1 or later."""
         session, policy, loop = self.session, self.session.policy, self.session.loop
-        self._times.append(step * CONTROL_DT)
-        self._anomaly.append(float(policy.anomaly_score[0]))
-        self._probability.append(float(loop.selector.probability[0]))
-        times = np.array(self._times)
+        score, probability = float(policy.anomaly_score[0]), float(loop.selector.probability[0])
+        self._points.append((step * CONTROL_DT, score, probability))
+        times, scores, probabilities = map(np.array, zip(*self._points, strict=True))
         self.status.content = status(session)
         self.images.image = beside(
             depth_picture(loop.frames.image[0]), depth_picture(policy.reconstruction[0, 0])
         )
         true = session.env.scene[HEIGHT_MAP].data[0].numpy()
         self.maps.image = beside(map_picture(policy.height_map[0]), map_picture(true))
-        for plot, values, line in (
-            (self.loss, self._anomaly, session.beta),
-            (self.trust, self._probability, 0.5),
-        ):
-            plot.data = (times, np.array(values), np.full(len(times), line))
+        self.loss.data = (times, scores, np.full(len(times), session.beta))
+        self.trust.data = (times, probabilities, np.full(len(times), 0.5))
 
     def clear(self) -> None:
         """Forget the curves."""
-        for values in (self._times, self._anomaly, self._probability):
-            values.clear()
+        self._points.clear()
 
 
 def status(session: ViewerSession) -> str:
