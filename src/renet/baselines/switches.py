@@ -223,7 +223,6 @@ def collect(
     steps: int,
     seed: int,
     speed: float = 0.6,
-    fall: float = -1.0,
 ) -> Experience:
     """Run trials and keep what a switch learns from.
 
@@ -232,8 +231,8 @@ def collect(
         env: as many robots as trials.
         trials: in modes `vp` and `op`, with and without faults.
         steps: control steps. seed: of the faults.
-        speed: commanded, m/s; the reward of a step is the part of it that is reached, up to 1.
-        fall: added to the reward of a step that ends in a fall.
+        speed: commanded, m/s; the reward of a step is the part of it that is reached, up to 1, and
+            1 less where the step ends in a fall.
     """
     inputs: list[Tensor] = []
     trace = evaluator.rollout(
@@ -244,6 +243,6 @@ def collect(
         seed,
         on_step=lambda result: inputs.append(evaluator._policy.inputs),
     )
-    reward = np.clip(trace.forward_velocity / speed, 0.0, 1.0) + fall * trace.fell
+    reward = np.clip(trace.forward_velocity / speed, 0.0, 1.0) - trace.fell
     arrays = (reward.astype(np.float32), trace.fell, trace.vision, trace.failing)
     return Experience(torch.stack(inputs), *map(torch.from_numpy, arrays))

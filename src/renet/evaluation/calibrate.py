@@ -79,7 +79,7 @@ class CalibrateCfg:
             )
 
 
-def run_calibrate(cfg: CalibrateCfg, evaluator: Evaluator | None = None) -> float:
+def run_calibrate(cfg: CalibrateCfg) -> float:
     """Measure β and the monitors' thresholds, write them into the manifest and return β.
 
     Raises:
@@ -88,7 +88,7 @@ def run_calibrate(cfg: CalibrateCfg, evaluator: Evaluator | None = None) -> floa
     if cfg.log:
         bundle = Bundle.load(cfg.bundle)
         return _store(cfg, bundle, recorded_scores(cfg.log, bundle), {})
-    return _store(cfg, *_simulated_scores(cfg, evaluator))
+    return _store(cfg, *_simulated_scores(cfg))
 
 
 def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series) -> float:
@@ -129,9 +129,7 @@ def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series) ->
     return beta
 
 
-def _simulated_scores(
-    cfg: CalibrateCfg, evaluator: Evaluator | None
-) -> tuple[Bundle, Series, Series]:
+def _simulated_scores(cfg: CalibrateCfg) -> tuple[Bundle, Series, Series]:
     """The bundle, and every monitor's scores in successful episodes, without and with grass.
 
     Raises:
@@ -150,7 +148,7 @@ def _simulated_scores(
     if not cfg.terrains or not {*cfg.terrains} <= {FLAT, PARKOUR}:
         raise RenetError(f"terrains {cfg.terrains}: choose among {FLAT}, {PARKOUR}")
     check_speed(cfg.speed)
-    evaluator = evaluator or Evaluator(cfg.bundle, cfg.engine)
+    evaluator = Evaluator(cfg.bundle, cfg.engine)
     series = _healthy_runs(cfg, evaluator, grass=False)
     if not series["reconstruction"]:
         raise RenetError("no episode succeeded: train the policy before calibrating its selector")

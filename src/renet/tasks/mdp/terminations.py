@@ -26,24 +26,14 @@ def not_finite(env: ManagerBasedRlEnv) -> Tensor:
     return ~(env.sim.data.qpos.sum(-1) + env.sim.data.qvel.sum(-1)).isfinite()
 
 
-def in_gap(env: ManagerBasedRlEnv, depth: float = PIT_DEPTH) -> Tensor:
-    """Base below the surface of a gap tile, [N].
-
-    Args:
-        env: environment on tiles.
-        depth: metres below the tile's start.
-    """
-    return (height_above_start(env) < -depth) & on_tiles(env, "gap")
+def in_gap(env: ManagerBasedRlEnv) -> Tensor:
+    """Base below the surface of a gap tile, [N]."""
+    return (height_above_start(env) < -PIT_DEPTH) & on_tiles(env, "gap")
 
 
-def below_map(env: ManagerBasedRlEnv, depth: float = 3.0) -> Tensor:
-    """Base below everything a robot can stand on: it was pressed through the ground, [N].
-
-    Args:
-        env: environment on tiles.
-        depth: metres below a tile's start; the highest stairs go 2.1 m down.
-    """
-    return height_above_start(env) < -depth
+def below_map(env: ManagerBasedRlEnv) -> Tensor:
+    """Base below everything a robot can stand on: it was pressed through the ground, [N]."""
+    return height_above_start(env) < -3.0  # The highest stairs go 2.1 m down.
 
 
 def left_tile(env: ManagerBasedRlEnv) -> Tensor:
