@@ -1,42 +1,20 @@
 """What happens to robots during an episode: pushes, and the clipping of their rewards."""
 
-import pytest
 import torch
 
 from renet.tasks import env_cfg, make_env
 
 
-@pytest.fixture(scope="module")
-def pushed():
-    """64 robots that are pushed every 0.1 to 0.2 s."""
-    cfg = env_cfg("Renet-Go1-Flat")
-    assert cfg.events["push"].interval_range_s == (6.0, 10.0)
-    cfg.events["push"].interval_range_s = (0.1, 0.2)
-    env = make_env(cfg, 64)
-    yield env
-    env.close()
-
-
-def push(env, steps: int) -> torch.Tensor:
-    """Changes of the bases' velocities by pushes alone, [steps, N, 6] m/s and rad/s."""
-    changes = []
-    for _ in range(steps):
-        env.sim.forward()
-        before = env.sim.data.qvel[:].clone()
-        env.event_manager.apply(mode="interval", dt=0.02)
-        changes.append((env.sim.data.qvel[:] - before)[:, :6])
-    return torch.stack(changes)
-
-
-def test_each_robot_is_pushed_sideways_at_its_own_time(pushed):
-    pushed.reset(seed=1)
-    changes = push(pushed, 10)
-    assert 0.4 < changes[..., :2].abs().max() <= 0.5 + 1e-5
-    assert changes[..., 2:].abs().max() < 1e-4, "only along x and y"
-    hit = changes[..., :2].abs().amax(-1) > 1e-4
-    assert hit.any(0).all()
-    assert not hit[:4].any(), "an episode begins without a push"
-    assert len(set(hit.int().argmax(0).tolist())) > 3
+def test_each_robot_is_pushed_sideways(flat):
+    flat.reset(seed=1)
+    before = flat.sim.data.qvel[:].clone()
+    push = flat.event_manager.get_term_cfg("push")
+    push.func(flat, torch.arange(4), **push.params)
+    change = (flat.sim.data.qvel[:] - before)[:, :6]
+    assert 0.2 < change[:, :2].abs().max() <= 0.5 + 1e-5
+    assert change[:, 2:].abs().max() < 1e-4, "only along x and y"
+    assert len(change[:, 0].unique()) == 4
+    assert push.interval_range_s == (6.0, 10.0)
 
 
 def test_a_step_never_pays_less_than_nothing_and_how_often_it_would_is_logged():
