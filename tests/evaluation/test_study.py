@@ -87,7 +87,8 @@ def test_a_study_walks_the_bundles_own_robot(tmp_path: Path) -> None:
         assert terrain_env_cfg(terrain, 3, evaluator.robot).robot.name == "Somebody's Go1"
     env = evaluator.make_env(FLAT, range(2), 0.6, 1)
     assert env.env.cfg.robot.name == "Somebody's Go1"
-    with pytest.raises(RenetError, match="this task's robot is a Unitree Go1"):
+    refusal = "bundle twin drives a Somebody's Go1, this task's robot is a Unitree Go1"
+    with pytest.raises(RenetError, match=refusal):
         evaluator.make_env("Renet-Go1-Flat", range(2), 0.6, 1)
 
 

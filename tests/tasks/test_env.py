@@ -211,13 +211,6 @@ def test_play_shows_every_level():
     assert set(env.scene.terrain.terrain_levels.tolist()) == set(range(10))
 
 
-def test_a_runner_may_assign_episode_lengths(parkour):
-    parkour.reset()
-    parkour.episode_length_buf = torch.full((12,), parkour.max_episode_length - 1)
-    *_, truncated, _ = parkour.step(torch.zeros(12, 12))
-    assert truncated.all()
-
-
 def test_what_was_observed_stays_when_the_environment_goes_on(parkour):
     parkour.reset()
     seen = parkour.step(torch.zeros(12, 12))[0]
