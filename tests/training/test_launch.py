@@ -1,25 +1,13 @@
 """Several processes from one command."""
 
 import json
-from pathlib import Path
 
 import pytest
 
 from renet.errors import RenetError
 from renet.training.launch import launch
-from renet.training.train import TrainCfg
 
-
-def cfg(folder: Path, **overrides) -> TrainCfg:
-    return TrainCfg(
-        task="Renet-Go1-Flat",
-        num_envs=4,
-        device="cpu",
-        num_steps_per_env=5,
-        max_iterations=1,
-        log_root=folder,
-        **overrides,
-    )
+from .test_train import cfg
 
 
 def test_two_processes_train_one_model(tmp_path):

@@ -8,7 +8,7 @@ from jsonschema import Draft202012Validator
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial
-from renet.evaluation.studies.benchmark import GROUNDS
+from renet.evaluation.studies.benchmark import GROUNDS, ONSETS
 from renet.evaluation.studies.benchmark import SCHEMA as FILE
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard, rank
@@ -101,7 +101,7 @@ def test_the_result_file_is_valid(folder: Path) -> None:
     Draft202012Validator(SCHEMA).validate(result)
     assert result["policy"]["modes"] == ["vp", "renet", "op"]
     assert result["provenance"]["commit"] == commit()
-    assert {entry["onset"] for entry in result["settings"]} == set(ONSET_NAMES)
+    assert {entry["onset"] for entry in result["settings"]} == set(ONSETS.values())
     assert {entry["level"] for entry in result["settings"] if entry["ground"] == "gap"} == {3}
 
 
@@ -113,18 +113,14 @@ def test_grounds_that_are_not_the_benchmarks_give_no_result_file(
     assert not (tmp_path / "result.json").exists()
 
 
-ONSET_NAMES = ("on_the_way", "before_the_edge")
-
-
 def complete(name: str, crossed: float) -> dict:
     """A result of every quick setting in which the same share crosses everywhere."""
     share = {"value": crossed, "ci95": None, "change": {"value": 0.0, "ci95": None}}
     measures = dict.fromkeys(("crossed", "upright", "speed_error", "energy_per_metre"), share)
     measures |= dict.fromkeys(("collisions", "seconds_without_sight", "switches"), share)
-    names = dict(zip((0.5, 1.5), ONSET_NAMES, strict=True))
     settings = [
         {"ground": s.ground, "level": GROUNDS[s.ground], "fault": s.fault, "severity": s.severity}
-        | {"onset": names[s.onset], "mode": "vp", "measures": measures}
+        | {"onset": ONSETS[s.onset], "mode": "vp", "measures": measures}
         for settings in FaultStudy(quick=True).batches.values()
         for s in settings
     ]

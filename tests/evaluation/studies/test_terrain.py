@@ -99,12 +99,8 @@ def test_faults_of_the_scene_reach_the_cameras(tmp_path: Path) -> None:
         def perturb_cameras(self, view: ViewPerturbation) -> None:
             seen.append(float(view.lift.max()))
 
-    class HallEvaluator(FakeEvaluator):
-        def make_env(self, task, robots, speed, seed):
-            return Hall(len(robots))
-
     study = replace(TINY["success"][0], out=tmp_path, fault="foam:3", speed=1.5)  # type: ignore[call-arg]
-    study.run(HallEvaluator())
+    study.run(FakeEvaluator(Hall))
     assert seen[0] == 0
     assert max(seen) == pytest.approx(0.07)
 
