@@ -11,14 +11,14 @@ from .tiny import TINY
 
 
 @pytest.fixture(scope="session")
-def run_study(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Runs a study of `TINY`, once; returns its results, which tests must not change."""
+def run_study(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Path, dict]]:
+    """Runs a study of `TINY`, once; returns its folder and summary, which tests must not change."""
     root = tmp_path_factory.mktemp("results")
 
-    def run(name: str) -> Path:
+    def run(name: str) -> tuple[Path, dict]:
         study, evaluator = TINY[name]
         replace(study, out=root / name).run(evaluator())
-        return root / name
+        return root / name, json.loads((root / name / "summary.json").read_text())
 
     return cache(run)
 

@@ -45,7 +45,7 @@ class Links(HTMLParser):
 def page(run_study, tmp_path_factory: pytest.TempPathFactory) -> Path:
     patch, out = pytest.MonkeyPatch(), tmp_path_factory.mktemp("demo")
     # What the study's own tests have run is not run again.
-    shutil.copytree(run_study("noise") / "parts", out / "parts")
+    shutil.copytree(run_study("noise")[0] / "parts", out / "parts")
     patch.setattr(demo, "NoiseStudy", lambda **settings: replace(STUDY, **settings))
     patch.setattr(demo, "VideoCfg", lambda: VideoCfg(width=96, height=72, fps=5))
     try:

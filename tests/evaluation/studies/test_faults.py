@@ -21,7 +21,7 @@ SCHEMA = json.loads(FILE.read_text())
 
 @pytest.fixture
 def folder(run_study) -> Path:
-    return run_study("faults")
+    return run_study("faults")[0]
 
 
 def test_one_row_for_each_setting_and_mode(folder: Path, summary: dict) -> None:

@@ -1,4 +1,3 @@
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +9,8 @@ from ..fakes import FakeEvaluator
 
 
 def test_measured_delay_is_the_formulas_at_every_rate(run_study) -> None:
-    folder = run_study("filter")
-    runs = json.loads((folder / "summary.json").read_text())["runs"]
+    folder, summary = run_study("filter")
+    runs = summary["runs"]
     assert len(runs) == 21
     for run in runs:
         if run["formula_s"] <= 3:

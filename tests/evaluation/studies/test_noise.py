@@ -14,7 +14,7 @@ from ..tiny import TINY
 
 @pytest.fixture
 def folder(run_study) -> Path:
-    return run_study("noise")
+    return run_study("noise")[0]
 
 
 def test_the_preset_is_the_papers_comparison(folder: Path, summary: dict) -> None:

@@ -16,7 +16,7 @@ from ..tiny import TINY
 
 @pytest.fixture(scope="module")
 def results(run_study) -> Path:
-    folders = [run_study(name) for name in TINY]
+    folders = [run_study(name)[0] for name in TINY]
     return folders[0].parent
 
 

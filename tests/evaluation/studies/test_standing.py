@@ -1,6 +1,3 @@
-import json
-from pathlib import Path
-
 import numpy as np
 
 from renet.evaluation.env import SimEnv, study_env_cfg
@@ -18,8 +15,7 @@ def test_drift_counts_from_when_robots_should_stand_and_joints_all_along() -> No
 
 
 def test_robots_that_stop_stand_and_restless_ones_do_not(run_study) -> None:
-    folder: Path = run_study("standing")
-    summary = json.loads((folder / "summary.json").read_text())
+    folder, summary = run_study("standing")
     assert [(run["kind"], run["level"], run["mode"]) for run in summary["runs"]] == [
         ("flat", 1, "vp"), ("flat", 1, "op"), ("stairs_up", 3, "vp"), ("stairs_up", 3, "op")
     ]  # fmt: skip

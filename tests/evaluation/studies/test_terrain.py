@@ -1,4 +1,3 @@
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,8 +26,7 @@ def test_a_robot_passes_by_leaving_its_tile_even_after_a_fall() -> None:
 
 
 def test_summary_holds_the_papers_table(run_study) -> None:
-    folder = run_study("terrain")
-    summary = json.loads((folder / "summary.json").read_text())
+    folder, summary = run_study("terrain")
     reached = {"gap": 6, "platform": 4, "stairs_up": 10, "stairs_down": 3}
     assert summary["levels_by_kind"] == reached
     assert summary["levels"] == {"gap": 6, "platform": 4, "stairs": 6.5}
@@ -62,8 +60,7 @@ def test_only_the_first_try_counts() -> None:
 
 
 def test_every_size_and_mode_has_its_row(run_study) -> None:
-    folder = run_study("success")
-    summary = json.loads((folder / "summary.json").read_text())
+    folder, summary = run_study("success")
     runs = {(r["kind"], r["level"], r["mode"]): r for r in summary["runs"]}
     assert len(runs) == 2 * 3 * 3
     for mode in ("vp", "renet", "op"):
