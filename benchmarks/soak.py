@@ -188,11 +188,7 @@ def soak(cfg: Cfg, folder: Path) -> dict:
     operator = Operator(robot, controller.machine)
     devices: tuple = (robot, ShakyCamera(robot, bundle), operator, controller, recorder)
     with _interruptible() as interrupted:
-        run_control_loop(
-            *devices,
-            done=lambda: robot.now() >= end or interrupted(),
-            on_step=sample,
-        )
+        run_control_loop(*devices, done=lambda: robot.now() >= end or interrupted(), on_step=sample)
     wall = (time.monotonic() - begun) / 60.0
     recorder.close()
     run = read_recording(recorder.path)

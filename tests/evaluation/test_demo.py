@@ -8,12 +8,7 @@ from pathlib import Path
 import pytest
 
 from renet.evaluation import demo
-from renet.evaluation.demo import (
-    DemoCfg,
-    first_to_fall,
-    run_demo,
-    worst_of_vp,
-)
+from renet.evaluation.demo import DemoCfg, first_to_fall, run_demo, worst_of_vp
 from renet.evaluation.report.video import VideoCfg
 from renet.evaluation.studies.noise import NoiseStudy
 

@@ -30,13 +30,7 @@ def roll(kind: str, fault: str, level: float, duration: float = 2.0) -> tuple[Tr
     log = MonitorLog(2)
     rows = [Trial("renet", (Injection(fault, level, 50, duration),)), Trial("renet")]
     trace = run_rollout(
-        LiveEnv(2),
-        FakePolicy(2),
-        make_selector(kind, SPEC, 2),
-        rows,
-        300,
-        0,
-        on_update=log,
+        LiveEnv(2), FakePolicy(2), make_selector(kind, SPEC, 2), rows, 300, 0, on_update=log
     )
     return trace, log
 

@@ -9,12 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import renet
-from renet.models.him import (
-    HybridInternalModel,
-    sinkhorn,
-    swapped_prediction_loss,
-    target_view,
-)
+from renet.models.him import HybridInternalModel, sinkhorn, swapped_prediction_loss, target_view
 from renet.training import checkpoint as checkpoints
 from renet.training.export import load_networks
 

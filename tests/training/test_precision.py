@@ -8,12 +8,7 @@ import torch
 
 from renet.models.config import ModelCfg
 from renet.training import precision
-from renet.training.precision import (
-    computed_in,
-    keep_freed_memory,
-    learning_type,
-    side_by_side,
-)
+from renet.training.precision import computed_in, keep_freed_memory, learning_type, side_by_side
 
 from ..forked import fork
 from ..waits import Waits

@@ -18,14 +18,7 @@ from renet.training import train as training
 from renet.training.checkpoint import Checkpoint
 from renet.training.config import NP3OCfg, SupervisionCfg, value_at
 from renet.training.recipe import RENET
-from renet.training.train import (
-    TrainCfg,
-    new_run,
-    resolve_device,
-    resumed_run,
-    task_cfg,
-    train,
-)
+from renet.training.train import TrainCfg, new_run, resolve_device, resumed_run, task_cfg, train
 
 
 def cfg(folder: Path, task: str = "Renet-Go1-Flat", **overrides) -> TrainCfg:

@@ -87,10 +87,6 @@ STAGES = (
     *_specialise("climb"),
     *_specialise("leap"),
     Stage(
-        "student",
-        1 / 3,
-        STUDENT,
-        teachers=SKILLS,
-        distillation={"norm": 1, "teacher_drives": 60.0},
+        "student", 1 / 3, STUDENT, teachers=SKILLS, distillation={"norm": 1, "teacher_drives": 60.0}
     ),
 )

@@ -88,9 +88,7 @@ def noise_label(noise: str, level: float) -> str:
 
 
 def speed_over_time(
-    curves: Mapping[str, Mapping[tuple[str, float], np.ndarray]],
-    onset: float,
-    command: float,
+    curves: Mapping[str, Mapping[tuple[str, float], np.ndarray]], onset: float, command: float
 ) -> Figure:
     """The paper's comparison: mean forward velocity against timestep, one panel for each mode.
 
@@ -129,10 +127,7 @@ Cells = Mapping[tuple[str, str], tuple[float, str]]
 
 
 def colour_tables(
-    panels: Mapping[str, Cells],
-    title: str,
-    xlabel: str = "",
-    width: float = 0.42,
+    panels: Mapping[str, Cells], title: str, xlabel: str = "", width: float = 0.42
 ) -> Figure:
     """Coloured tables side by side with the same rows, green for 100, red for 0.
 

@@ -128,11 +128,7 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
         robot=robot,
         decimation=round(CONTROL_DT / PHYSICS_DT),
         episode_length_s=20.0,
-        scene=SceneCfg(
-            terrain=terrain,
-            entities={"robot": robot.entity()},
-            sensors=sensors(robot),
-        ),
+        scene=SceneCfg(terrain=terrain, entities={"robot": robot.entity()}, sensors=sensors(robot)),
         observations=_observations(),
         actions={
             "joint_pos": mdp.OrderedJointPositionActionCfg(
@@ -252,14 +248,10 @@ def _rewards(robot: RobotCfg) -> dict[str, RewardTermCfg]:
         # Not the paper's, hence off: `renet train --reward-weights` turns them on.
         "standing_motion": RewardTermCfg(func=mdp.standing_motion, weight=0.0),
         "foot_clearance": RewardTermCfg(
-            func=mdp.foot_clearance,
-            weight=0.0,
-            params={"standing_height": standing_height},
+            func=mdp.foot_clearance, weight=0.0, params={"standing_height": standing_height}
         ),
         "upright_tracking": RewardTermCfg(
-            func=mdp.upright_tracking,
-            weight=0.0,
-            params={"standing_height": standing_height},
+            func=mdp.upright_tracking, weight=0.0, params={"standing_height": standing_height}
         ),
     }
 

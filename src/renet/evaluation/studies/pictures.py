@@ -174,10 +174,7 @@ def _kept() -> tuple[tuple[float, float], float, float]:
 
 
 def _view(
-    rays: TerrainScanner,
-    eye: torch.Tensor,
-    rotation: torch.Tensor,
-    lens: Intrinsics | None = None,
+    rays: TerrainScanner, eye: torch.Tensor, rotation: torch.Tensor, lens: Intrinsics | None = None
 ) -> torch.Tensor:
     """Planar depth [rows, columns] m, the range where nothing is hit."""
     lens = lens or Intrinsics()

@@ -96,10 +96,7 @@ def status(session: ViewerSession) -> str:
 
 
 def _curve(
-    gui: viser.GuiApi,
-    title: str,
-    names: tuple[str, str],
-    limits: tuple[float, float] | None = None,
+    gui: viser.GuiApi, title: str, names: tuple[str, str], limits: tuple[float, float] | None = None
 ) -> viser.GuiUplotHandle:
     """A curve over time with a line to compare it with."""
     blue, grey = "#2f6fb0", "#9a9a9a"
