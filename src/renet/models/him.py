@@ -91,9 +91,7 @@ def swapped_prediction_loss(
     """Half the sum of both cross-entropies, averaged over pairs and prototypes.
 
     Args:
-        source: unit vectors, [B, 16].
-        target: unit vectors, [B, 16].
-        prototypes: unit vectors, [32, 16].
+        source, target: unit vectors, [B, 16]. prototypes: unit vectors, [32, 16].
         counts: 1 or 0, [B].
 
     Returns:

@@ -98,16 +98,7 @@ def _some_easier(level: Tensor, lowest: Tensor) -> Tensor:
 
 
 def command_stage(env: ManagerBasedRlEnv, env_ids: Tensor, switch_step: int) -> Tensor:
-    """Ask for standing still, too, once `switch_step` control steps have been taken.
-
-    Args:
-        env: the environment.
-        env_ids: unused.
-        switch_step: control steps of one robot.
-
-    Returns:
-        The stage, 0 or 1.
-    """
+    """Ask for standing, too, from control step `switch_step` on; returns the stage, 0 or 1."""
     del env_ids
     command = goal(env)
     if env.common_step_counter >= switch_step:

@@ -14,12 +14,7 @@ def reward_clipped(env: ManagerBasedRlEnv) -> Tensor:
 
 
 def reward_term(env: ManagerBasedRlEnv, name: str) -> Tensor:
-    """Value of a reward before its weight, which may be zero, [N].
-
-    Args:
-        env: the environment.
-        name: of the reward.
-    """
+    """Value of the reward `name` before its weight, which may be zero, [N]."""
     manager = env.reward_manager
     term = manager.get_term_cfg(name)
     if term.weight == 0.0:

@@ -46,12 +46,7 @@ def velocity(env: ManagerBasedRlEnv) -> Tensor:
 
 
 def sensor(env: ManagerBasedRlEnv, name: str) -> Tensor:
-    """Reading of a terrain sensor: height map [N, 132] or feet height [N, 4], m.
-
-    Args:
-        env: environment with the sensor.
-        name: of the sensor.
-    """
+    """Reading of the terrain sensor `name`: height map [N, 132] or feet height [N, 4], m."""
     return env.scene[name].data
 
 
