@@ -19,6 +19,7 @@ from typing import Any, Literal
 
 import torch
 import tyro
+from mjlab.envs import ManagerBasedRlEnv
 from mjlab.rl import MjlabOnPolicyRunner, RslRlVecEnvWrapper
 from mjlab.sensor import ObjRef, PinholeCameraPatternCfg, RayCastSensorCfg
 from mjlab.tasks.registry import load_env_cfg, load_rl_cfg
@@ -168,8 +169,6 @@ def stock_steps_per_second(cfg: Cfg) -> float:
     env_cfg, agent = load_env_cfg(STOCK), load_rl_cfg(STOCK)
     env_cfg.scene.num_envs, env_cfg.seed = cfg.num_envs, 0
     with redirect_stdout(StringIO()), use_engine(cfg.engine, cfg.device):
-        from mjlab.envs import ManagerBasedRlEnv
-
         env = RslRlVecEnvWrapper(ManagerBasedRlEnv(env_cfg, cfg.device))
         runner = MjlabOnPolicyRunner(env, asdict(agent), None, cfg.device)
         runner.learn(1)

@@ -27,11 +27,10 @@ def go1_spec() -> mujoco.MjSpec:
     for geom in list(spec.geoms):
         if not geom.contype and not geom.conaffinity:
             spec.delete(geom)
-    for group in (spec.meshes, spec.materials, spec.textures, spec.cameras, spec.keys):
+    looks = (spec.meshes, spec.materials, spec.textures, spec.cameras)
+    for group in (*looks, spec.keys, spec.sensors):
         for item in list(group):
             spec.delete(item)
-    for sensor in list(spec.sensors):
-        spec.delete(sensor)
     spec.meshdir = ""
     options = flat_env_cfg().sim.mujoco
     option = spec.option

@@ -34,11 +34,7 @@ def unit(random: np.random.Generator, *shape: int) -> np.ndarray:
 @given(seed=st.integers(0, 1000), batch=st.integers(2, 40))
 def test_sinkhorn_and_loss_match_the_reference(seed, batch):
     random = np.random.default_rng(seed)
-    source, target, prototypes = (
-        unit(random, batch, 16),
-        unit(random, batch, 16),
-        unit(random, 32, 16),
-    )
+    source, target, prototypes = (unit(random, count, 16) for count in (batch, batch, 32))
     scores = source @ prototypes.T, target @ prototypes.T
     assignments = [reference_sinkhorn(s) for s in scores]
     counts = torch.ones(batch, dtype=torch.float64)

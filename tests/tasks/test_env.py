@@ -149,22 +149,16 @@ def test_curriculum_state_round_trips_and_survives_another_size(parkour):
     assert offset[:, :2].abs().max() < 0.31
     smaller = make_env("Renet-Go1-Parkour", 6)
     smaller.load_curriculum_state(state)
-    for kind, level in zip(
-        smaller.scene.terrain.terrain_types, smaller.scene.terrain.terrain_levels, strict=True
-    ):
+    kinds, levels = smaller.scene.terrain.terrain_types, smaller.scene.terrain.terrain_levels
+    for kind, level in zip(kinds, levels, strict=True):
         assert level in state["levels"][state["kinds"] == kind]
-    assert torch.equal(
-        smaller.curriculum_manager.get_term_cfg("level").func.passed,
-        smaller.scene.terrain.terrain_levels < 5,
-    ), "level and mark stay together"
+    passed = smaller.curriculum_manager.get_term_cfg("level").func.passed
+    assert torch.equal(passed, levels < 5), "level and mark stay together"
     few = {name: value[:1] + 3 if name == "levels" else value for name, value in state.items()}
-    kinds, before = (
-        smaller.scene.terrain.terrain_types,
-        smaller.scene.terrain.terrain_levels.clone(),
-    )
+    before = levels.clone()
     smaller.load_curriculum_state(few | {name: state[name][:1] for name in ("kinds", "passed")})
     expected = torch.where(kinds == state["kinds"][0], few["levels"], before)
-    assert torch.equal(smaller.scene.terrain.terrain_levels, expected), "others keep theirs"
+    assert torch.equal(levels, expected), "others keep theirs"
 
 
 def test_a_configuration_can_be_used_twice():

@@ -238,10 +238,8 @@ class RenetAlgorithm:
         rollout = self._rollout
         sizes = [*(obs[group].shape[-1] for group in CRITIC_GROUPS), 1]
         columns = rollout.critic_observation.split(sizes, dim=-1)
-        names, values = (
-            ("proprioception", *CRITIC_GROUPS, "modality"),
-            (rollout.proprioception, *columns),
-        )
+        names = ("proprioception", *CRITIC_GROUPS, "modality")
+        values = (rollout.proprioception, *columns)
         broken = [n for n, v in zip(names, values, strict=True) if not v.isfinite().all()]
         # They hold critics' values, too.
         return broken or (

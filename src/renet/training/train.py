@@ -283,9 +283,8 @@ def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
         return None
     run = checkpoint.parent.parent
     elsewhere = root is not None and run.resolve().parent.parent != root.resolve()
-    return (
-        None if elsewhere or checkpoints.checkpoints(checkpoint.parent)[-1] != checkpoint else run
-    )
+    newest = checkpoints.checkpoints(checkpoint.parent)[-1]
+    return None if elsewhere or newest != checkpoint else run
 
 
 def seconds(text: str) -> float:

@@ -162,10 +162,8 @@ def test_a_taken_port_is_named(session):
 
 
 def test_watch_runs_and_says_where(capsys):
-    made, port = (
-        ViewerSession(Evaluator(), terrain_env_cfg("flat", 1, GO1), speed=0.5, seed=1),
-        free_port(),
-    )
+    made = ViewerSession(Evaluator(), terrain_env_cfg("flat", 1, GO1), speed=0.5, seed=1)
+    port = free_port()
     watch(made, HOST, port, steps=3)
     assert f"http://{HOST}:{port}" in capsys.readouterr().out
     with pytest.raises(OSError, match="refused"):

@@ -21,13 +21,13 @@ FREE_BODY = """
     <body name="top" pos="0 0 50"><freejoint/>
       <inertial pos="0.01 0 0" mass="1" diaginertia="0.01 0.02 0.03"/>
       <body pos="0.1 0 0"><joint name="hinge" axis="0 1 0"/>
-        <geom type="capsule" size="0.02 0.1" contype="0" conaffinity="0"/></body>
+        <site name="s"/><geom type="capsule" size="0.02 0.1" contype="0" conaffinity="0"/></body>
     </body>
   </worldbody>
   <actuator><motor joint="hinge" ctrlrange="-1 1"/></actuator>
   <sensor><gyro site="s"/><jointpos joint="hinge"/></sensor>
 </mujoco>
-""".replace('<geom type="capsule"', '<site name="s"/><geom type="capsule"')
+"""
 
 
 def free_body() -> NativeSimulation:
@@ -142,11 +142,9 @@ def test_the_stock_go1_walks_alike_on_both_engines():
         for name, value in start.items():
             getattr(env.sim.data, name)[:] = value
         env.sim.forward()
-    friction, com = (
-        [getattr(env.sim.model, name)[:] for env in envs] for name in ("geom_friction", "body_ipos")
-    )
-    for field in (friction, com):
-        field[1][:] = field[0]
+    for name in ("geom_friction", "body_ipos"):
+        warp, native = (getattr(env.sim.model, name) for env in envs)
+        native[:] = warp[:]
     actions = torch.Generator().manual_seed(0)
     for _ in range(50):
         action = 0.1 * torch.randn(NUM_ENVS, 12, generator=actions)
