@@ -194,26 +194,17 @@ class MarginsStudy(WalkingStudy):
         title = axis if level is None else f"{axis} {level:g} {AXES[axis].unit}"
         steps = round(self.seconds / CONTROL_DT)
         trace = evaluator.rollout(title, env, trials, steps, self.seed)
-        crossed, fell, _ = trace.first_try()
-        slow = trace.forward_velocity[-round(1.0 / CONTROL_DT) :].mean(axis=0) < STOPPED
-        stopped = slow & ~crossed & ~fell
-        return [
-            {
-                "axis": axis,
-                "level": level,
-                "ground": trial.ground,
-                "mode": trial.mode,
-                "robots": each,
-                "falls": int(fell[group].sum()),
-                "stopped": int(stopped[group].sum()),
-                "failed": float((fell | stopped)[group].mean()),
-                **metrics.with_interval("failed", (fell | stopped)[group]),
-                "seed": self.seed,
-            }
-            for trial, group in zip(
-                trials[::each], np.arange(len(trials)).reshape(-1, each), strict=True
-            )
-        ]
+        runs = []
+        for trial, own in zip(trials[::each], trace.groups(each), strict=True):
+            crossed, fell, _ = own.first_try()
+            slow = own.forward_velocity[-round(1.0 / CONTROL_DT) :].mean(axis=0) < STOPPED
+            stopped = slow & ~crossed & ~fell
+            named = {"axis": axis, "level": level, "ground": trial.ground, "mode": trial.mode}
+            counts = {"robots": each, "falls": int(fell.sum()), "stopped": int(stopped.sum())}
+            failed = fell | stopped
+            share = {"failed": float(failed.mean()), **metrics.with_interval("failed", failed)}
+            runs.append(named | counts | share | {"seed": self.seed})
+        return runs
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """The rows, and how far each ground and mode holds on each axis."""
