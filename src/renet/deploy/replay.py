@@ -74,7 +74,8 @@ def mismatch(run: Recording, bundle: Bundle) -> float:
     """Largest difference between logged and replayed joint targets, rad; zero is a true replay."""
     worst = 0.0
     for tick, decision in zip(run.ticks, replay(run, bundle), strict=True):
-        worst = max(worst, float(np.abs(tick["position"] - decision.command.position).max()))
+        apart = np.abs(tick["position"] - decision.command.position).max()
+        worst = float(np.maximum(worst, apart))  # NaN where one of both is.
     return worst
 
 
