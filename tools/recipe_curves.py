@@ -46,8 +46,7 @@ def draw(table: list[dict[str, str]]) -> None:
                 axis.plot(steps / 1e6, level, color=colour, linewidth=1)
                 at = np.interp(np.arange(1, int(hours[-1]) + 1), hours, steps)
                 axis.plot(at / 1e6, np.interp(at, steps, level), ".", color=colour)
-            axis.set_title(kind.replace("_", " "))
-            axis.set_ylim(0, 10)
+            axis.set(title=kind.replace("_", " "), ylim=(0, 10))
         for axis in axes[1]:
             axis.set_xlabel("million environment steps")
         for axis in axes[:, 0]:

@@ -229,8 +229,7 @@ def _loss_and_probability(axis: Axes, line: Mapping[str, Any], beta: float, ever
     right = axis.twinx()
     label = "vision probability $P_t$"
     right.plot(time, np.array(line["probability"]), "--", color=PROBABILITY, label=label)
-    right.set(ylim=(-0.05, 1.25))
-    right.set_yticks(np.linspace(0, 1, 6))
+    right.set(ylim=(-0.05, 1.25), yticks=np.linspace(0, 1, 6))
     right.set_ylabel("$P_t$", color=PROBABILITY)
     right.grid(False)
     return right

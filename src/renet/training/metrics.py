@@ -137,8 +137,7 @@ def write_run_report(run: Path) -> Path:
             smooth = list(accumulate(values, lambda a, b: SMOOTHING * a + (1.0 - SMOOTHING) * b))
             last[name] = smooth[-1]
             axis.plot(iterations, smooth, label=name.split("/")[-1])
-        axis.set_title(title)
-        axis.set_xlabel("iteration")
+        axis.set(title=title, xlabel="iteration")
         axis.grid(alpha=0.3)
         if len(names) > 1:
             axis.legend(fontsize=7)

@@ -70,11 +70,10 @@ class NoiseStudy(FaultStudy):
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """noise.png and timeline.png."""
-        batches = {
-            (settings[0].fault, fault_class(settings[0].fault).level_of(settings[0].severity)): part
-            for settings, part in ((self.batches[name], parts[name]) for name in self.batches)
-        }
-        batches = {("none", 0.0): parts["no_fault"]} | batches
+        batches = {("none", 0.0): parts["no_fault"]}
+        for name, (setting,) in self.batches.items():
+            level = fault_class(setting.fault).level_of(setting.severity)
+            batches[setting.fault, level] = parts[name]
         curves = {
             # OP walks alike under every noise.
             mode: {

@@ -125,8 +125,7 @@ def draw_tiles(rays: TerrainScanner, origins: torch.Tensor) -> Figure:
             axis.imshow(shade, extent=(-4, 4, -4, 4), origin="lower")
             low, high = relief.min(), relief.max()
             axis.set_title(f"{kind}, level {level}\n{low:+.2f} to {high:+.2f} m", fontsize=9)
-            axis.set_xticks([-4, 0, 4])
-            axis.set_yticks([-4, 0, 4])
+            axis.set(xticks=[-4, 0, 4], yticks=[-4, 0, 4])
     return figure
 
 
@@ -160,8 +159,7 @@ def draw_camera(rays: TerrainScanner, origins: torch.Tensor) -> Figure:
         for row, image in enumerate(images):
             axis = axes[row, column]
             axis.imshow(image.clamp(0, DEPTH_RANGE), vmin=0, vmax=DEPTH_RANGE, cmap="magma_r")
-            axis.set_xticks([])
-            axis.set_yticks([])
+            axis.set(xticks=[], yticks=[])
             axis.set_title(f"{kind}: {rows[row]}" if row == 0 else rows[row], fontsize=9)
     return figure
 
