@@ -19,8 +19,7 @@ def test_constraints_that_do_not_fit_are_counted_and_told():
     watch = OverflowWatch(simulation)
     simulation.step()
     watch.look()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         assert watch.report() == {"overflow_contacts": 0, "overflow_constraints": 0}
     simulation.data.qpos[1, 2] = 0.09  # Four corners touch; friction makes 16 rows.
     simulation.step()

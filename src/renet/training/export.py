@@ -224,9 +224,8 @@ def _to_onnx(graph: nn.Module, inputs: dict[str, tuple[int, ...]], outputs: Iter
         graph: to trace. inputs: shapes by name, without the batch. outputs: names.
     """
     buffer, example = io.BytesIO(), tuple(torch.zeros(2, *shape) for shape in inputs.values())
-    with warnings.catch_warnings():
-        # The tracing exporter is deprecated but keeps these small graphs free of external data.
-        warnings.simplefilter("ignore")
+    # The tracing exporter is deprecated but keeps these small graphs free of external data.
+    with warnings.catch_warnings(action="ignore"):
         torch.onnx.export(
             graph,
             example,

@@ -204,8 +204,7 @@ def _make_vec_env(cfg: TrainCfg, task: RenetEnvCfg, device: str, seed: int) -> A
     from renet.tasks.robot_cfg import ACTION_CLIP
 
     # mjlab prints tables of terms and warns of its own randomisation.
-    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
         env = make_env(task, cast(int, cfg.num_envs), device, seed, cfg.engine)
     vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
     if cfg.depth_dropout.share:
