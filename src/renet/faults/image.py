@@ -76,7 +76,7 @@ class Blackout(ImageFault):
     """The picture fades to all zeros; level is the seconds the fade takes."""
 
     name = "blackout"
-    unit = "s"
+    unit = "s fade"
     levels = (1.0, 0.5, 0.2, 0.1, 0.0)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
