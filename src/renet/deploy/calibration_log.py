@@ -55,7 +55,7 @@ def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np
 def healthy_walks(run: Recording) -> Iterator[range]:
     """Rows of each stretch of seeing walking that an operator ended, without its start.
 
-    One that the log does not see the end of may have ended in a fall, or the battery's pulling.
+    One after which it fell within a second, or whose end the log does not hold, is left out.
     """
     ticks = run.ticks
     # A tick of vision that came too late ends a stretch; what follows is one of its own.
@@ -67,7 +67,7 @@ def healthy_walks(run: Recording) -> Iterator[range]:
         first = start + WARM_UP
         last = first + (end - first) // STEPS_PER_TICK * STEPS_PER_TICK
         healthy = bool(after) and after[0].why in HEALTHY_ENDS
-        healthy &= not fallen(ticks)[start : end + 50].any()  # Stopped as it toppled, too.
+        healthy &= not fallen(ticks)[start : end + round(1.0 / CONTROL_DT)].any()
         imaged = (ticks["frame"][first:last] == GOOD) & (ticks["frame_age"][first:last] < AWAY)
         if healthy and last > first and imaged.all() and min(run.images, default=end) <= first:
             yield range(first, last)

@@ -13,7 +13,7 @@ from renet.deploy.cameras.base import Camera
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.recording import read_recording
 from renet.deploy.robots.base import RobotDriver
-from renet.deploy.teleop import KEYS, JoystickTeleop, KeyboardTeleop, ScriptedTeleop, Teleop
+from renet.deploy.teleop import CONTROLS, JoystickTeleop, KeyboardTeleop, ScriptedTeleop, Teleop
 from renet.errors import RenetError
 from renet.faults import parse_fault
 
@@ -127,10 +127,8 @@ def make_teleop(cfg: DeployCfg) -> Teleop:
     """The operator's device."""
     if cfg.teleop == "auto":
         return ScriptedTeleop(cfg.speed)
-    if cfg.teleop == "joystick":
-        print(JoystickTeleop.__doc__)
-        return JoystickTeleop(deadman=cfg.operator_timeout)
-    print(f"keys: {KEYS}")
+    device = JoystickTeleop if cfg.teleop == "joystick" else KeyboardTeleop
+    print(f"{cfg.teleop}: {CONTROLS[cfg.teleop]}")
     if cfg.operator_timeout < math.inf:
-        print(f"{cfg.operator_timeout:g} s without any key: the robot stands")
-    return KeyboardTeleop(deadman=cfg.operator_timeout)
+        print(f"{cfg.operator_timeout:g} s without a sign of the operator: the robot stands")
+    return device(deadman=cfg.operator_timeout)

@@ -27,7 +27,10 @@ FADE = 1.0
 """Seconds in which the speed falls to zero when nobody steers any more."""
 MAX_INPUT = 4096
 """Bytes of keys or joystick events read in one control step; the rest waits for the next."""
-KEYS = "w/s faster/slower, a/d left/right, r stand up and walk, space stop, q quit"
+CONTROLS = {
+    "keyboard": "w/s faster/slower, a/d left/right, r stand up and walk, space stop, q quit",
+    "joystick": "left stick up speed, right stick turn, Start stand up and walk, A or B stop",
+}
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ class Deadman:
 
 
 class KeyboardTeleop:
-    """Reads the keys of `KEYS` from a terminal. Closing the terminal stops the robot."""
+    """Reads keys from a terminal. Closing the terminal stops the robot."""
 
     def __init__(self, stream: Any = None, deadman: float = math.inf) -> None:
         """Take over the terminal; raises RenetError if there is none.
@@ -134,8 +137,7 @@ class KeyboardTeleop:
         authority = self._deadman.authority(bool(keys), now)
         if authority == 0.0:
             self.speed = 0.0
-        stop = b" " in keys or self.quit
-        return TeleopCommand(authority * self.speed, self.turn, arm, stop)
+        return TeleopCommand(authority * self.speed, self.turn, arm, b" " in keys or self.quit)
 
     def close(self) -> None:
         """Give the terminal back."""
@@ -144,7 +146,7 @@ class KeyboardTeleop:
 
 
 class JoystickTeleop:
-    """Left stick up: speed. Right stick, at rest to arm: heading. Start arms; A or B stops."""
+    """Reads a joystick with the numbers of an Xbox pad."""
 
     EVENT = struct.Struct("<IhBB")
     BUTTON, AXIS, INITIAL = 1, 2, 0x80

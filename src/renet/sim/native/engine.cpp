@@ -158,7 +158,7 @@ static void store(const Worker& worker, int env) {
 // An environment whose state is not finite is left alone: its NaN stays for the task to see.
 static void advance(Advance& call) {
     const int number = join(call.work);
-    if (number >= call.environments) return; 
+    if (number >= call.environments) return;
     const Worker& worker = call.workers[number];
     for (int env; (env = take(call.work, 1)) < call.environments;) {
         if (call.only_written && !is_written(call, env)) continue;
