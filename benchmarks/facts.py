@@ -6,13 +6,16 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from renet.errors import RenetError
 
 LOAD_BEFORE = os.getloadavg()[0]
 """Taken at import: later the benchmark's own work counts."""
@@ -43,6 +46,16 @@ def spread(values: Sequence[float]) -> dict[str, float]:
     names, shares = ("p50", "p90", "p99", "max"), (50, 90, 99, 100)
     points = np.percentile(values, shares)
     return {name: round(float(point), 3) for name, point in zip(names, points, strict=True)}
+
+
+@contextmanager
+def errors_in_one_line() -> Iterator[None]:
+    """What the user can put right ends in one line and exit code 2."""
+    try:
+        yield
+    except RenetError as error:
+        print(f"{Path(sys.argv[0]).stem}: {error}", file=sys.stderr)
+        raise SystemExit(2) from error
 
 
 def report(results: dict[str, Any], path: Path | None) -> None:

@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 import tyro
+from scipy.stats import mannwhitneyu
 
 from facts import report
 from renet.deploy.policy import Policy
 from renet.evaluation.env import SimEnv, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.metrics import roc
 from renet.evaluation.rollout import Trial
 from renet.faults import Injection
 from renet.interface import (
@@ -205,7 +205,8 @@ def main(cfg: Cfg) -> None:
         walks = highest(scores, fallen)
         seen, glass = walks[: cfg.robots], walks[cfg.robots :]
         others = highest(everywhere[name], calm_fallen)[succeeded]
-        found[f"{name}: area"] = roc(seen, glass)[2]
+        area = mannwhitneyu(glass, seen).statistic / (len(glass) * len(seen))
+        found[f"{name}: area"] = float(area)
         found[f"{name}: beyond obstacles"] = f"{(glass > seen.max()).sum()} of {cfg.robots}"
         found[f"{name}: beyond all tiles"] = f"{(glass > others.max()).sum()} of {cfg.robots}"
     found["healthy hours"] = float((~calm_fallen[:, succeeded]).sum() * 0.02 / 3600)

@@ -15,6 +15,7 @@ from typing import Literal
 import torch
 import tyro
 
+from facts import errors_in_one_line
 from renet.baselines.switches import Gate, ReturnSwitch, SwitchEvaluator, collect, fit
 from renet.errors import RenetError
 from renet.evaluation.env import grounds_env_cfg
@@ -76,9 +77,7 @@ def trained(cfg: Cfg) -> SwitchEvaluator:
 
 
 if __name__ == "__main__":
-    try:
+    with errors_in_one_line():
         cfg = tyro.cli(Cfg)
         cfg.study.run(trained(cfg))
         print(f"Results: {cfg.study.out}")
-    except RenetError as error:
-        raise SystemExit(f"switches: {error}") from error

@@ -20,6 +20,7 @@ import torch
 import tyro
 from scipy import stats
 
+from facts import errors_in_one_line
 from renet.baselines import cheng, zhuang
 from renet.baselines.distillation import DistillationCfg, DistillCfg, Stage
 from renet.errors import RenetError
@@ -393,7 +394,5 @@ def main(cfg: Cfg) -> None:
 
 
 if __name__ == "__main__":
-    try:
+    with errors_in_one_line():
         main(tyro.cli(Cfg))
-    except RenetError as error:
-        raise SystemExit(f"table1: {error}") from error

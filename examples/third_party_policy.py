@@ -1,11 +1,11 @@
 """Benchmark a policy that is not renet's: `python examples/third_party_policy.py policy.onnx`."""
 
 import hashlib
-import sys
 from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
+import tyro
 
 from renet.evaluation.evaluator import Evaluator, Provenance
 from renet.evaluation.studies.benchmark import read_result
@@ -36,7 +36,8 @@ class TheirEvaluator(Evaluator):
         self.provenance = lambda seed: Provenance(model.stem, digest, "native", seed)
 
 
-def main(model: Path, results: Path = Path("results")) -> None:
+def main(model: tyro.conf.Positional[Path], results: Path = Path("results")) -> None:
+    """Run the quick fault benchmark on an ONNX policy and rank it among the results there are."""
     FaultStudy(out=results / model.stem, quick=True).run(TheirEvaluator(model))
     files = sorted(results.glob("*/result.json"))  # Also RENet's `--quick` one, if it is there.
     found = tuple(file for file in files if read_result(file)["protocol"]["quick"])
@@ -44,4 +45,4 @@ def main(model: Path, results: Path = Path("results")) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    tyro.cli(main)

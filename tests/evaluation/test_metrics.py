@@ -1,7 +1,5 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from renet.evaluation import metrics
 
@@ -38,12 +36,3 @@ def test_bootstrap_interval_of_a_mean_matches_the_normal_one() -> None:
     assert low == pytest.approx(values.mean() - half, abs=0.03)
     assert high == pytest.approx(values.mean() + half, abs=0.03)
     assert np.isnan(metrics.bootstrap_interval(np.array([np.nan]))).all()
-
-
-@given(st.lists(st.floats(0, 1), min_size=2, max_size=30), st.integers(1, 29))
-@settings(deadline=None)
-def test_roc_area_is_the_probability_of_ranking_right(scores, split) -> None:
-    split = min(split, len(scores) - 1)
-    healthy, faulty = np.array(scores[:split]), np.array(scores[split:])
-    pairs = (faulty[:, None] > healthy) + 0.5 * (faulty[:, None] == healthy)
-    assert metrics.roc(healthy, faulty)[2] == pytest.approx(pairs.mean())

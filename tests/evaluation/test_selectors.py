@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.monitor_log import MonitorLog, combined_score, replay, successful_runs
+from renet.evaluation.monitor_log import MonitorLog, replay, successful_runs
 from renet.evaluation.rollout import Trial, run_rollout
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
@@ -59,13 +59,6 @@ def test_disagreeing_estimators_are_noticed() -> None:
         LiveEnv(2), controller, make_selector("monitors", SPEC, 2), [Trial("renet")] * 2, 10, 0
     )
     assert trace.trusted[-1, -1].tolist() == [False, True]
-
-
-def test_the_combined_score_is_one_at_any_threshold_and_zero_as_usual() -> None:
-    calm = np.zeros((10, 1))
-    risen = np.concatenate([np.zeros((5, 1)), np.full((5, 1), 0.5)])
-    whole = combined_score({"a": calm, "b": 2 + risen}, {"a": 1.0, "b": 2.5}, 5)
-    np.testing.assert_allclose(whole, 2 * risen)
 
 
 def test_the_log_keeps_the_highest_score_of_a_tick() -> None:

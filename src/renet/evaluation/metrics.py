@@ -86,27 +86,6 @@ def with_interval(name: str, values: np.ndarray) -> dict[str, float]:
     return {f"{name}_ci95_low": low, f"{name}_ci95_high": high}
 
 
-def roc(healthy: np.ndarray, faulty: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Receiver operating characteristic of "the score is above a threshold".
-
-    Args:
-        healthy: scores of frames that should pass.
-        faulty: scores of frames that should be caught.
-
-    Returns:
-        False positive rates, true positive rates (both from 0 to 1), area under the curve; equal
-        scores count half.
-    """
-    levels = np.unique(np.concatenate([healthy, faulty]))[::-1]
-
-    def above(scores: np.ndarray) -> np.ndarray:
-        rank = np.searchsorted(np.sort(scores), levels, side="left")
-        return np.concatenate([[0.0], 1.0 - rank / len(scores)])
-
-    false, true = above(np.asarray(healthy)), above(np.asarray(faulty))
-    return false, true, float(np.trapezoid(true, false))
-
-
 def poisson_upper(count: int, confidence: float = 0.95) -> float:
     """The largest expected number of events that `count` or fewer of them do not rule out.
 

@@ -1,6 +1,5 @@
 """Records the monitors' scores in a rollout, and what other selectors would have answered."""
 
-from collections.abc import Mapping
 from itertools import pairwise
 
 import numpy as np
@@ -82,21 +81,3 @@ def replay(selector: EvalSelector, anomaly: np.ndarray) -> np.ndarray:
         for number, score in enumerate(np.repeat(anomaly, UPDATES_PER_STEP, axis=0), start=1)
     ]
     return np.array(answers).reshape(len(anomaly), UPDATES_PER_STEP, -1)
-
-
-def combined_score(
-    scores: Mapping[str, np.ndarray], thresholds: Mapping[str, float], healthy: int
-) -> np.ndarray:
-    """One score for a whole set of monitors, [ticks, N]: the largest of theirs.
-
-    Each monitor's score is shifted and scaled so that 0 is its median over the first `healthy`
-    ticks and 1 its threshold; the set objects where the result is 1 or more.
-
-    Args:
-        scores: [ticks, N] by monitor. thresholds: of the monitors in the set. healthy: ticks.
-    """
-    scaled = []
-    for name, threshold in thresholds.items():
-        usual = float(np.median(scores[name][:healthy]))
-        scaled.append((scores[name] - usual) / max(threshold - usual, 1e-9))
-    return np.max(scaled, axis=0)

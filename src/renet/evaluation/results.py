@@ -110,7 +110,7 @@ def read_results(path: Path) -> dict[str, Any]:
         raise RenetError(f"{error}; delete it and run the study again") from error
 
 
-PARTS_FORMAT = 5
+PARTS_FORMAT = 6
 """Raised when a study keeps other things in its parts: those of before are made anew."""
 
 

@@ -104,7 +104,8 @@ class Study:
         provenance = evaluator.provenance(self.seed)
         free = {"out", "bundle", *self.selectable}
         key = {name: value for name, value in asdict(self).items() if name not in free}
-        key |= {name: getattr(provenance, name) for name in ("bundle_hash", "renet_version")}
+        code = ("bundle_hash", "renet_version", "commit")
+        key |= {name: getattr(provenance, name) for name in code}
         key["policy"] = type(evaluator).make_policy.__qualname__
         folder = output_folder(out / "parts")
         parts = {

@@ -13,7 +13,6 @@ from renet.evaluation.studies.fault_metrics import (
     noticing,
     pair_counts,
     robot_measures,
-    separability,
     survival,
 )
 from renet.evaluation.trace import Trace
@@ -31,12 +30,7 @@ def batch(count: int = 4) -> Batch:
     trace.trusted[ONSET + 10 : OVER, :, 3] = False
     if count > 4:  # A fifth robot had left vision before.
         trace.trusted[ONSET - 3 : OVER, :, 4] = False
-    rng = np.random.default_rng(0)
-    scores = rng.normal(0, 1, (STEPS // 5, count))
-    scores[ONSET // 5 : OVER // 5] += 1.5
-    paper = np.ones_like(trace.trusted)
-    both = {"reconstruction": scores, "monitors": 3 * scores}
-    return Batch(trace, paper, both, ONSET, OVER)
+    return Batch(trace, np.ones_like(trace.trusted), ONSET, OVER)
 
 
 def test_detection_return_and_survival_by_hand() -> None:
@@ -73,26 +67,6 @@ def test_only_what_comes_before_a_fall_counts() -> None:
     np.testing.assert_allclose(departure(~trusted, gone, 20), [np.nan, 0.225])
     # Nothing is seen after the run's end.
     assert np.isnan(departure(~trusted, gone, 50)).all()
-
-
-def test_areas_match_counting_pairs() -> None:
-    whole = batch()
-    three = Batch(
-        whole.trace.robots(slice(0, 3)),
-        whole.paper[..., :3],
-        {name: scores[:, :3] for name, scores in whole.scores.items()},
-        ONSET,
-        OVER,
-    )
-    found = separability([three, three])
-    before, after = (
-        three.scores["reconstruction"][rows].ravel() for rows in (slice(4), slice(4, 12))
-    )
-    pairs = (after[:, None] > before).mean()
-    assert found["auc_reconstruction"] == pytest.approx(pairs)
-    assert found["auc_monitors"] == pytest.approx(pairs)
-    false, true = found["monitors"]
-    assert (false[0], true[0], false[-1], true[-1]) == (0, 0, 1, 1)
 
 
 def walk() -> Trace:

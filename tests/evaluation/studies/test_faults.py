@@ -37,7 +37,7 @@ def test_one_row_for_each_setting_and_mode(folder: Path, summary: dict) -> None:
     ]
     assert {run["robots"] for run in summary["runs"]} == {2}
     assert len((folder / "summary.csv").read_text().splitlines()) == 37
-    for name in ("crossed", "survival", "detection", "roc", "gallery"):
+    for name in ("crossed", "survival", "detection", "gallery"):
         assert (folder / f"{name}.png").stat().st_size > 10_000
 
 
@@ -62,8 +62,8 @@ def test_survival_and_detection_are_those_of_the_robots(summary: dict) -> None:
 
 
 def test_healthy_time_is_that_of_robots_whose_cameras_never_fail(summary: dict) -> None:
-    # The twins on flat ground, and 0.1 minutes.
-    assert summary["healthy"]["robot_hours"] == pytest.approx((6 * 2.6 + 6.0) / 3600, rel=0.01)
+    # RENet's twins on flat ground, and 0.1 minutes.
+    assert summary["healthy"]["robot_hours"] == pytest.approx((2 * 2.6 + 6.0) / 3600, rel=0.01)
     assert summary["healthy"]["false_switches"] == 0
     assert summary["healthy"]["alarms_by_monitor"]["reconstruction"] == 0
     where = [(run["ground"], run["mode"], run["falls"]) for run in summary["baseline"]]
@@ -102,6 +102,10 @@ def test_the_result_file_is_valid(folder: Path) -> None:
     assert result["policy"]["modes"] == ["vp", "renet", "op"]
     assert result["provenance"]["commit"] == commit()
     assert {entry["onset"] for entry in result["settings"]} == set(ONSETS.values())
+    flat = [e for e in result["settings"] if (e["mode"], e["ground"]) == ("vp", "flat")]
+    mean = np.mean([entry["measures"]["upright"]["value"] for entry in flat])
+    assert np.mean(result["by_robot"]["vp"]["flat"]["upright"]) == pytest.approx(mean)
+    assert len(result["by_robot"]["op"]["gap"]["crossed"]) == 2
     assert {entry["level"] for entry in result["settings"] if entry["ground"] == "gap"} == {3}
 
 
@@ -128,7 +132,11 @@ def complete(name: str, crossed: float) -> dict:
     protocol = {"robots": 5, "seed": 1, "speed": 0.6, "lasts": 4.0, "seconds": 10.0, "quick": True}
     origin = dict.fromkeys(("renet", "commit", "command", "date"), "x") | {"engine": "warp"}
     kind = {"benchmark": "renet-faults", "version": 1, "provenance": origin}
-    return kind | {"policy": policy, "protocol": protocol, "settings": settings}
+    one = {"crossed": [1.0, 0.0], "upright": [1.0, 1.0]}
+    robots = {ground: one | {"crossed": [crossed, crossed]} for ground in GROUNDS}
+    robots["gap"] = one
+    by_robot = {"by_robot": {"vp": robots}}
+    return kind | {"policy": policy, "protocol": protocol, "settings": settings} | by_robot
 
 
 def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked() -> None:
@@ -145,6 +153,12 @@ def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked() -> None:
         ("incomplete", "easy", "vp", "90.0 %"),
         ("incomplete", "lucky", "vp", "80.0 %"),
     ]
+    # Two robots that differ on gaps alone: the mean of both, or twice the one or the other.
+    share = np.mean([s["ground"] == "gap" for s in good["settings"] if s["ground"] != "flat"])
+    low, high = 60 * (1 - share), 60 * (1 - share) + 100 * share
+    assert rows[0][4] == f"{low:.1f} to {high:.1f}"
+    del good["by_robot"]
+    assert rank([good])[0][4] == "-"
     with pytest.raises(RenetError, match="one protocol"):
         rank([poor, good | {"protocol": good["protocol"] | {"quick": False}}])
 

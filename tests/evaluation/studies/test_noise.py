@@ -27,7 +27,7 @@ def test_the_preset_is_the_papers_comparison(folder: Path, summary: dict) -> Non
     assert {row["robots"] for row in rows} == {2}
     assert summary["provenance"].keys() >= {"bundle_hash", "engine", "seed", "command", "date"}
     assert summary["healthy"]["false_switches"] == 0
-    assert summary["healthy"]["robot_hours"] == pytest.approx(4 * 5.0 / 3600, abs=1e-6)
+    assert summary["healthy"]["robot_hours"] == pytest.approx(2 * 5.0 / 3600, abs=1e-6)
     for name in ("noise.png", "timeline.png"):
         assert (folder / name).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert len((folder / "summary.csv").read_text().splitlines()) == 1 + 12

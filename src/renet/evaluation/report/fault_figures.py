@@ -1,11 +1,10 @@
-"""Figures of the fault benchmark: survival and detection at a glance, curves, and a gallery."""
+"""Figures of the fault benchmark: survival and detection at a glance, and a gallery."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from renet.evaluation import figures
@@ -13,8 +12,6 @@ from renet.evaluation.report.example_scene import example
 from renet.faults import FAULTS, SEVERITIES
 
 Runs = list[dict[str, Any]]
-SHADES = ("#b7b2e0", "#7d76c9", "#3c3ca0", "#2a2a78", "#14143f")
-"""Of severities 1 to 5."""
 
 
 def draw_crossed(runs: Runs, modes: Sequence[str]) -> Figure:
@@ -71,43 +68,6 @@ def _cells(
     return {
         key: (s.mean(), f"{s.mean():.0f}") if s.size else (np.nan, "–") for key, s in shares.items()
     }
-
-
-def draw_roc(curves: Mapping[str, list[dict[str, Any]]]) -> Figure:
-    """One panel for each fault: could a threshold tell its frames from healthy ones?"""
-    columns = min(6, len(curves))
-    rows = -(-len(curves) // columns)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(1.9 * columns + 0.4, 2.1 * rows + 0.9), squeeze=False
-    )
-    for axis, (fault, found) in zip(axes.flat, curves.items(), strict=False):
-        _draw_curves(axis, found)
-        axis.set_title(fault.replace("_", " "), fontsize=9)
-    for axis in axes.flat[len(curves) :]:
-        axis.set_axis_off()
-    for axis in axes[-1]:
-        axis.set_xlabel("false alarms", fontsize=8)
-    for axis in axes[:, 0]:
-        axis.set_ylabel("caught", fontsize=8)
-    handles, labels = axes.flat[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right center", fontsize=8)
-    figure.suptitle(
-        "Frames before and after the onset: all monitors (lines), reconstruction alone (dots)",
-        x=0.01,
-        ha="left",
-        fontsize=11,
-    )
-    return figure
-
-
-def _draw_curves(axis: Axes, found: list[dict[str, Any]]) -> None:
-    axis.plot([0, 1], [0, 1], color=figures.FAINT, linewidth=0.6)
-    for curve in found:
-        colour, label = SHADES[curve["severity"] - 1], f"severity {curve['severity']}"
-        axis.plot(*curve["monitors"], color=colour, linewidth=1.4, label=label)
-        axis.plot(*curve["reconstruction"], color=colour, linewidth=1.1, linestyle=":")
-    axis.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.05), xticks=(0, 0.5, 1), yticks=(0, 0.5, 1))
-    axis.tick_params(labelsize=7)
 
 
 def draw_gallery(faults: Sequence[str], seed: int) -> Figure:

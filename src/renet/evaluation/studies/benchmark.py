@@ -59,6 +59,7 @@ def result(summary: Mapping[str, Any]) -> dict[str, Any]:
             }
             for run in summary["runs"]
         ],
+        "by_robot": summary["by_robot"],
     }
 
 

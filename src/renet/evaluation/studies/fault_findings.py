@@ -45,7 +45,7 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
     severe = [miss for miss in misses if miss["severity"] >= SEVERE]
     claims = [
         (
-            "survival at least OP alone's minus 2 points, every fault on simple ground",
+            "on simple ground no fault makes RENet fall more often than OP, beyond chance",
             not any(h["beyond_chance"] for h in simple),
             _beyond_and_within(simple, "settings below"),
         ),

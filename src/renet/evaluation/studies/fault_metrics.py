@@ -30,8 +30,6 @@ MEASURES = (
 """Of docs/benchmark.md, in its order."""
 TRAVELLED = 0.2
 """m from the onset on; below it energy per metre is not computed."""
-ROC_POINTS = 60
-"""Points kept of a curve."""
 Values = Mapping[str, Any]
 """A number for each robot, [N], by measure; NaN or None where it was not taken."""
 
@@ -88,6 +86,23 @@ def _mean(values: np.ndarray, interval: Any) -> dict[str, Any]:
     return {"value": float(values.mean()), "ci95": list(interval(values))}
 
 
+def by_robot(runs: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, np.ndarray]]]:
+    """Of each mode, ground and share: each robot's mean over the settings, [N].
+
+    The same robots stand in all settings: how sure a mean over settings is, these numbers tell.
+    """
+    seen: dict[str, dict[str, list]] = {}
+    for run in runs:
+        seen.setdefault(run["mode"], {}).setdefault(run["ground"], []).append(run["values"])
+    return {
+        mode: {
+            ground: {name: np.mean([own[name] for own in values], axis=0) for name in SHARES}
+            for ground, values in grounds.items()
+        }
+        for mode, grounds in seen.items()
+    }
+
+
 def pair_counts(values: Values, twins: Values) -> dict[str, int]:
     """Robots that fell while their twins did not, and the other way round."""
     fell, calm = (1 - np.array(part["upright"], float) > 0 for part in (values, twins))
@@ -112,8 +127,6 @@ class Batch:
     trace: Trace
     paper: np.ndarray
     """[T, U, N] bool: vision trusted by the paper's selector."""
-    scores: Mapping[str, np.ndarray]
-    """[ticks, N] each: `reconstruction`, and of all `monitors` (`monitor_log.combined_score`)."""
     onset: int
     """Control step at which the fault begins."""
     end: int
@@ -204,25 +217,3 @@ def _quantile(values: np.ndarray, share: float) -> float | None:
     """A quantile of the values [N] there are; None where there are none."""
     found = values[~np.isnan(values)]
     return float(np.quantile(found, share)) if len(found) else None
-
-
-def separability(batches: Sequence[Batch]) -> dict[str, Any]:
-    """How well a threshold on a score could tell frames of before the onset from frames after.
-
-    Returns:
-        The area under the curve and the curve itself, [false, true] positive rates, for the
-        reconstruction score alone and for the whole set; frames after a fall do not count.
-    """
-    found: dict[str, Any] = {}
-    for name in batches[0].scores:
-        before, after = [], []
-        for batch in batches:
-            first, last = batch.onset // STEPS_PER_TICK, -(-batch.end // STEPS_PER_TICK)
-            counts, scores = ~batch.trace.over[::STEPS_PER_TICK], batch.scores[name]
-            before.append(scores[:first][counts[:first]])
-            after.append(scores[first:last][counts[first:last]])
-        false, true, area = metrics.roc(np.concatenate(before), np.concatenate(after))
-        keep = np.unique(np.linspace(0, len(false) - 1, ROC_POINTS).round().astype(int))
-        found[f"auc_{name}"] = area
-        found[name] = [false[keep].round(4), true[keep].round(4)]
-    return found

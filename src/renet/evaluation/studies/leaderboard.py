@@ -1,6 +1,7 @@
 """`renet evaluate leaderboard`: policies ranked by their result files of the fault benchmark."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,7 +60,7 @@ def rank(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
             row["policy"],
             row["mode"],
             f"{100 * row['crossed']:.1f} %",
-            "{:.1f} to {:.1f}".format(*(100 * end for end in row["interval"])),
+            row["interval"],
             f"{100 * row['upright']:.1f} %",
             *(f"{row[name]:.2f}" for name in ("speed_error", "energy", "blind")),
         )
@@ -72,11 +73,8 @@ def _row(found: Mapping[str, Any], mode: str) -> dict[str, Any]:
     own = [entry for entry in found["settings"] if entry["mode"] == mode]
     tiles = [entry for entry in own if entry["ground"] != "flat"]
 
-    def values(entries: Sequence[Mapping[str, Any]], name: str) -> np.ndarray:
-        return np.array([entry["measures"][name]["value"] for entry in entries], float)
-
     def mean(entries: Sequence[Mapping[str, Any]], name: str) -> float:
-        measured = values(entries, name)
+        measured = np.array([entry["measures"][name]["value"] for entry in entries], float)
         return float(np.nanmean(measured)) if (~np.isnan(measured)).any() else math.nan
 
     study = FaultStudy(quick=found["protocol"]["quick"])
@@ -94,10 +92,18 @@ def _row(found: Mapping[str, Any], mode: str) -> dict[str, Any]:
         "complete": asked == found["protocol"]
         and wanted <= {tuple(entry[name] for name in names) for entry in own},
         "crossed": mean(tiles, "crossed"),
-        # Settings are the same for every policy: the interval is over them.
-        "interval": bootstrap_interval(values(tiles, "crossed")),
+        "interval": _interval(found, mode, Counter(entry["ground"] for entry in tiles)),
         "upright": mean(own, "upright"),
         "speed_error": mean(own, "speed_error"),
         "energy": mean(own, "energy_per_metre"),
         "blind": mean(own, "seconds_without_sight"),
     }
+
+
+def _interval(found: Mapping[str, Any], mode: str, settings: Mapping[str, int]) -> str:
+    """Of the share that crossed, over robots: the same ones stand in all settings of a ground."""
+    if "by_robot" not in found or not settings:
+        return "-"
+    crossed = [found["by_robot"][mode][ground]["crossed"] for ground in settings]
+    robots = np.average(crossed, axis=0, weights=list(settings.values()))
+    return "{:.1f} to {:.1f}".format(*(100 * end for end in bootstrap_interval(robots)))
