@@ -114,6 +114,14 @@ def test_presets_are_what_a_command_line_starts_from():
     assert task_cfg(own).rewards["foot_clearance"] == ours.rewards["foot_clearance"]
 
 
+def test_the_shipped_checkpoint_states_the_recipe():
+    found = checkpoints.find(Path(training.__file__).parents[1] / "pretrained" / "checkpoint")
+    own = training.restored(checkpoints.load_state(found))
+    recipe = TrainCfg.defaults([own.task])
+    size = {"num_envs": own.num_envs, "max_iterations": own.max_iterations, "seed": own.seed}
+    assert own == replace(recipe, **size)
+
+
 def test_runs_begun_in_the_same_second_have_folders_of_their_own(tmp_path):
     assert len({new_run(tmp_path, "task") for _ in range(3)}) == 3
 
