@@ -37,8 +37,7 @@ def commands(page: Path) -> list[tuple[str, str, str]]:
 
 COMMANDS = sorted({(page.name, *found) for page in PAGES for found in commands(page)})
 INLINE = re.findall(r"`(renet [^`…]+)`", (ROOT / "README.md").read_text())
-# How the shipped policy was made is history, with commands and options that are gone.
-LINES = sorted({x for page, x, *_ in COMMANDS if page != "pretrained.md"} | {*INLINE})
+LINES = sorted({x for _, x, *_ in COMMANDS} | {*INLINE})
 
 
 @pytest.mark.parametrize(("page", "line", "comment", "above"), COMMANDS)
