@@ -13,6 +13,7 @@ from renet.evaluation.rollout import EvalEnv, EvalPolicy, EvalSelector, Trial, r
 from renet.evaluation.trace import Trace
 from renet.selector import make_selector
 from renet.selector.selector import check_kind
+from renet.sim.threads import THREADS
 from renet.tasks import RenetEnvCfg, RobotCfg
 from renet.tasks.sensors import depth_camera
 
@@ -34,7 +35,7 @@ class Evaluator:
             RenetError: a missing, damaged or incompatible bundle, or an unknown selector.
         """
         check_kind(selector)
-        self.bundle = Bundle.load(bundle, threads=2)
+        self.bundle = Bundle.load(bundle, threads=THREADS)
         self.engine, self.selector = engine, selector
 
     @property
