@@ -80,11 +80,10 @@ def test_sparse_grass_passes_where_a_variance_is_predicted(tmp_path: Path) -> No
     bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
     short = CalibrateCfg(bundle, robots=2, seconds=3.0, terrains=("flat",))
     run_calibrate(replace(short, sparse_grass=False))
-    bare = read_manifest(bundle).selector.thresholds
+    bare = read_manifest(bundle).selector.thresholds["invalid_fraction"]
     beta = run_calibrate(short)
     selector = read_manifest(bundle).selector
-    hidden = selector.thresholds["invalid_fraction"] / bare["invalid_fraction"]
-    assert 1.05 < hidden <= 2.0, "blades hide what is behind them"
+    assert selector.thresholds["invalid_fraction"] > 1.05 * bare, "blades hide what is behind them"
     assert 1.0 < selector.thresholds["variance"] < 4.0
     assert beta < 0.02, "the paper's rule knows healthy images alone"
     names = Evaluator(bundle).make_selector(1).monitors.names

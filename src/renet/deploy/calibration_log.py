@@ -20,6 +20,8 @@ MIN_MINUTES = 5.0
 """Walking time from which thresholds are learnt."""
 HEALTHY_ENDS = ("operator stop", ENDED)
 """Reasons for damping that say nothing against the walk before."""
+TOPPLING = 45.0
+"""Degrees; an operator may stop a robot that leans so, and once damped a healthy one may fall."""
 WARM_UP = 2 * STEPS_PER_TICK
 """Control steps after walking began without scores of their own: both images must be new."""
 
@@ -55,7 +57,7 @@ def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np
 def healthy_walks(run: Recording) -> Iterator[range]:
     """Rows of each stretch of seeing walking that an operator ended, without its start.
 
-    One after which it fell within a second, or whose end the log does not hold, is left out.
+    One in which it leaned far, or whose end the log does not hold, is left out.
     """
     ticks = run.ticks
     # A tick of vision that came too late ends a stretch; what follows is one of its own.
@@ -67,7 +69,7 @@ def healthy_walks(run: Recording) -> Iterator[range]:
         first = start + WARM_UP
         last = first + (end - first) // STEPS_PER_TICK * STEPS_PER_TICK
         healthy = bool(after) and after[0].why in HEALTHY_ENDS
-        healthy &= not fallen(ticks)[start : end + round(1.0 / CONTROL_DT)].any()
+        healthy &= not fallen(ticks, TOPPLING)[start:end].any()
         imaged = (ticks["frame"][first:last] == GOOD) & (ticks["frame_age"][first:last] < AWAY)
         if healthy and last > first and imaged.all() and min(run.images, default=end) <= first:
             yield range(first, last)

@@ -20,8 +20,6 @@ from renet.files import write_atomically
 from renet.interface import CONTROL_DT
 
 SCORE, TIMELINE = "score.json", "timeline.svg"
-UPRIGHT = np.cos(np.radians(60.0))
-"""Upward component of the base's z axis below which a robot has fallen."""
 BANDS = {"damped or standing up": "#d7dade", "VP acts": "#bed5b4", "OP acts": "#f3c1bb"}
 MAX_POINTS = 5000
 """Points of a curve; longer runs are thinned out."""
@@ -121,11 +119,11 @@ def delay_to_op(blind: np.ndarray, onset: float) -> float | None:
     return round(float(later[0] - onset), 3) if len(later) else None
 
 
-def fallen(ticks: np.ndarray) -> np.ndarray:
-    """Whether the base leans by more than 60 degrees, [T] bool; as before where nobody knows."""
+def fallen(ticks: np.ndarray, lean: float = 60.0) -> np.ndarray:
+    """Whether the base leans by more than `lean` degrees, [T]; as before where nobody knows."""
     quaternion = ticks["quaternion"]
     known = (ticks["state"] == GOOD) & (np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) < 0.1)
-    down = known & (1.0 - 2.0 * (quaternion[:, 1:3] ** 2).sum(axis=1) < UPRIGHT)
+    down = known & (1.0 - 2.0 * (quaternion[:, 1:3] ** 2).sum(axis=1) < np.cos(np.radians(lean)))
     return down[np.maximum.accumulate(np.where(known, np.arange(len(ticks)), 0))]
 
 
