@@ -51,7 +51,7 @@ class ReportCfg:
     run: bool = False
     """Run every study first; what an interrupted run has finished is kept."""
     quick: bool = False
-    """With `run`: the quick form of every study, about an hour and a half on two cores."""
+    """With `run`: the quick form of every study; the full ones take 1.6 hours on one core."""
     bundle: Path | None = None
     """With `run`: bundle folder; the one that ships with renet by default."""
     seed: int = 1
