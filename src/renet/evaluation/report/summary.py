@@ -22,7 +22,8 @@ def overview_section(found: Found) -> Section:
 def worse_section(found: Found) -> Section:
     """Settings in which RENet does worse than OP alone, and faults it does not notice."""
     rows = [row for name, make in WORSE.items() if name in found for row in make(found[name])]
-    return render("worse", rows=rows)
+    chance = [row for row in rows if "(within chance)" in row[1]]
+    return render("worse", rows=[row for row in rows if row not in chance], chance=chance)
 
 
 def noise_headline(summary: dict[str, Any]) -> str:
@@ -100,7 +101,7 @@ def _worse_faults(summary: dict[str, Any]) -> list[Row]:
         ("faults", setting_label(f) + _doubt(f), _percent(f["renet"]), _percent(f["op"]))
         for f in summary["harmful"]
     ]
-    missed = [
+    return harmful + [
         (
             "faults",
             f"{setting_label(m)} goes unnoticed; {m['vp_falls']} fall with VP only"
@@ -110,7 +111,6 @@ def _worse_faults(summary: dict[str, Any]) -> list[Row]:
         )
         for m in summary["missed"]
     ]
-    return harmful + missed
 
 
 def _doubt(finding: dict[str, Any]) -> str:
