@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.report.summary import FACTS, WORSE
+from renet.evaluation.report.summary import FACTS, WORSE, worse_section
 from renet.evaluation.studies.report import STUDIES, ReportCfg, make_report, run_studies
 from renet.evaluation.study import Study
 
@@ -72,14 +72,11 @@ def test_what_is_worse_than_op_alone_is_listed() -> None:
         "harmful": [glare | {"renet": 0.5, "op": 1.0}],
         "missed": [frozen | {"undetected": 2, "vp_falls": 4, "vp_spared": 1}],
     }
-    unnoticed = (
-        "frozen 3 on stairs up goes unnoticed; 4 fall with VP only then, 1 only without it"
-        " (within chance)"
-    )
-    assert WORSE["faults"](faults) == [
-        ("faults", "glare 5 on gap", "50 %", "100 %"),
-        ("faults", unnoticed, "2 robots", ""),
-    ]
+    assert WORSE["faults"](faults) == [("faults", "glare 5 on gap", "50 %", "100 %")]
+    html = " ".join(worse_section({"faults": faults}).html.split())
+    above, folded = html.split("1 within chance")
+    assert "glare 5 on gap" in above
+    assert "frozen 3 on stairs up goes unnoticed; 4 fall with VP only then, 1 only" in folded
     passages = [
         {"mode": mode, "kind": kind, "crossed": crossed, "tries": 4}
         for mode, kind, crossed in (

@@ -22,8 +22,8 @@ def overview_section(found: Found) -> Section:
 def worse_section(found: Found) -> Section:
     """Settings in which RENet does worse than OP alone, and faults it does not notice."""
     rows = [row for name, make in WORSE.items() if name in found for row in make(found[name])]
-    chance = [row for row in rows if "(within chance)" in row[1]]
-    return render("worse", rows=[row for row in rows if row not in chance], chance=chance)
+    chance = _worse_faults(found["faults"], beyond_chance=False) if "faults" in found else []
+    return render("worse", rows=rows, chance=chance)
 
 
 def noise_headline(summary: dict[str, Any]) -> str:
@@ -96,25 +96,23 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def _worse_faults(summary: dict[str, Any]) -> list[Row]:
+def _worse_faults(summary: dict[str, Any], *, beyond_chance: bool = True) -> list[Row]:
     harmful = [
-        ("faults", setting_label(f) + _doubt(f), _percent(f["renet"]), _percent(f["op"]))
+        ("faults", setting_label(f), _percent(f["renet"]), _percent(f["op"]))
         for f in summary["harmful"]
+        if f["beyond_chance"] == beyond_chance
     ]
     return harmful + [
         (
             "faults",
             f"{setting_label(m)} goes unnoticed; {m['vp_falls']} fall with VP only"
-            f" then, {m['vp_spared']} only without it" + _doubt(m),
+            f" then, {m['vp_spared']} only without it",
             f"{m['undetected']} robots",
             "",
         )
         for m in summary["missed"]
+        if m["beyond_chance"] == beyond_chance
     ]
-
-
-def _doubt(finding: dict[str, Any]) -> str:
-    return "" if finding["beyond_chance"] else " (within chance)"
 
 
 def _worse_success(summary: dict[str, Any]) -> list[Row]:
