@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import csv
 from collections import Counter, defaultdict
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
@@ -18,6 +20,7 @@ import tyro
 from facts import errors_in_one_line
 from renet.evaluation.metrics import bootstrap_interval
 from renet.evaluation.studies.benchmark import GROUNDS, read_result
+from renet.evaluation.studies.fault_findings import SEVERE, findings
 
 LOSS = 0.1 - 1e-6
 """Share of robots from which on a difference counts as ten points."""
@@ -38,7 +41,7 @@ class Cfg:
     onset: str | None = None
     """on_the_way or before_the_edge; both by default."""
     noticed: Path | None = None
-    """summary.csv of a study: who noticed its faults."""
+    """summary.csv of a study: who noticed its faults, and what it claims."""
 
 
 def shares(cfg: Cfg) -> dict[str, dict[Setting, np.ndarray]]:
@@ -125,17 +128,54 @@ def paired(path: Path) -> None:
         print(f"RENet less VP, {', '.join(grounds)}: {', '.join(cells)}")
 
 
-def noticing(path: Path) -> None:
+def costs(vp: dict[Setting, np.ndarray]) -> None:
+    """Points of crossing that VP loses to its healthy twins from severity 3 on, fault by fault."""
+    lost: dict[str, list[float]] = defaultdict(list)
+    for (ground, _, fault, severity), value in vp.items():
+        if int(severity) >= SEVERE:
+            lost[f"{fault} on {ground}"].append(100 * (value[2] - value[0]))
+    means = {place: np.mean(points) for place, points in lost.items()}
+    found = sorted((place for place in means if means[place] >= 5), key=lambda p: -means[p])
+    print("points VP loses:", ", ".join(f"{place} {means[place]:.0f}" for place in found))
+
+
+def study_rows(path: Path) -> list[dict[str, Any]]:
+    """Rows of a study's summary.csv, numbers as such; an empty cell is None."""
+    with path.open(newline="") as file:
+        return [{k: number(text) for k, text in row.items()} for row in csv.DictReader(file)]
+
+
+def number(text: str) -> Any:
+    """What a cell holds."""
+    for kind in (int, float):
+        with suppress(ValueError):
+            return kind(text)
+    return text or None
+
+
+def noticing(rows: list[dict[str, Any]]) -> None:
     """Robots in mode renet that noticed, of those that used vision, severity by severity."""
     seen: dict[str, Counter[str]] = defaultdict(Counter)
-    with path.open(newline="") as file:
-        for row in csv.DictReader(file):
-            if row["mode"] == "renet":
-                seen[row["fault"]][row["severity"]] += int(row["detected"])
-                seen[row["fault"]]["of"] += int(row["vision_active_at_onset"])
+    for row in rows:
+        if row["mode"] == "renet":
+            seen[row["fault"]][row["severity"]] += row["detected"]
+            seen[row["fault"]]["of"] += row["vision_active_at_onset"]
     for fault, counts in seen.items():
         robots = counts.pop("of") // len(counts)
         print(f"{fault}: {', '.join(map(str, counts.values()))} of {robots} each")
+
+
+def claims(rows: list[dict[str, Any]]) -> None:
+    """The study's claims, and settings in which RENet falls more often than OP robot by robot."""
+    twins = [
+        {**row, "falls": row["falls"] - row["falls_by_fault"] + row["falls_spared"]}
+        for row in rows
+        if row["mode"] != "renet"
+    ]
+    for claim in findings(rows, twins, {"robot_hours": 0})["claims"]:
+        print(f"{claim['claim']}: {claim['measured']}")
+    below = Counter(row["ground"] for row in rows if (row["over_op_ci95_high"] or 0) < 0)
+    print("settings in which RENet falls more often than OP, interval below zero:", dict(below))
 
 
 def main(cfg: Cfg) -> None:
@@ -146,11 +186,14 @@ def main(cfg: Cfg) -> None:
     policies = {name.rsplit(" ", 1)[0] for name in found}
     for policy in sorted(policies):
         if {f"{policy} vp", f"{policy} renet"} <= set(found):
+            costs(found[f"{policy} vp"])
             separation(found[f"{policy} vp"], found[f"{policy} renet"])
     for path in cfg.files:
         paired(path)
     if cfg.noticed is not None:
-        noticing(cfg.noticed)
+        rows = study_rows(cfg.noticed)
+        noticing(rows)
+        claims(rows)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ Sessions = dict[str, ort.InferenceSession]
 
 
 class InlineInference:
-    """Every tick is done when it was begun: the same result on every machine."""
+    """Every tick is done when it was begun: the same result in every run."""
 
     def __init__(self, sessions: Sessions) -> None:
         self._sessions = sessions
