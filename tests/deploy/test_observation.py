@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -43,7 +43,6 @@ def test_zeros_are_no_rotation_and_no_error():
     assert np.isnan(projected_gravity(np.zeros(4))).all()
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
 def test_against_scipys_rotations(angles):
     yaw, pitch, roll = angles

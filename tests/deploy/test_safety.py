@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from renet.deploy.safety import (
@@ -241,7 +241,6 @@ ranges = st.lists(st.floats(0, 1), min_size=12, max_size=12).map(
 )
 
 
-@settings(deadline=None)
 @given(twelve, ranges, ranges, st.lists(st.floats(-60, 60), min_size=12, max_size=12))
 def test_no_command_leaves_its_limits(target, previous, position, velocity):
     reading = state(joint_position=position, joint_velocity=np.array(velocity))

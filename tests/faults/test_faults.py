@@ -234,7 +234,7 @@ def test_what_no_model_stands_for_is_refused(wrong) -> None:
     gap=st.floats(0, 3),
     step=st.integers(0, 1000),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_elapsed_is_within_the_duration_or_off(onset, duration, gap, step) -> None:
     injection = Injection("gaussian", 1.0, onset, duration, duration + gap)
     elapsed = injection.elapsed(step)

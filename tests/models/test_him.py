@@ -30,7 +30,7 @@ def unit(random: np.random.Generator, *shape: int) -> np.ndarray:
     return value / np.linalg.norm(value, axis=-1, keepdims=True)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 1000), batch=st.integers(2, 40))
 def test_sinkhorn_and_loss_match_the_reference(seed, batch):
     random = np.random.default_rng(seed)

@@ -86,14 +86,13 @@ def test_a_burst_is_counted_once() -> None:
     scores=st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=60),
     expected=st.floats(0.01, 10.0),
 )
-@settings(deadline=None)
 def test_a_calibrated_level_is_above_all_it_was_learnt_from(scores, expected) -> None:
     run = np.array(scores)
     assert return_level([run], expected) > run.max() or np.ptp(run) < 1e-9
 
 
 @given(lower=st.floats(0.05, 1.0), factor=st.floats(1.0, 50.0))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_fewer_false_alarms_never_lower_a_threshold(lower, factor) -> None:
     runs = {"reconstruction": hours(0.2)}
     strict, _ = calibrate_monitors(runs, lower)

@@ -122,7 +122,7 @@ def test_it_leaves_as_fast_as_the_papers_filter_and_says_why():
     assert chosen.reason.tolist() == ["", ""]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     rate=st.sampled_from([10.0, 37.0, 50.0, 75.0, 200.0, 500.0]),
     calls=st.sampled_from([10.0, 33.0, 50.0, 200.0, 1000.0]),
@@ -170,7 +170,7 @@ def test_a_slow_filter_judges_at_its_own_times_but_sees_every_image():
     assert answers == [True] * 5 + [False]
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(pattern=st.lists(st.integers(1, 400), min_size=4, max_size=30))
 def test_a_flickering_camera_causes_at_most_one_return_in_five_seconds(pattern):
     chosen, bad, step, returns, before = selector(), False, 0, [], True

@@ -48,7 +48,7 @@ STEPS = '<geom type="plane" size="0 0 1"/>' + "".join(
 )
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     roll=st.floats(-0.6, 0.6),
     pitch=st.floats(-0.6, 0.6),

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -67,7 +67,6 @@ def test_a_reading_that_is_no_number_does_not_reach_the_gains():
     assert np.isfinite([command.stiffness, command.damping]).all()
 
 
-@settings(deadline=None)
 @given(
     position=arrays(float, 12, elements=st.floats(-1e6, 1e6)),
     gains=arrays(float, (2, 12), elements=st.floats(-1e6, 1e6)),

@@ -49,7 +49,7 @@ def caster(model) -> TerrainScanner:
     return TerrainScanner(model, "cpu")
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     x=st.floats(-4, 4),
     y=st.floats(-4, 4),

@@ -57,7 +57,7 @@ CLUTTER = """<geom type="plane" size="0 0 1" pos="0 0 -0.4"/>
   <geom type="box" size="0.3 0.1 0.5" pos="1.2 -0.8 0.1"/>"""
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     angle=st.floats(-np.pi, np.pi),
     height=st.floats(-0.3, 1.2),
