@@ -18,6 +18,7 @@ import numpy as np
 import tyro
 
 from facts import errors_in_one_line
+from renet.errors import RenetError
 from renet.evaluation.metrics import bootstrap_interval
 from renet.evaluation.studies.benchmark import GROUNDS, read_result
 from renet.evaluation.studies.fault_findings import SEVERE, findings
@@ -142,7 +143,10 @@ def costs(vp: dict[Setting, np.ndarray]) -> None:
 def study_rows(path: Path) -> list[dict[str, Any]]:
     """Rows of a study's summary.csv, numbers as such; an empty cell is None."""
     with path.open(newline="") as file:
-        return [{k: number(text) for k, text in row.items()} for row in csv.DictReader(file)]
+        rows = list(csv.DictReader(file))
+    if not rows or "over_op" not in rows[0]:
+        raise RenetError(f"{path} is no summary.csv of the study `renet evaluate faults`")
+    return [{name: number(text) for name, text in row.items()} for row in rows]
 
 
 def number(text: str) -> Any:
