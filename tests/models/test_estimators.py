@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from renet.errors import RenetError
 from renet.models.actor_critic import fuse
 from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
@@ -19,20 +20,22 @@ def test_unrolling_equals_ticking_by_hand_with_resets(model):
     history, depth = torch.randn(6, 3, 10, 45), torch.rand(6, 3, 2, 48, 64)
     fresh = torch.zeros(6, 3, dtype=torch.bool)
     fresh[2, 0] = fresh[4, 1] = fresh[0, 2] = True
+    has_image = torch.rand(6, 3) < 0.5
     start = torch.randn(3, 64)
     for estimator in (model.op, model.vp):
-        got = estimator.unroll(history, depth, start, fresh)
+        got = estimator.unroll(history, depth, has_image, start, fresh)
         latent = start
         for tick in range(6):
             latent = torch.where(fresh[tick][:, None], torch.zeros_like(latent), latent)
-            latent = estimator(history[tick], depth[tick], latent)
+            latent = estimator(history[tick], depth[tick], has_image[tick], latent)
             torch.testing.assert_close(got[tick], latent, atol=1e-5, rtol=1e-4)
 
 
 def test_gradients_flow_through_time_but_not_across_a_reset(model):
     history = torch.randn(3, 2, 10, 45, requires_grad=True)
     fresh = torch.tensor([[False, False], [False, True], [False, False]])
-    latents = model.op.unroll(history, torch.rand(3, 2, 2, 48, 64), torch.zeros(2, 64), fresh)
+    images = torch.rand(3, 2, 2, 48, 64), torch.ones(3, 2)
+    latents = model.op.unroll(history, *images, torch.zeros(2, 64), fresh)
     latents[-1].sum().backward()
     reached = history.grad[0].abs().sum((1, 2)) > 0
     assert reached.tolist() == [True, False]
@@ -41,8 +44,30 @@ def test_gradients_flow_through_time_but_not_across_a_reset(model):
 def test_op_never_sees_depth_and_vp_does(model):
     history, latent = torch.randn(2, 10, 45), torch.zeros(2, 64)
     one, two = torch.rand(2, 2, 48, 64), torch.rand(2, 2, 48, 64)
-    assert torch.equal(model.op(history, one, latent), model.op(history, two, latent))
-    assert not torch.equal(model.vp(history, one, latent), model.vp(history, two, latent))
+    yes, no = torch.ones(2), torch.zeros(2)
+    assert torch.equal(model.op(history, one, yes, latent), model.op(history, two, no, latent))
+    assert not torch.equal(model.vp(history, one, yes, latent), model.vp(history, two, yes, latent))
+
+
+def test_a_withheld_image_says_nothing_whatever_it_shows(model):
+    history, latent = torch.randn(2, 10, 45), torch.randn(2, 64)
+    one, two = torch.rand(2, 2, 48, 64), torch.rand(2, 2, 48, 64)
+    no = torch.zeros(2)
+    assert torch.equal(model.vp(history, one, no, latent), model.vp(history, two, no, latent))
+    assert not torch.equal(
+        model.vp(history, one, no, latent), model.vp(history, one, 1 - no, latent)
+    )
+
+
+def test_the_maps_error_is_judged_without_moving_the_memory():
+    model = RENet(ModelCfg(predict_map_error=True), critic_size=5)
+    latent = torch.randn(4, 3, 64, requires_grad=True)
+    judged = model.vp.map_log_variance(latent)
+    assert judged.shape == (4, 3, 132)
+    judged.sum().backward()
+    assert latent.grad is None
+    with pytest.raises(RenetError, match="needs model.predict_height_map"):
+        ModelCfg(predict_map_error=True, predict_height_map=False)
 
 
 def test_fuse_is_the_papers_equation():
@@ -72,3 +97,23 @@ def test_memory_fills_on_the_first_observation_and_forgets_on_reset(model):
     assert torch.equal(memory.history[1, -2], first[1])
     assert torch.equal(memory.frames[0, 0], memory.frames[0, 1])
     assert torch.equal(memory.frames[1, 1], image[1].half())
+
+
+def test_after_withheld_images_the_next_one_fills_both_frames(model):
+    memory, images = EstimatorMemory(model.cfg, 2, "cpu"), torch.rand(4, 2, 48, 64)
+    memory.push(torch.randn(2, 45))
+    lost = torch.tensor([True, False])  # The first robot loses its images at ticks 1 and 2.
+    pairs, ages = [], []
+    for tick, image in enumerate(images):
+        memory.see(image, ~lost if tick in (1, 2) else None)
+        memory.tick(model.advance)
+        pairs.append(memory.frames.float())
+        ages.append(memory.image_age.tolist())
+    images = images.half().float()
+    assert torch.equal(pairs[2][0], pairs[0][0])
+    assert torch.equal(pairs[3][0], images[3, 0].expand(2, 48, 64))
+    assert torch.equal(pairs[3][1], torch.stack((images[3, 1], images[2, 1])))
+    assert ages == [[0, 0], [pytest.approx(0.1), 0], [pytest.approx(0.2), 0], [0, 0]]
+    memory.see(images[0], ~lost)
+    memory.reset(torch.tensor([True, False]))
+    assert memory.image_age.tolist() == [0, 0]

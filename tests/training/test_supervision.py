@@ -1,5 +1,7 @@
 """Loss_OP and Loss_VP (RENet eq. 1 and 2) against sums written out."""
 
+import math
+
 import pytest
 import torch
 
@@ -21,6 +23,7 @@ def rollout() -> TickRollout:
     return TickRollout(
         history=torch.randn(TICKS, ROBOTS, 10, 45),
         frames=torch.rand(TICKS, ROBOTS, 2, 48, 64).half(),
+        has_image=torch.rand(TICKS, ROBOTS) < 0.7,
         fresh=torch.zeros(TICKS, ROBOTS, dtype=torch.bool),
         op_mask=mask,
         velocity=torch.randn(TICKS, ROBOTS, 3),
@@ -49,7 +52,8 @@ def replay(name: str, model: RENet, rollout: TickRollout) -> list[torch.Tensor]:
     estimator, latent = getattr(model, name), getattr(rollout, f"latent_{name}")[0]
     latents = []
     for tick in range(TICKS):
-        latent = estimator(rollout.history[tick], rollout.frames[tick].float(), latent)
+        images = rollout.frames[tick].float(), rollout.has_image[tick]
+        latent = estimator(rollout.history[tick], *images, latent)
         latents.append(latent)
     return latents
 
@@ -137,7 +141,7 @@ def test_the_autoencoder_learns_from_a_share_of_the_images(model, monkeypatch, r
     )
     supervision = Supervision(model, SupervisionCfg(autoencoder_images=16))
     # 3 ticks: 12 pairs, of which two fifths are 4.8, or 120, of which the setting takes fewer.
-    losses = supervision._anomaly_losses(torch.rand(3, robots, 2, 48, 64))
+    losses = supervision._anomaly_losses(torch.rand(3 * robots, 2, 48, 64))
     assert seen == [learned]
     assert torch.isfinite(losses["anomaly"])
 
@@ -171,6 +175,34 @@ def test_the_variance_detector_alone_learns_from_them(monkeypatch):
         learned: list[torch.Tensor] = []
         monkeypatch.setattr(model.autoencoder, "loss", lambda p, to=learned: to.append(p) or {})
         supervision = Supervision(model, SupervisionCfg(autoencoder_images=40))
-        supervision._anomaly_losses(torch.ones(10, 10, 2, 48, 64))
+        supervision._anomaly_losses(torch.ones(100, 2, 48, 64))
         grown = (learned[0] < 1.0).flatten(1).any(1).float().mean()
         assert grown == 0.0 if share == 0.0 else 0.1 < grown <= share
+
+
+def test_the_maps_error_is_learnt_as_a_gaussian_likelihood_and_moves_nothing_else(rollout):
+    torch.manual_seed(0)
+    model = RENet(ModelCfg(predict_map_error=True), critic_size=5)
+    losses = losses_of("vp", model, rollout)
+    latents = torch.stack(replay("vp", model, rollout))[:, 2:]  # OP drives the first two.
+    wrong = (model.vp.predict(latents)["height_map"] - rollout.height_map[:, 2:]).detach()
+    normal = torch.distributions.Normal(0.0, model.vp.map_log_variance(latents).exp().sqrt())
+    constant = 0.5 * math.log(2 * math.pi)
+    expected = -normal.log_prob(wrong).mean() - constant
+    torch.testing.assert_close(losses["vp_map_nll"], expected, atol=1e-5, rtol=1e-4)
+    losses["vp_map_nll"].backward()
+    moved = {n for n, p in model.named_parameters() if p.grad is not None and p.grad.any()}
+    assert {name.rpartition(".")[0].rpartition(".")[0] for name in moved} == {"vp.map_error_head"}
+
+
+def test_the_detector_learns_from_true_images_alone(model, rollout, monkeypatch):
+    learned: list[torch.Tensor] = []
+    rollout.frames[~rollout.has_image] = -1.0
+    monkeypatch.setattr(model.autoencoder, "loss", lambda p: learned.append(p) or {})
+    supervision = Supervision(model, SupervisionCfg())
+    supervision._blind_losses(rollout)
+    assert 0 < len(learned[0])
+    assert learned[0].min() >= 0
+    rollout.has_image[:] = False
+    supervision._blind_losses(rollout)
+    assert len(learned) == 1

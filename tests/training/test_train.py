@@ -114,6 +114,7 @@ def test_presets_are_what_a_command_line_starts_from():
     assert task_cfg(own).rewards["foot_clearance"] == ours.rewards["foot_clearance"]
 
 
+@pytest.mark.xfail(strict=True, reason="it learned before images were withheld; the next trains")
 def test_the_shipped_checkpoint_states_the_recipe():
     found = checkpoints.find(Path(training.__file__).parents[1] / "pretrained" / "checkpoint")
     own = training.restored(checkpoints.load_state(found))

@@ -107,7 +107,11 @@ class Imitation(Supervision):
     def _vp_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
         assert isinstance(rollout, DistillationRollout)
         latent = self.model.vp.unroll(
-            rollout.history, rollout.frames.float(), rollout.latent_vp[0], rollout.fresh
+            rollout.history,
+            rollout.frames.float(),
+            rollout.has_image,
+            rollout.latent_vp[0],
+            rollout.fresh,
         )
         latent = latent.repeat_interleave(len(rollout.blank) // len(latent), dim=0)
         latent = latent * ~rollout.blank.unsqueeze(-1)

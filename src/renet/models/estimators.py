@@ -106,8 +106,15 @@ class Estimator(nn.Module):
         self.gru = nn.GRUCell(EMBEDDING, LATENT)
         self.velocity_head = nn.Linear(LATENT, 3) if cfg.predict_velocity else None
 
-    def features(self, history: Tensor, depth: Tensor) -> Tensor:
-        """Encode o^{H1} [B, H1, 45] and, for VP, d^{H2} [B, >=H2, 48, 64] to [B, 64]."""
+    def features(self, history: Tensor, depth: Tensor, has_image: Tensor) -> Tensor:
+        """Encode the inputs of a tick to [B, 64].
+
+        Args:
+            history: o^{H1}, [B, H1, 45].
+            depth: d^{H2}, [B, >=H2, 48, 64]; only VP sees it.
+            has_image: [B] or [B, 1], 1 where `depth` holds an image of this tick, 0 where it was
+                withheld and VP is to go on from its memory.
+        """
         raise NotImplementedError
 
     def predict(self, latent: Tensor) -> dict[str, Tensor]:
@@ -120,15 +127,17 @@ class Estimator(nn.Module):
         """
         return {} if self.velocity_head is None else {"velocity": self.velocity_head(latent)}
 
-    def forward(self, history: Tensor, depth: Tensor, latent: Tensor) -> Tensor:
+    def forward(self, history: Tensor, depth: Tensor, has_image: Tensor, latent: Tensor) -> Tensor:
         """One 10 Hz tick: previous latent [B, 64] to the next one."""
-        return self.gru(self.features(history, depth), latent)
+        return self.gru(self.features(history, depth, has_image), latent)
 
-    def unroll(self, history: Tensor, depth: Tensor, latent: Tensor, fresh: Tensor) -> Tensor:
+    def unroll(
+        self, history: Tensor, depth: Tensor, has_image: Tensor, latent: Tensor, fresh: Tensor
+    ) -> Tensor:
         """Replay T ticks with gradients through time.
 
         Args:
-            history: [T, B, H1, 45]. depth: [T, B, H2, 48, 64].
+            history: [T, B, H1, 45]. depth: [T, B, H2, 48, 64]. has_image: [T, B].
             latent: [B, 64] before the first tick.
             fresh: [T, B] bool, true where an episode began since the previous tick, so that its
                 memory starts from zero.
@@ -137,9 +146,8 @@ class Estimator(nn.Module):
             Latents [T, B, 64].
         """
         ticks, batch = fresh.shape
-        features = self.features(history.flatten(0, 1), depth.flatten(0, 1)).unflatten(
-            0, (ticks, batch)
-        )
+        inputs = (values.flatten(0, 1) for values in (history, depth, has_image))
+        features = self.features(*inputs).unflatten(0, (ticks, batch))
         latents = []
         for feature, is_fresh in zip(features, fresh, strict=True):
             latent = self.gru(feature, latent * ~is_fresh.unsqueeze(-1))
@@ -153,9 +161,9 @@ class OPEstimator(Estimator):
     def __init__(self, cfg: ModelCfg) -> None:
         super().__init__(cfg, inputs=1)
 
-    def features(self, history: Tensor, depth: Tensor) -> Tensor:
-        """Encode o^{H1} [B, H1, 45] to [B, 64]; depth is ignored."""
-        del depth
+    def features(self, history: Tensor, depth: Tensor, has_image: Tensor) -> Tensor:
+        """Encode o^{H1} [B, H1, 45] to [B, 64]; images are ignored."""
+        del depth, has_image
         return self.encoder([self.proprioception(history)])
 
 
@@ -169,10 +177,15 @@ class VPEstimator(Estimator):
         self.height_map_head = (
             mlp((LATENT, LATENT, HEIGHT_MAP_SIZE)) if cfg.predict_height_map else None
         )
+        self.map_error_head = (
+            mlp((LATENT, LATENT, HEIGHT_MAP_SIZE)) if cfg.predict_map_error else None
+        )
 
-    def features(self, history: Tensor, depth: Tensor) -> Tensor:
-        """Encode o^{H1} [B, H1, 45] and d^{H2} [B, >=H2, 48, 64] to [B, 64]."""
-        return self.encoder([self.proprioception(history), self.depth(depth[:, : self.frames])])
+    def features(self, history: Tensor, depth: Tensor, has_image: Tensor) -> Tensor:
+        """Encode a tick; where an image was withheld, its embedding is zero."""
+        embedding = self.depth(depth[:, : self.frames])
+        embedding = embedding * has_image.reshape(-1, 1).to(embedding.dtype)
+        return self.encoder([self.proprioception(history), embedding])
 
     def predict(self, latent: Tensor) -> dict[str, Tensor]:
         """Apply the heads to h_v [..., 64]; what `Estimator.predict` lists, as far as trained."""
@@ -182,3 +195,13 @@ class VPEstimator(Estimator):
         if self.height_map_head is not None:
             estimate["height_map"] = self.height_map_head(latent)
         return estimate
+
+    def map_log_variance(self, latent: Tensor) -> Tensor:
+        """Logarithm of the variance of the height map's error, m^2, from h_v [..., 64].
+
+        Returns:
+            [..., 132]. It grows as memory goes stale. No gradient reaches the latent: VP remembers
+            the ground, not how to judge itself.
+        """
+        assert self.map_error_head is not None
+        return self.map_error_head(latent.detach())

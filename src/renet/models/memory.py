@@ -5,7 +5,14 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from renet.interface import DEPTH_SHAPE, FRAMES, LATENT, PROPRIOCEPTION_SIZE
+from renet.interface import (
+    CONTROL_DT,
+    DEPTH_SHAPE,
+    FRAMES,
+    LATENT,
+    PROPRIOCEPTION_SIZE,
+    STEPS_PER_TICK,
+)
 from renet.models.config import ModelCfg
 
 
@@ -14,7 +21,8 @@ class EstimatorMemory:
 
     Both estimators always run, whichever the actor listens to, so that a switch finds a warm
     state. After a reset latents are zero until the next 10 Hz tick, the history is filled with the
-    first proprioception and both frames with the first image.
+    first proprioception and both frames with the first image. An image may be withheld: VP then
+    goes on from its memory, and the next one fills both frames.
     """
 
     def __init__(self, cfg: ModelCfg, num_envs: int, device: str | torch.device) -> None:
@@ -28,12 +36,17 @@ class EstimatorMemory:
         """True where no proprioception has arrived since the reset."""
         self.fresh = torch.ones(num_envs, dtype=torch.bool, device=device)
         """True where no tick has happened since the reset."""
+        self.has_image = torch.ones(num_envs, dtype=torch.bool, device=device)
+        """True where the newest tick had an image."""
+        self.image_age = torch.zeros(num_envs, device=device)
+        """Seconds for which images have been withheld."""
 
     def reset(self, done: Tensor) -> None:
         """Forget everything about the robots whose episode ended; done is [N] bool."""
         keep = ~done.unsqueeze(-1)
         self.latent_op *= keep
         self.latent_vp *= keep
+        self.image_age *= ~done
         self.blank |= done
         self.fresh |= done
 
@@ -44,15 +57,25 @@ class EstimatorMemory:
         self.history = torch.where(self.blank[:, None, None], filled, shifted)
         self.blank.zero_()
 
-    def see(self, depth: Tensor) -> None:
-        """Take the newest depth image [N, 48, 64]; called at a tick, before `tick`."""
+    def see(self, depth: Tensor, has_image: Tensor | None = None) -> None:
+        """Take the newest depth image, where there is one; called at a tick, before `tick`.
+
+        Args:
+            depth: [N, 48, 64] in [0, 1].
+            has_image: [N] bool, false where it is withheld; nowhere by default.
+        """
+        has_image = torch.ones_like(self.fresh) if has_image is None else has_image
         depth = depth.to(self.frames.dtype)
-        previous = torch.where(self.fresh[:, None, None], depth, self.frames[:, 0])
-        self.frames = torch.stack((depth, previous), dim=1)
+        unpaired = (self.fresh | ~self.has_image)[:, None, None]
+        previous = torch.where(unpaired, depth, self.frames[:, 0])
+        pair = torch.stack((depth, previous), dim=1)
+        self.frames = torch.where(has_image[:, None, None, None], pair, self.frames)
+        self.has_image = has_image
+        self.image_age = (self.image_age + STEPS_PER_TICK * CONTROL_DT) * ~has_image
 
     @torch.no_grad()
     def tick(self, advance: Callable[..., Tensor]) -> None:
         """Advance both estimators by one 10 Hz step, by `RENet.advance`."""
-        latents = advance(self.history, self.frames, self.latent_op, self.latent_vp)
+        latents = advance(self.history, self.frames, self.has_image, self.latent_op, self.latent_vp)
         self.latent_op, self.latent_vp = latents[:, :LATENT], latents[:, LATENT:]
         self.fresh.zero_()

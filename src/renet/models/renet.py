@@ -27,12 +27,17 @@ class RENet(nn.Module):
         self.critic_normalizer = EmpiricalNormalization(critic_size)
 
     def advance(
-        self, history: Tensor, depth: Tensor, latent_op: Tensor, latent_vp: Tensor
+        self,
+        history: Tensor,
+        depth: Tensor,
+        has_image: Tensor,
+        latent_op: Tensor,
+        latent_vp: Tensor,
     ) -> Tensor:
         """Both estimators' latents after a 10 Hz tick, [B, 128], OP's first; `fuse` is eq. 3."""
         depth = depth.to(history.dtype)
-        next_op = self.op(history, depth, latent_op)
-        return torch.cat((next_op, self.vp(history, depth, latent_vp)), dim=-1)
+        next_op = self.op(history, depth, has_image, latent_op)
+        return torch.cat((next_op, self.vp(history, depth, has_image, latent_vp)), dim=-1)
 
     def supervised_parameters(self) -> list[nn.Parameter]:
         """Parameters trained by supervision: estimators, HIM, autoencoder."""

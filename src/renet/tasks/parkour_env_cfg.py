@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -53,6 +53,12 @@ class RandomizationCfg:
     """Largest age of a delivered image, s, in whole control steps, e.g. 0.1; drawn each episode."""
     joint_offset: float = 0.0
     """Largest error of each joint's zero position, rad, in observations and targets, e.g. 0.03."""
+    camera_position: float = 0.0
+    """Largest error of the camera's position along each axis, m, in place of the robot's, e.g.
+    0.03; drawn each episode."""
+    camera_angle: float = 0.0
+    """Largest error of its pitch and yaw, rad, in place of the robot's, e.g. 0.14 (8 degrees);
+    drawn each episode."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -82,8 +88,14 @@ def randomize(cfg: RenetEnvCfg, how: RandomizationCfg) -> None:
     for actuator in articulation.actuators if how.action_delay else ():
         actuator.delay_max_lag = round(how.action_delay / PHYSICS_DT)
         actuator.delay_update_period = round(1.0 / PHYSICS_DT)
+    camera = depth_camera(cfg)
     if how.camera_delay:
-        depth_camera(cfg).delay = (0.0, how.camera_delay)
+        camera.delay = (0.0, how.camera_delay)
+    camera.mount = replace(
+        camera.mount,
+        position_error=how.camera_position or camera.mount.position_error,
+        angle_error=how.camera_angle or camera.mount.angle_error,
+    )
 
 
 def flat_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
@@ -111,6 +123,7 @@ def tile_env_cfg(
     cfg.terminations["below_map"] = TerminationTermCfg(func=mdp.below_map)
     cfg.terminations["left_tile"] = TerminationTermCfg(func=mdp.left_tile, time_out=True)
     cfg.metrics["near_edge"] = MetricsTermCfg(func=mdp.near_edge)
+    cfg.metrics["clipped_near_edge"] = MetricsTermCfg(func=mdp.clipped_near_edge)
     cfg.curriculum["level"] = CurriculumTermCfg(func=mdp.TerrainLevels)
     return _play(cfg) if play else cfg
 

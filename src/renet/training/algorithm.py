@@ -18,11 +18,18 @@ from renet.sim.native.engine import NativeSimulation
 from renet.sim.overflow import OverflowWatch
 from renet.training import distributed
 from renet.training.checkpoint import WeightAverage
-from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg, from_dict
+from renet.training.config import (
+    AdaptationCfg,
+    NP3OCfg,
+    SupervisionCfg,
+    WithholdingCfg,
+    from_dict,
+)
 from renet.training.np3o import NP3O
 from renet.training.precision import learning_type
 from renet.training.storage import PolicyRollout, Recorder, TickRollout
 from renet.training.supervision import Supervision
+from renet.training.withholding import Withholding
 
 CRITIC_GROUPS = ("proprioception_clean", "velocity", "feet_height", "height_map", "privileged")
 """Observation groups the critics see; the actor sees `proprioception` and the latent."""
@@ -51,18 +58,18 @@ def op_mask(perception: str, iteration: int, difficult: Tensor, period: int) -> 
     return torch.zeros_like(simple)
 
 
-def critic_observation(obs: TensorDict, op_mask: Tensor) -> Tensor:
-    """What the critics see: CRITIC_GROUPS, and which estimator drives, on which the policy depends.
+def critic_observation(obs: TensorDict, *perception: Tensor) -> Tensor:
+    """What the critics see: CRITIC_GROUPS, and what the policy perceives by, on which it depends.
 
     Args:
         obs: the task's observations.
-        op_mask: true where the OP estimator drives, [N] bool.
+        perception: columns [N], such as which estimator drives.
 
     Returns:
         [N, C].
     """
     groups = [obs[group] for group in CRITIC_GROUPS]
-    return torch.cat((*groups, op_mask.unsqueeze(-1).to(groups[0].dtype)), dim=-1)
+    return torch.cat((*groups, torch.stack(perception, dim=-1).to(groups[0].dtype)), dim=-1)
 
 
 def _overflow_watch(env: VecEnv) -> OverflowWatch | None:
@@ -85,6 +92,9 @@ class RenetAlgorithm:
         self.np3o = NP3O(model.actor, model.critics, from_dict(NP3OCfg, np3o), dtype)
         self.supervision = Supervision(model, from_dict(SupervisionCfg, cfg["supervision"]), dtype)
         self.memory = EstimatorMemory(model.cfg, env.num_envs, device)
+        self.withholding = Withholding(
+            from_dict(WithholdingCfg, cfg["withholding"]), env.num_envs, device
+        )
         self.average = WeightAverage(self.model, cfg["average_over"])
         self.iteration = 0
         self.steps = 0
@@ -108,7 +118,8 @@ class RenetAlgorithm:
                 f"the task lacks the observation groups {', '.join(missing)}: RENet trains on "
                 "tasks built like renet.tasks (Renet-Go1-Flat, Renet-Go1-Parkour)"
             )
-        critic_size = critic_observation(obs, torch.zeros_like(obs["difficult"][:, 0])).shape[-1]
+        columns = 2 if cfg["withholding"]["share"] else 1
+        critic_size = critic_observation(obs, *[obs["difficult"][:, 0]] * columns).shape[-1]
         return cls(RENet(from_dict(ModelCfg, cfg["model"]), critic_size), env, cfg, device)
 
     # Rollout.
@@ -127,7 +138,7 @@ class RenetAlgorithm:
         self._steps.begin(
             proprioception=proprioception,
             latent=latent,
-            critic_observation=critic_observation(obs, mask),
+            critic_observation=self.critic_observation(obs, mask),
             action=action,
             mean=distribution.mean,
         )
@@ -138,6 +149,11 @@ class RenetAlgorithm:
         return op_mask(
             self.model.cfg.perception, self.iteration, obs["difficult"], self.adaptation.period
         )
+
+    def critic_observation(self, obs: TensorDict, mask: Tensor) -> Tensor:
+        """What the critics see of the present state, [N, C]."""
+        age = [self.memory.image_age] if self.withholding.cfg.share else []
+        return critic_observation(obs, *age, mask)
 
     def latent(self, obs: TensorDict, mask: Tensor) -> Tensor:
         """What stands beside o_t at the actor's input (RENet eq. 3, or the Oracle's truth)."""
@@ -152,11 +168,12 @@ class RenetAlgorithm:
         """Advance the estimators and record what they are to be taught."""
         memory = self.memory
         fresh, latent_op, latent_vp = memory.fresh.clone(), memory.latent_op, memory.latent_vp
-        memory.see(obs["depth"])
+        memory.see(obs["depth"], self.withholding.tick(fresh))
         memory.tick(self.model.advance)
         self._ticks.begin(
             history=memory.history,
             frames=memory.frames,
+            has_image=memory.has_image,
             fresh=fresh,
             latent_op=latent_op,
             latent_vp=latent_vp,
@@ -205,7 +222,8 @@ class RenetAlgorithm:
             normalize.update(distributed.gather_rows(rows))
         steps["critic_observation"] = normalize(steps["critic_observation"])
         steps["value"] = self.model.critics(steps["critic_observation"])
-        self._last_value = self.model.critics(normalize(critic_observation(obs, self.op_mask(obs))))
+        last = self.critic_observation(obs, self.op_mask(obs))
+        self._last_value = self.model.critics(normalize(last))
         steps["log_prob"] = self.model.actor.log_prob(steps["mean"], steps["action"])
         # An episode cut short would have gone on: bootstrap rewards and costs alike.
         cut = steps.pop("time_out").unsqueeze(-1)
@@ -236,9 +254,9 @@ class RenetAlgorithm:
     def not_finite(self, obs: TensorDict) -> list[str]:
         """Names of what the environment reported in the last rollout and is no number."""
         rollout = self._rollout
-        sizes = [*(obs[group].shape[-1] for group in CRITIC_GROUPS), 1]
-        columns = rollout.critic_observation.split(sizes, dim=-1)
-        names = ("proprioception", *CRITIC_GROUPS, "modality")
+        sizes = [obs[group].shape[-1] for group in CRITIC_GROUPS]
+        columns = rollout.critic_observation[..., : sum(sizes)].split(sizes, dim=-1)
+        names = ("proprioception", *CRITIC_GROUPS)
         values = (rollout.proprioception, *columns)
         broken = [n for n, v in zip(names, values, strict=True) if not v.isfinite().all()]
         # They hold critics' values, too.

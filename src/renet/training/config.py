@@ -31,13 +31,13 @@ def value_at(schedule: Schedule, steps: float) -> float:
     Raises:
         RenetError: the schedule cannot be read.
     """
-    points = _points(str(schedule))
-    return float(np.interp(steps, [at for at, _ in points], [value for _, value in points]))
+    return float(np.interp(steps, *zip(*schedule_points(schedule), strict=True)))
 
 
 @lru_cache(maxsize=256)
-def _points(schedule: str) -> tuple[tuple[float, float], ...]:
-    """(steps, value) of each point, in the order of steps."""
+def schedule_points(schedule: Schedule) -> tuple[tuple[float, float], ...]:
+    """(steps, value) of each point, in the order of steps; raises as `value_at` does."""
+    schedule = str(schedule)
     try:
         points = []
         for text in (schedule if "@" in schedule else f"{schedule}@0").split(","):
@@ -141,6 +141,31 @@ class AdaptationCfg:
         _at_least_one(self, "period")
 
 
+@dataclass
+class WithholdingCfg:
+    """Images withheld from VP in training, so that it learns to walk on from memory."""
+
+    share: float = 0.0
+    """Share of the robots that lose images; the others always see."""
+    shortest: float = 0.3
+    """Shortest time without an image, s; times are drawn log-uniformly."""
+    longest: float = 6.0
+    """Longest time without an image, s."""
+    sight: float = 4.0
+    """Mean time with images in between, s."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.share <= 1.0:
+            raise RenetError(f"withholding.share must be from 0 to 1, got {self.share}")
+        if not 0.0 < self.shortest <= self.longest:
+            raise RenetError(
+                f"withholding.shortest must be above 0 and at most withholding.longest, got "
+                f"{self.shortest} and {self.longest} s"
+            )
+        if not self.sight > 0.0:
+            raise RenetError(f"withholding.sight must be above 0 s, got {self.sight}")
+
+
 @dataclass(kw_only=True)
 class LearningCfg:
     """Everything about learning that `renet train` can override."""
@@ -153,6 +178,8 @@ class LearningCfg:
     """Estimators and autoencoder."""
     adaptation: AdaptationCfg = field(default_factory=AdaptationCfg)
     """Which estimator steers where."""
+    withholding: WithholdingCfg = field(default_factory=WithholdingCfg)
+    """Images that VP does without."""
     precision: Precision = "auto"
     """What critics and depth embedding learn in: bfloat16, float32, or auto (bfloat16 where the
     machine multiplies it). All else is float32 (on a GPU by TF32 unless float32 is asked for), and

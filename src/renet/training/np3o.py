@@ -192,7 +192,8 @@ class NP3O:
         kl = distributed.mean(of_policy.pop("kl"))
         self._adapt_rate(kl)
         self.optimizer.step()
-        return of_policy | of_value | norms | {"kl": kl}
+        rate = self.optimizer.param_groups[0]["lr"].clone()
+        return of_policy | of_value | norms | {"kl": kl, "learning_rate": rate}
 
     def _policy_gradient(
         self, batch: PolicyRollout, targets: Targets, index: Tensor, old_std: Tensor

@@ -13,13 +13,13 @@ from typing import Any
 
 from renet.errors import RenetError
 from renet.models.config import ModelCfg
-from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg
+from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg, WithholdingCfg
 
 RENET: dict[str, Any] = {
     # A policy that already stands needs no noise of radians; what remains shrinks as it learns.
     # It knows which errors are usual: notices glare and occlusion two to eight times as often. It
     # also learns what sparse grass looks like (`renet calibrate`).
-    "model": ModelCfg(initial_std=0.5, detector="variance"),
+    "model": ModelCfg(initial_std=0.5, detector="variance", predict_map_error=True),
     "algorithm": NP3OCfg(
         entropy="0.003@10M,0.001@60M",
         # Late, nearly all of the gradient is noise: smaller steps average over more of it.
@@ -42,6 +42,8 @@ RENET: dict[str, Any] = {
     ),
     # In turns of 20 iterations an estimator forgets what the other one practises meanwhile.
     "adaptation": AdaptationCfg(period=4),
+    # From the first step on, which costs no level.
+    "withholding": WithholdingCfg(share=0.5),
     # Small batches learn to walk sooner; large ones carry less noise once little is left to learn.
     "batch_size": "12800@5M,51200@40M",
     "reward_weights": {
@@ -76,6 +78,7 @@ PAPER: dict[str, Any] = {
     "algorithm": NP3OCfg(),
     "supervision": SupervisionCfg(),
     "adaptation": AdaptationCfg(),
+    "withholding": WithholdingCfg(),
     "batch_size": 102_400,
     "average_over": 1,
     "reward_weights": {},

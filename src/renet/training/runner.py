@@ -148,7 +148,8 @@ class RenetRunner(OnPolicyRunner):
                 collect_time=collected - start,
                 learn_time=time.monotonic() - collected,
                 loss_dict=losses,
-                learning_rate=self.alg.np3o.learning_rate,
+                # The mean: the last value is that of a sawtooth.
+                learning_rate=losses.pop("learning_rate", self.alg.np3o.learning_rate),
                 action_std=self.alg.action_std,
                 rnd_weight=None,
             )

@@ -45,6 +45,8 @@ class TickRollout:
     """o^{H1}, [K, N, H1, 45]."""
     frames: Tensor
     """(d_t, d_{t-1}) in [0, 1], float16, [K, N, 2, 48, 64]."""
+    has_image: Tensor
+    """False where the image of this tick was withheld, [K, N] bool."""
     fresh: Tensor
     """Episode began since the previous tick, [K, N] bool."""
     op_mask: Tensor

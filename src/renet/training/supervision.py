@@ -38,6 +38,9 @@ class Supervision:
         """Set up for a model that is where it is to stay; its depth embedding learns in `dtype`."""
         self.model, self.cfg, self.dtype = model, cfg, dtype
         self.parameters = model.supervised_parameters()
+        # Apart: likelihoods must not shorten the estimators' steps.
+        likelihoods = (model.autoencoder, model.vp.map_error_head)
+        self._apart = {p for module in likelihoods if module for p in module.parameters()}
         if model.cfg.detector == "variance":
             self._grass = draw_grass().to(self.parameters[0].device)
         rate = value_at(cfg.learning_rate, 0.0)
@@ -77,10 +80,8 @@ class Supervision:
             partial(self._gradient, self._vp_losses, rollout),
         )
         distributed.average_gradients(self.parameters)
-        # Apart: the detector's likelihood must not shorten the estimators' steps.
-        detector = list(self.model.autoencoder.parameters())
-        estimators = self.parameters[: -len(detector)]
-        for parameters in (estimators, detector):
+        estimators = [p for p in self.parameters if p not in self._apart]
+        for parameters in (estimators, self._apart):
             nn.utils.clip_grad_norm_(parameters, self.cfg.max_grad_norm)
         self.optimizer.step()
         return rest | vp
@@ -106,7 +107,8 @@ class Supervision:
 
     def _blind_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
         """Terms that share no parameter with VP's."""
-        return self.estimator_losses("op", rollout) | self._anomaly_losses(rollout.frames)
+        images = rollout.frames[rollout.has_image]
+        return self.estimator_losses("op", rollout) | self._anomaly_losses(images)
 
     def _vp_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
         return self.estimator_losses("vp", rollout)
@@ -131,20 +133,32 @@ class Supervision:
         rollout, counts = rollout.environments(mine), chosen[:, mine].float()
         estimator, him = getattr(self.model, name), getattr(self.model, f"{name}_him")
         initial = getattr(rollout, f"latent_{name}")[0]
-        latent = estimator.unroll(rollout.history, rollout.frames.float(), initial, rollout.fresh)
-        losses = {}
+        latent = estimator.unroll(
+            rollout.history, rollout.frames.float(), rollout.has_image, initial, rollout.fresh
+        )
+
+        def mean(loss: Tensor) -> Tensor:
+            """Over ticks that train the estimator, of [K, B, ...]."""
+            return (loss.mean(-1) * counts).sum() / counts.sum().clamp_min(1.0)
+
+        losses, squares = {}, {}
         for head, predicted in estimator.predict(latent).items():
-            error = (predicted - getattr(rollout, head)).square().mean(-1)
-            losses[f"{name}_{head}"] = (error * counts).sum() / counts.sum().clamp_min(1.0)
+            squares[head] = (predicted - getattr(rollout, head)).square()
+            losses[f"{name}_{head}"] = mean(squares[head])
+        if name == "vp" and estimator.map_error_head is not None:
+            log_variance = estimator.map_log_variance(latent)
+            scaled = squares["height_map"].detach() / log_variance.exp()
+            losses["vp_map_nll"] = mean(0.5 * (scaled + log_variance))
         if him is not None:
             paired = (counts * rollout.next_valid).flatten()
             following = target_view(rollout.next_proprioception, rollout.next_velocity)
             losses[f"{name}_him"] = him(latent.flatten(0, 1), following.flatten(0, 1), paired)
         return losses
 
-    def _anomaly_losses(self, frames: Tensor) -> dict[str, Tensor]:
-        """The detector's losses on randomly drawn image pairs."""
-        pairs = frames.flatten(0, 1)
+    def _anomaly_losses(self, pairs: Tensor) -> dict[str, Tensor]:
+        """The detector's losses on some of the image pairs [B, 2, 48, 64], randomly drawn."""
+        if len(pairs) == 0:
+            return {}
         count = min(self.cfg.autoencoder_images, math.ceil(AUTOENCODER_SHARE * pairs.shape[0]))
         pairs = pairs[torch.randperm(pairs.shape[0], device=pairs.device)[:count]].float()
         if self.model.cfg.detector == "variance":

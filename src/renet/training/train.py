@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 
 import torch
 import tyro
+from mjlab.managers.curriculum_manager import CurriculumTermCfg
 from mjlab.rl import RslRlVecEnvWrapper
 
 from renet.errors import RenetError
@@ -34,7 +35,10 @@ from renet.training.config import (
     NP3OCfg,
     Schedule,
     SupervisionCfg,
+    WithholdingCfg,
     from_dict,
+    schedule_points,
+    value_at,
 )
 from renet.training.depth_dropout import DepthDropoutCfg, spoil_depth
 from renet.training.metrics import CURVES, write_run_report
@@ -50,6 +54,7 @@ CONFIG = "config.json"
 LOGS = Path("logs")
 DEFAULT_ENVS = {"cpu": 512, "cuda": 4096}
 Pairs = tuple[tuple[str, float], ...]
+Schedules = tuple[tuple[str, Schedule], ...]
 MERGED = ("reward_weights", "terrain_proportions")
 """Settings whose entries replace those of the preset one by one."""
 NOT_KEPT = ("resume", "time_budget", "log_root")
@@ -86,10 +91,11 @@ class TrainCfg(LearningCfg):
     algorithm: NP3OCfg = field(default_factory=lambda: preset()["algorithm"])
     supervision: SupervisionCfg = field(default_factory=lambda: preset()["supervision"])
     adaptation: AdaptationCfg = field(default_factory=lambda: preset()["adaptation"])
+    withholding: WithholdingCfg = field(default_factory=lambda: preset()["withholding"])
     batch_size: Schedule = RENET["batch_size"]
-    reward_weights: Pairs = ()
-    """Weights in place of the preset's, e.g. `--reward-weights collision -10 yaw 1`; the others
-    stay."""
+    reward_weights: Schedules = ()
+    """Weights in place of the preset's, e.g. `--reward-weights collision -10 yaw 1@5M,2@9M`; the
+    others stay."""
     terrain_proportions: Pairs = ()
     """Share of the robots on each kind of tile, relative to the others', in place of the preset's,
     e.g. `--terrain-proportions gap 3`; the others stay."""
@@ -224,7 +230,7 @@ def task_cfg(cfg: TrainCfg, earlier: Checkpoint | None = None) -> RenetEnvCfg:
     Raises:
         RenetError: a reward or a tile the task does not have, or a share of nothing.
     """
-    from renet.tasks import env_cfg
+    from renet.tasks import env_cfg, mdp
     from renet.tasks.parkour_env_cfg import randomize
     from renet.tasks.sensors import depth_camera
     from renet.terrain.tiles import dense_tiles
@@ -235,7 +241,12 @@ def task_cfg(cfg: TrainCfg, earlier: Checkpoint | None = None) -> RenetEnvCfg:
         if name not in task.rewards:
             known = ", ".join(task.rewards)
             raise RenetError(f"{cfg.task} has no reward {name!r}: choose one of {known}")
-        task.rewards[name].weight = weight
+        task.rewards[name].weight = value_at(weight, 0.0)
+        points = [(_control_step(at, cfg, earlier), v) for at, v in schedule_points(weight)]
+        if len(points) > 1:
+            params = {"reward": name, "points": points}
+            term = CurriculumTermCfg(func=mdp.reward_weight, params=params)
+            task.curriculum[f"{name}_weight"] = term
     depth_camera(task).noise.gaussian_std = cfg.depth_noise_std
     randomize(task, cfg.randomization)
     if "command_stage" in task.curriculum:

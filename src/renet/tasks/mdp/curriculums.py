@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.managers.curriculum_manager import CurriculumTermCfg
@@ -95,6 +96,23 @@ def _some_easier(level: Tensor, lowest: Tensor) -> Tensor:
     drawn = torch.rand_like(level, dtype=torch.float) < EASIER_SHARE
     depth = torch.rand_like(level, dtype=torch.float) * (level - lowest + 1)
     return torch.where(drawn & (level > lowest), lowest + depth.long(), level)
+
+
+def reward_weight(
+    env: ManagerBasedRlEnv, env_ids: Tensor, reward: str, points: tuple[tuple[float, float], ...]
+) -> Tensor:
+    """Set a reward's weight by a schedule, and return it.
+
+    Args:
+        env: environment with the reward.
+        env_ids: ignored.
+        reward: name of the reward.
+        points: (control step, weight), in order; linear in between.
+    """
+    del env_ids
+    weight = float(np.interp(env.common_step_counter, *zip(*points, strict=True)))
+    env.reward_manager.get_term_cfg(reward).weight = weight
+    return torch.tensor(weight)
 
 
 def command_stage(env: ManagerBasedRlEnv, env_ids: Tensor, switch_step: int) -> Tensor:

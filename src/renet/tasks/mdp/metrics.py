@@ -36,6 +36,11 @@ def near_edge(env: ManagerBasedRlEnv, reach: float = 0.5, relief: float = 0.08) 
     return (around.amax(-1) - around.amin(-1) > relief).float()
 
 
+def clipped_near_edge(env: ManagerBasedRlEnv) -> Tensor:
+    """1 where `reward_clipped` and `near_edge` both are, [N]: there trying teaches nothing."""
+    return reward_clipped(env) * near_edge(env)
+
+
 def indices_within(reach: float, axis: tuple[float, ...]) -> slice:
     """Indices of an ascending axis whose values are closer to zero than `reach`."""
     inside = [index for index, value in enumerate(axis) if abs(value) < reach]
