@@ -173,6 +173,9 @@ class SwitchSelector:
         """[N] logistic function of the smoothed preference."""
         return special.expit(np.nan_to_num(self._mean))
 
+    def look(self, seen: SelectorInput) -> None:
+        """Every image is VP's."""
+
     @torch.no_grad()
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """One update from the policy's newest step; returns [N] bool, vision is trusted."""

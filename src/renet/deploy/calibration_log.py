@@ -95,6 +95,8 @@ def score_walk(run: Recording, walk: range) -> np.ndarray:
             invalid=tick["frame_invalid"][None],
             velocity_op=tick["velocity_op"][None],
             velocity_vp=tick["velocity_vp"][None],
+            has_image=tick["has_image"][None],
+            map_error=tick["map_error"][None],
         )
         scores.append(monitors.scores(seen)[:, 0])
     table = np.array(scores, float)

@@ -36,11 +36,16 @@ from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE
 from renet.selector import SelectorInput, make_selector
+from renet.selector.selector import BLIND, REMEMBERS, SEES
 
 LATE = "the vision thread is late or dead"
 MAX_LEAD = math.pi / 2
 """rad; farthest that the wished heading is from the robot's, as in training."""
 BLACK = np.zeros((1, *DEPTH_SHAPE), np.float32)
+DRIVERS = {SEES: "vp", REMEMBERS: "memory", BLIND: "op"}
+"""What drives, as events call it, in each of the selector's states."""
+A_WHILE = 0.25
+"""Seconds without an image from which an event tells of it: one late frame is no news."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +55,9 @@ class Event:
     time: float
     """Seconds on the robot's clock."""
     what: str
-    """A mode of the safety machine, `refused` (to stand up), `vp`, `op`, `inference`, or the device
-    that has a problem: `robot`, `camera`, `teleop`, `recorder`."""
+    """A mode of the safety machine, `refused` (to stand up), what drives (`vp`, `memory`: VP without
+    images, `op`), `inference`, or the device that has a problem: `robot`, `camera`, `teleop`,
+    `recorder`."""
     why: str
 
 
@@ -63,6 +69,10 @@ class Decision:
     mode: Mode
     vision: bool
     """The VP estimator's latent drove this step."""
+    has_image: bool
+    """VP's newest tick had an image; without, it goes on from memory."""
+    map_error: float
+    """Error of its height map ahead that VP expects, m; zero from models that predict none."""
     probability: float
     """Vision probability P_t after this step."""
     anomaly: float
@@ -207,7 +217,7 @@ class Controller:
         self.policy.reset()
         self._selector.reset()
         self._action = np.zeros(ACTION_SIZE)
-        self._vision, self._blind = True, False
+        self._vision, self._blind, self._told = True, False, SEES
         self._image = BLACK
 
     def _walk(self, state: RobotState, teleop: TeleopCommand, now: float) -> JointCommand:
@@ -215,10 +225,7 @@ class Controller:
         speed = limited_speed(teleop.speed)
         observation = observe(state, self.robot, speed, self._yaw, self._action)[None]
         self.policy.remember(observation)
-        image, fresh, fallback = None, False, False
-        if self.policy.due:
-            image, fresh = self._buffer.take()
-            fallback = self._begin_tick(image, now)
+        fallback = self.policy.due and self._begin_tick(now)
         output = self._perception.take()
         if output is not None:
             self.policy.accept(output)
@@ -228,9 +235,7 @@ class Controller:
             raise RenetError("the policy's action is not finite")
         self._action = action
         command = self._limited(self.policy.joint_target(action), state)
-        if image is not None:
-            self._image = image[None]
-        self._switch(fresh, now)
+        self._switch(now)
         inferred = output is not None or fallback
         self.decision = self._decide(command, now, vision, inferred, fallback)
         return command
@@ -240,10 +245,14 @@ class Controller:
         lead = math.remainder(self._yaw + turn - self._turn - here, math.tau)
         self._yaw, self._turn = here + min(max(lead, -MAX_LEAD), MAX_LEAD), turn
 
-    def _begin_tick(self, image: np.ndarray | None, now: float) -> bool:
+    def _begin_tick(self, now: float) -> bool:
         """Start a tick of vision and estimators; returns whether it had to run here, blind."""
         fallback = self._blind = not self._perception.ready()
-        inputs = self.policy.look(None if image is None or fallback else image[None])
+        image, fresh = self._buffer.take()
+        if image is not None:
+            self._image = image[None]
+        gate = self._selector.look(self._seen(now, fresh))
+        inputs = self.policy.look(None if image is None or fallback else self._image, gate)
         if fallback:
             self.tell(now, "inference", f"{LATE}: this tick runs blind")
             self.policy.accept(infer(self.policy.sessions, inputs))
@@ -251,10 +260,10 @@ class Controller:
             self._perception.begin(inputs)
         return fallback
 
-    def _switch(self, fresh: bool, now: float) -> None:
-        """Let the selector choose the next step's estimator."""
+    def _seen(self, now: float, fresh: bool = False) -> SelectorInput:
+        """What is known of vision now; `fresh`: a new image is due for its tick."""
         policy, buffer = self.policy, self._buffer
-        seen = SelectorInput(
+        return SelectorInput(
             anomaly_score=np.array([np.inf]) if buffer.problem else policy.anomaly_score,
             variance_score=policy.variance_score,
             image=self._image,
@@ -263,12 +272,20 @@ class Controller:
             invalid=np.array([buffer.invalid]),
             velocity_op=policy.velocity_op,
             velocity_vp=policy.velocity_vp,
+            has_image=policy.has_image,
+            map_error=policy.map_error,
         )
-        vision = bool(self._selector.update(seen, now)[0])
-        if vision is not self._vision:
-            why = buffer.problem or (LATE if self._blind else str(self._selector.reason[0]))
-            self.tell(now, "vp" if vision else "op", "vision is healthy" if vision else why)
-        self._vision = vision
+
+    def _switch(self, now: float) -> None:
+        """Let the selector choose the next step's estimator."""
+        selector = self._selector
+        self._vision = bool(selector.update(self._seen(now), now)[0])
+        state = str(selector.state[0])
+        if state == self._told or (state == REMEMBERS and selector.without_image[0] < A_WHILE):
+            return
+        why = self._buffer.problem or (LATE if self._blind else str(selector.reason[0]))
+        self.tell(now, DRIVERS[state], "vision is healthy" if state == SEES else why)
+        self._told = state
 
     def _limited(self, target: np.ndarray, state: RobotState) -> JointCommand:
         command = limited_command(target, self._target, state, self.robot, self.cfg)
@@ -289,6 +306,8 @@ class Controller:
             command=command,
             mode=self.machine.mode,
             vision=vision,
+            has_image=bool(policy.has_image[0]),
+            map_error=float(policy.map_error[0]),
             probability=float(self._selector.probability[0]),
             anomaly=float(policy.anomaly_score[0]),
             variance=float(policy.variance_score[0]),

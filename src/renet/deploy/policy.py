@@ -6,16 +6,25 @@ import numpy as np
 import onnxruntime as ort
 
 from renet.deploy.bundle import Bundle
-from renet.deploy.bundle.models import model_shapes
+from renet.deploy.bundle.models import HAS_IMAGE, MAP_ERROR, model_shapes
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE, STEPS_PER_TICK
+from renet.selector.monitors import Gate
 
 
 class EstimatorInput(NamedTuple):
     """What one 10 Hz tick of vision and of both estimators reads: copies, safe on any thread."""
 
     feed: dict[str, np.ndarray]
-    """The estimators' inputs, by the names that their model gives them."""
+    """The estimators' inputs but for the images, by the names that their model gives them."""
+    depth: np.ndarray
+    """The two newest images that were delivered, [N, 2, 48, 64], newest first."""
+    accepted: np.ndarray
+    """The two newest images that VP was given before, likewise."""
+    unpaired: np.ndarray
+    """[N] bool: VP had no image a tick ago; the next one stands in for that one, too."""
+    gate: Gate | None
+    """Which images VP may use; None: all."""
     blind: bool
     """No image has arrived: vision does not run, and its scores are infinite."""
 
@@ -30,17 +39,39 @@ which must replace no attribute."""
 
 
 def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> EstimatorOutput:
-    """One tick of vision and both estimators: a pure function, so that any thread may call it."""
-    depth = inputs.feed["depth"]
+    """One tick of vision and both estimators: a pure function, so that any thread may call it.
+
+    Vision comes first, for it judges which images VP may use.
+    """
+    depth = inputs.depth
     unseen = np.inf if inputs.blind else 0.0
     found: dict[str, Any] = {name: np.full(len(depth), unseen, np.float32) for name in SCORES}
     if not inputs.blind:
         vision = sessions["vision"]
         names = [output.name for output in vision.get_outputs() if output.name in SEEN]
         found |= zip(names, vision.run(names, {"depth": depth}), strict=True)
-    names = [f"next_{name}" if name.startswith("latent") else name for name in ESTIMATES]
-    found |= zip(ESTIMATES, sessions["estimator"].run(names, inputs.feed), strict=True)
-    return found | {name: found[name].reshape(-1) for name in SCORES}
+        found |= {name: found[name].reshape(-1) for name in SCORES}
+    estimator = sessions["estimator"]
+    outputs = {name: f"next_{name}" if name.startswith("latent") else name for name in ESTIMATES}
+    feed = inputs.feed | {"depth": depth}
+    if remembers(estimator):
+        has_image = np.full(len(depth), not inputs.blind)
+        if inputs.gate is not None:
+            has_image &= inputs.gate.judge(found)
+        older = np.where(inputs.unpaired[:, None, None], depth[:, 0], inputs.accepted[:, 0])
+        pair = np.stack((depth[:, 0], older), axis=1)
+        accepted = np.where(has_image[:, None, None, None], pair, inputs.accepted)
+        found |= {"has_image": has_image, "accepted": accepted}
+        feed |= {"depth": accepted, HAS_IMAGE: has_image[:, None].astype(np.float32)}
+    if MAP_ERROR in {output.name for output in estimator.get_outputs()}:
+        outputs[MAP_ERROR] = MAP_ERROR
+    found |= zip(outputs, estimator.run([*outputs.values()], feed), strict=True)
+    return found
+
+
+def remembers(estimator: ort.InferenceSession) -> bool:
+    """Whether an estimator can do without an image."""
+    return HAS_IMAGE in {node.name for node in estimator.get_inputs()}
 
 
 class Policy:
@@ -72,6 +103,13 @@ class Policy:
         """Base frame, m/s, as OP's."""
         self.feet_height = zeros(estimates["feet_height"])
         self.height_map = zeros(estimates["height_map"])
+        self.map_error = np.zeros(n, np.float32)
+        """Error of the height map ahead that VP expects, [N] m; zero from models that predict
+        none."""
+        self.has_image = np.ones(n, bool)
+        """Whether VP's newest tick had an image, [N]."""
+        self.accepted = zeros(inputs["depth"])
+        """The two newest images that VP was given, newest first."""
         self.reconstruction = zeros(shapes["vision"][1]["reconstruction"])
         """Of the newest images; those before a blind tick stay."""
         self.anomaly_score = np.zeros(n, np.float32)
@@ -88,11 +126,13 @@ class Policy:
         if mask is None:
             self._step = 0
         rows = slice(None) if mask is None else np.asarray(mask, bool)
-        for name in ("latent_op", "latent_vp", *SCORES):
+        for name in ("latent_op", "latent_vp", MAP_ERROR, *SCORES):
             # Copies: a tick on another thread may still read the old arrays.
             value = getattr(self, name).copy()
             value[rows] = 0.0
             setattr(self, name, value)
+        self.has_image = self.has_image.copy()
+        self.has_image[rows] = True
         self._blank[rows] = self._fresh[rows] = True
 
     @property
@@ -101,13 +141,18 @@ class Policy:
         return self._step % STEPS_PER_TICK == 0
 
     def step(
-        self, proprioception: np.ndarray, depth: np.ndarray | None, op_mask: np.ndarray
+        self,
+        proprioception: np.ndarray,
+        depth: np.ndarray | None,
+        op_mask: np.ndarray,
+        gate: Gate | None = None,
     ) -> np.ndarray:
         """One control step.
 
         Args:
             proprioception: o_t, [N, 45]. depth: newest image [N, 48, 64] in [0, 1], read at ticks;
             None without a camera. op_mask: [N] bool, the paper's mask: true where OP acts.
+            gate: at ticks, which images VP may use; all by default.
 
         Returns:
             Actions [N, 12] in policy units, clipped as in training.
@@ -121,7 +166,7 @@ class Policy:
         mask = np.ones(self.num_robots, bool) if depth is None else np.asarray(op_mask, bool)
         self.remember(proprioception)
         if self.due:
-            self.accept(infer(self.sessions, self.look(depth)))
+            self.accept(infer(self.sessions, self.look(depth, gate)))
         return self.act(proprioception, mask)
 
     def remember(self, proprioception: np.ndarray) -> None:
@@ -132,19 +177,20 @@ class Policy:
             self._history[self._blank] = proprioception[self._blank, None]
             self._blank[:] = False
 
-    def look(self, depth: np.ndarray | None) -> EstimatorInput:
+    def look(self, depth: np.ndarray | None, gate: Gate | None = None) -> EstimatorInput:
         """Push an image [N, 48, 64], if there is one; returns what `infer` needs."""
+        unpaired = self._fresh | ~self.has_image
         if depth is not None:
             self._frames[:, 1] = np.where(self._fresh[:, None, None], depth, self._frames[:, 0])
             self._frames[:, 0] = depth
             self._fresh[:] = False
         feed = {
             "proprioception_history": self._history.copy(),
-            "depth": self._frames.copy(),
             "latent_op": self.latent_op,
             "latent_vp": self.latent_vp,
         }
-        return EstimatorInput(feed, blind=depth is None)
+        images = self._frames.copy(), self.accepted
+        return EstimatorInput(feed, *images, unpaired, gate, blind=depth is None)
 
     def accept(self, found: EstimatorOutput) -> None:
         """Go on with what a tick found."""

@@ -28,7 +28,7 @@ from renet.errors import RenetError
 from renet.files import MEGABYTE, decompress, parse_json, require_regular
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT
 
-MAGIC = b"RENETLOG3\n"
+MAGIC = b"RENETLOG4\n"
 CHUNK = struct.Struct("<4sII")
 HEADER, TICKS, IMAGES, EVENTS, END = b"HEAD", b"TICK", b"IMAG", b"EVNT", b"END."
 TICKS_PER_CHUNK = 50
@@ -53,6 +53,8 @@ TICK_DTYPE = np.dtype(
         ("frame_invalid", "f8"),
         ("mode", "u1"),
         ("vision", "?"),
+        ("has_image", "?"),
+        ("map_error", "f4"),
         ("inferred", "?"),
         ("fallback", "?"),
         ("probability", "f4"),

@@ -117,4 +117,6 @@ class Evaluator:
         """
         policy = policy or self.make_policy(len(trials))
         selector = self.make_selector(len(trials))
+        if any(trial.mode == "paper" for trial in trials):
+            options["paper"] = self.make_selector(len(trials), "paper")
         return run_rollout(env, policy, selector, trials, steps, seed, title=title, **options)

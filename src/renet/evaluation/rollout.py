@@ -17,10 +17,11 @@ from renet.errors import RenetError
 from renet.evaluation.trace import UPDATES_PER_STEP, Film, Trace, TrueState
 from renet.faults import Frames, Injector, Schedule, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
-from renet.selector.monitors import SelectorInput
+from renet.selector.monitors import Gate, SelectorInput
 
-POLICY_MODES = ("vp", "renet", "op", "oracle-switch")
-"""Policy modes: vision always, the selector's choice, never, and a switch that knows the fault."""
+POLICY_MODES = ("vp", "renet", "op", "paper", "oracle-switch")
+"""Policy modes: vision always, the selector's choice, never, the choice of the paper's selector,
+and a switch that knows the fault."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,8 @@ class EvalPolicy(Protocol):
     """Anybody's policy: `renet.deploy.policy.Policy` is one.
 
     One with two velocity estimates, `velocity_op` and `velocity_vp` ([N, 3] m/s), has them compared
-    by the selector's monitors. One with `variance_score` ([N]) has it judged likewise.
+    by the selector's monitors. One with `variance_score` ([N]) has it judged likewise. One with
+    `has_image` ([N] bool) can do without an image: its `step` takes a `gate`, too.
     """
 
     anomaly_score: np.ndarray
@@ -82,6 +84,10 @@ class EvalSelector(Protocol):
     @property
     def probability(self) -> np.ndarray:
         """[N] vision probability P_t."""
+        ...
+
+    def look(self, seen: SelectorInput) -> Gate | None:
+        """Once each tick, before the policy acts: which images it may use; None: all."""
         ...
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
@@ -145,6 +151,8 @@ class ClosedLoop:
     """Of the camera faults."""
     on_update: Callable[[SelectorInput], Any] = lambda seen: None
     """Shown the input of every update of the selector, before it."""
+    paper: EvalSelector | None = None
+    """Only robots in mode `paper` obey it; None where there are none."""
     clock: int = field(default=0, init=False)
     """Control steps so far, over all resets: faults are scheduled by it."""
 
@@ -154,12 +162,17 @@ class ClosedLoop:
         self.result = self.env.reset()
         self.policy.reset()
         count = self.env.num_robots
-        self.selector.reset(np.ones(count, bool))
+        for selector in self._selectors:
+            selector.reset(np.ones(count, bool))
         self.frames = Frames.healthy(self.result.depth)
         self.trusted = np.ones(count, bool)
         """[N] bool: the selector's last answer."""
         self._steps = 0
         return self.result
+
+    @property
+    def _selectors(self) -> list[EvalSelector]:
+        return [self.selector, *([self.paper] if self.paper else [])]
 
     @property
     def new_frame(self) -> bool:
@@ -174,22 +187,43 @@ class ClosedLoop:
             self.frames = injector.apply(live, self.clock)
         self.failing = injector.at_work(self.clock)
         """[N] bool: the camera is failing."""
-        distrusted = (self.modes == "renet") & ~self.trusted
+        distrusted = np.isin(self.modes, ("renet", "paper")) & ~self.trusted
         told = (self.modes == "oracle-switch") & self.failing
         self.use_op = (self.modes == "op") | distrusted | told
         """[N] bool: the OP estimator drives."""
-        action = self.policy.step(result.proprioception, self.frames.image, self.use_op)
+        action = self.policy.step(
+            result.proprioception, self.frames.image, self.use_op, **self._gate()
+        )
         self.answers = np.zeros((UPDATES_PER_STEP, len(self.modes)), bool)
         """[U, N] bool: vision is trusted after each update of this step."""
         for update in range(UPDATES_PER_STEP):
             seen = selector_input(self.policy, self.frames, self._steps, update)
             self.on_update(seen)
             now = (self.clock * UPDATES_PER_STEP + update + 1) * PHYSICS_DT
-            self.answers[update] = self.trusted = self.selector.update(seen, now)
+            answers = [selector.update(seen, now) for selector in self._selectors]
+            # With two selectors the last is the paper's.
+            self.trusted = np.where(self.modes == "paper", answers[-1], answers[0])
+            self.answers[update] = self.trusted
         self.clock += 1
         self._steps += 1
         self.env.perturb_cameras(self.injector.perturbation(self.clock))
         return action
+
+    def _gate(self) -> dict[str, Gate]:
+        """Which images robots in mode `renet` may use, as an argument of the policy's step."""
+        if not self.new_frame:
+            return {}
+        seen = selector_input(self.policy, self.frames, self._steps, 0)
+        gates = [selector.look(seen) for selector in self._selectors]
+        if gates[0] is None or not hasattr(self.policy, "has_image"):
+            return {}
+        return {"gate": replace(gates[0], robots=self.modes == "renet")}
+
+    @property
+    def probability(self) -> np.ndarray:
+        """[N] vision probability P_t of the selector that each robot obeys."""
+        values = [selector.probability for selector in self._selectors]
+        return np.where(self.modes == "paper", values[-1], values[0])
 
     def step(self, action: np.ndarray) -> StepResult:
         """Step the environment; policy and selector start anew for robots whose episode ended."""
@@ -197,7 +231,8 @@ class ClosedLoop:
         ended = self.result.ended
         if ended.any():
             self.policy.reset(ended)
-            self.selector.reset(ended)
+            for selector in self._selectors:
+                selector.reset(ended)
             self.trusted = self.trusted | ended
         return self.result
 
@@ -215,6 +250,7 @@ def run_rollout(
     on_update: Callable[[SelectorInput], Any] = lambda seen: None,
     title: str = "rollout",
     until_ended: int | None = None,
+    paper: EvalSelector | None = None,
 ) -> Trace:
     """Run every trial for a number of control steps, beside a progress bar.
 
@@ -232,6 +268,7 @@ def run_rollout(
         title: of the progress bar.
         until_ended: control steps after which the run ends once every robot's first try is over;
             None: it does not.
+        paper: which trials in mode `paper` obey.
 
     Returns:
         What happened, [steps, N].
@@ -247,7 +284,7 @@ def run_rollout(
         schedules, streams = [t.schedule for t in trials], [t.robot for t in trials]
         injector = Injector(schedules, streams, seed, physical=True)
     modes = np.array([t.mode for t in trials])
-    loop = ClosedLoop(env, policy, selector, modes, injector, on_update)
+    loop = ClosedLoop(env, policy, selector, modes, injector, on_update, paper)
     trace, chosen = Trace.empty(steps, count), list(film)
     poses, images = [], []
     loop.reset()
@@ -259,7 +296,9 @@ def run_rollout(
         if film and delivered:
             images.append(np.round(loop.frames.image[chosen] * 255).astype(np.uint8))
         trace.trusted[k] = loop.answers
-        trace.anomaly[k], trace.probability[k] = policy.anomaly_score, selector.probability
+        trace.anomaly[k], trace.probability[k] = policy.anomaly_score, loop.probability
+        trace.has_image[k] = getattr(policy, "has_image", True)
+        trace.map_error[k] = getattr(policy, "map_error", 0.0)
         trace.vision[k], trace.failing[k] = ~loop.use_op, loop.failing
         result = loop.step(action)
         for state in fields(TrueState):
@@ -287,4 +326,6 @@ def selector_input(policy: EvalPolicy, frames: Frames, step: int, update: int) -
         invalid=frames.invalid,
         velocity_op=getattr(policy, "velocity_op", nothing),
         velocity_vp=getattr(policy, "velocity_vp", nothing),
+        has_image=getattr(policy, "has_image", none == 0.0),
+        map_error=getattr(policy, "map_error", none),
     )

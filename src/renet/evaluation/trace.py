@@ -58,6 +58,10 @@ class Trace(TrueState):
     """Vision probability P_t at the end of the step."""
     vision: np.ndarray
     """bool: the VP estimator's latent drove this step."""
+    has_image: np.ndarray
+    """bool: VP's newest tick had an image; without, it goes on from memory."""
+    map_error: np.ndarray
+    """Error of its height map ahead that VP expects, m."""
     failing: np.ndarray
     """bool: the camera is failing."""
     trusted: np.ndarray
@@ -67,7 +71,7 @@ class Trace(TrueState):
     @classmethod
     def empty(cls, steps: int, count: int) -> Trace:
         """Room for `steps` control steps of `count` robots."""
-        flags = ("fell", "ended", "vision", "failing")
+        flags = ("fell", "ended", "vision", "has_image", "failing")
         names = [f.name for f in fields(cls) if f.name not in ("trusted", "film")]
         room: dict[str, Any] = {
             name: np.zeros((steps, count), bool if name in flags else float) for name in names

@@ -10,12 +10,21 @@ import math
 import torch
 from torch import Tensor, nn
 
-from renet.interface import DEPTH_SHAPE, HEIGHT_MAP_SIZE, LATENT, NUM_FEET, PROPRIOCEPTION_SIZE
+from renet.interface import (
+    DEPTH_SHAPE,
+    HEIGHT_MAP_SIZE,
+    HEIGHT_MAP_X,
+    LATENT,
+    NUM_FEET,
+    PROPRIOCEPTION_SIZE,
+)
 from renet.models.actor_critic import mlp
 from renet.models.config import ModelCfg
 
 EMBEDDING = 64
 """Width of every embedded vector."""
+FIRST_LOG_VARIANCE = -5.0
+"""Of the height map's error, before anything is learned: 8 cm."""
 TOKEN = 16
 """Width of the attention's tokens, four to an embedded vector."""
 
@@ -180,6 +189,8 @@ class VPEstimator(Estimator):
         self.map_error_head = (
             mlp((LATENT, LATENT, HEIGHT_MAP_SIZE)) if cfg.predict_map_error else None
         )
+        if self.map_error_head is not None:
+            nn.init.constant_(self.map_error_head[-1].bias, FIRST_LOG_VARIANCE)  # type: ignore[arg-type]
 
     def features(self, history: Tensor, depth: Tensor, has_image: Tensor) -> Tensor:
         """Encode a tick; where an image was withheld, its embedding is zero."""
@@ -205,3 +216,9 @@ class VPEstimator(Estimator):
         """
         assert self.map_error_head is not None
         return self.map_error_head(latent.detach())
+
+    def map_error(self, latent: Tensor) -> Tensor:
+        """Root mean square of the error to expect of the map ahead, [N] m, from h_v [N, 64]."""
+        variance = self.map_log_variance(latent).exp().unflatten(-1, (len(HEIGHT_MAP_X), -1))
+        ahead = variance[:, [i for i, x in enumerate(HEIGHT_MAP_X) if x > 0.0]]
+        return ahead.mean((-2, -1)).sqrt()

@@ -1,4 +1,4 @@
-"""Ways to notice that vision failed: the paper's reconstruction loss, and others.
+"""Ways to notice that vision or memory failed: the paper's reconstruction loss, and others.
 
 An autoencoder does not notice a frozen image, a blank one, late or missing frames and filled holes:
 each frame by itself looks healthy. Every monitor computes one score per robot; vision is healthy
@@ -9,7 +9,7 @@ runs (`renet.selector.calibration`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,6 +47,27 @@ class SelectorInput:
     variance_score: np.ndarray = field(default_factory=_absent)
     """Mean squared error of the newest images over its predicted variance, [N]; zero from models
     that predict none."""
+    has_image: np.ndarray = field(default_factory=_absent)
+    """Whether VP's newest tick had an image, [N] bool."""
+    map_error: np.ndarray = field(default_factory=_absent)
+    """Error of the height map ahead that VP expects, [N] m; zero from models that predict none."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Which images of a tick VP may use: an image that is spoilt is withheld in that very tick."""
+
+    acceptable: np.ndarray
+    """[N] bool: new, and no monitor objects before the vision model has run."""
+    limits: Mapping[str, float]
+    """By name of the vision model's output: a score that is not below is objected to."""
+    robots: np.ndarray | bool = True
+    """[N] bool: whom it binds; the others' images are theirs, whatever they show."""
+
+    def judge(self, scores: Mapping[str, np.ndarray]) -> np.ndarray:
+        """[N] bool: the images that VP may use, given the vision model's scores [N] by name."""
+        verdicts = [scores[name] < limit for name, limit in self.limits.items()]
+        return np.logical_and.reduce([self.acceptable, *verdicts]) | ~np.asarray(self.robots)
 
 
 @dataclass(frozen=True)
@@ -68,6 +89,11 @@ class Monitor:
     ceiling: float = math.inf
     """Nor above this, whatever healthy runs say: a blank image or a covered lens must be
     noticed."""
+    output: str = ""
+    """Output of the vision model that it judges; empty: it needs none."""
+    of_image: bool = True
+    """Whether it judges an image, which is withheld then; else it judges the estimators, and OP
+    takes over."""
 
 
 class Monitors:
@@ -151,13 +177,27 @@ MONITORS = {
     # The error by how unusual it is: edges are hard to draw, flat ground is not. Not every model
     # predicts a variance. Healthy images score about 1.
     "variance": Monitor(
-        "images unlike those of training", lambda seen, images: seen.variance_score, limit=100.0
+        "images unlike those of training",
+        lambda seen, images: seen.variance_score,
+        limit=100.0,
+        output="variance_score",
     ),
     # The paper's: the autoencoder cannot rebuild the image; without a calibrated threshold β is
     # used. Images are in [0, 1]: predicting 0.5 everywhere is wrong by 0.25 at most.
     "reconstruction": Monitor(
-        "images unlike those of training", lambda seen, images: seen.anomaly_score, limit=0.25
+        "images unlike those of training",
+        lambda seen, images: seen.anomaly_score,
+        limit=0.25,
+        output="anomaly_score",
     ),
     # It has no natural scale.
-    "disagreement": Monitor("the estimators disagree on velocity", _disagreement, limit=3.0),
+    "disagreement": Monitor(
+        "the estimators disagree on velocity", _disagreement, limit=3.0, of_image=False
+    ),
+    "map_error": Monitor(
+        "the memory of the ground is stale",
+        lambda seen, images: seen.map_error,
+        limit=1.0,
+        of_image=False,
+    ),
 }

@@ -1,17 +1,23 @@
-"""The auto selector: monitors, the paper's low-pass filter, and a dwell before vision returns.
+"""The selector: which images VP gets, and whether VP or OP drives.
 
-With the reconstruction monitor alone and no dwell it is the paper's selector (RENet, Method B).
+A robot is in one of three states. It sees while VP drives and gets its images. It remembers while
+VP drives without: an image that a monitor objects to is withheld in the tick in which it arrives,
+and VP walks on from what it has seen. It is blind while OP drives, because the memory is stale or
+the estimators disagree.
+
+With the reconstruction monitor alone, no dwell and no memory it is the paper's selector (RENet,
+Method B).
 """
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from renet.errors import RenetError
 from renet.selector.filter import VISION_THRESHOLD, filter_delay, low_pass
-from renet.selector.monitors import MONITORS, Monitors, SelectorInput
+from renet.selector.monitors import MONITORS, Gate, Monitors, SelectorInput
 
 DWELL = 1.0
 """Seconds without an objection before vision is used again."""
@@ -20,8 +26,11 @@ BETWEEN_RETURNS = 5.0
 SLOWEST = 1.0
 """Longest delay of the filter in seconds."""
 SELECTORS = ("monitors", "paper")
-"""monitors: all monitors, with a dwell before vision returns. paper: the reconstruction loss
+"""monitors: all monitors, memory, and a dwell before vision returns. paper: the reconstruction loss
 against beta, filtered, and nothing else."""
+SEES, REMEMBERS, BLIND = STATES = ("sees", "remembers", "blind")
+LONGEST_MEMORY = 60.0
+"""Most seconds for which a bundle may let VP drive without an image."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +51,9 @@ class SelectorSpec:
     """Rate at which healthy robots leave vision with these thresholds; 0: never calibrated."""
     healthy_hours: float = 0.0
     """Robot hours the thresholds were learnt from."""
+    longest_memory: float = 0.0
+    """Seconds for which VP may drive without an image, however good it thinks its memory is; 0: OP
+    takes over at once (the paper's switch)."""
 
     def __post_init__(self) -> None:
         for name in ("beta", "rate_hz"):
@@ -50,6 +62,10 @@ class SelectorSpec:
                 raise RenetError(f"selector.{name} must be positive and finite, got {value}")
         if not 0.0 < self.gamma <= 1.0:
             raise RenetError(f"selector.gamma must be within 0 and 1, got {self.gamma}")
+        if not 0.0 <= self.longest_memory < math.inf:
+            raise RenetError(
+                f"selector.longest_memory must be finite, from 0 s, got {self.longest_memory}"
+            )
         for name in self.thresholds:
             if name not in MONITORS:
                 raise RenetError(
@@ -71,7 +87,11 @@ class SelectorSpec:
 
 
 class MonitorSelector:
-    """Decides for N robots whether vision (VP) or blind walking (OP) acts.
+    """Decides for N robots which images VP gets and whether VP or OP drives.
+
+    VP drives while it sees or remembers: while its newest tick had an image, or for
+    `longest_memory` seconds after the last one that had, unless a monitor of the estimators
+    objects. Without a memory, every monitor speaks for itself: VP drives while none objects.
 
     The filter runs on a clock of its own: however often `update` is called, the filter takes
     `spec.rate_hz` verdicts a second, and `dwell` and `between_returns` are seconds of the caller's
@@ -88,6 +108,7 @@ class MonitorSelector:
         num_robots: int = 1,
         dwell: float = DWELL,
         between_returns: float = BETWEEN_RETURNS,
+        longest_memory: float = 0.0,
     ) -> None:
         """Set up for N robots, all using vision.
 
@@ -96,19 +117,55 @@ class MonitorSelector:
             spec: gives the filter's gamma and rate.
             dwell: seconds without an objection before vision is used again.
             between_returns: shortest time in seconds between two returns to vision.
+            longest_memory: seconds for which VP may drive without an image.
         """
         self.spec, self.dwell, self.between_returns = spec, dwell, between_returns
+        self.longest_memory = longest_memory
         self.monitors = Monitors(thresholds, num_robots)
         self.probability = np.ones(num_robots)
         """Vision probability P_t, [N]; vision is trusted at first."""
         self.vision = np.ones(num_robots, bool)
         """Whether each robot uses vision, [N]."""
+        self.without_image = np.zeros(num_robots)
+        """Seconds since VP's newest tick with an image; 0 while it has one, [N]."""
         self.reason = np.full(num_robots, "", object)
-        """Reason of the first objecting monitor when vision was last left, [N]; empty on vision."""
-        self._thresholds = np.array([[thresholds[name]] for name in self.monitors.names])
+        """Reason of the first monitor that objected when the robot last ceased to see, [N]; empty
+        while it sees."""
+        names = self.monitors.names
+        self._thresholds = np.array([[thresholds[name]] for name in names])
+        self._of_image = np.array([MONITORS[name].of_image for name in names])
+        before = np.array([not MONITORS[name].output for name in names])
+        self._before_vision = self._of_image & before
+        self._limits = {
+            MONITORS[name].output: thresholds[name] for name in names if MONITORS[name].output
+        }
+        self._looked = False
         self._periods: int | None = None
-        self._healthy_since = np.zeros(num_robots)
+        self._good_since = np.zeros(num_robots)
+        self._last_good = np.full(num_robots, -np.inf)
         self._returned = np.full(num_robots, -np.inf)
+
+    @property
+    def state(self) -> np.ndarray:
+        """Whether each robot sees, remembers or is blind, [N] of `STATES`."""
+        return np.where(self.vision, np.where(self.without_image > 0, REMEMBERS, SEES), BLIND)
+
+    def look(self, seen: SelectorInput) -> Gate | None:
+        """Judge the images of a tick before the vision model runs; called once in every tick.
+
+        Args:
+            seen: image, fresh, age and invalid; the rest is ignored.
+
+        Returns:
+            Which images VP may use; None without a memory: all.
+        """
+        scores = self.monitors.scores(seen)
+        self._looked = True
+        if not self.longest_memory:
+            return None
+        verdicts = (scores < self._thresholds)[self._before_vision]
+        # An image that is shown again is no new one.
+        return Gate(np.logical_and.reduce([seen.fresh, *verdicts]), self._limits)
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """Take what is known of vision at one moment.
@@ -118,29 +175,47 @@ class MonitorSelector:
             now: seconds on any clock that does not run backwards; a clock that does is waited for.
 
         Returns:
-            "Use vision", [N] bool.
+            "VP drives", [N] bool.
         """
+        if self._looked and seen.fresh.any():  # `look` has counted these images.
+            seen = replace(seen, fresh=np.zeros_like(seen.fresh))
+        self._looked = False
         scores = self.monitors.scores(seen)  # At every call: equal images are counted.
         due = self._due(now)
         if due == 0:
             return self.vision
         verdicts = scores < self._thresholds
-        healthy = np.logical_and.reduce(verdicts)
+        good, healthy = self._judge(verdicts, seen, now)
         self.probability = low_pass(self.probability, healthy, self.spec.gamma, due)
         likely = self.probability > VISION_THRESHOLD
-        self._healthy_since = np.where(healthy, np.minimum(self._healthy_since, now), np.inf)
-        if (likely == self.vision).all():
-            return self.vision
-        dwelt = now - self._healthy_since >= self.dwell - 1e-9
+        self._good_since = np.where(good & healthy, np.minimum(self._good_since, now), np.inf)
+        leaving = self.vision & ~likely
+        dwelt = now - self._good_since >= self.dwell - 1e-9
         rested = now - self._returned >= self.between_returns - 1e-9
         returning = ~self.vision & likely & dwelt & rested
-        for robot in np.flatnonzero(self.vision & ~likely & ~healthy):
-            objecting = self.monitors.names[int(verdicts[:, robot].argmin())]
-            self.reason[robot] = MONITORS[objecting].reason
         self._returned[returning] = now
-        self.reason[returning] = ""
         self.vision = (self.vision & likely) | returning
+        self.reason[self.vision & good] = ""
+        silent = self.reason == ""
+        for robot in np.flatnonzero(~(good & healthy) & (leaving | (~good & silent))):
+            objections = ~verdicts[:, robot]
+            if objections.any():
+                objecting = self.monitors.names[int(objections.argmax())]
+                self.reason[robot] = MONITORS[objecting].reason
         return self.vision
+
+    def _judge(
+        self, verdicts: np.ndarray, seen: SelectorInput, now: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Whether VP has good images, and whether it may drive, [N] bool each."""
+        if not self.longest_memory:
+            healthy = np.logical_and.reduce(verdicts)
+            return healthy, healthy
+        good = seen.has_image
+        self._last_good = np.where(good | np.isneginf(self._last_good), now, self._last_good)
+        self.without_image = now - self._last_good
+        remembered = self.without_image <= self.longest_memory
+        return good, np.logical_and.reduce([remembered, *verdicts[~self._of_image]])
 
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Use vision again and forget the past of the masked robots [N], by default of all."""
@@ -149,8 +224,9 @@ class MonitorSelector:
             mask = np.ones(len(self.vision), bool)
         self.probability[mask] = 1.0
         self.vision = self.vision | mask
+        self.without_image[mask] = 0.0
         self.reason[mask] = ""
-        self._returned[mask] = -np.inf
+        self._last_good[mask] = self._returned[mask] = -np.inf
         self.monitors.reset(mask)
 
     def _due(self, now: float) -> int:
@@ -170,6 +246,10 @@ def check_selector(spec: SelectorSpec) -> None:
     """
     if not 10.0 <= spec.rate_hz <= 1000.0:
         raise RenetError(f"selector.rate_hz must be from 10 to 1000 Hz, got {spec.rate_hz:g}")
+    if spec.longest_memory > LONGEST_MEMORY:
+        raise RenetError(
+            f"selector.longest_memory {spec.longest_memory:g} s is longer than {LONGEST_MEMORY:g} s"
+        )
     delay = filter_delay(spec.gamma, spec.rate_hz)
     if delay > SLOWEST:
         raise RenetError(
@@ -196,4 +276,5 @@ def make_selector(kind: str, spec: SelectorSpec, num_robots: int = 1) -> Monitor
     if kind == "paper":
         beta = {"reconstruction": spec.beta}
         return MonitorSelector(beta, spec, num_robots, dwell=0.0, between_returns=0.0)
-    return MonitorSelector(spec.used_thresholds, spec, num_robots)
+    thresholds, memory = spec.used_thresholds, spec.longest_memory
+    return MonitorSelector(thresholds, spec, num_robots, longest_memory=memory)

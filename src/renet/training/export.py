@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from renet import __version__
 from renet.deploy.bundle import write_bundle
 from renet.deploy.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpec, from_json
-from renet.deploy.bundle.models import OPTIONAL, model_shapes
+from renet.deploy.bundle.models import HAS_IMAGE, MAP_ERROR, VARIANCE, model_shapes
 from renet.errors import RenetError
 from renet.interface import HEIGHT_MAP_SIZE, JOINTS, NUM_FEET
 from renet.models.actor_critic import fuse
@@ -35,6 +35,10 @@ from renet.training.config import from_dict
 
 OPSET = 17
 """Old enough for the ONNX Runtime of a robot's computer, new enough for LayerNormalization."""
+
+
+MEMORY = 3.0
+"""Seconds for which a VP that learned without images may drive without one."""
 
 
 @dataclass(kw_only=True)
@@ -58,6 +62,7 @@ def export(cfg: ExportCfg) -> Path:
         provenance = _provenance(loaded.state, model.cfg)
         # Checkpoints that do not say were trained with the default.
         noise_std = loaded.state["config"].get("depth_noise_std", DepthNoiseCfg.gaussian_std)
+        remembers = loaded.state["config"].get("withholding", {}).get("share", 0.0) > 0.0
     except (KeyError, TypeError, AttributeError) as error:
         raise RenetError(
             f"{found} is not a checkpoint of RENet: its state lacks {error}"
@@ -66,7 +71,11 @@ def export(cfg: ExportCfg) -> Path:
     manifest = Manifest(
         robot=robot_spec(robot),
         camera=camera_spec(robot, noise_std),
-        selector=SelectorSpec(beta=cfg.beta, calibration="none: run `renet calibrate`"),
+        selector=SelectorSpec(
+            beta=cfg.beta,
+            calibration="none: run `renet calibrate`",
+            longest_memory=MEMORY if remembers else 0.0,
+        ),
         provenance=provenance,
         history=model.cfg.history,
         frames=model.cfg.frames,
@@ -166,11 +175,16 @@ class EstimatorGraph(nn.Module):
         self.op, self.vp = model.op, model.vp
 
     def forward(
-        self, history: Tensor, depth: Tensor, latent_op: Tensor, latent_vp: Tensor
+        self,
+        history: Tensor,
+        depth: Tensor,
+        latent_op: Tensor,
+        latent_vp: Tensor,
+        has_image: Tensor,
     ) -> tuple[Tensor, ...]:
         """Next latents and predictions; a head absent from an ablation predicts zeros."""
-        next_op = self.op(history, depth, latent_op)
-        next_vp = self.vp(history, depth, latent_vp)
+        next_op = self.op(history, depth, has_image, latent_op)
+        next_vp = self.vp(history, depth, has_image, latent_vp)
         op, vp = self.op.predict(next_op), self.vp.predict(next_vp)
         predictions = (
             (op.get("velocity"), 3),
@@ -179,11 +193,14 @@ class EstimatorGraph(nn.Module):
             (vp.get("height_map"), HEIGHT_MAP_SIZE),
         )
         zeros = torch.zeros_like(next_vp[:, :1])
-        return (
+        outputs = (
             next_op,
             next_vp,
             *(zeros.expand(-1, size) if value is None else value for value, size in predictions),
         )
+        if self.vp.map_error_head is None:
+            return outputs
+        return *outputs, self.vp.map_error(next_vp)
 
 
 class VisionGraph(nn.Module):
@@ -211,8 +228,11 @@ def export_models(model: RENet) -> dict[str, bytes]:
     if model.cfg.perception == "oracle":
         raise RenetError("the Oracle reads the simulator's truth and cannot be exported")
     model, shapes = model.cpu().eval(), model_shapes(model.cfg.history)
+    shapes["estimator"][0][HAS_IMAGE] = (1,)
     if model.cfg.detector == "variance":
-        shapes["vision"][1][OPTIONAL] = ()
+        shapes["vision"][1][VARIANCE] = ()
+    if model.cfg.predict_map_error:
+        shapes["estimator"][1][MAP_ERROR] = ()
     graphs = {"actor": ActorGraph, "estimator": EstimatorGraph, "vision": VisionGraph}
     return {name: _to_onnx(graph(model), *shapes[name]) for name, graph in graphs.items()}
 

@@ -12,8 +12,16 @@ from pathlib import Path
 
 import onnxruntime as ort
 
-from renet.deploy.bundle.manifest import SCHEMA, Manifest, from_json
-from renet.deploy.bundle.models import MODELS, OPTIONAL, read_model, session, try_models
+from renet.deploy.bundle.manifest import SCHEMA, SCHEMAS, Manifest, from_json
+from renet.deploy.bundle.models import (
+    HAS_IMAGE,
+    MAP_ERROR,
+    MODELS,
+    VARIANCE,
+    read_model,
+    session,
+    try_models,
+)
 from renet.errors import RenetError
 from renet.files import MAX_JSON, read_bytes, read_object, write_atomically
 
@@ -52,17 +60,33 @@ class Bundle:
         try_models(models, manifest.history, str(folder))
         sessions = {name: session(data, threads) for name, data in models.items()}
         bundle = Bundle(folder, manifest, sessions)
-        if "variance" in manifest.selector.thresholds and not bundle.predicts_variance:
+        needed = {"variance": ("vision", VARIANCE), "map_error": ("estimator", MAP_ERROR)}
+        for name, (model, output) in needed.items():
+            if name in manifest.selector.thresholds and output not in bundle.outputs(model):
+                raise RenetError(
+                    f"{folder}: the selector has a threshold of the {name.replace('_', ' ')}, but"
+                    f" {model}.onnx has no {output}: run `renet calibrate`"
+                )
+        if manifest.selector.longest_memory and not bundle.remembers:
             raise RenetError(
-                f"{folder}: the selector has a threshold of the variance, but vision.onnx has no"
-                f" {OPTIONAL}: run `renet calibrate`"
+                f"{folder}: the selector lets VP drive without an image, but estimator.onnx has no"
+                f" input {HAS_IMAGE}: set selector.longest_memory to 0"
             )
         return bundle
+
+    def outputs(self, model: str) -> set[str]:
+        """Names of a model's outputs."""
+        return {output.name for output in self.sessions[model].get_outputs()}
+
+    @property
+    def remembers(self) -> bool:
+        """Whether VP can do without an image; bundles of before schema 2 cannot."""
+        return HAS_IMAGE in {node.name for node in self.sessions["estimator"].get_inputs()}
 
     @property
     def predicts_variance(self) -> bool:
         """Whether its detector predicts the variance of its own error."""
-        return OPTIONAL in {output.name for output in self.sessions["vision"].get_outputs()}
+        return VARIANCE in self.outputs("vision")
 
     @property
     def name(self) -> str:
@@ -87,9 +111,10 @@ def read_manifest(folder: Path) -> Manifest:
     if not folder.is_dir():
         raise RenetError(f"no bundle at {folder}: give a folder made by `renet export`")
     value = read_object(folder / MANIFEST, "manifest")
-    if value.get("schema") != SCHEMA:
+    if value.get("schema") not in SCHEMAS:
         schema = str(value.get("schema"))[:40]
-        raise RenetError(f"{folder} has manifest schema {schema}; this renet reads {SCHEMA}")
+        known = " and ".join(map(str, SCHEMAS))
+        raise RenetError(f"{folder} has manifest schema {schema}; this renet reads {known}")
     return from_json(Manifest, value)
 
 
@@ -139,6 +164,7 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
 
 
 def _json(manifest: Manifest) -> bytes:
+    manifest = dataclasses.replace(manifest, schema=SCHEMA)
     return (json.dumps(dataclasses.asdict(manifest), indent=1) + "\n").encode()
 
 

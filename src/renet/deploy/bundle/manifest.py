@@ -14,7 +14,10 @@ from renet.errors import RenetError
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION, Term
 from renet.selector.selector import SelectorSpec, check_selector
 
-SCHEMA = 1
+SCHEMA = 2
+"""Of the manifests that are written."""
+SCHEMAS = (1, SCHEMA)
+"""Of those that are read; 1 knows no memory."""
 MAX_TEXT = 500
 NUMBERS = ("default_position", "stiffness", "damping", "torque_limit", "lower", "upper")
 """Fields of `RobotSpec` with one number for each joint."""

@@ -28,8 +28,12 @@ from renet.trial import judge, run_trial
 MODELS = ("actor", "estimator", "vision")
 MAX_MODEL = 32 * MEGABYTE
 """Bytes of one model; the shipped ones have 5 MB together."""
-OPTIONAL = "variance_score"
+VARIANCE = "variance_score"
 """Output [N] of vision models that predict the variance of their own error."""
+MAP_ERROR = "map_error"
+"""Output [N] of estimators that predict the error of their height map ahead, m."""
+HAS_IMAGE = "has_image"
+"""Input [N, 1] of estimators that can do without an image: 1 where there is one, 0 where not."""
 _accepted: set[str] = set()
 
 
@@ -112,6 +116,8 @@ def session(data: bytes, threads: int) -> ort.InferenceSession:
 def problem(model: ort.InferenceSession, name: str, history: int) -> str:
     """What is wrong with a model's signature or with what it computes; empty if nothing is."""
     inputs, outputs = model_shapes(history)[name]
+    if name == "estimator" and HAS_IMAGE in {node.name for node in model.get_inputs()}:
+        inputs = inputs | {HAS_IMAGE: (1,)}
     wanted = {key: f"tensor(float) {shape} per robot" for key, shape in inputs.items()}
     taken = {n.name: f"{n.type} {tuple(n.shape[1:])} per robot" for n in model.get_inputs()}
     for key in wanted | taken:
@@ -121,12 +127,12 @@ def problem(model: ort.InferenceSession, name: str, history: int) -> str:
                 f"expected {wanted.get(key, 'absent')}"
             )
     names = [node.name for node in model.get_outputs()]
-    if OPTIONAL in names:
-        outputs = outputs | {OPTIONAL: ()}
+    optional = {VARIANCE: (), MAP_ERROR: ()}
+    outputs = outputs | {key: shape for key, shape in optional.items() if key in names}
     for mask in (0.0, 1.0):
         feed = {key: np.full((1, *shape), 0.5, np.float32) for key, shape in inputs.items()}
-        if "op_mask" in feed:
-            feed["op_mask"][:] = mask
+        for flag in feed.keys() & {"op_mask", HAS_IMAGE}:
+            feed[flag][:] = mask
         given = dict(zip(names, map(np.asarray, model.run(None, feed)), strict=True))
         for key, shape in outputs.items():
             if key not in given:
