@@ -95,6 +95,10 @@ COMMANDS = {
         "renet.evaluation.studies.terrain:TerrainStudy:TerrainStudy.main",
         presets={"success": "renet.evaluation.studies.terrain:SuccessStudy"},
     ),
+    "evaluate memory": Command(
+        "who crosses, against the seconds without an image",
+        "renet.evaluation.studies.memory:MemoryStudy:MemoryStudy.main",
+    ),
     "evaluate margins": Command(
         "how far a robot may be from the simulated one before the policy falls",
         "renet.evaluation.studies.margins:MarginsStudy:MarginsStudy.main",

@@ -18,6 +18,7 @@ from renet.errors import RenetError
 from renet.models.actor_critic import fuse
 from renet.models.memory import EstimatorMemory
 from renet.selector import SelectorInput, SelectorSpec, make_selector
+from renet.selector.monitors import Gate
 
 
 @pytest.fixture
@@ -46,6 +47,45 @@ def test_equals_the_training_side_over_20_seconds_with_switching_and_resets(poli
         done = random.random(3) < 0.01
         policy.reset(done)
         memory.reset(torch.tensor(done))
+
+
+def test_withheld_images_equal_the_training_sides(policy, networks):
+    """VP's images are those of training, whatever the rejected ones show."""
+    random = np.random.default_rng(2)
+    memory = EstimatorMemory(networks.cfg, 3, "cpu")
+    for step in range(300):
+        observation = random.normal(size=(3, 45)).astype(np.float32)
+        tick, gate = step % 5 == 0, None
+        if tick:
+            has_image = random.random(3) < 0.6
+            image = random.random((3, 48, 64)).astype(np.float16)
+            shown = np.where(has_image[:, None, None], image, random.random((3, 48, 64)))
+            gate = Gate(has_image, {})
+            memory_image = torch.tensor(image)
+        policy.step(observation, shown.astype(np.float32), np.zeros(3, bool), gate)
+        memory.push(torch.tensor(observation))
+        if tick:
+            memory.see(memory_image, torch.tensor(has_image))
+            memory.tick(networks.advance)
+            np.testing.assert_array_equal(policy.has_image, has_image)
+            np.testing.assert_allclose(policy.latent_vp, memory.latent_vp, atol=1e-4)
+        done = random.random(3) < 0.01
+        policy.reset(done)
+        memory.reset(torch.tensor(done))
+
+
+def test_a_gate_withholds_what_the_vision_model_objects_to_but_only_from_whom_it_binds(policy):
+    anything, images = np.zeros((3, 45)), np.random.default_rng(0).random((3, 48, 64))
+    policy.step(anything, images, np.zeros(3, bool))
+    limits = np.sort(policy.anomaly_score)
+    gate = Gate(np.ones(3, bool), {"anomaly_score": float(limits[1])})
+    for bound, has_image in (
+        (np.ones(3, bool), policy.anomaly_score < limits[1]),
+        (np.zeros(3, bool), np.ones(3, bool)),
+    ):
+        policy.reset()
+        policy.step(anything, images, np.zeros(3, bool), replace(gate, robots=bound))
+        np.testing.assert_array_equal(policy.has_image, has_image)
 
 
 def test_walks_on_without_a_camera(policy):

@@ -5,6 +5,7 @@ from renet.errors import RenetError
 from renet.evaluation.rollout import Trial, run_rollout
 from renet.faults import Injection
 from renet.selector import SelectorSpec, make_selector
+from renet.selector.selector import MonitorSelector
 
 from .fakes import SPEED, FakeEnv, FakePolicy
 
@@ -48,6 +49,9 @@ def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
         probability = np.ones(1)
         trusted = np.zeros(1, bool)
 
+        def look(self, seen):
+            return None
+
         def update(self, seen, now):
             trusted, self.trusted = self.trusted, np.zeros(1, bool)
             return trusted
@@ -65,6 +69,30 @@ def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
 
     trace = run_rollout(Stumbling(1), FakePolicy(1), Doubtful(), [Trial("renet")], 15, 0)
     assert np.flatnonzero(trace.vision[:, 0]).tolist() == [0, 10]
+
+
+def test_only_renets_images_are_withheld_and_the_papers_mode_obeys_the_papers_rule() -> None:
+    class Remembering(FakePolicy):
+        has_image, map_error = np.ones(3, bool), np.zeros(3)
+
+        def step(self, proprioception, depth, op_mask, gate=None):
+            action = super().step(proprioception, depth, op_mask)
+            if gate is not None:
+                self.has_image = gate.judge({"anomaly_score": self.anomaly_score})
+            return action
+
+    rows = [Trial(mode, NOISE) for mode in ("vp", "renet", "paper")]
+    spec = SelectorSpec(beta=0.01)
+    selector = MonitorSelector({"reconstruction": 0.01}, spec, 3, longest_memory=0.3)
+    paper = make_selector("paper", spec, 3)
+    trace = run_rollout(FakeEnv(3), Remembering(3), selector, rows, 60, 0, paper=paper)
+    steps = np.arange(60)
+    np.testing.assert_array_equal(trace.has_image.T, [steps >= 0, steps < 20, steps >= 0])
+    # Its image is withheld from step 20 on. After 0.3 s and the filter's 35 ms OP takes over.
+    vp, renet, paper = trace.vision.T
+    assert vp.all()
+    assert np.flatnonzero(~renet)[0] == pytest.approx(20 + (0.3 + 0.035) / 0.02, abs=2)
+    np.testing.assert_array_equal(paper, steps < 22)
 
 
 def test_faults_act_at_ticks_and_hold_between_them() -> None:

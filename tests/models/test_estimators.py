@@ -66,7 +66,7 @@ def test_the_maps_error_is_judged_without_moving_the_memory():
     assert judged.shape == (4, 3, 132)
     judged.sum().backward()
     assert latent.grad is None
-    with pytest.raises(RenetError, match="needs model.predict_height_map"):
+    with pytest.raises(RenetError, match="needs model"):
         ModelCfg(predict_map_error=True, predict_height_map=False)
 
 

@@ -3,13 +3,17 @@ import shutil
 import subprocess
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from renet.deploy.bundle import Bundle, pretrained, read_manifest, write_manifest
 from renet.page.writer import WEB, PageCfg, make_server, write_page
+from renet.training.export import ExportCfg, export
 
+CHECKPOINT = pretrained("checkpoint")
 LIMIT = 300.0
 """Seconds after which a Node.js that does not end fails its test."""
 
@@ -31,8 +35,24 @@ def page(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def memory_bundle(tmp_path_factory) -> Path:
+    """The shipped checkpoint, whose VP may drive for a second and a half without an image."""
+    path = export(ExportCfg(checkpoint=CHECKPOINT, out=tmp_path_factory.mktemp("memory") / "b"))
+    manifest, shipped = read_manifest(path), Bundle.load().manifest.selector
+    write_manifest(path, replace(manifest, selector=replace(shipped, longest_memory=1.5)))
+    return path
+
+
+@pytest.fixture(scope="session")
+def memory_page(page: Path, memory_bundle: Path, tmp_path_factory) -> Path:
+    """The page of that bundle."""
+    out = tmp_path_factory.mktemp("memory-page") / "page"
+    return write_page(PageCfg(memory_bundle, out=out))
+
+
+@pytest.fixture(scope="session")
 def node_page(page: Path) -> Path:
-    """The same, where there is a Node.js to run its modules."""
+    """The shipped bundle's, where there is a Node.js to run its modules."""
     if shutil.which("node") is None:
         pytest.skip("no Node.js on this machine")
     return page

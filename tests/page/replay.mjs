@@ -38,6 +38,8 @@ for (const { state, frame: next, teleop, now } of ticks) {
     probability: selector.probability,
     vision: driving === "vp",
     reason: selector.reason,
+    state: selector.state,
+    map_error: policy.mapError,
   });
 }
 console.log(JSON.stringify(decided));

@@ -31,13 +31,16 @@ NUMBERS = (
 class Recorder:
     """Walks the simulated robot, and keeps what its controller was given and what it decided."""
 
-    def __init__(self, terrain: str, faults: Sequence[str], selector: str) -> None:
-        bundle = Bundle.load()
+    def __init__(
+        self, terrain: str, faults: Sequence[str], selector: str, path: Path | None = None
+    ) -> None:
+        bundle = Bundle.load(path)
         model, ground = build_scene(terrain)
         self.robot = MujocoRobot(model, bundle.manifest.robot, ground)
         camera = SimCamera(self.robot, bundle.manifest.camera, seed=4)
         self.camera = FaultyCamera(camera, [parse_fault(f) for f in faults], self.robot.now, 5)
         self.controller = Controller(bundle, selector=selector)
+        self.kind = selector
         self.given: list[dict[str, Any]] = []
         self.decided: list[dict[str, Any]] = []
 
@@ -72,6 +75,8 @@ class Recorder:
         return {
             "mode": str(decision.mode),
             "vision": decision.vision,
+            "reason": str(self.controller._selector.reason[0]),
+            "state": str(self.controller._selector.state[0]),
             "position": command.position,
             "stiffness": command.stiffness,
             "damping": command.damping,
@@ -102,19 +107,37 @@ def _frame(frame) -> dict[str, Any]:
 def test_controller_decides_as_the_runtime(node_page: Path, tmp_path, terrain, faults, selector):
     recorder = Recorder(terrain, faults, selector)
     recorder.walk(9.0)
-    sequence = tmp_path / "sequence.json"
-    sequence.write_text(json.dumps({"kind": selector, "ticks": recorder.given}))
+    compare(recorder, node_page, tmp_path / "sequence.json")
 
-    replayed = run_node("replay.mjs", WEB, node_page, sequence)
+
+@pytest.mark.parametrize("fault", ["blackout:5@3s+3s", "dropped:4@3s+4s", "occlusion:4@3s+1s"])
+def test_it_remembers_and_forgets_as_the_runtime(
+    node_page: Path, memory_page: Path, memory_bundle: Path, tmp_path, fault
+):
+    recorder = Recorder("flat", [fault], "monitors", memory_bundle)
+    recorder.walk(9.0)
+    compare(recorder, memory_page, tmp_path / "sequence.json")
+    states = {d["state"] for d in recorder.decided}
+    # Only a camera that is away for longer than the memory leaves OP in charge.
+    assert states == {"sees", "remembers"} | ({"blind"} if "blackout" in fault else set())
+
+
+def compare(recorder: Recorder, page: Path, sequence: Path) -> None:
+    """Replay what a recorder's controller was given, and expect what it decided."""
+    ticks = {"kind": recorder.kind, "ticks": recorder.given}
+    sequence.write_text(json.dumps(ticks))
+
+    replayed = run_node("replay.mjs", WEB, page, sequence)
 
     walking = [d["mode"] == "walking" for d in recorder.decided]
     assert [d["mode"] for d in replayed] == [d["mode"] for d in recorder.decided]
     assert sum(walking) > 300
-    assert {d["vision"] for d in recorder.decided[150:]} == {True, False}
+    assert len({d["state"] for d in recorder.decided[150:]}) > 1
     for tick, (mine, its) in enumerate(zip(replayed, recorder.decided, strict=True)):
         if its["mode"] == "walking":
             where = f"at tick {tick}"
-            assert mine["vision"] == its["vision"], where
+            for name in ("vision", "reason", "state"):
+                assert mine[name] == its[name], f"{name} {where}"
             for name in NUMBERS:
                 message = f"{name} {where}"
                 np.testing.assert_allclose(mine[name], its[name], atol=TOLERANCE, err_msg=message)

@@ -18,6 +18,7 @@ MODELS = {
     **{name: ROWS[name].fields for name in ("default", "MLP", "One Obs", "One Image")},
     "no heads": ROWS["w/o VEL"].fields | ROWS["w/o FH"].fields | ROWS["w/o HF"].fields,
     "variance detector": {"detector": "variance"},
+    "map's error": {"predict_map_error": True},
 }
 """Every row whose exported networks differ."""
 
@@ -37,14 +38,16 @@ def test_sequence_matches_pytorch(fields):
     memory = EstimatorMemory(cfg, 3, "cpu")
     latents = {name: np.zeros((3, 64), np.float32) for name in ("latent_op", "latent_vp")}
     for tick in range(6):
+        has_image = torch.tensor([True, tick != 3, tick % 2 == 0])
         observation, image = torch.randn(3, 45), torch.rand(3, 48, 64)
         mask = torch.tensor([1.0, 0.0, float(tick % 2)])
         memory.push(observation)
-        memory.see(image)
+        memory.see(image, has_image)
         memory.tick(model.advance)
         inputs = {
             "proprioception_history": memory.history.numpy(),
             "depth": memory.frames.float().numpy(),
+            "has_image": has_image[:, None].float().numpy(),
             **latents,
         }
         names = {i.name for i in onnx["estimator"].get_inputs()}
@@ -62,6 +65,12 @@ def test_sequence_matches_pytorch(fields):
             expected = estimate.get(name)
             expected = np.zeros_like(result[name]) if expected is None else expected.numpy()
             np.testing.assert_allclose(result[name], expected, atol=1e-4)
+        assert ("map_error" in result) == cfg.predict_map_error
+        if cfg.predict_map_error:
+            variance = model.vp.map_log_variance(memory.latent_vp).exp().detach().numpy()
+            ahead = variance.reshape(3, 12, 11)[:, 4:]  # From 0.15 m on.
+            expected = np.sqrt(ahead.mean(axis=(1, 2)))
+            np.testing.assert_allclose(result["map_error"], expected, rtol=1e-4)
         (got,) = onnx["actor"].run(
             None,
             {"proprioception": observation.numpy(), "op_mask": mask[:, None].numpy(), **latents},

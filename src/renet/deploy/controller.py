@@ -55,8 +55,8 @@ class Event:
     time: float
     """Seconds on the robot's clock."""
     what: str
-    """A mode of the safety machine, `refused` (to stand up), what drives (`vp`, `memory`: VP without
-    images, `op`), `inference`, or the device that has a problem: `robot`, `camera`, `teleop`,
+    """A mode of the safety machine, `refused` (to stand up), what drives (`vp`, `op`, or `memory`:
+    VP without images), `inference`, or the device that has a problem: `robot`, `camera`, `teleop`,
     `recorder`."""
     why: str
 

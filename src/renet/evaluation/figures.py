@@ -30,12 +30,14 @@ MODE_COLOURS = {
     "vp": "#d9602b",
     "renet": "#3c3ca0",
     "op": "#3f8f63",
+    "paper": "#b08bd0",
     "oracle-switch": "#7d8590",
 }
 MODE_NAMES = {
     "vp": "VP alone",
     "renet": "RENet",
     "op": "OP alone",
+    "paper": "paper's switch",
     "oracle-switch": "switch that knows the fault",
 }
 

@@ -47,7 +47,7 @@ class PlayCfg:
     fault: tuple[str, ...] = ()
     """Faults of the camera, NAME[:SEVERITY]@SECONDS[+DURATION], such as blackout:3@5s+2s."""
     modes: tuple[str, ...] = ("vp", "renet")
-    """Policy modes a film compares: vp, renet, op, oracle-switch."""
+    """Policy modes a film compares: vp, renet, op, paper, oracle-switch."""
     seconds: float = 8.0
     """Length of the film, simulated."""
     speed: float = 0.6

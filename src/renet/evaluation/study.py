@@ -139,7 +139,7 @@ class WalkingStudy(Study):
     """A study of robots that are told to walk straight ahead, in several modes."""
 
     modes: tuple[str, ...] = ("vp", "renet", "op")
-    """Policy modes to compare: vp, renet, op, oracle-switch."""
+    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
     robots: int = 20
     """Robots in each setting and mode; with `quick` always fewer."""
     speed: float = 0.6

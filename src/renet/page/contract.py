@@ -82,7 +82,13 @@ def contract() -> dict[str, Any]:
             "near": NEAR,
             "covered": COVERED,
             "monitors": [
-                {"name": name, "reason": monitor.reason, "fallback": monitor.fallback}
+                {
+                    "name": name,
+                    "reason": monitor.reason,
+                    "fallback": monitor.fallback,
+                    "output": monitor.output,
+                    "ofImage": monitor.of_image,
+                }
                 for name, monitor in MONITORS.items()
             ],
         },

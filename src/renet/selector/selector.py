@@ -196,8 +196,9 @@ class MonitorSelector:
         self._returned[returning] = now
         self.vision = (self.vision & likely) | returning
         self.reason[self.vision & good] = ""
-        silent = self.reason == ""
-        for robot in np.flatnonzero(~(good & healthy) & (leaving | (~good & silent))):
+        # With a memory the reason is that of the first image missed, not of its being stale.
+        ceasing = leaving if not self.longest_memory else ~good & (self.reason == "")
+        for robot in np.flatnonzero(~(good & healthy) & (leaving | ceasing)):
             objections = ~verdicts[:, robot]
             if objections.any():
                 objecting = self.monitors.names[int(objections.argmax())]

@@ -5,9 +5,11 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import onnx
 import pytest
 
-from renet.deploy.bundle import MANIFEST, Bundle, write_bundle, write_manifest
+from renet.deploy.bundle import MANIFEST, Bundle, read_manifest, write_bundle, write_manifest
 from renet.errors import RenetError
 from renet.interface import JOINTS
 from renet.models.config import ModelCfg
@@ -84,6 +86,32 @@ def test_wrong_manifest(bundle_path, change, message):
     edit(bundle_path, change)
     with pytest.raises(RenetError, match=message):
         Bundle.load(bundle_path)
+
+
+def test_a_bundle_of_schema_1_loads_and_has_no_memory(bundle_path, tmp_path, networks, manifest):
+    """Estimators of then have no input that says whether there is an image."""
+    plain = export_models(networks)
+    plain["estimator"] = without_input(plain["estimator"], "has_image")
+    old = write_bundle(tmp_path / "old", plain, manifest)
+    edit(old, lambda m: (m.update(schema=1), m["selector"].pop("longest_memory")))
+    bundle = Bundle.load(old)
+    assert (bundle.remembers, bundle.manifest.selector.longest_memory) == (False, 0.0)
+    assert Bundle.load(bundle_path).remembers
+    write_manifest(old, bundle.manifest)
+    assert read_manifest(old).schema == 2
+    edit(old, lambda m: m["selector"].update(longest_memory=1.0))
+    with pytest.raises(RenetError, match=r"estimator.onnx has no input has_image"):
+        Bundle.load(old)
+
+
+def without_input(model: bytes, name: str) -> bytes:
+    """An ONNX model whose input of that name is a constant 1."""
+    graph = (proto := onnx.load_from_string(model)).graph
+    (found,) = (node for node in graph.input if node.name == name)
+    graph.input.remove(found)
+    one = onnx.numpy_helper.from_array(np.ones((1, 1), np.float32), name)
+    graph.initializer.append(one)
+    return proto.SerializeToString()
 
 
 def test_models_of_another_architecture(tmp_path, manifest):

@@ -141,7 +141,7 @@ class MarginsStudy(WalkingStudy):
     level: int = 2
     """Of the ground, 1 to 10."""
     modes: tuple[str, ...] = ("vp", "op", "renet")
-    """Policy modes to compare: vp, renet, op, oracle-switch."""
+    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
     seconds: float = 8.0
     """Time of each robot, or until it has left its tile."""
 

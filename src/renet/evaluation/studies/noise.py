@@ -30,7 +30,7 @@ class NoiseStudy(FaultStudy):
     )
     """Noises, NAME:SEVERITY; the paper's are 30, 70, 100 % and 10, 30, 70 %."""
     modes: tuple[str, ...] = ("vp", "renet")
-    """Policy modes to compare: vp, renet, op, oracle-switch."""
+    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
     grounds: tuple[str, ...] = (FLAT,)
     """Flat ground without end, or one kind of tile: see `faults`."""
     onsets: tuple[float, ...] = (3.0,)

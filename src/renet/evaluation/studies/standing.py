@@ -39,7 +39,7 @@ class StandingStudy(WalkingStudy):
     level: int = 3
     """Of the ground, 1 to 10."""
     modes: tuple[str, ...] = ("vp", "op")
-    """Policy modes to compare: vp, renet, op, oracle-switch."""
+    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
     walk: float = 3.0
     """Seconds before the command to stand."""
     settle: float = 1.5

@@ -62,7 +62,7 @@ class TerrainStudy(WalkingStudy):
     levels: tuple[int, ...] = tuple(range(1, LEVELS + 1))
     """Levels of the curriculum, 1 to 10."""
     modes: tuple[str, ...] = ("renet",)
-    """Policy modes to compare: vp, renet, op, oracle-switch."""
+    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
     fault: str | None = None
     """A camera fault, NAME[:SEVERITY][@SECONDS[+DURATION]]; without a time it begins half a second
     before a robot is 1.2 m from its start, where gaps and stairs up begin."""
@@ -236,7 +236,7 @@ class SuccessStudy(TerrainStudy):
     levels: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 10)
     """Sizes, as levels of the curriculum, 1 to 10."""
     modes: tuple[str, ...] = ("vp", "renet", "op")
-    """Policy modes to compare: vp, renet, op, oracle-switch."""
+    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
     seconds: float = 16.0
     """Time to cross: the 4 m to the tile's edge take 6.7 s at the commanded speed."""
 

@@ -91,8 +91,9 @@ export class Controller {
     if (this.policy.due) {
       const taken = this.frames.take();
       fresh = taken.fresh;
-      await this.policy.tick(taken.image);
       if (taken.image) this.image = taken.image;
+      const gate = this.selector.look(this.seen(fresh, now));
+      await this.policy.tick(taken.image, this.estimator === "renet" ? gate : () => true);
     }
     const chosen = { vp: true, renet: this.vision, op: false }[this.estimator];
     const vision = chosen && this.frames.image !== null;
@@ -105,11 +106,12 @@ export class Controller {
 
   seen(fresh, now) {
     const { image, policy, frames } = this;
-    const { anomalyScore, varianceScore, velocityOp, velocityVp } = policy;
+    const { anomalyScore, varianceScore, velocityOp, velocityVp, hasImage, mapError } = policy;
     const { invalid } = frames;
     const age = frames.age(now);
     const scores = { anomalyScore, varianceScore };
-    return { ...scores, image, fresh, age, invalid, velocityOp, velocityVp };
+    const estimates = { velocityOp, velocityVp, hasImage, mapError };
+    return { ...scores, ...estimates, image, fresh, age, invalid };
   }
 
   /** Turn the wished heading on; a robot that cannot follow is not asked for ever more. */

@@ -32,6 +32,10 @@ export class Policy {
     this.history = new Float32Array(manifest.history * this.size);
     this.pixels = rows * columns;
     this.frames = new Float32Array(manifest.frames * this.pixels);
+    /** The two newest images that VP was given. */
+    this.accepted = this.frames.slice();
+    /** Whether VP can do without an image. */
+    this.remembers = sessions.estimator.inputNames.includes("has_image");
     this.shapes = {
       history: [1, manifest.history, this.size],
       frames: [1, manifest.frames, rows, columns],
@@ -48,6 +52,8 @@ export class Policy {
     this.latentVp = new Float32Array(this.shapes.latent[1]);
     this.anomalyScore = 0;
     this.varianceScore = 0;
+    this.mapError = 0;
+    this.hasImage = true;
     this.blank = this.fresh = true;
     this.steps = 0;
   }
@@ -67,8 +73,13 @@ export class Policy {
     this.blank = false;
   }
 
-  /** One tick with the newest image [48 * 64] in [0, 1], or null without a camera. */
-  async tick(image) {
+  /**
+   * One tick.
+   * @param {Float32Array | null} image newest, [48 * 64] in [0, 1]; null without a camera.
+   * @param {Function} gate of this policy's scores: whether VP may use the image.
+   */
+  async tick(image, gate) {
+    const unpaired = this.fresh || !this.hasImage;
     if (image) {
       this.frames.copyWithin(this.pixels, 0, this.pixels);
       this.frames.set(image, 0);
@@ -85,11 +96,27 @@ export class Policy {
     }
     const found = await this.sessions.estimator.run({
       proprioception_history: new Tensor("float32", this.history, this.shapes.history),
-      depth,
+      ...(this.remembers ? this.given(image !== null && gate(this), unpaired) : { depth }),
       latent_op: new Tensor("float32", this.latentOp, this.shapes.latent),
       latent_vp: new Tensor("float32", this.latentVp, this.shapes.latent),
     });
     for (const [mine, name] of Object.entries(ESTIMATES)) this[mine] = found[name].data;
+    this.mapError = found.map_error?.data[0] ?? 0;
+  }
+
+  /** The estimator's inputs for an image that VP may use or not. */
+  given(hasImage, unpaired) {
+    if (hasImage) {
+      const newest = this.frames.subarray(0, this.pixels);
+      if (unpaired) this.accepted.set(newest, this.pixels);
+      else this.accepted.copyWithin(this.pixels, 0, this.pixels);
+      this.accepted.set(newest, 0);
+    }
+    this.hasImage = hasImage;
+    return {
+      depth: new Tensor("float32", this.accepted, this.shapes.frames),
+      has_image: new Tensor("float32", [Number(hasImage)], [1, 1]),
+    };
   }
 
   /**

@@ -1,5 +1,6 @@
-// When to trust vision: monitors, the paper's low-pass filter, and a dwell before vision returns.
-// With the reconstruction monitor alone and no dwell it is the paper's rule (RENet, Method B).
+// Which images VP gets, and whether VP or OP drives: monitors, memory, the paper's low-pass filter,
+// and a dwell before vision returns. With the reconstruction monitor alone, no dwell and no memory
+// it is the paper's rule (RENet, Method B).
 
 /** Scores of one robot, larger is worse; each is a function made anew for every selector. */
 const SCORES = {
@@ -12,7 +13,10 @@ const SCORES = {
   duplicate: equalInARow,
   uniformity: () => oncePerImage((image) => -standardDeviation(image)),
   nearness: coveredInARow,
+  map_error: () => (seen) => seen.mapError,
 };
+/** What the monitors of the vision model's outputs judge. */
+const OUTPUTS = { variance_score: "varianceScore", anomaly_score: "anomalyScore" };
 
 /** How many equal images arrived in a row. */
 function equalInARow() {
@@ -27,7 +31,7 @@ function equalInARow() {
   };
 }
 
-/** How many images arrived in a row of which hardly a pixel is farther than 10 cm. */
+/** How many images arrived in a row of which more than two fifths are nearer than 10 cm. */
 function coveredInARow(contract) {
   let run = 0;
   return ({ image, fresh }) => {
@@ -51,7 +55,7 @@ function standardDeviation(values) {
   return Math.sqrt(values.reduce((sum, value) => sum + (value - mean) ** 2, 0) / values.length);
 }
 
-/** Decides whether vision (VP) or blind walking (OP) acts; its filter has a clock of its own. */
+/** Decides which images VP gets and whether VP or OP drives; its filter has a clock of its own. */
 export class Selector {
   /**
    * @param {"monitors" | "paper"} kind all monitors, or the reconstruction loss against beta.
@@ -70,11 +74,12 @@ export class Selector {
     this.rate = spec.rate_hz;
     this.dwell = paper ? 0 : contract.dwell;
     this.betweenReturns = paper ? 0 : contract.betweenReturns;
+    this.longestMemory = paper ? 0 : spec.longest_memory;
     this.monitors = contract.monitors
       .filter(({ name }) => !paper || name === "reconstruction")
-      .map(({ name, reason, fallback }) => ({
+      .map(({ name, fallback, ...monitor }) => ({
+        ...monitor,
         name,
-        reason,
         threshold: name === "reconstruction" ? beta : thresholds[name] ?? fallback,
       }))
       .filter(({ threshold }) => threshold !== null);
@@ -86,39 +91,85 @@ export class Selector {
     this.scores = this.monitors.map(({ name }) => SCORES[name](this.contract));
     this.probability = 1;
     this.vision = true;
+    this.withoutImage = 0;
     this.reason = "";
+    this.looked = false;
     this.start = null;
-    this.healthySince = this.returned = -Infinity;
+    this.goodSince = this.lastGood = this.returned = -Infinity;
+  }
+
+  /** "sees", "remembers" (VP drives without images) or "blind" (OP drives). */
+  get state() {
+    if (!this.vision) return "blind";
+    return this.withoutImage > 0 ? "remembers" : "sees";
+  }
+
+  /**
+   * Judge a tick's image before the vision model runs; called once in every tick.
+   * @param {object} seen image, fresh, age, invalid.
+   * @returns {Function} of the vision model's scores: whether VP may use the image.
+   */
+  look(seen) {
+    const verdicts = this.judge(seen);
+    this.looked = true;
+    if (!this.longestMemory) return () => true;
+    const { monitors } = this;
+    const acceptable = seen.fresh && verdicts.every((ok, i) => ok || !monitors[i].ofImage || monitors[i].output);
+    const judged = monitors.filter(({ output }) => output);
+    return (scores) =>
+      acceptable && judged.every(({ output, threshold }) => scores[OUTPUTS[output]] < threshold);
+  }
+
+  judge(seen) {
+    return this.scores.map((score, i) => score(seen) < this.monitors[i].threshold);
   }
 
   /**
    * Take what is known of vision at one moment.
    * @param {object} seen anomalyScore, image (a new array whenever one arrives), fresh, age,
-   *   invalid, velocityOp, velocityVp.
+   *   invalid, velocityOp, velocityVp, hasImage, mapError.
    * @param {number} now seconds.
    * @returns {boolean} whether to use vision.
    */
   update(seen, now) {
-    const verdicts = this.scores.map((score, i) => score(seen) < this.monitors[i].threshold);
+    const verdicts = this.judge({ ...seen, fresh: seen.fresh && !this.looked });
+    this.looked = false;
     const due = this.due(now);
     if (due === 0) return this.vision;
-    const healthy = verdicts.every(Boolean);
+    const [good, healthy] = this.weigh(verdicts, seen, now);
     const goal = Number(healthy);
     this.probability = goal + (1 - this.gamma) ** due * (this.probability - goal);
     const likely = this.probability > this.contract.visionThreshold;
-    this.healthySince = healthy ? Math.min(this.healthySince, now) : Infinity;
+    this.goodSince = good && healthy ? Math.min(this.goodSince, now) : Infinity;
     const rested =
-      now - this.healthySince >= this.dwell - 1e-9 &&
+      now - this.goodSince >= this.dwell - 1e-9 &&
       now - this.returned >= this.betweenReturns - 1e-9;
-    if (this.vision && !likely) {
-      this.vision = false;
-      if (!healthy) this.reason = this.monitors[verdicts.indexOf(false)].reason;
-    } else if (!this.vision && likely && rested) {
+    const leaving = this.vision && !likely;
+    if (leaving) this.vision = false;
+    else if (!this.vision && likely && rested) {
       this.vision = true;
       this.returned = now;
-      this.reason = "";
+    }
+    if (this.vision && good) this.reason = "";
+    const ceasing = leaving || (this.longestMemory && !good && !this.reason);
+    const objection = verdicts.indexOf(false);
+    if (ceasing && !(good && healthy) && objection >= 0) {
+      this.reason = this.monitors[objection].reason;
     }
     return this.vision;
+  }
+
+  /** Whether VP has a good image, and whether it may drive. */
+  weigh(verdicts, seen, now) {
+    if (!this.longestMemory) {
+      const healthy = verdicts.every(Boolean);
+      return [healthy, healthy];
+    }
+    if (seen.hasImage || this.lastGood === -Infinity) this.lastGood = now;
+    this.withoutImage = now - this.lastGood;
+    const remembered = this.withoutImage <= this.longestMemory;
+    const agreed = verdicts.every((ok, i) => ok || this.monitors[i].ofImage);
+    return [seen.hasImage, remembered && agreed];
   }
 
   /** Filter updates due since the last call; the first call is one. */

@@ -1,0 +1,152 @@
+"""The selector's three states: a robot sees, remembers or is blind."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from renet.errors import RenetError
+from renet.selector import MONITORS, SelectorInput, SelectorSpec, make_selector
+from renet.selector.selector import BLIND, DWELL, REMEMBERS, SEES, check_selector
+
+SPEC = SelectorSpec(
+    beta=0.2, thresholds={"variance": 3.0, "disagreement": 1.0, "map_error": 0.3}, longest_memory=2
+)
+TICK = 0.1
+
+
+class Walk:
+    """One robot under a memory's selector, tick by tick, as the controller runs it."""
+
+    def __init__(self, spec: SelectorSpec = SPEC) -> None:
+        self.selector, self.ticks = make_selector("monitors", spec), itertools.count()
+        self.random, self.image = np.random.default_rng(0), np.ones((1, 48, 64))
+
+    def tick(self, variance=1.0, fresh=True, age=0.0, map_error=0.1, apart=0.0, image=None):
+        """One tick and its twenty updates; returns the state after it."""
+        if fresh:
+            self.image = self.random.random((1, 48, 64)) if image is None else image.copy()
+        common = {
+            "image": self.image,
+            "age": np.array([age]),
+            "invalid": np.zeros(1),
+            "velocity_op": np.zeros((1, 3)),
+            "velocity_vp": np.array([[apart, 0.0, 0.0]]),
+            "variance_score": np.array([variance]),
+            "map_error": np.array([map_error]),
+        }
+        given = SelectorInput(np.zeros(1), fresh=np.array([fresh]), **common)
+        gate = self.selector.look(given)
+        assert gate is not None
+        has_image = gate.judge({"variance_score": common["variance_score"]})
+        now = TICK * next(self.ticks)
+        for update in range(20):
+            new = SelectorInput(
+                np.zeros(1), fresh=np.array([fresh and update == 0]), has_image=has_image, **common
+            )
+            self.selector.update(new, now + update / 200)
+        return str(self.selector.state[0])
+
+    def run(self, ticks: int, **given) -> list[str]:
+        return [self.tick(**given) for _ in range(ticks)]
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "reason"),
+    [
+        ({"variance": 5.0}, "images unlike those of training"),
+        ({"image": np.zeros((1, 48, 64))}, "the image is blank"),
+        ({"age": 0.5, "fresh": False}, "no new image"),
+    ],
+)
+def test_a_spoilt_image_is_withheld_at_once_and_the_next_good_one_is_used(spoilt, reason):
+    walk = Walk()
+    assert walk.run(5) == [SEES] * 5
+    assert walk.run(8, **spoilt) == [REMEMBERS] * 8
+    assert walk.selector.reason[0] == reason
+    assert walk.selector.without_image[0] == pytest.approx(0.8, abs=0.02)
+    assert walk.selector.vision.all(), "VP drives all the while"
+    assert walk.tick() == SEES
+    assert walk.selector.reason[0] == ""
+    assert walk.selector.without_image[0] == 0
+
+
+def test_a_late_image_is_a_withheld_one_even_before_its_age_is_objected_to():
+    walk = Walk()
+    walk.run(3)
+    assert [walk.tick(fresh=False, age=0.1), walk.tick()] == [REMEMBERS, SEES]
+
+
+def test_a_frozen_image_counts_once_for_each_tick():
+    walk = Walk()
+    walk.run(2)
+    # Three equal images in a row are the threshold: the first of them came with the last tick.
+    assert walk.run(4, image=walk.image) == [SEES, REMEMBERS, REMEMBERS, REMEMBERS]
+    assert walk.selector.reason[0] == "the image is frozen"
+
+
+def test_op_takes_over_when_memory_is_too_old_and_hands_back_after_the_dwell():
+    walk = Walk()
+    walk.run(3)
+    states = walk.run(30, variance=9.0)
+    blind_at = states.index(BLIND)
+    # 2 s, and the filter's 35 ms.
+    assert blind_at == pytest.approx(20, abs=1)
+    assert states == [REMEMBERS] * blind_at + [BLIND] * (30 - blind_at)
+    assert walk.selector.reason[0] == "images unlike those of training"
+    back = walk.run(15)
+    assert back.index(SEES) == pytest.approx(DWELL / TICK, abs=1)
+    # An image now and then does not bring VP back to the wheel.
+    walk.run(60)
+    walk.run(30, variance=9.0)
+    assert set(walk.run(5) + walk.run(3, variance=9.0) + walk.run(5)) == {BLIND}
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"map_error": 0.4}, "the memory of the ground is stale"),
+        ({"apart": 1.5}, "the estimators disagree on velocity"),
+    ],
+)
+def test_op_takes_over_within_a_tick_when_the_estimators_are_objected_to(given, reason):
+    walk = Walk()
+    walk.run(3)
+    assert walk.run(2, **given) == [BLIND, BLIND]
+    assert walk.selector.reason[0] == reason
+    walk = Walk()
+    walk.run(3)
+    walk.run(5, variance=9.0)
+    assert walk.tick(variance=9.0, **given) == BLIND
+
+
+def test_without_a_memory_every_image_is_used_and_a_spoilt_one_costs_vision():
+    for kind, spec in (("monitors", SelectorSpec(beta=0.2)), ("paper", SPEC)):
+        selector = make_selector(kind, spec)
+        image = np.random.default_rng(0).random((1, 48, 64))
+        given = SelectorInput(
+            np.full(1, 0.9), image, np.ones(1, bool), np.zeros(1), np.zeros(1),
+            *np.zeros((2, 1, 3)), np.zeros(1), np.ones(1, bool), np.zeros(1),
+        )  # fmt: skip
+        assert selector.look(given) is None
+        for update in range(7):
+            selector.update(given, update / 200)
+        assert selector.state.tolist() == [BLIND]
+        assert selector.without_image.tolist() == [0]
+
+
+def test_a_reset_robot_sees_again():
+    walk = Walk()
+    walk.run(3)
+    assert walk.run(30, variance=9.0)[-1] == BLIND
+    walk.selector.reset(np.ones(1, bool))
+    assert walk.tick() == SEES
+
+
+def test_a_memory_without_end_is_refused():
+    for longest in (-1.0, np.inf, np.nan):
+        with pytest.raises(RenetError, match=r"selector.longest_memory must be finite"):
+            SelectorSpec(beta=0.1, longest_memory=longest)
+    with pytest.raises(RenetError, match="longest_memory 61 s is longer than 60 s"):
+        check_selector(SelectorSpec(beta=0.1, longest_memory=61.0))
+    assert MONITORS["map_error"].limit == 1.0
