@@ -79,7 +79,7 @@ def test_only_renets_images_are_withheld_and_the_papers_mode_obeys_the_papers_ru
             action = super().step(proprioception, depth, op_mask)
             if gate is not None:
                 self.has_image = gate.judge({"anomaly_score": self.anomaly_score})
-            return action
+            return np.where(self.has_image[:, None], action, 0.0)  # It remembers.
 
     rows = [Trial(mode, NOISE) for mode in ("vp", "renet", "paper")]
     spec = SelectorSpec(beta=0.01)
