@@ -103,7 +103,7 @@ class TrainCfg(LearningCfg):
     """Train on tiles with more edges: gaps two to three times as many (`terrain/tiles.py`)."""
     depth_noise_std: float = RENET["depth_noise_std"]
     """Standard deviation of the constant part of the depth error, m."""
-    randomization: RandomizationCfg = field(default_factory=RandomizationCfg)
+    randomization: RandomizationCfg = field(default_factory=lambda: preset()["randomization"])
     """How the robots differ beyond the task's own randomisation."""
     depth_dropout: DepthDropoutCfg = field(default_factory=DepthDropoutCfg)
     """Cameras that fail during training: a baseline for the selector, off by default."""
