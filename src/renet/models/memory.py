@@ -64,7 +64,8 @@ class EstimatorMemory:
             depth: [N, 48, 64] in [0, 1].
             has_image: [N] bool, false where it is withheld; nowhere by default.
         """
-        has_image = torch.ones_like(self.fresh) if has_image is None else has_image
+        if has_image is None:
+            has_image = torch.ones_like(self.fresh)
         depth = depth.to(self.frames.dtype)
         unpaired = (self.fresh | ~self.has_image)[:, None, None]
         previous = torch.where(unpaired, depth, self.frames[:, 0])

@@ -31,7 +31,8 @@ def value_at(schedule: Schedule, steps: float) -> float:
     Raises:
         RenetError: the schedule cannot be read.
     """
-    return float(np.interp(steps, *zip(*schedule_points(schedule), strict=True)))
+    points = schedule_points(schedule)
+    return float(np.interp(steps, [at for at, _ in points], [value for _, value in points]))
 
 
 @lru_cache(maxsize=256)

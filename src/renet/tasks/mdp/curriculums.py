@@ -110,7 +110,8 @@ def reward_weight(
         points: (control step, weight), in order; linear in between.
     """
     del env_ids
-    weight = float(np.interp(env.common_step_counter, *zip(*points, strict=True)))
+    steps, weights = zip(*points, strict=True)
+    weight = float(np.interp(env.common_step_counter, steps, weights))
     env.reward_manager.get_term_cfg(reward).weight = weight
     return torch.tensor(weight)
 
