@@ -18,6 +18,7 @@ from renet.deploy.bundle import Bundle, write_manifest
 from renet.deploy.calibration_log import recorded_scores
 from renet.deploy.terminal import show
 from renet.errors import RenetError
+from renet.evaluation.calibrate_memory import MEMORY, Memory, memory_limits
 from renet.evaluation.monitor_log import MonitorLog, healthy_series
 from renet.evaluation.rollout import Trial, check_finite, check_speed
 from renet.faults import Injection
@@ -87,13 +88,20 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     """
     if cfg.log:
         bundle = Bundle.load(cfg.bundle)
-        return _store(cfg, bundle, recorded_scores(cfg.log, bundle), {})
+        spec = bundle.manifest.selector
+        kept = {MEMORY: spec.thresholds[MEMORY]} if MEMORY in spec.thresholds else {}
+        memory = kept, spec.longest_memory
+        return _store(cfg, bundle, recorded_scores(cfg.log, bundle), {}, memory)
     return _store(cfg, *_simulated_scores(cfg))
 
 
-def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series) -> float:
+def _store(
+    cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series, memory: Memory
+) -> float:
     """Learn thresholds, and β without the `grassy` runs; write them into the manifest, return β."""
     scores = np.concatenate(series["reconstruction"])
+    # Healthy runs say nothing of how stale a memory may be.
+    series = {name: runs for name, runs in series.items() if name != MEMORY}
     if cfg.sparse_grass and bundle.predicts_variance:
         series = {name: runs for name, runs in series.items() if name != "reconstruction"}
     thresholds, hours = calibrate_monitors(series, cfg.false_alarms_per_hour, 1.0 / TICK_DT)
@@ -113,12 +121,16 @@ def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series) ->
         manifest.selector,
         beta=beta,
         calibration=how,
-        thresholds=thresholds,
+        thresholds=thresholds | memory[0],
+        longest_memory=memory[1],
         false_alarms_per_hour=cfg.false_alarms_per_hour,
         healthy_hours=hours,
     )
     write_manifest(bundle.path, replace(manifest, selector=selector))
     print(f"beta {beta:.6g} ({how}) written to {bundle.path}")
+    if memory[1]:
+        limit = f"expects an error of {memory[0][MEMORY]:.2g} m or " if memory[0] else ""
+        print(f"VP drives from memory until it {limit}has had no image for {memory[1]:.3g} s")
     rows = [(name, f"{value:.4g}") for name, value in thresholds.items()]
     show(
         f"Thresholds for {cfg.false_alarms_per_hour:g} false alarms per hour, from"
@@ -129,8 +141,8 @@ def _store(cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series) ->
     return beta
 
 
-def _simulated_scores(cfg: CalibrateCfg) -> tuple[Bundle, Series, Series]:
-    """The bundle, and every monitor's scores in successful episodes, without and with grass.
+def _simulated_scores(cfg: CalibrateCfg) -> tuple[Bundle, Series, Series, Memory]:
+    """The bundle, every monitor's scores in successful episodes, without and with grass; memory.
 
     Raises:
         RenetError: settings that cannot be run, or a policy that never succeeds.
@@ -154,7 +166,10 @@ def _simulated_scores(cfg: CalibrateCfg) -> tuple[Bundle, Series, Series]:
         raise RenetError("no episode succeeded: train the policy before calibrating its selector")
     through_grass = cfg.sparse_grass and evaluator.bundle.predicts_variance
     grassy = _healthy_runs(cfg, evaluator, grass=True) if through_grass else {}
-    return evaluator.bundle, series, grassy
+    memory: Memory = {}, 0.0
+    if evaluator.bundle.manifest.selector.longest_memory:
+        memory = memory_limits(evaluator, 3 * cfg.robots, cfg.levels, cfg.speed, cfg.seed)
+    return evaluator.bundle, series, grassy, memory
 
 
 def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Series:

@@ -99,6 +99,28 @@ def return_level(runs: Sequence[np.ndarray], expected: float) -> float:
     return max(high + rise, float(joined.max()) + mean)
 
 
+def stale_above(staleness: np.ndarray, fell: np.ndarray, expected: np.ndarray) -> float:
+    """The staleness of memory from which on a robot would fall less often with OP.
+
+    Args:
+        staleness: [n] of moments in which robots walked from memory: m of expected error, or s.
+        fell: [n] bool, the robot fell in this moment.
+        expected: [n] falls that OP has on the same ground in a moment.
+
+    Returns:
+        The level above which the falls exceed OP's by most, if chance does not explain it (two
+        standard deviations of a Poisson count); else infinity.
+    """
+    order = np.argsort(-staleness, kind="stable")
+    falls, blind = np.cumsum(fell[order]), np.cumsum(expected[order])
+    if len(falls) == 0:
+        return math.inf
+    surplus = falls - blind
+    most = int(surplus.argmax())
+    beyond_chance = surplus[most] > 2.0 * math.sqrt(max(blind[most], 1.0))
+    return float(staleness[order][most]) if beyond_chance else math.inf
+
+
 def decluster(run: np.ndarray, level: float) -> list[float]:
     """The peak of each group of exceedances of `level` that is APART scores from the next."""
     above = np.flatnonzero(np.asarray(run) > level)

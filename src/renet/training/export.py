@@ -31,14 +31,10 @@ from renet.tasks.config.go1 import GO1
 from renet.tasks.robot_cfg import ACTION_CLIP, RobotCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.checkpoint import Checkpoint
-from renet.training.config import from_dict
+from renet.training.config import WithholdingCfg, from_dict
 
 OPSET = 17
 """Old enough for the ONNX Runtime of a robot's computer, new enough for LayerNormalization."""
-
-
-MEMORY = 3.0
-"""Seconds for which a VP that learned without images may drive without one."""
 
 
 @dataclass(kw_only=True)
@@ -62,7 +58,7 @@ def export(cfg: ExportCfg) -> Path:
         provenance = _provenance(loaded.state, model.cfg)
         # Checkpoints that do not say were trained with the default.
         noise_std = loaded.state["config"].get("depth_noise_std", DepthNoiseCfg.gaussian_std)
-        remembers = loaded.state["config"].get("withholding", {}).get("share", 0.0) > 0.0
+        learned = from_dict(WithholdingCfg, loaded.state["config"].get("withholding", {}))
     except (KeyError, TypeError, AttributeError) as error:
         raise RenetError(
             f"{found} is not a checkpoint of RENet: its state lacks {error}"
@@ -74,7 +70,7 @@ def export(cfg: ExportCfg) -> Path:
         selector=SelectorSpec(
             beta=cfg.beta,
             calibration="none: run `renet calibrate`",
-            longest_memory=MEMORY if remembers else 0.0,
+            longest_memory=learned.longest if learned.share else 0.0,
         ),
         provenance=provenance,
         history=model.cfg.history,

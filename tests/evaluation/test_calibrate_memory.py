@@ -1,0 +1,54 @@
+"""When memory is stale: simulated hazards whose answer is known."""
+
+import math
+
+import numpy as np
+import pytest
+
+from renet.evaluation.calibrate_memory import MEASURED, MEMORY, compare
+from renet.evaluation.trace import Trace
+from renet.selector.calibration import stale_above
+
+ROBOTS, STEPS = 400, 500
+
+
+def test_memory_is_stale_from_where_its_falls_exceed_ops():
+    random = np.random.default_rng(0)
+    error = random.uniform(0, 1, 50_000)
+    blind = np.full(50_000, 0.004)
+    fell = random.random(50_000) < np.where(error > 0.7, 0.02, 0.001)
+    assert stale_above(error, fell, blind) == pytest.approx(0.7, abs=0.02)
+
+
+def test_chance_makes_no_memory_stale():
+    random = np.random.default_rng(1)
+    error, blind = random.uniform(0, 1, 20_000), np.full(20_000, 0.004)
+    found = [stale_above(error, random.random(20_000) < 0.003, blind) for _ in range(50)]
+    assert np.isinf(found).mean() > 0.9
+    assert math.isinf(stale_above(np.zeros(0), np.zeros(0, bool), np.zeros(0)))
+
+
+def walk(hazard) -> Trace:
+    """Robots that fall with a probability in each step [T, N], then their twins with OP."""
+    random = np.random.default_rng(2)
+    trace = Trace.empty(STEPS, 2 * ROBOTS)
+    trace.fell[:] = trace.ended[:] = random.random((STEPS, 2 * ROBOTS)) < np.hstack(
+        [hazard, np.full((STEPS, ROBOTS), 0.002)]
+    )
+    return trace
+
+
+def test_limits_of_a_run_whose_robots_fall_where_they_err_or_never():
+    dies = np.full(ROBOTS, 50)
+    since = np.maximum(np.arange(STEPS)[:, None] - dies, 0)
+    error = 0.05 + 0.001 * since  # 0.5 m after nine seconds.
+    late = walk(np.where(error > 0.3, 0.02, 0.0005))
+    late.map_error[:, :ROBOTS] = error
+    ground = np.arange(ROBOTS) % 7
+    thresholds, longest = compare(late, dies, ground)
+    # Half a second before the falls: 25 steps, 0.025 m.
+    assert thresholds[MEMORY] == pytest.approx(0.275, abs=0.02)
+    assert longest == pytest.approx(250 * 0.02, abs=0.3)
+    never = walk(np.full((STEPS, ROBOTS), 0.0005))
+    never.map_error[:, :ROBOTS] = error
+    assert compare(never, dies, ground) == ({}, MEASURED)
