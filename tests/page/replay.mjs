@@ -36,7 +36,7 @@ for (const { state, frame: next, teleop, now } of ticks) {
     height_map: Array.from(policy.heightMap ?? []),
     anomaly: policy.anomalyScore,
     probability: selector.probability,
-    vision: driving === "vp",
+    vision: driving !== "blind",
     reason: selector.reason,
     state: selector.state,
     map_error: policy.mapError,

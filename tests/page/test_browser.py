@@ -68,14 +68,14 @@ def test_renet_walks_on_when_it_is_blinded(browser: Browser, address: str):
     until(browser, "renetPage.page.now < 1 && !renetPage.page.opening")
     until(browser, "renetPage.page.now >= 5")
     vp, renet = robots(browser)
-    assert (vp["driving"], renet["driving"]) == ("vp", "vp")
+    assert (vp["driving"], renet["driving"]) == ("sees", "sees")
     press(browser, "3")
     assert browser.ask("renetPage.page.simulations[1].camera.fault.name") == "blackout"
 
     until(browser, "renetPage.page.now >= 20")
 
     vp, renet = robots(browser)
-    assert (vp["driving"] or "vp", renet["driving"]) == ("vp", "op")
+    assert (vp["driving"] or "sees", renet["driving"]) == ("sees", "blind")
     assert renet["upright"]
     assert renet["walking"]
     assert 0.5 < renet["speed"] < 0.9

@@ -211,6 +211,7 @@ def summary(score: dict[str, Any]) -> str:
         f"walked {score['walking_seconds']:.1f} s and {score['distance_m']:.1f} m "
         f"({score['distance_from']})",
         f"on vision {score['vision_share']:.0%}",
+        f"{score['memory_share']:.0%} from memory" if score["memory_share"] else "",
         f"from fault to OP {delays}" if delays else "",
         f"falls: {score['falls']}",
     ]

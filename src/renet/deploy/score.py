@@ -18,9 +18,11 @@ from renet.deploy.safety import Mode
 from renet.errors import RenetError
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT
+from renet.palette import STATES
 
 SCORE, TIMELINE = "score.json", "timeline.svg"
-BANDS = {"damped or standing up": "#d7dade", "VP acts": "#bed5b4", "OP acts": "#f3c1bb"}
+BANDS = (("#9aa0a8", "damped or standing up"), *STATES.values())
+"""Colours and names of who acts."""
 MAX_POINTS = 5000
 """Points of a curve; longer runs are thinned out."""
 MAX_MARKS = 40
@@ -99,6 +101,7 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
         "speed_m_s": round(metres / seconds, 3) if seconds else 0.0,
         "commanded_m_s": round(_mean(ticks["speed"][walking]), 3),
         "vision_share": round(_mean(ticks["vision"][walking]), 4),
+        "memory_share": round(_mean((ticks["vision"] & ~ticks["has_image"])[walking]), 4),
         "switches": sum(event.what in ("op", "vp") for event in run.events),
         "op_before_first_fault": sum(e.what == "op" and bool(e.time < first) for e in run.events),
         "switch_delay_s": [delay_to_op(blind, onset) for onset in onsets],
@@ -196,13 +199,12 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
     )
     figure = Figure(figsize=(10, 6), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)
-    acting = np.where(walking, np.where(vision, 1, 2), 0)
+    acting = np.where(walking, np.where(vision, np.where(ticks["has_image"], 1, 2), 3), 0)
     for axis, (label, curves, line) in zip(axes, panels, strict=True):
         height = axis.get_xaxis_transform()
-        for kind, (name, colour) in enumerate(BANDS.items()):
-            axis.fill_between(
-                time, 0, 1, acting == kind, color=colour, label=name, transform=height, lw=0
-            )
+        for kind, (colour, name) in enumerate(BANDS):
+            look = {"color": colour, "alpha": 0.3, "lw": 0, "label": name}
+            axis.fill_between(time, 0, 1, acting == kind, transform=height, **look)
         for values, colour in curves:
             shown = np.where(walking & np.isfinite(values) & (np.abs(values) < 1e6), values, np.nan)
             axis.plot(time, shown, color=colour, linewidth=1)
@@ -213,9 +215,10 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
             axis.axvline(onset, color="#a3121f", linestyle=":", linewidth=1)
     axes[-1].set_xlabel("s")
     axes[0].set_title(_title(run), fontsize=10, parse_math=False)
-    axes[0].legend(loc="upper right", fontsize=7, ncols=3)
+    axes[0].legend(loc="upper right", fontsize=7, ncols=4)
     begun = run.ticks["now"][0] if len(run.ticks) else 0.0
-    told = [event for event in run.events if event.what in ("op", "damping")][:MAX_MARKS]
+    whats = ("memory", "op", "damping")
+    told = [event for event in run.events if event.what in whats][:MAX_MARKS]
     for row, event in enumerate(told):
         text = f"{event.what}: {event.why[:60]}"
         place = (event.time - begun, 0.85 - 0.15 * (row % 4))

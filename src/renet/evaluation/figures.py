@@ -18,8 +18,10 @@ from matplotlib.patches import Rectangle
 from renet.evaluation.results import Provenance
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT
+from renet.palette import BLIND, SEES
 
-VP_BAND, OP_BAND = "#bed5b4", "#f3c1bb"
+BAND = 0.3
+"""Opacity of what is behind a timeline."""
 LOSS, PROBABILITY = "#3c3ca0", "#64aa5f"
 FAMILIES = {
     "gaussian": ("#9ecae1", "#4292c6", "#084594"),
@@ -160,11 +162,11 @@ def colour_tables(
 
 
 def bands(axis: Axes, vision: np.ndarray, every: float = CONTROL_DT) -> None:
-    """Green where VP is in charge, red where OP is; `vision` is [T] bool, `every` s apart."""
+    """Behind a timeline, whether VP is in charge or OP; `vision` is [T] bool, `every` s apart."""
     edges = np.flatnonzero(np.diff(vision.astype(int))) + 1
     for start, end in zip([0, *edges], [*edges, len(vision)], strict=True):
-        colour = VP_BAND if vision[start] else OP_BAND
-        axis.axvspan(start * every, end * every, color=colour, alpha=0.7, linewidth=0)
+        colour = SEES if vision[start] else BLIND
+        axis.axvspan(start * every, end * every, color=colour, alpha=BAND, linewidth=0)
 
 
 def timelines(
@@ -199,7 +201,7 @@ def timelines(
             _write(axis, instant, text, 0.04, ha="right", fontweight="bold", color="#9c1f12")
     axes[0, 0].set_title(title)
     axes[-1, 0].set_xlabel("time (s)")
-    keys = [Rectangle((0, 0), 1, 1, color=c, alpha=0.7) for c in (VP_BAND, OP_BAND)]
+    keys = [Rectangle((0, 0), 1, 1, color=c, alpha=BAND) for c in (SEES, BLIND)]
     named = axes[-1, 0].get_legend_handles_labels(), right.get_legend_handles_labels()
     figure.legend(
         [*named[0][0], *named[1][0], *keys],

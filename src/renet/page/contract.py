@@ -28,6 +28,7 @@ from renet.interface import (
     PROPRIOCEPTION,
     STEPS_PER_TICK,
 )
+from renet.palette import STATES
 from renet.selector.filter import VISION_THRESHOLD
 from renet.selector.monitors import COVERED, MONITORS, NEAR
 from renet.selector.selector import BETWEEN_RETURNS, DWELL
@@ -92,6 +93,7 @@ def contract() -> dict[str, Any]:
                 for name, monitor in MONITORS.items()
             ],
         },
+        "palette": {state: colour for state, (colour, _) in STATES.items()},
         "faults": [_fault(fault) for fault in FAULTS.values()],
         "scenes": [_scene(terrain, *SCENES[terrain]) for terrain in SCENES],
     }

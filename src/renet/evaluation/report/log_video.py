@@ -83,6 +83,7 @@ def _panel(recording: Recording, frames: np.ndarray) -> Panel:
         title=str(recording.header.get("bundle", "recording")),
         depth=images[frames],
         vision=ticks["vision"][frames],
+        has_image=ticks["has_image"][frames],
         fallen=fallen(ticks)[frames],
         fault=[", ".join(f.fault for f in faults if f.at_work(step)) for step in steps],
         speed=velocity[frames, 0],

@@ -17,6 +17,7 @@ from renet.evaluation.report.colormaps import beside, map_picture
 from renet.evaluation.trace import Trace
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.palette import STATES, rgb
 
 CAMERA = "renet_tracking_camera"
 AWAY = np.array([1.6 * np.cos(np.radians(-110.0)), 1.6 * np.sin(np.radians(-110.0)), 0.55])
@@ -114,6 +115,8 @@ class Panel:
     """[F, 48, 64] uint8, the depth image the robot gets."""
     vision: np.ndarray
     """[F] bool, VP in charge."""
+    has_image: np.ndarray
+    """[F] bool, VP gets its images; without, it goes on from memory."""
     fallen: np.ndarray
     """[F] bool"""
     fault: Sequence[str]
@@ -130,9 +133,11 @@ class Panel:
         width, height = image.size
         draw.rectangle((0, 0, width, 24), fill=(16, 18, 22, 190))
         draw.text((8, 4), self.title, font=_font(14), fill=WHITE)
-        vision = bool(self.vision[frame])
-        chip = ("on camera" if vision else "blind", GREEN if vision else RED)
-        draw.text((width - 8, 4), chip[0], font=_font(14), fill=chip[1], anchor="ra")
+        state = "sees" if self.has_image[frame] else "remembers"
+        state = state if self.vision[frame] else "blind"
+        chip = (state, rgb(STATES[state][0]))
+        draw.rectangle((width - 88, 0, width, 24), fill=chip[1])
+        draw.text((width - 8, 4), chip[0], font=_font(14), fill=WHITE, anchor="ra")
         inset = Image.fromarray(self.depth[frame]).resize((96, 72), Image.Resampling.NEAREST)
         corner = (width - 104, 34)
         draw.rectangle((corner[0] - 2, 32, corner[0] + 97, 107), fill=chip[1])
@@ -143,10 +148,10 @@ class Panel:
             image.paste(Image.fromarray(beside(predicted, true)), (width - 102, 112))
             for x, label in ((width - 102, "predicted"), (width - 54, "ground")):
                 draw.text((x, 161), label, font=_font(10), fill=WHITE)
-        state = "fallen" if self.fallen[frame] else f"{self.speed[frame]:+.2f} m/s"
+        pace = "fallen" if self.fallen[frame] else f"{self.speed[frame]:+.2f} m/s"
         draw.rectangle((0, height - 22, width, height), fill=(16, 18, 22, 190))
         colour = RED if self.fallen[frame] else WHITE
-        draw.text((8, height - 19), state, font=_font(13), fill=colour)
+        draw.text((8, height - 19), pace, font=_font(13), fill=colour)
         fault = self.fault[frame] or "camera healthy"
         colour = RED if self.fault[frame] else GREEN
         draw.text((width - 8, height - 19), fault, font=_font(13), fill=colour, anchor="ra")
@@ -188,6 +193,7 @@ def film(
             title=title,
             depth=filmed.images[frames // STEPS_PER_TICK, row],
             vision=trace.vision[frames, row],
+            has_image=trace.has_image[frames, row],
             fallen=fallen[frames, row],
             fault=[fault if failing else "" for failing in trace.failing[frames, row]],
             speed=trace.speed[frames, row],

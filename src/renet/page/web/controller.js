@@ -97,7 +97,8 @@ export class Controller {
     }
     const chosen = { vp: true, renet: this.vision, op: false }[this.estimator];
     const vision = chosen && this.frames.image !== null;
-    this.driving = vision ? "vp" : "op";
+    const remembers = this.estimator === "renet" && !this.policy.hasImage;
+    this.driving = vision ? (remembers ? "remembers" : "sees") : "blind";
     this.action = await this.policy.act(this.observation, vision);
     const command = this.limited(this.policy.jointTarget(this.action), state);
     this.vision = this.selector.update(this.seen(fresh, now), now);

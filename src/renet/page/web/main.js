@@ -33,6 +33,9 @@ class Page {
     this.runtime = runtime;
     this.ready = false;
     const { contract, manifest } = runtime;
+    for (const [state, colour] of Object.entries(contract.palette)) {
+      document.documentElement.style.setProperty(`--${state}`, colour);
+    }
     const slots = [...document.querySelectorAll(".slot")];
     this.panels = ["vp", "renet"].map(
       (estimator, n) => new Panel(slots[n], $(".instruments"), estimator, n),

@@ -3,7 +3,11 @@
 import { ESTIMATORS } from "./controller.js";
 import { Curves, depthGradient, drawDepth } from "./plots.js";
 
-const SAID = { vp: "vision (VP) drives", op: "blind (OP) drives" };
+const SAID = {
+  sees: "sees: vision (VP) drives",
+  remembers: "remembers: VP drives from memory",
+  blind: "blind (OP) drives",
+};
 
 const CURVES_EVERY = 0.1;
 /** Seconds between drawings of the curves. */
@@ -37,7 +41,8 @@ export class Panel {
         <figcaption>Its reconstruction</figcaption></figure>
       <figure class="curves"><canvas class="plot"></canvas>
         <figcaption>Loss against β, vision probability P, and who drives:
-        <b style="color: var(--vp)">vision</b> or <b style="color: var(--op)">blind</b>, last 12 s
+        it <b style="color: var(--sees)">sees</b>, <b style="color: var(--remembers)">remembers</b>
+        or is <b style="color: var(--blind)">blind</b>, last 12 s
         </figcaption></figure>`;
     box.querySelector(".scale").style.background = depthGradient;
     instruments.append(box);
@@ -74,7 +79,7 @@ export class Panel {
     driver.textContent = fell ? "fell" : walking ? SAID[driving] : "standing up";
     driver.className = `driver ${fell ? "bad" : walking ? driving : ""}`;
     pace.textContent = walking ? `${speed.toFixed(2)} m/s` : "";
-    const objects = walking && !selector.vision;
+    const objects = walking && selector.state !== "sees";
     why.textContent = objects ? (estimator === "renet" ? "" : "the selector would object: ") + selector.reason : "";
     this.show(this.depth, camera.frame?.image);
     this.show(this.reconstruction, walking ? controller.policy.reconstruction : null);

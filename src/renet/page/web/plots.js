@@ -6,11 +6,8 @@ const LOSS = [1e-5, 1];
 /** Ends of the loss's logarithmic axis. */
 const NEAR_TO_FAR = ["#000004", "#3b0f70", "#8c2981", "#de4968", "#fe9f6d", "#fcfdbf"];
 const style = getComputedStyle(document.documentElement);
-const NAMES = ["fault", "faint", "loss", "ink", "vp", "op"];
-const colours = Object.fromEntries(
-  NAMES.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]),
-);
-const colour = (name) => colours[name];
+const colours = {};
+const colour = (name) => (colours[name] ??= style.getPropertyValue(`--${name}`).trim());
 const table = colourTable();
 
 /** The colours of depth as a CSS gradient, near to far. */
@@ -48,7 +45,7 @@ export class Curves {
     this.points = [];
   }
 
-  /** Keep one control step: now, loss, probability, driving ("vp", "op" or ""), broken. */
+  /** Keep one control step: now, loss, probability, driving (a state or ""), broken. */
   add(point) {
     this.points.push(point);
     while (this.points[0].now < point.now - SPAN) this.points.shift();

@@ -3,7 +3,7 @@
 import * as THREE from "three";
 
 const COLOURS = { trunk: 0xc9d0d8, hip: 0x2a2f36, thigh: 0x3a4048, thigh_mirror: 0x3a4048, calf: 0xaab2bb };
-export const DRIVERS = { vp: 0xd9602b, op: 0x2f8a5b, "": 0x667180 };
+const IDLE = "#667180";
 const FAULT = 0xc62f3b;
 const WRONG = 0.12;
 /** Error of the believed ground, m, at which its colour ends. */
@@ -163,7 +163,7 @@ export class Robot {
       group.quaternion.set(xquat[4 * id + 1], xquat[4 * id + 2], xquat[4 * id + 3], xquat[4 * id]);
     }
     const driving = simulation.walking ? controller.driving : "";
-    this.lamp.color.setHex(DRIVERS[driving]);
+    this.lamp.color.set(this.colourOf(driving));
     this.frustum.color.setHex(camera.broken(now) ? FAULT : 0x2d6cdf);
     if (now >= this.drawnUntil + 0.1 - 1e-9) {
       this.drawnUntil = now;
@@ -182,11 +182,16 @@ export class Robot {
     const n = Math.min(this.length, TRACK - 1);
     if (this.length >= TRACK) for (const { array } of [position, color]) array.copyWithin(0, 3);
     position.setXYZ(n, x, y, heightAt(x, y) + 0.01);
-    const { r, g, b } = new THREE.Color(DRIVERS[driving]);
+    const { r, g, b } = new THREE.Color(this.colourOf(driving));
     color.setXYZ(n, r, g, b);
     this.length = n + 1;
     this.track.geometry.setDrawRange(0, this.length);
     position.needsUpdate = color.needsUpdate = true;
+  }
+
+  /** Of a state, or of a robot that does not walk. */
+  colourOf(driving) {
+    return this.contract.palette[driving] ?? IDLE;
   }
 
   updateMap({ walking, controller, world }, heightAt) {
