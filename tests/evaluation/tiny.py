@@ -11,6 +11,7 @@ from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.filter import FilterStudy
 from renet.evaluation.studies.margins import MarginsStudy
+from renet.evaluation.studies.memory import MemoryStudy
 from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.studies.standing import StandingStudy
 from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
@@ -123,6 +124,10 @@ TINY: dict[str, tuple[Study, Callable[[], FakeEvaluator]]] = {
             grounds=("flat", "gap"),
             severities=(1, 5),
         ),
+        FakeEvaluator,
+    ),
+    "memory": (
+        MemoryStudy(grounds=("gap:3", "platform:4"), robots=2, seconds=4),
         FakeEvaluator,
     ),
     "success": (

@@ -43,7 +43,7 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
     assert "∞ s" in html
     # Pictures need a real bundle: test_pictures.py reports them.
     assert html.count("bundle hash") == len(STUDIES) - 1
-    assert html.count("<img") == 13
+    assert html.count("<img") == 14
 
 
 def test_one_study_alone_makes_a_page(results: Path, tmp_path: Path) -> None:

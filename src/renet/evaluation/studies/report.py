@@ -16,6 +16,7 @@ from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.filter import FilterStudy
 from renet.evaluation.studies.margins import MarginsStudy
+from renet.evaluation.studies.memory import MemoryStudy
 from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.studies.pictures import PicturesStudy
 from renet.evaluation.studies.standing import StandingStudy
@@ -27,6 +28,7 @@ STUDIES: dict[str, type[Study]] = {
     for study in (
         NoiseStudy,
         FaultStudy,
+        MemoryStudy,
         SuccessStudy,
         TerrainStudy,
         StandingStudy,
@@ -44,8 +46,8 @@ class ReportCfg:
     """Where the results are and the page goes."""
 
     results: Path = Path("results")
-    """Folder with the studies' folders: noise, faults, success, terrain, standing, margins, course,
-    filter, pictures."""
+    """Folder with the studies' folders: noise, faults, memory, success, terrain, standing, margins,
+    course, filter, pictures."""
     out: Path | None = None
     """The page; index.html in `results` by default."""
     run: bool = False

@@ -1,0 +1,67 @@
+"""The memory study, with stand-ins whose crossings are known."""
+
+import numpy as np
+import pytest
+
+from renet.errors import RenetError
+from renet.evaluation.studies.memory import MemoryStudy
+
+from ..fakes import FakeEnv, FakeEvaluator, FakePolicy
+
+
+class Crossing(FakeEnv):
+    """Robots leave their tile after 3 s, if they have not fallen before."""
+
+    def step(self, action):
+        result = super().step(action)
+        self.clock = getattr(self, "clock", 0) + 1
+        result.ended[:] |= self.clock % 150 == 0
+        return result
+
+
+class Trusting(FakePolicy):
+    """VP acts on images; where they are black it falls."""
+
+    def step(self, proprioception, depth, op_mask):
+        action = super().step(proprioception, depth, op_mask)
+        action[:, 0] = np.where(op_mask | (depth.mean(axis=(1, 2)) > 0.1), 0.0, 1.0)
+        return action
+
+
+class Evaluator(FakeEvaluator):
+    def make_policy(self, num_robots):
+        return Trusting(num_robots)
+
+
+def test_who_trusts_a_black_camera_falls_and_the_others_cross(tmp_path):
+    study = MemoryStudy(
+        out=tmp_path, grounds=("gap:3",), without=(0.1, 2.0), robots=3, seconds=3.5,
+        modes=("vp", "paper", "op"),
+    )  # fmt: skip
+    assert study.onset == 75  # 1.2 m at 0.6 m/s, less half a second.
+    runs = {(r["mode"], r["without_s"]): r for r in study.run(Evaluator(Crossing))["runs"]}
+    assert set(runs) == {(m, s) for m in ("vp", "paper") for s in (0, 0.1, 2.0)} | {("op", 0)}
+    crossed = {key: run["crossed"] for key, run in runs.items()}
+    # A tenth of a second is too short to fall in; the paper's switch leaves vision in 35 ms.
+    assert crossed == dict.fromkeys(runs, 3) | {("vp", 2.0): 0}
+    assert runs["vp", 2.0]["fell"] == 3
+    assert (runs["vp", 2.0]["change"], runs["paper", 2.0]["change"]) == (-1.0, 0.0)
+    assert runs["vp", 0]["size_m"] == pytest.approx(0.2333, abs=1e-3)
+    assert (tmp_path / "memory.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"grounds": ("gap",)}, "ground 'gap': write KIND:LEVEL"),
+        ({"grounds": ("moon:3",)}, "ground 'moon:3'"),
+        ({"grounds": ("gap:11",)}, "1 to 10"),
+        ({"grounds": ()}, "give a ground and a time"),
+        ({"without": (0.0, 1.0)}, "different times above 0 s"),
+        ({"without": (1.0, 1.0)}, "different times above 0 s"),
+        ({"before": -1.0}, "before must be at least 0 s"),
+    ],
+)
+def test_wrong_settings_are_refused(wrong, message):
+    with pytest.raises(RenetError, match=message):
+        MemoryStudy(**wrong)
