@@ -3,7 +3,6 @@
 import pytest
 import torch
 
-from renet.errors import RenetError
 from renet.models.actor_critic import fuse
 from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
@@ -66,8 +65,8 @@ def test_the_maps_error_is_judged_without_moving_the_memory():
     assert judged.shape == (4, 3, 132)
     judged.sum().backward()
     assert latent.grad is None
-    with pytest.raises(RenetError, match="needs model"):
-        ModelCfg(predict_map_error=True, predict_height_map=False)
+    blind = RENet(ModelCfg(predict_map_error=True, predict_height_map=False), critic_size=5)
+    assert blind.vp.map_error_head is None, "without a map there is nothing to judge"
 
 
 def test_fuse_is_the_papers_equation():

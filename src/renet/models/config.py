@@ -32,7 +32,7 @@ class ModelCfg:
     """False is the row "w/o HF"."""
     predict_map_error: bool = False
     """Predict the variance of the height map's error, too, which tells when VP's memory of the
-    ground is stale (not the paper's)."""
+    ground is stale (not the paper's); only beside a height map."""
     him: bool = True
     """Hybrid internal model loss on both estimators; False is the row "w/o HIM"."""
     detector: Detector = "reconstruction"
@@ -56,8 +56,6 @@ class ModelCfg:
                 raise RenetError(
                     f"model.{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}"
                 )
-        if self.predict_map_error and not self.predict_height_map:
-            raise RenetError("model.predict_map_error needs model.predict_height_map")
         if not self.initial_std > 0:
             raise RenetError(f"model.initial_std must be above 0, got {self.initial_std}")
         if self.history < 1:

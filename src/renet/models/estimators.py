@@ -186,9 +186,8 @@ class VPEstimator(Estimator):
         self.height_map_head = (
             mlp((LATENT, LATENT, HEIGHT_MAP_SIZE)) if cfg.predict_height_map else None
         )
-        self.map_error_head = (
-            mlp((LATENT, LATENT, HEIGHT_MAP_SIZE)) if cfg.predict_map_error else None
-        )
+        judged = cfg.predict_map_error and cfg.predict_height_map
+        self.map_error_head = mlp((LATENT, LATENT, HEIGHT_MAP_SIZE)) if judged else None
         if self.map_error_head is not None:
             nn.init.constant_(self.map_error_head[-1].bias, FIRST_LOG_VARIANCE)  # type: ignore[arg-type]
 

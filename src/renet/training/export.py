@@ -227,7 +227,7 @@ def export_models(model: RENet) -> dict[str, bytes]:
     shapes["estimator"][0][HAS_IMAGE] = (1,)
     if model.cfg.detector == "variance":
         shapes["vision"][1][VARIANCE] = ()
-    if model.cfg.predict_map_error:
+    if model.vp.map_error_head is not None:
         shapes["estimator"][1][MAP_ERROR] = ()
     graphs = {"actor": ActorGraph, "estimator": EstimatorGraph, "vision": VisionGraph}
     return {name: _to_onnx(graph(model), *shapes[name]) for name, graph in graphs.items()}

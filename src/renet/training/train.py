@@ -151,6 +151,8 @@ def restored(state: dict[str, Any], task: Any = tyro.MISSING) -> TrainCfg:
     """The settings in a checkpoint's state, defaults for what it lacks, and the task if given."""
     own = {f.name for f in fields(TrainCfg)} - {"task", *NOT_KEPT}
     settings = {name: value for name, value in state["config"].items() if name in own}
+    # Before it was a setting, no image was withheld.
+    settings = {"withholding": asdict(WithholdingCfg())} | settings
     task = state["task"] if task is tyro.MISSING else task
     return from_dict(TrainCfg, settings | {"task": task})
 
