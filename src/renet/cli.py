@@ -69,7 +69,7 @@ COMMANDS = {
         "renet.training.export:ExportCfg:export",
     ),
     "play": Command(
-        "watch a bundle or a checkpoint live in the browser, or film it",
+        "film a bundle or a checkpoint on any tile, while its camera fails",
         "renet.evaluation.play:PlayCfg:run_play",
     ),
     "deploy": Command(

@@ -33,7 +33,7 @@ CHECKPOINT = Path(str(files("renet"))) / "pretrained" / "checkpoint"
 )
 def test_mistakes_are_named_before_anything_is_written(tmp_path, fields, message):
     with pytest.raises(RenetError, match=message):
-        run_play(PlayCfg(**({"viewer": "none", "out": tmp_path / "film.mp4"} | fields)))
+        run_play(PlayCfg(**({"out": tmp_path / "film.mp4"} | fields)))
     assert not list(tmp_path.iterdir())
 
 
@@ -41,14 +41,12 @@ def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path, monkeypatch):
     monkeypatch.setattr(play, "VideoCfg", lambda: VideoCfg(width=96, height=72, fps=10))
     cfg = PlayCfg(
         bundle=CHECKPOINT,
-        viewer="none",
         out=tmp_path / "film.mp4",
         terrain="platform",
         fault=("gaussian:3@0.5s",),
         seconds=1.0,
     )
     film = run_play(cfg)
-    assert film is not None
     assert film.stat().st_size > 1000
     assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
 
@@ -68,14 +66,3 @@ def test_a_bundle_of_a_robot_unknown_here_is_refused():
     other = replace(manifest, provenance=replace(manifest.provenance, task="Renet-Spot-Flat"))
     with pytest.raises(RenetError, match="Renet-Spot-Flat is unknown here: start from the file"):
         robot_of(other)
-
-
-def test_auto_goes_live_only_on_a_terminal(monkeypatch, tmp_path):
-    shown = []
-    monkeypatch.setattr("renet.evaluation.play._watch", lambda cfg: shown.append("live"))
-    monkeypatch.setattr("renet.evaluation.play._film", lambda cfg: tmp_path)
-    for terminal in (True, False):
-        monkeypatch.setattr("sys.stdout.isatty", lambda terminal=terminal: terminal)
-        shown.append(run_play(PlayCfg()))
-    assert shown == ["live", None, tmp_path]
-    assert run_play(PlayCfg(viewer="none")) == tmp_path

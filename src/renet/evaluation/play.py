@@ -1,12 +1,10 @@
-"""`renet play`: a bundle or a checkpoint on any tile, live in the browser or filmed."""
+"""`renet play`: a film of a bundle or a checkpoint on any tile."""
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
 
 import tyro
 
@@ -26,18 +24,12 @@ from renet.training.export import ExportCfg, export
 
 @dataclass(frozen=True)
 class PlayCfg:
-    """Watch one robot live in the browser, or film it, once for each policy mode, side by side."""
+    """Film one robot, once for each policy mode, side by side."""
 
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder, or a checkpoint or run folder; the bundle that ships with renet by default."""
     log: Path | None = None
     """Recording of `renet deploy` to film instead of driving a robot."""
-    viewer: Literal["auto", "viser", "none"] = "auto"
-    """viser: live, in the browser; none: a film; auto: live where there is a terminal."""
-    host: str = "127.0.0.1"
-    """Address the viewer listens on; 0.0.0.0 lets other machines watch."""
-    port: int = 8080
-    """Port the viewer listens on."""
     out: Path | None = None
     """The film; results/play.mp4 by default."""
     terrain: str = FLAT
@@ -47,7 +39,7 @@ class PlayCfg:
     fault: tuple[str, ...] = ()
     """Faults of the camera, NAME[:SEVERITY]@SECONDS[+DURATION], such as blackout:3@5s+2s."""
     modes: tuple[str, ...] = ("vp", "renet")
-    """Policy modes a film compares: vp, renet, op, paper, oracle-switch."""
+    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
     seconds: float = 8.0
     """Length of the film, simulated."""
     speed: float = 0.6
@@ -60,19 +52,16 @@ class PlayCfg:
     """Physics engine: auto, native or warp."""
 
 
-def run_play(cfg: PlayCfg) -> Path | None:
-    """Show a policy until Ctrl-C, or make its film and return it.
+def run_play(cfg: PlayCfg) -> Path:
+    """Make a policy's film and return it.
 
     Raises:
-        RenetError: unknown terrain, fault or mode, a bundle that cannot be used, or a taken port.
+        RenetError: unknown terrain, fault or mode, or a bundle that cannot be used.
     """
     if cfg.log is not None:
         from renet.evaluation.report.log_video import film_log
 
         return film_log(cfg.log, cfg.out)
-    if cfg.viewer == "viser" or (cfg.viewer == "auto" and sys.stdout.isatty()):
-        _watch(cfg)
-        return None
     return _film(cfg)
 
 
@@ -88,20 +77,6 @@ def opened(path: Path | None) -> Iterator[Path | None]:
         return
     with TemporaryDirectory() as folder:
         yield export(ExportCfg(checkpoint=path, out=Path(folder) / path.name))
-
-
-def _watch(cfg: PlayCfg) -> None:
-    """Serve the viewer."""
-    from renet.evaluation.viewer.session import ViewerSession
-    from renet.evaluation.viewer.viewer import watch
-
-    faults = [parse_fault(text) for text in cfg.fault]
-    with opened(cfg.bundle) as folder:
-        evaluator = Evaluator(folder, cfg.engine, cfg.selector)
-        task = terrain_env_cfg(cfg.terrain, cfg.level, evaluator.robot)
-        session = ViewerSession(evaluator, task, cfg.speed, cfg.seed)
-        session.inject(*faults)
-        watch(session, cfg.host, cfg.port)
 
 
 def _film(cfg: PlayCfg) -> Path:

@@ -137,8 +137,7 @@ def check_finite(settings: Any) -> None:
 class ClosedLoop:
     """Environment, policy, selector and camera faults of N robots, one control step at a time.
 
-    Studies, calibration, films and the live viewer all run this loop. Call `reset` before the first
-    step; `modes` and `injector` may be replaced between two steps.
+    Studies, calibration and films all run this loop. Call `reset` before the first step.
     """
 
     env: EvalEnv

@@ -1,4 +1,4 @@
-"""Depth images and height maps as colours."""
+"""Height maps as colours."""
 
 import numpy as np
 from matplotlib import colormaps
@@ -9,14 +9,10 @@ RELIEF = 0.5
 """Metres of ground above or below the robot's own that end a height map's colours."""
 
 
-def depth_picture(depth: np.ndarray, scale: int = 4) -> np.ndarray:
-    """Colours [48 scale, 64 scale, 3] uint8 of a depth image [48, 64] in [0, 1]; near is dark."""
-    return _coloured("magma", depth, scale)
-
-
 def map_picture(height_map: np.ndarray, scale: int = 16) -> np.ndarray:
     """Colours [12 scale, 11 scale, 3] uint8 of a height map [132] m; high ground is bright."""
-    return _coloured("viridis", 0.5 + as_seen(height_map) / (2 * RELIEF), scale)
+    shares = 0.5 + as_seen(height_map) / (2 * RELIEF)
+    return colormaps["viridis"](shares, bytes=True)[..., :3].repeat(scale, 0).repeat(scale, 1)
 
 
 def as_seen(height_map: np.ndarray) -> np.ndarray:
@@ -30,8 +26,3 @@ def as_seen(height_map: np.ndarray) -> np.ndarray:
 def beside(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Two pictures of one height side by side, with a white line between."""
     return np.concatenate((left, np.full((len(left), 4, 3), 255, np.uint8), right), axis=1)
-
-
-def _coloured(colours: str, shares: np.ndarray, scale: int) -> np.ndarray:
-    """Each of `shares` [H, W] as a square of a matplotlib colour map's colour, 0 first, 1 last."""
-    return colormaps[colours](shares, bytes=True)[..., :3].repeat(scale, 0).repeat(scale, 1)

@@ -1,1 +1,0 @@
-"""The live viewer in the browser."""
