@@ -78,7 +78,7 @@ def test_logs_are_scored_replayed_and_calibrated_from_without_them(log, tmp_path
     ("command", "hint"),
     [
         (["calibrate", "x"], "pip install 'renet-locomotion[train]'"),
-        (["play", "--log", "x"], "pip install 'renet-locomotion[train]'"),
+        (["play"], "pip install 'renet-locomotion[train]'"),
         (["deploy"], "`renet deploy` needs mujoco: pip install 'renet-locomotion[sim]'"),
     ],
 )

@@ -29,6 +29,7 @@ CHECKPOINT = Path(str(files("renet"))) / "pretrained" / "checkpoint"
         ({"out": Path("film")}, "a film is an .mp4: give --out film.mp4"),
         ({"bundle": Path("nowhere")}, "nowhere"),
         ({"bundle": Path(__file__).parent}, "no checkpoint"),
+        ({"bundle": Path(__file__)}, "`renet evaluate log` draws a recording"),
     ],
 )
 def test_mistakes_are_named_before_anything_is_written(tmp_path, fields, message):

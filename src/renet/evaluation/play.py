@@ -28,8 +28,6 @@ class PlayCfg:
 
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder, or a checkpoint or run folder; the bundle that ships with renet by default."""
-    log: Path | None = None
-    """Recording of `renet deploy` to film instead of driving a robot."""
     out: Path | None = None
     """The film; results/play.mp4 by default."""
     terrain: str = FLAT
@@ -52,19 +50,6 @@ class PlayCfg:
     """Physics engine: auto, native or warp."""
 
 
-def run_play(cfg: PlayCfg) -> Path:
-    """Make a policy's film and return it.
-
-    Raises:
-        RenetError: unknown terrain, fault or mode, or a bundle that cannot be used.
-    """
-    if cfg.log is not None:
-        from renet.evaluation.report.log_video import film_log
-
-        return film_log(cfg.log, cfg.out)
-    return _film(cfg)
-
-
 @contextmanager
 def opened(path: Path | None) -> Iterator[Path | None]:
     """A bundle's folder; a checkpoint is exported to one that lasts as long as the block.
@@ -72,6 +57,8 @@ def opened(path: Path | None) -> Iterator[Path | None]:
     Raises:
         RenetError: a folder that holds neither.
     """
+    if path is not None and path.is_file():
+        raise RenetError(f"{path} is a file, no bundle: `renet evaluate log` draws a recording")
     if path is None or (path / MANIFEST).exists() or not path.exists():
         yield path
         return
@@ -79,8 +66,12 @@ def opened(path: Path | None) -> Iterator[Path | None]:
         yield export(ExportCfg(checkpoint=path, out=Path(folder) / path.name))
 
 
-def _film(cfg: PlayCfg) -> Path:
-    """Drive the robots and film them."""
+def run_play(cfg: PlayCfg) -> Path:
+    """Drive the robots, film them and return the film.
+
+    Raises:
+        RenetError: unknown terrain, fault or mode, or a bundle that cannot be used.
+    """
     out = cfg.out or Path("results/play.mp4")
     if out.suffix != ".mp4":
         raise RenetError(f"a film is an .mp4: give --out {out.name}.mp4, not {out.name}")

@@ -30,11 +30,7 @@ def build_scene(
 
 
 def scene_spec(
-    terrain: str = FLAT,
-    level: int = 3,
-    file: Path | None = None,
-    seed: int = 0,
-    robot: mujoco.MjSpec | None = None,
+    terrain: str = FLAT, level: int = 3, file: Path | None = None, seed: int = 0
 ) -> tuple[mujoco.MjSpec, float]:
     """A scene with the Go1 in it, and the height in m of the ground it starts on, at x = y = 0.
 
@@ -42,12 +38,11 @@ def scene_spec(
         terrain: flat, or a kind of training tile. level: of the tile, 1 to 10.
         file: an MJCF scene to use instead; its static geoms are the terrain.
         seed: of tiles with random parts.
-        robot: the Go1 to put there, such as one with visual meshes.
 
     Raises:
         RenetError: unknown terrain or level, or a scene file MuJoCo cannot read.
     """
-    spec = robot or mujoco.MjSpec.from_file(str(GO1))
+    spec = mujoco.MjSpec.from_file(str(GO1))
     spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=(0.3, 0.2, -1))
     start = 0.0
     if file is not None:
