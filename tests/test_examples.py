@@ -94,7 +94,6 @@ def test_go2_trains_exports_and_its_bundle_can_be_read(go2, tmp_path, capsys):
     assert "position=(0.32, 0.0, 0.04)" in shown, "the camera's mount"
     assert "noise_std=0.03" in shown, "the noise it was trained with"
     for study in (
-        "filter --onset 0.2 --seconds 0.4",
         "faults --faults foam --severities 3 --onsets 0.2 --lasts 0.2 --seconds 0.6"
         " --healthy-minutes 0 --grounds flat",
         "terrain --kinds stairs_up --levels 1 --seconds 1",

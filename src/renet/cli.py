@@ -111,10 +111,6 @@ COMMANDS = {
         "a kilometre unattended: grass, stairs, slopes, platforms, gaps, an occlusion",
         "renet.evaluation.studies.course:CourseStudy:CourseStudy.main",
     ),
-    "evaluate filter": Command(
-        "the filter's switching delay and number of switches against gamma and rate",
-        "renet.evaluation.studies.filter:FilterStudy:FilterStudy.main",
-    ),
     "evaluate log": Command(
         "score a recording: falls, distance, switches, delays, and its timeline",
         "renet.deploy.score:ScoreCfg:score_log",

@@ -17,7 +17,6 @@ from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import MAX_JSON, read_results
 from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.studies.filter import FilterStudy
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.studies.pictures import PicturesStudy
@@ -112,14 +111,6 @@ WRONG: dict[type[Study], dict[str, list]] = {
         "seconds": [nan, inf],
         "healthy_minutes": [-1.0, nan, inf],
         "selector": ["coin"],
-    },
-    FilterStudy: {
-        "robots": [0],
-        "gammas": [(), (0.1, 2.0)],
-        "rates": [(200.0, 30.0), (0.0,)],
-        "onset": [14.0, nan],
-        "seconds": [inf],
-        "speed": [0.0],
     },
     MarginsStudy: {"axes": [("luck",)], "grounds": [("lava",), ()], "level": [0], "seconds": [inf]},
     PicturesStudy: {"level": [0], "seconds": [nan, inf]},

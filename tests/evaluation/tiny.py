@@ -9,7 +9,6 @@ import numpy as np
 from renet.evaluation.env import SimEnv, study_env_cfg
 from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.studies.filter import FilterStudy
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.memory import MemoryStudy
 from renet.evaluation.studies.noise import NoiseStudy
@@ -146,5 +145,4 @@ TINY: dict[str, tuple[Study, Callable[[], FakeEvaluator]]] = {
         ),
         StillEvaluator,
     ),
-    "filter": (FilterStudy(robots=2, onset=1.0, seconds=4.2), FakeEvaluator),
 }

@@ -36,18 +36,17 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
         "Standing on command",
         "How far from the simulator",
         "The course",
-        "selector's filter",
     ):
         assert f">{heading}" in html or heading in html
     assert "http" not in html
     assert "∞ s" in html
     # Pictures need a real bundle: test_pictures.py reports them.
     assert html.count("bundle hash") == len(STUDIES) - 1
-    assert html.count("<img") == 14
+    assert html.count("<img") == 13
 
 
 def test_one_study_alone_makes_a_page(results: Path, tmp_path: Path) -> None:
-    (tmp_path / "filter").symlink_to(results / "filter")
+    (tmp_path / "standing").symlink_to(results / "standing")
     page = make_report(ReportCfg(tmp_path))
     assert page == tmp_path / "index.html"
     html = page.read_text()
@@ -57,9 +56,9 @@ def test_one_study_alone_makes_a_page(results: Path, tmp_path: Path) -> None:
 
 def test_results_of_different_bundles_are_pointed_out(results: Path, tmp_path: Path) -> None:
     assert "Careful" not in make_report(ReportCfg(results, tmp_path / "one.html")).read_text()
-    shutil.copytree(results / "filter", tmp_path / "filter")
+    shutil.copytree(results / "standing", tmp_path / "standing")
     shutil.copytree(results / "noise", tmp_path / "noise")
-    summary = tmp_path / "filter" / "summary.json"
+    summary = tmp_path / "standing" / "summary.json"
     summary.write_text(summary.read_text().replace("0" * 64, "f" * 64))
     html = " ".join(make_report(ReportCfg(tmp_path)).read_text().split())
     assert "2 different bundles, 0000000000, ffffffffff" in html
@@ -131,8 +130,8 @@ def test_damaged_results_end_in_one_line(results: Path, tmp_path: Path, damaged)
 
 
 def test_text_of_a_summary_is_escaped(results: Path, tmp_path: Path) -> None:
-    shutil.copytree(results / "filter", tmp_path / "filter")
-    path = tmp_path / "filter" / "summary.json"
+    shutil.copytree(results / "standing", tmp_path / "standing")
+    path = tmp_path / "standing" / "summary.json"
     content = json.loads(path.read_text())
     content["provenance"]["command"] = "<script>alert(1)</script>"
     path.write_text(json.dumps(content))

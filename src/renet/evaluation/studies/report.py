@@ -14,7 +14,6 @@ from renet.evaluation.report.summary import overview_section, worse_section
 from renet.evaluation.results import read_results
 from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.studies.filter import FilterStudy
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.memory import MemoryStudy
 from renet.evaluation.studies.noise import NoiseStudy
@@ -34,7 +33,6 @@ STUDIES: dict[str, type[Study]] = {
         StandingStudy,
         MarginsStudy,
         CourseStudy,
-        FilterStudy,
         PicturesStudy,
     )
 }
@@ -47,7 +45,7 @@ class ReportCfg:
 
     results: Path = Path("results")
     """Folder with the studies' folders: noise, faults, memory, success, terrain, standing, margins,
-    course, filter, pictures."""
+    course, pictures."""
     out: Path | None = None
     """The page; index.html in `results` by default."""
     run: bool = False
