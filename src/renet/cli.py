@@ -59,7 +59,7 @@ COMMANDS = {
         "renet.page.writer:PageCfg:run_page",
         "sim",
     ),
-    "train": Command("train RENet on a CPU or GPUs", "renet.training.launch:TrainCfg:launch"),
+    "train": Command("train RENet on a CPU or GPUs", "renet.training.train:TrainCfg:train"),
     "recipe": Command(
         "print the whole recipe: of a checkpoint, or of a run that would begin now",
         "renet.training.train:RecipeCfg:show",

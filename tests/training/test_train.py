@@ -1,10 +1,11 @@
 """What `renet train` does around the loop: folders, settings, devices, and going on."""
 
+import json
 import math
 import os
 import re
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,8 @@ from renet.training.checkpoint import Checkpoint
 from renet.training.config import NP3OCfg, SupervisionCfg, value_at
 from renet.training.recipe import RENET
 from renet.training.train import TrainCfg, new_run, resolve_device, resumed_run, task_cfg, train
+
+SHIPPED = Path(training.__file__).parents[1] / "pretrained" / "checkpoint"
 
 
 def cfg(folder: Path, task: str = "Renet-Go1-Flat", **overrides) -> TrainCfg:
@@ -114,10 +117,30 @@ def test_presets_are_what_a_command_line_starts_from():
     assert task_cfg(own).rewards["foot_clearance"] == ours.rewards["foot_clearance"]
 
 
+def test_a_checkpoint_of_settings_that_are_no_more_goes_on_without_them(finished, tmp_path, capsys):
+    run = shutil.copytree(finished, tmp_path / "logs" / "Renet-Go1-Flat" / finished.name)
+    file = run / "checkpoints" / "it_00000001" / "state.json"
+    state = json.loads(file.read_text())
+    state["config"] |= {"processes": 2, "hosts": ["first", "second"]}
+    file.write_text(json.dumps(state))
+    line = ["Renet-Go1-Flat", "--resume", str(run), "--max-iterations", "2"]
+    assert train(tyro.cli(TrainCfg, args=line, default=TrainCfg.defaults(line))) == run
+    assert "absent" not in capsys.readouterr().out
+    found = checkpoints.load_state(checkpoints.find(run))
+    assert found["iteration"] == 2
+    assert not {"processes", "hosts"} & set(found["config"])
+
+
+def test_the_shipped_checkpoints_settings_are_read():
+    state = checkpoints.load_state(checkpoints.find(SHIPPED))
+    own = training.restored(state)
+    assert (own.task, own.seed) == (state["task"], state["config"]["seed"])
+    assert asdict(own.supervision).items() >= state["config"]["supervision"].items()
+
+
 @pytest.mark.xfail(strict=True, reason="it learned before images were withheld; the next trains")
 def test_the_shipped_checkpoint_states_the_recipe():
-    found = checkpoints.find(Path(training.__file__).parents[1] / "pretrained" / "checkpoint")
-    own = training.restored(checkpoints.load_state(found))
+    own = training.restored(checkpoints.load_state(checkpoints.find(SHIPPED)))
     recipe = TrainCfg.defaults([own.task])
     size = {"num_envs": own.num_envs, "max_iterations": own.max_iterations, "seed": own.seed}
     assert own == replace(recipe, **size)

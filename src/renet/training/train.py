@@ -66,9 +66,8 @@ class TrainCfg(LearningCfg):
     """Train RENet. On a CPU the native engine steps C MuJoCo; on a GPU MuJoCo Warp.
 
     Without options but size and time this is the default recipe (`training/recipe.py`). One GPU:
-    `renet train TASK --num-envs 4096`. Four: add `--processes 4`;
-    each trains its own 4096. Two machines of four, reached by ssh: add `--hosts first second`.
-    docs/training.md says how to use torchrun or Slurm instead.
+    `renet train TASK --num-envs 4096`. Several: torchrun or Slurm start a process for each, which
+    trains its own 4096 (docs/training.md).
     """
 
     task: tyro.conf.Positional[str]
@@ -80,10 +79,6 @@ class TrainCfg(LearningCfg):
     """Parallel environments of each process; by default 512 on a CPU and 4096 on a GPU (paper)."""
     device: str = "auto"
     """cpu, cuda:0, ... or auto (a GPU if there is one)."""
-    processes: int = 1
-    """Training processes per host, one per GPU; gradients and statistics are shared."""
-    hosts: tuple[str, ...] = ("localhost",)
-    """Machines to train on, with renet installed in the same place on each."""
     engine: str = "auto"
     """Physics engine: auto, native (C MuJoCo on threads, CPU only) or warp."""
     # What LearningCfg documents, as the recipe sets it.
@@ -318,7 +313,7 @@ def resolve_device(name: str) -> str:
     if name != "cpu" and int(name.removeprefix("cuda:")) >= torch.cuda.device_count():
         raise RenetError(
             f"device {name} is absent: {torch.cuda.device_count()} CUDA devices are visible; "
-            "use fewer --processes, --device cpu, or cuda:0 where each process sees its own GPU"
+            "start fewer processes, use --device cpu, or cuda:0 where each process sees its own GPU"
         )
     return name
 
