@@ -15,8 +15,8 @@ from typing import Literal
 import torch
 import tyro
 
+from baselines.switches import Gate, ReturnSwitch, SwitchEvaluator, collect, fit
 from facts import errors_in_one_line
-from renet.baselines.switches import Gate, ReturnSwitch, SwitchEvaluator, collect, fit
 from renet.errors import RenetError
 from renet.evaluation.env import grounds_env_cfg
 from renet.evaluation.rollout import Trial

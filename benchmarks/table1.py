@@ -20,9 +20,9 @@ import torch
 import tyro
 from scipy import stats
 
+from baselines import cheng, zhuang
+from baselines.distillation import DistillationCfg, DistillCfg, Stage
 from facts import errors_in_one_line
-from renet.baselines import cheng, zhuang
-from renet.baselines.distillation import DistillationCfg, DistillCfg, Stage
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance, plain, read_results, write_json

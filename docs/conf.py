@@ -30,7 +30,6 @@ apidoc_modules = [
         "exclude_patterns": [
             "../src/renet/" + name
             for name in (
-                "baselines",
                 "cli.py",
                 "evaluation",
                 "models",

@@ -24,7 +24,6 @@ from mjlab.rl import RslRlVecEnvWrapper
 
 from renet.errors import RenetError
 from renet.files import write_atomically
-from renet.interface import CONTROL_DT
 from renet.models.config import ModelCfg
 from renet.tasks.parkour_env_cfg import RandomizationCfg
 from renet.training import checkpoint as checkpoints
@@ -40,7 +39,6 @@ from renet.training.config import (
     schedule_points,
     value_at,
 )
-from renet.training.depth_dropout import DepthDropoutCfg, spoil_depth
 from renet.training.metrics import CURVES, write_run_report
 from renet.training.recipe import RENET, preset
 from renet.training.runner import CHECKPOINTS, RenetRunner
@@ -100,8 +98,6 @@ class TrainCfg(LearningCfg):
     """Standard deviation of the constant part of the depth error, m."""
     randomization: RandomizationCfg = field(default_factory=lambda: preset()["randomization"])
     """How the robots differ beyond the task's own randomisation."""
-    depth_dropout: DepthDropoutCfg = field(default_factory=DepthDropoutCfg)
-    """Cameras that fail during training: a baseline for the selector, off by default."""
     standing_after: float = RENET["standing_after"]
     """Environment steps after which goals ask for standing still, too: the second of the paper's
     two levels of commands."""
@@ -137,19 +133,31 @@ class TrainCfg(LearningCfg):
             if asked.resume == LATEST and task is tyro.MISSING:
                 raise RenetError("write the task first: renet train TASK --resume latest")
             found = resolve_resume(asked.resume, asked.log_root, task)
-            return restored(checkpoints.load_state(found), task)
+            return restored(checkpoints.load_state(found), task, cls)
         own = {key: value for key, value in preset(asked.preset).items() if key not in MERGED}
         return cls(task=task, preset=asked.preset, **own)
 
+    def make_env(self, task: RenetEnvCfg, device: str, seed: int) -> Any:
+        """The task's environments as rsl_rl takes them."""
+        from renet.tasks import make_env
+        from renet.tasks.robot_cfg import ACTION_CLIP
 
-def restored(state: dict[str, Any], task: Any = tyro.MISSING) -> TrainCfg:
+        # mjlab prints tables of terms and warns of its own randomisation.
+        with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
+            env = make_env(task, cast(int, self.num_envs), device, seed, self.engine)
+        return RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
+
+
+def restored(
+    state: dict[str, Any], task: Any = tyro.MISSING, cls: type[TrainCfg] = TrainCfg
+) -> TrainCfg:
     """The settings in a checkpoint's state, defaults for what it lacks, and the task if given."""
-    own = {f.name for f in fields(TrainCfg)} - {"task", *NOT_KEPT}
+    own = {f.name for f in fields(cls)} - {"task", *NOT_KEPT}
     settings = {name: value for name, value in state["config"].items() if name in own}
     # Before it was a setting, no image was withheld.
     settings = {"withholding": asdict(WithholdingCfg())} | settings
     task = state["task"] if task is tyro.MISSING else task
-    return from_dict(TrainCfg, settings | {"task": task})
+    return from_dict(cls, settings | {"task": task})
 
 
 def train(cfg: TrainCfg) -> Path | None:
@@ -177,7 +185,7 @@ def train(cfg: TrainCfg) -> Path | None:
             "the very first one and must be above that"
         )
     task = task_cfg(cfg, earlier)
-    vec_env = _make_vec_env(cfg, task, device, cfg.seed + rank)
+    vec_env = cfg.make_env(task, device, cfg.seed + rank)
     # Another task's run stays as it is.
     own = resume if earlier is not None and earlier.state["task"] == cfg.task else None
     run = None if rank else resumed_run(own, cfg.log_root) or new_run(cfg.log_root, cfg.task)
@@ -199,20 +207,6 @@ def train(cfg: TrainCfg) -> Path | None:
     if run and (run / CURVES).exists():
         print(f"Curves: {write_run_report(run)}")
     return run
-
-
-def _make_vec_env(cfg: TrainCfg, task: RenetEnvCfg, device: str, seed: int) -> Any:
-    """The task's environments as rsl_rl takes them."""
-    from renet.tasks import make_env
-    from renet.tasks.robot_cfg import ACTION_CLIP
-
-    # mjlab prints tables of terms and warns of its own randomisation.
-    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
-        env = make_env(task, cast(int, cfg.num_envs), device, seed, cfg.engine)
-    vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
-    if cfg.depth_dropout.share:
-        spoil_depth(vec_env, cfg.depth_dropout, CONTROL_DT)
-    return vec_env
 
 
 def settings(cfg: TrainCfg) -> dict[str, Any]:

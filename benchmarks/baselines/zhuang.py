@@ -14,7 +14,7 @@ from mjlab.managers.reward_manager import RewardTermCfg
 from mjlab.tasks.registry import register_mjlab_task
 from torch import Tensor
 
-from renet.baselines.distillation import STUDENT, TEACHER, Stage
+from baselines.distillation import STUDENT, TEACHER, Stage
 from renet.interface import LEGS
 from renet.tasks.env import RenetEnvCfg
 from renet.tasks.mdp.base_state import on_tiles

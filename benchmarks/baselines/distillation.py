@@ -220,7 +220,7 @@ class DistillationRunner(RenetRunner):
     """RENet's runner of a student, which begins on the levels that its teachers reached."""
 
     alg: DistillationAlgorithm  # type: ignore[assignment]
-    algorithm = "renet.baselines.distillation:DistillationAlgorithm"
+    algorithm = "baselines.distillation:DistillationAlgorithm"
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)

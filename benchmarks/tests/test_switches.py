@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from renet.baselines.switches import (
+from baselines.switches import (
     BLIND,
     INPUTS,
     Experience,

@@ -6,7 +6,7 @@ teacher's, drives from the first step, and learns by the Euclidean norm of the d
 actions. docs/comparison.md says what differs.
 """
 
-from renet.baselines.distillation import STUDENT, TEACHER, Stage
+from baselines.distillation import STUDENT, TEACHER, Stage
 
 STAGES = (
     Stage("teacher", 2 / 3, TEACHER),

@@ -1,10 +1,16 @@
+"""Cameras fail as often and as badly as asked, and a run that is resumed goes on with them."""
+
+from pathlib import Path
+
 import pytest
 import torch
+from tests.training.conftest import ToyEnv, make_runner, single_precision  # noqa: F401  of all tests
 
+from baselines import depth_dropout
+from baselines.depth_dropout import DepthDropout, DepthDropoutCfg, DropoutCfg, spoil_depth
 from renet.errors import RenetError
-from renet.training.depth_dropout import DepthDropout, DepthDropoutCfg, spoil_depth
-
-from .conftest import ToyEnv, make_runner
+from renet.interface import CONTROL_DT
+from renet.training.train import train
 
 
 def test_fails_for_the_stated_share_of_time_and_mean_length() -> None:
@@ -62,3 +68,18 @@ def test_trains_and_only_the_depth_image_differs() -> None:
 def test_impossible_settings_are_refused(wrong) -> None:
     with pytest.raises(RenetError, match="depth dropout"):
         DepthDropoutCfg(**wrong)
+
+
+def test_a_run_spoils_its_environment_and_goes_on_with_its_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spoilt: list = []
+    monkeypatch.setattr(depth_dropout, "spoil_depth", lambda *what: spoilt.append(what[1:]))
+    small = {"num_envs": 4, "device": "cpu", "num_steps_per_env": 5, "max_iterations": 1}
+    dropout = DepthDropoutCfg(0.3, 0.5)
+    task = "Renet-Go1-Flat"
+    run = train(DropoutCfg(task=task, depth_dropout=dropout, log_root=tmp_path, **small))
+    assert spoilt == [(dropout, CONTROL_DT)]
+    again = DropoutCfg.defaults([task, "--resume", str(run)])
+    assert isinstance(again, DropoutCfg)
+    assert again.depth_dropout == dropout

@@ -8,9 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from tests.training.conftest import ToyEnv, single_precision  # noqa: F401  applies to all tests
 
-from renet.baselines import cheng, zhuang
-from renet.baselines.distillation import (
+from baselines import cheng, zhuang
+from baselines.distillation import (
     STUDENT,
     TEACHER,
     DistillationCfg,
@@ -26,7 +27,6 @@ from renet.training.config import LearningCfg, SupervisionCfg
 from renet.training.export import load_networks
 from renet.training.metrics import read_curves
 from renet.training.runner import RenetRunner
-from tests.training.conftest import ToyEnv, single_precision  # noqa: F401  applies to all tests
 
 
 class TiledEnv(ToyEnv):

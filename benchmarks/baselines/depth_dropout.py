@@ -5,7 +5,7 @@ it distrusts them by itself (random masking and noise of depth, as in Miki et al
 samples). Everything else of training stays.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
@@ -13,6 +13,9 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from renet.errors import RenetError
+from renet.interface import CONTROL_DT
+from renet.tasks import RenetEnvCfg
+from renet.training.train import TrainCfg
 
 KINDS = 3
 """Blank image, missing rectangle, strong noise."""
@@ -90,3 +93,18 @@ def spoil_depth(env: Any, cfg: DepthDropoutCfg, dt: float) -> None:
         return observation, reward, done, extras
 
     env.step = spoilt
+
+
+@dataclass(kw_only=True)
+class DropoutCfg(TrainCfg):
+    """`TrainCfg` of robots whose cameras fail while they learn."""
+
+    depth_dropout: DepthDropoutCfg = field(default_factory=DepthDropoutCfg)
+    """How often they fail, and for how long."""
+
+    def make_env(self, task: RenetEnvCfg, device: str, seed: int) -> Any:
+        """The task's environments, with these cameras."""
+        env = super().make_env(task, device, seed)
+        if self.depth_dropout.share:
+            spoil_depth(env, self.depth_dropout, CONTROL_DT)
+        return env
