@@ -21,6 +21,7 @@ class Sabotage:
     def __init__(self, session) -> None:
         self.session, self.mood = session, "well"
         self.released = threading.Event()
+        self.get_inputs, self.get_outputs = session.get_inputs, session.get_outputs
 
     def run(self, *arguments):
         if threading.current_thread() is not threading.main_thread():

@@ -29,6 +29,7 @@ def flight() -> Recording:
     ticks["mode"] = MODES.index(Mode.WALKING)
     ticks["mode"][:RISEN] = MODES.index(Mode.STANDING_UP)
     ticks["vision"][RISEN:BLIND] = True
+    ticks["has_image"][: BLIND - 20] = True
     ticks["speed"] = 0.6
     ticks["velocity_op"][:, 0], ticks["velocity_vp"][:, 0] = 0.4, 0.5
     ticks["base_position"] = np.nan
@@ -48,6 +49,7 @@ def test_a_robots_flight_is_reckoned_from_its_estimators(flight):
     assert result["speed_m_s"] == pytest.approx(0.45, abs=0.01)
     assert result["commanded_m_s"] == 0.6
     assert result["vision_share"] == 0.5
+    assert 0 < result["memory_share"] < 0.5
     assert (result["switches"], result["op_before_first_fault"]) == (1, 0)
     assert result["switch_delay_s"] == [pytest.approx(0.2)]
     assert result["compute_ms"] == {"p50": 1.0, "p99": pytest.approx(1.0), "max": 9.0}
@@ -102,7 +104,7 @@ def test_the_timeline_shows_bands_faults_and_reasons(flight, tmp_path):
 
     with rc_context({"svg.fonttype": "none"}):
         page = drawn(flight, [5.8, 7.0], tmp_path)
-        for colour in BANDS.values():
+        for colour, _ in BANDS:
             assert page.count(f"fill: {colour}") >= 4, "three panels and the legend"
         assert page.count("stroke: #a3121f") == 6, "two onsets in three panels"
         reason = next(line for line in page.splitlines() if "op: no &lt;new&gt; image" in line)

@@ -1,5 +1,7 @@
 """Randomisation that is off by default: what it changes, and by how much."""
 
+import math
+
 import pytest
 import torch
 
@@ -20,8 +22,14 @@ def randomized(robots: int, **ranges: float):
     return env
 
 
-def test_training_randomises_what_it_is_asked_to_and_nothing_by_default():
-    plain = task_cfg(TrainCfg(task="Renet-Go1-Flat"))
+def test_training_randomises_what_it_is_asked_to_and_a_real_robots_differences_by_default():
+    recipe = task_cfg(TrainCfg(task="Renet-Go1-Flat"))
+    assert recipe.events.keys() >= {"motor_strength", "joint_offset"}
+    mount = depth_camera(recipe).mount
+    assert (mount.position_error, mount.angle_error) == (0.03, 0.14)
+    assert mount != (before := depth_camera(env_cfg("Renet-Go1-Flat")).mount)
+    assert (before.position_error, before.angle_error) == (0.01, math.radians(5.0))
+    plain = task_cfg(TrainCfg(task="Renet-Go1-Flat", randomization=RandomizationCfg()))
     assert plain.events.keys() == env_cfg("Renet-Go1-Flat").events.keys()
     asked = RandomizationCfg(0.2, action_delay=0.02, camera_delay=0.1, joint_offset=0.03)
     cfg = task_cfg(TrainCfg(task="Renet-Go1-Flat", randomization=asked))

@@ -7,6 +7,7 @@ import re
 import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -78,7 +79,7 @@ def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(
     finished, tmp_path, capsys, monkeypatch
 ):
     run = shutil.copytree(finished, tmp_path / "logs" / "Renet-Go1-Flat" / finished.name)
-    line = ["Renet-Go1-Flat", "--resume", str(run), "--seed=3", "--randomization.camera-delay=0.1"]
+    line = ["Renet-Go1-Flat", "--resume", str(run), "--seed=3", "--randomization.camera-delay=0.2"]
     again = tyro.cli(TrainCfg, args=line, default=TrainCfg.defaults(line))
     assert again.num_envs == 4
     assert again.reward_weights == (("collision", -3.0),)
@@ -93,7 +94,7 @@ def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(
     assert train(replace(again, max_iterations=2, time_budget="60s")) == run
     out = capsys.readouterr().out.splitlines()
     assert "config.seed was 1, now 3" in out
-    assert "task_cfg.scene.sensors.depth_camera.delay was [0.0, 0.0], now [0.0, 0.1]" in out
+    assert "task_cfg.scene.sensors.depth_camera.delay was [0.0, 0.1], now [0.0, 0.2]" in out
     assert sum(" was " in row for row in out) == 4  # Its setting, and the number of iterations.
     ours = re.compile(r"Going on|config|task_cfg|Training|Curves|Results|2/2  ")
     assert all(map(ours.match, out)), "no library says anything"
@@ -108,13 +109,27 @@ def test_presets_are_what_a_command_line_starts_from():
     assert task.rewards["foot_clearance"].weight == 0.0
     recipe = TrainCfg.defaults(["Renet-Go1-Parkour"])
     assert recipe.supervision.num_mini_batches == 12
-    assert value_at(recipe.supervision.learning_rate, 150e6) == 2e-4
+    assert value_at(recipe.supervision.learning_rate, 150e6) == 3e-4
     ours = task_cfg(recipe)
     assert depth_camera(ours).noise.gaussian_std == 0.03
-    assert ours.rewards["collision"].weight == RENET["reward_weights"]["collision"]
+    assert ours.rewards["collision"].weight == value_at(RENET["reward_weights"]["collision"], 0.0)
     own = replace(TrainCfg(task="Renet-Go1-Parkour"), reward_weights=(("collision", -2.0),))
     assert task_cfg(own).rewards["collision"].weight == -2.0
     assert task_cfg(own).rewards["foot_clearance"] == ours.rewards["foot_clearance"]
+
+
+def test_a_rewards_weight_follows_its_schedule_of_environment_steps():
+    weights = (("yaw", "1@1M,3@2M"), ("collision", -2.0))
+    task = task_cfg(TrainCfg(task="Renet-Go1-Parkour", num_envs=100, reward_weights=weights))
+    assert task.rewards["yaw"].weight == 1.0
+    term = task.curriculum["yaw_weight"]
+    assert term.params["points"] == [(10_000, 1.0), (20_000, 3.0)]
+    assert "collision_weight" not in task.curriculum
+    manager = SimpleNamespace(get_term_cfg=lambda name: task.rewards[name])
+    for step, weight in ((0, 1.0), (15_000, 2.0), (90_000, 3.0)):
+        env = SimpleNamespace(common_step_counter=step, reward_manager=manager)
+        assert term.func(env, None, **term.params) == weight
+        assert task.rewards["yaw"].weight == weight
 
 
 def test_a_checkpoint_of_settings_that_are_no_more_goes_on_without_them(finished, tmp_path, capsys):
