@@ -17,7 +17,7 @@ import tyro
 from scipy.stats import mannwhitneyu
 
 from facts import report
-from renet.deploy.policy import Policy
+from renet.bundle.policy import Policy
 from renet.evaluation.env import SimEnv, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 import onnxruntime
 
-from renet.deploy.bundle import Bundle
+from renet.bundle import Bundle
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene

@@ -21,14 +21,14 @@ import numpy as np
 import tyro
 
 from facts import report, spread
+from renet.bundle import Bundle
+from renet.bundle.manifest import RobotSpec
+from renet.bundle.models import MODELS
+from renet.bundle.policy import EstimatorInput, EstimatorOutput, infer
 from renet.deploy import inference
-from renet.deploy.bundle import Bundle
-from renet.deploy.bundle.manifest import RobotSpec
-from renet.deploy.bundle.models import MODELS
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
-from renet.deploy.policy import EstimatorInput, EstimatorOutput, infer
 from renet.deploy.realtime import realtime
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import go1_envelope

@@ -23,7 +23,7 @@ import numpy as np
 import tyro
 
 from facts import report
-from renet.deploy.bundle import Bundle
+from renet.bundle import Bundle
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller

@@ -17,7 +17,7 @@ import torch
 from scipy import special
 from torch import Tensor, nn
 
-from renet.deploy.policy import Policy
+from renet.bundle.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance

@@ -126,7 +126,7 @@ COMMANDS = {
     ),
     "bundle inspect": Command(
         "print every input of a bundle by index: name, unit, scale, joint order",
-        "renet.deploy.bundle.inspect:InspectCfg:inspect",
+        "renet.bundle.inspect:InspectCfg:inspect",
         "",
     ),
     "bundle card": Command(

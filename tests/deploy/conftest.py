@@ -1,46 +1,10 @@
-"""Bundles with untrained networks."""
-
-from dataclasses import replace
-from pathlib import Path
+"""The tests' bundles, and calibration from short recordings."""
 
 import pytest
-import torch
 
 from renet.deploy import calibration_log
-from renet.deploy.bundle import Bundle, write_bundle
-from renet.deploy.bundle.manifest import Manifest
-from renet.models.config import ModelCfg
-from renet.models.renet import RENet
-from renet.selector import SelectorSpec
-from renet.training.export import camera_spec, export_models, robot_spec
 
-
-@pytest.fixture(scope="session")
-def networks() -> RENet:
-    torch.manual_seed(0)
-    return RENet(ModelCfg(), critic_size=10).eval()
-
-
-@pytest.fixture(scope="session")
-def manifest() -> Manifest:
-    return Manifest(robot_spec(), camera_spec(), SelectorSpec(beta=0.02))
-
-
-@pytest.fixture(scope="session")
-def models(networks) -> dict[str, bytes]:
-    return export_models(networks)
-
-
-@pytest.fixture
-def bundle_path(tmp_path, models, manifest) -> Path:
-    return write_bundle(tmp_path / "bundle", models, manifest)
-
-
-@pytest.fixture(scope="session")
-def bundle(tmp_path_factory, models, manifest) -> Bundle:
-    """Untrained networks reconstruct badly: the largest beta, so that only real faults count."""
-    easy = replace(manifest, selector=SelectorSpec(beta=0.25))
-    return Bundle.load(write_bundle(tmp_path_factory.mktemp("b") / "bundle", models, easy))
+from ..bundle.conftest import bundle, bundle_path, manifest, models, networks  # noqa: F401
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from renet.bundle import DEFAULT, Bundle, pretrained
 from renet.deploy import calibration_log
-from renet.deploy.bundle import DEFAULT, Bundle, pretrained
 from renet.deploy.calibration_log import healthy_walks, recorded_scores
 from renet.deploy.main import DeployCfg, deploy
 from renet.deploy.recording import MODES, Recording, read_recording

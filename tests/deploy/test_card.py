@@ -5,8 +5,8 @@ import re
 
 import pytest
 
+from renet.bundle import DEFAULT, Bundle, pretrained
 from renet.cli import main
-from renet.deploy.bundle import DEFAULT, Bundle, pretrained
 from renet.deploy.card import escape
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import renet
-from renet.deploy.bundle import DEFAULT, pretrained
+from renet.bundle import DEFAULT, pretrained
 from renet.deploy.main import DeployCfg, deploy
 from renet.deploy.safety import SafetyCfg
 

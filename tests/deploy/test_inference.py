@@ -6,7 +6,7 @@ from queue import Empty, SimpleQueue
 import numpy as np
 import pytest
 
-from renet.deploy.bundle import Bundle
+from renet.bundle import Bundle
 from renet.deploy.controller import LATE
 from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.safety import Mode

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from renet.deploy.bundle import Bundle
+from renet.bundle import Bundle
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller, Event
 from renet.deploy.loop import BRAKING, run_control_loop

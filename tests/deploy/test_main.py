@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from renet import cli
+from renet.bundle import Bundle, read_manifest, write_manifest
 from renet.deploy import devices
-from renet.deploy.bundle import Bundle, read_manifest, write_manifest
 from renet.deploy.main import DEADMAN, RECORDING, DeployCfg, _interruptible, deploy
 from renet.deploy.recording import MODES, Recording, read_recording
 from renet.deploy.replay import mismatch

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from renet.deploy.bundle import Bundle
+from renet.bundle import Bundle
 from renet.deploy.controller import Controller
 from renet.deploy.inference import ThreadedInference
 from renet.deploy.recording import (

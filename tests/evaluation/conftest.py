@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ..deploy.conftest import manifest, models, networks  # noqa: F401  fixtures here, too
+from ..bundle.conftest import manifest, models, networks  # noqa: F401  fixtures here, too
 from .tiny import TINY
 
 

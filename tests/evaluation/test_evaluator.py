@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from renet.deploy.bundle import DEFAULT, MANIFEST, Bundle, pretrained, read_manifest, write_bundle
-from renet.deploy.bundle.manifest import SelectorSpec
+from renet.bundle import DEFAULT, MANIFEST, Bundle, pretrained, read_manifest, write_bundle
+from renet.bundle.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, _store, run_calibrate
 from renet.evaluation.env import terrain_env_cfg

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from renet.deploy.bundle import Bundle
+from renet.bundle import Bundle
 from renet.errors import RenetError
 from renet.evaluation import play
 from renet.evaluation.env import robot_of

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from renet import cli
-from renet.deploy.bundle import pretrained, read_manifest, write_manifest
+from renet.bundle import pretrained, read_manifest, write_manifest
 from renet.errors import RenetError
 from renet.evaluation.env import FLAT, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator

@@ -19,8 +19,8 @@ from onnx import TensorProto as Type
 from onnx import helper
 from safetensors.numpy import save_file
 
+from renet.bundle import DEFAULT, MANIFEST, pretrained
 from renet.cli import main
-from renet.deploy.bundle import DEFAULT, MANIFEST, pretrained
 from renet.deploy.recording import CHUNK, MAGIC, TICK_DTYPE
 
 from ..forked import Done, fork

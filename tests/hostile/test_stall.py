@@ -13,14 +13,14 @@ import pytest
 
 pytest.importorskip("unitree_legged_sdk.robot_interface", reason="needs renet-locomotion[go1]")
 
+from renet.bundle import Bundle
 from renet.deploy import recording
-from renet.deploy.bundle import Bundle
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
 from renet.deploy.main import _interruptible
 from renet.deploy.recording import Recorder, read_recording
 from renet.deploy.teleop import ScriptedTeleop
-from renet.deploy.terminal import Terminal
+from renet.terminal import Terminal
 
 from ..deploy.fakes import QUICK, Standing
 from ..deploy.robots.go1_peer import Peer, free_port

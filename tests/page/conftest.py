@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from renet.deploy.bundle import Bundle, pretrained, read_manifest, write_manifest
+from renet.bundle import Bundle, pretrained, read_manifest, write_manifest
 from renet.page.writer import WEB, PageCfg, make_server, write_page
 from renet.training.export import ExportCfg, export
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from renet.deploy.bundle import Bundle
+from renet.bundle import Bundle
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller

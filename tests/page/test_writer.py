@@ -12,7 +12,7 @@ import mujoco
 import pytest
 
 from renet import cli
-from renet.deploy.bundle import pretrained, read_manifest, write_manifest
+from renet.bundle import pretrained, read_manifest, write_manifest
 from renet.deploy.robots.scene import build_scene
 from renet.errors import RenetError
 from renet.files import MEGABYTE

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from renet.deploy.bundle import Bundle
+from renet.bundle import Bundle
 from renet.deploy.loop import ENDED
 from renet.deploy.recording import GOOD, MODES, Recording, read_recording
 from renet.deploy.safety import Mode

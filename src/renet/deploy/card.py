@@ -9,8 +9,8 @@ from typing import Any
 
 import tyro
 
-from renet.deploy.bundle import MANIFEST, Bundle
-from renet.deploy.bundle.models import MODELS
+from renet.bundle import MANIFEST, Bundle
+from renet.bundle.models import MODELS
 from renet.errors import RenetError
 from renet.files import read_object, write_atomically
 

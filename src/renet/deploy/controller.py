@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from renet.deploy.bundle import Bundle
+from renet.bundle import Bundle
+from renet.bundle.policy import Policy, infer
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.buffer import FrameBuffer
 from renet.deploy.inference import InlineInference
 from renet.deploy.observation import observe
-from renet.deploy.policy import Policy, infer
 from renet.deploy.robots.base import JointCommand, RobotState, heading
 from renet.deploy.safety import (
     Mode,

@@ -12,7 +12,7 @@ from queue import Empty, SimpleQueue
 
 import onnxruntime as ort
 
-from renet.deploy.policy import EstimatorInput, EstimatorOutput, infer
+from renet.bundle.policy import EstimatorInput, EstimatorOutput, infer
 
 Sessions = dict[str, ort.InferenceSession]
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import tyro
 
 from renet import __version__
-from renet.deploy.bundle import Bundle
+from renet.bundle import Bundle
 from renet.deploy.controller import Controller, Event
 from renet.deploy.devices import start_devices
 from renet.deploy.inference import InlineInference, ThreadedInference
@@ -25,10 +25,10 @@ from renet.deploy.robots.go1 import POWER_LEVEL, ROBOT_HOST
 from renet.deploy.safety import Mode, SafetyCfg, SafetyMachine
 from renet.deploy.score import SCORE, TIMELINE, write_score
 from renet.deploy.teleop import MAX_SPEED
-from renet.deploy.terminal import Terminal
 from renet.errors import RenetError
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT, JOINTS
+from renet.terminal import Terminal
 
 RECORDING = "recording.log"
 LOOPBACK = "127.0.0.1"

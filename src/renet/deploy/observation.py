@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from renet.deploy.bundle.manifest import RobotSpec
+from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import RobotState, heading, projected_gravity
 from renet.interface import PROPRIOCEPTION
 

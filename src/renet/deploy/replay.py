@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from renet.deploy.bundle import Bundle
+from renet.bundle import Bundle
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.controller import Controller, Decision
 from renet.deploy.inference import InlineInference

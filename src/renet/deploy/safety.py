@@ -14,7 +14,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from renet.deploy.bundle.manifest import RobotSpec
+from renet.bundle.manifest import RobotSpec
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.robots.base import VECTORS, JointCommand, RobotState, projected_gravity
 from renet.deploy.teleop import MAX_SPEED, TeleopCommand

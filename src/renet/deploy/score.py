@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from renet.deploy.bundle import Bundle
+from renet.bundle import Bundle
 from renet.deploy.loop import ENDED
 from renet.deploy.recording import GOOD, MODES, Recording, read_recording
 from renet.deploy.replay import mismatch

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import tyro
 
-from renet.deploy.bundle import Bundle, write_manifest
+from renet.bundle import Bundle, write_manifest
 from renet.deploy.calibration_log import recorded_scores
-from renet.deploy.terminal import show
 from renet.errors import RenetError
 from renet.evaluation.calibrate_memory import MEMORY, Memory, memory_limits
 from renet.evaluation.monitor_log import MonitorLog, healthy_series
@@ -25,6 +24,7 @@ from renet.faults import Injection
 from renet.interface import CONTROL_DT, TICK_DT
 from renet.selector.calibration import calibrate, calibrate_monitors
 from renet.selector.monitors import MONITORS
+from renet.terminal import show
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator

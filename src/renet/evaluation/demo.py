@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from renet.deploy.terminal import show
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report.page import provenance_section, render, write_page
 from renet.evaluation.report.summary import noise_facts, noise_headline
@@ -16,6 +15,7 @@ from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.trace import Trace
 from renet.faults import fault_class
 from renet.interface import CONTROL_DT
+from renet.terminal import show
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from renet.deploy.bundle.manifest import Manifest
+from renet.bundle.manifest import Manifest
 from renet.errors import RenetError
 from renet.evaluation.rollout import StepResult
 from renet.faults import ViewPerturbation

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from renet.deploy.bundle import Bundle
-from renet.deploy.policy import Policy
+from renet.bundle import Bundle
+from renet.bundle.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.env import FLAT, PARKOUR, SimEnv, robot_of, study_env_cfg, terrain_env_cfg
 from renet.evaluation.results import Provenance

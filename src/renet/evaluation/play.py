@@ -8,8 +8,8 @@ from tempfile import TemporaryDirectory
 
 import tyro
 
-from renet.deploy.bundle import MANIFEST
-from renet.deploy.policy import Policy
+from renet.bundle import MANIFEST
+from renet.bundle.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.env import FLAT, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator

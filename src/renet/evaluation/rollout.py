@@ -12,12 +12,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from renet.deploy.terminal import progress
 from renet.errors import RenetError
 from renet.evaluation.trace import UPDATES_PER_STEP, Film, Trace, TrueState
 from renet.faults import Frames, Injector, Schedule, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import Gate, SelectorInput
+from renet.terminal import progress
 
 POLICY_MODES = ("vp", "renet", "op", "paper", "oracle-switch")
 """Policy modes: vision always, the selector's choice, never, the choice of the paper's selector,
@@ -58,7 +58,7 @@ class EvalEnv(Protocol):
 
 
 class EvalPolicy(Protocol):
-    """Anybody's policy: `renet.deploy.policy.Policy` is one.
+    """Anybody's policy: `renet.bundle.policy.Policy` is one.
 
     One with two velocity estimates, `velocity_op` and `velocity_vp` ([N, 3] m/s), has them compared
     by the selector's monitors. One with `variance_score` ([N]) has it judged likewise. One with

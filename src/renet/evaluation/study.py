@@ -14,13 +14,13 @@ from typing import Any, ClassVar
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from renet.deploy.terminal import show
 from renet.errors import RenetError
 from renet.evaluation import figures
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import kept, output_folder, plain, write_csv, write_json
 from renet.evaluation.rollout import Trial, check_finite, check_modes, check_speed
 from renet.selector.selector import check_kind
+from renet.terminal import show
 
 Part = dict[str, Any]
 """What is kept of one batch of robots; JSON after `plain`."""

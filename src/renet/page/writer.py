@@ -13,8 +13,8 @@ from pathlib import Path
 
 import tyro
 
-from renet.deploy.bundle import MANIFEST, Bundle
-from renet.deploy.bundle.models import MODELS
+from renet.bundle import MANIFEST, Bundle
+from renet.bundle.models import MODELS
 from renet.errors import RenetError
 from renet.page.contract import contract
 

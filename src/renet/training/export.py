@@ -15,9 +15,9 @@ from mjlab.utils.string import resolve_expr
 from torch import Tensor, nn
 
 from renet import __version__
-from renet.deploy.bundle import write_bundle
-from renet.deploy.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpec, from_json
-from renet.deploy.bundle.models import HAS_IMAGE, MAP_ERROR, VARIANCE, model_shapes
+from renet.bundle import write_bundle
+from renet.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpec, from_json
+from renet.bundle.models import HAS_IMAGE, MAP_ERROR, VARIANCE, model_shapes
 from renet.errors import RenetError
 from renet.interface import HEIGHT_MAP_SIZE, JOINTS, NUM_FEET
 from renet.models.actor_critic import fuse

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("pybullet", reason="needs renet-locomotion[pybullet]")
 
+from renet.bundle import Bundle
 from renet.cli import main
-from renet.deploy.bundle import Bundle
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.robots.bullet import BulletRobot
 from renet.deploy.robots.mujoco import MujocoRobot

@@ -15,7 +15,7 @@ sdk = pytest.importorskip(
     "unitree_legged_sdk.robot_interface", reason="needs renet-locomotion[go1] (Python 3.11 or 3.12)"
 )
 
-from renet.deploy.bundle import Bundle  # noqa: E402
+from renet.bundle import Bundle  # noqa: E402
 from renet.deploy.controller import Controller  # noqa: E402
 from renet.deploy.main import DeployCfg, deploy  # noqa: E402
 from renet.deploy.recording import read_recording  # noqa: E402

@@ -6,8 +6,8 @@ therefore sampled where those rays meet it, whatever its own size and lens.
 
 import numpy as np
 
+from renet.bundle.manifest import CameraSpec
 from renet.camera import Intrinsics
-from renet.deploy.bundle.manifest import CameraSpec
 from renet.errors import RenetError
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from renet.bundle.manifest import CameraSpec
 from renet.camera import Intrinsics
-from renet.deploy.bundle.manifest import CameraSpec
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.cameras.preprocess import DepthPreprocessor
 from renet.errors import RenetError

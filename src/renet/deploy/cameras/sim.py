@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from renet.deploy.bundle.manifest import CameraSpec
+from renet.bundle.manifest import CameraSpec
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import TERRAIN

@@ -12,7 +12,7 @@ import numpy as np
 import pybullet
 from pybullet_utils.bullet_client import BulletClient
 
-from renet.deploy.bundle.manifest import RobotSpec
+from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import go1_envelope
 from renet.deploy.robots.mujoco import BASE, START_HEIGHT

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from renet.deploy.bundle.manifest import RobotSpec
+from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.errors import RenetError
 from renet.interface import JOINTS

@@ -5,7 +5,7 @@ import time
 import mujoco
 import numpy as np
 
-from renet.deploy.bundle.manifest import RobotSpec
+from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import go1_envelope
 from renet.interface import JOINTS

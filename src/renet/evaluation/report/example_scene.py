@@ -5,7 +5,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from renet.deploy.bundle import DEFAULT, pretrained, read_manifest
+from renet.bundle import DEFAULT, pretrained, read_manifest
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene

@@ -7,7 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from renet.deploy.policy import Policy
+from renet.bundle.policy import Policy
 from renet.evaluation.env import SimEnv
 from renet.evaluation.report.colormaps import RELIEF, as_seen
 from renet.evaluation.rollout import UPDATES_PER_STEP

@@ -11,13 +11,13 @@ import numpy as np
 import warp as wp
 from PIL import Image, ImageDraw, ImageFont
 
-from renet.deploy.terminal import progress
 from renet.errors import RenetError
 from renet.evaluation.report.colormaps import beside, map_picture
 from renet.evaluation.trace import Trace
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.palette import STATES, rgb
+from renet.terminal import progress
 
 CAMERA = "renet_tracking_camera"
 AWAY = np.array([1.6 * np.cos(np.radians(-110.0)), 1.6 * np.sin(np.radians(-110.0)), 0.55])

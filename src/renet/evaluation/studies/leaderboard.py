@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import tyro
 
-from renet.deploy.terminal import show
 from renet.errors import RenetError
 from renet.evaluation.metrics import bootstrap_interval
 from renet.evaluation.studies.benchmark import ONSETS, PROTOCOL, read_result
 from renet.evaluation.studies.faults import FaultStudy
 from renet.files import write_atomically
+from renet.terminal import show
 
 HEADER = ("", "policy", "mode", "crossed", "95 %", "upright", "speed error", "J/m", "blind (s)")
 

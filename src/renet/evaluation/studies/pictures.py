@@ -12,8 +12,8 @@ from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from renet.bundle.policy import Policy
 from renet.camera import Intrinsics
-from renet.deploy.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation import figures
 from renet.evaluation.env import PARKOUR

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import onnxruntime as ort
 
-from renet.deploy.bundle.manifest import SCHEMA, SCHEMAS, Manifest, from_json
-from renet.deploy.bundle.models import (
+from renet.bundle.manifest import SCHEMA, SCHEMAS, Manifest, from_json
+from renet.bundle.models import (
     HAS_IMAGE,
     MAP_ERROR,
     MODELS,

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import tyro
 
-from renet.deploy.bundle import Bundle
-from renet.deploy.bundle.manifest import Manifest, RobotSpec
-from renet.deploy.bundle.models import MODELS
-from renet.deploy.terminal import show
+from renet.bundle import Bundle
+from renet.bundle.manifest import Manifest, RobotSpec
+from renet.bundle.models import MODELS
+from renet.terminal import show
 
 ELEMENTS = {
     "base_angular_velocity": ("x", "y", "z"),

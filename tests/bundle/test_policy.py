@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from renet.deploy.bundle import Bundle, write_bundle
-from renet.deploy.policy import Policy
+from renet.bundle import Bundle, write_bundle
+from renet.bundle.policy import Policy
 from renet.errors import RenetError
 from renet.models.actor_critic import fuse
 from renet.models.memory import EstimatorMemory

@@ -100,7 +100,7 @@ def try_models(models: dict[str, bytes], history: int, where: str) -> None:
     if digest in _accepted:
         return
     sizes = json.dumps([history, {name: len(data) for name, data in models.items()}])
-    run_trial("renet.deploy.bundle.models", [sizes], where, b"".join(models.values()))
+    run_trial("renet.bundle.models", [sizes], where, b"".join(models.values()))
     _accepted.add(digest)
 
 

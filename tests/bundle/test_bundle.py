@@ -9,7 +9,7 @@ import numpy as np
 import onnx
 import pytest
 
-from renet.deploy.bundle import MANIFEST, Bundle, read_manifest, write_bundle, write_manifest
+from renet.bundle import MANIFEST, Bundle, read_manifest, write_bundle, write_manifest
 from renet.errors import RenetError
 from renet.interface import JOINTS
 from renet.models.config import ModelCfg

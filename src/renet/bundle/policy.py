@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import onnxruntime as ort
 
-from renet.deploy.bundle import Bundle
-from renet.deploy.bundle.models import HAS_IMAGE, MAP_ERROR, model_shapes
+from renet.bundle import Bundle
+from renet.bundle.models import HAS_IMAGE, MAP_ERROR, model_shapes
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE, STEPS_PER_TICK
 from renet.selector.monitors import Gate
