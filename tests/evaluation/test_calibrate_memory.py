@@ -1,15 +1,37 @@
 """When memory is stale: simulated hazards whose answer is known."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from renet.bundle import write_bundle
+from renet.evaluation import calibrate_memory
 from renet.evaluation.calibrate_memory import MEASURED, MEMORY, compare
+from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.trace import Trace
 from renet.selector.calibration import stale_above
 
 ROBOTS, STEPS = 400, 500
+
+
+def test_robots_walk_from_memory_and_twins_with_op(tmp_path, models, manifest, monkeypatch):
+    monkeypatch.setattr(calibrate_memory, "DIES", (0.1, 0.2))
+    monkeypatch.setattr(calibrate_memory, "MEASURED", 0.6)
+    spec = replace(manifest.selector, beta=0.25, longest_memory=0.1)
+    path = write_bundle(tmp_path / "b", models, replace(manifest, selector=spec))
+    traces: list[Trace] = []
+    walked = calibrate_memory.run_rollout
+    monkeypatch.setattr(
+        calibrate_memory, "run_rollout", lambda *a, **k: traces.append(walked(*a, **k)) or traces[0]
+    )
+    assert calibrate_memory.memory_limits(Evaluator(path), 6, 2, 0.6, 3)[1] == 0.6
+    (trace,) = traces
+    assert trace.vision[:, :6].all(), "its own limit does not end the memory"
+    assert not trace.vision[:, 6:].any()
+    assert trace.has_image[:5, :6].all()
+    assert not trace.has_image[15:, :6].any()
 
 
 def test_memory_is_stale_from_where_its_falls_exceed_ops():

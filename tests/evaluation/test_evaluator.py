@@ -94,10 +94,12 @@ def test_thresholds_below_zero_are_lifted_for_sparse_grass_too(tmp_path: Path) -
     bundle = Bundle.load(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
     scores = np.linspace(0.01, 0.02, 300)
     healthy = {name: [scores] for name in MONITORS} | {"uniformity": [scores - 0.22]}
-    _store(CalibrateCfg(bundle.path), bundle, healthy, {"uniformity": [scores - 0.14]})
-    assert read_manifest(bundle.path).selector.thresholds["uniformity"] == pytest.approx(
-        -0.12, abs=1e-3
-    )
+    grassy = {"uniformity": [scores - 0.14]}
+    _store(CalibrateCfg(bundle.path), bundle, healthy, grassy, ({"map_error": 0.4}, 7.0))
+    selector = read_manifest(bundle.path).selector
+    assert selector.thresholds["uniformity"] == pytest.approx(-0.12, abs=1e-3)
+    # Healthy scores say nothing of a memory: its limits are measured apart.
+    assert (selector.thresholds["map_error"], selector.longest_memory) == (0.4, 7.0)
 
 
 @pytest.mark.parametrize(
