@@ -135,6 +135,16 @@ def test_without_a_memory_every_image_is_used_and_a_spoilt_one_costs_vision():
         assert selector.without_image.tolist() == [0]
 
 
+def test_who_has_seen_nothing_remembers_nothing():
+    walk = Walk()
+    assert walk.run(2, variance=9.0) == [BLIND, BLIND]
+    assert walk.selector.reason[0] == "images unlike those of training"
+    walk = Walk()
+    walk.run(3)
+    walk.selector.reset(np.ones(1, bool))
+    assert walk.tick(variance=9.0) == BLIND
+
+
 def test_a_reset_robot_sees_again():
     walk = Walk()
     walk.run(3)

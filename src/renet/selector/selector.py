@@ -127,7 +127,8 @@ class MonitorSelector:
         self.vision = np.ones(num_robots, bool)
         """Whether each robot uses vision, [N]."""
         self.without_image = np.zeros(num_robots)
-        """Seconds since VP's newest tick with an image; 0 while it has one, [N]."""
+        """Seconds since VP's newest tick with an image, [N]; 0 while it has one, infinite before
+        the first: who has seen nothing remembers nothing."""
         self.reason = np.full(num_robots, "", object)
         """Reason of the first monitor that objected when the robot last ceased to see, [N]; empty
         while it sees."""
@@ -213,7 +214,7 @@ class MonitorSelector:
             healthy = np.logical_and.reduce(verdicts)
             return healthy, healthy
         good = seen.has_image
-        self._last_good = np.where(good | np.isneginf(self._last_good), now, self._last_good)
+        self._last_good = np.where(good, now, self._last_good)
         self.without_image = now - self._last_good
         remembered = self.without_image <= self.longest_memory
         return good, np.logical_and.reduce([remembered, *verdicts[~self._of_image]])

@@ -165,7 +165,8 @@ export class Selector {
       const healthy = verdicts.every(Boolean);
       return [healthy, healthy];
     }
-    if (seen.hasImage || this.lastGood === -Infinity) this.lastGood = now;
+    // Who has seen nothing remembers nothing.
+    if (seen.hasImage) this.lastGood = now;
     this.withoutImage = now - this.lastGood;
     const remembered = this.withoutImage <= this.longestMemory;
     const agreed = verdicts.every((ok, i) => ok || this.monitors[i].ofImage);
