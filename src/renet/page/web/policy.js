@@ -34,8 +34,6 @@ export class Policy {
     this.frames = new Float32Array(manifest.frames * this.pixels);
     /** The two newest images that VP was given. */
     this.accepted = this.frames.slice();
-    /** Whether VP can do without an image. */
-    this.remembers = sessions.estimator.inputNames.includes("has_image");
     this.shapes = {
       history: [1, manifest.history, this.size],
       frames: [1, manifest.frames, rows, columns],
@@ -56,6 +54,11 @@ export class Policy {
     this.hasImage = true;
     this.blank = this.fresh = true;
     this.steps = 0;
+  }
+
+  /** Whether VP can do without an image; known once the models are loaded. */
+  get remembers() {
+    return this.sessions.estimator.inputNames.includes("has_image");
   }
 
   /** Whether the next step is a tick. */
