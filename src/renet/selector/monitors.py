@@ -9,7 +9,7 @@ runs (`renet.selector.calibration`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -110,8 +110,8 @@ class Monitors:
         self._image: np.ndarray | None = None
         self._last = np.full((num_robots, *DEPTH_SHAPE), np.nan)
 
-    def scores(self, seen: SelectorInput) -> np.ndarray:
-        """Every monitor's score, [monitors, N] in the order of `names`; larger is worse."""
+    def scores(self, seen: SelectorInput, names: Sequence[str] | None = None) -> np.ndarray:
+        """Scores of some monitors, of all in the order of `names` by default, [monitors, N]."""
         if seen.image.size and seen.image is not self._image:
             self._image = seen.image
             self.contrast = seen.image.std(axis=(1, 2))
@@ -121,7 +121,8 @@ class Monitors:
             self.repeats = np.where(seen.fresh, np.where(same, self.repeats + 1, 1), self.repeats)
             self.near = np.where(seen.fresh, np.where(near, self.near + 1, 0), self.near)
             self._last = np.where(seen.fresh[:, None, None], seen.image, self._last)
-        return np.array([MONITORS[name].score(seen, self) for name in self.names])
+        chosen = self.names if names is None else names
+        return np.array([MONITORS[name].score(seen, self) for name in chosen])
 
     def reset(self, mask: np.ndarray) -> None:
         """Forget the last images of the masked robots [N]."""

@@ -135,8 +135,11 @@ class MonitorSelector:
         names = self.monitors.names
         self._thresholds = np.array([[thresholds[name]] for name in names])
         self._of_image = np.array([MONITORS[name].of_image for name in names])
-        before = np.array([not MONITORS[name].output for name in names])
-        self._before_vision = self._of_image & before
+        self._before_vision = {
+            name: thresholds[name]
+            for name in names
+            if MONITORS[name].of_image and not MONITORS[name].output
+        }
         self._limits = {
             MONITORS[name].output: thresholds[name] for name in names if MONITORS[name].output
         }
@@ -160,11 +163,12 @@ class MonitorSelector:
         Returns:
             Which images VP may use; None without a memory: all.
         """
-        scores = self.monitors.scores(seen)
+        scores = self.monitors.scores(seen, [*self._before_vision])
         self._looked = True
         if not self.longest_memory:
             return None
-        verdicts = (scores < self._thresholds)[self._before_vision]
+        limits = self._before_vision.values()
+        verdicts = [score < limit for score, limit in zip(scores, limits, strict=True)]
         # An image that is shown again is no new one.
         return Gate(np.logical_and.reduce([seen.fresh, *verdicts]), self._limits)
 
