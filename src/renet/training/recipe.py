@@ -22,7 +22,7 @@ RENET: dict[str, Any] = {
     # also learns what sparse grass looks like (`renet calibrate`).
     "model": ModelCfg(initial_std=0.5, detector="variance", predict_map_error=True),
     "algorithm": NP3OCfg(
-        # With a third of this the deviation falls to 2 degrees a joint, and levels stop rising.
+        # With a third of this the deviation fell to 2 degrees a joint, and gaps were crossed less.
         entropy="0.008@200M,0.001@300M",
         # Late, nearly all of the gradient is noise: smaller steps average over more of it.
         desired_kl="0.01@250M,0.004@280M",
