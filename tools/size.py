@@ -16,13 +16,21 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 LIMITS = Path(__file__).with_suffix(".json")
 CODE = {".py", ".cpp", ".h"}
+WEB = {".js", ".css", ".html"}
+PARTS = {"src": (("src",), CODE), "tests": (("tests",), CODE), "web": (("web", "src"), WEB)}
+"""Folders and suffixes of what is counted together; the report's templates lie in src."""
 
 
 def measure(root: Path = ROOT) -> dict[str, int]:
-    """Today's numbers: lines under src and tests, and files in the widest folder of src."""
+    """Today's numbers: lines of each part, and code files in the widest folder of src."""
     files = {
-        part: [path for path in (root / part).rglob("*") if path.suffix in CODE]
-        for part in ("src", "tests")
+        part: [
+            path
+            for folder in folders
+            for path in (root / folder).rglob("*")
+            if path.suffix in suffixes and "node_modules" not in path.parts
+        ]
+        for part, (folders, suffixes) in PARTS.items()
     }
     lines = {f"{part}_lines": sum(map(count_lines, paths)) for part, paths in files.items()}
     widest = max(Counter(path.parent for path in files["src"]).values(), default=0)

@@ -4,6 +4,7 @@ import gzip
 import json
 import shutil
 import socket
+import tomllib
 import urllib.request
 from dataclasses import replace
 from pathlib import Path
@@ -64,6 +65,12 @@ def test_page_may_be_written_again_but_nothing_else_is_overwritten(tmp_path, run
     with pytest.raises(RenetError, match="is not a page"):
         write_page(cfg)
     assert (other / "chapter.tex").read_text() == "years of work"
+
+
+def test_wheel_takes_along_what_the_page_needs():
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+    carried = project["tool"]["hatch"]["build"]["artifacts"]
+    assert carried == [f"web/node_modules/{name}" for name in VENDOR]
 
 
 @pytest.mark.parametrize("missing", VENDOR)

@@ -18,8 +18,9 @@ from renet.bundle.models import MODELS
 from renet.errors import RenetError
 from renet.page.contract import contract
 
-WEB = Path(__file__).with_name("web")
-"""The page's own files, and the lock of the npm packages it runs on."""
+FOLDERS = (Path(__file__).with_name("web"), Path(__file__).parents[3] / "web")
+WEB = next((folder for folder in FOLDERS if (folder / "index.html").is_file()), FOLDERS[0])
+"""The page's own files and npm packages: in an installed wheel, or at the root of a clone."""
 MARK = "renet-page.json"
 """A folder with this file is a page, and may be written anew."""
 VENDOR = (
