@@ -39,8 +39,11 @@ def test_the_switch_points_are_options_of_training(monkeypatch):
     assert main([*command, "--easier-after", "None"]) == 2
     default = TrainCfg(task="")
     assert asked == [
-        [default.standing_after / 100, {"easier_step": default.easier_after / 100}],
-        [300, {"easier_step": 400}],
+        [
+            default.standing_after / 100,
+            {"easier_step": default.easier_after / 100, "easier_kinds": ("gap",)},
+        ],
+        [300, {"easier_step": 400, "easier_kinds": ("gap",)}],
         [default.standing_after / 100, {}],
     ]
 

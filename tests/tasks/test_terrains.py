@@ -194,6 +194,7 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypa
     term, terrain = parkour.curriculum_manager.get_term_cfg("level"), parkour.scene.terrain
     monkeypatch.setattr(parkour, "common_step_counter", 1_000)
     monkeypatch.setitem(term.params, "easier_step", 1_000)
+    monkeypatch.setitem(term.params, "easier_kinds", tuple(KINDS))
     for kind in terrain.cfg.terrain_generator.sub_terrains.values():
         monkeypatch.setattr(kind, "flat_start", flat_start)
     robots, met = torch.arange(12), []
@@ -221,6 +222,14 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypa
         at_level(parkour, 0)
         parkour.curriculum_manager.compute(env_ids=robots)
         assert (terrain.terrain_levels == 0).all()
+    # Not on other tiles.
+    monkeypatch.setitem(term.params, "easier_kinds", ("gap",))
+    met = []
+    for _ in range(50):
+        at_level(parkour, 4)
+        parkour.curriculum_manager.compute(env_ids=robots)
+        met += terrain.terrain_types[terrain.terrain_levels < 4].tolist()
+    assert set(met) == {KINDS.index("gap")}
     # Not before its time.
     monkeypatch.setitem(term.params, "easier_step", 1_001)
     for _ in range(10):

@@ -82,8 +82,10 @@ RENET: dict[str, Any] = {
     ),
     # Sooner, a third of the steps goes to standing while levels could rise.
     "standing_after": 2e7,
-    # Once the levels have risen, nobody meets a narrow gap, and its crossing is forgotten.
+    # Once the levels have risen, nobody meets a narrow gap, and its crossing is forgotten. On other
+    # tiles it would give a quarter of the practice away.
     "easier_after": 5.5e7,
+    "easier_kinds": ("gap",),
 }
 
 PAPER: dict[str, Any] = {
@@ -102,6 +104,7 @@ PAPER: dict[str, Any] = {
     # Iteration 3,900 of 15,000 with 4,096 robots.
     "standing_after": 4e8,
     "easier_after": None,
+    "easier_kinds": (),
 }
 
 PRESETS = {"renet": RENET, "paper": PAPER}

@@ -104,6 +104,8 @@ class TrainCfg(LearningCfg):
     easier_after: float | None = RENET["easier_after"]
     """Environment steps after which a quarter of the episodes is on tiles of levels up to a robot's
     own instead of its own; None: never."""
+    easier_kinds: tuple[str, ...] = RENET["easier_kinds"]
+    """Kinds of tile on which it is so."""
     resume: str | None = None
     """Run folder or checkpoint to go on from, with its settings; `latest` takes the newest run of
     this task."""
@@ -245,7 +247,8 @@ def task_cfg(cfg: TrainCfg, earlier: Checkpoint | None = None) -> RenetEnvCfg:
         task.curriculum["command_stage"].params["switch_step"] = switch_step
     if "level" in task.curriculum and cfg.easier_after is not None:
         easier_step = _control_step(cfg.easier_after, cfg, earlier)
-        task.curriculum["level"].params["easier_step"] = easier_step
+        params = {"easier_step": easier_step, "easier_kinds": cfg.easier_kinds}
+        task.curriculum["level"].params |= params
     generator = task.scene.terrain.terrain_generator if task.scene.terrain else None
     if generator is None:
         return task

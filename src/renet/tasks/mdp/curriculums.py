@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 from mjlab.envs import ManagerBasedRlEnv
@@ -31,9 +33,9 @@ class TerrainLevels:
     One that has not walked keeps its level, as after loading a checkpoint. A robot that passes the
     last level is sent to any level.
 
-    From control step `easier_step` (a parameter) on, a share of the episodes use a tile of a level
-    drawn uniformly up to the robot's own. They do not change that level. Without them robots forget
-    how to cross narrow gaps.
+    From control step `easier_step` on, a share of the episodes on tiles of `easier_kinds` (both are
+    parameters) use a tile of a level drawn uniformly up to the robot's own. They do not change that
+    level. Without them robots forget how to cross narrow gaps.
 
     Attributes:
         levels: each robot's own level, [N]; `terrain.terrain_levels` is that of the tile it is on.
@@ -48,14 +50,19 @@ class TerrainLevels:
         self.passed = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
 
     def __call__(
-        self, env: ManagerBasedRlEnv, env_ids: Tensor, easier_step: int | None = None
+        self,
+        env: ManagerBasedRlEnv,
+        env_ids: Tensor,
+        easier_step: float = math.inf,
+        easier_kinds: tuple[str, ...] = (),
     ) -> dict[str, Tensor]:
         """Set the levels and tiles of robots whose episodes end.
 
         Args:
             env: environment on tiles.
             env_ids: these robots.
-            easier_step: control step from which easier tiles are drawn; None: never.
+            easier_step: control step from which easier tiles are drawn.
+            easier_kinds: kinds of tile that are drawn so.
 
         Returns:
             Mean level of each kind of tile.
@@ -80,8 +87,10 @@ class TerrainLevels:
         self.passed[env_ids] = (level >= highest) | (self.passed[env_ids] & ~down)
         level = torch.where(level >= highest, torch.randint_like(level, highest), level)
         self.levels[env_ids] = level
-        eased = easier_step is not None and env.common_step_counter >= easier_step
-        tile = _some_easier(level, lowest) if eased else level
+        tile = level
+        if env.common_step_counter >= easier_step:
+            eased = on_tiles(env, *easier_kinds)[env_ids]
+            tile = torch.where(eased, _some_easier(level, lowest), level)
         terrain.terrain_levels[env_ids] = tile
         terrain.env_origins[env_ids] = terrain.terrain_origins[tile, types]
         reached = torch.where(self.passed, highest, self.levels).float()
