@@ -17,8 +17,9 @@ import numpy as np
 
 from renet.deploy.controller import Controller
 from renet.deploy.robots.base import JointCommand
+from renet.deploy.robots.braking import PERIOD
 from renet.deploy.robots.go1 import POWER_LEVEL
-from renet.deploy.robots.go1_link import PERIOD, Go1Link
+from renet.deploy.robots.go1_link import Go1Link
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.teleop import TeleopCommand

@@ -21,9 +21,10 @@ from renet.deploy.main import DeployCfg, deploy  # noqa: E402
 from renet.deploy.recording import read_recording  # noqa: E402
 from renet.deploy.robots import go1, go1_link  # noqa: E402
 from renet.deploy.robots.base import JointCommand  # noqa: E402
+from renet.deploy.robots.braking import PERIOD  # noqa: E402
 from renet.deploy.robots.envelope import go1_envelope  # noqa: E402
 from renet.deploy.robots.go1 import Go1Robot  # noqa: E402
-from renet.deploy.robots.go1_link import LOW_LEVEL, MOTORS, PERIOD, Go1Link  # noqa: E402
+from renet.deploy.robots.go1_link import LOW_LEVEL, MOTORS, Go1Link  # noqa: E402
 from renet.deploy.safety import Mode, SafetyCfg  # noqa: E402
 from renet.errors import RenetError  # noqa: E402
 from renet.interface import JOINTS  # noqa: E402
@@ -211,7 +212,7 @@ def test_a_driver_that_cannot_receive_any_more_brakes_at_once(wire, peer):
     wire.link._udp = SimpleNamespace(SetSend=udp.SetSend, Send=udp.Send, Recv=deaf)
     wire.run(2)
     assert peer.braked
-    assert "vendor's driver failed: OSError" in wire.link.problem
+    assert "robot's driver failed: OSError" in wire.link.problem
     wire.send(command(), 2)
     assert peer.braked, "for good"
 
