@@ -27,7 +27,7 @@ RENET: dict[str, Any] = {
         # Late, nearly all of the gradient is noise: smaller steps average over more of it.
         desired_kl="0.01@250M,0.004@280M",
         # With 0.95 most of the actor's gradient is noise; critics that see the truth explain the
-        # returns well enough to take it out (`benchmarks/gradient_noise.py`).
+        # returns well enough to take it out (benchmarks/NOTES.md).
         lam=0.8,
         # Gradients are half of an iteration's time; a fourth and fifth pass bring less than steps.
         num_learning_epochs=3,
