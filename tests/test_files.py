@@ -11,11 +11,16 @@ from hypothesis import strategies as st
 from renet.errors import RenetError
 from renet.files import (
     MAX_DEPTH,
+    append,
+    create,
     decompress,
+    is_temporary,
     parse_json,
     read_bytes,
     read_object,
+    remove,
     require_regular,
+    temporary_path,
     write_atomically,
 )
 
@@ -99,3 +104,72 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch):
         write_atomically(path, b"new")
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_no_write_follows_a_link_or_replaces_what_it_did_not_create(tmp_path):
+    victim, link = tmp_path / "victim", tmp_path / "link"
+    victim.write_bytes(b"mine")
+    for target in (victim, tmp_path / "not yet"):
+        link.symlink_to(target)
+        with pytest.raises(RenetError, match="cannot write the log"):
+            create(link, "log")
+        with pytest.raises(OSError, match="symbolic link"):
+            append(link)
+        write_atomically(link, b"new")
+        assert link.read_bytes() == b"new"
+        assert not link.is_symlink()
+        remove(link)
+    with pytest.raises(RenetError, match="File exists"):
+        create(victim)
+    assert victim.read_bytes() == b"mine"
+    assert list(tmp_path.iterdir()) == [victim]
+
+
+def test_a_pipe_where_a_file_goes_never_makes_a_write_wait(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(OSError, match=r"not a regular file|No such device"):
+        append(pipe)
+    with pytest.raises(RenetError, match="File exists"):
+        create(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    with pytest.raises(OSError, match="not a regular file"):
+        append(pipe)
+    os.close(reader)
+    write_atomically(pipe, b"new")
+    assert pipe.read_bytes() == b"new"
+
+
+def test_appended_lines_follow_what_was_there(tmp_path):
+    for line in ("one\n", "two\n"):
+        with append(tmp_path / "log") as file:
+            file.write(line)
+            assert (tmp_path / "log").read_text().endswith(line), "a line at a time"
+    assert (tmp_path / "log").read_text() == "one\ntwo\n"
+
+
+def test_names_of_temporaries_are_never_the_same_and_recognised():
+    path = Path("/folder/manifest.json")
+    names = {temporary_path(path) for _ in range(100)}
+    assert len(names) == 100
+    assert all(name.parent == path.parent and is_temporary(name.name) for name in names)
+    for name in ("manifest.json", ".manifest.json.partial", ".x.0123456789abcde.partial"):
+        assert not is_temporary(name)
+
+
+@pytest.mark.parametrize("path", [Path(), Path("a\0b"), Path("x" * 256), Path("/dev/null/x")])
+def test_a_path_that_cannot_be_written_is_one_error(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for write in (lambda: write_atomically(path, b""), lambda: create(path)):
+        with pytest.raises(RenetError, match="cannot write the file"):
+            write()
+
+
+def test_an_interrupted_write_leaves_nothing(tmp_path, monkeypatch):
+    def interrupt(descriptor: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(tmp_path / "manifest.json", b"new")
+    assert list(tmp_path.iterdir()) == []

@@ -1,12 +1,19 @@
-"""Reads and writes files of unknown origin: regular files only, within stated limits."""
+"""Reads files of unknown origin within stated limits; creates files without following links.
 
+Every file that renet writes, renames or deletes goes through here or through `renet.folders`, which
+`tools/writes.py` checks.
+"""
+
+import errno
 import json
 import os
+import re
+import secrets
 import stat
 import zlib
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, TextIO
 
 from renet.errors import RenetError
 
@@ -100,31 +107,97 @@ def require_regular(path: Path, limit: int, what: str = "file") -> Path:
     return path
 
 
-def _check_regular(found: os.stat_result, path: Path, limit: int, what: str) -> None:
-    if not stat.S_ISREG(found.st_mode):
+def _check_regular(status: os.stat_result, path: Path, limit: int, what: str) -> None:
+    if not stat.S_ISREG(status.st_mode):
         raise RenetError(f"the {what} {path} is not a regular file")
-    if found.st_size > limit:
+    if status.st_size > limit:
         raise RenetError(
-            f"the {what} {path} has {found.st_size / MEGABYTE:.1f} MB; "
+            f"the {what} {path} has {status.st_size / MEGABYTE:.1f} MB; "
             f"at most {limit / MEGABYTE:g} MB are read"
         )
+
+
+def create(path: Path, what: str = "file") -> BinaryIO:
+    """Create a file for writing, and its folder.
+
+    Raises:
+        RenetError: there is something at `path`, be it a link, or it cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return open(_new(path), "wb")
+    except (OSError, ValueError) as error:
+        raise RenetError(f"cannot write the {what} {path}: {error}") from error
+
+
+def append(path: Path) -> TextIO:
+    """Open a text file, by lines, at its end; raises OSError for links and what is no file."""
+    flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    file = open(os.open(path, flags, 0o666), "a", newline="", buffering=1)  # noqa: SIM115
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    return file
 
 
 def write_atomically(path: Path, data: bytes, what: str = "file") -> None:
     """Write beside a file's final place, flush to the disk and rename; makes its folder.
 
+    A link at `path` is replaced, not followed.
+
     Raises:
         RenetError: it cannot be written; what was at `path` is then unchanged.
     """
-    partial = path.with_name(f".{path.name}.partial")
     try:
+        temporary = temporary_path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    except OSError as error:
-        with suppress(OSError):
-            partial.unlink()
+        try:
+            write_new(temporary, data)
+            os.replace(temporary, path)
+        finally:  # An interrupt, too, leaves nothing.
+            temporary.unlink(missing_ok=True)
+        sync(path.parent)
+    except (OSError, ValueError) as error:
         raise RenetError(f"cannot write the {what} {path}: {error}") from error
+
+
+def write_new(path: Path, data: bytes) -> None:
+    """Write a file that must not exist yet and flush it to the disk; raises OSError."""
+    with open(_new(path), "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def remove(path: Path) -> None:
+    """Delete a file if there is one; raises RenetError where that cannot be done."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise RenetError(f"cannot delete {path}: {error}") from error
+
+
+def temporary_path(path: Path) -> Path:
+    """A hidden name beside a path that nobody can guess; `is_temporary` knows it."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(8)}.partial")
+
+
+def is_temporary(name: str) -> bool:
+    """Whether a file's or folder's name is one of `temporary_path`'s, left by a killed program."""
+    return re.fullmatch(r"\..+\.[0-9a-f]{16}\.partial", name) is not None
+
+
+def sync(folder: Path) -> None:
+    """Flush a folder's list of entries to the disk, where its file system can."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _new(path: Path) -> int:
+    """A descriptor of a file that did not exist; O_EXCL refuses links, too."""
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    return os.open(path, flags, 0o666)

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -179,11 +180,11 @@ def test_a_bundle_is_replaced_whole_or_not_at_all(bundle_path, manifest, models,
     old = {p.name: p.read_bytes() for p in bundle_path.iterdir()}
     newer = replace(manifest, provenance=replace(manifest.provenance, iteration=7))
 
-    def full(self, data):
+    def full(descriptor):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_bytes", full)
+        patch.setattr(os, "fsync", full)
         with pytest.raises(RenetError, match="No space left"):
             write_bundle(bundle_path, models, newer)
     assert {p.name: p.read_bytes() for p in bundle_path.iterdir()} == old

@@ -195,7 +195,7 @@ def test_the_replay_camera_shows_a_flights_images(tmp_path):
         ("--terrain lava", "unknown terrain 'lava': choose one of flat, stairs, rough, "),
         ("--scene nowhere.xml", "cannot read the scene nowhere.xml"),
         ("nowhere", "no bundle at nowhere"),
-        ("--out /dev/null", "cannot write the recording"),
+        ("--out /dev/null", "cannot write to /dev/null"),
     ],
 )
 def test_mistakes_are_told_before_anything_moves(tmp_path, capsys, monkeypatch, arguments, message):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from renet.bundle import Bundle
+from renet.deploy import recording
 from renet.deploy.controller import Controller
 from renet.deploy.inference import ThreadedInference
 from renet.deploy.recording import (
@@ -162,8 +163,9 @@ def test_not_a_flight(tmp_path):
         read_recording(tmp_path / "essay")
 
 
-def test_a_full_disk_ends_the_log_and_not_the_flight(bundle):
-    log = Recorder(Path("/dev/full"), {})
+def test_a_full_disk_ends_the_log_and_not_the_flight(bundle, tmp_path, monkeypatch):
+    monkeypatch.setattr(recording, "create", lambda *_: open("/dev/full", "wb"))  # noqa: SIM115
+    log = Recorder(tmp_path / "a.log", {})
     controller = Controller(bundle, QUICK)
     until(lambda: log.problem != "")
     for step in range(60):

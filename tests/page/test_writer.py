@@ -7,6 +7,7 @@ import socket
 import tomllib
 import urllib.request
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
 import mujoco
@@ -18,7 +19,7 @@ from renet.deploy.robots.scene import build_scene
 from renet.errors import RenetError
 from renet.files import MEGABYTE
 from renet.page.contract import MAP_HEIGHT, SCENES, contract
-from renet.page.writer import VENDOR, WEB, PageCfg, make_server, write_page
+from renet.page.writer import MARK, VENDOR, WEB, PageCfg, make_server, write_page
 from renet.sim.sensors import HeightMapCfg
 
 
@@ -47,23 +48,43 @@ def test_page_has_the_bundle_the_packages_and_the_modules(tmp_path, runtime):
     assert not list(page.glob("*package*.json"))
 
 
-def test_page_may_be_written_again_but_nothing_else_is_overwritten(tmp_path, runtime):
+def test_page_may_be_written_again_without_what_it_held_before(tmp_path, runtime):
     cfg = PageCfg(out=tmp_path / "page", runtime=runtime)
     write_page(cfg)
+    mark = json.loads((cfg.out / MARK).read_text())
     (cfg.out / "old.js").write_text("old")
+    mark["files"]["old.js"] = sha256(b"old").hexdigest()
+    (cfg.out / MARK).write_text(json.dumps(mark))
     write_page(cfg)
     assert not (cfg.out / "old.js").exists()
+    assert {path.name for path in tmp_path.iterdir()} == {"packages", "page"}
 
-    other = tmp_path / "thesis"
+
+@pytest.mark.parametrize("name", ["CNAME", ".git/config", "bundle/thesis.tex", "index.html"])
+def test_page_that_holds_what_is_not_its_own_stays_as_it_is(tmp_path, runtime, name):
+    """Another file, or one of its own that somebody changed, be the mark forged or not."""
+    cfg = PageCfg(out=tmp_path / "page", runtime=runtime)
+    write_page(cfg)
+    path = cfg.out / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("years of work")
+    forged = {"files": {"../victim": "", name: "0" * 64, "..": "", "/": ""}}
+    (tmp_path / "victim").write_text("years of work")
+    for mark in ((cfg.out / MARK).read_text(), json.dumps(forged), '{"files": [1]}'):
+        (cfg.out / MARK).write_text(mark)
+        before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+        with pytest.raises(RenetError, match="no part of a page"):
+            write_page(cfg)
+        assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+def test_what_is_no_page_is_not_overwritten(tmp_path, runtime):
+    cfg, other = PageCfg(runtime=runtime), tmp_path / "thesis"
     other.mkdir()
     (other / "chapter.tex").write_text("years of work")
-    with pytest.raises(RenetError, match="is not a page"):
-        write_page(replace(cfg, out=other))
-    with pytest.raises(RenetError, match="is not a page"):
-        write_page(replace(cfg, out=other / "chapter.tex"))
-    (cfg.out / ".git").mkdir()
-    with pytest.raises(RenetError, match="is not a page"):
-        write_page(cfg)
+    for out in (other, other / "chapter.tex"):
+        with pytest.raises(RenetError, match=r"part of a page|is not a page"):
+            write_page(replace(cfg, out=out))
     assert (other / "chapter.tex").read_text() == "years of work"
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import tempfile
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -24,6 +23,7 @@ from renet.bundle.models import (
 )
 from renet.errors import RenetError
 from renet.files import MAX_JSON, read_bytes, read_object, write_atomically
+from renet.folders import demand_own, write_folder
 
 MANIFEST, PREVIOUS = "manifest.json", "manifest.previous.json"
 OURS = (MANIFEST, PREVIOUS, *(f"{name}.onnx" for name in MODELS))
@@ -119,9 +119,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def write_bundle(path: Path, models: dict[str, bytes], manifest: Manifest) -> Path:
-    """Write a bundle beside its final place and rename it: nobody sees half of one.
-
-    A bundle that is already there is replaced; anything else is left as it is.
+    """Write a bundle whole; one that is already there is replaced, anything else stays as it is.
 
     Args:
         path: of the folder. models: ONNX bytes by name. manifest: without digests.
@@ -130,29 +128,18 @@ def write_bundle(path: Path, models: dict[str, bytes], manifest: Manifest) -> Pa
         RenetError: `path` holds anything that is not a bundle's, the models do not fit the
             manifest, or it cannot be written.
     """
-    path = path.resolve()  # "." has no name to rename to.
+    path = path.resolve()  # Which the current folder no longer is once it is replaced.
     try_models({name: models[name] for name in MODELS}, manifest.history, "the new bundle")
     contents = {f"{name}.onnx": data for name, data in models.items()}
     digests = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
     contents[MANIFEST] = _json(dataclasses.replace(manifest, sha256=digests))
-    _demand_replaceable(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as beside:
-            new, old = Path(beside, "new"), Path(beside, "old")
-            new.mkdir()
-            for name, data in contents.items():
-                (new / name).write_bytes(data)
-            try:
-                if path.exists():
-                    path.rename(old)
-                new.rename(path)
-            except BaseException:  # An interrupt, too, must not cost the old bundle.
-                if old.exists() and not path.exists():
-                    old.rename(path)
-                raise
-    except OSError as error:
-        raise RenetError(f"cannot write the bundle {path}: {error}") from error
+    if path.is_dir() and any(path.iterdir()):
+        demand_own(path, OURS, "bundle")
+        try:
+            read_manifest(path)
+        except RenetError as error:
+            raise RenetError(f"{path} is not a bundle ({error}): choose another folder") from error
+    write_folder(path, contents, OURS, "bundle")
     return path
 
 
@@ -166,20 +153,3 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
 def _json(manifest: Manifest) -> bytes:
     manifest = dataclasses.replace(manifest, schema=SCHEMA)
     return (json.dumps(dataclasses.asdict(manifest), indent=1) + "\n").encode()
-
-
-def _demand_replaceable(path: Path) -> None:
-    """Raise RenetError unless nothing is at a path, or an empty folder, or exactly a bundle."""
-    if path.is_symlink() or (path.exists() and not path.is_dir()):
-        raise RenetError(f"{path} exists and is not a bundle: choose another folder")
-    if not path.is_dir() or not any(path.iterdir()):
-        return
-    foreign = [p for p in path.iterdir() if p.name not in OURS or p.is_symlink() or not p.is_file()]
-    if foreign:
-        raise RenetError(
-            f"{path} holds {foreign[0].name}, which is no part of a bundle: choose another folder"
-        )
-    try:
-        read_manifest(path)
-    except RenetError as error:
-        raise RenetError(f"{path} is not a bundle ({error}): choose another folder") from error

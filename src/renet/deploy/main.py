@@ -1,6 +1,7 @@
 """`renet deploy`: put a bundle on a robot, real or simulated; the same program for both."""
 
 import math
+import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -27,10 +28,12 @@ from renet.deploy.score import SCORE, TIMELINE, write_score
 from renet.deploy.teleop import MAX_SPEED
 from renet.errors import RenetError
 from renet.faults import parse_fault
+from renet.folders import lock, move, new_folder
 from renet.interface import CONTROL_DT, JOINTS
 from renet.terminal import Terminal
 
 RECORDING = "recording.log"
+RESULTS = (RECORDING, SCORE, TIMELINE)
 LOOPBACK = "127.0.0.1"
 PRIORITY = 50
 """Of SCHED_FIFO, of the control loop's thread; the Go1's sender has 60."""
@@ -141,7 +144,10 @@ def deploy(cfg: DeployCfg) -> Path:
         terminal = Terminal()
         stack.callback(terminal.close)
         robot, camera, teleop, show = start_devices(cfg, bundle, terminal.say, stack)
-        path = _free_folder(cfg.out) / RECORDING
+        folder = cfg.out or Path("results/deploy") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
+        stack.enter_context(lock(folder))
+        _keep_earlier(folder)
+        path = folder / RECORDING
         recorder = Recorder(path, _header(cfg, bundle), patient=not cfg.live)
         stack.callback(recorder.close)
 
@@ -181,7 +187,6 @@ def deploy(cfg: DeployCfg) -> Path:
                 on_step=on_step,
                 dry_run=cfg.dry_run,
             )
-    folder = recorder.path.parent
     if recorder.problem:
         print(recorder.problem)
     if not recorder.hung:
@@ -189,19 +194,17 @@ def deploy(cfg: DeployCfg) -> Path:
     return folder
 
 
-def _free_folder(out: Path | None) -> Path:
-    """Where a run's results go, freed of an earlier run's: the one before a crash matters."""
-    out = out or Path("results/deploy") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
-    results = [out / name for name in (RECORDING, SCORE, TIMELINE) if (out / name).exists()]
+def _keep_earlier(out: Path) -> None:
+    """Move an earlier run's results into a folder of their own: the one before a crash matters."""
+    results = [path for name in RESULTS if os.path.lexists(path := out / name)]
     if results:
-        kept = next(p for n in count(1) if not (p := out / f"earlier-{n}").exists())
+        earlier = next(p for n in count(1) if not os.path.lexists(p := out / f"earlier-{n}"))
         try:
-            kept.mkdir()
+            new_folder(earlier)
             for path in results:
-                path.rename(kept / path.name)
+                move(path, earlier / path.name)
         except OSError as error:
             raise RenetError(f"cannot keep the earlier run in {out}: {error}") from error
-    return out
 
 
 def summary(score: dict[str, Any]) -> str:

@@ -25,7 +25,7 @@ from renet.deploy.robots.base import VECTORS, RobotState
 from renet.deploy.safety import Mode
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
-from renet.files import MEGABYTE, decompress, parse_json, require_regular
+from renet.files import MEGABYTE, create, decompress, parse_json, require_regular
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT
 
 MAGIC = b"RENETLOG4\n"
@@ -109,12 +109,8 @@ class Recorder:
                 simulated clock, which no disk keeps up with for long.
         """
         self._patience = CLOSING if patient else 0.0
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file: BinaryIO = path.open("wb")
-            self._file.write(MAGIC)
-        except OSError as error:
-            raise RenetError(f"cannot write the recording {path}: {error}") from error
+        self._file = create(path, "recording")
+        self._chunks: Queue[tuple[bytes, bytes] | None] = Queue(MAX_WAITING)
         self.path, self.problem = path, ""
         """Why the recording ended early; empty while it goes on."""
         self.hung = False
@@ -123,7 +119,6 @@ class Recorder:
         self._images: list[tuple[int, np.ndarray]] = []
         self._events: list[Event] = []
         self._count, self._last_frame = 0, None
-        self._chunks: Queue[tuple[bytes, bytes] | None] = Queue(MAX_WAITING)
         self._thread = threading.Thread(target=self._write, daemon=True)
         self._thread.start()
         self._put(HEADER, json.dumps(header).encode())
@@ -212,11 +207,14 @@ class Recorder:
             self.problem = f"the recording {self.path} ends early: the disk does not keep up"
 
     def _write(self) -> None:
+        magic = MAGIC
         while (chunk := self._chunks.get()) is not None:
             tag, data = chunk
             packed = zlib.compress(data, 1)
+            head = magic + CHUNK.pack(tag, len(packed), zlib.crc32(packed))
+            magic = b""
             try:
-                self._file.write(CHUNK.pack(tag, len(packed), zlib.crc32(packed)) + packed)
+                self._file.write(head + packed)
                 self._file.flush()
                 os.fsync(self._file.fileno())  # The battery may go next.
             except (OSError, ValueError) as error:

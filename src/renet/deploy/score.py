@@ -1,5 +1,6 @@
 """`renet evaluate log`: what a run came to and its timeline, from its recording alone."""
 
+import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -225,10 +226,9 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
         look = {"transform": axes[0].get_xaxis_transform(), "fontsize": 7, "parse_math": False}
         side = "left" if place[0] < time.max(initial=0.0) / 2 else "right"
         axes[0].text(*place, text, ha=side, clip_on=True, **look)
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise RenetError(f"cannot write the timeline {path}: {error}") from error
+    picture = io.BytesIO()
+    figure.savefig(picture, format=path.suffix[1:])
+    write_atomically(path, picture.getvalue(), "timeline")
 
 
 def _title(run: Recording) -> str:

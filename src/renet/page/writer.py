@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import json
-import shutil
 import webbrowser
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from hashlib import sha256
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import tyro
 
 from renet.bundle import MANIFEST, Bundle
-from renet.bundle.models import MODELS
+from renet.bundle.models import MAX_MODEL, MODELS
 from renet.errors import RenetError
+from renet.files import MEGABYTE, read_bytes, read_object
+from renet.folders import demand_own, write_folder
 from renet.page.contract import contract
 
 FOLDERS = (Path(__file__).with_name("web"), Path(__file__).parents[3] / "web")
 WEB = next((folder for folder in FOLDERS if (folder / "index.html").is_file()), FOLDERS[0])
 """The page's own files and npm packages: in an installed wheel, or at the root of a clone."""
 MARK = "renet-page.json"
-"""A folder with this file is a page, and may be written anew."""
+"""Lists the files of a page, which may be written anew, and their digests."""
+MAX_FILE = 100 * MEGABYTE
+"""Bytes of a page's file."""
 VENDOR = (
     "@mujoco/mujoco/mujoco.js",
     "@mujoco/mujoco/mujoco.wasm",
@@ -43,7 +47,7 @@ class PageCfg:
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder; the one that ships with renet by default."""
     out: Path = Path("renet-page")
-    """Folder to write; must be empty, absent, or an earlier page."""
+    """Folder to write; must be empty, absent, or an earlier page as it was written."""
     runtime: Path = WEB / "node_modules"
     """Folder of the npm packages of the page's package.json."""
     open: bool = False
@@ -70,15 +74,11 @@ def run_page(cfg: PageCfg) -> Path:
 
 
 def write_page(cfg: PageCfg) -> Path:
-    """Write the folder beside its final place and rename it: nobody sees half of one.
+    """Write the folder whole, in place of an earlier page that nobody changed.
 
     Raises:
         RenetError: a bad bundle, a folder that holds something else, or missing npm packages.
     """
-    out = cfg.out.resolve()
-    is_page = (out / MARK).is_file() and not (out / ".git").exists()
-    if out.exists() and not is_page and (out.is_file() or any(out.iterdir())):
-        raise RenetError(f"{cfg.out} exists and is not a page: choose another folder")
     vendor = [cfg.runtime / name for name in VENDOR]
     missing = next((path for path in vendor if not path.is_file()), None)
     if missing is not None:
@@ -86,28 +86,40 @@ def write_page(cfg: PageCfg) -> Path:
             f"{missing} is missing: run `npm ci --prefix {WEB}`, or give the folder of the npm "
             "packages with --runtime"
         )
-    bundle = Bundle.load(cfg.bundle)
-    partial_folder = out.with_name(f".{out.name}.partial")
-    try:
-        shutil.rmtree(partial_folder, ignore_errors=True)
-        _fill(partial_folder, bundle, vendor)
-        shutil.rmtree(out, ignore_errors=True)
-        partial_folder.rename(out)
-    except OSError as error:
-        raise RenetError(f"cannot write the page {cfg.out}: {error}") from error
+    earlier = _earlier(cfg.out)
+    demand_own(cfg.out, earlier, "page that renet wrote")
+    contents = _contents(Bundle.load(cfg.bundle), vendor)
+    write_folder(cfg.out, contents, earlier, "page that renet wrote")
     return cfg.out
 
 
-def _fill(folder: Path, bundle: Bundle, vendor: list[Path]) -> None:
-    packages = shutil.ignore_patterns("node_modules", "package*.json", ".*")
-    shutil.copytree(WEB, folder, ignore=packages)
-    for sub in ("vendor", "bundle"):
-        (folder / sub).mkdir()
-    for path in vendor:
-        shutil.copyfile(path, folder / "vendor" / path.name)
+def _contents(bundle: Bundle, vendor: list[Path]) -> dict[str, bytes]:
+    """Every file of a page by its name, the mark with the digests of all others among them."""
+    tops = [p for p in WEB.iterdir() if not p.name.startswith(("node_modules", "package", "."))]
+    web = [path for top in tops for path in (top, *top.rglob("*")) if path.is_file()]
+    contents = {path.relative_to(WEB).as_posix(): path.read_bytes() for path in web}
+    contents |= {f"vendor/{path.name}": path.read_bytes() for path in vendor}
     for name in (MANIFEST, *(f"{model}.onnx" for model in MODELS)):
-        shutil.copyfile(bundle.path / name, folder / "bundle" / name)
-    (folder / MARK).write_text(json.dumps({**contract(), "bundle": bundle.name}))
+        contents[f"bundle/{name}"] = read_bytes(bundle.path / name, MAX_MODEL, "bundle's file")
+    digests = {name: sha256(data).hexdigest() for name, data in contents.items()}
+    mark = {**contract(), "bundle": bundle.name, "files": digests}
+    return contents | {MARK: json.dumps(mark).encode()}
+
+
+def _earlier(folder: Path) -> set[str]:
+    """Files of an earlier page that are still as they were written, by its mark."""
+    if not (folder / MARK).is_file():
+        return set()
+    digests = read_object(folder / MARK, "page's mark").get("files")
+    if not isinstance(digests, dict):
+        return {MARK}
+    return {MARK} | {
+        name
+        for name, digest in digests.items()
+        if ".." not in name.split("/")
+        and (folder / name).is_file()
+        and sha256(read_bytes(folder / name, MAX_FILE, "page's file")).hexdigest() == digest
+    }
 
 
 def make_server(folder: Path, port: int) -> ThreadingHTTPServer:

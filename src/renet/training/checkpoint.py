@@ -2,13 +2,12 @@
 
 A checkpoint is a folder `it_00001234` with `model.safetensors`, `average.safetensors` (the mean of
 the last weights, which is exported), `optimizer.safetensors`, `environment.safetensors` and
-`state.json`. It is written beside its final name and renamed, so that
-a killed process or a full disk leaves earlier checkpoints whole.
+`state.json`. It is written whole, so that a killed process or a full disk leaves earlier
+checkpoints as they are.
 """
 
 import json
-import os
-import shutil
+import re
 import sys
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -17,16 +16,20 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
+from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
 from torch.optim import Optimizer
 from torch.optim.swa_utils import AveragedModel
 
 from renet.errors import RenetError
 from renet.files import MEGABYTE, read_object, require_regular
+from renet.folders import foreign, remove_folder, write_folder
 
 FORMAT = 1
-PREFIX = "it_"
+TENSORS = ("model", "average", "optimizer", "environment")
+FILES = ("state.json", *(f"{name}.safetensors" for name in TENSORS))
+"""All that a checkpoint's folder holds."""
 UNTOLD = ("config.device", "config.processes", "config.hosts", "task_cfg.seed")
 """Settings that say how a run is carried out, not what it learns, or that are told elsewhere."""
 MAX_TENSORS = 4000 * MEGABYTE
@@ -55,37 +58,35 @@ class Checkpoint:
 
 def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Path:
     """Write atomically and keep it and the `keep` - 1 farthest others; raises RenetError."""
-    final = folder / f"{PREFIX}{iteration:08d}"
-    partial = folder / f".{final.name}.partial"
+    final = folder / f"it_{iteration:08d}"
+    state = {"format": FORMAT, "iteration": iteration, **checkpoint.state}
+    contents = {"state.json": (json.dumps(state, indent=1) + "\n").encode()}
+    for name in TENSORS:
+        tensors = getattr(checkpoint, name).items()
+        tensors = {k: v.detach().cpu().contiguous() for k, v in tensors}
+        contents[f"{name}.safetensors"] = to_bytes(tensors)
     try:
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
-        for name in ("model", "average", "optimizer", "environment"):
-            tensors = getattr(checkpoint, name).items()
-            tensors = {k: v.detach().cpu().contiguous() for k, v in tensors}
-            save_file(tensors, partial / f"{name}.safetensors")
-        state = {"format": FORMAT, "iteration": iteration, **checkpoint.state}
-        (partial / "state.json").write_text(json.dumps(state, indent=1) + "\n")
-        for file in partial.iterdir():  # On the disk before it counts as a checkpoint.
-            with file.open("rb") as handle:
-                os.fsync(handle.fileno())
-        shutil.rmtree(final, ignore_errors=True)
-        os.replace(partial, final)
-    except (OSError, SafetensorError) as error:
-        shutil.rmtree(partial, ignore_errors=True)
+        write_folder(final, contents, FILES, "checkpoint")
+    except RenetError as error:
         raise RenetError(
-            f"cannot write checkpoint {final}: {error}. Free the disk or choose a writable "
-            "folder (--log-root, --out); earlier checkpoints are intact"
+            f"{error}. Free the disk or choose a writable folder (--log-root, --out); earlier "
+            "checkpoints are intact"
         ) from error
     others = [path for path in checkpoints(folder) if path != final]
     for old in others[: max(len(others) - keep + 1, 0)]:
-        shutil.rmtree(old, ignore_errors=True)
+        if foreign(old, FILES) is None:  # Else somebody keeps notes there.
+            remove_folder(old, FILES)
     return final
 
 
 def checkpoints(folder: Path) -> list[Path]:
     """Complete checkpoints in a folder, oldest first."""
-    return sorted(path.parent for path in folder.glob(f"{PREFIX}*/state.json"))
+    return sorted(path.parent for path in folder.glob("*/state.json") if _numbered(path.parent))
+
+
+def _numbered(folder: Path) -> bool:
+    """Whether a folder is named as a checkpoint: by its iteration, in eight digits."""
+    return re.fullmatch(r"it_\d{8}", folder.name) is not None and not folder.is_symlink()
 
 
 def find(path: Path) -> Path:
@@ -104,16 +105,10 @@ def find(path: Path) -> Path:
         return path
     if not path.exists():
         raise RenetError(f"no checkpoint at {path}")
-    found = [
-        p.parent
-        for p in path.glob(f"**/{PREFIX}*/state.json")
-        if p.parent.name.removeprefix(PREFIX).isdecimal()
-    ]
-    if not found:
-        raise RenetError(
-            f"no checkpoint in {path}: give a run folder or one of its {PREFIX}* folders"
-        )
-    checkpoint = max(found, key=lambda p: (_date(p.parent.parent), p.name))
+    below = [p.parent for p in path.glob("**/state.json") if _numbered(p.parent)]
+    if not below:
+        raise RenetError(f"no checkpoint in {path}: give a run folder or one of its it_* folders")
+    checkpoint = max(below, key=lambda p: (_date(p.parent.parent), p.name))
     print(f"Checkpoint: {checkpoint}", file=sys.stderr)
     return checkpoint
 

@@ -1,6 +1,7 @@
 """Training curves: TensorBoard and CSV while a run goes on, one figure when it ends."""
 
 import csv
+import io
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,6 +14,7 @@ from rsl_rl.utils.log_writer import LogWriter
 from torch.utils.tensorboard import SummaryWriter
 
 from renet.errors import RenetError
+from renet.files import append, write_atomically
 from renet.interface import CONSTRAINTS
 from renet.training.config import steps_per_env
 
@@ -51,7 +53,7 @@ class MetricsWriter(LogWriter):
         self._path = Path(log_dir) / CURVES
         with self._writing():
             self._board = SummaryWriter(log_dir=log_dir, flush_secs=10)
-            self._file = self._path.open("a", newline="", buffering=1)
+            self._file = append(self._path)
             self._rows = csv.writer(self._file)
             # After a row that a killed run left torn, too: empty lines are no rows.
             self._rows.writerow(() if self._file.tell() else ("iteration", "name", "value"))
@@ -141,10 +143,8 @@ def write_run_report(run: Path) -> Path:
         axis.grid(alpha=0.3)
         if len(names) > 1:
             axis.legend(fontsize=7)
-    path = run / "curves.png"
-    try:
-        figure.savefig(path, dpi=70)
-        (run / "report.json").write_text(json.dumps(last, indent=1) + "\n")
-    except OSError as error:
-        raise RenetError(f"cannot write the report of {run}: {error}") from error
-    return path
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=70)
+    write_atomically(run / "curves.png", picture.getvalue(), "report")
+    write_atomically(run / "report.json", (json.dumps(last, indent=1) + "\n").encode(), "report")
+    return run / "curves.png"

@@ -24,6 +24,7 @@ from mjlab.rl import RslRlVecEnvWrapper
 
 from renet.errors import RenetError
 from renet.files import write_atomically
+from renet.folders import new_folder
 from renet.models.config import ModelCfg
 from renet.tasks.parkour_env_cfg import RandomizationCfg
 from renet.training import checkpoint as checkpoints
@@ -320,13 +321,17 @@ def new_run(root: Path | None, task: str) -> Path:
     root = root or LOGS
     stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     # A second number for runs begun in the same second.
-    names = chain([stamp], (f"{stamp}_{n}" for n in count(2)))
-    try:
-        run = next(path for name in names if not (path := root / task / name).exists())
-        run.mkdir(parents=True)
-    except OSError as error:
-        raise RenetError(f"cannot write to {root}: {error}. Choose another --log-root") from error
-    return run
+    for name in chain([stamp], (f"{stamp}_{n}" for n in count(2))):
+        try:
+            return new_folder(root / task / name)
+        except FileExistsError as error:
+            if not (root / task).is_dir():
+                reason = f"{root / task} is no folder: choose another --log-root"
+                raise RenetError(reason) from error
+        except OSError as error:
+            reason = f"cannot write to {root}: {error}. Choose another --log-root"
+            raise RenetError(reason) from error
+    raise AssertionError
 
 
 def resolve_resume(resume: str, root: Path | None, task: str) -> Path:

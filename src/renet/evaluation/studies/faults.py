@@ -29,6 +29,7 @@ from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import FAULTS, SEVERITIES, Injection, fault_class
 from renet.faults.physical import Glass
+from renet.files import remove
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.selector.calibration import decluster
 from renet.tasks.config.go1 import GO1
@@ -342,7 +343,7 @@ class FaultStudy(WalkingStudy):
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
         """Run the study; where it is the benchmark's, write result.json as well."""
         summary = super().run(evaluator)
-        (self.out / "result.json").unlink(missing_ok=True)
+        remove(self.out / "result.json")
         if set(self.onsets) <= set(ONSETS) and set(self.grounds) <= set(GROUNDS):
             write_json(self.out / "result.json", result(summary))
         return summary
