@@ -91,9 +91,12 @@ COMMANDS = {
         "renet.evaluation.studies.leaderboard:LeaderboardCfg:make_leaderboard",
     ),
     "evaluate terrain": Command(
-        "highest levels on gap, platform and stairs (the paper's table); --preset success: one try",
+        "highest levels (the paper's table); --preset success: one try; standing: robots stop",
         "renet.evaluation.studies.terrain:TerrainStudy:TerrainStudy.main",
-        presets={"success": "renet.evaluation.studies.terrain:SuccessStudy"},
+        presets={
+            "success": "renet.evaluation.studies.terrain:SuccessStudy",
+            "standing": "renet.evaluation.studies.standing:StandingStudy",
+        },
     ),
     "evaluate memory": Command(
         "who crosses, against the seconds without an image",
@@ -103,14 +106,6 @@ COMMANDS = {
         "how far a robot may be from the simulated one before the policy falls",
         "renet.evaluation.studies.margins:MarginsStudy:MarginsStudy.main",
     ),
-    "evaluate standing": Command(
-        "whether a robot that is commanded to stand does, and stands still",
-        "renet.evaluation.studies.standing:StandingStudy:StandingStudy.main",
-    ),
-    "evaluate course": Command(
-        "a kilometre unattended: grass, stairs, slopes, platforms, gaps, an occlusion",
-        "renet.evaluation.studies.course:CourseStudy:CourseStudy.main",
-    ),
     "evaluate log": Command(
         "score a recording: falls, distance, switches, delays, and its timeline",
         "renet.deploy.score:ScoreCfg:score_log",
@@ -119,10 +114,6 @@ COMMANDS = {
     "evaluate report": Command(
         "put every study found in a folder on one self-contained page",
         "renet.evaluation.studies.report:ReportCfg:make_report",
-    ),
-    "evaluate pictures": Command(
-        "pictures of every tile and of the camera's errors",
-        "renet.evaluation.studies.pictures:PicturesStudy:PicturesStudy.main",
     ),
     "bundle inspect": Command(
         "print every input of a bundle by index: name, unit, scale, joint order",

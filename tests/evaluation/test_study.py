@@ -15,11 +15,9 @@ from renet.errors import RenetError
 from renet.evaluation.env import FLAT, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import MAX_JSON, read_results
-from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.noise import NoiseStudy
-from renet.evaluation.studies.pictures import PicturesStudy
 from renet.evaluation.studies.standing import StandingStudy
 from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
 from renet.evaluation.study import Study
@@ -65,6 +63,7 @@ def test_presets_are_chosen_on_the_command_line(capsys) -> None:
         (["faults", "--preset", "noise"], "results/noise"),
         (["faults"], "results/faults"),
         (["terrain", "--preset=success"], "results/success"),
+        (["terrain", "--preset", "standing"], "results/standing"),
     ):
         with pytest.raises(SystemExit):
             cli.main(["evaluate", *words, "--help"])
@@ -92,13 +91,6 @@ def test_a_study_walks_the_bundles_own_robot(tmp_path: Path) -> None:
 
 
 WRONG: dict[type[Study], dict[str, list]] = {
-    CourseStudy: {
-        "lap": [(), ("lava",)],
-        "level": [11],
-        "severity": [0],
-        "laps": [0],
-        "stuck_after": [0.0, nan, inf],
-    },
     FaultStudy: {
         "faults": [("smoke",), ("gaussian:9",), ("gaussian:x",), ()],
         "severities": [(0,)],
@@ -113,8 +105,12 @@ WRONG: dict[type[Study], dict[str, list]] = {
         "selector": ["coin"],
     },
     MarginsStudy: {"axes": [("luck",)], "grounds": [("lava",), ()], "level": [0], "seconds": [inf]},
-    PicturesStudy: {"level": [0], "seconds": [nan, inf]},
-    StandingStudy: {"kinds": [("lava",)], "modes": [("x",)], "level": [11], "stand": [0, inf]},
+    StandingStudy: {
+        "kinds": [("lava",)],
+        "modes": [("x",)],
+        "levels": [(11,)],
+        "seconds": [0, inf],
+    },
     SuccessStudy: {
         "kinds": [("lava",)],
         "levels": [(0,), (), (1, 1)],

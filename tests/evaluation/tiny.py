@@ -2,12 +2,9 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import ClassVar
 
 import numpy as np
 
-from renet.evaluation.env import SimEnv, study_env_cfg
-from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.memory import MemoryStudy
@@ -95,22 +92,6 @@ class Obedient(FakeEnv):
         return pose
 
 
-class StillEvaluator(FakeEvaluator):
-    """Real physics, and robots that stand still."""
-
-    built: ClassVar[dict[int, SimEnv]] = {}
-
-    def make_env(self, task, robots, speed, seed):
-        if seed not in self.built:
-            self.built[seed] = SimEnv(study_env_cfg(task, speed), robots, seed, "auto")
-        return self.built[seed]
-
-    def make_policy(self, num_robots):
-        policy = super().make_policy(num_robots)
-        policy.step = lambda o, depth, op: np.zeros((num_robots, 12), np.float32)
-        return policy
-
-
 TINY: dict[str, tuple[Study, Callable[[], FakeEvaluator]]] = {
     "noise": (NoiseStudy(robots=2, onsets=(1.0,), lasts=4.0, seconds=5.0), FakeEvaluator),
     "faults": (
@@ -135,14 +116,8 @@ TINY: dict[str, tuple[Study, Callable[[], FakeEvaluator]]] = {
     ),
     "terrain": (TerrainStudy(robots=3, seconds=2), partial(FakeEvaluator, Ladder)),
     "standing": (
-        StandingStudy(kinds=("flat", "stairs_up"), robots=2, walk=0.2, settle=0.2, stand=0.4),
+        StandingStudy(kinds=("flat", "stairs_up"), robots=2, seconds=1.0),
         partial(FakeEvaluator, Obedient),
     ),
     "margins": (MarginsStudy(axes=("payload",), robots=1, seconds=0.2), FakeEvaluator),
-    "course": (
-        CourseStudy(
-            lap=("flat", "grass"), laps=2, robots=1, modes=("renet", "op"), stuck_after=0.3
-        ),
-        StillEvaluator,
-    ),
 }

@@ -6,19 +6,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 import tyro
 
 from renet.bundle import MANIFEST
 from renet.bundle.policy import Policy
 from renet.errors import RenetError
-from renet.evaluation.env import FLAT, terrain_env_cfg
+from renet.evaluation.env import FLAT, SimEnv, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.report.height_maps import MapLog
 from renet.evaluation.report.video import VideoCfg, film
 from renet.evaluation.results import output_folder
-from renet.evaluation.rollout import Trial, check_finite, check_modes
+from renet.evaluation.rollout import UPDATES_PER_STEP, Trial, check_finite, check_modes
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
+from renet.selector.monitors import SelectorInput
+from renet.tasks.sensors import HEIGHT_MAP
 from renet.training.export import ExportCfg, export
 
 
@@ -64,6 +66,27 @@ def opened(path: Path | None) -> Iterator[Path | None]:
         return
     with TemporaryDirectory() as folder:
         yield export(ExportCfg(checkpoint=path, out=Path(folder) / path.name))
+
+
+class MapLog:
+    """Height maps of all robots at each control step of a rollout, predicted and true."""
+
+    def __init__(self, policy: Policy, env: SimEnv) -> None:
+        self._policy, self._sensor = policy, env.env.scene[HEIGHT_MAP]
+        self._calls, self._maps = 0, []
+
+    def note(self, seen: SelectorInput) -> None:
+        """To be called at every update of the selector."""
+        del seen
+        if self._calls % UPDATES_PER_STEP == 0:
+            true = self._sensor.data.numpy()
+            self._maps.append(np.stack((self._policy.height_map, true), axis=1))
+        self._calls += 1
+
+    @property
+    def maps(self) -> np.ndarray:
+        """[T, N, 2, 132] m: the VP estimator's, then the terrain's."""
+        return np.stack(self._maps)
 
 
 def run_play(cfg: PlayCfg) -> Path:

@@ -80,18 +80,6 @@ def _terrain(summary: dict[str, Any]) -> list[tuple[str, str]]:
     return [(text, f"{policy}'s levels of 10 on {', '.join(summary['levels'])}")] if text else []
 
 
-def _course(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    return [
-        (
-            f"{total['distance_m'] / 1000:.2f} km",
-            f"walked by RENet's robots on the course; {total['falls']} falls,"
-            f" {total['stuck']} times stuck",
-        )
-        for total in summary["totals"]
-        if total["mode"] == "renet"
-    ]
-
-
 def _percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
@@ -127,16 +115,5 @@ def _worse_success(summary: dict[str, Any]) -> list[Row]:
     ]
 
 
-def _worse_course(summary: dict[str, Any]) -> list[Row]:
-    rows = {(row["mode"], row["kind"]): row for row in summary["passages"]}
-    share = {key: row["crossed"] / row["tries"] for key, row in rows.items()}
-    count = {key: f"{row['crossed']} of {row['tries']}" for key, row in rows.items()}
-    return [
-        ("course", kind, count["renet", kind], count["op", kind])
-        for mode, kind in rows
-        if mode == "renet" and share["renet", kind] < share.get(("op", kind), 0.0) - 0.02
-    ]
-
-
-FACTS = {"noise": noise_facts, "faults": _faults, "course": _course, "terrain": _terrain}
-WORSE = {"faults": _worse_faults, "success": _worse_success, "course": _worse_course}
+FACTS = {"noise": noise_facts, "faults": _faults, "terrain": _terrain}
+WORSE = {"faults": _worse_faults, "success": _worse_success}

@@ -9,13 +9,13 @@ import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
+from matplotlib import colormaps
 from PIL import Image, ImageDraw, ImageFont
 
 from renet.errors import RenetError
-from renet.evaluation.report.colormaps import beside, map_picture
 from renet.evaluation.trace import Trace
 from renet.files import write_atomically
-from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, STEPS_PER_TICK
 from renet.palette import STATES, rgb
 from renet.terminal import progress
 
@@ -23,6 +23,8 @@ CAMERA = "renet_tracking_camera"
 AWAY = np.array([1.6 * np.cos(np.radians(-110.0)), 1.6 * np.sin(np.radians(-110.0)), 0.55])
 """From the robot to the camera that follows it, m, in axes of the robot's initial heading."""
 GREEN, RED, WHITE = (126, 200, 120), (235, 92, 80), (245, 245, 245)
+RELIEF = 0.5
+"""Metres of ground above or below the robot's own that end a height map's colours."""
 
 
 @dataclass(frozen=True)
@@ -161,6 +163,25 @@ class Panel:
 def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     """Pillow's own font: the same everywhere, nothing to install."""
     return ImageFont.load_default(size)
+
+
+def map_picture(height_map: np.ndarray, scale: int = 16) -> np.ndarray:
+    """Colours [12 scale, 11 scale, 3] uint8 of a height map [132] m; high ground is bright."""
+    shares = 0.5 + as_seen(height_map) / (2 * RELIEF)
+    return colormaps["viridis"](shares, bytes=True)[..., :3].repeat(scale, 0).repeat(scale, 1)
+
+
+def as_seen(height_map: np.ndarray) -> np.ndarray:
+    """Heights of the ground [12, 11] m of a height map [132], from above: ahead is up.
+
+    A height map is the robot's height over the ground: its negative is the ground's.
+    """
+    return -height_map.reshape(len(HEIGHT_MAP_X), len(HEIGHT_MAP_Y))[::-1, ::-1]
+
+
+def beside(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Two pictures of one height side by side, with a white line between."""
+    return np.concatenate((left, np.full((len(left), 4, 3), 255, np.uint8), right), axis=1)
 
 
 def film(

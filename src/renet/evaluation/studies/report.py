@@ -12,12 +12,10 @@ from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report.page import reading, render, study_sections, write_page
 from renet.evaluation.report.summary import overview_section, worse_section
 from renet.evaluation.results import read_results
-from renet.evaluation.studies.course import CourseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.memory import MemoryStudy
 from renet.evaluation.studies.noise import NoiseStudy
-from renet.evaluation.studies.pictures import PicturesStudy
 from renet.evaluation.studies.standing import StandingStudy
 from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
 from renet.evaluation.study import Study
@@ -32,8 +30,6 @@ STUDIES: dict[str, type[Study]] = {
         TerrainStudy,
         StandingStudy,
         MarginsStudy,
-        CourseStudy,
-        PicturesStudy,
     )
 }
 """Studies in the order of the page."""
@@ -44,8 +40,7 @@ class ReportCfg:
     """Where the results are and the page goes."""
 
     results: Path = Path("results")
-    """Folder with the studies' folders: noise, faults, memory, success, terrain, standing, margins,
-    course, pictures."""
+    """Folder with a folder for each study: noise, faults, memory, success, terrain, …"""
     out: Path | None = None
     """The page; index.html in `results` by default."""
     run: bool = False

@@ -52,7 +52,8 @@ SIZES = {
 class TerrainStudy(WalkingStudy):
     """The paper's table: how far up the training curriculum a policy gets.
 
-    `--preset success` gives every robot one try at each obstacle instead.
+    `--preset success` gives every robot one try at each obstacle instead; `--preset standing`
+    commands robots to stop.
     """
 
     out: Path = Path("results/terrain")
@@ -72,13 +73,13 @@ class TerrainStudy(WalkingStudy):
     name: ClassVar[str] = "terrain"
     selectable: ClassVar[tuple[str, ...]] = ("kinds",)
     one_try: ClassVar[bool] = False
+    grounds: ClassVar[tuple[str, ...]] = tuple(tiles())
     quick_levels: ClassVar[tuple[int, ...]] = tuple(range(1, LEVELS + 1))
     quick_robots: ClassVar[int] = 4
 
     def __post_init__(self) -> None:
-        unknown = [kind for kind in self.kinds if kind not in tiles()]
-        if unknown or not self.kinds:
-            raise RenetError(f"kinds {self.kinds}: choose among {', '.join(tiles())}")
+        if not self.kinds or not {*self.kinds} <= {*self.grounds}:
+            raise RenetError(f"kinds {self.kinds}: choose among {', '.join(self.grounds)}")
         if not self.levels or len({*self.levels} & {*range(1, LEVELS + 1)}) < len(self.levels):
             raise RenetError(f"levels {self.levels}: choose, once each, among 1 to {LEVELS}")
         super().__post_init__()

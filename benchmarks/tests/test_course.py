@@ -1,21 +1,25 @@
 from collections.abc import Sequence
+from math import inf, nan
+from pathlib import Path
 from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 import torch
+from tests.evaluation.fakes import FakeEvaluator
 
-from renet.evaluation.env import SimEnv, study_env_cfg
-from renet.evaluation.studies.course import CourseStudy, _run
-from renet.evaluation.studies.course_env import (
+from course import CourseStudy, _run
+from course_env import (
     AHEAD,
     CourseEnv,
     PlaceInjector,
     course_env_cfg,
     time_limit,
 )
-from renet.evaluation.studies.course_terrain import LAP, SET_DOWN, passage
+from course_terrain import LAP, SET_DOWN, passage
+from renet.errors import RenetError
+from renet.evaluation.env import SimEnv, study_env_cfg
 from renet.evaluation.trace import Trace
 from renet.faults import Frames
 from renet.sim.depth.rasterizer import scanner
@@ -120,8 +124,22 @@ def test_cameras_fail_where_the_grass_is() -> None:
     np.testing.assert_array_equal(injector.apply(Frames.healthy(healthy), 5).image, healthy)
 
 
-def test_a_course_is_reported_robot_by_robot(run_study) -> None:
-    folder, summary = run_study("course")
+class StillEvaluator(FakeEvaluator):
+    """Real physics, and robots that stand still."""
+
+    def make_env(self, task, robots, speed, seed):
+        return SimEnv(study_env_cfg(task, speed), robots, seed, "auto")
+
+    def make_policy(self, num_robots):
+        policy = super().make_policy(num_robots)
+        policy.step = lambda o, depth, op: np.zeros((num_robots, 12), np.float32)
+        return policy
+
+
+def test_a_course_is_reported_robot_by_robot(tmp_path: Path) -> None:
+    lap = ("flat", "grass")
+    study = CourseStudy(tmp_path, lap=lap, laps=2, robots=1, modes=("renet", "op"), stuck_after=0.3)
+    summary = study.run(StillEvaluator())
     rows = [("renet", 1), ("op", 1), ("renet", 2), ("op", 2)]
     assert [(run["mode"], run["lap"]) for run in summary["runs"]] == rows
     for run in summary["runs"]:
@@ -135,7 +153,23 @@ def test_a_course_is_reported_robot_by_robot(run_study) -> None:
     assert summary["passages"][1] == {"mode": "renet", "kind": "grass"} | counts
     assert summary["lap_m"] == 16
     for name in ("course.png", "passages.png", "summary.csv"):
-        assert (folder / name).stat().st_size > 100
+        assert (tmp_path / name).stat().st_size > 100
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"lap": ()},
+        {"lap": ("lava",)},
+        {"level": 11},
+        {"severity": 0},
+        {"laps": 0},
+        *({"stuck_after": seconds} for seconds in (0.0, nan, inf)),
+    ],
+)
+def test_bad_settings_are_refused(wrong: dict) -> None:
+    with pytest.raises(RenetError):
+        CourseStudy(**wrong)
 
 
 def test_switches_are_those_of_the_estimator_in_use() -> None:

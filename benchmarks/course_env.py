@@ -15,9 +15,9 @@ from mjlab.envs.mdp.terminations import root_height_below_minimum
 from mjlab.managers.termination_manager import TerminationTermCfg
 from torch import Tensor
 
+from course_terrain import passage
 from renet.evaluation.env import SimEnv
 from renet.evaluation.rollout import StepResult
-from renet.evaluation.studies.course_terrain import passage
 from renet.faults import FAULTS, Frames, Injector
 from renet.interface import CONTROL_DT
 from renet.tasks import RenetEnvCfg, RobotCfg

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from renet.evaluation.report.colormaps import RELIEF, map_picture
+from renet.evaluation.report.video import RELIEF, map_picture
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
 
 
