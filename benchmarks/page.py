@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from tests.evaluation.report.browser import Browser, find_browser
 
-from renet.page.writer import make_server
+from renet.server import serve_folder
 
 AFTER = 10.0
 """Seconds from the fault to the look at the robots."""
@@ -94,7 +94,7 @@ def main() -> None:
     program = find_browser()
     if program is None:
         raise SystemExit("no Chromium on this machine")
-    server = make_server(args.page, 0)
+    server = serve_folder(args.page, 0)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     visits = []
     for _ in range(args.loads):

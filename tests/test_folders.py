@@ -66,6 +66,18 @@ def test_a_folder_with_anything_foreign_is_left_as_it_is(folder, tmp_path, add):
     assert contents(tmp_path) == before
 
 
+def test_folders_that_cannot_be_its_own_are_not_entered(tmp_path):
+    deep = tmp_path
+    for _ in range(300):
+        (deep := deep / "somebody's").mkdir()
+    deep.parent.chmod(0)
+    try:
+        assert foreign(tmp_path, OWN) == "somebody's"
+    finally:
+        deep.parent.chmod(0o700)
+    assert foreign(Path("/proc"), OWN) == "1"
+
+
 def test_what_is_no_folder_is_left_as_it_is(tmp_path):
     (tmp_path / "file").write_text("years")
     (tmp_path / "link").symlink_to("nowhere")

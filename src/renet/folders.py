@@ -8,6 +8,7 @@ import ctypes
 import errno
 import fcntl
 import os
+import stat
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
@@ -71,26 +72,18 @@ def demand_own(path: Path, entries: Collection[str], what: str) -> None:
 def foreign(folder: Path, entries: Collection[str]) -> str | None:
     """The first foreign entry of a folder, relative to it; None without any."""
     parents = {str(parent) for name in entries for parent in PurePosixPath(name).parents}
-    for path in _contents(folder):
-        name = path.relative_to(folder).as_posix()
-        link = path.is_symlink()
-        file = path.is_file() and (name in entries or is_temporary(path.name))
-        if link or not (file or (path.is_dir() and name in parents)):
-            return name
-    return None
-
-
-def _contents(folder: Path) -> list[Path]:
-    """All that is in a folder, sorted, without following links; raises RenetError."""
-    result = []
+    folders = [folder] if folder.exists() else []
     try:
-        for entry in sorted(folder.iterdir()) if folder.exists() else []:
-            result.append(entry)
-            if entry.is_dir() and not entry.is_symlink():
-                result += _contents(entry)
+        while folders:  # Only those that may be there are entered: `folder` may be a whole disk.
+            for path in sorted(folders.pop().iterdir()):
+                name, mode = path.relative_to(folder).as_posix(), path.lstat().st_mode
+                if stat.S_ISDIR(mode) and name in parents:
+                    folders.append(path)
+                elif not (stat.S_ISREG(mode) and (name in entries or is_temporary(path.name))):
+                    return name
     except OSError as error:
         raise RenetError(f"cannot read the folder {folder}: {error}") from error
-    return result
+    return None
 
 
 def remove_folder(folder: Path, entries: Collection[str]) -> None:
@@ -101,7 +94,7 @@ def remove_folder(folder: Path, entries: Collection[str]) -> None:
     """
     demand_own(folder, entries, "folder that renet may delete")
     try:
-        for path in reversed(_contents(folder)):  # What a folder holds comes first.
+        for path in sorted(folder.rglob("*"), reverse=True):  # What a folder holds comes first.
             path.rmdir() if path.is_dir() else path.unlink()
         if folder.exists():
             folder.rmdir()

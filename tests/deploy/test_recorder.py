@@ -1,6 +1,8 @@
 """Flights come back as they were written, whole or torn, and replay to the last bit."""
 
-from contextlib import suppress
+import os
+import zlib
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -14,11 +16,14 @@ from renet.deploy.controller import Controller
 from renet.deploy.inference import ThreadedInference
 from renet.deploy.recording import (
     BAD,
+    CHUNK,
     EVENTS,
     HEADER,
     IMAGES,
     MAGIC,
+    MAX_CHUNK,
     MODES,
+    TICK_DTYPE,
     TICKS,
     Recorder,
     Recording,
@@ -114,14 +119,27 @@ def test_a_header_without_limits_cannot_be_replayed(bundle, flight):
         next(replay(flight, bundle))
 
 
-def test_a_torn_flight_is_read_up_to_the_tear(recorded, tmp_path):
+def ends_of_chunks(data: bytes) -> list[int]:
+    ends = [len(MAGIC)]
+    while ends[-1] < len(data):
+        ends.append(ends[-1] + CHUNK.size + CHUNK.unpack_from(data, ends[-1])[1])
+    return ends
+
+
+@pytest.mark.parametrize(
+    "tail", [b"", bytes(3), bytes(CHUNK.size), bytes(5000), b"TICK" + bytes(8)]
+)
+def test_a_torn_flight_is_read_up_to_the_tear(recorded, tmp_path, tail):
+    """Zeros are what a power cut leaves."""
     data = recorded.read_bytes()
     torn = tmp_path / "torn.flight"
     lengths = []
-    for size in range(len(MAGIC), len(data), max(1, len(data) // 200)):
-        torn.write_bytes(data[:size])
-        with suppress(RenetError):  # Torn within the header.
-            flight = read_recording(torn)
+    sizes = {*range(len(MAGIC), len(data), len(data) // 100), *ends_of_chunks(data)[:-1]}
+    for size in sorted(sizes):
+        torn.write_bytes(data[:size] + tail)
+        refused = pytest.raises(RenetError, match="no readable header")
+        with refused if size < ends_of_chunks(data)[1] else nullcontext():
+            flight = read_recording(str(torn))
             assert not flight.complete
             lengths.append(len(flight.ticks))
     assert lengths == sorted(lengths)
@@ -183,3 +201,16 @@ def test_objects_that_fail_are_logged_as_bad(tmp_path):
     log.close()
     (tick,) = read_recording(tmp_path / "a.log").ticks
     assert (tick["state"], tick["frame"], tick["stop"]) == (BAD, BAD, True)
+
+
+def test_no_more_is_unpacked_than_what_was_read_can_hold(recorded, tmp_path):
+    """A hole takes no room on the disk: what counts is what was read before it."""
+    path, data = tmp_path / "a.log", recorded.read_bytes()
+    data = data[: ends_of_chunks(data)[-2]]
+    bomb = zlib.compress(bytes(MAX_CHUNK // TICK_DTYPE.itemsize * TICK_DTYPE.itemsize))
+    chunk = CHUNK.pack(TICKS, len(bomb), zlib.crc32(bomb)) + bomb
+    for count, reason in ((9, "run backwards"), (20, "unpacks to far more than its size")):
+        path.write_bytes(data + chunk * count)
+        os.truncate(path, 1_000_000_000)
+        with pytest.raises(RenetError, match=reason):
+            read_recording(path)

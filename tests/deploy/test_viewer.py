@@ -5,10 +5,11 @@ from urllib.request import urlopen
 
 import pytest
 
-from renet.deploy.main import LOOPBACK, DeployCfg
+from renet.deploy.main import DeployCfg
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.viewer import BrowserViewer
+from renet.server import LOOPBACK
 from renet.training.export import robot_spec
 
 pytest.importorskip("mjviser")

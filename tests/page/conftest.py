@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from renet.bundle import Bundle, pretrained, read_manifest, write_manifest
-from renet.page.writer import WEB, PageCfg, make_server, write_page
+from renet.page.writer import WEB, PageCfg, write_page
+from renet.server import serve_folder
 from renet.training.export import ExportCfg, export
 
 CHECKPOINT = pretrained("checkpoint")
@@ -61,7 +62,7 @@ def node_page(page: Path) -> Path:
 @pytest.fixture(scope="session")
 def address(page: Path) -> Iterator[str]:
     """Where the page is served."""
-    server = make_server(page, 0)
+    server = serve_folder(page, 0)
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     yield f"http://127.0.0.1:{server.server_port}/"

@@ -3,7 +3,6 @@
 import gzip
 import json
 import shutil
-import socket
 import tomllib
 import urllib.request
 from dataclasses import replace
@@ -19,7 +18,7 @@ from renet.deploy.robots.scene import build_scene
 from renet.errors import RenetError
 from renet.files import MEGABYTE
 from renet.page.contract import MAP_HEIGHT, SCENES, contract
-from renet.page.writer import MARK, VENDOR, WEB, PageCfg, make_server, write_page
+from renet.page.writer import MARK, VENDOR, WEB, PageCfg, write_page
 from renet.sim.sensors import HeightMapCfg
 
 
@@ -113,23 +112,6 @@ def test_bad_bundle_leaves_the_earlier_page_as_it_was(tmp_path, runtime):
         write_page(replace(cfg, bundle=tmp_path / "nowhere"))
     assert sorted(path.name for path in cfg.out.rglob("*")) == before
     assert [path.name for path in tmp_path.iterdir() if "partial" in path.name] == []
-
-
-def test_server_listens_on_loopback_and_names_a_port_that_is_taken(tmp_path):
-    with make_server(tmp_path, 0) as server:
-        assert server.server_address[0] == "127.0.0.1"
-        with pytest.raises(RenetError, match="cannot serve on port"):
-            make_server(tmp_path, server.server_port)
-
-
-def test_a_visitor_who_leaves_early_is_no_error(tmp_path, capfd):
-    (tmp_path / "large").write_bytes(bytes(50_000_000))
-    with make_server(tmp_path, 0) as server:
-        server.daemon_threads = False  # The end waits for them.
-        with socket.create_connection(server.server_address[:2]) as visitor:
-            visitor.sendall(b"GET /large HTTP/1.0\r\n\r\n")
-            server.handle_request()
-    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("terrain", SCENES)

@@ -30,11 +30,11 @@ from renet.errors import RenetError
 from renet.faults import parse_fault
 from renet.folders import lock, move, new_folder
 from renet.interface import CONTROL_DT, JOINTS
+from renet.server import LOOPBACK
 from renet.terminal import Terminal
 
 RECORDING = "recording.log"
 RESULTS = (RECORDING, SCORE, TIMELINE)
-LOOPBACK = "127.0.0.1"
 PRIORITY = 50
 """Of SCHED_FIFO, of the control loop's thread; the Go1's sender has 60."""
 SHORT_RUN = 15.0

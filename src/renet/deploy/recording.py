@@ -84,11 +84,11 @@ CLOSING = 5.0
 """Seconds that `close` waits for the disk."""
 
 MAX_FILE = 4000 * MEGABYTE
-"""Bytes of a recording: about eight hours."""
+"""Bytes of a recording, packed or not; eight hours unpack to about as many."""
 MAX_CHUNK = 4 * MEGABYTE
 """Bytes of one chunk, packed or not; a second of ticks has 0.1 MB."""
-MAX_RATIO = 16
-"""Bytes in memory for each byte of the file, after the first 50 MB; a run's own have about 2."""
+FREE, MAX_RATIO = 50 * MEGABYTE, 16
+"""Bytes in memory, and more of them for each byte that was read; a run's own have about 2."""
 LONGEST = 1e6
 """Seconds from the first to the last tick."""
 TEXTS = ("bundle", "bundle_sha256", "robot", "selector", "terrain")
@@ -265,22 +265,22 @@ class Recording:
     """False where the end is missing."""
 
 
-def read_recording(path: Path) -> Recording:
-    """Read a recording as far as it is whole.
+def read_recording(path: Path | str) -> Recording:
+    """Read a recording as far as it is whole: up to a torn end, or one of zeros.
 
     Raises:
         RenetError: not a recording, one without its header, or one whose values make no sense.
     """
-    size = require_regular(path, MAX_FILE, "recording").stat().st_size
+    path = require_regular(Path(path), MAX_FILE, "recording")
     header, ticks, images, events, complete = None, [], {}, [], False
-    left = 50 * MEGABYTE + MAX_RATIO * size
+    unpacked = 0
     try:
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise RenetError(f"{path} is not a recording of this renet")
             for tag, chunk in _chunks(file):
-                left -= len(chunk)
-                if left < 0:
+                unpacked += len(chunk)
+                if unpacked > min(FREE + MAX_RATIO * file.tell(), MAX_FILE):
                     raise RenetError(f"the recording {path} unpacks to far more than its size")
                 if tag == HEADER:
                     header = _header(parse_json(chunk, "header"))
@@ -308,6 +308,8 @@ def _chunks(file: BinaryIO) -> Iterator[tuple[bytes, bytes]]:
     """Whole chunks, up to the first that is torn or damaged."""
     while len(head := file.read(CHUNK.size)) == CHUNK.size:
         tag, length, check = CHUNK.unpack(head)
+        if length == 0:  # No chunk is: a power cut leaves zeros.
+            return
         packed = file.read(min(length, MAX_CHUNK))
         if len(packed) < length or zlib.crc32(packed) != check:
             return

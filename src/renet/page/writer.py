@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import json
 import webbrowser
-from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from hashlib import sha256
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import tyro
@@ -19,6 +16,7 @@ from renet.errors import RenetError
 from renet.files import MEGABYTE, read_bytes, read_object
 from renet.folders import demand_own, write_folder
 from renet.page.contract import contract
+from renet.server import LOOPBACK, serve_folder
 
 FOLDERS = (Path(__file__).with_name("web"), Path(__file__).parents[3] / "web")
 WEB = next((folder for folder in FOLDERS if (folder / "index.html").is_file()), FOLDERS[0])
@@ -37,7 +35,6 @@ VENDOR = (
     "three/build/three.module.js",
 )
 """Files of the npm packages that a visitor's browser loads."""
-LOOPBACK = "127.0.0.1"
 
 
 @dataclass(frozen=True)
@@ -65,7 +62,7 @@ def run_page(cfg: PageCfg) -> Path:
     """
     folder = write_page(cfg)
     if cfg.open:
-        with make_server(folder, cfg.port) as server:
+        with serve_folder(folder, cfg.port) as server:
             address = f"http://{LOOPBACK}:{server.server_port}/"
             print(f"{address} (Ctrl-C ends it)", flush=True)
             webbrowser.open(address)
@@ -120,30 +117,3 @@ def _earlier(folder: Path) -> set[str]:
         and (folder / name).is_file()
         and sha256(read_bytes(folder / name, MAX_FILE, "page's file")).hexdigest() == digest
     }
-
-
-def make_server(folder: Path, port: int) -> ThreadingHTTPServer:
-    """A server of a page on loopback, at any free port for 0; raises RenetError for one taken."""
-    try:
-        return ThreadingHTTPServer((LOOPBACK, port), partial(QuietHandler, directory=str(folder)))
-    except (OSError, OverflowError) as error:
-        raise RenetError(f"cannot serve on port {port}: {error}") from error
-
-
-class QuietHandler(SimpleHTTPRequestHandler):
-    """Serves files with the types that browsers ask of modules and WebAssembly."""
-
-    extensions_map = {  # noqa: RUF012
-        **SimpleHTTPRequestHandler.extensions_map,
-        ".js": "text/javascript",
-        ".mjs": "text/javascript",
-        ".wasm": "application/wasm",
-    }
-
-    def handle(self) -> None:
-        """Serve; a visitor who leaves before a file has arrived is no error."""
-        with suppress(ConnectionError):
-            super().handle()
-
-    def log_message(self, format: str, *args: object) -> None:
-        """Print nothing."""
