@@ -6,6 +6,7 @@ import mujoco
 import pytest
 
 from renet.errors import RenetError
+from renet.interface import LEGS
 from renet.tasks import make_env
 from renet.tasks.config.go1 import GO1
 from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
@@ -51,6 +52,35 @@ def test_margins_of_a_vendors_geoms_are_dropped():
     # Which MuJoCo Warp would have refused on boxes.
     cfg = tile_env_cfg(tile_row({"gap": 1}), robot=replace(GO1, spec=spec))
     make_env(cfg, 1).close()
+
+
+def test_joints_without_limits_are_named():
+    def spec() -> mujoco.MjSpec:
+        made = GO1.spec()
+        for name in ("FR_thigh_joint", "RL_calf_joint"):
+            made.joint(name).range = (0.0, 0.0)
+        return made
+
+    with pytest.raises(RenetError, match="gives FR_thigh_joint, RL_calf_joint no limits"):
+        make_env(flat_env_cfg(robot=replace(GO1, spec=spec)), 1)
+
+
+def test_a_vendors_sites_named_as_legs_make_way():
+    made, feet = GO1.spec(), {leg: f"{leg}_foot_collision" for leg in LEGS}
+    trunk = made.body("trunk")
+    made.delete(made.site("FL"))
+    trunk.add_site(name="FL", pos=(0.0, 0.0, 0.3))
+    made.add_sensor(
+        name="height",
+        type=mujoco.mjtSensor.mjSENS_FRAMEPOS,
+        objname="FL",
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+    )
+    renamed = rename_parts(made, trunk="trunk", feet=feet)
+    for leg in LEGS:
+        assert renamed.site(leg).parent.name == f"{leg}_calf"
+        assert (renamed.site(leg).pos == renamed.geom(f"{leg}_foot_collision").pos).all()
+    renamed.compile()
 
 
 def test_all_feet_must_be_named():

@@ -104,6 +104,12 @@ class RobotCfg:
         for lookup, names in wanted:
             for name in names:
                 _part(lookup, name)
+        free = [name for name in JOINTS if not _limited(spec.joint(name))]
+        if free:
+            raise RenetError(
+                f"the robot's MJCF gives {', '.join(free)} no limits: set the joint's `range` in "
+                "RobotCfg.spec, since position costs and bundles need it"
+            )
         calves = [sum(bool(re.fullmatch(calf, g.name)) for g in spec.geoms) for calf in CALVES]
         if 0 in calves or len(set(calves)) > 1:
             counts = ", ".join(f"{leg} {n}" for leg, n in zip(LEGS, calves, strict=True))
@@ -156,10 +162,17 @@ def rename_parts(
         found |= {name: _part(lookup, own.get(name, name)) for name in names}
     for name, part in found.items():
         part.name = name
+    # Servos are mjlab's; physics options and poses are the task's.
+    spec.option = mujoco.MjSpec().option
+    for group in (spec.actuators, spec.sensors, spec.keys):
+        for item in list(group):
+            spec.delete(item)
     if set(feet) != set(LEGS):
         raise RenetError(f"feet must be of {', '.join(LEGS)}, not {', '.join(feet) or 'none'}")
     for leg, foot in feet.items():
         geom = _part(spec.geom, foot)
+        if (site := spec.site(leg)) is not None:  # A vendor's, which may be anywhere.
+            spec.delete(site)
         geom.parent.add_site(name=leg, pos=geom.pos)
         geom.name = f"{leg}_foot_collision"
     for body in spec.bodies:
@@ -167,12 +180,14 @@ def rename_parts(
         others = [geom for geom in colliding if geom.name not in FEET]
         for number, geom in enumerate(others, start=1):
             geom.name = f"{body.name}_collision{number}"
-    # Servos are mjlab's; physics options and poses are the task's.
-    spec.option = mujoco.MjSpec().option
-    for group in (spec.actuators, spec.sensors, spec.keys):
-        for item in list(group):
-            spec.delete(item)
     return spec
+
+
+def _limited(joint: mujoco.MjsJoint) -> bool:
+    """Whether a joint has limits; where its MJCF does not say so, MuJoCo goes by the range."""
+    low, high = joint.range
+    auto = joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO
+    return low < high if auto else bool(joint.limited)
 
 
 def _part(lookup: Callable, name: str):
