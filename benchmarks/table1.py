@@ -270,11 +270,10 @@ class CheckpointEvaluator(Evaluator):
     def __init__(self, path: Path) -> None:
         """Load a checkpoint; raises RenetError where it is damaged."""
         super().__init__()
-        found = checkpoints.load(path)
-        self._model = load_networks(found, path)
+        self._model = load_networks(path)
         self._name = path.name
         digest = hashlib.sha256()
-        for name, value in sorted(found.exported.items()):
+        for name, value in sorted(checkpoints.load(path).exported.items()):
             digest.update(name.encode() + value.numpy().tobytes())
         self._digest = digest.hexdigest()
 

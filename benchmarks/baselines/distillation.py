@@ -153,7 +153,7 @@ class DistillationAlgorithm(RenetAlgorithm):
         taught = torch.zeros_like(kinds, dtype=torch.bool)
         for path, own in cfg.teachers:
             checkpoint = checkpoints.load(Path(path), self.device)
-            model = load_networks(checkpoint, Path(path)).to(self.device)
+            model = load_networks(Path(path)).to(self.device)
             if model.cfg.perception != "oracle":
                 raise RenetError(f"{path} cannot teach: it is not a policy with perception oracle")
             wanted = torch.tensor([names.index(name) for name in own or names], device=kinds.device)

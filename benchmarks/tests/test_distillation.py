@@ -80,7 +80,7 @@ def student(folder, teachers, rate=1e-3, **distillation) -> DistillationRunner:
 
 
 def actor_of(path: str) -> torch.nn.Module:
-    return load_networks(checkpoints.load(Path(path)), Path(path)).actor
+    return load_networks(Path(path)).actor
 
 
 def test_each_robot_is_taught_by_the_teacher_of_its_tile(teachers, tmp_path) -> None:

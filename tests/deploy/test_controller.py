@@ -71,8 +71,7 @@ def test_a_refused_wish_to_rise_says_why(bundle):
 def test_the_shipped_checkpoint_acts_alike_in_torch_and_on_the_robot(tmp_path):
     """20 s of closed loop with faults: the robot obeys the bundle, torch shadows it."""
     bundle = Bundle.load(export(ExportCfg(checkpoint=CHECKPOINT, out=tmp_path / "bundle")))
-    found = checkpoints.find(CHECKPOINT)
-    networks = load_networks(checkpoints.load(found), found)
+    networks = load_networks(checkpoints.find(CHECKPOINT))
     memory = EstimatorMemory(networks.cfg, 1, "cpu")
     model, ground = build_scene("flat")
     robot = MujocoRobot(model, bundle.manifest.robot, ground)

@@ -85,7 +85,7 @@ def test_training_pulls_matching_views_together():
 
 def test_the_shipped_prototypes_have_not_collapsed():
     found = checkpoints.find(Path(renet.__file__).parent / "pretrained" / "checkpoint")
-    model = load_networks(checkpoints.load(found), found)
+    model = load_networks(found)
     assert min(model.op_him.effective_rank(), model.vp_him.effective_rank()) > 8
 
 

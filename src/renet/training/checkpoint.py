@@ -9,13 +9,14 @@ checkpoints as they are.
 import json
 import re
 import sys
+from copy import deepcopy
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
@@ -32,8 +33,8 @@ FILES = ("state.json", *(f"{name}.safetensors" for name in TENSORS))
 """All that a checkpoint's folder holds."""
 UNTOLD = ("config.device", "config.processes", "config.hosts", "task_cfg.seed")
 """Settings that say how a run is carried out, not what it learns, or that are told elsewhere."""
-MAX_TENSORS = 4000 * MEGABYTE
-"""Bytes of one file of tensors."""
+MAX_TENSORS = 100 * MEGABYTE
+"""Bytes of one file of tensors; those of the default networks have at most 16 MB."""
 
 
 @dataclass
@@ -119,19 +120,46 @@ def _date(run: Path) -> tuple[str, float]:
     return (run.name if dated else "", run.stat().st_mtime)
 
 
-def load(path: Path, device: str | torch.device = "cpu") -> Checkpoint:
-    """Read a checkpoint; raises RenetError naming the file that is missing or damaged."""
+def load(
+    path: Path, device: str | torch.device = "cpu", model: nn.Module | None = None
+) -> Checkpoint:
+    """Read a checkpoint.
+
+    Args:
+        path: of its folder. device: where its tensors are to be.
+        model: what the weights are for; the files' headers are compared with it before any tensor
+            takes memory.
+
+    Raises:
+        RenetError: a file is missing or damaged, or does not fit the model.
+    """
     state = load_state(path)
+    tensors: dict[str, dict[str, Tensor]] = {"optimizer": {}, "average": {}}  # Not in all.
     try:
-        tensors: dict[str, dict[str, Tensor]] = {"optimizer": {}, "average": {}}  # Not in all.
         for name in ("model", "environment", *tensors):
             file = path / f"{name}.safetensors"
-            if name not in tensors or file.exists():
-                file = require_regular(file, MAX_TENSORS, "checkpoint's file")
-                tensors[name] = load_file(file, device=str(device))
+            if name in tensors and not file.exists():
+                continue
+            shapes = header(file)
+            if model is not None and shapes and name in ("model", "average"):
+                load_model(deepcopy(model).to("meta"), shapes, path, assign=True)
+            tensors[name] = load_file(file, device=str(device))
     except (OSError, ValueError, SafetensorError) as error:
         raise RenetError(f"checkpoint {path} is incomplete or damaged: {error}") from error
     return Checkpoint(**tensors, state=state)
+
+
+def header(file: Path) -> dict[str, Tensor]:
+    """Tensors of a file by name, without their values.
+
+    Raises:
+        RenetError: no regular file, or a larger one than any of renet's.
+        SafetensorError: not of tensors.
+    """
+    with safe_open(require_regular(file, MAX_TENSORS, "checkpoint's file"), "pt") as tensors:
+        names = tensors.keys()
+        shapes = {name: tensors.get_slice(name).get_shape() for name in names}
+    return {name: torch.empty(shape, device="meta") for name, shape in shapes.items()}
 
 
 def load_state(path: Path) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import torch
 import tyro
 from mjlab.entity import Entity
 from mjlab.utils.string import resolve_expr
+from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from renet import __version__
@@ -30,7 +31,6 @@ from renet.tasks import env_cfg
 from renet.tasks.config.go1 import GO1
 from renet.tasks.robot_cfg import ACTION_CLIP, RobotCfg
 from renet.training import checkpoint as checkpoints
-from renet.training.checkpoint import Checkpoint
 from renet.training.config import WithholdingCfg, from_dict
 
 OPSET = 17
@@ -52,13 +52,12 @@ class ExportCfg:
 def export(cfg: ExportCfg) -> Path:
     """Export and return the bundle's folder; raises RenetError for a foreign checkpoint."""
     found = checkpoints.find(cfg.checkpoint)
-    loaded = checkpoints.load(found)
-    model = load_networks(loaded, found)
+    model, state = load_networks(found), checkpoints.load_state(found)
     try:
-        provenance = _provenance(loaded.state, model.cfg)
+        provenance = _provenance(state, model.cfg)
         # Checkpoints that do not say were trained with the default.
-        noise_std = loaded.state["config"].get("depth_noise_std", DepthNoiseCfg.gaussian_std)
-        learned = from_dict(WithholdingCfg, loaded.state["config"].get("withholding", {}))
+        noise_std = state["config"].get("depth_noise_std", DepthNoiseCfg.gaussian_std)
+        learned = from_dict(WithholdingCfg, state["config"].get("withholding", {}))
     except (KeyError, TypeError, AttributeError) as error:
         raise RenetError(
             f"{found} is not a checkpoint of RENet: its state lacks {error}"
@@ -79,18 +78,25 @@ def export(cfg: ExportCfg) -> Path:
     return write_bundle(cfg.out, export_models(model), manifest)
 
 
-def load_networks(checkpoint: Checkpoint, path: Path) -> RENet:
-    """Rebuild the networks a checkpoint was taken from."""
+def load_networks(path: Path) -> RENet:
+    """Rebuild the networks a checkpoint was taken from.
+
+    Raises:
+        RenetError: a file is missing or damaged, or weights and settings do not fit each other.
+    """
     try:
-        cfg = from_dict(ModelCfg, checkpoint.state["config"]["model"])
-        critic_size = checkpoint.model["critic_normalizer._mean"].shape[-1]
+        cfg = from_dict(ModelCfg, checkpoints.load_state(path)["config"]["model"])
+        weights = checkpoints.header(path / "model.safetensors")
+        critic_size = weights["critic_normalizer._mean"].shape[-1]
         with torch.device("meta"):  # Takes no memory, whatever sizes a stranger wrote.
             shapes = RENet(cfg, critic_size)
     except KeyError as error:
         raise RenetError(f"{path} is not a checkpoint of RENet: it lacks {error}") from error
+    except SafetensorError as error:
+        raise RenetError(f"checkpoint {path} is incomplete or damaged: {error}") from error
     except (TypeError, ValueError, RuntimeError, OverflowError, AttributeError) as error:
         raise RenetError(f"{path}: the model's settings make no sense: {error}") from error
-    checkpoints.load_model(shapes, checkpoint.model, path, assign=True)
+    checkpoint = checkpoints.load(path, model=shapes)
     model = RENet(cfg, critic_size)
     checkpoints.load_model(model, checkpoint.exported, path)
     return model.eval()

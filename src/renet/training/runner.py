@@ -250,9 +250,9 @@ class RenetRunner(OnPolicyRunner):
     def load(self, path: str, **_: Any) -> dict:  # type: ignore[override]
         """Go on from a checkpoint folder; raises RenetError if it does not fit."""
         found = checkpoints.find(Path(path))
-        checkpoint = checkpoints.load(found, self.device)
-        algorithm, state = self.alg, checkpoint.state
+        algorithm, state = self.alg, checkpoints.load_state(found)
         checkpoints.check_config(self.cfg["model"], state["config"]["model"], found)
+        checkpoint = checkpoints.load(found, self.device, algorithm.model)
         checkpoints.load_model(algorithm.model, checkpoint.model, found)
         checkpoints.load_optimizers(algorithm.optimizers, checkpoint.optimizer)
         before, now = state["config"]["algorithm"], self._recipe["algorithm"]
