@@ -6,6 +6,7 @@ without a camera, `vp` trusts its camera whatever it shows, `renet` has the defa
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +15,15 @@ from statistics import fmean
 import numpy as np
 import tyro
 
+sys.path.append(str(Path(__file__).parents[1] / "examples"))
+
 from facts import report
+from pybullet_driver import BulletRobot
 from renet.bundle import Bundle
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
-from renet.deploy.robots.bullet import BulletRobot
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.safety import Mode, SafetyCfg

@@ -31,9 +31,10 @@ from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
 from renet.deploy.realtime import realtime
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import go1_envelope
+from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.safety import Mode, SafetyCfg
 from renet.deploy.teleop import ScriptedTeleop
+from renet.descriptions import GO1
 from renet.interface import CONTROL_DT, DEPTH_SHAPE
 
 WARM_UP = 3.0
@@ -56,7 +57,7 @@ class RandomRobot:
     """Stands and trembles, on the wall clock; notes how late every control step begins."""
 
     def __init__(self, robot: RobotSpec) -> None:
-        self.envelope = go1_envelope()
+        self.envelope = read_envelope(GO1)
         self._pose, self._random = np.array(robot.default_position), np.random.default_rng(0)
         self.late_ms: list[float] = []
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import mujoco
 from mjlab.entity import Entity
 
-from renet.deploy.robots.scene import GO1
+from renet.descriptions import GO1
 from renet.tasks.config.go1 import GO1 as ROBOT
 from renet.tasks.parkour_env_cfg import flat_env_cfg
 
@@ -50,5 +50,5 @@ def write(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    write(GO1)
-    print(GO1)
+    write(GO1.mjcf)
+    print(GO1.mjcf)

@@ -8,9 +8,14 @@ from dataclasses import dataclass
 
 LEGS = ("FR", "FL", "RR", "RL")
 JOINTS = tuple(f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "thigh", "calf"))
+TRUNK = "trunk"
+"""Name of a robot's base body in its MJCF."""
 
 CONSTRAINTS = ("joint_position", "joint_velocity", "torque")
 """The paper's constraint costs, in the order of every cost tensor."""
+
+MAX_SPEED = 1.0
+"""Fastest forward command of training, m/s (paper)."""
 
 CONTROL_DT = 0.02
 """Seconds between policy ticks (50 Hz)."""

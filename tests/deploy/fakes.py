@@ -9,9 +9,10 @@ from renet.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller, Event
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import go1_envelope
+from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.safety import SafetyCfg
 from renet.deploy.teleop import TeleopCommand
+from renet.descriptions import GO1
 from renet.interface import CONTROL_DT
 
 STANDING = np.tile([0.1, 0.9, -1.8, -0.1, 0.9, -1.8], 2)
@@ -64,7 +65,7 @@ class Standing:
     """A robot that stands still on a clock of its own, and remembers what it was told."""
 
     def __init__(self, **reading) -> None:
-        self.envelope, self.time, self.reading = go1_envelope(), 0.0, reading
+        self.envelope, self.time, self.reading = read_envelope(GO1), 0.0, reading
         self.told: list[JointCommand] = []
         self.wait_fails: BaseException | None = None
 

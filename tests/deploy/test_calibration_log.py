@@ -12,7 +12,8 @@ import pytest
 from renet.bundle import DEFAULT, Bundle, pretrained
 from renet.deploy import calibration_log
 from renet.deploy.calibration_log import healthy_walks, recorded_scores
-from renet.deploy.main import DeployCfg, deploy
+from renet.deploy.cfg import DeployCfg
+from renet.deploy.main import deploy
 from renet.deploy.recording import MODES, Recording, read_recording
 from renet.deploy.safety import Mode
 from renet.errors import RenetError

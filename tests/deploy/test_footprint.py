@@ -9,11 +9,12 @@ import pytest
 
 import renet
 from renet.bundle import DEFAULT, pretrained
-from renet.deploy.main import DeployCfg, deploy
+from renet.deploy.cfg import DeployCfg
+from renet.deploy.main import deploy
 from renet.deploy.safety import SafetyCfg
 
 TRAINING = ("torch", "mjlab", "warp", "mujoco", "mujoco_warp", "rsl_rl", "matplotlib", "mediapy")
-SIMULATION = ("robots.mujoco", "robots.bullet", "robots.scene", "cameras.sim", "viewer")
+SIMULATION = ("robots.mujoco", "robots.scene", "cameras.sim", "viewer")
 """Modules of `renet.deploy` that are the simulated robot, imported when it is asked for."""
 
 

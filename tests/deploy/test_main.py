@@ -15,11 +15,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import tyro
 
-from renet import cli
+from renet import cli, descriptions
 from renet.bundle import Bundle, read_manifest, write_manifest
-from renet.deploy import devices
-from renet.deploy.main import DEADMAN, RECORDING, DeployCfg, _interruptible, deploy
+from renet.deploy import catalogue, devices
+from renet.deploy.catalogue import Go1Cfg, RealSenseCfg, ReplayCfg, SimCameraCfg, SimulationCfg
+from renet.deploy.cfg import DEADMAN, DeployCfg
+from renet.deploy.main import RECORDING, _interruptible, deploy
 from renet.deploy.recording import MODES, Recording, read_recording
 from renet.deploy.replay import mismatch
 from renet.deploy.robots.mujoco import MujocoRobot
@@ -27,6 +30,7 @@ from renet.deploy.safety import Mode, SafetyCfg
 from renet.deploy.score import SCORE, TIMELINE
 from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
 from renet.errors import RenetError
+from renet.interface import TRUNK
 
 QUICK = SafetyCfg(stand_up_seconds=0.5)
 
@@ -146,13 +150,15 @@ def test_who_steers_decides_on_clock_end_and_deadman(options, live, length, oper
 
 
 def test_the_go1s_address_and_power_level_are_options():
-    cfg = DeployCfg(robot="go1", camera="none", robot_host="10.0.0.1", power_level=5, dry_run=True)
-    robot, _ = devices.make_robot(cfg, Bundle.load(), print)
-    assert robot._address == ("10.0.0.1", 8007, 8080, 5)  # type: ignore[attr-defined]
+    arguments = ["--robot", "go1", "--robot-host", "10.0.0.1", "--power-level", "5"]
+    cfg = tyro.cli(DeployCfg, args=arguments, default=DeployCfg.defaults(arguments))
+    assert cfg.driver == Go1Cfg("10.0.0.1", 5)
+    robot = devices.make_robot(cfg, Bundle.load())
+    assert robot._settings == ("10.0.0.1", 8007, 8080, 5)  # type: ignore[attr-defined]
 
 
 def test_real_time_flies_on_the_threads_and_replays(tmp_path):
-    assert mismatch(run(tmp_path, real_time=True), Bundle.load()) == 0.0
+    assert mismatch(run(tmp_path, driver=SimulationCfg(real_time=True)), Bundle.load()) == 0.0
 
 
 def test_a_fault_of_the_scene_is_seen_from_its_onset(tmp_path):
@@ -165,7 +171,7 @@ def test_a_fault_of_the_scene_is_seen_from_its_onset(tmp_path):
 
 def test_the_replay_camera_shows_a_flights_images(tmp_path):
     a = run(tmp_path / "a")
-    b = run(tmp_path / "b", camera="replay", recording=tmp_path / "a" / RECORDING)
+    b = run(tmp_path / "b", camera="replay", lens=ReplayCfg(tmp_path / "a" / RECORDING))
     # The second camera spoke first in the same control step: same image, same step.
     for row, image in a.images.items():
         np.testing.assert_array_equal(b.images[row], image)
@@ -190,8 +196,9 @@ def test_the_replay_camera_shows_a_flights_images(tmp_path):
         ("--camera replay --recording nowhere", "cannot read the recording nowhere"),
         ("--robot go1", "needs --teleop keyboard or joystick, or --dry-run"),
         ("--robot go1 --camera sim", "looks at a simulation"),
-        ("--robot go1 --viewer --dry-run", "look at the robot"),
-        ("--robot go1 --host 10.0.0.1 --dry-run", "the robot's is --robot-host"),
+        ("--robot spot", "unknown robot 'spot': choose one of mujoco, go1"),
+        ("--camera eye", "unknown camera 'eye': choose one of sim, realsense, replay, none"),
+        ("--scene step.xml --terrain stairs", "leave --terrain away"),
         ("--terrain lava", "unknown terrain 'lava': choose one of flat, stairs, rough, "),
         ("--scene nowhere.xml", "cannot read the scene nowhere.xml"),
         ("nowhere", "no bundle at nowhere"),
@@ -205,11 +212,87 @@ def test_mistakes_are_told_before_anything_moves(tmp_path, capsys, monkeypatch, 
     assert not list(tmp_path.iterdir())
 
 
-def test_another_robots_bundle_is_refused(tmp_path, bundle_path):
+@pytest.fixture
+def spot(bundle_path, monkeypatch) -> Path:
+    """A bundle for another robot, of which there is no description yet."""
     manifest = read_manifest(bundle_path)
     write_manifest(bundle_path, replace(manifest, robot=replace(manifest.robot, name="Spot")))
-    with pytest.raises(RenetError, match="drives a Spot"):
-        deploy(DeployCfg(bundle=bundle_path, out=tmp_path))
+    monkeypatch.setattr(descriptions, "DESCRIPTIONS", dict(descriptions.DESCRIPTIONS))
+    return bundle_path
+
+
+@pytest.mark.parametrize(
+    ("robot", "message"),
+    [("mujoco", "drives a Spot, which has no description"), ("go1", "Spot, --robot go1 is a Unit")],
+)
+def test_another_robots_bundle_is_refused(spot, robot, message, tmp_path):
+    with pytest.raises(RenetError, match=message):
+        deploy(DeployCfg(bundle=spot, robot=robot, out=tmp_path, dry_run=True))
+
+
+def test_a_simulation_takes_model_height_and_limits_from_the_bundles_robot(spot, tmp_path):
+    """A robot of other weight, height and motors, known by its description alone."""
+    model = ET.parse(descriptions.GO1.mjcf)
+    for body in model.iter("body"):
+        if body.get("name") == TRUNK:
+            body.find("inertial").set("mass", "7.5")
+    model.write(tmp_path / "spot.xml")
+    speeds = {"hip": 20.0, "thigh": 20.0, "calf": 10.0}
+    descriptions.register_description(
+        descriptions.RobotDescription("Spot", tmp_path / "spot.xml", 0.4, speeds, damping=5.0)
+    )
+    bundle = Bundle.load(spot)
+    robot = devices.make_robot(DeployCfg(), bundle)
+    assert robot.model.body(TRUNK).mass == 7.5
+    assert robot.base_position[2] == 0.4
+    assert (robot.envelope.velocity[2], robot.envelope.damping) == (10.0, 5.0)
+    assert run(tmp_path / "out", bundle=spot, seconds=1.0).header["robot"] == "mujoco"
+
+
+DRIVER = """
+from dataclasses import dataclass
+from renet.deploy.catalogue import ROBOTS, SimulationCfg
+
+@dataclass(frozen=True)
+class MoonCfg(SimulationCfg):
+    gravity: float = 1.6
+
+    def build(self, robot, live, seed):
+        driver = super().build(robot, live, seed)
+        driver.model.opt.gravity[2] = -self.gravity
+        return driver
+
+ROBOTS["moon"] = MoonCfg
+"""
+
+
+def test_a_driver_of_an_installed_package_is_known_by_its_entry_point(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setitem(catalogue.ROBOTS, "moon", None)  # Taken out again at the end.
+    for name, points in (("moon", "moon = moon_driver"), ("broken", "broken = no_such_module")):
+        info = tmp_path / f"{name}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[renet.robots]\n{points}\n")
+    (tmp_path / "moon_driver.py").write_text(DRIVER)
+    monkeypatch.syspath_prepend(tmp_path)
+    out = tmp_path / "out"
+    arguments = ["deploy", "--robot", "moon", "--gravity", "3.7", "--seconds", "0.1", "--out", out]
+    assert cli.main([str(argument) for argument in arguments]) == 0
+    assert read_recording(out / RECORDING).header["gravity"] == 3.7
+    told = capsys.readouterr().err
+    assert "cannot use no_such_module" in told
+    assert "moon" not in told
+
+
+@pytest.mark.parametrize(
+    "option", ["--terrain stairs", "--viewer", "--host 10.0.0.1", "--serial 1"]
+)
+def test_options_of_another_robot_or_camera_are_refused(option, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["deploy", "--robot", "go1", "--camera", "none", "--dry-run", *option.split()])
+    assert "Unrecognized options" in capsys.readouterr().err
 
 
 def test_a_missing_viewer_is_named(tmp_path, capsys, monkeypatch):
@@ -231,8 +314,8 @@ def test_the_deadman_reaches_the_operators_device(monkeypatch, teleop):
 def test_faults_begin_with_the_run_not_with_the_wait_for_a_first_image(monkeypatch):
     camera = SimpleNamespace(start=lambda: None, latest=iter([None, None, "image"]).__next__)
     robot = SimpleNamespace(connect=lambda: None, now=lambda: 0.0)
-    monkeypatch.setattr(devices, "make_robot", lambda *given: (robot, lambda: None))
-    monkeypatch.setattr(devices, "make_camera", lambda *given: camera)
+    monkeypatch.setattr(devices, "make_robot", lambda *given: robot)
+    monkeypatch.setattr(RealSenseCfg, "build", lambda *given: camera)
     pressed = []
     teleop = SimpleNamespace(command=pressed.append)
     monkeypatch.setattr(devices, "make_teleop", lambda cfg: teleop)
@@ -252,9 +335,9 @@ def test_devices_are_closed_robot_first_even_after_half_a_start(tmp_path, monkey
         close = partial(closed.append, name)
         return SimpleNamespace(connect=lambda: None, start=refuse, close=close)
 
-    made = {"robot": (part("robot"), lambda: None), "camera": part("camera")}
-    for name, device in (made | {"teleop": part("teleop")}).items():
-        monkeypatch.setattr(devices, f"make_{name}", lambda *_, device=device: device)
+    for name in ("robot", "teleop"):
+        monkeypatch.setattr(devices, f"make_{name}", lambda *_, name=name: part(name))
+    monkeypatch.setattr(SimCameraCfg, "build", lambda *_: part("camera"))
     with pytest.raises(RenetError, match="does not start"):
         deploy(DeployCfg(out=tmp_path / "out"))
     assert closed == ["robot", "camera", "teleop"]

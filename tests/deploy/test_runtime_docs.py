@@ -8,16 +8,21 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from renet.deploy.main import DEADMAN, DeployCfg, deploy
+from renet import cli, descriptions
+from renet.bundle import read_manifest, write_manifest
+from renet.deploy import catalogue
+from renet.deploy.cfg import DEADMAN, DeployCfg
+from renet.deploy.main import deploy
 from renet.deploy.recording import read_recording
-from renet.deploy.robots.scene import GO1 as GO1_XML
 from renet.deploy.safety import SafetyCfg
+from renet.descriptions import GO1
 from renet.selector.monitors import MONITORS
 
 from .fakes import state
@@ -55,9 +60,11 @@ class Link:
 def link(tmp_path, monkeypatch) -> Link:
     """The page's robot, in a folder that holds its description."""
     link = Link()
-    monkeypatch.setitem(sys.modules, "my_sdk", SimpleNamespace(open=lambda: link))
+    monkeypatch.setitem(sys.modules, "my_sdk", SimpleNamespace(open=lambda port: link))
+    monkeypatch.setitem(catalogue.ROBOTS, "mine", None)
+    monkeypatch.setitem(descriptions.DESCRIPTIONS, "My robot", None)
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "my_robot.xml").write_text(Path(GO1_XML).read_text())
+    (tmp_path / "my_robot.xml").write_text(GO1.mjcf.read_text())
     return link
 
 
@@ -71,17 +78,27 @@ def keyboard(monkeypatch) -> Iterator[int]:
     os.close(master)
 
 
-def test_another_robot_in_a_page(link, keyboard, tmp_path):
+def walk(bundle: Path) -> int:
+    """Run the page's program, then `renet deploy` with a bundle for its robot."""
+    manifest = read_manifest(bundle)
+    write_manifest(bundle, replace(manifest, robot=replace(manifest.robot, name="My robot")))
+    exec(program("my_sdk"), {"__name__": "my_robot"})
+    options = "--robot mine --port usb --camera none --teleop keyboard --out out"
+    return cli.main(["deploy", str(bundle), *options.split()])
+
+
+def test_another_robot_in_a_page(link, keyboard, tmp_path, bundle_path):
     keys = threading.Thread(target=press, args=(keyboard, link))
     keys.start()
-    exec(program("my_sdk"), {})
+    assert walk(bundle_path) == 0
     keys.join()
     assert link.closed
     assert any(stiffness.any() for stiffness in link.told), "it stood up"
     assert not link.told[-1].any(), "it ends braking"
-    run = read_recording(tmp_path / "recording.log")
+    run = read_recording(tmp_path / "out" / "recording.log")
     assert run.complete
     assert run.events[0].why == "armed"
+    assert run.header["port"] == "usb"
     body = program("my_sdk").split("class MyRobot:")[1].split("\n\n\n")[0]
     assert len(body.splitlines()) < 30
 
@@ -96,7 +113,7 @@ def press(keyboard: int, link: Link) -> None:
     os.write(keyboard, b"q")
 
 
-def test_ctrl_c_in_that_program_brakes_and_closes(link, keyboard):
+def test_ctrl_c_in_that_program_brakes_and_closes(link, keyboard, bundle_path):
     servo = link.servo
 
     def interrupted(position, stiffness, damping) -> None:
@@ -107,11 +124,7 @@ def test_ctrl_c_in_that_program_brakes_and_closes(link, keyboard):
             os.write(keyboard, b"r")  # Again: on a busy machine the first may come too early.
 
     link.servo = interrupted  # type: ignore[method-assign]
-    # A shell's background jobs ignore it.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    with pytest.raises(KeyboardInterrupt):
-        exec(program("my_sdk"), {})
-    signal.signal(signal.SIGINT, before)
+    walk(bundle_path)
     assert link.closed
     assert not link.told[-1].any()
 

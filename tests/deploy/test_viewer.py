@@ -5,7 +5,7 @@ from urllib.request import urlopen
 
 import pytest
 
-from renet.deploy.main import DeployCfg
+from renet.deploy.catalogue import SimulationCfg
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.viewer import BrowserViewer
@@ -18,10 +18,10 @@ pytest.importorskip("mjviser")
 def test_the_robot_is_served_and_followed():
     model, ground = build_scene("stairs_up", 1)
     robot = MujocoRobot(model, robot_spec(), ground)
-    viewer = BrowserViewer(model, robot.data, LOOPBACK)
+    viewer = BrowserViewer(model, robot.data, SimulationCfg().host)
     server = viewer._scene.server
     try:
-        assert server.get_host() == DeployCfg().host == "127.0.0.1"
+        assert server.get_host() == SimulationCfg().host == LOOPBACK
         page = urlopen(f"http://127.0.0.1:{server.get_port()}", timeout=10).read()
         assert b"<html" in page.lower()
         with pytest.raises(ConnectionRefusedError):  # As at any other address of this computer.

@@ -13,7 +13,7 @@ from renet.bundle import Bundle
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
-from renet.deploy.robots.base import next_step
+from renet.deploy.loop import next_step
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.teleop import TeleopCommand

@@ -4,6 +4,7 @@ Whatever a device does, the loop goes on: a robot that cannot be read is damped 
 a camera that fails costs vision. However the loop ends, its last commands brake.
 """
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,9 +14,11 @@ from typing import Any
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.controller import Controller
 from renet.deploy.recording import Recorder
-from renet.deploy.robots.base import JointCommand, RobotDriver, RobotState, next_step
+from renet.deploy.robots.base import JointCommand, RobotState
+from renet.deploy.robots.driver import RobotDriver
 from renet.deploy.safety import Mode, damping_command, pre_arm_problem
 from renet.deploy.teleop import Teleop, TeleopCommand
+from renet.interface import CONTROL_DT
 
 BRAKING = 25
 """Control steps of braking with which every run ends (0.5 s)."""
@@ -158,3 +161,13 @@ class _Loop:
         if why and self._problems.get(device) != why:
             self.controller.tell(self.robot.now(), device, why)
         self._problems[device] = why
+
+
+def next_step(robot: RobotDriver, due: float) -> float:
+    """Wait for the control step after the one that was due at `due`; returns when that is due.
+
+    A step that is missed is left out: two in quick succession help no robot.
+    """
+    due += CONTROL_DT * (math.floor((robot.now() - due) / CONTROL_DT + 0.1) + 1)
+    robot.wait(due)
+    return due

@@ -1,20 +1,17 @@
 """`renet deploy`: put a bundle on a robot, real or simulated; the same program for both."""
 
-import math
 import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from itertools import count
 from pathlib import Path
-from typing import Any, Literal
-
-import tyro
+from typing import Any
 
 from renet import __version__
 from renet.bundle import Bundle
+from renet.deploy.cfg import DeployCfg
 from renet.deploy.controller import Controller, Event
 from renet.deploy.devices import start_devices
 from renet.deploy.inference import InlineInference, ThreadedInference
@@ -22,114 +19,19 @@ from renet.deploy.loop import run_control_loop
 from renet.deploy.realtime import realtime
 from renet.deploy.recording import Recorder, read_recording
 from renet.deploy.robots.base import JointCommand
-from renet.deploy.robots.go1 import POWER_LEVEL, ROBOT_HOST
-from renet.deploy.safety import Mode, SafetyCfg, SafetyMachine
+from renet.deploy.safety import Mode, SafetyMachine
 from renet.deploy.score import SCORE, TIMELINE, write_score
-from renet.deploy.teleop import MAX_SPEED
 from renet.errors import RenetError
-from renet.faults import parse_fault
 from renet.folders import lock, move, new_folder
 from renet.interface import CONTROL_DT, JOINTS
-from renet.server import LOOPBACK
 from renet.terminal import Terminal
 
 RECORDING = "recording.log"
 RESULTS = (RECORDING, SCORE, TIMELINE)
 PRIORITY = 50
 """Of SCHED_FIFO, of the control loop's thread; the Go1's sender has 60."""
-SHORT_RUN = 15.0
-"""Seconds of a run that nobody steers."""
-DEADMAN = 5.0
-"""Seconds that a real robot goes on without a sign of its operator."""
-LIMP = 10.0
-"""rad; farther than any joint can be from the default pose."""
 PRINT_EVERY = 25
 """Control steps between two printed commands of a dry run."""
-
-
-@dataclass(frozen=True)
-class DeployCfg:
-    """Run a bundle on a robot; leaves a recording, a timeline and a score."""
-
-    bundle: tyro.conf.Positional[Path | None] = None
-    """Bundle folder; the one that ships with renet by default."""
-    robot: Literal["mujoco", "pybullet", "go1"] = "mujoco"
-    """mujoco, pybullet: simulated in this process. go1: a Unitree Go1 in low-level mode."""
-    camera: Literal["auto", "sim", "realsense", "replay", "none"] = "auto"
-    """auto: sim for a simulated robot, realsense for go1."""
-    teleop: Literal["auto", "keyboard", "joystick"] = "auto"
-    """auto: stands up and walks straight ahead (simulation only)."""
-    deadman: float | None = None
-    """Seconds without a key or a move of the joystick after which the robot stands until there is
-    one; 5 by default with a real robot, no limit in simulation. inf: no limit."""
-    out: Path | None = None
-    """Folder of the results, results/deploy/DATE_TIME by default; what an earlier run left in
-    it is kept in its subfolders earlier-1, earlier-2, ..."""
-    seconds: float | None = None
-    """Length of the run on the robot's clock; 15 s by default, with an operator no end. Ctrl-C
-    and the keyboard's q end it earlier, braked and logged."""
-    speed: float = 0.6
-    """Forward speed of the auto operator, 0 to 1 m/s."""
-    terrain: str = "flat"
-    """Simulation: flat, rough, obstacles, stairs (down from a summit; stairs_up: out of a pit),
-    gap, platform."""
-    level: int = 1
-    """Simulation: level of the terrain, 1 to 10."""
-    scene: Path | None = None
-    """Simulation: an MJCF file to use as terrain instead."""
-    fault: tuple[str, ...] = ()
-    """What goes wrong with the camera: NAME[:SEVERITY]@SECONDS[+DURATION], e.g. blackout@5s,
-    glare:3@4s+2s."""
-    recording: Path | None = None
-    """Recording whose images the replay camera shows."""
-    selector: Literal["monitors", "paper"] = "monitors"
-    """monitors: all monitors, with a dwell before vision returns. paper: the reconstruction loss
-    alone."""
-    real_time: bool = False
-    """Simulation: pace it to the wall clock, as operators and the viewer always do."""
-    serial: str = ""
-    """RealSense: serial number of the one to use; the only one by default."""
-    viewer: bool = False
-    """Simulation: show it in a browser."""
-    dry_run: bool = False
-    """Print commands and never move the robot."""
-    host: str = LOOPBACK
-    """Address at which the viewer listens; 0.0.0.0: to everybody on the network."""
-    robot_host: str = ROBOT_HOST
-    """Go1: address of its motor board."""
-    power_level: int = POWER_LEVEL
-    """Go1: of the vendor's own overload guard, 1 (10 % of the motors' power) to 10."""
-    seed: int = 1
-    """Of the simulated camera's noise, the terrain and the faults."""
-    safety: SafetyCfg = field(default_factory=SafetyCfg)
-    """Limits."""
-
-    @property
-    def simulated(self) -> bool:
-        """The robot lives in this process."""
-        return self.robot != "go1"
-
-    @property
-    def live(self) -> bool:
-        """The robot's clock is the wall's."""
-        return not self.simulated or self.real_time or self.viewer or self.teleop != "auto"
-
-    @property
-    def length(self) -> float:
-        """Seconds after which the run ends by itself."""
-        steered = math.inf if self.teleop != "auto" else SHORT_RUN
-        return steered if self.seconds is None else self.seconds
-
-    @property
-    def operator_timeout(self) -> float:
-        """Seconds without a sign of the operator after which the robot stands."""
-        default = math.inf if self.simulated else DEADMAN
-        return default if self.deadman is None else self.deadman
-
-    @property
-    def limits(self) -> SafetyCfg:
-        """Of the controller: the joints of a dry run follow nobody."""
-        return replace(self.safety, max_stand_up_error=LIMP) if self.dry_run else self.safety
 
 
 def deploy(cfg: DeployCfg) -> Path:
@@ -138,7 +40,7 @@ def deploy(cfg: DeployCfg) -> Path:
     Raises:
         RenetError: a combination that cannot work, a device that does not answer, a bad bundle.
     """
-    _check(cfg)
+    cfg.check()
     bundle = Bundle.load(cfg.bundle)
     with ExitStack() as stack:
         terminal = Terminal()
@@ -172,7 +74,7 @@ def deploy(cfg: DeployCfg) -> Path:
             )
 
         # A simulation with priority would starve the rest of the computer.
-        priority = nullcontext("") if cfg.simulated else realtime(PRIORITY)
+        priority = nullcontext("") if cfg.driver.simulated else realtime(PRIORITY)
         with _interruptible() as interrupted, priority as refused:
             for line in filter(None, (refused, getattr(robot, "refused", ""))):
                 terminal.say(line)
@@ -245,54 +147,16 @@ def _over(cfg: DeployCfg, machine: SafetyMachine, begun: float, now: float) -> b
     return passed >= cfg.length - CONTROL_DT / 2 or (damped and cfg.teleop == "auto")
 
 
-def _check(cfg: DeployCfg) -> None:
-    """Refuse what cannot work before anything moves or is written."""
-    if not cfg.length > 0:
-        raise RenetError(f"--seconds must be positive, got {cfg.seconds}")
-    if not cfg.operator_timeout > 0:
-        raise RenetError(f"--deadman must be positive, got {cfg.deadman}")
-    if not 0.0 <= cfg.speed <= MAX_SPEED:
-        raise RenetError(f"--speed must be from 0 to {MAX_SPEED:g} m/s, got {cfg.speed}")
-    if cfg.seed < 0:
-        raise RenetError(f"--seed must not be negative, got {cfg.seed}")
-    if cfg.viewer and cfg.robot == "pybullet":
-        raise RenetError("--viewer shows MuJoCo's simulation: use --robot mujoco")
-    if not cfg.simulated:
-        if cfg.camera == "sim":
-            raise RenetError("--camera sim looks at a simulation: use realsense, replay or none")
-        if cfg.host != LOOPBACK:
-            raise RenetError("--host is the viewer's address: the robot's is --robot-host")
-        if cfg.viewer:
-            raise RenetError("--viewer shows a simulation: with a real robot look at the robot")
-        if cfg.teleop == "auto" and not cfg.dry_run:
-            raise RenetError("a real robot needs --teleop keyboard or joystick, or --dry-run")
-    if cfg.camera == "replay" and cfg.recording is None:
-        raise RenetError("--camera replay needs --recording, whose images it shows")
-    if cfg.fault and cfg.camera == "none":
-        raise RenetError("--fault needs a camera to spoil")
-    for text in cfg.fault:
-        parse_fault(text)
-
-
 def _header(cfg: DeployCfg, bundle: Bundle) -> dict[str, Any]:
+    """What the recording says of the run."""
     selector = bundle.manifest.selector
     calibrated = selector.thresholds.get("reconstruction", selector.beta)
-    return {
+    return cfg.header() | {
         "renet": __version__,
         "bundle": bundle.name,
         "bundle_sha256": bundle.sha256,
         "models": bundle.manifest.sha256,
         "beta": selector.beta if cfg.selector == "paper" else calibrated,
-        "safety": asdict(cfg.limits),
-        "selector": cfg.selector,
-        "robot": cfg.robot,
-        "camera": cfg.camera,
-        "terrain": cfg.terrain,
-        "level": cfg.level,
-        "scene": str(cfg.scene) if cfg.scene else None,
-        "fault": list(cfg.fault),
-        "onsets": [parse_fault(text).onset * CONTROL_DT for text in cfg.fault],
-        "seed": cfg.seed,
     }
 
 

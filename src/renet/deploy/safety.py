@@ -17,9 +17,9 @@ import numpy as np
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.robots.base import VECTORS, JointCommand, RobotState, projected_gravity
-from renet.deploy.teleop import MAX_SPEED, TeleopCommand
+from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
-from renet.interface import ACTION_SIZE, CONTROL_DT
+from renet.interface import ACTION_SIZE, CONTROL_DT, MAX_SPEED
 
 
 class Mode(StrEnum):

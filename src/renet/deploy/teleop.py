@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from renet.errors import RenetError
+from renet.interface import MAX_SPEED
 
-MAX_SPEED = 1.0
-"""Fastest forward command of training, m/s (paper)."""
 SPEED_STEP, TURN_STEP = 0.1, 0.1
 """m/s and rad per key press."""
 TURN_RATE = 1.0

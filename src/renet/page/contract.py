@@ -12,10 +12,10 @@ from renet import __version__
 from renet.camera import Intrinsics
 from renet.deploy.cameras.sim import RELATIVE_STD
 from renet.deploy.controller import MAX_LEAD
-from renet.deploy.robots.mujoco import BASE, SEEN_GROUPS, START_HEIGHT
+from renet.deploy.robots.mujoco import SEEN_GROUPS
 from renet.deploy.robots.scene import FLAT, scene_spec
 from renet.deploy.safety import SafetyCfg
-from renet.deploy.teleop import MAX_SPEED
+from renet.descriptions import GO1
 from renet.faults import FAULTS, SEVERITIES, Fault, combined, stereo, vegetation
 from renet.faults.physical import Glass, obstacles, spread
 from renet.interface import (
@@ -24,9 +24,11 @@ from renet.interface import (
     HEIGHT_MAP_X,
     HEIGHT_MAP_Y,
     LATENT,
+    MAX_SPEED,
     PHYSICS_DT,
     PROPRIOCEPTION,
     STEPS_PER_TICK,
+    TRUNK,
 )
 from renet.palette import STATES
 from renet.selector.filter import VISION_THRESHOLD
@@ -62,7 +64,7 @@ def contract() -> dict[str, Any]:
         "safety": asdict(SafetyCfg()),
         "maxLead": MAX_LEAD,
         "maxSpeed": MAX_SPEED,
-        "base": {"body": BASE, "height": START_HEIGHT},
+        "base": {"body": TRUNK, "height": GO1.height},
         "camera": {
             "relativeStd": RELATIVE_STD,
             "seenGroups": SEEN_GROUPS.tolist(),

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from renet.deploy.robots.base import JointCommand
-from renet.deploy.robots.envelope import go1_envelope
+from renet.deploy.robots.envelope import read_envelope
+from renet.descriptions import GO1
 from renet.errors import RenetError
 from renet.interface import JOINTS
-from renet.tasks.config.go1 import GO1
+from renet.tasks.config.go1 import GO1 as TRAINED
 
 from .. import fakes
 
@@ -33,12 +34,12 @@ def test_a_bundle_beyond_the_robots_envelope_is_refused_by_joint_and_number(
     values = list(getattr(manifest.robot, field))
     values[3] = value
     with pytest.raises(RenetError, match=message):
-        go1_envelope().check(replace(manifest.robot, **{field: tuple(values)}))
-    go1_envelope().check(manifest.robot)
+        read_envelope(GO1).check(replace(manifest.robot, **{field: tuple(values)}))
+    read_envelope(GO1).check(manifest.robot)
 
 
 def test_a_command_within_the_envelope_passes_and_a_joint_too_fast_is_only_braked():
-    envelope, gains = go1_envelope(), (np.full(12, 20.0), np.ones(12))
+    envelope, gains = read_envelope(GO1), (np.full(12, 20.0), np.ones(12))
     target = fakes.STANDING + 0.1
     for state in (None, fakes.state(), fakes.state(joint_velocity=np.full(12, 1.0))):
         command = envelope.clamp(JointCommand(target, *gains), state)
@@ -54,7 +55,7 @@ def test_a_command_within_the_envelope_passes_and_a_joint_too_fast_is_only_brake
 
 
 def test_the_envelope_is_the_task_s_robot():
-    envelope, motors = go1_envelope(), GO1.motors
+    envelope, motors = read_envelope(GO1), TRAINED.motors
     for joint, name in enumerate(JOINTS):
         motor = motors[name.split("_")[1]]
         assert envelope.torque[joint] == pytest.approx(motor.torque)
@@ -63,7 +64,7 @@ def test_the_envelope_is_the_task_s_robot():
 
 def test_a_reading_that_is_no_number_does_not_reach_the_gains():
     state = fakes.state(joint_position=np.full(12, np.nan))
-    command = go1_envelope().clamp(fakes.command(np.zeros(12)), state)
+    command = read_envelope(GO1).clamp(fakes.command(np.zeros(12)), state)
     assert np.isfinite([command.stiffness, command.damping]).all()
 
 
@@ -74,7 +75,7 @@ def test_a_reading_that_is_no_number_does_not_reach_the_gains():
     speed=arrays(float, 12, elements=st.floats(-60, 60)),
 )
 def test_every_command_is_clamped_into_the_envelope(position, gains, joints, speed):
-    envelope = go1_envelope()
+    envelope = read_envelope(GO1)
     state = fakes.state(joint_position=joints, joint_velocity=speed)
     command = envelope.clamp(JointCommand(position, *gains), state)
     assert ((command.position >= envelope.lower) & (command.position <= envelope.upper)).all()

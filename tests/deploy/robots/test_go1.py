@@ -16,16 +16,19 @@ sdk = pytest.importorskip(
 )
 
 from renet.bundle import Bundle  # noqa: E402
+from renet.deploy.catalogue import Go1Cfg  # noqa: E402
+from renet.deploy.cfg import DeployCfg  # noqa: E402
 from renet.deploy.controller import Controller  # noqa: E402
-from renet.deploy.main import DeployCfg, deploy  # noqa: E402
+from renet.deploy.main import deploy  # noqa: E402
 from renet.deploy.recording import read_recording  # noqa: E402
 from renet.deploy.robots import go1, go1_link  # noqa: E402
 from renet.deploy.robots.base import JointCommand  # noqa: E402
 from renet.deploy.robots.braking import PERIOD  # noqa: E402
-from renet.deploy.robots.envelope import go1_envelope  # noqa: E402
+from renet.deploy.robots.envelope import read_envelope  # noqa: E402
 from renet.deploy.robots.go1 import Go1Robot  # noqa: E402
 from renet.deploy.robots.go1_link import LOW_LEVEL, MOTORS, Go1Link  # noqa: E402
 from renet.deploy.safety import Mode, SafetyCfg  # noqa: E402
+from renet.descriptions import GO1  # noqa: E402
 from renet.errors import RenetError  # noqa: E402
 from renet.interface import JOINTS  # noqa: E402
 from renet.training.export import robot_spec  # noqa: E402
@@ -176,7 +179,7 @@ def test_nothing_outside_the_envelope_reaches_the_wire(wire, peer, gain):
     wire.run(2)
     wire.send(command(np.full(12, gain), gain, gain), 1)
     _, position, _, _, stiffness, damping = peer.commands[-1][list(MOTORS)].T
-    envelope = go1_envelope()
+    envelope = read_envelope(GO1)
     assert (position >= envelope.lower - 1e-6).all()
     assert (position <= envelope.upper + 1e-6).all()
     assert ((stiffness >= 0) & (stiffness <= 100)).all()
@@ -309,7 +312,8 @@ def dry_run(served, monkeypatch, tmp_path) -> partial[DeployCfg]:
     """Settings that watch the served robot."""
     robot = partial(Go1Robot, port=served.port, local_port=free_port())
     monkeypatch.setattr(go1, "Go1Robot", robot)
-    fixed = {"robot": "go1", "robot_host": "127.0.0.1", "camera": "none", "dry_run": True}
+    address = Go1Cfg(robot_host="127.0.0.1")
+    fixed = {"robot": "go1", "driver": address, "camera": "none", "dry_run": True}
     return partial(DeployCfg, **fixed, out=tmp_path)
 
 

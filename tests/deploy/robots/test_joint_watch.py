@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from renet.deploy.robots.joint_watch import TURN, WAYS, JointWatch
-from renet.deploy.robots.scene import GO1
+from renet.descriptions import GO1
 from renet.interface import JOINTS
 
 from ..fakes import STANDING, state, turned
@@ -47,7 +47,7 @@ def test_small_movements_and_no_reading_say_nothing(watched):
 @pytest.mark.parametrize("name", JOINTS)
 def test_the_words_are_what_the_model_does(name):
     """Turn one joint of the standing model and see where its foot goes, in the base frame."""
-    model = mujoco.MjModel.from_xml_path(str(GO1))
+    model = mujoco.MjModel.from_xml_path(str(GO1.mjcf))
     leg, part, _ = name.split("_")
 
     def foot(turn: float) -> tuple[np.ndarray, float]:

@@ -10,10 +10,11 @@ import torch
 import go1_model
 from renet.camera import Intrinsics
 from renet.deploy.cameras.sim import SimCamera
+from renet.deploy.loop import next_step
 from renet.deploy.observation import observe
-from renet.deploy.robots.base import next_step
 from renet.deploy.robots.mujoco import MujocoRobot
-from renet.deploy.robots.scene import GO1, build_scene
+from renet.deploy.robots.scene import build_scene
+from renet.descriptions import GO1
 from renet.errors import RenetError
 from renet.evaluation.env import ray_perturbation
 from renet.faults import ViewPerturbation
@@ -45,7 +46,7 @@ def env():
 
 
 def test_the_shipped_model_is_the_one_that_was_trained(env):
-    ours, theirs = mujoco.MjModel.from_xml_path(str(GO1)), env.sim.mj_model
+    ours, theirs = mujoco.MjModel.from_xml_path(str(GO1.mjcf)), env.sim.mj_model
     for name in JOINTS:
         a, b = ours.joint(name), theirs.joint(f"robot/{name}")
         np.testing.assert_allclose(a.range, b.range)
@@ -168,8 +169,8 @@ def robot(request):
     """The robot on flat ground, in each of the two engines."""
     if request.param == "mujoco":
         return robot_on()
-    pytest.importorskip("pybullet", reason="needs renet-locomotion[pybullet]")
-    from renet.deploy.robots.bullet import BulletRobot
+    pytest.importorskip("pybullet", reason="pip install pybullet==3.2.7")
+    from pybullet_driver import BulletRobot
 
     model, ground = build_scene("flat")
     return BulletRobot(model, ROBOT, ground)
@@ -228,4 +229,4 @@ def test_the_camera_sees_the_plane_wherever_the_robot_walks():
 
 def test_the_model_file_is_what_the_tool_writes(tmp_path):
     go1_model.write(tmp_path / "go1.xml")
-    assert (tmp_path / "go1.xml").read_text() == GO1.read_text()
+    assert (tmp_path / "go1.xml").read_text() == GO1.mjcf.read_text()

@@ -1,9 +1,12 @@
 """What every depth camera offers: images prepared exactly as in training."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
+
+from renet.bundle.manifest import CameraSpec
+from renet.deploy.robots.driver import RobotDriver
 
 
 @dataclass(frozen=True)
@@ -34,3 +37,26 @@ class Camera(Protocol):
 
     def close(self) -> None:
         """Stop streaming; safe to call twice."""
+
+
+@dataclass(frozen=True)
+class CameraCfg:
+    """A camera that `renet deploy --camera NAME` looks through; its fields are options."""
+
+    simulated: ClassVar[bool] = False
+    """Whether it looks at a simulation: a real robot has none."""
+
+    def check(self) -> None:
+        """Raise RenetError for options that cannot work."""
+
+    def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera | None:
+        """Make the camera without starting it; None is no camera at all.
+
+        Args:
+            camera: the images that the bundle takes. robot: whose clock frames are timed by.
+            seed: of a simulated camera's noise.
+
+        Raises:
+            RenetError: a package or file is missing, or the camera cannot give such images.
+        """
+        return None

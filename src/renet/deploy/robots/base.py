@@ -1,17 +1,11 @@
-"""What every robot driver offers; joints are always in the order of `interface.JOINTS`."""
-
-from __future__ import annotations
+"""A robot's readings and commands; joints are always in the order of `interface.JOINTS`."""
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from renet.interface import ACTION_SIZE, CONTROL_DT
-
-if TYPE_CHECKING:
-    from renet.deploy.robots.envelope import Envelope
+from renet.interface import ACTION_SIZE
 
 
 @dataclass(frozen=True)
@@ -56,42 +50,6 @@ class JointCommand:
     """[12] N m/rad"""
     damping: np.ndarray
     """[12] N m s/rad"""
-
-
-class RobotDriver(Protocol):
-    """A robot, real or simulated, with a clock of its own."""
-
-    envelope: Envelope
-    """The robot's own limits, which no bundle can widen."""
-
-    def connect(self) -> None:
-        """Begin to talk; raises RenetError with what to do when that fails."""
-
-    def read(self) -> RobotState | None:
-        """Newest reading, without waiting; None before the first."""
-
-    def write(self, command: JointCommand) -> None:
-        """Hand a command to the joint servos, which hold it until the next."""
-
-    def now(self) -> float:
-        """Seconds on the robot's clock, never decreasing."""
-        ...
-
-    def wait(self, until: float) -> None:
-        """Let time pass until `now()` reaches `until`; return at once if it has."""
-
-    def close(self) -> None:
-        """Let go of the robot; safe to call twice."""
-
-
-def next_step(robot: RobotDriver, due: float) -> float:
-    """Wait for the control step after the one that was due at `due`; returns when that is due.
-
-    A step that is missed is left out: two in quick succession help no robot.
-    """
-    due += CONTROL_DT * (math.floor((robot.now() - due) / CONTROL_DT + 0.1) + 1)
-    robot.wait(due)
-    return due
 
 
 def projected_gravity(quaternion: np.ndarray) -> tuple[float, float, float]:

@@ -2,12 +2,12 @@
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
+from renet.descriptions import RobotDescription
 from renet.errors import RenetError
 from renet.interface import JOINTS
 
@@ -26,10 +26,10 @@ class Envelope:
     """[12] N m"""
     velocity: np.ndarray
     """[12] rad/s, beyond which a joint is only braked, not driven further."""
-    stiffness: float = 100.0
-    """Largest Kp, N m/rad; the Go1's published policies use 20 to 40."""
-    damping: float = 10.0
-    """Largest Kd, N m s/rad; they use 0.5 to 1."""
+    stiffness: float
+    """Largest Kp, N m/rad."""
+    damping: float
+    """Largest Kd, N m s/rad."""
 
     def check(self, robot: RobotSpec) -> None:
         """Raise RenetError naming joint and number unless a bundle stays within these limits."""
@@ -81,24 +81,12 @@ class Envelope:
         return JointCommand(position, stiffness, damping)
 
 
-def read_envelope(name: str, description: Path, velocity: dict[str, float]) -> Envelope:
-    """Limits from a robot's MJCF.
-
-    Args:
-        name: of the robot. description: its MJCF; joints with a range, motors with a force range.
-        velocity: fastest motion of `hip`, `thigh` and `calf` joints, rad/s, which MJCF has no
-            field for.
-    """
-    root = ET.parse(description).getroot()
+def read_envelope(robot: RobotDescription) -> Envelope:
+    """A robot's limits from its description."""
+    root = ET.parse(robot.mjcf).getroot()
     ranges = {j.get("name"): j.get("range", "").split() for j in root.iter("joint")}
     forces = {g.get("name"): g.get("forcerange", "").split() for g in root.iter("general")}
     lower, upper = np.array([ranges[joint] for joint in JOINTS], float).T
     torque = np.array([forces[joint][1] for joint in JOINTS], float)
-    speed = np.array([velocity[joint.split("_")[1]] for joint in JOINTS])
-    return Envelope(name, lower, upper, torque, speed)
-
-
-def go1_envelope() -> Envelope:
-    """The Unitree Go1's: `go1.xml`, and its motors' speeds from the vendor's model."""
-    speeds = {"hip": 30.1, "thigh": 30.1, "calf": 20.06}
-    return read_envelope("Unitree Go1", Path(__file__).with_name("go1.xml"), speeds)
+    speed = np.array([robot.speeds[joint.split("_")[1]] for joint in JOINTS])
+    return Envelope(robot.name, lower, upper, torque, speed, robot.stiffness, robot.damping)

@@ -2,9 +2,10 @@
 
 import socket
 
-from renet.deploy.robots.envelope import go1_envelope
+from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.robots.go1_link import unitree
 from renet.deploy.robots.real import SINK, RealRobot
+from renet.descriptions import GO1
 from renet.errors import RenetError
 
 ROBOT_HOST, ROBOT_PORT, LOCAL_PORT = "192.168.123.10", 8007, 8080
@@ -37,7 +38,7 @@ class Go1Robot(RealRobot):
         self._local_port = local_port
         super().__init__(
             "Go1",
-            go1_envelope(),
+            read_envelope(GO1),
             "renet.deploy.robots.go1_link:Go1Link",
             (host, port, local_port, power_level),
             f"no answer from a Go1 at {host}:{port}: check the cable and this computer's "

@@ -12,7 +12,8 @@ import numpy as np
 
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.braking import Link
-from renet.deploy.robots.envelope import go1_envelope
+from renet.deploy.robots.envelope import read_envelope
+from renet.descriptions import GO1
 from renet.errors import RenetError
 from renet.interface import JOINTS
 
@@ -46,7 +47,7 @@ class Go1Link(Link):
 
     def __init__(self, host: str, port: int, local_port: int, power_level: int) -> None:
         """Open the socket; motors stay limp until the first command."""
-        super().__init__(go1_envelope())
+        super().__init__(read_envelope(GO1))
         sdk = unitree()
         self._udp = sdk.UDP(LOW_LEVEL, local_port, host, port)
         self._safety = sdk.Safety(sdk.LeggedType.Go1)

@@ -1,4 +1,4 @@
-"""The Go1 in C MuJoCo, in this process: as fast as it goes, or paced to the wall clock."""
+"""A robot in C MuJoCo, in this process: as fast as it goes, or paced to the wall clock."""
 
 import time
 
@@ -7,12 +7,10 @@ import numpy as np
 
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import go1_envelope
-from renet.interface import JOINTS
+from renet.deploy.robots.envelope import read_envelope
+from renet.descriptions import find_description
+from renet.interface import JOINTS, TRUNK
 
-START_HEIGHT = 0.30
-"""Of the trunk above the ground at the start, m."""
-BASE = "trunk"
 SEEN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
 """MuJoCo geom groups of the terrain; robots' collision geoms are in group 3."""
 UNSEEN_GROUP = 5
@@ -34,17 +32,18 @@ class MujocoRobot:
             real_time: pace the simulation to the wall clock.
         """
         self.model, self.data = model, mujoco.MjData(model)
-        self._real_time, self.envelope = real_time, go1_envelope()
+        description = find_description(robot.name)
+        self._real_time, self.envelope = real_time, read_envelope(description)
         joints = [model.joint(name) for name in JOINTS]
         self._servos = np.array([model.actuator(name).id for name in JOINTS])
         self._position = np.array([joint.qposadr[0] for joint in joints])
         self._velocity = np.array([joint.dofadr[0] for joint in joints])
-        free = model.body(BASE).jntadr[0]
+        free = model.body(TRUNK).jntadr[0]
         start = model.jnt_qposadr[free]
         self._base = slice(start, start + 7)
         spin = model.jnt_dofadr[free] + 3
         self._spin = slice(spin, spin + 3)
-        self.data.qpos[self._base] = (0.0, 0.0, ground + START_HEIGHT, 1.0, 0.0, 0.0, 0.0)
+        self.data.qpos[self._base] = (0.0, 0.0, ground + description.height, 1.0, 0.0, 0.0, 0.0)
         self.data.qpos[self._position] = robot.default_position
         limp = np.zeros(len(JOINTS))
         self.write(JointCommand(np.array(robot.default_position), limp, limp))
@@ -102,7 +101,7 @@ class MujocoRobot:
     @property
     def base_rotation(self) -> np.ndarray:
         """[3, 3], base to world."""
-        return self.data.body(BASE).xmat.reshape(3, 3)
+        return self.data.body(TRUNK).xmat.reshape(3, 3)
 
     def hide(self, geoms: list[int]) -> None:
         """Let rays pass through these geoms of the terrain, and through no others."""

@@ -1,4 +1,4 @@
-"""Scenes for the simulated robot: the Go1 on a plane, on a training tile, or on anyone's MJCF."""
+"""Scenes for a simulated robot: a plane, a training tile, or anyone's MJCF."""
 
 import sys
 from pathlib import Path
@@ -6,11 +6,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from renet.descriptions import GO1, RobotDescription
 from renet.files import MEGABYTE, require_regular
 from renet.terrain.tiles import TILE, find_tile
 from renet.trial import judge, run_trial
 
-GO1 = Path(__file__).with_name("go1.xml")
 TERRAIN = "terrain"
 """Body of a tile."""
 FLAT = "flat"
@@ -22,27 +22,35 @@ GROUND = (0.62, 0.60, 0.56, 1.0)
 
 
 def build_scene(
-    terrain: str = FLAT, level: int = 3, file: Path | None = None, seed: int = 0
+    terrain: str = FLAT,
+    level: int = 3,
+    file: Path | None = None,
+    seed: int = 0,
+    robot: RobotDescription = GO1,
 ) -> tuple[mujoco.MjModel, float]:
     """The compiled `scene_spec`, and the height in m of the ground at x = y = 0."""
-    spec, start = scene_spec(terrain, level, file, seed)
+    spec, start = scene_spec(terrain, level, file, seed, robot)
     return spec.compile(), start
 
 
 def scene_spec(
-    terrain: str = FLAT, level: int = 3, file: Path | None = None, seed: int = 0
+    terrain: str = FLAT,
+    level: int = 3,
+    file: Path | None = None,
+    seed: int = 0,
+    robot: RobotDescription = GO1,
 ) -> tuple[mujoco.MjSpec, float]:
-    """A scene with the Go1 in it, and the height in m of the ground it starts on, at x = y = 0.
+    """A scene with a robot in it, and the height in m of the ground it starts on, at x = y = 0.
 
     Args:
         terrain: flat, or a kind of training tile. level: of the tile, 1 to 10.
         file: an MJCF scene to use instead; its static geoms are the terrain.
-        seed: of tiles with random parts.
+        seed: of tiles with random parts. robot: which one.
 
     Raises:
         RenetError: unknown terrain or level, or a scene file MuJoCo cannot read.
     """
-    spec = mujoco.MjSpec.from_file(str(GO1))
+    spec = mujoco.MjSpec.from_file(str(robot.mjcf))
     spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=(0.3, 0.2, -1))
     start = 0.0
     if file is not None:
@@ -86,7 +94,7 @@ def _add_tile(spec: mujoco.MjSpec, kind: str, level: int, seed: int) -> float:
 
 def _trial() -> str:
     """What is wrong with the scene file that the command line names."""
-    spec = mujoco.MjSpec.from_file(str(GO1))
+    spec = mujoco.MjSpec.from_file(str(GO1.mjcf))
     try:
         _attach(spec, Path(sys.argv[1]))
         spec.compile()

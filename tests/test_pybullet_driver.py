@@ -1,4 +1,4 @@
-"""The second engine: the same robot as MuJoCo's, seen and driven alike."""
+"""examples/pybullet_driver.py: a second engine's robot is MuJoCo's, seen and driven alike."""
 
 import json
 from pathlib import Path
@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("pybullet", reason="needs renet-locomotion[pybullet]")
+pytest.importorskip("pybullet", reason="pip install pybullet==3.2.7")
 
+from pybullet_driver import BulletRobot, main
 from renet.bundle import Bundle
-from renet.cli import main
 from renet.deploy.cameras.sim import SimCamera
-from renet.deploy.robots.bullet import BulletRobot
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 

@@ -1,11 +1,13 @@
-"""The Go1 in PyBullet: a second physics engine for the same bundle, and an example of a driver.
+"""A driver of one's own: `python examples/pybullet_driver.py deploy --robot pybullet`.
 
-PyBullet shares no code with MuJoCo: contacts, friction and integration are its own, and so are the
-rays of its depth camera. The robot (masses, inertias, joints, collision geoms, gains) and the
-terrain are read from the compiled MuJoCo scene, so that both engines simulate the same things.
+It runs any bundle in PyBullet (`pip install pybullet==3.2.7`), which shares no code with MuJoCo:
+contacts, friction and integration are its own, and so are the rays of its depth camera. The robot
+(masses, inertias, joints, collision geoms) and the terrain are read from the compiled MuJoCo scene,
+so that both engines simulate the same things.
 """
 
 import time
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -13,11 +15,13 @@ import pybullet
 from pybullet_utils.bullet_client import BulletClient
 
 from renet.bundle.manifest import RobotSpec
+from renet.cli import main
+from renet.deploy.catalogue import ROBOTS, SimulationCfg
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import go1_envelope
-from renet.deploy.robots.mujoco import BASE, START_HEIGHT
+from renet.deploy.robots.envelope import read_envelope
+from renet.descriptions import find_description
 from renet.errors import RenetError
-from renet.interface import JOINTS
+from renet.interface import JOINTS, TRUNK
 
 SERVO_DT = 0.001
 """s of a physics step, in which the servos' torque is constant; a Go1's motors are as quick."""
@@ -47,18 +51,19 @@ class BulletRobot:
         Raises:
             RenetError: the scene has a geom that PyBullet lacks, such as a height field.
         """
-        self.model, self.envelope = model, go1_envelope()
+        description = find_description(robot.name)
+        self.model, self.envelope = model, read_envelope(description)
         self._real_time, self._begun = real_time, 0.0
         self._engine = engine = BulletClient(pybullet.DIRECT)
         engine.setGravity(*model.opt.gravity)
         engine.setPhysicsEngineParameter(fixedTimeStep=SERVO_DT)
-        self._trunk = model.body(BASE).id
+        self._trunk = model.body(TRUNK).id
         self._add_terrain()
         self._body, links = self._add_robot()
         self._links = [links[name] for name in JOINTS]
         for link, angle in zip(self._links, robot.default_position, strict=True):
             engine.resetJointState(self._body, link, angle)
-        height = np.array([0.0, 0.0, ground + START_HEIGHT])
+        height = np.array([0.0, 0.0, ground + description.height])
         engine.resetBasePositionAndOrientation(
             self._body, height + model.body_ipos[self._trunk], _xyzw(model.body_iquat[self._trunk])
         )
@@ -140,8 +145,8 @@ class BulletRobot:
         ends = eye + MAX_RAY * directions
         starts = np.broadcast_to(eye, ends.shape)
         hits = self._engine.rayTestBatch(starts, ends, collisionFilterMask=TERRAIN)
-        found = np.array([(body, share) for body, _, share, _, _ in hits])
-        return np.where(found[:, 0] >= 0, MAX_RAY * found[:, 1], np.inf)
+        body, share = np.array([(body, share) for body, _, share, _, _ in hits]).T
+        return np.where(body >= 0, MAX_RAY * share, np.inf)
 
     def _joints(self) -> tuple[np.ndarray, np.ndarray]:
         states = self._engine.getJointStates(self._body, self._links)
@@ -244,3 +249,24 @@ def _shape(model: mujoco.MjModel, geom: int) -> dict:
 def _xyzw(quaternion: np.ndarray) -> np.ndarray:
     """Bullet's order of a quaternion (w, x, y, z)."""
     return np.roll(quaternion, -1)
+
+
+@dataclass(frozen=True)
+class PybulletCfg(SimulationCfg):
+    """The bundle's robot in PyBullet, in this process, with the options of MuJoCo's."""
+
+    def check(self) -> None:
+        """Raise RenetError for options that cannot work."""
+        super().check()
+        if self.viewer:
+            raise RenetError("--viewer shows MuJoCo's simulation: use --robot mujoco")
+
+    def engine(self) -> type[BulletRobot]:
+        """The class of the simulated robot."""
+        return BulletRobot
+
+
+ROBOTS["pybullet"] = PybulletCfg
+
+if __name__ == "__main__":
+    raise SystemExit(main())

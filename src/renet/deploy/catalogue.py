@@ -1,0 +1,149 @@
+"""The robots and cameras that `renet deploy` knows: `--robot NAME`, `--camera NAME`.
+
+Drivers are imported only to be built: a robot's computer needs no simulator, and a simulation no
+vendor's library.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from renet.bundle.manifest import CameraSpec, RobotSpec
+from renet.deploy.cameras.base import Camera, CameraCfg
+from renet.deploy.robots.driver import DriverCfg, RobotDriver
+from renet.descriptions import GO1, RobotDescription, find_description
+from renet.errors import RenetError
+from renet.server import LOOPBACK
+
+
+@dataclass(frozen=True)
+class SimulationCfg(DriverCfg):
+    """The bundle's robot in MuJoCo, in this process."""
+
+    simulated: ClassVar[bool] = True
+    camera: ClassVar[str] = "sim"
+
+    terrain: str = "flat"
+    """flat, rough, obstacles, stairs (down from a summit; stairs_up: out of a pit), gap,
+    platform."""
+    level: int = 1
+    """Level of the terrain, 1 to 10."""
+    scene: Path | None = None
+    """MJCF file to use as terrain instead."""
+    real_time: bool = False
+    """Pace the simulation to the wall clock, as operators and the viewer always do."""
+    viewer: bool = False
+    """Show the robot in a browser."""
+    host: str = LOOPBACK
+    """Address at which the viewer listens; 0.0.0.0: to everybody on the network."""
+
+    @property
+    def live(self) -> bool:
+        """Whether the robot's clock is the wall's."""
+        return self.real_time or self.viewer
+
+    def check(self) -> None:
+        """Raise RenetError for options that cannot work."""
+        if self.scene and self.terrain != "flat":
+            raise RenetError("--scene brings its own ground: leave --terrain away")
+
+    def build(self, robot: RobotSpec, live: bool, seed: int) -> RobotDriver:
+        """Put the robot into its scene."""
+        from renet.deploy.robots.scene import build_scene
+
+        scene = build_scene(
+            self.terrain, self.level, self.scene, seed, find_description(robot.name)
+        )
+        return self.engine()(scene[0], robot, scene[1], live)
+
+    def engine(self) -> Callable[..., RobotDriver]:
+        """The class of the simulated robot, called as `MujocoRobot` is."""
+        from renet.deploy.robots.mujoco import MujocoRobot
+
+        return MujocoRobot
+
+    def display(self, robot: Any) -> Callable[[], None]:
+        """A function that updates the browser's picture."""
+        if not self.viewer:
+            return lambda: None
+        from renet.deploy.viewer import BrowserViewer
+
+        return BrowserViewer(robot.model, robot.data, self.host).show
+
+
+@dataclass(frozen=True)
+class Go1Cfg(DriverCfg):
+    """A Unitree Go1 in low-level mode."""
+
+    drives: ClassVar[RobotDescription | None] = GO1
+
+    robot_host: str = "192.168.123.10"
+    """Address of its motor board."""
+    power_level: int = 9
+    """Level of the vendor's own overload guard, 1 (10 % of the motors' power) to 10."""
+
+    def build(self, robot: RobotSpec, live: bool, seed: int) -> RobotDriver:
+        """The driver of the robot at `robot_host`."""
+        from renet.deploy.robots.go1 import Go1Robot
+
+        return Go1Robot(host=self.robot_host, power_level=self.power_level)
+
+
+@dataclass(frozen=True)
+class SimCameraCfg(CameraCfg):
+    """The bundle's camera on a simulated robot."""
+
+    simulated: ClassVar[bool] = True
+
+    def build(self, camera: CameraSpec, robot: Any, seed: int) -> Camera:
+        """A camera that looks at the robot's scene."""
+        from renet.deploy.cameras.sim import SimCamera
+
+        return SimCamera(robot, camera, seed)
+
+
+@dataclass(frozen=True)
+class RealSenseCfg(CameraCfg):
+    """An Intel RealSense."""
+
+    serial: str = ""
+    """Serial number of the camera to use; the only one by default."""
+
+    def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
+        """A camera whose frames are timed by the robot's clock."""
+        from renet.deploy.cameras.realsense import RealSenseCamera
+
+        return RealSenseCamera(camera, robot.now, serial=self.serial)
+
+
+@dataclass(frozen=True)
+class ReplayCfg(CameraCfg):
+    """The images of an earlier run."""
+
+    recording: Path | None = None
+    """Recording whose images are shown."""
+
+    def check(self) -> None:
+        """Raise RenetError without a recording."""
+        if self.recording is None:
+            raise RenetError("--camera replay needs --recording, whose images it shows")
+
+    def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
+        """A camera that shows the recording from its start."""
+        from renet.deploy.recording import read_recording
+        from renet.deploy.replay import ReplayCamera
+
+        assert self.recording is not None
+        return ReplayCamera(read_recording(self.recording), robot.now)
+
+
+ROBOTS: dict[str, type[DriverCfg]] = {"mujoco": SimulationCfg, "go1": Go1Cfg}
+"""Every robot's options by the name that `--robot` takes. A package adds its own on import."""
+CAMERAS: dict[str, type[CameraCfg]] = {
+    "sim": SimCameraCfg,
+    "realsense": RealSenseCfg,
+    "replay": ReplayCfg,
+    "none": CameraCfg,
+}
+"""Every camera's options by the name that `--camera` takes. A package adds its own on import."""

@@ -1,0 +1,169 @@
+"""The settings of `renet deploy`: which robot, camera and operator, and for how long."""
+
+import argparse
+import math
+import sys
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import tyro
+
+from renet.deploy.cameras.base import CameraCfg
+from renet.deploy.catalogue import CAMERAS, ROBOTS
+from renet.deploy.robots.driver import DriverCfg
+from renet.deploy.safety import SafetyCfg
+from renet.errors import RenetError
+from renet.faults import Injection, parse_fault
+from renet.interface import CONTROL_DT, MAX_SPEED
+
+ENTRY_POINTS = "renet.robots"
+"""Group of entry points: modules of other packages, which add to `ROBOTS` and `CAMERAS`."""
+SHORT_RUN = 15.0
+"""Seconds of a run that nobody steers."""
+DEADMAN = 5.0
+"""Seconds that a real robot goes on without a sign of its operator."""
+LIMP = 10.0
+"""rad; farther than any joint can be from the default pose."""
+
+Kind = TypeVar("Kind")
+NoPrefix = tyro.conf.arg(name="")
+
+
+@dataclass(frozen=True)
+class DeployCfg:
+    """Run a bundle on a robot; leaves a recording, a timeline and a score."""
+
+    bundle: tyro.conf.Positional[Path | None] = None
+    """Bundle folder; the one that ships with renet by default."""
+    robot: str = "mujoco"
+    """mujoco: simulated in this process. go1: a Unitree Go1 in low-level mode. Or the name of a
+    robot that an installed package adds. Its own options are listed once it is chosen."""
+    camera: str = "auto"
+    """sim, realsense, replay or none. auto: sim for a simulated robot, realsense for a real one."""
+    teleop: Literal["auto", "keyboard", "joystick"] = "auto"
+    """auto: stands up and walks straight ahead (simulation only)."""
+    deadman: float | None = None
+    """Seconds without a key or a move of the joystick after which the robot stands until there is
+    one; 5 by default with a real robot, no limit in simulation. inf: no limit."""
+    out: Path | None = None
+    """Folder of the results, results/deploy/DATE_TIME by default; what an earlier run left in
+    it is kept in its subfolders earlier-1, earlier-2, ..."""
+    seconds: float | None = None
+    """Length of the run on the robot's clock; 15 s by default, with an operator no end. Ctrl-C
+    and the keyboard's q end it earlier, braked and logged."""
+    speed: float = 0.6
+    """Forward speed of the auto operator, 0 to 1 m/s."""
+    fault: tuple[str, ...] = ()
+    """What goes wrong with the camera: NAME[:SEVERITY]@SECONDS[+DURATION], e.g. blackout@5s,
+    glare:3@4s+2s."""
+    selector: Literal["monitors", "paper"] = "monitors"
+    """monitors: all monitors, with a dwell before vision returns. paper: the reconstruction loss
+    alone."""
+    dry_run: bool = False
+    """Print commands and never move the robot."""
+    seed: int = 1
+    """Seed of the simulated camera's noise, the terrain and the faults."""
+    safety: SafetyCfg = field(default_factory=SafetyCfg)
+    """Limits."""
+    driver: Annotated[DriverCfg, NoPrefix] = field(default_factory=DriverCfg)
+    """Options of the robot; its defaults by default."""
+    lens: Annotated[CameraCfg, NoPrefix] = field(default_factory=CameraCfg)
+    """Options of the camera; its defaults by default."""
+
+    def __post_init__(self) -> None:
+        if type(self.driver) is DriverCfg:
+            object.__setattr__(self, "driver", _kind(ROBOTS, self.robot, "robot")())
+        camera = self.driver.camera if self.camera == "auto" else self.camera
+        if type(self.lens) is CameraCfg:
+            object.__setattr__(self, "lens", _kind(CAMERAS, camera, "camera")())
+
+    @staticmethod
+    def defaults(arguments: list[str]) -> "DeployCfg":
+        """The defaults of the robot and the camera that a command line asks for.
+
+        They decide which options the rest of the command line may hold.
+        """
+        for entry in entry_points(group=ENTRY_POINTS):
+            try:
+                entry.load()
+            except Exception as error:  # Of a package that this run may not need.
+                print(f"renet: cannot use {entry.value}: {error}", file=sys.stderr)
+        parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+        for name in ("robot", "camera"):
+            parser.add_argument(f"--{name}", nargs="?", default=argparse.SUPPRESS)
+        devices = vars(parser.parse_known_args(arguments)[0])
+        return DeployCfg(**{name: value for name, value in devices.items() if value})
+
+    @property
+    def faults(self) -> list[Injection]:
+        """The faults of the camera; raises RenetError for one that cannot be read."""
+        return [parse_fault(text) for text in self.fault]
+
+    @property
+    def live(self) -> bool:
+        """Whether the robot's clock is the wall's."""
+        return self.driver.live or self.teleop != "auto"
+
+    @property
+    def length(self) -> float:
+        """Seconds after which the run ends by itself."""
+        steered = math.inf if self.teleop != "auto" else SHORT_RUN
+        return steered if self.seconds is None else self.seconds
+
+    @property
+    def operator_timeout(self) -> float:
+        """Seconds without a sign of the operator after which the robot stands."""
+        default = math.inf if self.driver.simulated else DEADMAN
+        return default if self.deadman is None else self.deadman
+
+    @property
+    def limits(self) -> SafetyCfg:
+        """Limits of the controller: the joints of a dry run follow nobody."""
+        return replace(self.safety, max_stand_up_error=LIMP) if self.dry_run else self.safety
+
+    def check(self) -> None:
+        """Raise RenetError for what cannot work, before anything moves or is written."""
+        if not self.length > 0:
+            raise RenetError(f"--seconds must be positive, got {self.seconds}")
+        if not self.operator_timeout > 0:
+            raise RenetError(f"--deadman must be positive, got {self.deadman}")
+        if not 0.0 <= self.speed <= MAX_SPEED:
+            raise RenetError(f"--speed must be from 0 to {MAX_SPEED:g} m/s, got {self.speed}")
+        if self.seed < 0:
+            raise RenetError(f"--seed must not be negative, got {self.seed}")
+        if not self.driver.simulated:
+            if self.lens.simulated:
+                raise RenetError(
+                    f"--camera {self.camera} looks at a simulation: use realsense, replay or none"
+                )
+            if self.teleop == "auto" and not self.dry_run:
+                raise RenetError("a real robot needs --teleop keyboard or joystick, or --dry-run")
+        if self.faults and type(self.lens) is CameraCfg:
+            raise RenetError("--fault needs a camera to spoil")
+        self.driver.check()
+        self.lens.check()
+
+    def header(self) -> dict[str, Any]:
+        """What a recording says of the run, as JSON values."""
+        options = vars(self.driver) | vars(self.lens)
+        return {
+            **{
+                k: v if isinstance(v, int | float) or v is None else str(v)
+                for k, v in options.items()
+            },
+            "safety": asdict(self.limits),
+            "selector": self.selector,
+            "robot": self.robot,
+            "camera": self.camera,
+            "fault": list(self.fault),
+            "onsets": [fault.onset * CONTROL_DT for fault in self.faults],
+            "seed": self.seed,
+        }
+
+
+def _kind(table: dict[str, type[Kind]], name: str, what: str) -> type[Kind]:
+    if name not in table:
+        raise RenetError(f"unknown {what} {name!r}: choose one of {', '.join(table)}")
+    return table[name]
