@@ -86,7 +86,7 @@ def test_sparse_grass_passes_where_a_variance_is_predicted(tmp_path: Path) -> No
     assert selector.thresholds["invalid_fraction"] > 1.05 * bare, "blades hide what is behind them"
     assert 1.0 < selector.thresholds["variance"] < 4.0
     assert beta < 0.02, "the paper's rule knows healthy images alone"
-    names = Evaluator(bundle).make_selector(1).monitors.names
+    names = Evaluator(bundle).make_selector(1).thresholds
     assert {"variance", "reconstruction"} & {*names} == {"variance"}
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from renet.selector import MONITORS, SelectorInput, SelectorSpec
 from renet.selector.filter import filter_delay
-from renet.selector.monitors import Monitors
+from renet.selector.monitors import Scorer
 from renet.selector.selector import MonitorSelector
 
 
@@ -58,37 +58,41 @@ def test_each_monitor_objects_to_its_fault_alone(name, threshold, bad):
 
 
 def test_equal_images_in_a_row_are_counted():
-    monitors = Monitors(["duplicate"], 2)
-    live = np.random.default_rng(1)
-    frozen = seen().image[1]
+    scorer, live, frozen = Scorer(2), np.random.default_rng(1), seen().image[1]
+
+    def repeats(*fresh: bool) -> list:
+        image = np.stack((live.random((48, 64)), frozen))
+        return scorer.scores(seen(image=image, fresh=np.array(fresh)), ["duplicate"]).tolist()
+
     for count in (1, 2, 3, 4):
-        images = np.stack((live.random((48, 64)), frozen))
-        assert monitors.scores(seen(image=images)).tolist() == [[1, count]]
-        # Updates between frames see the held image and must not count it.
+        assert repeats(True, True) == [[1, count]]
+        # Neither updates between frames count the held image, nor frames of another robot alone.
         for _ in range(5):
-            monitors.scores(seen(image=images, fresh=np.zeros(2, bool)))
-        # Nor do those that only another robot's camera has sent.
-        images = np.stack((live.random((48, 64)), frozen))
-        monitors.scores(seen(image=images, fresh=np.array([True, False])))
-    monitors.reset(np.array([False, True]))
-    assert monitors.scores(seen(image=np.stack((frozen, frozen)))).tolist() == [[1, 1]]
+            assert repeats(False, False) == [[1, count]]
+        assert repeats(True, False) == [[1, count]]
+    scorer.reset(np.array([False, True]))
+    assert repeats(True, True) == [[1, 1]]
 
 
 def test_only_a_lens_that_stays_covered_counts_as_such():
-    monitors = Monitors(["nearness"], 2)
-    nose = blank(0.02)
+    scorer, nose = Scorer(2), blank(0.02)
     nose[1, :28] = 0.5  # Over half of its pixels see past the platform.
+
+    def near(image: np.ndarray, fresh: bool = True) -> list:
+        given = seen(image=image.copy(), fresh=np.full(2, fresh))
+        return scorer.scores(given, ["nearness"]).tolist()
+
     for count in range(1, 6):
-        assert monitors.scores(seen(image=nose.copy())).tolist() == [[0, count]]
+        assert near(nose) == [[0, count]]
         for _ in range(5):
-            monitors.scores(seen(image=nose.copy(), fresh=np.zeros(2, bool)))
+            assert near(nose, fresh=False) == [[0, count]]
     assert count < MONITORS["nearness"].fallback
-    assert monitors.scores(seen()).tolist() == [[0, 0]], "it is up"
+    assert near(seen().image) == [[0, 0]], "it is up"
     nose[1, :29] = 0.5
-    assert monitors.scores(seen(image=nose)).tolist() == [[0, 0]], "less than two fifths"
-    monitors.scores(seen(image=blank(0.02)))
-    monitors.reset(np.array([False, True]))
-    assert monitors.scores(seen(image=blank(0.02))).tolist() == [[0, 1]]
+    assert near(nose) == [[0, 0]], "less than two fifths"
+    assert near(blank(0.02)) == [[0, 1]]
+    scorer.reset(np.array([False, True]))
+    assert near(blank(0.02)) == [[0, 1]]
 
 
 STEP = 1 / 200

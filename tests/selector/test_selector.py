@@ -93,7 +93,7 @@ def test_a_bundles_selector_takes_all_its_settings(thresholds, used):
     assert (selector.dwell, selector.between_returns) == (DWELL, BETWEEN_RETURNS)
     assert selector.vision.tolist() == [True] * 3
     assert selector.spec.used_thresholds == used
-    assert selector.monitors.names == [name for name in MONITORS if name in used]
+    assert [*selector.thresholds.items()] == [(n, used[n]) for n in MONITORS if n in used]
 
 
 def test_an_unknown_selector_is_refused():

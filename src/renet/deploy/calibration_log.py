@@ -12,7 +12,7 @@ from renet.deploy.safety import Mode
 from renet.deploy.score import fallen
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
-from renet.selector.monitors import MONITORS, Monitors, SelectorInput
+from renet.selector.monitors import MONITORS, Scorer, SelectorInput
 
 AWAY = 1.0
 """Seconds without a new image after which the camera was unplugged, not late."""
@@ -77,7 +77,7 @@ def healthy_walks(run: Recording) -> Iterator[range]:
 
 def score_walk(run: Recording, walk: range) -> np.ndarray:
     """Scores [T, monitors] of a stretch of whole ticks."""
-    monitors = Monitors(MONITORS, 1)
+    scorer = Scorer(1)
     newest = run.images[max(row for row in run.images if row <= walk.start)]
     given, image, scores = None, np.zeros(0), []
     for step, row in enumerate(walk):
@@ -98,7 +98,7 @@ def score_walk(run: Recording, walk: range) -> np.ndarray:
             has_image=tick["has_image"][None],
             map_error=tick["map_error"][None],
         )
-        scores.append(monitors.scores(seen)[:, 0])
+        scores.append(scorer.scores(seen)[:, 0])
     table = np.array(scores, float)
     return table.reshape(-1, STEPS_PER_TICK, len(MONITORS)).max(axis=1)
 

@@ -7,7 +7,7 @@ import numpy as np
 from renet.evaluation.rollout import EvalSelector
 from renet.evaluation.trace import UPDATES_PER_STEP, Trace
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
-from renet.selector.monitors import MONITORS, Monitors, SelectorInput
+from renet.selector.monitors import MONITORS, Scorer, SelectorInput
 
 UPDATES_PER_TICK = UPDATES_PER_STEP * STEPS_PER_TICK
 
@@ -16,13 +16,13 @@ class MonitorLog:
     """Records every monitor's score; pass it to `run_rollout` as `on_update`."""
 
     def __init__(self, num_robots: int) -> None:
-        self._monitors = Monitors(MONITORS, num_robots)
+        self._scorer = Scorer(num_robots)
         self._ticks: list[np.ndarray] = []
         self._updates = 0
 
     def __call__(self, seen: SelectorInput) -> None:
         """Take the scores of one update; a tick keeps the highest of its updates."""
-        scores = self._monitors.scores(seen)
+        scores = self._scorer.scores(seen)
         if self._updates % UPDATES_PER_TICK == 0:
             self._ticks.append(scores)
         else:

@@ -9,15 +9,15 @@ from renet.errors import RenetError
 from renet.selector.monitors import MONITORS
 
 TAIL = 0.02
-"""Share of the highest scores from which a distribution's tail is learnt."""
+"""Share of the highest scores to which a distribution's tail is fitted."""
 ENOUGH = 20
-"""Bursts from which a tail's shape can be told; fewer count as exponential."""
+"""Least number of peaks to fit a tail's shape to; with fewer it is taken as exponential."""
 APART = 10
-"""Scores (1 s at 10 Hz) between two alarms that count as two: vision is not back earlier."""
+"""Least number of scores (1 s at 10 Hz) between two alarms: vision does not return earlier."""
 
 
 def calibrate(scores: np.ndarray, false_alarm: float = 0.0) -> float:
-    """Beta, from the anomaly scores of successful episodes with healthy cameras.
+    """Beta from the anomaly scores of successful episodes with healthy cameras.
 
     Args:
         scores: of any shape.
@@ -45,18 +45,19 @@ def calibrate_monitors(
     false_alarms_per_hour: float = 0.5,
     rate_hz: float = 10.0,
 ) -> tuple[dict[str, float], float]:
-    """Thresholds at which healthy robots leave vision at most so often.
+    """Thresholds at which healthy robots leave vision at most at the stated rate.
 
-    One frame above a threshold costs a departure: the paper's filter forgives less than a frame.
-    The rate is shared equally between the monitors whose scores vary.
+    One frame above a threshold is a false alarm, as the paper's filter is shorter than a frame. The
+    rate is shared equally between the monitors whose scores vary.
 
     Args:
-        scores: for each monitor one array [T] for each healthy run without a break, T scores at
-            `rate_hz`; the same runs for all monitors.
-        false_alarms_per_hour: stated rate of all monitors together, above 0.
+        scores: for each monitor one array [T] for each unbroken healthy run, T scores at `rate_hz`;
+            the same runs for all monitors.
+        false_alarms_per_hour: rate of all monitors together, above 0.
+        rate_hz: scores per second.
 
     Returns:
-        Thresholds by monitor name, and the hours of healthy robots that they were learnt from.
+        Thresholds by monitor name, and the robot hours that they are calibrated on.
 
     Raises:
         RenetError: no scores, or one that is not finite.
@@ -74,15 +75,16 @@ def calibrate_monitors(
 
 
 def return_level(runs: Sequence[np.ndarray], expected: float) -> float:
-    """The level that runs like these exceed `expected` times in all, and these never.
+    """The level that new runs of the same length are expected to exceed `expected` times.
 
-    Peaks over threshold: exceedances of a high quantile, the peak of each cluster, follow a
-    generalised Pareto distribution (Pickands, Balkema and de Haan). Its shape is found by moments
-    and kept at 0 (an exponential tail) or below (a bounded one, as of shares of an image). Never
-    below the maximum plus the mean exceedance: where tails are heavier, the margin has to hold.
+    Peaks over threshold: the peaks of the clusters above a high quantile follow a generalised
+    Pareto distribution (Pickands, Balkema and de Haan). Its shape is fitted by moments, and kept
+    from -0.5 (a bounded tail, as of shares of an image) to 0 (an exponential one). As a margin for
+    heavier tails, the level is at least the maximum plus the mean exceedance.
 
     Args:
-        runs: [T] scores of each unbroken run. expected: may be a fraction.
+        runs: [T] scores of each unbroken run.
+        expected: number of exceedances, which may be below 1.
     """
     joined = _checked(*runs)
     high = float(np.quantile(joined, 1.0 - TAIL))
@@ -90,7 +92,7 @@ def return_level(runs: Sequence[np.ndarray], expected: float) -> float:
     if len(excess) == 0:
         return float(np.nextafter(joined.max(), np.inf))
     mean, ratio = float(excess.mean()), max(len(excess) / expected, 1.0)
-    # Clusters that all peak alike, as counts of equal images do, have no variance.
+    # Equal peaks, as of counts of equal images, have no variance.
     spread = max(float(excess.var()), 1e-9 * mean**2)
     shape = 0.5 * (1.0 - mean**2 / spread) if len(excess) >= ENOUGH else 0.0
     shape = float(np.clip(shape, -0.5, 0.0))
@@ -100,16 +102,16 @@ def return_level(runs: Sequence[np.ndarray], expected: float) -> float:
 
 
 def stale_above(staleness: np.ndarray, fell: np.ndarray, expected: np.ndarray) -> float:
-    """The staleness of memory from which on a robot would fall less often with OP.
+    """The staleness of memory above which a robot falls less often with OP.
 
     Args:
-        staleness: [n] of moments in which robots walked from memory: m of expected error, or s.
-        fell: [n] bool, the robot fell in this moment.
-        expected: [n] falls that OP has on the same ground in a moment.
+        staleness: [n] expected map error in m, or seconds, of moments of walking from memory.
+        fell: [n] bool, whether the robot fell in this moment.
+        expected: [n] falls per moment with OP on the same ground.
 
     Returns:
-        The level above which the falls exceed OP's by most, if chance does not explain it (two
-        standard deviations of a Poisson count); else infinity.
+        The level above which the falls exceed OP's by most; infinity where the excess is within two
+        standard deviations of a Poisson count.
     """
     order = np.argsort(-staleness, kind="stable")
     falls, blind = np.cumsum(fell[order]), np.cumsum(expected[order])
@@ -131,6 +133,7 @@ def decluster(run: np.ndarray, level: float) -> list[float]:
 
 
 def _checked(*runs: np.ndarray) -> np.ndarray:
+    """All scores of the runs, [n]; raises RenetError for none, or one that is not finite."""
     scores = np.concatenate([np.zeros(0), *map(np.ravel, runs)])
     if scores.size == 0 or not np.isfinite(scores).all():
         raise RenetError("calibration needs at least one score, all of them finite")

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 VISION_THRESHOLD = 0.5
-"""Vision is chosen while P_t is larger (paper)."""
+"""VP drives while P_t is larger (paper)."""
 
 
 def low_pass(
@@ -17,7 +17,7 @@ def low_pass(
         probability: vision probability P_{t-1}, [N].
         healthy: verdicts P^_t, [N] bool.
         gamma: weight of a new verdict, above 0 and at most 1.
-        count: updates.
+        count: number of updates.
 
     Returns:
         P_t, [N].
@@ -28,8 +28,8 @@ def low_pass(
 def filter_delay(gamma: float, rate_hz: float) -> float:
     """Seconds from the first unhealthy update to OP, starting from P = 1.
 
-    P falls to (1 - gamma)^n after n updates and must not exceed one half: at gamma = 0.1 that
-    takes 7 updates, 35 ms at 200 Hz but 0.7 s at the 10 Hz of the images.
+    P falls to (1 - gamma)^n after n updates, and OP drives from one half down: at gamma = 0.1 that
+    takes 7 updates, which are 35 ms at 200 Hz and 0.7 s at 10 Hz.
     """
     if gamma >= VISION_THRESHOLD:
         return 1.0 / rate_hz

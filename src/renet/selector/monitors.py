@@ -1,15 +1,14 @@
-"""Ways to notice that vision or memory failed: the paper's reconstruction loss, and others.
+"""Monitors of vision and memory: the paper's reconstruction loss, and others.
 
-An autoencoder does not notice a frozen image, a blank one, late or missing frames and filled holes:
-each frame by itself looks healthy. Every monitor computes one score per robot; vision is healthy
-while every score is below its monitor's threshold. Thresholds are calibrated from scores of healthy
-runs (`renet.selector.calibration`).
+The loss of an autoencoder misses a frozen, blank, late or dropped image and filled holes, because
+each frame by itself looks healthy. Every monitor computes one score per robot. Vision is healthy
+while each score is below its threshold, calibrated on healthy runs (`selector/calibration.py`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,9 +16,9 @@ import numpy as np
 from renet.interface import DEPTH_SHAPE
 
 NEAR = 0.05
-"""Normalised depth (10 cm of 2 m) below which a stereo camera sees nothing real (paper, IV-D)."""
+"""Normalised depth (10 cm of 2 m) below which a stereo camera measures nothing (paper, IV-D)."""
 COVERED = 0.4
-"""With a larger share of an image's pixels nearer than `NEAR` the lens may be covered."""
+"""Share of an image's pixels nearer than `NEAR` above which the lens may be covered."""
 
 
 def _absent() -> np.ndarray:
@@ -28,14 +27,14 @@ def _absent() -> np.ndarray:
 
 @dataclass(frozen=True)
 class SelectorInput:
-    """What N robots know of their vision at one moment; absent parts suit the paper's selector."""
+    """The state of N robots' vision at one moment; the paper's selector needs the score alone."""
 
     anomaly_score: np.ndarray
-    """Loss_ad of the newest images, [N]."""
+    """Reconstruction loss Loss_ad of the newest images, [N]."""
     image: np.ndarray = field(default_factory=_absent)
     """Newest image delivered, [N, 48, 64] in [0, 1]; a new array whenever one arrives."""
     fresh: np.ndarray = field(default_factory=_absent)
-    """True where that image arrived since the last update, [N]."""
+    """Whether that image arrived since the last update, [N] bool."""
     age: np.ndarray = field(default_factory=_absent)
     """Seconds since it arrived, [N]."""
     invalid: np.ndarray = field(default_factory=_absent)
@@ -43,7 +42,7 @@ class SelectorInput:
     velocity_op: np.ndarray = field(default_factory=_absent)
     """The OP estimator's base velocity, [N, 3] m/s."""
     velocity_vp: np.ndarray = field(default_factory=_absent)
-    """The VP estimator's, [N, 3] m/s."""
+    """The VP estimator's base velocity, [N, 3] m/s."""
     variance_score: np.ndarray = field(default_factory=_absent)
     """Mean squared error of the newest images over its predicted variance, [N]; zero from models
     that predict none."""
@@ -55,14 +54,14 @@ class SelectorInput:
 
 @dataclass(frozen=True)
 class Gate:
-    """Which images of a tick VP may use: an image that is spoilt is withheld in that very tick."""
+    """Which images of a tick VP may use; a spoilt image is withheld in the tick it arrives in."""
 
     acceptable: np.ndarray
     """[N] bool: new, and no monitor objects before the vision model has run."""
     limits: Mapping[str, float]
-    """By name of the vision model's output: a score that is not below is objected to."""
+    """Least score that is objected to, by name of the vision model's output."""
     robots: np.ndarray | bool = True
-    """[N] bool: whom it binds; the others' images are theirs, whatever they show."""
+    """[N] bool: the robots it binds; the others use all their images."""
 
     def judge(self, scores: Mapping[str, np.ndarray]) -> np.ndarray:
         """[N] bool: the images that VP may use, given the vision model's scores [N] by name."""
@@ -72,35 +71,32 @@ class Gate:
 
 @dataclass(frozen=True)
 class Monitor:
-    """How one monitor scores its input, what it says, and between which limits its threshold is."""
+    """The score, the reason and the range of thresholds of one monitor."""
 
     reason: str
-    """Said when it is the first to object."""
-    score: Callable[[SelectorInput, Monitors], np.ndarray]
+    """Shown when it is the first to object."""
+    score: Callable[[SelectorInput, Scorer], np.ndarray]
     """How suspicious vision is, [N]; larger is worse."""
     limit: float
-    """A larger threshold would switch the monitor off: no bundle may hold one."""
+    """Largest threshold in a bundle; a larger one would switch the monitor off."""
     fallback: float | None = None
-    """Threshold in bundles that were never calibrated; without it the monitor is calibrated or not
-    used."""
+    """Threshold in bundles that were never calibrated; None: such bundles do not use it."""
     floor: float = -math.inf
-    """Calibration never goes below this: a simulated camera has no holes and never misses a frame,
-    so that healthy runs say nothing of what a real one may be forgiven."""
+    """Least calibrated threshold. A simulated camera has no holes and misses no frame: healthy
+    runs do not show what a real one needs."""
     ceiling: float = math.inf
-    """Nor above this, whatever healthy runs say: a blank image or a covered lens must be
-    noticed."""
+    """Largest calibrated threshold: a blank image or a covered lens must be noticed."""
     output: str = ""
     """Output of the vision model that it judges; empty: it needs none."""
     of_image: bool = True
-    """Whether it judges an image, which is withheld then; else it judges the estimators, and OP
+    """Whether it judges an image, which is then withheld; else it judges the estimators, and OP
     takes over."""
 
 
-class Monitors:
-    """Scores N robots with some of the `MONITORS`; each image is judged once."""
+class Scorer:
+    """Scores the vision of N robots, and keeps of past images what the scores need."""
 
-    def __init__(self, names: Collection[str], num_robots: int) -> None:
-        self.names = [name for name in MONITORS if name in names]
+    def __init__(self, num_robots: int) -> None:
         self.repeats = np.zeros(num_robots)
         """Equal images that arrived in a row, [N]."""
         self.contrast = np.zeros(num_robots)
@@ -110,8 +106,13 @@ class Monitors:
         self._image: np.ndarray | None = None
         self._last = np.full((num_robots, *DEPTH_SHAPE), np.nan)
 
-    def scores(self, seen: SelectorInput, names: Sequence[str] | None = None) -> np.ndarray:
-        """Scores of some monitors, of all in the order of `names` by default, [monitors, N]."""
+    def scores(self, seen: SelectorInput, names: Iterable[str] | None = None) -> np.ndarray:
+        """Count the fresh images, and score all robots by monitors: [monitors, N].
+
+        Args:
+            seen: the fields that these monitors need.
+            names: of monitors; None: all of them, in the order of `MONITORS`.
+        """
         if seen.image.size and seen.image is not self._image:
             self._image = seen.image
             self.contrast = seen.image.std(axis=(1, 2))
@@ -121,8 +122,8 @@ class Monitors:
             self.repeats = np.where(seen.fresh, np.where(same, self.repeats + 1, 1), self.repeats)
             self.near = np.where(seen.fresh, np.where(near, self.near + 1, 0), self.near)
             self._last = np.where(seen.fresh[:, None, None], seen.image, self._last)
-        chosen = self.names if names is None else names
-        return np.array([MONITORS[name].score(seen, self) for name in chosen])
+        names = MONITORS if names is None else names
+        return np.array([MONITORS[name].score(seen, self) for name in names])
 
     def reset(self, mask: np.ndarray) -> None:
         """Forget the last images of the masked robots [N]."""
@@ -130,14 +131,14 @@ class Monitors:
         self._last[mask] = np.nan
 
 
-def _disagreement(seen: SelectorInput, images: Monitors) -> np.ndarray:
-    """Distance of both estimators' velocities, m/s: one that sees nonsense drifts away."""
+def _disagreement(seen: SelectorInput, images: Scorer) -> np.ndarray:
+    """Distance of both estimators' velocities, m/s, which grows when VP sees nonsense."""
     apart = seen.velocity_op - seen.velocity_vp
     return np.sqrt(np.vecdot(apart, apart))
 
 
 MONITORS = {
-    # The first to object is named as the reason: the plainest causes come first.
+    # The first to object gives the reason: the plainest causes come first.
     "frame_age": Monitor(
         "no new image",
         lambda seen, images: seen.age,
@@ -168,30 +169,29 @@ MONITORS = {
     ),
     "nearness": Monitor(
         "the lens is covered",
-        # A robot that climbs a platform touches it with its nose for half a second. Not calibrated.
+        # Never calibrated. A robot that climbs a platform has its nose on it for half a second.
         lambda seen, images: images.near,
         limit=20.0,
         fallback=10.0,  # A second.
         floor=10.0,
         ceiling=10.0,
     ),
-    # The error by how unusual it is: edges are hard to draw, flat ground is not. Not every model
-    # predicts a variance. Healthy images score about 1.
+    # The error relative to its predicted variance, as edges are harder to draw than flat ground.
+    # Healthy images score about 1. Not every model predicts a variance.
     "variance": Monitor(
         "images unlike those of training",
         lambda seen, images: seen.variance_score,
         limit=100.0,
         output="variance_score",
     ),
-    # The paper's: the autoencoder cannot rebuild the image; without a calibrated threshold β is
-    # used. Images are in [0, 1]: predicting 0.5 everywhere is wrong by 0.25 at most.
+    # The paper's monitor; beta is its fallback. The limit is the largest error of predicting 0.5
+    # everywhere, as images are in [0, 1].
     "reconstruction": Monitor(
         "images unlike those of training",
         lambda seen, images: seen.anomaly_score,
         limit=0.25,
         output="anomaly_score",
     ),
-    # It has no natural scale.
     "disagreement": Monitor(
         "the estimators disagree on velocity", _disagreement, limit=3.0, of_image=False
     ),

@@ -1,23 +1,22 @@
 """The selector: which images VP gets, and whether VP or OP drives.
 
 A robot is in one of three states. It sees while VP drives and gets its images. It remembers while
-VP drives without: an image that a monitor objects to is withheld in the tick in which it arrives,
-and VP walks on from what it has seen. It is blind while OP drives, because the memory is stale or
-the estimators disagree.
+VP drives without images: one that a monitor objects to is withheld in the tick in which it arrives.
+It is blind while OP drives, because the memory is stale or the estimators disagree.
 
 With the reconstruction monitor alone, no dwell and no memory it is the paper's selector (RENet,
 Method B).
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from renet.errors import RenetError
 from renet.selector.filter import VISION_THRESHOLD, filter_delay, low_pass
-from renet.selector.monitors import MONITORS, Gate, Monitors, SelectorInput
+from renet.selector.monitors import MONITORS, Gate, Scorer, SelectorInput
 
 DWELL = 1.0
 """Seconds without an objection before vision is used again."""
@@ -44,7 +43,7 @@ class SelectorSpec:
     rate_hz: float = 200.0
     """Filter updates per second."""
     thresholds: dict[str, float] = field(default_factory=dict)
-    """Calibrated thresholds by monitor name; monitors without one use their default."""
+    """Calibrated thresholds by monitor name; a monitor without one uses its fallback."""
     calibration: str = ""
     """How beta was found."""
     false_alarms_per_hour: float = 0.0
@@ -52,7 +51,7 @@ class SelectorSpec:
     healthy_hours: float = 0.0
     """Robot hours the thresholds were learnt from."""
     longest_memory: float = 0.0
-    """Seconds for which VP may drive without an image, however good it thinks its memory is; 0: OP
+    """Seconds for which VP may drive without an image, whatever error of its map it expects; 0: OP
     takes over at once (the paper's switch)."""
 
     def __post_init__(self) -> None:
@@ -82,8 +81,8 @@ class SelectorSpec:
         fallbacks = {name: monitor.fallback for name, monitor in MONITORS.items()}
         if "variance" not in self.thresholds:
             fallbacks["reconstruction"] = self.beta
-        known = fallbacks | self.thresholds
-        return {name: value for name, value in known.items() if value is not None}
+        thresholds = fallbacks | self.thresholds
+        return {name: value for name, value in thresholds.items() if value is not None}
 
 
 class MonitorSelector:
@@ -93,12 +92,10 @@ class MonitorSelector:
     `longest_memory` seconds after the last one that had, unless a monitor of the estimators
     objects. Without a memory, every monitor speaks for itself: VP drives while none objects.
 
-    The filter runs on a clock of its own: however often `update` is called, the filter takes
-    `spec.rate_hz` verdicts a second, and `dwell` and `between_returns` are seconds of the caller's
-    clock. Verdicts due between two calls are those of the later call, so a caller that comes at
-    50 Hz hands the same verdict to a 200 Hz filter four times. A new image every 0.1 s likewise
-    counts 20 times: the filter delays the switch by 35 ms and smooths flicker shorter than that,
-    but it does not average over images.
+    However often `update` is called, the filter takes `spec.rate_hz` verdicts a second. Verdicts
+    due between two calls are those of the later call: a caller at 50 Hz hands the same verdict to a
+    200 Hz filter four times, and an image every 0.1 s counts 20 times. So the filter delays the
+    switch by 35 ms and smooths shorter flicker, but does not average over images.
     """
 
     def __init__(
@@ -110,39 +107,34 @@ class MonitorSelector:
         between_returns: float = BETWEEN_RETURNS,
         longest_memory: float = 0.0,
     ) -> None:
-        """Set up for N robots, all using vision.
+        """Let N robots begin with vision.
 
         Args:
             thresholds: of the monitors to use, by name.
             spec: gives the filter's gamma and rate.
-            dwell: seconds without an objection before vision is used again.
-            between_returns: shortest time in seconds between two returns to vision.
+            num_robots: N.
+            dwell: seconds of the caller's clock without an objection before vision is used again.
+            between_returns: shortest time between two returns to vision, s of the same clock.
             longest_memory: seconds for which VP may drive without an image.
         """
         self.spec, self.dwell, self.between_returns = spec, dwell, between_returns
         self.longest_memory = longest_memory
-        self.monitors = Monitors(thresholds, num_robots)
+        self.thresholds = {name: thresholds[name] for name in MONITORS if name in thresholds}
+        """Thresholds of the monitors in use, by name, in the order of `MONITORS`."""
         self.probability = np.ones(num_robots)
-        """Vision probability P_t, [N]; vision is trusted at first."""
+        """Vision probability P_t, [N]."""
         self.vision = np.ones(num_robots, bool)
         """Whether each robot uses vision, [N]."""
         self.without_image = np.zeros(num_robots)
-        """Seconds since VP's newest tick with an image, [N]; 0 while it has one, infinite before
-        the first: who has seen nothing remembers nothing."""
+        """Seconds since VP's newest tick with an image, [N]; infinite before the first."""
         self.reason = np.full(num_robots, "", object)
         """Reason of the first monitor that objected when the robot last ceased to see, [N]; empty
         while it sees."""
-        names = self.monitors.names
-        self._thresholds = np.array([[thresholds[name]] for name in names])
-        self._of_image = np.array([MONITORS[name].of_image for name in names])
-        self._before_vision = {
-            name: thresholds[name]
-            for name in names
-            if MONITORS[name].of_image and not MONITORS[name].output
-        }
-        self._limits = {
-            MONITORS[name].output: thresholds[name] for name in names if MONITORS[name].output
-        }
+        used = {name: MONITORS[name] for name in self.thresholds}
+        self._of_image = np.array([monitor.of_image for monitor in used.values()])
+        self._before_vision = [n for n, m in used.items() if m.of_image and not m.output]
+        self._limits = {m.output: self.thresholds[n] for n, m in used.items() if m.output}
+        self._scorer = Scorer(num_robots)
         self._looked = False
         self._periods: int | None = None
         self._good_since = np.zeros(num_robots)
@@ -163,33 +155,30 @@ class MonitorSelector:
         Returns:
             Which images VP may use; None without a memory: all.
         """
-        scores = self.monitors.scores(seen, [*self._before_vision])
+        verdicts = self._verdicts(seen, self._before_vision)
         self._looked = True
         if not self.longest_memory:
             return None
-        limits = self._before_vision.values()
-        verdicts = [score < limit for score, limit in zip(scores, limits, strict=True)]
         # An image that is shown again is no new one.
         return Gate(np.logical_and.reduce([seen.fresh, *verdicts]), self._limits)
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
-        """Take what is known of vision at one moment.
+        """Judge vision at one moment, and decide who drives.
 
         Args:
-            seen: what the monitors judge.
-            now: seconds on any clock that does not run backwards; a clock that does is waited for.
+            seen: the fields that the monitors need.
+            now: seconds on any clock; while it stands or runs backwards nothing is decided.
 
         Returns:
-            "VP drives", [N] bool.
+            Whether VP drives, [N] bool.
         """
         if self._looked and seen.fresh.any():  # `look` has counted these images.
             seen = replace(seen, fresh=np.zeros_like(seen.fresh))
         self._looked = False
-        scores = self.monitors.scores(seen)  # At every call: equal images are counted.
+        verdicts = self._verdicts(seen, self.thresholds)  # At every call, to count equal images.
         due = self._due(now)
         if due == 0:
             return self.vision
-        verdicts = scores < self._thresholds
         good, healthy = self._judge(verdicts, seen, now)
         self.probability = low_pass(self.probability, healthy, self.spec.gamma, due)
         likely = self.probability > VISION_THRESHOLD
@@ -201,19 +190,26 @@ class MonitorSelector:
         self._returned[returning] = now
         self.vision = (self.vision & likely) | returning
         self.reason[self.vision & good] = ""
-        # With a memory the reason is that of the first image missed, not of its being stale.
-        ceasing = leaving if not self.longest_memory else ~good & (self.reason == "")
-        for robot in np.flatnonzero(~(good & healthy) & (leaving | ceasing)):
-            objections = ~verdicts[:, robot]
-            if objections.any():
-                objecting = self.monitors.names[int(objections.argmax())]
-                self.reason[robot] = MONITORS[objecting].reason
+        # With a memory the reason is that of the first image withheld, not that memory is stale.
+        ceasing = ~good & (self.reason == "") if self.longest_memory else leaving
+        self._explain(~(good & healthy) & (leaving | ceasing), verdicts)
         return self.vision
+
+    def _verdicts(self, seen: SelectorInput, names: Collection[str]) -> np.ndarray:
+        """Whether each of these monitors has no objection, [monitors, N] bool."""
+        limits = np.array([[self.thresholds[name]] for name in names])
+        return self._scorer.scores(seen, names) < limits
+
+    def _explain(self, robots: np.ndarray, verdicts: np.ndarray) -> None:
+        """Set the reason of the masked robots [N] to that of the first monitor that objects."""
+        reasons = [MONITORS[name].reason for name in self.thresholds]
+        for robot in np.flatnonzero(robots & ~verdicts.all(axis=0)):
+            self.reason[robot] = reasons[int(verdicts[:, robot].argmin())]
 
     def _judge(
         self, verdicts: np.ndarray, seen: SelectorInput, now: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Whether VP has good images, and whether it may drive, [N] bool each."""
+        """Whether VP has a good image, and whether it may drive, [N] bool each."""
         if not self.longest_memory:
             healthy = np.logical_and.reduce(verdicts)
             return healthy, healthy
@@ -233,7 +229,7 @@ class MonitorSelector:
         self.without_image[mask] = 0.0
         self.reason[mask] = ""
         self._last_good[mask] = self._returned[mask] = -np.inf
-        self.monitors.reset(mask)
+        self._scorer.reset(mask)
 
     def _due(self, now: float) -> int:
         """Filter updates due since the last call, at multiples of their period."""
