@@ -1,4 +1,4 @@
-"""Pinhole geometry that the simulated and the real depth camera share.
+"""Pinhole geometry of the simulated and the real depth camera.
 
 Camera frame: x forward, y left, z up. Images have the top row first; rays go through pixel centres.
 """
@@ -15,9 +15,9 @@ from renet.interface import DEPTH_SHAPE
 class Intrinsics:
     """Focal lengths and principal point, in pixels, of an image with straight rows and columns.
 
-    Default: an Intel RealSense D435i at 848 x 480 (87 x 58 degrees) loses its noisy edges to a
-    central 4:3 crop with square pixels, 66.0 x 52.0 degrees, and is resized to 64 x 48 (RENet,
-    Method C: truncate edges, then resize). The rays of that crop are cast directly.
+    Default: the image of an Intel RealSense D435i at 848 x 480 (87 x 58 degrees), cropped to its
+    centre of 66.0 x 52.0 degrees with square pixels and resized to 64 x 48 (RENet, Method C:
+    truncate edges, then resize). In simulation the rays of that crop are cast directly.
     """
 
     height: int = DEPTH_SHAPE[0]
@@ -28,7 +28,7 @@ class Intrinsics:
     cy: float = 24.0
 
     def axes(self, dtype: Any = np.float64) -> tuple[np.ndarray, np.ndarray]:
-        """Left [width] and up [height] components of rays with forward component 1."""
+        """Left [width] and up [height] components of rays whose forward component is 1."""
 
         def axis(centre: float, size: int, focal: float) -> np.ndarray:
             return (dtype(centre - 0.5) - np.arange(size, dtype=dtype)) / dtype(focal)

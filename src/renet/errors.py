@@ -1,4 +1,4 @@
-"""The one exception renet raises for anything a user can put right."""
+"""The exception that renet raises for everything a user can correct."""
 
 
 class RenetError(Exception):

@@ -1,7 +1,7 @@
 """Names, orders, units and sizes shared by training, evaluation and the robot.
 
-Every index elsewhere is derived from these tables; nothing counts by hand.
-Frames: base frame is x forward, y left, z up; quaternions are (w, x, y, z).
+All indices elsewhere are derived from these tables. The base frame is x forward, y left, z up;
+quaternions are (w, x, y, z).
 """
 
 from dataclasses import dataclass
@@ -27,9 +27,9 @@ PHYSICS_DT = 0.005
 """Seconds between physics steps, and the selector's default update period (200 Hz)."""
 
 HISTORY = 10
-"""H1: how many proprioceptions an estimator sees (paper)."""
+"""H1, the number of proprioceptions an estimator sees (paper)."""
 FRAMES = 2
-"""H2: how many depth images an estimator sees (paper)."""
+"""H2, the number of depth images an estimator sees (paper)."""
 LATENT = 64
 """Width of each estimator's GRU, hence of h_b and h_v (paper)."""
 
@@ -69,7 +69,7 @@ NUM_FEET = len(LEGS)
 
 
 def proprioception_slices() -> dict[str, slice]:
-    """Where each term of `PROPRIOCEPTION` lies in the vector."""
+    """The place of each term of `PROPRIOCEPTION` in the vector, by name."""
     slices, start = {}, 0
     for term in PROPRIOCEPTION:
         slices[term.name] = slice(start, start + term.size)

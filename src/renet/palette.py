@@ -1,6 +1,6 @@
-"""Colours of a robot's three states: the same in timelines, films, figures and on the page.
+"""Colours of a robot's three states in timelines, films, figures and on the page.
 
-Of Okabe and Ito's set, which colour-blind people tell apart.
+They are from Okabe and Ito's set, which colour-blind people can tell apart.
 """
 
 SEES, REMEMBERS, BLIND = "#0072b2", "#e69f00", "#8c4a8c"
@@ -10,7 +10,7 @@ STATES = {
     "remembers": (REMEMBERS, "remembers (VP)"),
     "blind": (BLIND, "blind (OP)"),
 }
-"""Colour of each of the selector's states, and what legends call it."""
+"""Colour and legend of each of the selector's states."""
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

@@ -1,4 +1,4 @@
-"""Progress bars, tables, and lines from a thread: a stalled terminal must not stall a robot."""
+"""Progress bars, tables, and lines that a thread prints, so that no terminal stalls a robot."""
 
 import threading
 from collections.abc import Iterable, Sequence
@@ -12,13 +12,13 @@ from rich.table import Table
 
 Step = TypeVar("Step")
 MAX_WAITING = 1000
-"""Lines that wait for a terminal that takes none; later ones are lost."""
+"""Lines that wait for a stalled terminal; later ones are dropped."""
 
 
 class Terminal:
-    """Prints lines in order, later.
+    """Prints lines in order, on a thread.
 
-    `logging.handlers.QueueListener` would do, if its `stop` did not wait for a hung terminal.
+    `logging.handlers.QueueListener` would do, but its `stop` waits for a hung terminal.
     """
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class Terminal:
             self._lines.put_nowait(line)
 
     def close(self) -> None:
-        """Print what is left; give up after a second on a terminal that takes nothing."""
+        """Print the lines that wait; give up after a second if the terminal hangs."""
         with suppress(Full):
             self._lines.put(None, timeout=1.0)
         self._thread.join(timeout=1.0)
@@ -46,7 +46,7 @@ class Terminal:
 
 
 def show(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    """Print a table on standard output, texts as they are: a bundle's are a stranger's."""
+    """Print a table on standard output, without markup: a bundle's texts are not trusted."""
     table = Table(*header, title=title, title_justify="left", title_style="bold")
     for row in rows:
         table.add_row(*map(str, row))
@@ -54,5 +54,5 @@ def show(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> No
 
 
 def progress(steps: Iterable[Step], title: str) -> Iterable[Step]:
-    """The steps one after the other, beside a bar on standard error with the time that is left."""
+    """Yield the steps, with a bar on standard error that shows the time left."""
     return track(steps, f"{title:<24}", console=Console(stderr=True))

@@ -1,4 +1,4 @@
-"""What a depth camera delivers at one vision tick, and the interface of what spoils it."""
+"""Frames of depth cameras at one vision tick, and the interface of the faults that spoil them."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ FOREVER = float("inf")
 class Frames:
     """One frame of each of n cameras, as the robots receive it.
 
-    `image` [n, 48, 64] float32 in [0, 1], what the policy sees: the newest image delivered.
-    `fresh` [n] bool, a new frame was delivered at this tick.
-    `age` [n] seconds since the newest frame was delivered, by the driver's own clock.
+    `image` [n, 48, 64] float32 in [0, 1], the newest image delivered, which the policy sees.
+    `fresh` [n] bool, whether a new frame was delivered at this tick.
+    `age` [n] seconds since the newest frame was delivered, by the driver's clock.
     `invalid` [n] share of pixels without a measurement, before holes are filled.
-    `angular_velocity` [n, 3] rad/s of the base while the image was exposed, base frame.
+    `angular_velocity` [n, 3] rad/s of the base during the exposure, base frame.
     """
 
     image: np.ndarray
@@ -45,21 +45,21 @@ class Frames:
         return Frames(**{name: value[index] for name, value in vars(self).items()})
 
     def write(self, index: np.ndarray, other: Frames) -> None:
-        """Put `other`, the frames of the robots `index`, in their place."""
+        """Replace the frames of the robots `index` by `other`."""
         for name, value in vars(self).items():
             value[index] = getattr(other, name)
 
     def copy(self) -> Frames:
-        """Frames that can be written without changing these."""
+        """A deep copy."""
         return Frames(**{name: value.copy() for name, value in vars(self).items()})
 
 
 class Fault:
     """One way a camera fails, for n robots, each with its own random stream.
 
-    A subclass names itself and its five severities, and spoils frames in `corrupt`. It sees every
-    frame, before, during and after the fault, so that it may keep what it needs of the past. The
-    first paragraph of its docstring is shown to users: what happens, and what `level` means.
+    A subclass has a name and five severities, and spoils frames in `corrupt`. It gets every frame,
+    before, during and after the fault, so that it can keep past ones. The first paragraph of its
+    docstring is shown to users: what happens, and what `level` means.
     """
 
     name: ClassVar[str]
@@ -67,7 +67,7 @@ class Fault:
     levels: ClassVar[tuple[float, ...]]
     """The `level` of severities 1 to 5."""
     level_is_duration: ClassVar[bool] = False
-    """Whether the fault ends by itself, after as many seconds as the level says."""
+    """Whether the level is the number of seconds after which the fault ends by itself."""
 
     def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
         self.level = level
@@ -76,16 +76,16 @@ class Fault:
         """What `draw` returned for each robot."""
 
     def draw(self, rng: np.random.Generator) -> Any:
-        """What is drawn once for a robot and stays as long as the fault, such as dirt's place."""
+        """What stays the same for a robot as long as the fault lasts, such as the place of dirt."""
         return None
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """The frames after the fault.
 
         Args:
-            frames: what the camera delivered at this tick; not changed.
-            elapsed: [n] seconds since the fault began; negative where it is not at work: the
-                frames of those robots are returned as they are.
+            frames: what the cameras delivered at this tick; not changed.
+            elapsed: [n] seconds since the fault began; negative where it is not at work, which
+                leaves the frames of those robots as they are.
         """
         raise NotImplementedError
 
@@ -101,7 +101,7 @@ class Fault:
 
     @classmethod
     def describe(cls, level: float) -> str:
-        """A level as people write it, such as "30 %" or "∞ s"."""
+        """A level with its unit, such as "30 %" or "∞ s"."""
         if cls.unit == "share":
             return f"{100 * level:.0f} %"
         if cls.unit == "factor":
@@ -117,10 +117,10 @@ class Fault:
 
 
 class ImageFault(Fault):
-    """A fault that spoils each image by itself, without memory of other frames."""
+    """A fault that spoils each image independently of other frames."""
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """Spoil the image of every robot the fault is at work on."""
+        """Spoil the images of the robots that the fault is at work on."""
         image, invalid = frames.image.copy(), frames.invalid.copy()
         for i in np.flatnonzero(elapsed >= 0).tolist():
             spoilt = self.spoil(image[i], i, float(elapsed[i]))
@@ -130,12 +130,9 @@ class ImageFault(Fault):
         return replace(frames, image=image, invalid=invalid)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """The spoilt image [48, 64] of one robot, NaN where a pixel has no measurement.
-
-        The caller fills these holes and clips to [0, 1].
-        """
+        """The spoilt image [48, 64] of one robot, of any range, NaN where nothing is measured."""
         raise NotImplementedError
 
     def fill(self, image: np.ndarray, holes: np.ndarray) -> np.ndarray:
-        """What the driver makes of an image [48, 64] and its holes ([48, 64] bool): zeros."""
+        """An image [48, 64] with its holes, [48, 64] bool, filled as by the driver: with zeros."""
         return np.where(holes, np.float32(0.0), image)

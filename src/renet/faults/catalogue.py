@@ -41,7 +41,7 @@ FAULTS: dict[str, type[Fault]] = {
 
 
 def fault_class(name: str) -> type[Fault]:
-    """The fault model of a name; raises RenetError, listing those there are, for another."""
+    """The fault model of a name; raises RenetError, which lists all names, for an unknown one."""
     if name not in FAULTS:
         raise RenetError(f"unknown fault '{name}': choose one of {', '.join(FAULTS)}")
     return FAULTS[name]

@@ -14,7 +14,7 @@ PERIOD = 10
 
 
 class TwoFaults(Fault):
-    """Two faults of the same severity, the second spoils what the first leaves."""
+    """Two faults of the same severity, one after the other."""
 
     unit = "severity"
     levels = SEVERITIES

@@ -1,7 +1,7 @@
-"""Faults of the picture itself: noise, dirt, light and optics (users' severities, see docs).
+"""Faults of single images: noise, dirt, light and optics.
 
-Depths are normalised: 1 is `DEPTH_RANGE` metres. Only faults said to leave holes raise the raw
-invalid fraction; the others deliver wrong numbers that the camera calls measurements.
+Depths are normalised: 1 is `DEPTH_RANGE` metres. Only faults whose docstring speaks of holes raise
+`Frames.invalid`; the others deliver wrong numbers as measurements.
 """
 
 from dataclasses import replace
@@ -15,13 +15,13 @@ from renet.interface import DEPTH_RANGE, DEPTH_SHAPE
 ROWS, COLUMNS = DEPTH_SHAPE
 
 
-def metres(distance: float) -> float:
-    """A distance in the image's units."""
-    return distance / DEPTH_RANGE
+def normalised(metres: float) -> float:
+    """A depth in the image's units."""
+    return metres / DEPTH_RANGE
 
 
 def smooth_field(rng: np.random.Generator, cells: tuple[int, int] = (6, 8)) -> np.ndarray:
-    """Spatially correlated noise [48, 64]: a coarse normal grid, interpolated between its nodes."""
+    """Spatially correlated noise [48, 64]: a coarse grid of normal numbers, interpolated."""
     coarse = rng.standard_normal((cells[0] + 1, cells[1] + 1))
     r, c = np.linspace(0, cells[0], ROWS), np.linspace(0, cells[1], COLUMNS)
     r0 = np.minimum(r.astype(int), cells[0] - 1)[:, None]
@@ -33,7 +33,7 @@ def smooth_field(rng: np.random.Generator, cells: tuple[int, int] = (6, 8)) -> n
 
 
 def fill_holes(image: np.ndarray, holes: np.ndarray) -> np.ndarray:
-    """Holes take the nearest measurement to their left, then right, then the row above.
+    """The image with each hole filled from its left, else from its right, else from the row above.
 
     This is RealSense's "fill from left", which leaves a smooth and plausible image.
     """
@@ -112,7 +112,7 @@ class Occlusion(ImageFault):
         return pattern
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        return np.where(self.patterns[robot], np.float32(metres(0.04)), image)
+        return np.where(self.patterns[robot], np.float32(normalised(0.04)), image)
 
 
 class Blobs(ImageFault):
@@ -129,7 +129,7 @@ class Blobs(ImageFault):
         for _ in range(int(self.level)):
             r, c, radius = rng.uniform(0, ROWS), rng.uniform(0, COLUMNS), rng.uniform(1, 4)
             inside = (rows - r) ** 2 + (columns - c) ** 2 <= radius**2
-            pattern[inside] = metres(rng.uniform(0.03, 0.2))
+            pattern[inside] = normalised(rng.uniform(0.03, 0.2))
         return pattern
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
@@ -151,7 +151,7 @@ class Grass(ImageFault):
         present = rng.random(COLUMNS) < 0.25 + 0.7 * self.level
         tips = ROWS - covered * rng.uniform(0.6, 1.0, COLUMNS)
         blades = present & (np.arange(ROWS)[:, None] >= tips)
-        depth = rng.uniform(metres(0.2), metres(0.6), COLUMNS).astype(np.float32)
+        depth = rng.uniform(normalised(0.2), normalised(0.6), COLUMNS).astype(np.float32)
         return np.where(blades, np.minimum(image, depth), image)
 
 
@@ -166,7 +166,7 @@ class Glare(ImageFault):
         return smooth_field(rng)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """The image with a fixed patch missing, whose border flickers."""
+        """The image without a fixed patch, whose border flickers."""
         field = self.patterns[robot] + 0.25 * smooth_field(self.rngs[robot], (12, 16))
         return np.where(field > np.quantile(field, 1 - self.level), np.nan, image)
 
@@ -191,7 +191,7 @@ class NearField(ImageFault):
     levels = (0.1, 0.15, 0.2, 0.3, 0.5)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        return np.where(image < metres(self.level), np.nan, image)
+        return np.where(image < normalised(self.level), np.nan, image)
 
 
 class WrongScale(ImageFault):
@@ -214,7 +214,7 @@ class MotionBlur(ImageFault):
     samples = 9
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """The mean of the image along the way it moves during the exposure."""
+        """The mean of the images along the motion during the exposure."""
         image = frames.image.copy()
         # Nose down moves the picture up, a turn to the left moves it right.
         pixels = np.array((-1.0, 1.0)) * (self.level * 1e-3 * Intrinsics.fx)
@@ -226,7 +226,7 @@ class MotionBlur(ImageFault):
 
 
 def shifted(image: np.ndarray, down: float, right: float) -> np.ndarray:
-    """`image` [48, 64] moved by a fraction of pixels; what moves in repeats the border."""
+    """An image [48, 64] moved by fractions of pixels; the border is repeated."""
     for axis, shift in ((0, down), (1, right)):
         size = image.shape[axis]
         source = np.clip(np.arange(size) - shift, 0, size - 1)

@@ -1,4 +1,4 @@
-"""When which robot's camera fails: schedules, and the injector that carries them out."""
+"""Schedules of faults, and the injector that applies them."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Injection:
     onset: int = 150
     """Control step (0.02 s) at which it begins."""
     duration: float = FOREVER
-    """Seconds it is at work."""
+    """Seconds for which it is at work."""
     period: float = FOREVER
-    """Seconds from one onset to the next; infinity: it comes once."""
+    """Seconds from one onset to the next; infinity: there is one onset."""
 
     def __post_init__(self) -> None:
         fault_class(self.fault)
@@ -46,7 +46,7 @@ class Injection:
         return cls(fault, fault_class(fault).level_of(severity), onset, duration)
 
     def elapsed(self, step: int) -> float:
-        """Seconds since the (latest) onset at a control step; -1 where it is not at work."""
+        """Seconds since the latest onset at a control step; -1 where it is not at work."""
         steps = step - self.onset
         if steps < 0:
             return -1.0
@@ -69,28 +69,28 @@ WORST = 5
 
 
 def parse_fault(text: str, onset: float | None = None) -> Injection:
-    """Read a fault as it is written on a command line.
+    """The injection that a command line asks for.
 
     Args:
         text: `NAME[:SEVERITY]@SECONDS[+DURATION]`, such as `glare:3@4s+2s`.
-        onset: seconds at which a fault begins that does not say when; if None it must say.
+        onset: onset in s of a text without one; None: the text must have one.
 
     Raises:
-        RenetError: text of another form, an unknown fault or severity.
+        RenetError: a text of another form, an unknown fault or severity.
     """
-    found = FAULT.fullmatch(text)
-    begins = onset if found is None or found["onset"] is None else float(found["onset"])
-    if found is None or begins is None:
+    match = FAULT.fullmatch(text)
+    begins = float(match["onset"]) if match and match["onset"] else onset
+    if match is None or begins is None:
         raise RenetError(
             f"cannot read the fault {text!r}: write NAME[:SEVERITY]@SECONDS[+DURATION], "
             "such as blackout@5s or glare:3@4s+2s"
         )
-    step, severity = round(begins / CONTROL_DT), int(found["severity"] or WORST)
-    return Injection.of(found["name"], severity, step, duration=float(found["length"] or "inf"))
+    step, severity = round(begins / CONTROL_DT), int(match["severity"] or WORST)
+    return Injection.of(match["name"], severity, step, duration=float(match["length"] or "inf"))
 
 
 Schedule = tuple[Injection, ...]
-"""What happens to one camera; several injections act one after the other on the same frames."""
+"""Injections into one camera, which act one after the other on the same frames."""
 
 
 class Injector:
@@ -103,16 +103,16 @@ class Injector:
         seed: int,
         physical: bool = False,
     ) -> None:
-        """Robots with the same stream number and seed draw the same noise, whatever their row.
+        """Set up the faults. Robots with the same stream and seed draw the same noise in any row.
 
         Args:
             schedules: one for each robot.
-            streams: one random stream number for each robot.
-            seed: of the whole study.
-            physical: the cameras belong to a world that carries out physical faults.
+            streams: number of each robot's random stream.
+            seed: seed of the whole study.
+            physical: whether the cameras are in a world that carries out physical faults.
 
         Raises:
-            RenetError: a physical fault for any other camera.
+            RenetError: a physical fault without such a world.
         """
         self._num_robots = len(schedules)
         self._stages: list[tuple[Injection, Fault, np.ndarray]] = []
@@ -132,14 +132,14 @@ class Injector:
                 self._stages.append((injection, fault, np.array(rows)))
 
     def at_work(self, step: int) -> np.ndarray:
-        """[n] bool: the robots whose camera is failing at a control step."""
+        """[n] bool: robots whose camera fails at a control step."""
         failing = np.zeros(self._num_robots, bool)
         for injection, _, rows in self._stages:
             failing[rows] |= injection.at_work(step)
         return failing
 
     def perturbation(self, step: int) -> ViewPerturbation:
-        """How the cameras see their scene at a control step."""
+        """The cameras' view of their scene at a control step."""
         view = ViewPerturbation.none(self._num_robots)
         for injection, fault, rows in self._stages:
             if isinstance(fault, PhysicalFault) and injection.at_work(step):
@@ -147,7 +147,7 @@ class Injector:
         return view
 
     def apply(self, frames: Frames, step: int) -> Frames:
-        """The frames after every fault at work at this control step; call once per vision tick."""
+        """The frames after all faults of this control step; called once in each vision tick."""
         frames = frames.copy()
         for injection, fault, rows in self._stages:
             time = injection.elapsed(step)

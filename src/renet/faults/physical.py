@@ -1,7 +1,7 @@
-"""Physical faults: camera and driver work, but what they see is not what the feet will meet.
+"""Physical faults: the camera works, but shows another scene than the one the feet meet.
 
-They cannot be painted on an image. A fault says how a camera's view departs from the scene, and a
-simulated environment casts its rays accordingly.
+They cannot be painted on an image. A fault describes how a camera's view differs from the scene,
+and a simulated environment casts its rays accordingly.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ViewPerturbation:
-    """How each of n cameras sees its scene."""
+    """How the views of n cameras differ from their scenes."""
 
     lift: np.ndarray
     """[n] m by which every surface appears higher than it is."""
     turn: np.ndarray
     """[n, 3] rotation vector of the camera in its mount, rad, camera axes (forward, left, up)."""
     glass: np.ndarray
-    """[n] share of the obstacles that rays pass through; feet do not."""
+    """[n] share of the obstacles that rays pass through, and feet do not."""
 
     @classmethod
     def none(cls, n: int) -> ViewPerturbation:
-        """Every camera sees what is there."""
+        """No difference."""
         return cls(np.zeros(n), np.zeros((n, 3)), np.zeros(n))
 
     def __eq__(self, other: object) -> bool:
-        """Whether all cameras see the same in both."""
+        """Whether all numbers are equal."""
         return isinstance(other, ViewPerturbation) and all(
             np.array_equal(mine, theirs)
             for mine, theirs in zip(vars(self).values(), vars(other).values(), strict=True)
@@ -43,14 +43,14 @@ class ViewPerturbation:
 
 
 class PhysicalFault(Fault):
-    """A fault of the scene or the mount; frames pass through it untouched."""
+    """A fault of the scene or the mount, which leaves frames as they are."""
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """The frames as they are: the rays were already cast into the wrong scene."""
+        """The same frames, whose rays were cast into the wrong scene already."""
         return frames
 
     def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
-        """Add the fault to the view of the robots `rows`; the random streams are in that order."""
+        """Add the fault to the view of the robots `rows`, which are in the order of the streams."""
         raise NotImplementedError
 
 
@@ -99,10 +99,14 @@ class MountKnocked(PhysicalFault):
 
 
 def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:
-    """Geoms of each tile to walk around or over: boxes that neither span it nor carry its start.
+    """Geoms of each tile's obstacles: boxes that neither span the tile nor carry its start.
+
+    Args:
+        model: a scene with terrain.
+        middles: [tiles, 2] m, world.
 
     Raises:
-        RenetError: there is none.
+        RenetError: there are no obstacles.
     """
     import mujoco
 
@@ -115,14 +119,14 @@ def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:
     box = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
     start = (np.abs(middles[:, None] - centre) <= half).all(axis=2).any(axis=0)
     within_tile = (half < TILE / 2 - 1e-6).all(axis=1)
-    found = np.flatnonzero(in_terrain & box & ~start & within_tile)
-    if not len(found):
+    geoms = np.flatnonzero(in_terrain & box & ~start & within_tile)
+    if not len(geoms):
         raise RenetError(
             "this terrain has no obstacle that could be glass: choose obstacles, stairs_up or"
             " platform"
         )
-    tiles = model.geom_bodyid[found]
-    return [found[tiles == tile].tolist() for tile in np.unique(tiles)]
+    tiles = model.geom_bodyid[geoms]
+    return [geoms[tiles == tile].tolist() for tile in np.unique(tiles)]
 
 
 def spread(tiles: list[list[int]], share: float) -> frozenset[int]:

@@ -1,4 +1,4 @@
-"""What a stereo camera does to good light: shadows at edges, steps, and loss without texture.
+"""Errors of stereo cameras in good light: shadows at edges, steps, and loss without texture.
 
 A stereo camera measures disparity d = f * baseline / depth, in pixels between its two imagers
 (Keselman et al. 2017, Intel RealSense Stereoscopic Depth Cameras). `FOCAL` is in pixels of the
@@ -9,7 +9,7 @@ import numpy as np
 
 from renet.camera import Intrinsics
 from renet.faults.base import ImageFault
-from renet.faults.image import metres, smooth_field
+from renet.faults.image import normalised, smooth_field
 from renet.interface import DEPTH_RANGE
 
 FOCAL = Intrinsics().fx
@@ -17,13 +17,13 @@ FOCAL = Intrinsics().fx
 BASELINE = 0.05
 """m between a D435i's imagers."""
 NEAREST = 0.3
-"""m; disparities of nearer surfaces are taken for this one's."""
+"""m; nearer surfaces get the disparity of this distance."""
 FLAT_DISPARITY = 0.15
-"""Pixels a smooth surface's disparity may differ from the plane through its neighbours."""
+"""Largest difference in pixels of a smooth surface's disparity from its neighbours' plane."""
 
 
 def disparity(image: np.ndarray, baseline: float) -> np.ndarray:
-    """Disparity [48, 64] in pixels of an image whose sensor grain a 3 x 3 median took away."""
+    """Disparity [48, 64] in pixels of an image, whose grain a 3 x 3 median removes first."""
     padded = np.pad(image, 1, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
     depth = np.median(windows, axis=(2, 3)) * DEPTH_RANGE
@@ -41,7 +41,7 @@ class EdgeShadow(ImageFault):
     levels = (25, 50, 75, 100, 150)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """The image without what something to its right hides from the right imager."""
+        """The image without the pixels that a nearer surface hides from the right imager."""
         position = np.arange(image.shape[1]) - disparity(image, 1e-3 * self.level)
         nearest = np.minimum.accumulate(position[:, ::-1], axis=1)[:, ::-1]
         hidden = np.zeros(image.shape, bool)
@@ -60,8 +60,8 @@ class DisparitySteps(ImageFault):
     levels = (0.02, 0.05, 0.1, 0.2, 0.4)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """The image from rounded disparities; what is out of range stays so, holes stay holes."""
-        scale = metres(FOCAL * BASELINE)
+        """The image of rounded disparities; holes and pixels out of range stay as they are."""
+        scale = normalised(FOCAL * BASELINE)
         measured = (image > 0.0) & (image < 1.0)
         steps = np.round(scale / np.where(measured, image, 1.0) / self.level)
         rounded = scale / (np.maximum(steps, 1.0) * self.level)
@@ -82,7 +82,7 @@ class Textureless(ImageFault):
         return smooth_field(rng, (3, 4))
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """The image without patches of what is plane in it; their borders flicker."""
+        """The image without patches of its smooth surfaces; their borders flicker."""
         smooth = smooth_surface(image)
         field = self.patterns[robot] + 0.15 * smooth_field(self.rngs[robot], (12, 16))
         if not smooth.any():

@@ -1,4 +1,4 @@
-"""Faults of time: every image is a good one, but not the one the robot should have now."""
+"""Faults of time: good images that come late, twice or not at all."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from renet.interface import TICK_DT
 
 
 class Frozen(Fault):
-    """The same image is delivered as new for as many seconds as the level says."""
+    """The same image is delivered as new; level is for how many seconds."""
 
     name = "frozen"
     unit = "s"
@@ -29,7 +29,7 @@ class Frozen(Fault):
 
 
 class Dropped(Fault):
-    """Each frame is lost with the probability the level says."""
+    """Each frame is lost with a probability; level is that probability."""
 
     name = "dropped"
     unit = "share"
@@ -44,7 +44,7 @@ class Dropped(Fault):
         return lost
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """Where no frame comes, the last one delivered is kept and ages."""
+        """Keep the last frame delivered, which ages, where no new one comes."""
         if self._held is None:
             self._held = frames.copy()
         lost = self.missing(elapsed)
@@ -55,7 +55,7 @@ class Dropped(Fault):
 
 
 class Unplugged(Dropped):
-    """No frames at all; the camera is back after as many seconds as the level says."""
+    """No frames at all; level is the seconds after which the camera is back."""
 
     name = "unplugged"
     unit = "s"

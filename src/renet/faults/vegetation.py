@@ -1,10 +1,10 @@
-"""Tall grass as a stereo camera at a small robot's height sees it."""
+"""Tall grass, seen by a stereo camera at the height of a small robot."""
 
 import numpy as np
 
 from renet.camera import Intrinsics
 from renet.faults.base import ImageFault
-from renet.faults.image import metres
+from renet.faults.image import normalised
 from renet.interface import DEPTH_RANGE
 
 CAMERA_HEIGHT = 0.33
@@ -12,7 +12,7 @@ CAMERA_HEIGHT = 0.33
 CAMERA_PITCH = np.radians(30.0)
 """Downward."""
 NEAR_RANGE = 0.15
-"""m of depth; nearer blades are not measured and hide what is behind them."""
+"""m of depth; nearer blades are holes, and hide what is behind them."""
 REACH = (0.05, 1.2)
 """m on the ground to the nearest and the farthest blade."""
 HEIGHT = (0.15, 0.5)
@@ -20,9 +20,9 @@ HEIGHT = (0.15, 0.5)
 WIDTH = 0.008
 """m of a blade."""
 SWAY = 0.15
-"""m by which a blade's tip may be beside its root."""
+"""m; largest sideways distance of a blade's tip from its root."""
 UNMATCHED = 0.3
-"""Share of a blade's pixels that find no match: it is narrower than the matcher's window."""
+"""Share of a blade's pixels without a match, as it is narrower than the matcher's window."""
 
 
 class TallGrass(ImageFault):
@@ -37,10 +37,10 @@ class TallGrass(ImageFault):
     levels = (8, 20, 45, 90, 180)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """The image behind the blades, without what of them is too near and part of the rest."""
+        """The image behind the blades; those too near and part of the others are holes."""
         blades = self.depth(robot)
         unmatched = self.rngs[robot].random(image.shape) < UNMATCHED
-        lost = unmatched | (blades < metres(NEAR_RANGE))
+        lost = unmatched | (blades < normalised(NEAR_RANGE))
         lost &= (blades < 1.0) & (image >= blades)
         return np.where(lost, np.nan, np.minimum(image, blades))
 

@@ -1,20 +1,20 @@
-"""What it runs on: the native CPU engine, the depth camera and terrain sensors."""
+"""Simulation: the native CPU engine, the depth camera and terrain sensors."""
 
 import os
 from contextlib import suppress
 
-# Importing mjlab loads renet.registry, which needs this package's modules: begin there, or one
-# of them would be met half-initialised. The ray caster alone works without mjlab.
+# mjlab's import loads renet.registry, which imports this package's modules. It must come first, or
+# one of them would be half-initialised. The ray caster alone works without mjlab.
 with suppress(ModuleNotFoundError):
     import mjlab  # noqa: F401
 
 
 def _start_warp_silently() -> None:
-    """Keep Warp from printing a line for each module it loads, or for want of a GPU."""
+    """Initialise Warp without its lines on each module it loads and on a missing GPU."""
     import warp
 
     warp.config.log_level = warp.LOG_WARNING
-    # Its C++ part writes to the file descriptor.
+    # Warp's C++ part writes to the file descriptor.
     stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
     try:

@@ -1,4 +1,4 @@
-"""Contacts and constraints that did not fit MuJoCo Warp's buffers: a robot then falls through."""
+"""Contacts and constraints that overflow MuJoCo Warp's buffers, so that robots fall through."""
 
 import warnings
 from typing import Any
@@ -11,7 +11,7 @@ BUFFERS = {
     "contacts": (OverflowType.BROADPHASE | OverflowType.NARROWPHASE, "nconmax"),
     "constraints": (OverflowType.NEFC | OverflowType.NJMAX_NNZ, "njmax"),
 }
-"""What overflows, the engine's marks of it, and the setting of SimulationCfg to raise."""
+"""The engine's marks of each kind of overflow, and the setting of SimulationCfg to raise."""
 
 
 class OverflowWatch:
@@ -23,7 +23,7 @@ class OverflowWatch:
         self._seen = torch.zeros_like(self._marks)
 
     def look(self) -> None:
-        """Note the engine's marks, which it erases when it resets an environment."""
+        """Collect the engine's marks, which it erases when it resets an environment."""
         self._seen |= self._marks
 
     def report(self) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Sensors of the true terrain around a robot, for critics and as the estimators' targets."""
+"""Sensors of the true terrain around a robot, for critics and as estimators' targets."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from renet.sim.depth.ray_sensor import RaySensor
 
 @dataclass
 class HeightMapCfg(SensorCfg):
-    """2.5D map m_t on a yaw-aligned grid around the base."""
+    """The 2.5D map m_t on a yaw-aligned grid around the base."""
 
     body: str = "robot/trunk"
     x: tuple[float, ...] = HEIGHT_MAP_X
     y: tuple[float, ...] = HEIGHT_MAP_Y
     base_height: float = 0.3
-    """Metres of the base above flat ground that read as zero (Extreme Parkour)."""
+    """Height of the base above the terrain that reads as zero, m (Extreme Parkour)."""
     limit: float = 1.0
     """Values are clipped to plus or minus this, m."""
 
@@ -31,12 +31,12 @@ class HeightMapCfg(SensorCfg):
 
 @dataclass
 class FeetHeightCfg(SensorCfg):
-    """Feet height h_f: each foot's mean clearance over a 5 x 5 cm patch (RENet, Method A)."""
+    """Feet height h_f, each foot's mean clearance over a 5 x 5 cm patch (RENet, Method A)."""
 
     sites: tuple[str, ...] = tuple(f"robot/{leg}" for leg in LEGS)
-    """The feet's middles."""
+    """Sites in the middle of each foot."""
     radius: float = 0.023
-    """Of a foot, m (Go1)."""
+    """Radius of a foot, m (Go1)."""
     patch: float = 0.05
     """Side of the square under each foot, m (paper), scanned at 3 x 3 points."""
     limits: tuple[float, float] = (-0.2, 1.0)

@@ -1,4 +1,4 @@
-"""One small thread pool for work that runs outside the GIL (Warp and MuJoCo on the CPU)."""
+"""A thread pool for work that releases the GIL (Warp and MuJoCo on the CPU)."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -13,10 +13,10 @@ _pool = ThreadPoolExecutor(THREADS, thread_name_prefix="renet")
 
 
 def on_all_threads(work: Callable[[], None]) -> None:
-    """Call `work` on several threads, the calling one among them; exceptions are raised here.
+    """Call `work` on up to `THREADS` threads, among them the calling one; raises its exceptions.
 
-    The calls share out what there is to do. There may be as few as one: a thread that does not wake
-    before another has finished is too late.
+    The calls share the work among themselves. A thread that wakes after the first call has finished
+    is not used.
     """
     others = [_pool.submit(work) for _ in range(THREADS - 1)]
     try:
@@ -30,9 +30,9 @@ def on_all_threads(work: Callable[[], None]) -> None:
 
 @contextmanager
 def one_torch_thread(device: str | torch.device) -> Iterator[None]:
-    """Small tensors on a CPU: waking a second thread costs more than it computes.
+    """Let torch use one thread on a CPU: for small tensors, waking a second costs more time.
 
-    Threads of this module's pool are not torch's and stay as they are.
+    This does not change the threads of this module's pool.
     """
     threads = torch.get_num_threads()
     if torch.device(device).type != "cpu" or threads == 1:

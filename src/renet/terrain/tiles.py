@@ -1,9 +1,8 @@
-"""Parkour tiles: 8 x 8 m, radially symmetric, so that any goal yaw must work.
+"""Parkour tiles: 8 x 8 m, the same in all four directions, so that every goal yaw is as hard.
 
-The robot starts in the middle and must leave. Tiles meet at z = 0 and are built from few boxes.
-"Simple" tiles can be walked blind; "difficult" ones (gap, platform) force vision (RENet, Method A).
-
-Plain MuJoCo: training (mjlab takes a `Tile` as a sub-terrain) and `renet deploy` share them.
+The robot starts in the middle and must leave. Tiles meet at z = 0 and consist of few boxes.
+"Simple" tiles can be walked blind; "difficult" ones (gap, platform) need vision (RENet, Method A).
+Training takes a `Tile` as one of mjlab's sub-terrains; `renet deploy` builds it in plain MuJoCo.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from renet.errors import RenetError
 TILE = 8.0
 """Side of a tile, m."""
 FLAT = 1e-3
-"""Height of edges on a flat first level, m: geoms must have a size."""
+"""Height of edges on a flat first level, m; geoms must have a size."""
 LEVELS = 10
 """Rows of the curriculum (paper)."""
 
@@ -30,7 +29,7 @@ PIT = (0.16, 0.18, 0.22, 1.0)
 
 @dataclass(frozen=True)
 class TileGeom:
-    """One geom of a tile; fields as mjlab's generator reads them."""
+    """One geom of a tile, with the fields that mjlab's generator reads."""
 
     geom: mujoco.MjsGeom
     color: tuple[float, float, float, float]
@@ -39,7 +38,7 @@ class TileGeom:
 
 @dataclass(frozen=True)
 class BuiltTile:
-    """A tile in a scene; fields as mjlab's generator reads them."""
+    """A tile in a scene, with the fields that mjlab's generator reads."""
 
     origin: np.ndarray
     """Where a robot starts, [3] m from the tile's corner."""
@@ -49,7 +48,7 @@ class BuiltTile:
 
 @dataclass
 class Tile:
-    """Base of all tiles; `low` and `high` are the size that matters at the first and last level."""
+    """Base of all tiles; `low` and `high` are sizes of obstacles in m at levels 1 and 10."""
 
     low: float = 0.0
     high: float = 0.0
@@ -62,7 +61,7 @@ class Tile:
 
     def measure(self, difficulty: float) -> float:
         """Size of the obstacle, m, at a difficulty in [0, 1]."""
-        if self.flat_start:  # The other levels share the range.
+        if self.flat_start:  # Levels 2 to 10 share the range.
             difficulty = (difficulty * (LEVELS - 1) - 1) / (LEVELS - 2)
         if difficulty < 0.0:
             return FLAT
@@ -71,7 +70,7 @@ class Tile:
     def function(
         self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
     ) -> BuiltTile:
-        """Build the tile with its corner at the origin (mjlab moves it into place)."""
+        """Build the tile with its corner at the origin, from where mjlab moves it."""
         builder = TileBuilder(spec)
         height = self.build(builder, self.measure(difficulty), rng)
         return BuiltTile(self.start(height), builder.geometries)
@@ -81,14 +80,14 @@ class Tile:
         return np.array([TILE / 2, TILE / 2, height])
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """Add the geoms; returns the height of the start in the middle."""
+        """Add the geoms of obstacles of size `measure`, m; returns the height of the start, m."""
         raise NotImplementedError
 
 
 class TileBuilder:
-    """Adds boxes given in tile coordinates centred on the tile's middle.
+    """Adds boxes to a tile; coordinates are relative to its middle, m.
 
-    A tile has a body of its own: engines can tell tiles apart by it and skip those far away.
+    A tile is one body, so that engines can skip those far away.
     """
 
     def __init__(self, spec: mujoco.MjSpec) -> None:
@@ -103,7 +102,7 @@ class TileBuilder:
         z: tuple[float, float],
         color: tuple[float, float, float, float] = STONE,
     ) -> None:
-        """Axis-aligned box between two corners, m."""
+        """Add an axis-aligned box, given its range in each direction."""
         low, high = np.array([x[0], y[0], z[0]]), np.array([x[1], y[1], z[1]])
         middle = (low + high) / 2 + (TILE / 2, TILE / 2, 0.0)
         geom = self.body.add_geom(
@@ -112,15 +111,15 @@ class TileBuilder:
         self.geometries.append(TileGeom(geom, color))
 
     def square(self, half: float, z: tuple[float, float], color=STONE) -> None:
-        """Square slab around the middle."""
+        """Add a square slab around the middle."""
         self.box((-half, half), (-half, half), z, color)
 
     def ring(self, inner: float, outer: float, z: tuple[float, float], color=STONE) -> None:
-        """Square ring around the middle, from half-width `inner` to `outer`."""
-        self.box((-outer, outer), (inner, outer), z, color)
-        self.box((-outer, outer), (-outer, -inner), z, color)
-        self.box((inner, outer), (-inner, inner), z, color)
-        self.box((-outer, -inner), (-inner, inner), z, color)
+        """Add a square ring around the middle, from half-width `inner` to `outer`."""
+        for side in ((inner, outer), (-outer, -inner)):
+            self.box((-outer, outer), side, z, color)
+        for side in ((inner, outer), (-outer, -inner)):
+            self.box(side, (-inner, inner), z, color)
 
 
 FLOOR = (-0.2, 0.0)
@@ -132,10 +131,10 @@ class Rough(Tile):
 
     high: float = 0.06
     proportion: float = 2.0
-    """Twice as many robots as on other kinds: most ground is of this kind."""
+    """Share of the robots, twice that of other kinds, as most ground is of this kind."""
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
-        """Add a height field instead of boxes; the start is at height 0."""
+        """Add a height field; the start is at height 0."""
         relief, nodes = max(measure, 1e-3), int(TILE / 0.2) + 1
         heights = rng.uniform(0.0, 1.0, (nodes, nodes)) * (measure > 0)
         middle, clear = nodes // 2, 4
@@ -190,39 +189,36 @@ class Obstacles(Tile):
 
 @dataclass
 class Stairs(Tile):
-    """Pyramid stairs of rise `measure`: down from a summit, or up out of a pit."""
+    """Pyramid stairs of rise `measure`, down from a summit or up out of a pit."""
 
     low: float = 0.05
     high: float = 0.23
     tread: float = 0.30
     steps: int = 9
     landing: float = 1.2
-    """Half-width of the square at the bottom of a pit, m; a summit's is a tread wider."""
+    """Half-width of the square at the bottom of a pit, m; on a summit it is a tread wider."""
     descend: bool = True
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """Add the steps; returns the height of the summit or of the pit, m."""
         edge = self.landing + self.steps * self.tread
         top = self.steps * measure
+        colors = [(step, STONE if step % 2 else STEEL) for step in range(1, self.steps + 1)]
         if self.descend:
             builder.square(TILE / 2, FLOOR)
-            for step in range(1, self.steps + 1):
-                color = STONE if step % 2 else STEEL
-                half = edge - (step - 1) * self.tread
-                builder.square(half, (0.0, step * measure), color)
+            for step, color in colors:
+                builder.square(edge - (step - 1) * self.tread, (0.0, step * measure), color)
             return top
         builder.square(self.landing, (-top - 0.2, -top), STEEL)
-        for step in range(1, self.steps + 1):
-            color = STONE if step % 2 else STEEL
+        for step, color in colors:
             inner = self.landing + (step - 1) * self.tread
-            height = -top + step * measure
-            builder.ring(inner, inner + self.tread, (-top - 0.2, height), color)
+            builder.ring(inner, inner + self.tread, (-top - 0.2, -top + step * measure), color)
         builder.ring(edge, TILE / 2, (-top - 0.2, 0.0))
         return -top
 
 
 LANDING = 0.6
-"""Least width of the ground outside the last gap, m."""
+"""Smallest width of the ground outside the last gap, m."""
 
 
 @dataclass
@@ -234,7 +230,7 @@ class Gap(Tile):
     island: float = 1.2
     """Half-width of the island, m."""
     ground: float | None = None
-    """Width of the ground between one gap and the next, m; None: a single gap."""
+    """Width of the ground between two gaps, m; None: a single gap."""
     depth: float = 1.0
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
@@ -297,14 +293,15 @@ def find_tile(kind: str, level: int) -> tuple[Tile, float]:
     """A tile by name, and the difficulty of a level of 1 to 10.
 
     Args:
-        kind: of `tiles`, or `stairs`, which go down. level: 1 to 10.
+        kind: a key of `tiles`, or `stairs`, which go down.
+        level: 1 to 10.
 
     Raises:
         RenetError: unknown kind or level.
     """
-    known = {"stairs": Stairs(descend=True), **tiles()}
-    if kind not in known:  # All callers know flat ground, which is no tile.
-        raise RenetError(f"unknown terrain {kind!r}: choose one of flat, {', '.join(known)}")
+    kinds = {"stairs": Stairs(descend=True), **tiles()}
+    if kind not in kinds:  # All callers know flat ground, which is no tile.
+        raise RenetError(f"unknown terrain {kind!r}: choose one of flat, {', '.join(kinds)}")
     if not 1 <= level <= LEVELS:
         raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")
-    return known[kind], (level - 1) / (LEVELS - 1)
+    return kinds[kind], (level - 1) / (LEVELS - 1)

@@ -1,1 +1,1 @@
-"""The depth camera: rays, images and their errors."""
+"""The depth camera and the scanners of terrain that it shares with other sensors."""

@@ -1,4 +1,4 @@
-"""Depth camera on a robot, as an mjlab sensor: planar metres from one static terrain mesh."""
+"""The depth camera of a robot, as an mjlab sensor that sees the static terrain."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from renet.sim.depth.ray_sensor import RaySensor
 
 @dataclass
 class MountCfg:
-    """Where the camera sits on its body, and how much that varies from episode to episode."""
+    """Pose of the camera on its body, and its errors, which are drawn for each episode."""
 
     position: tuple[float, float, float] = (0.27, 0.0, 0.03)
-    """Metres in the body frame (published Go1 parkour policies: on the head)."""
+    """Position in the body frame, m (on the head, as in published Go1 parkour policies)."""
     pitch: float = math.radians(30.0)
     """Downward tilt, rad."""
     position_error: float = 0.01
-    """Uniform, plus or minus, m (paper)."""
+    """Largest position error, uniform, m (paper)."""
     angle_error: float = math.radians(5.0)
-    """Uniform pitch and yaw error, plus or minus, rad (paper)."""
+    """Largest pitch and yaw error, uniform, rad (paper)."""
 
 
 def mount_rotation(pitch: Tensor, yaw: Tensor) -> Tensor:
-    """Camera axes in the base frame, [N, 3, 3]: yaw about z, then pitch about y (down positive)."""
+    """Camera axes in the base frame, [N, 3, 3], for yaw about z, then pitch about y, down > 0."""
     cp, sp, cy, sy = pitch.cos(), pitch.sin(), yaw.cos(), yaw.sin()
     entries = (cy * cp, -sy, cy * sp, sy * cp, cy, sy * sp, -sp)
     return torch.stack((*entries, torch.zeros_like(pitch), cp), dim=-1).unflatten(-1, (3, 3))
@@ -41,22 +41,19 @@ def mount_rotation(pitch: Tensor, yaw: Tensor) -> Tensor:
 
 @dataclass
 class DepthNoiseCfg:
-    """Depth errors added in training (RENet, Method C, "Raycaster Randomization").
-
-    Gaussian errors of every pixel: one in proportion to distance, one constant.
-    """
+    """Gaussian errors of every pixel (RENet, Method C, "Raycaster Randomization")."""
 
     relative_std: float = 0.01
     """Standard deviation of the error in proportion to distance, m/m (paper: 1 %)."""
     gaussian_std: float = 0.1
-    """Standard deviation of the constant error, m. The paper says "variance 0.01" without a unit:
-    0.1 reads it as m²; 0.01 would read it as a standard deviation in m, and 0.2 as the variance of
-    depth divided by its 2 m range."""
+    """Standard deviation of the constant error, m. The paper's "variance 0.01" has no unit and is
+    read as m². As a standard deviation in m it would be 0.01, as the variance of depth divided by
+    its range of 2 m it would be 0.2."""
 
 
 @dataclass
 class DepthCameraCfg(SensorCfg):
-    """A 10 Hz depth camera; usable in any mjlab task."""
+    """Configuration of a 10 Hz depth camera for any mjlab task."""
 
     body: str = "robot/trunk"
     """MuJoCo body that carries the camera."""
@@ -64,12 +61,12 @@ class DepthCameraCfg(SensorCfg):
     mount: MountCfg = field(default_factory=MountCfg)
     noise: DepthNoiseCfg = field(default_factory=DepthNoiseCfg)
     range: float = DEPTH_RANGE
-    """Depth is capped here, m (paper)."""
+    """Largest depth, m (paper)."""
     period: float = TICK_DT
     """Seconds between images."""
     delay: tuple[float, float] = (0.0, 0.0)
-    """Age of an image when it is delivered, s, in whole control steps, uniform per episode. It
-    shows the view from where the camera was then, but never from before the episode began."""
+    """Least and greatest age of a delivered image, s. The age is uniform over whole control steps
+    and constant in an episode. No image is older than the episode."""
 
     def build(self) -> DepthCamera:
         """Instantiate the sensor; raises RenetError for a delay that is no range."""
@@ -81,10 +78,12 @@ class DepthCameraCfg(SensorCfg):
 def add_noise(
     depth: Tensor, cfg: DepthNoiseCfg, normal: Callable[[Tensor], Tensor] = torch.randn_like
 ) -> Tensor:
-    """Noisy depth of the same shape, m; both errors are Gaussian, so one draw has both variances.
+    """Noisy depth of the same shape, m; one Gaussian draw has the variances of both errors.
 
     Args:
-        depth: m, of any shape. cfg: standard deviations. normal: draws numbers for a tensor.
+        depth: m, of any shape.
+        cfg: standard deviations.
+        normal: draws normal numbers in the shape of a tensor.
     """
     if cfg.relative_std == 0.0 and cfg.gaussian_std == 0.0:
         return depth
@@ -94,32 +93,32 @@ def add_noise(
 
 @dataclass
 class CameraPerturbation:
-    """How cameras see a scene that is not so: for faults that act on rays, not on images."""
+    """How the views of N cameras differ from their scenes, for faults that act on rays."""
 
     lift: Tensor
     """[N] m by which every surface appears higher than it is."""
     turn: Tensor
     """[N, 3, 3] rotation of the camera in its mount, camera axes."""
     unseen: list[tuple[frozenset[int], Tensor]]
-    """Geoms that rays pass through, and the environments [n] whose rays do."""
+    """Pairs of geoms that rays pass through, and of the environments [n] where they do."""
 
 
 class DepthCamera(RaySensor[Tensor]):
-    """`data` is [N, H, W]: metres to the image plane, top row first, capped at the range.
+    """`data` is [N, H, W], m to the image plane, top row first, at most the range.
 
-    Renders when an image is due and somebody looks, and holds it until the next is due.
+    An image is rendered when it is first read after it is due, and held until the next is due.
 
-    All environments share one clock. Resetting all of them between two steps restarts it; a reset
-    inside a step, of some or by chance of all, does not, for consumers count their ticks on. The
-    image of those environments is then the old one until the next tick: consumers read at ticks.
+    All environments share one clock. Resetting all of them between two steps restarts it. A reset
+    inside a step, of some or by chance of all, does not, as consumers go on counting ticks; the
+    image of those environments stays the old one until the next tick, when consumers read it.
     """
 
     def __init__(self, cfg: DepthCameraCfg) -> None:
         super().__init__(cfg)
         self.perturbation: CameraPerturbation | None = None
-        """What is wrong with the view, from the next image on."""
+        """Difference of the views from the scenes, from the next image on."""
         self.normal: Callable[[Tensor], Tensor] = torch.randn_like
-        """Draws the noise of images [N, H, W]."""
+        """Draws the noise of images, [N, H, W]."""
 
     def initialize(self, mj_model, model, data, device) -> None:
         """Draw the mounts; raises KeyError for an unknown body, RenetError without terrain."""
@@ -131,10 +130,10 @@ class DepthCamera(RaySensor[Tensor]):
         self._position = torch.empty(count, 3, device=device)
         self._rotation = torch.empty(count, 3, 3, device=device)
         self._delay = torch.zeros(count, dtype=torch.long, device=device)
-        """Control steps by which images are late."""
+        """Age of delivered images in control steps, [N]."""
         self._most = round(self.cfg.delay[1] / CONTROL_DT)
         self._poses = CircularBuffer(self._most + 1, count, device)
-        """`_pose` at the last control steps of the episode; empty where images are never late."""
+        """`_pose` at the last control steps of the episode; empty if images are never late."""
         self._elapsed, self._since_pose, self._due = 0.0, 0.0, True
         self._remount(torch.arange(count, device=device))
 
@@ -150,7 +149,7 @@ class DepthCamera(RaySensor[Tensor]):
         self._delay[env_ids] = drawn
 
     def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """Begin episodes with new mounts and delays."""
+        """Draw mounts and delays of the environments' new episodes."""
         between_steps = self._cache_valid
         super().reset(env_ids)
         ids = torch.arange(len(self._delay), device=self._device)
@@ -161,12 +160,12 @@ class DepthCamera(RaySensor[Tensor]):
             self._elapsed, self._since_pose, self._due = 0.0, 0.0, True
 
     def copy_mounts(self, source: Tensor) -> None:
-        """Give every environment the mount and delay of another, `source` [N]."""
+        """Copy the mounts and delays of the environments `source`, [N]."""
         for drawn in (self._position, self._rotation, self._delay):
             drawn[:] = drawn[source]
 
     def update(self, dt: float) -> None:
-        """Let `dt` seconds pass."""
+        """Advance the clock by `dt` seconds."""
         super().update(dt)
         if self._most:  # Poses are kept once in a control step.
             self._since_pose += dt
@@ -179,12 +178,12 @@ class DepthCamera(RaySensor[Tensor]):
             self._due = True
 
     def _pose(self) -> Tensor:
-        """The body's position and rotation of now, [N, 3 + 9]."""
+        """Present position and rotation of the body, [N, 3 + 9]."""
         position, rotation = self._data.xpos[:, self._body], self._data.xmat[:, self._body]
         return torch.cat((position, rotation.flatten(1)), dim=-1)
 
     def _delayed_pose(self) -> Tensor:
-        """The same of when the images that are due were taken."""
+        """Position and rotation when the images that are due were taken, [N, 3 + 9]."""
         if not self._poses.is_initialized:
             return self._pose()
         steps = torch.minimum(self._delay, self._poses.current_length - 1)
@@ -204,15 +203,15 @@ class DepthCamera(RaySensor[Tensor]):
         return position + (base @ self._position.unsqueeze(-1)).squeeze(-1), base @ self._rotation
 
     def _render(self) -> Tensor:
-        """Cast all rays."""
+        """Depth with noise, [N, H, W] m."""
         raw = self._cast(*self._view())
         raw = raw.unflatten(-1, (self.cfg.intrinsics.height, self.cfg.intrinsics.width))
-        # A ray from a pose that is not finite hits nothing sensible; NaN fails this comparison.
+        # NaN, from a pose that is not finite, fails the comparison.
         depth = torch.where(raw >= 0.0, raw, self.cfg.range)
         return add_noise(depth, self.cfg.noise, self.normal).clamp_(0.0, self.cfg.range)
 
     def _cast(self, eye: Tensor, rotation: Tensor) -> Tensor:
-        """Depth [N, H * W] from `eye` [N, 3] and axes [N, 3, 3] as they truly are; -1: nothing."""
+        """Depth [N, H * W] from eyes [N, 3] and axes [N, 3, 3], perturbed; -1 where it is empty."""
         wrong, lens, limit = self.perturbation, self.cfg.intrinsics, self.cfg.range
         if wrong is None:
             return self._scanner.depth(eye, rotation, lens, limit)

@@ -16,10 +16,10 @@ struct Triangle {
 
 // Shapes in square bins, seen from above. Shape s is box s, or triangle s - num_boxes.
 struct Terrain {
-    const float* boxes;      // [num_boxes] Box.
-    const float* triangles;  // Triangle.
+    const Box* boxes;
+    const Triangle* triangles;
     int num_boxes;
-    const int* wide;       // Shapes that are in no bin, but looked at from everywhere.
+    const int* wide;       // Shapes that are in no bin and always drawn.
     int num_wide;
     int bins_x;
     int bins_y;
@@ -66,7 +66,7 @@ struct View {
     float* image;
 };
 
-// The pixels that a shape's corners span, found edge by edge in front of the camera.
+// The pixels that a shape spans, from its corners and edges in front of the camera.
 struct Span {
     float nearest;
     float column[2];
@@ -113,7 +113,7 @@ static int clamp(float value, int most) {
     return value < 0.0f ? 0 : value > (float)most ? most : (int)value;
 }
 
-// Whether any of it is in the image; finds its rows and columns.
+// Sets the rows and columns of a span; false if it is outside the image.
 static bool find_pixels(Span& span, const Draw& call) {
     const int width = call.width, height = call.height;
     if (!(span.nearest <= call.limit)) return false;
@@ -144,7 +144,7 @@ static bool find_box_pixels(
     return find_pixels(span, call);
 }
 
-// Slabs: `low` and `high` are the box's faces as seen along its axes, from the camera.
+// Clips each ray to the box's three slabs, from `low` to `high` along its axes, camera frame.
 static void fill_box(
     const View& view, const Span& span, const float axis[3][3], const float* low, const float* high
 ) {
@@ -169,7 +169,7 @@ static void fill_box(
             const float lz = az < bz ? az : bz, hz = az < bz ? bz : az;
             float in = lx > ly ? lx : ly; in = in > lz ? in : lz;
             float out = hx < hy ? hx : hy; out = out < hz ? out : hz;
-            // From inside, a ray sees where it leaves.
+            // A ray from inside the box sees where it leaves.
             const float t = in >= 0.0f ? in : out;
             const bool seen = (in <= out + slack) & (out >= 0.0f);
             const float hit = seen ? t : 1e30f;
@@ -196,7 +196,7 @@ static void draw_box(const View& view, const Box& box) {
         fill_box(view, span, axis, low, high);
 }
 
-// `edge` are the normals of the planes through the eye and each edge, `size` is positive.
+// `edge` holds the normals of the planes through the eye and each edge; `size` is positive.
 static void fill_triangle(
     const View& view, const Span& span, const float edge[3][3], float size
 ) {
@@ -243,11 +243,11 @@ static void draw_triangle(const View& view, const Triangle& triangle) {
 }
 
 static void draw_shape(const View& view, const Terrain& terrain, int shape) {
-    if (shape < terrain.num_boxes) draw_box(view, ((const Box*)terrain.boxes)[shape]);
-    else draw_triangle(view, ((const Triangle*)terrain.triangles)[shape - terrain.num_boxes]);
+    if (shape < terrain.num_boxes) draw_box(view, terrain.boxes[shape]);
+    else draw_triangle(view, terrain.triangles[shape - terrain.num_boxes]);
 }
 
-// The box around the pyramid in view, from above; false if the pose is not finite.
+// The horizontal box around the pyramid in view; false if the pose is not finite.
 static bool find_ground(const View& view, float* low, float* high) {
     const Draw& call = *view.call;
     float sum = view.eye[2] - view.eye[2];
@@ -281,7 +281,7 @@ static void draw_bins(const View& view, const float* low, const float* high) {
         for (int y = from[1]; y < to[1]; ++y) {
             const int bin = x * terrain.bins_y + y;
             for (int k = terrain.offsets[bin]; k < terrain.offsets[bin + 1]; ++k) {
-                // A shape in several bins is drawn in the first that is looked at.
+                // A shape in several bins is drawn with the first of them that is in view.
                 const int* first = terrain.first_bin + 2 * terrain.items[k];
                 if (x == (first[0] > from[0] ? first[0] : from[0])
                     && y == (first[1] > from[1] ? first[1] : from[1]))
@@ -345,9 +345,8 @@ static float over_triangle(const Triangle& t, float x, float y, float highest) {
 }
 
 static float over_shape(const Terrain& terrain, int shape, float x, float y, float top, float z) {
-    if (shape < terrain.num_boxes)
-        return over_box(((const Box*)terrain.boxes)[shape], x, y, top, z);
-    return over_triangle(((const Triangle*)terrain.triangles)[shape - terrain.num_boxes], x, y, z);
+    if (shape < terrain.num_boxes) return over_box(terrain.boxes[shape], x, y, top, z);
+    return over_triangle(terrain.triangles[shape - terrain.num_boxes], x, y, z);
 }
 
 static float highest_at(const Scan& call, float x, float y) {

@@ -1,4 +1,4 @@
-"""Depth images and heights of terrain on the CPU, from boxes and triangles in small square bins."""
+"""Depth images and heights of terrain on the CPU, from boxes and triangles in square bins."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ SOURCE = Source(Path(__file__).with_name("rasterizer.cpp"))
 BIN = 0.25
 """Side of a bin, m: about a step of stairs."""
 WIDE = 20.0
-"""Shapes wider than this (planes, the border) are looked at from everywhere, m."""
+"""Width above which shapes (planes, the border) are in no bin and always drawn, m."""
 MAX_BINS = 1 << 20
-"""About; larger terrains get larger bins."""
+"""Approximate largest number of bins; larger terrains get larger bins."""
 FEW = 4096
-"""Points that one thread looks at before another would have been of help."""
+"""Number of points below which a second thread is of no help."""
 
 
 class Rasterizer(TerrainScanner):
-    """Draws depth images shape by shape, and finds heights, on the CPU.
+    """Draws depth images and finds heights shape by shape, on the CPU.
 
-    Each shape near the camera fills the pixels it covers, where a ray caster walks a search tree
-    for every pixel.
+    Each shape near the camera fills the pixels it covers, while a ray caster searches a tree for
+    every pixel.
     """
 
     def __init__(self, model: mujoco.MjModel, without: frozenset[int] = frozenset()) -> None:
-        """Sort the shapes of a model's terrain, save for the geoms `without`, into bins."""
+        """Sort the shapes of a model's terrain into bins; `without` as in `terrain_shapes`."""
         super().__init__(model, "cpu", without)
         boxes, triangles = self._shapes
         reach = np.abs(boxes[:, 3:12].reshape(-1, 3, 3)) @ boxes[:, 12:, None]
@@ -89,7 +89,7 @@ class Rasterizer(TerrainScanner):
 def scanner(
     model: mujoco.MjModel, device: str, without: frozenset[int] = frozenset()
 ) -> TerrainScanner:
-    """The quickest scanner of a model, made once and shared by every sensor on it."""
+    """The fastest scanner of a model's terrain, built once and shared by all sensors."""
     if wp.get_device(device).is_cpu:
         return Rasterizer(model, without)
     return TerrainScanner(model, device, without)

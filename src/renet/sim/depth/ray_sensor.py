@@ -1,4 +1,4 @@
-"""What the depth camera and the terrain sensors share: rays and the simulation's arrays."""
+"""Base of the depth camera and the terrain sensors."""
 
 from typing import Any, TypeVar
 
@@ -19,9 +19,9 @@ class RaySensor(Sensor[T]):
         self.cfg = cfg
 
     def edit_spec(self, scene_spec, entities) -> None:
-        """Rays need nothing in the model."""
+        """Leave the model as it is; mjlab calls this before it compiles the model."""
 
     def initialize(self, mj_model, model, data, device) -> None:
-        """Find the terrain's mesh, which is built once for each model."""
+        """Take the simulation's arrays, and the scanner of the model's terrain."""
         self._data, self._device = data, device
         self._scanner = scanner(mj_model, device)

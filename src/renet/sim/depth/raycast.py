@@ -1,6 +1,6 @@
 """Ray casting against the terrain mesh with NVIDIA Warp.
 
-The kernel runs on a CPU as on a GPU, but `rasterizer.scanner` gives a CPU the rasterizer, which is
+The kernel runs on GPUs and CPUs, but `rasterizer.scanner` chooses the rasterizer on a CPU, which is
 thirty times as fast there.
 """
 
@@ -30,9 +30,9 @@ def cast(
     limit: float,
     depth: wp.array2d(dtype=float),  # type: ignore[valid-type]
 ):
-    """Ray parameter of what rays given in camera frames hit; a miss within `limit` is -1.
+    """Cast rays given in camera frames; depth is the ray parameter of a hit, -1 beyond `limit`.
 
-    It is the distance to the image plane where rays have unit forward component.
+    For rays whose forward component is 1 that is the distance to the image plane.
     """
     camera, pixel = wp.tid()  # type: ignore[misc]
     ray = rotation[camera] * rays[pixel]
@@ -49,21 +49,19 @@ class TerrainScanner:
     def __init__(
         self, model: mujoco.MjModel, device: str, without: frozenset[int] = frozenset()
     ) -> None:
-        """Take the terrain of a model, save for the geoms `without`.
-
-        Raises:
-            RenetError: the terrain has a shape that cannot be turned into triangles, or none.
-        """
+        """Take the terrain of a model; arguments and errors are those of `terrain_shapes`."""
         self.device = wp.get_device(device)
         self._shapes = boxes, others = terrain_shapes(model, without)
         self.triangles = np.concatenate((box_triangles(boxes), others)).astype(np.float32)
-        """Corners of the whole terrain's, [T, 3, 3] m, world."""
+        """Corners of the terrain's triangles, [T, 3, 3] m, world."""
         self.top = float(self.triangles[..., 2].max()) + 1.0
+        """A height above all terrain, m."""
         self.drop = self.top - float(self.triangles[..., 2].min()) + 1.0
+        """Distance from `top` to 1 m below all terrain, m."""
 
     @cached_property
     def _mesh(self) -> wp.Mesh:
-        """The terrain with a search tree, built when rays are first cast."""
+        """The mesh with its search tree, built when rays are first cast."""
         points = self.triangles.reshape(-1, 3)
         corners = np.arange(len(points), dtype=np.int32)
         return wp.Mesh(
@@ -72,9 +70,9 @@ class TerrainScanner:
         )
 
     def height(self, points: Tensor) -> Tensor:
-        """Terrain height in metres under world points [M, 2]: [M].
+        """Height of the highest surface at world points [M, 2]: [M] m.
 
-        The highest surface; 1 m below the lowest one where there is none.
+        Where there is no terrain, it is 1 m below the lowest surface.
         """
         position = torch.nn.functional.pad(points, (0, 1))
         return -self.clearance(position, None, position.new_zeros(1, 2)).squeeze(-1)
@@ -84,11 +82,11 @@ class TerrainScanner:
 
         Args:
             position: [N, 3] m, world.
-            rotation: [N, 3, 3], frame to world; its yaw turns the pattern. None does not.
+            rotation: [N, 3, 3], frame to world, whose yaw turns the pattern; None: no turn.
             pattern: [P, 2] m from the position.
 
         Returns:
-            [N, P] m; terrain is taken to be 1 m below its lowest where there is none.
+            [N, P] m. Where there is no terrain, it is taken as 1 m below the lowest surface.
         """
         position = position.float()
         x, y = pattern.float().unbind(-1)
@@ -109,16 +107,16 @@ class TerrainScanner:
             position: [N, 3] m, world.
             rotation: [N, 3, 3], camera axes (forward, left, up) as columns, world.
             lens: rays of every camera.
-            limit: m beyond which nothing is seen.
+            limit: m of depth beyond which nothing is seen.
 
         Returns:
-            [N, H * W] metres to the image plane; -1 where nothing was hit.
+            [N, H * W] m to the image plane; -1 where nothing is seen.
         """
         rays = torch.from_numpy(lens.rays(np.float32)).to(position.device)
         return self._cast(position, rotation, rays, limit)
 
     def _cast(self, position: Tensor, rotation: Tensor, rays: Tensor, limit: float) -> Tensor:
-        """Cast rays [P, 3] from each of N poses, on the stream that torch uses: [N, P]."""
+        """Cast rays [P, 3] from each of N poses, on torch's stream: [N, P]."""
         depth = torch.empty(len(position), len(rays), device=position.device)
         poses = _warp(position, wp.vec3), _warp(rotation, wp.mat33)
         inputs = [self._mesh.id, *poses, _warp(rays, wp.vec3), limit, wp.from_torch(depth)]

@@ -1,4 +1,4 @@
-"""Boxes and triangles of everything static that a robot can stand on or bump into."""
+"""Boxes and triangles of the terrain: all static geoms that collide."""
 
 import mujoco
 import numpy as np
@@ -7,7 +7,7 @@ from renet.errors import RenetError
 from renet.sim.native.stages import moving_bodies
 
 PLANE_HALF = 200.0
-"""Half-width in metres that stands for a plane, which collides without bounds whatever its size."""
+"""Half-width of the square that replaces a plane, which has no bounds in collisions, m."""
 
 BOX_CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 BOX_FACES = np.array(
@@ -21,14 +21,18 @@ BOX_FACES = np.array(
 def terrain_shapes(
     model: mujoco.MjModel, without: frozenset[int] = frozenset()
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The world-fixed geoms of a model that can collide, save those `without`.
+    """Shapes of a model's static geoms that can collide.
+
+    Args:
+        model: the scene.
+        without: ids of geoms to leave out.
 
     Returns:
-        Boxes [B, 15]: centre, rotation by rows, half sizes; and corners [T, 3, 3] of the triangles
-        of everything else, m, world.
+        Boxes [B, 15] (centre, rotation by rows, half sizes), and corners [T, 3, 3] of the triangles
+        of all other geoms, m, world.
 
     Raises:
-        RenetError: a geom is of a kind that cannot be turned into triangles, or there is none.
+        RenetError: a geom is neither box, plane nor height field, or there is no geom.
     """
     boxes, triangles = [np.zeros((0, 15))], [np.zeros((0, 3, 3))]
     for geom, rotation, position in _terrain_geoms(model, without):
@@ -49,15 +53,15 @@ def box_triangles(boxes: np.ndarray) -> np.ndarray:
 def _terrain_geoms(
     model: mujoco.MjModel, without: frozenset[int]
 ) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """World-fixed geoms that can collide, with rotation [3, 3] and position [3]."""
+    """Static geoms that can collide, with rotation [3, 3] and position [3], m, world."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     fixed = np.flatnonzero(collides & ~moving_bodies(model)[model.geom_bodyid]).tolist()
-    found = [geom for geom in fixed if geom not in without]
-    if not found:
+    geoms = [geom for geom in fixed if geom not in without]
+    if not geoms:
         raise RenetError("the scene has no terrain: nothing for rays to hit")
-    return [(geom, data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]) for geom in found]
+    return [(geom, data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]) for geom in geoms]
 
 
 def _triangles(model: mujoco.MjModel, geom: int) -> np.ndarray:
@@ -76,7 +80,7 @@ def _triangles(model: mujoco.MjModel, geom: int) -> np.ndarray:
 
 
 def _height_field(model: mujoco.MjModel, field: int) -> np.ndarray:
-    """A solid as MuJoCo's: each cell split along its diagonal, walls, and a box for a base."""
+    """Triangles [T, 3, 3] of MuJoCo's solid: cells split along a diagonal, walls, a box as base."""
     rows, columns = model.hfield_nrow[field], model.hfield_ncol[field]
     half_x, half_y, height, depth = model.hfield_size[field]
     start = model.hfield_adr[field]

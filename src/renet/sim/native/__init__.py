@@ -1,1 +1,1 @@
-"""mjlab's simulation on C MuJoCo: many environments, stepped on threads of a CPU."""
+"""mjlab's simulation on C MuJoCo, with many environments on the threads of a CPU."""

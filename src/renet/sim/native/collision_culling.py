@@ -1,8 +1,8 @@
-"""Which static bodies a robot can touch: all others are kept out of collision detection.
+"""Collision culling: static bodies out of a robot's reach are kept out of collision detection.
 
-C MuJoCo bounds every geom of every collidable body at every step, however far away. A robot on one
-tile of a large terrain pays for all tiles, more than for its own dynamics. Bodies whose collision
-masks are zero are skipped; contacts out of reach could not have happened, so results are the same.
+C MuJoCo computes bounds of all geoms that can collide at every step. A robot on one tile of a large
+terrain pays more for the other tiles than for its own dynamics. MuJoCo skips bodies whose collision
+masks are zero. Those out of reach would not have made contact, so results are the same.
 """
 
 import mujoco
@@ -12,21 +12,21 @@ from renet.sim.native.copy_tables import FieldCopy
 
 MASKS = ("body_contype", "body_conaffinity")
 TRAVEL = 0.5
-"""Metres nothing moves within the few physics steps of one call and since it was last looked at,
-which engine.cpp does where a robot has moved half of it."""
+"""Distance in m beyond a robot's reach within which bodies stay collidable. Bodies are culled anew
+when a robot has moved half of it; the steps of one call must not move it by the other half."""
 
 
 class CollisionCulling:
     """Collision masks of each environment's bodies, zero for static bodies out of reach.
 
-    Culls where that is safe to decide from the positions of free-floating roots; in other models
-    (fixed bases, sliding joints, mocap bodies) every body stays collidable.
+    Reach is computed from the positions of free-floating roots. In models with fixed bases, sliding
+    joints or mocap bodies nothing is culled.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, num_envs: int) -> None:
-        """Set up from a model, and its data after `mj_forward`."""
+        """Set up for a model, with its data after `mj_forward`."""
         self.masks = [np.tile(getattr(model, name), (num_envs, 1)) for name in MASKS]
-        """[N, nbody] each, which engine.cpp writes."""
+        """Masks [N, nbody] of both kinds, which engine.cpp writes."""
         whole = [mask[0].copy() for mask in self.masks]
         roots, reach = _roots(model)
         bodies = _bounded_static_bodies(model) if roots else np.empty(0, int)
@@ -47,14 +47,14 @@ class CollisionCulling:
         """The struct Culling of engine.cpp."""
 
     def load_masks(self, model: mujoco.MjModel) -> list[FieldCopy]:
-        """Copies of the masks into a worker's model; none where nothing is culled."""
+        """Copies of the masks into a worker's model; empty if nothing is culled."""
         if not self.fields["bodies"]:
             return []
         return [FieldCopy(m, getattr(model, n)) for m, n in zip(self.masks, MASKS, strict=True)]
 
 
 def _roots(model: mujoco.MjModel) -> tuple[list[int], list[float]]:
-    """qpos addresses of the free joints and how far their trees extend, m; empty if unsafe."""
+    """qpos addresses of the free joints, and reach of their trees, m; empty if it is unbounded."""
     free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
     moving_trees = np.unique(model.body_rootid[model.jnt_bodyid])
     if (
@@ -68,10 +68,10 @@ def _roots(model: mujoco.MjModel) -> tuple[list[int], list[float]]:
 
 
 def _extent(model: mujoco.MjModel, body: int) -> float:
-    """Radius around a body's frame that holds its subtree at any joint angles, m."""
+    """Radius around a body's frame that contains its subtree at all joint angles, m."""
     first, count = model.body_geomadr[body], model.body_geomnum[body]
     geoms = range(first, first + count)
-    own = [np.linalg.norm(model.geom_pos[geom]) + model.geom_rbound[geom] for geom in geoms]
+    radii = [np.linalg.norm(model.geom_pos[geom]) + model.geom_rbound[geom] for geom in geoms]
     children = np.flatnonzero(model.body_parentid == body)
     # Hinges turn a body about an anchor, which shifts its frame by twice the anchor's distance.
     joints = {child: model.jnt_pos[model.jnt_bodyid == child] for child in children}
@@ -82,22 +82,22 @@ def _extent(model: mujoco.MjModel, body: int) -> float:
         for child in children
         if child != body
     ]
-    return float(max([0.0, *own, *below]))
+    return float(max([0.0, *radii, *below]))
 
 
 def _bounded_static_bodies(model: mujoco.MjModel) -> np.ndarray:
-    """Bodies that never move, collide, and end somewhere (planes do not)."""
+    """Ids of static bodies that can collide and have bounds, which planes do not."""
     owners = model.geom_bodyid
     planes = owners[model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE]
     colliding = (model.body_contype | model.body_conaffinity) != 0
     static = (model.body_weldid == 0) & colliding & (model.body_geomnum > 0)
     static[planes] = False
-    # Masks are per body: culling one of few would cost more than it saves.
+    # To cull a single body would cost more than it saves.
     return np.flatnonzero(static) if static.sum() > 1 else np.empty(0, int)
 
 
 def _bounds(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> tuple[np.ndarray, np.ndarray]:
-    """Horizontal corners of the box around a body's geoms, m."""
+    """Lowest and highest x, y of the box around a body's geoms, [2] m each."""
     first = model.body_geomadr[body]
     geoms = slice(first, first + model.body_geomnum[body])
     rotation = data.geom_xmat[geoms].reshape(-1, 3, 3)

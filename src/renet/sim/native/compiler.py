@@ -1,7 +1,7 @@
-"""C++ files that Warp's bundled clang compiles at first use, so that none need be installed.
+"""C++ files that the clang in Warp compiles at first use, so that no compiler need be installed.
 
-A file holds structs and `static` functions, without standard headers. Python reads the structs from
-the file itself, as ctypes classes, and fills in what a function is called with.
+A file has structs and `static` functions, and no standard headers. Its structs become ctypes
+classes, whose instances are the arguments of its functions.
 """
 
 import ctypes
@@ -21,10 +21,10 @@ FIELD = re.compile(r"(?:const )?(\w+)(\*?) (\w+);")
 
 
 class Struct(ctypes.Structure):
-    """A struct of a C++ file. What its pointers point to lives as long as it does."""
+    """A struct of a C++ file, which keeps the objects alive that its pointers point to."""
 
     def __init__(self, **fields: Any) -> None:
-        """Fill in all fields but `work`, which `Source.call` does.
+        """Set all fields but `work`, which `Source.call` sets.
 
         Args:
             fields: numbers and structs; for pointers NumPy arrays, ctypes objects, addresses or
@@ -34,9 +34,9 @@ class Struct(ctypes.Structure):
             TypeError: a field is missing or unknown.
         """
         super().__init__()
-        known = {field[0] for field in self._fields_} - {"work"}
-        if known != set(fields):
-            raise TypeError(f"{type(self).__name__}: missing or unknown {known ^ set(fields)}")
+        differing = fields.keys() ^ ({field[0] for field in self._fields_} - {"work"})
+        if differing:
+            raise TypeError(f"{type(self).__name__}: missing or unknown {differing}")
         self._held = fields
         for name, value in fields.items():
             if isinstance(value, np.ndarray):
@@ -49,24 +49,24 @@ class Struct(ctypes.Structure):
 
 
 class Source:
-    """A C++ file, with the files it includes by name put in."""
+    """A C++ file, in which quoted includes are replaced by their files."""
 
     def __init__(self, path: Path) -> None:
         text = path.read_text()
         include = re.compile(r'^#include "(.+)"$', re.MULTILINE)
-        self.text = include.sub(lambda found: (path.parent / found[1]).read_text(), text)
+        self.text = include.sub(lambda line: (path.parent / line[1]).read_text(), text)
 
     @cache  # noqa: B019  Sources are module constants.
     def struct(self, name: str) -> type[Struct]:
         """The ctypes class of a struct whose fields are numbers, pointers and such structs.
 
         Raises:
-            KeyError: the file has no such struct, or a field of it has a type Python cannot share.
+            KeyError: the file has no such struct, or one with a field of another type.
         """
-        found = re.search(rf"^struct {name} {{\n(.*?)^}};", self.text, re.DOTALL | re.MULTILINE)
-        if not found:
+        match = re.search(rf"^struct {name} {{\n(.*?)^}};", self.text, re.DOTALL | re.MULTILINE)
+        if not match:
             raise KeyError(name)
-        body = re.sub(r"//.*", "", found[1])
+        body = re.sub(r"//.*", "", match[1])
         declared = FIELD.findall(body)
         if len(declared) != body.count(";"):
             raise KeyError(f"{name} has fields other than `type name;`")
@@ -77,27 +77,24 @@ class Source:
         return type(name, (Struct,), {"_fields_": fields})
 
     def call(self, function: str, argument: Struct, alone: bool = False) -> None:
-        """Call a function of the file until all its work is done.
+        """Call a function of the file on all threads; returns when all its work is done.
 
         Args:
             function: `static void function(Argument&)`, whose struct begins with `Work work`.
-            argument: what it reads.
-            alone: leave the work to the calling thread, which releases the GIL in any case.
+            argument: the struct.
+            alone: whether to use the calling thread alone. The GIL is released in both cases.
         """
         argument.work.threads = argument.work.taken = 0
         inputs = [ctypes.addressof(argument)]
         kernel = self._kernel(function, type(argument).__name__)
         launch = wp.launch(kernel, dim=1, inputs=inputs, device="cpu", record_cmd=True).launch
-        if alone:
-            launch()
-        else:
-            on_all_threads(launch)
+        launch() if alone else on_all_threads(launch)
 
     @cache  # noqa: B019
     def _kernel(self, function: str, argument: str) -> Any:
-        """A kernel of one number, the address of a struct `argument`, that calls a function."""
+        """A Warp kernel that calls a function with the struct `argument` at an address."""
 
-        # A function's body cannot hold functions, but a struct in it can.
+        # C++ has no functions inside a function's body, but it has structs with functions there.
         @wp.func_native(
             f"struct File {{\n{self.text}\n}};\nFile::{function}(*(File::{argument}*)address);"
         )

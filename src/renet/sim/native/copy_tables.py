@@ -1,7 +1,7 @@
-"""What the native engine copies between Warp's arrays and MuJoCo's, before and after its steps.
+"""Fields that the native engine copies between Warp and MuJoCo before and after its steps.
 
-Names are the same on both sides (mujoco_warp mirrors mjData and mjModel), so the tables are lists
-of names; sizes and types are derived and checked.
+A field has the same name on both sides, as mujoco_warp mirrors mjData and mjModel. The tables are
+lists of names; sizes and types are derived and checked.
 """
 
 from typing import Any, NamedTuple
@@ -13,9 +13,9 @@ from renet.errors import RenetError
 from renet.sim.native.stages import moving_bodies
 
 POSE = ("qpos", "qvel", "mocap_pos", "mocap_quat")
-"""What poses and velocities follow from."""
+"""Fields that determine poses and velocities."""
 STATE = (*POSE, "act", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied")
-"""Inputs of a step beside the time. All must be finite for an environment to be stepped."""
+"""Inputs of a step beside the time. An environment is stepped only if all are finite."""
 
 INTEGRATED = ("qpos", "qvel", "act", "qacc_warmstart", "qacc", "act_dot")
 SENSED = ("sensordata", "actuator_length", "actuator_velocity", "actuator_force", "ten_length")
@@ -28,35 +28,35 @@ PER_JOINT = ("xanchor", "xaxis")
 PER_CAMERA = ("cam_xpos", "cam_xmat")
 
 VIEWER_FIELDS = ("geom_rgba", "light_", "mat_")
-"""Beginnings of model fields that only viewers read, and from Warp."""
+"""Prefixes of model fields that only viewers read, in Warp's memory."""
 
 
 class FieldCopy(NamedTuple):
-    """A field, or part of one, of every environment in Warp and of one model or data in MuJoCo."""
+    """A field, or a part of one, of all environments in Warp and of one mjModel or mjData."""
 
     warp: np.ndarray
-    """[N, ...] a view of Warp's memory."""
+    """A view [N, ...] of Warp's memory."""
     mujoco: np.ndarray
-    """A view of MuJoCo's memory with as many elements."""
+    """A view of MuJoCo's memory, with as many elements as an environment has."""
 
     @property
     def is_float(self) -> bool:
-        """Single precision in Warp and double in MuJoCo; otherwise both have the same bytes."""
+        """Whether it is single precision in Warp and double in MuJoCo; else bytes are the same."""
         return self.mujoco.dtype == np.float64
 
     def load(self, env: int) -> None:
-        """From an environment to MuJoCo."""
+        """Copy it from an environment to MuJoCo."""
         self.mujoco.flat = self.warp[env]
 
     def store(self, env: int) -> None:
-        """From MuJoCo to an environment."""
+        """Copy it from MuJoCo to an environment."""
         self.warp[env].flat = self.mujoco.ravel()
 
 
 def whole_data(
     wp_data: Any, mj_data: mujoco.MjData, num_envs: int, names: tuple[str, ...]
 ) -> list[FieldCopy]:
-    """All of these fields that the model has any of.
+    """Copies of whole fields of mjData, without those that are empty in this model.
 
     Raises:
         RenetError: a field has another size in MuJoCo.
@@ -74,7 +74,7 @@ def whole_data(
 
 
 def load_model(wp_model: Any, mj_model: mujoco.MjModel, names: list[str]) -> list[FieldCopy]:
-    """Per-environment model fields into an MjModel.
+    """Copies of per-environment model fields into an MjModel.
 
     Raises:
         RenetError: a field has another size or type in MuJoCo.
@@ -99,7 +99,7 @@ def load_model(wp_model: Any, mj_model: mujoco.MjModel, names: list[str]) -> lis
 def store_data(
     wp_data: Any, mj_data: mujoco.MjData, mj_model: mujoco.MjModel, num_envs: int
 ) -> list[FieldCopy]:
-    """Results out of an MjData; rows of static bodies are left out."""
+    """Copies of results out of an MjData, without the rows of static bodies."""
     moving = moving_bodies(mj_model)
     copies = whole_data(wp_data, mj_data, num_envs, (*INTEGRATED, *SENSED, *FORCES))
     for names, owner in (
@@ -121,6 +121,6 @@ def store_data(
 
 
 def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Half-open ranges of consecutive true entries."""
+    """Half-open ranges of consecutive true entries of a mask."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(int), [0]))))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -14,7 +14,7 @@ struct Copy {
     bool convert;  // float in Warp and double in MuJoCo; else plain bytes, `count` of them.
 };
 
-// A function of MuJoCo's, and how many bodies and geoms of the model it is shown.
+// A function of MuJoCo, and the numbers of bodies and geoms of the model that it gets.
 struct Stage {
     void* function;
     int64 bodies;
@@ -25,9 +25,9 @@ struct Stage {
 struct Worker {
     void* model;
     void* data;
-    int64* nbody;  // In the model; written while stages are shown a part of it.
+    int64* nbody;  // In the model; smaller while a stage gets a part of it.
     int64* ngeom;
-    int64 bodies;  // What they really are.
+    int64 bodies;  // In the whole model.
     int64 geoms;
     const Copy* loads;
     int num_loads;
@@ -45,9 +45,9 @@ struct Culling {
     const float* bounds;   // [bodies, 4] low x, low y, high x, high y, m.
     const int* column;     // [roots] where in qpos a root's position begins.
     const float* reach;    // [roots] m.
-    float half_travel;     // m that a root may move before bodies are looked at again.
-    float* last;           // [N, roots, 2] where roots were when that was last done.
-    int* contype;          // [N, model_bodies] masks of collision.
+    float half_travel;     // m that a root may move before bodies are culled anew.
+    float* last;           // [N, roots, 2] m, positions of roots when that was last done.
+    int* contype;          // [N, model_bodies] collision masks.
     int* conaffinity;
     const int* whole_contype;      // [model_bodies] the model's own.
     const int* whole_conaffinity;
@@ -59,19 +59,19 @@ struct Advance {
     const Stage* stages;
     int num_stages;
     bool derives;       // Whether they end with all that follows from the pose.
-    bool only_written;  // Leave environments alone whose pose is as it was left.
+    bool only_written;  // Whether to skip environments with the same pose as in `last_pose`.
     Culling culling;
     const Worker* workers;  // One for each thread that finds an environment.
     const Copy* pose;       // qpos first.
     int num_pose;
-    char* known;            // [N, known_stride] poses that all else was derived from.
-    int64 known_stride;
+    char* last_pose;        // [N, pose_bytes] the poses that all else was derived from.
+    int64 pose_bytes;
 };
 
 static char* in_warp(const Copy& copy, int env) { return copy.warp + copy.stride * env; }
 
 static bool is_written(const Advance& call, int env) {
-    const char* before = call.known + call.known_stride * env;
+    const char* before = call.last_pose + call.pose_bytes * env;
     for (int c = 0; c < call.num_pose; ++c) {
         const char* now = in_warp(call.pose[c], env);
         const int64 bytes = sizeof(float) * call.pose[c].count;
@@ -82,16 +82,16 @@ static bool is_written(const Advance& call, int env) {
     return false;
 }
 
-static void remember(const Advance& call, int env) {
-    char* known = call.known + call.known_stride * env;
+static void keep_pose(const Advance& call, int env) {
+    char* to = call.last_pose + call.pose_bytes * env;
     for (int c = 0; c < call.num_pose; ++c) {
-        const char* now = in_warp(call.pose[c], env);
         const int64 bytes = sizeof(float) * call.pose[c].count;
-        for (int64 i = 0; i < bytes; ++i) *known++ = now[i];
+        __builtin_memcpy(to, in_warp(call.pose[c], env), bytes);
+        to += bytes;
     }
 }
 
-// Whether a root has moved; a position that is not finite has.
+// Whether a root has moved far; true for a position that is not finite.
 static bool has_moved(const Culling& culling, const float* qpos, const float* last) {
     for (int r = 0; r < 2 * culling.roots; ++r) {
         const float by = qpos[culling.column[r / 2] + r % 2] - last[r];
@@ -100,7 +100,7 @@ static bool has_moved(const Culling& culling, const float* qpos, const float* la
     return false;
 }
 
-// Whether a body is within reach of a root; a position that is not finite is near them all.
+// Whether a body is within reach of a root; true for a position that is not finite.
 static bool is_near(const Culling& culling, const float* roots, const float* bounds) {
     for (int r = 0; r < culling.roots; ++r) {
         const float x = roots[2 * r], y = roots[2 * r + 1], reach = culling.reach[r];
@@ -126,7 +126,7 @@ static void cull(const Advance& call, int env) {
     }
 }
 
-// False if the state is not finite: MuJoCo must not see it.
+// False if the state is not finite, and must not be stepped.
 static bool load(const Worker& worker, int env) {
     for (int c = 0; c < worker.num_loads; ++c) {
         const Copy& copy = worker.loads[c];
@@ -155,7 +155,7 @@ static void store(const Worker& worker, int env) {
     }
 }
 
-// An environment whose state is not finite is left alone: its NaN stays for the task to see.
+// An environment whose state is not finite is skipped, and keeps its NaN for the task to see.
 static void advance(Advance& call) {
     const int number = join(call.work);
     if (number >= call.environments) return;
@@ -172,6 +172,6 @@ static void advance(Advance& call) {
         *worker.nbody = worker.bodies;
         *worker.ngeom = worker.geoms;
         store(worker, env);
-        if (call.derives) remember(call, env);
+        if (call.derives) keep_pose(call, env);
     }
 }

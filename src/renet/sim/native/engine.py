@@ -1,14 +1,13 @@
 """Native CPU engine: C MuJoCo on threads behind mjlab's Simulation interface.
 
-Managers and sensors keep reading and writing the same Warp arrays through `sim.data` and
-`sim.model`. On a CPU those arrays are plain memory; `step` and `forward` copy each environment's
-state and randomised model fields into a thread's `MjModel`/`MjData`, let C MuJoCo do the work, and
-copy back what can have changed. Poses of static geoms never change and are not copied, nor are sums
-over the whole world.
+Managers and sensors read and write the same Warp arrays as ever, through `sim.data` and
+`sim.model`. On a CPU these are plain memory: `step` and `forward` copy each environment's state and
+randomised model fields into a thread's `MjModel` and `MjData`, call C MuJoCo, and copy the results
+back. Poses of static geoms and sums over the whole world are not copied.
 
-MuJoCo's step ends with poses and velocities of the state before it. A control step (`step_n`)
-derives them from the state it leads to, while that is at hand, and `forward_written` all else of
-the few environments that were written to since.
+MuJoCo's step ends with poses and velocities of the state before it. A control step (`step_n`) also
+computes those of the state after it, and `forward_written` all that follows from the state of the
+few environments that were written to since.
 """
 
 from __future__ import annotations
@@ -40,17 +39,17 @@ RESET_TO_ZERO = ("qvel", "act", "qacc", "qacc_warmstart", "ctrl", "qfrc_applied"
 RESET_TO_ZERO += ("time", "sensordata")
 
 INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_armature"}
-"""Model fields that MuJoCo does not look at in a body on its own: its inertia is compiled."""
+"""Model fields that MuJoCo does not read of a lone body, whose inertia is compiled."""
 
 
 def forget_coinciding_frames(model: mujoco.MjModel, randomised: set[str]) -> None:
-    """Clear the compiler's marks of frames that coincide, whose fields kinematics does not read.
+    """Clear the compiler's marks of coinciding frames where randomisation may part the frames.
 
-    Only where randomisation may part the frames: most of a terrain's geoms keep theirs.
+    Kinematics does not read the fields of marked frames, such as those of most terrain geoms.
 
     Args:
         model: changed in place.
-        randomised: names of its fields that differ between environments.
+        randomised: names of the fields that differ between environments.
     """
     marks = mujoco.mjtSameFrame
     inertial = bool({"body_ipos", "body_iquat"} & randomised)
@@ -66,13 +65,13 @@ def forget_coinciding_frames(model: mujoco.MjModel, randomised: set[str]) -> Non
 
 
 class Worker:
-    """One thread's model and data, and what is copied into and out of them."""
+    """One thread's model and data, and the copies into and out of them."""
 
     def __init__(self, simulation: NativeSimulation) -> None:
         """Copy a simulation's model.
 
         Raises:
-            RenetError: the native engine cannot randomise what the simulation does.
+            RenetError: the simulation randomises a field that the native engine cannot.
         """
         self.model = model = simulation.mj_model.__copy__()
         if simulation.expanded_fields & INERTIAL and model.dof_simplenum.any():
@@ -80,13 +79,13 @@ class Worker:
                 "the native engine cannot randomise inertia in a scene with a lone free or sliding "
                 "body: use the warp engine"
             )
-        # A diverged environment must keep its NaN for the task to see, not restart by itself.
+        # A diverged environment must keep its NaN for the task to see.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        # Same results; a legged robot's contacts each touch few joints, and the solver gains 16 %.
+        # A contact of a legged robot involves few joints: the solver is 16 % faster, same results.
         model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
-        if model.ntree == 1:  # Which makes one island, without looking for it.
+        if model.ntree == 1:  # One tree is one island.
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
-        # Marks for a viewer, cleared each step: 0.4 MB with the meshes that only a viewer draws.
+        # Marks for viewers, cleared in each step: 0.4 MB with the meshes that only viewers draw.
         model.vis.global_.bvactive = 0
         forget_coinciding_frames(model, simulation.expanded_fields)
         self.data = mujoco.MjData(model)
@@ -98,7 +97,7 @@ class Worker:
         self.stores = store_data(wp_data, self.data, model, num_envs)
 
     def pose_of(self, env: int) -> np.ndarray:
-        """An environment's POSE in Warp, one field after another."""
+        """The fields `POSE` of an environment in Warp, one after another, [n]."""
         return np.concatenate([np.zeros(0), *(copy.warp[env].ravel() for copy in self.pose)])
 
     def struct(self, wp_data: Any, culling: CollisionCulling) -> Struct:
@@ -141,7 +140,7 @@ def _copies(listed: list[FieldCopy]) -> Any:
 class NativeSimulation(Simulation):
     """mjlab's Simulation stepped by C MuJoCo; CPU only.
 
-    Contact and constraint arrays of the Warp data are not filled: read contacts through MuJoCo
+    Contact and constraint arrays of the Warp data are not filled. Read contacts through MuJoCo's
     contact sensors, as mjlab's ContactSensor does.
     """
 
@@ -166,23 +165,23 @@ class NativeSimulation(Simulation):
             self._advance(1, derive=False)
 
     def step_n(self, steps: int) -> None:
-        """Several physics steps under the same controls, and the poses they lead to.
+        """Several physics steps with the same controls, then the poses of the state after them.
 
-        Contacts, forces and accelerations are those at the last step's start.
+        Contacts, forces and accelerations are those at the beginning of the last step.
         """
         with self.nan_guard.watch(self.data):
             self._advance(steps, derive=True)
 
     def forward(self) -> None:
-        """Recompute everything derived from the current state of every environment."""
+        """Compute all that follows from the present state of every environment."""
         self._advance(0)
 
     def forward_written(self) -> None:
-        """The same, but only of environments whose state is not as `step_n` or this left it."""
+        """The same for the environments whose state was written since `step_n` or this call."""
         self._advance(0, only_written=True)
 
     def reset(self, env_ids: torch.Tensor | None = None) -> None:
-        """Put environments at the model's reference state, at rest and unforced."""
+        """Put environments at rest in the model's reference state, without forces."""
         ids = slice(None) if env_ids is None else env_ids
         rows = slice(None) if env_ids is None else env_ids.numpy()
         for field in self._zeroed:
@@ -195,12 +194,12 @@ class NativeSimulation(Simulation):
             self.data.mocap_quat[ids] = self._model_rows("body_quat", ids)[..., order, :]
 
     def _model_rows(self, name: str, ids: slice | torch.Tensor) -> torch.Tensor:
-        """A model field of the environments in `ids`, or the one they share."""
+        """A model field of the environments `ids`, or the one they share."""
         field = getattr(self.model, name)
         return field[ids] if field.shape[0] == self.num_envs else field[0]
 
     def _advance(self, steps: int, derive: bool = False, only_written: bool = False) -> None:
-        """Take `steps` physics steps, or compute all that follows from the state if 0."""
+        """Take physics steps; if `steps` is 0, compute all that follows from the state."""
         if not self._workers:
             self._prepare()
         if not stages.are_mujocos():
@@ -209,15 +208,15 @@ class NativeSimulation(Simulation):
         key = steps, derive, only_written
         if key not in self._arguments:
             self._arguments[key] = self._argument(*key)
-        # What was written is little: another thread would begin too late.
+        # Few environments are written to: a second thread would begin too late.
         SOURCE.call("advance", self._arguments[key], alone=only_written)
 
     def _prepare(self) -> None:
-        """Set up the threads, and forget which poses are known."""
+        """Set up the threads, and forget the last poses."""
         native = stages.are_mujocos()
         self._workers = [Worker(self) for _ in range(min(THREADS, self.num_envs) if native else 1)]
         size = sum(copy.mujoco.size for copy in self._workers[0].pose)
-        self._known = np.full((self.num_envs, size), np.nan, np.float32)
+        self._last_pose = np.full((self.num_envs, size), np.nan, np.float32)
         self._arguments = {}
         if native:
             self._structs = [worker.struct(self.wp_data, self.culling) for worker in self._workers]
@@ -240,15 +239,15 @@ class NativeSimulation(Simulation):
             workers=(SOURCE.struct("Worker") * len(self._structs))(*self._structs),
             pose=_copies(pose),
             num_pose=len(pose),
-            known=self._known,
-            known_stride=self._known.strides[0],
+            last_pose=self._last_pose,
+            pose_bytes=self._last_pose.strides[0],
         )
 
     def _advance_plainly(self, steps: int, derive: bool, only_written: bool) -> None:
-        """The same by MuJoCo's Python functions, one environment after another."""
+        """Do the same by MuJoCo's Python functions, one environment after another."""
         worker, time = self._workers[0], self.wp_data.time.numpy()
         for env in range(self.num_envs):
-            if only_written and np.array_equal(worker.pose_of(env), self._known[env]):
+            if only_written and np.array_equal(worker.pose_of(env), self._last_pose[env]):
                 continue
             if not all(np.isfinite(copy.warp[env]).all() for copy in worker.state):
                 continue
@@ -265,14 +264,14 @@ class NativeSimulation(Simulation):
                 copy.store(env)
             time[env] = worker.data.time
             if derive or not steps:
-                self._known[env] = worker.pose_of(env)
+                self._last_pose[env] = worker.pose_of(env)
 
 
 class MovingFirst(Scene):
-    """mjlab's Scene with the terrain after all that moves, where stages can leave it out."""
+    """mjlab's Scene with the terrain after all that moves, so that stages can leave it out."""
 
     def _add_terrain(self) -> None:
-        """Not yet."""
+        """Wait for the entities."""
 
     def _add_entities(self) -> None:
         super()._add_entities()
@@ -281,10 +280,11 @@ class MovingFirst(Scene):
 
 @contextmanager
 def use_engine(name: str, device: str) -> Iterator[None]:
-    """Build mjlab environments with the named engine while inside.
+    """A context in which mjlab environments are built with an engine.
 
     Args:
         name: `native` (C MuJoCo), `warp` (MuJoCo Warp), or `auto`: native on a CPU, else warp.
+        device: torch's name of the device, such as `cpu`.
 
     Raises:
         RenetError: unknown engine, or the native one off the CPU.
@@ -294,10 +294,10 @@ def use_engine(name: str, device: str) -> Iterator[None]:
     on_cpu = torch.device(device).type == "cpu"
     if name == "native" and not on_cpu:
         raise RenetError(f"the native engine runs on the CPU, not on {device}: use --engine warp")
-    chosen = Simulation if name == "warp" or not on_cpu else NativeSimulation
-    # mjlab's environment names these classes in the module, not in a configuration.
+    simulation = Simulation if name == "warp" or not on_cpu else NativeSimulation
+    # mjlab's environment takes these classes from its module, not from a configuration.
     originals = mjlab_env.Simulation, mjlab_env.Scene
-    mjlab_env.Simulation, mjlab_env.Scene = chosen, MovingFirst
+    mjlab_env.Simulation, mjlab_env.Scene = simulation, MovingFirst
     try:
         yield
     finally:

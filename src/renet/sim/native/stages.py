@@ -1,8 +1,8 @@
-"""The stages of a physics step, and how much of the model each of them looks at.
+"""The stages of a physics step, and the part of the model that each of them gets.
 
-MuJoCo's stages go through all bodies and geoms. A terrain's are most of these and never move, so
-where they come last, every stage but collision detection is shown a model that ends before them.
-Results are the same, but for sums over the whole world.
+MuJoCo's stages loop over all bodies and geoms, of which most are terrain and never move. Where
+these come last, all stages but collision detection get a model that ends before them. Results are
+the same, except sums over the whole world.
 """
 
 import logging
@@ -22,16 +22,16 @@ SENSED = ("mj_transmission", "mj_sensorPos", "mj_fwdVelocity", "mj_sensorVel")
 UNSENSED = ("mj_transmission", "mj_fwdVelocity")
 UNSENSED += ("mj_fwdActuation", "mj_fwdAcceleration", "mj_fwdConstraint")
 DERIVE = (*POSITION, *SENSED)
-"""`mj_forward` without contacts and accelerations."""
+"""The stages of `mj_forward` without contacts and accelerations."""
 INTEGRATORS = {
     mujoco.mjtIntegrator.mjINT_EULER: "mj_Euler",
     mujoco.mjtIntegrator.mjINT_IMPLICIT: "mj_implicit",
     mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "mj_implicit",
 }
 SUMS = ("SUBTREECOM", "SUBTREELINVEL", "SUBTREEANGMOM", "E_POTENTIAL", "E_KINETIC")
-"""Sensors that can be of the whole world."""
+"""Sensors that may sum over the whole world."""
 UNBOUND = ("RANGEFINDER", "TACTILE", "PLUGIN", "USER")
-"""Sensors that may look at any geom."""
+"""Sensors that may read any geom."""
 SELF_CHECK = """
 <mujoco><option integrator="implicitfast"/><worldbody><geom type="plane" size="1 1 1"/>
 <body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1"/>
@@ -43,7 +43,7 @@ SELF_CHECK = """
 
 
 class Stage(NamedTuple):
-    """A function of MuJoCo's, and how many bodies and geoms of the model it is shown."""
+    """A function of MuJoCo, and the numbers of bodies and geoms of the model that it gets."""
 
     function: str
     bodies: int
@@ -51,18 +51,18 @@ class Stage(NamedTuple):
 
 
 def stages_of(model: mujoco.MjModel, steps: int, derive: bool) -> list[Stage]:
-    """What physics steps of a model call, one after another.
+    """The stages of physics steps of a model, in order.
 
     Args:
-        model: is not changed.
-        steps: their number; 0 computes all that follows from the state instead.
-        derive: end with poses and velocities of the state that the last step leads to.
+        model: not changed.
+        steps: number of steps; 0: all that follows from the present state.
+        derive: whether to end with poses and velocities of the state after the last step.
     """
     whole, moving = (model.nbody, model.ngeom), moving_part(model)
     if not steps:
         return [Stage("mj_forward", *whole)]
-    # MuJoCo sweeps along principal axes of all geoms' positions but the world's. With one geom
-    # these are the world's axes, along which tiles lie: fewer bounding boxes overlap.
+    # MuJoCo sweeps along the principal axes of the positions of all geoms but the world's. If there
+    # is one such geom, these are the world's axes, as are the tiles': fewer bounding boxes overlap.
     of_world = int((model.geom_bodyid == 0).sum())
     shown = {
         "mj_step": whole,
@@ -72,17 +72,17 @@ def stages_of(model: mujoco.MjModel, steps: int, derive: bool) -> list[Stage]:
         step = last_step = ("mj_step",)
     else:
         step = (*POSITION, *CONTACTS, *UNSENSED, INTEGRATORS[model.opt.integrator])
-        # Sensors wait for the last step.
+        # Sensors are computed in the last step alone.
         last_step = (*POSITION, *CONTACTS, *SENSED, "mj_step2")
     functions = step * (steps - 1) + last_step + (DERIVE if derive else ())
     return [Stage(name, *shown.get(name, moving)) for name in functions]
 
 
 def moving_part(model: mujoco.MjModel) -> tuple[int, int]:
-    """Numbers of bodies and geoms up to the last that moves; of all where that could matter.
+    """Numbers of bodies and geoms up to the last one that moves.
 
-    It could to MuJoCo's rarer features, whose stages are not among those above, and to sensors
-    that look at the terrain.
+    They are those of the whole model if a sensor may read the terrain, or if it has features of
+    MuJoCo whose stages are not among those above.
     """
     sums, unbound = (
         np.isin(model.sensor_type, [getattr(mujoco.mjtSensor, f"mjSENS_{name}") for name in names])
@@ -100,16 +100,15 @@ def moving_part(model: mujoco.MjModel) -> tuple[int, int]:
 
 
 def moving_bodies(model: mujoco.MjModel) -> np.ndarray:
-    """[nbody] bool: bodies that can move, mocap included."""
+    """[nbody] bool: bodies that can move, mocap bodies included."""
     return (model.body_weldid != 0) | (model.body_mocapid[model.body_rootid] >= 0)
 
 
 @cache
 def are_mujocos() -> bool:
-    """Whether the installed MuJoCo can be stepped stage by stage; logs a line where it cannot.
+    """Whether the installed MuJoCo can be stepped stage by stage; logs a line if it cannot.
 
-    Its version is looked at, then fields are found in its memory, then the stages of a small scene
-    are compared with `mj_step`.
+    It checks the version, the layout of structs, and the stages of a small scene against `mj_step`.
     """
     problem = _problem()
     if problem:
@@ -122,11 +121,11 @@ def are_mujocos() -> bool:
 
 
 def _problem() -> str:
-    """Why a step cannot be split into stages; empty if it can."""
+    """The reason why a step cannot be split into stages; empty if it can."""
     if not mujoco.__version__.startswith(mujoco_memory.VERSION):
         return f"the native engine knows versions {mujoco_memory.VERSION}*"
     model = mujoco.MjModel.from_xml_string(SELF_CHECK)
-    own, staged = mujoco.MjData(model), mujoco.MjData(model)
+    plain, staged = mujoco.MjData(model), mujoco.MjData(model)
     try:
         sizes = [mujoco_memory.model_size(model, name) for name in ("nbody", "ngeom")]
         library, time = mujoco_memory.library(), mujoco_memory.time(staged)
@@ -142,9 +141,9 @@ def _problem() -> str:
         return str(error)
     for size, value in zip(sizes, whole, strict=True):
         size.value = value
-    mujoco.mj_step(model, own, 2)
+    mujoco.mj_step(model, plain, 2)
     same = all(
-        np.array_equal(getattr(own, name), getattr(staged, name))
+        np.array_equal(getattr(plain, name), getattr(staged, name))
         for name in ("qpos", "qvel", "sensordata", "qfrc_constraint")
     )
-    return "" if same and time[0] == own.time else "its stages do not make its step"
+    return "" if same and time[0] == plain.time else "its stages do not make its step"

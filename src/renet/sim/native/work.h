@@ -1,4 +1,4 @@
-// Items of work that threads share out among themselves: each asks for more until there are none.
+// Items of work that threads share: each takes more until none are left.
 struct Work {
     int threads;  // How many have begun.
     int taken;    // How many items have been given out.
