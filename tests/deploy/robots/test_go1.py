@@ -356,7 +356,36 @@ def test_no_robot_is_one_clear_line():
         Go1Robot("127.0.0.1", free_port(), free_port(), timeout=0.5).connect()
 
 
-def test_a_second_program_is_refused():
+def test_a_second_controller_is_refused_before_a_datagram_until_the_first_ones_sender_is_dead(
+    served, monkeypatch
+):
+    first, second = robot_of(served), robot_of(served)
+    monkeypatch.setattr(go1, "_claim", lambda port: None)  # Other ports, as in the attack.
+    first.connect()
+    started = []
+    monkeypatch.setattr(second, "_start", started.append)
+    for _ in range(2):
+        with pytest.raises(RenetError, match="another program on this computer drives the Go1 at"):
+            second.connect()
+    assert not started
+    first._stop.set()  # As if this process were gone but for the sender, which still brakes.
+    with pytest.raises(RenetError, match="end it first"):
+        second.connect()
+    os.close(first._pipe)
+    first._sender.wait(10)
+    monkeypatch.undo()
+    second.connect()
+    second.close()
+
+
+def test_a_name_of_the_robot_is_its_address():
+    named = Go1Robot("localhost", 1)
+    assert named._settings == Go1Robot("127.0.0.1", 1)._settings
+    with pytest.raises(RenetError, match="no robot at 'no such host'"):
+        Go1Robot("no such host")
+
+
+def test_a_port_that_is_taken_is_refused():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("0.0.0.0", 0))
         port = other.getsockname()[1]

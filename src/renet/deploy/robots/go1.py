@@ -35,6 +35,10 @@ class Go1Robot(RealRobot):
         """
         if not 1 <= power_level <= 10:
             raise RenetError(f"the Go1's power level must be 1 to 10, got {power_level}")
+        try:
+            host = socket.gethostbyname(host)
+        except OSError as error:
+            raise RenetError(f"no robot at {host!r}: {error}") from error
         self._local_port = local_port
         super().__init__(
             "Go1",

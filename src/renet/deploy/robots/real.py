@@ -15,6 +15,7 @@ import numpy as np
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.braking import HEARTBEAT, PERIOD
 from renet.deploy.robots.envelope import Envelope
+from renet.deploy.robots.lock import claim
 from renet.deploy.robots.mailbox import ALIVE, COMMAND, SIZE, VALUES, clock, mailboxes
 from renet.errors import RenetError
 
@@ -43,7 +44,8 @@ class RealRobot:
 
         Args:
             name: of the robot, for messages. envelope: its limits.
-            link: MODULE:CLASS of its `braking.Link`. settings: what that is made with.
+            link: MODULE:CLASS of its `braking.Link`. settings: what that is made with, first
+            the two that tell this robot from others, such as its address and port.
             no_answer: what to tell the user when the robot does not answer.
             timeout: seconds `connect` waits for the first answer.
             sink: seconds of braking with which the connection ends.
@@ -56,7 +58,25 @@ class RealRobot:
         self._stop = threading.Event()
 
     def connect(self) -> None:
-        """Start the sender and wait for the robot; raises RenetError with what to do."""
+        """Start the sender and wait for the robot; raises RenetError with what to do.
+
+        The sender inherits the lock on the robot: nobody else commands it before the sender ends.
+        """
+        robot = f"{self._name} at {':'.join(map(str, self._settings[:2]))}"
+        with claim(robot) as lock:
+            self._start(lock.fileno())
+        threading.Thread(target=self._live, daemon=True).start()
+        deadline = time.monotonic() + self._timeout
+        while self.read() is None:
+            problem, dead = self._text("problem"), self._sender.poll() is not None
+            if problem or dead or time.monotonic() > deadline:
+                problem = problem or self._text("problem")  # A sender's last word.
+                self.close()
+                raise RenetError(problem or self._no_answer)
+            time.sleep(PERIOD)
+
+    def _start(self, lock: int) -> None:
+        """Start the sender, which inherits the descriptor of the lock."""
         shared = os.memfd_create("renet-robot")
         os.ftruncate(shared, SIZE)
         self._memory = mmap.mmap(shared, SIZE)
@@ -69,20 +89,11 @@ class RealRobot:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            pass_fds=(shared, pipe),
+            pass_fds=(shared, pipe, lock),
             start_new_session=True,
         )
         os.close(shared)
         os.close(pipe)
-        threading.Thread(target=self._live, daemon=True).start()
-        deadline = time.monotonic() + self._timeout
-        while self.read() is None:
-            problem, dead = self._text("problem"), self._sender.poll() is not None
-            if problem or dead or time.monotonic() > deadline:
-                problem = problem or self._text("problem")  # A sender's last word.
-                self.close()
-                raise RenetError(problem or self._no_answer)
-            time.sleep(PERIOD)
 
     def read(self) -> RobotState | None:
         """Newest reading, without waiting; None before the first."""
