@@ -9,7 +9,7 @@ Method B).
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -131,6 +131,7 @@ class MonitorSelector:
         """Reason of the first monitor that objected when the robot last ceased to see, [N]; empty
         while it sees."""
         used = {name: MONITORS[name] for name in self.thresholds}
+        self._column = np.array([[limit] for limit in self.thresholds.values()])
         self._of_image = np.array([monitor.of_image for monitor in used.values()])
         self._before_vision = [n for n, m in used.items() if m.of_image and not m.output]
         self._limits = {m.output: self.thresholds[n] for n, m in used.items() if m.output}
@@ -155,10 +156,12 @@ class MonitorSelector:
         Returns:
             Which images VP may use; None without a memory: all.
         """
-        verdicts = self._verdicts(seen, self._before_vision)
+        scores = self._scorer.scores(seen, self._before_vision)
         self._looked = True
         if not self.longest_memory:
             return None
+        limits = [self.thresholds[name] for name in self._before_vision]
+        verdicts = [score < limit for score, limit in zip(scores, limits, strict=True)]
         # An image that is shown again is no new one.
         return Gate(np.logical_and.reduce([seen.fresh, *verdicts]), self._limits)
 
@@ -175,10 +178,11 @@ class MonitorSelector:
         if self._looked and seen.fresh.any():  # `look` has counted these images.
             seen = replace(seen, fresh=np.zeros_like(seen.fresh))
         self._looked = False
-        verdicts = self._verdicts(seen, self.thresholds)  # At every call, to count equal images.
+        scores = self._scorer.scores(seen, self.thresholds)  # At every call: it counts images.
         due = self._due(now)
         if due == 0:
             return self.vision
+        verdicts = scores < self._column
         good, healthy = self._judge(verdicts, seen, now)
         self.probability = low_pass(self.probability, healthy, self.spec.gamma, due)
         likely = self.probability > VISION_THRESHOLD
@@ -195,16 +199,11 @@ class MonitorSelector:
         self._explain(~(good & healthy) & (leaving | ceasing), verdicts)
         return self.vision
 
-    def _verdicts(self, seen: SelectorInput, names: Collection[str]) -> np.ndarray:
-        """Whether each of these monitors has no objection, [monitors, N] bool."""
-        limits = np.array([[self.thresholds[name]] for name in names])
-        return self._scorer.scores(seen, names) < limits
-
     def _explain(self, robots: np.ndarray, verdicts: np.ndarray) -> None:
         """Set the reason of the masked robots [N] to that of the first monitor that objects."""
-        reasons = [MONITORS[name].reason for name in self.thresholds]
         for robot in np.flatnonzero(robots & ~verdicts.all(axis=0)):
-            self.reason[robot] = reasons[int(verdicts[:, robot].argmin())]
+            name = [*self.thresholds][int(verdicts[:, robot].argmin())]
+            self.reason[robot] = MONITORS[name].reason
 
     def _judge(
         self, verdicts: np.ndarray, seen: SelectorInput, now: float
