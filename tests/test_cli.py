@@ -19,10 +19,81 @@ def run(capsys, *arguments: str) -> tuple[int, str, str]:
     return code, captured.out, captured.err
 
 
-def test_help_lists_every_command(capsys):
+def test_help_lists_every_command_within_80_columns(capsys):
     code, out, _ = run(capsys, "--help")
     assert code == 0
     assert all(f"renet {name}" in out for name in cli.COMMANDS)
+    assert max(map(len, out.splitlines())) <= 80
+    groups = list(dict.fromkeys(command.group for command in cli.COMMANDS.values()))
+    assert [line for line in out.splitlines() if line in groups] == groups
+
+
+def test_help_of_one_group_lists_its_commands_alone(capsys):
+    code, out, _ = run(capsys, "bundle")
+    assert code == 0
+    assert "renet bundle card" in out
+    assert "renet train" not in out
+
+
+HELP = """
+import contextlib, io, sys
+from renet import cli
+for name in sys.argv[1:]:
+    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()) as out:
+        cli.main([*name.split(), "--help"])
+    assert "--" in out.getvalue(), name
+    heavy = {"torch", "mjlab", "warp", "mediapy"} & {*sys.modules}
+    assert not heavy, (name, heavy)
+"""
+FROM_TASKS = {"train", "recipe", "export"}
+"""Their options are those of mjlab's tasks, which need PyTorch."""
+FROM_TASKS |= {"evaluate course", "evaluate pictures", "evaluate report"}
+
+
+def test_help_imports_neither_torch_nor_mjlab():
+    names = [name for name in cli.COMMANDS if name not in FROM_TASKS]
+    subprocess.run([sys.executable, "-c", HELP, *names], check=True)
+
+
+@pytest.mark.parametrize("module", ["renet", "renet.cli"])
+def test_it_runs_as_a_module(module):
+    command = [sys.executable, "-m", module, "--version"]
+    assert subprocess.check_output(command, text=True).strip() == cli.__version__
+
+
+COMPLETE = """
+source /dev/stdin
+for line in "renet de" "renet evaluate fau" "renet deploy --terrain st"; do
+    COMP_WORDS=($line) COMP_CWORD=$((${#COMP_WORDS[@]} - 1)) COMPREPLY=()
+    _tyro_renet && echo "${COMPREPLY[@]}"
+done
+"""
+
+
+def test_the_shell_completes_commands_options_and_choices(capsys):
+    code, script, _ = run(capsys, "--print-completion", "bash")
+    assert code == 0
+    out = subprocess.check_output(["bash", "-c", COMPLETE], input=script, text=True)
+    assert [line.split() for line in out.splitlines()] == [
+        ["demo", "deploy"],
+        ["faults"],
+        ["stairs", "stairs_up", "stairs_down"],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("termios", "renet runs on Linux (on Windows in WSL 2): termios is missing"),
+        ("mujoco", "`renet deploy` needs mujoco: in a clone of renet, run pip install"),
+    ],
+)
+def test_a_missing_module_is_named_with_what_to_do(capsys, monkeypatch, name, message):
+    monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setattr(cli.Command, "load", lambda *_: __import__(name))
+    code, _, err = run(capsys, "deploy")
+    assert (code, err.count("\n")) == (2, 1)
+    assert message in err
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
@@ -35,8 +106,11 @@ def test_every_command_has_help(capsys, name):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("trian",), "did you mean `renet train`"),
-        (("train", "Renet-Go1-Moon"), "choose one of Renet-Go1-Flat"),
+        (("trian",), "unknown command 'trian': did you mean train?"),
+        (("evaluate", "fautls"), "unknown command `renet evaluate` 'fautls': did you mean faults?"),
+        (("bundle", "x"), "unknown command `renet bundle` 'x': choose one of inspect, card"),
+        (("deploy", "--fault", "blakout@5s"), "unknown fault 'blakout': did you mean blackout?"),
+        (("train", "Renet-Go1-Parkuor"), "did you mean Renet-Go1-Parkour or"),
         (("train", "Renet-Go1-Flat", "--num-envs", "0"), "environments must be at least 1"),
         (("train", "Renet-Go1-Flat", "--device", "cuda:7"), "device cuda:7 is absent"),
         (("train", "Renet-Go1-Flat", "--device", "tpu"), "unknown device 'tpu'"),

@@ -62,8 +62,8 @@ def parse(arguments: list[str]) -> Any:
         return None
     # A run to go on from is looked for on the disk: its settings are those of any other.
     settings = [part for part in rest if part not in ("--resume", "latest")]
-    given = {"default": config.defaults(settings)} if hasattr(config, "defaults") else {}
-    return tyro.cli(config, args=rest, **given)
+    default = {"default": config.defaults(settings)} if hasattr(config, "defaults") else {}
+    return tyro.cli(config, args=rest, **default)
 
 
 @pytest.mark.parametrize("line", [x for x in LINES if re.match("renet (?!COMMAND)", x)])

@@ -19,12 +19,11 @@ from matplotlib.patches import Rectangle
 
 from renet.camera import Intrinsics
 from renet.evaluation import figures
-from renet.evaluation.env import PARKOUR
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.play import MapLog
 from renet.evaluation.report.video import RELIEF, as_seen
 from renet.evaluation.results import output_folder, write_json
-from renet.evaluation.rollout import Trial
+from renet.evaluation.rollout import PARKOUR, Trial
 from renet.interface import CONTROL_DT, DEPTH_RANGE, HEIGHT_MAP_X, HEIGHT_MAP_Y
 from renet.sim.depth.camera import DepthNoiseCfg, MountCfg, add_noise, mount_rotation
 from renet.sim.depth.rasterizer import scanner

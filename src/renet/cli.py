@@ -4,18 +4,19 @@ Commands are imported only when called, so that the robot's install needs no tra
 """
 
 import argparse
-import difflib
 import importlib
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Union
 
 from renet import __version__
-from renet.errors import RenetError
+from renet.errors import RenetError, unknown_name
 
 SIGPIPE_CODE = 141
 """Exit code of a program whose reader left, as shells count it."""
@@ -30,6 +31,8 @@ class Command:
     """MODULE:CONFIG:FUNCTION."""
     extra: str = "train"
     """What to install if the module's imports are missing."""
+    group: str = "Measure"
+    """Heading of `renet --help` under which it stands."""
     presets: dict[str, str] = field(default_factory=dict)
     """MODULE:CONFIG with other defaults, by what follows `--preset`."""
 
@@ -40,58 +43,66 @@ class Command:
         if self.presets:
             parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
             parser.add_argument("--preset", nargs="?", const="")
-            asked, arguments = parser.parse_known_args(arguments)
-            if asked.preset not in (None, *self.presets):
-                known = ", ".join(self.presets)
-                raise RenetError(f"unknown preset {asked.preset!r}: choose one of {known}")
-            if asked.preset:
-                module, config = self.presets[asked.preset].split(":")
+            options, arguments = parser.parse_known_args(arguments)
+            if options.preset not in (None, *self.presets):
+                raise unknown_name("preset", options.preset, self.presets)
+            if options.preset:
+                module, config = self.presets[options.preset].split(":")
         return run, getattr(importlib.import_module(module), config), arguments
 
 
 COMMANDS = {
     "demo": Command(
-        "break the shipped policy's camera and watch it keep walking: one HTML page",
+        "see the shipped policy lose its camera: one page",
         "renet.evaluation.demo:DemoCfg:run_demo",
-    ),
-    "page": Command(
-        "the page that runs a bundle in the browser, and lets visitors break its camera",
-        "renet.page.writer:PageCfg:run_page",
-        "sim",
-    ),
-    "train": Command("train RENet on a CPU or GPUs", "renet.training.train:TrainCfg:train"),
-    "recipe": Command(
-        "print the whole recipe: of a checkpoint, or of a run that would begin now",
-        "renet.training.train:RecipeCfg:show",
-    ),
-    "export": Command(
-        "turn a checkpoint into a bundle of three ONNX models",
-        "renet.training.export:ExportCfg:export",
+        group="Walk",
     ),
     "play": Command(
-        "film a bundle or a checkpoint on any tile, while its camera fails",
+        "film a bundle or checkpoint while its camera fails",
         "renet.evaluation.play:PlayCfg:run_play",
+        group="Walk",
     ),
     "deploy": Command(
-        "put a bundle on a robot, simulated or real; leaves a recording and its timeline",
+        "run a bundle on a robot, simulated or real",
         "renet.deploy.main:DeployCfg:deploy",
         "sim",
+        group="Walk",
+    ),
+    "page": Command(
+        "walk in the browser and break the camera there",
+        "renet.page.writer:PageCfg:run_page",
+        "sim",
+        group="Walk",
+    ),
+    "train": Command(
+        "train RENet on a CPU or on GPUs", "renet.training.train:TrainCfg:train", group="Train"
+    ),
+    "recipe": Command(
+        "print every setting of a checkpoint or a new run",
+        "renet.training.train:RecipeCfg:show",
+        group="Train",
+    ),
+    "export": Command(
+        "turn a checkpoint into a bundle of ONNX models",
+        "renet.training.export:ExportCfg:export",
+        group="Train",
     ),
     "calibrate": Command(
-        "measure the selector's threshold on healthy runs and store it in a bundle",
+        "set a bundle's fault detection from healthy walks",
         "renet.evaluation.calibrate:CalibrateCfg:run_calibrate",
+        group="Train",
     ),
     "evaluate faults": Command(
-        "every way a depth camera fails; --preset noise: the paper's noise figure",
+        "all camera faults; --preset noise: the paper's six",
         "renet.evaluation.studies.faults:FaultStudy:FaultStudy.main",
         presets={"noise": "renet.evaluation.studies.noise:NoiseStudy"},
     ),
     "evaluate leaderboard": Command(
-        "rank policies by their result files of the fault benchmark",
+        "rank policies by their results under faults",
         "renet.evaluation.studies.leaderboard:LeaderboardCfg:make_leaderboard",
     ),
     "evaluate terrain": Command(
-        "highest levels (the paper's table); --preset success: one try; standing: robots stop",
+        "highest levels; --preset success or standing",
         "renet.evaluation.studies.terrain:TerrainStudy:TerrainStudy.main",
         presets={
             "success": "renet.evaluation.studies.terrain:SuccessStudy",
@@ -99,31 +110,33 @@ COMMANDS = {
         },
     ),
     "evaluate memory": Command(
-        "who crosses, against the seconds without an image",
+        "who crosses, against seconds without an image",
         "renet.evaluation.studies.memory:MemoryStudy:MemoryStudy.main",
     ),
     "evaluate margins": Command(
-        "how far a robot may be from the simulated one before the policy falls",
+        "how far a robot may differ before it falls",
         "renet.evaluation.studies.margins:MarginsStudy:MarginsStudy.main",
     ),
     "evaluate log": Command(
-        "score a recording: falls, distance, switches, delays, and its timeline",
+        "score a recording: falls, distance, switches",
         "renet.deploy.score:ScoreCfg:score_log",
         "",
     ),
     "evaluate report": Command(
-        "put every study found in a folder on one self-contained page",
+        "all studies of a folder on one page",
         "renet.evaluation.studies.report:ReportCfg:make_report",
     ),
     "bundle inspect": Command(
-        "print every input of a bundle by index: name, unit, scale, joint order",
+        "print a bundle's inputs by index, name and unit",
         "renet.bundle.inspect:InspectCfg:inspect",
         "",
+        group="Bundles",
     ),
     "bundle card": Command(
-        "write a bundle's model card from its files and its studies' results",
+        "write a bundle's model card",
         "renet.deploy.card:CardCfg:write_card",
         "",
+        group="Bundles",
     ),
 }
 
@@ -160,56 +173,100 @@ def _run(arguments: list[str]) -> int:
 
 
 def _dispatch(arguments: list[str]) -> int:
+    """Run the command that the arguments name; returns the exit code."""
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(_help(arguments))
+        print(_help(""))
         return 0
     if arguments[0] == "--version":
         print(__version__)
         return 0
+    if arguments[0] == "--print-completion":
+        return _print_completion(arguments[1:])
     name, rest = _match(arguments)
+    if name not in COMMANDS:
+        print(_help(name))
+        return 0
     command = COMMANDS[name]
     try:
         run, config, rest = command.load(rest)
-        import tyro
-
-        given = {"default": config.defaults(rest)} if hasattr(config, "defaults") else {}
-        cfg = tyro.cli(config, args=rest, prog=f"renet {name}", **given)
+        cfg = parse(config, rest, f"renet {name}")
         result = run(cfg)
     except ModuleNotFoundError as error:
         # Also of imports that wait until an option needs them.
-        if error.name and error.name.startswith("renet"):
-            raise
-        raise RenetError(
-            f"`renet {name}` needs {error.name}: pip install 'renet-locomotion[{command.extra}]'"
-        ) from error
+        raise _missing(error, name, command.extra) from error
     where = result if isinstance(result, Path) else getattr(cfg, "out", None)
     if where is not None:
         print(f"Results: {where}")
     return 0
 
 
+def parse(config: Any, arguments: list[str], program: str) -> Any:
+    """The dataclass `config` filled from the arguments; tyro explains mistakes and exits with 2."""
+    import tyro
+
+    default = {"default": config.defaults(arguments)} if hasattr(config, "defaults") else {}
+    options = (tyro.conf.DisallowNone,)  # A default of None reads `PATH`, not `{None}|PATH`.
+    return tyro.cli(config, args=arguments, prog=program, config=options, **default)
+
+
+def _missing(error: ModuleNotFoundError, name: str, extra: str) -> Exception:
+    """What to do about a module that a command needs and this computer lacks."""
+    if error.name in sys.stdlib_module_names:
+        return RenetError(f"renet runs on Linux (on Windows in WSL 2): {error.name} is missing")
+    if not error.name or error.name.startswith("renet"):
+        return error
+    extras = f"[{extra}]" if extra else ""
+    return RenetError(
+        f"`renet {name}` needs {error.name}: in a clone of renet, run"
+        f" pip install -c requirements-lock.txt -e '.{extras}'"
+    )
+
+
 def _match(arguments: list[str]) -> tuple[str, list[str]]:
-    """The command (one or two words) and its own arguments."""
+    """The command (one or two words), or the first word of several, and its own arguments."""
     for words in (2, 1):
         name = " ".join(arguments[:words])
         if name in COMMANDS:
             return name, arguments[words:]
-    group = [name for name in COMMANDS if name.split()[0] == arguments[0]]
-    if group:
-        if len(arguments) == 1 or arguments[1] in ("-h", "--help"):
-            print(_help(arguments))
-            raise SystemExit(0)
-        asked = " ".join(arguments[:2])
-        raise RenetError(f"unknown command {asked!r}: choose one of {', '.join(group)}")
-    close = difflib.get_close_matches(arguments[0], COMMANDS, n=1)
-    hint = f"did you mean `renet {close[0]}`?" if close else "see `renet --help`"
-    raise RenetError(f"unknown command {arguments[0]!r}: {hint}")
+    first, *rest = arguments
+    subcommands = [name for name in COMMANDS if name.startswith(f"{first} ")]
+    if subcommands and (not rest or rest[0] in ("-h", "--help")):
+        return first, rest
+    if subcommands:
+        seconds = [name.split()[1] for name in subcommands]
+        raise unknown_name(f"command `renet {first}`", rest[0], seconds)
+    raise unknown_name("command", first, {name.split()[0] for name in COMMANDS})
 
 
-def _help(arguments: list[str]) -> str:
-    group = arguments[0] if arguments and not arguments[0].startswith("-") else ""
-    rows = [(n, c.help) for n, c in COMMANDS.items() if not group or n.split()[0] == group]
-    width = max(len(name) for name, _ in rows)
-    lines = [f"renet {__version__}: quadruped locomotion that survives the loss of its camera", ""]
-    lines += [f"  renet {name:<{width}}  {text}" for name, text in rows]
-    return "\n".join([*lines, "", "`renet <command> --help` shows every option with its default."])
+def _help(first: str) -> str:
+    """The commands by group; only those of one first word, if it is given."""
+    lines = [f"renet {__version__}: quadruped locomotion that survives the loss of its camera"]
+    width = max(map(len, COMMANDS))
+    rows = [(n, c) for n, c in COMMANDS.items() if not first or n.split()[0] == first]
+    for title, commands in groupby(rows, lambda row: row[1].group):
+        lines += ["", title, *(f"  renet {name:<{width}}  {c.help}" for name, c in commands)]
+    return "\n".join([*lines, "", "`renet COMMAND --help` shows every option with its default."])
+
+
+def _print_completion(arguments: list[str]) -> int:
+    """Print what makes a shell complete commands and options, for those commands that load here."""
+    import tyro
+
+    branches: dict[str, list[Any]] = {}
+    for name, command in COMMANDS.items():
+        *first, last = name.split()
+        with suppress(ModuleNotFoundError):
+            config = command.load([])[1]
+            branch = Annotated[config, tyro.conf.subcommand(last, description=command.help)]
+            branches.setdefault(" ".join(first), []).append(branch)
+    top = branches.pop("")
+    for name, commands in branches.items():
+        group = Annotated[Union[tuple(commands)], tyro.conf.subcommand(name)]  # noqa: UP007
+        top.append(group)
+    every: Any = Union[tuple(top)]  # noqa: UP007
+    tyro.cli(every, prog="renet", args=["--tyro-print-completion", *arguments])
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,8 +1,27 @@
 """The exception that renet raises for everything a user can correct."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 
 class RenetError(Exception):
     """Bad input or a bad file: the message names what is wrong and what to do about it.
 
     The command line prints it as one line and exits with code 2.
     """
+
+
+def unknown_name(kind: str, name: str, choices: Iterable[str]) -> RenetError:
+    """The error for a name that is not among the choices: it suggests the nearest, or lists all.
+
+    Args:
+        kind: what the name stands for, such as "fault".
+        name: what the user wrote.
+        choices: the names that exist.
+    """
+    names = list(choices)
+    nearest = get_close_matches(name, names)
+    hint = f"choose one of {', '.join(names)}"
+    if nearest:
+        hint = f"did you mean {' or '.join(nearest)}?"
+    return RenetError(f"unknown {kind} {name[:40]!r}: {hint}")

@@ -5,6 +5,17 @@ quaternions are (w, x, y, z).
 """
 
 from dataclasses import dataclass
+from typing import Literal
+
+Engine = Literal["auto", "native", "warp"]
+"""Physics engines of training and studies; auto: native (C MuJoCo) on a CPU, warp on a GPU."""
+Terrain = Literal[
+    "flat", "rough", "obstacles", "stairs", "stairs_up", "stairs_down", "gap", "platform"
+]
+"""Grounds that a robot walks on; stairs go down."""
+SelectorName = Literal["monitors", "paper"]
+"""monitors: all monitors, memory, and a dwell before vision returns. paper: the reconstruction loss
+against beta, filtered, and nothing else."""
 
 LEGS = ("FR", "FL", "RR", "RL")
 JOINTS = tuple(f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "thigh", "calf"))

@@ -102,6 +102,8 @@ class FakeEvaluator:
     thresholds: ClassVar = {"reconstruction": 0.01, "duplicate": 3.0, "frame_age": 0.2}
     robot = GO1
     rollout = Evaluator.rollout
+    terrain_env_cfg = Evaluator.terrain_env_cfg
+    grounds_env_cfg = Evaluator.grounds_env_cfg
 
     def __init__(self, env: type[FakeEnv] = FakeEnv) -> None:
         self.env = env

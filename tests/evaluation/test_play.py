@@ -1,6 +1,7 @@
 """Films: a real short one, and the mistakes that stop one before it begins."""
 
 from dataclasses import replace
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -8,10 +9,9 @@ import pytest
 
 from renet.bundle import Bundle
 from renet.errors import RenetError
-from renet.evaluation import play
 from renet.evaluation.env import robot_of
 from renet.evaluation.play import PlayCfg, opened, run_play
-from renet.evaluation.report.video import VideoCfg
+from renet.evaluation.report import video
 from renet.tasks.config.go1 import GO1
 
 CHECKPOINT = Path(str(files("renet"))) / "pretrained" / "checkpoint"
@@ -39,7 +39,7 @@ def test_mistakes_are_named_before_anything_is_written(tmp_path, fields, message
 
 
 def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path, monkeypatch):
-    monkeypatch.setattr(play, "VideoCfg", lambda: VideoCfg(width=96, height=72, fps=10))
+    monkeypatch.setattr(video, "VideoCfg", partial(video.VideoCfg, width=96, height=72, fps=10))
     cfg = PlayCfg(
         bundle=CHECKPOINT,
         out=tmp_path / "film.mp4",

@@ -19,9 +19,9 @@ from renet.deploy.calibration_log import recorded_scores
 from renet.errors import RenetError
 from renet.evaluation.calibrate_memory import MEMORY, Memory, memory_limits
 from renet.evaluation.monitor_log import MonitorLog, healthy_series
-from renet.evaluation.rollout import Trial, check_finite, check_speed
+from renet.evaluation.rollout import FLAT, PARKOUR, Trial, check_finite, check_speed
 from renet.faults import Injection
-from renet.interface import CONTROL_DT, TICK_DT
+from renet.interface import CONTROL_DT, TICK_DT, Engine
 from renet.selector.calibration import calibrate, calibrate_monitors
 from renet.selector.monitors import MONITORS
 from renet.terminal import show
@@ -68,8 +68,8 @@ class CalibrateCfg:
     lift thresholds, at most twofold, until each monitor accepts 49 of 50 walks through grass."""
     seed: int = 7
     """Of the robots' starts."""
-    engine: str = "auto"
-    """Physics engine: auto, native or warp."""
+    engine: Engine = "auto"
+    """Physics engine; auto: native on a CPU, warp on a GPU."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.false_alarm < 1.0:
@@ -147,7 +147,6 @@ def _simulated_scores(cfg: CalibrateCfg) -> tuple[Bundle, Series, Series, Memory
     Raises:
         RenetError: settings that cannot be run, or a policy that never succeeds.
     """
-    from renet.evaluation.env import FLAT, PARKOUR
     from renet.evaluation.evaluator import Evaluator
     from renet.terrain.tiles import LEVELS
 
@@ -177,7 +176,6 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
 
     VP is in charge throughout; with `grass` all walk through sparse grass.
     """
-    from renet.evaluation.env import PARKOUR
     from renet.tasks.parkour_env_cfg import parkour_env_cfg
     from renet.terrain.tiles import tiles
 

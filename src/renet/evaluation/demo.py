@@ -1,21 +1,25 @@
 """`renet demo`: break the camera of the shipped policy and watch it keep walking, on one page."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report.page import provenance_section, render, write_page
 from renet.evaluation.report.summary import noise_facts, noise_headline
-from renet.evaluation.report.video import VideoCfg, film
 from renet.evaluation.studies.faults import Setting
 from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.trace import Trace
 from renet.faults import fault_class
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, Engine
 from renet.terminal import show
+
+if TYPE_CHECKING:
+    from renet.evaluation.evaluator import Evaluator
+    from renet.evaluation.report.video import VideoCfg
 
 
 @dataclass(frozen=True)
@@ -28,8 +32,8 @@ class DemoCfg:
     """Bundle folder; the one that ships with renet by default."""
     seed: int = 1
     """Of the robots' starts and of the noise."""
-    engine: str = "auto"
-    """Physics engine: auto, native or warp."""
+    engine: Engine = "auto"
+    """Physics engine; auto: native on a CPU, warp on a GPU."""
 
 
 def run_demo(cfg: DemoCfg, evaluator: Evaluator | None = None) -> Path:
@@ -63,6 +67,8 @@ def film_comparison(
     cfg: VideoCfg | None = None,
 ) -> Path:
     """Film VP alone beside RENet: one setting walks again, as it did in the study."""
+    from renet.evaluation.report.video import VideoCfg, film
+
     cfg, modes = cfg or VideoCfg(), {"vp": "VP alone: always on camera", "renet": "RENet"}
     trials = study.trials([setting])
     env = study.make_env(evaluator, tuple(trial.robot for trial in trials))

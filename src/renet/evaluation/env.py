@@ -14,7 +14,7 @@ from torch import Tensor
 
 from renet.bundle.manifest import Manifest
 from renet.errors import RenetError
-from renet.evaluation.rollout import StepResult
+from renet.evaluation.rollout import FLAT, PARKOUR, StepResult
 from renet.faults import ViewPerturbation
 from renet.faults.physical import obstacles, spread
 from renet.sim.depth.camera import CameraPerturbation, DepthCamera
@@ -27,8 +27,6 @@ from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.terrains import UNSEEN, parkour_terrain, tile_row
 
-FLAT, PARKOUR = "flat", "parkour"
-"""Ground without tiles, and a field of all tiles at all levels."""
 NEVER = 1e9
 """Seconds no run lasts."""
 

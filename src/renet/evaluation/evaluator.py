@@ -1,15 +1,29 @@
 """What every study works with: a bundle, its policy and selector, and environments for them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from renet.bundle import Bundle
 from renet.bundle.policy import Policy
 from renet.errors import RenetError
-from renet.evaluation.env import FLAT, PARKOUR, SimEnv, robot_of, study_env_cfg, terrain_env_cfg
+from renet.evaluation.env import (
+    SimEnv,
+    grounds_env_cfg,
+    robot_of,
+    study_env_cfg,
+    terrain_env_cfg,
+)
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import EvalEnv, EvalPolicy, EvalSelector, Trial, run_rollout
+from renet.evaluation.rollout import (
+    FLAT,
+    PARKOUR,
+    EvalEnv,
+    EvalPolicy,
+    EvalSelector,
+    Trial,
+    run_rollout,
+)
 from renet.evaluation.trace import Trace
 from renet.selector import make_selector
 from renet.selector.selector import check_kind
@@ -60,6 +74,14 @@ class Evaluator:
         engine = "native" if self.engine == "auto" else self.engine
         return Provenance(self.bundle.name, self.bundle.sha256, engine, seed)
 
+    def terrain_env_cfg(self, terrain: str, level: int) -> RenetEnvCfg:
+        """`env.terrain_env_cfg` with the bundle's robot."""
+        return terrain_env_cfg(terrain, level, self.robot)
+
+    def grounds_env_cfg(self, levels: Mapping[str, int]) -> RenetEnvCfg:
+        """`env.grounds_env_cfg` with the bundle's robot."""
+        return grounds_env_cfg(levels, self.robot)
+
     def make_env(
         self, task: str | RenetEnvCfg, robots: Sequence[int], speed: float, seed: int
     ) -> SimEnv:
@@ -78,7 +100,7 @@ class Evaluator:
         if not 0 <= seed < 2**32:
             raise RenetError(f"seed must be from 0 to 2^32 - 1, got {seed}")
         if task in (FLAT, PARKOUR):
-            task = terrain_env_cfg(str(task), 1, self.robot)
+            task = self.terrain_env_cfg(str(task), 1)
         cfg = study_env_cfg(task, speed)
         own = self.bundle.manifest.robot.name
         if own != cfg.robot.name:

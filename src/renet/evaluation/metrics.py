@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from renet.interface import CONTROL_DT
 
@@ -69,13 +69,15 @@ def bootstrap_interval(
     if len(values) < 2:
         only = float(values[0]) if len(values) else float("nan")
         return only, only
-    drawn = stats.bootstrap((values,), statistic, n_resamples=2000, method="percentile", rng=0)
+    drawn = scipy.stats.bootstrap(
+        (values,), statistic, n_resamples=2000, method="percentile", rng=0
+    )
     return float(drawn.confidence_interval.low), float(drawn.confidence_interval.high)
 
 
 def wilson_interval(successes: np.ndarray) -> tuple[float, float]:
     """Wilson's 95 % interval of a share, from 0 or 1 for each robot [n]; n > 0."""
-    test = stats.binomtest(int(successes.sum()), len(successes))
+    test = scipy.stats.binomtest(int(successes.sum()), len(successes))
     found = test.proportion_ci(0.95, "wilson")
     return float(found.low), float(found.high)
 
@@ -91,4 +93,4 @@ def poisson_upper(count: int, confidence: float = 0.95) -> float:
 
     Exact one-sided limit: the mean at which seeing so few has probability 1 - confidence.
     """
-    return float(stats.chi2.ppf(confidence, 2 * (count + 1))) / 2
+    return float(scipy.stats.chi2.ppf(confidence, 2 * (count + 1))) / 2

@@ -1,27 +1,28 @@
 """`renet play`: a film of a bundle or a checkpoint on any tile."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import tyro
 
 from renet.bundle import MANIFEST
-from renet.bundle.policy import Policy
 from renet.errors import RenetError
-from renet.evaluation.env import FLAT, SimEnv, terrain_env_cfg
-from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.report.video import VideoCfg, film
 from renet.evaluation.results import output_folder
 from renet.evaluation.rollout import UPDATES_PER_STEP, Trial, check_finite, check_modes
 from renet.faults import parse_fault
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, Engine, SelectorName, Terrain
 from renet.selector.monitors import SelectorInput
-from renet.tasks.sensors import HEIGHT_MAP
-from renet.training.export import ExportCfg, export
+
+if TYPE_CHECKING:
+    from renet.bundle.policy import Policy
+    from renet.evaluation.env import SimEnv
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,8 @@ class PlayCfg:
     """Bundle folder, or a checkpoint or run folder; the bundle that ships with renet by default."""
     out: Path | None = None
     """The film; results/play.mp4 by default."""
-    terrain: str = FLAT
-    """flat, or a kind of tile: rough, obstacles, stairs_up, stairs_down, gap, platform."""
+    terrain: Terrain | Literal["parkour"] = "flat"
+    """Ground; parkour: all tiles at all levels."""
     level: int = 1
     """Level of the tile, 1 to 10."""
     fault: tuple[str, ...] = ()
@@ -46,10 +47,10 @@ class PlayCfg:
     """Commanded forward speed, m/s."""
     seed: int = 1
     """Of the robot's body, start and noise."""
-    selector: str = "monitors"
+    selector: SelectorName = "monitors"
     """monitors: all of them, slow to trust again; paper: the reconstruction loss against beta."""
-    engine: str = "auto"
-    """Physics engine: auto, native or warp."""
+    engine: Engine = "auto"
+    """Physics engine; auto: native on a CPU, warp on a GPU."""
 
 
 @contextmanager
@@ -65,6 +66,8 @@ def opened(path: Path | None) -> Iterator[Path | None]:
         yield path
         return
     with TemporaryDirectory() as folder:
+        from renet.training.export import ExportCfg, export
+
         yield export(ExportCfg(checkpoint=path, out=Path(folder) / path.name))
 
 
@@ -72,6 +75,8 @@ class MapLog:
     """Height maps of all robots at each control step of a rollout, predicted and true."""
 
     def __init__(self, policy: Policy, env: SimEnv) -> None:
+        from renet.tasks.sensors import HEIGHT_MAP
+
         self._policy, self._sensor = policy, env.env.scene[HEIGHT_MAP]
         self._calls, self._maps = 0, []
 
@@ -105,9 +110,13 @@ def run_play(cfg: PlayCfg) -> Path:
     faults = tuple(parse_fault(text) for text in cfg.fault)
     trials = [Trial(mode, faults) for mode in cfg.modes]
     count, steps = len(trials), round(cfg.seconds / CONTROL_DT)
+    from renet.bundle.policy import Policy
+    from renet.evaluation.evaluator import Evaluator
+    from renet.evaluation.report.video import VideoCfg, film
+
     with opened(cfg.bundle) as folder:
         evaluator = Evaluator(folder, cfg.engine, cfg.selector)
-        task = terrain_env_cfg(cfg.terrain, cfg.level, evaluator.robot)
+        task = evaluator.terrain_env_cfg(cfg.terrain, cfg.level)
         output_folder(out.parent)
         env = evaluator.make_env(task, [0] * count, cfg.speed, cfg.seed)
         policy = Policy(evaluator.bundle, count)

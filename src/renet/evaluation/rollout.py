@@ -6,7 +6,7 @@ under the modality the selector last chose, then the selector's filter is update
 (200 Hz, paper) with the anomaly score the tick produced.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol
 
@@ -18,7 +18,10 @@ from renet.faults import Frames, Injector, Schedule, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import Gate, SelectorInput
 from renet.terminal import progress
+from renet.terrain.tiles import find_tile
 
+FLAT, PARKOUR = "flat", "parkour"
+"""Ground without tiles, and a field of all tiles at all levels."""
 POLICY_MODES = ("vp", "renet", "op", "paper", "oracle-switch")
 """Policy modes: vision always, the selector's choice, never, the choice of the paper's selector,
 and a switch that knows the fault."""
@@ -118,6 +121,16 @@ def check_modes(modes: Sequence[str]) -> None:
     if not modes or not {*modes} <= {*POLICY_MODES} or len({*modes}) < len(modes):
         known = ", ".join(POLICY_MODES)
         raise RenetError(f"modes {', '.join(modes) or 'none'}: choose, once each, among {known}")
+
+
+def check_grounds(levels: Mapping[str, int]) -> None:
+    """Raise RenetError for a ground that is neither flat nor a kind of tile, or has no such level.
+
+    Args:
+        levels: level, 1 to 10, of each ground.
+    """
+    for ground, level in levels.items():
+        find_tile("rough" if ground == FLAT else ground, level)
 
 
 def check_speed(speed: float) -> None:

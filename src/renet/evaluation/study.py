@@ -6,21 +6,26 @@ drawn (`draw` and `tables`). Running it, going on after an interruption, and wri
 study with the template of its name.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from renet.errors import RenetError
 from renet.evaluation import figures
-from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import kept, output_folder, plain, write_csv, write_json
 from renet.evaluation.rollout import Trial, check_finite, check_modes, check_speed
+from renet.interface import Engine, SelectorName
 from renet.selector.selector import check_kind
 from renet.terminal import show
+
+if TYPE_CHECKING:
+    from renet.evaluation.evaluator import Evaluator
 
 Part = dict[str, Any]
 """What is kept of one batch of robots; JSON after `plain`."""
@@ -42,8 +47,8 @@ class Study:
     """Fewer robots and settings instead."""
     seed: int = 1
     """Of the robots' bodies and starts and of the camera faults."""
-    engine: str = "auto"
-    """Physics engine: auto, native or warp."""
+    engine: Engine = "auto"
+    """Physics engine; auto: native on a CPU, warp on a GPU."""
 
     name: ClassVar[str]
     """Of the study's folder in the results, and of its template."""
@@ -85,6 +90,8 @@ class Study:
 
     def make_evaluator(self) -> Evaluator:
         """The evaluator of the settings' bundle."""
+        from renet.evaluation.evaluator import Evaluator
+
         return Evaluator(self.bundle, self.engine)
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
@@ -144,7 +151,7 @@ class WalkingStudy(Study):
     """Robots in each setting and mode; with `quick` always fewer."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
-    selector: str = "monitors"
+    selector: SelectorName = "monitors"
     """What `renet` trusts: monitors (all of them, with a dwell) or paper (reconstruction alone)."""
 
     quick_robots: ClassVar[int] = 5
@@ -173,4 +180,6 @@ class WalkingStudy(Study):
 
     def make_evaluator(self) -> Evaluator:
         """The evaluator of the settings' bundle and selector."""
+        from renet.evaluation.evaluator import Evaluator
+
         return Evaluator(self.bundle, self.engine, self.selector)

@@ -1,6 +1,6 @@
 """The table of all fault models."""
 
-from renet.errors import RenetError
+from renet.errors import unknown_name
 from renet.faults import combined, image, physical, stereo, timing, vegetation
 from renet.faults.base import Fault
 
@@ -41,7 +41,7 @@ FAULTS: dict[str, type[Fault]] = {
 
 
 def fault_class(name: str) -> type[Fault]:
-    """The fault model of a name; raises RenetError, which lists all names, for an unknown one."""
+    """The fault model of a name; raises RenetError for an unknown one."""
     if name not in FAULTS:
-        raise RenetError(f"unknown fault '{name}': choose one of {', '.join(FAULTS)}")
+        raise unknown_name("fault", name, FAULTS)
     return FAULTS[name]

@@ -11,10 +11,12 @@ Method B).
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import get_args
 
 import numpy as np
 
-from renet.errors import RenetError
+from renet.errors import RenetError, unknown_name
+from renet.interface import SelectorName
 from renet.selector.filter import VISION_THRESHOLD, filter_delay, low_pass
 from renet.selector.monitors import MONITORS, Gate, Scorer, SelectorInput
 
@@ -24,9 +26,7 @@ BETWEEN_RETURNS = 5.0
 """Shortest time in seconds between two returns to vision."""
 SLOWEST = 1.0
 """Longest delay of the filter in seconds."""
-SELECTORS = ("monitors", "paper")
-"""monitors: all monitors, memory, and a dwell before vision returns. paper: the reconstruction loss
-against beta, filtered, and nothing else."""
+SELECTORS = get_args(SelectorName)
 SEES, REMEMBERS, BLIND = STATES = ("sees", "remembers", "blind")
 LONGEST_MEMORY = 60.0
 """Most seconds for which a bundle may let VP drive without an image."""
@@ -67,9 +67,7 @@ class SelectorSpec:
             )
         for name in self.thresholds:
             if name not in MONITORS:
-                raise RenetError(
-                    f"unknown monitor '{name[:40]}': choose among {', '.join(MONITORS)}"
-                )
+                raise unknown_name("monitor", name, MONITORS)
 
     @property
     def used_thresholds(self) -> dict[str, float]:
@@ -268,7 +266,7 @@ def check_selector(spec: SelectorSpec) -> None:
 def check_kind(kind: str) -> None:
     """Raise RenetError for a name that is none of `SELECTORS`."""
     if kind not in SELECTORS:
-        raise RenetError(f"unknown selector '{kind}': choose one of {', '.join(SELECTORS)}")
+        raise unknown_name("selector", kind, SELECTORS)
 
 
 def make_selector(kind: str, spec: SelectorSpec, num_robots: int = 1) -> MonitorSelector:

@@ -14,7 +14,7 @@ from mjlab.sensor import ContactSensorCfg
 from mjlab.tasks.registry import list_tasks, load_env_cfg
 from torch import Tensor
 
-from renet.errors import RenetError
+from renet.errors import RenetError, unknown_name
 from renet.sim.native.engine import use_engine
 from renet.sim.threads import one_torch_thread
 from renet.tasks.config.go1 import GO1
@@ -152,8 +152,8 @@ def env_cfg(task: str, play: bool = False) -> RenetEnvCfg:
     import mjlab.tasks  # noqa: F401  registers every plug-in's tasks
 
     if task not in list_tasks():
-        known = [name for name in list_tasks() if name.startswith("Renet")]
-        raise RenetError(f"unknown task {task!r}: choose one of {', '.join(known)}")
+        renet_tasks = [name for name in list_tasks() if name.startswith("Renet")]
+        raise unknown_name("task", task, renet_tasks)
     cfg = load_env_cfg(task, play)
     if not isinstance(cfg, RenetEnvCfg):
         raise RenetError(f"{task} is not a RENet task: it defines no constraint costs")

@@ -10,8 +10,6 @@ from mjlab.terrains import TerrainEntityCfg, TerrainGeneratorCfg
 
 from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
 
-DIFFICULT = ("gap", "platform")
-"""Kinds of tile that force vision; all others are simple."""
 UNSEEN = 1
 """Seed of evaluation's tiles; training's is 0."""
 

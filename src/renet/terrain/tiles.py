@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from renet.errors import RenetError
+from renet.errors import RenetError, unknown_name
 
+DIFFICULT = ("gap", "platform")
+"""Kinds of tile that force vision; all others are simple."""
 TILE = 8.0
 """Side of a tile, m."""
 FLAT = 1e-3
@@ -301,7 +303,7 @@ def find_tile(kind: str, level: int) -> tuple[Tile, float]:
     """
     kinds = {"stairs": Stairs(descend=True), **tiles()}
     if kind not in kinds:  # All callers know flat ground, which is no tile.
-        raise RenetError(f"unknown terrain {kind!r}: choose one of flat, {', '.join(kinds)}")
+        raise unknown_name("terrain", kind, ("flat", *kinds))
     if not 1 <= level <= LEVELS:
         raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")
     return kinds[kind], (level - 1) / (LEVELS - 1)

@@ -13,8 +13,8 @@ from jinja2.exceptions import UndefinedError
 from markupsafe import Markup
 
 from renet.errors import RenetError
-from renet.evaluation.env import FLAT
 from renet.evaluation.figures import MODE_NAMES, noise_label
+from renet.evaluation.rollout import FLAT
 from renet.faults import fault_class
 from renet.files import write_atomically
 

@@ -7,10 +7,10 @@ are therefore compared with those of the same robots without it by Fisher's exac
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from renet.evaluation.figures import setting_label
-from renet.tasks.terrains import DIFFICULT
+from renet.terrain.tiles import DIFFICULT
 
 Runs = list[dict[str, Any]]
 Setting = tuple[str, float, str, int]
@@ -138,7 +138,7 @@ def _beyond_chance(runs: Runs, baseline: Runs, mode: str, reference: str) -> set
         place: [(falls, robots - falls) for falls, robots in (count, usual[place[0]])]
         for place, count in counts.items()
     }
-    return {p for p, t in tables.items() if stats.fisher_exact(t, "greater").pvalue < CHANCE}
+    return {p for p, t in tables.items() if scipy.stats.fisher_exact(t, "greater").pvalue < CHANCE}
 
 
 def _beyond_and_within(found: Runs, what: str) -> str:

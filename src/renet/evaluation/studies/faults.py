@@ -5,23 +5,23 @@ does, so that leaving vision and returning to it are both measured. One fault is
 robots; each has a twin in a batch without faults. Falls are judged by true poses.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import metrics
-from renet.evaluation.env import FLAT, SimEnv, grounds_env_cfg
-from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.monitor_log import MonitorLog, healthy_series, replay
 from renet.evaluation.report import fault_figures
 from renet.evaluation.results import write_json
-from renet.evaluation.rollout import Trial
+from renet.evaluation.rollout import FLAT, Trial, check_grounds
 from renet.evaluation.studies import fault_metrics
 from renet.evaluation.studies.benchmark import GROUNDS, ONSETS, result
 from renet.evaluation.studies.fault_findings import findings
@@ -32,7 +32,10 @@ from renet.faults.physical import Glass
 from renet.files import remove
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.selector.calibration import decluster
-from renet.tasks.config.go1 import GO1
+
+if TYPE_CHECKING:
+    from renet.evaluation.env import SimEnv
+    from renet.evaluation.evaluator import Evaluator
 
 HEALTHY_ROBOTS = 64
 """Robots side by side in the run without faults."""
@@ -106,7 +109,7 @@ class FaultStudy(WalkingStudy):
             raise RenetError(
                 f"0 < onsets {self.onsets} + lasts {self.lasts} <= seconds {self.seconds} must hold"
             )
-        grounds_env_cfg(self.levels, GO1)
+        check_grounds(self.levels)
 
     @property
     def levels(self) -> dict[str, int]:
@@ -163,7 +166,7 @@ class FaultStudy(WalkingStudy):
 
     def make_env(self, evaluator: Evaluator, robots: tuple[int, ...]) -> SimEnv:
         """Robots of these numbers, on no ground yet."""
-        cfg = FLAT if self.grounds == (FLAT,) else grounds_env_cfg(self.levels, evaluator.robot)
+        cfg = FLAT if self.grounds == (FLAT,) else evaluator.grounds_env_cfg(self.levels)
         return evaluator.make_env(cfg, robots, self.speed, self.seed)
 
     def walk(

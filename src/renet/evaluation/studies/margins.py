@@ -5,27 +5,27 @@ of the robots fall, or stop where they were told to walk, in every mode on every
 each robot's body stays the same.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from mjlab.utils.noise import ConstantNoiseCfg
-from scipy.spatial.transform import Rotation
+import scipy
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.env import grounds_env_cfg
-from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.rollout import check_grounds
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION_SIZE, proprioception_slices
-from renet.tasks import RenetEnvCfg
-from renet.tasks.config.go1 import GO1
-from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
-from renet.tasks.sensors import depth_camera
+
+if TYPE_CHECKING:
+    from renet.evaluation.evaluator import Evaluator
+    from renet.tasks import RenetEnvCfg
 
 ALLOWED = 0.05
 """Share of robots that may fail within the margin."""
@@ -44,11 +44,15 @@ def delay_actions(cfg: RenetEnvCfg, milliseconds: float) -> None:
 
 def delay_camera(cfg: RenetEnvCfg, milliseconds: float) -> None:
     """Let images come late."""
+    from renet.tasks.sensors import depth_camera
+
     depth_camera(cfg).delay = (milliseconds / 1e3, milliseconds / 1e3)
 
 
 def tilt_camera(cfg: RenetEnvCfg, degrees: float) -> None:
     """Let the camera look further down, or up where it is negative."""
+    from renet.tasks.sensors import depth_camera
+
     camera = depth_camera(cfg)
     camera.mount = replace(camera.mount, pitch=camera.mount.pitch + math.radians(degrees))
 
@@ -65,6 +69,8 @@ def set_payload(cfg: RenetEnvCfg, kilograms: float) -> None:
 
 def weaken_motors(cfg: RenetEnvCfg, percent: float) -> None:
     """Limit torques to a share of the motors' own."""
+    from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
+
     randomize(cfg, RandomizationCfg(motor_strength=1.0))
     cfg.events["motor_strength"].params["effort_limit_range"] = (percent / 100, percent / 100)
 
@@ -77,14 +83,16 @@ def scale_gains(cfg: RenetEnvCfg, percent: float) -> None:
 
 def offset_joints(cfg: RenetEnvCfg, radians: float) -> None:
     """Draw an error of each joint's zero."""
+    from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
+
     randomize(cfg, RandomizationCfg(joint_offset=radians))
 
 
 def tilt_imu(cfg: RenetEnvCfg, degrees: float) -> None:
     """Let the IMU be mounted with a turn about each horizontal axis, as gravity shows it."""
     down = np.array((0.0, 0.0, -1.0))
-    seen = Rotation.from_rotvec((degrees, degrees, 0.0), degrees=True).apply(down)
-    _bias_sensor(cfg, "projected_gravity", seen - down)
+    turn = scipy.spatial.transform.Rotation.from_rotvec((degrees, degrees, 0.0), degrees=True)
+    _bias_sensor(cfg, "projected_gravity", turn.apply(down) - down)
 
 
 def bias_gyroscope(cfg: RenetEnvCfg, rate: float) -> None:
@@ -94,6 +102,8 @@ def bias_gyroscope(cfg: RenetEnvCfg, rate: float) -> None:
 
 def _bias_sensor(cfg: RenetEnvCfg, name: str, error: np.ndarray) -> None:
     """Add an error to a term of the proprioception."""
+    from mjlab.utils.noise import ConstantNoiseCfg
+
     group, bias = cfg.observations["proprioception"], np.zeros(PROPRIOCEPTION_SIZE)
     bias[proprioception_slices()[name]] = error
     noise = ConstantNoiseCfg(bias=tuple(bias.tolist()))
@@ -154,7 +164,7 @@ class MarginsStudy(WalkingStudy):
         if unknown or not self.axes:
             raise RenetError(f"axes {self.axes}: choose among {', '.join(AXES)}")
         super().__post_init__()
-        grounds_env_cfg(dict.fromkeys(self.grounds, self.level), GO1)
+        check_grounds(dict.fromkeys(self.grounds, self.level))
         if self.seconds < CONTROL_DT or not self.grounds:
             raise RenetError("seconds must be positive, and a ground given")
 
@@ -185,7 +195,7 @@ class MarginsStudy(WalkingStudy):
     def _walk(self, evaluator: Evaluator, axis: str, level: float | None) -> list[dict[str, Any]]:
         """One level of one axis: a row for each ground and mode."""
         each = self.robots_each
-        cfg = grounds_env_cfg(dict.fromkeys(self.grounds, self.level), evaluator.robot)
+        cfg = evaluator.grounds_env_cfg(dict.fromkeys(self.grounds, self.level))
         if level is not None:
             AXES[axis].apply(cfg, level)
         trials = self.trials_on(self.grounds)

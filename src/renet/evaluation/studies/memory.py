@@ -5,11 +5,13 @@ that trusts it, one with the paper's switch, one that remembers, a blind one and
 knows the fault are twins in all else. Judged by true poses, in one try.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -17,14 +19,15 @@ from matplotlib.axes import Axes
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.env import grounds_env_cfg
-from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial
 from renet.evaluation.studies.terrain import SIZES
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.faults import Injection
 from renet.interface import CONTROL_DT
 from renet.terrain.tiles import LEVELS, tiles
+
+if TYPE_CHECKING:
+    from renet.evaluation.evaluator import Evaluator
 
 EDGE = 1.2
 """Metres from a robot's start to the nearest obstacle's edge."""
@@ -106,7 +109,7 @@ class MemoryStudy(WalkingStudy):
             for seconds, mode in self.settings
             for robot in range(self.robots_each)
         ]
-        cfg = grounds_env_cfg({kind: int(level)}, evaluator.robot)
+        cfg = evaluator.grounds_env_cfg({kind: int(level)})
         robots = tuple(trial.robot for trial in trials)
         env = evaluator.make_env(cfg, robots, self.speed, self.seed)
         env.place_on([trial.ground for trial in trials])

@@ -9,9 +9,8 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import figures
-from renet.evaluation.env import FLAT
 from renet.evaluation.report.page import crossed, noise_rows
-from renet.evaluation.rollout import Trial
+from renet.evaluation.rollout import FLAT, Trial
 from renet.evaluation.studies.faults import FaultStudy, Setting
 from renet.evaluation.study import Figures, Part, Table
 from renet.evaluation.trace import Trace

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from renet.errors import RenetError
-from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.report.page import reading, render, study_sections, write_page
 from renet.evaluation.report.summary import overview_section, worse_section
 from renet.evaluation.results import read_results
@@ -19,6 +18,7 @@ from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.studies.standing import StandingStudy
 from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
 from renet.evaluation.study import Study
+from renet.interface import Engine
 
 STUDIES: dict[str, type[Study]] = {
     study.name: study
@@ -51,8 +51,8 @@ class ReportCfg:
     """With `run`: bundle folder; the one that ships with renet by default."""
     seed: int = 1
     """With `run`: of every study."""
-    engine: str = "auto"
-    """With `run`: physics engine, auto, native or warp."""
+    engine: Engine = "auto"
+    """With `run`: physics engine; auto: native on a CPU, warp on a GPU."""
 
 
 def make_report(cfg: ReportCfg) -> Path:
@@ -92,6 +92,8 @@ def run_studies(cfg: ReportCfg) -> None:
     Raises:
         RenetError: a bundle that cannot be used, or a folder that cannot be written to.
     """
+    from renet.evaluation.evaluator import Evaluator
+
     Evaluator(cfg.bundle, cfg.engine)
     for number, (name, study) in enumerate(STUDIES.items(), start=1):
         print(f"{number}/{len(STUDIES)} {name}", file=sys.stderr)

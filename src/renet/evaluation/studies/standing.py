@@ -4,22 +4,25 @@ The paper's second level of commands (Method C) asks for it on uneven ground, wh
 rewards otherwise leave a robot stepping on the spot. Judged by true poses.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from renet.evaluation.env import FLAT
-from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.rollout import StepResult, Trial
+from renet.evaluation.rollout import FLAT, StepResult, Trial
 from renet.evaluation.studies.terrain import TerrainStudy
 from renet.evaluation.study import Figures, Part, Table
 from renet.interface import CONTROL_DT
 from renet.terrain.tiles import tiles
+
+if TYPE_CHECKING:
+    from renet.evaluation.evaluator import Evaluator
 
 WALK, SETTLE = 3.0, 1.5
 """Seconds before the command to stand, and seconds that a robot then has for stopping."""

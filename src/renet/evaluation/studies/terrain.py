@@ -11,11 +11,13 @@ Every level of a kind of tile is walked at once, in every mode. The study has tw
 Both are judged by true poses.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -24,14 +26,16 @@ from matplotlib.figure import Figure
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.env import FLAT, PARKOUR, SimEnv, terrain_env_cfg
-from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.rollout import Trial
+from renet.evaluation.rollout import FLAT, PARKOUR, Trial
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Schedule, parse_fault
 from renet.interface import CONTROL_DT
 from renet.terrain.tiles import LEVELS, tiles
+
+if TYPE_CHECKING:
+    from renet.evaluation.env import SimEnv
+    from renet.evaluation.evaluator import Evaluator
 
 TABLE = {"gap": ("gap",), "platform": ("platform",), "stairs": ("stairs_up", "stairs_down")}
 """The paper's columns, and the tiles each is the mean of."""
@@ -142,7 +146,7 @@ class TerrainStudy(WalkingStudy):
 
     def _make_env(self, evaluator: Evaluator, numbers: Sequence[int]) -> SimEnv:
         """The curriculum's field of tiles, walked along +x where there is one try."""
-        cfg = terrain_env_cfg(PARKOUR, 1, evaluator.robot)
+        cfg = evaluator.terrain_env_cfg(PARKOUR, 1)
         if self.one_try:
             cfg.events["spawn"].params["pose_range"]["yaw"] = (-AIM, AIM)
         return evaluator.make_env(cfg, numbers, self.speed, self.seed)

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import mjlab.envs.manager_based_rl_env as mjlab_env
 import mujoco
@@ -24,7 +24,8 @@ import torch
 from mjlab.scene import Scene
 from mjlab.sim.sim import Simulation
 
-from renet.errors import RenetError
+from renet.errors import RenetError, unknown_name
+from renet.interface import Engine
 from renet.sim.native import mujoco_memory, stages
 from renet.sim.native.collision_culling import CollisionCulling
 from renet.sim.native.compiler import Source, Struct
@@ -32,7 +33,6 @@ from renet.sim.native.copy_tables import POSE, STATE, FieldCopy, load_model, sto
 from renet.sim.native.stages import DERIVE, stages_of
 from renet.sim.threads import THREADS
 
-ENGINES = ("auto", "native", "warp")
 SOURCE = Source(Path(__file__).with_name("engine.cpp"))
 
 RESET_TO_ZERO = ("qvel", "act", "qacc", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied")
@@ -289,8 +289,8 @@ def use_engine(name: str, device: str) -> Iterator[None]:
     Raises:
         RenetError: unknown engine, or the native one off the CPU.
     """
-    if name not in ENGINES:
-        raise RenetError(f"unknown engine {name!r}: choose one of {', '.join(ENGINES)}")
+    if name not in get_args(Engine):
+        raise unknown_name("engine", name, get_args(Engine))
     on_cpu = torch.device(device).type == "cpu"
     if name == "native" and not on_cpu:
         raise RenetError(f"the native engine runs on the CPU, not on {device}: use --engine warp")

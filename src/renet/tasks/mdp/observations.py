@@ -15,7 +15,7 @@ from renet.tasks.mdp.base_state import base_rotation, base_velocity, on_tiles
 from renet.tasks.mdp.commands import goal
 from renet.tasks.mdp.rewards import VelocityFilter
 from renet.tasks.sensors import DEPTH_CAMERA, FEET_CONTACT
-from renet.tasks.terrains import DIFFICULT
+from renet.terrain.tiles import DIFFICULT
 
 
 def proprioception(env: ManagerBasedRlEnv, joints: SceneEntityCfg) -> Tensor:
