@@ -5,10 +5,12 @@ Commands are imported only when called, so that the robot's install needs no tra
 
 import argparse
 import importlib
+import io
 import os
+import re
 import sys
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, field
 from itertools import groupby
 from operator import attrgetter
@@ -204,9 +206,15 @@ def parse(config: Any, arguments: list[str], program: str) -> Any:
     """The dataclass `config` filled from the arguments; tyro explains mistakes and exits with 2."""
     import tyro
 
-    default = {"default": config.defaults(arguments)} if hasattr(config, "defaults") else {}
     options = (tyro.conf.DisallowNone,)  # A default of None reads `PATH`, not `{None}|PATH`.
-    return tyro.cli(config, args=arguments, prog=program, config=options, **default)
+    return tyro.cli(
+        config, args=arguments, prog=program, config=options, **_default(config, arguments)
+    )
+
+
+def _default(config: Any, arguments: list[str]) -> dict[str, Any]:
+    """What to call tyro with where a configuration's defaults depend on the arguments."""
+    return {"default": config.defaults(arguments)} if hasattr(config, "defaults") else {}
 
 
 def _missing(error: ModuleNotFoundError, name: str, extra: str) -> Exception:
@@ -257,14 +265,19 @@ def _print_completion(arguments: list[str]) -> int:
         *first, last = name.split()
         with suppress(ModuleNotFoundError):
             config = command.load([])[1]
-            branch = Annotated[config, tyro.conf.subcommand(last, description=command.help)]
+            details = {"description": command.help, **_default(config, [])}
+            branch = Annotated[config, tyro.conf.subcommand(last, **details)]
             branches.setdefault(" ".join(first), []).append(branch)
     top = branches.pop("")
     for name, commands in branches.items():
         group = Annotated[Union[tuple(commands)], tyro.conf.subcommand(name)]  # noqa: UP007
         top.append(group)
     every: Any = Union[tuple(top)]  # noqa: UP007
-    tyro.cli(every, prog="renet", args=["--tyro-print-completion", *arguments])
+    with redirect_stdout(io.StringIO()) as script, suppress(SystemExit):
+        tyro.cli(every, prog="renet", args=["--tyro-print-completion", *arguments])
+    # tyro's shell scripts take each line of a description for a choice.
+    one_line = re.compile(r"^COMPLETION_SPEC.*$", re.MULTILINE)
+    print(one_line.sub(lambda spec: spec[0].replace(r"\n", " "), script.getvalue()))
     return 0
 
 

@@ -199,7 +199,6 @@ def test_the_replay_camera_shows_a_flights_images(tmp_path):
         ("--robot spot", "unknown robot 'spot': choose one of mujoco, go1"),
         ("--camera eye", "unknown camera 'eye': choose one of sim, realsense, replay, none"),
         ("--scene step.xml --terrain stairs", "leave --terrain away"),
-        ("--terrain lava", "unknown terrain 'lava': choose one of flat, stairs, rough, "),
         ("--scene nowhere.xml", "cannot read the scene nowhere.xml"),
         ("nowhere", "no bundle at nowhere"),
         ("--out /dev/null", "cannot write to /dev/null"),

@@ -14,6 +14,7 @@ from renet.deploy.cameras.base import Camera, CameraCfg
 from renet.deploy.robots.driver import DriverCfg, RobotDriver
 from renet.descriptions import GO1, RobotDescription, find_description
 from renet.errors import RenetError
+from renet.interface import Terrain
 from renet.server import LOOPBACK
 
 
@@ -24,9 +25,8 @@ class SimulationCfg(DriverCfg):
     simulated: ClassVar[bool] = True
     camera: ClassVar[str] = "sim"
 
-    terrain: str = "flat"
-    """flat, rough, obstacles, stairs (down from a summit; stairs_up: out of a pit), gap,
-    platform."""
+    terrain: Terrain = "flat"
+    """The ground; stairs go down from a summit, stairs_up out of a pit."""
     level: int = 1
     """Level of the terrain, 1 to 10."""
     scene: Path | None = None

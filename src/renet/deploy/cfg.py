@@ -16,7 +16,7 @@ from renet.deploy.robots.driver import DriverCfg
 from renet.deploy.safety import SafetyCfg
 from renet.errors import RenetError
 from renet.faults import Injection, parse_fault
-from renet.interface import CONTROL_DT, MAX_SPEED
+from renet.interface import CONTROL_DT, MAX_SPEED, SelectorName
 
 ENTRY_POINTS = "renet.robots"
 """Group of entry points: modules of other packages, which add to `ROBOTS` and `CAMERAS`."""
@@ -58,7 +58,7 @@ class DeployCfg:
     fault: tuple[str, ...] = ()
     """What goes wrong with the camera: NAME[:SEVERITY]@SECONDS[+DURATION], e.g. blackout@5s,
     glare:3@4s+2s."""
-    selector: Literal["monitors", "paper"] = "monitors"
+    selector: SelectorName = "monitors"
     """monitors: all monitors, with a dwell before vision returns. paper: the reconstruction loss
     alone."""
     dry_run: bool = False
