@@ -20,7 +20,7 @@ def unknown_name(kind: str, name: str, choices: Iterable[str]) -> RenetError:
         choices: the names that exist.
     """
     names = list(choices)
-    nearest = get_close_matches(name, names)
+    nearest = get_close_matches(name, names, cutoff=0.7)
     hint = f"choose one of {', '.join(names)}"
     if nearest:
         hint = f"did you mean {' or '.join(nearest)}?"

@@ -14,7 +14,7 @@ from renet.deploy.cameras.base import CameraCfg
 from renet.deploy.catalogue import CAMERAS, ROBOTS
 from renet.deploy.robots.driver import DriverCfg
 from renet.deploy.safety import SafetyCfg
-from renet.errors import RenetError
+from renet.errors import RenetError, unknown_name
 from renet.faults import Injection, parse_fault
 from renet.interface import CONTROL_DT, MAX_SPEED, SelectorName
 
@@ -165,5 +165,5 @@ class DeployCfg:
 
 def _kind(table: dict[str, type[Kind]], name: str, what: str) -> type[Kind]:
     if name not in table:
-        raise RenetError(f"unknown {what} {name!r}: choose one of {', '.join(table)}")
+        raise unknown_name(what, name, table)
     return table[name]
