@@ -56,8 +56,16 @@ def find_description(name: str) -> RobotDescription:
 GO1 = register_description(
     RobotDescription(
         name="Unitree Go1",
-        mjcf=FOLDER / "go1.xml",  # Written by tools/go1_model.py from the one that is trained.
+        mjcf=FOLDER / "go1.xml",  # Written by tools/robot_models.py from the one that is trained.
         height=0.30,
         speeds={"hip": 30.1, "thigh": 30.1, "calf": 20.06},  # The vendor's model.
+    )
+)
+GO2 = register_description(
+    RobotDescription(
+        name="Unitree Go2",
+        mjcf=FOLDER / "go2.xml",  # Written by tools/robot_models.py; training reads it, too.
+        height=0.30,
+        speeds={"hip": 30.1, "thigh": 30.1, "calf": 15.7},  # The vendor's URDF.
     )
 )

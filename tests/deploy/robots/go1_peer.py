@@ -7,24 +7,22 @@ from __future__ import annotations
 
 import socket
 import struct
-import threading
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
 import mujoco
 import numpy as np
 
-from renet.deploy.controller import Controller
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.braking import PERIOD
 from renet.deploy.robots.go1 import POWER_LEVEL
 from renet.deploy.robots.go1_link import Go1Link
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
-from renet.deploy.teleop import TeleopCommand
-from renet.interface import CONTROL_DT, JOINTS
+from renet.interface import JOINTS
 from renet.training.export import robot_spec
+
+from .peer import Recording, Wire
 
 JOINT_NAMES = ("hip", "thigh", "calf")
 COMMAND_BYTES, STATE_BYTES = 614, 792
@@ -40,8 +38,6 @@ VENDOR = [f"{leg}_{joint}_joint" for leg in ("FR", "FL", "RR", "RL") for joint i
 """Names of the vendor's motors 0 to 11 (FR_0 ... RL_2 in its examples)."""
 JOINT_OF = np.array([JOINTS.index(name) for name in VENDOR])
 
-STEP = round(CONTROL_DT / PERIOD)
-"""Exchanges in a control step."""
 MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
@@ -67,10 +63,11 @@ def decode_command(datagram: bytes) -> np.ndarray:
     return np.array(motors) / (1, 1, 1, 256, 32, 16)
 
 
-class Peer:
+class Peer(Recording):
     """Serves one control computer, one datagram at a time; motors are numbered FR, FL, RR, RL."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self._socket.settimeout(0.2)
@@ -79,11 +76,12 @@ class Peer:
         model, ground = build_scene("flat")
         model.opt.timestep = PERIOD
         self.robot = MujocoRobot(model, robot_spec(), ground)
-        self.commands: list[np.ndarray] = []
-        self.arrivals: list[int] = []
-        """When the system received each command, ns; however late this program reads it."""
         self.silent = self.overloaded = self.garbled = self.still = False
         self.ticks = 0
+
+    def live(self) -> None:
+        with suppress(TimeoutError):
+            self.serve()
 
     def serve(self) -> None:
         """Take one command, live for 2 ms, answer."""
@@ -106,39 +104,6 @@ class Peer:
         self.ticks += 1
         if not self.silent:
             self._socket.sendto(self._state(), sender)
-
-    @contextmanager
-    def serving(self) -> Iterator[Peer]:
-        """Answer on a thread of its own, in wall-clock time."""
-        done = threading.Event()
-
-        def serve() -> None:
-            while not done.is_set():
-                with suppress(TimeoutError):
-                    self.serve()
-
-        server = threading.Thread(target=serve, daemon=True)
-        server.start()
-        yield self
-        done.set()
-        server.join(5)
-
-    @property
-    def stiff(self) -> int:
-        """How many commands so far asked for more than braking."""
-        return sum(bool(sent[:, 4].any()) for sent in list(self.commands))
-
-    @property
-    def braked(self) -> bool:
-        """Whether the newest command asks for nothing but braking."""
-        *_, stiffness, damping = self.commands[-1].T
-        return bool((stiffness == 0).all() and (damping == 3).all())
-
-    @property
-    def holds(self) -> bool:
-        """Whether the newest command holds a pose with the bundle's gains, to the last bit."""
-        *_, stiffness, damping = self.commands[-1].T
-        return bool((stiffness == 40).all() and (damping == 1).all())
 
     def pose(self, position: np.ndarray) -> None:
         """Put the joints somewhere, in the vendor's order of motors."""
@@ -174,31 +139,6 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
-class Wire:
-    """Driver and peer in lockstep, on simulated time."""
-
-    def __init__(self, peer: Peer) -> None:
-        self.peer = peer
-        self.link = Go1Link("127.0.0.1", peer.port, free_port(), POWER_LEVEL)
-        self.now, self.dead = 0.0, False
-
-    def run(self, exchanges: int) -> None:
-        for _ in range(exchanges):
-            self.now += PERIOD
-            if not self.dead:
-                self.link.alive(self.now)
-            self.link.exchange(self.now)
-            self.peer.serve()
-
-    def send(self, command: JointCommand, exchanges: int) -> None:
-        """Command something, then exchange so many times."""
-        self.link.command(command, self.now)
-        self.run(exchanges)
-
-    def control(self, controller: Controller, steps: int, **wishes) -> None:
-        """Let a controller drive for some control steps."""
-        for step in range(steps):
-            teleop = TeleopCommand(**(wishes | {"arm": wishes.get("arm", False) and step == 0}))
-            command = controller.tick(self.link.state, None, teleop, self.now)
-            self.link.command(command, self.now)
-            self.run(STEP)
+def wire_of(peer: Peer) -> Wire:
+    """In lockstep: the robot answers every datagram."""
+    return Wire(Go1Link("127.0.0.1", peer.port, free_port(), POWER_LEVEL), peer.serve)

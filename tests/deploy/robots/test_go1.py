@@ -24,18 +24,17 @@ from renet.deploy.recording import read_recording  # noqa: E402
 from renet.deploy.robots import go1, go1_link  # noqa: E402
 from renet.deploy.robots.base import JointCommand  # noqa: E402
 from renet.deploy.robots.braking import PERIOD  # noqa: E402
-from renet.deploy.robots.envelope import read_envelope  # noqa: E402
 from renet.deploy.robots.go1 import Go1Robot  # noqa: E402
 from renet.deploy.robots.go1_link import LOW_LEVEL, MOTORS, Go1Link  # noqa: E402
 from renet.deploy.safety import Mode, SafetyCfg  # noqa: E402
-from renet.descriptions import GO1  # noqa: E402
 from renet.errors import RenetError  # noqa: E402
 from renet.interface import JOINTS  # noqa: E402
 from renet.training.export import robot_spec  # noqa: E402
 
 from ..fakes import command  # noqa: E402
 from ..waiting import until  # noqa: E402
-from .go1_peer import STEP, VENDOR, Peer, Wire, free_port  # noqa: E402
+from .go1_peer import VENDOR, Peer, free_port, wire_of  # noqa: E402
+from .peer import STEP, Wire  # noqa: E402
 
 ROBOT = robot_spec()
 REFUSING = """
@@ -55,7 +54,7 @@ def peer() -> Iterator[Peer]:
 
 @pytest.fixture
 def wire(peer) -> Wire:
-    return Wire(peer)
+    return wire_of(peer)
 
 
 def test_order_and_signs_are_those_of_the_vendors_own_limits():
@@ -137,57 +136,6 @@ def test_a_dead_robot_leaves_an_old_reading_and_the_driver_alive(wire, peer):
     assert wire.link.state.time <= last + 2 * PERIOD
 
 
-def test_a_silent_control_loop_brakes_the_robot(wire, peer):
-    wire.run(1)
-    wire.send(command(), 49)
-    assert peer.holds
-    wire.run(4)
-    assert peer.braked
-    wire.send(command(), 1)
-    assert peer.holds, "it may speak again"
-
-
-def test_a_controller_without_signs_of_life_is_braked_within_20_ms(wire, peer):
-    """And a command from before the gap is not obeyed after it."""
-    wire.run(1)
-    wire.send(command(), 5)
-    assert peer.holds
-    wire.dead = True
-    wire.run(round(0.02 / PERIOD))
-    assert peer.braked
-    wire.dead = False
-    wire.run(5)
-    assert peer.braked, "the old command"
-    wire.send(command(), 1)
-    assert peer.holds
-
-
-@pytest.mark.parametrize(
-    "hostile", [command(position=[np.nan] * 12), command(stiffness=np.inf), command(position=[0])]
-)
-def test_a_command_that_is_not_made_of_finite_numbers_is_refused(wire, peer, hostile):
-    wire.link.command(command(), wire.now)
-    with pytest.raises(RenetError, match=r"the command's .* must be"):
-        wire.link.command(hostile, wire.now)
-    wire.run(1)
-    assert peer.holds, "the one before stands until silence brakes"
-
-
-@pytest.mark.parametrize("gain", [1e9, -1e9])
-def test_nothing_outside_the_envelope_reaches_the_wire(wire, peer, gain):
-    """Sent unchecked, the library would also turn a stiffness of 1100 into -948."""
-    wire.run(2)
-    wire.send(command(np.full(12, gain), gain, gain), 1)
-    _, position, _, _, stiffness, damping = peer.commands[-1][list(MOTORS)].T
-    envelope = read_envelope(GO1)
-    assert (position >= envelope.lower - 1e-6).all()
-    assert (position <= envelope.upper + 1e-6).all()
-    assert ((stiffness >= 0) & (stiffness <= 100)).all()
-    assert ((damping >= 0) & (damping <= 10)).all()
-    torque = stiffness * (position - wire.link.state.joint_position)
-    assert (np.abs(torque) <= envelope.torque * 1.2).all()
-
-
 def test_a_reordered_older_reading_is_no_news(wire, peer):
     wire.run(5)
     peer.ticks -= 1000
@@ -203,21 +151,6 @@ def test_a_reordered_older_reading_is_no_news(wire, peer):
     wire.link._tick = 2**32 - 8
     wire.run(8)
     assert wire.link._tick < 10, "the counter goes on from zero"
-
-
-def test_a_driver_that_cannot_receive_any_more_brakes_at_once(wire, peer):
-    def deaf() -> None:
-        raise OSError("bad file descriptor")
-
-    wire.run(2)
-    wire.send(command(), 3)
-    udp = wire.link._udp
-    wire.link._udp = SimpleNamespace(SetSend=udp.SetSend, Send=udp.Send, Recv=deaf)
-    wire.run(2)
-    assert peer.braked
-    assert "robot's driver failed: OSError" in wire.link.problem
-    wire.send(command(), 2)
-    assert peer.braked, "for good"
 
 
 def test_the_power_level_is_the_vendors_guards(peer):

