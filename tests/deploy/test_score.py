@@ -83,6 +83,17 @@ def test_falls_are_counted_once_each(flight):
     assert score(flight, [])["falls"] == 1, "who topples when it is let go does not fall"
 
 
+def test_a_drop_off_the_ground_is_a_fall_and_stairs_are_none(flight):
+    height = np.full(STEPS, 0.3)
+    height[150:200] = np.linspace(0.3, -0.3, 50)
+    height[200:] = -0.3
+    flight.ticks["base_position"][:] = np.stack([np.zeros(STEPS), np.zeros(STEPS), height], axis=1)
+    assert score(flight, [])["falls"] == 0
+    seconds = CONTROL_DT * np.arange(STEPS - 300)
+    flight.ticks["base_position"][300:, 2] -= 4.9 * seconds**2
+    assert score(flight, [])["falls"] == 1
+
+
 def test_an_empty_flight(tmp_path):
     empty = Recording({}, np.zeros(0, TICK_DTYPE), {}, [], False)
     result = write_score(empty, tmp_path / "new", [1.0])

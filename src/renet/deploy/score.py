@@ -24,6 +24,8 @@ from renet.palette import STATES
 SCORE, TIMELINE = "score.json", "timeline.svg"
 BANDS = (("#9aa0a8", "damped or standing up"), *STATES.values())
 """Colours and names of who acts."""
+DROP = 1.0
+"""Metres that a base drops in a second only if nothing carries it; stairs go down by 0.5."""
 MAX_POINTS = 5000
 """Points of a curve; longer runs are thinned out."""
 MAX_MARKS = 40
@@ -124,11 +126,17 @@ def delay_to_op(blind: np.ndarray, onset: float) -> float | None:
 
 
 def fallen(ticks: np.ndarray, lean: float = 60.0) -> np.ndarray:
-    """Whether the base leans by more than `lean` degrees, [T]; as before where nobody knows."""
-    quaternion = ticks["quaternion"]
-    known = (ticks["state"] == GOOD) & (np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) < 0.1)
-    down = known & (1.0 - 2.0 * (quaternion[:, 1:3] ** 2).sum(axis=1) < np.cos(np.radians(lean)))
-    return down[np.maximum.accumulate(np.where(known, np.arange(len(ticks)), 0))]
+    """Whether the base leans by more than `lean` degrees or drops off the ground, [T].
+
+    What is not measured at a tick is as at the tick before. Only a simulator knows of drops.
+    """
+    quaternion, rows = ticks["quaternion"], np.arange(len(ticks))
+    measured = (ticks["state"] == GOOD) & (np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) < 0.1)
+    upright = 1.0 - 2.0 * (quaternion[:, 1:3] ** 2).sum(axis=1)
+    leaning = measured & (upright < np.cos(np.radians(lean)))
+    height = ticks["base_position"][:, 2]
+    dropped = height[np.maximum(rows - round(1.0 / CONTROL_DT), 0)] - height > DROP
+    return leaning[np.maximum.accumulate(np.where(measured, rows, 0))] | dropped
 
 
 def simulated(ticks: np.ndarray) -> bool:

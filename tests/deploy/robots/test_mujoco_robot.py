@@ -202,22 +202,98 @@ def test_torque_saturates_at_the_motors_limit(robot):
     np.testing.assert_allclose(np.abs(robot.read().joint_torque), ROBOT.torque_limit)
 
 
-def test_scenes_from_files_and_their_mistakes(tmp_path):
-    scene = tmp_path / "wall.xml"
-    scene.write_text(
-        "<mujoco><worldbody><geom type='plane' size='5 5 1'/>"
-        "<geom name='wall' type='box' pos='1.27 0 0.5' size='0.5 2 0.5'/></worldbody></mujoco>"
-    )
-    model, _ = build_scene(file=scene)
-    robot = MujocoRobot(model, ROBOT)
+PLANE = "<geom type='plane' size='5 5 1'/>"
+
+
+def box(top: float, thickness: float = 0.1, look: str = "") -> str:
+    """A box over the origin with its top at a height."""
+    half = thickness / 2
+    return f"<geom type='box' size='2 2 {half}' pos='0 0 {top - half}' {look}/>"
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """Writes a scene's file and builds it."""
+
+    def build(body: str, settings: str = "", name: str = "scene.xml"):
+        file = tmp_path / name
+        file.write_text(f"<mujoco>{settings}<worldbody>{body}</worldbody></mujoco>")
+        return build_scene(file=str(file))
+
+    return build
+
+
+def test_the_camera_sees_a_scene_from_a_file(scene):
+    model, ground = scene(PLANE + "<geom type='box' pos='1.27 0 0.5' size='0.5 2 0.5'/>")
+    robot = MujocoRobot(model, ROBOT, ground)
     level = SimCamera(robot, replace(CAMERA, pitch=0.0)).depth()
     assert level[24, 32] == pytest.approx(0.5, abs=1e-6)
-    for geom in ("type='box' size='-1 1 1'", "type='egg'"):
-        scene.write_text(f"<mujoco><worldbody><geom {geom}/></worldbody></mujoco>")
-        with pytest.raises(RenetError, match=r"^cannot use the scene \S+: (?!cannot)"):
-            build_scene(file=scene)
+
+
+@pytest.mark.parametrize(
+    ("body", "ground"),
+    [
+        (PLANE, 0.0),
+        (PLANE + box(0.5, 0.5), 0.5),
+        (box(-0.5), -0.5),
+        (PLANE + box(2.0, 2.0), 2.0),  # Nobody starts inside.
+        (PLANE + box(3.0), 0.0),  # Nor on the roof.
+        (PLANE + box(0.4), 0.4),  # Nor where there is no room.
+        (PLANE + box(0.1, look="rgba='1 1 1 0'"), 0.1),
+        (PLANE + box(0.1, look="contype='2'"), 0.0),
+    ],
+)
+def test_a_robot_starts_on_the_ground_of_a_scene(scene, body, ground):
+    model, start = scene(body)
+    assert start == pytest.approx(ground, abs=1e-6)
+    robot = MujocoRobot(model, ROBOT, start)
+    robot.write(command())
+    robot.wait(0.5)
+    assert robot.base_position[2] == pytest.approx(ground + 0.27, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("", "nothing carries a robot at x = y = 0"),
+        ("<geom type='plane' size='5 5 1' contype='2'/>", "nothing carries a robot"),
+        (PLANE + "<body name='ball'><freejoint/><geom size='1'/></body>", "body 'ball' moves"),
+        (
+            PLANE + "<body name='arm'><joint name='k' stiffness='-1e12'/><geom size='1'/></body>",
+            "body 'arm' moves",
+        ),
+        ("<geom type='plane' size='5 5 1' solref='-1e12 -1'/>", "simulation became unstable"),
+        ("<geom type='box' size='-1 1 1'/>", "size"),
+        ("<geom type='egg'/>", "invalid keyword: 'egg'"),
+    ],
+)
+def test_a_scene_in_which_no_robot_can_stand_is_refused(scene, body, message):
+    with pytest.raises(RenetError, match=rf"^cannot use the scene \S+: .*{message}"):
+        scene(body)
+
+
+def test_a_file_that_is_no_scene_is_refused(scene, tmp_path):
+    with pytest.raises(RenetError, match=r"give an \.xml file"):
+        scene(PLANE, name="step.stl")
     with pytest.raises(RenetError, match="cannot read the scene"):
         build_scene(file=tmp_path / "none.xml")
+
+
+def test_the_robots_physics_options_stay_without_a_word(scene, recwarn, capfd):
+    settings = "<option timestep='0.002' gravity='0 0 -3' integrator='RK4'/><size memory='1M'/>"
+    model, _ = scene(PLANE, settings)
+    assert (model.opt.timestep, model.opt.gravity[2]) == (0.005, -9.81)
+    assert not recwarn.list
+    assert capfd.readouterr() == ("", "")
+
+
+def test_physics_that_explodes_ends_a_simulation_instead_of_starting_it_anew():
+    robot = robot_on()
+    robot.wait(0.1)
+    robot.data.qvel[:] = 1e12
+    with pytest.raises(RenetError, match=r"became unstable at 0.1\d s"):
+        robot.wait(1.0)
+    assert robot.now() >= 0.1, "the clock does not jump back"
 
 
 def test_unknown_level():

@@ -9,11 +9,14 @@ from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import read_envelope
 from renet.descriptions import find_description
+from renet.errors import RenetError
 from renet.interface import JOINTS, TRUNK
 
 SEEN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
 """MuJoCo geom groups of the terrain; robots' collision geoms are in group 3."""
 UNSEEN_GROUP = 5
+UNSTABLE = tuple(getattr(mujoco.mjtWarning, f"mjWARN_BADQ{of}") for of in ("POS", "VEL", "ACC"))
+"""MuJoCo's warnings of values that are not finite or beyond all measure."""
 ANY_DISTANCE = mujoco.mjMAXVAL
 """No cutoff: MuJoCo would drop planes whose origin is farther away than the cutoff."""
 
@@ -31,8 +34,8 @@ class MujocoRobot:
             robot: of the bundle. ground: height of what it stands on, m.
             real_time: pace the simulation to the wall clock.
         """
-        self.model, self.data = model, mujoco.MjData(model)
         description = find_description(robot.name)
+        self.model, self.data = model, place(model, ground + description.height)
         self._real_time, self.envelope = real_time, read_envelope(description)
         joints = [model.joint(name) for name in JOINTS]
         self._servos = np.array([model.actuator(name).id for name in JOINTS])
@@ -43,7 +46,6 @@ class MujocoRobot:
         self._base = slice(start, start + 7)
         spin = model.jnt_dofadr[free] + 3
         self._spin = slice(spin, spin + 3)
-        self.data.qpos[self._base] = (0.0, 0.0, ground + description.height, 1.0, 0.0, 0.0, 0.0)
         self.data.qpos[self._position] = robot.default_position
         limp = np.zeros(len(JOINTS))
         self.write(JointCommand(np.array(robot.default_position), limp, limp))
@@ -80,9 +82,11 @@ class MujocoRobot:
         return self.data.time
 
     def wait(self, until: float) -> None:
-        """Simulate, and in real time sleep."""
-        while self.data.time < until - 0.5 * self.model.opt.timestep:
+        """Simulate, and in real time sleep; raises RenetError for physics that went wrong."""
+        timestep = self.model.opt.timestep
+        for _ in range(round((until - self.data.time) / timestep)):
             mujoco.mj_step(self.model, self.data)
+            check_physics(self.model, self.data)
         # Readings are taken between steps: positions and derived poses must agree.
         mujoco.mj_forward(self.model, self.data)
         if self._real_time:
@@ -121,3 +125,25 @@ class MujocoRobot:
         mujoco.mj_multiRay(model, self.data, eye, rays, SEEN_GROUPS, True, -1, *hits)
         model.geom_group[hidden] = groups
         return np.where(geoms >= 0, distance, np.inf)
+
+
+def place(model: mujoco.MjModel, height: float) -> mujoco.MjData:
+    """A simulation at its start, with the trunk level at x = y = 0 and at a height in m.
+
+    MuJoCo may not start it anew by itself: then its clock would jump back.
+    """
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    data = mujoco.MjData(model)
+    start = model.jnt_qposadr[model.body(TRUNK).jntadr[0]]
+    data.qpos[start : start + 7] = (0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0)
+    return data
+
+
+def check_physics(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Raise RenetError once the simulation has left what numbers can say."""
+    for kind in UNSTABLE:
+        if data.warning[kind].number:
+            raise RenetError(
+                f"the simulation became unstable at {data.time:.2f} s (MuJoCo: "
+                f"{kind.name.removeprefix('mjWARN_')}): is the scene's physics possible?"
+            )

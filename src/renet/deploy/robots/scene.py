@@ -1,30 +1,26 @@
 """Scenes for a simulated robot: a plane, a training tile, or anyone's MJCF."""
 
-import sys
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from renet.deploy.robots.scene_file import attach_scene, ground_height, try_scene
 from renet.descriptions import GO1, RobotDescription
-from renet.files import MEGABYTE, require_regular
 from renet.terrain.tiles import TILE, find_tile
-from renet.trial import judge, run_trial
 
 TERRAIN = "terrain"
 """Body of a tile."""
 FLAT = "flat"
 BORDER = 1000.0
 """Half-width of the ground around a tile, m."""
-MAX_SCENE = 20 * MEGABYTE
-"""Bytes of an MJCF file."""
 GROUND = (0.62, 0.60, 0.56, 1.0)
 
 
 def build_scene(
     terrain: str = FLAT,
     level: int = 3,
-    file: Path | None = None,
+    file: Path | str | None = None,
     seed: int = 0,
     robot: RobotDescription = GO1,
 ) -> tuple[mujoco.MjModel, float]:
@@ -36,7 +32,7 @@ def build_scene(
 def scene_spec(
     terrain: str = FLAT,
     level: int = 3,
-    file: Path | None = None,
+    file: Path | str | None = None,
     seed: int = 0,
     robot: RobotDescription = GO1,
 ) -> tuple[mujoco.MjSpec, float]:
@@ -44,19 +40,20 @@ def scene_spec(
 
     Args:
         terrain: flat, or a kind of training tile. level: of the tile, 1 to 10.
-        file: an MJCF scene to use instead; its static geoms are the terrain.
+        file: an MJCF to use as terrain instead.
         seed: of tiles with random parts. robot: which one.
 
     Raises:
-        RenetError: unknown terrain or level, or a scene file MuJoCo cannot read.
+        RenetError: unknown terrain or level, or a scene file in which no robot can stand.
     """
     spec = mujoco.MjSpec.from_file(str(robot.mjcf))
     spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=(0.3, 0.2, -1))
     start = 0.0
     if file is not None:
-        require_regular(file, MAX_SCENE, "scene")
-        run_trial("renet.deploy.robots.scene", [str(file)], f"cannot use the scene {file}")
-        _attach(spec, file)
+        file = Path(file)
+        try_scene(file, robot)
+        attach_scene(spec, file)
+        start = ground_height(spec.copy().compile())
     elif terrain == FLAT:
         plane = mujoco.mjtGeom.mjGEOM_PLANE
         spec.worldbody.add_geom(type=plane, size=(BORDER, BORDER, 1), rgba=GROUND)
@@ -69,11 +66,6 @@ def _ground(body: mujoco.MjsBody, position: tuple[float, float], half: tuple[flo
     """A slab whose top is at z = 0."""
     box = mujoco.mjtGeom.mjGEOM_BOX
     body.add_geom(type=box, size=(*half, 0.5), pos=(*position, -0.5), rgba=GROUND)
-
-
-def _attach(spec: mujoco.MjSpec, file: Path) -> None:
-    scene = mujoco.MjSpec.from_file(str(file))
-    spec.attach(scene, prefix="scene/", frame=spec.worldbody.add_frame())
 
 
 def _add_tile(spec: mujoco.MjSpec, kind: str, level: int, seed: int) -> float:
@@ -90,20 +82,3 @@ def _add_tile(spec: mujoco.MjSpec, kind: str, level: int, seed: int) -> float:
         _ground(body, (side * away, 0.0), (half, BORDER))
         _ground(body, (0.0, side * away), (TILE / 2, half))
     return float(built.origin[2])
-
-
-def _trial() -> str:
-    """What is wrong with the scene file that the command line names."""
-    spec = mujoco.MjSpec.from_file(str(GO1.mjcf))
-    try:
-        _attach(spec, Path(sys.argv[1]))
-        spec.compile()
-    except MemoryError:
-        return "it needs too much memory"
-    except ValueError as error:
-        return str(error).splitlines()[0]
-    return ""
-
-
-if __name__ == "__main__":
-    judge(_trial)
