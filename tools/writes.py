@@ -35,6 +35,8 @@ def writes(source: str) -> Iterator[tuple[int, str]]:
 
 def _writes(call: ast.Call) -> bool:
     code = ast.unparse(call.func)
+    if "os.memfd_create" in ast.unparse(call):  # A file in memory, without a name.
+        return False
     name = code.rpartition(".")[2]
     if METHODS.fullmatch(name) or FUNCTIONS.fullmatch(code):
         return True

@@ -10,8 +10,17 @@ import numpy as np
 import onnx
 import pytest
 
-from renet.bundle import MANIFEST, Bundle, read_manifest, write_bundle, write_manifest
+from renet.bundle import (
+    MANIFEST,
+    PREVIOUS,
+    Bundle,
+    pretrained,
+    read_manifest,
+    write_bundle,
+    write_manifest,
+)
 from renet.errors import RenetError
+from renet.files import temporary_path
 from renet.interface import JOINTS
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
@@ -38,6 +47,27 @@ def test_round_trip(bundle_path, manifest, models):
         Bundle.load(bundle_path)
     edit(bundle_path, lambda m: m.update(sha256=dict(bundle.manifest.sha256)))
     assert Bundle.load(bundle_path).sha256 == before
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "extra.onnx", ".manifest.json.partial", "sub/x"])
+def test_a_bundle_with_foreign_entries_is_refused(bundle_path, name):
+    for companion in ("README.md", ".gitattributes"):
+        (bundle_path / companion).touch()
+    (bundle_path / ".git").mkdir()
+    temporary_path(bundle_path / MANIFEST).touch()  # Of a killed program.
+    Bundle.load(bundle_path)
+    (bundle_path / name).parent.mkdir(exist_ok=True)
+    (bundle_path / name).touch()
+    with pytest.raises(RenetError, match=f"holds {name.split('/')[0]}, which"):
+        Bundle.load(bundle_path)
+
+
+@pytest.mark.parametrize("name", [MANIFEST, "actor.onnx", "README.md", PREVIOUS])
+def test_a_bundle_with_links_is_refused(bundle_path, name):
+    (bundle_path / name).unlink(missing_ok=True)
+    (bundle_path / name).symlink_to(pretrained("go1-parkour") / name)
+    with pytest.raises(RenetError, match=f"holds {name}, which is a link"):
+        Bundle.load(bundle_path)
 
 
 def test_missing_folder_and_missing_model(bundle_path, tmp_path):

@@ -22,12 +22,14 @@ from renet.bundle.models import (
     try_models,
 )
 from renet.errors import RenetError
-from renet.files import MAX_JSON, read_bytes, read_object, write_atomically
+from renet.files import MAX_JSON, is_temporary, read_bytes, read_object, write_atomically
 from renet.folders import demand_own, write_folder
 
 MANIFEST, PREVIOUS = "manifest.json", "manifest.previous.json"
 OURS = (MANIFEST, PREVIOUS, *(f"{name}.onnx" for name in MODELS))
-"""Every file that a bundle may hold."""
+"""Every file of a bundle."""
+COMPANIONS = ("README.md", "LICENSE", ".gitattributes", ".gitignore", ".git", ".cache")
+"""What git, the Hugging Face Hub and `renet bundle card` keep beside them, which is never read."""
 DEFAULT = "go1-parkour"
 """The bundle that ships with the package."""
 
@@ -107,14 +109,21 @@ def pretrained(name: str) -> Path:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Read and check `manifest.json` alone; raises RenetError."""
+    """Read and check `manifest.json` alone; raises RenetError, also where a file is foreign."""
     if not folder.is_dir():
         raise RenetError(f"no bundle at {folder}: give a folder made by `renet export`")
+    for path in sorted(folder.iterdir()):
+        regular = path.is_file() and (path.name in OURS or is_temporary(path.name))
+        if path.is_symlink() or not (regular or path.name in COMPANIONS):
+            raise RenetError(
+                f"{folder} holds {path.name}, which is a link or no part of a bundle: copy the "
+                "bundle's files alone to another folder"
+            )
     value = read_object(folder / MANIFEST, "manifest")
     if value.get("schema") not in SCHEMAS:
         schema = str(value.get("schema"))[:40]
-        known = " and ".join(map(str, SCHEMAS))
-        raise RenetError(f"{folder} has manifest schema {schema}; this renet reads {known}")
+        readable = " and ".join(map(str, SCHEMAS))
+        raise RenetError(f"{folder} has manifest schema {schema}; this renet reads {readable}")
     return from_json(Manifest, value)
 
 
@@ -133,8 +142,8 @@ def write_bundle(path: Path, models: dict[str, bytes], manifest: Manifest) -> Pa
     contents = {f"{name}.onnx": data for name, data in models.items()}
     digests = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
     contents[MANIFEST] = _json(dataclasses.replace(manifest, sha256=digests))
+    demand_own(path, OURS, "bundle")
     if path.is_dir() and any(path.iterdir()):
-        demand_own(path, OURS, "bundle")
         try:
             read_manifest(path)
         except RenetError as error:

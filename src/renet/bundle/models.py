@@ -1,17 +1,20 @@
 """The three ONNX models of a bundle: their inputs and outputs, and the checks before they run.
 
-A model is a program: it may loop for ever or ask for any amount of memory. It is therefore run once
-in a process of its own, with limits, before this process loads it.
+A model is a program. `graph.py` refuses loops, branches and sizes that depend on values; the rest
+is run in a process of its own, with limits, before this process loads it.
 """
 
 import hashlib
 import json
+import math
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
 
+from renet.bundle.graph import check_graph
 from renet.errors import RenetError
 from renet.files import MEGABYTE, read_bytes
 from renet.interface import (
@@ -28,6 +31,8 @@ from renet.trial import judge, run_trial
 MODELS = ("actor", "estimator", "vision")
 MAX_MODEL = 32 * MEGABYTE
 """Bytes of one model; the shipped ones have 5 MB together."""
+MAX_RUN = 0.2
+"""Processor time in seconds of one run for one robot; the shipped ones need a few milliseconds."""
 VARIANCE = "variance_score"
 """Output [N] of vision models that predict the variance of their own error."""
 MAP_ERROR = "map_error"
@@ -78,9 +83,6 @@ def read_model(path: Path, sha256: str | None) -> bytes:
             f"{path} is not the file the manifest describes (sha256 differs): export the bundle "
             "anew or fetch it again"
         )
-    # The key under which ONNX names a file of weights; no hash covers that file.
-    if b"location" in data:
-        raise RenetError(f"{path} keeps weights outside of the file: export it as one file")
     return data
 
 
@@ -110,6 +112,7 @@ def session(data: bytes, threads: int) -> ort.InferenceSession:
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.log_severity_level = 4
+    options.add_session_config_entry("session.load_model_format", "ONNX")
     return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
 
 
@@ -118,46 +121,57 @@ def problem(model: ort.InferenceSession, name: str, history: int) -> str:
     inputs, outputs = model_shapes(history)[name]
     if name == "estimator" and HAS_IMAGE in {node.name for node in model.get_inputs()}:
         inputs = inputs | {HAS_IMAGE: (1,)}
-    wanted = {key: f"tensor(float) {shape} per robot" for key, shape in inputs.items()}
-    taken = {n.name: f"{n.type} {tuple(n.shape[1:])} per robot" for n in model.get_inputs()}
-    for key in wanted | taken:
-        if taken.get(key) != wanted.get(key):
+    expected = {key: f"tensor(float) {shape} per robot" for key, shape in inputs.items()}
+    actual = {n.name: f"{n.type} {tuple(n.shape[1:])} per robot" for n in model.get_inputs()}
+    for key in expected | actual:
+        if actual.get(key) != expected.get(key):
             return (
-                f"{name}.onnx: input {key!r} is {taken.get(key, 'absent')}, "
-                f"expected {wanted.get(key, 'absent')}"
+                f"{name}.onnx: input {key!r} is {actual.get(key, 'absent')}, "
+                f"expected {expected.get(key, 'absent')}"
             )
     names = [node.name for node in model.get_outputs()]
     optional = {VARIANCE: (), MAP_ERROR: ()}
     outputs = outputs | {key: shape for key, shape in optional.items() if key in names}
+    fastest = math.inf
     for mask in (0.0, 1.0):
         feed = {key: np.full((1, *shape), 0.5, np.float32) for key, shape in inputs.items()}
         for flag in feed.keys() & {"op_mask", HAS_IMAGE}:
             feed[flag][:] = mask
-        given = dict(zip(names, map(np.asarray, model.run(None, feed)), strict=True))
+        start = time.process_time()
+        values = dict(zip(names, map(np.asarray, model.run(None, feed)), strict=True))
+        fastest = min(fastest, time.process_time() - start)
         for key, shape in outputs.items():
-            if key not in given:
+            if key not in values:
                 return f"{name}.onnx has no output {key!r}: wrong architecture"
-            found = given[key]
-            if found.shape != (1, *shape) or found.dtype != np.float32:
+            value = values[key]
+            if value.shape != (1, *shape) or value.dtype != np.float32:
                 return (
-                    f"{name}.onnx gives {key!r} of {found.dtype} {found.shape}, expected "
+                    f"{name}.onnx gives {key!r} of {value.dtype} {value.shape}, expected "
                     f"float32 {(1, *shape)}"
                 )
-            if not np.isfinite(found).all():
+            if not np.isfinite(value).all():
                 return f"{name}.onnx gives {key!r} that is not finite"
+    if fastest > MAX_RUN:
+        return f"{name}.onnx needs {fastest:.1f} s of processor time a run, more than {MAX_RUN:g} s"
     return ""
 
 
 def _trial() -> str:
     history, sizes = json.loads(sys.argv[1])
     for name, size in sizes.items():
+        data = sys.stdin.buffer.read(size)
         try:
-            found = problem(session(sys.stdin.buffer.read(size), 1), name, history)
+            check_graph(data)
+            verdict = problem(session(data, 1), name, history)
+        except ValueError as error:
+            verdict = f"{name}.onnx is refused: {error}"
         except Exception as error:  # ONNX Runtime raises its own unrelated types.
             reason = " ".join(str(error).split())[:300] or type(error).__name__
-            found = f"{name}.onnx is not a model ONNX Runtime can run: {reason}"
-        if found:
-            return found
+            if "alloc" in reason:
+                raise MemoryError from error
+            verdict = f"{name}.onnx is not a model ONNX Runtime can run: {reason}"
+        if verdict:
+            return verdict
     return ""
 
 
