@@ -9,7 +9,6 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
-from scipy.stats import binomtest
 
 import renet
 from tests.test_doc_commands import parse
@@ -19,41 +18,73 @@ README = (ROOT / "README.md").read_text()
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
-def test_folders_of_the_readme_tree_exist():
-    tree = README.split("src/renet/\n")[1].split("tests/ mirrors")[0]
-    names = re.findall(r"^  (\S+)", tree, re.MULTILINE) + re.findall(r"([a-z]+/[a-z]+/)", tree)
-    assert len(names) > 12
-    assert not [name for name in names if not (ROOT / "src" / "renet" / name).exists()]
+def test_the_readme_has_500_words_at_most_and_two_commands():
+    assert len(README.split()) <= 500
+    commands = re.findall(r"```bash\n(.*?)```", README, re.DOTALL)
+    assert len(commands) == 2
+    assert all("-m venv .venv" in command and "pip install -c" in command for command in commands)
+    assert "renet deploy" in commands[0]
+    assert commands[1].endswith("&& pytest\n")
 
 
-def test_commands_to_run_it_and_to_test_it_stand_in_the_readme():
-    assert "-e '.[sim]'\nrenet deploy" in README
-    assert "-e '.[train,dev]' && pytest`" in README
+def test_python_of_the_readme_runs():
+    scope: dict = {}
+    exec(re.findall(r"```python\n(.*?)```", README, re.DOTALL)[0], scope)
+    assert scope["action"].shape == (1, 12)
+    assert scope["use_vision"].dtype == bool
 
 
-def test_counts_in_the_readme_are_those_measured_with_exact_intervals():
-    page = (ROOT / "docs" / "pretrained.md").read_text()
-    measured = page.split("### Stairs and a camera that fails")[1]
-    rows = {
-        "no fault": "no noise",
-        "Gaussian noise 70 %": "Gaussian 70 %",
-        "salt and pepper 30 %": "salt and pepper 30 %",
+def test_the_citation_is_that_of_the_citation_file():
+    source = (ROOT / "CITATION.cff").read_text()
+    names = re.findall(r"family-names: (\w+), given-names: (\w+)", source)
+    authors = re.search(r"author += \{(.*?)\}", README, re.DOTALL)
+    assert authors
+    assert re.split(r"\s+and\s+", authors[1]) == [f"{last}, {first}" for last, first in names]
+    title = re.search(r"title += \{(.*?)\},\n", README, re.DOTALL)
+    assert title
+    words = title[1].replace("{", "").replace("}", "").split()
+    assert " ".join(words) in " ".join(source.split())
+
+
+def rows_of_the_readme() -> dict[str, list[str]]:
+    """The cells of the table beside the first, by the first."""
+    lines = re.findall(r"^\| (.+?) \| (.+?) \| (.+?) \| \[", README, re.MULTILINE)
+    return {name: cells for name, *cells in lines}
+
+
+def test_counts_of_the_readme_are_those_measured_on_stairs():
+    """`renet evaluate faults --preset noise --grounds stairs_up --level 5 --onsets 1.5`."""
+    result = json.loads((ROOT / "benchmarks/results/shipped/stairs.json").read_text())
+    crossed = {
+        (row["mode"], row.get("fault"), row.get("severity")): row["measures"]["crossed"]["value"]
+        for row in result["baseline"] + result["runs"]
     }
-    for shown, source in rows.items():
-        line = re.search(rf"^\| .*, {shown}.*$", README, re.MULTILINE)
-        original = re.search(rf"^\| {source} \|.*$", measured, re.MULTILINE)
-        assert line
-        assert original
-        counts = re.findall(r"(\d+) of (\d+) \((\d+) to (\d+) %\)", line[0])
-        assert [c[:2] for c in counts] == re.findall(r"(\d+) of (\d+)", original[0])
-        for k, n, low, high in (map(int, c) for c in counts):
-            exact = binomtest(k, n).proportion_ci(0.95, "exact")
-            assert (low, high) == (round(100 * exact.low), round(100 * exact.high))
-    hours = re.search(r"0 in ([\d.]+) h \(95 % limit ([\d.]+) per hour\)", README)
-    assert hours
-    assert f"0 false switches in {hours[1]} robot hours" in page
-    # Exact Poisson limit of no event: exp(-limit * hours) is 5 %.
-    assert float(hours[2]) == round(-np.log(0.05) / float(hours[1]), 1)
+    noises = {(fault, severity) for _, fault, severity in crossed if fault}
+    assert len(noises) == 6
+    chosen = {
+        "climb stairs of 13 cm, healthy camera": [(None, None)],
+        "the same, Gaussian noise 70 %": [("gaussian", 4)],
+        "the same, all six noises": sorted(noises),
+    }
+    for name, settings in chosen.items():
+        counts = [sum(round(20 * crossed[mode, *s]) for s in settings) for mode in ("vp", "renet")]
+        assert rows_of_the_readme()[name] == [f"{n} of {20 * len(settings)}" for n in counts]
+
+
+def test_shares_of_the_readme_are_means_of_the_fault_benchmark():
+    path = ROOT / "benchmarks/results/leaderboard/go1-parkour.json"
+    settings = json.loads(path.read_text())["settings"]
+    for name, measure, ground in (
+        ("stay upright under 29 camera faults", "upright", ""),
+        ("cross obstacles under them", "crossed", "flat"),
+    ):
+        rows = [s for s in settings if s["ground"] != ground]
+        means = [
+            np.mean([s["measures"][measure]["value"] for s in rows if s["mode"] == mode])
+            for mode in ("vp", "renet")
+        ]
+        assert rows_of_the_readme()[name] == [f"{100 * mean:.1f} %" for mean in means]
+    assert len({s["fault"] for s in settings}) == 29
 
 
 def test_the_change_log_knows_this_version():
