@@ -21,15 +21,21 @@ def ground(n: int, tick: int = 0) -> np.ndarray:
     return np.clip(rows + grain, 0.01, 1).astype(np.float32)
 
 
+GROUND = ground(4)
+TURNING = np.array([0.0, 0.6, -0.4])
+
+
 def play(injections: list[Injection], n: int = 2, ticks: int = 20, seed: int = 0) -> list[Frames]:
     injector = Injector([tuple(injections)] * n, range(n), seed)
-    rate = np.tile(np.array([0.0, 0.6, -0.4]), (n, 1))
+    rate = np.tile(TURNING, (n, 1))
     return [injector.apply(Frames.healthy(ground(n, t), rate), 5 * t) for t in range(ticks)]
 
 
-def spoilt(fault: str, level: float, n: int = 4) -> tuple[np.ndarray, Frames]:
-    injector = Injector([(Injection(fault, level, onset=0),)] * n, range(n), 1)
-    return ground(n), injector.apply(Frames.healthy(ground(n)), 0)
+def spoilt(fault: str, level: float, image: np.ndarray | None = None, rate=None) -> Frames:
+    """The frames of four robots (or of those of `image`) under a fault that has just begun."""
+    image = GROUND if image is None else image
+    injector = Injector([(Injection(fault, level, onset=0),)] * len(image), range(len(image)), 1)
+    return injector.apply(Frames.healthy(image, rate), 0)
 
 
 @pytest.mark.parametrize("fault", SENSOR_FAULTS)
@@ -51,7 +57,7 @@ def test_every_fault_spoils_after_its_onset_and_only_then(fault: str, severity: 
 def test_robots_it_is_not_at_work_on_keep_their_frames(name: str) -> None:
     fault = FAULTS[name](FAULTS[name].level_of(5), [np.random.default_rng(n) for n in range(2)])
     for tick in range(20):
-        given = Frames.healthy(ground(2, tick), np.array([[0.0, 0.6, -0.4]] * 2))
+        given = Frames.healthy(ground(2, tick), np.tile(TURNING, (2, 1)))
         after = fault.corrupt(given, np.array([tick * TICK_DT, -1.0]))
         for field, value in vars(after).items():
             np.testing.assert_array_equal(value[1], getattr(given, field)[1])
@@ -72,22 +78,22 @@ def test_robots_draw_their_own_noise_by_stream_and_seed(fault: str) -> None:
     injector = Injector([(Injection.of(fault, 4, onset=0),)], [1], 3)
     for t, (a, b) in enumerate(zip(once, again, strict=True)):
         np.testing.assert_array_equal(a.image, b.image)
-        rate = np.array([[0.0, 0.6, -0.4]])
-        alone = injector.apply(Frames.healthy(ground(2, t)[1:], rate), 5 * t)
+        alone = injector.apply(Frames.healthy(ground(2, t)[1:], TURNING[None]), 5 * t)
         np.testing.assert_array_equal(alone.image[0], a.image[1])
+
+
+GREY = np.full((8, *DEPTH_SHAPE), 0.5)
 
 
 @pytest.mark.parametrize("sigma", [0.05, 0.1])
 def test_gaussian_has_the_stated_deviation(sigma: float) -> None:
-    injector = Injector([(Injection("gaussian", sigma, 0),)] * 8, range(8), 0)
-    image = injector.apply(Frames.healthy(np.full((8, *DEPTH_SHAPE), 0.5)), 0).image
+    image = spoilt("gaussian", sigma, GREY).image
     assert image.mean() == pytest.approx(0.5, abs=0.002)
     assert image.std() == pytest.approx(sigma, rel=0.02)
 
 
 def test_salt_and_pepper_hits_the_stated_share_half_each() -> None:
-    injector = Injector([(Injection("salt_and_pepper", 0.3, 0),)] * 8, range(8), 0)
-    image = injector.apply(Frames.healthy(np.full((8, *DEPTH_SHAPE), 0.5)), 0).image
+    image = spoilt("salt_and_pepper", 0.3, GREY).image
     assert (image == 0).mean() == pytest.approx(0.15, abs=0.01)
     assert (image == 1).mean() == pytest.approx(0.15, abs=0.01)
 
@@ -102,34 +108,31 @@ def test_blackout_fades_linearly_to_zero() -> None:
 @pytest.mark.parametrize("fault", ["saturated", "occlusion"])
 @pytest.mark.parametrize("share", [0.25, 0.5, 1.0])
 def test_covered_share_is_as_stated(fault: str, share: float) -> None:
-    before, after = spoilt(fault, share)
-    assert (after.image != before).mean() == pytest.approx(share, abs=0.02)
+    assert (spoilt(fault, share).image != GROUND).mean() == pytest.approx(share, abs=0.02)
 
 
 def test_glare_holes_read_zero_and_raise_the_invalid_fraction_filled_or_not() -> None:
-    before, raw = spoilt("glare", 0.3)
-    _, filled = spoilt("glare_filled", 0.3)
+    raw, filled = spoilt("glare", 0.3), spoilt("glare_filled", 0.3)
     holes = raw.image == 0
     assert holes.mean() == pytest.approx(0.3, abs=0.01)
     np.testing.assert_array_equal(raw.invalid, holes.mean(axis=(1, 2)))
     np.testing.assert_array_equal(filled.invalid, raw.invalid)
     assert filled.image.min() > 0
-    np.testing.assert_array_equal(filled.image[~holes], before[~holes])
+    np.testing.assert_array_equal(filled.image[~holes], GROUND[~holes])
     # Correlated: a hole's neighbour is mostly a hole too.
     assert (holes[:, :, 1:] & holes[:, :, :-1]).mean() / holes.mean() > 0.8
 
 
 def test_near_field_turns_what_is_closer_into_holes() -> None:
-    before, after = spoilt("near_field", 0.5)
-    near = before < 0.25
+    after, near = spoilt("near_field", 0.5), GROUND < 0.25
     assert (after.image[near] == 0).all()
-    np.testing.assert_array_equal(after.image[~near], before[~near])
+    np.testing.assert_array_equal(after.image[~near], GROUND[~near])
     np.testing.assert_allclose(after.invalid, near.mean(axis=(1, 2)))
 
 
 def test_wrong_scale_multiplies_and_caps() -> None:
-    before, after = spoilt("wrong_scale", 1.3)
-    np.testing.assert_allclose(after.image, np.minimum(before * 1.3, 1), rtol=1e-6)
+    scaled = spoilt("wrong_scale", 1.3).image
+    np.testing.assert_allclose(scaled, np.minimum(GROUND * 1.3, 1), rtol=1e-6)
 
 
 def test_frozen_repeats_the_last_image_as_a_fresh_frame() -> None:
@@ -158,27 +161,24 @@ def test_dropped_loses_the_stated_share() -> None:
 
 def test_latency_serves_an_image_as_old_as_stated() -> None:
     frames = play([Injection("latency", 200, onset=0)], n=8, ticks=30)
-    ages = []
-    for t in range(8, 30):
-        for i in range(8):
-            match = [k for k in range(t + 1) if np.array_equal(frames[t].image[i], ground(8, k)[i])]
-            ages.append((t - match[0]) * TICK_DT)
+    grounds = np.stack([ground(8, t) for t in range(30)])
+    # The first column's grain tells frames apart: [served, taken, robot].
+    same = np.stack([(frames[t].image == grounds)[..., 0].all(-1) for t in range(8, 30)])
+    ages = (np.arange(8, 30)[:, None] - same.argmax(axis=1)) * TICK_DT
+    assert same.any(axis=1).all()
     # Delays of 0.1 to 0.3 s on a 0.1 s grid; a newer frame may overtake.
-    assert min(ages) >= 0.1 - 1e-9
-    assert max(ages) <= 0.4 + 1e-9
-    assert 0.15 < np.mean(ages) < 0.3
+    assert 0.1 - 1e-9 <= ages.min() <= ages.max() <= 0.4 + 1e-9
+    assert 0.15 < ages.mean() < 0.3
 
 
 def test_motion_blur_moves_the_image_by_rate_times_exposure() -> None:
     edge = np.zeros((1, *DEPTH_SHAPE), np.float32)
     edge[:, :, 32:] = 1
-    injector = Injector([(Injection("motion_blur", 40, 0),)], [0], 0)
-    blurred = injector.apply(Frames.healthy(edge, np.array([[0.0, 0.0, 3.0]])), 0).image[0, 0]
+    blurred = spoilt("motion_blur", 40, edge, np.array([[0.0, 0.0, 3.0]])).image[0, 0]
     width = 1 / np.abs(np.diff(blurred)).max()
     # 66 degrees across 64 columns.
     assert width == pytest.approx(3.0 * 0.04 * 32 / np.tan(np.radians(33)), abs=1.0)
-    still = injector.apply(Frames.healthy(edge), 0).image
-    np.testing.assert_allclose(still, edge, atol=1e-6)
+    np.testing.assert_allclose(spoilt("motion_blur", 40, edge).image, edge, atol=1e-6)
 
 
 def test_shifted_moves_whole_pixels_exactly() -> None:
@@ -239,10 +239,7 @@ def test_elapsed_is_within_the_duration_or_off(onset, duration, gap, step) -> No
     injection = Injection("gaussian", 1.0, onset, duration, duration + gap)
     elapsed = injection.elapsed(step)
     assert elapsed == -1 or 0 <= elapsed < duration
-    if step < onset:
-        assert elapsed == -1
-    if step == onset:
-        assert elapsed == 0
+    assert step > onset or elapsed == (-1 if step < onset else 0)
 
 
 @pytest.mark.parametrize("kind", ["blackout", "frozen", "glare"])

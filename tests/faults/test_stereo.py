@@ -8,8 +8,8 @@ from renet.faults.vegetation import NEAR_RANGE
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE
 
 
-def spoil(name: str, level: float, image: np.ndarray, robots: int = 6, seed: int = 0) -> Frames:
-    rngs = [np.random.default_rng([seed, n]) for n in range(robots)]
+def spoil(name: str, level: float, image: np.ndarray, robots: int = 6) -> Frames:
+    rngs = [np.random.default_rng(n) for n in range(robots)]
     given = np.repeat(image[None].astype(np.float32), robots, axis=0)
     return FAULTS[name](level, rngs).corrupt(Frames.healthy(given), np.zeros(robots))
 

@@ -2,20 +2,19 @@
 
 import warnings
 
-import mujoco
 import pytest
 import torch
 from mjlab.sim.sim import MujocoCfg, Simulation, SimulationCfg
+from tests.sim.scenes import PLANE, scene
 
 from renet.sim.overflow import OverflowWatch
 
-BOX = """<mujoco><worldbody><geom type="plane" size="1 1 .1"/>
-<body pos="0 0 1"><freejoint/><geom type="box" size=".1 .1 .1"/></body></worldbody></mujoco>"""
+BOX = '<body pos="0 0 1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
 
 
 def test_constraints_that_do_not_fit_are_counted_and_told():
     cfg = SimulationCfg(njmax=4, nconmax=20, mujoco=MujocoCfg(timestep=0.005))
-    simulation = Simulation(3, cfg, mujoco.MjModel.from_xml_string(BOX), "cpu")
+    simulation = Simulation(3, cfg, scene(PLANE, BOX), "cpu")
     watch = OverflowWatch(simulation)
     simulation.step()
     watch.look()

@@ -9,17 +9,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mjlab.utils.lab_api.math import matrix_from_quat, quat_from_euler_xyz
+from tests.sim.scenes import PLANE, ROBOT, scene
 
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
 from renet.sim.sensors import FeetHeight, FeetHeightCfg, HeightMap, HeightMapCfg
 
-ROBOT = '<body name="robot"><freejoint/><site name="foot"/><geom size="0.05"/></body>'
-
-
-def scene(terrain: str) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_string(
-        f"<mujoco><worldbody>{terrain}{ROBOT}</worldbody></mujoco>"
-    )
+FLAT = scene(PLANE, ROBOT)
 
 
 def height_map(model: mujoco.MjModel, position, rotation=(0.0, 0.0, 0.0)) -> HeightMap:
@@ -41,7 +36,7 @@ def feet_height(model: mujoco.MjModel, feet: list[tuple[float, float, float]]) -
 
 
 # Boxes at odd angles: no line of the grid runs along an edge, where either height would be right.
-STEPS = '<geom type="plane" size="0 0 1"/>' + "".join(
+STEPS = PLANE + "".join(
     f'<geom type="box" size=".6 .4 {0.05 * i + 0.02}" euler="0 0 {17.3 + 41 * i}" '
     f'pos="{1.1 * np.cos(i)} {1.1 * np.sin(i)} 0"/>'
     for i in range(6)
@@ -57,21 +52,17 @@ STEPS = '<geom type="plane" size="0 0 1"/>' + "".join(
     y=st.floats(-0.5, 0.5),
 )
 def test_the_map_turns_with_yaw_and_with_nothing_else(roll, pitch, yaw, x, y):
-    model = scene(STEPS)
+    model = scene(STEPS, ROBOT)
     data, geom = mujoco.MjData(model), np.zeros(1, np.int32)
     mujoco.mj_forward(model, data)
     got = height_map(model, (x, y, 0.4), (roll, pitch, yaw)).data[0]
     missed = 0
     for i, ahead in enumerate(HEIGHT_MAP_X):
         for j, left in enumerate(HEIGHT_MAP_Y):
-            start = np.array(
-                [
-                    x + ahead * np.cos(yaw) - left * np.sin(yaw),
-                    y + ahead * np.sin(yaw) + left * np.cos(yaw),
-                    3.0,
-                ]
-            )
-            fall = mujoco.mj_ray(model, data, start, np.array([0.0, 0.0, -1.0]), None, 1, 1, geom)
+            at_x = x + ahead * np.cos(yaw) - left * np.sin(yaw)
+            at_y = y + ahead * np.sin(yaw) + left * np.cos(yaw)
+            start, down = np.array([at_x, at_y, 3.0]), np.array([0.0, 0.0, -1.0])
+            fall = mujoco.mj_ray(model, data, start, down, None, 1, 1, geom)
             expected = 0.4 - 0.3 - (3.0 - fall)
             missed += abs(got[i * len(HEIGHT_MAP_Y) + j].item() - expected) > 1e-3
     assert missed <= 1  # A grid point may lie on a box's very edge.
@@ -79,28 +70,25 @@ def test_the_map_turns_with_yaw_and_with_nothing_else(roll, pitch, yaw, x, y):
 
 @pytest.mark.parametrize(("height", "reading"), [(0.9, 0.6), (5.0, 1.0), (-4.0, -1.0)])
 def test_the_map_is_clipped_to_a_metre(height, reading):
-    model = scene('<geom type="plane" size="0 0 1"/>')
-    readings = height_map(model, (0.0, 0.0, height)).data
+    readings = height_map(FLAT, (0.0, 0.0, height)).data
     torch.testing.assert_close(readings, torch.full((1, 132), reading))
 
 
 def test_a_foot_over_an_edge_reads_the_mean_of_its_patch():
     # One of three columns of the 5 x 5 cm patch lies over a pit 0.3 m deep.
     ground = '<geom type="box" size="3 3 .15" pos="0 0 -.15"/>'
-    model = scene(f'<geom type="box" size="1 1 .3"/>{ground}')
+    model = scene('<geom type="box" size="1 1 .3"/>', ground, ROBOT)
     foot = (0.99, 0.0, 0.3 + 0.023)
     assert feet_height(model, [foot]).data.item() == pytest.approx(0.3 / 3, abs=1e-4)
 
 
 def test_feet_heights_are_clipped_to_their_limits():
-    model = scene('<geom type="plane" size="0 0 1"/>')
-    feet = feet_height(model, [(0.0, 0.0, z + 0.023) for z in (-3.0, -0.1, 0.4, 7.0)])
+    feet = feet_height(FLAT, [(0.0, 0.0, z + 0.023) for z in (-3.0, -0.1, 0.4, 7.0)])
     torch.testing.assert_close(feet.data[:, 0], torch.tensor([-0.2, -0.1, 0.4, 1.0]))
 
 
 def test_a_reading_is_cast_once_until_time_passes():
-    model = scene('<geom type="plane" size="0 0 1"/>')
-    sensor = height_map(model, (0.0, 0.0, 0.3))
+    sensor = height_map(FLAT, (0.0, 0.0, 0.3))
     first = sensor.data
     sensor._data.xpos[..., 2] += 0.1
     assert sensor.data is first

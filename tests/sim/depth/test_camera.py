@@ -10,6 +10,7 @@ from mjlab.envs import ManagerBasedRlEnv
 from mjlab.tasks.registry import load_env_cfg
 from mjlab.utils.lab_api.math import matrix_from_quat
 from scipy.spatial.transform import Rotation
+from tests.sim.scenes import PLANE, ROBOT, scene
 
 from renet.camera import Intrinsics
 from renet.errors import RenetError
@@ -27,14 +28,7 @@ from renet.sim.sensors import FeetHeightCfg
 
 QUIET = DepthNoiseCfg(relative_std=0.0, gaussian_std=0.0)
 EXACT = MountCfg(position=(0.0, 0.0, 0.0), pitch=0.0, position_error=0.0, angle_error=0.0)
-ROBOT = """<body name="robot" pos="0 0 0.5"><freejoint/>
-  <site name="foot" pos="0 0 -0.2"/><geom size="0.05" mass="1"/></body>"""
-
-
-def scene(terrain: str) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_string(
-        f"<mujoco><worldbody>{terrain}{ROBOT}</worldbody></mujoco>"
-    )
+FLAT = scene(PLANE, ROBOT)
 
 
 class State:
@@ -51,22 +45,16 @@ class State:
         return array.expand(self.robots, *array.shape)
 
 
-def camera(
-    model: mujoco.MjModel, mount: MountCfg = EXACT, robots: int = 1, **fields
-) -> DepthCamera:
-    fields = {"noise": QUIET, **fields}
-    sensor = DepthCameraCfg(name="depth", body="robot", mount=mount, **fields).build()
-    sensor.initialize(model, None, State(model, robots), "cpu")
+def camera(model: mujoco.MjModel = FLAT, robots: int = 1, state=None, **fields) -> DepthCamera:
+    fields = {"noise": QUIET, "mount": EXACT, **fields}
+    sensor = DepthCameraCfg(name="depth", body="robot", **fields).build()
+    sensor.initialize(model, None, state or State(model, robots), "cpu")
     return sensor
-
-
-PLANE = '<geom type="plane" size="0 0 1"/>'
 
 
 @pytest.mark.parametrize("pitch", [0.3, 0.6, 1.2])
 def test_plane_at_a_known_pitch(pitch):
-    mount = MountCfg((0.0, 0.0, 0.0), pitch, 0.0, 0.0)
-    image = camera(scene(PLANE), mount).data
+    image = camera(mount=MountCfg((0.0, 0.0, 0.0), pitch, 0.0, 0.0)).data
     # A pixel (1, left, up) of the camera pitched down by `pitch`; height 0.5 m.
     up = Intrinsics().axes()[1][:, None].repeat(64, 1)
     drop = math.sin(pitch) - up * math.cos(pitch)
@@ -75,16 +63,14 @@ def test_plane_at_a_known_pitch(pitch):
 
 
 def test_wall_is_at_one_planar_depth_and_edges_are_where_they_should_be():
-    wall = '<geom type="box" size="0.1 0.3 5" pos="1.1 0 0"/>'
-    image = camera(scene(wall)).data
+    image = camera(scene('<geom type="box" size="0.1 0.3 5" pos="1.1 0 0"/>', ROBOT)).data
     seen = np.abs(Intrinsics().axes()[0]) < 0.3
     expected = np.where(seen, 1.0, 2.0)[None].repeat(48, 0)
     np.testing.assert_allclose(image[0], expected, atol=1e-3)
 
 
 def test_top_row_comes_first_and_left_is_left():
-    high_left = '<geom type="box" size="0.1 0.2 0.2" pos="1.1 0.3 0.8"/>'
-    image = camera(scene(high_left)).data
+    image = camera(scene('<geom type="box" size="0.1 0.2 0.2" pos="1.1 0.3 0.8"/>', ROBOT)).data
     rows, columns = np.nonzero(image[0].numpy() < 2.0)
     assert rows.max() < 24
     assert columns.max() < 32
@@ -98,7 +84,7 @@ def test_the_mount_yaws_then_pitches_and_never_rolls():
 
 
 def test_mount_errors_stay_in_the_papers_bounds_and_change_with_the_episode():
-    sensor = camera(scene(PLANE), MountCfg(), robots=500)
+    sensor = camera(robots=500, mount=MountCfg())
     offset = sensor._position - torch.tensor(MountCfg().position)
     assert 0.009 < offset.abs().max() <= 0.01
     forward = sensor._rotation[:, :, 0]
@@ -122,7 +108,7 @@ def test_noise_has_the_stated_statistics():
 
 
 def test_an_image_is_held_until_the_next_is_due():
-    sensor = camera(scene(PLANE), noise=DepthNoiseCfg())
+    sensor = camera(noise=DepthNoiseCfg())
     first = sensor.normalised().clone()
     for _ in range(19):
         sensor.update(0.005)
@@ -136,15 +122,12 @@ def test_an_image_is_held_until_the_next_is_due():
 class Walk:
     """Robots at x = 0.1 m per control step, on each their own line, in front of a wall at 2 m."""
 
-    def __init__(self, robots: int, delay: tuple[float, float], mount: MountCfg = EXACT) -> None:
+    def __init__(self, robots: int, delay: tuple[float, float]) -> None:
         self.xpos, self.step = torch.zeros(robots, 3, 3), 0
         self.xmat, self.qpos = torch.eye(3).expand(robots, 3, 3, 3), torch.zeros(robots, 7)
         self.xpos[..., 2] = 0.5
-        self.camera = DepthCameraCfg(
-            name="depth", body="robot", mount=mount, noise=QUIET, range=9.0, delay=delay
-        ).build()
         wall = '<geom type="box" size="0.1 9 9" pos="2.1 0 0"/>'
-        self.camera.initialize(scene(wall), None, self, "cpu")
+        self.camera = camera(scene(wall, ROBOT), state=self, range=9.0, delay=delay)
 
     def take(self, steps: int, dt: float = 0.02) -> torch.Tensor:
         """Walk on; m from where each robot's image was taken to the wall, in its middle."""
@@ -191,17 +174,15 @@ def test_delays_are_drawn_for_each_episode_from_all_whole_control_steps():
 
 def ticks(sensor: DepthCamera, steps: int) -> list[int]:
     """Control steps of 0.02 s after which there is another image."""
-    found, last = [], sensor.data
-    for step in range(1, steps + 1):
+    images = [sensor.data]
+    for _ in range(steps):
         sensor.update(0.02)
-        if sensor.data is not last:
-            found.append(step)
-            last = sensor.data
-    return found
+        images.append(sensor.data)
+    return [step for step in range(1, steps + 1) if images[step] is not images[step - 1]]
 
 
 def test_a_reset_between_steps_restarts_the_clock_and_one_inside_a_step_does_not():
-    sensor = camera(scene(PLANE))
+    sensor = camera()
     assert ticks(sensor, 13) == [5, 10]
     sensor.update(0.02)
     old = sensor._image
@@ -213,7 +194,7 @@ def test_a_reset_between_steps_restarts_the_clock_and_one_inside_a_step_does_not
 
 
 def test_images_keep_their_rate_when_the_period_is_no_multiple_of_the_step():
-    assert ticks(camera(scene(PLANE), period=0.05), 10) == [3, 5, 8, 10]
+    assert ticks(camera(period=0.05), 10) == [3, 5, 8, 10]
 
 
 def test_any_mjlab_task_can_carry_the_camera():
@@ -247,22 +228,21 @@ def test_any_mjlab_task_can_carry_the_camera():
 
 
 def test_a_pose_that_is_not_finite_sees_nothing():
-    model = scene(PLANE)
-    sensor = camera(model)
-    sensor._data.data.xpos[model.body("robot").id] = np.nan
+    sensor = camera()
+    sensor._data.data.xpos[FLAT.body("robot").id] = np.nan
     assert (sensor.data == 2.0).all()
 
 
 def test_scenes_that_cannot_be_seen_are_refused():
     with pytest.raises(RenetError, match="no terrain"):
-        terrain_shapes(scene(""))
+        terrain_shapes(scene(ROBOT))
     with pytest.raises(RenetError, match=r"ball.*sphere"):
         terrain_shapes(scene('<geom name="ball" size="0.3"/>'))
     with pytest.raises(KeyError, match=r"'head'.*robot"):
-        DepthCameraCfg(name="d", body="head").build().initialize(scene(PLANE), None, None, "cpu")
+        DepthCameraCfg(name="d", body="head").build().initialize(FLAT, None, None, "cpu")
     feet = FeetHeightCfg(name="f", sites=("paw",)).build()
     with pytest.raises(KeyError, match=r"'paw'.*foot"):
-        feet.initialize(scene(PLANE), None, None, "cpu")
+        feet.initialize(FLAT, None, None, "cpu")
     for delay in ((0.1, 0.0), (-0.02, 0.0), (0.0, math.inf)):
         with pytest.raises(RenetError, match="camera delay"):
             DepthCameraCfg(name="d", delay=delay).build()

@@ -6,6 +6,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.sim.scenes import scene
 
 from renet.camera import Intrinsics
 from renet.sim.depth.camera import mount_rotation
@@ -29,14 +30,11 @@ def model() -> mujoco.MjModel:
         for i in range(60)
     )
     bumps = " ".join(map(str, random.random(81)))
-    return mujoco.MjModel.from_xml_string(
-        f"""<mujoco>
-        <asset><hfield name="f" nrow="9" ncol="9" size="1 1 .3 .2" elevation="{bumps}"/></asset>
-        <worldbody><geom type="plane" size="0 0 1" pos="0 0 -.6"/>
+    field = f'<hfield name="f" nrow="9" ncol="9" size="1 1 .3 .2" elevation="{bumps}"/>'
+    geoms = """<geom type="plane" size="0 0 1" pos="0 0 -.6"/>
         <geom type="box" size="30 30 .1" pos="5 0 -.5"/>
-        <geom type="hfield" hfield="f" pos="1 1 -.1" euler="5 -10 30"/>{boxes}</worldbody>
-        </mujoco>"""
-    )
+        <geom type="hfield" hfield="f" pos="1 1 -.1" euler="5 -10 30"/>"""
+    return scene(geoms, boxes, extra=f"<asset>{field}</asset>")
 
 
 @pytest.fixture(scope="module")
@@ -85,8 +83,7 @@ def test_a_pose_that_is_not_finite_sees_nothing_and_harms_nobody(scanner, number
     whole = scanner.depth(eyes, rotation, LENS, 2.0)[0]
     eyes[0, 1] = rotation[1, 2, 0] = number
     first, second, third = scanner.depth(eyes, rotation, LENS, 2.0)
-    assert (first == -1.0).all()
-    assert (second == -1.0).all()
+    assert (torch.stack((first, second)) == -1.0).all()
     assert torch.equal(third, whole)
     ground = scanner.height(torch.tensor([[number, 0.0], [0.0, -2.0]]))
     assert ground[0] == pytest.approx(scanner.top - scanner.drop)
@@ -100,10 +97,10 @@ def test_clearances_are_those_rays_find(scanner, caster, frames, turned):
     position = torch.rand(frames, 3, generator=random) * 6 - 3
     pattern = torch.rand(7, 2, generator=random) * 2 - 1
     rotation = mount_rotation(*torch.rand(2, frames, generator=random) * 3) if turned else None
-    found = scanner.clearance(position, rotation, pattern)
+    heights = scanner.clearance(position, rotation, pattern)
     cast = caster.clearance(position, rotation, pattern)
-    assert found.shape == (frames, 7)
-    assert ((found - cast).abs() > 1e-4).float().mean() < 0.002
+    assert heights.shape == (frames, 7)
+    assert ((heights - cast).abs() > 1e-4).float().mean() < 0.002
 
 
 def test_heights_do_not_depend_on_the_point_they_are_asked_from(scanner):
@@ -131,8 +128,7 @@ def test_it_takes_views_and_double_precision(scanner):
 
 def test_boxes_that_touch_leave_no_gap_between_them():
     pair = "".join(f'<geom type="box" size="1 1 .1" pos="{x} 0 0"/>' for x in (-1, 1))
-    xml = f"<mujoco><worldbody>{pair}</worldbody></mujoco>"
-    touching = Rasterizer(mujoco.MjModel.from_xml_string(xml))
+    touching = Rasterizer(scene(pair))
     seam = torch.stack((torch.zeros(50), torch.linspace(-1, 1, 50)), -1)
     torch.testing.assert_close(touching.height(seam), torch.full((50,), 0.1))
     down = mount_rotation(torch.full((50,), torch.pi / 2), torch.zeros(50))

@@ -6,6 +6,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.sim.scenes import scene
 
 from renet.camera import Intrinsics
 from renet.sim.depth.camera import mount_rotation
@@ -15,12 +16,6 @@ from renet.sim.depth.terrain_mesh import terrain_shapes
 
 RANGE = 2.0
 RAYS = torch.from_numpy(Intrinsics().rays(np.float32))
-
-
-def scene(worldbody: str, assets: str = "") -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_string(
-        f"<mujoco><asset>{assets}</asset><worldbody>{worldbody}</worldbody></mujoco>"
-    )
 
 
 def mujoco_rays(model: mujoco.MjModel, eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -48,8 +43,8 @@ def assert_sees_what_mujoco_sees(model: mujoco.MjModel, eye, rotation: torch.Ten
 
 BUMPS = np.random.default_rng(3).random(7 * 5)
 SOLID = (
-    f'<hfield name="f" nrow="7" ncol="5" size="0.8 0.9 0.4 0.2" '
-    f'elevation="{" ".join(map(str, BUMPS))}"/>'
+    '<asset><hfield name="f" nrow="7" ncol="5" size="0.8 0.9 0.4 0.2" '
+    f'elevation="{" ".join(map(str, BUMPS))}"/></asset>'
 )
 CLUTTER = """<geom type="plane" size="0 0 1" pos="0 0 -0.4"/>
   <geom type="hfield" hfield="f" pos="0.2 0.1 0" euler="0 0 20"/>
@@ -67,12 +62,12 @@ CLUTTER = """<geom type="plane" size="0 0 1" pos="0 0 -0.4"/>
 def test_images_from_anywhere_agree_with_mujoco(angle, height, pitch, aside):
     eye = np.array([-1.6 * np.cos(angle), -1.6 * np.sin(angle), height], np.float32)
     rotation = mount_rotation(torch.tensor([pitch]), torch.tensor([angle + aside]))
-    assert_sees_what_mujoco_sees(scene(CLUTTER, SOLID), eye, rotation)
+    assert_sees_what_mujoco_sees(scene(CLUTTER, extra=SOLID), eye, rotation)
 
 
 @pytest.mark.parametrize("heading", [0.0, 90.0, 180.0, 270.0])
 def test_a_height_field_has_walls_and_a_base(heading):
-    model = scene('<geom type="hfield" hfield="f"/>', SOLID)
+    model = scene('<geom type="hfield" hfield="f"/>', extra=SOLID)
     yaw = torch.deg2rad(torch.tensor([heading]))
     eye = (-1.9 * torch.stack((yaw.cos(), yaw.sin()), -1)[0]).tolist()
     level = mount_rotation(torch.zeros(1), yaw)
@@ -84,7 +79,8 @@ def test_a_height_field_has_walls_and_a_base(heading):
 
 def test_a_flat_height_field_has_no_empty_triangles():
     flat = f'<hfield name="f" nrow="3" ncol="3" size="1 1 1 1" elevation="{"0 " * 9}"/>'
-    _, triangles = terrain_shapes(scene('<geom type="hfield" hfield="f"/>', flat))
+    model = scene('<geom type="hfield" hfield="f"/>', extra=f"<asset>{flat}</asset>")
+    _, triangles = terrain_shapes(model)
     a, b, c = np.moveaxis(triangles, 1, 0)
     assert (np.linalg.norm(np.cross(b - a, c - a), axis=-1) > 0).all()
     assert len(triangles) == 2 * 4 + 10  # The surface, and a box without its top.
@@ -110,7 +106,7 @@ def test_rays_see_only_what_is_fixed_and_collides():
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 def test_a_gpu_sees_what_the_cpu_sees():
-    model = scene(CLUTTER, SOLID)
+    model = scene(CLUTTER, extra=SOLID)
     eyes = torch.tensor([[-1.6, 0.1, 0.5], [float("nan"), 0.0, 0.5]])
     rotation = mount_rotation(torch.tensor([0.5, 0.5]), torch.zeros(2))
     cpu = Rasterizer(model).depth(eyes, rotation, Intrinsics(), RANGE)

@@ -5,27 +5,16 @@ import numpy as np
 import pytest
 import torch
 from mjlab.sim.sim import SimulationCfg
+from tests.sim.scenes import scene
 
 from renet.sim.native import collision_culling
 from renet.sim.native.engine import NativeSimulation
 from renet.tasks import make_env
 
-ROW_OF_TABLES = """
-<mujoco>
-  <worldbody>
-    {tables}
-    <body name="robot" pos="0 0 1"><freejoint/><geom size="0.1"/>
-      <body pos="0.3 0 0"><joint axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/></body></body>
-    {more}
-  </worldbody>
-</mujoco>
-"""
+BOT = """<body name="robot" pos="0 0 1"><freejoint/><geom size="0.1"/>
+  <body pos="0.3 0 0"><joint axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/></body></body>"""
 TABLE = '<body name="t{0}" pos="{1} 0 0" euler="0 0 {2}"><geom type="box" size="1 0.5 0.2"/></body>'
-
-
-def scene(more: str = "") -> mujoco.MjModel:
-    tables = "".join(TABLE.format(i, 4 * i, 30 * i) for i in range(5))
-    return mujoco.MjModel.from_xml_string(ROW_OF_TABLES.format(tables=tables, more=more))
+TABLES = "".join(TABLE.format(i, 4 * i, 30 * i) for i in range(5))
 
 
 def look(model: mujoco.MjModel, *qpos: np.ndarray) -> NativeSimulation:
@@ -49,7 +38,7 @@ def touchable(sim: NativeSimulation, robot: int = 0) -> list[bool]:
 
 
 def test_only_tables_within_reach_can_be_touched():
-    model = scene()
+    model = scene(TABLES, BOT)
     qpos = model.qpos0.copy()
     qpos[0] = 4.0
     here = look(model, qpos)
@@ -60,7 +49,7 @@ def test_only_tables_within_reach_can_be_touched():
 
 
 def test_a_lost_position_is_near_everything():
-    model = scene()
+    model = scene(TABLES, BOT)
     qpos = model.qpos0.copy()
     qpos[0] = np.nan
     assert all(touchable(look(model, qpos)))
@@ -75,44 +64,39 @@ def test_a_lost_position_is_near_everything():
     ],
 )
 def test_models_whose_reach_is_unknown_keep_every_contact(more):
-    model = scene(more)
+    model = scene(TABLES, BOT, more)
     here = look(model, model.qpos0)
     assert here.culling.load_masks(model) == []
     assert all(touchable(here))
 
 
 def test_tables_come_into_reach_as_the_robot_walks():
-    model = scene()
+    model = scene(TABLES, BOT)
     sim = look(model, model.qpos0, model.qpos0)
     robots = np.tile(model.qpos0, (2, 1))
     for x in np.arange(0.0, 16.0, 0.1):
         robots[:, 0] = x, 16.0 - x
         move(sim, *robots)
         for robot, at in enumerate(robots[:, 0]):
-            half = [
-                1.0 * abs(np.cos(np.pi / 6 * i)) + 0.5 * abs(np.sin(np.pi / 6 * i))
-                for i in range(5)
-            ]
-            gap = [abs(at - 4 * i) - half[i] for i in range(5)]
-            here = touchable(sim, robot)
+            turn, table = np.pi / 6 * np.arange(5), 4.0 * np.arange(5)
+            gap = abs(at - table) - abs(np.cos(turn)) - 0.5 * abs(np.sin(turn))
+            here = np.array(touchable(sim, robot))
             # Looked at again each 25 cm: between the two either is right.
-            assert all(touches for touches, g in zip(here, gap, strict=True) if g < 0.84)
-            assert not any(touches for touches, g in zip(here, gap, strict=True) if g > 1.36)
+            assert here[gap < 0.84].all()
+            assert not here[gap > 1.36].any()
 
 
-def rewards(steps: int) -> tuple[torch.Tensor, torch.Tensor]:
+def rewards() -> tuple[torch.Tensor, torch.Tensor]:
     env = make_env("Renet-Go1-Parkour", 6, seed=3)
     env.reset()
     actions = torch.Generator().manual_seed(0)
-    collected = [
-        env.step(0.5 * torch.randn(6, 12, generator=actions))[1].clone() for _ in range(steps)
-    ]
+    steps = range(40)
+    collected = [env.step(0.5 * torch.randn(6, 12, generator=actions))[1].clone() for _ in steps]
     return torch.stack(collected), env.sim.data.qpos[:].clone()
 
 
 def test_robots_on_tiles_fall_alike_with_and_without_the_tiles_out_of_reach(monkeypatch):
-    culled = rewards(40)
+    culled = rewards()
     monkeypatch.setattr(collision_culling, "_bounded_static_bodies", lambda model: np.empty(0, int))
-    whole = rewards(40)
-    assert torch.equal(culled[0], whole[0])
-    assert torch.equal(culled[1], whole[1])
+    whole = rewards()
+    assert all(map(torch.equal, culled, whole))

@@ -7,6 +7,7 @@ import torch
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.sim.sim import MujocoCfg, SimulationCfg
 from mjlab.tasks.registry import load_env_cfg
+from tests.sim.scenes import scene
 
 from renet.errors import RenetError
 from renet.sim.native import engine
@@ -14,25 +15,22 @@ from renet.sim.native.engine import NativeSimulation, use_engine
 
 FLAT = "Mjlab-Velocity-Flat-Unitree-Go1"
 NUM_ENVS = 3
-FREE_BODY = """
-<mujoco>
-  <option timestep="0.005"/>
-  <worldbody>
-    <body name="top" pos="0 0 50"><freejoint/>
-      <inertial pos="0.01 0 0" mass="1" diaginertia="0.01 0.02 0.03"/>
-      <body pos="0.1 0 0"><joint name="hinge" axis="0 1 0"/>
-        <site name="s"/><geom type="capsule" size="0.02 0.1" contype="0" conaffinity="0"/></body>
-    </body>
-  </worldbody>
-  <actuator><motor joint="hinge" ctrlrange="-1 1"/></actuator>
-  <sensor><gyro site="s"/><jointpos joint="hinge"/></sensor>
-</mujoco>
-"""
+FREE_BODY = """<body name="top" pos="0 0 50"><freejoint/>
+  <inertial pos="0.01 0 0" mass="1" diaginertia="0.01 0.02 0.03"/>
+  <body pos="0.1 0 0"><joint name="hinge" axis="0 1 0"/>
+    <site name="s"/><geom type="capsule" size="0.02 0.1" contype="0" conaffinity="0"/></body>
+</body>"""
+MOTOR = """<actuator><motor joint="hinge" ctrlrange="-1 1"/></actuator>
+<sensor><gyro site="s"/><jointpos joint="hinge"/></sensor>"""
+
+
+def simulation(model: mujoco.MjModel) -> NativeSimulation:
+    cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005))
+    return NativeSimulation(NUM_ENVS, cfg, model, "cpu")
 
 
 def free_body() -> NativeSimulation:
-    cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005))
-    return NativeSimulation(NUM_ENVS, cfg, mujoco.MjModel.from_xml_string(FREE_BODY), "cpu")
+    return simulation(scene(FREE_BODY, extra=MOTOR))
 
 
 def spin(sim: NativeSimulation) -> None:
@@ -40,13 +38,18 @@ def spin(sim: NativeSimulation) -> None:
     sim.data.ctrl[:] = torch.tensor([[0.02], [-0.01], [0.0]])
 
 
+def spun() -> NativeSimulation:
+    sim = free_body()
+    spin(sim)
+    sim.step_n(4)
+    return sim
+
+
 DERIVED = ("xpos", "xquat", "xmat", "site_xpos", "cvel", "subtree_com", "sensordata")
 
 
 def test_a_control_step_ends_with_poses_and_velocities_of_the_state_it_leads_to():
-    sim = free_body()
-    spin(sim)
-    sim.step_n(4)
+    sim = spun()
     derived = {name: getattr(sim.data, name)[:].clone() for name in DERIVED}
     sim.forward()
     for name, value in derived.items():
@@ -54,9 +57,7 @@ def test_a_control_step_ends_with_poses_and_velocities_of_the_state_it_leads_to(
 
 
 def test_only_what_was_written_is_derived_anew():
-    sim = free_body()
-    spin(sim)
-    sim.step_n(4)
+    sim = spun()
     sim.data.xpos[:] = 7.0
     sim.forward_written()
     assert (sim.data.xpos[:] == 7.0).all()
@@ -72,9 +73,7 @@ def test_only_what_was_written_is_derived_anew():
 
 @pytest.mark.parametrize("lost", ["a physics step", "other fields"])
 def test_what_is_known_is_forgotten(lost):
-    sim = free_body()
-    spin(sim)
-    sim.step_n(4)
+    sim = spun()
     if lost == "a physics step":
         sim.step()
     else:
@@ -85,9 +84,7 @@ def test_what_is_known_is_forgotten(lost):
 
 
 def test_bodies_moved_by_hand_count_as_written():
-    xml = '<mujoco><worldbody><body mocap="true"><geom size=".1"/></body></worldbody></mujoco>'
-    model = mujoco.MjModel.from_xml_string(xml)
-    sim = NativeSimulation(NUM_ENVS, SimulationCfg(), model, "cpu")
+    sim = simulation(scene('<body mocap="true"><geom size=".1"/></body>'))
     sim.step_n(4)
     sim.data.mocap_pos[1, 0] = torch.tensor([1.0, 2.0, 3.0])
     sim.forward_written()
@@ -168,23 +165,19 @@ def test_unknown_or_impossible_engine_is_refused():
         pass
 
 
-FRAMES = """
-<mujoco><worldbody>
-  <body name="moved" pos="0 0 1"><freejoint/>
-    <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.02 0.03"/>
-    <geom name="turned" type="box" size=".1 .2 .3" pos="0.2 0 0" euler="0 0 30"/>
-    <geom name="shifted" type="box" size=".1 .2 .3" pos="0.2 0 0"/>
-    <geom name="inertial" type="box" size=".1 .2 .3" pos="0.1 0 0"/>
-    <geom name="same" type="box" size=".1 .2 .3"/>
-  </body>
-</worldbody></mujoco>
-"""
+FRAMES = """<body name="moved" pos="0 0 1"><freejoint/>
+  <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.02 0.03"/>
+  <geom name="turned" type="box" size=".1 .2 .3" pos="0.2 0 0" euler="0 0 30"/>
+  <geom name="shifted" type="box" size=".1 .2 .3" pos="0.2 0 0"/>
+  <geom name="inertial" type="box" size=".1 .2 .3" pos="0.1 0 0"/>
+  <geom name="same" type="box" size=".1 .2 .3"/>
+</body>"""
 
 
 @pytest.mark.parametrize("randomised", [set(), {"body_ipos"}, {"geom_quat"}, {"geom_pos"}])
 def test_frames_that_randomisation_parts_are_computed(randomised):
     """A compiled model with fields written afterwards moves as one compiled with them."""
-    model = mujoco.MjModel.from_xml_string(FRAMES)
+    model = scene(FRAMES)
     compiled = model.geom_sameframe.copy()
     assert np.count_nonzero(compiled) >= 2
     engine.forget_coinciding_frames(model, randomised)
@@ -201,11 +194,9 @@ def test_frames_that_randomisation_parts_are_computed(randomised):
     mujoco.mj_kinematics(model, data)
     base = data.xmat[1].reshape(3, 3)
     for geom in range(model.ngeom):
-        own = np.zeros(9)
-        mujoco.mju_quat2Mat(own, model.geom_quat[geom])
-        np.testing.assert_allclose(
-            data.geom_xmat[geom].reshape(3, 3), base @ own.reshape(3, 3), atol=1e-12
-        )
-        at = data.xpos[1] + base @ model.geom_pos[geom]
+        turn, at = np.zeros(9), data.xpos[1] + base @ model.geom_pos[geom]
+        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+        expected = (base @ turn.reshape(3, 3)).ravel()
+        np.testing.assert_allclose(data.geom_xmat[geom], expected, atol=1e-12)
         np.testing.assert_allclose(data.geom_xpos[geom], at, atol=1e-12)
     np.testing.assert_allclose(data.xipos[1], data.xpos[1] + base @ model.body_ipos[1], atol=1e-12)

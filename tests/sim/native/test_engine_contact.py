@@ -1,37 +1,29 @@
 """The native engine in contact: randomised friction, touch, pushes, stock Rough."""
 
-import mujoco
 import numpy as np
 import pytest
 import torch
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.sim.sim import MujocoCfg, Simulation, SimulationCfg
 from mjlab.tasks.registry import load_env_cfg
+from tests.sim.scenes import scene
 
 from renet.errors import RenetError
 from renet.sim.native.engine import NativeSimulation, use_engine
 
 NUM_ENVS = 3
 ROUGH = "Mjlab-Velocity-Rough-Unitree-Go1"
-CRATE = """
-<mujoco>
-  <worldbody>
-    <geom name="floor" type="plane" size="0 0 1"/>
-    <body name="crate" pos="0 0 0.1"><freejoint/>
-      <geom name="crate" type="box" size="0.15 0.15 0.1" mass="2" priority="1"/></body>
-  </worldbody>
-  <sensor><contact geom1="crate" geom2="floor" data="found force" reduce="netforce"/></sensor>
-</mujoco>
-"""
+CRATE = """<geom name="floor" type="plane" size="0 0 1"/>
+<body name="crate" pos="0 0 0.1"><freejoint/>
+  <geom name="crate" type="box" size="0.15 0.15 0.1" mass="2" priority="1"/></body>"""
+TOUCH = """<sensor><contact geom1="crate" geom2="floor" data="found force" reduce="netforce"/>
+</sensor>"""
 
 
-def crates(xml: str = CRATE) -> list[Simulation]:
+def crates(crate: str = CRATE) -> list[Simulation]:
     """The same crates on a floor under Warp and under the native engine."""
-    sims = []
-    for kind in (Simulation, NativeSimulation):
-        cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005))
-        sims.append(kind(NUM_ENVS, cfg, mujoco.MjModel.from_xml_string(xml), "cpu"))
-    return sims
+    cfg, model = SimulationCfg(mujoco=MujocoCfg(timestep=0.005)), scene(crate, extra=TOUCH)
+    return [kind(NUM_ENVS, cfg, model, "cpu") for kind in (Simulation, NativeSimulation)]
 
 
 def run(sims: list[Simulation], steps: int) -> None:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 from mjlab.sim.sim import MujocoCfg, SimulationCfg
+from tests.sim.scenes import PLANE, scene
 
 from renet.sim.native import engine, mujoco_memory, stages
 from renet.sim.native.engine import NativeSimulation
@@ -29,7 +30,6 @@ TILES = "".join(
     for x in range(3)
     for y in range(2)
 )
-PLANE = '<geom type="plane" size="9 9 1"/>'
 SENSORS = """
 <accelerometer site="imu"/><gyro site="imu"/><framezaxis objtype="site" objname="imu"/>
 <subtreeangmom body="trunk"/><framepos objtype="body" objname="tile_21"/>
@@ -37,13 +37,12 @@ SENSORS = """
 """
 
 
-def scene(*bodies: str, sensors: str = SENSORS) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_string(
-        '<mujoco><option integrator="implicitfast"/>'
-        f"<worldbody>{''.join(bodies)}</worldbody>"
-        '<actuator><position joint="hip" kp="20"/><position joint="knee" kp="20"/></actuator>'
-        f"<sensor>{sensors}</sensor></mujoco>"
-    )
+MOTORS = '<actuator><position joint="hip" kp="20"/><position joint="knee" kp="20"/></actuator>'
+
+
+def robots(*bodies: str, sensors: str = SENSORS) -> mujoco.MjModel:
+    option = '<option integrator="implicitfast"/>'
+    return scene(*bodies, extra=f"{option}{MOTORS}<sensor>{sensors}</sensor>")
 
 
 @pytest.mark.parametrize("order", [(PLANE, WALKER, TILES), (WALKER, TILES), (TILES, WALKER)])
@@ -52,7 +51,7 @@ def test_steps_are_mujocos_own(order, integrator, monkeypatch):
     """Also while limbs touch the tiles; state, forces and every sensor."""
     monkeypatch.setattr(engine, "THREADS", 64)
     cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005, integrator=integrator))
-    simulation = NativeSimulation(NUM_ENVS, cfg, scene(*order), "cpu")
+    simulation = NativeSimulation(NUM_ENVS, cfg, robots(*order), "cpu")
     model = simulation.mj_model
     assert (moving_part(model)[0] < model.nbody) == (order[-1] is TILES)
     simulation.data.ctrl[:, 0], simulation.data.ctrl[:, 1] = 0.5, -0.5
@@ -81,14 +80,13 @@ ENERGY, SUM, RAY = "<e_potential/>", '<subtreecom body="world"/>', '<rangefinder
     [(SENSORS, True), (SENSORS + SUM, False), (SENSORS + ENERGY, False), (SENSORS + RAY, False)],
 )
 def test_what_looks_at_the_whole_world_is_shown_all_of_it(sensors, trimmed):
-    model = scene(WALKER, TILES, sensors=sensors)
-    bodies, geoms = moving_part(model)
-    assert (bodies, geoms) == ((4, 4) if trimmed else (model.nbody, model.ngeom))
+    model = robots(WALKER, TILES, sensors=sensors)
+    assert moving_part(model) == ((4, 4) if trimmed else (model.nbody, model.ngeom))
 
 
 @pytest.mark.parametrize("feature", ["RK4", "energy"])
 def test_rare_features_are_left_to_mujocos_step(feature):
-    model = scene(WALKER, TILES)
+    model = robots(WALKER, TILES)
     if feature == "RK4":
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     else:
@@ -97,8 +95,8 @@ def test_rare_features_are_left_to_mujocos_step(feature):
 
 
 def test_bodies_moved_by_hand_are_among_what_moves():
-    moved = '<body name="moved" mocap="true"><geom size=".1"/></body>'
-    assert moving_part(scene(WALKER, TILES, moved))[0] == scene(WALKER, TILES, moved).nbody
+    model = robots(WALKER, TILES, '<body mocap="true"><geom size=".1"/></body>')
+    assert moving_part(model)[0] == model.nbody
 
 
 @pytest.fixture
@@ -112,45 +110,27 @@ def doubted(monkeypatch):
     mujoco_memory.library.cache_clear()
 
 
-def another_version(patch, tmp_path):
-    patch.setattr(mujoco, "__version__", "3.99.1")
-
-
-def no_library(patch, tmp_path):
-    patch.setattr(mujoco, "__file__", str(tmp_path / "__init__.py"))
-
-
-def an_empty_library(patch, tmp_path):
-    no_library(patch, tmp_path)
-    (tmp_path / "libmujoco.9.dylib").touch()
-
-
-def another_model(patch, tmp_path):
-    patch.setattr(mujoco_memory, "SIZES", 1)
-
-
-def another_order(patch, tmp_path):
-    patch.setattr(stages, "CONTACTS", stages.CONTACTS[:2])
-
-
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("module", "name", "value", "message"),
     [
-        (another_version, "3.99.1: the native engine knows versions 3.11"),
-        (no_library, "no MuJoCo library in"),
-        (an_empty_library, "dylib"),
-        (another_model, "mjModel.nbody is not among"),
-        (another_order, "its stages do not make its step"),
+        (mujoco, "__version__", "3.99.1", "3.99.1: the native engine knows versions 3.11"),
+        (mujoco, "__file__", "empty/__init__.py", "no MuJoCo library in"),
+        (mujoco, "__file__", "broken/__init__.py", "dylib"),
+        (mujoco_memory, "SIZES", 1, "mjModel.nbody is not among"),
+        (stages, "CONTACTS", stages.CONTACTS[:2], "its stages do not make its step"),
     ],
 )
 def test_an_unknown_mujoco_is_stepped_plainly_and_that_is_logged_once(
-    doubted, caplog, tmp_path, change, told
+    doubted, caplog, tmp_path, module, name, value, message
 ):
-    change(doubted, tmp_path)
+    doubted.chdir(tmp_path)
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "libmujoco.9.dylib").touch()
+    doubted.setattr(module, name, value)
     for simulation in [walkers() for _ in range(2)]:
         simulation.step_n(2)
     assert len(caplog.messages) == 1
-    assert told in caplog.messages[0]
+    assert message in caplog.messages[0]
     assert "mj_step" in caplog.messages[0]
     assert len(simulation._workers) == 1
 
@@ -158,7 +138,7 @@ def test_an_unknown_mujoco_is_stepped_plainly_and_that_is_logged_once(
 def walkers() -> NativeSimulation:
     """Robots on tiles that differ in what they do and in one model field."""
     cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005, integrator="implicitfast"))
-    simulation = NativeSimulation(3, cfg, scene(WALKER, TILES), "cpu")
+    simulation = NativeSimulation(3, cfg, robots(WALKER, TILES), "cpu")
     simulation.expand_model_fields(("geom_friction",))
     simulation.model.geom_friction[1, :, 0] = 0.2
     simulation.data.ctrl[:] = torch.tensor([[0.5, -0.5], [-0.5, 0.5], [0.0, 0.0]])
@@ -191,7 +171,7 @@ def test_plain_steps_are_the_native_ones(doubted):
 
 
 def test_time_is_found_and_nothing_is_changed_in_looking_for_it():
-    data = mujoco.MjData(scene(WALKER, TILES))
+    data = mujoco.MjData(robots(WALKER, TILES))
     data.time = 2.5
     assert mujoco_memory.time(data) == [2.5]
     data.time = 3.0

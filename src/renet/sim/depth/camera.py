@@ -182,13 +182,6 @@ class DepthCamera(RaySensor[Tensor]):
         position, rotation = self._data.xpos[:, self._body], self._data.xmat[:, self._body]
         return torch.cat((position, rotation.flatten(1)), dim=-1)
 
-    def _delayed_pose(self) -> Tensor:
-        """Position and rotation when the images that are due were taken, [N, 3 + 9]."""
-        if not self._poses.is_initialized:
-            return self._pose()
-        steps = torch.minimum(self._delay, self._poses.current_length - 1)
-        return torch.where(steps.unsqueeze(-1) > 0, self._poses[steps], self._pose())
-
     def _compute_data(self) -> Tensor:
         if self._due:
             self._due = False
@@ -198,8 +191,11 @@ class DepthCamera(RaySensor[Tensor]):
 
     def _view(self) -> tuple[Tensor, Tensor]:
         """Eyes [N, 3] and axes [N, 3, 3] of the cameras when the images were taken."""
-        position, base = self._delayed_pose().split((3, 9), dim=-1)
-        base = base.unflatten(-1, (3, 3))
+        pose = self._pose()
+        if self._poses.is_initialized:
+            steps = torch.minimum(self._delay, self._poses.current_length - 1)
+            pose = torch.where(steps.unsqueeze(-1) > 0, self._poses[steps], pose)
+        position, base = pose[:, :3], pose[:, 3:].unflatten(-1, (3, 3))
         return position + (base @ self._position.unsqueeze(-1)).squeeze(-1), base @ self._rotation
 
     def _render(self) -> Tensor:

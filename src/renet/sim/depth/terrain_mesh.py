@@ -34,8 +34,16 @@ def terrain_shapes(
     Raises:
         RenetError: a geom is neither box, plane nor height field, or there is no geom.
     """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    static = np.flatnonzero(collides & ~moving_bodies(model)[model.geom_bodyid]).tolist()
+    geoms = [geom for geom in static if geom not in without]
+    if not geoms:
+        raise RenetError("the scene has no terrain: nothing for rays to hit")
     boxes, triangles = [np.zeros((0, 15))], [np.zeros((0, 3, 3))]
-    for geom, rotation, position in _terrain_geoms(model, without):
+    for geom in geoms:
+        rotation, position = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
             boxes.append(np.concatenate((position, rotation.ravel(), model.geom_size[geom]))[None])
         else:
@@ -48,20 +56,6 @@ def box_triangles(boxes: np.ndarray) -> np.ndarray:
     rotation = boxes[:, 3:12].reshape(-1, 3, 3).transpose(0, 2, 1)
     corners = (BOX_CORNERS * boxes[:, None, 12:]) @ rotation + boxes[:, None, :3]
     return corners[:, BOX_FACES].reshape(-1, 3, 3)
-
-
-def _terrain_geoms(
-    model: mujoco.MjModel, without: frozenset[int]
-) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """Static geoms that can collide, with rotation [3, 3] and position [3], m, world."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    collides = (model.geom_contype | model.geom_conaffinity) != 0
-    fixed = np.flatnonzero(collides & ~moving_bodies(model)[model.geom_bodyid]).tolist()
-    geoms = [geom for geom in fixed if geom not in without]
-    if not geoms:
-        raise RenetError("the scene has no terrain: nothing for rays to hit")
-    return [(geom, data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]) for geom in geoms]
 
 
 def _triangles(model: mujoco.MjModel, geom: int) -> np.ndarray:
