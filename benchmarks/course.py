@@ -82,15 +82,10 @@ class CourseStudy(WalkingStudy):
         streams = [trial.robot for trial in trials]
         task = course_env_cfg(lap, self.level, self.stuck_after, seed, evaluator.robot)
         env = CourseEnv(evaluator.make_env(task, streams, self.speed, seed), lap)
-        trace = evaluator.rollout(
-            f"lap {number}/{laps}, at most",
-            env,
-            trials,
-            time_limit(lap, self.stuck_after),
-            seed,
-            on_step=lambda result: bool(env.finished.all()),
-            injector=PlaceInjector(env, streams, self.severity, seed),
-        )
+        rollout = evaluator.rollout(env, trials, seed)
+        rollout.injector = PlaceInjector(env, streams, self.severity, seed)
+        steps, title = time_limit(lap, self.stuck_after), f"lap {number}/{laps}, at most"
+        trace = rollout.run(steps, title, on_step=lambda step: bool(env.finished.all()))
         logs, runs, timeline = env.logged(), [], None
         for robot, trial in enumerate(trials):
             steps = int((~logs["finished"][:, robot]).sum())

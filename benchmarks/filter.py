@@ -92,7 +92,7 @@ class FilterStudy(Study):
         trials = [Trial("op", fault, robot) for fault in (steady, flicker) for robot in robots]
         env = evaluator.make_env(FLAT, [*robots, *robots], self.speed, self.seed)
         steps = round(self.seconds / CONTROL_DT)
-        trace = evaluator.rollout(f"{len(trials)} robots walk", env, trials, steps, self.seed)
+        trace = evaluator.rollout(env, trials, self.seed).run(steps, f"{len(trials)} robots walk")
         return {"scores": trace.anomaly}
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:

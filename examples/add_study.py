@@ -32,7 +32,7 @@ class SpeedStudy(Study):
         env = evaluator.make_env(FLAT, range(self.robots), speed, self.seed)
         trials = [Trial("renet", robot=robot) for robot in range(self.robots)]
         steps = round(self.seconds / CONTROL_DT)
-        trace = evaluator.rollout(f"{speed:g} m/s", env, trials, steps, self.seed)
+        trace = evaluator.rollout(env, trials, self.seed).run(steps, f"{speed:g} m/s")
         walked = trace.speed[len(trace.speed) // 2 :].mean(axis=0)
         row = {"commanded": speed, "robots": self.robots, "falls": int(trace.fell.sum())}
         return row | {"speed": walked.mean()} | metrics.with_interval("speed", walked)

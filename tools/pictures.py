@@ -20,7 +20,7 @@ from matplotlib.patches import Rectangle
 from renet.camera import Intrinsics
 from renet.evaluation import figures
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.play import MapLog
+from renet.evaluation.play import keep_maps
 from renet.evaluation.report.video import RELIEF, as_seen
 from renet.evaluation.results import output_folder, write_json
 from renet.evaluation.rollout import PARKOUR, Trial
@@ -69,17 +69,14 @@ def main(cfg: Cfg) -> None:
     torch.manual_seed(cfg.seed)
     drawn = {"tiles.png": draw_tiles(rays, origins), "camera.png": draw_camera(rays, origins)}
     env.place(np.full(len(kinds), cfg.level - 1), np.arange(len(kinds)))
-    policy = evaluator.make_policy(len(kinds))
-    log, steps = MapLog(policy, env), round(cfg.seconds / CONTROL_DT)
-    evaluator.rollout(
-        "height maps of all tiles", env, [Trial("vp") for _ in kinds], steps, cfg.seed,
-        on_update=log.note, policy=policy,
-    )  # fmt: skip
-    drawn["height_map.png"] = draw_height_maps(log.maps, kinds)
+    rollout = evaluator.rollout(env, [Trial("vp") for _ in kinds], cfg.seed)
+    maps = keep_maps(rollout, env)
+    rollout.run(round(cfg.seconds / CONTROL_DT), "height maps of all tiles")
+    drawn["height_map.png"] = draw_height_maps(np.stack(maps), kinds)
     out, provenance = output_folder(cfg.out), evaluator.provenance(cfg.seed)
     for name, figure in drawn.items():
         figures.save(figure, out / name, provenance, dpi=80)
-    content = {"runs": errors(log.maps, kinds), "settings": asdict(cfg)}
+    content = {"runs": errors(np.stack(maps), kinds), "settings": asdict(cfg)}
     write_json(out / "summary.json", content | {"provenance": vars(provenance)})
     print(f"Results: {out}")
 
@@ -163,7 +160,7 @@ def errors(maps: np.ndarray, kinds: Sequence[str]) -> list[dict[str, Any]]:
     """How far predictions are off on each tile, as root mean squares.
 
     Args:
-        maps: [T, N, 2, 132] m, as `MapLog.maps`. kinds: N tiles.
+        maps: [T, N, 2, 132] m, as `keep_maps`. kinds: N tiles.
 
     Returns:
         For each tile the error and, to compare with, that of taking all ground for flat.
@@ -183,7 +180,7 @@ def draw_height_maps(maps: np.ndarray, kinds: Sequence[str]) -> Figure:
     """True and predicted ground where each robot had the most relief around it.
 
     Args:
-        maps: [T, N, 2, 132] m, as `MapLog.maps`. kinds: N tiles.
+        maps: [T, N, 2, 132] m, as `keep_maps`. kinds: N tiles.
     """
     later = maps[WARM_UP:]
     steps = np.ptp(later[:, :, 1], axis=-1).argmax(axis=0)

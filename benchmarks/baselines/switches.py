@@ -20,8 +20,9 @@ from torch import Tensor, nn
 from renet.bundle.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.protocols import EvalEnv
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import EvalEnv, Trial
+from renet.evaluation.rollout import Trial
 from renet.interface import LATENT, PROPRIOCEPTION_SIZE
 from renet.models.actor_critic import mlp
 from renet.selector import SelectorInput
@@ -238,13 +239,9 @@ def collect(
             1 less where the step ends in a fall.
     """
     inputs: list[Tensor] = []
-    trace = evaluator.rollout(
-        "experience",
-        env,
-        trials,
-        steps,
-        seed,
-        on_step=lambda result: inputs.append(evaluator._policy.inputs),
+    rollout = evaluator.rollout(env, trials, seed)
+    trace = rollout.run(
+        steps, "experience", on_step=lambda step: inputs.append(evaluator._policy.inputs)
     )
     reward = np.clip(trace.forward_velocity / speed, 0.0, 1.0) - trace.fell
     arrays = (reward.astype(np.float32), trace.fell, trace.vision, trace.failing)

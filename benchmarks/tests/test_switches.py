@@ -139,7 +139,7 @@ def test_runs_in_the_closed_loop_of_the_studies(monkeypatch: pytest.MonkeyPatch)
     assert (own.bundle, after.bundle) == (evaluator.bundle.name, f"{own.bundle} with Gate")
     assert len({own.bundle_hash, before.bundle_hash, after.bundle_hash}) == 3
     obeying = [Trial("renet", trial.schedule) for trial in trials]
-    trace = evaluator.rollout("switch", env, obeying, 60, 1)
+    trace = evaluator.rollout(env, obeying, 1).run(60)
     assert not trace.vision[-1, [1, 3]].any()
     assert trace.vision[-1, [0, 2]].all()
     step = env.step

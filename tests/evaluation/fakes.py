@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 
 from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.protocols import StepResult
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import StepResult
 from renet.faults import ViewPerturbation
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
 from renet.selector import SelectorSpec, make_selector

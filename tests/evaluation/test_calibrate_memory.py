@@ -10,6 +10,7 @@ from renet.bundle import write_bundle
 from renet.evaluation import calibrate_memory
 from renet.evaluation.calibrate_memory import MEASURED, MEMORY, compare
 from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.rollout import Rollout
 from renet.evaluation.trace import Trace
 from renet.selector.calibration import stale_above
 
@@ -22,10 +23,8 @@ def test_robots_walk_from_memory_and_twins_with_op(tmp_path, models, manifest, m
     spec = replace(manifest.selector, beta=0.25, longest_memory=0.1)
     path = write_bundle(tmp_path / "b", models, replace(manifest, selector=spec))
     traces: list[Trace] = []
-    walked = calibrate_memory.run_rollout
-    monkeypatch.setattr(
-        calibrate_memory, "run_rollout", lambda *a, **k: traces.append(walked(*a, **k)) or traces[0]
-    )
+    run = Rollout.run
+    monkeypatch.setattr(Rollout, "run", lambda *a, **k: traces.append(run(*a, **k)) or traces[0])
     assert calibrate_memory.memory_limits(Evaluator(path), 6, 2, 0.6, 3)[1] == 0.6
     (trace,) = traces
     assert trace.vision[:, :6].all(), "its own limit does not end the memory"

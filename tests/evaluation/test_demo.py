@@ -88,7 +88,7 @@ def test_the_film_shows_the_setting_vp_suffers_most_in(page: Path) -> None:
     setting = worst_of_vp(json.loads((page.parent / "summary.json").read_text()))
     trials = study.trials([setting])
     env = study.make_env(evaluator, tuple(trial.robot for trial in trials))  # type: ignore[arg-type]
-    trace = evaluator.rollout("again", env, trials, study.steps, study.seed)
+    trace = evaluator.rollout(env, trials, study.seed).run(study.steps)
     assert trace.fallen[-1, :2].all()
     assert first_to_fall(study, trace) in (0, 1)
     assert (page.parent / "video.mp4").stat().st_size > 1000

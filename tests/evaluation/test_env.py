@@ -5,7 +5,7 @@ import pytest
 
 from renet.errors import RenetError
 from renet.evaluation.env import SimEnv, study_env_cfg
-from renet.evaluation.rollout import Trial, run_rollout
+from renet.evaluation.rollout import Rollout, Trial
 from renet.faults import Frames, Injection, Injector, ViewPerturbation
 from renet.faults.physical import spread
 from renet.selector import SelectorSpec, make_selector
@@ -93,7 +93,7 @@ def test_a_physical_fault_comes_and_goes_with_its_schedule(tile: SimEnv) -> None
     foam = (Injection("foam", 0.15, onset=10, duration=0.2),)
     rows = [Trial("op", foam), Trial("op"), Trial("op", foam), Trial("op")]
     selector = make_selector("paper", SelectorSpec(beta=1.0), 4)
-    film = run_rollout(tile, FakePolicy(4), selector, rows, 30, 0, film=[0, 1]).film
+    film = Rollout(tile, FakePolicy(4), selector, rows, 0).run(30, film=[0, 1]).film
     assert film is not None
     gap = np.abs(film.images[:, 0].astype(float) - film.images[:, 1]).mean(axis=(1, 2))
     disturbed = gap > 5 * gap[:2].max() + 1

@@ -12,7 +12,7 @@ from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, _store, run_calibrate
 from renet.evaluation.env import terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.rollout import Trial, run_rollout
+from renet.evaluation.rollout import Trial
 from renet.faults import Injection
 from renet.selector.monitors import MONITORS
 from renet.tasks.config.go1 import GO1
@@ -35,9 +35,7 @@ def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bu
     noise = (Injection("salt_and_pepper", 1.0, onset=10),)
     rows = [Trial("renet"), Trial("renet", noise), Trial("vp", noise)]
     world = evaluator.make_env("Renet-Go1-Flat", range(3), 0.6, 1)
-    trace = run_rollout(
-        world, evaluator.make_policy(3), evaluator.make_selector(3), rows, 30, 1, film=[1]
-    )
+    trace = evaluator.rollout(world, rows, 1).run(30, film=[1])
     assert np.isfinite(trace.forward_velocity).all()
     assert trace.vision[:, [0, 2]].all()
     # The first spoilt image comes with a clean one before it; the next tick has two.
@@ -134,7 +132,7 @@ def test_twins_are_alike_in_batches_of_any_size_and_every_run_is_the_same(bundle
         assert len(zeros.unique(dim=0)) == 2
         seen = env.reset().depth.copy()
         rows = [Trial("vp", robot=number) for number in robots]
-        traces = [evaluator.rollout("twins", env, rows, 40, 1) for _ in range(2)]
+        traces = [evaluator.rollout(env, rows, 1).run(40) for _ in range(2)]
         once, again = (np.stack([t.height, t.forward_velocity, t.travelled]) for t in traces)
         np.testing.assert_array_equal(once, again)
         return once, seen

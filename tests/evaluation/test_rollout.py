@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.rollout import Trial, run_rollout
+from renet.evaluation.rollout import Rollout, Trial
 from renet.faults import Injection
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.selector import MonitorSelector
@@ -13,15 +13,13 @@ NOISE = (Injection("gaussian", 1.0, onset=20),)
 POLICY_MODES = ("vp", "renet", "op", "oracle-switch")
 
 
-def roll(rows: list[Trial], steps: int = 60, **kwargs):
-    controller = FakePolicy(len(rows))
+def prepare(rows: list[Trial]) -> Rollout:
     selector = make_selector("paper", SelectorSpec(beta=0.01), len(rows))
-    trace = run_rollout(FakeEnv(len(rows)), controller, selector, rows, steps, 0, **kwargs)
-    return trace, controller
+    return Rollout(FakeEnv(len(rows)), FakePolicy(len(rows)), selector, rows, 0)
 
 
 def test_each_mode_uses_the_estimator_it_is_named_after() -> None:
-    trace, *_ = roll([Trial(mode, NOISE) for mode in POLICY_MODES])
+    trace = prepare([Trial(mode, NOISE) for mode in POLICY_MODES]).run(60)
     vp, renet, op, oracle = trace.vision.T
     assert vp.all()
     assert not op.any()
@@ -31,7 +29,8 @@ def test_each_mode_uses_the_estimator_it_is_named_after() -> None:
 
 
 def test_a_fall_is_latched_and_stops_the_count() -> None:
-    trace, controller = roll([Trial("vp", NOISE), Trial("op", NOISE)])
+    rollout = prepare([Trial("vp", NOISE), Trial("op", NOISE)])
+    trace = rollout.run(60)
     assert trace.fallen[:, 1].sum() == 0
     first = int(trace.fallen[:, 0].argmax())
     assert first > 20
@@ -39,7 +38,7 @@ def test_a_fall_is_latched_and_stops_the_count() -> None:
     assert (trace.speed[first:, 0] == 0).all()
     np.testing.assert_allclose(trace.speed[:, 1], SPEED)
     # The simulator puts the robot back: the policy must forget its past, only that robot's.
-    np.testing.assert_array_equal(controller.resets[0], [True, False])
+    np.testing.assert_array_equal(rollout.policy.resets[0], [True, False])
 
 
 def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
@@ -67,7 +66,7 @@ def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
             fell = np.array([self.steps == 10])
             return self.result(np.full(1, SPEED), fell)
 
-    trace = run_rollout(Stumbling(1), FakePolicy(1), Doubtful(), [Trial("renet")], 15, 0)
+    trace = Rollout(Stumbling(1), FakePolicy(1), Doubtful(), [Trial("renet")], 0).run(15)
     assert np.flatnonzero(trace.vision[:, 0]).tolist() == [0, 10]
 
 
@@ -85,7 +84,7 @@ def test_only_renets_images_are_withheld_and_the_papers_mode_obeys_the_papers_ru
     spec = SelectorSpec(beta=0.01)
     selector = MonitorSelector({"reconstruction": 0.01}, spec, 3, longest_memory=0.3)
     paper = make_selector("paper", spec, 3)
-    trace = run_rollout(FakeEnv(3), Remembering(3), selector, rows, 60, 0, paper=paper)
+    trace = Rollout(FakeEnv(3), Remembering(3), selector, rows, 0, paper).run(60)
     steps = np.arange(60)
     np.testing.assert_array_equal(trace.has_image.T, [steps >= 0, steps < 20, steps >= 0])
     # Its image is withheld from step 20 on. After 0.3 s and the filter's 35 ms OP takes over.
@@ -96,7 +95,7 @@ def test_only_renets_images_are_withheld_and_the_papers_mode_obeys_the_papers_ru
 
 
 def test_faults_act_at_ticks_and_hold_between_them() -> None:
-    trace, *_ = roll([Trial("op", NOISE)], film=[0])
+    trace = prepare([Trial("op", NOISE)]).run(60, film=[0])
     assert trace.film is not None
     assert trace.film.images.shape == (12, 1, 48, 64)
     assert trace.film.poses.shape == (60, 1, 7)
@@ -106,16 +105,16 @@ def test_faults_act_at_ticks_and_hold_between_them() -> None:
 
 
 def test_robots_of_one_number_get_the_same_noise_in_every_mode() -> None:
-    trace, *_ = roll(
-        [Trial("op", NOISE, 0), Trial("oracle-switch", NOISE, 0), Trial("op", NOISE, 1)]
-    )
+    rows = [Trial("op", NOISE, 0), Trial("oracle-switch", NOISE, 0), Trial("op", NOISE, 1)]
+    trace = prepare(rows).run(60)
     np.testing.assert_array_equal(trace.anomaly[:, 0], trace.anomaly[:, 1])
     assert (trace.anomaly[20:, 0] != trace.anomaly[20:, 2]).any()
 
 
 def test_a_frame_is_fresh_once_a_tick() -> None:
-    fresh = []
-    roll([Trial("renet")], steps=50, on_update=lambda seen: fresh.append(seen.fresh.all()))
+    fresh, rollout = [], prepare([Trial("renet")])
+    rollout.on_update = lambda seen: fresh.append(seen.fresh.all())
+    rollout.run(50)
     assert sum(fresh) == 10
 
 
@@ -124,4 +123,4 @@ def test_wrong_input_is_refused() -> None:
         Trial("blind")
     selector = make_selector("paper", SelectorSpec(beta=1.0))
     with pytest.raises(RenetError, match="2 trials"):
-        run_rollout(FakeEnv(1), FakePolicy(1), selector, [Trial("vp")] * 2, 5, 0)
+        Rollout(FakeEnv(1), FakePolicy(1), selector, [Trial("vp")] * 2, 0)

@@ -5,7 +5,7 @@ import pytest
 
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.monitor_log import MonitorLog, replay, successful_runs
-from renet.evaluation.rollout import Trial, run_rollout
+from renet.evaluation.rollout import Rollout, Trial
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
 from renet.selector import SelectorSpec, make_selector
@@ -29,10 +29,9 @@ class LiveEnv(FakeEnv):
 def roll(kind: str, fault: str, level: float, duration: float = 2.0) -> tuple[Trace, MonitorLog]:
     log = MonitorLog(2)
     rows = [Trial("renet", (Injection(fault, level, 50, duration),)), Trial("renet")]
-    trace = run_rollout(
-        LiveEnv(2), FakePolicy(2), make_selector(kind, SPEC, 2), rows, 300, 0, on_update=log
-    )
-    return trace, log
+    rollout = Rollout(LiveEnv(2), FakePolicy(2), make_selector(kind, SPEC, 2), rows, 0)
+    rollout.on_update = log
+    return rollout.run(300), log
 
 
 @pytest.mark.parametrize(
@@ -55,9 +54,8 @@ def test_disagreeing_estimators_are_noticed() -> None:
     controller = FakePolicy(2)
     controller.velocity_op = np.zeros((2, 3))
     controller.velocity_vp = np.array([[0.4, 0.0, 0.0], [0.2, 0.0, 0.0]])
-    trace = run_rollout(
-        LiveEnv(2), controller, make_selector("monitors", SPEC, 2), [Trial("renet")] * 2, 10, 0
-    )
+    selector, trials = make_selector("monitors", SPEC, 2), [Trial("renet")] * 2
+    trace = Rollout(LiveEnv(2), controller, selector, trials, 0).run(10)
     assert trace.trusted[-1, -1].tolist() == [False, True]
 
 
@@ -94,6 +92,6 @@ def test_the_shipped_selector_walks_on_vision_through_sparse_grass_alone() -> No
     grass = {s: (Injection.of("tall_grass", s, onset=20),) for s in severities}
     trials = [Trial("renet", grass[s], robot) for s in severities for robot in range(5)]
     env = evaluator.make_env("flat", [trial.robot for trial in trials], 0.6, 1)
-    left = ~evaluator.rollout("grass", env, trials, 120, 1).vision.all(axis=0).reshape(4, 5)
+    left = ~evaluator.rollout(env, trials, 1).run(120).vision.all(axis=0).reshape(4, 5)
     assert left[:2].sum() <= 1
     assert left[2:].all()

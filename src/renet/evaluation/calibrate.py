@@ -190,8 +190,9 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
         env = evaluator.make_env(task, range(cfg.robots), cfg.speed, cfg.seed)
         if tiled:
             env.place(robots // len(tiles()) % cfg.levels, robots % len(tiles()))
-        log = MonitorLog(cfg.robots)
-        trace = evaluator.rollout(terrain, env, trials, steps, cfg.seed, on_update=log)
+        rollout = evaluator.rollout(env, trials, cfg.seed)
+        rollout.on_update = log = MonitorLog(cfg.robots)
+        trace = rollout.run(steps, terrain)
         for name, runs in healthy_series(log, trace, cfg.speed).items():
             # A robot's first image stands in for the one before it, too: the same blades twice.
             found[name] += [run[1:] for run in runs if len(run) > 1] if grass else runs

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from renet.evaluation.rollout import Trial, run_rollout
+from renet.evaluation.rollout import Rollout, Trial
 from renet.faults import Injection
 from renet.interface import CONTROL_DT
 from renet.selector import make_selector
@@ -60,16 +60,10 @@ def memory_limits(
     spec = evaluator.bundle.manifest.selector
     others = {name: limit for name, limit in spec.thresholds.items() if name != MEMORY}
     endless = replace(spec, thresholds=others, longest_memory=LONGEST_MEMORY)
-    trace = run_rollout(
-        env,
-        evaluator.make_policy(len(trials)),
-        make_selector("monitors", endless, len(trials)),
-        trials,
-        latest + round(MEASURED / CONTROL_DT),
-        seed,
-        title="memory",
-        until_ended=0,
-    )
+    policy = evaluator.make_policy(len(trials))
+    selector = make_selector("monitors", endless, len(trials))
+    rollout = Rollout(env, policy, selector, trials, seed)
+    trace = rollout.run(latest + round(MEASURED / CONTROL_DT), "memory", until_ended=0)
     # Two levels of a kind are one ground.
     return compare(trace, dies, kinds * levels + level // 2)
 

@@ -14,7 +14,8 @@ from torch import Tensor
 
 from renet.bundle.manifest import Manifest
 from renet.errors import RenetError
-from renet.evaluation.rollout import FLAT, PARKOUR, StepResult
+from renet.evaluation.protocols import StepResult
+from renet.evaluation.rollout import FLAT, PARKOUR
 from renet.faults import ViewPerturbation
 from renet.faults.physical import obstacles, spread
 from renet.sim.depth.camera import CameraPerturbation, DepthCamera
@@ -91,7 +92,7 @@ def study_env_cfg(task: str | RenetEnvCfg, speed: float) -> RenetEnvCfg:
 
 
 class SimEnv:
-    """A batch of robots in RENet's environment; see `rollout.EvalEnv`.
+    """A batch of robots in RENet's environment; see `EvalEnv`.
 
     Rows with the same robot number are twins, in all environments of one seed and one set of robot
     numbers: bodies, camera mounts, starts and the noise of images are the same until an episode

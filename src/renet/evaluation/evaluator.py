@@ -2,29 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from renet.bundle import Bundle
 from renet.bundle.policy import Policy
 from renet.errors import RenetError
-from renet.evaluation.env import (
-    SimEnv,
-    grounds_env_cfg,
-    robot_of,
-    study_env_cfg,
-    terrain_env_cfg,
-)
+from renet.evaluation.env import SimEnv, grounds_env_cfg, robot_of, study_env_cfg, terrain_env_cfg
+from renet.evaluation.protocols import EvalEnv, EvalPolicy, EvalSelector
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import (
-    FLAT,
-    PARKOUR,
-    EvalEnv,
-    EvalPolicy,
-    EvalSelector,
-    Trial,
-    run_rollout,
-)
-from renet.evaluation.trace import Trace
+from renet.evaluation.rollout import FLAT, PARKOUR, Rollout, Trial
 from renet.selector import make_selector
 from renet.selector.selector import check_kind
 from renet.sim.threads import THREADS
@@ -119,26 +104,10 @@ class Evaluator:
         """Make the bundle's selector, or another one with its thresholds."""
         return make_selector(selector or self.selector, self.bundle.manifest.selector, num_robots)
 
-    def rollout(
-        self,
-        title: str,
-        env: EvalEnv,
-        trials: Sequence[Trial],
-        steps: int,
-        seed: int,
-        *,
-        policy: EvalPolicy | None = None,
-        **options: Any,
-    ) -> Trace:
-        """`run_rollout` of the policy under study, or of `policy`, with `title` over its bar.
-
-        Args:
-            title, env, trials, steps, seed: see there.
-            policy: made by `make_policy` by default.
-            options: `film`, `on_step`, `on_update`, `injector` and `until_ended`, see there.
-        """
-        policy = policy or self.make_policy(len(trials))
-        selector = self.make_selector(len(trials))
-        if any(trial.mode == "paper" for trial in trials):
-            options["paper"] = self.make_selector(len(trials), "paper")
-        return run_rollout(env, policy, selector, trials, steps, seed, title=title, **options)
+    def rollout(self, env: EvalEnv, trials: Sequence[Trial], seed: int) -> Rollout:
+        """Prepare a run of the policy under study; see `Rollout`."""
+        count = len(trials)
+        policy, selector = self.make_policy(count), self.make_selector(count)
+        obeys_paper = any(trial.mode == "paper" for trial in trials)
+        paper = self.make_selector(count, "paper") if obeys_paper else None
+        return Rollout(env, policy, selector, trials, seed, paper)

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from renet.evaluation.rollout import EvalSelector
+from renet.evaluation.protocols import EvalSelector
 from renet.evaluation.trace import UPDATES_PER_STEP, Trace
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
@@ -13,7 +13,7 @@ UPDATES_PER_TICK = UPDATES_PER_STEP * STEPS_PER_TICK
 
 
 class MonitorLog:
-    """Records every monitor's score; pass it to `run_rollout` as `on_update`."""
+    """Records every monitor's score; a rollout's `on_update`."""
 
     def __init__(self, num_robots: int) -> None:
         self._scorer = Scorer(num_robots)

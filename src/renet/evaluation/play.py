@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
@@ -15,13 +16,13 @@ import tyro
 from renet.bundle import MANIFEST
 from renet.errors import RenetError
 from renet.evaluation.results import output_folder
-from renet.evaluation.rollout import UPDATES_PER_STEP, Trial, check_finite, check_modes
+from renet.evaluation.rollout import Rollout, Trial, check_finite, check_modes
+from renet.evaluation.trace import UPDATES_PER_STEP
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT, Engine, SelectorName, Terrain
 from renet.selector.monitors import SelectorInput
 
 if TYPE_CHECKING:
-    from renet.bundle.policy import Policy
     from renet.evaluation.env import SimEnv
 
 
@@ -71,27 +72,23 @@ def opened(path: Path | None) -> Iterator[Path | None]:
         yield export(ExportCfg(checkpoint=path, out=Path(folder) / path.name))
 
 
-class MapLog:
-    """Height maps of all robots at each control step of a rollout, predicted and true."""
+def keep_maps(rollout: Rollout, env: SimEnv) -> list[np.ndarray]:
+    """Let a rollout keep the robots' height maps, predicted and true.
 
-    def __init__(self, policy: Policy, env: SimEnv) -> None:
-        from renet.tasks.sensors import HEIGHT_MAP
+    Returns:
+        A list that every control step of the rollout extends by [N, 2, 132] m: the VP estimator's
+        map, then the terrain's.
+    """
+    from renet.tasks.sensors import HEIGHT_MAP
 
-        self._policy, self._sensor = policy, env.env.scene[HEIGHT_MAP]
-        self._calls, self._maps = 0, []
+    maps, sensor, updates = [], env.env.scene[HEIGHT_MAP], count()
 
-    def note(self, seen: SelectorInput) -> None:
-        """To be called at every update of the selector."""
-        del seen
-        if self._calls % UPDATES_PER_STEP == 0:
-            true = self._sensor.data.numpy()
-            self._maps.append(np.stack((self._policy.height_map, true), axis=1))
-        self._calls += 1
+    def keep(seen: SelectorInput) -> None:
+        if next(updates) % UPDATES_PER_STEP == 0:
+            maps.append(np.stack((rollout.policy.height_map, sensor.data.numpy()), axis=1))
 
-    @property
-    def maps(self) -> np.ndarray:
-        """[T, N, 2, 132] m: the VP estimator's, then the terrain's."""
-        return np.stack(self._maps)
+    rollout.on_update = keep
+    return maps
 
 
 def run_play(cfg: PlayCfg) -> Path:
@@ -109,8 +106,7 @@ def run_play(cfg: PlayCfg) -> Path:
     check_modes(cfg.modes)
     faults = tuple(parse_fault(text) for text in cfg.fault)
     trials = [Trial(mode, faults) for mode in cfg.modes]
-    count, steps = len(trials), round(cfg.seconds / CONTROL_DT)
-    from renet.bundle.policy import Policy
+    rows, steps = range(len(trials)), round(cfg.seconds / CONTROL_DT)
     from renet.evaluation.evaluator import Evaluator
     from renet.evaluation.report.video import VideoCfg, film
 
@@ -118,11 +114,9 @@ def run_play(cfg: PlayCfg) -> Path:
         evaluator = Evaluator(folder, cfg.engine, cfg.selector)
         task = evaluator.terrain_env_cfg(cfg.terrain, cfg.level)
         output_folder(out.parent)
-        env = evaluator.make_env(task, [0] * count, cfg.speed, cfg.seed)
-        policy = Policy(evaluator.bundle, count)
-    log, title = MapLog(policy, env), f"{cfg.terrain}, {count} robots"
-    trace = evaluator.rollout(
-        title, env, trials, steps, cfg.seed, policy=policy, film=range(count), on_update=log.note
-    )
+        env = evaluator.make_env(task, [0 for _ in rows], cfg.speed, cfg.seed)
+        rollout = evaluator.rollout(env, trials, cfg.seed)
+    maps = keep_maps(rollout, env)
+    trace = rollout.run(steps, f"{cfg.terrain}, {len(rows)} robots", film=rows)
     titles, name = dict(enumerate(cfg.modes)), ", ".join(fault.fault for fault in faults)
-    return film(out, env.scene_spec, trace, titles, name, VideoCfg(), log.maps)
+    return film(out, env.scene_spec, trace, titles, name, VideoCfg(), np.stack(maps))

@@ -75,7 +75,7 @@ def test_what_op_does_no_fault_changes() -> None:
     evaluator = Evaluator()
     env = evaluator.make_env("flat", [0, 0], 0.6, 1)
     trials = [Trial("op", (Injection.of("gaussian", 5, 10),)), Trial("op")]
-    trace = evaluator.rollout("op", env, trials, 40, 1)
+    trace = evaluator.rollout(env, trials, 1).run(40)
     assert (trace.anomaly[20:, 0] > 2 * trace.anomaly[20:, 1]).all()
     np.testing.assert_allclose(trace.height[:, 0], trace.height[:, 1], atol=1e-5)
 

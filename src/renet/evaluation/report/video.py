@@ -204,7 +204,7 @@ def film(
         titles: by row.
         fault: what to call a failing camera.
         cfg: look.
-        maps: [T, N, 2, 132] m, see `MapLog.maps`.
+        maps: [T, N, 2, 132] m, see `keep_maps`.
     """
     filmed, fallen = trace.film, trace.fallen
     assert filmed is not None

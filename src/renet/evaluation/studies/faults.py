@@ -170,15 +170,19 @@ class FaultStudy(WalkingStudy):
         return evaluator.make_env(cfg, robots, self.speed, self.seed)
 
     def walk(
-        self, evaluator: Evaluator, env: SimEnv, title: str, trials: Sequence[Trial], **more: Any
+        self,
+        evaluator: Evaluator,
+        env: SimEnv,
+        title: str,
+        trials: Sequence[Trial],
+        film: Sequence[int] = (),
     ) -> Trace:
-        """Run trials, each on its ground, until all robots are done."""
+        """Run trials, each on its ground, until all robots are done; film those of some rows."""
         if self.grounds != (FLAT,):
             env.place_on([trial.ground for trial in trials])
         least = round((max(self.onsets) + self.lasts) / CONTROL_DT) + STEPS_PER_TICK
-        return evaluator.rollout(
-            title, env, trials, self.steps, self.seed, until_ended=least, **more
-        )
+        rollout = evaluator.rollout(env, trials, self.seed)
+        return rollout.run(self.steps, title, until_ended=least, film=film)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One batch for each fault, one without faults, and healthy walking."""
@@ -264,10 +268,11 @@ class FaultStudy(WalkingStudy):
         steps = max(round(60 * minutes / robots / CONTROL_DT), STEPS_PER_TICK)
         # Another seed than the calibration's and the faults', for robots not seen there.
         seed = self.seed + 1000
-        log = MonitorLog(robots)
         env = evaluator.make_env(FLAT, range(robots), self.speed, seed)
         trials = [Trial("renet", (), robot) for robot in range(robots)]
-        trace = evaluator.rollout("healthy cameras", env, trials, steps, seed, on_update=log)
+        rollout = evaluator.rollout(env, trials, seed)
+        rollout.on_update = log = MonitorLog(robots)
+        trace = rollout.run(steps, "healthy cameras")
         series = healthy_series(log, trace)
         return {
             "false_switches": metrics.false_switches(trace.trusted, trace.failing),

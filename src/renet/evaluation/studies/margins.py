@@ -203,7 +203,7 @@ class MarginsStudy(WalkingStudy):
         env.place_on([trial.ground for trial in trials])
         title = axis if level is None else f"{axis} {level:g} {AXES[axis].unit}"
         steps = round(self.seconds / CONTROL_DT)
-        trace = evaluator.rollout(title, env, trials, steps, self.seed)
+        trace = evaluator.rollout(env, trials, self.seed).run(steps, title)
         runs = []
         for trial, own in zip(trials[::each], trace.groups(each), strict=True):
             crossed, fell, _ = own.first_try()

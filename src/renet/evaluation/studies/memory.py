@@ -115,7 +115,8 @@ class MemoryStudy(WalkingStudy):
         env.place_on([trial.ground for trial in trials])
         title = f"{self.grounds.index(ground) + 1}/{len(self.grounds)} {ground}"
         steps = round(self.seconds / CONTROL_DT)
-        trace = evaluator.rollout(title, env, trials, steps, self.seed, until_ended=self.onset)
+        rollout = evaluator.rollout(env, trials, self.seed)
+        trace = rollout.run(steps, title, until_ended=self.onset)
         groups = trace.groups(self.robots_each)
         crossed, fell = zip(*(own.first_try()[:2] for own in groups), strict=True)
         return {"crossed": np.stack(crossed), "fell": np.stack(fell)}

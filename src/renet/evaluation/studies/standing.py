@@ -9,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from renet.evaluation.rollout import FLAT, StepResult, Trial
+from renet.evaluation.rollout import FLAT, Trial
 from renet.evaluation.studies.terrain import TerrainStudy
 from renet.evaluation.study import Figures, Part, Table
 from renet.interface import CONTROL_DT
@@ -71,16 +70,13 @@ class StandingStudy(TerrainStudy):
         env.place(np.array([level - 1 for _, level, *_ in rows]), np.array(columns))
         seconds = np.cumsum((WALK, SETTLE, self.seconds))
         stop, settled, steps = np.round(seconds / CONTROL_DT).astype(int)
-        taken = count(1)
 
-        def command_to_stand(result: StepResult) -> None:
-            if next(taken) == stop:
+        def command_to_stand(step: int) -> None:
+            if step + 1 == stop:
                 env.command(0.0)
 
-        title, film = f"{len(trials)} robots walk and stand", range(len(trials))
-        trace = evaluator.rollout(
-            title, env, trials, steps, self.seed, film=film, on_step=command_to_stand
-        )
+        rollout, title = evaluator.rollout(env, trials, self.seed), f"{len(trials)} robots stop"
+        trace = rollout.run(steps, title, film=range(len(trials)), on_step=command_to_stand)
         assert trace.film is not None
         drift, joint_speed = stillness(trace.film.poses, settled)
         fell = np.any(trace.fell[stop:], axis=0)

@@ -120,7 +120,7 @@ class TerrainStudy(WalkingStudy):
         env = evaluator.make_env(FLAT, robots, self.speed, self.seed)
         trials = [Trial(self.modes[0], robot=robot) for robot in robots]
         steps = round(self.seconds / CONTROL_DT)
-        trace = evaluator.rollout("flat", env, trials, steps, self.seed)
+        trace = evaluator.rollout(env, trials, self.seed).run(steps, "flat")
         return {"falls": int(trace.fell.sum())}
 
     def _walk_tiles(self, evaluator: Evaluator, make: Any, kind: str) -> Part:
@@ -138,7 +138,7 @@ class TerrainStudy(WalkingStudy):
         steps = round(self.seconds / CONTROL_DT)
         least = 0 if self.one_try else None
         title = f"{self.kinds.index(kind) + 1}/{len(self.kinds)} {kind}"
-        trace = evaluator.rollout(title, env, trials, steps, self.seed, until_ended=least)
+        trace = evaluator.rollout(env, trials, self.seed).run(steps, title, until_ended=least)
         groups = trace.groups(each)
         runs = [self._run(kind, *s, own) for s, own in zip(settings, groups, strict=True)]
         first = trace.robots(np.repeat([mode == self.modes[0] for _, mode in settings], each))
