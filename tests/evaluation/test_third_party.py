@@ -56,7 +56,7 @@ def test_it_enters_the_leaderboard_with_one_command(
     summary = json.loads((tmp_path / "still" / "summary.json").read_text())
     assert summary["provenance"]["bundle_hash"] == sha256(model.read_bytes()).hexdigest()
     assert {run["falls"] for run in summary["runs"]} == {0}
-    board = (tmp_path / "leaderboard.md").read_text().splitlines()
+    board = (tmp_path / "leaderboard.md").read_text().split("\n\n")[1].splitlines()
     assert sorted(line.split(" | ")[1:3] for line in board[2:]) == [
         ["still", mode] for mode in ("op", "renet", "vp")
     ]

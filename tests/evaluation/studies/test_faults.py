@@ -5,13 +5,11 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial
-from renet.evaluation.studies.benchmark import GROUNDS, ONSETS
+from renet.evaluation.studies.benchmark import ONSETS
 from renet.evaluation.studies.benchmark import SCHEMA as FILE
 from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard, rank
 from renet.evaluation.study import WalkingStudy
 from renet.faults import Injection
 from renet.version import commit
@@ -93,9 +91,6 @@ def test_quick_is_smaller_and_glass_is_studied_where_there_are_obstacles() -> No
     assert robots * quick.steps + quick.healthy_minutes / 4 * 60 * 50 < 1_000_000
 
 
-# The result file and the leaderboard.
-
-
 def test_the_result_file_is_valid(folder: Path) -> None:
     result = json.loads((folder / "result.json").read_text())
     Draft202012Validator(SCHEMA).validate(result)
@@ -115,86 +110,3 @@ def test_grounds_that_are_not_the_benchmarks_give_no_result_file(
     monkeypatch.setattr(WalkingStudy, "run", lambda self, evaluator: {})
     FaultStudy(out=tmp_path, grounds=("rough",)).run()
     assert not (tmp_path / "result.json").exists()
-
-
-def complete(name: str, crossed: float) -> dict:
-    """A result of every quick setting in which the same share crosses everywhere."""
-    share = {"value": crossed, "ci95": None, "change": {"value": 0.0, "ci95": None}}
-    measures = dict.fromkeys(("crossed", "upright", "speed_error", "energy_per_metre"), share)
-    measures |= dict.fromkeys(("collisions", "seconds_without_sight", "switches"), share)
-    settings = [
-        {"ground": s.ground, "level": GROUNDS[s.ground], "fault": s.fault, "severity": s.severity}
-        | {"onset": ONSETS[s.onset], "mode": "vp", "measures": measures}
-        for settings in FaultStudy(quick=True).batches.values()
-        for s in settings
-    ]
-    policy = {"name": name, "url": None, "sha256": "0" * 64, "modes": ["vp"]}
-    protocol = {"robots": 5, "seed": 1, "speed": 0.6, "lasts": 4.0, "seconds": 10.0, "quick": True}
-    origin = dict.fromkeys(("renet", "commit", "command", "date"), "x") | {"engine": "warp"}
-    kind = {"benchmark": "renet-faults", "version": 1, "provenance": origin}
-    one = {"crossed": [1.0, 0.0], "upright": [1.0, 1.0]}
-    robots = {ground: one | {"crossed": [crossed, crossed]} for ground in GROUNDS}
-    robots["gap"] = one
-    by_robot = {"by_robot": {"vp": robots}}
-    return kind | {"policy": policy, "protocol": protocol, "settings": settings} | by_robot
-
-
-def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked() -> None:
-    poor, good, cheat = complete("poor", 0.4), complete("good", 0.6), complete("cheat", 1.0)
-    cheat["settings"] = cheat["settings"][1:]
-    easy, lucky = complete("easy", 0.9), complete("lucky", 0.8)
-    easy["settings"] = [entry | {"level": 1} for entry in easy["settings"]]
-    lucky["protocol"]["seed"] = 77
-    rows = rank([poor, cheat, good, lucky, easy])
-    assert [row[:4] for row in rows] == [
-        ("1", "good", "vp", "60.0 %"),
-        ("2", "poor", "vp", "40.0 %"),
-        ("incomplete", "cheat", "vp", "100.0 %"),
-        ("incomplete", "easy", "vp", "90.0 %"),
-        ("incomplete", "lucky", "vp", "80.0 %"),
-    ]
-    # Two robots that differ on gaps alone: the mean of both, or twice the one or the other.
-    share = np.mean([s["ground"] == "gap" for s in good["settings"] if s["ground"] != "flat"])
-    assert rows[0][4] == f"{60 * (1 - share):.1f} to {60 + 40 * share:.1f}"
-    del good["by_robot"]
-    assert rank([good])[0][4] == "-"
-    with pytest.raises(RenetError, match="one protocol"):
-        rank([poor, good | {"protocol": good["protocol"] | {"quick": False}}])
-
-
-def test_the_leaderboard_is_made_from_files(tmp_path: Path, capsys) -> None:
-    files = []
-    for name, crossed in (("one", 0.5), ("two", 0.7)):
-        files.append(tmp_path / f"{name}.json")
-        files[-1].write_text(json.dumps(complete(name, crossed)))
-    table = make_leaderboard(LeaderboardCfg(tuple(files), tmp_path / "new" / "board.md"))
-    lines = table.read_text().splitlines()
-    assert [line.split(" | ")[1] for line in lines[2:]] == ["two", "one"]
-    assert "two" in capsys.readouterr().out
-    files[0].write_text('{"benchmark": "renet-faults", "version": 2}')
-    with pytest.raises(RenetError, match="no result of renet-faults, version 1"):
-        make_leaderboard(LeaderboardCfg(tuple(files), table))
-
-
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (lambda r: r["settings"][3].pop("onset"), r"settings\[3\]: 'onset' is a required"),
-        (lambda r: r["settings"][3].update(severity=6), "severity: 6 is greater than"),
-        (lambda r: r["settings"][3]["measures"].pop("switches"), "'switches' is a required"),
-        (lambda r: r["settings"][3]["measures"]["crossed"].update(value=1.2), "1.2 is greater"),
-        (lambda r: r["settings"][3]["measures"]["crossed"].pop("ci95"), "'ci95' is a required"),
-        (lambda r: r["settings"][3]["measures"]["upright"].update(ci95=[0.1]), "upright.ci95: "),
-        (lambda r: r["policy"].update(sha256="unknown"), "'unknown' does not match"),
-        (lambda r: r.update(settings=[]), "settings: "),
-        (lambda r: r.update(settings={"many": "x" * 9000}), "settings: ….*is not of type 'array'"),
-    ],
-)
-def test_a_file_against_the_schema_is_one_line(tmp_path: Path, spoil, message: str) -> None:
-    broken, file = json.loads(json.dumps(complete("one", 0.5))), tmp_path / "one.json"
-    spoil(broken)
-    file.write_text(json.dumps(broken))
-    with pytest.raises(RenetError, match=message) as error:
-        make_leaderboard(LeaderboardCfg((file,), tmp_path / "board.md"))
-    assert len(str(error.value)) < 400
-    assert not (tmp_path / "board.md").exists()

@@ -1,4 +1,4 @@
-"""`renet evaluate leaderboard`: policies ranked by their result files of the fault benchmark."""
+"""`renet evaluate leaderboard`: policies ranked by their result files, and the tables behind."""
 
 import math
 from collections import Counter
@@ -13,7 +13,9 @@ import tyro
 from renet.errors import RenetError
 from renet.evaluation.metrics import bootstrap_interval
 from renet.evaluation.studies.benchmark import ONSETS, PROTOCOL, read_result
+from renet.evaluation.studies.fault_tables import result_tables, study_tables
 from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.study import Table
 from renet.files import write_atomically
 from renet.terminal import show
 
@@ -22,26 +24,40 @@ HEADER = ("", "policy", "mode", "crossed", "95 %", "upright", "speed error", "J/
 
 @dataclass(frozen=True)
 class LeaderboardCfg:
-    """Rank policies by their result files of the fault benchmark."""
+    """Rank policies by their result files of the fault benchmark, and print the tables behind."""
 
     files: tyro.conf.Positional[tuple[Path, ...]]
     """result.json of each policy; `renet evaluate faults` writes one."""
     out: Path = Path("results/leaderboard.md")
-    """The table, as Markdown."""
+    """All tables, as Markdown."""
+    severity: int | None = None
+    """Severity that counts in the tables behind the ranking; all by default."""
+    onset: str | None = None
+    """Onset that counts there, on_the_way or before_the_edge; both by default."""
+    noticed: Path | None = None
+    """summary.csv of a study: who noticed its faults, and what it claims."""
 
 
 def make_leaderboard(cfg: LeaderboardCfg) -> Path:
-    """Print the table, write it and return its path.
+    """Print the tables, write them and return their path.
 
     Raises:
         RenetError: a file that is no result of this version, or results of different protocols.
     """
     results = [read_result(path) for path in cfg.files]
-    rows = rank(results)
-    lines = ["| " + " | ".join(map(str, row)) + " |" for row in (HEADER, ["---"] * 9, *rows)]
-    write_atomically(cfg.out, ("\n".join(lines) + "\n").encode())
-    show("Fault benchmark, version 1", HEADER, rows)
+    tables = [("Fault benchmark, version 1", HEADER, rank(results))]
+    tables += result_tables(results, cfg.severity, cfg.onset)
+    tables += study_tables(cfg.noticed) if cfg.noticed else ()
+    write_atomically(cfg.out, "\n".join(map(_markdown, tables)).encode())
+    for table in tables:
+        show(*table)
     return cfg.out
+
+
+def _markdown(table: Table) -> str:
+    title, header, rows = table
+    lines = [" | ".join(map(str, row)) for row in (header, ["---"] * len(header), *rows)]
+    return f"## {title}\n\n" + "".join(f"| {line} |\n" for line in lines)
 
 
 def rank(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
@@ -50,9 +66,9 @@ def rank(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     Raises:
         RenetError: results of different protocols.
     """
-    if len({tuple(found["protocol"][n] for n in ("quick", "speed")) for found in results}) != 1:
+    if len({tuple(r["protocol"][name] for name in ("quick", "speed")) for r in results}) != 1:
         raise RenetError("give results of one protocol: all of them quick, or none")
-    rows = [_row(found, mode) for found in results for mode in found["policy"]["modes"]]
+    rows = [_row(result, mode) for result in results for mode in result["policy"]["modes"]]
     rows.sort(key=lambda row: (not row["complete"], -row["crossed"], -row["upright"]))
     return [
         (
@@ -68,42 +84,46 @@ def rank(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     ]
 
 
-def _row(found: Mapping[str, Any], mode: str) -> dict[str, Any]:
+def _row(result: Mapping[str, Any], mode: str) -> dict[str, Any]:
     """One policy in one mode: means over the settings."""
-    own = [entry for entry in found["settings"] if entry["mode"] == mode]
-    tiles = [entry for entry in own if entry["ground"] != "flat"]
+    entries = [entry for entry in result["settings"] if entry["mode"] == mode]
+    tiles = [entry for entry in entries if entry["ground"] != "flat"]
 
     def mean(entries: Sequence[Mapping[str, Any]], name: str) -> float:
         measured = np.array([entry["measures"][name]["value"] for entry in entries], float)
         return float(np.nanmean(measured)) if (~np.isnan(measured)).any() else math.nan
 
-    study = FaultStudy(quick=found["protocol"]["quick"])
-    asked = {"robots": study.robots_each, **{name: getattr(study, name) for name in PROTOCOL}}
-    levels = study.levels
-    wanted = {
-        (*setting[:1], levels[setting.ground], ONSETS[setting.onset], *setting[2:])
-        for settings in study.batches.values()
-        for setting in settings
+    return {
+        "policy": result["policy"]["name"],
+        "mode": mode,
+        "complete": _is_complete(result["protocol"], entries),
+        "crossed": mean(tiles, "crossed"),
+        "interval": _interval(result, mode, Counter(entry["ground"] for entry in tiles)),
+        "upright": mean(entries, "upright"),
+        "speed_error": mean(entries, "speed_error"),
+        "energy": mean(entries, "energy_per_metre"),
+        "blind": mean(entries, "seconds_without_sight"),
+    }
+
+
+def _is_complete(protocol: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether the benchmark's robots walked in all of its settings."""
+    study = FaultStudy(quick=protocol["quick"])
+    if {"robots": study.robots_each, **{n: getattr(study, n) for n in PROTOCOL}} != protocol:
+        return False
+    settings = {
+        (s.ground, study.levels[s.ground], ONSETS[s.onset], s.fault, s.severity)
+        for batch in study.batches.values()
+        for s in batch
     }
     names = ("ground", "level", "onset", "fault", "severity")
-    return {
-        "policy": found["policy"]["name"],
-        "mode": mode,
-        "complete": asked == found["protocol"]
-        and wanted <= {tuple(entry[name] for name in names) for entry in own},
-        "crossed": mean(tiles, "crossed"),
-        "interval": _interval(found, mode, Counter(entry["ground"] for entry in tiles)),
-        "upright": mean(own, "upright"),
-        "speed_error": mean(own, "speed_error"),
-        "energy": mean(own, "energy_per_metre"),
-        "blind": mean(own, "seconds_without_sight"),
-    }
+    return settings <= {tuple(entry[name] for name in names) for entry in entries}
 
 
-def _interval(found: Mapping[str, Any], mode: str, settings: Mapping[str, int]) -> str:
-    """Of the share that crossed, over robots: the same ones stand in all settings of a ground."""
-    if "by_robot" not in found or not settings:
+def _interval(result: Mapping[str, Any], mode: str, settings: Mapping[str, int]) -> str:
+    """Interval of the share that crossed, over robots, which stand in all settings of a ground."""
+    if "by_robot" not in result or not settings:
         return "-"
-    crossed = [found["by_robot"][mode][ground]["crossed"] for ground in settings]
+    crossed = [result["by_robot"][mode][ground]["crossed"] for ground in settings]
     robots = np.average(crossed, axis=0, weights=list(settings.values()))
     return "{:.1f} to {:.1f}".format(*(100 * end for end in bootstrap_interval(robots)))

@@ -1,0 +1,179 @@
+"""The leaderboard: who leads, and the tables behind, from files that may be damaged."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from renet.errors import RenetError
+from renet.evaluation.studies.benchmark import GROUNDS, ONSETS
+from renet.evaluation.studies.fault_tables import result_tables, study_tables
+from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard, rank
+
+
+def complete(name: str, crossed: float) -> dict:
+    """A result of every quick setting in which the same share crosses everywhere."""
+    share = {"value": crossed, "ci95": None, "change": {"value": 0.0, "ci95": None}}
+    measures = dict.fromkeys(("crossed", "upright", "speed_error", "energy_per_metre"), share)
+    measures |= dict.fromkeys(("collisions", "seconds_without_sight", "switches"), share)
+    settings = [
+        {"ground": s.ground, "level": GROUNDS[s.ground], "fault": s.fault, "severity": s.severity}
+        | {"onset": ONSETS[s.onset], "mode": "vp", "measures": measures}
+        for settings in FaultStudy(quick=True).batches.values()
+        for s in settings
+    ]
+    policy = {"name": name, "url": None, "sha256": "0" * 64, "modes": ["vp"]}
+    protocol = {"robots": 5, "seed": 1, "speed": 0.6, "lasts": 4.0, "seconds": 10.0, "quick": True}
+    origin = dict.fromkeys(("renet", "commit", "command", "date"), "x") | {"engine": "warp"}
+    kind = {"benchmark": "renet-faults", "version": 1, "provenance": origin}
+    one = {"crossed": [1.0, 0.0], "upright": [1.0, 1.0]}
+    robots = {ground: one | {"crossed": [crossed, crossed]} for ground in GROUNDS}
+    robots["gap"] = one
+    by_robot = {"by_robot": {"vp": robots}}
+    return kind | {"policy": policy, "protocol": protocol, "settings": settings} | by_robot
+
+
+def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked() -> None:
+    poor, good, cheat = complete("poor", 0.4), complete("good", 0.6), complete("cheat", 1.0)
+    cheat["settings"] = cheat["settings"][1:]
+    easy, lucky = complete("easy", 0.9), complete("lucky", 0.8)
+    easy["settings"] = [entry | {"level": 1} for entry in easy["settings"]]
+    lucky["protocol"]["seed"] = 77
+    rows = rank([poor, cheat, good, lucky, easy])
+    assert [row[:4] for row in rows] == [
+        ("1", "good", "vp", "60.0 %"),
+        ("2", "poor", "vp", "40.0 %"),
+        ("incomplete", "cheat", "vp", "100.0 %"),
+        ("incomplete", "easy", "vp", "90.0 %"),
+        ("incomplete", "lucky", "vp", "80.0 %"),
+    ]
+    # Two robots that differ on gaps alone: the mean of both, or twice the one or the other.
+    share = np.mean([s["ground"] == "gap" for s in good["settings"] if s["ground"] != "flat"])
+    assert rows[0][4] == f"{60 * (1 - share):.1f} to {60 + 40 * share:.1f}"
+    del good["by_robot"]
+    assert rank([good])[0][4] == "-"
+    with pytest.raises(RenetError, match="one protocol"):
+        rank([poor, good | {"protocol": good["protocol"] | {"quick": False}}])
+
+
+def test_the_leaderboard_is_made_from_files(tmp_path: Path, capsys) -> None:
+    files = []
+    for name, crossed in (("one", 0.5), ("two", 0.7)):
+        files.append(tmp_path / f"{name}.json")
+        files[-1].write_text(json.dumps(complete(name, crossed)))
+    table = make_leaderboard(LeaderboardCfg(tuple(files), tmp_path / "new" / "board.md"))
+    ranking = table.read_text().split("\n\n")[1].splitlines()
+    assert [line.split(" | ")[1] for line in ranking[2:]] == ["two", "one"]
+    assert "two" in capsys.readouterr().out
+    files[0].write_text('{"benchmark": "renet-faults", "version": 2}')
+    with pytest.raises(RenetError, match="no result of renet-faults, version 1"):
+        make_leaderboard(LeaderboardCfg(tuple(files), table))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda r: r["settings"][3].pop("onset"), r"settings\[3\]: 'onset' is a required"),
+        (lambda r: r["settings"][3].update(severity=6), "severity: 6 is greater than"),
+        (lambda r: r["settings"][3]["measures"].pop("switches"), "'switches' is a required"),
+        (lambda r: r["settings"][3]["measures"]["crossed"].update(value=1.2), "1.2 is greater"),
+        (lambda r: r["settings"][3]["measures"]["crossed"].pop("ci95"), "'ci95' is a required"),
+        (lambda r: r["settings"][3]["measures"]["upright"].update(ci95=[0.1]), "upright.ci95: "),
+        (lambda r: r["policy"].update(sha256="unknown"), "'unknown' does not match"),
+        (lambda r: r.update(settings=[]), "settings: "),
+        (lambda r: r.update(settings={"many": "x" * 9000}), "settings: ….*is not of type 'array'"),
+    ],
+)
+def test_a_file_against_the_schema_is_one_line(tmp_path: Path, spoil, message: str) -> None:
+    broken, file = json.loads(json.dumps(complete("one", 0.5))), tmp_path / "one.json"
+    spoil(broken)
+    file.write_text(json.dumps(broken))
+    with pytest.raises(RenetError, match=message) as error:
+        make_leaderboard(LeaderboardCfg((file,), tmp_path / "board.md"))
+    assert len(str(error.value)) < 400
+    assert not (tmp_path / "board.md").exists()
+
+
+def setting(ground: str, severity: int, mode: str, crossed: float, change: float) -> dict:
+    """A setting in which as many robots stay upright as cross."""
+    share = {"value": crossed, "ci95": None, "change": {"value": change, "ci95": None}}
+    switches = {"value": 3.0, "ci95": None, "change": {"value": 2.5, "ci95": None}}
+    place = {"ground": ground, "onset": "on_the_way", "fault": "glare", "severity": severity}
+    measures = {"crossed": share, "upright": share, "switches": switches}
+    return place | {"mode": mode, "measures": measures}
+
+
+RESULT = {
+    "policy": {"name": "ours", "modes": ["vp", "renet"]},
+    "settings": [
+        setting("flat", 1, "vp", 1.0, 0.0),
+        setting("flat", 1, "renet", 1.0, 0.0),
+        setting("gap", 1, "vp", 0.5, -0.05),
+        setting("gap", 1, "renet", 0.7, 0.0),
+        setting("gap", 5, "vp", 0.6, -0.2),
+        setting("gap", 5, "renet", 0.4, -0.3),
+    ],
+    "by_robot": {
+        "vp": {"flat": {"crossed": [1.0, 1.0], "upright": [1.0, 1.0]}}
+        | {"gap": {"crossed": [0.5, 0.5], "upright": [0.0, 1.0]}},
+        "renet": {"flat": {"crossed": [1.0, 1.0], "upright": [1.0, 1.0]}}
+        | {"gap": {"crossed": [0.7, 0.7], "upright": [1.0, 1.0]}},
+    },
+}
+"""Numbers from which every table follows by hand."""
+
+
+def test_tables_behind_the_ranking_by_hand() -> None:
+    ground, severity, losses, separation, paired = result_tables([RESULT], None, None)
+    assert ground[2] == [
+        ("ours", "vp", "100.0 (100.0) [100.0 (100.0), 0.50]", "-", "-", "-", "-",
+         "55.0 (55.0) [67.5 (67.5), 0.50]", "55.0 (55.0)", "70.0 (70.0)", 3),
+        ("ours", "renet", "100.0 (100.0) [100.0 (100.0), 0.50]", "-", "-", "-", "-",
+         "55.0 (55.0) [70.0 (70.0), 0.50]", "55.0 (55.0)", "70.0 (70.0)", 3),
+    ]  # fmt: skip
+    assert severity[1] == ("policy", "mode", "1", "5")
+    assert severity[2] == [
+        ("ours", "vp", "50.0 (75.0)", "60.0 (60.0)"),
+        ("ours", "renet", "70.0 (85.0)", "40.0 (40.0)"),
+    ]
+    assert losses[2] == [("glare", "gap", "20")], "severity 1 is mild"
+    # On the gap each is ahead once; only at severity 5 the fault harms by ten points.
+    assert separation[2] == [
+        ("flat", 1, 0, 0, 0, 0, 0),
+        ("elsewhere", 1, 0, 0, 0, 0, 0),
+        ("gap", 2, 1, 1, 1, 0, 1),
+        ("platforms and gaps", 2, 1, 1, 1, 0, 1),
+    ]
+    assert paired[2] == [
+        ("flat", "+0.0 (+0.0 to +0.0)", "+0.0 (+0.0 to +0.0)"),
+        ("gap", "+20.0 (+20.0 to +20.0)", "+50.0 (+0.0 to +100.0)"),
+        ("all but the first", "+20.0 (+20.0 to +20.0)", "+50.0 (+0.0 to +100.0)"),
+        ("all", "+13.3 (+13.3 to +13.3)", "+33.3 (+0.0 to +66.7)"),
+    ]
+
+
+def test_tables_can_be_of_one_severity_or_onset() -> None:
+    ground = next(result_tables([RESULT], 5, None))
+    assert [row[-1] for row in ground[2]] == [1, 1]
+    assert next(result_tables([RESULT], None, "before_the_edge"))[2] == []
+
+
+def test_who_noticed_is_read_from_a_studys_rows(tmp_path: Path, run_study) -> None:
+    folder, summary = run_study("faults")
+    noticed, claims = study_tables(folder / "summary.csv")
+    assert noticed[1] == ("fault", "1", "5", "of each")
+    # Two robots on flat ground, and on gaps two for each onset.
+    rows = {fault: counts for fault, *counts in noticed[2]}
+    assert rows["frozen"] == [0, 0, 6]
+    assert rows["gaussian"][1:] == [6, 6]
+    measured = {claim["claim"]: claim["measured"] for claim in summary["claims"]}
+    assert dict(claims[2][:-1]) == {c: m for c, m in measured.items() if "hour" not in c}
+    assert claims[2][-1][1] == "none"
+    with (tmp_path / "other.csv").open("w") as file:
+        csv.writer(file).writerows([["kind"], ["gap"]])
+    for path in (tmp_path / "other.csv", tmp_path / "missing.csv"):
+        with pytest.raises(RenetError, match="is no summary"):
+            next(study_tables(path))
