@@ -1,4 +1,4 @@
-"""docs/architecture.md: three walks of at most six files that exist, and a picture that is true."""
+"""docs/architecture.md: three walks of five files at most that exist, and a true picture."""
 
 import re
 from pathlib import Path
@@ -11,9 +11,9 @@ WALKS = PAGE.split("\n## ")[1:]
 
 
 @pytest.mark.parametrize("walk", WALKS, ids=lambda walk: walk.splitlines()[0])
-def test_a_walk_has_at_most_six_files_and_each_exists(walk):
+def test_a_walk_has_at_most_five_files_and_each_exists(walk):
     steps = re.findall(r"^\d\. `([^`]+)`", walk, re.MULTILINE)
-    assert 3 <= len(steps) <= 6
+    assert 3 <= len(steps) <= 5
     assert len(steps) == len(re.findall(r"^\d\.", walk, re.MULTILINE))
     missing = [step for step in steps if not (ROOT / step).is_file()]
     assert not missing
