@@ -72,7 +72,7 @@ def walk(cfg: Cfg, bundle: Bundle, engine: str, terrain: str, case: str, run: in
     speed = float(np.linspace(*SPEEDS, cfg.runs)[run])
     path, delays = [], []
 
-    def look(command) -> None:
+    def look(command, state) -> None:
         if controller.decision.mode is Mode.WALKING:
             path.append(robot.base_position)
             if not (controller.decision.vision or delays or robot.now() < onset):

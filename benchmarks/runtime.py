@@ -152,7 +152,7 @@ def main(cfg: Cfg) -> None:
     stopwatch = Stopwatch()
     inference.infer = stopwatch
     robot, camera = RandomRobot(bundle.manifest.robot), RandomCamera()
-    controller = TimedController(bundle, RARELY, inference.ThreadedInference(bundle.sessions))
+    controller = TimedController(bundle, RARELY, inference.ThreadedInference)
     end = time.monotonic() + WARM_UP + 60.0 * cfg.minutes
     devices: tuple = (robot, camera, ScriptedTeleop(0.6), controller)
     with neighbour(cfg.neighbour), realtime(50) as refused:

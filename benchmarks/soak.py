@@ -28,13 +28,13 @@ from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
-from renet.deploy.main import _interruptible
 from renet.deploy.recording import MODES, Recorder, Recording, read_recording
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
 from renet.deploy.safety import Mode, SafetyMachine
 from renet.deploy.score import fallen
 from renet.deploy.teleop import TeleopCommand
+from renet.deploy.watchdog import interruptible
 from renet.faults import FAULTS, Injection
 from renet.interface import CONTROL_DT
 
@@ -176,7 +176,7 @@ def soak(cfg: Cfg, folder: Path) -> dict:
             cpu_ms.append(1000.0 * (time.thread_time() - start))
             return command
 
-    def sample(command) -> None:
+    def sample(command, state) -> None:
         if robot.now() >= 60.0 * (len(memory) + 1):
             pages = int(Path("/proc/self/statm").read_text().split()[1])
             memory.append(round(pages * mmap.PAGESIZE / 2**20, 1))
@@ -187,7 +187,7 @@ def soak(cfg: Cfg, folder: Path) -> dict:
     controller = Timed(bundle, on_event=recorder.event)
     operator = Operator(robot, controller.machine)
     devices: tuple = (robot, ShakyCamera(robot, bundle), operator, controller, recorder)
-    with _interruptible() as interrupted:
+    with interruptible() as interrupted:
         run_control_loop(*devices, done=lambda: robot.now() >= end or interrupted(), on_step=sample)
     wall = (time.monotonic() - begun) / 60.0
     recorder.close()

@@ -51,7 +51,7 @@ def walk(bundle: Bundle, terrain: str, seconds: float, seed: int) -> list[tuple]
     feet = [model.geom(f"{leg}_foot_collision").id for leg in LEGS]
     before = {"target": None}
 
-    def look(command) -> None:
+    def look(command, state) -> None:
         target, last = command.position, before["target"]
         before["target"] = target
         if controller.decision.mode is not Mode.WALKING or last is None:

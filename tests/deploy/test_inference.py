@@ -1,14 +1,14 @@
 """Ticks on a second thread: the same commands, and a thread that dies, hangs or is late."""
 
 import threading
+from collections.abc import Callable
 from queue import Empty, SimpleQueue
 
 import numpy as np
 import pytest
 
-from renet.bundle import Bundle
 from renet.deploy.controller import LATE
-from renet.deploy.inference import InlineInference, ThreadedInference
+from renet.deploy.inference import Sessions, ThreadedInference
 from renet.deploy.safety import Mode
 from renet.interface import CONTROL_DT
 
@@ -37,13 +37,14 @@ def sabotage(bundle) -> Sabotage:
     return Sabotage(bundle.sessions["estimator"])
 
 
-def threaded(bundle: Bundle, sabotage: Sabotage) -> ThreadedInference:
-    return ThreadedInference({**bundle.sessions, "estimator": sabotage}, patience=5.0)  # type: ignore[dict-item]
+def threaded(sabotage: Sabotage) -> Callable[[Sessions], ThreadedInference]:
+    """Makes a thread that runs a spoilt estimator."""
+    return lambda sessions: ThreadedInference({**sessions, "estimator": sabotage}, patience=5.0)  # type: ignore[dict-item]
 
 
 def troubled(bundle, sabotage, mood: str, patience: float) -> Run:
     """A robot that walks, and whose vision thread is in that mood from now on."""
-    run = Run(bundle, inference=threaded(bundle, sabotage))
+    run = Run(bundle, inference=threaded(sabotage))
     run.ticks(60)
     run.controller._perception._patience = patience  # type: ignore[attr-defined]
     sabotage.mood = mood
@@ -51,8 +52,8 @@ def troubled(bundle, sabotage, mood: str, patience: float) -> Run:
 
 
 def test_the_second_thread_gives_the_same_commands(bundle, sabotage):
-    inline = Run(bundle, inference=InlineInference(bundle.sessions))
-    thread = Run(bundle, inference=threaded(bundle, sabotage))
+    inline = Run(bundle)
+    thread = Run(bundle, inference=threaded(sabotage))
     for _ in range(60):
         picture = frame(inline.step, time_of(inline.step)) if inline.step % 5 == 0 else None
         a, b = inline.tick(picture), thread.tick(picture)
@@ -76,7 +77,7 @@ def test_a_dead_vision_thread_is_replaced_and_costs_one_tick_of_vision(bundle, s
 
 def test_a_result_that_is_late_by_a_whole_tick_costs_vision(bundle, sabotage):
     """It is there when the next tick begins, but nobody has acted on it."""
-    run = Run(bundle, inference=threaded(bundle, sabotage))
+    run = Run(bundle, inference=threaded(sabotage))
     run.ticks(60)
     inference = run.controller._perception
     inference.take = lambda: None  # type: ignore[method-assign]

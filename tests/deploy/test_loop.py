@@ -50,7 +50,7 @@ class Rig:
         setattr(getattr(self, device), method, given)
 
     def run(self, seconds: float, log=None, camera: bool = True) -> None:
-        def record(command) -> None:
+        def record(command, state) -> None:
             self.commands.append(command)
             self.modes.append(self.controller.decision.mode)
 
@@ -208,7 +208,7 @@ def test_an_operator_who_holds_the_button_does_not_arm_when_the_check_passes(bun
     robot, modes = Standing(), []
     controller = Controller(bundle, QUICK)
     done = lambda: robot.time > 0.8  # noqa: E731
-    seen = lambda command: modes.append((robot.time, controller.machine.mode))  # noqa: E731
+    seen = lambda *step: modes.append((robot.time, controller.machine.mode))  # noqa: E731
     run_control_loop(robot, None, Holding(), controller, done=done, on_step=seen)
     armed = [time for time, mode in modes if mode is Mode.STANDING_UP]
     assert armed[0] == pytest.approx(0.6, abs=2 * CONTROL_DT)

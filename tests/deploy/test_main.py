@@ -22,7 +22,7 @@ from renet.bundle import Bundle, read_manifest, write_manifest
 from renet.deploy import catalogue, devices
 from renet.deploy.catalogue import Go1Cfg, RealSenseCfg, ReplayCfg, SimCameraCfg, SimulationCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
-from renet.deploy.main import RECORDING, _interruptible, deploy
+from renet.deploy.main import RECORDING, deploy
 from renet.deploy.recording import MODES, Recording, read_recording
 from renet.deploy.replay import mismatch
 from renet.deploy.robots.mujoco import MujocoRobot
@@ -87,17 +87,6 @@ def test_a_dry_run_prints_commands_and_never_moves_the_robot(tmp_path, capsys, m
     assert "FR_hip" in out
     assert "(Kp 40)" in out
     assert "walking: stood up" in out
-
-
-@pytest.mark.parametrize("name", ["INT", "TSTP", "QUIT", "TERM", "HUP", "USR1", "USR2"])
-def test_a_signal_asks_the_run_to_end(name):
-    number = signal.Signals[f"SIG{name}"]
-    before = signal.getsignal(number)
-    with _interruptible() as asked:
-        assert not asked()
-        os.kill(os.getpid(), number)
-        assert asked()
-    assert signal.getsignal(number) is before
 
 
 def test_a_signal_brakes_and_saves_everything(tmp_path, monkeypatch):
@@ -256,8 +245,8 @@ from renet.deploy.catalogue import ROBOTS, SimulationCfg
 class MoonCfg(SimulationCfg):
     gravity: float = 1.6
 
-    def build(self, robot, live, seed):
-        driver = super().build(robot, live, seed)
+    def build(self, robot, live, seed, dry_run):
+        driver = super().build(robot, live, seed, dry_run)
         driver.model.opt.gravity[2] = -self.gravity
         return driver
 

@@ -4,6 +4,7 @@ import os
 import zlib
 from contextlib import nullcontext
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from renet.bundle import Bundle
 from renet.deploy import recording
 from renet.deploy.controller import Controller
-from renet.deploy.inference import ThreadedInference
+from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.recording import (
     BAD,
     CHUNK,
@@ -40,7 +41,7 @@ from .waiting import until
 STEPS = 230
 
 
-def run_control_loop(bundle: Bundle, path, inference=None) -> None:
+def run_control_loop(bundle: Bundle, path, inference=InlineInference) -> None:
     header = {"bundle_sha256": bundle.sha256, "safety": asdict(QUICK), "selector": "monitors"}
     log = Recorder(path, header)
     controller = Controller(bundle, QUICK, inference, on_event=log.event)
@@ -99,7 +100,7 @@ def test_replay_is_bit_for_bit(bundle, flight):
 
 
 def test_a_flight_with_an_impatient_vision_thread_replays_too(bundle, tmp_path):
-    run_control_loop(bundle, tmp_path / "a.log", ThreadedInference(bundle.sessions, patience=0.0))
+    run_control_loop(bundle, tmp_path / "a.log", partial(ThreadedInference, patience=0.0))
     flight = read_recording(tmp_path / "a.log")
     assert mismatch(flight, bundle) == 0.0
 

@@ -17,9 +17,9 @@ from renet.bundle import Bundle
 from renet.deploy import recording
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
-from renet.deploy.main import _interruptible
 from renet.deploy.recording import Recorder, read_recording
 from renet.deploy.teleop import ScriptedTeleop
+from renet.deploy.watchdog import interruptible
 from renet.terminal import Terminal
 
 from ..deploy.fakes import QUICK, Standing
@@ -221,7 +221,7 @@ def test_a_hung_disk_neither_delays_a_step_nor_grows_the_queue_nor_hangs_the_end
     monkeypatch.setattr(recording, "CLOSING", 0.1)
     log = Recorder(tmp_path / "a.log", {})
     robot, told = Standing(), []
-    controller = walk(bundle, robot, 100.0, log, on_step=lambda command: told.append(log.problem))
+    controller = walk(bundle, robot, 100.0, log, on_step=lambda *step: told.append(log.problem))
     log.close()
     assert hang.reached.is_set()
     assert controller.machine.reason == "the run ends", "every step was made"
@@ -253,7 +253,7 @@ def test_a_hung_terminal_loses_lines_and_nothing_else(monkeypatch, hang):
 
 def test_a_second_ctrl_c_interrupts_and_the_first_does_not():
     before = signal.getsignal(signal.SIGINT)
-    with _interruptible() as asked:
+    with interruptible() as asked:
         assert not asked()
         os.kill(os.getpid(), signal.SIGINT)
         assert asked()

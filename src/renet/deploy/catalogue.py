@@ -48,28 +48,24 @@ class SimulationCfg(DriverCfg):
         if self.scene and self.terrain != "flat":
             raise RenetError("--scene brings its own ground: leave --terrain away")
 
-    def build(self, robot: RobotSpec, live: bool, seed: int) -> RobotDriver:
+    def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """Put the robot into its scene."""
         from renet.deploy.robots.scene import build_scene
 
-        scene = build_scene(
-            self.terrain, self.level, self.scene, seed, find_description(robot.name)
-        )
-        return self.engine()(scene[0], robot, scene[1], live)
+        description = find_description(robot.name)
+        model, ground = build_scene(self.terrain, self.level, self.scene, seed, description)
+        driver = self.engine()(model, robot, ground, live)
+        if self.viewer:
+            from renet.deploy.viewer import BrowserViewer
 
-    def engine(self) -> Callable[..., RobotDriver]:
+            driver.show = BrowserViewer(model, driver.data, self.host).show
+        return driver
+
+    def engine(self) -> Callable[..., Any]:
         """The class of the simulated robot, called as `MujocoRobot` is."""
         from renet.deploy.robots.mujoco import MujocoRobot
 
         return MujocoRobot
-
-    def display(self, robot: Any) -> Callable[[], None]:
-        """A function that updates the browser's picture."""
-        if not self.viewer:
-            return lambda: None
-        from renet.deploy.viewer import BrowserViewer
-
-        return BrowserViewer(robot.model, robot.data, self.host).show
 
 
 @dataclass(frozen=True)
@@ -83,7 +79,7 @@ class Go1Cfg(DriverCfg):
     power_level: int = 9
     """Level of the vendor's own overload guard, 1 (10 % of the motors' power) to 10."""
 
-    def build(self, robot: RobotSpec, live: bool, seed: int) -> RobotDriver:
+    def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """The driver of the robot at `robot_host`."""
         from renet.deploy.robots.go1 import Go1Robot
 

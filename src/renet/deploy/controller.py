@@ -15,7 +15,7 @@ from renet.bundle import Bundle
 from renet.bundle.policy import Policy, infer
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.buffer import FrameBuffer
-from renet.deploy.inference import InlineInference
+from renet.deploy.inference import InlineInference, Sessions
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import JointCommand, RobotState, heading
 from renet.deploy.safety import (
@@ -102,7 +102,7 @@ class Controller:
         self,
         bundle: Bundle,
         safety: SafetyCfg = SafetyCfg(),  # noqa: B008  (frozen)
-        inference: InlineInference | None = None,
+        inference: Callable[[Sessions], InlineInference] = InlineInference,
         selector: str = "monitors",
         on_event: Callable[[Event], None] = lambda event: None,
     ) -> None:
@@ -110,7 +110,7 @@ class Controller:
 
         Args:
             bundle: policy, robot, camera and selector.
-            inference: where vision ticks run; in line by default, which is deterministic.
+            inference: makes what runs vision ticks; in line by default, which is deterministic.
             selector: one of `renet.selector.selector.SELECTORS`.
             on_event: told every transition with its reason.
         """
@@ -119,7 +119,7 @@ class Controller:
         # A model's first run is many times slower than all others: not while the robot walks.
         Policy(bundle).step(np.zeros((1, PROPRIOCEPTION_SIZE)), BLACK, np.zeros(1, bool))
         self.machine = SafetyMachine(safety)
-        self._perception = inference or InlineInference(bundle.sessions)
+        self._perception = inference(bundle.sessions)
         self._buffer = FrameBuffer()
         self._selector = make_selector(selector, bundle.manifest.selector)
         self._on_event = on_event

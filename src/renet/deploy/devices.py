@@ -10,17 +10,22 @@ from renet.deploy.cameras.base import Camera
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.robots.driver import RobotDriver
-from renet.deploy.robots.joint_watch import JointWatch
 from renet.deploy.teleop import CONTROLS, JoystickTeleop, KeyboardTeleop, ScriptedTeleop, Teleop
 from renet.errors import RenetError
 
+TELEOPS: dict[str, Callable[[DeployCfg], Teleop]] = {
+    "auto": lambda cfg: ScriptedTeleop(cfg.speed),
+    "keyboard": lambda cfg: KeyboardTeleop(deadman=cfg.operator_timeout),
+    "joystick": lambda cfg: JoystickTeleop(deadman=cfg.operator_timeout),
+}
+"""Makes what commands the robot, by the name that `--teleop` takes."""
 FIRST_IMAGE = 2.0
 """Seconds in which a real camera's first image is waited for."""
 
 
 def start_devices(
     cfg: DeployCfg, bundle: Bundle, say: Callable[[str], None], stack: ExitStack
-) -> tuple[RobotDriver, Camera | None, Teleop, Callable[[], None]]:
+) -> tuple[RobotDriver, Camera | None, Teleop]:
     """Make and start the devices of one run.
 
     Args:
@@ -28,8 +33,7 @@ def start_devices(
         stack: closes them, the robot first, also after half a start.
 
     Returns:
-        Robot, camera (None without one), operator, and what shows the robot to the user, to be
-        called at every control step.
+        Robot, camera (None without one) and operator.
 
     Raises:
         RenetError: a bundle for another robot or beyond this one's limits, a missing package or
@@ -40,11 +44,9 @@ def start_devices(
     teleop = make_teleop(cfg)
     for device in (teleop, camera, robot):
         stack.callback(getattr(device, "close", lambda: None))
-    show = cfg.driver.display(robot)
-    if cfg.dry_run and not cfg.driver.simulated:
-        show = JointWatch(robot.read, say).look
     robot.connect()
-    show()  # What moves is told from here on.
+    if refused := getattr(robot, "refused", ""):
+        say(refused)
     if camera is not None:
         camera.start()
         for _ in range(0 if cfg.driver.simulated else round(FIRST_IMAGE / 0.01)):
@@ -55,7 +57,7 @@ def start_devices(
             camera = FaultyCamera(camera, cfg.faults, robot.now, cfg.seed)
     if cfg.teleop != "auto":
         teleop.command(robot.now())  # What was pressed before the robot answered.
-    return robot, camera, teleop, show
+    return robot, camera, teleop
 
 
 def make_robot(cfg: DeployCfg, bundle: Bundle) -> RobotDriver:
@@ -63,17 +65,15 @@ def make_robot(cfg: DeployCfg, bundle: Bundle) -> RobotDriver:
     spec, drives = bundle.manifest.robot, cfg.driver.drives
     if drives is not None and spec.name != drives.name:
         raise RenetError(f"the bundle drives a {spec.name}, --robot {cfg.robot} is a {drives.name}")
-    robot = cfg.driver.build(spec, cfg.live, cfg.seed)
+    robot = cfg.driver.build(spec, cfg.live, cfg.seed, cfg.dry_run)
     robot.envelope.check(spec)
     return robot
 
 
 def make_teleop(cfg: DeployCfg) -> Teleop:
     """The operator's device."""
-    if cfg.teleop == "auto":
-        return ScriptedTeleop(cfg.speed)
-    device = JoystickTeleop if cfg.teleop == "joystick" else KeyboardTeleop
-    print(f"{cfg.teleop}: {CONTROLS[cfg.teleop]}")
-    if cfg.operator_timeout < math.inf:
-        print(f"{cfg.operator_timeout:g} s without a sign of the operator: the robot stands")
-    return device(deadman=cfg.operator_timeout)
+    if cfg.teleop in CONTROLS:
+        print(f"{cfg.teleop}: {CONTROLS[cfg.teleop]}")
+        if cfg.operator_timeout < math.inf:
+            print(f"{cfg.operator_timeout:g} s without a sign of the operator: the robot stands")
+    return TELEOPS[cfg.teleop](cfg)

@@ -38,7 +38,7 @@ def run_control_loop(
     recorder: Recorder | None = None,
     *,
     done: Callable[[], bool] = lambda: False,
-    on_step: Callable[[JointCommand], None] = lambda command: None,
+    on_step: Callable[[JointCommand, RobotState | None], None] = lambda command, state: None,
     dry_run: bool = False,
 ) -> None:
     """Drive a robot until `done`, then brake.
@@ -48,7 +48,7 @@ def run_control_loop(
         camera: started; None without.
         recorder: of the run; None without.
         done: asked at every control step.
-        on_step: told every command.
+        on_step: told every command, and the reading before it.
         dry_run: never write to the robot.
 
     Raises:
@@ -61,14 +61,23 @@ def run_control_loop(
     try:
         while braking < BRAKING:
             braking += braking > 0 or done()
-            command = loop.step(robot.now(), ending=braking > 0)
+            command, state = loop.step(robot.now(), ending=braking > 0)
             with suppress(Exception):  # A closed terminal must not end a run.
-                on_step(command)
+                on_step(command, state)
             due = next_step(robot, due)
     except BaseException:
         if not dry_run:
-            loop.brake()
+            brake(robot, controller)
         raise
+
+
+def brake(robot: RobotDriver, controller: Controller) -> None:
+    """Tell a robot to brake, whatever failed before."""
+    command = damping_command(controller.robot, controller.cfg)
+    for _ in range(ATTEMPTS):
+        with suppress(Exception):
+            robot.write(robot.envelope.clamp(command))
+            return
 
 
 @dataclass
@@ -84,8 +93,8 @@ class _Loop:
     _problems: dict[str, str] = field(default_factory=dict)
     _refused: bool = False
 
-    def step(self, now: float, ending: bool) -> JointCommand:
-        """One control step; returns what was commanded."""
+    def step(self, now: float, ending: bool) -> tuple[JointCommand, RobotState | None]:
+        """One control step; returns what was commanded and what was read before."""
         controller = self.controller
         if ending:
             controller.trip(ENDED, now)
@@ -106,21 +115,13 @@ class _Loop:
                 decision = controller.decision
                 self.recorder.append(state, frame, asked, now, decision, compute_ms, where)
             self._complain("recorder", self.recorder.problem)
-        return command
+        return command, state
 
     def _look(self) -> DepthFrame | None:
         self.camera.busy = self.controller.machine.mode is not Mode.DAMPING
         frame = self.camera.latest()
         self._complain("camera", getattr(self.camera, "problem", ""))
         return frame
-
-    def brake(self) -> None:
-        """Tell the robot to brake, whatever failed before."""
-        command = damping_command(self.controller.robot, self.controller.cfg)
-        for _ in range(ATTEMPTS):
-            with suppress(Exception):
-                self.robot.write(self.robot.envelope.clamp(command))
-                return
 
     def _checked(
         self, asked: TeleopCommand, state: RobotState | None, frame: DepthFrame | None, now: float

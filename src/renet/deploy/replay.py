@@ -56,7 +56,7 @@ def replay(run: Recording, bundle: Bundle) -> Iterator[Decision]:
         safety, selector = SafetyCfg(**run.header["safety"]), run.header["selector"]
     except (KeyError, TypeError) as error:
         raise RenetError(f"the recording's header does not say what ran: {error}") from error
-    controller = Controller(bundle, safety, inference, selector)
+    controller = Controller(bundle, safety, lambda sessions: inference, selector)
     image = UNREADABLE
     # The only thing that came from outside the controller's inputs.
     refused = {event.time for event in run.events if event.why.startswith(REFUSED)}

@@ -115,6 +115,20 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     }
 
 
+def summary(score: dict[str, Any]) -> str:
+    """A score in one line."""
+    delays = ", ".join("never" if d is None else f"{d:.2f} s" for d in score["switch_delay_s"])
+    parts = [
+        f"walked {score['walking_seconds']:.1f} s and {score['distance_m']:.1f} m "
+        f"({score['distance_from']})",
+        f"on vision {score['vision_share']:.0%}",
+        f"{score['memory_share']:.0%} from memory" if score["memory_share"] else "",
+        f"from fault to OP {delays}" if delays else "",
+        f"falls: {score['falls']}",
+    ]
+    return "; ".join(part for part in parts if part)
+
+
 def delay_to_op(blind: np.ndarray, onset: float) -> float | None:
     """Seconds from an onset to OP; zero if OP acted already, None if it never did.
 

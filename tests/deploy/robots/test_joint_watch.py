@@ -13,34 +13,30 @@ from ..fakes import STANDING, state, turned
 
 @pytest.fixture
 def watched():
-    """A watch, the reading it sees (in a list of one) and what it said."""
-    seen, said = [state()], []
-    watch = JointWatch(lambda: seen[0], said.append)
-    watch.look()
-    return watch, seen, said
+    """A watch that has seen the default pose, and what it said."""
+    said = []
+    watch = JointWatch(said.append)
+    watch.look(state())
+    return watch, said
 
 
 def test_each_joint_by_name_once_per_turn(watched):
-    watch, seen, said = watched
+    watch, said = watched
     for joint, name in enumerate(JOINTS):
         position = STANDING.copy()
         position[joint] -= 1.2 * TURN
-        seen[0] = state(joint_position=position)
-        watch.look()
-        watch.look()
+        for _ in range(2):
+            watch.look(state(joint_position=position))
         assert len(said) == 1
         assert said.pop().startswith(f"{name.removesuffix('_joint')} -0.30 to ")
-        seen[0] = state()
-        watch.look()
+        watch.look(state())
         assert said.pop().startswith(f"{name.removesuffix('_joint')} +0.30 to ")
 
 
 def test_small_movements_and_no_reading_say_nothing(watched):
-    watch, seen, said = watched
-    seen[0] = state(joint_position=STANDING + 0.9 * TURN)
-    watch.look()
-    seen[0] = None
-    watch.look()
+    watch, said = watched
+    watch.look(state(joint_position=STANDING + 0.9 * TURN))
+    watch.look(None)
     assert said == []
 
 
@@ -70,7 +66,7 @@ def test_the_words_are_what_the_model_does(name):
 
 
 def test_which_end_is_down(watched):
-    watch, seen, said = watched
+    watch, said = watched
     turns = {
         "nose": ("y", 30),
         "tail": ("y", -30),
@@ -78,8 +74,7 @@ def test_which_end_is_down(watched):
         "right side": ("x", 30),
     }
     for end, turn in turns.items():
-        seen[0] = state(quaternion=turned(*turn))
-        watch.look()
-        watch.look()
+        for _ in range(2):
+            watch.look(state(quaternion=turned(*turn)))
         assert said == [f"the base leans: {end} down"]
         said.clear()

@@ -1,6 +1,5 @@
 """What every robot driver offers, and how `renet deploy` makes one."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
@@ -11,7 +10,10 @@ from renet.descriptions import RobotDescription
 
 
 class RobotDriver(Protocol):
-    """A robot, real or simulated, with a clock of its own."""
+    """A robot, real or simulated, with a clock of its own.
+
+    One that has a method `show` is asked to show itself to the user at every control step.
+    """
 
     envelope: Envelope
     """The robot's own limits, which no bundle can widen."""
@@ -55,18 +57,14 @@ class DriverCfg:
     def check(self) -> None:
         """Raise RenetError for options that cannot work."""
 
-    def build(self, robot: RobotSpec, live: bool, seed: int) -> RobotDriver:
+    def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """Make the driver without connecting it.
 
         Args:
             robot: the bundle's. live: whether a simulation is paced to the wall clock.
-            seed: of a simulation's randomness.
+            seed: of a simulation's randomness. dry_run: nothing will be commanded.
 
         Raises:
             RenetError: the bundle is another robot's, or a package or file is missing.
         """
         raise NotImplementedError
-
-    def display(self, robot: RobotDriver) -> Callable[[], None]:
-        """A function that shows the robot to the user, called at every control step."""
-        return lambda: None

@@ -23,15 +23,14 @@ LEANS = ((0, "nose", "tail"), (1, "left side", "right side"))
 class JointWatch:
     """Compares readings with those before; meant for a limp robot moved by hand."""
 
-    def __init__(self, read: Callable[[], RobotState | None], say: Callable[[str], None]) -> None:
-        """Set up with what gives the newest reading, and what is told each movement in one line."""
-        self._read, self._say = read, say
+    def __init__(self, say: Callable[[str], None]) -> None:
+        """Set up with what is told each movement in one line."""
+        self._say = say
         self._from: np.ndarray | None = None
         self._leaning = ""
 
-    def look(self) -> None:
-        """Say what has moved since the last look."""
-        state = self._read()
+    def look(self, state: RobotState | None) -> None:
+        """Say what has moved since the last reading, if there is a new one."""
         if state is None:
             return
         for line in (*self._moved(state), *self._leant(state)):
