@@ -1,0 +1,76 @@
+"""GitHub's workflows: every command that they run exists here, and a release has its notes."""
+
+import os
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+import renet
+
+ROOT = Path(__file__).parents[1]
+WORKFLOWS = {
+    path.stem: yaml.safe_load(path.read_text()) for path in ROOT.glob(".github/workflows/*.yml")
+}
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def steps(workflow: str) -> list[dict]:
+    jobs = WORKFLOWS[workflow]["jobs"].values()
+    return [step for job in jobs for step in job["steps"]]
+
+
+@pytest.mark.parametrize("name", WORKFLOWS)
+def test_a_workflow_starts_ends_and_names_what_exists(name):
+    workflow = WORKFLOWS[name]
+    assert workflow[True], "YAML reads the key `on` as true"
+    assert workflow["permissions"] == {"contents": "read"}, "what writes says so in its own job"
+    jobs = workflow["jobs"]
+    for job in jobs.values():
+        assert job["runs-on"]
+        assert {job["needs"]} <= jobs.keys() if "needs" in job else True
+    for step in steps(name):
+        assert ("uses" in step) != ("run" in step)
+        assert re.fullmatch(r"[\w-]+/[\w-]+@(v\d+|release/v1)", step.get("uses", "a/b@v1"))
+        command = step.get("run", "")
+        for path in re.findall(r"(?:^|\s)((?:\.ci|tools|docs)/[\w./-]+)", command):
+            assert (ROOT / path).exists(), path
+        for extras in re.findall(r"'\.\[([\w,]+)\]'", command):
+            assert {*extras.split(",")} <= PROJECT["optional-dependencies"].keys()
+
+
+def test_checks_run_what_ci_runs_and_all_versions_of_python():
+    assert any(step.get("run") == ".ci/run" for step in steps("ci"))
+    versions = {"3.11", *WORKFLOWS["ci"]["jobs"]["python"]["strategy"]["matrix"]["python-version"]}
+    low, high = re.findall(r"3\.(\d+)", PROJECT["requires-python"])
+    assert versions == {f"3.{minor}" for minor in range(int(low), int(high))}
+
+
+@pytest.mark.parametrize(("tag", "code"), [(f"v{renet.__version__}", 0), ("v9.9.9", 1)])
+def test_a_release_has_the_notes_of_its_version_or_stops(tmp_path, tag, code):
+    script = next(step["run"] for step in steps("release") if "notes" in step.get("name", ""))
+    (tmp_path / "CHANGELOG.md").write_text((ROOT / "CHANGELOG.md").read_text())
+    environment = {**os.environ, "GITHUB_REF_NAME": tag}
+    command = ["bash", "-e", "-c", script]
+    assert subprocess.run(command, cwd=tmp_path, env=environment).returncode == code
+    notes = (tmp_path / "notes.md").read_text()
+    assert bool(notes.strip()) == (code == 0)
+    assert "## [" not in notes
+
+
+def test_hooks_before_a_commit_are_checks_of_ci():
+    config = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())
+    checks = (ROOT / ".ci" / "run").read_text()
+    for hook in config["repos"][0]["hooks"]:
+        command = hook["entry"].removesuffix(" --force-exclude")
+        assert command in checks
+
+
+def test_forms_ask_for_the_command_and_the_version():
+    forms = [yaml.safe_load(p.read_text()) for p in ROOT.glob(".github/ISSUE_TEMPLATE/*.yml")]
+    bug = next(form for form in forms if "bug" in form.get("labels", ()))
+    required = [field for field in bug["body"] if field.get("validations", {}).get("required")]
+    assert len(required) == 2
