@@ -70,6 +70,12 @@ COMMANDS = {
         "sim",
         group="Walk",
     ),
+    "simulate": Command(
+        "run a simulated Go2 behind its DDS topics",
+        "renet.deploy.robots.go2_fake:SimulateCfg:simulate",
+        "sim,go2",
+        group="Walk",
+    ),
     "page": Command(
         "walk in the browser and break the camera there",
         "renet.page.writer:PageCfg:run_page",

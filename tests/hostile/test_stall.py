@@ -1,5 +1,6 @@
 """Whatever kills or stalls the program, the robot is braked and nothing waits for ever."""
 
+import json
 import os
 import signal
 import subprocess
@@ -7,11 +8,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from types import SimpleNamespace
 
 import pytest
-
-pytest.importorskip("unitree_legged_sdk.robot_interface", reason="needs renet-locomotion[go1]")
 
 from renet.bundle import Bundle
 from renet.deploy import recording
@@ -23,18 +23,19 @@ from renet.deploy.watchdog import interruptible
 from renet.terminal import Terminal
 
 from ..deploy.fakes import QUICK, Standing
-from ..deploy.robots.go1_peer import Peer, free_port
+from ..deploy.robots.peer import Recording
+from ..deploy.robots.test_braking import NEEDS
 from ..deploy.waiting import until
 
 CONTROLLER = """
-import ctypes, os, resource, signal, sys, time
+import ctypes, json, os, pkgutil, resource, signal, sys, time
 import numpy as np
 from renet.deploy.robots.base import JointCommand
-from renet.deploy.robots.go1 import Go1Robot
 
 def main():
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # Under nohup the tests ignore it.
-    robot = Go1Robot("127.0.0.1", int(sys.argv[1]), int(sys.argv[2]), timeout=60.0, sink=0.3)
+    driver = pkgutil.resolve_name(sys.argv[1])
+    robot = driver(*json.loads(sys.argv[2]), timeout=60.0, sink=0.3)
     robot.connect()
     default = np.tile([0.1, 0.9, -1.8, -0.1, 0.9, -1.8], 2)
     stiff = JointCommand(default, np.full(12, 40.0), np.ones(12))
@@ -51,23 +52,26 @@ AT_ONCE = 10
 """Stiff commands that may still reach the robot after the end: 20 ms at 500 Hz."""
 
 
-@pytest.fixture
-def peer() -> Iterator[Peer]:
-    peer = Peer()
+@pytest.fixture(params=["go1", "go2"])
+def peer(request) -> Iterator[Recording]:
+    pytest.importorskip(NEEDS[request.param], reason=f"needs renet-locomotion[{request.param}]")
+    peer = import_module(f"tests.deploy.robots.{request.param}_peer").Peer()
     peer.still = True
     with peer.serving():
         yield peer
+        until(peer.released)
     peer.close()
 
 
 @pytest.fixture
-def controller(peer: Peer) -> Iterator[Callable[..., subprocess.Popen]]:
+def controller(peer: Recording) -> Iterator[Callable[..., subprocess.Popen]]:
     """Starts a process that commands the robot stiffly and then does something."""
     started: list[subprocess.Popen] = []
 
     def start(how: str = "pass") -> subprocess.Popen:
         code = CONTROLLER.replace("{how}", how)
-        arguments = [sys.executable, "-c", code, str(peer.port), str(free_port())]
+        driver, address = peer.driver
+        arguments = [sys.executable, "-c", code, driver, json.dumps(address)]
         process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
         started.append(process)
         assert process.stdout is not None
@@ -80,7 +84,7 @@ def controller(peer: Peer) -> Iterator[Callable[..., subprocess.Popen]]:
         end(process)
 
 
-def silent(peer: Peer) -> bool:
+def silent(peer: Recording) -> bool:
     """Whether nothing has reached the robot for 50 of the sender's cycles."""
     sent = len(peer.commands)
     time.sleep(0.1)

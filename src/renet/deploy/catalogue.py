@@ -4,15 +4,16 @@ Drivers are imported only to be built: a robot's computer needs no simulator, an
 vendor's library.
 """
 
+import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from renet.bundle.manifest import CameraSpec, RobotSpec
 from renet.deploy.cameras.base import Camera, CameraCfg
 from renet.deploy.robots.driver import DriverCfg, RobotDriver
-from renet.descriptions import GO1, RobotDescription, find_description
+from renet.descriptions import GO1, GO2, RobotDescription, find_description
 from renet.errors import RenetError
 from renet.interface import Terrain
 from renet.server import LOOPBACK
@@ -87,6 +88,30 @@ class Go1Cfg(DriverCfg):
 
 
 @dataclass(frozen=True)
+class Go2Cfg(DriverCfg):
+    """A Unitree Go2 EDU on a cable."""
+
+    drives: ClassVar[RobotDescription | None] = GO2
+
+    interface: str = ""
+    """Network card that the robot is at, such as eth0."""
+    domain: int = 0
+    """Its DDS domain; that of every Go2 is 0."""
+
+    def check(self) -> None:
+        """Raise RenetError without an interface."""
+        if not self.interface:
+            names = ", ".join(name for _, name in socket.if_nameindex())
+            raise RenetError(f"--robot go2 needs --interface, its network card: one of {names}")
+
+    def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
+        """The driver of the robot at `interface`; a dry run leaves its own modes alone."""
+        from renet.deploy.robots.go2 import Go2Robot
+
+        return Go2Robot(self.interface, self.domain, watch=dry_run)
+
+
+@dataclass(frozen=True)
 class SimCameraCfg(CameraCfg):
     """The bundle's camera on a simulated robot."""
 
@@ -105,12 +130,16 @@ class RealSenseCfg(CameraCfg):
 
     serial: str = ""
     """Serial number of the camera to use; the only one by default."""
+    rotate: Literal[0, 180] = 0
+    """Degrees by which the camera is turned in its mount: 180 is upside down."""
 
     def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
         """A camera whose frames are timed by the robot's clock."""
         from renet.deploy.cameras.realsense import RealSenseCamera
 
-        return RealSenseCamera(camera, robot.now, serial=self.serial)
+        return RealSenseCamera(
+            camera, robot.now, serial=self.serial, upside_down=self.rotate == 180
+        )
 
 
 @dataclass(frozen=True)
@@ -134,7 +163,7 @@ class ReplayCfg(CameraCfg):
         return ReplayCamera(read_recording(self.recording), robot.now)
 
 
-ROBOTS: dict[str, type[DriverCfg]] = {"mujoco": SimulationCfg, "go1": Go1Cfg}
+ROBOTS: dict[str, type[DriverCfg]] = {"mujoco": SimulationCfg, "go1": Go1Cfg, "go2": Go2Cfg}
 """Every robot's options by the name that `--robot` takes. A package adds its own on import."""
 CAMERAS: dict[str, type[CameraCfg]] = {
     "sim": SimCameraCfg,

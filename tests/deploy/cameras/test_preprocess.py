@@ -24,6 +24,16 @@ def test_every_pixel_is_taken_where_training_casts_its_ray():
         np.testing.assert_allclose(seen, (rays[..., axis] + 1) / 2, atol=half_pixel)
 
 
+def test_a_camera_that_is_upside_down_shows_the_same():
+    random = np.random.default_rng(0)
+    lens = Intrinsics(480, 848, 446.8, 446.8, 420.0, 243.0)
+    turned = Intrinsics(480, 848, -446.8, -446.8, 848 - 420.0, 480 - 243.0)
+    upright, upside_down = (DepthPreprocessor(one, camera_spec()) for one in (lens, turned))
+    depth = random.uniform(0.0, 2.0, (480, 848)) * (random.random((480, 848)) > 0.1)
+    np.testing.assert_array_equal(upside_down.image(depth[::-1, ::-1]), upright.image(depth))
+    assert upside_down.invalid(depth[::-1, ::-1]) == upright.invalid(depth)
+
+
 def test_clipping_and_holes():
     depth = np.full((480, 848), 7.0)
     depth[:, 424:] = 0.0

@@ -73,6 +73,8 @@ class Peer(Recording):
         self._socket.settimeout(0.2)
         self._socket.setsockopt(socket.SOL_SOCKET, TIMESTAMPS, 1)
         self.port = self._socket.getsockname()[1]
+        address = ("127.0.0.1", self.port, free_port())
+        self.driver = "renet.deploy.robots.go1:Go1Robot", address
         model, ground = build_scene("flat")
         model.opt.timestep = PERIOD
         self.robot = MujocoRobot(model, robot_spec(), ground)

@@ -24,6 +24,7 @@ class Peer(Recording, FakeGo2):
         Recording.__init__(self)
         FakeGo2.__init__(self, free_domain())
         self._commands = self.network.reader(COMMANDS, LowCmd, depth=10_000)
+        self.driver = "renet.deploy.robots.go2:Go2Robot", ("lo", free_domain())
         self.silent = self.deaf = self.stubborn = self.still = False
 
     def live(self) -> None:

@@ -3,6 +3,8 @@
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from pkgutil import resolve_name
 from typing import Self
 
 import numpy as np
@@ -10,6 +12,7 @@ import numpy as np
 from renet.deploy.controller import Controller
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.braking import PERIOD, Link
+from renet.deploy.robots.real import RealRobot
 from renet.deploy.teleop import TeleopCommand
 from renet.interface import CONTROL_DT
 
@@ -26,9 +29,21 @@ class Recording:
         self.arrivals: list[int] = []
         """When each was sent or came, ns; however late this program reads it."""
 
+    driver: tuple[str, tuple]
+    """MODULE:CLASS of its driver, and the arguments that find it."""
+
     def live(self) -> None:
         """Let it live for 2 ms."""
         raise NotImplementedError
+
+    def make_driver(self, **options) -> RealRobot:
+        name, arguments = self.driver
+        return resolve_name(name)(*arguments, **options)
+
+    def released(self) -> bool:
+        """Whether no sender process holds it any more."""
+        first, second = self.driver[1][:2]
+        return f" at {first}:{second}\n" not in Path("/proc/net/unix").read_text()
 
     @contextmanager
     def serving(self) -> Iterator[Self]:

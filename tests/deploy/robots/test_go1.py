@@ -32,7 +32,6 @@ from renet.interface import JOINTS  # noqa: E402
 from renet.training.export import robot_spec  # noqa: E402
 
 from ..fakes import command  # noqa: E402
-from ..waiting import until  # noqa: E402
 from .go1_peer import VENDOR, Peer, free_port, wire_of  # noqa: E402
 from .peer import STEP, Wire  # noqa: E402
 
@@ -209,30 +208,8 @@ def served(peer) -> Iterator[Peer]:
         yield peer
 
 
-def robot_of(peer: Peer) -> Go1Robot:
-    return Go1Robot("127.0.0.1", peer.port, free_port(), sink=0.3)
-
-
-def test_processes_and_sockets_of_the_real_thing(served):
-    robot = robot_of(served)
-    with pytest.raises(RenetError, match="not connected"):
-        robot.write(command())
-    assert robot.read() is None
-    robot.connect()
-    assert robot.read() is not None
-    until(lambda: bool((served.commands[-1][:, 4] > 5).all()), lambda: robot.write(command()))
-    moment = robot.now()
-    robot.wait(moment + 0.01)
-    assert robot.now() >= moment + 0.01
-    robot.close()
-    robot.close()
-    assert served.braked, "closing brakes"
-    with pytest.raises(RenetError, match="closed"):
-        robot.write(command())
-
-
 def test_a_connection_that_only_looked_leaves_the_robot_limp(served):
-    robot = robot_of(served)
+    robot = served.make_driver(sink=0.3)
     robot.connect()
     robot.close()
     for sent in served.commands:
@@ -274,41 +251,9 @@ def test_what_the_system_refuses_the_sender_is_printed_once(dry_run, monkeypatch
     assert told[0].startswith("the system refused real-time priority (Operation not permitted)")
 
 
-def test_a_sender_that_died_is_named(served):
-    robot = robot_of(served)
-    robot.connect()
-    robot._sender.kill()
-    robot._sender.wait()
-    with pytest.raises(RenetError, match="process that talks to the Go1 has died"):
-        robot.write(command())
-    robot.close()
-
-
 def test_no_robot_is_one_clear_line():
     with pytest.raises(RenetError, match=r"no answer from a Go1 at 127.0.0.1.*cable"):
         Go1Robot("127.0.0.1", free_port(), free_port(), timeout=0.5).connect()
-
-
-def test_a_second_controller_is_refused_before_a_datagram_until_the_first_ones_sender_is_dead(
-    served, monkeypatch
-):
-    first, second = robot_of(served), robot_of(served)
-    monkeypatch.setattr(go1, "_claim", lambda port: None)  # Other ports, as in the attack.
-    first.connect()
-    started = []
-    monkeypatch.setattr(second, "_start", started.append)
-    for _ in range(2):
-        with pytest.raises(RenetError, match="another program on this computer drives the Go1 at"):
-            second.connect()
-    assert not started
-    first._stop.set()  # As if this process were gone but for the sender, which still brakes.
-    with pytest.raises(RenetError, match="end it first"):
-        second.connect()
-    os.close(first._pipe)
-    first._sender.wait(10)
-    monkeypatch.undo()
-    second.connect()
-    second.close()
 
 
 def test_a_name_of_the_robot_is_its_address():

@@ -216,6 +216,19 @@ def test_a_state_is_taken_whatever_its_crc_says_and_never_from_the_past(free):
     assert free.link.state.time == 77.0
 
 
+def test_a_robot_that_leaves_the_network_is_no_message_and_no_reading(free, peer):
+    """DDS tells readers, in place of a message, that the last writer has gone."""
+    free.send(hold(free), 5)
+    free.link.exchange(free.now)  # Or the last message is all that is told.
+    last = free.link.state.time
+    peer.close()
+    for _ in range(50):
+        free.now += PERIOD
+        free.link.exchange(free.now)
+    assert free.link.problem == ""
+    assert free.link.state.time <= last + PERIOD
+
+
 @pytest.mark.parametrize("buttons", [256, 4])
 def test_a_button_of_the_robots_remote_brakes_for_good(free, peer, buttons):
     peer.buttons = buttons

@@ -15,7 +15,15 @@ class DepthPreprocessor:
     """Picks a policy's pixels from one camera's images."""
 
     def __init__(self, lens: Intrinsics, spec: CameraSpec) -> None:
-        """Find the pixels in images without distortion; raises RenetError for too narrow a view."""
+        """Find the pixels in images without distortion.
+
+        Args:
+            lens: of the camera; both focal lengths are negative where it is mounted upside down.
+            spec: what the policy sees.
+
+        Raises:
+            RenetError: too narrow a view.
+        """
         left, up = spec.intrinsics.axes()
         self._columns = np.rint(lens.cx - 0.5 - lens.fx * left).astype(int)
         self._rows = np.rint(lens.cy - 0.5 - lens.fy * up).astype(int)
@@ -23,10 +31,10 @@ class DepthPreprocessor:
             ("wide", self._columns, lens.width),
             ("high", self._rows, lens.height),
         ):
-            if index[0] < 0 or index[-1] >= size:
+            if index.min() < 0 or index.max() >= size:
                 raise RenetError(
                     f"the camera's image is not {name} enough for the policy: it needs pixels "
-                    f"{index[0]} to {index[-1]} of {size}; choose another resolution"
+                    f"{index.min()} to {index.max()} of {size}; choose another resolution"
                 )
         self.size = (lens.height, lens.width)
         """Rows, columns of the images it takes."""
@@ -38,8 +46,8 @@ class DepthPreprocessor:
         Those it could not measure. Raises RenetError for an image of another size.
         """
         self._check(image)
-        rows = slice(self._rows[0], self._rows[-1] + 1)
-        columns = slice(self._columns[0], self._columns[-1] + 1)
+        rows = slice(self._rows.min(), self._rows.max() + 1)
+        columns = slice(self._columns.min(), self._columns.max() + 1)
         return float((image[rows, columns] == 0).mean())
 
     def image(self, depth: np.ndarray) -> np.ndarray:

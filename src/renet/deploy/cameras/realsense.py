@@ -81,16 +81,22 @@ class RealSenseCamera(Camera):
     """
 
     def __init__(
-        self, spec: CameraSpec, clock: Callable[[], float], device: Any = None, serial: str = ""
+        self,
+        spec: CameraSpec,
+        clock: Callable[[], float],
+        device: Any = None,
+        serial: str = "",
+        upside_down: bool = False,
     ) -> None:
         """Set up without touching the camera.
 
         Args:
             spec: what the policy must be given. clock: seconds on the robot's clock.
             device: an open librealsense device, such as a software device; found by default.
-            serial: which of several cameras.
+            serial: which of several cameras. upside_down: turned by 180 degrees in its mount.
         """
         self._spec, self._clock, self._device, self._serial = spec, clock, device, serial
+        self._turn = -1 if upside_down else 1
         self._rs = realsense()
         self._latest: DepthFrame | None = None
         self._stop = threading.Event()
@@ -205,7 +211,8 @@ class RealSenseCamera(Camera):
         """For a stream's images; the vendor's pixel (0, 0) has its centre at (0, 0)."""
         lens = profile.as_video_stream_profile().get_intrinsics()
         middle = lens.ppx + 0.5, lens.ppy + 0.5
-        intrinsics = Intrinsics(lens.height, lens.width, lens.fx, lens.fy, *middle)
+        focal = self._turn * lens.fx, self._turn * lens.fy
+        intrinsics = Intrinsics(lens.height, lens.width, *focal, *middle)
         return DepthPreprocessor(intrinsics, self._spec)
 
 

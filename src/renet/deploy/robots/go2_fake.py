@@ -34,7 +34,7 @@ from renet.deploy.robots.go2_switch import (
 )
 from renet.deploy.robots.scene import build_scene
 from renet.descriptions import GO2
-from renet.interface import JOINTS, TRUNK
+from renet.interface import JOINTS, TRUNK, Terrain
 
 LOOPBACK = "lo"
 SPORT = "normal"
@@ -183,8 +183,8 @@ class SimulateCfg:
 
     robot: Literal["go2"] = "go2"
     """go2: a Unitree Go2, behind its vendor's DDS topics."""
-    terrain: str = "flat"
-    """flat, rough, obstacles, stairs, stairs_up, gap or platform."""
+    terrain: Terrain = "flat"
+    """The ground; stairs lead down from a summit, stairs_up out of a pit."""
     level: int = 1
     """Level of the terrain, 1 to 10."""
     domain: int = 0
