@@ -1,53 +1,33 @@
 """Sphinx's settings: `sphinx-build -W docs OUT`."""
 
 import importlib.metadata
+import os
 import re
 from pathlib import Path
 
 from renet.page.writer import VENDOR, PageCfg, write_page
 
 project = "renet"
-author = "the renet authors"
+author = "the renet developers"
+copyright = f"2026 {author}, Apache-2.0"
 release = importlib.metadata.version("renet-locomotion")
 extensions = [
     "myst_parser",
-    "sphinx.ext.apidoc",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
 ]
 html_theme = "furo"
 html_title = f"renet {release}"
-exclude_patterns = ["_build", "api/generated/modules.rst"]
+exclude_patterns = ["_build"]
 myst_heading_anchors = 3
 myst_enable_extensions = ["colon_fence", "deflist"]
 # Docstrings quote code in single backticks, as Markdown does.
 default_role = "code"
-apidoc_modules = [
-    {
-        "path": "../src/renet",
-        "destination": "api/generated",
-        "exclude_patterns": [
-            "../src/renet/" + name
-            for name in (
-                "cli.py",
-                "evaluation",
-                "models",
-                "page",
-                "registry.py",
-                "sim",
-                "tasks",
-                "training",
-            )
-        ],
-        "max_depth": 3,
-        "module_first": True,
-        "automodule_options": {"members", "show-inheritance"},
-    }
-]
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
-autodoc_mock_imports = ["pybullet", "pybullet_utils", "pyrealsense2", "unitree_legged_sdk"]
+# Optional extras, of which the documentation needs only the docstrings.
+autodoc_mock_imports = ["pybullet", "pyrealsense2", "scipy", "unitree_legged_sdk"]
 # Diagrams are Mermaid's, which GitHub draws and Pygments does not know; packages offer again what
 # their modules define.
 suppress_warnings = ["misc.highlighting_failure", "ref.python"]
@@ -57,6 +37,11 @@ EMBEDDED = """```{raw} html
   style="width: 100%; height: 60rem; border: 0"></iframe>
 <p><a href="demo/">Open it in a window of its own</a></p>
 ```"""
+
+COLAB = (
+    "[![Open in Colab](https://colab.research.google.com/assets/colab-badge.svg)]"
+    "(https://colab.research.google.com/github/{}/blob/main/examples/walk.ipynb)"
+)
 
 
 def setup(app) -> None:
@@ -80,9 +65,13 @@ def _write_page(app, error: Exception | None) -> None:
 def _mend_links(_app, _name: str, source: list[str]) -> None:
     # The measurements' notes are a page of the site; a folder of the source is not.
     text = source[0].replace("(../benchmarks/NOTES.md", "(notes.md")
+    if repository := os.environ.get("GITHUB_REPOSITORY"):
+        text = text.replace("<!-- colab -->", COLAB.format(repository))
     source[0] = re.sub(r"\[([^\]]+)\]\((\.\./[^)#]+)\)", _file_or_words, text)
 
 
 def _file_or_words(link: re.Match[str]) -> str:
-    folder = (Path(__file__).parent / link[2]).is_dir()
-    return link[1] if folder else link[0]
+    target = Path(__file__).parent / link[2]
+    if target.suffix == ".md":  # No page of the site, but a file to download.
+        return f"{{download}}`{link[1]} <{link[2]}>`"
+    return link[1] if target.is_dir() else link[0]

@@ -1,6 +1,7 @@
 """Documents: commands run here or say what they take; links, files and tests named exist."""
 
 import ast
+import pydoc
 import re
 import shlex
 from pathlib import Path
@@ -89,6 +90,14 @@ def test_every_link_and_anchor_leads_somewhere(page: Path):
         assert other.exists(), target
         if anchor and other.suffix == ".md":
             assert anchor in anchors(other), f"{target}#{anchor}"
+
+
+def test_every_name_of_the_api_page_exists():
+    page = (ROOT / "docs" / "api" / "index.md").read_text()
+    names = re.findall(r"(?:`|:: )(renet\.[\w.]+)", page)
+    assert len(names) > 20
+    for name in names:
+        assert pydoc.locate(name) is not None, name
 
 
 def test_every_file_the_method_page_names_exists():

@@ -97,7 +97,7 @@ class Bundle:
 
     @property
     def sha256(self) -> str:
-        """One digest for how the bundle decides: of its models' digests and its selector."""
+        """The digest of all that decides, models' digests and the selector, in hexadecimal."""
         decides = [self.manifest.sha256, dataclasses.asdict(self.manifest.selector)]
         digests = json.dumps(decides, sort_keys=True)
         return hashlib.sha256(digests.encode()).hexdigest()
