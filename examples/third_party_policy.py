@@ -1,16 +1,21 @@
 """Benchmark a policy that is not renet's: `python examples/third_party_policy.py policy.onnx`."""
 
 import hashlib
+import sys
 from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
 import tyro
 
+from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator, Provenance
+from renet.evaluation.protocols import demand_shapes
 from renet.evaluation.studies.benchmark import read_result
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard
+
+SHAPES = {"observation": (45,), "depth": (48, 64), "action": (12,)}  # Of each robot.
 
 
 class TheirPolicy:
@@ -18,6 +23,7 @@ class TheirPolicy:
 
     def __init__(self, model: Path, num_robots: int):
         self.model = ort.InferenceSession(model)
+        demand_shapes(model, [*self.model.get_inputs(), *self.model.get_outputs()], SHAPES)
         self.anomaly_score = np.zeros(num_robots)  # Constant: only the other monitors judge images.
 
     def reset(self, mask=None): ...
@@ -45,4 +51,8 @@ def main(model: tyro.conf.Positional[Path], results: Path = Path("results")) -> 
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    try:
+        tyro.cli(main)
+    except RenetError as error:
+        print(error, file=sys.stderr)
+        raise SystemExit(2) from error

@@ -8,7 +8,9 @@ import importlib
 import io
 import os
 import re
+import signal
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, field
@@ -37,6 +39,8 @@ class Command:
     """Heading of `renet --help` under which it stands."""
     presets: dict[str, str] = field(default_factory=dict)
     """MODULE:CONFIG with other defaults, by what follows `--preset`."""
+    resume: str = ""
+    """What an interruption leaves, and how to go on."""
 
     def load(self, arguments: list[str]) -> tuple[Callable[[Any], Any], Any, list[str]]:
         """The function, the dataclass that `--preset` asks for, and the other arguments."""
@@ -53,11 +57,13 @@ class Command:
         return run, getattr(importlib.import_module(module), config), arguments
 
 
+KEPT = "what has finished is kept: the same command goes on"
 COMMANDS = {
     "demo": Command(
         "see the shipped policy lose its camera: one page",
         "renet.evaluation.demo:DemoCfg:run_demo",
         group="Walk",
+        resume=KEPT,
     ),
     "play": Command(
         "film a bundle or checkpoint while its camera fails",
@@ -99,11 +105,13 @@ COMMANDS = {
         "set a bundle's fault detection from healthy walks",
         "renet.evaluation.calibrate:CalibrateCfg:run_calibrate",
         group="Train",
+        resume="the bundle is as it was: give the same command again",
     ),
     "evaluate faults": Command(
         "all camera faults; --preset noise: the paper's six",
         "renet.evaluation.studies.faults:FaultStudy:FaultStudy.main",
         presets={"noise": "renet.evaluation.studies.noise:NoiseStudy"},
+        resume=KEPT,
     ),
     "evaluate leaderboard": Command(
         "rank policies by their results under faults",
@@ -116,14 +124,17 @@ COMMANDS = {
             "success": "renet.evaluation.studies.terrain:SuccessStudy",
             "standing": "renet.evaluation.studies.standing:StandingStudy",
         },
+        resume=KEPT,
     ),
     "evaluate memory": Command(
         "who crosses, against seconds without an image",
         "renet.evaluation.studies.memory:MemoryStudy:MemoryStudy.main",
+        resume=KEPT,
     ),
     "evaluate margins": Command(
         "how far a robot may differ before it falls",
         "renet.evaluation.studies.margins:MarginsStudy:MarginsStudy.main",
+        resume=KEPT,
     ),
     "evaluate log": Command(
         "score a recording: falls, distance, switches",
@@ -133,6 +144,7 @@ COMMANDS = {
     "evaluate report": Command(
         "all studies of a folder on one page",
         "renet.evaluation.studies.report:ReportCfg:make_report",
+        resume=KEPT,
     ),
     "bundle inspect": Command(
         "print a bundle's inputs by index, name and unit",
@@ -154,6 +166,8 @@ def main(argv: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else argv
     # A spinning OpenMP team starves whatever shares the machine; must be set before torch loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # As Ctrl-C.
     try:
         return _run(arguments)
     except BrokenPipeError:
@@ -173,8 +187,8 @@ def _run(arguments: list[str]) -> int:
             raise
         print(f"renet: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("renet: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as interrupt:
+        print(": ".join(filter(None, ("renet: interrupted", str(interrupt)))), file=sys.stderr)
         return 130
     finally:
         sys.stdout.flush()
@@ -202,6 +216,8 @@ def _dispatch(arguments: list[str]) -> int:
     except ModuleNotFoundError as error:
         # Also of imports that wait until an option needs them.
         raise _missing(error, name, command.extra) from error
+    except KeyboardInterrupt as interrupt:
+        raise KeyboardInterrupt(str(interrupt) or command.resume) from interrupt
     where = result if isinstance(result, Path) else getattr(cfg, "out", None)
     if where is not None:
         print(f"Results: {where}")

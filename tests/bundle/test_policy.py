@@ -101,6 +101,8 @@ def test_walks_on_without_a_camera(policy):
         (np.zeros((3, 45)), np.zeros((3, 64, 48)), r"depth image has shape \(3, 64, 48\)"),
         (np.full((3, 45), np.nan), np.zeros((3, 48, 64)), "proprioception contains NaN"),
         (np.zeros((3, 45)), np.full((3, 48, 64), np.inf), "depth image contains NaN or inf"),
+        (np.zeros((3, 45)), np.full((3, 48, 64), 850, np.uint16), r"in \[0, 1\], not 850 to 850"),
+        (np.zeros((3, 45)), np.full((3, 48, 64), -0.1), r"in \[0, 1\], not -0.1"),
     ],
 )
 def test_bad_input_is_refused_and_nothing_is_remembered(policy, observation, image, message):

@@ -55,6 +55,10 @@ def test_the_recipe_of_a_study_runs_and_goes_on(tmp_path: Path, monkeypatch) -> 
 
     study.run(Other())
     assert made == [0.6, 0.3, 0.6, 0.9], "another policy's results are not gone on with"
+    for part in (tmp_path / "parts").glob("speed_0.3-*"):
+        part.write_text(part.read_text().replace('"seed": 1', '"seed": 2'))
+    with pytest.raises(RenetError, match="is of other settings than its name says"):
+        study.run(Other())
     assert study.tables(summary)[0][2][0] == (0.3, pytest.approx(SPEED), 0)
 
 

@@ -9,6 +9,7 @@ import onnx.parser
 import pytest
 
 import third_party_policy as example
+from renet.errors import RenetError
 from renet.evaluation.studies.faults import FaultStudy
 
 STILL = """
@@ -39,6 +40,26 @@ def test_a_blind_policy_sees_nothing_near(model: Path) -> None:
     depth = np.full((2, 48, 64), 0.25, np.float16)
     action = policy.step(np.zeros((2, 45), np.float32), depth, np.array([False, True]))
     np.testing.assert_allclose(action[:, 0], [0.0025, 0.01])
+
+
+@pytest.mark.parametrize(
+    ("theirs", "message"),
+    [
+        ("float[1, 48] obs", r"theirs.onnx has obs \[1, 48\], action \[1, 48\]; a study gives"),
+        ("float[1, 45] observation", "no base velocity"),
+        ("float[N, 45] observation, float[N, 64, 64] depth", r"depth \[N, 48, 64\] in \[0, 1\]"),
+    ],
+)
+def test_a_model_with_other_inputs_is_told_what_it_is_given(
+    tmp_path: Path, theirs: str, message: str
+) -> None:
+    size, name = theirs.split("] ")[0] + "]", theirs.split("] ")[1].split(",")[0]
+    text = f'<ir_version: 8, opset_import: ["" : 17]>\nt ({theirs}) => ({size} action)'
+    model = onnx.parser.parse_model(f"{text} {{ action = Identity ({name}) }}")
+    onnx.save(model, tmp_path / "theirs.onnx")
+    with pytest.raises(RenetError, match=message) as error:
+        example.TheirPolicy(tmp_path / "theirs.onnx", 2)
+    assert "\n" not in str(error.value)
 
 
 def test_it_enters_the_leaderboard_with_one_command(

@@ -158,11 +158,17 @@ class Policy:
             Actions [N, 12] in policy units, clipped as in training.
 
         Raises:
-            RenetError: wrong shape, or a number that is not finite. The memory is then unchanged.
+            RenetError: wrong shape, a number that is not finite, or depth outside [0, 1]. The
+                memory is then unchanged.
         """
         proprioception = self._checked(proprioception, "proprioception", (PROPRIOCEPTION_SIZE,))
         if self.due and depth is not None:
             depth = self._checked(depth, "depth image", DEPTH_SHAPE)
+            if depth.min() < 0.0 or depth.max() > 1.0:
+                raise RenetError(
+                    f"the depth image must be in [0, 1], not {depth.min():g} to {depth.max():g}:"
+                    f" divide metres by {self.manifest.camera.range:g} and clip"
+                )
         mask = np.ones(self.num_robots, bool) if depth is None else np.asarray(op_mask, bool)
         self.remember(proprioception)
         if self.due:

@@ -33,12 +33,17 @@ def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np
 
     Raises:
         RenetError: a recording that cannot be read, of another policy, or with injected faults;
-            or too little healthy walking in all of them.
+            the same walks twice; or too little healthy walking in all of them.
     """
+    first: dict[bytes, Path] = {}
     found: dict[str, list[np.ndarray]] = {name: [] for name in MONITORS}
     for path in logs:
         run = read_recording(path)
         _check(run, path, bundle)
+        ticks = run.ticks.tobytes()
+        if ticks in first:
+            raise RenetError(f"{path} holds the same walk as {first[ticks]}: give each log once")
+        first[ticks] = path
         for walk in healthy_walks(run):
             for name, scores in zip(found, score_walk(run, walk).T, strict=True):
                 found[name].append(scores)

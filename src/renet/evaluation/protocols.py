@@ -1,11 +1,13 @@
 """What a rollout needs of an environment, a policy and a selector, whoever wrote them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
+from renet.errors import RenetError
 from renet.evaluation.trace import TrueState
 from renet.faults import ViewPerturbation
 from renet.selector.monitors import Gate, SelectorInput
@@ -83,3 +85,25 @@ class EvalSelector(Protocol):
 
     def reset(self, mask: np.ndarray) -> None:
         """Start anew for the masked robots [N]."""
+
+
+def demand_shapes(path: Path, nodes: Sequence[Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Refuse somebody's ONNX policy that takes or gives anything else than the caller handles.
+
+    Args:
+        path: of the model.
+        nodes: its inputs and outputs, of an ONNX Runtime session.
+        shapes: the shape of each for one robot, by name; the model must take N robots.
+
+    Raises:
+        RenetError: other names, other shapes, or a fixed number of robots.
+    """
+    present = {node.name: list(node.shape) for node in nodes}
+    batched = all(shape and not isinstance(shape[0], int) for shape in present.values())
+    if {name: tuple(shape[1:]) for name, shape in present.items()} != shapes or not batched:
+        raise RenetError(
+            f"{path} has {', '.join(f'{name} {shape}' for name, shape in present.items())}; a study"
+            " gives proprioception [N, 45] (no base velocity) and depth [N, 48, 64] in [0, 1], and"
+            " holds the joint targets of actions [N, 12] with gains 40 and 1: compute what else the"
+            " model needs in the policy's `step` (docs/evaluation.md, Your own policy)"
+        )

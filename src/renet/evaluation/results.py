@@ -128,13 +128,18 @@ def kept(
         make: makes it.
 
     Raises:
-        RenetError: there is an earlier part, and it is damaged.
+        RenetError: there is an earlier part, and it is damaged or of other settings.
     """
     key = plain(dict(key) | {"format": PARTS_FORMAT})
     digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
     path = folder / f"{name}-{digest[:8]}.json"
     if path.exists():
-        return read_results(path)
+        part = read_results(path)
+        if part.get("key") != key:
+            raise RenetError(
+                f"{path} is of other settings than its name says: delete it and run the study again"
+            )
+        return part
     part = plain(make()) | {"key": key}
     write_json(path, part)
     return part

@@ -1,4 +1,5 @@
 import json
+import os
 import re
 import shutil
 from pathlib import Path
@@ -44,7 +45,7 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
 
 
 def test_one_study_alone_makes_a_page(results: Path, tmp_path: Path) -> None:
-    (tmp_path / "standing").symlink_to(results / "standing")
+    shutil.copytree(results / "standing", tmp_path / "standing")
     page = make_report(ReportCfg(tmp_path))
     assert page == tmp_path / "index.html"
     html = page.read_text()
@@ -118,6 +119,34 @@ def test_damaged_results_end_in_one_line(results: Path, tmp_path: Path, damaged)
         make_report(ReportCfg(tmp_path, tmp_path / "page.html"))
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "page.html").exists()
+
+
+@pytest.mark.parametrize("spoil", ["link", "pipe", "text", "folder", "summary"])
+def test_only_pictures_of_the_folder_itself_are_shown(results: Path, tmp_path: Path, spoil) -> None:
+    """A stranger's folder of results must not put this computer's files on the page."""
+    folder, picture = tmp_path / "r" / "terrain", tmp_path / "r" / "terrain" / "terrain.png"
+    shutil.copytree(results / "terrain", folder)
+    (tmp_path / "secret.png").write_bytes(picture.read_bytes())
+    message = "is a link"
+    if spoil in ("link", "pipe", "text"):
+        picture.unlink()
+    if spoil == "link":
+        picture.symlink_to(tmp_path / "secret.png")
+    elif spoil == "pipe":
+        os.mkfifo(picture)
+        message = "not a regular file"
+    elif spoil == "text":
+        picture.write_text("root:x:0:0")
+        message = "is no PNG file"
+    elif spoil == "folder":
+        folder.rename(tmp_path / "elsewhere")
+        folder.symlink_to(tmp_path / "elsewhere")
+    else:
+        (folder / "summary.json").rename(tmp_path / "other.json")
+        (folder / "summary.json").symlink_to(tmp_path / "other.json")
+    with pytest.raises(RenetError, match=message):
+        make_report(ReportCfg(tmp_path / "r"))
+    assert not (tmp_path / "r" / "index.html").exists()
 
 
 def test_text_of_a_summary_is_escaped(results: Path, tmp_path: Path) -> None:

@@ -16,9 +16,12 @@ from renet.errors import RenetError
 from renet.evaluation.figures import MODE_NAMES, noise_label
 from renet.evaluation.rollout import FLAT
 from renet.faults import fault_class
-from renet.files import write_atomically
+from renet.files import read_bytes, write_atomically
 
-MIME = {".png": "image/png", ".mp4": "video/mp4"}
+MEDIA = {".png": ("image/png", 0, b"\x89PNG\r\n\x1a\n"), ".mp4": ("video/mp4", 4, b"ftyp")}
+"""Media type of each kind of file, and the bytes by which it is known, with their place."""
+MAX_MEDIA = 64_000_000
+"""Bytes of a picture or film."""
 
 
 @dataclass(frozen=True)
@@ -81,9 +84,23 @@ def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -
 
 
 def data_uri(path: Path) -> str:
-    """A PNG or mp4 as a data URI."""
-    content = base64.b64encode(path.read_bytes()).decode()
-    return f"data:{MIME[path.suffix]};base64,{content}"
+    """A PNG or mp4 as a data URI.
+
+    Raises:
+        RenetError: it is a link, which may lead out of its folder, or anything but such a file.
+    """
+    demand_no_links(path, path.parent)
+    media, start, magic = MEDIA[path.suffix]
+    content = read_bytes(path, MAX_MEDIA, "picture")
+    if content[start : start + len(magic)] != magic:
+        raise RenetError(f"{path} is no {path.suffix[1:].upper()} file: run the study again")
+    return f"data:{media};base64,{base64.b64encode(content).decode()}"
+
+
+def demand_no_links(path: Path, folder: Path) -> None:
+    """Raise RenetError where a link leads from a folder to a path inside it."""
+    if path.resolve() != folder.resolve() / path.relative_to(folder):
+        raise RenetError(f"{path} is a link: a report shows only what lies in {folder}")
 
 
 def load_template(name: str) -> Template:

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from renet.errors import RenetError
-from renet.evaluation.report.page import reading, render, study_sections, write_page
+from renet.evaluation.report.page import (
+    demand_no_links,
+    reading,
+    render,
+    study_sections,
+    write_page,
+)
 from renet.evaluation.report.summary import overview_section, worse_section
 from renet.evaluation.results import read_results
 from renet.evaluation.studies.faults import FaultStudy
@@ -63,27 +69,31 @@ def make_report(cfg: ReportCfg) -> Path:
     """
     if cfg.run:
         run_studies(cfg)
-    found = {
-        name: read_results(cfg.results / name / "summary.json")
-        for name in STUDIES
-        if (cfg.results / name / "summary.json").exists()
-    }
-    if not found:
+    paths = {name: cfg.results / name / "summary.json" for name in STUDIES}
+    paths = {name: path for name, path in paths.items() if path.exists()}
+    for path in paths.values():
+        demand_no_links(path, cfg.results)
+    summaries = {name: read_results(path) for name, path in paths.items()}
+    if not summaries:
         raise RenetError(
             f"no results in {cfg.results}: run `renet evaluate report --run --quick`,"
             " or one study, first"
         )
     # Each study first, so that a damaged one is reported by its name.
-    studies = [s for name in found for s in study_sections(found[name], name, cfg.results / name)]
-    with reading(", ".join(found)):
-        sections = [overview_section(found), render("how_to_read"), worse_section(found), *studies]
+    studies = [
+        section
+        for name, summary in summaries.items()
+        for section in study_sections(summary, name, cfg.results / name)
+    ]
+    with reading(", ".join(summaries)):
+        top = [overview_section(summaries), render("how_to_read"), worse_section(summaries)]
     out = cfg.out or cfg.results / "index.html"
     lead = (
         "What a robot dog's policy does on hard ground and when its depth camera fails, in"
         " simulation, from the exported ONNX models. Falls are judged by the robot's true pose;"
         " what went wrong is shown first."
     )
-    return write_page(out, "RENet, measured", lead, sections)
+    return write_page(out, "RENet, measured", lead, [*top, *studies])
 
 
 def run_studies(cfg: ReportCfg) -> None:
