@@ -1,6 +1,6 @@
 """Load the page's opening scene again and again: how quick it is, and what blindness does.
 
-Usage: renet page --out PAGE && python -m benchmarks.page PAGE [--loads 10]
+Usage: renet page --out PAGE && python -m benchmarks.page PAGE [--scene '?ground=gap'] [--loads 10]
 
 "Page" is the processor time of the renderer process (JavaScript and WebAssembly), "drawing" that of
 the process that stands for the GPU. On a busy machine they say more than the clock does.
@@ -12,12 +12,12 @@ import argparse
 import os
 import re
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tests.evaluation.report.browser import Browser, find_browser
+from playwright.sync_api import Browser
+from tests.browser import open_browser
 
 from renet.server import serve_folder
 
@@ -27,14 +27,13 @@ PATIENCE = 500.0
 TICKS = os.sysconf("SC_CLK_TCK")
 LOOK = """(() => {
   const { page, stats } = renetPage;
-  return { ...stats, now: page.now, upright: page.simulations.map((one) => one.upright),
-    walking: page.simulations.map((one) => one.walking),
-    speed: page.simulations.map((one) => one.speed) };
+  return { ...stats, now: page.now, states: page.simulations.map((one) => one.state),
+    sentence: page.story.sentence };
 })()"""
 
 
 def processor_time(root: int) -> dict[str, float]:
-    """CPU seconds that a browser's processes have taken so far, by kind, of /proc (Linux)."""
+    """CPU seconds that a process's descendants have taken so far, by kind, of /proc (Linux)."""
     parents, times = {}, {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
@@ -55,33 +54,30 @@ def processor_time(root: int) -> dict[str, float]:
     return total
 
 
-def load(program: str, address: str) -> dict[str, Any]:
+def load(browser: Browser, address: str) -> dict[str, Any]:
     """One visit that touches nothing, until `AFTER` seconds after the fault."""
-    browser = Browser(program, PATIENCE)
-    try:
-        browser.open(address, 1400, dark=False)
-        while not browser.ask("Boolean(globalThis.renetPage?.stats.first)"):
-            time.sleep(0.1)
-        broken = "renetPage.page.simulations[0].camera.fault?.onset ?? null"
-        while (onset := browser.ask(broken)) is None:
-            time.sleep(0.1)
-        begun, spent = browser.ask(LOOK), processor_time(browser.process.pid)
-        while browser.ask("renetPage.page.now") < onset + AFTER:
-            time.sleep(0.05)
-        seen, total = browser.ask(LOOK), processor_time(browser.process.pid)
-    finally:
-        browser.close()
+    page = browser.new_page(viewport={"width": 1400, "height": 800})
+    page.set_default_timeout(1000 * PATIENCE)
+    page.goto(address)
+    page.wait_for_function("Boolean(globalThis.renetPage?.stats.ready)", polling=50)
+    begun, spent = page.evaluate(LOOK), processor_time(os.getpid())
+    page.wait_for_function("renetPage.page.story.onset !== null", polling=50)
+    onset = page.evaluate("renetPage.page.story.onset")
+    page.wait_for_function(f"renetPage.page.now >= {onset + AFTER}", polling=50)
+    seen, total = page.evaluate(LOOK), processor_time(os.getpid())
+    page.close()
     simulated, seconds, pictures = (
         seen[key] - begun[key] for key in ("simulated", "seconds", "pictures")
     )
     took = {kind: 1000 * (total[kind] - spent.get(kind, 0.0)) for kind in total}
     return {
         "first_s": seen["first"] / 1000,
+        "ready_s": seen["ready"] / 1000,
         "real_time": simulated / seconds,
         "frame_ms": 1000 * seconds / pictures,
         "cpu_page": took["renderer"] / simulated,
         "cpu_drawing": took.get("gpu-process", 0.0) / pictures,
-        **{key: seen[key] for key in ("upright", "walking", "speed")},
+        "sentence": seen["sentence"],
     }
 
 
@@ -89,33 +85,25 @@ def main() -> None:
     """Print one line a visit, and the medians."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("page", type=Path)
+    parser.add_argument("--scene", default="", help="query of the address: ?ground=gap")
     parser.add_argument("--loads", type=int, default=10)
     args = parser.parse_args()
-    program = find_browser()
-    if program is None:
-        raise SystemExit("no Chromium on this machine")
     server = serve_folder(args.page, 0)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     visits = []
-    for _ in range(args.loads):
-        visit = load(program, f"http://127.0.0.1:{server.server_port}/")
-        visits.append(visit)
-        states = [
-            f"{name} {'up' if up and walks else 'down'} {speed:.2f} m/s"
-            for name, up, walks, speed in zip(
-                ("VP", "RENet"), visit["upright"], visit["walking"], visit["speed"], strict=True
+    with open_browser() as browser:
+        for _ in range(args.loads):
+            visit = load(browser, f"http://127.0.0.1:{server.server_port}/{args.scene}")
+            visits.append(visit)
+            print(
+                f"first picture {visit['first_s']:.1f} s, walks after {visit['ready_s']:.1f} s, "
+                f"real-time factor {visit['real_time']:.2f}, {visit['frame_ms']:.0f} ms a picture; "
+                f"processor time: page {visit['cpu_page']:.0f} ms a simulated second, drawing "
+                f"{visit['cpu_drawing']:.0f} ms a picture; load {os.getloadavg()[0]:.1f}; "
+                f"{visit['sentence']}",
+                flush=True,
             )
-        ]
-        print(
-            f"first picture {visit['first_s']:.1f} s, real-time factor {visit['real_time']:.2f}, "
-            f"{visit['frame_ms']:.0f} ms a picture; processor time: page "
-            f"{visit['cpu_page']:.0f} ms a simulated second, drawing "
-            f"{visit['cpu_drawing']:.0f} ms a picture; "
-            f"{', '.join(states)}; "
-            f"load {os.getloadavg()[0]:.1f}",
-            flush=True,
-        )
-    for key in ("first_s", "real_time", "frame_ms", "cpu_page", "cpu_drawing"):
+    for key in ("first_s", "ready_s", "real_time", "frame_ms", "cpu_page", "cpu_drawing"):
         print(f"median {key}: {np.median([visit[key] for visit in visits]):.2f}")
 
 

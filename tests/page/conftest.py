@@ -48,7 +48,7 @@ def memory_bundle(tmp_path_factory) -> Path:
 def memory_page(page: Path, memory_bundle: Path, tmp_path_factory) -> Path:
     """The page of that bundle."""
     out = tmp_path_factory.mktemp("memory-page") / "page"
-    return write_page(PageCfg(memory_bundle, out=out))
+    return write_page(PageCfg((memory_bundle,), out))
 
 
 @pytest.fixture(scope="session")

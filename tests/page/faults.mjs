@@ -5,8 +5,8 @@ import { readFile } from "node:fs/promises";
 import { pathToFileURL } from "node:url";
 
 const [web, page, file] = process.argv.slice(2);
-const { FAULTS } = await import(pathToFileURL(`${web}/faults.js`));
-const { Random } = await import(pathToFileURL(`${web}/random.js`));
+const { FAULTS } = await import(pathToFileURL(`${web}/world/faults.js`));
+const { Random } = await import(pathToFileURL(`${web}/world/random.js`));
 const contract = JSON.parse(await readFile(`${page}/renet-page.json`));
 const { frames, streams, severities } = JSON.parse(await readFile(file));
 
@@ -30,19 +30,19 @@ function summary(before, { image, invalid, fresh, age }) {
 
 function run(name, level, seed) {
   const fault = new FAULTS[name](level, new Random(seed), contract.camera);
-  return frames.flatMap(({ image, angularVelocity, elapsed: [elapsed] }) => {
-    const frame = { image: Float32Array.from(image), angularVelocity, fresh: true, age: 0, invalid: 0 };
-    const delivered = fault.corrupt(frame, elapsed);
-    return elapsed < 0 ? [] : [summary(frame.image, delivered)];
+  return frames.flatMap(({ image, elapsed: [elapsed] }) => {
+    const frame = { image: Float32Array.from(image), fresh: true, age: 0, invalid: 0 };
+    const after = fault.corrupt(frame, elapsed);
+    return elapsed < 0 ? [] : [summary(frame.image, after)];
   });
 }
 
-const found = {};
-for (const { name, levels } of contract.faults.filter(({ name }) => name in streams)) {
-  found[name] = severities.map((severity) =>
+const delivered = {};
+for (const { name, levels } of contract.faults) {
+  delivered[name] = severities.map((severity) =>
     Array.from({ length: streams[name] }, (_, seed) =>
       run(name, levels[severity - 1] ?? Infinity, seed + 1),
     ),
   );
 }
-console.log(JSON.stringify(found));
+console.log(JSON.stringify(delivered));

@@ -6,14 +6,15 @@ import { pathToFileURL } from "node:url";
 
 const [web, page, file] = process.argv.slice(2);
 const load = (name) => import(pathToFileURL(`${web}/${name}`));
-const { loadModels, loadRuntime } = await load("runtime.js");
-const { Controller } = await load("controller.js");
+const { loadModels, loadRuntime } = await load("load.js");
+const { Controller } = await load("control/controller.js");
 
 const read = async (path) => new Uint8Array(await readFile(`${page}/${path}`));
-const runtime = await loadRuntime(read);
+const contract = JSON.parse(await readFile(`${page}/renet-page.json`));
+const runtime = await loadRuntime(read, contract, contract.bundles[0]);
 await loadModels(runtime, read);
 const { kind, ticks } = JSON.parse(await readFile(file));
-const controller = new Controller(runtime.manifest, runtime.contract, runtime.sessions, kind);
+const controller = new Controller(runtime, kind);
 
 function image(text) {
   const { buffer, byteOffset, length } = Buffer.from(text, "base64");

@@ -1,180 +1,238 @@
-"""The page in a real browser: it walks, is blinded, stays up, and obeys every control."""
+"""The page in a real browser: it tells its story, obeys every control, and fits a phone."""
 
-import json
-import time
+import io
 from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
+from playwright.sync_api import Browser, Page
 
-from tests.evaluation.report.browser import Browser, find_browser
+from tests.browser import open_browser, watch
 
-PATIENCE = 500.0
-"""Seconds after which a browser is ended."""
-WIDTH = 1200
+GOLDEN = Path(__file__).with_name("golden")
+DESKTOP, PHONE = {"width": 1280, "height": 760}, {"width": 390, "height": 844}
+PARTS = ("header h1", "header nav", ".outcome", ".who select", ".eye", "#faults", ".drive", "#pad")
+"""What is laid over the stage, and must not lie upon each other."""
+APART, WORST = 8.0, 60.0
+"""Mean and largest difference from a golden picture, of 255."""
+
+
+class Visit:
+    """The page as a visitor has it."""
+
+    def __init__(self, browser: Browser, address: str, query: str, size: dict[str, int]) -> None:
+        context = browser.new_context(viewport=size, has_touch=size == PHONE)
+        self.page: Page = context.new_page()
+        self.complaints, self.requests = watch(self.page)
+        self.address, self.query = address, query
+
+    def load(self, until: str = "renetPage.stats.ready") -> "Visit":
+        self.page.goto(self.address + self.query)
+        self.until(f"globalThis.renetPage && {until}")
+        return self
+
+    def until(self, condition: str) -> None:
+        self.page.wait_for_function(condition, polling=100)
+
+    def ask(self, expression: str) -> Any:
+        return self.page.evaluate(expression)
+
+    def its(self, expression: str) -> Any:
+        return self.ask(f"renetPage.page.{expression}")
+
+    def press(self, *keys: str) -> None:
+        for key in keys:
+            self.page.keyboard.press(key)
+
+    def boxes(self) -> dict[str, dict[str, float]]:
+        """Where the parts are that a visitor sees."""
+        boxes = {}
+        for name in PARTS:
+            for number, part in enumerate(self.page.locator(name).all()):
+                if part.is_visible():
+                    boxes[f"{name} {number}"] = part.bounding_box()
+        return boxes
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with open_browser() as browser:
+        yield browser
 
 
 @pytest.fixture
-def browser(address: str) -> Iterator[Browser]:
-    """A browser with the page loaded and simulating."""
-    program = find_browser()
-    if program is None:
-        pytest.skip("no Chromium on this machine")
-    browser = Browser(program, PATIENCE)
-    browser.open(address, WIDTH, dark=False)
-    until(browser, "Boolean(globalThis.renetPage) && renetPage.stats.pictures > 1")
-    yield browser
-    browser.close()
+def visit(browser: Browser, address: str) -> Iterator[Any]:
+    """Makes visits, each in a window of its own, and ends them without a complaint."""
+    visits: list[Visit] = []
+
+    def make(query: str = "", size: dict[str, int] = DESKTOP) -> Visit:
+        visits.append(Visit(browser, address, query, size))
+        return visits[-1]
+
+    yield make
+    for one in visits:
+        one.page.context.close()
+        assert one.complaints == []
 
 
-def until(browser: Browser, condition: str) -> None:
-    """Wait for a JavaScript condition; the browser's own patience ends it."""
-    while not browser.ask(condition):
-        time.sleep(0.1)
-
-
-def press(browser: Browser, key: str) -> None:
-    for kind in ("keyDown", "keyUp"):
-        browser.call("Input.dispatchKeyEvent", type=kind, key=key)
-
-
-def middle(browser: Browser, selector: str) -> dict[str, float]:
-    """Where an element is in the window, once it has been scrolled there."""
-    return browser.ask(
-        f"""(() => {{ const one = document.querySelector("{selector}");
-          one.scrollIntoView({{block: "center"}});
-          const {{ x, y, width, height }} = one.getBoundingClientRect();
-          return {{ x: x + width / 2, y: y + height / 2 }}; }})()"""
+def test_a_link_tells_a_story_from_fault_to_outcome(visit, address: str):
+    story = visit("?ground=gap&fault=blackout&severity=5").load()
+    story.ask(
+        """const { page } = renetPage;
+        const apply = page.apply.bind(page);
+        page.apply = (fault) => {
+          renetPage.at = Math.max(...page.simulations.map((one) => one.world.pose().position[0]));
+          apply(fault);
+        }; 0"""
     )
-
-
-def errors(browser: Browser) -> list[str]:
-    """What the console complains of, without the browser's notes on drawing without a GPU."""
-    said = [json.loads(complaint) for complaint in browser.complaints]
-    return [str(one) for one in said if one.get("entry", {}).get("level") != "warning"]
-
-
-def robots(browser: Browser) -> list[dict[str, Any]]:
-    return browser.ask(
-        """renetPage.page.simulations.map((one) => ({
-          upright: one.upright, walking: one.walking, speed: one.speed, now: one.now,
-          driving: one.controller.driving, estimator: one.controller.estimator,
-        }))"""
+    assert "will fail (black)" in story.page.text_content("#message")
+    story.until("renetPage.at > 0")
+    assert story.ask("renetPage.at") == pytest.approx(
+        story.its("scene.ground.obstacle[0]") - 0.3, abs=0.05
     )
+    assert story.its("simulations.map((one) => one.camera.fault.name)") == ["blackout"] * 2
+    story.until("!document.querySelector('#verdict').hidden")
 
-
-def test_renet_walks_on_when_it_is_blinded(browser: Browser, address: str):
-    press(browser, "r")
-    until(browser, "renetPage.page.now < 1 && !renetPage.page.opening")
-    until(browser, "renetPage.page.now >= 5")
-    vp, renet = robots(browser)
-    assert (vp["driving"], renet["driving"]) == ("sees", "sees")
-    press(browser, "3")
-    assert browser.ask("renetPage.page.simulations[1].camera.fault.name") == "blackout"
-
-    until(browser, "renetPage.page.now >= 20")
-
-    vp, renet = robots(browser)
-    assert (vp["driving"] or "sees", renet["driving"]) == ("sees", "blind")
-    assert renet["upright"]
-    assert renet["walking"]
-    assert 0.5 < renet["speed"] < 0.9
-    assert errors(browser) == []
-    assert all(url.startswith((address, "blob:")) for url in browser.requests)
-
-
-def test_every_control_answers_to_keys(browser: Browser):
-    def pages(expression: str) -> Any:
-        return browser.ask(f"renetPage.page.{expression}")
-
-    speed = pages("controls.speed")
-    press(browser, "w")
-    press(browser, "ArrowUp")
-    assert pages("controls.speed") == pytest.approx(speed + 0.2)
-    press(browser, "s")
-    assert pages("controls.speed") == pytest.approx(speed + 0.1)
-
-    browser.call("Input.dispatchKeyEvent", type="keyDown", key="a")
-    until(browser, "renetPage.page.controls.turn > 0.05")
-    browser.call("Input.dispatchKeyEvent", type="keyUp", key="a")
-    assert pages("controls.held.size") == 0
-
-    press(browser, "1")
-    press(browser, "-")
-    fault = pages("simulations[0].camera.fault")
-    assert (fault["name"], fault["severity"]) == ("gaussian", 4)
-    assert pages("simulations[1].camera.fault.severity") == 4
-    press(browser, "h")
-    assert pages("simulations[0].camera.fault === null")
-    for key in "---5":
-        press(browser, key)
-    assert pages("last") == 4
-    until(browser, "document.querySelector('#repair').ariaPressed === 'true'")  # After 0.2 s.
-
-    for rule, monitors in (("paper", 1), ("monitors", 8)):
-        press(browser, "l")
-        assert pages("rule.value") == rule
-        assert 1 <= pages("simulations[1].controller.selector.monitors.length") <= monitors
-
-    press(browser, "m")
-    assert pages("simulations[1].controller.estimator") == "op"
-    clicked = middle(browser, ".slot:nth-of-type(2) label:nth-of-type(3)")
-    for kind in ("mousePressed", "mouseReleased"):
-        browser.call("Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **clicked)
-    press(browser, "ArrowUp")
-    assert pages("simulations[1].controller.estimator") == "op", "who clicked drives on"
-    press(browser, "t")
-    until(browser, "renetPage.page.simulations[0].now < 1 && !renetPage.page.wanted")
-    assert pages("scene.name") == "platform"
-    assert pages("simulations[1].controller.estimator") == "op"
-    before = pages("simulations[0].world.data.qvel[1]")
-    press(browser, "p")
-    until(browser, f"Math.abs(renetPage.page.simulations[0].world.data.qvel[1] - {before}) > 0.1")
-    press(browser, "r")
-    until(browser, "renetPage.page.wanted === false && renetPage.page.now < 1")
-    assert errors(browser) == []
-
-
-def test_gamepad_and_touch_drive(browser: Browser):
-    browser.ask(
-        """(() => {
-          const pressed = [{pressed: true}, {pressed: true}];
-          navigator.getGamepads = () => [
-            null, {mapping: "standard", axes: [0.8, 1, 0, 0], buttons: pressed}];
-          return true;
-        })()"""
+    robots = story.its(
+        "simulations.map((one) => ({ fell: one.fell, state: one.state, up: one.upright }))"
     )
-    until(browser, "renetPage.page.controls.stick < -0.5 && renetPage.page.fault !== null")
-    until(browser, "renetPage.page.controls.turn < -0.01 && renetPage.page.controls.speed < 0.3")
-    browser.ask("Boolean((navigator.getGamepads = () => { throw new Error('forbidden'); }))")
-    until(browser, "renetPage.page.controls.stick === 0")
+    sentence = story.page.text_content("#verdict p")
+    outcomes = story.page.locator(".outcome").all_text_contents()
+    told = sentence.split(". ")
+    assert [words.split(" ")[0] for words in told] == ["Camera", "Renet"]
+    for robot, words, outcome in zip(robots, told, outcomes, strict=True):
+        assert ("fell" in words) == robot["fell"] == outcome.startswith("Fell after")
+        assert robot["fell"] or robot["up"] > 0.5
+        assert "from memory" not in words, "the bundle that ships has none"
+    assert robots[1]["state"] != "sees", "renet noticed"
+    assert all(url.startswith((address, "blob:", "data:")) for url in story.requests)
 
-    touch = middle(browser, "#left")
-    browser.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[touch])
-    until(browser, "renetPage.page.controls.held.has('left')")
-    browser.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
-    until(browser, "renetPage.page.controls.held.size === 0")
+
+def test_every_control_answers_to_keys(visit):
+    one = visit("?ground=flat&fault=none").load()
+    one.press("w", "ArrowUp")
+    assert one.its("controls.speed") == pytest.approx(0.8)
+    one.press("s")
+    assert one.its("controls.speed") == pytest.approx(0.7)
+    one.page.keyboard.down("a")
+    one.until("renetPage.page.controls.turn > 0.05")
+    one.page.keyboard.up("a")
+    assert one.its("controls.held.size") == 0
+
+    one.press("2", "-")
+    fault = one.its("simulations.map(({ camera: { fault } }) => [fault.name, fault.severity])")
+    assert fault == [["gaussian", 4]] * 2
+    assert "fault=gaussian&severity=4" in one.page.url
+    one.press("h")
+    assert one.its("simulations[0].camera.fault === null")
+    assert "fault=none" in one.page.url
+    one.press("-", "-", "-", "7")
+    one.until("renetPage.page.broken === null")  # Frozen at severity 1: after 0.2 s.
+
+    for rule, monitors in (("paper", 1), ("monitors", 9)):
+        one.press("l")
+        assert one.its("rule.value") == rule
+        assert 1 <= one.its("simulations[1].controller.selector.monitors.length") <= monitors
+    one.press("m")
+    assert one.its("simulations[1].controller.estimator") == "op"
+    one.press("i")
+    assert one.page.locator("#hood").is_visible()
+    one.until("renetPage.page.panels[1].curves.points.length > 3")
+    one.press("i")
+    assert one.page.locator("#hood").is_hidden()
+    one.press("t")
+    one.until("renetPage.page.now < 1 && !renetPage.page.resetDue")
+    assert one.its("scene.ground.name") == "gap"
+    assert one.its("simulations[1].controller.estimator") == "op"
+    before = one.its("simulations[0].world.data.qvel[1]")
+    one.press("p")
+    one.until(f"Math.abs(renetPage.page.simulations[0].world.data.qvel[1] - {before}) > 0.1")
+    one.press("r")
+    one.until("!renetPage.page.resetDue && renetPage.page.now < 1")
 
 
-def test_everything_can_be_reached_with_tab(browser: Browser):
-    reachable = browser.ask(
-        """[...document.querySelectorAll("button, select, input")]
-          .every((one) => one.tabIndex === 0 && 
-            (!one.disabled || one.title.startsWith("This ground")))"""
+def test_drag_pushes_a_robot_and_turns_the_view_elsewhere(visit):
+    one = visit("?ground=flat&fault=none").load("renetPage.stats.first && renetPage.page.now > 0")
+    mouse, eye = one.page.mouse, "view.orbit.position.x"
+    one.ask("renetPage.pushes = []; const { page } = renetPage; const push = page.push.bind(page);"
+            "page.push = (by) => { renetPage.pushes.push(by); push(by); }; 0")  # fmt: skip
+    box = one.its("view.boxes[0]")
+    before = one.its(eye)
+    for x, y in ((0.5, 0.42), (0.1, 0.85)):  # On the robot, and in a corner.
+        mouse.move(box[0] + x * box[2], box[1] + y * box[3])
+        mouse.down()
+        mouse.move(box[0] + x * box[2] + 60, box[1] + y * box[3], steps=3)
+        mouse.up()
+        if x == 0.5:
+            assert one.its(eye) == before
+    (push,) = one.ask("renetPage.pushes")
+    assert np.hypot(*push) == pytest.approx(0.6, abs=0.05)
+    one.until(f"Math.abs(renetPage.page.{eye} - {before}) > 0.05")
+
+
+def test_link_that_asks_for_what_is_not_there_says_so(visit):
+    one = visit("?ground=moon&fault=none&severity=9").load("renetPage.stats.first")
+    one.until("document.querySelector('#message').textContent.includes('moon')")
+    assert one.its("scene.severity") == 5
+    assert one.its("scene.ground.name") == one.its("runtime.bundle.opening.ground")
+
+
+def test_everything_can_be_reached_with_tab_and_has_a_name(visit):
+    one = visit().load("renetPage.stats.first")
+    one.page.click("#more")
+    fields = one.ask(
+        """[...document.querySelectorAll("button, select, input")].map((field) => [
+          field.tabIndex, field.ariaLabel || field.textContent || field.labels[0].textContent])"""
     )
-    assert reachable
-    assert browser.ask("document.querySelectorAll('#faults button').length") == 30
+    assert len(fields) > 18
+    assert all(index == 0 and label.strip() for index, label in fields)
+    assert one.page.locator("#faults button:visible").count() == 11
 
 
-def test_page_fits_a_phone(browser: Browser, address: str):
-    browser.open(address, 390, dark=False)
-    until(browser, "Boolean(globalThis.renetPage) && renetPage.stats.pictures > 1")
-    assert browser.ask("document.documentElement.scrollWidth") <= 390
-    assert errors(browser) == []
+@pytest.mark.parametrize("name", ["desktop", "phone", "hood"])
+def test_first_picture_is_the_golden_one(visit, name: str):
+    """Before the models have come, robots stand still."""
+    size = DESKTOP if name == "desktop" else PHONE
+    one = visit("?ground=gap&fault=blackout", size)
+    one.page.route("**/*.onnx", lambda route: None)
+    one.load("renetPage.stats.pictures > 3 && renetPage.stats.loaded > 0.5")
+    assert "%" in one.page.text_content("#message")
+    one.ask("document.querySelectorAll('#message, #bar').forEach((one) => (one.style.opacity = 0))")
+    if name == "hood":
+        one.press("i")
+    else:
+        boxes = one.boxes()
+        assert len(boxes) >= 8
+        for (first, a), (second, b) in combinations(boxes.items(), 2):
+            across = min(a["x"] + a["width"], b["x"] + b["width"]) - max(a["x"], b["x"])
+            down = min(a["y"] + a["height"], b["y"] + b["height"]) - max(a["y"], b["y"])
+            assert min(across, down) <= 0.5, f"{first} lies upon {second}"
+        for part, box in boxes.items():
+            assert 0 <= box["x"] <= box["x"] + box["width"] <= size["width"] + 0.5, part
+    assert one.ask("document.documentElement.scrollWidth") <= size["width"]
+    shot = Image.open(io.BytesIO(one.page.screenshot())).convert("RGB")
+    small = shot.resize((size["width"] // 8, size["height"] // 8), Image.Resampling.BOX)
+    golden = GOLDEN / f"{name}.png"
+    # To draw it anew, delete the file, run this test, and look at what it wrote.
+    if not golden.exists():
+        small.save(golden)
+        pytest.fail(f"{golden} is new: look at it")
+    difference = np.abs(np.asarray(small, float) - np.asarray(Image.open(golden), float))
+    blocks = difference.mean(axis=2)
+    assert blocks.mean() < APART
+    rows, columns = (side // 4 * 4 for side in blocks.shape)
+    coarse = blocks[:rows, :columns].reshape(rows // 4, 4, columns // 4, 4).mean(axis=(1, 3))
+    assert coarse.max() < WORST, np.unravel_index(coarse.argmax(), coarse.shape)
 
 
-@pytest.mark.parametrize("missing", ["*estimator.onnx", "*three.module.js"])
+@pytest.mark.parametrize("missing", ["**/estimator.onnx", "**/three.module.js"])
 def test_missing_file_is_named_on_the_page(browser: Browser, address: str, missing: str):
-    browser.call("Network.setBlockedURLs", urls=[missing])
-    browser.open(address, WIDTH, dark=False)
-    until(browser, "document.querySelector('#message').textContent.startsWith('The page cannot')")
+    one = Visit(browser, address, "", DESKTOP)
+    one.page.route(missing, lambda route: route.abort())
+    one.page.goto(address)
+    one.until("document.querySelector('#message').textContent.startsWith('The page cannot')")
+    one.page.context.close()

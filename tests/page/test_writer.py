@@ -8,16 +8,17 @@ import urllib.request
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import pytest
 
 from renet import cli
-from renet.bundle import pretrained, read_manifest, write_manifest
+from renet.bundle import Bundle, pretrained, read_manifest, write_manifest
 from renet.deploy.robots.scene import build_scene
 from renet.errors import RenetError
 from renet.files import MEGABYTE
-from renet.page.contract import MAP_HEIGHT, SCENES, contract
+from renet.page.contract import GROUNDS, MAP_HEIGHT, contract
 from renet.page.writer import MARK, VENDOR, WEB, PageCfg, write_page
 from renet.sim.sensors import HeightMapCfg
 
@@ -37,13 +38,20 @@ def test_page_has_the_bundle_the_packages_and_the_modules(tmp_path, runtime):
     manifest = read_manifest(bundle)
     selector = replace(manifest.selector, calibration="mine")
     write_manifest(bundle, replace(manifest, selector=selector))
-    page = write_page(PageCfg(bundle, tmp_path / "page", runtime))
-    assert json.loads((page / "renet-page.json").read_text())["bundle"] == "mine"
-    assert read_manifest(page / "bundle").selector.calibration == "mine"
+    page = write_page(PageCfg((bundle, pretrained("go1-parkour")), tmp_path / "page", runtime))
+    mark = json.loads((page / MARK).read_text())
+    assert [entry["name"] for entry in mark["bundles"]] == ["mine", "go1-parkour"]
+    assert [entry["look"] for entry in mark["bundles"]] == ["robots/unitree-go1.glb"] * 2
+    assert read_manifest(page / mark["bundles"][0]["folder"]).selector.calibration == "mine"
     for name in VENDOR:
-        assert (page / "vendor" / Path(name).name).read_text() == name
-    for path in [*WEB.glob("*.js"), WEB / "index.html", WEB / "style.css"]:
-        assert (page / path.name).read_bytes() == path.read_bytes()
+        assert (page / "vendor" / name).read_text() == name
+    folders = ("control", "panel", "stage", "world", ".")
+    scripts = [path for folder in folders for path in (WEB / folder).glob("*.js")]
+    assert len(scripts) > 15
+    for path in [*scripts, WEB / "index.html", WEB / "style.css"]:
+        assert (page / path.relative_to(WEB)).read_bytes() == path.read_bytes()
+    for name, size in mark["sizes"].items():
+        assert (page / name).stat().st_size == size
     assert not list(page.glob("*package*.json"))
 
 
@@ -59,7 +67,7 @@ def test_page_may_be_written_again_without_what_it_held_before(tmp_path, runtime
     assert {path.name for path in tmp_path.iterdir()} == {"packages", "page"}
 
 
-@pytest.mark.parametrize("name", ["CNAME", ".git/config", "bundle/thesis.tex", "index.html"])
+@pytest.mark.parametrize("name", ["CNAME", ".git/config", "bundles/thesis.tex", "index.html"])
 def test_page_that_holds_what_is_not_its_own_stays_as_it_is(tmp_path, runtime, name):
     """Another file, or one of its own that somebody changed, be the mark forged or not."""
     cfg = PageCfg(out=tmp_path / "page", runtime=runtime)
@@ -109,25 +117,50 @@ def test_bad_bundle_leaves_the_earlier_page_as_it_was(tmp_path, runtime):
     write_page(cfg)
     before = sorted(path.name for path in cfg.out.rglob("*"))
     with pytest.raises(RenetError, match="no bundle"):
-        write_page(replace(cfg, bundle=tmp_path / "nowhere"))
+        write_page(replace(cfg, bundles=(tmp_path / "nowhere",)))
     assert sorted(path.name for path in cfg.out.rglob("*")) == before
     assert [path.name for path in tmp_path.iterdir() if "partial" in path.name] == []
 
 
-@pytest.mark.parametrize("terrain", SCENES)
-def test_scenes_are_those_of_the_runtime(terrain: str):
-    scene = next(scene for scene in contract()["scenes"] if scene["name"] == terrain)
-    mine = mujoco.MjModel.from_xml_string(scene["xml"])
-    its, start = build_scene(terrain, SCENES[terrain][1])
-    assert scene["start"] == start
+@pytest.fixture(scope="module")
+def shared() -> dict[str, Any]:
+    return contract([Bundle.load()])
+
+
+@pytest.mark.parametrize("terrain", GROUNDS)
+def test_grounds_are_those_of_the_runtime(terrain: str, shared):
+    ground = next(g for g in shared["bundles"][0]["grounds"] if g["name"] == terrain)
+    mine = mujoco.MjModel.from_xml_string(ground["xml"])
+    its, start = build_scene(terrain, GROUNDS[terrain][1])
+    assert ground["start"] == start
     for name in ("geom_pos", "geom_size", "geom_group", "body_mass", "actuator_gainprm"):
         assert getattr(mine, name) == pytest.approx(getattr(its, name), abs=1e-6), name
     assert mine.opt.timestep == its.opt.timestep
     assert mine.opt.integrator == its.opt.integrator
 
 
-def test_contract_is_json_and_agrees_with_training():
-    text = json.dumps(contract(), allow_nan=False)
+@pytest.mark.parametrize(
+    ("terrain", "first", "last"),
+    [("gap", 1.2, 1.5), ("stairs_down", 1.5, 3.9), ("stairs_up", 1.2, 3.6), ("platform", 1.4, 2.8)],
+)
+def test_obstacles_begin_and_end_where_their_tiles_say(terrain: str, first, last, shared):
+    ground = next(g for g in shared["bundles"][0]["grounds"] if g["name"] == terrain)
+    assert ground["obstacle"] == pytest.approx((first, last), abs=0.02)
+
+
+def test_opening_scene_is_one_that_the_bundle_can_walk():
+    bundle = Bundle.load()
+    for memory, ground in ((0.0, "stairs_down"), (1.5, "gap")):
+        selector = replace(bundle.manifest.selector, longest_memory=memory)
+        manifest = replace(bundle.manifest, selector=selector)
+        (entry,) = contract([replace(bundle, manifest=manifest)])["bundles"]
+        assert entry["opening"]["ground"] == ground
+        assert entry["selectors"]["monitors"]["longestMemory"] == memory
+        assert entry["selectors"]["paper"]["longestMemory"] == 0.0
+
+
+def test_contract_is_json_and_agrees_with_training(shared):
+    text = json.dumps(shared, allow_nan=False)
     assert "Infinity" not in text
     assert HeightMapCfg("map").base_height == MAP_HEIGHT
 
@@ -139,10 +172,10 @@ def test_download_is_small(page: Path):
 
 def test_files_arrive_with_types_that_browsers_ask_for(address: str):
     module = "onnxruntime-web/dist/ort.wasm.min.mjs"
-    sources = {"main.js": "main.js", f"vendor/{Path(module).name}": f"node_modules/{module}"}
+    sources = {"main.js": "main.js", f"vendor/{module}": f"node_modules/{module}"}
     for name, source in sources.items():
         with urllib.request.urlopen(address + name) as answer:
             assert answer.headers["Content-Type"] == "text/javascript"
             assert answer.read() == (WEB / source).read_bytes()
-    with urllib.request.urlopen(address + "vendor/mujoco.wasm") as answer:
+    with urllib.request.urlopen(address + "vendor/@mujoco/mujoco/mujoco.wasm") as answer:
         assert answer.headers["Content-Type"] == "application/wasm"

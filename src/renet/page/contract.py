@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from renet import __version__
-from renet.camera import Intrinsics
+from renet.bundle import Bundle
 from renet.deploy.cameras.sim import RELATIVE_STD
 from renet.deploy.controller import MAX_LEAD
 from renet.deploy.robots.mujoco import SEEN_GROUPS
 from renet.deploy.robots.scene import FLAT, scene_spec
 from renet.deploy.safety import SafetyCfg
-from renet.descriptions import GO1
-from renet.faults import FAULTS, SEVERITIES, Fault, combined, stereo, vegetation
-from renet.faults.physical import Glass, obstacles, spread
+from renet.descriptions import RobotDescription, find_description
+from renet.faults import FAULTS, SEVERITIES, Fault
 from renet.interface import (
     CONTROL_DT,
+    DEPTH_RANGE,
     DEPTH_SHAPE,
     HEIGHT_MAP_X,
     HEIGHT_MAP_Y,
@@ -28,27 +30,47 @@ from renet.interface import (
     PHYSICS_DT,
     PROPRIOCEPTION,
     STEPS_PER_TICK,
+    TICK_DT,
     TRUNK,
 )
 from renet.palette import STATES
+from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import VISION_THRESHOLD
 from renet.selector.monitors import COVERED, MONITORS, NEAR
-from renet.selector.selector import BETWEEN_RETURNS, DWELL
+from renet.selector.selector import SELECTORS
+from renet.terrain.tiles import TILE
 
 MAP_HEIGHT = 0.3
 """Metres of the base above the ground that read as zero in a height map, as in training."""
-SCENES = {
-    FLAT: ("Flat ground", 1),
-    "stairs_up": ("Stairs up", 2),
-    "stairs_down": ("Stairs down", 2),
-    "platform": ("Platform", 3),
-    "gap": ("Gap", 4),
+GROUNDS = {
+    "gap": ("Gap", 4, "leapt the gap"),
+    "stairs_down": ("Stairs down", 2, "came down the stairs"),
+    "stairs_up": ("Stairs up", 2, "climbed the stairs"),
+    "platform": ("Platform", 3, "crossed the platform"),
+    FLAT: ("Flat ground", 1, ""),
 }
-"""Terrains of the page: what they are called, and their level of 1 to 10."""
+"""Terrains of the page: what they are called, their level of 1 to 10, and what a robot that is
+beyond the obstacle has done."""
+OFFERED = {
+    "blackout": "Black",
+    "gaussian": "Noise",
+    "salt_and_pepper": "Salt, pepper",
+    "occlusion": "Mud",
+    "glare": "Glare",
+    "saturated": "Washed out",
+    "frozen": "Frozen",
+    "dropped": "Frames lost",
+    "unplugged": "Unplugged",
+}
+"""Faults of the catalogue that the page offers, and what it calls them."""
+OPENING = "blackout"
+"""Fault of the scene that opens the page."""
+PROFILE = 0.01
+"""Distance of the points at which the ground ahead is measured, m."""
 
 
-def contract() -> dict[str, Any]:
-    """JSON values: sizes, limits and thresholds of the runtime, the scenes, and the faults.
+def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
+    """JSON values of the runtime: sizes, limits, faults, and each bundle's grounds and thresholds.
 
     Infinite durations are null.
     """
@@ -64,46 +86,29 @@ def contract() -> dict[str, Any]:
         "safety": asdict(SafetyCfg()),
         "maxLead": MAX_LEAD,
         "maxSpeed": MAX_SPEED,
-        "base": {"body": TRUNK, "height": GO1.height},
         "camera": {
             "relativeStd": RELATIVE_STD,
             "seenGroups": SEEN_GROUPS.tolist(),
-            "focalPixels": Intrinsics.fx,
-            "stereo": {
-                "focal": stereo.FOCAL,
-                "baseline": stereo.BASELINE,
-                "nearest": stereo.NEAREST,
-                "flatDisparity": stereo.FLAT_DISPARITY,
-            },
-            "grass": _grass(),
-            "parts": {name: _parts(fault) for name, fault in FAULTS.items() if _parts(fault)},
+            "rows": DEPTH_SHAPE[0],
+            "columns": DEPTH_SHAPE[1],
+            "range": DEPTH_RANGE,
+            "tickDt": TICK_DT,
         },
-        "selector": {
-            "visionThreshold": VISION_THRESHOLD,
-            "dwell": DWELL,
-            "betweenReturns": BETWEEN_RETURNS,
-            "near": NEAR,
-            "covered": COVERED,
-            "monitors": [
-                {
-                    "name": name,
-                    "reason": monitor.reason,
-                    "fallback": monitor.fallback,
-                    "output": monitor.output,
-                    "ofImage": monitor.of_image,
-                }
-                for name, monitor in MONITORS.items()
-            ],
+        "visionThreshold": VISION_THRESHOLD,
+        "near": NEAR,
+        "covered": COVERED,
+        "palette": {
+            state: {"colour": colour, "says": says} for state, (colour, says) in STATES.items()
         },
-        "palette": {state: colour for state, (colour, _) in STATES.items()},
-        "faults": [_fault(fault) for fault in FAULTS.values()],
-        "scenes": [_scene(terrain, *SCENES[terrain]) for terrain in SCENES],
+        "faults": [_fault(FAULTS[name], title) for name, title in OFFERED.items()],
+        "bundles": [_bundle(bundle) for bundle in bundles],
     }
 
 
-def _fault(fault: type[Fault]) -> dict[str, Any]:
+def _fault(fault: type[Fault], title: str) -> dict[str, Any]:
     return {
         "name": fault.name,
+        "title": title,
         "summary": fault.summary(),
         "levels": [_finite(level) for level in fault.levels],
         "described": [fault.describe(fault.level_of(severity)) for severity in SEVERITIES],
@@ -111,38 +116,69 @@ def _fault(fault: type[Fault]) -> dict[str, Any]:
     }
 
 
-def _grass() -> dict[str, Any]:
-    lens = Intrinsics()
+def _bundle(bundle: Bundle) -> dict[str, Any]:
+    robot, spec = find_description(bundle.manifest.robot.name), bundle.manifest.selector
+    remembers = spec.longest_memory > 0.0
     return {
-        **{name: getattr(lens, name) for name in ("fx", "fy", "cx", "cy")},
-        "pitch": vegetation.CAMERA_PITCH,
-        "cameraHeight": vegetation.CAMERA_HEIGHT,
-        "nearRange": vegetation.NEAR_RANGE,
-        "reach": vegetation.REACH,
-        "height": vegetation.HEIGHT,
-        "width": vegetation.WIDTH,
-        "sway": vegetation.SWAY,
-        "unmatched": vegetation.UNMATCHED,
+        "name": bundle.name,
+        "robot": robot.name,
+        "base": {"body": TRUNK, "height": robot.height},
+        "remembers": remembers,
+        # A memory shows at a gap; without one, a blind robot finds its way down stairs.
+        "opening": {"ground": "gap" if remembers else "stairs_down", "fault": OPENING},
+        "selectors": {kind: _selector(kind, spec) for kind in SELECTORS},
+        "grounds": [_ground(robot, terrain, *words) for terrain, words in GROUNDS.items()],
     }
 
 
-def _parts(fault: type[Fault]) -> list[Any]:
-    """Levels of the faults that a fault is made of; of one that comes and goes, its only level."""
-    if issubclass(fault, combined.TwoFaults):
-        return [[_finite(level) for level in kind.levels] for kind in fault.kinds]
-    if issubclass(fault, combined.Intermittent):
-        return [_finite(fault.kind.level_of(fault.severity))]
-    return []
+def _selector(kind: str, spec: SelectorSpec) -> dict[str, Any]:
+    selector = make_selector(kind, spec)
+    return {
+        "gamma": spec.gamma,
+        "rate": spec.rate_hz,
+        "dwell": selector.dwell,
+        "betweenReturns": selector.between_returns,
+        "longestMemory": selector.longest_memory,
+        "monitors": [
+            {
+                "name": name,
+                "threshold": threshold,
+                "reason": MONITORS[name].reason,
+                "output": MONITORS[name].output,
+                "ofImage": MONITORS[name].of_image,
+            }
+            for name, threshold in selector.thresholds.items()
+        ],
+    }
 
 
-def _scene(terrain: str, title: str, level: int) -> dict[str, Any]:
-    spec, start = scene_spec(terrain, level)
-    model = spec.compile()
-    glass = None
-    if terrain in Glass.terrains:
-        found = obstacles(model, np.zeros((1, 2)))
-        glass = [sorted(spread(found, share)) for share in Glass.levels]
-    return {"name": terrain, "title": title, "xml": spec.to_xml(), "start": start, "glass": glass}
+def _ground(
+    robot: RobotDescription, terrain: str, title: str, level: int, done: str
+) -> dict[str, Any]:
+    spec, start = scene_spec(terrain, level, robot=robot)
+    return {
+        "name": terrain,
+        "title": title,
+        "done": done,
+        "xml": spec.to_xml(),
+        "start": start,
+        "obstacle": _obstacle(spec.compile(), start),
+    }
+
+
+def _obstacle(model: mujoco.MjModel, start: float) -> tuple[float, float] | None:
+    """Where the ground ahead first and last changes its height, m from the start; None: never."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    ahead, above = np.arange(0.0, TILE / 2, PROFILE), start + TILE
+    down, geom = np.array([0.0, 0.0, -1.0]), np.zeros(1, np.int32)
+    points = [np.array([x, 0.0, above]) for x in ahead]
+    # Static geoms count, no body is left out.
+    fall = [
+        mujoco.mj_ray(model, data, point, down, SEEN_GROUPS, True, -1, geom) for point in points
+    ]
+    changes = ahead[1:][np.abs(np.diff(fall)) > PROFILE]
+    return (float(changes[0]), float(changes[-1])) if len(changes) else None
 
 
 def _finite(value: float) -> float | None:

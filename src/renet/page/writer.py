@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import webbrowser
+from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -33,16 +34,27 @@ VENDOR = (
     "onnxruntime-web/dist/ort-wasm-simd-threaded.wasm",
     "three/build/three.core.js",
     "three/build/three.module.js",
+    "three/examples/jsm/controls/OrbitControls.js",
+    "three/examples/jsm/loaders/GLTFLoader.js",
+    "three/examples/jsm/utils/BufferGeometryUtils.js",
+    "three/examples/jsm/utils/SkeletonUtils.js",
+    "uplot/dist/uPlot.esm.js",
+    "uplot/dist/uPlot.min.css",
 )
 """Files of the npm packages that a visitor's browser loads."""
+
+
+def look_name(robot: str) -> str:
+    """File of a robot's look in `web/`, by the name that bundles give the robot."""
+    return f"robots/{robot.lower().replace(' ', '-')}.glb"
 
 
 @dataclass(frozen=True)
 class PageCfg:
     """Write the page "Break its camera": a bundle walks in the browser, and its camera fails."""
 
-    bundle: tyro.conf.Positional[Path | None] = None
-    """Bundle folder; the one that ships with renet by default."""
+    bundles: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """Bundle folders, among which visitors choose; the one that ships with renet by default."""
     out: Path = Path("renet-page")
     """Folder to write; must be empty, absent, or an earlier page as it was written."""
     runtime: Path = WEB / "node_modules"
@@ -85,22 +97,28 @@ def write_page(cfg: PageCfg) -> Path:
         )
     earlier = _earlier(cfg.out)
     demand_own(cfg.out, earlier, "page that renet wrote")
-    contents = _contents(Bundle.load(cfg.bundle), vendor)
+    bundles = [Bundle.load(path) for path in cfg.bundles or (None,)]
+    contents = _contents(bundles, cfg.runtime)
     write_folder(cfg.out, contents, earlier, "page that renet wrote")
     return cfg.out
 
 
-def _contents(bundle: Bundle, vendor: list[Path]) -> dict[str, bytes]:
+def _contents(bundles: Sequence[Bundle], runtime: Path) -> dict[str, bytes]:
     """Every file of a page by its name, the mark with the digests of all others among them."""
     tops = [p for p in WEB.iterdir() if not p.name.startswith(("node_modules", "package", "."))]
     web = [path for top in tops for path in (top, *top.rglob("*")) if path.is_file()]
     contents = {path.relative_to(WEB).as_posix(): path.read_bytes() for path in web}
-    contents |= {f"vendor/{path.name}": path.read_bytes() for path in vendor}
-    for name in (MANIFEST, *(f"{model}.onnx" for model in MODELS)):
-        contents[f"bundle/{name}"] = read_bytes(bundle.path / name, MAX_MODEL, "bundle's file")
+    contents |= {f"vendor/{name}": (runtime / name).read_bytes() for name in VENDOR}
+    mark = contract(bundles)
+    for number, (bundle, entry) in enumerate(zip(bundles, mark["bundles"], strict=True)):
+        entry["folder"], look = f"bundles/{number}", look_name(entry["robot"])
+        entry["look"] = look if look in contents else None
+        for name in (MANIFEST, *(f"{model}.onnx" for model in MODELS)):
+            file = read_bytes(bundle.path / name, MAX_MODEL, "bundle's file")
+            contents[f"{entry['folder']}/{name}"] = file
+    mark["sizes"] = {name: len(data) for name, data in contents.items()}
     digests = {name: sha256(data).hexdigest() for name, data in contents.items()}
-    mark = {**contract(), "bundle": bundle.name, "files": digests}
-    return contents | {MARK: json.dumps(mark).encode()}
+    return contents | {MARK: json.dumps({**mark, "files": digests}).encode()}
 
 
 def _earlier(folder: Path) -> set[str]:

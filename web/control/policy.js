@@ -7,7 +7,6 @@ const ESTIMATES = {
   latentVp: "next_latent_vp",
   velocityOp: "velocity_op",
   velocityVp: "velocity_vp",
-  feetHeight: "feet_height",
   heightMap: "height_map",
 };
 
@@ -97,18 +96,18 @@ export class Policy {
       this.varianceScore = seen.variance_score?.data[0] ?? 0;
       this.reconstruction = seen.reconstruction.data;
     }
-    const found = await this.sessions.estimator.run({
+    const estimates = await this.sessions.estimator.run({
       proprioception_history: new Tensor("float32", this.history, this.shapes.history),
-      ...(this.remembers ? this.given(image !== null && gate(this), unpaired) : { depth }),
+      ...(this.remembers ? this.withheld(image !== null && gate(this), unpaired) : { depth }),
       latent_op: new Tensor("float32", this.latentOp, this.shapes.latent),
       latent_vp: new Tensor("float32", this.latentVp, this.shapes.latent),
     });
-    for (const [mine, name] of Object.entries(ESTIMATES)) this[mine] = found[name].data;
-    this.mapError = found.map_error?.data[0] ?? 0;
+    for (const [mine, name] of Object.entries(ESTIMATES)) this[mine] = estimates[name].data;
+    this.mapError = estimates.map_error?.data[0] ?? 0;
   }
 
   /** The estimator's inputs for an image that VP may use or not. */
-  given(hasImage, unpaired) {
+  withheld(hasImage, unpaired) {
     if (hasImage) {
       const newest = this.frames.subarray(0, this.pixels);
       if (unpaired) this.accepted.set(newest, this.pixels);

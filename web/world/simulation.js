@@ -1,34 +1,33 @@
 // One simulated robot in MuJoCo's WebAssembly build, with its camera and its controller.
 
+import { Controller, WALKING } from "../control/controller.js";
 import { DepthCamera } from "./camera.js";
-import { Controller, WALKING } from "./controller.js";
+
+const FALLING = 0.7;
+/** Cosine of the tilt from which on a robot that walks is about to fall. */
 
 /** The scene and the robot in it: state in, joint commands out. */
 export class World {
   /**
-   * @param {object} mujoco the loaded WebAssembly module.
-   * @param {object} scene xml, start (height of the ground at x = y = 0), glass (geoms of each
-   *   severity of that fault, or null).
-   * @param {object} robot `robot` of the bundle's manifest.
-   * @param {object} contract shared with the runtime.
+   * @param {object} runtime mujoco, manifest, contract and bundle; see load.js.
+   * @param {object} ground one of the bundle's: xml, start (height of the ground at x = y = 0).
    */
-  constructor(mujoco, scene, robot, contract) {
+  constructor({ mujoco, manifest: { robot }, contract, bundle }, ground) {
     this.mujoco = mujoco;
-    this.glass = scene.glass;
-    this.model = mujoco.MjModel.from_xml_string(scene.xml);
+    this.model = mujoco.MjModel.from_xml_string(ground.xml);
     this.data = new mujoco.MjData(this.model);
     this.steps = Math.round(contract.controlDt / contract.physicsDt);
     const { model, data } = this;
-    const { mjOBJ_BODY, mjOBJ_JOINT, mjOBJ_ACTUATOR } = mujoco.mjtObj;
+    const { mjOBJ_JOINT, mjOBJ_ACTUATOR } = mujoco.mjtObj;
     const find = (kind, name) => mujoco.mj_name2id(model, kind.value, name);
-    this.base = find(mjOBJ_BODY, contract.base.body);
+    this.base = this.body(bundle.base.body);
     const joints = robot.joints.map((name) => find(mjOBJ_JOINT, name));
     this.servos = robot.joints.map((name) => find(mjOBJ_ACTUATOR, name));
     this.position = joints.map((joint) => model.jnt_qposadr[joint]);
     this.velocity = joints.map((joint) => model.jnt_dofadr[joint]);
     const free = model.body_jntadr[this.base];
     [this.free, this.spin] = [model.jnt_qposadr[free], model.jnt_dofadr[free] + 3];
-    data.qpos.set([0, 0, scene.start + contract.base.height, 1, 0, 0, 0], this.free);
+    data.qpos.set([0, 0, ground.start + bundle.base.height, 1, 0, 0, 0], this.free);
     this.position.forEach((at, i) => (data.qpos[at] = robot.default_position[i]));
     const limp = robot.joints.map(() => 0);
     this.write({ position: robot.default_position, stiffness: limp, damping: limp });
@@ -37,6 +36,11 @@ export class World {
 
   get now() {
     return this.data.time;
+  }
+
+  /** Index of a body by its name, or -1. */
+  body(name) {
+    return this.mujoco.mj_name2id(this.model, this.mujoco.mjtObj.mjOBJ_BODY.value, name);
   }
 
   /** Sensors, as a robot's driver reports them. */
@@ -76,18 +80,17 @@ export class World {
     velocity.forEach((value, i) => (this.data.qvel[at + i] += value));
   }
 
-  /** The base's position [3] m and rotation, three rows. */
+  /** The base's position [3] m, rotation (three rows), and yaw, rad. */
   pose() {
     const at = 9 * this.base;
     const matrix = Array.from(this.data.xmat.slice(at, at + 9));
-    return {
-      position: Array.from(this.data.xpos.slice(3 * this.base, 3 * this.base + 3)),
-      rotation: [matrix.slice(0, 3), matrix.slice(3, 6), matrix.slice(6, 9)],
-    };
+    const rotation = [matrix.slice(0, 3), matrix.slice(3, 6), matrix.slice(6, 9)];
+    const position = Array.from(this.data.xpos.slice(3 * this.base, 3 * this.base + 3));
+    return { position, rotation, yaw: Math.atan2(rotation[1][0], rotation[0][0]) };
   }
 
-  /** Distances and geoms hit by rays from one point, in groups that are seen, through `unseen`. */
-  castRays(eye, directions, groups, unseen = []) {
+  /** Distances and geoms hit by rays from one point, in groups that are seen. */
+  castRays(eye, directions, groups) {
     const { mujoco, model, data } = this;
     const rays = directions.length / 3;
     if (this.rays !== rays) {
@@ -96,33 +99,29 @@ export class World {
       this.distances = new mujoco.DoubleBuffer(rays);
     }
     const { hits, distances } = this;
-    const { geom_group: group } = model;
-    const before = unseen.map((geom) => group[geom]);
-    for (const geom of unseen) group[geom] = groups.indexOf(0);
     const [fixed, nobody, noNormals, anyDistance] = [true, -1, null, 1e10];
     mujoco.mj_multiRay(
       model, data, eye, directions, groups, fixed, nobody,
       hits, distances, noNormals, rays, anyDistance,
     );
-    unseen.forEach((geom, n) => (group[geom] = before[n]));
     return { hit: hits.GetView(), distance: distances.GetView() };
   }
 
   /** Give the memory back. */
   delete() {
-    for (const owned of [this.hits, this.distances, this.data, this.model]) owned?.delete();
+    for (const buffer of [this.hits, this.distances, this.data, this.model]) buffer?.delete();
   }
 }
 
 /** A robot that is stood up and then walks as it is asked to. */
 export class Simulation {
   /** Like World's and Controller's; `seed` is of the camera's noise and faults. */
-  constructor({ mujoco, sessions, manifest, contract }, scene, seed) {
-    this.world = new World(mujoco, scene, manifest.robot, contract);
-    this.camera = new DepthCamera(this.world, manifest.camera, contract.camera, seed);
-    this.controller = new Controller(manifest, contract, sessions);
+  constructor(runtime, ground, seed) {
+    this.world = new World(runtime, ground);
+    this.camera = new DepthCamera(this.world, runtime.manifest.camera, runtime.contract.camera, seed);
+    this.controller = new Controller(runtime);
     this.speed = 0;
-    this.smoothing = contract.controlDt / 0.5;
+    this.smoothing = runtime.contract.controlDt / 0.5;
   }
 
   get now() {
@@ -133,8 +132,23 @@ export class Simulation {
     return this.controller.mode === WALKING;
   }
 
+  /** Cosine of the tilt. */
   get upright() {
-    return this.world.pose().rotation[2][2] > 0.5;
+    return this.world.pose().rotation[2][2];
+  }
+
+  get falling() {
+    return this.walking && this.upright < FALLING;
+  }
+
+  /** Whether the controller has given up on a robot that had begun. */
+  get fell() {
+    return this.controller.reason !== "start" && this.controller.mode === "damping";
+  }
+
+  /** "sees", "remembers" or "blind"; empty while it does not walk. */
+  get state() {
+    return this.walking ? this.controller.driving : "";
   }
 
   /** One control step, 0.02 s. */
@@ -142,7 +156,7 @@ export class Simulation {
     const { world, now } = this;
     const before = world.pose().position;
     const state = world.read();
-    const frame = this.camera.latest(now, state.angularVelocity);
+    const frame = this.camera.latest(now);
     const teleop = { speed, turn, arm: now === 0 };
     world.write(await this.controller.tick(state, frame, teleop, now));
     world.advance();

@@ -9,23 +9,21 @@ export const DAMPING = "damping";
 export const STANDING_UP = "standing_up";
 export const WALKING = "walking";
 
-/** Who drives: the auto selector's choice (RENet), or always the same estimator. */
-export const ESTIMATORS = { vp: "VP alone", renet: "RENet", op: "OP alone" };
+/** Who drives: the selector's choice (renet), or always the same estimator. */
+export const ESTIMATORS = { vp: "Camera only", renet: "renet", op: "Blind only" };
 
 /** Drives one robot with a bundle. */
 export class Controller {
   /**
-   * @param {object} manifest of the bundle.
-   * @param {object} contract shared with the runtime.
-   * @param {object} sessions ONNX Runtime sessions of the three models.
+   * @param {object} runtime manifest, contract, bundle and sessions; see load.js.
    * @param {"monitors" | "paper"} kind of selector.
    */
-  constructor(manifest, contract, sessions, kind = "monitors") {
+  constructor({ manifest, contract, bundle, sessions }, kind = "monitors") {
     this.robot = manifest.robot;
     this.contract = contract;
     this.cfg = contract.safety;
     this.policy = new Policy(manifest, contract, sessions);
-    this.manifest = manifest;
+    this.selectors = bundle.selectors;
     this.select(kind);
     this.frames = new FrameBuffer();
     this.black = new Float32Array(this.policy.pixels);
@@ -39,7 +37,7 @@ export class Controller {
 
   /** Decide by all monitors or by the paper's rule from now on; trusts vision at first. */
   select(kind) {
-    this.selector = new Selector(kind, this.manifest.selector, this.contract.selector);
+    this.selector = new Selector(this.selectors[kind], this.contract);
     this.vision = true;
   }
 
@@ -108,14 +106,11 @@ export class Controller {
   seen(fresh, now) {
     const { image, policy, frames } = this;
     const { anomalyScore, varianceScore, velocityOp, velocityVp, hasImage, mapError } = policy;
-    const { invalid } = frames;
-    const age = frames.age(now);
-    const scores = { anomalyScore, varianceScore };
-    const estimates = { velocityOp, velocityVp, hasImage, mapError };
-    return { ...scores, ...estimates, image, fresh, age, invalid };
+    const scores = { anomalyScore, varianceScore, velocityOp, velocityVp, hasImage, mapError };
+    return { ...scores, image, fresh, age: frames.age(now), invalid: frames.invalid };
   }
 
-  /** Turn the wished heading on; a robot that cannot follow is not asked for ever more. */
+  /** Turn the wished heading on; a robot that cannot follow is not asked for more and more. */
   steer(turn, here) {
     const { maxLead } = this.contract;
     const lead = wrap(this.yaw + turn - this.turn - here);

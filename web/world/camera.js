@@ -23,18 +23,15 @@ export class DepthCamera {
     );
     this.directions = new Float64Array(this.rays.length);
     this.due = 0;
-    this.clean = null;
     this.frame = null;
     this.fault = null;
     this.past = [];
   }
 
-  /** Break the camera: a fault of the catalogue at a severity of 1 to 5. */
+  /** Break the camera: a fault of the contract at a severity of 1 to 5. */
   break(fault, severity, now) {
-    const level = fault.levels[severity - 1] ?? Infinity;
     const lasts = fault.lasts[severity - 1] ?? Infinity;
-    const random = new Random(this.seed ^ 0x5eed);
-    const model = new FAULTS[fault.name](level, random, this.contract);
+    const model = makeFault(fault, severity, this.contract, this.seed);
     for (const frame of this.past) model.corrupt(frame, -1);
     this.fault = { name: fault.name, severity, model, onset: now, lasts };
   }
@@ -50,24 +47,16 @@ export class DepthCamera {
   }
 
   /** Newest frame; casts rays when an image is due. */
-  latest(now, angularVelocity) {
+  latest(now) {
     if (this.frame && now < this.due - 1e-6) return this.frame;
     const period = 1 / this.spec.rate_hz;
     this.due = Math.max(this.due, now - period) + period;
-    this.clean = this.depth(now);
-    const image = Float32Array.from(this.clean, (depth) => this.noisy(depth) / this.spec.range);
-    const healthy = {
-      image: image.map((value) => Math.min(Math.max(value, 0), 1)),
-      fresh: true,
-      age: 0,
-      invalid: 0,
-      angularVelocity: Array.from(angularVelocity),
-    };
+    const healthy = { image: this.image(), fresh: true, age: 0, invalid: 0 };
     const delivered = this.spoilt(healthy, now);
     this.past = [...this.past.slice(1 - HISTORY), healthy];
     if (delivered.fresh || !this.frame) {
-      const { image: shown, invalid, age } = delivered;
-      this.frame = { image: shown, invalid, time: now - age };
+      const { image, invalid, age } = delivered;
+      this.frame = { image, invalid, time: now - age };
     }
     return this.frame;
   }
@@ -79,26 +68,26 @@ export class DepthCamera {
     return elapsed < 0 ? frame : spoilt;
   }
 
+  /** What a healthy camera delivers, in [0, 1]. */
+  image() {
+    const { range } = this.spec;
+    const depth = Float32Array.from(this.depth(), (metres) => this.noisy(metres) / range);
+    return depth.map((value) => Math.min(Math.max(value, 0), 1));
+  }
+
   /** Planar metres [48 * 64] without noise, capped at the range. */
-  depth(now) {
+  depth() {
     const { position, rotation } = this.world.pose();
     const { spec, rays, lengths } = this;
-    const { lift = 0, turn, glass } = (this.broken(now) && this.fault.model.view) || {};
     const eye = position.map((value, i) => value + dot(rotation[i], spec.position));
-    eye[2] -= lift; // Surfaces that seem higher are surfaces seen from lower down.
-    const straight = multiply(rotation, tilt(spec.pitch));
-    const mount = turn ? multiply(straight, turn) : straight;
+    const [sine, cosine] = [Math.sin(spec.pitch), Math.cos(spec.pitch)];
+    // The mount looks down by the pitch.
+    const mount = rotation.map(([x, y, z]) => [cosine * x - sine * z, y, sine * x + cosine * z]);
     for (let n = 0; n < lengths.length; n += 1) {
-      const [left, up] = [rays[3 * n + 1] / lengths[n], rays[3 * n + 2] / lengths[n]];
-      const ahead = 1 / lengths[n];
-      for (let i = 0; i < 3; i += 1) {
-        const [x, y, z] = mount[i];
-        this.directions[3 * n + i] = x * ahead + y * left + z * up;
-      }
+      const ray = rays.subarray(3 * n, 3 * n + 3);
+      for (let i = 0; i < 3; i += 1) this.directions[3 * n + i] = dot(mount[i], ray) / lengths[n];
     }
-    const { seenGroups } = this.contract;
-    const unseen = glass ? this.world.glass[this.fault.severity - 1] : [];
-    const { distance, hit } = this.world.castRays(eye, this.directions, seenGroups, unseen);
+    const { distance, hit } = this.world.castRays(eye, this.directions, this.contract.seenGroups);
     return lengths.map((length, n) =>
       hit[n] >= 0 ? Math.min(distance[n] / length, spec.range) : spec.range,
     );
@@ -110,8 +99,13 @@ export class DepthCamera {
   }
 }
 
+/** A fault of the contract at a severity of 1 to 5, with random numbers of its own. */
+export function makeFault({ name, levels }, severity, camera, seed) {
+  return new FAULTS[name](levels[severity - 1] ?? Infinity, new Random(seed ^ 0x5eed), camera);
+}
+
 /** Directions [48 * 64 * 3] (forward, left, up) through pixel centres, forward 1, row by row. */
-export function pixelRays({ width, height, fx, fy, cx, cy }) {
+function pixelRays({ width, height, fx, fy, cx, cy }) {
   return Float64Array.from({ length: 3 * width * height }, (_, i) => {
     const pixel = Math.floor(i / 3);
     const [row, column] = [Math.floor(pixel / width), pixel % width];
@@ -119,20 +113,6 @@ export function pixelRays({ width, height, fx, fy, cx, cy }) {
   });
 }
 
-/** Rotation of a camera that looks down by `pitch` rad. */
-function tilt(pitch) {
-  const [sine, cosine] = [Math.sin(pitch), Math.cos(pitch)];
-  return [
-    [cosine, 0, sine],
-    [0, 1, 0],
-    [-sine, 0, cosine],
-  ];
-}
-
 function dot(a, b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-function multiply(a, b) {
-  return a.map((row) => [0, 1, 2].map((j) => row[0] * b[0][j] + row[1] * b[1][j] + row[2] * b[2][j]));
 }

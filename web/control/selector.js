@@ -1,15 +1,13 @@
 // Which images VP gets, and whether VP or OP drives: monitors, memory, the paper's low-pass filter,
-// and a dwell before vision returns. With the reconstruction monitor alone, no dwell and no memory
-// it is the paper's rule (RENet, Method B).
+// and a dwell before vision returns. The contract says which monitors, with which thresholds.
 
-/** Scores of one robot, larger is worse; each is a function made anew for every selector. */
+/** How suspicious vision is, larger is worse; each is a function made anew for every selector. */
 const SCORES = {
   reconstruction: () => (seen) => seen.anomalyScore,
-  variance: () => (seen) => seen.varianceScore ?? 0,
+  variance: () => (seen) => seen.varianceScore,
   frame_age: () => (seen) => seen.age,
   invalid_fraction: () => (seen) => seen.invalid,
-  disagreement: () => (seen) =>
-    Math.hypot(...seen.velocityOp.map((value, i) => value - seen.velocityVp[i])),
+  disagreement: () => (seen) => Math.hypot(...seen.velocityOp.map((v, i) => v - seen.velocityVp[i])),
   duplicate: equalInARow,
   uniformity: () => oncePerImage((image) => -standardDeviation(image)),
   nearness: coveredInARow,
@@ -31,21 +29,20 @@ function equalInARow() {
   };
 }
 
-/** How many images arrived in a row of which more than two fifths are nearer than 10 cm. */
-function coveredInARow(contract) {
+/** How many images arrived in a row that the contract calls covered. */
+function coveredInARow({ near, covered }) {
   let run = 0;
   return ({ image, fresh }) => {
-    const near = (value) => value < contract.near;
-    if (fresh) run = image.filter(near).length > contract.covered * image.length ? run + 1 : 0;
+    if (fresh) run = image.filter((value) => value < near).length > covered * image.length ? run + 1 : 0;
     return run;
   };
 }
 
 function oncePerImage(judge) {
-  let known = null;
+  let last = null;
   let score = 0;
   return ({ image }) => {
-    if (image !== known) [known, score] = [image, judge(image)];
+    if (image !== last) [last, score] = [image, judge(image)];
     return score;
   };
 }
@@ -58,31 +55,11 @@ function standardDeviation(values) {
 /** Decides which images VP gets and whether VP or OP drives; its filter has a clock of its own. */
 export class Selector {
   /**
-   * @param {"monitors" | "paper"} kind all monitors, or the reconstruction loss against beta.
-   * @param {object} spec `selector` of the bundle's manifest.
-   * @param {object} contract `selector` of the contract.
+   * @param {object} spec one of a bundle's `selectors` in the contract.
+   * @param {object} contract visionThreshold, near, covered.
    */
-  constructor(kind, spec, contract) {
-    const paper = kind === "paper";
-    const thresholds = paper ? {} : spec.thresholds;
-    /** Of the reconstruction loss. */
-    this.beta = thresholds.reconstruction ?? spec.beta;
-    // Unless told otherwise, the error over its predicted variance judges the same images better.
-    const beta = thresholds.reconstruction ?? ("variance" in thresholds ? null : spec.beta);
-    this.contract = contract;
-    this.gamma = spec.gamma;
-    this.rate = spec.rate_hz;
-    this.dwell = paper ? 0 : contract.dwell;
-    this.betweenReturns = paper ? 0 : contract.betweenReturns;
-    this.longestMemory = paper ? 0 : spec.longest_memory;
-    this.monitors = contract.monitors
-      .filter(({ name }) => !paper || name === "reconstruction")
-      .map(({ name, fallback, ...monitor }) => ({
-        ...monitor,
-        name,
-        threshold: name === "reconstruction" ? beta : thresholds[name] ?? fallback,
-      }))
-      .filter(({ threshold }) => threshold !== null);
+  constructor(spec, contract) {
+    Object.assign(this, spec, { contract });
     this.reset();
   }
 
@@ -94,8 +71,9 @@ export class Selector {
     this.withoutImage = 0;
     this.reason = "";
     this.looked = false;
-    this.start = null;
-    this.goodSince = this.lastGood = this.returned = -Infinity;
+    this.periods = null;
+    this.goodSince = 0;
+    this.lastGood = this.returned = -Infinity;
   }
 
   /** "sees", "remembers" (VP drives without images) or "blind" (OP drives). */
@@ -110,24 +88,24 @@ export class Selector {
    * @returns {Function} of the vision model's scores: whether VP may use the image.
    */
   look(seen) {
-    const verdicts = this.judge(seen);
+    const before = this.monitors.map(({ ofImage, output }) => ofImage && !output);
+    const acceptable = this.judge(seen, before).every(Boolean) && seen.fresh;
     this.looked = true;
     if (!this.longestMemory) return () => true;
-    const { monitors } = this;
-    const acceptable = seen.fresh && verdicts.every((ok, i) => ok || !monitors[i].ofImage || monitors[i].output);
-    const judged = monitors.filter(({ output }) => output);
+    const judged = this.monitors.filter(({ output }) => output);
     return (scores) =>
       acceptable && judged.every(({ output, threshold }) => scores[OUTPUTS[output]] < threshold);
   }
 
-  judge(seen) {
-    return this.scores.map((score, i) => score(seen) < this.monitors[i].threshold);
+  /** Whether each monitor of a subset finds its score below its threshold. */
+  judge(seen, subset = this.monitors) {
+    return this.scores.map((score, i) => !subset[i] || score(seen) < this.monitors[i].threshold);
   }
 
   /**
    * Take what is known of vision at one moment.
-   * @param {object} seen anomalyScore, image (a new array whenever one arrives), fresh, age,
-   *   invalid, velocityOp, velocityVp, hasImage, mapError.
+   * @param {object} seen anomalyScore, varianceScore, image (a new array whenever one arrives), fresh,
+   *   age, invalid, velocityOp, velocityVp, hasImage, mapError.
    * @param {number} now seconds.
    * @returns {boolean} whether to use vision.
    */
@@ -141,21 +119,18 @@ export class Selector {
     this.probability = goal + (1 - this.gamma) ** due * (this.probability - goal);
     const likely = this.probability > this.contract.visionThreshold;
     this.goodSince = good && healthy ? Math.min(this.goodSince, now) : Infinity;
-    const rested =
-      now - this.goodSince >= this.dwell - 1e-9 &&
-      now - this.returned >= this.betweenReturns - 1e-9;
+    const dwelt = now - this.goodSince >= this.dwell - 1e-9;
+    const rested = now - this.returned >= this.betweenReturns - 1e-9;
     const leaving = this.vision && !likely;
     if (leaving) this.vision = false;
-    else if (!this.vision && likely && rested) {
+    else if (!this.vision && likely && dwelt && rested) {
       this.vision = true;
       this.returned = now;
     }
     if (this.vision && good) this.reason = "";
-    const ceasing = leaving || (this.longestMemory && !good && !this.reason);
+    const ceasing = leaving || (this.longestMemory > 0 && !good && !this.reason);
     const objection = verdicts.indexOf(false);
-    if (ceasing && !(good && healthy) && objection >= 0) {
-      this.reason = this.monitors[objection].reason;
-    }
+    if (ceasing && !(good && healthy) && objection >= 0) this.reason = this.monitors[objection].reason;
     return this.vision;
   }
 
@@ -173,12 +148,11 @@ export class Selector {
     return [seen.hasImage, remembered && agreed];
   }
 
-  /** Filter updates due since the last call; the first call is one. */
+  /** Filter updates due since the last call, at multiples of their period. */
   due(now) {
-    if (this.start === null) [this.start, this.taken] = [now, 0];
-    const elapsed = Math.floor((now - this.start) * this.rate + 1e-6) + 1;
-    const due = Math.max(elapsed - this.taken, 0);
-    this.taken += due;
-    return due;
+    const ticks = now * this.rate;
+    const last = this.periods ?? Math.ceil(ticks - 1e-4) - 1;
+    this.periods = Math.max(last, Math.floor(ticks + 1e-4));
+    return this.periods - last;
   }
 }

@@ -1,8 +1,12 @@
-// What the visitor asks for: keys, buttons, sliders, touch and gamepad.
+// What the visitor asks for: keys, buttons, sliders and touch.
 
 const TURN_RATE = 0.8;
-/** rad/s while a key, a button or a stick is held. */
+/** rad/s while a key or the stick is held. */
 const DEAD_ZONE = 0.15;
+const KNOB = 28;
+/** Pixels that the knob moves. */
+
+const $ = (selector) => document.querySelector(selector);
 
 /** Speed and heading that are asked for; everything else is told to `handlers`. */
 export class Controls {
@@ -11,14 +15,15 @@ export class Controls {
     this.handlers = handlers;
     this.held = new Set();
     this.stick = 0;
-    this.lever = 0;
     this.turn = 0;
-    this.pressed = [];
-    this.speedSlider = document.querySelector("#speed");
-    this.severitySlider = document.querySelector("#severity");
+    this.speedSlider = $("#speed");
+    this.severitySlider = $("#severity");
     this.bindKeys();
-    this.bindButtons();
-    this.bindPad(document.querySelector("#pad"));
+    this.bindPad($("#pad"));
+    $("#push").addEventListener("click", handlers.push);
+    $("#reset").addEventListener("click", handlers.reset);
+    this.speedSlider.addEventListener("input", () => this.setSpeed(Number(this.speedSlider.value)));
+    this.severitySlider.addEventListener("input", handlers.severity);
     this.setSpeed(Number(this.speedSlider.value));
   }
 
@@ -31,33 +36,13 @@ export class Controls {
     const side = Number(this.held.has("left")) - Number(this.held.has("right"));
     const way = Math.min(Math.max(side + this.stick, -1), 1);
     this.turn += way * TURN_RATE * dt;
-    if (this.lever) this.setSpeed(this.speed - this.lever * dt);
     return { speed: this.speed, turn: this.turn };
-  }
-
-  /** Read the first gamepad; called once a picture. */
-  poll() {
-    const pad = gamepads().find((one) => one?.mapping === "standard");
-    if (!pad) {
-      if (this.driven) this.stick = this.lever = 0;
-      this.driven = false;
-      return;
-    }
-    this.driven = true;
-    const axis = (n) => (Math.abs(pad.axes[n] ?? 0) > DEAD_ZONE ? pad.axes[n] : 0);
-    this.stick = -(axis(2) || axis(0));
-    this.lever = axis(1);
-    const now = pad.buttons.map((button) => button.pressed);
-    const [push, spoil] = [0, 1].map((n) => now[n] && !this.pressed[n]);
-    this.pressed = now;
-    if (push) this.handlers.push();
-    if (spoil) this.handlers.toggle();
   }
 
   setSpeed(value) {
     this.speed = Math.min(Math.max(value, 0), 1);
     this.speedSlider.value = this.speed;
-    document.querySelector("#speed-value").textContent = `${this.speed.toFixed(1)} m/s`;
+    $("#speed-value").textContent = `${this.speed.toFixed(1)} m/s`;
   }
 
   setSeverity(value) {
@@ -73,9 +58,10 @@ export class Controls {
       p: handlers.push,
       r: handlers.reset,
       h: () => handlers.breakCamera(null),
-      t: handlers.nextTerrain,
+      t: handlers.nextGround,
       m: handlers.nextMode,
       l: handlers.nextRule,
+      i: handlers.explain,
       "+": () => this.setSeverity(this.severity + 1),
       "-": () => this.setSeverity(this.severity - 1),
     };
@@ -104,25 +90,6 @@ export class Controls {
     addEventListener("blur", () => this.held.clear());
   }
 
-  bindButtons() {
-    for (const side of ["left", "right"]) {
-      const button = document.querySelector(`#${side}`);
-      const release = () => this.held.delete(side);
-      button.addEventListener("pointerdown", () => this.held.add(side));
-      for (const end of ["pointerup", "pointerleave", "pointercancel", "blur"]) {
-        button.addEventListener(end, release);
-      }
-      button.addEventListener("keydown", (event) => {
-        if (event.key === "Enter" || event.key === " ") this.held.add(side);
-      });
-      button.addEventListener("keyup", release);
-    }
-    document.querySelector("#push").addEventListener("click", this.handlers.push);
-    document.querySelector("#reset").addEventListener("click", this.handlers.reset);
-    this.speedSlider.addEventListener("input", () => this.setSpeed(Number(this.speedSlider.value)));
-    this.severitySlider.addEventListener("input", this.handlers.severity);
-  }
-
   /** A thumb stick: up and down for speed, sideways to turn. */
   bindPad(pad) {
     const knob = pad.querySelector("span");
@@ -133,7 +100,7 @@ export class Controls {
       const [x, y] = [across, down].map((part) => Math.min(Math.max(part, -1), 1));
       this.stick = Math.abs(x) > DEAD_ZONE ? -x : 0;
       if (Math.abs(y) > DEAD_ZONE) this.setSpeed((1 - y) / 2);
-      knob.style.transform = `translate(${x * 40}px, ${y * 40}px)`;
+      knob.style.transform = `translate(${x * KNOB}px, ${y * KNOB}px)`;
     };
     pad.addEventListener("pointerdown", (event) => {
       pad.setPointerCapture(event.pointerId);
@@ -148,14 +115,5 @@ export class Controls {
         knob.style.transform = "";
       });
     }
-  }
-}
-
-/** Gamepads; none where the browser has no such thing, or the site forbids them. */
-function gamepads() {
-  try {
-    return Array.from(navigator.getGamepads());
-  } catch {
-    return [];
   }
 }

@@ -1,0 +1,87 @@
+"""Write a robot's look for the page, `web/robots/NAME.glb`, from mjlab's visual meshes.
+
+Run `python tools/robot_meshes.py "Unitree Go1"` (needs npm). trimesh writes glTF; meshoptimizer's
+gltfpack keeps a fiftieth of the triangles, in half the bytes.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import trimesh
+from mjlab.entity import Entity
+from trimesh.visual.material import PBRMaterial
+
+from renet.page.writer import WEB, look_name
+from renet.tasks.config.go1 import GO1
+
+ROBOTS = {"Unitree Go1": GO1}
+"""By the name that bundles give them; `web/robots/NOTICE` says whose meshes they are."""
+COLOURS = {
+    "base": "c9d0d8",
+    "trunk": "c9d0d8",
+    "hip": "2a2f36",
+    "thigh": "4a525c",
+    "calf": "aab2bb",
+}
+"""Of the bodies whose names end so."""
+FOOT = "1b1e23"
+KEPT = 0.02
+"""Share of the triangles that gltfpack keeps."""
+GLTFPACK = "gltfpack@1.3.0"
+
+
+def look(name: str) -> trimesh.Scene:
+    """A node for each body, by its name, with its mesh in that frame; BODY-foot is a foot."""
+    model = Entity(ROBOTS[name].entity()).spec.compile()
+    scene = trimesh.Scene()
+    for body in range(1, model.nbody):
+        title = model.body(body).name
+        geoms = np.flatnonzero(model.geom_bodyid == body)
+        kinds = model.geom_type[geoms]
+        shells = [_mesh(model, g) for g in geoms[kinds == mujoco.mjtGeom.mjGEOM_MESH]]
+        # Soles are no meshes: a calf's sphere is its foot.
+        feet = geoms[(kinds == mujoco.mjtGeom.mjGEOM_SPHERE) & title.endswith("calf")]
+        colour = next((c for end, c in COLOURS.items() if title.endswith(end)), FOOT)
+        parts = [(mesh, colour, title) for mesh in shells]
+        parts += [(_foot(model, geom), FOOT, f"{title}-foot") for geom in feet]
+        for mesh, paint, node in parts:
+            material = PBRMaterial(
+                baseColorFactor=[*bytes.fromhex(paint), 255], roughnessFactor=0.7
+            )
+            mesh.visual = trimesh.visual.TextureVisuals(material=material)
+            scene.add_geometry(mesh, node_name=node, geom_name=node)
+    return scene
+
+
+def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
+    mesh = model.mesh(model.geom_dataid[geom])
+    first, start = int(mesh.vertadr[0]), int(mesh.faceadr[0])
+    vertices = model.mesh_vert[first : first + int(mesh.vertnum[0])]
+    faces = model.mesh_face[start : start + int(mesh.facenum[0])]
+    turn = np.empty(9)
+    mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+    placed = vertices @ turn.reshape(3, 3).T + model.geom_pos[geom]
+    return trimesh.Trimesh(placed, faces)  # Merges vertices, so that shading is smooth.
+
+
+def _foot(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
+    foot = trimesh.creation.icosphere(subdivisions=3, radius=model.geom_size[geom][0])
+    return foot.apply_translation(model.geom_pos[geom])
+
+
+if __name__ == "__main__":
+    robot = sys.argv[1]
+    path = WEB / look_name(robot)
+    with tempfile.TemporaryDirectory() as folder:
+        whole = Path(folder) / "whole.glb"
+        whole.write_bytes(look(robot).export(file_type="glb"))
+        pack = ["-i", str(whole), "-o", str(path), "-si", str(KEPT), "-kn", "-ke"]
+        run = ["npm", "exec", "--yes", f"--package={GLTFPACK}", "--", "gltfpack"]
+        subprocess.run([*run, *pack], check=True)
+    print(path, f"{path.stat().st_size} bytes")

@@ -1,0 +1,271 @@
+// "Break its camera": two copies of one robot, the same start, the same ground, the same fault.
+
+import { ESTIMATORS } from "./control/controller.js";
+import { Controls } from "./panel/controls.js";
+import { readScene, sceneLink } from "./panel/link.js";
+import { Panel } from "./panel/panel.js";
+import { depthGradient, drawDepth } from "./panel/plots.js";
+import { Story } from "./panel/story.js";
+import { View } from "./stage/view.js";
+import { DepthCamera, makeFault } from "./world/camera.js";
+import { Simulation } from "./world/simulation.js";
+
+const BEFORE = 0.5;
+/** Seconds before an obstacle's edge, at the speed that is asked for, at which cameras break; */
+const LATER = 4;
+/** and seconds after the start on ground without one. */
+const SIDEWAYS = 1;
+/** m/s to the left of the push of the key and the button. */
+const SLOW_MOTION = { pace: 0.25, milliseconds: 2000 };
+/** How slowly time runs while a robot falls, and for how long. */
+const PICTURES = 6;
+/** Faults that are shown at once; the others are behind "More". */
+const PICTURED = 2;
+/** Seconds after its beginning of which a fault's picture is. */
+
+const $ = (selector) => document.querySelector(selector);
+
+export class Page {
+  /** @param {object} runtime of load.js. @param {object} scene of link.js. */
+  constructor(runtime, scene) {
+    Object.assign(this, { runtime, scene });
+    this.slowUntil = 0;
+    this.notice = scene.unknown.length ? `The link asks for ${scene.unknown.join(" and ")}: not here.` : "";
+    const { contract, manifest, bundle } = runtime;
+    for (const [state, { colour }] of Object.entries(contract.palette)) {
+      document.documentElement.style.setProperty(`--${state}`, colour);
+    }
+    const slots = [...document.querySelectorAll(".slot")];
+    this.panels = ["vp", "renet"].map((estimator, n) => {
+      const choose = (name) => (this.simulations[n].controller.estimator = name);
+      return new Panel(slots[n], $(".instruments"), estimator, contract, choose);
+    });
+    this.view = new View($("#view"), slots, runtime, (push) => this.push(push));
+    $(".scale").style.background = depthGradient;
+    this.rule = $("#rule");
+    this.rule.addEventListener("change", () => {
+      for (const { controller } of this.simulations) controller.select(this.rule.value);
+    });
+    $("#severity").value = scene.severity;
+    this.controls = new Controls(this.handlers());
+    this.addFaults(contract.faults);
+    fillSelect($("#ground"), bundle.grounds, (name) => this.setGround(name));
+    fillSelect($("#bundle"), contract.bundles, (name) => (location.search = `?bundle=${name}`));
+    $("#bundle").value = bundle.name;
+    $("#bundle").hidden = contract.bundles.length < 2;
+    $("#link").addEventListener("click", () => this.copyLink());
+    for (const button of ["#explain", "#close"]) $(button).addEventListener("click", () => this.explain());
+    $("#about").textContent =
+      `Bundle ${bundle.name} (${bundle.robot}) of ${manifest.provenance.date}, renet ${contract.renet}. ` +
+      "Physics: MuJoCo. Models: ONNX Runtime. Drawing: three.js, uPlot. Nothing leaves this page.";
+    this.start();
+  }
+
+  handlers() {
+    return {
+      push: () => this.push(),
+      reset: () => this.reset(),
+      breakCamera: (index) => this.breakCamera(index),
+      severity: () => this.setSeverity(),
+      nextGround: () => {
+        const { grounds } = this.runtime.bundle;
+        this.setGround(grounds[(grounds.indexOf(this.scene.ground) + 1) % grounds.length].name);
+      },
+      nextMode: () => next(this.panels[1].mode),
+      nextRule: () => next(this.rule),
+      explain: () => this.explain(),
+    };
+  }
+
+  addFaults(faults) {
+    const tile = (title, hint, onClick) => {
+      const button = document.createElement("button");
+      Object.assign(button, { type: "button", title: hint });
+      button.innerHTML = `<canvas width="64" height="48"></canvas><span>${title}</span>`;
+      button.addEventListener("click", onClick);
+      return button;
+    };
+    this.healthy = tile("Healthy", "Repair both cameras (H)", () => this.breakCamera(null));
+    this.tiles = faults.map(({ title, summary }, n) =>
+      tile(title, `${summary} (${n + 1})`, () => this.breakCamera(n)),
+    );
+    const more = tile("More", "More faults", () => $("#faults").classList.toggle("all"));
+    more.querySelector("canvas").remove();
+    more.id = "more";
+    this.tiles.slice(PICTURES).forEach((button) => button.classList.add("extra"));
+    $("#faults").append(this.healthy, ...this.tiles.slice(0, PICTURES), more, ...this.tiles.slice(PICTURES));
+  }
+
+  /** Show what each fault makes of the image at the start; faults of time have their words. */
+  drawFaults() {
+    const { contract, manifest } = this.runtime;
+    const { world } = this.simulations[0];
+    const image = new DepthCamera(world, manifest.camera, contract.camera, 1).image();
+    drawDepth(this.healthy.querySelector("canvas"), image);
+    contract.faults.forEach((fault, n) => {
+      const model = makeFault(fault, this.controls.severity, contract.camera, 1);
+      const frame = model.corrupt({ image, fresh: true, age: 0, invalid: 0 }, PICTURED);
+      drawDepth(this.tiles[n].querySelector("canvas"), frame.image);
+    });
+  }
+
+  /** Start again, with other noise, after the control step that is under way. */
+  reset() {
+    this.resetDue = true;
+  }
+
+  start() {
+    this.resetDue = false;
+    for (const simulation of this.simulations ?? []) simulation.delete();
+    const seed = Math.floor(2 ** 31 * Math.random());
+    const { ground } = this.scene;
+    this.simulations = this.panels.map((panel) => {
+      const simulation = new Simulation(this.runtime, ground, seed);
+      simulation.controller.estimator = panel.estimator;
+      simulation.controller.select(this.rule.value);
+      return simulation;
+    });
+    this.story = new Story(ground, this.panels.map(({ name }) => name));
+    this.slowed = new Set();
+    this.slowUntil = 0;
+    this.controls.turn = 0;
+    /** Whether the scene's fault is still to come. */
+    this.pending = this.scene.fault !== null;
+    this.broken = null;
+    $("#ground").value = ground.name;
+    this.view.reset(this.simulations);
+    this.drawFaults();
+    this.show();
+  }
+
+  get now() {
+    return this.simulations[0].now;
+  }
+
+  /** Seconds of simulation for each second of the clock. */
+  get pace() {
+    return performance.now() < this.slowUntil ? SLOW_MOTION.pace : 1;
+  }
+
+  setGround(name) {
+    this.scene.ground = this.runtime.bundle.grounds.find((ground) => ground.name === name);
+    this.reset();
+  }
+
+  setSeverity() {
+    this.scene.severity = this.controls.severity;
+    if (this.broken !== null) this.apply(this.broken);
+    this.drawFaults();
+    this.show();
+  }
+
+  /** Give both cameras a fault of the contract by its index, or none: now, and in this scene. */
+  breakCamera(index) {
+    const fault = index === null ? null : this.runtime.contract.faults[index];
+    this.scene.fault = fault;
+    this.pending = false;
+    this.apply(fault);
+  }
+
+  apply(fault) {
+    this.broken = fault;
+    for (const { camera, now } of this.simulations) {
+      if (fault) camera.break(fault, this.scene.severity, now);
+      else camera.repair();
+    }
+    this.show();
+  }
+
+  /** Press the buttons of what is, and keep the address up to date. */
+  show() {
+    const { faults } = this.runtime.contract;
+    const { fault, severity } = this.scene;
+    this.tiles.forEach((button, n) => {
+      press(button, faults[n] === this.broken);
+      button.classList.toggle("pending", this.pending && faults[n] === fault);
+    });
+    press(this.healthy, this.broken === null);
+    $("#level").textContent = `${severity} of 5${fault ? ` · ${fault.described[severity - 1]}` : ""}`;
+    history.replaceState(null, "", sceneLink(this.scene, this.runtime.contract));
+  }
+
+  async copyLink() {
+    await navigator.clipboard?.writeText(location.href);
+    this.notice = "Copied: the link leads to this scene.";
+  }
+
+  explain() {
+    const hood = $("#hood");
+    hood.hidden = !hood.hidden;
+    if (hood.hidden) $("#explain").focus();
+    else $("#close").focus();
+  }
+
+  /** Push both robots, m/s in the world frame; by default each to its left. */
+  push(velocity) {
+    for (const { world } of this.simulations) {
+      const { rotation } = world.pose();
+      world.push(velocity ?? rotation.slice(0, 2).map((row) => SIDEWAYS * row[1]));
+    }
+  }
+
+  /** Whether the scene's fault is due: both robots are the same until then. */
+  get due() {
+    const { obstacle } = this.scene.ground;
+    if (!obstacle) return this.now >= LATER;
+    const reach = this.simulations.map(({ world }) => Math.max(...world.pose().position.slice(0, 2).map(Math.abs)));
+    return Math.max(...reach) >= obstacle[0] - BEFORE * this.controls.speed;
+  }
+
+  /** One control step of all robots. */
+  async step() {
+    const teleop = this.controls.command(this.runtime.contract.controlDt);
+    if (this.pending && this.due) {
+      this.pending = false;
+      this.apply(this.scene.fault);
+    }
+    for (const [n, simulation] of this.simulations.entries()) {
+      await simulation.step(teleop);
+      this.panels[n].note(simulation);
+      this.story.note(n, simulation);
+      if (simulation.falling && !this.slowed.has(n)) {
+        this.slowed.add(n);
+        this.slowUntil = performance.now() + SLOW_MOTION.milliseconds;
+      }
+    }
+    if (this.broken && this.simulations.every(({ camera, now }) => !camera.broken(now))) this.apply(null);
+    if (this.resetDue) this.start();
+  }
+
+  draw(seconds) {
+    this.story.names = this.panels.map(({ name }) => name);
+    this.simulations.forEach((simulation, n) => this.panels[n].update(simulation, this.story.outcome(n)));
+    this.view.draw(this.simulations, seconds);
+    $("#verdict").hidden = !this.story.sentence;
+    if ($("#verdict p").textContent !== this.story.sentence) $("#verdict p").textContent = this.story.sentence;
+    document.body.classList.toggle("slow", this.pace < 1);
+  }
+
+  /** What is going on, in a line. */
+  get message() {
+    if (this.notice) return this.notice;
+    const { fault } = this.scene;
+    if (this.pending) return `Both cameras will fail (${fault.title.toLowerCase()}) ${this.scene.ground.obstacle ? "half a second before the edge" : "soon"}.`;
+    if (this.broken && this.now < this.simulations[0].camera.fault.onset + 3) return "Both cameras just failed.";
+    return "";
+  }
+}
+
+function fillSelect(select, choices, onChange) {
+  select.append(...choices.map(({ name, title }) => new Option(title ?? name, name)));
+  select.addEventListener("change", () => onChange(select.value));
+}
+
+function next(select) {
+  select.selectedIndex = (select.selectedIndex + 1) % select.options.length;
+  select.dispatchEvent(new Event("change"));
+}
+
+function press(button, down) {
+  button.setAttribute("aria-pressed", String(down));
+}

@@ -1,0 +1,35 @@
+// The scene in the page's address: ?bundle=…&ground=gap&fault=blackout&severity=5
+
+/**
+ * The scene that an address asks for.
+ * @param {string} search of the address.
+ * @param {object} contract shared with the runtime.
+ * @returns {object} bundle, ground, fault (null: none), severity, and `unknown`, what makes no sense.
+ */
+export function readScene(search, { bundles, faults }) {
+  const asks = new URLSearchParams(search);
+  const unknown = [];
+  const choose = (key, choices, fallback) => {
+    const name = asks.get(key);
+    const choice = choices.find((one) => String(one.name) === name);
+    if (name !== null && !choice) unknown.push(`${key} "${name.slice(0, 30)}"`);
+    return choice ?? choices.find((one) => one.name === fallback) ?? choices[0];
+  };
+  const bundle = choose("bundle", bundles, null);
+  const ground = choose("ground", bundle.grounds, bundle.opening.ground);
+  const none = { name: "none", none: true };
+  const fault = choose("fault", [...faults, none], bundle.opening.fault);
+  const severities = faults[0].levels.map((_, i) => ({ name: i + 1 }));
+  const severity = choose("severity", severities, severities.length).name;
+  return { bundle, ground, fault: fault.none ? null : fault, severity, unknown };
+}
+
+/** The address that leads to a scene; one bundle needs no name. */
+export function sceneLink({ bundle, ground, fault, severity }, { bundles }) {
+  const asks = new URLSearchParams();
+  if (bundles.length > 1) asks.set("bundle", bundle.name);
+  asks.set("ground", ground.name);
+  asks.set("fault", fault?.name ?? "none");
+  if (fault) asks.set("severity", severity);
+  return `?${asks}`;
+}

@@ -1,0 +1,63 @@
+// What becomes of the robots, in words.
+
+const CLEAR = 0.3;
+/** Metres beyond an obstacle at which the hind feet have left it, too. */
+const SETTLED = 8;
+/** Seconds after a fault, or of one robot alone, after which the story is told. */
+const HOW = { sees: "by sight", remembers: "from memory", blind: "blind" };
+const FOOLED = "on broken images";
+
+/** Follows the robots of one scene. */
+export class Story {
+  /** @param {object} ground one of a bundle's. @param {string[]} names of the robots. */
+  constructor(ground, names) {
+    Object.assign(this, { ground, names });
+    this.onset = null;
+    this.now = 0;
+    this.tales = names.map(() => ({ distance: 0, fell: null, done: null, state: "", how: "" }));
+  }
+
+  /** Keep one control step of robot `n`. */
+  note(n, { now, fell, state, world, camera }) {
+    const tale = this.tales[n];
+    const [x, y] = world.pose().position;
+    const reach = Math.max(Math.abs(x), Math.abs(y));
+    const [first, last] = this.ground.obstacle ?? [Infinity, Infinity];
+    this.now = now;
+    if (camera.broken(now)) this.onset ??= camera.fault.onset;
+    tale.state = state;
+    if (tale.fell !== null) return;
+    tale.distance = Math.hypot(x, y);
+    if (fell) tale.fell = now;
+    if (reach > first && state) tale.how ||= state === "sees" && camera.broken(now) ? FOOLED : HOW[state];
+    if (reach > last + CLEAR && state) tale.done ??= now;
+  }
+
+  /** Of robot `n`, for its half of the stage. */
+  outcome(n) {
+    const { fell, done, state, distance } = this.tales[n];
+    const metres = `${distance.toFixed(1)} m`;
+    if (fell !== null) return `Fell after ${metres}`;
+    if (!state) return "Standing up";
+    return done === null ? metres : `${capital(this.ground.done)} · ${metres}`;
+  }
+
+  /** What happened to all of them, once it has; empty before. */
+  get sentence() {
+    const ends = this.tales.map(({ fell, done }) => fell ?? done);
+    const first = Math.min(...ends.map((end) => end ?? Infinity), this.onset ?? Infinity);
+    if (ends.includes(null) && this.now < first + SETTLED) return "";
+    return this.tales.map((tale, n) => `${capital(this.names[n])} ${this.verb(tale)}.`).join(" ");
+  }
+
+  verb({ fell, done, how, distance }) {
+    const metres = `${distance.toFixed(1)} m`;
+    if (fell === null) return done === null ? `walks on after ${metres}` : `${this.ground.done} ${how}`;
+    const late = this.onset === null ? -1 : fell - this.onset;
+    return late >= 0 ? `fell ${late.toFixed(1)} s after its camera broke` : `fell after ${metres}`;
+  }
+}
+
+function capital(words) {
+  return words[0].toUpperCase() + words.slice(1);
+}
