@@ -16,7 +16,7 @@ import tyro
 from renet.bundle import MANIFEST
 from renet.errors import RenetError
 from renet.evaluation.results import output_folder
-from renet.evaluation.rollout import Rollout, Trial, check_finite, check_modes
+from renet.evaluation.rollout import Mode, Rollout, Trial, check_finite, check_modes
 from renet.evaluation.trace import UPDATES_PER_STEP
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT, Engine, SelectorName, Terrain
@@ -40,8 +40,8 @@ class PlayCfg:
     """Level of the tile, 1 to 10."""
     fault: tuple[str, ...] = ()
     """Faults of the camera, NAME[:SEVERITY]@SECONDS[+DURATION], such as blackout:3@5s+2s."""
-    modes: tuple[str, ...] = ("vp", "renet")
-    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
+    modes: tuple[Mode, ...] = ("vp", "renet")
+    """Policy modes to compare."""
     seconds: float = 8.0
     """Length of the film, simulated."""
     speed: float = 0.6

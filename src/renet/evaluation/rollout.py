@@ -8,7 +8,7 @@ under the modality the selector last chose, then the selector's filter is update
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from renet.terrain.tiles import find_tile
 
 FLAT, PARKOUR = "flat", "parkour"
 """Ground without tiles, and a field of all tiles at all levels."""
-POLICY_MODES = ("vp", "renet", "op", "paper", "oracle-switch")
+Mode = Literal["vp", "renet", "op", "paper", "oracle-switch"]
 """Policy modes: vision always, the selector's choice, never, the choice of the paper's selector,
 and a switch that knows the fault."""
 
@@ -45,10 +45,10 @@ class Trial:
 
 def check_modes(modes: Sequence[str]) -> None:
     """Raise RenetError unless each mode is a policy mode and is given once."""
-    if not modes or not {*modes} <= {*POLICY_MODES} or len({*modes}) < len(modes):
+    if not modes or not {*modes} <= {*get_args(Mode)} or len({*modes}) < len(modes):
         raise RenetError(
             f"modes {', '.join(modes) or 'none'}: choose, once each, among"
-            f" {', '.join(POLICY_MODES)}"
+            f" {', '.join(get_args(Mode))}"
         )
 
 

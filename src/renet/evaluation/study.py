@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from renet.errors import RenetError
 from renet.evaluation import figures
 from renet.evaluation.results import kept, output_folder, plain, write_csv, write_json
-from renet.evaluation.rollout import Trial, check_finite, check_modes, check_speed
+from renet.evaluation.rollout import Mode, Trial, check_finite, check_modes, check_speed
 from renet.interface import Engine, SelectorName
 from renet.selector.selector import check_kind
 from renet.terminal import show
@@ -145,8 +145,8 @@ class Study:
 class WalkingStudy(Study):
     """A study of robots that are told to walk straight ahead, in several modes."""
 
-    modes: tuple[str, ...] = ("vp", "renet", "op")
-    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
+    modes: tuple[Mode, ...] = ("vp", "renet", "op")
+    """Policy modes to compare."""
     robots: int = 20
     """Robots in each setting and mode; with `quick` always fewer."""
     speed: float = 0.6

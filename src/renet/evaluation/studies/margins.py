@@ -19,7 +19,7 @@ import scipy
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.rollout import check_grounds
+from renet.evaluation.rollout import Mode, check_grounds
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION_SIZE, proprioception_slices
 
@@ -150,8 +150,8 @@ class MarginsStudy(WalkingStudy):
     """Ground to walk on: flat, rough, obstacles, stairs_up, stairs_down, gap, platform."""
     level: int = 2
     """Of the ground, 1 to 10."""
-    modes: tuple[str, ...] = ("vp", "op", "renet")
-    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
+    modes: tuple[Mode, ...] = ("vp", "op", "renet")
+    """Policy modes to compare."""
     seconds: float = 8.0
     """Time of each robot, or until it has left its tile."""
 

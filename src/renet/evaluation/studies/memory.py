@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.rollout import Trial
+from renet.evaluation.rollout import Mode, Trial
 from renet.evaluation.studies.terrain import SIZES
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.faults import Injection
@@ -57,8 +57,8 @@ class MemoryStudy(WalkingStudy):
     """Seconds without an image; robots with a healthy camera walk as well."""
     before: float = 0.5
     """Seconds before the edge, at the commanded speed, at which images cease."""
-    modes: tuple[str, ...] = ("vp", "paper", "oracle-switch", "op", "renet")
-    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
+    modes: tuple[Mode, ...] = ("vp", "paper", "oracle-switch", "op", "renet")
+    """Policy modes to compare."""
     seconds: float = 12.0
     """Time to leave the tile."""
 

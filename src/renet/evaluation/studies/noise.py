@@ -10,7 +10,7 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures
 from renet.evaluation.report.page import crossed, noise_rows
-from renet.evaluation.rollout import FLAT, Trial
+from renet.evaluation.rollout import FLAT, Mode, Trial
 from renet.evaluation.studies.faults import FaultStudy, Setting
 from renet.evaluation.study import Figures, Part, Table
 from renet.evaluation.trace import Trace
@@ -28,8 +28,8 @@ class NoiseStudy(FaultStudy):
         *(f"salt_and_pepper:{severity}" for severity in (2, 3, 5)),
     )
     """Noises, NAME:SEVERITY; the paper's are 30, 70, 100 % and 10, 30, 70 %."""
-    modes: tuple[str, ...] = ("vp", "renet")
-    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
+    modes: tuple[Mode, ...] = ("vp", "renet")
+    """Policy modes to compare."""
     grounds: tuple[str, ...] = (FLAT,)
     """Flat ground without end, or one kind of tile: see `faults`."""
     onsets: tuple[float, ...] = (3.0,)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from renet.evaluation.rollout import FLAT, Trial
+from renet.evaluation.rollout import FLAT, Mode, Trial
 from renet.evaluation.studies.terrain import TerrainStudy
 from renet.evaluation.study import Figures, Part, Table
 from renet.interface import CONTROL_DT
@@ -40,8 +40,8 @@ class StandingStudy(TerrainStudy):
     """Ground to stop on: flat, rough, obstacles, stairs_up, stairs_down, gap, platform."""
     levels: tuple[int, ...] = (3,)
     """Levels of the ground, 1 to 10."""
-    modes: tuple[str, ...] = ("vp", "op")
-    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
+    modes: tuple[Mode, ...] = ("vp", "op")
+    """Policy modes to compare."""
     seconds: float = 6.0
     """Time that a robot must stand, from 1.5 s after the command on."""
 

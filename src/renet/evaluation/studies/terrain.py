@@ -26,7 +26,7 @@ from matplotlib.figure import Figure
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.rollout import FLAT, PARKOUR, Trial
+from renet.evaluation.rollout import FLAT, PARKOUR, Mode, Trial
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Schedule, parse_fault
@@ -66,8 +66,8 @@ class TerrainStudy(WalkingStudy):
     """Kinds of tile: gap, platform, stairs_up, stairs_down, obstacles, rough."""
     levels: tuple[int, ...] = tuple(range(1, LEVELS + 1))
     """Levels of the curriculum, 1 to 10."""
-    modes: tuple[str, ...] = ("renet",)
-    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
+    modes: tuple[Mode, ...] = ("renet",)
+    """Policy modes to compare."""
     fault: str | None = None
     """A camera fault, NAME[:SEVERITY][@SECONDS[+DURATION]]; without a time it begins half a second
     before a robot is 1.2 m from its start, where gaps and stairs up begin."""
@@ -240,8 +240,8 @@ class SuccessStudy(TerrainStudy):
     """Folder for summary.json, summary.csv, success.png and parts/."""
     levels: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 10)
     """Sizes, as levels of the curriculum, 1 to 10."""
-    modes: tuple[str, ...] = ("vp", "renet", "op")
-    """Policy modes to compare: vp, renet, op, paper, oracle-switch."""
+    modes: tuple[Mode, ...] = ("vp", "renet", "op")
+    """Policy modes to compare."""
     seconds: float = 16.0
     """Time to cross: the 4 m to the tile's edge take 6.7 s at the commanded speed."""
 
