@@ -169,6 +169,8 @@ def test_latency_serves_an_image_as_old_as_stated() -> None:
     # Delays of 0.1 to 0.3 s on a 0.1 s grid; a newer frame may overtake.
     assert 0.1 - 1e-9 <= ages.min() <= ages.max() <= 0.4 + 1e-9
     assert 0.15 < ages.mean() < 0.3
+    first, second = play([Injection("latency", 500, onset=0)], ticks=2)
+    np.testing.assert_array_equal(second.image, first.image, "until another one arrives")
 
 
 def test_motion_blur_moves_the_image_by_rate_times_exposure() -> None:

@@ -169,7 +169,7 @@ def test_delays_are_drawn_for_each_episode_from_all_whole_control_steps():
         walk.xpos[..., 0], walk.step = 0.0, 0
         walk.camera.reset()
         assert (before != walk.camera._delay).any()
-        walk.take(0)
+        assert walk.take(0).tolist() == pytest.approx([2.0] * 400, abs=1e-4), "it has no past"
 
 
 def ticks(sensor: DepthCamera, steps: int) -> list[int]:
