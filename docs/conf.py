@@ -18,6 +18,8 @@ extensions = [
     "sphinx.ext.viewcode",
 ]
 html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_title = f"renet {release}"
 exclude_patterns = ["_build"]
 myst_heading_anchors = 3

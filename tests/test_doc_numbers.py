@@ -1,0 +1,115 @@
+"""Tables of the documents: each number is the one in the result file that the page links."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "benchmarks" / "results"
+
+
+def cells(page: str, heading: str) -> list[list[str]]:
+    """The rows of a section's tables."""
+    text = re.sub(r"```.*?```", "", (ROOT / "docs" / page).read_text(), flags=re.DOTALL)
+    section = re.split(rf"^#+ {heading}$", text, flags=re.MULTILINE)[1]
+    section = re.split(r"^#", section, flags=re.MULTILINE)[0]
+    lines = re.findall(r"^\| (.+) \|$", section, re.MULTILINE)
+    return [[cell.strip() for cell in line.split(" | ")] for line in lines]
+
+
+def result(name: str) -> dict:
+    return json.loads((RESULTS / name).read_text())
+
+
+@pytest.mark.parametrize("path", sorted(RESULTS.glob("table1/*.json")), ids=lambda path: path.stem)
+def test_row_of_table_1(path):
+    row = json.loads(path.read_text())
+    seeds = len(list(path.parent.glob(f"{path.stem[:-2]}_*.json")))
+    name = row["row"].replace("SA", "SA (RENet)") if row["seed"] == 1 else row["row"]
+    title = f"{name}, {row['seed']}" if seeds > 1 else name
+    passed = {kind: 0 for kind in ("gap", "platform", "stairs")}
+    for run in row["runs"]:
+        passed[run["kind"].split("_")[0]] += run["passed"]
+    shown = next(line for line in cells("comparison.md", "Table I") if line[0] == title)
+    assert [int(n) for n in shown[1:4]] == list(passed.values())
+    assert float(shown[4]) == pytest.approx(row["collisions"], abs=0.00501)
+
+
+@pytest.mark.parametrize(
+    ("column", "file", "mode"),
+    [
+        (1, "go1-parkour", "vp"),
+        (2, "go1-parkour", "renet"),
+        (3, "oracle-switch", "oracle-switch"),
+        (4, "switch-gate", "renet"),
+        (5, "switch-return", "renet"),
+        (6, "go1-parkour", "op"),
+    ],
+)
+def test_column_of_the_switches(column, file, mode):
+    settings = [
+        row
+        for row in result(f"leaderboard/{file}.json")["settings"]
+        if (row["mode"], row["severity"], row["onset"]) == (mode, 5, "before_the_edge")
+        and row["ground"] != "flat"
+    ]
+    assert len(settings) == 143
+    lines = {line[0].replace(" ", "_"): line for line in cells("comparison.md", "Switches")}
+    for ground in ("stairs_up", "stairs_down", "obstacles", "platform", "gap"):
+        rows = [s["measures"]["crossed"]["value"] for s in settings if s["ground"] == ground]
+        assert float(lines[ground][column]) == pytest.approx(100 * np.mean(rows), abs=0.501)
+    for name, measure in (("all_143_settings", "crossed"), ("all,_upright", "upright")):
+        mean = np.mean([s["measures"][measure]["value"] for s in settings])
+        assert float(lines[name][column]) == pytest.approx(100 * mean, abs=0.0501)
+
+
+@pytest.mark.parametrize(("column", "mode"), [(1, "vp"), (2, "renet"), (3, "op")])
+def test_column_of_the_shipped_policys_benchmark(column, mode):
+    settings = result("leaderboard/go1-parkour.json")["settings"]
+    lines = {
+        line[0].replace(" ", "_"): line for line in cells("pretrained.md", "The fault benchmark")
+    }
+    for ground in ("flat", "stairs_up", "stairs_down", "obstacles", "platform", "gap"):
+        rows = [
+            s["measures"]["crossed"]["value"]
+            for s in settings
+            if (s["mode"], s["ground"]) == (mode, ground)
+        ]
+        assert float(lines[ground][column]) == pytest.approx(100 * np.mean(rows), abs=0.0501)
+
+
+def test_robots_that_leave_vision_in_grass():
+    runs = result("shipped/grass.json")["runs"]
+    grounds = ("flat", "stairs_up", "stairs_down", "obstacles", "platform", "gap")
+    shown = {line[0]: line[1:] for line in cells("pretrained.md", "Grass") if line[0][0].isdigit()}
+    for severity, blades in enumerate(("8", "20", "45", "90, 180", "90, 180"), start=1):
+        counts = [
+            sum(r["detected"] for r in runs if (r["ground"], r["severity"]) == (ground, severity))
+            for ground in grounds
+        ]
+        assert [int(n) for n in shown[blades]] == counts
+
+
+def test_robots_that_stand_still():
+    runs = result("shipped/standing.json")["runs"]
+    still = {(run["kind"], run["mode"]): run["still"] for run in runs}
+    assert not any(run["falls"] for run in runs)
+    for line in cells("pretrained.md", "Standing"):
+        kinds = [kind.replace(" ", "_") for kind in line[0].split(", ")]
+        if (kinds[0], "vp") in still:
+            for cell, mode in zip(line[1:], ("vp", "op"), strict=True):
+                assert [int(n) for n in cell.split(", ")] == [still[kind, mode] for kind in kinds]
+
+
+def test_the_course():
+    totals = {row["mode"]: row for row in result("shipped/course.json")["totals"]}
+    names = {"VP alone": "vp", "RENet": "renet", "OP alone": "op"}
+    lines = [line for line in cells("pretrained.md", "A course") if line[0] in names]
+    assert len(lines) == 3
+    for line in lines:
+        total = totals[names[line[0]]]
+        assert float(line[1].split()[0]) == pytest.approx(total["distance_m"] / 1e3, abs=0.00501)
+        assert int(line[2].split()[0]) == total["falls"]
