@@ -8,7 +8,7 @@ from pathlib import Path
 from PIL import Image
 
 from renet.evaluation import figures
-from renet.evaluation.report.fault_figures import draw_gallery
+from renet.evaluation.report.fault_gallery import draw_gallery
 from renet.evaluation.results import Provenance
 from renet.faults import FAULTS
 

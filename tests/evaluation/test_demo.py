@@ -2,6 +2,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 
 from renet.evaluation import demo
 from renet.evaluation.demo import DemoCfg, first_to_fall, run_demo, worst_of_vp
-from renet.evaluation.report.video import VideoCfg
+from renet.evaluation.report import video
 from renet.evaluation.studies.noise import NoiseStudy
 
 from .fakes import FakeEvaluator
@@ -42,7 +43,7 @@ def page(run_study, tmp_path_factory: pytest.TempPathFactory) -> Path:
     # What the study's own tests have run is not run again.
     shutil.copytree(run_study("noise")[0] / "parts", out / "parts")
     patch.setattr(demo, "NoiseStudy", lambda **settings: replace(STUDY, **settings))
-    patch.setattr(demo, "VideoCfg", lambda: VideoCfg(width=96, height=72, fps=5))
+    patch.setattr(video, "VideoCfg", partial(video.VideoCfg, width=96, height=72, fps=5))
     try:
         return run_demo(DemoCfg(out=out), FakeEvaluator())
     finally:

@@ -64,10 +64,10 @@ class CalibrateCfg:
     false_alarms_per_hour: float = 0.5
     """How often all monitors together may make a healthy robot leave vision."""
     sparse_grass: bool = True
-    """Of a model that predicts a variance: judge images by it instead of the reconstruction, and
-    lift thresholds, at most twofold, until each monitor accepts 49 of 50 walks through grass."""
+    """Judge images by the variance of a model that predicts one, not by the reconstruction; lift
+    thresholds, at most twofold, until each monitor accepts 49 of 50 walks through grass."""
     seed: int = 7
-    """Of the robots' starts."""
+    """Seed of the robots' starts."""
     engine: Engine = "auto"
     """Physics engine; auto: native on a CPU, warp on a GPU."""
 
@@ -182,7 +182,7 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
     robots, steps = np.arange(cfg.robots), round(cfg.seconds / CONTROL_DT)
     faults = (Injection.of("tall_grass", SPARSE_GRASS, onset=0),) if grass else ()
     trials = [Trial("vp", faults, int(robot)) for robot in robots]
-    found: Series = {name: [] for name in MONITORS}
+    series: Series = {name: [] for name in MONITORS}
     for terrain in cfg.terrains:
         tiled = terrain == PARKOUR
         # Tiles of the paper's preset: studies are to judge on others.
@@ -195,5 +195,5 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
         trace = rollout.run(steps, terrain)
         for name, runs in healthy_series(log, trace, cfg.speed).items():
             # A robot's first image stands in for the one before it, too: the same blades twice.
-            found[name] += [run[1:] for run in runs if len(run) > 1] if grass else runs
-    return found
+            series[name] += [run[1:] for run in runs if len(run) > 1] if grass else runs
+    return series

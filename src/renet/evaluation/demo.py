@@ -31,7 +31,7 @@ class DemoCfg:
     bundle: Path | None = None
     """Bundle folder; the one that ships with renet by default."""
     seed: int = 1
-    """Of the robots' starts and of the noise."""
+    """Seed of the robots' starts and of the noise."""
     engine: Engine = "auto"
     """Physics engine; auto: native on a CPU, warp on a GPU."""
 
@@ -104,9 +104,8 @@ def first_to_fall(study: NoiseStudy, trace: Trace) -> int:
 
 def write_demo_page(summary: dict[str, Any], video: Path, setting: Setting, out: Path) -> Path:
     """Write index.html into `out`, from the study's figures there; the video is of `setting`."""
-    found = noise_facts(summary)
     sections = [
-        render("demo", found=found, film=video, noise=label(setting)),
+        render("demo", facts=noise_facts(summary), film=video, noise=label(setting)),
         render("demo_method"),
         render("noise", summary=summary, settings=summary["settings"], folder=out),
         render("demo_provenance"),

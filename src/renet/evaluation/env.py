@@ -247,9 +247,9 @@ def ray_perturbation(
     shares = [float(share) for share in np.unique(view.glass) if share > 0]
     unseen = []
     if shares:
-        found = obstacles(model, middles)
+        tiles = obstacles(model, middles)
         unseen = [
-            (spread(found, share), torch.from_numpy(np.flatnonzero(view.glass == share)))
+            (spread(tiles, share), torch.from_numpy(np.flatnonzero(view.glass == share)))
             for share in shares
         ]
     lift = torch.as_tensor(view.lift, dtype=torch.float32)

@@ -80,17 +80,17 @@ class Evaluator:
             seed: of bodies and starts.
 
         Raises:
-            RenetError: a seed NumPy has not, or a bundle for another robot than the task's.
+            RenetError: a seed outside NumPy's range, or a bundle for another robot than the task's.
         """
         if not 0 <= seed < 2**32:
             raise RenetError(f"seed must be from 0 to 2^32 - 1, got {seed}")
         if task in (FLAT, PARKOUR):
             task = self.terrain_env_cfg(str(task), 1)
         cfg = study_env_cfg(task, speed)
-        own = self.bundle.manifest.robot.name
-        if own != cfg.robot.name:
+        robot = self.bundle.manifest.robot.name
+        if robot != cfg.robot.name:
             raise RenetError(
-                f"bundle {self.bundle.name} drives a {own}, this task's robot is a"
+                f"bundle {self.bundle.name} drives a {robot}, this task's robot is a"
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
         depth_camera(cfg).noise.gaussian_std = self.bundle.manifest.camera.noise_std

@@ -1,7 +1,7 @@
 """Figures: one look for all of them, drawn without a display, saved whole with their provenance."""
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,7 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "lines.linewidth": 1.6,
 }
-"""Of every figure of a study, which is drawn and saved under it."""
+"""Style under which every figure of a study is drawn and saved."""
 
 
 def save(figure: Figure, path: Path, provenance: Provenance, dpi: int = 150) -> Path:
@@ -119,15 +119,31 @@ def speed_over_time(
     return figure
 
 
-def smooth(values: np.ndarray, steps: int = 13) -> np.ndarray:
+def smooth(values: np.ndarray) -> np.ndarray:
     """A centred moving mean over about half a gait cycle, shorter at both ends."""
-    kernel = np.ones(steps)
+    kernel = np.ones(13)
     total = np.convolve(values, kernel, "same")
     return total / np.convolve(np.ones_like(values), kernel, "same")
 
 
 Cells = Mapping[tuple[str, str], tuple[float, str]]
 """Percent, which gives the colour, and text, by row and column."""
+
+
+def mean_cells(
+    runs: Sequence[dict[str, Any]],
+    share: Callable[[dict[str, Any]], float],
+    column: str = "severity",
+) -> Cells:
+    """Mean shares of the runs in percent, by fault and `column`."""
+    groups: dict[tuple[str, str], list[float]] = {}
+    for run in runs:
+        name = str(run[column]).replace("_", "\n")
+        groups.setdefault((run["fault"], name), []).append(100 * share(run))
+    shares = {key: np.array(values)[~np.isnan(values)] for key, values in groups.items()}
+    return {
+        key: (s.mean(), f"{s.mean():.0f}") if s.size else (np.nan, "–") for key, s in shares.items()
+    }
 
 
 def colour_tables(

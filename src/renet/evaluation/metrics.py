@@ -78,8 +78,8 @@ def bootstrap_interval(
 def wilson_interval(successes: np.ndarray) -> tuple[float, float]:
     """Wilson's 95 % interval of a share, from 0 or 1 for each robot [n]; n > 0."""
     test = scipy.stats.binomtest(int(successes.sum()), len(successes))
-    found = test.proportion_ci(0.95, "wilson")
-    return float(found.low), float(found.high)
+    interval = test.proportion_ci(0.95, "wilson")
+    return float(interval.low), float(interval.high)
 
 
 def with_interval(name: str, values: np.ndarray) -> dict[str, float]:
@@ -88,9 +88,9 @@ def with_interval(name: str, values: np.ndarray) -> dict[str, float]:
     return {f"{name}_ci95_low": low, f"{name}_ci95_high": high}
 
 
-def poisson_upper(count: int, confidence: float = 0.95) -> float:
+def poisson_upper(count: int) -> float:
     """The largest expected number of events that `count` or fewer of them do not rule out.
 
-    Exact one-sided limit: the mean at which seeing so few has probability 1 - confidence.
+    The exact one-sided 95 % limit: the mean at which so few events have a probability of 5 %.
     """
-    return float(scipy.stats.chi2.ppf(confidence, 2 * (count + 1))) / 2
+    return float(scipy.stats.chi2.ppf(0.95, 2 * (count + 1))) / 2

@@ -47,7 +47,7 @@ class PlayCfg:
     speed: float = 0.6
     """Commanded forward speed, m/s."""
     seed: int = 1
-    """Of the robot's body, start and noise."""
+    """Seed of the robot's body, start and noise."""
     selector: SelectorName = "monitors"
     """monitors: all of them, slow to trust again; paper: the reconstruction loss against beta."""
     engine: Engine = "auto"

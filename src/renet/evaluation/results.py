@@ -43,7 +43,7 @@ class Provenance:
     """UTC, ISO 8601; now by default."""
     renet_version: str = renet.__version__
     commit: str | None = field(default_factory=commit)
-    """Of the clone that renet runs from, if it does."""
+    """Commit of the clone that renet runs from, if it does."""
 
     @property
     def line(self) -> str:

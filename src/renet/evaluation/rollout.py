@@ -208,7 +208,7 @@ class Rollout:
             self._trusted = self._trusted | ended
 
     def _obeyed(self, values: Sequence[np.ndarray]) -> np.ndarray:
-        """Of each selector's values [N], those of the selector that each robot obeys."""
+        """The values, [N] of each selector, of the one that each robot obeys."""
         return np.where(self.modes == "paper", values[-1], values[0])
 
     def _gate(self, step: int) -> dict[str, Gate]:

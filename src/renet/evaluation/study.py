@@ -46,12 +46,12 @@ class Study:
     quick: bool = False
     """Fewer robots and settings instead."""
     seed: int = 1
-    """Of the robots' bodies and starts and of the camera faults."""
+    """Seed of the robots' bodies and starts and of the camera faults."""
     engine: Engine = "auto"
     """Physics engine; auto: native on a CPU, warp on a GPU."""
 
     name: ClassVar[str]
-    """Of the study's folder in the results, and of its template."""
+    """Name of the study's folder in the results, and of its template."""
     selectable: ClassVar[tuple[str, ...]] = ()
     """Settings of which a part's result does not depend: they select which parts are made."""
 

@@ -30,7 +30,7 @@ class TrueState:
     forward_velocity: np.ndarray
     """Base velocity along the commanded yaw, m/s."""
     height: np.ndarray
-    """Of the base above the ground it started on, m."""
+    """Height of the base above the ground it started on, m."""
     travelled: np.ndarray
     """Horizontal distance from where the robot last started, m."""
     collisions: np.ndarray
@@ -86,8 +86,9 @@ class Trace(TrueState):
 
     def robots(self, index: slice | np.ndarray) -> Trace:
         """Some robots only, by their places or a mask [N], without film."""
-        own = {name: value[..., index] for name, value in vars(self).items() if name != "film"}
-        return Trace(**own)
+        return Trace(
+            **{name: value[..., index] for name, value in vars(self).items() if name != "film"}
+        )
 
     def groups(self, each: int) -> list[Trace]:
         """The robots in their order, `each` in a group."""

@@ -6,23 +6,27 @@ from typing import Any
 from renet.evaluation.figures import MODE_NAMES, setting_label
 from renet.evaluation.report.page import Section, render
 
-Found = Mapping[str, dict[str, Any]]
-"""Summaries by study."""
+Summaries = Mapping[str, dict[str, Any]]
+"""Contents of summary.json, by study."""
 Row = tuple[str, str, str, str]
 """Study, setting, RENet's number, and that of OP alone."""
 
 
-def overview_section(found: Found) -> Section:
+def overview_section(summaries: Summaries) -> Section:
     """Large numbers of every study there is, and a warning where bundles differ."""
-    bundles = sorted({summary["provenance"]["bundle_hash"][:10] for summary in found.values()})
-    made = [make(found[name]) for name, make in FACTS.items() if name in found]
-    return render("overview", bundles=bundles, found=[fact for facts in made for fact in facts])
+    bundles = sorted({summary["provenance"]["bundle_hash"][:10] for summary in summaries.values()})
+    groups = [make(summaries[name]) for name, make in FACTS.items() if name in summaries]
+    return render("overview", bundles=bundles, facts=[fact for group in groups for fact in group])
 
 
-def worse_section(found: Found) -> Section:
+def worse_section(summaries: Summaries) -> Section:
     """Settings in which RENet does worse than OP alone, and faults it does not notice."""
-    rows = [row for name, make in WORSE.items() if name in found for row in make(found[name])]
-    chance = _worse_faults(found["faults"], beyond_chance=False) if "faults" in found else []
+    rows = [
+        row for name, make in WORSE.items() if name in summaries for row in make(summaries[name])
+    ]
+    chance = []
+    if "faults" in summaries:
+        chance = _worse_faults(summaries["faults"], beyond_chance=False)
     return render("worse", rows=rows, chance=chance)
 
 

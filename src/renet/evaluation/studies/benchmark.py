@@ -28,7 +28,7 @@ ONSETS = {0.5: "on_the_way", 1.5: "before_the_edge"}
 PROTOCOL = ("seed", "speed", "lasts", "seconds", "quick")
 """Settings of the study that a result file tells; seconds, m/s."""
 SCHEMA = Path(__file__).with_name("benchmark.schema.json")
-"""Of result files, JSON Schema 2020-12."""
+"""JSON Schema (2020-12) of result files."""
 
 
 def result(summary: Mapping[str, Any]) -> dict[str, Any]:
@@ -69,12 +69,12 @@ def read_result(path: Path) -> dict[str, Any]:
     Raises:
         RenetError: anything else.
     """
-    found = read_results(path)
-    if (found.get("benchmark"), found.get("version")) != (BENCHMARK, VERSION):
+    content = read_results(path)
+    if (content.get("benchmark"), content.get("version")) != (BENCHMARK, VERSION):
         raise RenetError(f"{path} is no result of {BENCHMARK}, version {VERSION}")
-    error = next(Draft202012Validator(json.loads(SCHEMA.read_text())).iter_errors(found), None)
+    error = next(Draft202012Validator(json.loads(SCHEMA.read_text())).iter_errors(content), None)
     if error is not None:
         # The message may quote the whole file; what is wrong with it comes last.
         message = error.message if len(error.message) < 200 else f"… {error.message[-150:]}"
         raise RenetError(f"{path}, {error.json_path}: {message} (see docs/benchmark.md)")
-    return found
+    return content

@@ -141,10 +141,10 @@ def _beyond_chance(runs: Runs, baseline: Runs, mode: str, reference: str) -> set
     return {p for p, t in tables.items() if scipy.stats.fisher_exact(t, "greater").pvalue < CHANCE}
 
 
-def _beyond_and_within(found: Runs, what: str) -> str:
-    """How many of the findings chance cannot explain, and which it can."""
-    clear = [f for f in found if f["beyond_chance"]]
-    unclear = [setting_label(f) for f in found if not f["beyond_chance"]]
+def _beyond_and_within(settings: Runs, what: str) -> str:
+    """How many of the settings chance cannot explain, and which it can."""
+    clear = [s for s in settings if s["beyond_chance"]]
+    unclear = [setting_label(s) for s in settings if not s["beyond_chance"]]
     named = ": " + ", ".join(map(setting_label, clear)) if clear else ""
     aside = f" ({', '.join(unclear)} within chance)" if unclear else ""
     return f"{len(clear)} {what}{named}{aside}"

@@ -27,7 +27,7 @@ MEASURES = (
     "seconds_without_sight",
     "switches",
 )
-"""Of docs/benchmark.md, in its order."""
+"""The measures of docs/benchmark.md, in its order."""
 TRAVELLED = 0.2
 """m from the onset on; below it energy per metre is not computed."""
 Values = Mapping[str, Any]
@@ -68,14 +68,13 @@ def robot_measures(trace: Trace, onset: int, command: float, steps: int) -> dict
 
 def estimates(values: Values, twins: Values) -> dict[str, dict[str, Any]]:
     """Each measure's mean over the robots and its mean change from their twins, with intervals."""
-    found = {}
+    rows = {}
     for name in MEASURES:
-        own, twin = (np.array(part[name], float) for part in (values, twins))
+        faulty, healthy = (np.array(part[name], float) for part in (values, twins))
         interval = metrics.wilson_interval if name in SHARES else metrics.bootstrap_interval
-        found[name] = _mean(own, interval) | {
-            "change": _mean(own - twin, metrics.bootstrap_interval)
-        }
-    return found
+        change = _mean(faulty - healthy, metrics.bootstrap_interval)
+        rows[name] = _mean(faulty, interval) | {"change": change}
+    return rows
 
 
 def _mean(values: np.ndarray, interval: Any) -> dict[str, Any]:
@@ -87,16 +86,16 @@ def _mean(values: np.ndarray, interval: Any) -> dict[str, Any]:
 
 
 def by_robot(runs: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, np.ndarray]]]:
-    """Of each mode, ground and share: each robot's mean over the settings, [N].
+    """Each robot's mean over the settings, [N], by mode, ground and share.
 
-    The same robots stand in all settings: how sure a mean over settings is, these numbers tell.
+    The same robots stand in all settings: an interval of a mean over settings is one over robots.
     """
     seen: dict[str, dict[str, list]] = {}
     for run in runs:
         seen.setdefault(run["mode"], {}).setdefault(run["ground"], []).append(run["values"])
     return {
         mode: {
-            ground: {name: np.mean([own[name] for own in values], axis=0) for name in SHARES}
+            ground: {name: np.mean([robots[name] for robots in values], axis=0) for name in SHARES}
             for ground, values in grounds.items()
         }
         for mode, grounds in seen.items()
@@ -122,7 +121,7 @@ def beside_op(values: Values, op: Values | None) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Batch:
-    """Some robots of a rollout under one fault, and what the probe recorded of them."""
+    """Some robots of a rollout under one fault, and what the selectors answered."""
 
     trace: Trace
     paper: np.ndarray
@@ -215,5 +214,5 @@ def departure(
 
 def _quantile(values: np.ndarray, share: float) -> float | None:
     """A quantile of the values [N] there are; None where there are none."""
-    found = values[~np.isnan(values)]
-    return float(np.quantile(found, share)) if len(found) else None
+    values = values[~np.isnan(values)]
+    return float(np.quantile(values, share)) if len(values) else None

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 
 from renet.errors import RenetError
-from renet.evaluation import metrics
+from renet.evaluation import figures, metrics
 from renet.evaluation.monitor_log import MonitorLog, healthy_series, replay
-from renet.evaluation.report import fault_figures
+from renet.evaluation.report.fault_gallery import draw_gallery
 from renet.evaluation.results import write_json
 from renet.evaluation.rollout import FLAT, Trial, check_grounds
 from renet.evaluation.studies import fault_metrics
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 HEALTHY_ROBOTS = 64
 """Robots side by side in the run without faults."""
 Rows = Mapping[tuple[Any, str], dict[str, Any]]
-"""Of a part, by setting or ground, and mode."""
+"""Rows of a part, by setting or ground, and mode."""
 
 
 class Setting(NamedTuple):
@@ -79,7 +79,7 @@ class FaultStudy(WalkingStudy):
     """flat, or a kind of tile: rough, obstacles, stairs_up, stairs_down, gap, platform. Flat ground
     alone has no end, and among others is a tile as they are."""
     level: int | None = None
-    """Of all tiles, 1 to 10; each ground's own of the benchmark by default."""
+    """Level of all tiles, 1 to 10; by default the benchmark's for each ground."""
     onsets: tuple[float, ...] = tuple(ONSETS)
     """Seconds at which faults begin; on flat ground only the first."""
     lasts: float = 4.0
@@ -114,19 +114,19 @@ class FaultStudy(WalkingStudy):
     @property
     def levels(self) -> dict[str, int]:
         """Level of each ground."""
-        own = GROUNDS if self.level is None else dict.fromkeys(self.grounds, self.level)
-        return {ground: own.get(ground, GROUNDS["obstacles"]) for ground in self.grounds}
+        levels = GROUNDS if self.level is None else dict.fromkeys(self.grounds, self.level)
+        return {ground: levels.get(ground, GROUNDS["obstacles"]) for ground in self.grounds}
 
     @property
     def batches(self) -> dict[str, list[Setting]]:
         """Settings that run side by side, by the name of their part."""
         severities = self.quick_severities if self.quick else self.severities
-        found = {}
+        batches = {}
         for text in self.faults:
             fault, _, severity = text.partition(":")
             if severity and not severity.isdecimal():
                 raise RenetError(f"cannot read the fault {text!r}: write NAME or NAME:SEVERITY")
-            found[text.replace(":", "_")] = [
+            batches[text.replace(":", "_")] = [
                 Setting(ground, onset, fault, number)
                 for ground in self.grounds
                 # Glass needs obstacles that can be glass.
@@ -134,7 +134,7 @@ class FaultStudy(WalkingStudy):
                 for onset in self.onsets_on(ground)
                 for number in ([int(severity)] if severity else severities)
             ]
-        return {name: settings for name, settings in found.items() if settings}
+        return {name: settings for name, settings in batches.items() if settings}
 
     def onsets_on(self, ground: str) -> tuple[float, ...]:
         """When faults begin: flat ground has no edge, and `quick` takes the onset before it."""
@@ -207,17 +207,14 @@ class FaultStudy(WalkingStudy):
         for number, (setting, mode) in enumerate(self.groups(settings)):
             rows = slice(number * each, (number + 1) * each)
             over = setting.step + round(self.lasts / CONTROL_DT)
-            own = fault_metrics.Batch(
-                trace.robots(rows),
-                paper[..., rows],
-                setting.step,
-                fault_metrics.end_of(*setting[2:], setting.step, over),
-            )
+            end = fault_metrics.end_of(*setting[2:], setting.step, over)
+            group = trace.robots(rows)
+            batch = fault_metrics.Batch(group, paper[..., rows], setting.step, end)
             runs.append(
                 self.labels(setting, mode)
-                | fault_metrics.survival(own.trace, over)
-                | fault_metrics.noticing(own)
-                | {"values": self.measures(own.trace, own.onset)}
+                | fault_metrics.survival(group, over)
+                | fault_metrics.noticing(batch)
+                | {"values": self.measures(group, setting.step)}
             )
         return {"runs": runs} | self.curves(trace, self.vision_modes)
 
@@ -228,10 +225,17 @@ class FaultStudy(WalkingStudy):
     def labels(self, setting: Setting, mode: str) -> dict[str, Any]:
         """What a row of the summary begins with."""
         model = fault_class(setting.fault)
-        named = {"fault": setting.fault, "severity": setting.severity}
-        named |= {"level": model.level_of(setting.severity), "unit": model.unit}
-        named |= {"ground": setting.ground, "ground_level": self.levels[setting.ground]}
-        return named | {"onset": setting.onset, "mode": mode, "seed": self.seed}
+        return {
+            "fault": setting.fault,
+            "severity": setting.severity,
+            "level": model.level_of(setting.severity),
+            "unit": model.unit,
+            "ground": setting.ground,
+            "ground_level": self.levels[setting.ground],
+            "onset": setting.onset,
+            "mode": mode,
+            "seed": self.seed,
+        }
 
     def curves(self, trace: Trace, modes: Sequence[str]) -> Part:
         """Further contents of the part of a batch whose robots walk in `modes`; none here."""
@@ -244,14 +248,14 @@ class FaultStudy(WalkingStudy):
         env = make(tuple(trial.robot for trial in trials))
         trace = self.walk(evaluator, env, "no fault", trials)
         runs = []
-        for trial, own in zip(trials[::each], trace.groups(each), strict=True):
+        until = round((max(self.onsets) + self.lasts) / CONTROL_DT)
+        for trial, group in zip(trials[::each], trace.groups(each), strict=True):
             level = self.levels[trial.ground]
-            named = {"mode": trial.mode, "ground": trial.ground, "ground_level": level}
+            labels = {"mode": trial.mode, "ground": trial.ground, "ground_level": level}
             values = {
-                str(onset): self.measures(own, round(onset / CONTROL_DT)) for onset in self.onsets
+                str(onset): self.measures(group, round(onset / CONTROL_DT)) for onset in self.onsets
             }
-            until = round((max(self.onsets) + self.lasts) / CONTROL_DT)
-            runs.append(named | fault_metrics.survival(own, until) | {"values": values})
+            runs.append(labels | fault_metrics.survival(group, until) | {"values": values})
         # The first ground's robots come first. VP's walk as RENet's do: they would count twice.
         first = self.modes.index("renet") if "renet" in self.modes else 0
         simple = trace.robots(slice(first * each, (first + 1) * each))
@@ -291,9 +295,9 @@ class FaultStudy(WalkingStudy):
         twins = {(run["ground"], run["mode"]): run for run in parts["no_fault"]["runs"]}
         runs = []
         for name, settings in self.batches.items():
-            own = dict(zip(self.groups(settings), parts[name]["runs"], strict=True))
+            rows = dict(zip(self.groups(settings), parts[name]["runs"], strict=True))
             runs += [
-                self._row(setting, mode, own, twins) for setting in settings for mode in self.modes
+                self._row(setting, mode, rows, twins) for setting in settings for mode in self.modes
             ]
         first = str(self.onsets[0])
         baseline = [
@@ -358,14 +362,33 @@ class FaultStudy(WalkingStudy):
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """crossed.png, survival.png, detection.png and gallery.png."""
-        runs = summary["runs"]
+        runs, cells = summary["runs"], figures.mean_cells
+        modes = {figures.MODE_NAMES[m]: [r for r in runs if r["mode"] == m] for m in self.modes}
+        crossed = {
+            name: cells(rows, lambda run: run["measures"]["crossed"]["value"], "ground")
+            for name, rows in modes.items()
+        }
+        upright = {name: cells(rows, lambda run: run["survival"]) for name, rows in modes.items()}
+        obeying = modes.get(figures.MODE_NAMES["renet"]) or runs
+        noticed = {
+            name: cells(
+                obeying, lambda r, key=key: r[key] / (r["vision_active_at_onset"] or np.nan)
+            )
+            for name, key in (
+                ("RENet's selector", "detected"),
+                ("the paper's rule alone", "detected_by_paper"),
+            )
+        }
+        titles = (
+            "Robots that cross (%), all severities and onsets together",
+            "Robots on their feet (%), all grounds and onsets together",
+            "Robots with vision that noticed the fault while it lasted (%)",
+        )
         return {
-            "crossed.png": fault_figures.draw_crossed(runs, self.modes),
-            "survival.png": fault_figures.draw_survival(runs, self.modes),
-            "detection.png": fault_figures.draw_detection(runs),
-            "gallery.png": fault_figures.draw_gallery(
-                list(dict.fromkeys(run["fault"] for run in runs)), self.seed
-            ),
+            "crossed.png": figures.colour_tables(crossed, titles[0], width=0.62),
+            "survival.png": figures.colour_tables(upright, titles[1], "severity"),
+            "detection.png": figures.colour_tables(noticed, titles[2], "severity"),
+            "gallery.png": draw_gallery(list(dict.fromkeys(r["fault"] for r in runs)), self.seed),
         }
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:

@@ -45,7 +45,7 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
         RenetError: a file that is no result of this version, or results of different protocols.
     """
     results = [read_result(path) for path in cfg.files]
-    tables = [("Fault benchmark, version 1", HEADER, rank(results))]
+    tables: list[Table] = [("Fault benchmark, version 1", HEADER, rank(results))]
     tables += result_tables(results, cfg.severity, cfg.onset)
     tables += study_tables(cfg.noticed) if cfg.noticed else ()
     write_atomically(cfg.out, "\n".join(map(_markdown, tables)).encode())

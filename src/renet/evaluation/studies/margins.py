@@ -149,7 +149,7 @@ class MarginsStudy(WalkingStudy):
     grounds: tuple[str, ...] = ("flat", "stairs_up", "obstacles")
     """Ground to walk on: flat, rough, obstacles, stairs_up, stairs_down, gap, platform."""
     level: int = 2
-    """Of the ground, 1 to 10."""
+    """Level of the ground, 1 to 10."""
     modes: tuple[Mode, ...] = ("vp", "op", "renet")
     """Policy modes to compare."""
     seconds: float = 8.0
@@ -174,7 +174,7 @@ class MarginsStudy(WalkingStudy):
         return [(ground, mode) for ground in self.grounds for mode in self.modes]
 
     def levels(self, axis: str) -> tuple[float, ...]:
-        """Of a sweep, after `quick`."""
+        """Levels of a sweep, after `quick`."""
         return AXES[axis].levels[:: 2 if self.quick else 1]
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
@@ -205,9 +205,9 @@ class MarginsStudy(WalkingStudy):
         steps = round(self.seconds / CONTROL_DT)
         trace = evaluator.rollout(env, trials, self.seed).run(steps, title)
         runs = []
-        for trial, own in zip(trials[::each], trace.groups(each), strict=True):
-            crossed, fell, _ = own.first_try()
-            slow = own.forward_velocity[-round(1.0 / CONTROL_DT) :].mean(axis=0) < STOPPED
+        for trial, group in zip(trials[::each], trace.groups(each), strict=True):
+            crossed, fell, _ = group.first_try()
+            slow = group.forward_velocity[-round(1.0 / CONTROL_DT) :].mean(axis=0) < STOPPED
             stopped = slow & ~crossed & ~fell
             named = {"axis": axis, "level": level, "ground": trial.ground, "mode": trial.mode}
             counts = {"robots": each, "falls": int(fell.sum()), "stopped": int(stopped.sum())}
@@ -219,7 +219,7 @@ class MarginsStudy(WalkingStudy):
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """The rows, and how far each ground and mode holds on each axis."""
         runs = [run for part in parts.values() for run in part["runs"]]
-        found = [
+        margins = [
             {"axis": axis, "unit": AXES[axis].unit, "ground": ground, "mode": mode}
             | margin(
                 [r for r in runs if (r["ground"], r["mode"]) == (ground, mode)],
@@ -229,7 +229,7 @@ class MarginsStudy(WalkingStudy):
             for axis in self.axes
             for ground, mode in self.settings
         ]
-        return {"runs": runs, "margins": found}
+        return {"runs": runs, "margins": margins}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """margins.png: a table of colours, one row for each axis."""
@@ -247,8 +247,8 @@ class MarginsStudy(WalkingStudy):
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """How far each ground and mode holds."""
         rows: dict[str, list[str]] = {axis: [AXES[axis].title] for axis in self.axes}
-        for found in summary["margins"]:
-            rows[found["axis"]].append(_text(found))
+        for row in summary["margins"]:
+            rows[row["axis"]].append(_text(row))
         header = tuple(f"{ground} {mode}" for ground, mode in self.settings)
         title = f"Within it at most {100 * ALLOWED:.0f} % fall or stop; ≥: the sweep's end"
         return [(title, ("axis", *header), [tuple(row) for row in rows.values()])]
@@ -274,9 +274,9 @@ def margin(runs: list[dict[str, Any]], axis: str, levels: tuple[float, ...]) -> 
     }
 
 
-def _text(found: Mapping[str, Any]) -> str:
+def _text(row: Mapping[str, Any]) -> str:
     """A margin as people write it."""
-    if found["margin"] is None:
+    if row["margin"] is None:
         return "–"
-    number = f"{abs(found['margin']):g} {found['unit']}".strip()
-    return number if found["broke"] is not None else f"≥ {number}"
+    number = f"{abs(row['margin']):g} {row['unit']}".strip()
+    return number if row["broke"] is not None else f"≥ {number}"

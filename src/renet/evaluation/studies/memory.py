@@ -118,7 +118,7 @@ class MemoryStudy(WalkingStudy):
         rollout = evaluator.rollout(env, trials, self.seed)
         trace = rollout.run(steps, title, until_ended=self.onset)
         groups = trace.groups(self.robots_each)
-        crossed, fell = zip(*(own.first_try()[:2] for own in groups), strict=True)
+        crossed, fell = zip(*(group.first_try()[:2] for group in groups), strict=True)
         return {"crossed": np.stack(crossed), "fell": np.stack(fell)}
 
     def _failure(self, seconds: float) -> tuple[Injection, ...]:
@@ -130,13 +130,13 @@ class MemoryStudy(WalkingStudy):
         for ground in self.grounds:
             part, (kind, _, level) = parts[ground.replace(":", "_")], ground.partition(":")
             crossed = {
-                setting: np.array(own, bool)
-                for setting, own in zip(self.settings, part["crossed"], strict=True)
+                setting: np.array(robots, bool)
+                for setting, robots in zip(self.settings, part["crossed"], strict=True)
             }
             for (seconds, mode), fell in zip(self.settings, part["fell"], strict=True):
-                own = crossed[seconds, mode]
+                shares = crossed[seconds, mode]
                 # The same robots with a healthy camera: what the missing images cost each.
-                kept = own.astype(float) - crossed[0.0, mode]
+                change = shares.astype(float) - crossed[0.0, mode]
                 runs.append(
                     {
                         "ground": kind,
@@ -144,13 +144,13 @@ class MemoryStudy(WalkingStudy):
                         "size_m": tiles()[kind].measure((int(level) - 1) / (LEVELS - 1)),
                         "mode": mode,
                         "without_s": seconds,
-                        "robots": len(own),
-                        "crossed": int(own.sum()),
+                        "robots": len(shares),
+                        "crossed": int(shares.sum()),
                         "fell": int(np.sum(fell)),
-                        "crossed_rate": float(own.mean()),
-                        **metrics.with_interval("crossed", own),
-                        "change": float(kept.mean()),
-                        **metrics.with_interval("change", kept),
+                        "crossed_rate": float(shares.mean()),
+                        **metrics.with_interval("crossed", shares),
+                        "change": float(change.mean()),
+                        **metrics.with_interval("change", change),
                         "seed": self.seed,
                     }
                 )

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from renet.evaluation.report.example_scene import example, scene
+from renet.evaluation.report.fault_gallery import example, scene
 from renet.faults import FAULTS, Frames, Injection, Injector, ViewPerturbation
 from renet.interface import DEPTH_SHAPE
 

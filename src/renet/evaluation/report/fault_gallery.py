@@ -1,15 +1,20 @@
-"""Blocks before a simulated robot, for pictures of faults."""
+"""A gallery of faults: what each makes of one image, of blocks before a simulated robot."""
 
+from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
+import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
+from matplotlib.figure import Figure
 
 from renet.bundle import DEFAULT, pretrained, read_manifest
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.robots.mujoco import MujocoRobot
 from renet.deploy.robots.scene import build_scene
-from renet.faults import Frames, Injection, Injector, ViewPerturbation
+from renet.evaluation import figures
+from renet.faults import FAULTS, SEVERITIES, Frames, Injection, Injector, ViewPerturbation
 from renet.interface import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK, TICK_DT
 
 PLACE = 0.3
@@ -18,6 +23,24 @@ TURNING = np.array([[0.0, 1.0, 2.0]])
 """Rate of the base in the pictures, rad/s."""
 SHOWN = 5
 """Ticks into the fault at which the picture is taken."""
+
+
+def draw_gallery(faults: Sequence[str], seed: int) -> Figure:
+    """One picture of each fault at each severity; faults of time look like a healthy image."""
+    framed: dict[Any, Any] = dict.fromkeys(("axes.spines.top", "axes.spines.right"), True)
+    with plt.rc_context({**figures.STYLE, **framed, "axes.grid": False}):
+        size = (1.6 * len(SEVERITIES) + 1.6, 1.22 * len(faults))
+        figure, axes = plt.subplots(len(faults), len(SEVERITIES), figsize=size, squeeze=False)
+        for row, fault in zip(axes, faults, strict=True):
+            for axis, severity in zip(row, SEVERITIES, strict=True):
+                axis.imshow(example(fault, severity, seed), cmap="gray", vmin=0, vmax=1)
+                level = FAULTS[fault].level_of(severity)
+                axis.set_title(
+                    FAULTS[fault].describe(level), fontsize=8, loc="center", fontweight="normal"
+                )
+                axis.set(xticks=[], yticks=[])
+            row[0].set_ylabel(fault.replace("_", " "), fontsize=8, rotation=0, ha="right")
+        return figure
 
 
 def example(fault: str, severity: int, seed: int) -> np.ndarray:
