@@ -15,9 +15,9 @@ from renet.interface import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, P
 from renet.selector.selector import SelectorSpec, check_selector
 
 SCHEMA = 2
-"""Of the manifests that are written."""
+"""Version of the manifests that renet writes."""
 SCHEMAS = (1, SCHEMA)
-"""Of those that are read; 1 knows no memory."""
+"""Versions that renet reads; version 1 has no memory."""
 MAX_TEXT = 500
 NUMBERS = ("default_position", "stiffness", "damping", "torque_limit", "lower", "upper")
 """Fields of `RobotSpec` with one number for each joint."""
@@ -49,8 +49,8 @@ class RobotSpec:
     def __post_init__(self) -> None:
         _demand(self.joints, "robot.joints must not be empty")
         for name in NUMBERS:
-            found, wanted = len(getattr(self, name)), len(self.joints)
-            _demand(found == wanted, f"robot.{name} must have {wanted} numbers, it has {found}")
+            size, count = len(getattr(self, name)), len(self.joints)
+            _demand(size == count, f"robot.{name} must have {count} numbers, it has {size}")
         for name in ("stiffness", "damping"):
             _demand(min(getattr(self, name)) >= 0.0, f"robot.{name} must not be negative")
         for name in ("torque_limit", "action_scale", "action_clip"):

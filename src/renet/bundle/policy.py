@@ -45,28 +45,28 @@ def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> 
     """
     depth = inputs.depth
     unseen = np.inf if inputs.blind else 0.0
-    found: dict[str, Any] = {name: np.full(len(depth), unseen, np.float32) for name in SCORES}
+    result: dict[str, Any] = {name: np.full(len(depth), unseen, np.float32) for name in SCORES}
     if not inputs.blind:
         vision = sessions["vision"]
         names = [output.name for output in vision.get_outputs() if output.name in SEEN]
-        found |= zip(names, vision.run(names, {"depth": depth}), strict=True)
-        found |= {name: found[name].reshape(-1) for name in SCORES}
+        result |= zip(names, vision.run(names, {"depth": depth}), strict=True)
+        result |= {name: result[name].reshape(-1) for name in SCORES}
     estimator = sessions["estimator"]
     outputs = {name: f"next_{name}" if name.startswith("latent") else name for name in ESTIMATES}
     feed = inputs.feed | {"depth": depth}
     if remembers(estimator):
         has_image = np.full(len(depth), not inputs.blind)
         if inputs.gate is not None:
-            has_image &= inputs.gate.judge(found)
+            has_image &= inputs.gate.judge(result)
         older = np.where(inputs.unpaired[:, None, None], depth[:, 0], inputs.accepted[:, 0])
         pair = np.stack((depth[:, 0], older), axis=1)
         accepted = np.where(has_image[:, None, None, None], pair, inputs.accepted)
-        found |= {"has_image": has_image, "accepted": accepted}
+        result |= {"has_image": has_image, "accepted": accepted}
         feed |= {"depth": accepted, HAS_IMAGE: has_image[:, None].astype(np.float32)}
     if MAP_ERROR in {output.name for output in estimator.get_outputs()}:
         outputs[MAP_ERROR] = MAP_ERROR
-    found |= zip(outputs, estimator.run([*outputs.values()], feed), strict=True)
-    return found
+    result |= zip(outputs, estimator.run([*outputs.values()], feed), strict=True)
+    return result
 
 
 def remembers(estimator: ort.InferenceSession) -> bool:
@@ -111,7 +111,7 @@ class Policy:
         self.accepted = zeros(inputs["depth"])
         """The two newest images that VP was given, newest first."""
         self.reconstruction = zeros(shapes["vision"][1]["reconstruction"])
-        """Of the newest images; those before a blind tick stay."""
+        """Reconstructions of the newest images; a blind tick keeps the earlier ones."""
         self.anomaly_score = np.zeros(n, np.float32)
         """Loss_ad of the newest images, [N]; infinite without a camera."""
         self.variance_score = np.zeros(n, np.float32)
@@ -198,9 +198,9 @@ class Policy:
         images = self._frames.copy(), self.accepted
         return EstimatorInput(feed, *images, unpaired, gate, blind=depth is None)
 
-    def accept(self, found: EstimatorOutput) -> None:
-        """Go on with what a tick found."""
-        for name, value in found.items():
+    def accept(self, result: EstimatorOutput) -> None:
+        """Take over the output of a tick."""
+        for name, value in result.items():
             setattr(self, name, value)
 
     def act(self, proprioception: np.ndarray, op_mask: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from renet.interface import DEPTH_SHAPE, FRAMES
 from renet.models.config import Detector
 
 CHANNELS = (8, 16, 32)
-"""Of the three convolutions down."""
+"""Channels of the three convolutions of the encoder."""
 BOTTLENECK = 32
 """Width of the paper's detector between encoder and decoder."""
 SPATIAL_BOTTLENECK = 4

@@ -52,9 +52,9 @@ class ModelCfg:
             raise RenetError(f"model.frames must be 1..{FRAMES}, got {self.frames}")
         kinds = {"perception": Perception, "encoder": Encoder, "detector": Detector}
         for name, kind in kinds.items():
-            if getattr(self, name) not in (known := get_args(kind)):
+            if getattr(self, name) not in (choices := get_args(kind)):
                 raise RenetError(
-                    f"model.{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}"
+                    f"model.{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}"
                 )
         if not self.initial_std > 0:
             raise RenetError(f"model.initial_std must be above 0, got {self.initial_std}")

@@ -24,7 +24,7 @@ from renet.models.config import ModelCfg
 EMBEDDING = 64
 """Width of every embedded vector."""
 FIRST_LOG_VARIANCE = -5.0
-"""Of the height map's error, before anything is learned: 8 cm."""
+"""Log variance of the height map's error before training: 8 cm."""
 TOKEN = 16
 """Width of the attention's tokens, four to an embedded vector."""
 
