@@ -241,8 +241,8 @@ export class Page {
     this.story.names = this.panels.map(({ name }) => name);
     this.simulations.forEach((simulation, n) => this.panels[n].update(simulation, this.story.outcome(n)));
     this.view.draw(this.simulations, seconds);
-    $("#verdict").hidden = !this.story.sentence;
-    if ($("#verdict p").textContent !== this.story.sentence) $("#verdict p").textContent = this.story.sentence;
+    const { sentence } = this.story;
+    if ($("#verdict").textContent !== sentence) $("#verdict").textContent = sentence;
     document.body.classList.toggle("slow", this.pace < 1);
   }
 

@@ -1,10 +1,7 @@
-// What the visitor asks for: keys, buttons, sliders and touch.
+// What the visitor asks for: keys, buttons and sliders.
 
 const TURN_RATE = 0.8;
-/** rad/s while a key or the stick is held. */
-const DEAD_ZONE = 0.15;
-const KNOB = 28;
-/** Pixels that the knob moves. */
+/** rad/s while a key is held. */
 
 const $ = (selector) => document.querySelector(selector);
 
@@ -14,12 +11,10 @@ export class Controls {
   constructor(handlers) {
     this.handlers = handlers;
     this.held = new Set();
-    this.stick = 0;
     this.turn = 0;
     this.speedSlider = $("#speed");
     this.severitySlider = $("#severity");
     this.bindKeys();
-    this.bindPad($("#pad"));
     $("#push").addEventListener("click", handlers.push);
     $("#reset").addEventListener("click", handlers.reset);
     this.speedSlider.addEventListener("input", () => this.setSpeed(Number(this.speedSlider.value)));
@@ -34,8 +29,7 @@ export class Controls {
   /** Called once a control step of `dt` seconds; returns speed and the sum of all turns. */
   command(dt) {
     const side = Number(this.held.has("left")) - Number(this.held.has("right"));
-    const way = Math.min(Math.max(side + this.stick, -1), 1);
-    this.turn += way * TURN_RATE * dt;
+    this.turn += side * TURN_RATE * dt;
     return { speed: this.speed, turn: this.turn };
   }
 
@@ -88,32 +82,5 @@ export class Controls {
       this.held.delete(sides[names[key] ?? key]);
     });
     addEventListener("blur", () => this.held.clear());
-  }
-
-  /** A thumb stick: up and down for speed, sideways to turn. */
-  bindPad(pad) {
-    const knob = pad.querySelector("span");
-    const move = (event) => {
-      const box = pad.getBoundingClientRect();
-      const across = ((event.clientX - box.left) / box.width) * 2 - 1;
-      const down = ((event.clientY - box.top) / box.height) * 2 - 1;
-      const [x, y] = [across, down].map((part) => Math.min(Math.max(part, -1), 1));
-      this.stick = Math.abs(x) > DEAD_ZONE ? -x : 0;
-      if (Math.abs(y) > DEAD_ZONE) this.setSpeed((1 - y) / 2);
-      knob.style.transform = `translate(${x * KNOB}px, ${y * KNOB}px)`;
-    };
-    pad.addEventListener("pointerdown", (event) => {
-      pad.setPointerCapture(event.pointerId);
-      move(event);
-    });
-    pad.addEventListener("pointermove", (event) => {
-      if (pad.hasPointerCapture(event.pointerId)) move(event);
-    });
-    for (const end of ["pointerup", "pointercancel"]) {
-      pad.addEventListener(end, () => {
-        this.stick = 0;
-        knob.style.transform = "";
-      });
-    }
   }
 }

@@ -17,19 +17,20 @@ export class Panel {
         ${modes.join("")}</select>
         <p class="outcome"></p></div>
       <p class="state"><span class="driver"></span> <span class="why"></span></p>
-      <figure class="eye"><canvas class="depth" width="64" height="48"></canvas>
+      <figure class="eye"><canvas width="64" height="48"></canvas>
         <figcaption>what it gets</figcaption></figure>`;
     this.slot = slot;
     this.mode = slot.querySelector("select");
     this.mode.value = estimator;
     this.mode.addEventListener("change", () => onMode(this.estimator));
     const box = document.createElement("div");
-    box.innerHTML = `<h3></h3><figure><canvas class="depth" width="64" height="48"></canvas></figure>
+    box.innerHTML = `<h3></h3><figure><canvas width="64" height="48"></canvas></figure>
       <div class="curves"></div>`;
     instruments.append(box);
     this.title = box.querySelector("h3");
-    this.depth = slot.querySelector(".depth");
-    this.reconstruction = box.querySelector(".depth");
+    this.eye = slot.querySelector(".eye");
+    this.depth = slot.querySelector("canvas");
+    this.reconstruction = box.querySelector("canvas");
     this.curves = new Curves(box.querySelector(".curves"), palette);
   }
 
@@ -58,6 +59,7 @@ export class Panel {
     const whose = controller.estimator === "renet" ? "" : "renet would object: ";
     this.say("why", objects ? whose + selector.reason : "", "");
     this.show(this.depth, camera.frame?.image);
+    this.eye.classList.toggle("broken", camera.broken(simulation.now));
     if (!this.curves.box.clientWidth) return;
     this.title.textContent = this.name;
     this.show(this.reconstruction, state ? policy.reconstruction : null);

@@ -1,14 +1,12 @@
-// A robot in its colours, the ground it believes in, what its camera covers, and its track.
+// A robot in its colours, and the ground that it believes in.
 
 import * as THREE from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 
 const IDLE = "#667180";
-const FAULT = "#c62f3b";
+const PUSH = "#c62f3b";
 const WRONG = 0.12;
 /** Error of the believed ground, m, from which on it is drawn black. */
-const TRACK = 1500;
-/** Points of the track, 0.1 s apart. */
 const BODY_GREY = 0x98a1ab;
 
 /** Nodes of a glTF file whose names begin with a body's; they lie in that body's frame. */
@@ -46,7 +44,7 @@ export function shapesOf({ mujoco, model }, seenGroups) {
 /** What is drawn of one simulated robot. */
 export class Robot {
   /** `plain`: cheap light and a spot for a shadow, for browsers without a GPU. */
-  constructor({ manifest, contract, bundle, look }, world, plain) {
+  constructor({ contract, bundle, look }, world, plain) {
     Object.assign(this, { contract, plain });
     this.group = new THREE.Group();
     this.bodies = new Map();
@@ -55,15 +53,11 @@ export class Robot {
     }
     this.trunk = this.body(world.body(bundle.base.body));
     this.lamp = this.addLamp();
-    this.frustum = this.addFrustum(manifest.camera);
     this.map = this.addMap(contract.heightMap);
-    this.track = this.addTrack();
     this.shadow = plain ? this.addShadow() : null;
-    this.arrow = new THREE.ArrowHelper(new THREE.Vector3(1, 0, 0), new THREE.Vector3(), 1, FAULT, 0.15, 0.1);
+    this.arrow = new THREE.ArrowHelper(new THREE.Vector3(1, 0, 0), new THREE.Vector3(), 1, PUSH, 0.15, 0.1);
     this.arrow.visible = false;
     this.group.add(this.arrow);
-    this.length = 0;
-    this.drawnUntil = -Infinity;
   }
 
   body(id) {
@@ -96,21 +90,6 @@ export class Robot {
     return lamp.material;
   }
 
-  addFrustum({ width, height, fx, fy, cx, cy, position, pitch }) {
-    const far = 0.7;
-    const corners = [[0, 0], [width, 0], [width, height], [0, height]].map(([column, row]) => [
-      far, ((cx - column) / fx) * far, ((cy - row) / fy) * far,
-    ]);
-    const points = corners.flatMap((corner, i) => [[0, 0, 0], corner, corner, corners[(i + 1) % 4]]);
-    const geometry = new THREE.BufferGeometry();
-    geometry.setAttribute("position", new THREE.Float32BufferAttribute(points.flat(), 3));
-    const lines = new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ transparent: true, opacity: 0.6 }));
-    lines.position.set(...position);
-    lines.rotation.y = pitch;
-    this.trunk.add(lines);
-    return lines.material;
-  }
-
   addMap({ x, y }) {
     const disc = new THREE.CircleGeometry(0.032, this.plain ? 6 : 16);
     const map = new THREE.InstancedMesh(disc, new THREE.MeshBasicMaterial(), x.length * y.length);
@@ -120,17 +99,6 @@ export class Robot {
     map.renderOrder = 1;
     this.group.add(map);
     return map;
-  }
-
-  addTrack() {
-    const geometry = new THREE.BufferGeometry();
-    for (const name of ["position", "color"]) {
-      geometry.setAttribute(name, new THREE.BufferAttribute(new Float32Array(3 * TRACK), 3));
-    }
-    const track = new THREE.Line(geometry, new THREE.LineBasicMaterial({ vertexColors: true }));
-    track.frustumCulled = false;
-    this.group.add(track);
-    return track;
   }
 
   /** A dark spot under the trunk. */
@@ -144,7 +112,7 @@ export class Robot {
 
   /** Show a simulation as it is now; `heightAt` knows the true ground. */
   update(simulation, heightAt) {
-    const { world, camera, now, state } = simulation;
+    const { world, state } = simulation;
     const { xpos, xquat } = world.data;
     for (const [id, group] of this.bodies) {
       group.position.fromArray(xpos, 3 * id);
@@ -152,27 +120,11 @@ export class Robot {
     }
     const colour = this.contract.palette[state]?.colour ?? IDLE;
     this.lamp.color.set(colour);
-    this.frustum.color.set(camera.broken(now) ? FAULT : this.contract.palette.sees.colour);
     const { position, yaw } = world.pose();
-    if (now >= this.drawnUntil + 0.1 - 1e-9) {
-      this.drawnUntil = now;
-      this.extendTrack(position, colour, heightAt);
-    }
     this.updateMap(simulation, colour, heightAt);
     if (!this.shadow) return;
     this.shadow.position.set(position[0], position[1], heightAt(...position) + 0.006);
     this.shadow.rotation.z = yaw;
-  }
-
-  extendTrack([x, y], colour, heightAt) {
-    const { position, color } = this.track.geometry.attributes;
-    const n = Math.min(this.length, TRACK - 1);
-    if (this.length >= TRACK) for (const { array } of [position, color]) array.copyWithin(0, 3);
-    position.setXYZ(n, x, y, heightAt(x, y) + 0.01);
-    new THREE.Color(colour).toArray(color.array, 3 * n);
-    this.length = n + 1;
-    this.track.geometry.setDrawRange(0, this.length);
-    position.needsUpdate = color.needsUpdate = true;
   }
 
   /** VP's map of the ground: in the colour of the state, black where it is wrong. */

@@ -9,7 +9,7 @@ const FLOOR = 0xa9b58f;
 const JOINT = 0x8a9674;
 const HAZE = 0xe3ebee;
 const FAR = [8, 45];
-/** Metres from the middle at which haze begins and ends. */
+/** Metres from the eye at which haze begins and ends. */
 const WIDE = 5;
 /** Half-size in m from which a box is ground rather than an obstacle, and gets no edges. */
 const BAKED = [0.62, 0.78, 1];
@@ -31,8 +31,8 @@ const isWide = ({ half }) => Math.max(...half) >= WIDE;
  * position of the robot that is drawn next.
  * @param {object} world a `World`.
  * @param {number[]} seenGroups whether the camera sees each geom group.
- * @param {boolean} plain light and haze are in the colours, and lines stand for texture: for browsers
- *   that draw without a GPU, where texture, light and fog of each pixel take most of a picture.
+ * @param {boolean} plain light is in the colours, and lines stand for texture: for browsers that draw
+ *   without a GPU, where texture and light of each pixel take most of a picture.
  */
 export function buildTerrain(world, seenGroups, plain) {
   const boxes = findBoxes(world, seenGroups);
@@ -74,25 +74,17 @@ function heightAt(boxes, x, y) {
 
 /** All boxes as one mesh, so that they are one call to draw. */
 function solid(boxes, plain) {
-  const haze = new THREE.Color(HAZE);
   const parts = boxes.map((box) => {
     const { at, half, colour } = box;
-    const wide = isWide(box);
-    // Ground that goes on has vertices where haze begins and ends.
-    const pieces = wide && plain ? 40 : 1;
-    const geometry = new THREE.BoxGeometry(...half.map((value) => 2 * value), pieces, pieces, 1);
+    const geometry = new THREE.BoxGeometry(...half.map((value) => 2 * value)).translate(...at);
     const { position, normal, uv } = geometry.attributes;
-    if (pieces > 1) gather(position, half);
-    geometry.translate(...at);
-    const tint = wide ? new THREE.Color(FLOOR) : colour;
+    const tint = isWide(box) ? new THREE.Color(FLOOR) : colour;
     const colours = new Float32Array(3 * position.count);
     for (let i = 0; i < position.count; i += 1) {
       const axis = [0, 1, 2].find((one) => Math.abs(normal.array[3 * i + one]) > 0.5);
       const [u, v] = [[1, 2], [0, 2], [0, 1]][axis];
       uv.setXY(i, position.array[3 * i + u] / TEXTURE_METRES, position.array[3 * i + v] / TEXTURE_METRES);
-      const away = Math.hypot(position.getX(i), position.getY(i));
-      const hazy = plain ? Math.min(Math.max((away - FAR[0]) / (FAR[1] - FAR[0]), 0), 1) : 0;
-      tint.clone().multiplyScalar(plain ? BAKED[axis] : 1).lerp(haze, hazy).toArray(colours, 3 * i);
+      tint.clone().multiplyScalar(plain ? BAKED[axis] : 1).toArray(colours, 3 * i);
     }
     geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
     return geometry;
@@ -103,14 +95,6 @@ function solid(boxes, plain) {
   const mesh = new THREE.Mesh(mergeGeometries(parts), material);
   mesh.castShadow = mesh.receiveShadow = !plain;
   return mesh;
-}
-
-/** Move the vertices of a box of `half` sizes towards its middle, the more the farther out. */
-function gather(position, half) {
-  for (let i = 0; i < position.count; i += 1) {
-    const [x, y] = [position.getX(i) / half[0], position.getY(i) / half[1]];
-    position.setXY(i, half[0] * x * Math.abs(x) ** 3, half[1] * y * Math.abs(y) ** 3);
-  }
 }
 
 /** Edges of obstacles. */

@@ -25,7 +25,7 @@ export class View {
   constructor(canvas, slots, runtime, onPush) {
     Object.assign(this, { canvas, slots, runtime, onPush });
     this.plain = drawsInSoftware();
-    // Without a GPU the conversion of each pixel's colour, texture and fog take most of a picture.
+    // Without a GPU the conversion of each pixel's colour and texture take most of a picture.
     THREE.ColorManagement.enabled = !this.plain;
     // The sky is the page's background.
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !this.plain, alpha: true });
@@ -37,7 +37,7 @@ export class View {
     this.pause = this.plain ? SOFTWARE_PAUSE : 0;
     this.took = 0.03;
     this.scene = new THREE.Scene();
-    if (!this.plain) this.scene.fog = FOG();
+    this.scene.fog = FOG();
     this.scene.add(new THREE.HemisphereLight(0xf4f8ff, 0x8d887e, this.plain ? 0.9 : 2.1));
     this.sun = this.addSun(1024);
     this.robots = [];

@@ -3,9 +3,6 @@
 import { FAULTS } from "./faults.js";
 import { Random } from "./random.js";
 
-const HISTORY = 12;
-/** Frames kept so that a fault may know the past as if it had been there from the beginning. */
-
 /** Looks at the terrain from the robot's base, at the camera's rate on the robot's clock. */
 export class DepthCamera {
   /**
@@ -25,14 +22,14 @@ export class DepthCamera {
     this.due = 0;
     this.frame = null;
     this.fault = null;
-    this.past = [];
   }
 
   /** Break the camera: a fault of the contract at a severity of 1 to 5. */
   break(fault, severity, now) {
     const lasts = fault.lasts[severity - 1] ?? Infinity;
     const model = makeFault(fault, severity, this.contract, this.seed);
-    for (const frame of this.past) model.corrupt(frame, -1);
+    // As if the fault had been there all the time, not yet at work.
+    if (this.healthy) model.corrupt(this.healthy, -1);
     this.fault = { name: fault.name, severity, model, onset: now, lasts };
   }
 
@@ -51,9 +48,8 @@ export class DepthCamera {
     if (this.frame && now < this.due - 1e-6) return this.frame;
     const period = 1 / this.spec.rate_hz;
     this.due = Math.max(this.due, now - period) + period;
-    const healthy = { image: this.image(), fresh: true, age: 0, invalid: 0 };
-    const delivered = this.spoilt(healthy, now);
-    this.past = [...this.past.slice(1 - HISTORY), healthy];
+    this.healthy = { image: this.image(), fresh: true, age: 0, invalid: 0 };
+    const delivered = this.spoilt(this.healthy, now);
     if (delivered.fresh || !this.frame) {
       const { image, invalid, age } = delivered;
       this.frame = { image, invalid, time: now - age };

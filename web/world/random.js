@@ -8,12 +8,12 @@ export class Random {
   }
 
   /** Uniform in [0, 1). */
-  uniform(low = 0, high = 1) {
+  uniform() {
     this.state = (this.state + 0x6d2b79f5) >>> 0;
     let t = this.state;
     t = Math.imul(t ^ (t >>> 15), t | 1);
     t ^= t + Math.imul(t ^ (t >>> 7), t | 61);
-    return low + (high - low) * (((t ^ (t >>> 14)) >>> 0) / 2 ** 32);
+    return ((t ^ (t >>> 14)) >>> 0) / 2 ** 32;
   }
 
   /** An integer from 0 to `end` - 1. */

@@ -121,6 +121,7 @@ def _bundle(bundle: Bundle) -> dict[str, Any]:
     remembers = spec.longest_memory > 0.0
     return {
         "name": bundle.name,
+        "title": f"{robot.name} · {bundle.name}",
         "robot": robot.name,
         "base": {"body": TRUNK, "height": robot.height},
         "remembers": remembers,

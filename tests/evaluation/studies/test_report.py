@@ -5,13 +5,14 @@ import shutil
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import Browser
 
 from renet.errors import RenetError
 from renet.evaluation.report.summary import FACTS, WORSE, worse_section
 from renet.evaluation.studies.report import STUDIES, ReportCfg, make_report, run_studies
 from renet.evaluation.study import Study
+from tests.browser import open_browser, watch
 
-from ..report.browser import Browser, find_browser
 from ..tiny import TINY
 
 
@@ -171,27 +172,26 @@ def test_run_runs_every_study_into_its_folder(tmp_path: Path, monkeypatch) -> No
 
 @pytest.fixture(scope="module")
 def browser():
-    program = find_browser()
-    if program is None:
-        pytest.skip("no Chromium on this machine: install chromium-headless-shell")
-    browser = Browser(program)
-    yield browser
-    browser.close()
+    with open_browser() as browser:
+        yield browser
 
 
-@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [390, 1200])
 def test_a_real_browser_shows_the_page_without_complaint(
-    page: Path, browser: Browser, width: int, dark: bool
+    page: Path, browser: Browser, width: int, scheme: str
 ) -> None:
-    browser.open(page, width, dark)
-    assert browser.requests == [page.resolve().as_uri()]
-    assert browser.complaints == []
-    assert browser.ask("document.documentElement.scrollWidth") == width
-    assert browser.ask("[...document.images].every(i => i.complete && i.naturalWidth > 0)")
-    colours = browser.ask(
+    window = browser.new_page(viewport={"width": width, "height": 844}, color_scheme=scheme)
+    complaints, requests = watch(window)
+    window.goto(page.resolve().as_uri())
+    assert [url for url in requests if not url.startswith("data:")] == [page.resolve().as_uri()]
+    assert complaints == []
+    assert window.evaluate("document.documentElement.scrollWidth") == width
+    assert window.evaluate("[...document.images].every(i => i.complete && i.naturalWidth > 0)")
+    ink, paper = window.evaluate(
         "['color', 'backgroundColor'].map(name => getComputedStyle(document.body)[name]"
         ".match(/\\d+/g).map(Number).reduce((a, b) => a + b) / 3)"
     )
-    ink, paper = colours
+    window.close()
+    dark = scheme == "dark"
     assert (ink > 200 and paper < 50) if dark else (ink < 50 and paper > 200)
