@@ -92,6 +92,13 @@ def test_every_link_and_anchor_leads_somewhere(page: Path):
             assert anchor in anchors(other), f"{target}#{anchor}"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_path_of_the_repository_exists(page: Path):
+    parts = "src|web|docs|tests|tools|benchmarks|examples"
+    paths = re.findall(rf"`((?:{parts})/[\w./-]*)`", page.read_text())
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+
+
 def test_every_name_of_the_api_page_exists():
     page = (ROOT / "docs" / "api" / "index.md").read_text()
     names = re.findall(r"(?:`|:: )(renet\.[\w.]+)", page)
