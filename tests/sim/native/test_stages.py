@@ -102,11 +102,11 @@ def test_bodies_moved_by_hand_are_among_what_moves():
 @pytest.fixture
 def doubted(monkeypatch):
     """The check of MuJoCo, made anew; afterwards its usual result."""
-    stages.are_mujocos.cache_clear()
+    stages.are_supported.cache_clear()
     mujoco_memory.library.cache_clear()
     yield monkeypatch
     monkeypatch.undo()
-    stages.are_mujocos.cache_clear()
+    stages.are_supported.cache_clear()
     mujoco_memory.library.cache_clear()
 
 
@@ -163,7 +163,7 @@ def test_plain_steps_are_the_native_ones(doubted):
             + [simulation.data.sensordata[:].clone(), simulation.data.qfrc_constraint[:].clone()]
         )
         doubted.setattr(mujoco, "__version__", "3.99.1")
-        stages.are_mujocos.cache_clear()
+        stages.are_supported.cache_clear()
     for one, other in zip(*states, strict=True):
         assert torch.equal(one.nan_to_num(9e9), other.nan_to_num(9e9))
     assert (states[0][3][1] == 7.0).all()

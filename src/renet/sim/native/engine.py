@@ -151,7 +151,7 @@ class NativeSimulation(Simulation):
         super().__init__(*args, **kwargs)
         self.culling = CollisionCulling(self.mj_model, self.mj_data, self.num_envs)
         self._zeroed = [getattr(self.wp_data, name).numpy() for name in RESET_TO_ZERO]
-        if stages.are_mujocos():
+        if stages.are_supported():
             mujoco_memory.ignore_warnings()
 
     def expand_model_fields(self, fields: tuple[str, ...]) -> None:
@@ -202,7 +202,7 @@ class NativeSimulation(Simulation):
         """Take physics steps; if `steps` is 0, compute all that follows from the state."""
         if not self._workers:
             self._prepare()
-        if not stages.are_mujocos():
+        if not stages.are_supported():
             self._advance_plainly(steps, derive, only_written)
             return
         key = steps, derive, only_written
@@ -213,7 +213,7 @@ class NativeSimulation(Simulation):
 
     def _prepare(self) -> None:
         """Set up the threads, and forget the last poses."""
-        native = stages.are_mujocos()
+        native = stages.are_supported()
         self._workers = [Worker(self) for _ in range(min(THREADS, self.num_envs) if native else 1)]
         size = sum(copy.mujoco.size for copy in self._workers[0].pose)
         self._last_pose = np.full((self.num_envs, size), np.nan, np.float32)
@@ -267,7 +267,7 @@ class NativeSimulation(Simulation):
                 self._last_pose[env] = worker.pose_of(env)
 
 
-class MovingFirst(Scene):
+class TerrainLast(Scene):
     """mjlab's Scene with the terrain after all that moves, so that stages can leave it out."""
 
     def _add_terrain(self) -> None:
@@ -297,7 +297,7 @@ def use_engine(name: str, device: str) -> Iterator[None]:
     simulation = Simulation if name == "warp" or not on_cpu else NativeSimulation
     # mjlab's environment takes these classes from its module, not from a configuration.
     originals = mjlab_env.Simulation, mjlab_env.Scene
-    mjlab_env.Simulation, mjlab_env.Scene = simulation, MovingFirst
+    mjlab_env.Simulation, mjlab_env.Scene = simulation, TerrainLast
     try:
         yield
     finally:

@@ -105,7 +105,7 @@ def moving_bodies(model: mujoco.MjModel) -> np.ndarray:
 
 
 @cache
-def are_mujocos() -> bool:
+def are_supported() -> bool:
     """Whether the installed MuJoCo can be stepped stage by stage; logs a line if it cannot.
 
     It checks the version, the layout of structs, and the stages of a small scene against `mj_step`.
