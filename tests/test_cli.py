@@ -46,7 +46,7 @@ for name in sys.argv[1:]:
     heavy = {"torch", "mjlab", "warp", "mediapy"} & {*sys.modules}
     assert not heavy, (name, heavy)
 """
-FROM_TASKS = {"train", "recipe", "export"}
+FROM_TASKS = {"train", "recipe"}
 """Their options are those of mjlab's tasks, which need PyTorch."""
 
 

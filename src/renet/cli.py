@@ -41,10 +41,15 @@ class Command:
     """MODULE:CONFIG with other defaults, by what follows `--preset`."""
     resume: str = ""
     """What an interruption leaves, and how to go on."""
+    options: str = ""
+    """MODULE:CONFIG that `--help` alone shows, where the target's module loads PyTorch."""
 
     def load(self, arguments: list[str]) -> tuple[Callable[[Any], Any], Any, list[str]]:
         """The function, the dataclass that `--preset` asks for, and the other arguments."""
         module, config, function = self.target.split(":")
+        if self.options and arguments in (["-h"], ["--help"]):
+            module, config = self.options.split(":")
+            return print, getattr(importlib.import_module(module), config), arguments
         run = attrgetter(function)(importlib.import_module(module))
         if self.presets:
             parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
@@ -100,6 +105,7 @@ COMMANDS = {
         "turn a checkpoint into a bundle of ONNX models",
         "renet.training.export:ExportCfg:export",
         group="Train",
+        options="renet.options:ExportCfg",
     ),
     "calibrate": Command(
         "set a bundle's fault detection from healthy walks",

@@ -3,13 +3,11 @@
 import io
 import warnings
 from collections.abc import Iterable
-from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 import torch
-import tyro
 from mjlab.entity import Entity
 from mjlab.utils.string import resolve_expr
 from safetensors import SafetensorError
@@ -25,6 +23,7 @@ from renet.models.actor_critic import fuse
 from renet.models.autoencoder import anomaly_score, variance_score
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
+from renet.options import ExportCfg
 from renet.selector import SelectorSpec
 from renet.sim.depth.camera import DepthCameraCfg, DepthNoiseCfg
 from renet.tasks import env_cfg
@@ -35,18 +34,6 @@ from renet.training.config import WithholdingCfg, from_dict
 
 OPSET = 17
 """Old enough for the ONNX Runtime of a robot's computer, new enough for LayerNormalization."""
-
-
-@dataclass(kw_only=True)
-class ExportCfg:
-    """Turn a checkpoint into a bundle: three ONNX models and a manifest."""
-
-    checkpoint: tyro.conf.Positional[Path]
-    """Checkpoint folder, or a run folder whose newest checkpoint is taken."""
-    out: Path = Path("bundle")
-    """Folder of the bundle; replaced if it already is one."""
-    beta: float = 0.01
-    """Selector threshold until `renet calibrate` measures one."""
 
 
 def export(cfg: ExportCfg) -> Path:
