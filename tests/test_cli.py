@@ -1,5 +1,6 @@
 """The door: every command explains itself, and every mistake is one line and exit code 2."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from renet import cli
+from renet.terminal import progress
 
 SHIPPED = Path(__file__).parents[1] / "src/renet/pretrained/checkpoint/it_00002850"
 
@@ -53,6 +55,19 @@ FROM_TASKS = {"train", "recipe"}
 def test_help_imports_neither_torch_nor_mjlab():
     names = [name for name in cli.COMMANDS if name not in FROM_TASKS]
     subprocess.run([sys.executable, "-c", HELP, *names], check=True)
+
+
+def test_a_bar_keeps_share_and_time_left_at_80_columns(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert list(progress(range(3), "12/29 intermittent_blackout on stairs_down, 280 robots")) == [
+        0,
+        1,
+        2,
+    ]
+    bar = capsys.readouterr().err.splitlines()[-1]
+    assert bar.startswith("12/29 intermittent_blackout on stairs_down, 280 robots")
+    assert re.search(r"100% 0:00:00$", bar.rstrip())
+    assert len(bar) <= 80
 
 
 @pytest.mark.parametrize("module", ["renet", "renet.cli"])
