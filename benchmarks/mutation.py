@@ -28,7 +28,8 @@ PARTS = {
     ),
     "envelope": ("deploy/robots/envelope.py", ["tests/deploy/robots/test_envelope.py"]),
     "go1": ("deploy/robots/go1_link.py", ["tests/deploy/robots/test_go1.py"]),
-    "braking": ("deploy/robots/braking.py", ["tests/deploy/robots/test_go1.py"]),
+    "braking": ("deploy/robots/braking.py", ["tests/deploy/robots/test_braking.py"]),
+    "go2": ("deploy/robots/go2_link.py", ["tests/deploy/robots/test_go2_link.py"]),
 }
 """Modules to mutate, within src/renet, and the tests that mirror them."""
 ALIVE, KILLED = (0, 33), (1, 3)
