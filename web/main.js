@@ -66,7 +66,6 @@ async function walk(read) {
   while (!stats.first) await sleep(1);
   await loadModels(page.runtime, read);
   stats.ready = performance.now();
-  document.body.classList.add("ready");
   if (page.notice) setTimeout(() => (page.notice = ""), NOTICE);
   await simulate();
 }
@@ -77,7 +76,6 @@ try {
   const read = countingReader(contract.sizes, scene.bundle, (share) => {
     stats.loaded = share;
     if (!stats.ready) say(`Loading ${Math.floor(100 * share)} %`);
-    document.querySelector("#bar").value = share;
   });
   const runtime = await loadRuntime(read, contract, scene.bundle);
   runtime.look = scene.bundle.look && (await loadLook(await read(scene.bundle.look)));

@@ -4,7 +4,7 @@ import { ESTIMATORS } from "./control/controller.js";
 import { Controls } from "./panel/controls.js";
 import { readScene, sceneLink } from "./panel/link.js";
 import { Panel } from "./panel/panel.js";
-import { depthGradient, drawDepth } from "./panel/plots.js";
+import { drawDepth } from "./panel/plots.js";
 import { Story } from "./panel/story.js";
 import { View } from "./stage/view.js";
 import { DepthCamera, makeFault } from "./world/camera.js";
@@ -41,7 +41,6 @@ export class Page {
       return new Panel(slots[n], $(".instruments"), estimator, contract, choose);
     });
     this.view = new View($("#view"), slots, runtime, (push) => this.push(push));
-    $(".scale").style.background = depthGradient;
     this.rule = $("#rule");
     this.rule.addEventListener("change", () => {
       for (const { controller } of this.simulations) controller.select(this.rule.value);
@@ -53,7 +52,6 @@ export class Page {
     fillSelect($("#bundle"), contract.bundles, (name) => (location.search = `?bundle=${name}`));
     $("#bundle").value = bundle.name;
     $("#bundle").hidden = contract.bundles.length < 2;
-    $("#link").addEventListener("click", () => this.copyLink());
     for (const button of ["#explain", "#close"]) $(button).addEventListener("click", () => this.explain());
     $("#about").textContent =
       `Bundle ${bundle.name} (${bundle.robot}) of ${manifest.provenance.date}, renet ${contract.renet}. ` +
@@ -189,11 +187,6 @@ export class Page {
     history.replaceState(null, "", sceneLink(this.scene, this.runtime.contract));
   }
 
-  async copyLink() {
-    await navigator.clipboard?.writeText(location.href);
-    this.notice = "Copied: the link leads to this scene.";
-  }
-
   explain() {
     const hood = $("#hood");
     hood.hidden = !hood.hidden;
@@ -243,15 +236,16 @@ export class Page {
     this.view.draw(this.simulations, seconds);
     const { sentence } = this.story;
     if ($("#verdict").textContent !== sentence) $("#verdict").textContent = sentence;
-    document.body.classList.toggle("slow", this.pace < 1);
   }
 
   /** What is going on, in a line. */
   get message() {
     if (this.notice) return this.notice;
+    if (this.pace < 1) return "Slow motion";
     const { fault } = this.scene;
-    if (this.pending) return `Both cameras will fail (${fault.title.toLowerCase()}) ${this.scene.ground.obstacle ? "half a second before the edge" : "soon"}.`;
-    if (this.broken && this.now < this.simulations[0].camera.fault.onset + 3) return "Both cameras just failed.";
+    const when = this.scene.ground.obstacle ? "half a second before the edge" : "soon";
+    if (this.pending) return `Both cameras will fail (${fault.title.toLowerCase()}) ${when}.`;
+    if (this.broken && this.now < this.story.onset + 3) return "Both cameras just failed.";
     return "";
   }
 }

@@ -15,9 +15,6 @@ const INK = { surprise: "#f4a3a3", trust: "#ffffff", axis: "#aeb8c4", grid: "#ff
 const NEAR_TO_FAR = ["#000004", "#3b0f70", "#8c2981", "#de4968", "#fe9f6d", "#fcfdbf"];
 const table = colourTable();
 
-/** The colours of depth as a CSS gradient, near to far. */
-export const depthGradient = `linear-gradient(90deg, ${NEAR_TO_FAR.join(", ")})`;
-
 function colourTable() {
   const context = new OffscreenCanvas(256, 1).getContext("2d");
   const gradient = context.createLinearGradient(0, 0, 256, 0);

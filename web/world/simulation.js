@@ -120,8 +120,6 @@ export class Simulation {
     this.world = new World(runtime, ground);
     this.camera = new DepthCamera(this.world, runtime.manifest.camera, runtime.contract.camera, seed);
     this.controller = new Controller(runtime);
-    this.speed = 0;
-    this.smoothing = runtime.contract.controlDt / 0.5;
   }
 
   get now() {
@@ -154,15 +152,11 @@ export class Simulation {
   /** One control step, 0.02 s. */
   async step({ speed, turn }) {
     const { world, now } = this;
-    const before = world.pose().position;
     const state = world.read();
     const frame = this.camera.latest(now);
     const teleop = { speed, turn, arm: now === 0 };
     world.write(await this.controller.tick(state, frame, teleop, now));
     world.advance();
-    const { position } = world.pose();
-    const moved = Math.hypot(position[0] - before[0], position[1] - before[1]);
-    this.speed += this.smoothing * (moved / (world.now - now) - this.speed);
   }
 
   delete() {

@@ -124,7 +124,6 @@ def _bundle(bundle: Bundle) -> dict[str, Any]:
         "title": f"{robot.name} · {bundle.name}",
         "robot": robot.name,
         "base": {"body": TRUNK, "height": robot.height},
-        "remembers": remembers,
         # A memory shows at a gap; without one, a blind robot finds its way down stairs.
         "opening": {"ground": "gap" if remembers else "stairs_down", "fault": OPENING},
         "selectors": {kind: _selector(kind, spec) for kind in SELECTORS},
