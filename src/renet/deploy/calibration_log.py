@@ -36,7 +36,7 @@ def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np
             the same walks twice; or too little healthy walking in all of them.
     """
     first: dict[bytes, Path] = {}
-    found: dict[str, list[np.ndarray]] = {name: [] for name in MONITORS}
+    series: dict[str, list[np.ndarray]] = {name: [] for name in MONITORS}
     for path in logs:
         run = read_recording(path)
         _check(run, path, bundle)
@@ -45,9 +45,9 @@ def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np
             raise RenetError(f"{path} holds the same walk as {first[ticks]}: give each log once")
         first[ticks] = path
         for walk in healthy_walks(run):
-            for name, scores in zip(found, score_walk(run, walk).T, strict=True):
-                found[name].append(scores)
-    walks = next(iter(found.values()))
+            for name, scores in zip(series, score_walk(run, walk).T, strict=True):
+                series[name].append(scores)
+    walks = next(iter(series.values()))
     if not walks:
         raise RenetError("the logs hold no walk with a camera that an operator ended: record one")
     minutes = sum(map(len, walks)) * STEPS_PER_TICK * CONTROL_DT / 60.0
@@ -56,7 +56,7 @@ def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np
             f"the logs hold {minutes:.1f} minutes of healthy walking; calibration needs at least "
             f"{MIN_MINUTES:g}"
         )
-    return found
+    return series
 
 
 def healthy_walks(run: Recording) -> Iterator[range]:

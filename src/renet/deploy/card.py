@@ -31,7 +31,7 @@ class CardCfg:
     results: Path | None = None
     """Folder of studies of this bundle, each with the summary.json of `renet evaluate`."""
     license: str = "apache-2.0"
-    """Of the weights: the Hub's identifier of a license."""
+    """License of the weights, as the Hub names it."""
 
 
 def write_card(cfg: CardCfg) -> Path:
@@ -129,9 +129,9 @@ def _by_mode(runs: Sequence[dict[str, Any]]) -> str:
     """Sums over all settings of each mode."""
     rows = []
     for mode in dict.fromkeys(str(run.get("mode", "")) for run in runs):
-        own = [run for run in runs if str(run.get("mode", "")) == mode]
-        sums = [sum(run.get(key) or 0 for run in own) for key in ("robots", "falls")]
-        rows.append((mode, len(own), *sums))
+        mode_runs = [run for run in runs if str(run.get("mode", "")) == mode]
+        sums = [sum(run.get(key) or 0 for run in mode_runs) for key in ("robots", "falls")]
+        rows.append((mode, len(mode_runs), *sums))
     return _table(("mode", "settings", "robots", "falls"), rows)
 
 
@@ -146,11 +146,11 @@ def _limits(bundle: Bundle, summaries: Sequence[dict[str, Any]]) -> Iterable[str
                 yield f"{study}: not met: {escape(claim['claim'])} ({escape(claim['measured'])})"
         modes = dict.fromkeys(run["mode"] for run in summary["runs"] if run.get("falls"))
         for mode in modes:
-            own = [r for r in summary["runs"] if r.get("mode") == mode and "falls" in r]
-            fell = [r for r in own if r["falls"]]
+            mode_runs = [r for r in summary["runs"] if r.get("mode") == mode and "falls" in r]
+            fell = [r for r in mode_runs if r["falls"]]
             yield (
                 f"{study}: with {escape(mode)}, robots fell {sum(r['falls'] for r in fell)} times,"
-                f" in {len(fell)} of {len(own)} settings"
+                f" in {len(fell)} of {len(mode_runs)} settings"
             )
         for miss in summary.get("missed", ()):
             yield (
@@ -191,8 +191,8 @@ def _cell(value: Any) -> str:
 
 
 def _interval(ends: Any) -> str:
-    known = isinstance(ends, Sequence) and len(ends) == 2 and None not in ends
-    return f"{ends[0]:.3g} to {ends[1]:.3g}" if known else "–"
+    is_interval = isinstance(ends, Sequence) and len(ends) == 2 and None not in ends
+    return f"{ends[0]:.3g} to {ends[1]:.3g}" if is_interval else "–"
 
 
 def _read_summaries(folder: Path | None, bundle: Bundle) -> list[dict[str, Any]]:

@@ -217,7 +217,7 @@ class Controller:
         self.policy.reset()
         self._selector.reset()
         self._action = np.zeros(ACTION_SIZE)
-        self._vision, self._blind, self._told = True, False, SEES
+        self._vision, self._blind, self._state = True, False, SEES
         self._image = BLACK
 
     def _walk(self, state: RobotState, teleop: TeleopCommand, now: float) -> JointCommand:
@@ -281,11 +281,11 @@ class Controller:
         selector = self._selector
         self._vision = bool(selector.update(self._seen(now), now)[0])
         state = str(selector.state[0])
-        if state == self._told or (state == REMEMBERS and selector.without_image[0] < A_WHILE):
+        if state == self._state or (state == REMEMBERS and selector.without_image[0] < A_WHILE):
             return
         why = self._buffer.problem or (LATE if self._blind else str(selector.reason[0]))
         self.tell(now, DRIVERS[state], "vision is healthy" if state == SEES else why)
-        self._told = state
+        self._state = state
 
     def _limited(self, target: np.ndarray, state: RobotState) -> JointCommand:
         command = limited_command(target, self._target, state, self.robot, self.cfg)

@@ -241,8 +241,8 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
     axes[0].legend(loc="upper right", fontsize=7, ncols=4)
     begun = run.ticks["now"][0] if len(run.ticks) else 0.0
     whats = ("memory", "op", "damping")
-    told = [event for event in run.events if event.what in whats][:MAX_MARKS]
-    for row, event in enumerate(told):
+    events = [event for event in run.events if event.what in whats][:MAX_MARKS]
+    for row, event in enumerate(events):
         text = f"{event.what}: {event.why[:60]}"
         place = (event.time - begun, 0.85 - 0.15 * (row % 4))
         look = {"transform": axes[0].get_xaxis_transform(), "fontsize": 7, "parse_math": False}

@@ -29,7 +29,7 @@ class FaultyCamera(Camera):
         """
         self._camera, self._now = camera, now
         self._perturb = getattr(camera, "perturb", None)
-        """Of a simulated camera, which can see what is not so."""
+        """The method by which a simulated camera shows a wrong scene; None: it has none."""
         self._injector = Injector([tuple(faults)], [0], seed, self._perturb is not None)
         if self._perturb is not None:
             for fault in faults:  # Refused now rather than while walking.

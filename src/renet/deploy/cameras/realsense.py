@@ -143,23 +143,23 @@ class RealSenseCamera(Camera):
     def _find(self) -> Any:
         devices = list(self._rs.context().query_devices())
         serials = [device.get_info(self._rs.camera_info.serial_number) for device in devices]
-        found = [d for d, s in zip(devices, serials, strict=True) if self._serial in ("", s)]
-        if len(found) == 1:
-            return found[0]
+        matches = [d for d, s in zip(devices, serials, strict=True) if self._serial in ("", s)]
+        if len(matches) == 1:
+            return matches[0]
         seen = f"{', '.join(serials)} connected" if serials else "none is connected"
-        if found:
+        if matches:
             raise RenetError(f"several RealSense cameras, {seen}: choose one with --serial")
-        wanted = f"RealSense camera {self._serial}".rstrip()
-        raise RenetError(f"no {wanted}: {seen}; check its USB 3 cable")
+        camera = f"RealSense camera {self._serial}".rstrip()
+        raise RenetError(f"no {camera}: {seen}; check its USB 3 cable")
 
     def _profile(self, sensor: Any) -> Any:
         """The stream to open; raises RenetError if the sensor does not offer it."""
-        found = [p.as_video_stream_profile() for p in sensor.get_stream_profiles()]
-        found = [p for p in found if p and p.format() == self._rs.format.z16]
-        for profile in found:
+        profiles = [p.as_video_stream_profile() for p in sensor.get_stream_profiles()]
+        profiles = [p for p in profiles if p and p.format() == self._rs.format.z16]
+        for profile in profiles:
             if (profile.width(), profile.height(), profile.fps()) == (WIDTH, HEIGHT, FPS):
                 return profile
-        offered = ", ".join(f"{p.width()}x{p.height()}@{p.fps()}" for p in found) or "none"
+        offered = ", ".join(f"{p.width()}x{p.height()}@{p.fps()}" for p in profiles) or "none"
         raise RenetError(
             f"the RealSense camera has no depth of {WIDTH}x{HEIGHT} at {FPS} Hz (it offers "
             f"{offered}): connect it by USB 3"

@@ -61,8 +61,8 @@ class SimCamera(Camera):
         if view.glass[0] > 0.0:
             if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, TERRAIN) < 0:
                 raise RenetError("this scene has nothing that could be glass: choose a --terrain")
-            found = obstacles(model, np.zeros((1, 2)))
-            unseen = sorted(spread(found, float(view.glass[0])))
+            tiles = obstacles(model, np.zeros((1, 2)))
+            unseen = sorted(spread(tiles, float(view.glass[0])))
         self._robot.hide(unseen)
         self._view = view
 

@@ -25,7 +25,7 @@ class RobotState:
     angular_velocity: np.ndarray
     """[3] rad/s, base frame."""
     temperature: float = math.nan
-    """Of the hottest motor, °C; NaN if the robot does not say."""
+    """Temperature of the hottest motor, °C; NaN if it is not measured."""
     battery: float = math.nan
     """Charge left, 0 to 1; NaN if the robot does not say."""
 

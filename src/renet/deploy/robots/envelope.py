@@ -72,11 +72,11 @@ class Envelope:
         stiffness = np.clip(parts["stiffness"], 0.0, self.stiffness)
         damping = np.clip(parts["damping"], 0.0, self.damping)
         if state is not None and stiffness.any():
-            asked = stiffness * (position - state.joint_position) - damping * state.joint_velocity
-            share = np.minimum(1.0, self.torque / np.fmax(np.abs(asked), 1e-9))
+            torque = stiffness * (position - state.joint_position) - damping * state.joint_velocity
+            share = np.minimum(1.0, self.torque / np.fmax(np.abs(torque), 1e-9))
             stiffness, damping = share * stiffness, share * damping
             speed = state.joint_velocity
-            driven = (np.abs(speed) > self.velocity) & (asked * speed > 0.0)
+            driven = (np.abs(speed) > self.velocity) & (torque * speed > 0.0)
             stiffness = np.where(driven, 0.0, stiffness)
         return JointCommand(position, stiffness, damping)
 

@@ -10,7 +10,7 @@ from renet.errors import RenetError
 
 ROBOT_HOST, ROBOT_PORT, LOCAL_PORT = "192.168.123.10", 8007, 8080
 POWER_LEVEL = 9
-"""Of the vendor's own overload guard: 1 (10 % of the motors' power) to 10."""
+"""Level of the vendor's overload guard, from 1 (10 % of the motors' power) to 10."""
 
 
 class Go1Robot(RealRobot):
