@@ -8,7 +8,7 @@ under the modality the selector last chose, then the selector's filter is update
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
@@ -21,8 +21,10 @@ from renet.selector.monitors import Gate, SelectorInput
 from renet.terminal import progress
 from renet.terrain.tiles import find_tile
 
-FLAT, PARKOUR = "flat", "parkour"
-"""Ground without tiles, and a field of all tiles at all levels."""
+FLAT: Final = "flat"
+"""Ground without tiles."""
+PARKOUR: Final = "parkour"
+"""A field of all tiles at all levels."""
 Mode = Literal["vp", "renet", "op", "paper", "oracle-switch"]
 """Policy modes: vision always, the selector's choice, never, the choice of the paper's selector,
 and a switch that knows the fault."""

@@ -12,9 +12,10 @@ from jsonschema import Draft202012Validator
 
 from renet.errors import RenetError
 from renet.evaluation.results import read_results
+from renet.interface import Terrain
 
 BENCHMARK, VERSION = "renet-faults", 1
-GROUNDS = {
+GROUNDS: dict[Terrain, int] = {
     "flat": 1,
     "stairs_up": 6,
     "stairs_down": 10,

@@ -30,7 +30,7 @@ from renet.evaluation.trace import Trace
 from renet.faults import FAULTS, SEVERITIES, Injection, fault_class
 from renet.faults.physical import Glass
 from renet.files import remove
-from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, STEPS_PER_TICK, Terrain
 from renet.selector.calibration import decluster
 
 if TYPE_CHECKING:
@@ -75,9 +75,8 @@ class FaultStudy(WalkingStudy):
     """Faults to inject: NAME at all severities, or NAME:SEVERITY."""
     severities: tuple[int, ...] = SEVERITIES
     """Severities of faults that name none, 1 to 5."""
-    grounds: tuple[str, ...] = tuple(GROUNDS)
-    """flat, or a kind of tile: rough, obstacles, stairs_up, stairs_down, gap, platform. Flat ground
-    alone has no end, and among others is a tile as they are."""
+    grounds: tuple[Terrain, ...] = tuple(GROUNDS)
+    """Flat ground alone has no end, and among others is a tile as they are."""
     level: int | None = None
     """Level of all tiles, 1 to 10; by default the benchmark's for each ground."""
     onsets: tuple[float, ...] = tuple(ONSETS)

@@ -21,7 +21,13 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.rollout import Mode, check_grounds
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
-from renet.interface import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION_SIZE, proprioception_slices
+from renet.interface import (
+    CONTROL_DT,
+    PHYSICS_DT,
+    PROPRIOCEPTION_SIZE,
+    Terrain,
+    proprioception_slices,
+)
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
@@ -146,8 +152,8 @@ class MarginsStudy(WalkingStudy):
     """Folder for summary.json, summary.csv, margins.png and parts/."""
     axes: tuple[str, ...] = tuple(AXES)
     """What is swept, one after the other."""
-    grounds: tuple[str, ...] = ("flat", "stairs_up", "obstacles")
-    """Ground to walk on: flat, rough, obstacles, stairs_up, stairs_down, gap, platform."""
+    grounds: tuple[Terrain, ...] = ("flat", "stairs_up", "obstacles")
+    """Ground to walk on."""
     level: int = 2
     """Level of the ground, 1 to 10."""
     modes: tuple[Mode, ...] = ("vp", "op", "renet")

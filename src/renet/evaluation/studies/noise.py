@@ -15,6 +15,7 @@ from renet.evaluation.studies.faults import FaultStudy, Setting
 from renet.evaluation.study import Figures, Part, Table
 from renet.evaluation.trace import Trace
 from renet.faults import fault_class
+from renet.interface import Terrain
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class NoiseStudy(FaultStudy):
     """Noises, NAME:SEVERITY; the paper's are 30, 70, 100 % and 10, 30, 70 %."""
     modes: tuple[Mode, ...] = ("vp", "renet")
     """Policy modes to compare."""
-    grounds: tuple[str, ...] = (FLAT,)
+    grounds: tuple[Terrain, ...] = (FLAT,)
     """Flat ground without end, or one kind of tile: see `faults`."""
     onsets: tuple[float, ...] = (3.0,)
     """Seconds at which the noise begins."""

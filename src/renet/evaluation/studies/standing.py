@@ -17,7 +17,7 @@ import numpy as np
 from renet.evaluation.rollout import FLAT, Mode, Trial
 from renet.evaluation.studies.terrain import TerrainStudy
 from renet.evaluation.study import Figures, Part, Table
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, Terrain
 from renet.terrain.tiles import tiles
 
 if TYPE_CHECKING:
@@ -36,8 +36,8 @@ class StandingStudy(TerrainStudy):
 
     out: Path = Path("results/standing")
     """Folder for summary.json, summary.csv and parts/."""
-    kinds: tuple[str, ...] = (FLAT, "rough", "obstacles", "stairs_up", "stairs_down")
-    """Ground to stop on: flat, rough, obstacles, stairs_up, stairs_down, gap, platform."""
+    kinds: tuple[Terrain, ...] = (FLAT, "rough", "obstacles", "stairs_up", "stairs_down")
+    """Ground to stop on."""
     levels: tuple[int, ...] = (3,)
     """Levels of the ground, 1 to 10."""
     modes: tuple[Mode, ...] = ("vp", "op")

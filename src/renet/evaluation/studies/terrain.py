@@ -30,7 +30,7 @@ from renet.evaluation.rollout import FLAT, PARKOUR, Mode, Trial
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Schedule, parse_fault
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, Terrain
 from renet.terrain.tiles import LEVELS, tiles
 
 if TYPE_CHECKING:
@@ -62,8 +62,8 @@ class TerrainStudy(WalkingStudy):
 
     out: Path = Path("results/terrain")
     """Folder for summary.json, summary.csv, terrain.png and parts/."""
-    kinds: tuple[str, ...] = ("gap", "platform", "stairs_up", "stairs_down")
-    """Kinds of tile: gap, platform, stairs_up, stairs_down, obstacles, rough."""
+    kinds: tuple[Terrain, ...] = ("gap", "platform", "stairs_up", "stairs_down")
+    """Kinds of tile."""
     levels: tuple[int, ...] = tuple(range(1, LEVELS + 1))
     """Levels of the curriculum, 1 to 10."""
     modes: tuple[Mode, ...] = ("renet",)
