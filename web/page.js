@@ -181,6 +181,7 @@ export class Page {
     this.tiles.forEach((button, n) => {
       press(button, faults[n] === this.broken);
       button.classList.toggle("pending", this.pending && faults[n] === fault);
+      if (faults[n] === this.broken) button.scrollIntoView({ block: "nearest", inline: "nearest" });
     });
     press(this.healthy, this.broken === null);
     $("#level").textContent = `${severity} of 5${fault ? ` · ${fault.described[severity - 1]}` : ""}`;
