@@ -21,7 +21,7 @@ import tyro
 from scipy import stats
 
 from baselines import cheng, zhuang
-from baselines.distillation import DistillationCfg, DistillCfg, Stage
+from baselines.distillation import STUDENT_TASK, DistillationCfg, Stage, StudentCfg
 from facts import errors_in_one_line
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
@@ -39,7 +39,6 @@ from renet.training.export import load_networks
 from renet.training.metrics import level_curves
 from renet.training.train import TrainCfg, train
 
-TASK = "Renet-Go1-Parkour"
 MEASURES = ("gap", "platform", "stairs", "collisions", "lin_vel_reward")
 
 
@@ -131,29 +130,25 @@ class Cfg:
 
     def training(self, row: Row, stage: Stage) -> TrainCfg:
         """The recipe with the stage's differences; stages before it are done."""
-        cfg = TrainCfg(
-            task=TASK,
-            num_envs=self.num_envs,
-            seed=self.seed,
-            num_steps_per_env=self.num_steps_per_env,
-        )
+        task = STUDENT_TASK if stage.teachers else stage.task
+        cfg = TrainCfg.from_task(task, log_root=self.folder(row, stage))
+        cfg.env.scene.num_envs = self.num_envs
+        agent = cfg.agent
+        agent.seed, agent.num_steps_per_env = self.seed, self.num_steps_per_env
+        agent.model = replace(agent.model, **stage.model)
         share = stage.share + sum(earlier.share for earlier in parents(row, stage))
-        cfg = replace(
-            cfg,
-            **stage.settings,
-            model=replace(cfg.model, **stage.model),
-            log_root=self.folder(row, stage),
-            max_iterations=iterations(cfg, share * self.steps),
-        )
-        if not stage.teachers:
-            return cfg
-        teachers = tuple(
-            (str(newest(self, row, earlier)), stage.teachers[earlier.name])
-            for earlier in row.stages
-            if earlier.name in stage.teachers
-        )
-        distillation = DistillationCfg(teachers, **stage.distillation)
-        return DistillCfg(**vars(cfg), distillation=distillation)
+        agent.max_iterations = iterations(cfg, share * self.steps)
+        for kind, tile in cfg.env.scene.terrain.terrain_generator.sub_terrains.items():
+            if stage.kinds and kind not in stage.kinds:
+                tile.proportion = 1e-9  # Which leaves one robot, mjlab's least.
+        if isinstance(agent, StudentCfg):
+            teachers = tuple(
+                (str(newest(self, row, earlier)), stage.teachers[earlier.name])
+                for earlier in row.stages
+                if earlier.name in stage.teachers
+            )
+            agent.distillation = DistillationCfg(teachers, **stage.distillation)
+        return cfg
 
 
 def parents(row: Row, stage: Stage) -> list[Stage]:
@@ -164,9 +159,10 @@ def parents(row: Row, stage: Stage) -> list[Stage]:
 
 def iterations(cfg: TrainCfg, steps: float) -> int:
     """Iterations after which `steps` environment steps are first done."""
-    robots, done, count = cfg.num_envs or 1, 0, 0
+    robots, done, count = cfg.env.scene.num_envs, 0, 0
     while done < steps:
-        done += robots * steps_per_env(cfg.num_steps_per_env, cfg.batch_size, robots, done)
+        fixed, batch_size = cfg.agent.num_steps_per_env, cfg.agent.batch_size
+        done += robots * steps_per_env(fixed, batch_size, robots, done)
         count += 1
     return count
 
@@ -189,14 +185,14 @@ def train_stage(cfg: Cfg, row: Row, stage: Stage) -> Path:
     training, found = cfg.training(row, stage), newest(cfg, row, stage)
     if found is not None:
         state = checkpoints.load_state(found)
-        had = from_dict(ModelCfg, state["config"]["model"])
-        same = had == training.model and state["config"]["seed"] == cfg.seed
-        if not same or state["config"]["num_envs"] != cfg.num_envs:
+        stored = from_dict(ModelCfg, state["agent"]["model"])
+        same = stored == training.agent.model and state["agent"]["seed"] == cfg.seed
+        if not same or state["env"]["scene"]["num_envs"] != cfg.num_envs:
             raise RenetError(
                 f"{found} was trained with another model, seed or number of robots: choose"
                 " another --out, or the settings it was begun with"
             )
-        if state["iteration"] >= training.max_iterations:
+        if state["iteration"] >= training.agent.max_iterations:
             return found
     for earlier in parents(row, stage)[:1]:
         found = found or newest(cfg, row, earlier)
@@ -220,7 +216,7 @@ def progress(cfg: Cfg, row: Row) -> tuple[int, float, bool]:
         if found is None:
             return steps, seconds, False
         state = checkpoints.load_state(found)
-        complete &= state["iteration"] >= cfg.training(row, stage).max_iterations
+        complete &= state["iteration"] >= cfg.training(row, stage).agent.max_iterations
         for earlier in parents(row, stage)[:1]:
             begun = checkpoints.load_state(newest(cfg, row, earlier) or found)
             steps, seconds = steps - begun["steps"], seconds - begun["seconds"]

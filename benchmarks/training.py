@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal
+from typing import Any
 
 import torch
 import tyro
@@ -31,9 +31,9 @@ from renet.interface import ACTION_SIZE, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TIC
 from renet.sim.native.engine import use_engine
 from renet.tasks import RenetEnv, make_env
 from renet.tasks.env import env_cfg
-from renet.tasks.robot_cfg import ACTION_CLIP, TRUNK
+from renet.tasks.robot_cfg import TRUNK
 from renet.training.runner import RenetRunner
-from renet.training.train import TrainCfg, settings, task_cfg
+from renet.training.train import TrainCfg, make_vec_env, quiet
 
 STOCK = "Mjlab-Velocity-Flat-Unitree-Go1"
 
@@ -58,8 +58,6 @@ class Cfg:
     """Also train mjlab's stock Go1."""
     camera_envs: int = 16
     """Environments in which both depth cameras are timed, on a CPU mjlab's takes long; 0: none."""
-    preset: Literal["renet", "paper"] = "renet"
-    """The recipe, or the paper to the letter."""
     json: Path | None = None
     """Result file."""
 
@@ -114,11 +112,12 @@ def operations(env: RenetEnv) -> dict[str, float]:
 
 
 def profile(cfg: Cfg, folder: str) -> dict[str, Any]:
-    recipe = TrainCfg.defaults([cfg.task, "--preset", cfg.preset])
+    recipe = TrainCfg.from_task(cfg.task, engine=cfg.engine)
+    recipe.env.scene.num_envs = cfg.num_envs
     with redirect_stdout(StringIO()):
-        env = make_env(task_cfg(recipe), cfg.num_envs, cfg.device, engine=cfg.engine)
-        vec_env = RslRlVecEnvWrapper(env, clip_actions=ACTION_CLIP)
-        runner = RenetRunner(vec_env, settings(recipe), folder, cfg.device)
+        vec_env = make_vec_env(recipe, cfg.device)
+        runner = RenetRunner(vec_env, asdict(recipe.agent), folder, cfg.device)
+    env: Any = vec_env.unwrapped
     runner.open_log()
     if cfg.resume:
         runner.load(str(cfg.resume))
@@ -140,12 +139,14 @@ def profile(cfg: Cfg, folder: str) -> dict[str, Any]:
     ):
         watch.wrap(owner, method, part)
     runner.alg.model.train()
-    obs = runner._iterate(vec_env.get_observations(), 0, cfg.iterations + 1)
-    watch.seconds.clear()
-    start = watch.now()
-    for i in track(range(cfg.iterations), f"{cfg.task}, {cfg.num_envs} envs", transient=True):
-        obs = runner._iterate(obs, 0, cfg.iterations + 1 - i)
-    total = watch.now() - start
+    with quiet() as console:
+        obs = runner._iterate(vec_env.get_observations(), 0, cfg.iterations + 1)
+        watch.seconds.clear()
+        start = watch.now()
+        what = f"{cfg.task}, {cfg.num_envs} envs"
+        for i in track(range(cfg.iterations), what, transient=True, console=console):
+            obs = runner._iterate(obs, 0, cfg.iterations + 1 - i)
+        total = watch.now() - start
     parts = dict(watch.seconds)
     inside = ("physics", "forward", "depth", "terrain scans")
     parts["managers"] = parts.pop("environment") - sum(parts[name] for name in inside)

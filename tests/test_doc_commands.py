@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import tyro
 
 from renet import cli
 
@@ -63,8 +62,7 @@ def parse(arguments: list[str]) -> Any:
         return None
     # A run to go on from is looked for on the disk: its settings are those of any other.
     settings = [part for part in rest if part not in ("--resume", "latest")]
-    default = {"default": config.defaults(settings)} if hasattr(config, "defaults") else {}
-    return tyro.cli(config, args=rest, **default)
+    return cli.parse(config, settings, "")
 
 
 @pytest.mark.parametrize("line", [x for x in LINES if re.match("renet (?!COMMAND)", x)])

@@ -12,7 +12,7 @@ from renet import cli
 from renet.errors import RenetError
 from renet.faults import FAULTS
 from renet.interface import JOINTS, LEGS, proprioception_slices
-from renet.tasks import make_env
+from renet.tasks import make_env, mdp
 from renet.tasks.robot_cfg import rename_parts
 
 ROOT = Path(__file__).parents[1]
@@ -94,7 +94,7 @@ def test_the_added_study_runs_from_the_command_line(load, tmp_path):
 def test_another_robot_trains_exports_and_its_bundle_can_be_read(task, shows, tmp_path, capsys):
     main = added_robot().main if "AlienGo" in task else cli.main
     logs, bundle = tmp_path / "logs", tmp_path / "bundle"
-    train = f"train {task} --num-envs 8 --num-steps-per-env 5 --max-iterations 2"
+    train = f"train {task} --num-envs 8 --agent.num-steps-per-env 5 --max-iterations 2"
     assert main([*train.split(), "--log-root", str(logs)]) == 0
     assert main(["export", str(logs), "--out", str(bundle)]) == 0
     assert cli.main(["bundle", "inspect", str(bundle)]) == 0
@@ -133,12 +133,12 @@ def test_action_and_observation_follow_the_interface_not_the_mjcf(env):
 def test_it_stands_on_its_feet(env):
     env.reset()
     for _ in range(50):
-        obs, _, terminated, _, extras = env.step(torch.zeros(2, 12))
+        obs, _, terminated, *_ = env.step(torch.zeros(2, 12))
         assert not terminated.any()
     assert obs["privileged"][:, : len(LEGS)].bool().all(), "every foot touches"
     # MuJoCo's soft contacts let a foot sink by a few millimetres.
     assert obs["feet_height"].abs().max() < 0.02
-    assert (extras["costs"] == 0.0).all()
+    assert (mdp.constraint_costs(env) == 0.0).all()
 
 
 def test_a_part_that_is_missing_is_named():

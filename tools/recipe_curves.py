@@ -24,7 +24,8 @@ OUT = Path(__file__).parents[1] / "docs" / "figures" / "recipe"
 def rows(argument: str) -> list[dict[str, str | float]]:
     """Environment steps, hours and the curriculum's levels of a run, every tenth iteration."""
     folder, _, label = argument.partition("=")
-    seed = json.loads((Path(folder) / "config.json").read_text())["seed"]
+    config = json.loads((Path(folder) / "config.json").read_text())
+    seed = config.get("agent", config)["seed"]
     return [
         {"run": label or f"seed {seed}", "seed": seed, **row} for row in level_curves(Path(folder))
     ]

@@ -9,14 +9,19 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import torch
+from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch import Tensor
 
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT
-from renet.tasks import RenetEnvCfg
-from renet.training.train import TrainCfg
+from renet.registry import register_task
+from renet.tasks.parkour_env_cfg import parkour_env_cfg
+from renet.training.config import RenetRunnerCfg, from_dict
+from renet.training.recipe import recipe
+from renet.training.runner import RenetRunner
 
+TASK = "Renet-Go1-Parkour-Dropout"
 KINDS = 3
 """Blank image, missing rectangle, strong noise."""
 NOISE_STD = 0.5
@@ -96,15 +101,28 @@ def spoil_depth(env: Any, cfg: DepthDropoutCfg, dt: float) -> None:
 
 
 @dataclass(kw_only=True)
-class DropoutCfg(TrainCfg):
-    """`TrainCfg` of robots whose cameras fail while they learn."""
+class DropoutRunnerCfg(RenetRunnerCfg):
+    """The agent's configuration where cameras fail in training."""
 
     depth_dropout: DepthDropoutCfg = field(default_factory=DepthDropoutCfg)
     """How often they fail, and for how long."""
 
-    def make_env(self, task: RenetEnvCfg, device: str, seed: int) -> Any:
-        """The task's environments, with these cameras."""
-        env = super().make_env(task, device, seed)
-        if self.depth_dropout.share:
-            spoil_depth(env, self.depth_dropout, CONTROL_DT)
-        return env
+
+class DropoutRunner(RenetRunner):
+    """RENet's runner, in an environment with these cameras."""
+
+    def __init__(self, env: VecEnv, train_cfg: dict[str, Any], *args: Any) -> None:
+        cfg = from_dict(DepthDropoutCfg, train_cfg["depth_dropout"])
+        if cfg.share:
+            spoil_depth(env, cfg, CONTROL_DT)
+        super().__init__(env, train_cfg, *args)
+
+
+def register_dropout() -> None:
+    """Register the task in which cameras fail."""
+    env, agent = parkour_env_cfg(), DropoutRunnerCfg()
+    recipe(env, agent)
+    register_task(TASK, env, parkour_env_cfg(play=True), agent, DropoutRunner)
+
+
+register_dropout()

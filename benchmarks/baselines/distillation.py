@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import torch
 from rsl_rl.env import VecEnv
@@ -23,15 +23,18 @@ from renet.errors import RenetError
 from renet.interface import PROPRIOCEPTION_SIZE
 from renet.models.actor_critic import Actor
 from renet.models.renet import RENet
+from renet.registry import register_task
+from renet.tasks.parkour_env_cfg import parkour_env_cfg
 from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import RenetAlgorithm
-from renet.training.config import SupervisionCfg, from_dict
+from renet.training.config import RenetRunnerCfg, SupervisionCfg, from_dict
 from renet.training.export import load_networks
+from renet.training.recipe import recipe
 from renet.training.runner import RenetRunner
 from renet.training.storage import Recorder, TickRollout
 from renet.training.supervision import Supervision
-from renet.training.train import TrainCfg
 
+TASK, STUDENT_TASK = "Renet-Go1-Parkour", "Renet-Go1-Parkour-Student"
 TEACHER = {"perception": "oracle"}
 """Fields of ModelCfg for a policy that reads the true height map and velocity."""
 STUDENT = {
@@ -69,8 +72,10 @@ class Stage:
     """Of the method's environment steps."""
     model: Mapping[str, Any] = field(default_factory=dict)
     """Fields of ModelCfg that differ from the recipe's."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Fields of TrainCfg that do."""
+    task: str = TASK
+    """Where it learns."""
+    kinds: tuple[str, ...] = ()
+    """Kinds of tile on which nearly all robots practise; none: as in the recipe."""
     after: str | None = None
     """Stage whose last checkpoint it goes on from."""
     teachers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -224,14 +229,22 @@ class DistillationRunner(RenetRunner):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self._restore_curriculum(self.alg.reached)
+        self.restore_curriculum(self.alg.reached)
 
 
 @dataclass(kw_only=True)
-class DistillCfg(TrainCfg):
-    """`TrainCfg` of a student."""
+class StudentCfg(RenetRunnerCfg):
+    """The agent's configuration of a student."""
 
     distillation: DistillationCfg = field(default_factory=DistillationCfg)
     """Its teachers, and how it learns from them."""
 
-    runner: ClassVar[type[RenetRunner]] = DistillationRunner
+
+def register_student() -> None:
+    """Register the task in which students learn."""
+    env, agent = parkour_env_cfg(), StudentCfg()
+    recipe(env, agent)
+    register_task(STUDENT_TASK, env, parkour_env_cfg(play=True), agent, DistillationRunner)
+
+
+register_student()

@@ -11,17 +11,18 @@ import numpy as np
 import torch
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.managers.reward_manager import RewardTermCfg
-from mjlab.tasks.registry import register_mjlab_task
 from torch import Tensor
 
 from baselines.distillation import STUDENT, TEACHER, Stage
 from renet.interface import LEGS
+from renet.registry import register_task
 from renet.tasks.env import RenetEnvCfg
 from renet.tasks.mdp.base_state import on_tiles
 from renet.tasks.parkour_env_cfg import parkour_env_cfg
 from renet.tasks.sensors import FEET_HEIGHT
-from renet.terrain.tiles import ACCENT, PIT, tiles
+from renet.terrain.tiles import ACCENT, PIT
 from renet.training.config import RenetRunnerCfg
+from renet.training.recipe import recipe
 
 SOFT = "Renet-Go1-Parkour-Soft"
 """The parkour task under soft dynamics."""
@@ -60,7 +61,14 @@ def soft_env_cfg(play: bool = False) -> RenetEnvCfg:
     return cfg
 
 
-register_mjlab_task(SOFT, soft_env_cfg(), soft_env_cfg(play=True), RenetRunnerCfg())
+def register_soft() -> None:
+    """Register that task, with the recipe's agent."""
+    env, agent = soft_env_cfg(), RenetRunnerCfg()
+    recipe(env, agent)
+    register_task(SOFT, env, soft_env_cfg(play=True), agent)
+
+
+register_soft()
 
 SKILLS = {
     "run": ("rough", "obstacles", "stairs_up", "stairs_down"),
@@ -70,20 +78,15 @@ SKILLS = {
 """Kinds of tile on which each skill is learned and taught."""
 
 
-def _on(skill: str) -> dict[str, tuple[tuple[str, float], ...]]:
-    """Settings that leave one robot on each other kind of tile, mjlab's least."""
-    others = [kind for kind in tiles() if kind not in SKILLS[skill]]
-    return {"terrain_proportions": tuple((kind, 1e-9) for kind in others)}
-
-
 def _specialise(skill: str) -> tuple[Stage, Stage]:
     """Both stages of a skill, from the walking policy on."""
-    soft = Stage(f"{skill}_soft", 1 / 12, TEACHER, {"task": SOFT, **_on(skill)}, after="run")
-    return soft, Stage(skill, 1 / 12, TEACHER, _on(skill), after=soft.name)
+    kinds = SKILLS[skill]
+    soft = Stage(f"{skill}_soft", 1 / 12, TEACHER, task=SOFT, kinds=kinds, after="run")
+    return soft, Stage(skill, 1 / 12, TEACHER, kinds=kinds, after=soft.name)
 
 
 STAGES = (
-    Stage("run", 1 / 3, TEACHER, _on("run")),
+    Stage("run", 1 / 3, TEACHER, kinds=SKILLS["run"]),
     *_specialise("climb"),
     *_specialise("leap"),
     Stage(

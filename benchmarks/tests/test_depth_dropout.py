@@ -1,5 +1,6 @@
 """Cameras fail as often and as badly as asked, and a run that is resumed goes on with them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,10 +8,11 @@ import torch
 from tests.training.conftest import ToyEnv, make_runner, single_precision  # noqa: F401  of all tests
 
 from baselines import depth_dropout
-from baselines.depth_dropout import DepthDropout, DepthDropoutCfg, DropoutCfg, spoil_depth
+from baselines.depth_dropout import DepthDropout, DepthDropoutCfg, spoil_depth
+from renet.cli import parse
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT
-from renet.training.train import train
+from renet.training.train import TrainCfg, train
 
 
 def test_fails_for_the_stated_share_of_time_and_mean_length() -> None:
@@ -75,11 +77,11 @@ def test_a_run_spoils_its_environment_and_goes_on_with_its_settings(
 ) -> None:
     spoilt: list = []
     monkeypatch.setattr(depth_dropout, "spoil_depth", lambda *what: spoilt.append(what[1:]))
-    small = {"num_envs": 4, "device": "cpu", "num_steps_per_env": 5, "max_iterations": 1}
+    small = TrainCfg.from_task(depth_dropout.TASK, device="cpu", log_root=tmp_path)
+    small.env.scene.num_envs = 4
     dropout = DepthDropoutCfg(0.3, 0.5)
-    task = "Renet-Go1-Flat"
-    run = train(DropoutCfg(task=task, depth_dropout=dropout, log_root=tmp_path, **small))
+    changes = {"depth_dropout": dropout, "num_steps_per_env": 5, "max_iterations": 1}
+    run = train(replace(small, agent=replace(small.agent, **changes)))
     assert spoilt == [(dropout, CONTROL_DT)]
-    again = DropoutCfg.defaults([task, "--resume", str(run)])
-    assert isinstance(again, DropoutCfg)
-    assert again.depth_dropout == dropout
+    again = parse(TrainCfg, [depth_dropout.TASK, "--resume", str(run)], "")
+    assert again.agent.depth_dropout == dropout

@@ -16,14 +16,14 @@ from baselines.distillation import (
     TEACHER,
     DistillationCfg,
     DistillationRunner,
-    DistillCfg,
+    StudentCfg,
 )
 from renet.errors import RenetError
 from renet.interface import PROPRIOCEPTION_SIZE
 from renet.models.config import ModelCfg
 from renet.terrain.tiles import PIT, TILE, Gap, Platform, tiles
 from renet.training import checkpoint as checkpoints
-from renet.training.config import LearningCfg, SupervisionCfg
+from renet.training.config import RenetRunnerCfg, SupervisionCfg
 from renet.training.export import load_networks
 from renet.training.metrics import read_curves
 from renet.training.runner import RenetRunner
@@ -39,21 +39,13 @@ class TiledEnv(ToyEnv):
         cfg = SimpleNamespace(terrain_generator=generator)
         self.scene = SimpleNamespace(terrain=SimpleNamespace(cfg=cfg, terrain_types=kinds))
 
-    def curriculum_state(self):
-        kinds = self.scene.terrain.terrain_types
-        return {"levels": self.levels.clone(), "passed": self.levels > 5, "kinds": kinds}
-
-    def load_curriculum_state(self, tensors):
-        self.levels, self.passed = tensors["levels"].clone(), tensors["passed"]
-        self.kinds = tensors["kinds"]
-
 
 def teacher(folder, seed: int, level: float, perception: str = "oracle"):
     """A checkpoint of a policy that reads the truth."""
     torch.manual_seed(seed)
     env = TiledEnv()
     env.levels += level
-    cfg = LearningCfg(model=ModelCfg(perception=perception), num_steps_per_env=10)
+    cfg = RenetRunnerCfg(model=ModelCfg(perception=perception), num_steps_per_env=10)
     runner = RenetRunner(env, asdict(cfg), str(folder), "cpu")
     runner.learn(1)
     return str(checkpoints.find(folder))
@@ -69,7 +61,7 @@ def teachers(tmp_path_factory):
 
 def student(folder, teachers, rate=1e-3, **distillation) -> DistillationRunner:
     torch.manual_seed(0)
-    cfg = DistillCfg(
+    cfg = StudentCfg(
         task="toy",
         model=ModelCfg(**STUDENT),
         supervision=SupervisionCfg(learning_rate=rate, num_mini_batches=1, autoencoder_images=8),

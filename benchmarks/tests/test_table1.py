@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +11,7 @@ import table1
 from renet.errors import RenetError
 from renet.evaluation.studies.terrain import TerrainStudy
 from renet.training import checkpoint as checkpoints
+from renet.training.provenance import described
 
 STUDY = TerrainStudy(levels=(1,), robots=1, seconds=1.0)
 
@@ -24,7 +25,9 @@ def done(tmp_path_factory):
     out = tmp_path_factory.mktemp("table1")
     small = {"steps": 400, "num_envs": 8, "num_steps_per_env": 25}
     cfg = table1.Cfg(out=out, results=out / "results", rows=("Oracle",), study=STUDY, **small)
-    table1.train(replace(cfg.training(ORACLE, ORACLE.stages[0]), max_iterations=1))
+    begun = cfg.training(ORACLE, ORACLE.stages[0])
+    begun.agent.max_iterations = 1
+    table1.train(begun)
     first = checkpoints.load_state(table1.newest(cfg, ORACLE, ORACLE.stages[0]))
     both = replace(cfg, rows=("Oracle", "Cheng"))
     half = table1.table(both), table1.status(both)
@@ -60,12 +63,13 @@ class Trainer:
         self.runs.append(name)
         self.last = cfg
         begun = 0 if cfg.resume is None else int(Path(cfg.resume).name.removeprefix("it_"))
-        reached = begun + 1 if name == self.killed_in else cfg.max_iterations
+        reached = begun + 1 if name == self.killed_in else cfg.agent.max_iterations
         folder = cfg.log_root / cfg.task / "2026-01-01" / "checkpoints" / f"it_{reached:08d}"
         folder.mkdir(parents=True)
-        config = {"model": asdict(cfg.model), "seed": cfg.seed, "num_envs": cfg.num_envs}
-        state = {"iteration": reached, "steps": 200 * reached, "seconds": 300.0 * reached}
-        (folder / "state.json").write_text(json.dumps({"format": 1, "config": config, **state}))
+        state = {"format": checkpoints.FORMAT, "iteration": reached, "steps": 200 * reached}
+        settings = {"agent": described(cfg.agent), "env": described(cfg.env)}
+        state |= {"seconds": 300.0 * reached, **settings}
+        (folder / "state.json").write_text(json.dumps(state))
         if name == self.killed_in:
             raise KeyboardInterrupt
 
@@ -87,10 +91,14 @@ def test_stages_build_on_each_other_and_go_on_after_a_kill(monkeypatch, tmp_path
     assert second.runs == names[place:]
     # 16 iterations of walking, 4 + 4 for each skill after it, 16 of imitation.
     assert table1.progress(cfg, ZHUANG) == (9600, 300.0 * 48, True)
-    taught = {Path(path).parts[-5]: kinds for path, kinds in second.last.distillation.teachers}
+    teachers = second.last.agent.distillation.teachers
+    taught = {Path(path).parts[-5]: kinds for path, kinds in teachers}
     assert taught == dict(ZHUANG.stages[-1].teachers)
-    teachers = [Path(path).name for path, _ in second.last.distillation.teachers]
-    assert teachers == ["it_00000016", "it_00000024", "it_00000024"]
+    assert [Path(path).name for path, _ in teachers] == [
+        "it_00000016",
+        "it_00000024",
+        "it_00000024",
+    ]
 
 
 def test_prints_what_the_study_measured_beside_the_papers(done) -> None:
@@ -142,15 +150,18 @@ def test_every_row_differs_from_the_recipe_in_what_it_names() -> None:
     base = cfg.training(sa, sa.stages[0])
     for row in (row for row in table1.ROWS if len(row.stages) == 1):
         ours = cfg.training(row, row.stages[0])
-        changed = {k for k, v in vars(ours.model).items() if v != getattr(base.model, k)}
+        model = vars(ours.agent.model).items()
+        changed = {k for k, v in model if v != getattr(base.agent.model, k)}
         assert changed == set(row.stages[0].model)
-        assert replace(ours, model=base.model, log_root=base.log_root) == base
+        assert replace(ours.agent, model=base.agent.model) == base.agent
+        assert described(ours.env) == described(base.env)
 
 
 def test_budget_is_reached_and_not_by_more_than_an_iteration() -> None:
     cfg = table1.Cfg().training(ORACLE, ORACLE.stages[0])
+    cfg.agent.batch_size = 12800
     total = sum(512 * n for n in [table1.steps_per_env(None, 12800, 512, 0)])
-    assert table1.iterations(replace(cfg, batch_size=12800), 15e6) == -(-15_000_000 // total)
+    assert table1.iterations(cfg, 15e6) == -(-15_000_000 // total)
 
 
 def test_unknown_rows_are_refused() -> None:

@@ -234,7 +234,8 @@ def parse(config: Any, arguments: list[str], program: str) -> Any:
     """The dataclass `config` filled from the arguments; tyro explains mistakes and exits with 2."""
     import tyro
 
-    options = (tyro.conf.DisallowNone,)  # A default of None reads `PATH`, not `{None}|PATH`.
+    # With DisallowNone a default of None reads `PATH`, not `{None}|PATH`.
+    options = getattr(config, "tyro_flags", (tyro.conf.DisallowNone,))
     return tyro.cli(
         config, args=arguments, prog=program, config=options, **_default(config, arguments)
     )

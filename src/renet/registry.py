@@ -2,26 +2,52 @@
 
 from __future__ import annotations
 
+import torch
 from mjlab.tasks.registry import register_mjlab_task
 
 from renet.tasks.config.go1 import GO1
 from renet.tasks.config.go2 import GO2
+from renet.tasks.env import RenetEnvCfg
 from renet.tasks.parkour_env_cfg import flat_env_cfg, parkour_env_cfg
 from renet.tasks.robot_cfg import RobotCfg
 from renet.training.config import RenetRunnerCfg
+from renet.training.recipe import recipe
 from renet.training.runner import RenetRunner
+
+ROBOTS = 4096 if torch.cuda.is_available() else 512
+"""The paper's number of robots on a GPU, and one that a CPU steps as fast as any."""
 
 
 def register_tasks(name: str, robot: RobotCfg) -> None:
-    """Give a robot the tasks Renet-`name`-Flat and Renet-`name`-Parkour."""
+    """Give a robot its tasks.
+
+    They are Renet-`name`-Parkour and Renet-`name`-Flat, trained by the recipe, and
+    Renet-`name`-Parkour-Paper, to which nothing of it is applied.
+    """
     for terrain, cfg in (("Flat", flat_env_cfg), ("Parkour", parkour_env_cfg)):
-        register_mjlab_task(
-            task_id=f"Renet-{name}-{terrain}",
-            env_cfg=cfg(robot=robot),
-            play_env_cfg=cfg(play=True, robot=robot),
-            rl_cfg=RenetRunnerCfg(num_steps_per_env=25),  # As many as mjlab's own, in whole ticks.
-            runner_cls=RenetRunner,
-        )
+        env, agent = cfg(robot=robot), RenetRunnerCfg()
+        recipe(env, agent)
+        register_task(f"Renet-{name}-{terrain}", env, cfg(play=True, robot=robot), agent)
+    paper, play = parkour_env_cfg(robot=robot), parkour_env_cfg(play=True, robot=robot)
+    register_task(f"Renet-{name}-Parkour-Paper", paper, play, RenetRunnerCfg())
+
+
+def register_task(
+    task: str,
+    env: RenetEnvCfg,
+    play: RenetEnvCfg,
+    agent: RenetRunnerCfg,
+    runner: type[RenetRunner] = RenetRunner,
+) -> None:
+    """Register a task built like these.
+
+    Args:
+        task: its id. env: what is trained in. play: what is evaluated in.
+        agent: how it is trained. runner: that trains it.
+    """
+    env.scene.num_envs = ROBOTS
+    agent.experiment_name = agent.task = task
+    register_mjlab_task(task, env, play, agent, runner)
 
 
 register_tasks("Go1", GO1)

@@ -16,7 +16,7 @@ from renet.evaluation.rollout import Trial
 from renet.faults import Injection
 from renet.selector.monitors import MONITORS
 from renet.tasks.config.go1 import GO1
-from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
+from renet.tasks.parkour_env_cfg import randomize
 from renet.tasks.sensors import DEPTH_CAMERA
 
 
@@ -125,7 +125,7 @@ def test_twins_are_alike_in_batches_of_any_size_and_every_run_is_the_same(bundle
 
     def walk(*robots: int) -> tuple[np.ndarray, np.ndarray]:
         cfg = terrain_env_cfg("flat", 1, GO1)
-        randomize(cfg, RandomizationCfg(joint_offset=0.05))
+        randomize(cfg, joint_offset=0.05)
         env = evaluator.make_env(cfg, robots, 0.6, 1)
         zeros = env.env.scene["robot"].data.encoder_bias
         assert all((zeros[row] == zeros[robots.index(n)]).all() for row, n in enumerate(robots))

@@ -1,23 +1,26 @@
-"""One small environment per task, shared by all tests of a module."""
+"""One small environment of each of the paper's tasks, shared by all tests of a module."""
 
 import math
 
 import pytest
 import torch
 
-from renet.tasks import RenetEnv, make_env
+from renet.tasks import RenetEnv, env_cfg, make_env
+from renet.tasks.parkour_env_cfg import flat_env_cfg
 
 
 @pytest.fixture(scope="module")
 def flat() -> RenetEnv:
-    env = make_env("Renet-Go1-Flat", 4)
+    cfg = flat_env_cfg()
+    cfg.rewards = env_cfg("Renet-Go1-Flat").rewards | cfg.rewards  # The recipe's, too.
+    env = make_env(cfg, 4)
     env.reset()
     return env
 
 
 @pytest.fixture(scope="module")
 def parkour() -> RenetEnv:
-    env = make_env("Renet-Go1-Parkour", 12)
+    env = make_env("Renet-Go1-Parkour-Paper", 12)
     env.reset()
     return env
 

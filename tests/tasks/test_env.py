@@ -17,8 +17,7 @@ from renet.interface import (
 )
 from renet.sim.native.stages import moving_part
 from renet.tasks import env_cfg, make_env, mdp
-from renet.tasks.parkour_env_cfg import NOISE
-from renet.training.recipe import RENET
+from renet.tasks.parkour_env_cfg import NOISE, flat_env_cfg
 
 from ..waits import Waits
 
@@ -58,9 +57,8 @@ def test_depth_changes_at_the_global_tick_only(flat):
         held = obs["depth"].clone()
 
 
-def test_a_control_step_waits_for_a_gpu_only_where_mjlab_does(parkour, monkeypatch):
-    for name in RENET["reward_weights"]:  # Without a weight a term is not evaluated.
-        monkeypatch.setattr(parkour.reward_manager.get_term_cfg(name), "weight", 1.0)
+def test_a_control_step_waits_for_a_gpu_only_where_mjlab_does():
+    parkour = make_env("Renet-Go1-Parkour", 12)
     parkour.reset()
     parkour.step(torch.zeros(12, 12))  # At first use Warp's arrays are wrapped.
     with Waits() as watch:
@@ -72,15 +70,21 @@ def test_a_control_step_waits_for_a_gpu_only_where_mjlab_does(parkour, monkeypat
     assert set(watch.files) - {"rasterizer.py"} == {"mjlab"}
 
 
-def test_reward_is_clipped_and_costs_come_along(flat):
-    flat.reset()
-    _, reward, *_, extras = flat.step(torch.full((4, 12), 4.8))
-    assert (reward >= 0.0).all()
-    assert extras["costs"].shape == (4, 3)
+def test_costs_are_in_the_interfaces_order_whatever_that_of_the_metrics():
+    cfg = flat_env_cfg()
+    cfg.metrics = dict(reversed(cfg.metrics.items()))
+    env = make_env(cfg, 4)
+    env.reset()
+    env.step(torch.full((4, 12), 4.8))
+    costs = mdp.constraint_costs(env)
+    assert costs.shape == (4, 3)
     # 1.2 rad of error at Kp 40 asks for 48 N m, far beyond 0.8 of any motor's limit.
-    assert (extras["costs"][:, 2] > 0.0).all()
-    _, _, *_, extras = flat.step(torch.zeros(4, 12))
-    assert torch.isfinite(extras["costs"]).all()
+    assert (costs[:, 2] > costs[:, :2].amax(-1)).all()
+    env.step(torch.zeros(4, 12))
+    assert mdp.constraint_costs(env).isfinite().all()
+    del cfg.metrics["cost_torque"]
+    with pytest.raises(RenetError, match="lacks the metrics cost_torque"):
+        mdp.constraint_costs(make_env(cfg, 1))
 
 
 def test_robots_that_fell_or_are_not_finite_are_reset_alone(flat):
@@ -88,10 +92,12 @@ def test_robots_that_fell_or_are_not_finite_are_reset_alone(flat):
     flat.step(torch.zeros(4, 12))
     flat.sim.data.qpos[1, 3:7] = torch.tensor([0.0, 1.0, 0.0, 0.0])
     flat.sim.data.qpos[2, 7] = flat.sim.data.qvel[3, 1] = torch.nan
-    obs, reward, terminated, truncated, extras = flat.step(torch.zeros(4, 12))
+    obs, reward, terminated, truncated, _ = flat.step(torch.zeros(4, 12))
     assert terminated.tolist() == [False, True, True, True]
     assert not truncated.any()
-    assert all(value.isfinite().all() for value in (*obs.values(), reward, extras["costs"]))
+    assert all(
+        value.isfinite().all() for value in (*obs.values(), reward, mdp.constraint_costs(flat))
+    )
     assert flat.episode_length_buf.tolist() == [2, 0, 0, 0]
 
 
@@ -132,11 +138,11 @@ def test_curriculum_state_round_trips_and_survives_another_size(parkour):
     terrain.terrain_levels[:] = 0  # All are on an easier tile.
     passed[:] = torch.arange(12) % 10 < 5
     parkour.common_step_counter = 77
-    state = {name: value.clone() for name, value in parkour.curriculum_state().items()}
+    state = {name: value.clone() for name, value in mdp.curriculum_state(parkour).items()}
     levels[:] = 0
     passed[:] = False
     parkour.common_step_counter = 0
-    parkour.load_curriculum_state(state)
+    mdp.load_curriculum_state(parkour, state, 0)
     assert torch.equal(levels, torch.arange(12) % 10)
     assert torch.equal(terrain.terrain_levels, levels)
     assert torch.equal(passed, torch.arange(12) % 10 < 5)
@@ -147,8 +153,8 @@ def test_curriculum_state_round_trips_and_survives_another_size(parkour):
     assert torch.equal(terrain.env_origins, origins)
     offset = parkour.scene["robot"].data.root_link_pos_w - origins
     assert offset[:, :2].abs().max() < 0.31
-    smaller = make_env("Renet-Go1-Parkour", 6)
-    smaller.load_curriculum_state(state)
+    smaller = make_env("Renet-Go1-Parkour-Paper", 6)
+    mdp.load_curriculum_state(smaller, state, 0)
     kinds, levels = smaller.scene.terrain.terrain_types, smaller.scene.terrain.terrain_levels
     for kind, level in zip(kinds, levels, strict=True):
         assert level in state["levels"][state["kinds"] == kind]
@@ -156,7 +162,8 @@ def test_curriculum_state_round_trips_and_survives_another_size(parkour):
     assert torch.equal(passed, levels < 5), "level and mark stay together"
     few = {name: value[:1] + 3 if name == "levels" else value for name, value in state.items()}
     before = levels.clone()
-    smaller.load_curriculum_state(few | {name: state[name][:1] for name in ("kinds", "passed")})
+    few |= {name: state[name][:1] for name in ("kinds", "passed")}
+    mdp.load_curriculum_state(smaller, few, 0)
     expected = torch.where(kinds == state["kinds"][0], few["levels"], before)
     assert torch.equal(levels, expected), "others keep theirs"
 
@@ -231,7 +238,7 @@ def test_noise_is_within_its_bounds_and_scaled_with_what_it_is_added_to(parkour)
 
 
 def test_a_task_without_rewards_and_ends_goes_on():
-    cfg = env_cfg("Renet-Go1-Flat")
+    cfg = flat_env_cfg()
     cfg.rewards, cfg.terminations, cfg.metrics = {}, {}, {}
     env = make_env(cfg, 2)
     env.reset()
@@ -252,7 +259,7 @@ def test_mjlabs_own_environment_runs_a_task_as_ours_does():
         env = make()
         env.reset(seed=5)
         steps = [env.step(torch.full((3, 12), 4.0)) for _ in range(8)]
-        last = {**steps[-1][0], "costs": env.extras["costs"]}
+        last = {**steps[-1][0], "costs": mdp.constraint_costs(env)}
         rollouts.append((last, torch.stack([step[1] for step in steps])))
         env.close()
     (seen, rewards), (expected, expected_rewards) = rollouts
@@ -264,7 +271,7 @@ def test_mjlabs_own_environment_runs_a_task_as_ours_does():
 
 
 def test_errors_name_what_is_wrong():
-    with pytest.raises(RenetError, match="Renet-Go1-Flat, Renet-Go1-Parkour"):
+    with pytest.raises(RenetError, match="did you mean Renet-Go1-Flat or Renet-Go1-Parkour"):
         make_env("Renet-Go1-Moon", 1)
     with pytest.raises(RenetError, match="at least 1"):
         make_env("Renet-Go1-Flat", 0)

@@ -11,6 +11,19 @@ from renet.tasks.terrains import tile_row
 from .conftest import evaluate
 
 
+def test_how_often_a_sum_is_negative_and_what_constraints_cost_is_logged(flat):
+    flat.reset()
+    flat.reward_manager.get_term_cfg("action_rate").weight = -100.0
+    rewards = [flat.step(torch.full((4, 12), 4.8 * (n < 1)))[1].clone() for n in range(3)]
+    flat.reward_manager.get_term_cfg("action_rate").weight = -0.1
+    logged = flat.metrics_manager.reset()
+    negative = (torch.stack(rewards) < 0.0).float().mean()
+    assert negative > 0.5
+    assert logged["Episode_Metrics/reward_clipped"] == pytest.approx(negative)
+    assert logged["Episode_Metrics/cost_torque"] > 0.0
+    assert logged["Episode_Metrics/cost_joint_position"] >= 0.0
+
+
 @pytest.mark.parametrize("weight", [0.0, -2.0])
 def test_a_rewards_value_is_logged_whatever_its_weight(weight):
     cfg = env_cfg("Renet-Go1-Flat")

@@ -9,17 +9,27 @@ import pytest
 from mjlab.viewer import NativeMujocoViewer
 
 from renet.sim.native.engine import use_engine
+from renet.training.checkpoint import load, load_state
+
+TASK = "Renet-Go1-Parkour"
 
 
-def test_train_takes_two_iterations(tmp_path, monkeypatch):
+def test_train_takes_two_iterations_and_goes_on(tmp_path, monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
     options = ["--env.scene.num-envs", "4", "--agent.max-iterations", "2", "--gpu-ids", "None"]
     options += ["--agent.num-steps-per-env", "5", "--log-root", str(tmp_path)]
-    monkeypatch.setattr("sys.argv", ["train", "Renet-Go1-Flat", *options])
-    train.main()
-    (run,) = tmp_path.glob("renet/*")
-    (checkpoint,) = (run / "checkpoints").iterdir()
-    assert checkpoint.name.endswith("2")
+    with use_engine("native", "cpu"):
+        for more in ([], ["--agent.resume", "True"]):
+            monkeypatch.setattr("sys.argv", ["train", TASK, *options, *more])
+            train.main()
+    first, second = sorted(tmp_path.glob(f"{TASK}/*"))
+    assert [path.name for path in first.glob("checkpoints/*")] == ["it_00000002"]
+    state = load_state(next(second.glob("checkpoints/*")))
+    assert (state["iteration"], state["steps"], state["task"]) == (4, 4 * 4 * 5, TASK)
+    environment = load(next(second.glob("checkpoints/*"))).environment
+    assert environment["common_step_counter"] == 4 * 5
+    assert len(environment["levels"]) == 4
+    run = first
     (curves,) = run.rglob("curves.csv")
     rows = list(csv.DictReader(curves.open()))
     assert {int(row["iteration"]) for row in rows} == {0, 1}

@@ -12,7 +12,8 @@ def start(first: str) -> None:
 
     from renet.tasks import make_env
 
-    names = {f"Renet-{robot}-{kind}" for robot in ("Go1", "Go2") for kind in ("Flat", "Parkour")}
+    kinds = ("Flat", "Parkour", "Parkour-Paper")
+    names = {f"Renet-{robot}-{kind}" for robot in ("Go1", "Go2") for kind in kinds}
     assert {task for task in list_tasks() if "Renet" in task} == names
     env = make_env("Renet-Go1-Parkour", 2)
     env.reset()

@@ -3,49 +3,50 @@
 import pytest
 import torch
 
-from renet.cli import main
 from renet.errors import RenetError
 from renet.interface import proprioception_slices
 from renet.tasks import make_env, mdp
-from renet.training.train import TrainCfg
+from renet.tasks.parkour_env_cfg import flat_env_cfg
+from renet.training.recipe import follow
 
 
-def test_the_second_level_begins_at_its_switch_point(flat):
+def test_the_second_level_begins_after_its_environment_steps(flat):
     command, term = flat.command_manager.get_term("goal"), mdp.command_stage
     everyone = torch.arange(4)
-    assert flat.cfg.curriculum["command_stage"].params["switch_step"] > 0
     for step, stage in ((0, 0), (99, 0), (100, 1), (5000, 1)):
         flat.common_step_counter = step
-        assert term(flat, everyone, switch_step=100) == stage
+        assert term(flat, everyone, after=400) == stage
         assert command.stage == stage
     # Going back, as after loading another checkpoint, is that checkpoint's business.
     flat.common_step_counter = 0
-    assert term(flat, everyone, switch_step=100) == 1
+    assert term(flat, everyone, after=400) == 1
     command.stage = 0
 
 
-def test_the_switch_points_are_options_of_training(monkeypatch):
-    asked = []
+@pytest.mark.parametrize("processes", [1, 3])
+def test_steps_of_all_robots_and_processes_count_also_those_before(flat, monkeypatch, processes):
+    monkeypatch.setenv("WORLD_SIZE", str(processes))
+    term = mdp.EnvironmentSteps(flat.cfg.curriculum["environment_steps"], flat)
+    monkeypatch.setattr(flat, "common_step_counter", 100)
+    assert term.count == 4 * 100 * processes
+    term.count = 10_000
+    flat.common_step_counter += 5
+    assert term.count == 10_000 + 4 * 5 * processes == term(flat, torch.arange(4))
 
-    def refuse(task, *_):
-        terms = task.curriculum
-        asked.append([terms["command_stage"].params["switch_step"], terms["level"].params])
-        raise RenetError("that is all")
 
-    monkeypatch.setattr("renet.tasks.make_env", refuse)
-    command = ["train", "Renet-Go1-Parkour", "--num-envs", "100"]
-    later = ["--standing-after", "30000", "--easier-after", "40000"]
-    assert main(command) == main([*command, *later]) == 2
-    assert main([*command, "--easier-after", "None"]) == 2
-    default = TrainCfg(task="")
-    assert asked == [
-        [
-            default.standing_after / 100,
-            {"easier_step": default.easier_after / 100, "easier_kinds": ("gap",)},
-        ],
-        [300, {"easier_step": 400, "easier_kinds": ("gap",)}],
-        [default.standing_after / 100, {}],
-    ]
+def test_a_rewards_weight_follows_its_schedule_of_environment_steps(monkeypatch):
+    cfg = flat_env_cfg()
+    follow(cfg, "yaw", "1@1k,3@2k")
+    assert cfg.rewards["yaw"].weight == 1.0
+    env = make_env(cfg, 4)
+    for steps, weight in ((0, 1.0), (1500, 2.0), (9000, 3.0)):
+        env.common_step_counter = steps // 4
+        env.curriculum_manager.compute(torch.arange(4))
+        assert env.reward_manager.get_term_cfg("yaw").weight == weight
+    env.close()
+    cfg.rewards["yaw"].weight = 2.0
+    with pytest.raises(RenetError, match=r"reward yaw is 2\.0, but its schedule begins with 1\.0"):
+        make_env(cfg, 4)
 
 
 def test_a_robot_that_stands_as_asked_is_paid_nearly_all_there_is():

@@ -9,15 +9,15 @@ from mjlab.terrains import TerrainGenerator
 from renet.errors import RenetError
 from renet.evaluation.env import PARKOUR, grounds_env_cfg, terrain_env_cfg
 from renet.sim.depth.rasterizer import scanner
-from renet.tasks import RenetEnvCfg, make_env
+from renet.tasks import RenetEnvCfg, env_cfg, make_env
 from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.curriculums import FIRST_LEVELS
 from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.terrains import tile_row
 from renet.terrain.tiles import LEVELS, TILE, Tile, dense_tiles, tiles
-from renet.training.train import TrainCfg, task_cfg
 
 KINDS = list(tiles())
+TASK = "Renet-Go1-Parkour"
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +193,7 @@ def test_none_comes_back_to_a_flat_first_level(parkour):
 def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypatch, flat_start):
     term, terrain = parkour.curriculum_manager.get_term_cfg("level"), parkour.scene.terrain
     monkeypatch.setattr(parkour, "common_step_counter", 1_000)
-    monkeypatch.setitem(term.params, "easier_step", 1_000)
+    monkeypatch.setitem(term.params, "easier_after", 12_000)
     monkeypatch.setitem(term.params, "easier_kinds", tuple(KINDS))
     for kind in terrain.cfg.terrain_generator.sub_terrains.values():
         monkeypatch.setattr(kind, "flat_start", flat_start)
@@ -231,7 +231,7 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypa
         met += terrain.terrain_types[terrain.terrain_levels < 4].tolist()
     assert set(met) == {KINDS.index("gap")}
     # Not before its time.
-    monkeypatch.setitem(term.params, "easier_step", 1_001)
+    monkeypatch.setitem(term.params, "easier_after", 12_012)
     for _ in range(10):
         at_level(parkour, 4)
         parkour.curriculum_manager.compute(env_ids=robots)
@@ -318,9 +318,9 @@ def drawn(cfg: RenetEnvCfg) -> set[bytes]:
     }
 
 
-@pytest.mark.parametrize("preset", ["renet", "paper"])
-def test_studies_draw_other_tiles_than_training(preset):
-    trained = drawn(task_cfg(TrainCfg.defaults(["Renet-Go1-Parkour", f"--preset={preset}"])))
+@pytest.mark.parametrize("task", [TASK, f"{TASK}-Paper"])
+def test_studies_draw_other_tiles_than_training(task):
+    trained = drawn(env_cfg(task))
     grounds = {"rough": 5, "obstacles": 5}
     for judged in (terrain_env_cfg(PARKOUR, 1, GO1), grounds_env_cfg(grounds, GO1)):
         assert len(drawn(judged)) > 20

@@ -29,10 +29,17 @@ class ToyEnv:
         self.num_envs, self.num_actions, self.device = num_envs, ACTION_SIZE, torch.device("cpu")
         self.max_episode_length = 50
         self.episode_length_buf = torch.zeros(num_envs, dtype=torch.long)
-        self.cfg = SimpleNamespace()
+        self.cfg = {}
         self.random = torch.Generator().manual_seed(seed)
-        self.levels = torch.zeros(num_envs)
         self.time_outs = torch.zeros(num_envs)
+        self.common_step_counter = 0
+        # As far as runners ask mjlab's managers.
+        names = [f"cost_{name}" for name in CONSTRAINTS]
+        costs = torch.zeros(num_envs, len(names))
+        self.metrics_manager = SimpleNamespace(active_terms=names, _step_values=costs)
+        self.goal = SimpleNamespace(stage=0)
+        self.command_manager = SimpleNamespace(get_term=lambda _: self.goal)
+        self.curriculum_manager = SimpleNamespace(active_terms=[])
 
     @property
     def unwrapped(self) -> ToyEnv:
@@ -62,16 +69,12 @@ class ToyEnv:
     def step(self, actions):
         done = torch.rand(self.num_envs, generator=self.random) < 0.05
         reward = torch.exp(-actions.square().mean(-1))
-        costs = torch.relu(actions[:, : len(CONSTRAINTS)])
+        costs = self.metrics_manager._step_values
+        costs[:] = torch.relu(actions[:, : len(CONSTRAINTS)])
+        self.common_step_counter += 1
         self.time_outs[:] = done  # Written anew each step, as mjlab does.
-        extras = {"costs": costs, "time_outs": self.time_outs, "log": {}}
+        extras = {"costs": costs.clone(), "time_outs": self.time_outs, "log": {}}
         return self.get_observations(), reward, done.long(), extras
-
-    def curriculum_state(self):
-        return {"levels": self.levels.clone()}
-
-    def load_curriculum_state(self, tensors):
-        self.levels = tensors["levels"].clone()
 
 
 def make_runner(env, folder=None, seed: int = 0, **settings) -> RenetRunner:

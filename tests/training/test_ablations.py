@@ -2,20 +2,21 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-import tyro
 from mjlab.rl import RslRlVecEnvWrapper
 
+from renet.cli import parse
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.tasks import make_env
-from renet.training.config import LearningCfg
+from renet.training.config import RenetRunnerCfg
 from renet.training.metrics import read_curves
+from renet.training.provenance import described
 from renet.training.runner import RenetRunner
 from renet.training.train import TrainCfg
 
@@ -59,7 +60,7 @@ def losses(tmp_path_factory) -> Callable[[str], set[str]]:
     @cache
     def train(row: str) -> set[str]:
         folder = tmp_path_factory.mktemp("run")
-        cfg = LearningCfg(model=ModelCfg(**ROWS[row].fields), num_steps_per_env=5)
+        cfg = RenetRunnerCfg(model=ModelCfg(**ROWS[row].fields), num_steps_per_env=5)
         cfg.algorithm.num_learning_epochs = 1
         cfg.supervision.estimator_data = "all"
         RenetRunner(env, asdict(cfg), str(folder), "cpu").learn(2)
@@ -94,13 +95,14 @@ def test_differs_in_the_layers_it_names(row):
 def test_the_pages_options_change_exactly_the_field_they_name():
     """Each row of the table in docs/method.md, through the parser of `renet train`."""
     page = (Path(__file__).parents[2] / "docs" / "method.md").read_text()
-    table = dict(re.findall(r"^\| ([\w/ ()-]+?) \| `(--model\.[^`]+)` \|", page, re.MULTILINE))
+    options = r"^\| ([\w/ ()-]+?) \| `(--agent\.model\.[^`]+)` \|"
+    table = dict(re.findall(options, page, re.MULTILINE))
     assert set(table) == (set(ROWS) - {"default"}), "every row of the table is documented"
-    default = asdict(tyro.cli(TrainCfg, args=["Renet-Go1-Flat"]))
-    for name, options in table.items():
-        cfg = asdict(tyro.cli(TrainCfg, args=["Renet-Go1-Flat", *options.split()]))
-        model, own = cfg.pop("model"), dict(default)
-        changed = {key: value for key, value in model.items() if own["model"][key] != value}
-        assert changed == ROWS[name].fields
-        own.pop("model")
-        assert cfg == own
+    default = TrainCfg.from_task("Renet-Go1-Flat")
+    for name, line in table.items():
+        cfg = parse(TrainCfg, ["Renet-Go1-Flat", *line.split()], "")
+        before = asdict(default.agent.model)
+        model = asdict(cfg.agent.model).items()
+        assert {key: value for key, value in model if before[key] != value} == ROWS[name].fields
+        assert replace(cfg.agent, model=default.agent.model) == default.agent
+        assert described(cfg.env) == described(default.env)

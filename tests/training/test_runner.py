@@ -1,6 +1,5 @@
 """The loop: runs, stops on time, resumes the same curve, refuses what does not fit."""
 
-import json
 from dataclasses import asdict
 
 import pytest
@@ -14,7 +13,6 @@ from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import critic_observation
 from renet.training.config import (
     AdaptationCfg,
-    LearningCfg,
     NP3OCfg,
     RenetRunnerCfg,
     SupervisionCfg,
@@ -47,21 +45,18 @@ def test_trains_and_writes_curves_and_checkpoints(tmp_path):
 
 def test_resume_restores_everything(tmp_path):
     first = make_runner(ToyEnv(), tmp_path)
-    first.env.levels += 3
+    first.env.goal.stage = 1
     first.learn(2)
-    state_file = checkpoints.find(tmp_path) / "state.json"
-    state = json.loads(state_file.read_text()) | {"numpy_rng": ["MT19937", [1, 2], 624, 0, 0.0]}
-    state_file.write_text(json.dumps(state))  # As earlier versions wrote it.
     second = make_runner(ToyEnv(), tmp_path)
     state = second.load(str(tmp_path))
     assert state["iteration"] == 2
     drawn = torch.rand(3)
-    torch.set_rng_state(checkpoints.load(state_file.parent).environment["torch_rng"])
+    torch.set_rng_state(checkpoints.load(checkpoints.find(tmp_path)).environment["torch_rng"])
     assert torch.equal(drawn, torch.rand(3))
     assert second.alg.np3o.learning_rate == first.alg.np3o.learning_rate
     assert second.alg.np3o.cost_weight == first.alg.np3o.cost_weight
     assert second.alg.average.n_averaged == 2
-    assert torch.equal(second.env.levels, first.env.levels)
+    assert (second.env.goal.stage, second.env.common_step_counter) == (1, 20)
     for tensors in (
         lambda alg: alg.model.state_dict(),
         lambda alg: alg.average.module.state_dict(),
@@ -149,7 +144,7 @@ def test_few_robots_take_more_steps_each_unless_told_otherwise(robots, steps):
 
 def test_batches_grow_with_the_steps_taken(tmp_path):
     runner = make_runner(ToyEnv(), tmp_path)
-    runner._recipe |= {"num_steps_per_env": None, "batch_size": "200@200,400@600"}
+    runner._agent |= {"num_steps_per_env": None, "batch_size": "200@200,400@600"}
     steps = []
     for _ in range(4):
         runner.learn(1)
@@ -159,18 +154,52 @@ def test_batches_grow_with_the_steps_taken(tmp_path):
 
 
 def test_a_checkpoint_tells_its_settings_rules_and_code(tmp_path):
-    runner = make_runner(ToyEnv(), tmp_path)
+    runner = make_runner(ToyEnv(), tmp_path, average_over=10)
     runner.learn(5)
     found = checkpoints.load(checkpoints.find(tmp_path))
-    assert found.state["config"]["algorithm"] == asdict(NP3OCfg()) | {"cost_budget": [0.0] * 3}
+    assert found.state["agent"]["algorithm"] == asdict(NP3OCfg()) | {"cost_budget": [0.0] * 3}
     assert found.state["steps"] == 5 * 10 * 8
     assert found.state["code"].startswith("0.")
-    assert "task_cfg" in found.state
+    assert "env" in found.state
     # What is exported is the average, not the newest weights.
     assert found.exported is found.average
     for name in ("actor.mean.0.weight", "actor.log_std"):
         assert found.exported[name].shape == found.model[name].shape
         assert not torch.equal(found.exported[name], found.model[name])
+
+
+def test_a_step_never_pays_less_than_nothing(tmp_path, monkeypatch):
+    env = ToyEnv()
+    runner, step, paid = make_runner(env, tmp_path), env.step, []
+
+    def poor(actions):
+        obs, rewards, dones, extras = step(actions)
+        paid.append(rewards - 0.5)
+        return obs, paid[-1], dones, extras
+
+    monkeypatch.setattr(env, "step", poor)
+    monkeypatch.setattr(runner.alg.np3o.cfg, "gamma", 0.0)  # Nothing is bootstrapped.
+    runner.learn(1)
+    stored = runner.alg._rollout.rewards_and_costs
+    assert min(map(torch.min, paid)) < 0.0
+    assert torch.equal(stored[..., 0], torch.stack(paid).clamp_min(0.0))
+    assert (stored[..., 1:] > 0.0).any(), "costs lie beside it"
+
+
+def test_stops_with_a_checkpoint_of_the_last_update(tmp_path):
+    env = ToyEnv()
+    runner, step = make_runner(env, tmp_path, save_interval=100), env.step
+
+    def ask(actions):
+        if env.common_step_counter == 25:  # In the third rollout of ten steps.
+            runner.stop.set()
+        return step(actions)
+
+    env.step = ask
+    newest = runner.learn(100)
+    assert (newest.name, env.common_step_counter) == ("it_00000002", 26)
+    weights = checkpoints.load(newest).model
+    assert all(torch.equal(weights[n], v) for n, v in runner.alg.model.state_dict().items())
 
 
 def test_the_critics_see_who_drives():
@@ -234,7 +263,7 @@ def test_a_nan_in_what_the_environment_returns_stops_training(tmp_path, group):
 def test_an_iteration_reports_buffers_that_overflowed(tmp_path):
     """On MuJoCo Warp, the engine of GPUs, with its CPU backend."""
     env = RslRlVecEnvWrapper(make_env("Renet-Go1-Flat", 2, engine="warp"))
-    runner = RenetRunner(env, asdict(LearningCfg(num_steps_per_env=5)), str(tmp_path), "cpu")
+    runner = RenetRunner(env, asdict(RenetRunnerCfg(num_steps_per_env=5)), str(tmp_path), "cpu")
     runner.learn(1, init_at_random_ep_len=False)
     env.close()
     curves = read_curves(tmp_path)

@@ -1,41 +1,50 @@
-"""What `renet train` does around the loop: folders, settings, devices, and going on."""
+"""What `renet train` does around the loop: folders, settings, devices, stopping and going on."""
 
 import json
-import math
 import os
 import re
 import shutil
-from dataclasses import asdict, replace
+import signal
+from dataclasses import fields, replace
 from pathlib import Path
-from types import SimpleNamespace
 
+import mjlab.scripts.train
 import pytest
 import torch
-import tyro
 
+from renet.cli import main, parse
 from renet.errors import RenetError
+from renet.folders import lock
+from renet.tasks.parkour_env_cfg import parkour_env_cfg
 from renet.tasks.sensors import depth_camera
 from renet.training import checkpoint as checkpoints
 from renet.training import train as training
 from renet.training.checkpoint import Checkpoint
-from renet.training.config import NP3OCfg, SupervisionCfg, value_at
-from renet.training.recipe import RENET
-from renet.training.train import TrainCfg, new_run, resolve_device, resumed_run, task_cfg, train
+from renet.training.config import RenetRunnerCfg
+from renet.training.provenance import described, restored
+from renet.training.runs import new_run, resumed_run
+from renet.training.train import TrainCfg, resolve_device, train
 
 SHIPPED = Path(training.__file__).parents[1] / "pretrained" / "checkpoint"
+TASK = "Renet-Go1-Parkour"
 
 
-def cfg(folder: Path, task: str = "Renet-Go1-Flat", **overrides) -> TrainCfg:
-    small = {"num_envs": 4, "device": "cpu", "num_steps_per_env": 5, "log_root": folder}
-    return TrainCfg(task=task, **(small | {"max_iterations": 1} | overrides))
+def cfg(folder: Path, task: str = "Renet-Go1-Flat", **options) -> TrainCfg:
+    """A small run in `folder`; `options` are fields of TrainCfg or of its agent."""
+    of_run = {f.name for f in fields(TrainCfg)} & options.keys()
+    result = TrainCfg.from_task(task, log_root=folder, device="cpu")
+    result = replace(result, **{name: options.pop(name) for name in of_run})
+    result.env.scene.num_envs = 4
+    agent = {"num_steps_per_env": 5, "max_iterations": 1} | options
+    return replace(result, agent=replace(result.agent, **agent))
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory) -> Path:
     """A run of one iteration, to go on from but not to write in."""
-    weights = (("collision", -3.0),)
-    folder = tmp_path_factory.mktemp("logs")
-    run = train(cfg(folder, reward_weights=weights, supervision=SupervisionCfg(5e-4)))
+    small = cfg(tmp_path_factory.mktemp("logs"), average_over=7)
+    small.env.rewards["yaw"].weight = 0.25
+    run = train(small)
     assert run is not None
     return run
 
@@ -66,103 +75,189 @@ def test_an_older_checkpoint_of_a_run_branches_off(tmp_path):
     assert resumed_run(new, None) == folder.parent
 
 
-def test_standing_is_asked_for_after_so_many_steps_however_many_robots(tmp_path):
-    resumed = Checkpoint({}, {}, {"common_step_counter": torch.tensor(5000)}, {"steps": 1e6})
-    runs = [(4e6, None), (math.inf, None), (4e6, resumed)]
-    fresh = cfg(tmp_path, "Renet-Go1-Parkour", num_envs=500)
-    tasks = [task_cfg(replace(fresh, standing_after=steps), run) for steps, run in runs]
-    switches = [task.curriculum["command_stage"].params["switch_step"] for task in tasks]
-    assert switches == [8000, math.inf, 5000 + 6000]
-
-
 def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(
     finished, tmp_path, capsys, monkeypatch
 ):
     run = shutil.copytree(finished, tmp_path / "logs" / "Renet-Go1-Flat" / finished.name)
-    line = ["Renet-Go1-Flat", "--resume", str(run), "--seed=3", "--randomization.camera-delay=0.2"]
-    again = tyro.cli(TrainCfg, args=line, default=TrainCfg.defaults(line))
-    assert again.num_envs == 4
-    assert again.reward_weights == (("collision", -3.0),)
-    assert again.supervision.learning_rate == 5e-4
+    options = ["--seed=3", "--env.scene.sensors.3.delay=(0.0,0.2)", "--max-iterations=2"]
+    again = parse(TrainCfg, ["Renet-Go1-Flat", "--resume", str(run), *options], "")
+    assert (again.env.scene.num_envs, again.agent.average_over) == (4, 7)
+    assert again.env.rewards["yaw"].weight == 0.25
     learn, given = training.RenetRunner.learn, []
     monkeypatch.setattr(
         training.RenetRunner,
         "learn",
-        lambda self, n, time_budget_s: given.append(time_budget_s) or learn(self, n),
+        lambda self, n, time_budget_s, **k: given.append(time_budget_s) or learn(self, n, **k),
     )
     capsys.readouterr()
-    assert train(replace(again, max_iterations=2, time_budget="60s")) == run
+    assert train(replace(again, time_budget="60s")) == run
     out = capsys.readouterr().out.splitlines()
-    assert "config.seed was 1, now 3" in out
-    assert "task_cfg.scene.sensors.depth_camera.delay was [0.0, 0.1], now [0.0, 0.2]" in out
-    assert sum(" was " in row for row in out) == 4  # Its setting, and the number of iterations.
-    ours = re.compile(r"Going on|config|task_cfg|Training|Curves|Results|2/2  ")
+    assert "agent.seed was 1, now 3" in out
+    assert "env.scene.sensors.depth_camera.delay was [0.0, 0.1], now [0.0, 0.2]" in out
+    assert sum(" was " in row for row in out) == 3  # And the number of iterations.
+    ours = re.compile(r"Going on|agent|env|Training|Curves|2/2  ")
     assert all(map(ours.match, out)), "no library says anything"
     assert 0.0 < given[0] < 59.9, "the time budget counts from the start"
 
 
-def test_presets_are_what_a_command_line_starts_from():
-    paper = TrainCfg.defaults(["Renet-Go1-Parkour", "--preset=paper"])
-    assert (paper.algorithm, paper.supervision) == (NP3OCfg(), SupervisionCfg())
-    task = task_cfg(paper)
-    assert task.rewards["collision"].weight == -10.0
-    assert task.rewards["foot_clearance"].weight == 0.0
-    recipe = TrainCfg.defaults(["Renet-Go1-Parkour"])
-    assert recipe.supervision.num_mini_batches == 12
-    assert value_at(recipe.supervision.learning_rate, 150e6) == 3e-4
-    ours = task_cfg(recipe)
-    assert depth_camera(ours).noise.gaussian_std == 0.03
-    assert ours.rewards["collision"].weight == value_at(RENET["reward_weights"]["collision"], 0.0)
-    own = replace(TrainCfg(task="Renet-Go1-Parkour"), reward_weights=(("collision", -2.0),))
-    assert task_cfg(own).rewards["collision"].weight == -2.0
-    assert task_cfg(own).rewards["foot_clearance"] == ours.rewards["foot_clearance"]
+def whole(cfg) -> dict:
+    """Both configurations, as JSON."""
+    return {"env": described(cfg.env), "agent": described(cfg.agent)}
 
 
-def test_a_rewards_weight_follows_its_schedule_of_environment_steps():
-    weights = (("yaw", "1@1M,3@2M"), ("collision", -2.0))
-    task = task_cfg(TrainCfg(task="Renet-Go1-Parkour", num_envs=100, reward_weights=weights))
-    assert task.rewards["yaw"].weight == 1.0
-    term = task.curriculum["yaw_weight"]
-    assert term.params["points"] == [(10_000, 1.0), (20_000, 3.0)]
-    assert "collision_weight" not in task.curriculum
-    manager = SimpleNamespace(get_term_cfg=lambda name: task.rewards[name])
-    for step, weight in ((0, 1.0), (15_000, 2.0), (90_000, 3.0)):
-        env = SimpleNamespace(common_step_counter=step, reward_manager=manager)
-        assert term.func(env, None, **term.params) == weight
-        assert task.rewards["yaw"].weight == weight
+@pytest.mark.parametrize("task", [TASK, f"{TASK}-Paper", "Renet-Go1-Flat"])
+def test_mjlabs_train_begins_with_the_same_settings(task, monkeypatch):
+    taken = []
+    monkeypatch.setattr(mjlab.scripts.train, "launch_training", lambda **k: taken.append(k["args"]))
+    options = ["--env.rewards.yaw.weight", "0.3", "--agent.model.him", "False", "--seed", "4"]
+    for line in ([], options):
+        monkeypatch.setattr("sys.argv", ["train", task, *line])
+        mjlab.scripts.train.main()
+        ours = parse(TrainCfg, [task, *line], "")
+        assert whole(ours) == whole(taken.pop())
+    changed = ours.env.rewards["yaw"].weight, ours.agent.model.him, ours.agent.seed
+    assert changed == (0.3, False, 4)
 
 
-def test_a_checkpoint_of_settings_that_are_no_more_goes_on_without_them(finished, tmp_path, capsys):
-    run = shutil.copytree(finished, tmp_path / "logs" / "Renet-Go1-Flat" / finished.name)
-    file = run / "checkpoints" / "it_00000001" / "state.json"
-    state = json.loads(file.read_text())
-    state["config"] |= {"processes": 2, "hosts": ["first", "second"]}
-    file.write_text(json.dumps(state))
-    line = ["Renet-Go1-Flat", "--resume", str(run), "--max-iterations", "2"]
-    assert train(tyro.cli(TrainCfg, args=line, default=TrainCfg.defaults(line))) == run
-    assert "absent" not in capsys.readouterr().out
-    found = checkpoints.load_state(checkpoints.find(run))
-    assert found["iteration"] == 2
-    assert not {"processes", "hosts"} & set(found["config"])
+def test_the_papers_task_has_nothing_of_the_recipe():
+    paper, ours = TrainCfg.from_task(f"{TASK}-Paper"), TrainCfg.from_task(TASK)
+    plain = RenetRunnerCfg(task=paper.task, experiment_name=paper.task)
+    assert paper.agent == plain
+    rules = described(parkour_env_cfg())
+    rules["scene"]["num_envs"] = paper.env.scene.num_envs
+    assert described(paper.env) == rules
+    assert paper.env.rewards["collision"].weight == -10.0
+    assert paper.env.curriculum["command_stage"].params == {"after": 4e8}
+    assert depth_camera(paper.env).noise.gaussian_std == 0.1
+    assert (ours.agent.supervision.num_mini_batches, ours.agent.average_over) == (12, 100)
+    assert ours.env.curriculum["level"].params == {"easier_after": 5.5e7, "easier_kinds": ("gap",)}
+    assert depth_camera(ours.env).noise.gaussian_std == 0.03
 
 
-def test_the_shipped_checkpoints_settings_are_read():
-    state = checkpoints.load_state(checkpoints.find(SHIPPED))
-    own = training.restored(state)
-    assert (own.task, own.seed) == (state["task"], state["config"]["seed"])
-    assert asdict(own.supervision).items() >= state["config"]["supervision"].items()
+def test_a_scheduled_weight_begins_as_its_schedule_does():
+    env = TrainCfg.from_task(TASK).env
+    names = [n.removesuffix("_weight") for n in env.curriculum if n.endswith("_weight")]
+    assert names == ["collision", "foot_clearance"]
+    assert [env.rewards[name].weight for name in names] == [-1.0, -20.0]
+
+
+def test_settings_come_back_from_their_description():
+    """All that is plain; functions stay as the code has them."""
+    ours = TrainCfg.from_task(TASK)
+    ours.env.rewards["yaw"].weight, ours.env.commands["goal"].speed = 3.0, (0.1, 0.7)
+    ours.env.scene.terrain.terrain_generator.sub_terrains["platform"].rings = ((1.0, 2.0),)
+    ours.agent.algorithm.cost_budget = (1.0, "2@3M,4@5M", 6.0)
+    stored = whole(ours)
+    registered = TrainCfg.from_task(TASK)
+    assert whole(registered) != stored
+    back = replace(
+        registered,
+        env=restored(registered.env, stored["env"]),
+        agent=restored(registered.agent, stored["agent"]),
+    )
+    assert whole(back) == stored
+    assert back.agent == ours.agent
+    assert back.env.commands["goal"] == ours.env.commands["goal"]
+    # What the code has no more, or has anew, does not matter.
+    stored["env"]["rewards"]["lift"] = {"weight": 1.0}
+    del stored["env"]["scene"]
+    assert restored(registered.env, stored["env"]).rewards.keys() == registered.env.rewards.keys()
+
+
+def test_checkpoints_of_format_1_go_on(tmp_path, capsys):
+    """The shipped one; its settings lay flat, without withholding, with other curriculum terms."""
+    found = checkpoints.find(SHIPPED)
+    raw = json.loads((found / "state.json").read_text())
+    assert raw["format"] == 1
+    options = ["--num-envs", "8", "--agent.num-steps-per-env", "5", "--log-root", str(tmp_path)]
+    options += ["--max-iterations", str(raw["iteration"] + 1)]
+    assert main(["train", raw["task"], "--resume", str(found), *options]) == 0
+    assert "env.curriculum.level.params.easier_step was" in capsys.readouterr().out
+    state = checkpoints.load_state(checkpoints.find(tmp_path))
+    for name in ("model", "algorithm", "supervision"):
+        assert state["agent"][name].items() >= raw["config"][name].items()
+    assert not state["agent"]["model"]["predict_map_error"], "which it does not state"
+    assert state["agent"]["withholding"]["share"] == 0.0
+    assert state["steps"] == raw["steps"] + 8 * 5
+    assert state["env"]["decimation"] == 4
 
 
 @pytest.mark.xfail(strict=True, reason="it learned before images were withheld; the next trains")
 def test_the_shipped_checkpoint_states_the_recipe():
-    own = training.restored(checkpoints.load_state(checkpoints.find(SHIPPED)))
-    recipe = TrainCfg.defaults([own.task])
-    size = {"num_envs": own.num_envs, "max_iterations": own.max_iterations, "seed": own.seed}
-    assert own == replace(recipe, **size)
+    state = checkpoints.load_state(checkpoints.find(SHIPPED))
+    shipped, recipe = TrainCfg.resumed(state), TrainCfg.from_task(state["task"])
+    size = {"max_iterations": shipped.agent.max_iterations, "seed": shipped.agent.seed}
+    assert shipped.agent == replace(recipe.agent, **size)
+    recipe.env.scene.num_envs = shipped.env.scene.num_envs
+    assert described(shipped.env) == described(recipe.env)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_a_run_with_a_checkpoint_and_a_line(tmp_path, capsys, monkeypatch, number):
+    act, steps = training.RenetRunner._iterate, []
+
+    def iterate(self, *args):
+        steps.append(1)
+        if len(steps) == 2:
+            os.kill(os.getpid(), number)
+        return act(self, *args)
+
+    monkeypatch.setattr(training.RenetRunner, "_iterate", iterate)
+    before = signal.getsignal(number)
+    with pytest.raises(SystemExit) as stopped:
+        train(cfg(tmp_path, max_iterations=1000))
+    assert stopped.value.code == 128 + number
+    assert signal.getsignal(number) is before
+    newest = checkpoints.find(tmp_path)
+    assert newest.name == "it_00000001"
+    run = newest.parents[1]
+    said = f"Stopped at {newest}: renet train Renet-Go1-Flat --resume {run} goes on"
+    assert said in capsys.readouterr().out.splitlines()
+
+
+def test_a_second_signal_interrupts_at_once_and_one_before_the_loop_leaves_nothing(
+    tmp_path, monkeypatch
+):
+    def twice(self, *args):
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(training.RenetRunner, "_iterate", twice)
+    with pytest.raises(KeyboardInterrupt):
+        train(cfg(tmp_path))
+    assert not list(tmp_path.rglob("it_*"))
+    monkeypatch.setattr(
+        training, "make_vec_env", lambda *_: os.kill(os.getpid(), signal.SIGTERM) or 1 / 0
+    )
+    with pytest.raises(KeyboardInterrupt):
+        train(cfg(tmp_path / "other"))
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_run_that_runs_is_not_gone_on_with(finished, tmp_path):
+    run = shutil.copytree(finished, tmp_path / "Renet-Go1-Flat" / finished.name)
+    with lock(run), pytest.raises(RenetError, match=f"another program writes to {run}"):
+        train(cfg(tmp_path, resume=str(run), max_iterations=2))
+    assert train(cfg(tmp_path, resume=str(run), max_iterations=2)) == run
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--resume", "latest"], "write the task first"),
+        (["Renet-Go1-Moon"], "unknown task 'Renet-Go1-Moon': did you mean Renet-Go1-Flat"),
+        (["Mjlab-Velocity-Flat-Unitree-Go1"], "is not a RENet task"),
+        ([TASK, "--resume", "nowhere"], "nothing to resume: nowhere does not exist"),
+    ],
+)
+def test_a_line_without_a_task_or_a_run_is_refused(arguments, message):
+    with pytest.raises(RenetError, match=message):
+        parse(TrainCfg, arguments, "")
 
 
 def test_runs_begun_in_the_same_second_have_folders_of_their_own(tmp_path):
-    assert len({new_run(tmp_path, "task") for _ in range(3)}) == 3
+    assert len({new_run(tmp_path, "task", "mine") for _ in range(3)}) == 3
+    assert all("_mine" in run.name for run in (tmp_path / "task").iterdir())
 
 
 def test_a_process_gets_its_own_gpu_or_is_told(monkeypatch):

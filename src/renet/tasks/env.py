@@ -1,4 +1,4 @@
-"""mjlab's environment with fused physics steps on the CPU and a resumable curriculum."""
+"""mjlab's environment with fused physics steps on the CPU."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 
-import torch
 from mjlab.actuator import BuiltinPositionActuatorCfg
 from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
 from mjlab.sensor import ContactSensorCfg
@@ -18,8 +17,6 @@ from renet.errors import RenetError, unknown_name
 from renet.sim.native.engine import use_engine
 from renet.sim.threads import one_torch_thread
 from renet.tasks.config.go1 import GO1
-from renet.tasks.mdp.base_state import tile_terrain
-from renet.tasks.mdp.commands import goal
 from renet.tasks.robot_cfg import RobotCfg
 
 
@@ -32,13 +29,15 @@ class RenetEnvCfg(ManagerBasedRlEnvCfg):
 
 
 class RenetEnv(ManagerBasedRlEnv):
-    """mjlab's environment, quicker on the native CPU engine, with a curriculum that is resumed."""
+    """mjlab's environment, quicker on the native CPU engine."""
 
     cfg: RenetEnvCfg
 
     def __init__(self, cfg: RenetEnvCfg, device: str, render_mode: str | None = None) -> None:
         # A copy: this environment's decimation changes below, and callers reuse configurations.
         super().__init__(deepcopy(cfg), device, render_mode)
+        self.task_cfg = cfg
+        """The configuration as it was given."""
         self._fuse_substeps()
 
     def _fuse_substeps(self) -> None:
@@ -66,41 +65,6 @@ class RenetEnv(ManagerBasedRlEnv):
         """Take a control step; torch's operations are too small for more than one thread."""
         with one_torch_thread(self.device):
             return super().step(action)
-
-    # Checkpoints.
-
-    def curriculum_state(self) -> dict[str, Tensor]:
-        """Levels, command stage and step counter, for checkpoints."""
-        state = {
-            "command_stage": torch.tensor(goal(self).stage),
-            "common_step_counter": torch.tensor(self.common_step_counter),
-        }
-        if "level" in self.curriculum_manager.active_terms:
-            term = self.curriculum_manager.get_term_cfg("level").func
-            kinds = tile_terrain(self).terrain_types
-            state |= {"levels": term.levels, "passed": term.passed, "kinds": kinds}
-        return state
-
-    def load_curriculum_state(self, state: dict[str, Tensor]) -> None:
-        """Restore `curriculum_state`; other numbers of robots on the tiles resample the levels."""
-        goal(self).stage = int(state["command_stage"])
-        self.common_step_counter = int(state["common_step_counter"])
-        if "level" not in self.curriculum_manager.active_terms or "levels" not in state:
-            return
-        term, terrain = self.curriculum_manager.get_term_cfg("level").func, tile_terrain(self)
-        kinds = state["kinds"].to(self.device)
-        robots = torch.arange(self.num_envs, device=self.device)
-        if not torch.equal(kinds, terrain.terrain_types):
-            for kind in kinds.unique():
-                here, pool = terrain.terrain_types == kind, (kinds == kind).nonzero()[:, 0]
-                picks = torch.randint(len(pool), (int(here.sum()),), device=self.device)
-                robots[here] = pool[picks]
-        known = torch.isin(terrain.terrain_types, kinds)
-        for name in ("levels", "passed"):
-            if name in state:
-                getattr(term, name)[known] = state[name].to(self.device)[robots[known]]
-        terrain.terrain_levels[:] = term.levels
-        terrain.env_origins[:] = terrain.terrain_origins[term.levels, terrain.terrain_types]
 
 
 def _looks_at_substeps(cfg: RenetEnvCfg) -> bool:

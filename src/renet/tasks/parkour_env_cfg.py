@@ -1,10 +1,10 @@
-"""Environment configurations of the RENet tasks."""
+"""Environment configurations of the paper's tasks, which training/recipe.py makes ours."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -21,8 +21,7 @@ from mjlab.terrains import TerrainEntityCfg
 from mjlab.utils.noise import UniformNoiseCfg
 from mjlab.viewer import ViewerConfig
 
-from renet.errors import RenetError
-from renet.interface import CONSTRAINTS, CONTROL_DT, JOINTS, PHYSICS_DT, PROPRIOCEPTION
+from renet.interface import CONTROL_DT, JOINTS, PHYSICS_DT, PROPRIOCEPTION
 from renet.tasks import mdp
 from renet.tasks.config.go1 import GO1
 from renet.tasks.env import RenetEnvCfg
@@ -40,66 +39,58 @@ NOISE = {
 """Half-widths of uniform sensor noise, in each term's unit before scaling (mjlab's Go1 task)."""
 
 
-@dataclass
-class RandomizationCfg:
-    """Randomisation beyond the task's own, off by default. But for delays, robots draw once."""
-
-    motor_strength: float = 0.0
-    """Largest relative change of each motor's torque limit, e.g. 0.2."""
-    action_delay: float = 0.0
-    """Longest delay of joint targets, s, in whole physics steps (then slower), e.g. 0.02; drawn
-    each second: delays that change with every step blur targets rather than delay them."""
-    camera_delay: float = 0.0
-    """Largest age of a delivered image, s, in whole control steps, e.g. 0.1; drawn each episode."""
-    joint_offset: float = 0.0
-    """Largest error of each joint's zero position, rad, in observations and targets, e.g. 0.03."""
-    camera_position: float = 0.0
-    """Largest error of the camera's position along each axis, m, in place of the robot's, e.g.
-    0.03; drawn each episode."""
-    camera_angle: float = 0.0
-    """Largest error of its pitch and yaw, rad, in place of the robot's, e.g. 0.14 (8 degrees);
-    drawn each episode."""
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0.0 <= value <= 1.0:
-                raise RenetError(f"randomization {name} must be from 0 to 1, got {value}")
-
-
-def randomize(cfg: RenetEnvCfg, how: RandomizationCfg) -> None:
-    """Add randomisation to a task's configuration, in place.
+def randomize(
+    cfg: RenetEnvCfg,
+    *,
+    motor_strength: float = 0.0,
+    joint_offset: float = 0.0,
+    action_delay: float = 0.0,
+    camera_delay: float = 0.0,
+    camera_position: float = 0.0,
+    camera_angle: float = 0.0,
+) -> None:
+    """Add randomisation to a task's configuration, in place; what is zero stays as it is.
 
     Args:
         cfg: the task.
-        how: ranges; what is zero is not added.
+        motor_strength: largest relative change of each motor's torque limit; robots draw once.
+        joint_offset: largest error of each joint's zero position, rad, in observations and
+            targets; robots draw once.
+        action_delay: longest delay of joint targets, s, in whole physics steps (then slower); drawn
+            each second: delays that change with every step blur targets rather than delay them.
+        camera_delay: largest age of a delivered image, s, in whole control steps; drawn each
+            episode.
+        camera_position: largest error of the camera's position along each axis, m; drawn each
+            episode.
+        camera_angle: largest error of its pitch and yaw, rad; drawn each episode.
     """
-    if how.motor_strength:
+    if motor_strength:
         cfg.events["motor_strength"] = _at_startup(
             mdp.dr.effort_limits,
             asset_cfg=SceneEntityCfg("robot", actuator_names=[".*"]),
-            effort_limit_range=(1.0 - how.motor_strength, 1.0 + how.motor_strength),
+            effort_limit_range=(1.0 - motor_strength, 1.0 + motor_strength),
         )
-    if how.joint_offset:
+    if joint_offset:
         cfg.events["joint_offset"] = _at_startup(
-            mdp.dr.encoder_bias, bias_range=(-how.joint_offset, how.joint_offset)
+            mdp.dr.encoder_bias, bias_range=(-joint_offset, joint_offset)
         )
     articulation = cfg.scene.entities["robot"].articulation
     assert articulation is not None
-    for actuator in articulation.actuators if how.action_delay else ():
-        actuator.delay_max_lag = round(how.action_delay / PHYSICS_DT)
+    for actuator in articulation.actuators if action_delay else ():
+        actuator.delay_max_lag = round(action_delay / PHYSICS_DT)
         actuator.delay_update_period = round(1.0 / PHYSICS_DT)
     camera = depth_camera(cfg)
-    if how.camera_delay:
-        camera.delay = (0.0, how.camera_delay)
+    if camera_delay:
+        camera.delay = (0.0, camera_delay)
     camera.mount = replace(
         camera.mount,
-        position_error=how.camera_position or camera.mount.position_error,
-        angle_error=how.camera_angle or camera.mount.angle_error,
+        position_error=camera_position or camera.mount.position_error,
+        angle_error=camera_angle or camera.mount.angle_error,
     )
 
 
 def flat_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
-    """Renet-Go1-Flat: one plane, any yaw."""
+    """One plane, any yaw."""
     cfg = _base_env_cfg(TerrainEntityCfg(terrain_type="plane"), robot)
     command = cfg.commands[COMMAND]
     assert isinstance(command, GoalCommandCfg)
@@ -108,7 +99,7 @@ def flat_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
 
 
 def parkour_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
-    """Renet-Go1-Parkour: the paper's terrains under a 10-level curriculum."""
+    """The paper's terrains under a 10-level curriculum."""
     return tile_env_cfg(parkour_terrain(), play, robot)
 
 
@@ -149,7 +140,7 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
             )
         },
         commands={COMMAND: GoalCommandCfg()},
-        rewards=_rewards(robot),
+        rewards=_rewards(),
         terminations={
             "time_out": TerminationTermCfg(func=mdp.time_out, time_out=True),
             "fallen": TerminationTermCfg(
@@ -161,14 +152,12 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
             "stalled": TerminationTermCfg(func=mdp.stalled),
         },
         curriculum={
-            "command_stage": CurriculumTermCfg(
-                # 4,000 iterations of 25 steps: after the first gaits, well before the end.
-                func=mdp.command_stage,
-                params={"switch_step": 100_000},
-            )
+            "environment_steps": CurriculumTermCfg(func=mdp.EnvironmentSteps),
+            # Iteration 3,900 of 15,000 with 4,096 robots.
+            "command_stage": CurriculumTermCfg(func=mdp.command_stage, params={"after": 4e8}),
         },
         events=_events(),
-        metrics=_metrics(robot),
+        metrics={**_costs(robot), **_metrics()},
         sim=SimulationCfg(
             njmax=200,
             nconmax=60,
@@ -241,9 +230,8 @@ def _observations() -> dict[str, ObservationGroupCfg]:
     }
 
 
-def _rewards(robot: RobotCfg) -> dict[str, RewardTermCfg]:
-    """Paper's scales; mjlab multiplies each by the step's 0.02 s."""
-    standing_height = robot.map_height - robot.foot_radius
+def _rewards() -> dict[str, RewardTermCfg]:
+    """The paper's, with its scales; mjlab multiplies each by the step's 0.02 s."""
     return {
         "linear_velocity": RewardTermCfg(func=mdp.linear_velocity, weight=1.5),
         "yaw": RewardTermCfg(func=mdp.yaw, weight=0.5),
@@ -258,37 +246,33 @@ def _rewards(robot: RobotCfg) -> dict[str, RewardTermCfg]:
         ),
         "joint_acceleration": RewardTermCfg(func=mdp.joint_acceleration, weight=-2.5e-7),
         "orientation": RewardTermCfg(func=mdp.orientation, weight=-1.0),
-        # Not the paper's, hence off: `renet train --reward-weights` turns them on.
-        "standing_motion": RewardTermCfg(func=mdp.standing_motion, weight=0.0),
-        "foot_clearance": RewardTermCfg(
-            func=mdp.foot_clearance, weight=0.0, params={"standing_height": standing_height}
-        ),
-        "upright_tracking": RewardTermCfg(
-            func=mdp.upright_tracking, weight=0.0, params={"standing_height": standing_height}
-        ),
     }
 
 
-def _metrics(robot: RobotCfg) -> dict[str, MetricsTermCfg]:
-    """Logged as means over an episode's steps, beside the rewards."""
+def _costs(robot: RobotCfg) -> dict[str, MetricsTermCfg]:
+    """Costs of the constrained MDP, by the names of interface.CONSTRAINTS.
+
+    mjlab has no manager of costs: metrics are evaluated beside rewards and logged, but not summed.
+    """
     motors = {f".*_{part}_joint": motor for part, motor in robot.motors.items()}
-    costs = {
-        "joint_vel_limit": {joint: 0.8 * motor.velocity for joint, motor in motors.items()},
-        "torque_limit": {joint: 0.8 * motor.torque for joint, motor in motors.items()},
-        "stiffness": robot.stiffness,
-        "damping": robot.damping,
+    velocities = {joint: 0.8 * motor.velocity for joint, motor in motors.items()}
+    torques = {joint: 0.8 * motor.torque for joint, motor in motors.items()}
+    gains = {"stiffness": robot.stiffness, "damping": robot.damping}
+    return {
+        "cost_joint_position": MetricsTermCfg(func=mdp.joint_position_cost),
+        "cost_joint_velocity": MetricsTermCfg(
+            func=mdp.joint_velocity_cost, params={"limits": velocities}
+        ),
+        "cost_torque": MetricsTermCfg(func=mdp.torque_cost, params={"limits": torques, **gains}),
     }
+
+
+def _metrics() -> dict[str, MetricsTermCfg]:
+    """Logged as means over an episode's steps, beside the rewards."""
     return {
         "collisions": MetricsTermCfg(func=mdp.reward_term, params={"name": "collision"}),
         "lin_vel_reward": MetricsTermCfg(func=mdp.reward_term, params={"name": "linear_velocity"}),
         "reward_clipped": MetricsTermCfg(func=mdp.reward_clipped),
-        "violated": MetricsTermCfg(func=mdp.constraint_costs, params=costs),
-        **{
-            f"violated_{name}": MetricsTermCfg(
-                func=mdp.constraint_violated, params={"constraint": name}
-            )
-            for name in CONSTRAINTS
-        },
     }
 
 
@@ -319,7 +303,6 @@ def _events() -> dict[str, EventTermCfg]:
             interval_range_s=(6.0, 10.0),
             params={"velocity_range": {"x": (-0.5, 0.5), "y": (-0.5, 0.5)}},
         ),
-        "clip_reward": EventTermCfg(func=mdp.clip_reward, mode="step"),
         "foot_friction": _at_startup(
             mdp.dr.geom_friction,
             asset_cfg=feet,

@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, cast
 
-from mjlab.terrains import TerrainEntityCfg, TerrainGeneratorCfg
+from mjlab.terrains import SubTerrainCfg, TerrainEntityCfg, TerrainGeneratorCfg
 
 from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
+
+SubTerrainCfg.register(Tile)  # mjlab's command line asks; tiles themselves need no mjlab.
 
 UNSEEN = 1
 """Seed of evaluation's tiles; training's is 0."""

@@ -17,7 +17,7 @@ from renet.models.renet import RENet
 from renet.sim.native.engine import NativeSimulation
 from renet.sim.overflow import OverflowWatch
 from renet.training import distributed
-from renet.training.checkpoint import WeightAverage
+from renet.training.average import WeightAverage
 from renet.training.config import (
     AdaptationCfg,
     NP3OCfg,
@@ -187,13 +187,8 @@ class RenetAlgorithm:
     def process_env_step(
         self, obs: TensorDict, rewards: Tensor, dones: Tensor, extras: dict[str, Any]
     ) -> None:
-        """Record what the environment answered; raises RenetError if it reports no costs."""
-        if "costs" not in extras:
-            raise RenetError(
-                "the environment reports no constraint costs: use renet.tasks.make_env"
-            )
-        done = dones.bool()
-        costs = extras["costs"].to(self.device)
+        """Record what the environment answered; `extras["costs"]` are [N, 3]."""
+        done, costs = dones.bool(), extras["costs"]
         self._steps.finish(
             rewards_and_costs=torch.cat((rewards.unsqueeze(-1), costs), dim=-1),
             done=done,

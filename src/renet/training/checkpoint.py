@@ -10,9 +10,8 @@ import json
 import re
 import sys
 from copy import deepcopy
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from textwrap import shorten
 from typing import Any
 
 import torch
@@ -21,18 +20,17 @@ from safetensors.torch import load_file
 from safetensors.torch import save as to_bytes
 from torch import Tensor, nn
 from torch.optim import Optimizer
-from torch.optim.swa_utils import AveragedModel
 
 from renet.errors import RenetError
 from renet.files import MEGABYTE, read_object, require_regular
 from renet.folders import foreign, remove_folder, write_folder
+from renet.models.config import ModelCfg
+from renet.training.provenance import described, upgraded
 
-FORMAT = 1
+FORMAT = 2
 TENSORS = ("model", "average", "optimizer", "environment")
 FILES = ("state.json", *(f"{name}.safetensors" for name in TENSORS))
 """All that a checkpoint's folder holds."""
-UNTOLD = ("config.device", "config.processes", "config.hosts", "task_cfg.seed")
-"""Settings that say how a run is carried out, not what it learns, or that are told elsewhere."""
 MAX_TENSORS = 100 * MEGABYTE
 """Bytes of one file of tensors; those of the default networks have at most 16 MB."""
 
@@ -47,7 +45,7 @@ class Checkpoint:
     environment: dict[str, Tensor]
     """Curriculum levels, command stage, and random-number state."""
     state: dict[str, Any] = field(default_factory=dict)
-    """Iteration, steps, adaptive learning rate, penalties, and the whole recipe."""
+    """Iteration, steps, adaptive learning rate, penalties, and both configurations."""
     average: dict[str, Tensor] = field(default_factory=dict)
     """Mean of the last weights; empty in a checkpoint that has none."""
 
@@ -165,20 +163,24 @@ def header(file: Path) -> dict[str, Tensor]:
 def load_state(path: Path) -> dict[str, Any]:
     """Read a checkpoint's `state.json` alone; raises RenetError where it is no such file."""
     state = read_object(path / "state.json", "checkpoint state")
-    written = state.get("format")
-    if written != FORMAT:
-        raise RenetError(f"{path} has checkpoint format {written}, this renet reads {FORMAT}")
-    state.pop("numpy_rng", None)  # Of older checkpoints; nothing draws from it.
+    if state.get("format") == 1:
+        state = upgraded(state)
+    elif state.get("format") != FORMAT:
+        raise RenetError(
+            f"{path} has checkpoint format {state.get('format')}, this renet reads {FORMAT}"
+        )
+    if not all(isinstance(state.get(name), dict) for name in ("agent", "env")):
+        raise RenetError(f"{path} is not a checkpoint of RENet: it states no settings")
     return state
 
 
-def check_config(ours: dict[str, Any], theirs: dict[str, Any], path: Path) -> None:
+def check_model(model: ModelCfg, state: dict[str, Any], path: Path) -> None:
     """Refuse weights of another model, even where they would fit; raises RenetError."""
-    ours = json.loads(json.dumps(ours))  # Tuples are lists there.
-    changed = [f"{k} was {v}, now {ours[k]}" for k, v in theirs.items() if ours.get(k, v) != v]
+    stored, ours = state["agent"].get("model", {}), described(model)
+    changed = [f"{k} was {v}, now {ours[k]}" for k, v in stored.items() if ours.get(k, v) != v]
     if changed:
         raise RenetError(
-            f"{path} was trained with another model, so repeat its --model options: "
+            f"{path} was trained with another model, so repeat its --agent.model options: "
             f"{'; '.join(changed)}"
         )
 
@@ -216,72 +218,3 @@ def load_optimizers(optimizers: dict[str, Optimizer], tensors: dict[str, Tensor]
         moments[owner].setdefault(int(index), {})[name] = value
     for owner, optimizer in optimizers.items():
         optimizer.load_state_dict(optimizer.state_dict() | {"state": moments[owner]})
-
-
-def described(value: Any) -> Any:
-    """A configuration as JSON: dataclasses as dictionaries, functions and types by their names.
-
-    Args:
-        value: nested dataclasses, dictionaries, sequences, numbers and callables.
-    """
-
-    def plain(item: Any) -> Any:
-        if is_dataclass(item) and not isinstance(item, type):
-            return {f.name: getattr(item, f.name) for f in fields(item)}
-        if callable(item):
-            return f"{item.__module__}.{getattr(item, '__qualname__', type(item).__name__)}"
-        return list(item) if isinstance(item, set) else str(item)
-
-    return json.loads(json.dumps(value, default=plain))
-
-
-def say_differences(before: Any, now: Any, name: str) -> None:
-    """Print where two trees of JSON differ, as deep as both go.
-
-    Args:
-        before: settings, task rules or code version of a checkpoint that is resumed.
-        now: those of the run that goes on. name: of both, with dots between levels.
-    """
-    before, now = _by_name(before), _by_name(now)
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in sorted(before.keys() | now.keys()):
-            say_differences(before.get(key, "absent"), now.get(key, "absent"), f"{name}.{key}")
-    elif before != now and name not in UNTOLD:
-        print(f"{name} was {shorten(str(before), 80)}, now {shorten(str(now), 80)}")
-
-
-def _by_name(value: Any) -> Any:
-    """A list of objects, such as a scene's sensors, as a dictionary by their names or places."""
-    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-        return value
-    return {item.get("name", str(place)): item for place, item in enumerate(value)}
-
-
-class WeightAverage(AveragedModel):
-    """Exponential moving average of a model's parameters and buffers, which is exported.
-
-    Each gradient step leaves noise of its own in the weights. Their mean along a run has less of it
-    (Izmailov et al. 2018, arXiv 1803.05407) and often walks better than any it is made of.
-    """
-
-    def __init__(self, model: nn.Module, over: int) -> None:
-        """Start with the model's weights.
-
-        Args:
-            model: network on the device where it is to stay.
-            over: updates the average reaches back, about; 1 keeps the newest weights alone.
-        """
-        super().__init__(model, avg_fn=self._average, use_buffers=True)
-        self.over = over
-
-    def _average(self, average: Tensor, newest: Tensor, updates: Tensor | int) -> Tensor:
-        """Counts such as a normaliser's are taken over."""
-        if not newest.is_floating_point():
-            return newest
-        # Reaches back a quarter of the run at most: early weights say nothing about later ones.
-        return average.lerp(newest, 1.0 / max(1.0, min(self.over, (int(updates) + 1) / 4)))
-
-    def load(self, tensors: dict[str, Tensor], updates: int) -> None:
-        """Go on with an average that was saved after so many updates."""
-        self.module.load_state_dict(tensors)
-        self.n_averaged.fill_(updates)

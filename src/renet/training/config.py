@@ -1,59 +1,20 @@
-"""Training configuration: N-P3O, supervision, and what mjlab and rsl_rl expect of a runner."""
+"""The agent's configuration: networks, N-P3O, supervision, and what rsl_rl's runner reads."""
 
-import re
 from dataclasses import dataclass, field, fields, is_dataclass
-from functools import lru_cache
 from math import ceil
-from typing import Any, Literal, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_type_hints
 
-import numpy as np
+import tyro
 from mjlab.rl import RslRlBaseRunnerCfg
 
 from renet.errors import RenetError
 from renet.interface import STEPS_PER_TICK
 from renet.models.config import ModelCfg
+from renet.tasks.robot_cfg import ACTION_CLIP
+from renet.tasks.schedule import Schedule, value_at
 from renet.training.precision import Precision
 
 T = TypeVar("T")
-
-Schedule = str | float
-"""A number, or points `VALUE@STEPS` joined by commas, such as `0.003@10M,0.001@60M`: linear between
-points, constant before the first and after the last. STEPS counts environment steps of all robots
-and processes since the beginning of the run and may end in k or M."""
-
-_POINT = re.compile(r"([-+0-9.eE]+)@([0-9.]+)([kM]?)")
-_UNIT = {"": 1.0, "k": 1e3, "M": 1e6}
-
-
-def value_at(schedule: Schedule, steps: float) -> float:
-    """Value of a schedule after `steps` environment steps.
-
-    Raises:
-        RenetError: the schedule cannot be read.
-    """
-    points = schedule_points(schedule)
-    return float(np.interp(steps, [at for at, _ in points], [value for _, value in points]))
-
-
-@lru_cache(maxsize=256)
-def schedule_points(schedule: Schedule) -> tuple[tuple[float, float], ...]:
-    """(steps, value) of each point, in the order of steps; raises as `value_at` does."""
-    schedule = str(schedule)
-    try:
-        points = []
-        for text in (schedule if "@" in schedule else f"{schedule}@0").split(","):
-            match = _POINT.fullmatch(text.strip())
-            if match is None:
-                raise ValueError(text)
-            points.append((float(match[2]) * _UNIT[match[3]], float(match[1])))
-    except ValueError as error:
-        raise RenetError(
-            f"cannot read the schedule {schedule!r}: write a number, or VALUE@STEPS points joined "
-            "by commas, such as 0.003@10M,0.001@60M"
-        ) from error
-    if sorted(points, key=lambda point: point[0]) != points:
-        raise RenetError(f"the steps of the schedule {schedule!r} must not fall")
-    return tuple(points)
 
 
 def _at_least_one(cfg: Any, *names: str) -> None:
@@ -168,8 +129,9 @@ class WithholdingCfg:
 
 
 @dataclass(kw_only=True)
-class LearningCfg:
-    """Everything about learning that `renet train` can override."""
+class RenetRunnerCfg(RslRlBaseRunnerCfg):
+    """Everything about learning, as mjlab's registry takes it; the defaults are the paper's, or
+    where it is silent those of the methods it builds on."""
 
     model: ModelCfg = field(default_factory=ModelCfg)
     """Networks and the paper's ablations."""
@@ -185,24 +147,36 @@ class LearningCfg:
     """What critics and depth embedding learn in: bfloat16, float32, or auto (bfloat16 where the
     machine multiplies it). All else is float32 (on a GPU by TF32 unless float32 is asked for), and
     so is what is exported."""
-    seed: int = 1
+    seed: Annotated[int, tyro.conf.arg(aliases=["--seed"])] = 1
     """Seed of everything random."""
-    batch_size: Schedule = 6_400
+    batch_size: Schedule = 102_400
     """Environment steps of all robots of a process in an iteration, at least: 25 control steps of
     each, or as many more as fewer robots need (rounded up to a multiple of the 5 between ticks)."""
-    num_steps_per_env: int | None = None
+    num_steps_per_env: int | None = None  # type: ignore[assignment]
     """Control steps per iteration in place of those that follow from `batch_size`; a multiple of
     the 5 steps between ticks."""
-    max_iterations: int = 15_000
+    max_iterations: Annotated[int, tyro.conf.arg(aliases=["--max-iterations"])] = 15_000
     """Iterations in all (the paper's budget, at 4,096 environments)."""
-    average_over: int = 100
+    average_over: int = 1
     """Iterations over which the weights that are exported are averaged (an exponential moving
     average: each gradient step leaves noise of its own, which their mean has less of); 1 exports
     the newest weights."""
     save_interval: int = 50
     """Iterations between checkpoints: the most a killed run can lose."""
     keep_checkpoints: int = 3
-    """Older checkpoints are removed."""
+    """Checkpoints that are kept; older ones are removed."""
+    clip_actions: float | None = ACTION_CLIP
+    """Policy units beyond which actions are cut."""
+    logger: Literal["wandb", "tensorboard"] = "tensorboard"
+    """Where curves go beside `curves.csv`."""
+    wandb_project: str = "renet"
+    """The wandb project name."""
+    upload_model: bool = False
+    """Checkpoints stay on the disk."""
+    load_checkpoint: str = "checkpoints"
+    """Where mjlab's own `train` finds a run's checkpoints; `renet train` takes --resume."""
+    task: tyro.conf.Fixed[str] = ""
+    """Id under which the task is registered, which a checkpoint keeps."""
 
     def __post_init__(self) -> None:
         _at_least_one(self, "save_interval", "keep_checkpoints", "average_over")
@@ -217,27 +191,19 @@ class LearningCfg:
             )
 
 
-def steps_per_env(asked: int | None, batch_size: Schedule, num_envs: int, steps: float) -> int:
+def steps_per_env(fixed: int | None, batch_size: Schedule, num_envs: int, steps: float) -> int:
     """Control steps of each robot in the iteration that begins after `steps` environment steps.
 
     Args:
-        asked: fixed number, which `batch_size` then does not change.
-        batch_size: LearningCfg.batch_size.
+        fixed: number in place of the one that follows from `batch_size`, or None.
+        batch_size: of RenetRunnerCfg.
         num_envs: robots of this process.
         steps: environment steps taken so far.
     """
-    if asked is not None:
-        return asked
+    if fixed is not None:
+        return fixed
     ticks = ceil(value_at(batch_size, steps) / num_envs / STEPS_PER_TICK)
     return STEPS_PER_TICK * max(5, ticks)
-
-
-@dataclass(kw_only=True)
-class RenetRunnerCfg(LearningCfg, RslRlBaseRunnerCfg):  # type: ignore[misc]
-    """LearningCfg in the shape mjlab's task registry asks for."""
-
-    experiment_name: str = "renet"
-    clip_actions: float | None = 4.8  # tasks.robot_cfg.ACTION_CLIP
 
 
 def from_dict(cls: type[T], values: dict[str, Any]) -> T:

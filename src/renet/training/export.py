@@ -42,9 +42,8 @@ def export(cfg: ExportCfg) -> Path:
     model, state = load_networks(found), checkpoints.load_state(found)
     try:
         provenance = _provenance(state, model.cfg)
-        # Checkpoints that do not say were trained with the default.
-        noise_std = state["config"].get("depth_noise_std", DepthNoiseCfg.gaussian_std)
-        learned = from_dict(WithholdingCfg, state["config"].get("withholding", {}))
+        noise_std = depth_noise(state["env"])
+        learned = from_dict(WithholdingCfg, state["agent"].get("withholding", {}))
     except (KeyError, TypeError, AttributeError) as error:
         raise RenetError(
             f"{found} is not a checkpoint of RENet: its state lacks {error}"
@@ -65,6 +64,13 @@ def export(cfg: ExportCfg) -> Path:
     return write_bundle(cfg.out, export_models(model), manifest)
 
 
+def depth_noise(env: dict[str, Any]) -> float:
+    """Standard deviation of the constant part of the depth error that a task states, m."""
+    sensors = env.get("scene", {}).get("sensors", [])
+    stated = [sensor["noise"]["gaussian_std"] for sensor in sensors if "noise" in sensor]
+    return stated[0] if stated else DepthNoiseCfg.gaussian_std
+
+
 def load_networks(path: Path) -> RENet:
     """Rebuild the networks a checkpoint was taken from.
 
@@ -72,7 +78,7 @@ def load_networks(path: Path) -> RENet:
         RenetError: a file is missing or damaged, or weights and settings do not fit each other.
     """
     try:
-        cfg = from_dict(ModelCfg, checkpoints.load_state(path)["config"]["model"])
+        cfg = from_dict(ModelCfg, checkpoints.load_state(path)["agent"]["model"])
         weights = checkpoints.header(path / "model.safetensors")
         critic_size = weights["critic_normalizer._mean"].shape[-1]
         with torch.device("meta"):  # Takes no memory, whatever sizes a stranger wrote.
@@ -128,18 +134,18 @@ def camera_spec(robot: RobotCfg = GO1, noise_std: float = DepthNoiseCfg.gaussian
 
 
 def _provenance(state: dict[str, Any], cfg: ModelCfg) -> ProvenanceSpec:
-    found = {
+    fields = {
         "task": state["task"] or "",
         "iteration": state["iteration"],
         "steps": state["steps"],
         "seconds": round(state["seconds"], 1),
-        "seed": state["config"].get("seed", 0),
+        "seed": state["agent"].get("seed", 0),
         "perception": cfg.perception,
         "encoder": cfg.encoder,
         "date": date.today().isoformat(),
         "renet": __version__,
     }
-    return from_json(ProvenanceSpec, found, "checkpoint")
+    return from_json(ProvenanceSpec, fields, "checkpoint")
 
 
 class ActorGraph(nn.Module):

@@ -1,8 +1,9 @@
-"""Training curves: TensorBoard and CSV while a run goes on, one figure when it ends."""
+"""Training curves: CSV beside TensorBoard or wandb while a run goes on, one figure at its end."""
 
 import csv
 import io
 import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from itertools import accumulate
@@ -11,14 +12,17 @@ from statistics import fmean
 
 from matplotlib.figure import Figure
 from rsl_rl.utils.log_writer import LogWriter
+from rsl_rl.utils.wandb_log_writer import WandbLogWriter
 from torch.utils.tensorboard import SummaryWriter
 
 from renet.errors import RenetError
-from renet.files import append, write_atomically
+from renet.files import append, read_object, write_atomically
 from renet.interface import CONSTRAINTS
 from renet.training.config import steps_per_env
+from renet.training.provenance import described, upgraded
 
 CURVES = "curves.csv"
+CONFIG = "config.json"
 LEVEL = "Curriculum/level/"
 PANELS = (
     ("reward per episode", ("Train/mean_reward",)),
@@ -43,16 +47,22 @@ SMOOTHING = 0.9
 """Weight of the past in the drawn moving average."""
 
 
-class MetricsWriter(LogWriter):
-    """rsl_rl log writer that also appends (iteration, name, value) rows to `curves.csv`.
+class CurvesWriter(LogWriter):
+    """rsl_rl's writer of TensorBoard or wandb, with (iteration, name, value) rows in `curves.csv`.
 
     Each row goes to the disk at once, so that a killed run keeps its curve; a resumed run appends.
     """
 
-    def __init__(self, log_dir: str) -> None:
+    def __init__(self, log_dir: str, logger: str, project_name: str) -> None:
+        """Open the files.
+
+        Args:
+            log_dir: folder of the run. logger: tensorboard or wandb.
+            project_name: wandb's.
+        """
         self._path = Path(log_dir) / CURVES
         with self._writing():
-            self._board = SummaryWriter(log_dir=log_dir, flush_secs=10)
+            self._writer = _writer(log_dir, logger, project_name)
             self._file = append(self._path)
             self._rows = csv.writer(self._file)
             # After a row that a killed run left torn, too: empty lines are no rows.
@@ -61,18 +71,26 @@ class MetricsWriter(LogWriter):
 
     def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None:
         """Record one value at a learning iteration."""
+        if tag.endswith("/time"):  # rsl_rl logs these against seconds, not iterations.
+            return
         value = float(scalar_value)
         self.latest[tag] = value
         with self._writing():
-            self._board.add_scalar(tag, value, global_step)
-            if not tag.endswith("/time"):  # rsl_rl logs these against seconds, not iterations.
-                self._rows.writerow((global_step, tag, f"{value:.6g}"))
+            self._writer.add_scalar(tag, value, global_step)
+            self._rows.writerow((global_step, tag, f"{value:.6g}"))
+
+    def store_config(self, env_cfg: dict | object, train_cfg: dict) -> None:
+        """Hand both configurations to a service that keeps them."""
+        if isinstance(self._writer, LogWriter):
+            self._writer.store_config(env_cfg, train_cfg)
 
     def stop(self) -> None:
-        """Close both files."""
+        """Close both files, and end wandb's run."""
         with self._writing():
-            self._board.close()
+            self._writer.close()
             self._file.close()
+        if isinstance(self._writer, LogWriter):
+            self._writer.stop()
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -84,6 +102,35 @@ class MetricsWriter(LogWriter):
                 f"cannot write the curves {self._path}: {error}. Free the disk and go on with "
                 "--resume; checkpoints are intact"
             ) from error
+
+
+def _writer(log_dir: str, logger: str, project_name: str) -> SummaryWriter:
+    """rsl_rl's writer; raises RenetError where wandb is asked for and missing."""
+    if logger == "tensorboard":
+        return SummaryWriter(log_dir=log_dir, flush_secs=10)
+    try:
+        return WandbWriter(log_dir, project_name)
+    except ModuleNotFoundError as error:
+        raise RenetError("--agent.logger wandb needs it: pip install wandb") from error
+
+
+class WandbWriter(WandbLogWriter):
+    """rsl_rl's writer for wandb, of which newer versions refuse a setting that rsl_rl gives."""
+
+    def __init__(self, log_dir: str, project_name: str) -> None:
+        import wandb
+
+        SummaryWriter.__init__(self, log_dir, flush_secs=10)
+        entity = os.getenv("WANDB_USERNAME")
+        name = Path(log_dir).name
+        wandb.init(project=project_name, entity=entity, name=name, config={"log_dir": log_dir})
+        self.logged_videos = set()
+
+    def store_config(self, env_cfg: dict | object, train_cfg: dict) -> None:
+        """Keep both configurations beside the curves."""
+        import wandb
+
+        wandb.config.update({"env": described(env_cfg), "agent": described(train_cfg)})
 
 
 def read_curves(run: Path) -> dict[str, tuple[list[int], list[float]]]:
@@ -110,14 +157,14 @@ def level_curves(run: Path, steps: int = 0, every: int = 10) -> list[dict[str, f
     Returns:
         Rows of "steps" (environment steps), "hours" and each kind's level.
     """
-    config = json.loads((run / "config.json").read_text())
-    curves, robots = read_curves(run), config["num_envs"]
+    config = read_object(run / CONFIG)
+    config = config if "agent" in config else upgraded({"config": config})
+    curves, robots, agent = read_curves(run), config["env"]["scene"]["num_envs"], config["agent"]
     values = {n.removeprefix(LEVEL): c[1] for n, c in curves.items() if n.startswith(LEVEL)}
     seconds, rows = 0.0, []
     for number, fps in enumerate(curves["Perf/total_fps"][1], 1):
-        each = robots * steps_per_env(
-            config["num_steps_per_env"], config["batch_size"], robots, steps
-        )
+        fixed, batch_size = agent["num_steps_per_env"], agent["batch_size"]
+        each = robots * steps_per_env(fixed, batch_size, robots, steps)
         steps, seconds = steps + each, seconds + each / fps
         if number % every == 0:
             levels = {k: round(fmean(v[number - every : number]), 3) for k, v in values.items()}

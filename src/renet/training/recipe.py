@@ -1,33 +1,60 @@
-"""The default recipe: how `renet train` departs from the paper, and why.
+"""The recipe: how ours departs from the paper's task and the paper's agent, and why.
 
-PAPER holds the paper's settings, or where it is silent those of the methods it builds on; nobody
-has run its 1.5 billion steps. What both presets share is in docs/method.md. Settings that change
-during training are schedules over environment steps (`config.Schedule`), so that they mean the same
-for 64 robots and for 16,384.
+Nobody has run the paper's 1.5 billion steps. What both share is in docs/method.md. What changes
+during training follows a schedule over environment steps (`tasks.schedule`).
 """
 
 from __future__ import annotations
 
-from copy import deepcopy
-from typing import Any
+from typing import Any, cast
 
-from renet.errors import RenetError
+from mjlab.managers.curriculum_manager import CurriculumTermCfg
+from mjlab.managers.reward_manager import RewardTermCfg
+
 from renet.models.config import ModelCfg
-from renet.tasks.parkour_env_cfg import RandomizationCfg
-from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg, WithholdingCfg
+from renet.tasks import mdp
+from renet.tasks.env import RenetEnvCfg
+from renet.tasks.parkour_env_cfg import randomize
+from renet.tasks.schedule import Schedule, value_at
+from renet.tasks.sensors import depth_camera
+from renet.terrain.tiles import dense_tiles
+from renet.training.config import (
+    AdaptationCfg,
+    NP3OCfg,
+    RenetRunnerCfg,
+    SupervisionCfg,
+    WithholdingCfg,
+)
 
-RENET: dict[str, Any] = {
+
+def recipe(env: RenetEnvCfg, agent: RenetRunnerCfg) -> None:
+    """Turn the paper's task and agent into ours, in place.
+
+    Args:
+        env: of `flat_env_cfg` or `parkour_env_cfg`. agent: of the paper, `RenetRunnerCfg()`.
+    """
+    set_learning(agent)
+    set_rewards(env)
+    set_differences(env)
+    # Sooner, a third of the steps goes to standing while levels could rise.
+    env.curriculum["command_stage"].params["after"] = 2e7
+    if "level" in env.curriculum:
+        set_tiles(env)
+
+
+def set_learning(agent: RenetRunnerCfg) -> None:
+    """Networks, policy optimisation and supervision for millions of steps, not billions."""
     # A policy that already stands needs no noise of radians; what remains shrinks as it learns.
     # It knows which errors are usual: notices glare and occlusion two to eight times as often. It
     # also learns what sparse grass looks like (`renet calibrate`).
-    "model": ModelCfg(initial_std=0.5, detector="variance", predict_map_error=True),
-    "algorithm": NP3OCfg(
+    agent.model = ModelCfg(initial_std=0.5, detector="variance", predict_map_error=True)
+    agent.algorithm = NP3OCfg(
         # With a third of this the deviation fell to 2 degrees a joint, and gaps were crossed less.
         entropy="0.008@200M,0.001@300M",
         # Late, nearly all of the gradient is noise: smaller steps average over more of it.
         desired_kl="0.01@250M,0.004@280M",
         # With 0.95 most of the actor's gradient is noise; critics that see the truth explain the
-        # returns well enough to take it out (benchmarks/NOTES.md).
+        # returns well enough to take it out.
         lam=0.8,
         # Gradients are half of an iteration's time; a fourth and fifth pass bring less than steps.
         num_learning_epochs=3,
@@ -35,83 +62,74 @@ RENET: dict[str, Any] = {
         # critics keep all penalties on: noise that only very large batches average out.
         # Tighter ones press where robots leap and climb.
         cost_budget=(0.06, "0.5@10M,0.24@60M", 1.5),
-    ),
-    "supervision": SupervisionCfg(
+    )
+    agent.supervision = SupervisionCfg(
         # Four gradient steps an iteration left VP's map without gaps.
         num_mini_batches=12,
         autoencoder_images=48,
         # The actor reads latents: late in training they must hold still.
         learning_rate="1e-3@20M,3e-4@150M,1e-4@300M",
-    ),
+    )
     # In turns of 20 iterations an estimator forgets what the other one practises meanwhile.
-    "adaptation": AdaptationCfg(period=4),
+    agent.adaptation = AdaptationCfg(period=4)
     # From the first step on, which costs no level.
-    "withholding": WithholdingCfg(share=0.5),
+    agent.withholding = WithholdingCfg(share=0.5)
     # Small batches learn to walk sooner; large ones carry less noise once little is left to learn.
-    "batch_size": "12800@5M,51200@40M",
-    "reward_weights": {
-        # At the paper's -10 a touch outweighs all else and the clipped sum says nothing where a
-        # robot tries to climb. The others are not the paper's: `tasks/mdp/rewards.py` says why.
-        # Both teach a gait at first, and cost more than walking earns at the highest steps.
-        "collision": "-1@12M,-0.3@24M",
-        "foot_clearance": "-20@12M,-3@24M",
-        "upright_tracking": 0.75,
-        "standing_motion": -0.5,
-    },
-    # Robots practise where levels rise slowest.
-    "terrain_proportions": {
-        "rough": 1.0,
-        "obstacles": 1.0,
-        "stairs_up": 1.5,
-        "stairs_down": 1.0,
-        "gap": 2.0,
-        "platform": 2.0,
-    },
-    "dense_tiles": True,
-    # The paper's "variance 0.01" read as m^2 is 0.1 m, which hides narrow gaps; a RealSense has 1
-    # to 3 cm at 2 m.
-    "depth_noise_std": 0.03,
-    # What a real robot adds. Late targets are missing: they cost most levels and a quarter of the
-    # speed (`benchmarks/NOTES.md`).
-    "randomization": RandomizationCfg(
+    agent.batch_size = "12800@5M,51200@40M"
+    agent.average_over = 100
+
+
+def set_rewards(env: RenetEnvCfg) -> None:
+    """A weaker penalty on collisions, and three rewards of our own."""
+    height = {"standing_height": env.robot.map_height - env.robot.foot_radius}
+    env.rewards |= {
+        # `tasks/mdp/rewards.py` says why.
+        "standing_motion": RewardTermCfg(func=mdp.standing_motion, weight=-0.5),
+        "foot_clearance": RewardTermCfg(func=mdp.foot_clearance, weight=0.0, params=height),
+        "upright_tracking": RewardTermCfg(func=mdp.upright_tracking, weight=0.75, params=height),
+    }
+    # At the paper's -10 a touch outweighs all else and the clipped sum says nothing where a robot
+    # tries to climb. Both teach a gait at first, and cost more than walking earns at the highest
+    # steps.
+    follow(env, "collision", "-1@12M,-0.3@24M")
+    follow(env, "foot_clearance", "-20@12M,-3@24M")
+
+
+def follow(env: RenetEnvCfg, reward: str, schedule: Schedule) -> None:
+    """Let the weight of a reward, by its name, follow a schedule."""
+    env.rewards[reward].weight = value_at(schedule, 0.0)
+    params = {"reward": reward, "schedule": schedule}
+    env.curriculum[f"{reward}_weight"] = CurriculumTermCfg(func=mdp.reward_weight, params=params)
+
+
+def set_differences(env: RenetEnvCfg) -> None:
+    """What a real robot adds to the simulated one, and a camera as good as a real one."""
+    # Late targets are missing: they cost most levels and a quarter of the speed
+    # (`benchmarks/NOTES.md`).
+    randomize(
+        env,
         motor_strength=0.2,
         camera_delay=0.1,
         joint_offset=0.03,
         camera_position=0.03,
         camera_angle=0.14,
-    ),
-    # Sooner, a third of the steps goes to standing while levels could rise.
-    "standing_after": 2e7,
+    )
+    # The paper's "variance 0.01" read as m^2 is 0.1 m, which hides narrow gaps; a RealSense has 1
+    # to 3 cm at 2 m.
+    depth_camera(env).noise.gaussian_std = 0.03
+
+
+def set_tiles(env: RenetEnvCfg) -> None:
+    """Tiles with more edges, and more robots where levels rise slowest."""
+    terrain = env.scene.terrain
+    assert terrain is not None
+    assert terrain.terrain_generator is not None
+    tiles = dense_tiles()
+    shares = {"rough": 1.0, "stairs_up": 1.5, "gap": 2.0, "platform": 2.0}
+    for kind, share in shares.items():
+        tiles[kind].proportion = share
+    terrain.terrain_generator.sub_terrains = cast(Any, tiles)
+    terrain.max_init_terrain_level = 0  # It is flat.
     # Once the levels have risen, nobody meets a narrow gap, and its crossing is forgotten. On other
     # tiles it would give a quarter of the practice away.
-    "easier_after": 5.5e7,
-    "easier_kinds": ("gap",),
-}
-
-PAPER: dict[str, Any] = {
-    "model": ModelCfg(),
-    "algorithm": NP3OCfg(),
-    "supervision": SupervisionCfg(),
-    "adaptation": AdaptationCfg(),
-    "withholding": WithholdingCfg(),
-    "batch_size": 102_400,
-    "average_over": 1,
-    "reward_weights": {},
-    "terrain_proportions": {},
-    "dense_tiles": False,
-    "depth_noise_std": 0.1,
-    "randomization": RandomizationCfg(),
-    # Iteration 3,900 of 15,000 with 4,096 robots.
-    "standing_after": 4e8,
-    "easier_after": None,
-    "easier_kinds": (),
-}
-
-PRESETS = {"renet": RENET, "paper": PAPER}
-
-
-def preset(name: str = "renet") -> dict[str, Any]:
-    """A copy of a preset's settings; raises RenetError listing the known ones."""
-    if name not in PRESETS:
-        raise RenetError(f"unknown preset {name!r}: choose one of {', '.join(PRESETS)}")
-    return deepcopy(PRESETS[name])
+    env.curriculum["level"].params |= {"easier_after": 5.5e7, "easier_kinds": ("gap",)}

@@ -40,7 +40,8 @@ class Supervision:
         self.parameters = model.supervised_parameters()
         # Apart: likelihoods must not shorten the estimators' steps.
         likelihoods = (model.autoencoder, model.vp.map_error_head)
-        self._apart = {p for module in likelihoods if module for p in module.parameters()}
+        # In order, as no set of tensors is: a norm's last bit depends on it.
+        self._apart = dict.fromkeys(p for m in likelihoods if m for p in m.parameters())
         if model.cfg.detector == "variance":
             self._grass = draw_grass().to(self.parameters[0].device)
         rate = value_at(cfg.learning_rate, 0.0)

@@ -75,9 +75,9 @@ def set_payload(cfg: RenetEnvCfg, kilograms: float) -> None:
 
 def weaken_motors(cfg: RenetEnvCfg, percent: float) -> None:
     """Limit torques to a share of the motors' own."""
-    from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
+    from renet.tasks.parkour_env_cfg import randomize
 
-    randomize(cfg, RandomizationCfg(motor_strength=1.0))
+    randomize(cfg, motor_strength=1.0)
     cfg.events["motor_strength"].params["effort_limit_range"] = (percent / 100, percent / 100)
 
 
@@ -89,9 +89,9 @@ def scale_gains(cfg: RenetEnvCfg, percent: float) -> None:
 
 def offset_joints(cfg: RenetEnvCfg, radians: float) -> None:
     """Draw an error of each joint's zero."""
-    from renet.tasks.parkour_env_cfg import RandomizationCfg, randomize
+    from renet.tasks.parkour_env_cfg import randomize
 
-    randomize(cfg, RandomizationCfg(joint_offset=radians))
+    randomize(cfg, joint_offset=radians)
 
 
 def tilt_imu(cfg: RenetEnvCfg, degrees: float) -> None:

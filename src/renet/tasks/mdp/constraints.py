@@ -1,6 +1,8 @@
 """Constraint costs of the cMDP: joint position, joint velocity, torque (RENet, Method A).
 
-Each is zero for motion inside its soft limit.
+Each cost is a metric of its own, `cost_joint_position` and so on, which `constraint_costs` puts in
+the order of interface.CONSTRAINTS for the learner. A cost is the sum over joints of what is beyond
+a limit, times the step's dt: zero for motion inside the limits, and for broken physics.
 """
 
 from __future__ import annotations
@@ -11,58 +13,86 @@ from mjlab.managers.metrics_manager import MetricsTermCfg
 from mjlab.utils.lab_api.string import resolve_matching_names_values
 from torch import Tensor
 
+from renet.errors import RenetError
 from renet.interface import CONSTRAINTS
 
 
-class constraint_costs:
-    """Metric: 1 where any constraint costs something in this step, [N].
+def constraint_costs(env: ManagerBasedRlEnv) -> Tensor:
+    """Costs of the newest step, [N, 3] in the order of interface.CONSTRAINTS.
 
-    Writes the costs times the step's dt into `env.extras["costs"]`, [N, 3] in the order of
-    interface.CONSTRAINTS, where the learner reads them. They are sums over joints of what is beyond
-    a limit, in rad, rad/s (each joint counts at most 1) and N m. Positions are limited by the
-    robot's soft limits. Torque is what the nominal gains ask for, before the actuator saturates:
-    clipped torque never violates anything. Broken physics costs nothing.
+    Raises:
+        RenetError: the task has no such metrics.
+    """
+    metrics = env.metrics_manager
+    names = [f"cost_{name}" for name in CONSTRAINTS]
+    missing = [name for name in names if name not in metrics.active_terms]
+    if missing:
+        raise RenetError(
+            f"the task lacks the metrics {', '.join(missing)}: constraint costs are those of "
+            "tasks built like renet.tasks"
+        )
+    values = metrics._step_values  # type: ignore[union-attr]
+    return torch.stack([values[:, metrics.active_terms.index(name)] for name in names], dim=-1)
 
-    Parameters: `joint_vel_limit` and `torque_limit`, rad/s and N m above which a joint costs, by
-    pattern of joint names; `stiffness` and `damping`, N m/rad and N m s/rad.
+
+class joint_position_cost:
+    """Joint positions beyond the robot's soft limits, [N] rad s."""
+
+    def __init__(self, cfg: MetricsTermCfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        low, high = env.scene["robot"].data.soft_joint_pos_limits.unbind(-1)
+        self._middle, self._reach = (low + high) / 2, (high - low) / 2
+
+    def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
+        """Evaluate the present state."""
+        position = env.scene["robot"].data.joint_pos
+        return _cost(env, (position - self._middle).abs() - self._reach)
+
+
+class joint_velocity_cost:
+    """Joint velocities beyond a limit, each joint at most 1 rad/s, [N] rad.
+
+    Parameters: `limits`, rad/s by pattern of joint names.
     """
 
     def __init__(self, cfg: MetricsTermCfg, env: ManagerBasedRlEnv) -> None:
-        robot = env.scene["robot"]
-        low, high = robot.data.soft_joint_pos_limits.unbind(-1)
-        self._middle, self._reach = (low + high) / 2, (high - low) / 2
+        self._limits = _per_joint(env, cfg.params["limits"])
 
-        def per_joint(limit: dict[str, float]) -> Tensor:
-            values = resolve_matching_names_values(limit, robot.joint_names)[2]
-            return torch.tensor(values, device=env.device)
+    def __call__(self, env: ManagerBasedRlEnv, limits: dict[str, float]) -> Tensor:
+        """Evaluate the present state."""
+        del limits
+        velocity = env.scene["robot"].data.joint_vel
+        return _cost(env, (velocity.abs() - self._limits).clamp_max(1.0))
 
-        self._joint_vel_limit = per_joint(cfg.params["joint_vel_limit"])
-        self._torque_limit = per_joint(cfg.params["torque_limit"])
-        env.extras["costs"] = torch.zeros(env.num_envs, len(CONSTRAINTS), device=env.device)
+
+class torque_cost:
+    """Torques beyond a limit, [N] N m s.
+
+    They are what the nominal gains ask for, before the actuator saturates: a servo that asks for
+    more than it gets wears out, too.
+
+    Parameters: `limits`, N m by pattern of joint names; `stiffness` and `damping`, N m/rad and
+    N m s/rad.
+    """
+
+    def __init__(self, cfg: MetricsTermCfg, env: ManagerBasedRlEnv) -> None:
+        self._limits = _per_joint(env, cfg.params["limits"])
 
     def __call__(
-        self, env: ManagerBasedRlEnv, stiffness: float, damping: float, **_: object
+        self, env: ManagerBasedRlEnv, limits: dict[str, float], stiffness: float, damping: float
     ) -> Tensor:
         """Evaluate the present state."""
+        del limits
         data = env.scene["robot"].data
-        position, velocity = data.joint_pos, data.joint_vel
-        torque = stiffness * (data.joint_pos_target - position) - damping * velocity
-        beyond = (
-            (position - self._middle).abs() - self._reach,
-            (velocity.abs() - self._joint_vel_limit).clamp_max(1.0),
-            torque.abs() - self._torque_limit,
-        )
-        costs = torch.stack(beyond, dim=1).relu().sum(-1) * env.step_dt
-        costs.nan_to_num_(0.0, 0.0, 0.0)
-        env.extras["costs"].copy_(costs)
-        return (costs > 0.0).any(-1).float()
+        torque = stiffness * (data.joint_pos_target - data.joint_pos) - damping * data.joint_vel
+        return _cost(env, torque.abs() - self._limits)
 
 
-def constraint_violated(env: ManagerBasedRlEnv, constraint: str) -> Tensor:
-    """1 where a constraint costs something in this step, [N].
+def _per_joint(env: ManagerBasedRlEnv, limits: dict[str, float]) -> Tensor:
+    values = resolve_matching_names_values(limits, env.scene["robot"].joint_names)[2]
+    return torch.tensor(values, device=env.device)
 
-    Args:
-        env: environment whose metrics have `constraint_costs` before this term.
-        constraint: of interface.CONSTRAINTS.
-    """
-    return (env.extras["costs"][:, CONSTRAINTS.index(constraint)] > 0.0).float()
+
+def _cost(env: ManagerBasedRlEnv, excess: Tensor) -> Tensor:
+    """Cost of a step [N], from what each joint is beyond its limit [N, J]."""
+    return (excess.relu().sum(-1) * env.step_dt).nan_to_num(0.0, 0.0, 0.0)

@@ -1,17 +1,23 @@
-"""Terrain levels (walk-in-minutes rule) and the two-level command curriculum."""
+"""Terrain levels (walk-in-minutes rule), the two-level command curriculum, rewards' weights.
+
+Whatever changes with time counts environment steps of all robots and processes; `EnvironmentSteps`
+is the one place that knows how many are done.
+"""
 
 from __future__ import annotations
 
 import math
+import os
 
-import numpy as np
 import torch
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.managers.curriculum_manager import CurriculumTermCfg
 from torch import Tensor
 
+from renet.errors import RenetError
 from renet.tasks.mdp.base_state import distance_from_start, on_tiles, tile_terrain
 from renet.tasks.mdp.commands import goal
+from renet.tasks.schedule import Schedule, value_at
 from renet.terrain.tiles import TILE
 
 FIRST_LEVELS = 2
@@ -20,6 +26,36 @@ invisible (10 cm, seen from 30 cm above through the camera's noise): where all r
 it, VP never learns what a gap looks like."""
 EASIER_SHARE = 0.25
 """Share of episodes whose tile is of a level drawn from those up to the robot's own."""
+
+
+class EnvironmentSteps:
+    """Environment steps of all robots and processes since training began."""
+
+    def __init__(self, cfg: CurriculumTermCfg, env: ManagerBasedRlEnv) -> None:
+        del cfg
+        self._env = env
+        self._robots = env.num_envs * int(os.getenv("WORLD_SIZE", "1"))
+        self._offset = 0
+        """Steps that a resumed run took with another number of robots."""
+
+    def __call__(self, env: ManagerBasedRlEnv, env_ids: Tensor) -> Tensor:
+        """Log the count."""
+        del env, env_ids
+        return torch.tensor(float(self.count))
+
+    @property
+    def count(self) -> int:
+        """Steps that are done."""
+        return self._offset + self._env.common_step_counter * self._robots
+
+    @count.setter
+    def count(self, steps: int) -> None:
+        self._offset += steps - self.count
+
+
+def environment_steps(env: ManagerBasedRlEnv) -> int:
+    """Environment steps of all robots and processes that are done, in this run and before."""
+    return env.curriculum_manager.get_term_cfg("environment_steps").func.count  # type: ignore[union-attr]
 
 
 class TerrainLevels:
@@ -33,9 +69,9 @@ class TerrainLevels:
     One that has not walked keeps its level, as after loading a checkpoint. A robot that passes the
     last level is sent to any level.
 
-    From control step `easier_step` on, a share of the episodes on tiles of `easier_kinds` (both are
-    parameters) use a tile of a level drawn uniformly up to the robot's own. They do not change that
-    level. Without them robots forget how to cross narrow gaps.
+    After `easier_after` environment steps, a share of the episodes on tiles of `easier_kinds` (both
+    are parameters) use a tile of a level drawn uniformly up to the robot's own. They do not change
+    that level. Without them robots forget how to cross narrow gaps.
 
     Attributes:
         levels: each robot's own level, [N]; `terrain.terrain_levels` is that of the tile it is on.
@@ -53,7 +89,7 @@ class TerrainLevels:
         self,
         env: ManagerBasedRlEnv,
         env_ids: Tensor,
-        easier_step: float = math.inf,
+        easier_after: float = math.inf,
         easier_kinds: tuple[str, ...] = (),
     ) -> dict[str, Tensor]:
         """Set the levels and tiles of robots whose episodes end.
@@ -61,7 +97,7 @@ class TerrainLevels:
         Args:
             env: environment on tiles.
             env_ids: these robots.
-            easier_step: control step from which easier tiles are drawn.
+            easier_after: environment steps after which easier tiles are drawn.
             easier_kinds: kinds of tile that are drawn so.
 
         Returns:
@@ -88,7 +124,7 @@ class TerrainLevels:
         level = torch.where(level >= highest, torch.randint_like(level, highest), level)
         self.levels[env_ids] = level
         tile = level
-        if env.common_step_counter >= easier_step:
+        if environment_steps(env) >= easier_after:
             eased = on_tiles(env, *easier_kinds)[env_ids]
             tile = torch.where(eased, _some_easier(level, lowest), level)
         terrain.terrain_levels[env_ids] = tile
@@ -107,28 +143,82 @@ def _some_easier(level: Tensor, lowest: Tensor) -> Tensor:
     return torch.where(drawn & (level > lowest), lowest + depth.long(), level)
 
 
-def reward_weight(
-    env: ManagerBasedRlEnv, env_ids: Tensor, reward: str, points: tuple[tuple[float, float], ...]
-) -> Tensor:
-    """Set a reward's weight by a schedule, and return it.
+class reward_weight:
+    """Let a reward's weight follow a schedule; logs it.
 
-    Args:
-        env: environment with the reward.
-        env_ids: ignored.
-        reward: name of the reward.
-        points: (control step, weight), in order; linear in between.
+    Parameters: `reward`, its name; `schedule` of its weight.
     """
-    del env_ids
-    steps, weights = zip(*points, strict=True)
-    weight = float(np.interp(env.common_step_counter, steps, weights))
-    env.reward_manager.get_term_cfg(reward).weight = weight
-    return torch.tensor(weight)
+
+    def __init__(self, cfg: CurriculumTermCfg, env: ManagerBasedRlEnv) -> None:
+        name, schedule = cfg.params["reward"], cfg.params["schedule"]
+        weight = env.reward_manager.get_term_cfg(name).weight
+        if weight != value_at(schedule, 0.0):
+            raise RenetError(
+                f"the weight of the reward {name} is {weight}, but its schedule begins with "
+                f"{value_at(schedule, 0.0)}: change the schedule in its place, with "
+                f"--env.curriculum.{name.replace('_', '-')}-weight.params.schedule"
+            )
+
+    def __call__(
+        self, env: ManagerBasedRlEnv, env_ids: Tensor, reward: str, schedule: Schedule
+    ) -> Tensor:
+        """Set the weight for the steps to come."""
+        del env_ids
+        weight = value_at(schedule, environment_steps(env))
+        env.reward_manager.get_term_cfg(reward).weight = weight
+        return torch.tensor(weight)
 
 
-def command_stage(env: ManagerBasedRlEnv, env_ids: Tensor, switch_step: int) -> Tensor:
-    """Ask for standing, too, from control step `switch_step` on; returns the stage, 0 or 1."""
+def command_stage(env: ManagerBasedRlEnv, env_ids: Tensor, after: float) -> Tensor:
+    """Ask for standing, too, after so many environment steps; returns the stage, 0 or 1."""
     del env_ids
     command = goal(env)
-    if env.common_step_counter >= switch_step:
+    if environment_steps(env) >= after:
         command.stage = 1
     return torch.tensor(float(command.stage))
+
+
+def curriculum_state(env: ManagerBasedRlEnv) -> dict[str, Tensor]:
+    """Levels, command stage and control steps of an environment, for checkpoints."""
+    state = {
+        "command_stage": torch.tensor(goal(env).stage),
+        "common_step_counter": torch.tensor(env.common_step_counter),
+    }
+    if "level" in env.curriculum_manager.active_terms:
+        term, kinds = _levels(env), tile_terrain(env).terrain_types
+        state |= {"levels": term.levels, "passed": term.passed, "kinds": kinds}
+    return state
+
+
+def load_curriculum_state(env: ManagerBasedRlEnv, state: dict[str, Tensor], steps: int) -> None:
+    """Restore `curriculum_state`; other numbers of robots on the tiles resample the levels.
+
+    Args:
+        env: environment to change. state: of the run that goes on.
+        steps: environment steps that it has taken.
+    """
+    goal(env).stage = int(state["command_stage"])
+    env.common_step_counter = int(state["common_step_counter"])
+    terms = env.curriculum_manager.active_terms
+    if "environment_steps" in terms:
+        env.curriculum_manager.get_term_cfg("environment_steps").func.count = steps  # type: ignore[union-attr]
+    if "level" not in terms or "levels" not in state:
+        return
+    term, terrain = _levels(env), tile_terrain(env)
+    kinds = state["kinds"].to(env.device)
+    robots = torch.arange(env.num_envs, device=env.device)
+    if not torch.equal(kinds, terrain.terrain_types):
+        for kind in kinds.unique():
+            here, pool = terrain.terrain_types == kind, (kinds == kind).nonzero()[:, 0]
+            picks = torch.randint(len(pool), (int(here.sum()),), device=env.device)
+            robots[here] = pool[picks]
+    shared = torch.isin(terrain.terrain_types, kinds)
+    for name in ("levels", "passed"):
+        if name in state:
+            getattr(term, name)[shared] = state[name].to(env.device)[robots[shared]]
+    terrain.terrain_levels[:] = term.levels
+    terrain.env_origins[:] = terrain.terrain_origins[term.levels, terrain.terrain_types]
+
+
+def _levels(env: ManagerBasedRlEnv) -> TerrainLevels:
+    return env.curriculum_manager.get_term_cfg("level").func  # type: ignore[union-attr]

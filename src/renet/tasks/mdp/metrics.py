@@ -9,7 +9,7 @@ from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
 
 
 def reward_clipped(env: ManagerBasedRlEnv) -> Tensor:
-    """1 where the step's summed reward is negative, which `clip_reward` sets to zero, [N]."""
+    """1 where the step's summed reward is negative, which the learner takes for zero, [N]."""
     return (env.reward_buf < 0.0).float()
 
 

@@ -1,7 +1,8 @@
-"""The paper's rewards (RENet, Method A, footnote, and eq. 6), and others that are off by default.
+"""The paper's rewards (RENet, Method A, footnote, and eq. 6), and the recipe's.
 
-Weights are in parkour_env_cfg.py. World-frame quantities use the horizontal plane: <v, n_yaw> has
-no vertical part. Classes remember the step before, and forget it when an episode begins.
+Weights are in parkour_env_cfg.py and in training/recipe.py. World-frame quantities use the
+horizontal plane: <v, n_yaw> has no vertical part. Classes remember the step before, and forget it
+when an episode begins.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from renet.training.checkpoint import WeightAverage
+from renet.training.average import WeightAverage
 
 
 def constant(value: float) -> nn.Module:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from renet.errors import RenetError
-from renet.training.config import value_at
+from renet.tasks.schedule import value_at
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,52 @@
+"""Settings that change during training: functions of the environment steps taken.
+
+Environment steps, not iterations or control steps, so that a schedule means the same for 64 robots
+and for 16,384.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+
+import numpy as np
+
+from renet.errors import RenetError
+
+Schedule = str | float
+"""A number, or points `VALUE@STEPS` joined by commas, such as `0.003@10M,0.001@60M`: linear between
+points, constant before the first and after the last. STEPS counts environment steps of all robots
+and processes since the beginning of the run and may end in k or M."""
+
+_POINT = re.compile(r"([-+0-9.eE]+)@([0-9.]+)([kM]?)")
+_UNIT = {"": 1.0, "k": 1e3, "M": 1e6}
+
+
+def value_at(schedule: Schedule, steps: float) -> float:
+    """Value of a schedule after `steps` environment steps.
+
+    Raises:
+        RenetError: the schedule cannot be read.
+    """
+    points = _points(str(schedule))
+    return float(np.interp(steps, [at for at, _ in points], [value for _, value in points]))
+
+
+@lru_cache(maxsize=256)
+def _points(schedule: str) -> tuple[tuple[float, float], ...]:
+    """(steps, value) of each point, in the order of steps; raises as `value_at` does."""
+    points = []
+    try:
+        for text in (schedule if "@" in schedule else f"{schedule}@0").split(","):
+            match = _POINT.fullmatch(text.strip())
+            if match is None:
+                raise ValueError(text)
+            points.append((float(match[2]) * _UNIT[match[3]], float(match[1])))
+    except ValueError as error:
+        raise RenetError(
+            f"cannot read the schedule {schedule!r}: write a number, or VALUE@STEPS points joined "
+            "by commas, such as 0.003@10M,0.001@60M"
+        ) from error
+    if sorted(points, key=lambda point: point[0]) != points:
+        raise RenetError(f"the steps of the schedule {schedule!r} must not fall")
+    return tuple(points)

@@ -1,0 +1,110 @@
+"""What a checkpoint says of its run: both configurations as JSON, and the way back from there."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from enum import Enum
+from textwrap import shorten
+from typing import Any, TypeVar
+
+from renet.interface import CONTROL_DT, PHYSICS_DT
+from renet.training.config import RenetRunnerCfg
+
+T = TypeVar("T")
+PLAIN = (bool, int, float, str)
+UNSAID = ("env.seed", "agent.experiment_name")
+"""Settings whose differences are said elsewhere."""
+
+
+def described(value: Any) -> Any:
+    """A configuration as JSON: dataclasses as dictionaries, functions and types by their names.
+
+    Args:
+        value: nested dataclasses, dictionaries, sequences, numbers and callables.
+    """
+
+    def plain(item: Any) -> Any:
+        if is_dataclass(item) and not isinstance(item, type):
+            return {f.name: getattr(item, f.name) for f in fields(item)}
+        if callable(item):
+            return f"{item.__module__}.{getattr(item, '__qualname__', type(item).__name__)}"
+        return list(item) if isinstance(item, set) else str(item)
+
+    return json.loads(json.dumps(value, default=plain))
+
+
+def differences(before: Any, now: Any, name: str) -> Iterator[str]:
+    """A line for each place where two trees of JSON differ, as deep as both go.
+
+    Args:
+        before: a configuration or the code's version, of a checkpoint that is resumed.
+        now: that of the run that goes on. name: of both, with dots between levels.
+    """
+    before, now = _by_name(before), _by_name(now)
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in sorted(before.keys() | now.keys()):
+            pair = before.get(key, "absent"), now.get(key, "absent")
+            yield from differences(*pair, f"{name}.{key}")
+    elif before != now and name not in UNSAID:
+        yield f"{name} was {shorten(str(before), 80)}, now {shorten(str(now), 80)}"
+
+
+def _by_name(value: Any) -> Any:
+    """A list of objects, such as a scene's sensors, as a dictionary by their names or places."""
+    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+        return value
+    return {item.get("name", str(place)): item for place, item in enumerate(value)}
+
+
+def restored(value: T, stored: Any) -> T:
+    """A configuration with the numbers, texts and sequences that were `described` of another one.
+
+    What only one of the two has stays as it is, and so do functions.
+
+    Args:
+        value: nested dataclasses, dictionaries and sequences. stored: JSON.
+
+    Raises:
+        RenetError: a dataclass of renet's refuses a value.
+    """
+    result: Any = value
+    if isinstance(value, Enum):
+        return value
+    if isinstance(stored, dict) and isinstance(value, dict):
+        result = {k: restored(v, stored[k]) if k in stored else v for k, v in value.items()}
+    elif isinstance(stored, dict) and is_dataclass(value) and not isinstance(value, type):
+        names = [f.name for f in fields(value) if f.init and f.name in stored]
+        changes = {name: restored(getattr(value, name), stored[name]) for name in names}
+        result = replace(value, **changes)
+    elif isinstance(stored, list) and isinstance(value, list | tuple):
+        if not any(map(is_dataclass, value)):
+            result = type(value)(map(_tuples, stored))
+        elif len(stored) == len(value):
+            result = type(value)(map(restored, value, stored))
+    elif (isinstance(value, PLAIN) and (stored is None or isinstance(stored, PLAIN))) or (
+        value is None and isinstance(stored, bool | int | float)
+    ):
+        result = stored
+    return result
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def upgraded(state: dict[str, Any]) -> dict[str, Any]:
+    """What a checkpoint of format 1 states, in today's words.
+
+    There all settings were one flat configuration, and the task's rules lay beside it.
+    """
+    config, task = state.get("config"), state.get("task_cfg", {})
+    if not (isinstance(config, dict) and isinstance(task, dict)):
+        return {}
+    agent = described(RenetRunnerCfg())  # What is missing was not a setting then, and off.
+    for name in agent.keys() & config.keys():
+        value = config[name]
+        agent[name] = agent[name] | value if isinstance(value, dict) else value
+    # It was written while substeps were fused.
+    task = {"scene": {"num_envs": config.get("num_envs")}} | task
+    task["decimation"] = round(CONTROL_DT / PHYSICS_DT)
+    return state | {"agent": agent, "env": task}

@@ -1,0 +1,88 @@
+"""Folders of runs: where a new one begins, which one goes on, and how one is stopped."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from itertools import chain, count
+from pathlib import Path
+from typing import Any
+
+from renet.errors import RenetError
+from renet.folders import new_folder
+from renet.training import checkpoint as checkpoints
+from renet.training.runner import CHECKPOINTS
+
+LATEST = "latest"
+LOGS = Path("logs")
+
+
+def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
+    """The run that goes on; None where a new one begins.
+
+    Args:
+        checkpoint: to go on from; one that is not its run's newest, or in no run's folder, begins a
+            run of its own.
+        root: `--log-root`; another one than the run's branches off.
+    """
+    if checkpoint is None or checkpoint.parent.name != CHECKPOINTS:
+        return None
+    run = checkpoint.parent.parent
+    elsewhere = root is not None and run.resolve().parent.parent != root.resolve()
+    newest = checkpoints.checkpoints(checkpoint.parent)[-1]
+    return None if elsewhere or newest != checkpoint else run
+
+
+def new_run(root: Path | None, experiment: str, name: str = "") -> Path:
+    """Create `root/experiment/date_time_name`, by default in `logs`.
+
+    Raises:
+        RenetError: it cannot be written.
+    """
+    root = root or LOGS
+    stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S") + (f"_{name}" if name else "")
+    # A second number for runs begun in the same second.
+    for folder in chain([stamp], (f"{stamp}_{n}" for n in count(2))):
+        try:
+            return new_folder(root / experiment / folder)
+        except FileExistsError as error:
+            if not (root / experiment).is_dir():
+                reason = f"{root / experiment} is no folder: choose another --log-root"
+                raise RenetError(reason) from error
+        except OSError as error:
+            reason = f"cannot write to {root}: {error}. Choose another --log-root"
+            raise RenetError(reason) from error
+    raise AssertionError
+
+
+def resolve_resume(resume: str, root: Path | None, experiment: str) -> Path:
+    """The checkpoint folder that `--resume` names."""
+    folder = (root or LOGS) / experiment if resume == LATEST else Path(resume)
+    if not folder.exists():
+        raise RenetError(f"nothing to resume: {folder} does not exist")
+    return checkpoints.find(folder)
+
+
+@contextmanager
+def signals(stop: Callable[[int], None]) -> Iterator[None]:
+    """Call `stop` with the number of the first Ctrl-C or TERM; the next one acts as ever."""
+    if threading.current_thread() is not threading.main_thread():  # It alone hears signals.
+        yield
+        return
+    before: dict[int, Any] = {}
+
+    def handle(number: int, _: Any) -> None:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+        stop(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        before[number] = signal.signal(number, handle)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
