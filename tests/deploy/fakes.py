@@ -1,6 +1,7 @@
 """Healthy readings and frames to spoil, and a controller that is fed with them."""
 
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,6 +16,7 @@ from renet.deploy.teleop import TeleopCommand
 from renet.descriptions import GO1
 from renet.interface import CONTROL_DT
 
+READINGS = count()
 STANDING = np.tile([0.1, 0.9, -1.8, -0.1, 0.9, -1.8], 2)
 
 
@@ -23,7 +25,7 @@ def state(time: float = 0.0, **changes) -> RobotState:
         time=time,
         joint_position=STANDING.copy(),
         joint_velocity=np.zeros(12),
-        joint_torque=np.zeros(12),
+        joint_torque=np.full(12, 1e-9 * next(READINGS)),  # No sensor says the same twice.
         quaternion=np.array([1.0, 0, 0, 0]),
         angular_velocity=np.zeros(3),
     )

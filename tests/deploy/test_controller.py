@@ -11,6 +11,7 @@ import torch
 
 from renet.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.cameras.buffer import FrameBuffer
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller, Event
@@ -219,7 +220,7 @@ def hostile(random: np.random.Generator, now: float):
         wrong = [*numbers, *shapes, None, "?", letters]
         return wrong[random.integers(len(wrong))]
 
-    reading: RobotState | None = state(now, joint_position=STANDING + 0.2 * random.normal(size=12))
+    reading: RobotState | None = state(now, joint_position=STANDING + 0.08 * random.normal(size=12))
     picture: DepthFrame | None = frame(int(random.integers(1000)), now)
     teleop = GO
     dice = random.random()
@@ -293,8 +294,8 @@ def test_a_robot_that_cannot_follow_is_asked_for_a_quarter_turn_at_most(bundle):
 def test_only_changes_of_the_turn_count(bundle):
     run = Run(bundle)
     for _ in range(20):
-        run.tick(teleop=TeleopCommand(turn=2.0))
-    assert wished(run) == 0.0, "what was asked for before it walked"
+        run.tick(teleop=TeleopCommand(turn=2.0), quaternion=turned("z", 178))
+    assert wished(run) == pytest.approx(0.0), "what was asked for before it walked"
     run.tick(teleop=TeleopCommand(turn=2.1), quaternion=turned("z", 178))
     run.tick(teleop=TeleopCommand(turn=2.2), quaternion=turned("z", -178))
     assert abs(wished(run)) <= math.pi / 2 + 1e-9
@@ -306,3 +307,30 @@ def test_one_reading_from_the_future_is_forgotten(bundle):
     run.ticks(30)
     assert run.controller.decision.mode is not Mode.STANDING_UP
     assert run.whats()[0] == "standing_up"
+
+
+def test_images_that_come_again_are_no_images(bundle):
+    """Two that alternate for ever, and a second that repeats; one held for two ticks is news."""
+    run = Run(bundle)
+    run.ticks(40)
+    for period in (2, 9):
+        assert all(run.ticks(400)[-20:]), "vision is back"
+        seen = []
+        for _ in range(60 + 5 * period):
+            image = (run.step // 5) % period
+            picture = frame(run.step, time_of(run.step - run.step % 5))
+            run.tick(replace(picture, image=frame(image, 0.0, seed=period).image))
+            seen.append(run.controller.decision.vision)
+        assert all(seen[: 5 * period]), "each is new once"
+        assert not any(seen[-20:])
+        assert "came again" in run.events[-1].why
+
+
+def test_blank_images_may_come_again():
+    """Nothing within reach is the same image each time; a monitor judges it."""
+    buffer = FrameBuffer()
+    for step in range(20):
+        image = np.ones((48, 64)) if step % 2 else frame(step, 0.0).image
+        buffer.offer(DepthFrame(image, step, 0.1 * step), 0.1 * step)
+        assert buffer.problem == ""
+        assert buffer.take()[1]

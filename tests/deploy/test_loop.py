@@ -135,6 +135,30 @@ def test_what_ends_in_damping(bundle, tmp_path, device, method, answer, reason):
     assert mismatch(flight, bundle) == 0.0
 
 
+@pytest.mark.parametrize(
+    ("reading", "warning", "end"),
+    [
+        ({"battery": 0.1}, "the battery has less than 20% left", None),
+        ({"temperature": 70.0}, "a motor has more than 65 °C", None),
+        ({"battery": 0.04}, "the battery has", "the robot lies down: the battery has less than 5%"),
+        ({"temperature": 86.0}, "a motor", "the robot lies down: a motor has more than 85 °C"),
+        ({"temperature": "hot", "battery": None}, None, None),
+    ],
+)
+def test_battery_and_motors_are_watched_while_it_walks(bundle, tmp_path, reading, warning, end):
+    rig = Rig(bundle)
+    rig.spoil("robot", "read", lambda s, now: replace(s, **reading) if now > 1.2 else s)
+    log = logged(bundle, rig, tmp_path)
+    rig.run(1.6, log)
+    log.close()
+    told = [event.why for event in rig.events if event.what == "power"]
+    assert [warning in why for why in told if warning] == ([True] if warning else [])
+    assert rig.modes[-BRAKING - 1] is (Mode.DAMPING if end else Mode.WALKING)
+    if end:
+        assert rig.events[-1].why.startswith(end)
+    assert mismatch(read_recording(tmp_path / "recording.log"), bundle) == 0.0
+
+
 def test_a_step_that_is_missed_is_left_out(bundle):
     robot, begun = Standing(), []
     late, wait = {0.3: 0.015, 0.5: 0.025, 0.7: 0.05}, robot.wait

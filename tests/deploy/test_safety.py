@@ -104,10 +104,12 @@ def test_requests():
     [
         ({}, ""),
         ({"teleop": TeleopCommand(speed=1.0, arm=True)}, "already asks for 1.00 m/s"),
-        ({"state": state(battery=0.19)}, "the battery has 19% left, less than 20%"),
+        ({"state": state(battery=0.19)}, "the battery has less than 20% left"),
         ({"state": state(battery=0.21)}, ""),
         ({"state": state(battery=math.nan, temperature=math.nan)}, ""),
-        ({"state": state(temperature=66.0)}, "a motor has 66 °C, more than 65 °C"),
+        ({"state": state(battery=0.0)}, "the battery has less than 20% left"),
+        ({"state": state(battery=0.0), "cfg": SafetyCfg(min_battery=0.0)}, ""),
+        ({"state": state(temperature=66.0)}, "a motor has more than 65 °C"),
         ({"recorder": "the recording x ends early: no space"}, "the recording x ends early"),
         ({"frame": None}, "the camera has sent no image"),
         ({"frame": frame(1, 9.4)}, "newest image is older than 0.5 s"),
@@ -124,6 +126,7 @@ def test_what_keeps_a_robot_lying(change, refusal):
         "frame": frame(1, 9.9),
         "camera": True,
         "recorder": "",
+        "cfg": SafetyCfg(),
         "now": 10.0,
     }
     found = pre_arm_problem(**(given | change))

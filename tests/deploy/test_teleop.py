@@ -142,8 +142,8 @@ def test_a_joystick_out_of_range_stands(stick):
     gone = joystick.command(2.0)
     assert gone.speed == 0.0
     assert joystick.command(3.0).turn == gone.turn
-    event(-32000, 2, 1)
-    assert joystick.command(3.1).speed == pytest.approx(0.977, abs=1e-3)
+    event(-29000, 2, 1)
+    assert joystick.command(3.1).speed == pytest.approx(0.885, abs=1e-3)
 
 
 def test_an_unplugged_joystick_stops(stick):
@@ -180,15 +180,27 @@ def test_a_flood_of_keys_does_not_hold_up_a_step(terminal):
     assert len(reads) == 1
 
 
-def test_a_stick_that_only_trembles_is_nobody(stick):
-    """Its sensor's noise of one count is no sign of an operator."""
+@pytest.mark.parametrize("amplitude", [1, 655, 1300])
+def test_a_stick_that_only_trembles_is_nobody(stick, amplitude):
+    """Nor is a trigger that moves, or a kernel that repeats where everything is."""
     joystick, event, _ = stick
     joystick._deadman = Deadman(5.0)
     event(-16000, 2, 1)
     assert joystick.command(0.0).speed > 0.4
     for step in range(1, 60 * 50):
-        event(-16000 + step % 2, 2, 1)
+        event(-16000 + amplitude * (1 if step % 2 else -1), 2, 1)
+        event(32767 * (step % 2), 2, 5)
+        event(step % 2, 0x81, 3)
         command = joystick.command(0.02 * step)
     assert command.speed == 0.0
-    event(-18000, 2, 1)
-    assert joystick.command(60.0).speed > 0.5
+    event(-21000, 2, 1)
+    assert joystick.command(60.0).speed > 0.6
+
+
+def test_a_stop_that_the_kernel_repeats_stops_and_a_start_does_not_arm(stick):
+    """What was pressed while its queue ran over comes as an initial event."""
+    joystick, event, _ = stick
+    event(1, 0x81, 7)
+    assert not joystick.command(0.0).arm
+    event(1, 0x81, 0)
+    assert joystick.command(0.02).stop

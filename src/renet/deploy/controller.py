@@ -17,6 +17,7 @@ from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.buffer import FrameBuffer
 from renet.deploy.inference import InlineInference, Sessions
 from renet.deploy.observation import observe
+from renet.deploy.plausibility import Readings
 from renet.deploy.robots.base import JointCommand, RobotState, heading
 from renet.deploy.safety import (
     Mode,
@@ -124,6 +125,7 @@ class Controller:
         self._selector = make_selector(selector, bundle.manifest.selector)
         self._on_event = on_event
         self._newest: RobotState | None = None
+        self._readings, self._implausible = Readings(), ""
         self._state_error = "no state from the robot"
         self._start = self._target = np.array(self.robot.default_position)
         self._yaw = self._turn = 0.0
@@ -199,15 +201,15 @@ class Controller:
         except RenetError as error:
             self._state_error, self._newest = str(error), None
             return
-        if self._newest is None or state.time >= self._newest.time:
-            self._newest = state
+        if self._newest is None or state.time > self._newest.time:
+            self._newest, self._implausible = state, self._readings.problem(state)
 
     def _problem(self, teleop: TeleopCommand, now: float) -> str:
         if problem := teleop_problem(teleop):
             return problem
         if self._newest is None:
             return self._state_error
-        problem = state_problem(self._newest, self.robot, self.cfg, now)
+        problem = state_problem(self._newest, self.robot, self.cfg, now) or self._implausible
         if not problem and self.machine.stood_up(now):
             problem = stand_up_problem(self._newest, self.robot, self.cfg)
         return problem

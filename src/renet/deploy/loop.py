@@ -16,7 +16,14 @@ from renet.deploy.controller import Controller
 from renet.deploy.recording import Recorder
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.driver import RobotDriver
-from renet.deploy.safety import Mode, damping_command, pre_arm_problem
+from renet.deploy.safety import (
+    EMPTY,
+    OVERHEATED,
+    Mode,
+    damping_command,
+    power_problem,
+    pre_arm_problem,
+)
 from renet.deploy.teleop import Teleop, TeleopCommand
 from renet.interface import CONTROL_DT
 
@@ -26,6 +33,8 @@ ATTEMPTS = 5
 """Braking commands tried where the loop itself failed."""
 REFUSED = "the robot takes no commands"
 """Why a robot is damped whose driver fails."""
+EXHAUSTED = "the robot lies down"
+"""Why a robot is damped whose battery or motors are at their end."""
 ENDED = "the run ends"
 """Why a robot is damped at the end."""
 
@@ -109,6 +118,7 @@ class _Loop:
         compute_ms = 1000.0 * (time.perf_counter() - begun)
         if not self.dry_run:
             self._write(command, state, now)
+            self._look_at_power(state, now)
         if self.recorder is not None:
             with suppress(Exception):  # Out of memory, for one: walk on without the recording.
                 where = getattr(self.robot, "base_position", None)  # Simulated robots know.
@@ -137,7 +147,9 @@ class _Loop:
         if not self._refused and not self.dry_run:
             recording = "" if self.recorder is None else self.recorder.problem
             camera = self.camera is not None
-            problem = pre_arm_problem(state, asked, frame, camera, recording, now)
+            problem = pre_arm_problem(
+                state, asked, frame, camera, recording, self.controller.cfg, now
+            )
             self._refused = bool(problem)
             if problem:
                 self.controller.tell(now, "refused", problem)
@@ -148,6 +160,15 @@ class _Loop:
             self.robot.write(self.robot.envelope.clamp(command, state))
         except Exception as error:
             self.controller.trip(f"{REFUSED}: {error}", now)
+
+    def _look_at_power(self, state: RobotState | None, now: float) -> None:
+        """Say that battery or motors are near their limits, and lie down before they fail."""
+        cfg = self.controller.cfg
+        limits = min(EMPTY, cfg.min_battery), cfg.max_temperature + OVERHEATED
+        with suppress(TypeError):  # What a driver reports may be no number.
+            self._complain("power", power_problem(state, cfg.min_battery, cfg.max_temperature))
+            if problem := power_problem(state, *limits):
+                self.controller.trip(f"{EXHAUSTED}: {problem}", now)
 
     def _ask(self, device: str, question: Callable[[], Any], otherwise: Any) -> Any:
         """A device's answer; one that fails says nothing, an operator's that fails says stop."""

@@ -10,7 +10,7 @@ from renet.bundle import Bundle
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.controller import Controller, Decision
 from renet.deploy.inference import InlineInference
-from renet.deploy.loop import REFUSED
+from renet.deploy.loop import EXHAUSTED, REFUSED
 from renet.deploy.recording import GOOD, NONE, Recording
 from renet.deploy.robots.base import VECTORS, RobotState
 from renet.deploy.safety import SafetyCfg
@@ -58,16 +58,17 @@ def replay(run: Recording, bundle: Bundle) -> Iterator[Decision]:
         raise RenetError(f"the recording's header does not say what ran: {error}") from error
     controller = Controller(bundle, safety, lambda sessions: inference, selector)
     image = UNREADABLE
-    # The only thing that came from outside the controller's inputs.
-    refused = {event.time for event in run.events if event.why.startswith(REFUSED)}
+    # What came from outside the controller's inputs.
+    outside = (REFUSED, EXHAUSTED)
+    tripped = {e.time: e.why for e in run.events if e.why.startswith(outside)}
     for step, tick in enumerate(run.ticks):
         inference.step = step
         image = run.images.get(step, image)
         teleop = TeleopCommand(*tick[["speed", "turn", "arm", "stop"]].item())
         controller.tick(_state(tick), _frame(tick, image), teleop, float(tick["now"]))
         yield controller.decision
-        if float(tick["now"]) in refused:
-            controller.trip(REFUSED, float(tick["now"]))
+        if float(tick["now"]) in tripped:
+            controller.trip(tripped[float(tick["now"])], float(tick["now"]))
 
 
 def mismatch(run: Recording, bundle: Bundle) -> float:

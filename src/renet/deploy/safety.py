@@ -58,18 +58,24 @@ class SafetyCfg:
     """Farthest that a joint may be from the default pose after standing up, rad. A standing Go1
     sags by 0.2; one that still lies, or whose motors obey nobody, is 0.9 away."""
 
+    min_battery: float = 0.2
+    """Charge, 0 to 1, below which a robot does not stand up; 0 for a robot that reports none."""
+    max_temperature: float = 65.0
+    """Motor temperature above which a robot does not stand up, °C."""
+
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not (math.isfinite(value) and value > 0):
+            least = 0.0 if name == "min_battery" else math.ulp(0.0)
+            if not least <= value < math.inf:
                 raise RenetError(f"the safety limit {name} must be positive, got {value}")
         if self.max_tilt > math.pi:
             raise RenetError(f"the safety limit max_tilt is in rad, got {self.max_tilt}")
 
 
-MIN_BATTERY = 0.2
-"""Charge below which a robot does not stand up."""
-MAX_TEMPERATURE = 65.0
-"""Motor temperature in °C above which a robot does not stand up."""
+EMPTY = 0.05
+"""Charge below which a robot lies down while it still can."""
+OVERHEATED = 20.0
+"""°C above `max_temperature` at which a robot lies down before its motors fail."""
 MAX_FRAME_AGE = 0.5
 """Age in seconds of the newest image above which a robot with a camera does not stand up."""
 FUTURE = 0.01
@@ -150,6 +156,7 @@ def pre_arm_problem(
     frame: DepthFrame | None,
     camera: bool,
     recorder: str,
+    cfg: SafetyCfg,
     now: float,
 ) -> str:
     """Why the devices forbid standing up; empty if they do not.
@@ -159,21 +166,29 @@ def pre_arm_problem(
 
     Args:
         state: newest reading. teleop: the operator's command. frame: newest of the camera.
-        camera: whether there is one. recorder: its problem. now: seconds on the robot's clock.
+        camera: whether there is one. recorder: its problem. cfg: limits of battery and motors.
+        now: seconds on the robot's clock.
     """
     speed = getattr(teleop, "speed", 0.0)
     if speed != 0.0:
         return f"the operator already asks for {speed:.2f} m/s: let go of the stick first"
-    if state is not None and state.battery < MIN_BATTERY:
-        return f"the battery has {state.battery:.0%} left, less than {MIN_BATTERY:.0%}"
-    if state is not None and state.temperature > MAX_TEMPERATURE:
-        return f"a motor has {state.temperature:.0f} °C, more than {MAX_TEMPERATURE:.0f} °C"
+    if problem := power_problem(state, cfg.min_battery, cfg.max_temperature):
+        return problem
     if recorder:
         return recorder
     if camera and frame is None:
         return "the camera has sent no image: check it, or start without one (--camera none)"
     if camera and not now - getattr(frame, "time", -math.inf) < MAX_FRAME_AGE:
         return f"the camera's newest image is older than {MAX_FRAME_AGE:g} s"
+    return ""
+
+
+def power_problem(state: RobotState | None, battery: float, temperature: float) -> str:
+    """Name the battery below a charge or the motor above a temperature in °C; empty if neither."""
+    if getattr(state, "battery", math.nan) < battery:
+        return f"the battery has less than {battery:.0%} left"
+    if getattr(state, "temperature", math.nan) > temperature:
+        return f"a motor has more than {temperature:.0f} °C"
     return ""
 
 

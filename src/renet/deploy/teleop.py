@@ -20,8 +20,8 @@ SPEED_STEP, TURN_STEP = 0.1, 0.1
 TURN_RATE = 1.0
 """rad/s at a joystick's full deflection."""
 DEAD_ZONE = 0.1
-MOVED = 0.02
-"""Share of a stick's range that it must move to show that somebody holds it: noise is smaller."""
+MOVED = DEAD_ZONE
+"""Share of its range that a stick must move to show that somebody holds it: noise is smaller."""
 FADE = 1.0
 """Seconds in which the speed falls to zero when nobody steers any more."""
 MAX_INPUT = 4096
@@ -176,11 +176,13 @@ class JoystickTeleop:
             if not data or len(data) % self.EVENT.size:
                 raise OSError("the joystick is gone")
             for _, value, kind, number in self.EVENT.iter_unpack(data):
-                if kind & ~self.INITIAL == self.AXIS:
-                    heard |= self._moved(number, value / 32767.0)
+                # The kernel repeats the state of all after its queue ran over: no sign of a hand.
+                initial, kind = bool(kind & self.INITIAL), kind & ~self.INITIAL
+                if kind == self.AXIS:
+                    heard |= self._moved(number, value / 32767.0) and not initial
                 elif kind == self.BUTTON:
-                    heard = True
-                    arm |= bool(value) and number in self.ARM_BUTTONS
+                    heard |= not initial
+                    arm |= bool(value) and number in self.ARM_BUTTONS and not initial
                     stop |= bool(value) and number in self.STOP_BUTTONS
         except BlockingIOError:  # Nothing new.
             pass
@@ -198,9 +200,10 @@ class JoystickTeleop:
         os.close(self._device)
 
     def _moved(self, number: int, value: float) -> bool:
-        """Note an axis; returns whether it moved by more than its noise since it last did."""
+        """Note an axis; returns whether one that steers moved since it last did."""
         self._axes[number] = value
-        moved = abs(value - self._held.get(number, 0.0)) >= MOVED
+        steers = number in (self.SPEED_AXIS, self.TURN_AXIS)
+        moved = steers and abs(value - self._held.get(number, 0.0)) >= MOVED
         if moved:
             self._held[number] = value
         return moved

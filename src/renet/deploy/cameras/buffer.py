@@ -1,10 +1,12 @@
 """Keeps the newest good image of a camera.
 
-A frame that is malformed, or no newer than the last, is as good as none: the image before it stays
-and grows old, and the selector leaves vision.
+A frame that is malformed, no newer than the last, or an earlier image again is as good as none: the
+image before it stays and grows old, and the selector leaves vision.
 """
 
 import math
+import zlib
+from collections import deque
 
 import numpy as np
 
@@ -12,6 +14,8 @@ from renet.deploy.cameras.base import DepthFrame
 from renet.errors import RenetError
 from renet.interface import DEPTH_SHAPE
 
+REMEMBERED = 32
+"""Images that may not come again, one second of a camera with 30 a second."""
 FUTURE = 0.05
 """Seconds by which a frame's time may run ahead of the robot's clock."""
 OLDEST = 1e3
@@ -28,6 +32,9 @@ class FrameBuffer:
         """Share of its pixels without a measurement."""
         self.problem = ""
         """What was wrong with the last frame offered; empty if nothing was."""
+        self._earlier: deque[int] = deque(maxlen=REMEMBERED)
+        """Checksums of the images before the newest."""
+        self._checksum = 0
         self._frame: DepthFrame | None = None
         self._time = -math.inf
         self._fresh = False
@@ -44,6 +51,14 @@ class FrameBuffer:
             return
         if time <= self._time:
             return  # The same frame again, or one that arrived out of order.
+        checksum = zlib.crc32(image.tobytes())
+        # The same image twice in a row is for a monitor to judge, as is one without contrast.
+        if checksum in self._earlier and checksum != self._checksum and np.ptp(image) > 0.0:
+            self.problem = "an earlier depth image came again"
+            return
+        if checksum != self._checksum:
+            self._earlier.append(self._checksum)
+            self._checksum = checksum
         self.image, self._frame, self._time, self._fresh = image, frame, time, True
         self.invalid = float(frame.invalid)
 

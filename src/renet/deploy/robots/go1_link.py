@@ -5,7 +5,6 @@ what it receives and keeps the newest good packet.
 """
 
 import importlib
-import math
 from typing import Any
 
 import numpy as np
@@ -77,7 +76,6 @@ class Go1Link(Link):
 
     def _reading(self, now: float) -> RobotState:
         motors = [self._in.motorState[motor] for motor in MOTORS]
-        charge = self._in.bms.SOC / 100.0
         return RobotState(
             time=now,
             joint_position=np.array([motor.q for motor in motors]),
@@ -86,5 +84,5 @@ class Go1Link(Link):
             quaternion=np.array(self._in.imu.quaternion),
             angular_velocity=np.array(self._in.imu.gyroscope),
             temperature=float(max(motor.temperature for motor in motors)),
-            battery=charge if charge > 0.0 else math.nan,
+            battery=self._in.bms.SOC / 100.0,
         )
