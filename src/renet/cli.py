@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Annotated, Any, Union
 
 from renet import __version__
-from renet.errors import RenetError, unknown_name
+from renet.errors import RenetError, install, unknown_name
 
 SIGPIPE_CODE = 141
 """Exit code of a program whose reader left, as shells count it."""
@@ -252,11 +252,7 @@ def _missing(error: ModuleNotFoundError, name: str, extra: str) -> Exception:
         return RenetError(f"renet runs on Linux (on Windows in WSL 2): {error.name} is missing")
     if not error.name or error.name.startswith("renet"):
         return error
-    extras = f"[{extra}]" if extra else ""
-    return RenetError(
-        f"`renet {name}` needs {error.name}: in a clone of renet, run"
-        f" pip install -c requirements-lock.txt -e '.{extras}'"
-    )
+    return RenetError(f"`renet {name}` needs {error.name}: {install(extra)}")
 
 
 def _match(arguments: list[str]) -> tuple[str, list[str]]:

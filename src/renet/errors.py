@@ -11,6 +11,12 @@ class RenetError(Exception):
     """
 
 
+def install(extra: str) -> str:
+    """How to install what an extra of `pyproject.toml` lists; renet is not on PyPI."""
+    extras = f"[{extra}]" if extra else ""
+    return f"in a clone of renet, run pip install -c requirements-lock.txt -e '.{extras}'"
+
+
 def unknown_name(kind: str, name: str, choices: Iterable[str]) -> RenetError:
     """The error for a name that is not among the choices: it suggests the nearest, or lists all.
 

@@ -14,7 +14,14 @@ from renet.deploy.main import deploy
 from renet.deploy.safety import SafetyCfg
 
 TRAINING = ("torch", "mjlab", "warp", "mujoco", "mujoco_warp", "rsl_rl", "matplotlib", "mediapy")
-SIMULATION = ("robots.mujoco", "robots.scene", "cameras.sim", "viewer")
+SIMULATION = (
+    "robots.mujoco",
+    "robots.scene",
+    "robots.scene_file",
+    "robots.go2_fake",
+    "cameras.sim",
+    "viewer",
+)
 """Modules of `renet.deploy` that are the simulated robot, imported when it is asked for."""
 
 
@@ -70,7 +77,7 @@ def test_logs_are_scored_replayed_and_calibrated_from_without_them(log, tmp_path
     done = without_training_packages(code)
     assert done.returncode == 0, done.stderr
     assert "commands differ by at most 0 rad" in done.stdout
-    assert "the timeline needs matplotlib: pip install" in done.stdout
+    assert "the timeline needs matplotlib: in a clone of renet, run pip install" in done.stdout
     assert (tmp_path / "score" / "score.json").exists()
     assert "beta" in done.stdout
 
@@ -78,9 +85,9 @@ def test_logs_are_scored_replayed_and_calibrated_from_without_them(log, tmp_path
 @pytest.mark.parametrize(
     ("command", "hint"),
     [
-        (["calibrate", "x"], "pip install 'renet-locomotion[train]'"),
-        (["play"], "pip install 'renet-locomotion[train]'"),
-        (["deploy"], "`renet deploy` needs mujoco: pip install 'renet-locomotion[sim]'"),
+        (["calibrate", "x"], "pip install -c requirements-lock.txt -e '.[train]'"),
+        (["play"], "pip install -c requirements-lock.txt -e '.[train]'"),
+        (["deploy"], "`renet deploy` needs mujoco: in a clone of renet, run pip install"),
     ],
 )
 def test_what_needs_more_says_what_to_install(command, hint):

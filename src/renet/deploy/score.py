@@ -16,7 +16,7 @@ from renet.deploy.recording import GOOD, MODES, Recording, read_recording
 from renet.deploy.replay import mismatch
 from renet.deploy.robots.base import heading
 from renet.deploy.safety import Mode
-from renet.errors import RenetError
+from renet.errors import RenetError, install
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT
 from renet.palette import STATES
@@ -205,9 +205,7 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
     try:
         from matplotlib.figure import Figure
     except ModuleNotFoundError as error:
-        raise RenetError(
-            "the timeline needs matplotlib: pip install 'renet-locomotion[sim]'"
-        ) from error
+        raise RenetError(f"the timeline needs matplotlib: {install('sim')}") from error
     ticks = run.ticks[:: len(run.ticks) // MAX_POINTS + 1]
     time = ticks["now"] - ticks["now"][0] if len(ticks) else np.zeros(0)
     walking = ticks["mode"] == MODES.index(Mode.WALKING)

@@ -19,7 +19,6 @@ from renet.faults import Frames, Injector, Schedule
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import Gate, SelectorInput
 from renet.terminal import progress
-from renet.terrain.tiles import find_tile
 
 FLAT: Final = "flat"
 """Ground without tiles."""
@@ -61,6 +60,8 @@ def check_grounds(levels: Mapping[str, int]) -> None:
         levels: level, 1 to 10, of each ground.
     """
     for ground, level in levels.items():
+        from renet.terrain.tiles import find_tile  # Needs MuJoCo, as `calibrate --log` does not.
+
         find_tile("rough" if ground == FLAT else ground, level)
 
 

@@ -125,7 +125,7 @@ def test_a_robot_that_keeps_its_mode_is_refused_before_anything_is_commanded(ser
 
 def test_without_cyclone_dds_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setattr(go2, "find_spec", lambda name: None)
-    with pytest.raises(RenetError, match=r"pip install 'renet-locomotion\[go2\]'"):
+    with pytest.raises(RenetError, match=r"pip install .* -e '\.\[go2\]'"):
         Go2Robot("lo").connect()
 
 

@@ -13,7 +13,7 @@ from renet.bundle.manifest import CameraSpec
 from renet.camera import Intrinsics
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.cameras.preprocess import DepthPreprocessor
-from renet.errors import RenetError
+from renet.errors import RenetError, install
 
 WIDTH, HEIGHT, FPS = 848, 480, 30
 """The resolution at which the vendor says the D435 family measures best."""
@@ -33,8 +33,8 @@ def realsense() -> Any:
         import pyrealsense2
     except ImportError as error:
         raise RenetError(
-            "the RealSense camera needs its driver: pip install 'renet-locomotion[realsense]' and "
-            f"the system package libusb-1.0-0 ({error})"
+            f"the RealSense camera needs its driver: {install('realsense')}, and the package "
+            f"libusb-1.0-0 of the system ({error})"
         ) from error
     return pyrealsense2
 

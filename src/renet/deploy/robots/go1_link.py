@@ -13,7 +13,7 @@ from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.braking import Link
 from renet.deploy.robots.envelope import read_envelope
 from renet.descriptions import GO1
-from renet.errors import RenetError
+from renet.errors import RenetError, install
 from renet.interface import JOINTS
 
 LOW_LEVEL = 0xFF
@@ -36,8 +36,8 @@ def unitree() -> Any:
         except ImportError as error:
             problems.append(str(error))
     raise RenetError(
-        "the Go1 needs its vendor's driver: pip install 'renet-locomotion[go1]' (Python 3.11 or "
-        f"3.12), or build unitree_legged_sdk 3.8 with PYTHON_BUILD ({problems[0]})"
+        f"the Go1 needs its vendor's driver: {install('go1')} (Python 3.11 or 3.12), or build "
+        f"unitree_legged_sdk 3.8 with PYTHON_BUILD ({problems[0]})"
     )
 
 

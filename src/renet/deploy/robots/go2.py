@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.robots.real import SINK, RealRobot
 from renet.descriptions import GO2
-from renet.errors import RenetError
+from renet.errors import RenetError, install
 
 DOMAIN = 0
 """DDS domain of every Go2."""
@@ -45,7 +45,6 @@ class Go2Robot(RealRobot):
         """Start the sender and wait for the robot; raises RenetError with what to do."""
         if find_spec("cyclonedds") is None:
             raise RenetError(
-                "the Go2 needs Cyclone DDS: pip install 'renet-locomotion[go2]' (docs/go2.md says "
-                "what to do on ARM)"
+                f"the Go2 needs Cyclone DDS: {install('go2')} (docs/go2.md says what to do on ARM)"
             )
         super().connect()
