@@ -63,11 +63,11 @@ class RobotCfg:
     feet `FR_foot_collision`, …, with a site `FR`, … in the middle of each; no actuators.
     All calves have equally many colliding geoms, at least one beside the foot."""
     height: float
-    """Of the base at the start, m above flat ground."""
+    """Height of the base above flat ground at the start, m."""
     pose: Mapping[str, float]
     """Default joint positions, rad, by regular expression over interface.JOINTS."""
     motors: Mapping[str, Motor]
-    """Of `hip`, `thigh` and `calf` joints."""
+    """Motors of the `hip`, `thigh` and `calf` joints."""
     foot_radius: float
     """m"""
     camera: MountCfg = field(default_factory=MountCfg)
@@ -100,8 +100,8 @@ class RobotCfg:
         if set(self.motors) != set(PARTS):
             raise RenetError(f"motors must be of {', '.join(PARTS)}, not {', '.join(self.motors)}")
         spec = self.spec()
-        wanted = (spec.body, BODIES), (spec.joint, JOINTS), (spec.geom, FEET), (spec.site, LEGS)
-        for lookup, names in wanted:
+        parts = (spec.body, BODIES), (spec.joint, JOINTS), (spec.geom, FEET), (spec.site, LEGS)
+        for lookup, names in parts:
             for name in names:
                 _part(lookup, name)
         free = [name for name in JOINTS if not _limited(spec.joint(name))]
@@ -127,7 +127,7 @@ class RobotCfg:
     def _servos(self) -> Iterator[BuiltinPositionActuatorCfg]:
         """One group for each kind of motor."""
         for motor in dict.fromkeys(self.motors.values()):
-            kinds = [kind for kind, own in self.motors.items() if own == motor]
+            kinds = [kind for kind, other in self.motors.items() if other == motor]
             yield BuiltinPositionActuatorCfg(
                 target_names_expr=(f".*_({'|'.join(kinds)})_joint",),
                 stiffness=self.stiffness,
@@ -156,11 +156,11 @@ def rename_parts(
     Raises:
         RenetError: a part is missing.
     """
-    own = {TRUNK: trunk, **(bodies or {}), **(joints or {})}
-    found = {}
+    vendor_names = {TRUNK: trunk, **(bodies or {}), **(joints or {})}
+    parts = {}
     for lookup, names in ((spec.body, BODIES), (spec.joint, JOINTS)):
-        found |= {name: _part(lookup, own.get(name, name)) for name in names}
-    for name, part in found.items():
+        parts |= {name: _part(lookup, vendor_names.get(name, name)) for name in names}
+    for name, part in parts.items():
         part.name = name
     # Servos are mjlab's; physics options and poses are the task's.
     spec.option = mujoco.MjSpec().option

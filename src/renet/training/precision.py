@@ -115,5 +115,5 @@ def keep_freed_memory() -> bool:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):  # macOS, musl, Windows.
         return False
-    wanted = ((TRIM_THRESHOLD, NEVER), (MMAP_MAX, 0), (ARENA_MAX, 1))
-    return all([mallopt(*parameter) for parameter in wanted])
+    parameters = ((TRIM_THRESHOLD, NEVER), (MMAP_MAX, 0), (ARENA_MAX, 1))
+    return all([mallopt(*parameter) for parameter in parameters])

@@ -42,14 +42,14 @@ def tile_terrain(env: ManagerBasedRlEnv) -> Any:
 
 def on_tiles(env: ManagerBasedRlEnv, *kinds: str) -> Tensor:
     """Whether each robot is on a tile of one of these kinds, [N] bool; false on a plane."""
-    found = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+    mask = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
     terrain = tile_terrain(env)
     if terrain is None or terrain.cfg.terrain_generator is None:
-        return found
+        return mask
     for number, kind in enumerate(terrain.cfg.terrain_generator.sub_terrains):
         if kind in kinds:
-            found |= terrain.terrain_types == number
-    return found
+            mask |= terrain.terrain_types == number
+    return mask
 
 
 def height_above_start(env: ManagerBasedRlEnv) -> Tensor:
