@@ -94,12 +94,16 @@ COMMANDS = {
         group="Walk",
     ),
     "train": Command(
-        "train RENet on a CPU or on GPUs", "renet.training.train:TrainCfg:train", group="Train"
+        "train RENet on a CPU or on GPUs",
+        "renet.training.train:TrainCfg:train",
+        group="Train",
+        options="renet.options:TrainOptions",
     ),
     "recipe": Command(
         "print every setting of a checkpoint or a new run",
         "renet.training.train:RecipeCfg:show",
         group="Train",
+        options="renet.options:RecipeCfg",
     ),
     "export": Command(
         "turn a checkpoint into a bundle of ONNX models",

@@ -27,6 +27,7 @@ from rich.console import Console
 from renet.errors import RenetError
 from renet.files import write_atomically
 from renet.folders import lock
+from renet.options import TASK, RecipeCfg, TrainOptions
 from renet.tasks import RenetEnvCfg, env_cfg, make_env
 from renet.training import checkpoint as checkpoints
 from renet.training.config import RenetRunnerCfg
@@ -37,11 +38,9 @@ from renet.training.runner import RenetRunner
 from renet.training.runs import LATEST, new_run, resolve_resume, resumed_run, signals
 from renet.version import code_version
 
-TASK = "Renet-Go1-Parkour"
-
 
 @dataclass(kw_only=True)
-class TrainCfg:
+class TrainCfg(TrainOptions):
     """Train RENet. On a CPU the native engine steps C MuJoCo; on a GPU MuJoCo Warp.
 
     A task is registered with both its configurations, `--agent` and `--env`; options are those of
@@ -49,25 +48,6 @@ class TrainCfg:
     paper's. Several GPUs: torchrun or Slurm start a process for each (docs/training.md).
     """
 
-    task: tyro.conf.Positional[str]
-    """Task id: Renet-Go1-Parkour (the recipe), Renet-Go1-Parkour-Paper (the paper's settings, for
-    1.5 billion steps), Renet-Go1-Flat, or one registered by a plug-in."""
-    num_envs: int | None = None
-    """Robots of each process, short for --env.scene.num-envs; by default 512 on a CPU and 4096 on a
-    GPU (paper)."""
-    resume: str | None = None
-    """Run folder or checkpoint to go on from, with its settings; `latest` takes the newest run of
-    this task."""
-    time_budget: str | None = None
-    """Stop cleanly, with a checkpoint, before this much time has passed (90s, 25m, 8h), but not
-    before one iteration is done."""
-    log_root: Path | None = None
-    """Folder that receives a folder per run; by default `logs`, or where the run to go on from is.
-    Another one than that run's branches off: the run itself stays as it is."""
-    device: str = "auto"
-    """cpu, cuda:0, ... or auto (a GPU if there is one)."""
-    engine: str = "auto"
-    """Physics engine: auto, native (C MuJoCo on threads, CPU only) or warp."""
     agent: RenetRunnerCfg
     """Networks and learning."""
     env: RenetEnvCfg
@@ -260,17 +240,6 @@ def resolve_device(name: str) -> str:
             "start fewer processes, use --device cpu, or cuda:0 where each process sees its own GPU"
         )
     return name
-
-
-@dataclass(kw_only=True)
-class RecipeCfg:
-    """Print how a checkpoint was trained, or how `renet train` would begin now, as JSON."""
-
-    checkpoint: tyro.conf.Positional[Path | None] = None
-    """Checkpoint, or a run folder whose newest checkpoint is taken; by default, the recipe of a run
-    that would begin now."""
-    task: str = TASK
-    """Task of the run that would begin now."""
 
 
 def show(cfg: RecipeCfg) -> None:
