@@ -1,6 +1,8 @@
 """The fake Go2 in the hands of a test: it remembers what it was told, and can fail."""
 
 import time
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +27,10 @@ class Peer(Recording, FakeGo2):
         FakeGo2.__init__(self, free_domain())
         self._commands = self.network.reader(COMMANDS, LowCmd, depth=10_000)
         self.driver = "renet.deploy.robots.go2:Go2Robot", ("lo", free_domain())
+        self.slow = 0
+        """Steps by which MotionSwitcher's answers are late."""
+        self._answers: list[tuple[int, Any]] = []
+        self._switch, self._responses = self._responses, SimpleNamespace(write=self._delay)
         self.silent = self.deaf = self.stubborn = self.still = False
 
     def live(self) -> None:
@@ -42,6 +48,11 @@ class Peer(Recording, FakeGo2):
     def answer(self) -> None:
         if not self.deaf:
             super().answer()
+        while self._answers and self._answers[0][0] <= self.steps:
+            self._switch.write(self._answers.pop(0)[1])
+
+    def _delay(self, response: Any) -> None:
+        self._answers.append((self.steps + self.slow, response))
 
     def release(self) -> int:
         return BUSY if self.stubborn else super().release()

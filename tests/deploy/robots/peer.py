@@ -95,7 +95,7 @@ class Wire:
 
     def start(self) -> None:
         """Go on until the robot may be commanded."""
-        for _ in range(1000):
+        for _ in range(3000):
             if self.link.state is not None:
                 return
             self.run(1)

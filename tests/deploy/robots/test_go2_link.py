@@ -132,6 +132,12 @@ def test_a_mode_that_does_not_end_is_refused(wire, peer, failure, why):
     assert peer.refused == 0
 
 
+def test_a_switch_that_answers_late_is_understood(wire, peer):
+    peer.slow = round(3 * CHECK_EVERY / PERIOD)
+    wire.start()
+    assert peer.mode == ""
+
+
 def test_a_robot_that_says_nothing_is_waited_for(wire, peer):
     peer.silent = True
     wire.run(round(RELEASE / PERIOD) + 100)

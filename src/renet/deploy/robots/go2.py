@@ -19,7 +19,7 @@ class Go2Robot(RealRobot):
         interface: str,
         domain: int = DOMAIN,
         watch: bool = False,
-        timeout: float = 10.0,
+        timeout: float = 20.0,
         sink: float = SINK,
     ) -> None:
         """Set up without talking to the robot.

@@ -79,7 +79,7 @@ class FakeGo2:
         self._commands = self.network.reader(COMMANDS, LowCmd, depth=8)
         self._states = self.network.writer(STATES, LowState)
         self._requests = self.network.reader(REQUESTS, Request, depth=8)
-        self._responses = self.network.writer(RESPONSES, Response)
+        self._responses = self.network.writer(RESPONSES, Response, depth=8)
         self._out = LowState()
         self._out.values["head"], self._out.values["level_flag"] = (0xFE, 0xEF), 0xFF
         self.mode = SPORT

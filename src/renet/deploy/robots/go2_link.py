@@ -27,7 +27,7 @@ BUTTONS = slice(2, 4)
 """Bytes of the remote's message with one bit for each button."""
 QUIET = 0.2
 """Seconds without anybody else's command after which the motors are free."""
-RELEASE = 5.0
+RELEASE = 10.0
 """Seconds within which the robot's own controllers must have ended."""
 
 

@@ -63,9 +63,13 @@ class Network:
         except DDSException as error:
             raise RenetError(f"cannot use DDS on {interface}: {error.msg}") from error
 
-    def writer(self, topic: str, message: Any) -> DataWriter:
-        """A writer that never waits; raises RenetError if it would announce another type."""
-        qos = Qos(PLAIN_CDR, NEVER_WAIT, Policy.History.KeepLast(1))
+    def writer(self, topic: str, message: Any, depth: int = 1) -> DataWriter:
+        """A writer that never waits, and sends the newest `depth` messages again if they are lost.
+
+        Raises:
+            RenetError: it would announce another type than the robot does.
+        """
+        qos = Qos(PLAIN_CDR, NEVER_WAIT, Policy.History.KeepLast(depth))
         writer = DataWriter(self._participant, self._topic(topic, message), qos)
         self._check(topic, message.__name__)
         return writer

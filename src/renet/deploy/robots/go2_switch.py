@@ -7,8 +7,11 @@ import itertools
 import json
 import math
 import time
+from collections import deque
+from contextlib import suppress
 from typing import Any
 
+from cyclonedds.core import DDSException
 from cyclonedds.idl import make_idl_struct, types
 
 from renet.deploy.robots.go2_network import Network
@@ -17,6 +20,8 @@ REQUESTS, RESPONSES = "rt/api/motion_switcher/request", "rt/api/motion_switcher/
 CHECK_MODE, SELECT_MODE, RELEASE_MODE = 1001, 1002, 1003
 CHECK_EVERY = 0.25
 """Seconds between two questions which mode is active, and between two releases."""
+PATIENCE = 20
+"""Questions whose answers count, however late they come."""
 
 
 def _struct(name: str, **members: Any) -> Any:
@@ -39,10 +44,10 @@ class MotionSwitcher:
 
     def __init__(self, network: Network) -> None:
         """Set up; nothing is asked yet."""
-        self._writer = network.writer(REQUESTS, Request)
+        self._writer = network.writer(REQUESTS, Request, depth=8)
         self._reader = network.reader(RESPONSES, Response, depth=8)
         self._numbers = itertools.count(time.time_ns())
-        self._question: int | None = None
+        self._questions: deque[int] = deque(maxlen=PATIENCE)
         self._due = -math.inf
         self.mode: str | None = None
         """Name of the active mode, empty if there is none; None before the first answer."""
@@ -61,18 +66,19 @@ class MotionSwitcher:
         self._due = now + CHECK_EVERY
         if release and self.mode:
             self._ask(RELEASE_MODE)
-        self._question = self._ask(CHECK_MODE)
+        self._questions.append(self._ask(CHECK_MODE))
 
     def _ask(self, api: int, parameter: str = "{}") -> int:
         number = next(self._numbers)
         header = RequestHeader(Identity(number, api), Lease(0), RequestPolicy(0, False))
-        self._writer.write(Request(header, parameter, []))
+        with suppress(DDSException):  # A switch that does not acknowledge: it is asked again.
+            self._writer.write(Request(header, parameter, []))
         return number
 
     def _read(self, response: Any) -> None:
         header = getattr(response, "header", None)  # Absent where a writer has left.
-        if header is None or header.identity.id != self._question or header.status.code:
-            return  # An answer to somebody else, or a switch that is busy.
+        if header is None or header.identity.id not in self._questions or header.status.code:
+            return  # An answer to somebody else, or of a switch that is busy.
         try:
             self.mode = str(json.loads(response.data)["name"])
         except (ValueError, KeyError, TypeError):
