@@ -4,6 +4,7 @@ import os
 import pty
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 
@@ -46,22 +47,37 @@ def options(**changes) -> list[str]:
     return [f"--{name}={value}" for name, value in (safety | given | changes).items()]
 
 
-def test_a_keyboard_lets_a_robot_stand_up_walk_and_lie_down_again(served, go2_bundle, tmp_path):
-    """Untrained networks: it need not walk well, or far."""
-    terminal, ours = pty.openpty()
+@pytest.fixture
+def keyboard(go2_bundle, tmp_path) -> Iterator[tuple[subprocess.Popen, int]]:
+    """A program that drives the robot, and the terminal it reads."""
+    terminal, theirs = pty.openpty()
     command = [sys.executable, "-m", "renet", "deploy", str(go2_bundle), "--teleop=keyboard"]
-    run = subprocess.Popen([*command, *options(out=tmp_path)], stdin=ours, stdout=ours, stderr=ours)
-    os.close(ours)
+    streams = {"stdin": theirs, "stdout": theirs, "stderr": theirs}
+    run = subprocess.Popen([*command, *options(out=tmp_path)], **streams)
+    os.close(theirs)
+    yield run, terminal
+    run.kill()
+    run.wait()
+    os.close(terminal)
+
+
+def test_a_keyboard_lets_a_robot_stand_up_and_end_braked(served, keyboard, tmp_path):
+    """Untrained networks: it need not walk well, or far."""
+    run, terminal = keyboard
     until(lambda: served.commands and served.braked)
     assert served.mode == ""
-    until(lambda: served.stiff > 0, lambda: os.write(terminal, b"r"))
+
+    def rise() -> None:
+        os.write(terminal, b"r")
+        time.sleep(1.5)  # A key counts as released after a second.
+
+    until(lambda: served.stiff > 0, rise)
     until(lambda: served.data.qpos[2] > 0.2)
     os.write(terminal, b"q")
     with suppress(OSError):  # Nobody writes any more.
         while os.read(terminal, 10_000):
             pass
     assert run.wait(10) == 0
-    os.close(terminal)
     until(lambda: served.braked)
     assert served.wrong == served.refused == 0
     recording = read_recording(tmp_path / "recording.log")

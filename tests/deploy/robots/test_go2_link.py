@@ -150,6 +150,7 @@ def test_watching_ends_no_mode_and_commands_nothing(peer):
     wire = wire_of(peer, watch=True)
     wire.start()
     wire.send(hold(wire), 300)
+    assert wire.link.problem == "", "its own mode is none of a watcher's business"
     assert peer.mode == "normal"
     assert peer.commands == []
     assert peer.refused == 0
