@@ -168,6 +168,7 @@ def test_a_mode_that_comes_back_silences_this_program_for_good(free, peer):
     for _ in range(500):
         free.send(hold(free), 1)
     assert peer.refused == refused
+    assert peer.mode == "ai", "it is not ended again"
     peer.mode = ""
     for _ in range(round(CHECK_EVERY / PERIOD) + 2):
         free.send(hold(free), 1)
