@@ -109,12 +109,12 @@ class _Loop:
             controller.trip(ENDED, now)
         state = self._ask("robot", self.robot.read, None)
         frame = None if self.camera is None else self._ask("camera", self._look, None)
-        asked = self._ask("teleop", lambda: self.teleop.command(now), TeleopCommand(stop=True))
+        wish = self._ask("teleop", lambda: self.teleop.command(now), TeleopCommand(stop=True))
         if ending:
-            asked = TeleopCommand(stop=True)  # Also so that a replay of the recording brakes here.
-        asked = self._checked(asked, state, frame, now)
+            wish = TeleopCommand(stop=True)  # Also so that a replay of the recording brakes here.
+        wish = self._checked(wish, state, frame, now)
         begun = time.perf_counter()
-        command = controller.tick(state, frame, asked, now)
+        command = controller.tick(state, frame, wish, now)
         compute_ms = 1000.0 * (time.perf_counter() - begun)
         if not self.dry_run:
             self._write(command, state, now)
@@ -123,7 +123,7 @@ class _Loop:
             with suppress(Exception):  # Out of memory, for one: walk on without the recording.
                 where = getattr(self.robot, "base_position", None)  # Simulated robots know.
                 decision = controller.decision
-                self.recorder.append(state, frame, asked, now, decision, compute_ms, where)
+                self.recorder.append(state, frame, wish, now, decision, compute_ms, where)
             self._complain("recorder", self.recorder.problem)
         return command, state
 
@@ -134,26 +134,26 @@ class _Loop:
         return frame
 
     def _checked(
-        self, asked: TeleopCommand, state: RobotState | None, frame: DepthFrame | None, now: float
+        self, wish: TeleopCommand, state: RobotState | None, frame: DepthFrame | None, now: float
     ) -> TeleopCommand:
         """The operator's command, without a wish to stand up that the pre-arm check refuses.
 
         A refused button must be released first: nothing arms by itself once the check passes.
         """
-        arming = getattr(asked, "arm", False) and self.controller.machine.mode is Mode.DAMPING
+        arming = getattr(wish, "arm", False) and self.controller.machine.mode is Mode.DAMPING
         if not arming:
             self._refused = False
-            return asked
+            return wish
         if not self._refused and not self.dry_run:
             recording = "" if self.recorder is None else self.recorder.problem
             camera = self.camera is not None
             problem = pre_arm_problem(
-                state, asked, frame, camera, recording, self.controller.cfg, now
+                state, wish, frame, camera, recording, self.controller.cfg, now
             )
             self._refused = bool(problem)
             if problem:
                 self.controller.tell(now, "refused", problem)
-        return replace(asked, arm=False) if self._refused else asked
+        return replace(wish, arm=False) if self._refused else wish
 
     def _write(self, command: JointCommand, state: RobotState | None, now: float) -> None:
         try:
