@@ -29,7 +29,7 @@ export class Random {
       return value;
     }
     const radius = Math.sqrt(-2 * Math.log(1 - this.uniform()));
-    const angle = this.uniform(0, 2 * Math.PI);
+    const angle = 2 * Math.PI * this.uniform();
     this.spare = radius * Math.sin(angle);
     return radius * Math.cos(angle);
   }
