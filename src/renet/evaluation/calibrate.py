@@ -15,6 +15,7 @@ import numpy as np
 import tyro
 
 from renet.bundle import Bundle, write_manifest
+from renet.deploy.calibration_images import image_scores
 from renet.deploy.calibration_log import recorded_scores
 from renet.errors import RenetError
 from renet.evaluation.calibrate_memory import MEMORY, Memory, memory_limits
@@ -48,6 +49,13 @@ class CalibrateCfg:
     """Bundle folder; its manifest gets β and the thresholds."""
     log: tuple[Path, ...] = ()
     """Recordings of your own robot and healthy camera, to be used in place of simulated runs."""
+    images: Path | None = None
+    """Folder of depth images of your own healthy camera on a walk, in place of simulated runs: PNG
+    of 16 bits, one every 0.1 s, in the order of their names. Only monitors of images learn."""
+    scale: float = 0.001
+    """Metres of one step of the values of `--images`."""
+    lens: tuple[float, float, float, float] | None = None
+    """Lens of `--images`, pixels: FX FY CX CY; by default of a view of 87 degrees, undistorted."""
     robots: int = 120
     """Robots on each terrain."""
     seconds: float = 30.0
@@ -86,12 +94,19 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     Raises:
         RenetError: a bundle or a log that cannot be used, or a policy that never succeeds.
     """
-    if cfg.log:
+    if cfg.log and cfg.images:
+        raise RenetError("give --log or --images, not both")
+    if cfg.log or cfg.images:
         bundle = Bundle.load(cfg.bundle)
         spec = bundle.manifest.selector
-        kept = {MEMORY: spec.thresholds[MEMORY]} if MEMORY in spec.thresholds else {}
-        memory = kept, spec.longest_memory
-        return _store(cfg, bundle, recorded_scores(cfg.log, bundle), {}, memory)
+        if cfg.images:
+            series = image_scores(cfg.images, cfg.scale, cfg.lens, bundle)
+        else:
+            series = recorded_scores(cfg.log, bundle)
+        # Thresholds of what was not recorded stay.
+        names = {MEMORY} | (MONITORS.keys() - series.keys())
+        kept = {name: limit for name, limit in spec.thresholds.items() if name in names}
+        return _store(cfg, bundle, series, {}, (kept, spec.longest_memory))
     return _store(cfg, *_simulated_scores(cfg))
 
 
@@ -115,6 +130,7 @@ def _store(
     beta = calibrate(scores, cfg.false_alarm)
     rule = f"false alarm {cfg.false_alarm}" if cfg.false_alarm else "maximum"
     source = f"{len(cfg.log)} recording(s)" if cfg.log else f"successful episodes, seed {cfg.seed}"
+    source = "images" if cfg.images else source
     how = f"{rule} of {len(scores)} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
     manifest = bundle.manifest
     selector = replace(
@@ -129,7 +145,7 @@ def _store(
     write_manifest(bundle.path, replace(manifest, selector=selector))
     print(f"beta {beta:.6g} ({how}) written to {bundle.path}")
     if memory[1]:
-        limit = f"expects an error of {memory[0][MEMORY]:.2g} m or " if memory[0] else ""
+        limit = f"expects an error of {memory[0][MEMORY]:.2g} m or " if MEMORY in memory[0] else ""
         print(f"VP drives from memory until it {limit}has had no image for {memory[1]:.3g} s")
     rows = [(name, f"{value:.4g}") for name, value in thresholds.items()]
     show(

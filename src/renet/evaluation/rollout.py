@@ -59,9 +59,9 @@ def check_grounds(levels: Mapping[str, int]) -> None:
     Args:
         levels: level, 1 to 10, of each ground.
     """
-    for ground, level in levels.items():
-        from renet.terrain.tiles import find_tile  # Needs MuJoCo, as `calibrate --log` does not.
+    from renet.terrain.tiles import find_tile  # Needs MuJoCo; calibration from logs does not.
 
+    for ground, level in levels.items():
         find_tile("rough" if ground == FLAT else ground, level)
 
 
