@@ -25,7 +25,7 @@ class RenetEnvCfg(ManagerBasedRlEnvCfg):
     """ManagerBasedRlEnvCfg that knows its robot."""
 
     robot: RobotCfg = GO1
-    """Of which the scene was built; `renet export` writes its gains and pose into a bundle."""
+    """The robot in the scene; `renet export` writes its gains and pose into a bundle."""
 
 
 class RenetEnv(ManagerBasedRlEnv):

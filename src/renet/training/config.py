@@ -213,8 +213,7 @@ def from_dict(cls: type[T], values: dict[str, Any]) -> T:
         RenetError: a key is unknown, which means a file of another version.
     """
     hints = get_type_hints(cls)
-    known = {f.name for f in fields(cls)}  # type: ignore[arg-type]
-    unknown = sorted(set(values) - known)
+    unknown = sorted(set(values) - {f.name for f in fields(cls)})  # type: ignore[arg-type]
     if unknown:
         raise RenetError(
             f"{cls.__name__} has no field {', '.join(unknown)}: the configuration was written by "

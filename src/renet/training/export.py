@@ -38,16 +38,14 @@ OPSET = 17
 
 def export(cfg: ExportCfg) -> Path:
     """Export and return the bundle's folder; raises RenetError for a foreign checkpoint."""
-    found = checkpoints.find(cfg.checkpoint)
-    model, state = load_networks(found), checkpoints.load_state(found)
+    path = checkpoints.find(cfg.checkpoint)
+    model, state = load_networks(path), checkpoints.load_state(path)
     try:
         provenance = _provenance(state, model.cfg)
         noise_std = depth_noise(state["env"])
         learned = from_dict(WithholdingCfg, state["agent"].get("withholding", {}))
     except (KeyError, TypeError, AttributeError) as error:
-        raise RenetError(
-            f"{found} is not a checkpoint of RENet: its state lacks {error}"
-        ) from error
+        raise RenetError(f"{path} is not a checkpoint of RENet: its state lacks {error}") from error
     robot = env_cfg(provenance.task).robot if provenance.task else GO1
     manifest = Manifest(
         robot=robot_spec(robot),

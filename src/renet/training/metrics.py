@@ -177,18 +177,17 @@ def write_run_report(run: Path) -> Path:
     curves = read_curves(run)
     figure = Figure(figsize=(16, 12), layout="constrained")
     last = {}
-    for axis, (title, wanted) in zip(figure.subplots(4, 4).flat, PANELS, strict=True):
-        names = sorted(
-            n for n in curves if (n.startswith(wanted) if isinstance(wanted, str) else n in wanted)
-        )
-        for name in names:
+    for axis, (title, names) in zip(figure.subplots(4, 4).flat, PANELS, strict=True):
+        prefix = isinstance(names, str)
+        shown = sorted(n for n in curves if (n.startswith(names) if prefix else n in names))
+        for name in shown:
             iterations, values = curves[name]
             smooth = list(accumulate(values, lambda a, b: SMOOTHING * a + (1.0 - SMOOTHING) * b))
             last[name] = smooth[-1]
             axis.plot(iterations, smooth, label=name.split("/")[-1])
         axis.set(title=title, xlabel="iteration")
         axis.grid(alpha=0.3)
-        if len(names) > 1:
+        if len(shown) > 1:
             axis.legend(fontsize=7)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=70)

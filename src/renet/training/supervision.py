@@ -19,10 +19,10 @@ from renet.training.precision import computed_in, side_by_side
 from renet.training.storage import TickRollout
 
 AUTOENCODER_SHARE = 0.4
-"""Of a mini-batch's image pairs, at most: with few robots, whose pairs are much alike, the
+"""Largest share of a mini-batch's image pairs: with few robots, whose pairs are much alike, the
 autoencoder would else learn from each and take longer than both estimators."""
 GRASS_SHARE = 0.15
-"""Of the image pairs that the detector learns from; with twice as many it notices less else."""
+"""Share of the detector's image pairs with grass; with twice as many it notices less else."""
 GRASS_BLADES = 20
 """Most blades in view: `tall_grass` at severity 2 of 5."""
 GRASS_VIEWS = 512
