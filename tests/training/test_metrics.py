@@ -62,11 +62,12 @@ def test_levels_over_steps_follow_the_batches_schedule(tmp_path, form):
 
 def test_curves_go_to_wandb_offline_beside_the_file(tmp_path, monkeypatch):
     """The run's own process would wait for the network; offline it writes a folder."""
-    pytest.importorskip("wandb")
+    wandb = pytest.importorskip("wandb")
     for name, value in {"MODE": "offline", "DIR": str(tmp_path), "SILENT": "true"}.items():
         monkeypatch.setenv(f"WANDB_{name}", value)
     runner = make_runner(ToyEnv(), tmp_path, logger="wandb")
     runner.learn(2)
+    wandb.teardown()  # Its service writes what is left.
     (log,) = (tmp_path / "wandb").glob("offline-run-*/*.wandb")
     assert b"surrogate" in log.read_bytes()
     assert read_curves(tmp_path)["Loss/surrogate"][0] == [0, 1]
