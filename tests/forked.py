@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-TIMEOUT = 120.0
+TIMEOUT = 600.0
 """Seconds after which a process hangs; some start in ten on a busy computer."""
 # Nothing of mjlab's and renet's: which is imported first matters.
 LIBRARIES = """torch._dynamo tensordict rsl_rl.runners torch.utils.tensorboard mujoco_warp

@@ -195,7 +195,9 @@ def _run(arguments: list[str]) -> int:
     except (RenetError, OSError) as error:
         if getattr(error, "filename", "") is None:  # About no file that the user named.
             raise
-        print(f"renet: {error}", file=sys.stderr)
+        # One line, in which no name of a file commands the terminal.
+        line = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(error))
+        print(f"renet: {line}", file=sys.stderr)
         return 2
     except KeyboardInterrupt as interrupt:
         print(": ".join(filter(None, ("renet: interrupted", str(interrupt)))), file=sys.stderr)

@@ -96,10 +96,10 @@ def write_page(cfg: PageCfg) -> Path:
             "packages with --runtime"
         )
     earlier = _earlier(cfg.out)
-    demand_own(cfg.out, earlier, "page that renet wrote")
+    demand_own(cfg.out, earlier, "page")
     bundles = [Bundle.load(path) for path in cfg.bundles or (None,)]
     contents = _contents(bundles, cfg.runtime)
-    write_folder(cfg.out, contents, earlier, "page that renet wrote")
+    write_folder(cfg.out, contents, earlier, "page")
     return cfg.out
 
 

@@ -1,0 +1,373 @@
+"""Sixty and more files and folders that nobody should hand to renet, by name."""
+
+import hashlib
+import json
+import os
+import shutil
+import socket
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from onnx import TensorProto as Type
+from onnx import helper
+from safetensors.numpy import save_file
+
+from renet.bundle import DEFAULT, MANIFEST, PREVIOUS, pretrained
+from renet.deploy.recording import CHUNK, MAGIC, TICK_DTYPE
+
+Maker = Callable[[Path], Path | str | None]
+"""Fills a new folder; returns what to hand over, the folder itself by default."""
+info, node = helper.make_tensor_value_info, helper.make_node
+
+
+def file(data: bytes | str, name: str = "file") -> Maker:
+    def make(folder: Path) -> Path:
+        content = data.encode() if isinstance(data, str) else data
+        (folder / name).write_bytes(content)
+        return folder / name
+
+    return make
+
+
+def sparse(size: int, head: bytes = b"") -> Maker:
+    def make(folder: Path) -> Path:
+        path = file(head)(folder)
+        assert isinstance(path, Path)
+        os.truncate(path, size)
+        return path
+
+    return make
+
+
+def link(target: str) -> Maker:
+    def make(folder: Path) -> Path:
+        (folder / "link").symlink_to(target)
+        return folder / "link"
+
+    return make
+
+
+def pipe(folder: Path) -> Path:
+    os.mkfifo(folder / "pipe")
+    return folder / "pipe"
+
+
+def unix_socket(folder: Path) -> Path:
+    with socket.socket(socket.AF_UNIX) as server:
+        here = os.open(folder, os.O_RDONLY)
+        server.bind(f"/proc/self/fd/{here}/socket")  # Its path may be too long for a socket's.
+        os.close(here)
+    return folder / "socket"
+
+
+def deep(folder: Path) -> Path:
+    start = folder
+    for _ in range(300):
+        (folder := folder / "d").mkdir()
+    return start
+
+
+def bundle(edit: Callable[[Path], object]) -> Maker:
+    """The shipped bundle after a change."""
+
+    def make(folder: Path) -> Path:
+        path = Path(shutil.copytree(pretrained(DEFAULT), folder / "bundle"))
+        edit(path)
+        return path
+
+    return make
+
+
+def manifest(**changes: object) -> Maker:
+    def edit(path: Path) -> None:
+        value = json.loads((path / MANIFEST).read_text())
+        for key, fields in changes.items():
+            value[key] = value[key] | fields if isinstance(fields, dict) else fields
+        (path / MANIFEST).write_text(json.dumps(value))
+
+    return bundle(edit)
+
+
+def text(content: str) -> Maker:
+    return bundle(lambda path: (path / MANIFEST).write_text(content))
+
+
+def without(name: str, replace: Callable[[Path], object]) -> Maker:
+    """A bundle with something else in place of one of its files."""
+
+    def edit(path: Path) -> None:
+        (path / name).unlink()
+        replace(path / name)
+
+    return bundle(edit)
+
+
+def model(name: str, data: bytes, beside: dict[str, bytes] | None = None) -> Maker:
+    """A bundle with another model, for which its manifest vouches."""
+
+    def edit(path: Path) -> None:
+        value = json.loads((path / MANIFEST).read_text())
+        value["sha256"][f"{name}.onnx"] = hashlib.sha256(data).hexdigest()
+        (path / MANIFEST).write_text(json.dumps(value))
+        (path / f"{name}.onnx").write_bytes(data)
+        for other, content in (beside or {}).items():
+            (path / other).write_bytes(content)
+
+    return bundle(edit)
+
+
+def actor(*nodes: object, initializers: tuple = (), element: int = Type.FLOAT, **sizes: object):
+    """An actor of somebody's making; `c` is a constant of 12 numbers."""
+    shapes = {"proprioception": 45, "latent_op": 64, "latent_vp": 64, "op_mask": 1} | sizes
+    inputs = [info(n, element, ["n", s]) for n, s in shapes.items()]
+    tensors = [constant(0.1), *initializers]
+    graph = helper.make_graph(nodes, "actor", inputs, [info("action", element, None)], tensors)
+    opset = [helper.make_opsetid("", 17)]
+    made = helper.make_model(graph, opset_imports=opset, ir_version=8)
+    return model("actor", made.SerializeToString())
+
+
+def constant(value: float, name: str = "c"):
+    return helper.make_tensor(name, Type.FLOAT, [1, 12], [value] * 12)
+
+
+def integers(name: str, *values: int):
+    return helper.make_tensor(name, Type.INT64, [len(values)], values)
+
+
+def branch(name: str):
+    """The branch of an If: its output is `c`."""
+    return helper.make_graph([node("Identity", ["c"], [name])], name, [], [info(name, 1, None)])
+
+
+ADD = node("Add", ["c", "op_mask"], ["action"])
+TURN = [  # Whether the robot's gravity points up, which it does in no trial.
+    node("Gather", ["proprioception", "five"], ["g"], axis=1),
+    node("Greater", ["g", "limit"], ["b"]),
+    node("Squeeze", ["b"], ["up"]),
+]
+LIMITS = (integers("five", 5), helper.make_tensor("limit", Type.FLOAT, [1], [0.7]))
+LOOP = helper.make_graph(
+    [node("Identity", ["go"], ["on"]), node("Identity", ["x"], ["y"])],
+    "body",
+    [info("i", Type.INT64, []), info("go", Type.BOOL, []), info("x", Type.FLOAT, None)],
+    [info("on", Type.BOOL, []), info("y", Type.FLOAT, None)],
+)
+YES = helper.make_tensor("yes", Type.BOOL, [], [True])
+FOREVER = helper.make_tensor("count", Type.INT64, [], [2**62])
+
+
+def chunk(tag: bytes, data: bytes) -> bytes:
+    packed = zlib.compress(data)
+    return CHUNK.pack(tag, len(packed), zlib.crc32(packed)) + packed
+
+
+HEAD = MAGIC + chunk(b"HEAD", b"{}")
+
+
+def ticks(**fields: object) -> bytes:
+    rows = np.zeros(3, TICK_DTYPE)
+    rows["now"] = [1.0, 1.02, 1.04]
+    for name, value in fields.items():
+        rows[name] = value
+    return HEAD + chunk(b"TICK", rows.tobytes())
+
+
+SECOND = chunk(b"TICK", bytes(3_900_000 // TICK_DTYPE.itemsize * TICK_DTYPE.itemsize))
+
+
+def checkpoint(state: object, tensors: Callable[[Path], object] | None = None) -> Maker:
+    """A checkpoint of a state and of tensors that are no model's."""
+
+    def make(folder: Path) -> Path:
+        path = folder / "it_00000001"
+        path.mkdir()
+        content = state if isinstance(state, str) else json.dumps(state)
+        (path / "state.json").write_text(content)
+        arrays = {"critic_normalizer._mean": np.zeros((1, 10), np.float32)}
+        for name in ("model", "environment"):
+            save_file(arrays, path / f"{name}.safetensors")
+        if tensors is not None:
+            (path / "model.safetensors").unlink()
+            tensors(path / "model.safetensors")
+        return path
+
+    return make
+
+
+def claims(size: int, header: bytes) -> Callable[[Path], None]:
+    """A sparse file of tensors: its header, and a hole."""
+
+    def make(path: Path) -> None:
+        path.write_bytes(struct.pack("<Q", len(header)) + header)
+        os.truncate(path, size)
+
+    return make
+
+
+def results(write: Callable[[Path], object]) -> Maker:
+    """A folder with the results of a study."""
+
+    def make(folder: Path) -> Path:
+        (folder / "noise").mkdir()
+        write(folder / "noise" / "summary.json")
+        return folder
+
+    return make
+
+
+def scene(assets: str, body: str) -> Maker:
+    def make(folder: Path) -> Path:
+        os.mkfifo(folder / "pipe.png")
+        content = f"<mujoco><asset>{assets}</asset><worldbody>{body}</worldbody></mujoco>"
+        return file(content, "scene.xml")(folder)  # type: ignore[return-value]
+
+    return make
+
+
+TENSOR = b'{"a":{"dtype":"F32","shape":[250000000],"data_offsets":[0,1000000000]}}'
+MISCELLANY: dict[str, Maker] = {
+    "nothing": lambda folder: folder / "nowhere",
+    "an empty folder": lambda folder: None,
+    "an empty file": file(b""),
+    "text": file("years of work"),
+    "bytes": file(bytes(range(256)) * 100),
+    "a pipe": pipe,
+    "a socket": unix_socket,
+    "a device without end": lambda folder: "/dev/zero",
+    "a link to a device": link("/dev/zero"),
+    "a link to nothing": link("nowhere"),
+    "a link to itself": link("link"),
+    "a file of 4 GB on paper": sparse(4_000_000_000),
+    "folders 300 deep": deep,
+    "a name of 300 letters": lambda folder: folder / ("x" * 300),
+    "a name with a null byte": lambda folder: f"{folder}/a\0b",
+    "a name that commands a terminal": lambda folder: file("", "\x1b]0;owned\x07")(folder),
+    "a name of two lines": lambda folder: file("", "a\nb")(folder),
+    "a name that is no text": lambda folder: os.fsdecode(os.fsencode(folder) + b"/\xff"),
+    "JSON": file('{"a": 1}'),
+    "deep JSON": file("[" * 1_000_000),
+    "a page": file("<html></html>", "page.html"),
+}
+BUNDLES: dict[str, Maker] = {
+    "a manifest that is a pipe": without(MANIFEST, os.mkfifo),
+    "a manifest that is a device": without(MANIFEST, lambda p: p.symlink_to("/dev/zero")),
+    "a manifest of 300 MB": bundle(lambda p: os.truncate(p / MANIFEST, 300_000_000)),
+    "a manifest nested a million deep": text("[" * 1_000_000),
+    "a manifest of one long number": text("1" * 100_000),
+    "a manifest of another type": text("[1, 2]"),
+    "Kp -1000": manifest(robot={"stiffness": [-1000.0] * 12}),
+    "beta 1e300": manifest(selector={"beta": 1e300}),
+    "history 1e9": manifest(history=10**9),
+    "escape codes in a text": manifest(provenance={"task": "\x1b]0;owned\x07"}),
+    "a text of a megabyte": manifest(provenance={"task": "x" * 1_000_000}),
+    "a model of 4 GB": bundle(lambda p: os.truncate(p / "actor.onnx", 4_000_000_000)),
+    "a model that is a link": without("actor.onnx", lambda p: p.symlink_to("/etc/passwd")),
+    "a link for a temporary": bundle(lambda p: (p / ".manifest.json.partial").symlink_to("/x")),
+    "a link for what was before": bundle(lambda p: (p / PREVIOUS).symlink_to("../../../victim")),
+    "a link for a card": bundle(lambda p: (p / "README.md").symlink_to("../../../victim")),
+    "a pipe for what was before": bundle(lambda p: os.mkfifo(p / PREVIOUS)),
+    "a file too many": bundle(lambda p: (p / "thesis.tex").write_text("years of work")),
+    "a model that loops for ever": actor(
+        node("Loop", ["count", "yes", "c"], ["l"], body=LOOP),
+        node("Add", ["l", "op_mask"], ["action"]),
+        initializers=(FOREVER, YES),
+    ),
+    "a model that does so upside down": actor(
+        *TURN,
+        node("Loop", ["count", "up", "c"], ["l"], body=LOOP),
+        node("Add", ["l", "op_mask"], ["action"]),
+        initializers=(FOREVER, *LIMITS),
+    ),
+    "a model that branches": actor(
+        *TURN,
+        node("If", ["up"], ["i"], then_branch=branch("t"), else_branch=branch("e")),
+        node("Add", ["i", "op_mask"], ["action"]),
+        initializers=LIMITS,
+    ),
+    "a model that asks for 16 GB": actor(
+        node("Expand", ["limit", "shape"], ["big"]),
+        node("ReduceSum", ["big"], ["s"], keepdims=0),
+        node("Add", ["c", "s"], ["action"]),
+        initializers=(integers("shape", 4_000_000_000), *LIMITS),
+    ),
+    "a model that asks for what gravity says": actor(
+        *TURN,
+        node("Cast", ["b"], ["k"], to=Type.INT64),
+        node("Squeeze", ["k"], ["shape"]),
+        node("Expand", ["c", "shape"], ["action"]),
+        initializers=LIMITS,
+    ),
+    "a model that throws dice": actor(node("RandomNormalLike", ["c"], ["action"])),
+    "a model with NaN": actor(
+        node("Add", ["nan", "op_mask"], ["action"]), initializers=(constant(np.nan, "nan"),)
+    ),
+    "a model of another type": actor(
+        node("Cast", ["op_mask"], ["action"], to=11), element=Type.DOUBLE
+    ),
+    "a model of symbolic sizes": actor(ADD, proprioception="k"),
+    "a model in ONNX Runtime's format": model("actor", b"\x18\0\0\0ORTM" + bytes(1000)),
+    "a model that is text": model("vision", b"hello"),
+}
+RECORDINGS: dict[str, Maker] = {
+    "a bomb of zeros": file(HEAD + SECOND * 60),
+    "a sparse bomb": sparse(1_000_000_000, HEAD + SECOND * 60),
+    "one chunk of 100 MB": file(HEAD + chunk(b"TICK", bytes(TICK_DTYPE.itemsize * 60_000))),
+    "text for a number": file(MAGIC + chunk(b"HEAD", b'{"beta": "low", "onsets": ["now"]}')),
+    "a deep header": file(MAGIC + chunk(b"HEAD", b'{"a":' * 100_000)),
+    "times of 1e15": file(ticks(now=[0.0, 1.0, 1e15])),
+    "times that are not numbers": file(ticks(now=[0.0, np.nan, 1.0])),
+    "times that run backwards": file(ticks(now=[2.0, 1.0, 3.0])),
+    "mode 77": file(ticks(mode=77)),
+    "an image of tick 1e9": file(ticks() + chunk(b"IMAG", struct.pack("<I", 10**9) + bytes(6144))),
+    "a length of 4 GB": file(HEAD + CHUNK.pack(b"TICK", 2**32 - 1, 0)),
+    "a recording without header": file(MAGIC + b"x" * 100),
+}
+CHECKPOINTS: dict[str, Maker] = {
+    "a checkpoint without task": checkpoint({"format": 1, "config": {"model": {}}}),
+    "a checkpoint of history 1e9": checkpoint(
+        {"format": 1, "task": "", "config": {"model": {"history": 10**9}}}
+    ),
+    "a checkpoint of hidden abc": checkpoint(
+        {"format": 1, "task": "", "config": {"model": {"hidden": "abc"}}}
+    ),
+    "a checkpoint that is a list": checkpoint("[]"),
+    "a deep checkpoint": checkpoint("[" * 1_000_000),
+    "a checkpoint of pipes": checkpoint({"format": 1}, os.mkfifo),
+    "tensors of 1 GB on paper": checkpoint(
+        {"format": 1, "task": "", "config": {"model": {}}},
+        claims(8 + len(TENSOR) + 1_000_000_000, TENSOR),
+    ),
+    "a header of 1 GB on paper": checkpoint(
+        {"format": 1, "task": "", "config": {"model": {}}}, claims(1_000_000_000, b"")
+    ),
+}
+RESULTS: dict[str, Maker] = {
+    "results in a pipe": results(os.mkfifo),
+    "results of a list": results(lambda p: p.write_text("[]")),
+    "results of nothing": results(lambda p: p.write_text("{}")),
+    "results of 4 GB on paper": results(lambda p: (p.touch(), os.truncate(p, 4_000_000_000))),
+    "results of text": results(
+        lambda p: p.write_text('{"runs": [1], "settings": 2, "provenance": "x", "study": []}')
+    ),
+}
+SCENES: dict[str, Maker] = {
+    "a billion bodies": scene("", '<replicate count="1000000000"><geom size="1"/></replicate>'),
+    "a height field of 60,000 squared": scene(
+        '<hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/>',
+        '<geom type="hfield" hfield="h"/>',
+    ),
+    "a pipe for a texture": scene(
+        '<texture type="2d" name="t" file="pipe.png"/><material name="m" texture="t"/>',
+        '<geom type="plane" size="1 1 1" material="m"/>',
+    ),
+    "a file of the system": scene("", '<include file="/etc/passwd"/>'),
+    "a spring that hangs MuJoCo": scene(
+        "",
+        '<geom type="plane" size="9 9 1"/><body><joint stiffness="-1e12"/><geom size=".1"/></body>',
+    ),
+}
+FILES = MISCELLANY | BUNDLES | RECORDINGS | CHECKPOINTS | RESULTS | SCENES

@@ -1,0 +1,196 @@
+"""Hostile files, each handed to every option of every command that takes a path.
+
+Whatever it is, a command reads it or says in one line what is wrong with it: without a traceback,
+without waiting or taking much memory, and without touching a file of the user's.
+"""
+
+import dataclasses
+import io
+import json
+import os
+import resource
+import shutil
+import signal
+import time
+import typing
+from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+
+import pytest
+
+from renet.bundle import DEFAULT, pretrained
+from renet.cli import COMMANDS, main
+
+from ..forked import fork
+from .files import FILES, manifest, ticks
+
+MEMORY = 500_000
+"""Kilobytes that a file may cost beside what its command needs for a path that does not exist."""
+PROCESSOR = 5.0
+"""Seconds of processor time, trials included."""
+PATIENCE = 120
+"""Seconds of a busy computer's clock."""
+OUTPUTS = ("out", "log_root")
+"""Options that name what is written."""
+PATHS_AS_TEXT = ("resume",)
+"""Options that name what is read and are not typed as paths."""
+VARIANTS: dict[str, list[list[str]]] = {
+    "deploy": [["--seconds", "0.1"], ["--camera", "replay", "--seconds", "0.1"]],
+    "train": [["Renet-Go1-Flat", "--max-iterations", "1", "--num-envs", "2"]],
+    "bundle card": [["--out", "out"]],
+    "calibrate": [["shipped"]],
+    "evaluate log": [["recording.log"]],
+    "evaluate report": [["--out", "out.html"]],
+}
+"""Options that a command needs to go on to a path; none by default."""
+
+
+def is_path(hint: object) -> bool:
+    return hint is Path or any(map(is_path, typing.get_args(hint)))
+
+
+def inputs(config: object) -> Iterator[str]:
+    """Options of a configuration that name what is read; positional ones without dashes."""
+    cls = config if isinstance(config, type) else type(config)
+    hints = typing.get_type_hints(cls, include_extras=True)
+    for field in dataclasses.fields(cls):  # type: ignore[arg-type]
+        value = getattr(config, field.name, None)
+        if dataclasses.is_dataclass(value):
+            yield from inputs(value)
+        elif field.name in PATHS_AS_TEXT or (
+            is_path(hints[field.name]) and field.name not in OUTPUTS
+        ):
+            positional = "Positional" in str(hints[field.name])
+            yield field.name if positional else f"--{field.name.replace('_', '-')}"
+
+
+def options() -> Iterator[tuple[str, str, tuple[str, ...]]]:
+    """Every command, each option of it that reads a path, and what else it needs."""
+    for name, command in COMMANDS.items():
+        presets = [["--preset", preset] for preset in command.presets]
+        for variant in VARIANTS.get(name, [[]]) + presets:
+            _, config, _ = command.load(variant)
+            if hasattr(config, "defaults"):
+                config = config.defaults(variant)
+            for option in inputs(config):
+                yield name, option, tuple(variant)
+
+
+OPTIONS = list(dict.fromkeys(options()))
+
+
+def command_line(name: str, option: str, variant: tuple[str, ...], path: str) -> list[str]:
+    """The command with a path for one of its options; a positional one replaces the variant's."""
+    if option.startswith("--"):
+        return [*name.split(), *variant, option, path]
+    positional = variant and not variant[0].startswith("--") and name != "train"
+    return [*name.split(), path, *variant[1 if positional else 0 :]]
+
+
+def snapshot(folder: Path) -> dict[str, tuple]:
+    """What a change of any file below a folder changes."""
+    return {
+        str(path): (s.st_mode, s.st_size, s.st_mtime_ns, s.st_ino)
+        for path in [folder, *folder.rglob("*")]
+        for s in [path.lstat()]
+    }
+
+
+def usage() -> tuple[float, int]:
+    """Processor time in s and peak memory in kB of this process and its children."""
+    both = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(u.ru_utime + u.ru_stime for u in both), max(u.ru_maxrss for u in both)
+
+
+def attempt(arguments: list[str]) -> str:
+    """What is wrong with how a command took its arguments; empty if nothing is."""
+    out, error = io.StringIO(), io.StringIO()
+    (seconds, before), code = usage(), -1
+    try:
+        with redirect_stdout(out), redirect_stderr(error):
+            code = main(arguments)
+    except SystemExit as exit:
+        return f"cannot be parsed ({exit.code}): {error.getvalue()[-300:]}"
+    except BaseException as raised:
+        return f"raised {type(raised).__name__}: {raised}"[:300]
+    after, peak = usage()
+    said = error.getvalue()
+    lines = [line for line in said.splitlines() if line.startswith("renet:")]
+    wrong = {
+        f"exit code {code}: {said[-300:]}": code not in (0, 2),
+        f"a refusal in {len(lines)} lines: {said[-600:]}": code == 2 and len(lines) != 1,
+        f"a long refusal: {said[:200]}": len(said) > 2500,
+        "escape codes": "\x1b]" in said + out.getvalue(),
+        f"a traceback: {said[-300:]}": "Traceback" in said,
+        f"{after - seconds:.1f} s of processor time": after - seconds > PROCESSOR,
+        f"{(peak - before) / 1000:.0f} MB": peak - before > MEMORY,
+    }
+    return "; ".join(text for text, is_wrong in wrong.items() if is_wrong)
+
+
+def hand_over(name: str, option: str, variant: tuple[str, ...], folder: str) -> int:
+    """Hand every hostile file to one option, in a process of its own; prints what went wrong."""
+    paths: dict[str, str] = json.loads(Path(folder, "paths.json").read_text())
+    work = Path(folder, "work", f"{name} {option} {len(variant)}")
+    work.mkdir(parents=True)
+    os.chdir(work)
+    shutil.copytree(pretrained(DEFAULT), "shipped")
+    Path("recording.log").write_bytes(ticks())
+    attempt(command_line(name, option, variant, "/nowhere"))  # Imports what it needs.
+    reports, sizes = {}, []
+    for title, path in paths.items():
+        signal.alarm(PATIENCE)
+        Path("progress").write_text(title)
+        begun = time.monotonic()
+        problem = attempt(command_line(name, option, variant, path))
+        sizes.append((time.monotonic() - begun, title))
+        if problem:
+            reports[title] = problem
+    print(json.dumps(reports))
+    return 0
+
+
+@pytest.fixture(scope="session")
+def hostile(tmp_path_factory) -> Path:
+    """A folder of hostile files beside a victim, and their paths by name."""
+    folder = tmp_path_factory.mktemp("hostile")
+    (folder / "files" / "victim").mkdir(parents=True)
+    (folder / "files" / "victim" / "thesis.tex").write_text("years of work")
+    paths = {}
+    for number, (title, make) in enumerate(FILES.items()):
+        (place := folder / "files" / str(number)).mkdir()
+        paths[title] = str(make(place) or place)
+    (folder / "paths.json").write_text(json.dumps(paths))
+    return folder
+
+
+@pytest.mark.parametrize(("name", "option", "variant"), OPTIONS, ids=lambda part: str(part))
+def test_no_command_is_hurt_by_a_hostile_file(hostile, name, option, variant):
+    before = snapshot(hostile / "files")
+    done = fork(hand_over, name, option, variant, str(hostile))
+    assert done.returncode == 0, (done.returncode, done.stderr[-1500:], *progress(hostile))
+    reports = json.loads(done.stdout.splitlines()[-1])
+    assert not reports, "\n".join(f"{title}: {report}" for title, report in reports.items())
+    assert snapshot(hostile / "files") == before
+
+
+def progress(folder: Path) -> list[str]:
+    """At which files processes are, or ended."""
+    return [path.read_text() for path in folder.glob("work/*/progress")]
+
+
+def test_there_are_sixty_files_and_every_command_that_reads_is_tried():
+    assert len(FILES) >= 60
+    reading = {name for name, _, _ in OPTIONS}
+    assert set(COMMANDS) - reading == set(), "commands that read nothing are listed here"
+    assert {("deploy", "--scene"), ("deploy", "--recording"), ("train", "--resume")} <= {
+        (name, option) for name, option, _ in OPTIONS
+    }
+
+
+def test_markup_in_a_bundle_is_printed_as_it_is(tmp_path, capsys):
+    markup = "[bold red]x[/]"
+    path = manifest(provenance={"task": markup}, robot={"name": markup})(tmp_path)
+    assert main(["bundle", "inspect", str(path)]) == 0
+    assert capsys.readouterr().out.count(markup) == 2, "in a line and over a table"
