@@ -208,6 +208,29 @@ def claims(size: int, header: bytes) -> Callable[[Path], None]:
     return make
 
 
+def holes(folder: Path) -> Path:
+    """A checkpoint of 20 kB on the disk and 0.6 GB in memory, which fits the settings it states."""
+    import torch
+
+    from renet.models.config import ModelCfg
+    from renet.models.renet import RENet
+
+    state = {"format": 1, "task": "", "config": {"model": {"critic_hidden": [12_000, 12_000]}}}
+    path = checkpoint(state)(folder)
+    assert isinstance(path, Path)
+    with torch.device("meta"):
+        weights = RENet(ModelCfg(critic_hidden=(12_000, 12_000)), 10).state_dict()
+    header, end = {}, 0
+    for name, value in weights.items():
+        kind = "I64" if value.dtype == torch.int64 else "F32"
+        places = [end, end := end + value.nbytes]
+        header[name] = {"dtype": kind, "shape": list(value.shape), "data_offsets": places}
+    text = json.dumps(header).encode()
+    claims(8 + len(text) + end, text)(path / "model.safetensors")
+    (path / "average.safetensors").symlink_to("model.safetensors")
+    return path
+
+
 def results(write: Callable[[Path], object]) -> Maker:
     """A folder with the results of a study."""
 
@@ -341,6 +364,7 @@ CHECKPOINTS: dict[str, Maker] = {
         {"format": 1, "task": "", "config": {"model": {}}},
         claims(8 + len(TENSOR) + 1_000_000_000, TENSOR),
     ),
+    "tensors of holes": holes,
     "a header of 1 GB on paper": checkpoint(
         {"format": 1, "task": "", "config": {"model": {}}}, claims(1_000_000_000, b"")
     ),

@@ -40,6 +40,7 @@ VARIANTS: dict[str, list[list[str]]] = {
     "train": [["Renet-Go1-Flat", "--max-iterations", "1", "--num-envs", "2"]],
     "bundle card": [["--out", "out"]],
     "calibrate": [["shipped"]],
+    "evaluate leaderboard": [["recording.log"]],
     "evaluate log": [["recording.log"]],
     "evaluate report": [["--out", "out.html"]],
 }
@@ -183,7 +184,7 @@ def progress(folder: Path) -> list[str]:
 def test_there_are_sixty_files_and_every_command_that_reads_is_tried():
     assert len(FILES) >= 60
     reading = {name for name, _, _ in OPTIONS}
-    assert set(COMMANDS) - reading == set(), "commands that read nothing are listed here"
+    assert set(COMMANDS) - reading == {"simulate"}, "this one reads nothing"
     assert {("deploy", "--scene"), ("deploy", "--recording"), ("train", "--resume")} <= {
         (name, option) for name, option, _ in OPTIONS
     }
