@@ -78,7 +78,7 @@ def options() -> Iterator[tuple[str, str, tuple[str, ...]]]:
                 yield name, option, tuple(variant)
 
 
-OPTIONS = list(dict.fromkeys(options()))
+OPTIONS = list({(name, option): (name, option, more) for name, option, more in options()}.values())
 
 
 def command_line(name: str, option: str, variant: tuple[str, ...], path: str) -> list[str]:
