@@ -2,6 +2,7 @@
 
 import os
 import zlib
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from renet.files import (
     read_object,
     remove,
     require_regular,
+    sync,
     temporary_path,
     write_atomically,
 )
@@ -28,10 +30,11 @@ from renet.files import (
 def test_what_is_not_a_regular_file_is_refused_without_waiting(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
-        with pytest.raises(RenetError, match=r"not a regular file|Is a directory"):
-            read_bytes(path, 10)
-        with pytest.raises(RenetError, match="not a regular file"):
-            require_regular(path, 10)
+        for read in (partial(read_bytes, limit=10, what="log"), partial(read_object, what="log")):
+            with pytest.raises(RenetError, match=r"log .*(not a regular file|Is a directory)"):
+                read(path)
+        with pytest.raises(RenetError, match=r"the log .* is not a regular file"):
+            require_regular(path, 10, "log")
     for path in (tmp_path / "none", Path("a\0b")):
         for check in (read_bytes, require_regular):
             with pytest.raises(RenetError, match="cannot read the log"):
@@ -138,6 +141,10 @@ def test_a_pipe_where_a_file_goes_never_makes_a_write_wait(tmp_path):
     os.close(reader)
     write_atomically(pipe, b"new")
     assert pipe.read_bytes() == b"new"
+
+
+def test_what_cannot_be_flushed_is_written_all_the_same(tmp_path):
+    sync(tmp_path / "nowhere")
 
 
 def test_appended_lines_follow_what_was_there(tmp_path):

@@ -200,6 +200,14 @@ def test_move_replaces_nothing(tmp_path, monkeypatch):
     assert contents(tmp_path) == {"b": b"b", "c": b"a"}
 
 
+def test_an_old_c_library_moves_and_exchanges_as_well(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(folders.ctypes, "CDLL", lambda *_, **__: object())
+    move(folder, tmp_path / "moved")
+    files = {"a.txt": b"new", "sub/b.txt": b"new", "sub/c.txt": b"new", "sub/deep/d.txt": b"new"}
+    write_folder(tmp_path / "moved", files, OWN, "page")
+    assert contents(tmp_path / "moved") == {**files, "sub": None, "sub/deep": None}
+
+
 def test_a_locked_folder_is_anothers_until_that_ends(tmp_path):
     code = "import sys; from pathlib import Path; from renet.folders import lock\n"
     code += "with lock(Path(sys.argv[1])): print(flush=True); sys.stdin.read()"
