@@ -203,9 +203,9 @@ def test_move_replaces_nothing(tmp_path, monkeypatch):
 def test_an_old_c_library_moves_and_exchanges_as_well(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(folders.ctypes, "CDLL", lambda *_, **__: object())
     move(folder, tmp_path / "moved")
-    files = {"a.txt": b"new", "sub/b.txt": b"new", "sub/c.txt": b"new", "sub/deep/d.txt": b"new"}
+    files = {"a.txt": b"new", "sub/b.txt": b"new", "deep/er/c.txt": b"new"}
     write_folder(tmp_path / "moved", files, OWN, "page")
-    assert contents(tmp_path / "moved") == {**files, "sub": None, "sub/deep": None}
+    assert contents(tmp_path / "moved") == {**files, "sub": None, "deep": None, "deep/er": None}
 
 
 def test_a_locked_folder_is_anothers_until_that_ends(tmp_path):

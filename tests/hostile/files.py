@@ -179,6 +179,14 @@ def ticks(**fields: object) -> bytes:
 SECOND = chunk(b"TICK", bytes(3_900_000 // TICK_DTYPE.itemsize * TICK_DTYPE.itemsize))
 
 
+STATE = {"format": 1, "iteration": 1, "steps": 1, "seconds": 1.0, "task": ""}
+"""What a run writes of itself."""
+
+
+def model_of(**settings: object) -> dict[str, object]:
+    return STATE | {"config": {"model": settings, "algorithm": {}}}
+
+
 def checkpoint(state: object, tensors: Callable[[Path], object] | None = None) -> Maker:
     """A checkpoint of a state and of tensors that are no model's."""
 
@@ -215,8 +223,7 @@ def holes(folder: Path) -> Path:
     from renet.models.config import ModelCfg
     from renet.models.renet import RENet
 
-    state = {"format": 1, "task": "", "config": {"model": {"critic_hidden": [12_000, 12_000]}}}
-    path = checkpoint(state)(folder)
+    path = checkpoint(model_of(critic_hidden=[12_000, 12_000]))(folder)
     assert isinstance(path, Path)
     with torch.device("meta"):
         weights = RENet(ModelCfg(critic_hidden=(12_000, 12_000)), 10).state_dict()
@@ -351,23 +358,18 @@ RECORDINGS: dict[str, Maker] = {
 }
 CHECKPOINTS: dict[str, Maker] = {
     "a checkpoint without task": checkpoint({"format": 1, "config": {"model": {}}}),
-    "a checkpoint of history 1e9": checkpoint(
-        {"format": 1, "task": "", "config": {"model": {"history": 10**9}}}
-    ),
-    "a checkpoint of hidden abc": checkpoint(
-        {"format": 1, "task": "", "config": {"model": {"hidden": "abc"}}}
-    ),
+    "a checkpoint of format 99": checkpoint(STATE | {"format": 99}),
+    "a checkpoint of text for numbers": checkpoint(model_of() | {"steps": "many"}),
+    "a checkpoint of history 1e9": checkpoint(model_of(history=10**9)),
+    "a checkpoint of hidden abc": checkpoint(model_of(hidden="abc")),
     "a checkpoint that is a list": checkpoint("[]"),
     "a deep checkpoint": checkpoint("[" * 1_000_000),
-    "a checkpoint of pipes": checkpoint({"format": 1}, os.mkfifo),
+    "a checkpoint of pipes": checkpoint(model_of(), os.mkfifo),
     "tensors of 1 GB on paper": checkpoint(
-        {"format": 1, "task": "", "config": {"model": {}}},
-        claims(8 + len(TENSOR) + 1_000_000_000, TENSOR),
+        model_of(), claims(8 + len(TENSOR) + 1_000_000_000, TENSOR)
     ),
     "tensors of holes": holes,
-    "a header of 1 GB on paper": checkpoint(
-        {"format": 1, "task": "", "config": {"model": {}}}, claims(1_000_000_000, b"")
-    ),
+    "a header of 1 GB on paper": checkpoint(model_of(), claims(1_000_000_000, b"")),
 }
 RESULTS: dict[str, Maker] = {
     "results in a pipe": results(os.mkfifo),

@@ -41,7 +41,7 @@ VARIANTS: dict[str, list[list[str]]] = {
     "bundle card": [["--out", "out"]],
     "calibrate": [["shipped"]],
     "evaluate leaderboard": [["recording.log"]],
-    "evaluate log": [["recording.log"]],
+    "evaluate log": [["recording.log", "--out", "out"]],
     "evaluate report": [["--out", "out.html"]],
 }
 """Options that a command needs to go on to a path; none by default."""

@@ -31,6 +31,8 @@ FORMAT = 2
 TENSORS = ("model", "average", "optimizer", "environment")
 FILES = ("state.json", *(f"{name}.safetensors" for name in TENSORS))
 """All that a checkpoint's folder holds."""
+STATE = {"iteration": int, "steps": int, "seconds": int | float, "task": str}
+"""What every `state.json` holds beside its format and its settings."""
 MAX_TENSORS = 100 * MEGABYTE
 """Bytes of one file of tensors; those of the default networks have at most 16 MB."""
 
@@ -161,7 +163,7 @@ def header(file: Path) -> dict[str, Tensor]:
 
 
 def load_state(path: Path) -> dict[str, Any]:
-    """Read a checkpoint's `state.json` alone; raises RenetError where it is no such file."""
+    """Read a checkpoint's `state.json` alone; raises RenetError for one that no run can write."""
     state = read_object(path / "state.json", "checkpoint state")
     if state.get("format") == 1:
         state = upgraded(state)
@@ -171,6 +173,9 @@ def load_state(path: Path) -> dict[str, Any]:
         )
     if not all(isinstance(state.get(name), dict) for name in ("agent", "env")):
         raise RenetError(f"{path} is not a checkpoint of RENet: it states no settings")
+    for name, kind in STATE.items():
+        if not isinstance(state.get(name), kind):
+            raise RenetError(f"{path} is not a checkpoint of RENet: it states no {name}")
     return state
 
 

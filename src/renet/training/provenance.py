@@ -103,7 +103,8 @@ def upgraded(state: dict[str, Any]) -> dict[str, Any]:
     agent = described(RenetRunnerCfg())  # What is missing was not a setting then, and off.
     for name in agent.keys() & config.keys():
         value = config[name]
-        agent[name] = agent[name] | value if isinstance(value, dict) else value
+        merged = isinstance(value, dict) and isinstance(agent[name], dict)
+        agent[name] = agent[name] | value if merged else value
     # It was written while substeps were fused.
     task = {"scene": {"num_envs": config.get("num_envs")}} | task
     task["decimation"] = round(CONTROL_DT / PHYSICS_DT)
