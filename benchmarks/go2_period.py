@@ -17,10 +17,10 @@ import tyro
 from facts import report, spread
 from renet.deploy.realtime import realtime
 from renet.deploy.robots.base import JointCommand
-from renet.deploy.robots.go2 import Go2Robot
-from renet.deploy.robots.go2_link import COMMANDS
-from renet.deploy.robots.go2_messages import LowCmd
-from renet.deploy.robots.go2_network import Network
+from renet.deploy.robots.go2.driver import Go2Robot
+from renet.deploy.robots.go2.link import COMMANDS
+from renet.deploy.robots.go2.messages import LowCmd
+from renet.deploy.robots.go2.network import Network
 from renet.interface import CONTROL_DT
 
 STANDING = np.tile((0.0, 0.9, -1.8), 4)

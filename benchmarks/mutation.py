@@ -36,8 +36,8 @@ PARTS = {
     "envelope": (["deploy/robots/envelope.py"], ["tests/deploy/robots/test_envelope.py"]),
     "go1": (["deploy/robots/go1_link.py"], ["tests/deploy/robots/test_go1.py"]),
     "go2": (
-        ["deploy/robots/go2_link.py", "deploy/robots/go2_messages.py"],
-        ["tests/deploy/robots/test_go2_link.py", "tests/deploy/robots/test_go2_messages.py"],
+        ["deploy/robots/go2/link.py", "deploy/robots/go2/messages.py"],
+        ["tests/deploy/robots/go2/test_link.py", "tests/deploy/robots/go2/test_messages.py"],
     ),
     "sender": (
         ["deploy/robots/braking.py", "deploy/robots/mailbox.py"],

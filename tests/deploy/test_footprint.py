@@ -18,7 +18,7 @@ SIMULATION = (
     "robots.mujoco",
     "robots.scene",
     "robots.scene_file",
-    "robots.go2_fake",
+    "robots.go2.fake",
     "cameras.sim",
     "viewer",
 )

@@ -106,7 +106,7 @@ class Go2Cfg(DriverCfg):
 
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """The driver of the robot at `interface`; a dry run leaves its own modes alone."""
-        from renet.deploy.robots.go2 import Go2Robot
+        from renet.deploy.robots.go2.driver import Go2Robot
 
         return Go2Robot(self.interface, self.domain, watch=dry_run)
 

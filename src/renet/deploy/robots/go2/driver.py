@@ -33,7 +33,7 @@ class Go2Robot(RealRobot):
         super().__init__(
             "Go2",
             read_envelope(GO2),
-            "renet.deploy.robots.go2_link:Go2Link",
+            "renet.deploy.robots.go2.link:Go2Link",
             (interface, domain, watch),
             f"no answer from a Go2 on {interface}: check the cable and this computer's address "
             "(192.168.123.x), and that the robot has started (`ping 192.168.123.161`)",

@@ -13,17 +13,16 @@ from renet.bundle import Bundle
 from renet.deploy.controller import Controller
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.braking import PERIOD
-from renet.deploy.robots.go2_link import COMMANDS, QUIET, RELEASE, STATES, reading
-from renet.deploy.robots.go2_messages import LowCmd, LowState, crc
-from renet.deploy.robots.go2_network import Network
-from renet.deploy.robots.go2_switch import CHECK_EVERY, SELECT_MODE, MotionSwitcher
+from renet.deploy.robots.go2.link import COMMANDS, QUIET, RELEASE, STATES, reading
+from renet.deploy.robots.go2.messages import LowCmd, LowState, crc
+from renet.deploy.robots.go2.network import Network
+from renet.deploy.robots.go2.switch import CHECK_EVERY, SELECT_MODE, MotionSwitcher
 from renet.deploy.safety import Mode, SafetyCfg
 from renet.interface import JOINTS
 
-from ..fakes import command
-from .dds import free_domain
-from .go2_peer import Peer, wire_of
-from .peer import Wire
+from ...fakes import command
+from ..dds import free_domain
+from .peer import Peer, Wire, wire_of
 
 KINDS = ("hip", "thigh", "calf")
 VENDOR = [f"{leg}_{kind}_joint" for leg in ("FR", "FL", "RR", "RL") for kind in KINDS]

@@ -18,14 +18,14 @@ from renet.deploy.catalogue import Go2Cfg, SimulationCfg
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.main import deploy
 from renet.deploy.recording import read_recording
-from renet.deploy.robots import go2
-from renet.deploy.robots.go2 import Go2Robot
+from renet.deploy.robots.go2 import driver
+from renet.deploy.robots.go2.driver import Go2Robot
 from renet.deploy.safety import SafetyCfg
 from renet.errors import RenetError
 
-from ..waiting import until
-from .dds import free_domain
-from .go2_peer import Peer
+from ...waiting import until
+from ..dds import free_domain
+from .peer import Peer
 
 PATIENT = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999, joint_margin=9.0)
 """How late a step is depends on how busy the computer is."""
@@ -140,7 +140,7 @@ def test_a_robot_that_keeps_its_mode_is_refused_before_anything_is_commanded(ser
 
 
 def test_without_cyclone_dds_the_error_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(go2, "find_spec", lambda name: None)
+    monkeypatch.setattr(driver, "find_spec", lambda name: None)
     with pytest.raises(RenetError, match=r"pip install .* -e '\.\[go2\]'"):
         Go2Robot("lo").connect()
 

@@ -10,12 +10,12 @@ pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
 from cyclonedds.idl._main import IDL
 from cyclonedds.idl._xt_builder import XTBuilder
 
-from renet.deploy.robots import go2_network
-from renet.deploy.robots.go2_messages import LOW_CMD, message_type
-from renet.deploy.robots.go2_network import Network
+from renet.deploy.robots.go2 import network
+from renet.deploy.robots.go2.messages import LOW_CMD, message_type
+from renet.deploy.robots.go2.network import Network
 from renet.errors import RenetError
 
-from .dds import free_domain
+from ..dds import free_domain
 
 ALONE = """
 echo 1 > /proc/sys/net/ipv6/conf/default/disable_ipv6
@@ -29,10 +29,10 @@ grep card: /proc/net/dev
 """
 SPEAK = """
 import sys, time
-from renet.deploy.robots import go2_network
-from renet.deploy.robots.go2_messages import LowCmd
-go2_network.CONFIG = sys.argv[1] or go2_network.CONFIG
-writer = go2_network.Network("lo", int(sys.argv[2])).writer("rt/lowcmd", LowCmd)
+from renet.deploy.robots.go2 import network
+from renet.deploy.robots.go2.messages import LowCmd
+network.CONFIG = sys.argv[1] or network.CONFIG
+writer = network.Network("lo", int(sys.argv[2])).writer("rt/lowcmd", LowCmd)
 for _ in range(20):
     writer.write(LowCmd())
     time.sleep(0.02)
@@ -47,7 +47,7 @@ def test_an_interface_that_is_not_there_is_named():
 
 
 def test_another_version_of_cyclone_dds_is_refused(monkeypatch):
-    monkeypatch.setattr(go2_network, "version", lambda package: "11.0.2")
+    monkeypatch.setattr(network, "version", lambda package: "11.0.2")
     with pytest.raises(RenetError, match=r"needs cyclonedds 11.0.1, this is 11.0.2: .* may crash"):
         Network("lo", free_domain())
 

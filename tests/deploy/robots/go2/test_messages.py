@@ -9,8 +9,8 @@ pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
 
 from cyclonedds.idl._typesupport.DDS.XTypes import TypeMapping
 
-from renet.deploy.robots import go2_messages
-from renet.deploy.robots.go2_messages import (
+from renet.deploy.robots.go2 import messages
+from renet.deploy.robots.go2.messages import (
     CDR,
     LOW_CMD,
     LOW_STATE,
@@ -73,7 +73,7 @@ def test_crc_is_that_of_a_bitwise_loop_over_all_words_but_the_last(message, seed
 def test_payload_equals_the_librarys_own_byte_for_byte_and_back(name, fields, message):
     for seed in range(3):
         sample = filled(message, seed)
-        library = stock(go2_messages._idl(name, fields), sample.values)
+        library = stock(messages._idl(name, fields), sample.values)
         theirs, ours = library.serialize(use_version_2=False), sample.serialize()
         assert theirs[: len(ours)] == ours
         assert not any(theirs[len(ours) :]), "the library fills its buffer up"
@@ -133,6 +133,6 @@ def test_announced_types_have_the_tables_members(name, fields, _):
 
 def test_a_changed_file_of_type_bytes_is_refused(tmp_path):
     path = tmp_path / "types.json"
-    path.write_bytes(go2_messages.TYPES.read_bytes().replace(b"A", b"B", 1))
+    path.write_bytes(messages.TYPES.read_bytes().replace(b"A", b"B", 1))
     with pytest.raises(RenetError, match=r"types.json is damaged"):
         read_types(path)

@@ -14,7 +14,7 @@ from typing import Any
 from cyclonedds.core import DDSException
 from cyclonedds.idl import make_idl_struct, types
 
-from renet.deploy.robots.go2_network import Network
+from renet.deploy.robots.go2.network import Network
 
 REQUESTS, RESPONSES = "rt/api/motion_switcher/request", "rt/api/motion_switcher/response"
 CHECK_MODE, SELECT_MODE, RELEASE_MODE = 1001, 1002, 1003

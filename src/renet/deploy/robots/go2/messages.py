@@ -1,7 +1,7 @@
 """The Go2's DDS messages: one table of fields gives DDS type, memory layout and CRC.
 
 Fields, their order and the CRC are those of unitree_sdk2 (BSD-3). The robot runs Cyclone DDS
-0.10.2, which crashes on type information as newer versions make it: `go2_types.json` holds what
+0.10.2, which crashes on type information as newer versions make it: `types.json` holds what
 0.10.2 itself announces of each type.
 """
 
@@ -22,7 +22,7 @@ U1, U2, U4, I2, I4, F4 = "u1", "<u2", "<u4", "<i2", "<i4", "<f4"
 IDL = {U1: types.uint8, U2: types.uint16, U4: types.uint32}
 IDL |= {I2: types.int16, I4: types.int32, F4: types.float32}
 MODULE = "unitree_go.msg.dds_"
-TYPES = Path(__file__).with_name("go2_types.json")
+TYPES = Path(__file__).with_name("types.json")
 """By type, 0.10.2's TypeInformation and TypeMapping (XTypes 1.3), zlib and base64."""
 TYPES_SHA256 = "343432cdda6f245986f3cd7db5b4ffe75037185c3d6cec5885bf86f86e44eed7"
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from renet.deploy.robots.braking import PERIOD
-from renet.deploy.robots.go2_fake import FakeGo2
-from renet.deploy.robots.go2_link import COMMANDS, MOTORS, Go2Link
-from renet.deploy.robots.go2_messages import LowCmd
+from renet.deploy.robots.go2.fake import FakeGo2
+from renet.deploy.robots.go2.link import COMMANDS, MOTORS, Go2Link
+from renet.deploy.robots.go2.messages import LowCmd
 
-from .dds import free_domain
-from .peer import Recording, Wire
+from ..dds import free_domain
+from ..peer import Recording, Wire
 
 BUSY = 7002
 """What MotionSwitcher says instead of ending a mode, now and then."""
@@ -26,7 +26,7 @@ class Peer(Recording, FakeGo2):
         Recording.__init__(self)
         FakeGo2.__init__(self, free_domain())
         self._commands = self.network.reader(COMMANDS, LowCmd, depth=10_000)
-        self.driver = "renet.deploy.robots.go2:Go2Robot", ("lo", free_domain())
+        self.driver = "renet.deploy.robots.go2.driver:Go2Robot", ("lo", free_domain())
         self.slow = 0
         """Steps by which MotionSwitcher's answers are late."""
         self._answers: list[tuple[int, Any]] = []

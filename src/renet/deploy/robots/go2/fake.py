@@ -18,10 +18,10 @@ from cyclonedds.core import DDSException
 
 from renet.deploy.robots.base import projected_gravity
 from renet.deploy.robots.braking import PERIOD
-from renet.deploy.robots.go2_link import BUTTONS, COMMANDS, MOTORS, NO_POSITION, NO_SPEED, STATES
-from renet.deploy.robots.go2_messages import LowCmd, LowState, crc
-from renet.deploy.robots.go2_network import Network
-from renet.deploy.robots.go2_switch import (
+from renet.deploy.robots.go2.link import BUTTONS, COMMANDS, MOTORS, NO_POSITION, NO_SPEED, STATES
+from renet.deploy.robots.go2.messages import LowCmd, LowState, crc
+from renet.deploy.robots.go2.network import Network
+from renet.deploy.robots.go2.switch import (
     CHECK_MODE,
     RELEASE_MODE,
     REQUESTS,

@@ -13,7 +13,7 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-from renet.deploy.robots.go2_messages import read_types
+from renet.deploy.robots.go2.messages import read_types
 from renet.errors import RenetError
 
 CYCLONEDDS = "11.0.1"
