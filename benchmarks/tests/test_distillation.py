@@ -36,15 +36,28 @@ class TiledEnv(ToyEnv):
         super().__init__(num_envs, seed)
         generator = SimpleNamespace(sub_terrains=tiles())
         kinds = torch.arange(num_envs) % len(tiles())
-        cfg = SimpleNamespace(terrain_generator=generator)
-        self.scene = SimpleNamespace(terrain=SimpleNamespace(cfg=cfg, terrain_types=kinds))
+        self.levels = torch.zeros(num_envs, dtype=torch.long)
+        self.passed = torch.zeros(num_envs, dtype=torch.bool)
+        term = SimpleNamespace(levels=self.levels, passed=self.passed)
+        self.curriculum_manager = SimpleNamespace(
+            active_terms=["level"], get_term_cfg=lambda _: SimpleNamespace(func=term)
+        )
+        terrain = SimpleNamespace(
+            cfg=SimpleNamespace(terrain_generator=generator),
+            terrain_types=kinds,
+            terrain_levels=self.levels.clone(),
+            terrain_origins=torch.zeros(10, len(tiles()), 3),
+            env_origins=torch.zeros(num_envs, 3),
+        )
+        self.scene = SimpleNamespace(terrain=terrain)
 
 
-def teacher(folder, seed: int, level: float, perception: str = "oracle"):
+def teacher(folder, seed: int, level: int, perception: str = "oracle"):
     """A checkpoint of a policy that reads the truth."""
     torch.manual_seed(seed)
     env = TiledEnv()
     env.levels += level
+    env.passed[:] = level > 5
     cfg = RenetRunnerCfg(model=ModelCfg(perception=perception), num_steps_per_env=10)
     runner = RenetRunner(env, asdict(cfg), str(folder), "cpu")
     runner.learn(1)
@@ -55,7 +68,7 @@ def teacher(folder, seed: int, level: float, perception: str = "oracle"):
 def teachers(tmp_path_factory):
     """One for walking and one for gaps and platforms, who reached levels 2 and 7."""
     folder = tmp_path_factory.mktemp("teachers")
-    walks, climbs = teacher(folder / "a", 1, 2.0), teacher(folder / "b", 2, 7.0)
+    walks, climbs = teacher(folder / "a", 1, 2), teacher(folder / "b", 2, 7)
     return (walks, zhuang.SKILLS["run"]), (climbs, ("gap", "platform"))
 
 
@@ -89,7 +102,7 @@ def test_each_robot_is_taught_by_the_teacher_of_its_tile(teachers, tmp_path) -> 
 def test_a_tile_without_a_teacher_or_a_teacher_without_sight_is_refused(teachers, tmp_path) -> None:
     with pytest.raises(RenetError, match="nobody teaches on gap"):
         student(tmp_path, teachers[:1])
-    blind = teacher(tmp_path / "blind", 3, 0.0, perception="op")
+    blind = teacher(tmp_path / "blind", 3, 0, perception="op")
     with pytest.raises(RenetError, match="cannot teach"):
         student(tmp_path, [(blind, ())])
 
@@ -108,8 +121,8 @@ def test_the_loss_is_that_of_the_actions_taken(teachers, tmp_path) -> None:
 
 def test_goes_on_after_a_kill_from_the_levels_of_its_teachers(teachers, tmp_path) -> None:
     first = student(tmp_path, teachers)
-    hard = torch.isin(first.env.kinds, torch.tensor([4, 5]))
-    assert (first.env.levels == torch.where(hard, 7.0, 2.0)).all()
+    hard = torch.isin(first.env.scene.terrain.terrain_types, torch.tensor([4, 5]))
+    assert (first.env.levels == torch.where(hard, 7, 2)).all()
     assert torch.equal(first.env.passed, hard), "not those of another teacher's robots"
     first.learn(1)
     second = student(tmp_path, teachers)
