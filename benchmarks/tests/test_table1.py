@@ -68,7 +68,7 @@ class Trainer:
         folder.mkdir(parents=True)
         state = {"format": checkpoints.FORMAT, "iteration": reached, "steps": 200 * reached}
         settings = {"agent": described(cfg.agent), "env": described(cfg.env)}
-        state |= {"seconds": 300.0 * reached, **settings}
+        state |= {"seconds": 300.0 * reached, "task": cfg.task, **settings}
         (folder / "state.json").write_text(json.dumps(state))
         if name == self.killed_in:
             raise KeyboardInterrupt

@@ -24,13 +24,13 @@ act, write = Policy.act, MujocoRobot.write
 
 def hang(policy, *arguments):
     if policy._step == 20:
-        print("hangs", flush=True)
+        print("hangs\\n", end="", flush=True)
         hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)  # Minutes in C, as an endless model.
     return act(policy, *arguments)
 
 def told(robot, command):
     write(robot, command)
-    print("stiff" if command.stiffness.any() else "braked", flush=True)
+    print("stiff\\n" if command.stiffness.any() else "braked\\n", end="", flush=True)
 
 Policy.act, MujocoRobot.write = hang, told
 main(["deploy", "--camera", "none", "--safety.stand-up-seconds", "0.2", "--out", sys.argv[1]])

@@ -261,5 +261,5 @@ def test_a_sensor_that_refuses_to_start_is_closed_again(device):
 
 def test_without_the_vendors_module_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    with pytest.raises(RenetError, match=r"renet-locomotion\[realsense\]'.*libusb-1.0-0"):
+    with pytest.raises(RenetError, match=r"\[realsense\]'.*libusb-1.0-0"):
         RealSenseCamera(camera_spec(), time.monotonic)

@@ -25,7 +25,7 @@ from renet.errors import RenetError
 
 from ...waiting import until
 from ..dds import free_domain
-from .peer import Peer
+from ..go2_peer import Peer
 
 PATIENT = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999, joint_margin=9.0)
 """How late a step is depends on how busy the computer is."""

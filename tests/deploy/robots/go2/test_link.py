@@ -22,7 +22,7 @@ from renet.interface import JOINTS
 
 from ...fakes import command
 from ..dds import free_domain
-from .peer import Peer, Wire, wire_of
+from ..go2_peer import Peer, Wire, wire_of
 
 KINDS = ("hip", "thigh", "calf")
 VENDOR = [f"{leg}_{kind}_joint" for leg in ("FR", "FL", "RR", "RL") for kind in KINDS]

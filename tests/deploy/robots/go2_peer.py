@@ -11,8 +11,8 @@ from renet.deploy.robots.go2.fake import FakeGo2
 from renet.deploy.robots.go2.link import COMMANDS, MOTORS, Go2Link
 from renet.deploy.robots.go2.messages import LowCmd
 
-from ..dds import free_domain
-from ..peer import Recording, Wire
+from .dds import free_domain
+from .peer import Recording, Wire
 
 BUSY = 7002
 """What MotionSwitcher says instead of ending a mode, now and then."""
