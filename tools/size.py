@@ -3,7 +3,7 @@
     python tools/size.py            compare with the limits
     python tools/size.py --lower    write today's numbers where they are below the limits
 
-Limits only ever go down.
+A change that raises a limit says why.
 """
 
 from __future__ import annotations
