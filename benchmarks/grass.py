@@ -18,8 +18,8 @@ import onnxruntime
 
 from renet.bundle import Bundle
 from renet.deploy.cameras.sim import SimCamera
-from renet.deploy.robots.mujoco import MujocoRobot
-from renet.deploy.robots.scene import build_scene
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.robots.sim.scene import build_scene
 from renet.faults import FAULTS, Frames
 
 GROUNDS = ("flat", "stairs_up", "stairs_down", "obstacles", "platform", "gap")

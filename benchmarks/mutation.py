@@ -28,20 +28,23 @@ PARTS = {
         ["selector/monitors.py"],
         ["tests/selector/test_monitors.py", "tests/selector/test_memory.py"],
     ),
-    "safety": (["deploy/safety.py"], ["tests/deploy/test_safety.py"]),
+    "safety": (
+        [f"deploy/safety/{name}.py" for name in ("checks", "commands", "limits", "machine")],
+        ["tests/deploy/safety/test_safety.py"],
+    ),
     "controller": (
         ["deploy/controller.py"],
         ["tests/deploy/test_controller.py", "tests/deploy/test_loop.py"],
     ),
     "envelope": (["deploy/robots/envelope.py"], ["tests/deploy/robots/test_envelope.py"]),
-    "go1": (["deploy/robots/go1_link.py"], ["tests/deploy/robots/test_go1.py"]),
+    "go1": (["deploy/robots/go1/link.py"], ["tests/deploy/robots/go1/test_driver.py"]),
     "go2": (
         ["deploy/robots/go2/link.py", "deploy/robots/go2/messages.py"],
         ["tests/deploy/robots/go2/test_link.py", "tests/deploy/robots/go2/test_messages.py"],
     ),
     "sender": (
-        ["deploy/robots/braking.py", "deploy/robots/mailbox.py"],
-        ["tests/deploy/robots/test_braking.py"],
+        ["deploy/robots/real/braking.py", "deploy/robots/real/mailbox.py"],
+        ["tests/deploy/robots/real/test_braking.py"],
     ),
 }
 """Modules to mutate, within src/renet, and the tests that mirror them."""

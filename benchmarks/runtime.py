@@ -32,7 +32,8 @@ from renet.deploy.loop import run_control_loop
 from renet.deploy.realtime import realtime
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import read_envelope
-from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop
 from renet.descriptions import GO1
 from renet.interface import CONTROL_DT, DEPTH_SHAPE

@@ -28,13 +28,13 @@ from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
-from renet.deploy.recording import MODES, Recorder, Recording, read_recording
-from renet.deploy.robots.mujoco import MujocoRobot
-from renet.deploy.robots.scene import build_scene
-from renet.deploy.safety import Mode, SafetyMachine
-from renet.deploy.score import fallen
+from renet.deploy.recording.recorder import MODES, Recorder, Recording, read_recording
+from renet.deploy.recording.score import fallen
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.robots.sim.scene import build_scene
+from renet.deploy.safety.machine import Mode, SafetyMachine
+from renet.deploy.safety.watchdog import interruptible
 from renet.deploy.teleop import TeleopCommand
-from renet.deploy.watchdog import interruptible
 from renet.faults import FAULTS, Injection
 from renet.interface import CONTROL_DT
 

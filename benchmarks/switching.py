@@ -19,9 +19,9 @@ from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
-from renet.deploy.robots.mujoco import MujocoRobot
-from renet.deploy.robots.scene import build_scene
-from renet.deploy.safety import Mode
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.robots.sim.scene import build_scene
+from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop
 from renet.faults import parse_fault
 from renet.interface import LEGS

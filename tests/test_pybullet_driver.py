@@ -13,8 +13,8 @@ pytest.importorskip("pybullet", reason="pip install pybullet==3.2.7")
 from pybullet_driver import BulletRobot, main
 from renet.bundle import Bundle
 from renet.deploy.cameras.sim import SimCamera
-from renet.deploy.robots.mujoco import MujocoRobot
-from renet.deploy.robots.scene import build_scene
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.robots.sim.scene import build_scene
 
 SPEC = Bundle.load().manifest
 

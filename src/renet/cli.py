@@ -148,7 +148,7 @@ COMMANDS = {
     ),
     "evaluate log": Command(
         "score a recording: falls, distance, switches",
-        "renet.deploy.score:ScoreCfg:score_log",
+        "renet.deploy.recording.score:ScoreCfg:score_log",
         "",
     ),
     "evaluate report": Command(

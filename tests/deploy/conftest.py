@@ -2,7 +2,7 @@
 
 import pytest
 
-from renet.deploy import calibration_log
+from renet.deploy.recording import calibration_log
 
 from ..bundle.conftest import bundle, bundle_path, manifest, models, networks  # noqa: F401
 

@@ -11,7 +11,7 @@ from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller, Event
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import read_envelope
-from renet.deploy.safety import SafetyCfg
+from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.teleop import TeleopCommand
 from renet.descriptions import GO1
 from renet.interface import CONTROL_DT

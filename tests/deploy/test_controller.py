@@ -17,9 +17,10 @@ from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller, Event
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import RobotState, heading
-from renet.deploy.robots.mujoco import MujocoRobot
-from renet.deploy.robots.scene import build_scene
-from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.robots.sim.scene import build_scene
+from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import TeleopCommand
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT

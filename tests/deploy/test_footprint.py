@@ -11,16 +11,16 @@ import renet
 from renet.bundle import DEFAULT, pretrained
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.main import deploy
-from renet.deploy.safety import SafetyCfg
+from renet.deploy.safety.limits import SafetyCfg
 
 TRAINING = ("torch", "mjlab", "warp", "mujoco", "mujoco_warp", "rsl_rl", "matplotlib", "mediapy")
 SIMULATION = (
-    "robots.mujoco",
-    "robots.scene",
-    "robots.scene_file",
+    "robots.sim.mujoco",
+    "robots.sim.scene",
+    "robots.sim.scene_file",
     "robots.go2.fake",
     "cameras.sim",
-    "viewer",
+    "robots.sim.viewer",
 )
 """Modules of `renet.deploy` that are the simulated robot, imported when it is asked for."""
 
@@ -72,7 +72,7 @@ def test_logs_are_scored_replayed_and_calibrated_from_without_them(log, tmp_path
         ["calibrate", str(tmp_path / "bundle"), "--log", str(log)],
     ]
     shutil.copytree(shipped, tmp_path / "bundle")
-    code = "import renet.deploy.calibration_log as log; log.MIN_MINUTES = 0.0\n"
+    code = "import renet.deploy.recording.calibration_log as log; log.MIN_MINUTES = 0.0\n"
     code += f"from renet.cli import main; assert all(main(c) == 0 for c in {commands})"
     done = without_training_packages(code)
     assert done.returncode == 0, done.stderr

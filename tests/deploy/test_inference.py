@@ -9,7 +9,7 @@ import pytest
 
 from renet.deploy.controller import LATE
 from renet.deploy.inference import Sessions, ThreadedInference
-from renet.deploy.safety import Mode
+from renet.deploy.safety.machine import Mode
 from renet.interface import CONTROL_DT
 
 from .fakes import Run, frame, time_of

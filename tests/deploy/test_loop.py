@@ -12,11 +12,12 @@ from renet.bundle import Bundle
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller, Event
 from renet.deploy.loop import BRAKING, run_control_loop
-from renet.deploy.recording import Recorder, read_recording
-from renet.deploy.replay import mismatch
-from renet.deploy.robots.mujoco import MujocoRobot
-from renet.deploy.robots.scene import build_scene
-from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.recording.recorder import Recorder, read_recording
+from renet.deploy.recording.replay import mismatch
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.robots.sim.scene import build_scene
+from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
 from renet.interface import CONTROL_DT
 

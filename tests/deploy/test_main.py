@@ -23,11 +23,12 @@ from renet.deploy import catalogue, devices
 from renet.deploy.catalogue import Go1Cfg, RealSenseCfg, ReplayCfg, SimCameraCfg, SimulationCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
-from renet.deploy.recording import MODES, Recording, read_recording
-from renet.deploy.replay import mismatch
-from renet.deploy.robots.mujoco import MujocoRobot
-from renet.deploy.safety import Mode, SafetyCfg
-from renet.deploy.score import SCORE, TIMELINE
+from renet.deploy.recording.recorder import MODES, Recording, read_recording
+from renet.deploy.recording.replay import mismatch
+from renet.deploy.recording.score import SCORE, TIMELINE
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
 from renet.errors import RenetError
 from renet.interface import TRUNK

@@ -20,8 +20,8 @@ from renet.bundle import read_manifest, write_manifest
 from renet.deploy import catalogue
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import deploy
-from renet.deploy.recording import read_recording
-from renet.deploy.safety import SafetyCfg
+from renet.deploy.recording.recorder import read_recording
+from renet.deploy.safety.limits import SafetyCfg
 from renet.descriptions import GO1
 from renet.selector.monitors import MONITORS
 

@@ -16,7 +16,7 @@ from onnx import helper
 from safetensors.numpy import save_file
 
 from renet.bundle import DEFAULT, MANIFEST, PREVIOUS, pretrained
-from renet.deploy.recording import CHUNK, MAGIC, TICK_DTYPE
+from renet.deploy.recording.recorder import CHUNK, MAGIC, TICK_DTYPE
 
 Maker = Callable[[Path], Path | str | None]
 """Fills a new folder; returns what to hand over, the folder itself by default."""

@@ -18,7 +18,7 @@ import torch
 
 from renet.bundle import DEFAULT, Bundle, pretrained, read_manifest, write_manifest
 from renet.cli import main
-from renet.deploy.recording import read_recording
+from renet.deploy.recording.recorder import read_recording
 from renet.errors import RenetError
 from renet.files import is_temporary
 from renet.page.writer import VENDOR

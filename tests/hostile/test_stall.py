@@ -14,17 +14,17 @@ from types import SimpleNamespace
 import pytest
 
 from renet.bundle import Bundle
-from renet.deploy import recording
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
-from renet.deploy.recording import Recorder, read_recording
+from renet.deploy.recording import recorder
+from renet.deploy.recording.recorder import Recorder, read_recording
+from renet.deploy.safety.watchdog import interruptible
 from renet.deploy.teleop import ScriptedTeleop
-from renet.deploy.watchdog import interruptible
 from renet.terminal import Terminal
 
 from ..deploy.fakes import QUICK, Standing
 from ..deploy.robots.peer import Recording
-from ..deploy.robots.test_braking import NEEDS
+from ..deploy.robots.real.test_braking import NEEDS
 from ..deploy.waiting import until
 
 CONTROLLER = """
@@ -221,15 +221,15 @@ def hang() -> Iterator[Hang]:
 def test_a_hung_disk_neither_delays_a_step_nor_grows_the_queue_nor_hangs_the_end(
     bundle, tmp_path, monkeypatch, hang
 ):
-    monkeypatch.setattr(recording.os, "fsync", hang)
-    monkeypatch.setattr(recording, "CLOSING", 0.1)
+    monkeypatch.setattr(recorder.os, "fsync", hang)
+    monkeypatch.setattr(recorder, "CLOSING", 0.1)
     log = Recorder(tmp_path / "a.log", {})
     robot, told = Standing(), []
     controller = walk(bundle, robot, 100.0, log, on_step=lambda *step: told.append(log.problem))
     log.close()
     assert hang.reached.is_set()
     assert controller.machine.reason == "the run ends", "every step was made"
-    assert log._chunks.qsize() <= recording.MAX_WAITING
+    assert log._chunks.qsize() <= recorder.MAX_WAITING
     assert "the disk does not keep up" in log.problem
     assert told[0] == "", "it was told while the robot walked"
     assert told[-1] == log.problem
@@ -237,7 +237,7 @@ def test_a_hung_disk_neither_delays_a_step_nor_grows_the_queue_nor_hangs_the_end
 
 
 def test_a_simulation_waits_for_a_disk_that_is_slower(bundle, tmp_path, monkeypatch):
-    monkeypatch.setattr(recording.os, "fsync", lambda descriptor: time.sleep(0.002))
+    monkeypatch.setattr(recorder.os, "fsync", lambda descriptor: time.sleep(0.002))
     log = Recorder(tmp_path / "a.log", {}, patient=True)
     log._chunks.maxsize = 1
     walk(bundle, Standing(), 10.0, log)

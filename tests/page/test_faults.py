@@ -10,8 +10,8 @@ import pytest
 
 from renet.bundle import Bundle
 from renet.deploy.cameras.sim import SimCamera
-from renet.deploy.robots.mujoco import MujocoRobot
-from renet.deploy.robots.scene import FLAT, build_scene
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.robots.sim.scene import FLAT, build_scene
 from renet.faults import FAULTS, Frames
 from renet.page.contract import GROUNDS, OFFERED
 from renet.page.writer import WEB

@@ -14,8 +14,8 @@ from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.loop import next_step
-from renet.deploy.robots.mujoco import MujocoRobot
-from renet.deploy.robots.scene import build_scene
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.teleop import TeleopCommand
 from renet.faults import parse_fault
 from renet.page.writer import WEB

@@ -15,7 +15,7 @@ import pytest
 
 from renet import cli
 from renet.bundle import Bundle, pretrained, read_manifest, write_manifest
-from renet.deploy.robots.scene import build_scene
+from renet.deploy.robots.sim.scene import build_scene
 from renet.errors import RenetError
 from renet.files import MEGABYTE
 from renet.page.contract import GROUNDS, MAP_HEIGHT, contract

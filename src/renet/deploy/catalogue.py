@@ -51,20 +51,20 @@ class SimulationCfg(DriverCfg):
 
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """Put the robot into its scene."""
-        from renet.deploy.robots.scene import build_scene
+        from renet.deploy.robots.sim.scene import build_scene
 
         description = find_description(robot.name)
         model, ground = build_scene(self.terrain, self.level, self.scene, seed, description)
         driver = self.engine()(model, robot, ground, live)
         if self.viewer:
-            from renet.deploy.viewer import BrowserViewer
+            from renet.deploy.robots.sim.viewer import BrowserViewer
 
             driver.show = BrowserViewer(model, driver.data, self.host).show
         return driver
 
     def engine(self) -> Callable[..., Any]:
         """The class of the simulated robot, called as `MujocoRobot` is."""
-        from renet.deploy.robots.mujoco import MujocoRobot
+        from renet.deploy.robots.sim.mujoco import MujocoRobot
 
         return MujocoRobot
 
@@ -82,7 +82,7 @@ class Go1Cfg(DriverCfg):
 
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """The driver of the robot at `robot_host`."""
-        from renet.deploy.robots.go1 import Go1Robot
+        from renet.deploy.robots.go1.driver import Go1Robot
 
         return Go1Robot(host=self.robot_host, power_level=self.power_level)
 
@@ -156,8 +156,8 @@ class ReplayCfg(CameraCfg):
 
     def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
         """A camera that shows the recording from its start."""
-        from renet.deploy.recording import read_recording
-        from renet.deploy.replay import ReplayCamera
+        from renet.deploy.recording.recorder import read_recording
+        from renet.deploy.recording.replay import ReplayCamera
 
         assert self.recording is not None
         return ReplayCamera(read_recording(self.recording), robot.now)

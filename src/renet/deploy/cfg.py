@@ -13,7 +13,7 @@ import tyro
 from renet.deploy.cameras.base import CameraCfg
 from renet.deploy.catalogue import CAMERAS, ROBOTS
 from renet.deploy.robots.driver import DriverCfg
-from renet.deploy.safety import SafetyCfg
+from renet.deploy.safety.limits import SafetyCfg
 from renet.errors import RenetError, unknown_name
 from renet.faults import Injection, parse_fault
 from renet.interface import CONTROL_DT, MAX_SPEED, SelectorName

@@ -17,22 +17,23 @@ from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.buffer import FrameBuffer
 from renet.deploy.inference import InlineInference, Sessions
 from renet.deploy.observation import observe
-from renet.deploy.plausibility import Readings
 from renet.deploy.robots.base import JointCommand, RobotState, heading
-from renet.deploy.safety import (
-    Mode,
-    SafetyCfg,
-    SafetyMachine,
+from renet.deploy.safety.checks import (
     all_finite,
     clean_state,
-    damping_command,
-    limited_command,
-    limited_speed,
     stand_up_problem,
-    stand_up_target,
     state_problem,
     teleop_problem,
 )
+from renet.deploy.safety.commands import (
+    damping_command,
+    limited_command,
+    limited_speed,
+    stand_up_target,
+)
+from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.safety.machine import Mode, SafetyMachine
+from renet.deploy.safety.plausibility import Readings
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE

@@ -13,17 +13,12 @@ from typing import Any
 
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.controller import Controller
-from renet.deploy.recording import Recorder
+from renet.deploy.recording.recorder import Recorder
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.driver import RobotDriver
-from renet.deploy.safety import (
-    EMPTY,
-    OVERHEATED,
-    Mode,
-    damping_command,
-    power_problem,
-    pre_arm_problem,
-)
+from renet.deploy.safety.checks import EMPTY, OVERHEATED, power_problem, pre_arm_problem
+from renet.deploy.safety.commands import damping_command
+from renet.deploy.safety.machine import ENDED, EXHAUSTED, REFUSED, Mode
 from renet.deploy.teleop import Teleop, TeleopCommand
 from renet.interface import CONTROL_DT
 
@@ -31,12 +26,6 @@ BRAKING = 25
 """Control steps of braking with which every run ends (0.5 s)."""
 ATTEMPTS = 5
 """Braking commands tried where the loop itself failed."""
-REFUSED = "the robot takes no commands"
-"""Why a robot is damped whose driver fails."""
-EXHAUSTED = "the robot lies down"
-"""Why a robot is damped whose battery or motors are at their end."""
-ENDED = "the run ends"
-"""Why a robot is damped at the end."""
 
 
 def run_control_loop(

@@ -16,12 +16,12 @@ from renet.deploy.devices import start_devices
 from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.loop import brake, run_control_loop
 from renet.deploy.realtime import realtime
-from renet.deploy.recording import Recorder, read_recording
+from renet.deploy.recording.recorder import Recorder, read_recording
+from renet.deploy.recording.score import SCORE, TIMELINE, summary, write_score
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.joint_watch import JointWatch
-from renet.deploy.safety import Mode, SafetyMachine
-from renet.deploy.score import SCORE, TIMELINE, summary, write_score
-from renet.deploy.watchdog import HANGS, interruptible, watchdog
+from renet.deploy.safety.machine import Mode, SafetyMachine
+from renet.deploy.safety.watchdog import HANGS, interruptible, watchdog
 from renet.errors import RenetError
 from renet.folders import lock, move, new_folder
 from renet.interface import CONTROL_DT, JOINTS

@@ -15,8 +15,8 @@ import numpy as np
 import tyro
 
 from renet.bundle import Bundle, write_manifest
-from renet.deploy.calibration_images import image_scores
-from renet.deploy.calibration_log import recorded_scores
+from renet.deploy.recording.calibration_images import image_scores
+from renet.deploy.recording.calibration_log import recorded_scores
 from renet.errors import RenetError
 from renet.evaluation.calibrate_memory import MEMORY, Memory, memory_limits
 from renet.evaluation.monitor_log import MonitorLog, healthy_series

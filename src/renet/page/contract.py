@@ -14,9 +14,9 @@ from renet import __version__
 from renet.bundle import Bundle
 from renet.deploy.cameras.sim import RELATIVE_STD
 from renet.deploy.controller import MAX_LEAD
-from renet.deploy.robots.mujoco import SEEN_GROUPS
-from renet.deploy.robots.scene import FLAT, scene_spec
-from renet.deploy.safety import SafetyCfg
+from renet.deploy.robots.sim.mujoco import SEEN_GROUPS
+from renet.deploy.robots.sim.scene import FLAT, scene_spec
+from renet.deploy.safety.limits import SafetyCfg
 from renet.descriptions import RobotDescription, find_description
 from renet.faults import FAULTS, SEVERITIES, Fault
 from renet.interface import (

@@ -5,8 +5,8 @@ import pytest
 
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.faulty import FaultyCamera
-from renet.deploy.recording import TICK_DTYPE, Recording
-from renet.deploy.replay import ReplayCamera
+from renet.deploy.recording.recorder import TICK_DTYPE, Recording
+from renet.deploy.recording.replay import ReplayCamera
 from renet.errors import RenetError
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT

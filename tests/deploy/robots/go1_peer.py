@@ -14,11 +14,11 @@ import mujoco
 import numpy as np
 
 from renet.deploy.robots.base import JointCommand
-from renet.deploy.robots.braking import PERIOD
-from renet.deploy.robots.go1 import POWER_LEVEL
-from renet.deploy.robots.go1_link import Go1Link
-from renet.deploy.robots.mujoco import MujocoRobot
-from renet.deploy.robots.scene import build_scene
+from renet.deploy.robots.go1.driver import POWER_LEVEL
+from renet.deploy.robots.go1.link import Go1Link
+from renet.deploy.robots.real.braking import PERIOD
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.robots.sim.scene import build_scene
 from renet.interface import JOINTS
 from renet.training.export import robot_spec
 
@@ -74,7 +74,7 @@ class Peer(Recording):
         self._socket.setsockopt(socket.SOL_SOCKET, TIMESTAMPS, 1)
         self.port = self._socket.getsockname()[1]
         address = ("127.0.0.1", self.port, free_port())
-        self.driver = "renet.deploy.robots.go1:Go1Robot", address
+        self.driver = "renet.deploy.robots.go1.driver:Go1Robot", address
         model, ground = build_scene("flat")
         model.opt.timestep = PERIOD
         self.robot = MujocoRobot(model, robot_spec(), ground)

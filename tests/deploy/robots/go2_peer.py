@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from renet.deploy.robots.braking import PERIOD
 from renet.deploy.robots.go2.fake import FakeGo2
 from renet.deploy.robots.go2.link import COMMANDS, MOTORS, Go2Link
 from renet.deploy.robots.go2.messages import LowCmd
+from renet.deploy.robots.real.braking import PERIOD
 
 from .dds import free_domain
 from .peer import Recording, Wire

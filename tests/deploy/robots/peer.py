@@ -11,8 +11,8 @@ import numpy as np
 
 from renet.deploy.controller import Controller
 from renet.deploy.robots.base import JointCommand
-from renet.deploy.robots.braking import PERIOD, Link
-from renet.deploy.robots.real import RealRobot
+from renet.deploy.robots.real.braking import PERIOD, Link
+from renet.deploy.robots.real.driver import RealRobot
 from renet.deploy.teleop import TeleopCommand
 from renet.interface import CONTROL_DT
 

@@ -5,8 +5,8 @@ import numpy as np
 
 from renet.bundle.manifest import CameraSpec
 from renet.deploy.cameras.base import Camera, DepthFrame
-from renet.deploy.robots.mujoco import MujocoRobot
-from renet.deploy.robots.scene import TERRAIN
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.robots.sim.scene import TERRAIN
 from renet.errors import RenetError
 from renet.faults import ViewPerturbation
 from renet.faults.physical import obstacles, spread

@@ -1,1 +1,1 @@
-"""Robots a controller can drive; `base` is the interface, `mujoco` and `go1` are drivers."""
+"""Robots a controller can drive: `driver` is the interface, `sim`, `go1` and `go2` implement it."""

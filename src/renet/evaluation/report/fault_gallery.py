@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from renet.bundle import DEFAULT, pretrained, read_manifest
 from renet.deploy.cameras.sim import SimCamera
-from renet.deploy.robots.mujoco import MujocoRobot
-from renet.deploy.robots.scene import build_scene
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.robots.sim.scene import build_scene
 from renet.evaluation import figures
 from renet.faults import FAULTS, SEVERITIES, Frames, Injection, Injector, ViewPerturbation
 from renet.interface import CONTROL_DT, DEPTH_RANGE, STEPS_PER_TICK, TICK_DT

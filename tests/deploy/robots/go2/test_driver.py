@@ -17,10 +17,10 @@ from renet import cli
 from renet.deploy.catalogue import Go2Cfg, SimulationCfg
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.main import deploy
-from renet.deploy.recording import read_recording
+from renet.deploy.recording.recorder import read_recording
 from renet.deploy.robots.go2 import driver
 from renet.deploy.robots.go2.driver import Go2Robot
-from renet.deploy.safety import SafetyCfg
+from renet.deploy.safety.limits import SafetyCfg
 from renet.errors import RenetError
 
 from ...waiting import until

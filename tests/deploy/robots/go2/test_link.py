@@ -12,12 +12,13 @@ pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
 from renet.bundle import Bundle
 from renet.deploy.controller import Controller
 from renet.deploy.robots.base import JointCommand
-from renet.deploy.robots.braking import PERIOD
 from renet.deploy.robots.go2.link import COMMANDS, QUIET, RELEASE, STATES, reading
 from renet.deploy.robots.go2.messages import LowCmd, LowState, crc
 from renet.deploy.robots.go2.network import Network
 from renet.deploy.robots.go2.switch import CHECK_EVERY, SELECT_MODE, MotionSwitcher
-from renet.deploy.safety import Mode, SafetyCfg
+from renet.deploy.robots.real.braking import PERIOD
+from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.safety.machine import Mode
 from renet.interface import JOINTS
 
 from ...fakes import command

@@ -3,7 +3,7 @@
 from importlib.util import find_spec
 
 from renet.deploy.robots.envelope import read_envelope
-from renet.deploy.robots.real import SINK, RealRobot
+from renet.deploy.robots.real.driver import SINK, RealRobot
 from renet.descriptions import GO2
 from renet.errors import RenetError, install
 

@@ -17,7 +17,6 @@ import numpy as np
 from cyclonedds.core import DDSException
 
 from renet.deploy.robots.base import projected_gravity
-from renet.deploy.robots.braking import PERIOD
 from renet.deploy.robots.go2.link import BUTTONS, COMMANDS, MOTORS, NO_POSITION, NO_SPEED, STATES
 from renet.deploy.robots.go2.messages import LowCmd, LowState, crc
 from renet.deploy.robots.go2.network import Network
@@ -32,7 +31,8 @@ from renet.deploy.robots.go2.switch import (
     ResponseHeader,
     Status,
 )
-from renet.deploy.robots.scene import build_scene
+from renet.deploy.robots.real.braking import PERIOD
+from renet.deploy.robots.sim.scene import build_scene
 from renet.descriptions import GO2
 from renet.interface import JOINTS, TRUNK, Terrain
 

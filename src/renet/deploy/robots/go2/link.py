@@ -8,11 +8,11 @@ import numpy as np
 from cyclonedds.core import DDSException
 
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.braking import Link
 from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.robots.go2.messages import LowCmd, LowState, crc
 from renet.deploy.robots.go2.network import Network
 from renet.deploy.robots.go2.switch import MotionSwitcher
+from renet.deploy.robots.real.braking import Link
 from renet.descriptions import GO2
 from renet.interface import ACTION_SIZE
 

@@ -1,0 +1,88 @@
+"""The vendor's low-level UDP interface of the Go1 (unitree_legged_sdk 3.8, BSD-3).
+
+The robot answers every command with a reading. The vendor's library checks length, head and CRC of
+what it receives and keeps the newest good packet.
+"""
+
+import importlib
+from typing import Any
+
+import numpy as np
+
+from renet.deploy.robots.base import JointCommand, RobotState
+from renet.deploy.robots.envelope import read_envelope
+from renet.deploy.robots.real.braking import Link
+from renet.descriptions import GO1
+from renet.errors import RenetError, install
+from renet.interface import JOINTS
+
+LOW_LEVEL = 0xFF
+SERVO = 0x0A
+"""Motor mode that obeys position, velocity, gains and torque."""
+MOTOR_LEGS = ("FR", "FL", "RR", "RL")
+MOTORS = tuple(
+    3 * MOTOR_LEGS.index(name.split("_")[0]) + ("hip", "thigh", "calf").index(name.split("_")[1])
+    for name in JOINTS
+)
+"""The vendor's motor number of each joint; zero and sign of both are the vendor's model's."""
+
+
+def unitree() -> Any:
+    """The vendor's module, from its wheel or built by hand; raises RenetError if there is none."""
+    problems = []
+    for name in ("unitree_legged_sdk.robot_interface", "robot_interface"):
+        try:
+            return importlib.import_module(name)
+        except ImportError as error:
+            problems.append(str(error))
+    raise RenetError(
+        f"the Go1 needs its vendor's driver: {install('go1')} (Python 3.11 or 3.12), or build "
+        f"unitree_legged_sdk 3.8 with PYTHON_BUILD ({problems[0]})"
+    )
+
+
+class Go1Link(Link):
+    """The exchange with a Go1; the vendor's driver and its overload guard can brake it for good."""
+
+    def __init__(self, host: str, port: int, local_port: int, power_level: int) -> None:
+        """Open the socket; motors stay limp until the first command."""
+        super().__init__(read_envelope(GO1))
+        sdk = unitree()
+        self._udp = sdk.UDP(LOW_LEVEL, local_port, host, port)
+        self._safety = sdk.Safety(sdk.LeggedType.Go1)
+        self._level = power_level
+        self._out, self._in = sdk.LowCmd(), sdk.LowState()
+        self._udp.InitCmdData(self._out)
+
+    def _send(self, command: JointCommand | None) -> None:
+        for joint, motor in enumerate(MOTORS):
+            servo = self._out.motorCmd[motor]
+            servo.mode = SERVO
+            if command is None:
+                continue
+            servo.q, servo.dq, servo.tau = command.position[joint], 0.0, 0.0
+            servo.Kp, servo.Kd = command.stiffness[joint], command.damping[joint]
+        if self.state and self._safety.PowerProtect(self._out, self._in, self._level) < 0:
+            self.problem = "the vendor's guard says that the motors draw too much power"
+        self._udp.SetSend(self._out)
+        self._udp.Send()
+
+    def _receive(self, now: float) -> None:
+        self._udp.Recv()
+        self._udp.GetRecv(self._in)
+        # The library keeps the last packet for ever; its first, empty one has no tick.
+        if self._in.tick and self._news(self._in.tick):
+            self.state = self._reading(now)
+
+    def _reading(self, now: float) -> RobotState:
+        motors = [self._in.motorState[motor] for motor in MOTORS]
+        return RobotState(
+            time=now,
+            joint_position=np.array([motor.q for motor in motors]),
+            joint_velocity=np.array([motor.dq for motor in motors]),
+            joint_torque=np.array([motor.tauEst for motor in motors]),
+            quaternion=np.array(self._in.imu.quaternion),
+            angular_velocity=np.array(self._in.imu.gyroscope),
+            temperature=float(max(motor.temperature for motor in motors)),
+            battery=self._in.bms.SOC / 100.0,
+        )

@@ -1,0 +1,117 @@
+"""Anyone's MJCF as the ground that a simulated robot walks on, refused where it cannot be that.
+
+The file is first tried in a process with limits: it is compiled, looked at, and simulated with the
+robot on it.
+"""
+
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from renet.deploy.robots.sim.mujoco import check_physics, place
+from renet.descriptions import RobotDescription
+from renet.errors import RenetError
+from renet.files import MEGABYTE, require_regular
+from renet.trial import judge, run_trial
+
+MAX_SCENE = 20 * MEGABYTE
+"""Bytes of an MJCF file."""
+HEADROOM = 0.6
+"""Metres that must be free above the ground on which a robot starts."""
+ABOVE, BELOW = 1e-3, 1e-6
+"""Metres from a surface to the start of the next ray up and down."""
+CARRIED, IGNORED = 0, 5
+"""MuJoCo groups of geoms for rays that look for ground."""
+TRIAL_STEPS = 200
+"""Physics steps of the trial, 1 s."""
+
+
+def attach_scene(spec: mujoco.MjSpec, file: Path) -> None:
+    """Add a file's static geoms to a robot's model.
+
+    Args:
+        spec: the robot's, whose physics options stay. file: an MJCF.
+
+    Raises:
+        RenetError: the file is not an MJCF that MuJoCo reads, or something in it moves.
+    """
+    if file.suffix.lower() != ".xml":
+        raise RenetError(f"{file.name} is no MJCF: give an .xml file, in which meshes may be")
+    try:
+        scene = mujoco.MjSpec.from_file(str(file))
+        if scene.joints:
+            raise RenetError(
+                f"its body {scene.joints[0].parent.name!r} moves: give the ground alone, without "
+                "robots or other bodies that have joints"
+            )
+        scene.option, scene.memory = spec.option, spec.memory  # MuJoCo warns of any other.
+        spec.attach(scene, prefix="scene/", frame=spec.worldbody.add_frame())
+    except ValueError as error:
+        raise RenetError(str(error).splitlines()[0]) from error
+
+
+def try_scene(file: Path, robot: RobotDescription) -> None:
+    """Raise RenetError unless a robot can stand in a scene, without loading it in this process."""
+    require_regular(file, MAX_SCENE, "scene")
+    arguments = [str(file), str(robot.mjcf), str(robot.height)]
+    run_trial("renet.deploy.robots.sim.scene_file", arguments, f"cannot use the scene {file}")
+
+
+def ground_height(model: mujoco.MjModel) -> float:
+    """Height in m of the surface at x = y = 0 that carries a robot and is nearest to z = 0.
+
+    Raises:
+        RenetError: nothing there carries a robot and has room above it.
+    """
+    data, probe = mujoco.MjData(model), model.__copy__()
+    mujoco.mj_kinematics(model, data)
+    static = model.body_weldid[model.geom_bodyid] == 0
+    carries = static & (model.geom_contype & 1 > 0)  # The bit that robots' geoms answer to.
+    probe.geom_group[:] = np.where(carries, CARRIED, IGNORED)
+    probe.geom_matid[:], probe.geom_rgba[:, 3] = -1, 1.0  # Rays pass through invisible geoms.
+    groups, normal = np.arange(mujoco.mjNGROUP) == CARRIED, np.zeros((3, 1))
+
+    def look(z: float, way: int) -> float:
+        """Distance to the next surface up or down from a height, whose normal is kept."""
+        eye, ray, geom = np.array([0.0, 0.0, z]), np.array([0.0, 0.0, way]), np.zeros(1, np.int32)
+        return mujoco.mj_ray(probe, data, eye, ray, groups.astype(np.uint8), 1, -1, geom, normal)
+
+    z, heights = mujoco.mjMAXVAL / 1e4, []
+    while (distance := look(z, -1)) >= 0.0:
+        z -= distance
+        if normal[2, 0] > 0.0:
+            room = look(z + ABOVE, 1)
+            # From within a geom, a ray upwards leaves through a surface that looks up.
+            if room < 0.0 or (room >= HEADROOM and normal[2, 0] < 0.0):
+                heights.append(z)
+        z -= BELOW
+    if not heights:
+        raise RenetError(
+            "nothing carries a robot at x = y = 0: put a geom there that collides (contype 1), "
+            f"with {HEADROOM:g} m of room above it"
+        )
+    return min(heights, key=abs)
+
+
+def _trial() -> str:
+    """What is wrong with the scene that the command line names."""
+    file, mjcf, height = sys.argv[1:]
+    spec = mujoco.MjSpec.from_file(mjcf)
+    try:
+        attach_scene(spec, Path(file))
+        model = spec.compile()
+        data = place(model, ground_height(model) + float(height))
+        for _ in range(TRIAL_STEPS):
+            mujoco.mj_step(model, data)
+            check_physics(model, data)
+    except MemoryError:
+        return "it needs too much memory"
+    except (RenetError, ValueError) as error:
+        return str(error).splitlines()[0]
+    return ""
+
+
+if __name__ == "__main__":
+    judge(_trial)

@@ -1,0 +1,126 @@
+"""What forbids a robot to move: each check returns its reason, or an empty text."""
+
+import math
+
+import numpy as np
+
+from renet.bundle.manifest import RobotSpec
+from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.robots.base import VECTORS, RobotState, projected_gravity
+from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.teleop import TeleopCommand
+from renet.errors import RenetError
+
+EMPTY = 0.05
+"""Charge below which a robot lies down while it still can."""
+OVERHEATED = 20.0
+"""°C above `max_temperature` at which a robot lies down before its motors fail."""
+MAX_FRAME_AGE = 0.5
+"""Age in seconds of the newest image above which a robot with a camera does not stand up."""
+FUTURE = 0.01
+"""Seconds by which a reading may seem to come from the future: clocks are read one by one."""
+
+
+def clean_state(raw: RobotState, now: float) -> RobotState:
+    """A reading as float arrays of its own; raises RenetError naming what cannot be one."""
+    arrays = {}
+    for name, size in VECTORS.items():
+        try:
+            value = np.array(getattr(raw, name), float)  # Drivers reuse their buffers.
+        except (TypeError, ValueError) as error:
+            raise RenetError(f"{name} is not made of numbers") from error
+        if value.shape != (size,):
+            raise RenetError(f"{name} has shape {value.shape}, expected ({size},)")
+        if not all_finite(value):
+            raise RenetError(f"{name} is not finite")
+        arrays[name] = value
+    if not math.isfinite(raw.time):
+        raise RenetError("the state's time is not finite")
+    if raw.time > now + FUTURE:
+        raise RenetError("the state's time lies in the future")
+    if abs(math.hypot(*arrays["quaternion"]) - 1.0) > 0.1:
+        raise RenetError("the quaternion's length is not 1")
+    return RobotState(float(raw.time), **arrays)
+
+
+def all_finite(values: np.ndarray) -> bool:
+    """Whether a few numbers are finite: for a dozen this is three times as fast as NumPy."""
+    return all(map(math.isfinite, values.tolist()))
+
+
+def state_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg, now: float) -> str:
+    """Why a clean reading forbids motion; empty if it does not."""
+    if abs(now - state.time) > cfg.max_state_age:  # After a clock's jump back it is negative.
+        return f"the state is {1000 * (now - state.time):.0f} ms old"
+    if projected_gravity(state.quaternion)[2] > -math.cos(cfg.max_tilt):
+        return f"tilted by more than {math.degrees(cfg.max_tilt):.0f} degrees"
+    margin, angles = cfg.joint_margin, state.joint_position.tolist()
+    for joint, angle, low, high in zip(robot.joints, angles, robot.lower, robot.upper, strict=True):
+        if not low - margin <= angle <= high + margin:
+            return f"{joint} is out of its range"
+    for joint, speed in zip(robot.joints, state.joint_velocity.tolist(), strict=True):
+        if abs(speed) > cfg.max_joint_speed:
+            return f"{joint} is too fast"
+    if max(map(abs, state.angular_velocity.tolist())) > cfg.max_turn_rate:
+        return "the base turns too fast"
+    return ""
+
+
+def stand_up_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg) -> str:
+    """Why a robot that was told to stand up must not walk; empty if its joints followed."""
+    error = np.abs(state.joint_position - np.asarray(robot.default_position))
+    worst = int(np.argmax(error))
+    if error[worst] <= cfg.max_stand_up_error:
+        return ""
+    return f"{robot.joints[worst]} did not follow: {error[worst]:.2f} rad are missing"
+
+
+def teleop_problem(teleop: TeleopCommand) -> str:
+    """Why an operator's teleop forbids motion; empty if it does not."""
+    if teleop.stop:
+        return "operator stop"
+    if not (math.isfinite(teleop.speed) and math.isfinite(teleop.turn)):
+        return "the operator's command is not finite"
+    return ""
+
+
+def pre_arm_problem(
+    state: RobotState | None,
+    teleop: TeleopCommand,
+    frame: DepthFrame | None,
+    camera: bool,
+    recorder: str,
+    cfg: SafetyCfg,
+    now: float,
+) -> str:
+    """Why the devices forbid standing up; empty if they do not.
+
+    What the controller itself checks at every tick (joints within range, tilt, age of the
+    reading) is not repeated here.
+
+    Args:
+        state: newest reading. teleop: the operator's command. frame: newest of the camera.
+        camera: whether there is one. recorder: its problem. cfg: limits of battery and motors.
+        now: seconds on the robot's clock.
+    """
+    speed = getattr(teleop, "speed", 0.0)
+    if speed != 0.0:
+        return f"the operator already asks for {speed:.2f} m/s: let go of the stick first"
+    if problem := power_problem(state, cfg.min_battery, cfg.max_temperature):
+        return problem
+    if recorder:
+        return recorder
+    if camera and frame is None:
+        return "the camera has sent no image: check it, or start without one (--camera none)"
+    if camera and not now - getattr(frame, "time", -math.inf) < MAX_FRAME_AGE:
+        return f"the camera's newest image is older than {MAX_FRAME_AGE:g} s"
+    return ""
+
+
+def power_problem(state: RobotState | None, battery: float, temperature: float) -> str:
+    """Name the battery below a charge or the motor above a temperature in °C; empty if neither."""
+    if getattr(state, "battery", math.nan) < battery:
+        return f"the battery has less than {battery:.0%} left"
+    if getattr(state, "temperature", math.nan) > temperature:
+        return f"a motor has more than {temperature:.0f} °C"
+    return ""

@@ -1,0 +1,48 @@
+"""The limits of a run, as the options `--safety.*` set them."""
+
+import math
+from dataclasses import dataclass
+
+from renet.errors import RenetError
+
+
+@dataclass(frozen=True)
+class SafetyCfg:
+    """Limits beyond which a robot is damped, and limits of what it is told."""
+
+    max_tilt: float = math.radians(70.0)
+    """Largest angle between the base's z axis and up, rad."""
+    max_state_age: float = 0.05
+    """Oldest reading to act on, s."""
+    max_gap: float = 0.1
+    """Longest time between two control ticks, s."""
+    max_late: int = 5
+    """Late control ticks (over 1.5 periods) in a row."""
+    joint_margin: float = 0.2
+    """How far beyond its range a joint may be measured, rad."""
+    max_joint_speed: float = 60.0
+    """rad/s; twice what a Go1's motors reach: a sensor that reads more is wrong."""
+    max_turn_rate: float = 30.0
+    """Base angular velocity, rad/s, per axis."""
+    target_rate: float = 40.0
+    """Fastest change of a joint target, rad/s."""
+    damping: float = 3.0
+    """Braking gain in DAMPING, N m s/rad."""
+    stand_up_seconds: float = 2.0
+    """Time from the pose at arming to the default pose."""
+    max_stand_up_error: float = 0.5
+    """Farthest that a joint may be from the default pose after standing up, rad. A standing Go1
+    sags by 0.2; one that still lies, or whose motors obey nobody, is 0.9 away."""
+
+    min_battery: float = 0.2
+    """Charge, 0 to 1, below which a robot does not stand up; 0 for a robot that reports none."""
+    max_temperature: float = 65.0
+    """Motor temperature above which a robot does not stand up, °C."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            least = 0.0 if name == "min_battery" else math.ulp(0.0)
+            if not least <= value < math.inf:
+                raise RenetError(f"the safety limit {name} must be positive, got {value}")
+        if self.max_tilt > math.pi:
+            raise RenetError(f"the safety limit max_tilt is in rad, got {self.max_tilt}")

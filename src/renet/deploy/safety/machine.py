@@ -1,0 +1,88 @@
+"""When a robot may move.
+
+    DAMPING --arm, nothing wrong--> STANDING_UP --joints followed--> WALKING
+       ^                                 |                             |
+       +------ any problem, or stop -----+-----------------------------+
+
+DAMPING is the start and the end: joints are only braked, and it stays until the operator arms
+again. Losing vision is no problem here: the selector falls back to OP within WALKING.
+"""
+
+import math
+from enum import StrEnum
+
+from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.teleop import TeleopCommand
+from renet.interface import CONTROL_DT
+
+REFUSED = "the robot takes no commands"
+"""Why a robot is damped whose driver fails."""
+EXHAUSTED = "the robot lies down"
+"""Why a robot is damped whose battery or motors are at their end."""
+ENDED = "the run ends"
+"""Why a robot is damped at the end."""
+
+
+class Mode(StrEnum):
+    """States of the safety machine."""
+
+    DAMPING = "damping"
+    STANDING_UP = "standing_up"
+    WALKING = "walking"
+
+
+class SafetyMachine:
+    """Decides the mode, tick by tick."""
+
+    def __init__(self, cfg: SafetyCfg) -> None:
+        self.cfg = cfg
+        self.mode = Mode.DAMPING
+        self.reason = "start"
+        """Why the mode was entered."""
+        self.refused = ""
+        """Why the last tick's wish to stand up was not granted; empty if there was none."""
+        self.since = -math.inf
+        """Time at which the mode was entered, s on the robot's clock."""
+        self._last: float | None = None
+        self._late = 0
+        self._armed = False
+
+    def update(self, problem: str, teleop: TeleopCommand, now: float) -> Mode:
+        """One control tick with the first problem found, or an empty text."""
+        problem = self._clock_problem(now) or problem
+        arm, self._armed = teleop.arm and not self._armed, teleop.arm
+        self.refused = problem if arm and self.mode is Mode.DAMPING else ""
+        if problem:
+            self.trip(problem, now)
+        elif self.mode is Mode.DAMPING and arm:
+            self._enter(Mode.STANDING_UP, "armed", now)
+        elif self.stood_up(now):
+            self._enter(Mode.WALKING, "stood up", now)
+        return self.mode
+
+    def stood_up(self, now: float) -> bool:
+        """Whether the time to stand up is over: the robot walks or must be damped."""
+        return self.mode is Mode.STANDING_UP and now - self.since >= self.cfg.stand_up_seconds
+
+    def trip(self, reason: str, now: float) -> None:
+        """Go to DAMPING; the first reason is kept until the operator arms again."""
+        if self.mode is not Mode.DAMPING:
+            self._enter(Mode.DAMPING, reason, now)
+
+    def _enter(self, mode: Mode, reason: str, now: float) -> None:
+        self.mode, self.reason, self.since = mode, reason, now
+        self._late = 0
+
+    def _clock_problem(self, now: float) -> str:
+        """Missed deadlines, or a clock that cannot be right."""
+        if not math.isfinite(now):
+            return "the clock is not finite"
+        last, self._last = self._last, now
+        if last is None:
+            return ""
+        if now <= last:
+            return "the clock went backwards" if now < last else "the clock stands"
+        if now - last > self.cfg.max_gap:
+            return f"no control tick for {1000 * (now - last):.0f} ms"
+        self._late = self._late + 1 if now - last > 1.5 * CONTROL_DT else 0
+        return f"{self._late} late control ticks in a row" if self._late > self.cfg.max_late else ""

@@ -1,0 +1,88 @@
+"""Calibration from somebody's depth images: millimetres, holes, a lens of 640 x 480."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from renet.bundle import DEFAULT, Bundle, pretrained, read_manifest
+from renet.deploy.recording import calibration_images
+from renet.deploy.recording.calibration_images import OF_IMAGES, image_scores
+from renet.errors import RenetError
+from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
+
+COUNT = 40
+
+
+@pytest.fixture(autouse=True)
+def few_images_will_do(monkeypatch):
+    monkeypatch.setattr(calibration_images, "MIN_MINUTES", COUNT / 600)
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    """A plane 0.6 to 2.9 m away in millimetres, with grain, and a hole of a tenth of the image."""
+    random, path = np.random.default_rng(0), tmp_path / "images"
+    path.mkdir()
+    for number in range(COUNT):
+        plane = np.linspace(2900, 600, 480)[:, None] + random.normal(0, 10, (480, 640))
+        plane[:48] = 0
+        Image.fromarray(plane.astype(np.uint16)).save(path / f"{number:05}.png")
+    return path
+
+
+def test_images_in_millimetres_set_the_thresholds_of_image_monitors_alone(folder, tmp_path):
+    bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
+    before = read_manifest(bundle).selector
+    run_calibrate(CalibrateCfg(bundle, images=folder))
+    after = read_manifest(bundle).selector
+    scores = image_scores(folder, 0.001, None, Bundle.load(bundle))
+    assert scores.keys() == set(OF_IMAGES)
+    assert after.beta == pytest.approx(scores["reconstruction"][0].max())
+    assert f"maximum of {COUNT - 2} scores of images" in after.calibration
+    learned = {name for name, value in after.thresholds.items() if value != before.thresholds[name]}
+    assert "variance" in learned
+    assert not learned & {"disagreement", "frame_age", "map_error"}
+    assert after.longest_memory == before.longest_memory
+
+
+def test_pixels_are_metres_of_the_policys_view(folder):
+    scores = image_scores(folder, 0.001, None, Bundle.load())
+    # Rows 76 to 404 of 480 are seen: the hole above is not, and the contrast is the plane's.
+    assert (scores["invalid_fraction"][0] == 0.0).all()
+    seen = np.minimum(np.linspace(2900, 600, 480)[76:404] / 2000, 1)
+    np.testing.assert_allclose(scores["uniformity"][0], -seen.std(), atol=0.02)
+    low = image_scores(folder, 0.001, (337.0, 337.0, 320.0, 190.0), Bundle.load())
+    assert (low["invalid_fraction"][0] > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "options", "message"),
+    [
+        (lambda folder: None, {"scale": 1.0}, "median depth is .* m: give --scale"),
+        (lambda folder: None, {"scale": 1e-6}, "median depth is .* m: give --scale"),
+        (lambda folder: None, {"lens": (900.0, 900.0, 320.0, 240.0)}, "not wide enough"),
+        (lambda folder: None, {"log": (Path("walk.log"),)}, "--log or --images"),
+        (lambda folder: (folder / "00003.png").unlink(), {}, "holds 39 PNG images; .* at least 40"),
+        (lambda folder: (folder / "00003.png").write_text("no"), {}, "cannot read the image"),
+        (
+            lambda folder: Image.new("RGB", (640, 480)).save(folder / "00003.png"),
+            {},
+            "00003.png has colours",
+        ),
+        (
+            lambda folder: Image.new("I;16", (64, 48)).save(folder / "00003.png"),
+            {},
+            r"\(48, 64\) rows and columns",
+        ),
+    ],
+)
+def test_what_is_wrong_is_named_and_the_bundle_stays(folder, tmp_path, spoil, options, message):
+    bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
+    before = (bundle / "manifest.json").read_bytes()
+    spoil(folder)
+    with pytest.raises(RenetError, match=message):
+        run_calibrate(CalibrateCfg(bundle, **({"images": folder} | options)))
+    assert (bundle / "manifest.json").read_bytes() == before

@@ -1,0 +1,137 @@
+"""Scores of a flight's log against what the models say of its images."""
+
+import json
+import shutil
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from renet.bundle import DEFAULT, Bundle, pretrained
+from renet.deploy.cfg import DeployCfg
+from renet.deploy.main import deploy
+from renet.deploy.recording import calibration_log
+from renet.deploy.recording.calibration_log import healthy_walks, recorded_scores
+from renet.deploy.recording.recorder import MODES, Recording, read_recording
+from renet.deploy.safety.machine import Mode
+from renet.errors import RenetError
+from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
+from renet.selector import MONITORS
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory) -> Path:
+    """A copy of the shipped bundle."""
+    return Path(shutil.copytree(pretrained(DEFAULT), tmp_path_factory.mktemp("own") / "bundle"))
+
+
+@pytest.fixture(scope="module")
+def log(bundle, tmp_path_factory) -> Path:
+    """Six simulated seconds on the plane, of which four are walked."""
+    out = deploy(DeployCfg(bundle, seconds=6.0, out=tmp_path_factory.mktemp("out")))
+    return out / "recording.log"
+
+
+@pytest.fixture(scope="module")
+def flight(log) -> Recording:
+    return read_recording(log)
+
+
+@pytest.mark.usefixtures("short_logs_will_do")
+def test_scores_are_the_models_own_of_the_logged_images(log, flight, bundle):
+    scores = recorded_scores((log,), Bundle.load(bundle))
+    assert [len(runs) for runs in scores.values()] == [1] * len(MONITORS)
+    (walk,) = healthy_walks(flight)
+    assert len(walk) > 150
+    # The newest image may not have had its tick.
+    rows = [row for row in sorted(flight.images) if walk.start < row < walk.stop - 5]
+    pairs = np.stack([(flight.images[b], flight.images[a]) for a, b in pairwise(rows)])
+    vision = Bundle.load(bundle).sessions["vision"]
+    (expected,) = vision.run(["anomaly_score"], {"depth": pairs.astype(np.float32)})
+    found = scores["reconstruction"][0]
+    assert np.isclose(found[:, None], expected.reshape(1, -1), rtol=1e-4).any(axis=0).all()
+    blank = -np.std([flight.images[row].astype(np.float32) for row in rows], axis=(1, 2))
+    assert np.isclose(scores["uniformity"][0][:, None], blank, rtol=1e-4).any(axis=0).all()
+    assert set(scores["duplicate"][0]) == {1.0}
+    assert (scores["invalid_fraction"][0] == 0.0).all()
+    assert (scores["frame_age"][0] < 0.11).all()
+
+
+def test_a_walk_that_ended_in_trouble_does_not_count(flight):
+    end = next(event for event in flight.events if event.why == "the run ends")
+    fallen = replace(end, why="tilted by more than 70 degrees")
+    assert list(healthy_walks(replace(flight, events=[*flight.events[:-1], fallen]))) == []
+    toppled = flight.ticks.copy()
+    last = np.flatnonzero(toppled["mode"] == MODES.index(Mode.WALKING))[-1]
+    for first, counts in ((last + 1, True), (last - 3, False)):  # Once damped it may fall.
+        toppled["quaternion"][first:] = np.cos(0.42), np.sin(0.42), 0.0, 0.0  # 48 degrees.
+        assert any(healthy_walks(replace(flight, ticks=toppled))) == counts
+    torn = replace(flight, events=flight.events[:-1], complete=False)
+    assert list(healthy_walks(torn)) == [], "nobody knows how it ended"
+
+
+def test_a_walk_without_a_camera_does_not_count(flight):
+    everywhere, damped = slice(None), MODES.index(Mode.DAMPING)
+    changes = (("frame", everywhere, 0), ("frame_age", -100, 1.5), ("mode", everywhere, damped))
+    for name, rows, value in changes:
+        ticks = flight.ticks.copy()
+        ticks[name][rows] = value
+        assert list(healthy_walks(replace(flight, ticks=ticks))) == [], name
+
+
+def test_a_late_tick_of_vision_parts_a_walk_and_without_images_there_is_none(flight):
+    (walk,) = healthy_walks(flight)
+    ticks = flight.ticks.copy()
+    ticks["anomaly"][walk.start + 50 : walk.start + 55] = np.inf
+    first, second = healthy_walks(replace(flight, ticks=ticks))
+    assert (first.start, first.stop) == (walk.start, walk.start + 50)
+    assert second.start == walk.start + 55 + calibration_log.WARM_UP
+    assert list(healthy_walks(replace(flight, images={}))) == []
+
+
+@pytest.mark.usefixtures("short_logs_will_do")
+def test_calibrate_writes_what_the_log_says(log, flight, bundle):
+    beta = run_calibrate(CalibrateCfg(bundle, log=(log,)))
+    (walk,) = healthy_walks(flight)
+    assert beta == pytest.approx(float(flight.ticks["anomaly"][walk.start : walk.stop].max()))
+    selector = Bundle.load(bundle).manifest.selector
+    assert selector.beta == beta
+    assert "1 recording(s)" in selector.calibration
+    assert selector.thresholds["variance"] > flight.ticks["variance"][walk.start : walk.stop].max()
+    assert "reconstruction" not in selector.thresholds
+    before = (bundle / "manifest.json").read_bytes()
+    assert run_calibrate(CalibrateCfg(bundle, log=(log,))) == beta, "again, though beta is new"
+    assert (bundle / "manifest.previous.json").read_bytes() == before, "the old one is kept"
+
+
+def test_seconds_of_walking_are_not_enough(log, bundle):
+    before = (bundle / "manifest.json").read_bytes()
+    with pytest.raises(RenetError, match=r"hold 0\.1 minutes of healthy walking.*at least 5"):
+        run_calibrate(CalibrateCfg(bundle, log=(log,)))
+    assert (bundle / "manifest.json").read_bytes() == before
+
+
+@pytest.mark.usefixtures("short_logs_will_do")
+def test_a_forged_log_cannot_switch_a_monitor_off(flight, bundle, monkeypatch):
+    ticks = flight.ticks.copy()
+    ticks["anomaly"] = 1e9
+    forged = replace(flight, ticks=ticks)
+    monkeypatch.setattr(calibration_log, "read_recording", lambda path: forged)
+    before = (bundle / "manifest.json").read_bytes()
+    with pytest.raises(RenetError, match=r"beta 1e.09 would never object"):
+        run_calibrate(CalibrateCfg(bundle, log=(Path("forged.log"),)))
+    assert (bundle / "manifest.json").read_bytes() == before
+
+
+def test_other_models_and_injected_faults_are_refused(log, bundle, bundle_path, tmp_path):
+    with pytest.raises(RenetError, match="made with other models"):
+        recorded_scores((log,), Bundle.load(bundle_path))
+    spoilt = deploy(DeployCfg(bundle, seconds=0.1, fault=("blackout@5s",), out=tmp_path))
+    with pytest.raises(RenetError, match="injected faults"):
+        recorded_scores((spoilt / "recording.log",), Bundle.load(bundle))
+    short = deploy(DeployCfg(bundle, seconds=0.1, out=tmp_path))
+    with pytest.raises(RenetError, match="no walk with a camera"):
+        recorded_scores((short / "recording.log",), Bundle.load(bundle))
+    assert json.loads((short / "score.json").read_text())["walking_seconds"] == 0.0

@@ -1,0 +1,217 @@
+"""Flights come back as they were written, whole or torn, and replay to the last bit."""
+
+import os
+import zlib
+from contextlib import nullcontext
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from renet.bundle import Bundle
+from renet.deploy.controller import Controller
+from renet.deploy.inference import InlineInference, ThreadedInference
+from renet.deploy.recording import recorder
+from renet.deploy.recording.recorder import (
+    BAD,
+    CHUNK,
+    EVENTS,
+    HEADER,
+    IMAGES,
+    MAGIC,
+    MAX_CHUNK,
+    MODES,
+    TICK_DTYPE,
+    TICKS,
+    Recorder,
+    Recording,
+    read_recording,
+)
+from renet.deploy.recording.replay import mismatch, replay
+from renet.deploy.safety.machine import Mode
+from renet.deploy.teleop import TeleopCommand
+from renet.errors import RenetError
+
+from ..fakes import QUICK, STANDING, Broken, frame, state, time_of
+from ..waiting import until
+
+STEPS = 230
+
+
+def run_control_loop(bundle: Bundle, path, inference=InlineInference) -> None:
+    header = {"bundle_sha256": bundle.sha256, "safety": asdict(QUICK), "selector": "monitors"}
+    log = Recorder(path, header)
+    controller = Controller(bundle, QUICK, inference, on_event=log.event)
+    random = np.random.default_rng(3)
+    for step in range(STEPS):
+        now = time_of(step)
+        reading = state(now, joint_position=STANDING + 0.05 * random.normal(size=12))
+        picture = frame(step - step % 5, time_of(step - step % 5)) if step % 90 < 60 else None
+        if step == 150:
+            reading = state(now, joint_position=np.zeros(5))
+        if step == 100:
+            picture = replace(frame(step, now), image=np.zeros((2, 2)))
+        teleop = TeleopCommand(speed=0.5, turn=0.01 * step, arm=step in (1, 160))
+        controller.tick(reading, picture, teleop, now)
+        log.append(reading, picture, teleop, now, controller.decision, compute_ms=1.5)
+    controller.close()
+    log.close()
+    log.close()
+
+
+@pytest.fixture(scope="module")
+def recorded(bundle, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("run") / "logs" / "a.log"
+    run_control_loop(bundle, path)
+    return path
+
+
+@pytest.fixture
+def flight(recorded) -> Recording:
+    return read_recording(recorded)
+
+
+def test_a_flight_comes_back_whole(bundle, flight, recorded):
+    assert flight.complete
+    assert len(flight.ticks) == STEPS
+    assert flight.header["bundle_sha256"] == bundle.sha256
+    assert [MODES[m] for m in flight.ticks["mode"][[0, 5, 100, 155, 229]]] == [
+        Mode.DAMPING,
+        Mode.STANDING_UP,
+        Mode.WALKING,
+        Mode.DAMPING,
+        Mode.WALKING,
+    ]
+    assert flight.events[0].what == "standing_up"
+    assert any("joint_position has shape (5,)" in event.why for event in flight.events)
+    np.testing.assert_array_equal(flight.images[15], frame(15, 0.3).image.astype(np.float16))
+    assert flight.ticks["compute_ms"][7] == 1.5
+    assert recorded.stat().st_size < 1_000_000
+
+
+def test_replay_is_bit_for_bit(bundle, flight):
+    assert mismatch(flight, bundle) == 0.0
+    vision = [decision.vision for decision in replay(flight, bundle)]
+    np.testing.assert_array_equal(vision, flight.ticks["vision"])
+    assert 0 < np.mean(vision) < 1
+
+
+def test_a_flight_with_an_impatient_vision_thread_replays_too(bundle, tmp_path):
+    run_control_loop(bundle, tmp_path / "a.log", partial(ThreadedInference, patience=0.0))
+    flight = read_recording(tmp_path / "a.log")
+    assert mismatch(flight, bundle) == 0.0
+
+
+def test_another_bundle_is_refused(bundle, flight):
+    flight.header["bundle_sha256"] = "0" * 64
+    with pytest.raises(RenetError, match="made with bundle 000000000000"):
+        next(replay(flight, bundle))
+
+
+def test_a_header_without_limits_cannot_be_replayed(bundle, flight):
+    flight.header["safety"] = {"max_height": 1.0}
+    with pytest.raises(RenetError, match="does not say what ran"):
+        next(replay(flight, bundle))
+    del flight.header["safety"]
+    with pytest.raises(RenetError, match="does not say what ran: 'safety'"):
+        next(replay(flight, bundle))
+
+
+def ends_of_chunks(data: bytes) -> list[int]:
+    ends = [len(MAGIC)]
+    while ends[-1] < len(data):
+        ends.append(ends[-1] + CHUNK.size + CHUNK.unpack_from(data, ends[-1])[1])
+    return ends
+
+
+@pytest.mark.parametrize(
+    "tail", [b"", bytes(3), bytes(CHUNK.size), bytes(5000), b"TICK" + bytes(8)]
+)
+def test_a_torn_flight_is_read_up_to_the_tear(recorded, tmp_path, tail):
+    """Zeros are what a power cut leaves."""
+    data = recorded.read_bytes()
+    torn = tmp_path / "torn.flight"
+    lengths = []
+    sizes = {*range(len(MAGIC), len(data), len(data) // 100), *ends_of_chunks(data)[:-1]}
+    for size in sorted(sizes):
+        torn.write_bytes(data[:size] + tail)
+        refused = pytest.raises(RenetError, match="no readable header")
+        with refused if size < ends_of_chunks(data)[1] else nullcontext():
+            flight = read_recording(str(torn))
+            assert not flight.complete
+            lengths.append(len(flight.ticks))
+    assert lengths == sorted(lengths)
+    assert lengths[-1] == STEPS
+
+
+def test_a_flipped_bit_ends_the_flight_there(recorded, tmp_path):
+    data = bytearray(recorded.read_bytes())
+    data[len(data) // 2] ^= 4
+    (tmp_path / "a.log").write_bytes(data)
+    flight = read_recording(tmp_path / "a.log")
+    assert not flight.complete
+    assert 0 < len(flight.ticks) < STEPS
+
+
+@pytest.mark.parametrize(
+    ("tag", "text"),
+    [
+        (HEADER, b"[1]"),
+        (HEADER, b"{"),
+        (TICKS, b"123"),
+        (EVENTS, b'[{"when": 3}]'),
+        (EVENTS, b'[{"time": "a", "what": 1, "why": 2}]'),
+        (EVENTS, b"7"),
+        (IMAGES, bytes(6150)),
+    ],
+)
+def test_another_versions_chunks_are_refused(tmp_path, tag, text):
+    log = Recorder(tmp_path / "a.log", {})
+    log._put(tag, text)
+    log.close()
+    with pytest.raises(RenetError, match=r"another version|not JSON"):
+        read_recording(tmp_path / "a.log")
+
+
+def test_not_a_flight(tmp_path):
+    (tmp_path / "essay").write_text("once")
+    with pytest.raises(RenetError, match="not a recording"):
+        read_recording(tmp_path / "essay")
+
+
+def test_a_full_disk_ends_the_log_and_not_the_flight(bundle, tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder, "create", lambda *_: open("/dev/full", "wb"))  # noqa: SIM115
+    log = Recorder(tmp_path / "a.log", {})
+    controller = Controller(bundle, QUICK)
+    until(lambda: log.problem != "")
+    for step in range(60):
+        controller.tick(state(time_of(step)), None, TeleopCommand(), time_of(step))
+        log.append(None, None, TeleopCommand(), time_of(step), controller.decision, 0.0)
+    assert log._chunks.empty(), "nothing piles up in memory"
+    log.close()
+    assert "ends early" in log.problem
+
+
+def test_objects_that_fail_are_logged_as_bad(tmp_path):
+    broken: Any = Broken()
+    log = Recorder(tmp_path / "a.log", {})
+    log.append(broken, broken, broken, 0.0, Controller(Bundle.load()).decision, 0.0)
+    log.close()
+    (tick,) = read_recording(tmp_path / "a.log").ticks
+    assert (tick["state"], tick["frame"], tick["stop"]) == (BAD, BAD, True)
+
+
+def test_no_more_is_unpacked_than_what_was_read_can_hold(recorded, tmp_path):
+    """A hole takes no room on the disk: what counts is what was read before it."""
+    path, data = tmp_path / "a.log", recorded.read_bytes()
+    data = data[: ends_of_chunks(data)[-2]]
+    bomb = zlib.compress(bytes(MAX_CHUNK // TICK_DTYPE.itemsize * TICK_DTYPE.itemsize))
+    chunk = CHUNK.pack(TICKS, len(bomb), zlib.crc32(bomb)) + bomb
+    for count, reason in ((9, "run backwards"), (20, "unpacks to far more than its size")):
+        path.write_bytes(data + chunk * count)
+        os.truncate(path, 1_000_000_000)
+        with pytest.raises(RenetError, match=reason):
+            read_recording(path)

@@ -1,0 +1,138 @@
+"""Scores and timelines of flights made by hand, whose falls, metres and delays are known."""
+
+import json
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from renet.deploy.controller import Event
+from renet.deploy.recording.recorder import GOOD, MODES, NONE, TICK_DTYPE, Recording
+from renet.deploy.recording.score import BANDS, draw_timeline, score, track, write_score
+from renet.deploy.safety.machine import ENDED, Mode
+from renet.errors import RenetError
+from renet.interface import CONTROL_DT
+
+from ..fakes import turned
+
+STEPS, RISEN, BLIND = 500, 100, 300
+
+
+@pytest.fixture
+def flight() -> Recording:
+    """2 s of rising, then walking at 0.5 m/s to the left of the start; OP from 6 s on."""
+    ticks = np.zeros(STEPS, TICK_DTYPE)
+    ticks["now"] = 1000.0 + CONTROL_DT * np.arange(STEPS)
+    ticks["state"], ticks["quaternion"] = GOOD, turned("z", 90)
+    ticks["mode"] = MODES.index(Mode.WALKING)
+    ticks["mode"][:RISEN] = MODES.index(Mode.STANDING_UP)
+    ticks["vision"][RISEN:BLIND] = True
+    ticks["has_image"][: BLIND - 20] = True
+    ticks["speed"] = 0.6
+    ticks["velocity_op"][:, 0], ticks["velocity_vp"][:, 0] = 0.4, 0.5
+    ticks["base_position"] = np.nan
+    ticks["compute_ms"] = 1.0
+    ticks["compute_ms"][7] = 9.0
+    ticks["anomaly"] = 0.01
+    ticks["anomaly"][:RISEN] = np.inf
+    events = [Event(1002.0, "walking", "stood_up"), Event(1006.0, "op", "no <new> image")]
+    return Recording({"beta": 0.02, "fault": ["unplugged@5.8s"]}, ticks, {}, events, True)
+
+
+def test_a_robots_flight_is_reckoned_from_its_estimators(flight):
+    result = score(flight, [5.8])
+    assert result["walking_seconds"] == 8.0
+    assert result["distance_from"] == "estimator"
+    assert result["distance_m"] == pytest.approx(4 * 0.5 + 4 * 0.4, abs=0.02)
+    assert result["speed_m_s"] == pytest.approx(0.45, abs=0.01)
+    assert result["commanded_m_s"] == 0.6
+    assert result["vision_share"] == 0.5
+    assert 0 < result["memory_share"] < 0.5
+    assert (result["switches"], result["op_before_first_fault"]) == (1, 0)
+    assert result["switch_delay_s"] == [pytest.approx(0.2)]
+    assert result["compute_ms"] == {"p50": 1.0, "p99": pytest.approx(1.0), "max": 9.0}
+    assert result["period_ms"]["max"] == pytest.approx(20.0)
+    np.testing.assert_allclose(track(flight.ticks)[-1], [0.0, 3.6, 0.0], atol=0.02)
+
+
+def test_a_simulators_truth_wins(flight):
+    flight.ticks["base_position"] = np.linspace((0, 0, 0.3), (3, 4, 0.3), STEPS)
+    result = score(flight, [])
+    assert result["distance_from"] == "simulator"
+    assert result["distance_m"] == pytest.approx(5.0 * 0.8, abs=0.02)
+    assert result["op_before_first_fault"] == 1, "without a fault it is a false alarm"
+
+
+def test_switch_delays(flight):
+    assert score(flight, [7.0, 9.999])["switch_delay_s"] == [0.0, None]
+    flight.ticks["vision"][RISEN:] = True
+    assert score(flight, [5.8])["switch_delay_s"] == [None]
+
+
+def test_falls_are_counted_once_each(flight):
+    quaternion = flight.ticks["quaternion"]
+    quaternion[200:220] = turned("x", 61)
+    quaternion[300:] = turned("x", -120)
+    quaternion[:5], quaternion[5:8] = np.nan, 0.0
+    quaternion[100:120] = turned("x", 59)
+    flight.ticks["state"][250:260] = NONE
+    assert score(flight, [])["falls"] == 2
+    flight.events.append(Event(1005.9, "damping", ENDED))
+    assert score(flight, [])["falls"] == 1, "who topples when it is let go does not fall"
+
+
+def test_a_drop_off_the_ground_is_a_fall_and_stairs_are_none(flight):
+    height = np.full(STEPS, 0.3)
+    height[150:200] = np.linspace(0.3, -0.3, 50)
+    height[200:] = -0.3
+    flight.ticks["base_position"][:] = np.stack([np.zeros(STEPS), np.zeros(STEPS), height], axis=1)
+    assert score(flight, [])["falls"] == 0
+    seconds = CONTROL_DT * np.arange(STEPS - 300)
+    flight.ticks["base_position"][300:, 2] -= 4.9 * seconds**2
+    assert score(flight, [])["falls"] == 1
+
+
+def test_an_empty_flight(tmp_path):
+    empty = Recording({}, np.zeros(0, TICK_DTYPE), {}, [], False)
+    result = write_score(empty, tmp_path / "new", [1.0])
+    assert result["walking_seconds"] == result["distance_m"] == result["falls"] == 0
+    assert result["switch_delay_s"] == [None]
+    assert json.loads((tmp_path / "new" / "score.json").read_text()) == result
+
+
+def drawn(flight: Recording, onsets, folder) -> str:
+    """Everything the timeline shows as text, with the colours of its shapes."""
+    draw_timeline(flight, onsets, folder / "timeline.svg")
+    page = (folder / "timeline.svg").read_text()
+    ET.fromstring(page)
+    return page
+
+
+def test_the_timeline_shows_bands_faults_and_reasons(flight, tmp_path):
+    from matplotlib import rc_context
+
+    with rc_context({"svg.fonttype": "none"}):
+        page = drawn(flight, [5.8, 7.0], tmp_path)
+        for colour, _ in BANDS:
+            assert page.count(f"fill: {colour}") >= 4, "three panels and the legend"
+        assert page.count("stroke: #a3121f") == 6, "two onsets in three panels"
+        reason = next(line for line in page.splitlines() if "op: no &lt;new&gt; image" in line)
+        assert "text-anchor: end" in reason, "else a late one leaves the picture"
+        hostile = replace(flight, header={"bundle": "$\\frac{$<script>", "beta": 1e14})
+        assert "&lt;script&gt;" in drawn(hostile, [], tmp_path)
+
+
+def test_long_and_tiny_runs_are_drawn(flight, tmp_path):
+    for end in (0.0, 1e-3, 5e5):
+        flight.ticks["now"] = np.linspace(0.0, end, STEPS)
+        assert len(drawn(flight, [], tmp_path)) < 400_000
+    many = [Event(1000.0 + i, "op", "x" * 500) for i in range(1000)]
+    nothing = Recording({}, np.zeros(0, TICK_DTYPE), {}, many, False)
+    assert len(drawn(nothing, [], tmp_path)) < 400_000
+
+
+def test_a_folder_that_cannot_be_written(flight, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RenetError, match="cannot write the score"):
+        write_score(flight, tmp_path / "file")

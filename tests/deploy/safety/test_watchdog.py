@@ -1,0 +1,70 @@
+"""A run whose loop hangs in foreign code, where Python handles no signal, ends braked."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from renet.deploy.main import RECORDING
+from renet.deploy.recording.recorder import read_recording
+from renet.deploy.safety.watchdog import HANGS, interruptible
+
+HANGING = """
+import hashlib, os, sys
+from renet.bundle.policy import Policy
+from renet.cli import main
+from renet.deploy.safety import watchdog
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+
+watchdog.PATIENCE = 3.0
+act, write = Policy.act, MujocoRobot.write
+
+def hang(policy, *arguments):
+    if policy._step == 20:
+        os.write(1, b"hangs\\n")
+        hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)  # Minutes in C, as an endless model.
+    return act(policy, *arguments)
+
+def told(robot, command):
+    write(robot, command)
+    os.write(1, b"stiff\\n" if command.stiffness.any() else b"braked\\n")  # Whole lines.
+
+Policy.act, MujocoRobot.write = hang, told
+main(["deploy", "--camera", "none", "--safety.stand-up-seconds", "0.2", "--out", sys.argv[1]])
+"""
+
+
+@pytest.mark.parametrize("numbers", [(), (signal.SIGINT, signal.SIGTERM)])
+def test_a_model_that_never_returns_ends_the_run_braked(tmp_path, numbers):
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", HANGING, str(out)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as program:
+        lines = iter(program.stdout.readline, "hangs\n")
+        assert list(lines)[-1] == "stiff\n"
+        for number in numbers:
+            program.send_signal(number)
+        begun = time.monotonic()
+        rest, errors = program.communicate(timeout=60)
+        assert time.monotonic() - begun < 30.0, "not the minutes that the model takes"
+    assert program.returncode == 2
+    assert errors == "renet: the control loop hangs since 3 s: the run ends, braked\n"
+    commands = [line for line in rest.splitlines() if line in ("stiff", "braked")]
+    assert commands[0] == "braked"
+    run = read_recording(out / RECORDING)
+    assert run.complete
+    assert (run.events[-1].what, run.events[-1].why) == ("damping", HANGS)
+
+
+@pytest.mark.parametrize("name", ["INT", "TSTP", "QUIT", "TERM", "HUP", "USR1", "USR2"])
+def test_a_signal_asks_the_run_to_end(name):
+    number = signal.Signals[f"SIG{name}"]
+    before = signal.getsignal(number)
+    with interruptible() as interrupted:
+        assert not interrupted()
+        os.kill(os.getpid(), number)
+        assert interrupted()
+    assert signal.getsignal(number) is before
