@@ -164,7 +164,7 @@ COMMANDS = {
     ),
     "bundle card": Command(
         "write a bundle's model card",
-        "renet.deploy.card:CardCfg:write_card",
+        "renet.bundle.card:CardCfg:write_card",
         "",
         group="Bundles",
     ),
