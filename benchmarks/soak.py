@@ -4,6 +4,10 @@ Loop, controller, selector, vision, safety machine and recorder of `renet deploy
 MuJoCo across a tile, on the simulated clock. Faults of the catalogue come and go, the trunk is
 pushed, readings, images and control steps are lost or late, drivers fail. An operator steers, and
 puts the robot back on its feet when it was damped.
+
+With `--wall` the hour is one of the wall clock, and inference runs on a thread of its own, as on a
+robot. Once a minute another `renet deploy` is killed, interrupted, or meets a full disk; all of
+them write to one folder.
 """
 
 from __future__ import annotations
@@ -11,6 +15,7 @@ from __future__ import annotations
 import json
 import math
 import mmap
+import os
 import re
 import tempfile
 import time
@@ -23,10 +28,12 @@ import numpy as np
 import tyro
 
 from facts import report
+from flights import Flights
 from renet.bundle import Bundle
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
+from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.loop import run_control_loop
 from renet.deploy.recording.recorder import MODES, Recorder, Recording, read_recording
 from renet.deploy.recording.score import fallen
@@ -50,6 +57,8 @@ EVERY = {
 """Mean seconds between two; faults of the catalogue follow each other with gaps of 2 to 8 s."""
 PATIENCE = 2.0
 """Seconds that the operator lets a damped robot lie."""
+SETTLED = 5
+"""Minutes after which memory may grow no more."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +72,8 @@ class Cfg:
     terrain: str = "obstacles"
     level: int = 3
     seed: int = 1
+    wall: bool = False
+    """An hour of the wall clock, beside flights that are killed or meet a full disk."""
 
 
 class ShakyRobot(MujocoRobot):
@@ -97,6 +108,10 @@ class ShakyRobot(MujocoRobot):
         if self.strikes("control step late"):
             until += self.random.uniform(0.0, 0.09)
         super().wait(until)
+
+    def behind(self) -> float:
+        """Seconds by which the simulation is late on the wall clock."""
+        return time.monotonic() - self._begun - self.now()
 
     def put_back(self) -> None:
         """On its feet in the middle of the tile."""
@@ -165,9 +180,10 @@ def soak(cfg: Cfg, folder: Path) -> dict:
     """Run; returns the results, and leaves the recording in a folder."""
     bundle, begun = Bundle.load(), time.monotonic()
     model, ground = build_scene(cfg.terrain, cfg.level, seed=cfg.seed)
-    robot = ShakyRobot(cfg.seed, model, bundle.manifest.robot, ground)
-    recorder = Recorder(folder / "recording.log", {"soak": cfg.seed}, patient=True)
-    memory, cpu_ms, end = [], array("d"), 60.0 * cfg.minutes
+    robot = ShakyRobot(cfg.seed, model, bundle.manifest.robot, ground, cfg.wall)
+    recorder = Recorder(folder / "recording.log", {"soak": cfg.seed}, patient=not cfg.wall)
+    memory, loads, behind, cpu_ms = [], [], [0.0], array("d")
+    end, flights = 60.0 * cfg.minutes, Flights(folder / "flights", cfg.seed)
 
     class Timed(Controller):
         def tick(self, *arguments):
@@ -177,22 +193,32 @@ def soak(cfg: Cfg, folder: Path) -> dict:
             return command
 
     def sample(command, state) -> None:
+        behind[-1] = max(behind[-1], robot.behind())
         if robot.now() >= 60.0 * (len(memory) + 1):
+            loads.append(round(os.getloadavg()[0], 1))
+            behind.append(0.0)
             pages = int(Path("/proc/self/statm").read_text().split()[1])
             memory.append(round(pages * mmap.PAGESIZE / 2**20, 1))
             wall, done = (time.monotonic() - begun) / 60.0, len(memory)
             left = wall / done * (cfg.minutes - done)
             print(f"minute {done}: {memory[-1]} MB, {left:.0f} minutes left", flush=True)
 
-    controller = Timed(bundle, on_event=recorder.event)
+    inference = ThreadedInference if cfg.wall else InlineInference
+    controller = Timed(bundle, inference=inference, on_event=recorder.event)
     operator = Operator(robot, controller.machine)
     devices: tuple = (robot, ShakyCamera(robot, bundle), operator, controller, recorder)
     with interruptible() as interrupted:
+        robot.connect()
+        if cfg.wall:
+            flights.start()
         run_control_loop(*devices, done=lambda: robot.now() >= end or interrupted(), on_step=sample)
     wall = (time.monotonic() - begun) / 60.0
+    flights.stop()
     recorder.close()
     run = read_recording(recorder.path)
     rows = by_minute(run, memory, np.array(cpu_ms), robot)
+    for row, load, late in zip(rows, loads, behind, strict=False):
+        row |= {"load": load} | ({"behind_s": round(late, 2)} if cfg.wall else {})
     names = ("seconds_vp", "seconds_op", "switches", "falls", "stand_ups", "damped")
     why = Counter(re.sub(r"\d+", "N", e.why) for e in run.events if e.what == Mode.DAMPING)
     return {
@@ -200,6 +226,8 @@ def soak(cfg: Cfg, folder: Path) -> dict:
         "wall_minutes": round(wall, 1),
         **{name: round(sum(row[name] for row in rows), 1) for name in names},
         "lifts": operator.lifts,
+        "memory_growth_mb_per_hour": growth(memory),
+        "flights": dict(flights.count),
         "given": dict(Counter(what for _, what in robot.given)),
         "damped_because": dict(why.most_common()),
         "recording_mb": round(recorder.path.stat().st_size / 1e6, 1),
@@ -207,6 +235,14 @@ def soak(cfg: Cfg, folder: Path) -> dict:
         "bundle_sha256": bundle.sha256,
         "by_minute": rows,
     }
+
+
+def growth(memory: list[float]) -> float | None:
+    """Slope of a line through memory by minute, MB an hour, once all is loaded."""
+    settled = memory[SETTLED:]
+    if len(settled) < 2:
+        return None
+    return round(60.0 * float(np.polyfit(range(len(settled)), settled, 1)[0]), 2)
 
 
 def by_minute(run: Recording, memory: list, cpu_ms: np.ndarray, robot: ShakyRobot) -> list[dict]:
