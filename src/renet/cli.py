@@ -63,6 +63,7 @@ class Command:
 
 
 KEPT = "what has finished is kept: the same command goes on"
+AT_ONCE = "nothing is half-written: give the same command again"
 COMMANDS = {
     "demo": Command(
         "see the shipped policy lose its camera: one page",
@@ -109,13 +110,14 @@ COMMANDS = {
         "turn a checkpoint into a bundle of ONNX models",
         "renet.training.export:ExportCfg:export",
         group="Train",
+        resume=AT_ONCE,
         options="renet.options:ExportCfg",
     ),
     "calibrate": Command(
         "set a bundle's fault detection from healthy walks",
         "renet.evaluation.calibrate:CalibrateCfg:run_calibrate",
         group="Train",
-        resume="the bundle is as it was: give the same command again",
+        resume=AT_ONCE,
     ),
     "evaluate faults": Command(
         "all camera faults; --preset noise: the paper's six",

@@ -19,18 +19,19 @@ import tyro
 
 from renet import cli, descriptions
 from renet.bundle import Bundle, read_manifest, write_manifest
-from renet.deploy import catalogue, devices
+from renet.deploy import catalogue, devices, main
 from renet.deploy.catalogue import Go1Cfg, RealSenseCfg, ReplayCfg, SimCameraCfg, SimulationCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
 from renet.deploy.recording.recorder import MODES, Recording, read_recording
 from renet.deploy.recording.replay import mismatch
-from renet.deploy.recording.score import SCORE, TIMELINE
+from renet.deploy.recording.score import SCORE, TIMELINE, write_score
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
 from renet.errors import RenetError
+from renet.folders import lock
 from renet.interface import TRUNK
 
 QUICK = SafetyCfg(stand_up_seconds=0.5)
@@ -122,6 +123,19 @@ def test_a_flight_never_overwrites_another(tmp_path, monkeypatch, capsys):
     kept = [read_recording(folder / RECORDING) for folder in folders]
     assert [len(f.ticks) for f in kept] == [len(f.ticks) for f in flights]
     assert (out / "earlier-2" / TIMELINE).exists()
+
+
+def test_its_folder_is_nobody_elses_until_the_score_is_written(tmp_path, monkeypatch):
+    def write_locked(*arguments):
+        with pytest.raises(RenetError, match="another program writes to"), lock(tmp_path):
+            pass
+        return write_score(*arguments)
+
+    monkeypatch.setattr(main, "write_score", write_locked)
+    run(tmp_path, seconds=0.1)
+    assert (tmp_path / SCORE).exists()
+    with lock(tmp_path):
+        pass
 
 
 @pytest.mark.parametrize(

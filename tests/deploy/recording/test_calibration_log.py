@@ -113,6 +113,12 @@ def test_seconds_of_walking_are_not_enough(log, bundle):
     assert (bundle / "manifest.json").read_bytes() == before
 
 
+def test_one_log_given_25_times_is_no_long_walk(log, bundle, tmp_path):
+    copies = tuple(Path(shutil.copy(log, tmp_path / f"{number}.log")) for number in range(25))
+    with pytest.raises(RenetError, match=r"1\.log holds the same walk as .*0\.log"):
+        recorded_scores(copies, Bundle.load(bundle))
+
+
 @pytest.mark.usefixtures("short_logs_will_do")
 def test_a_forged_log_cannot_switch_a_monitor_off(flight, bundle, monkeypatch):
     ticks = flight.ticks.copy()
