@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from renet.deploy.recording import read_recording
+from renet.deploy.recording.recorder import read_recording
 from renet.errors import RenetError
 
 COMMAND = ("-m", "renet.cli", "deploy", "--terrain", "obstacles", "--seconds", "30", "--out")
