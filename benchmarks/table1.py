@@ -273,11 +273,6 @@ class CheckpointEvaluator(Evaluator):
             digest.update(name.encode() + value.numpy().tobytes())
         self._digest = digest.hexdigest()
 
-    def make_env(self, *args: Any, **kwargs: Any) -> Any:
-        """As the base class; the newest environment is the one the Oracle sees."""
-        self.env = super().make_env(*args, **kwargs)
-        return self.env
-
     def make_policy(self, num_robots: int) -> CheckpointPolicy:
         """The policy for N robots of the newest environment."""
         return CheckpointPolicy(self._model, self, num_robots)

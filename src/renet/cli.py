@@ -143,6 +143,11 @@ COMMANDS = {
         "renet.evaluation.studies.memory:MemoryStudy:MemoryStudy.main",
         resume=KEPT,
     ),
+    "evaluate camera-use": Command(
+        "whether, where and how much a policy uses its camera",
+        "renet.evaluation.studies.camera_use:CameraUseStudy:CameraUseStudy.main",
+        resume=KEPT,
+    ),
     "evaluate margins": Command(
         "how far a robot may differ before it falls",
         "renet.evaluation.studies.margins:MarginsStudy:MarginsStudy.main",

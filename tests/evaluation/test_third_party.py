@@ -8,6 +8,7 @@ import numpy as np
 import onnx.parser
 import pytest
 
+import playground_policy
 import third_party_policy as example
 from renet.errors import RenetError
 from renet.evaluation.studies.faults import FaultStudy
@@ -81,3 +82,35 @@ def test_it_enters_the_leaderboard_with_one_command(
     assert sorted(line.split(" | ")[1:3] for line in board[2:]) == [
         ["still", mode] for mode in ("op", "renet", "vp")
     ]
+
+
+PLAYGROUND = """
+<ir_version: 8, opset_import: ["" : 17]>
+theirs (float[1, 48] obs) => (float[1, 12] continuous_actions)
+{
+    start = Constant <value_ints = [0]> ()
+    end = Constant <value_ints = [12]> ()
+    axis = Constant <value_ints = [1]> ()
+    continuous_actions = Slice (obs, start, end, axis)
+}
+"""
+"""Its action repeats what it sees first: velocity, turn rate, gravity, three joints."""
+
+
+def test_playgrounds_policy_sees_the_simulator_in_its_own_order(tmp_path: Path) -> None:
+    onnx.save(onnx.parser.parse_model(PLAYGROUND), tmp_path / "go1_policy.onnx")
+    study = playground_policy.PlaygroundStudy(model=tmp_path / "go1_policy.onnx")
+    evaluator = study.make_evaluator()
+    env = evaluator.make_env("flat", range(2), 0.6, 1)
+    result = env.reset()
+    seen = evaluator.make_policy(2).step(result.proprioception, result.depth, None) / 2.0
+    np.testing.assert_allclose(seen[:, :3], env.observation["velocity"], atol=1e-6)
+    np.testing.assert_allclose(seen[:, 3:6], result.angular_velocity, atol=0.7)
+    np.testing.assert_allclose(seen[:, 6:9], [[0, 0, -1]] * 2, atol=0.2)
+    np.testing.assert_allclose(seen[:, 9:12], result.proprioception[:, 9:12], atol=1e-6)
+
+
+def test_another_model_is_not_taken_for_playgrounds(model: Path) -> None:
+    evaluator = playground_policy.PlaygroundStudy(model=model).make_evaluator()
+    with pytest.raises(RenetError, match="is not Playground's Go1 policy"):
+        evaluator.make_policy(2)

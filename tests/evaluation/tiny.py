@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from renet.evaluation.studies.camera_use import CameraUseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.memory import MemoryStudy
@@ -110,6 +111,7 @@ TINY: dict[str, tuple[Study, Callable[[], FakeEvaluator]]] = {
         MemoryStudy(grounds=("gap:3", "platform:4"), robots=2, seconds=4),
         FakeEvaluator,
     ),
+    "camera_use": (CameraUseStudy(grounds=("gap:3",), robots=2, seconds=1.0), FakeEvaluator),
     "success": (
         SuccessStudy(kinds=("gap", "stairs_up"), levels=(1, 3, 5), robots=3, seconds=2),
         HurdlesEvaluator,

@@ -94,7 +94,9 @@ class Evaluator:
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
         depth_camera(cfg).noise.gaussian_std = self.bundle.manifest.camera.noise_std
-        return SimEnv(cfg, robots, seed, self.engine)
+        self.env = SimEnv(cfg, robots, seed, self.engine)
+        """The newest environment, for policies that need the simulator's truth."""
+        return self.env
 
     def make_policy(self, num_robots: int) -> EvalPolicy:
         """Make the policy under study."""

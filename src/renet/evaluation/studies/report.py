@@ -17,6 +17,7 @@ from renet.evaluation.report.page import (
 )
 from renet.evaluation.report.summary import overview_section, worse_section
 from renet.evaluation.results import read_results
+from renet.evaluation.studies.camera_use import CameraUseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.memory import MemoryStudy
@@ -32,6 +33,7 @@ STUDIES: dict[str, type[Study]] = {
         NoiseStudy,
         FaultStudy,
         MemoryStudy,
+        CameraUseStudy,
         SuccessStudy,
         TerrainStudy,
         StandingStudy,

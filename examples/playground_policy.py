@@ -1,0 +1,63 @@
+"""MuJoCo Playground's Go1 policy, which sees no image, under a study.
+
+`python examples/playground_policy.py evaluate playground --model go1_policy.onnx` says so; the
+model is mujoco_playground/experimental/sim2sim/onnx/go1_policy.onnx of Playground's repository.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+
+from renet.cli import COMMANDS, Command, main
+from renet.errors import RenetError
+from renet.evaluation.studies.camera_use import CameraUseStudy
+from renet.interface import PROPRIOCEPTION, proprioception_slices
+from third_party_policy import TheirEvaluator
+
+SLICES = proprioception_slices()
+
+
+class PlaygroundPolicy:
+    """The model, fed with the simulator's base velocity, which no robot measures."""
+
+    def __init__(self, model: Path, num_robots: int, evaluator: TheirEvaluator):
+        self.model, self.evaluator = ort.InferenceSession(model), evaluator
+        if self.model.get_inputs()[0].shape != [1, 48]:
+            raise RenetError(f"{model} is not Playground's Go1 policy: that takes obs [1, 48]")
+        self.action = np.zeros((num_robots, 12), np.float32)
+        self.anomaly_score = np.zeros(num_robots)
+
+    def reset(self, mask=None):
+        self.action[slice(None) if mask is None else mask] = 0.0
+
+    def step(self, proprioception, depth, op_mask):
+        part = {t.name: proprioception[:, SLICES[t.name]] / t.scale for t in PROPRIOCEPTION}
+        speed, sine, _ = part.pop("command").T
+        part["last_action"] = self.action
+        command = np.stack((speed, np.zeros_like(speed), 2.0 * sine), axis=1)  # Steer ahead.
+        observation = (self.evaluator.env.observation["velocity"].numpy(), *part.values(), command)
+        rows = np.concatenate(observation, axis=1, dtype=np.float32)[:, None]
+        self.action = np.concatenate([self.model.run(None, {"obs": row})[0] for row in rows])
+        return 2.0 * self.action  # Their scale is 0.5, the harness's 0.25; both add to one pose.
+
+
+@dataclass(frozen=True)
+class PlaygroundStudy(CameraUseStudy):
+    """Whether Playground's Go1 policy uses its camera."""
+
+    model: Path = Path("go1_policy.onnx")
+
+    def make_evaluator(self):
+        evaluator = TheirEvaluator(self.model)
+        evaluator.make_policy = lambda n: PlaygroundPolicy(self.model, n, evaluator)
+        return evaluator
+
+
+COMMANDS["evaluate playground"] = Command(
+    "camera use", f"{__name__}:PlaygroundStudy:PlaygroundStudy.main"
+)
+
+if __name__ == "__main__":
+    raise SystemExit(main())
