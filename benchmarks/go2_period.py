@@ -17,7 +17,7 @@ import tyro
 from facts import report, spread
 from renet.deploy.realtime import realtime
 from renet.deploy.robots.base import JointCommand
-from renet.deploy.robots.go2.driver import Go2Robot
+from renet.deploy.robots.go2.driver import go2_robot
 from renet.deploy.robots.go2.link import COMMANDS
 from renet.deploy.robots.go2.messages import LowCmd
 from renet.deploy.robots.go2.network import Network
@@ -41,7 +41,7 @@ def main(cfg: Cfg) -> None:
     simulate = [sys.executable, "-m", "renet", "simulate", f"--domain={cfg.domain}"]
     simulation = subprocess.Popen(simulate, stdout=subprocess.DEVNULL)
     commands = Network("lo", cfg.domain).reader(COMMANDS, LowCmd, depth=10_000)
-    robot, written, ages = Go2Robot("lo", cfg.domain, timeout=30.0), [], []
+    robot, written, ages = go2_robot("lo", cfg.domain, timeout=30.0), [], []
     try:
         robot.connect()
         with realtime(50) as refused:

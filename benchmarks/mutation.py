@@ -37,10 +37,16 @@ PARTS = {
         ["tests/deploy/test_controller.py", "tests/deploy/test_loop.py"],
     ),
     "envelope": (["deploy/robots/envelope.py"], ["tests/deploy/robots/test_envelope.py"]),
-    "go1": (["deploy/robots/go1/link.py"], ["tests/deploy/robots/go1/test_driver.py"]),
+    "go1": (
+        ["deploy/robots/go1/link.py"],
+        [f"tests/deploy/robots/{name}.py" for name in ("go1/test_driver", "real/test_braking")],
+    ),
     "go2": (
         ["deploy/robots/go2/link.py", "deploy/robots/go2/messages.py"],
-        ["tests/deploy/robots/go2/test_link.py", "tests/deploy/robots/go2/test_messages.py"],
+        [
+            f"tests/deploy/robots/{name}.py"
+            for name in ("go2/test_link", "go2/test_messages", "real/test_braking")
+        ],
     ),
     "sender": (
         ["deploy/robots/real/braking.py", "deploy/robots/real/mailbox.py"],

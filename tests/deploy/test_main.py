@@ -158,7 +158,7 @@ def test_the_go1s_address_and_power_level_are_options():
     cfg = tyro.cli(DeployCfg, args=arguments, default=DeployCfg.defaults(arguments))
     assert cfg.driver == Go1Cfg("10.0.0.1", 5)
     robot = devices.make_robot(cfg, Bundle.load())
-    assert robot._settings == ("10.0.0.1", 8007, 8080, 5)  # type: ignore[attr-defined]
+    assert robot.settings == ("10.0.0.1", 8007, 8080, 5)  # type: ignore[attr-defined]
 
 
 def test_real_time_flies_on_the_threads_and_replays(tmp_path):

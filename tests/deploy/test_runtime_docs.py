@@ -29,6 +29,8 @@ from .fakes import state
 from .waiting import until
 
 PAGE = (Path(__file__).parents[2] / "docs" / "runtime.md").read_text()
+PORT = f"usb{os.getpid()}"
+"""Where no other process looks for a robot."""
 
 
 def program(marker: str) -> str:
@@ -83,7 +85,7 @@ def walk(bundle: Path) -> int:
     manifest = read_manifest(bundle)
     write_manifest(bundle, replace(manifest, robot=replace(manifest.robot, name="My robot")))
     exec(program("my_sdk"), {"__name__": "my_robot"})
-    options = "--robot mine --port usb --camera none --teleop keyboard --out out"
+    options = f"--robot mine --port {PORT} --camera none --teleop keyboard --out out"
     return cli.main(["deploy", str(bundle), *options.split()])
 
 
@@ -98,7 +100,7 @@ def test_another_robot_in_a_page(link, keyboard, tmp_path, bundle_path):
     run = read_recording(tmp_path / "out" / "recording.log")
     assert run.complete
     assert run.events[0].why == "armed"
-    assert run.header["port"] == "usb"
+    assert run.header["port"] == PORT
     body = program("my_sdk").split("class MyRobot:")[1].split("\n\n\n")[0]
     assert len(body.splitlines()) < 30
 

@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from types import SimpleNamespace
 
 import pytest
@@ -23,8 +22,7 @@ from renet.deploy.teleop import ScriptedTeleop
 from renet.terminal import Terminal
 
 from ..deploy.fakes import QUICK, Standing
-from ..deploy.robots.peer import Recording
-from ..deploy.robots.real.test_braking import NEEDS
+from ..deploy.robots.peer import KINDS, Peer, make_peer
 from ..deploy.waiting import until
 
 CONTROLLER = """
@@ -52,19 +50,15 @@ AT_ONCE = 10
 """Stiff commands that may still reach the robot after the end: 20 ms at 500 Hz."""
 
 
-@pytest.fixture(params=["go1", "go2"])
-def peer(request) -> Iterator[Recording]:
-    pytest.importorskip(NEEDS[request.param], reason=f"needs renet-locomotion[{request.param}]")
-    peer = import_module(f"tests.deploy.robots.{request.param}_peer").Peer()
-    peer.still = True
-    with peer.serving():
+@pytest.fixture(params=KINDS)
+def peer(request) -> Iterator[Peer]:
+    with make_peer(request.param) as peer, peer.serving():
+        peer.still = True
         yield peer
-        until(peer.released)
-    peer.close()
 
 
 @pytest.fixture
-def controller(peer: Recording) -> Iterator[Callable[..., subprocess.Popen]]:
+def controller(peer: Peer) -> Iterator[Callable[..., subprocess.Popen]]:
     """Starts a process that commands the robot stiffly and then does something."""
     started: list[subprocess.Popen] = []
 
@@ -84,7 +78,7 @@ def controller(peer: Recording) -> Iterator[Callable[..., subprocess.Popen]]:
         end(process)
 
 
-def silent(peer: Recording) -> bool:
+def silent(peer: Peer) -> bool:
     """Whether nothing has reached the robot for 50 of the sender's cycles."""
     sent = len(peer.commands)
     time.sleep(0.1)

@@ -82,9 +82,9 @@ class Go1Cfg(DriverCfg):
 
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """The driver of the robot at `robot_host`."""
-        from renet.deploy.robots.go1.driver import Go1Robot
+        from renet.deploy.robots.go1.driver import go1_robot
 
-        return Go1Robot(host=self.robot_host, power_level=self.power_level)
+        return go1_robot(host=self.robot_host, power_level=self.power_level)
 
 
 @dataclass(frozen=True)
@@ -106,9 +106,9 @@ class Go2Cfg(DriverCfg):
 
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """The driver of the robot at `interface`; a dry run leaves its own modes alone."""
-        from renet.deploy.robots.go2.driver import Go2Robot
+        from renet.deploy.robots.go2.driver import go2_robot
 
-        return Go2Robot(self.interface, self.domain, watch=dry_run)
+        return go2_robot(self.interface, self.domain, watch=dry_run)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,8 @@ from renet.deploy.cameras.base import Camera
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.robots.driver import RobotDriver
+from renet.deploy.robots.real.driver import RealRobot
+from renet.deploy.robots.real.lock import claim
 from renet.deploy.teleop import CONTROLS, JoystickTeleop, KeyboardTeleop, ScriptedTeleop, Teleop
 from renet.errors import RenetError
 
@@ -37,11 +39,13 @@ def start_devices(
 
     Raises:
         RenetError: a bundle for another robot or beyond this one's limits, a missing package or
-            file, or a device that does not answer.
+            file, a robot that another program drives, or a device that does not answer.
     """
     robot = make_robot(cfg, bundle)
     camera = cfg.lens.build(bundle.manifest.camera, robot, cfg.seed)
     teleop = make_teleop(cfg)
+    if not (cfg.driver.simulated or isinstance(robot, RealRobot)):  # Its sender holds a lock.
+        stack.enter_context(claim(f"{cfg.robot} {cfg.driver.address}".rstrip()))
     for device in (teleop, camera, robot):
         stack.callback(getattr(device, "close", lambda: None))
     robot.connect()

@@ -1,5 +1,6 @@
-"""A bundle for the Go2."""
+"""Simulated robots behind real links, and a bundle for each."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -10,9 +11,50 @@ from renet.selector import SelectorSpec
 from renet.tasks.config.go2 import GO2
 from renet.training.export import camera_spec, robot_spec
 
+from .peer import KINDS, Peer, Wire, make_peer
+
+
+def pytest_generate_tests(metafunc):
+    """A test of a robot runs with each kind; one in a kind's folder with that alone."""
+    if "kind" in metafunc.fixturenames:
+        folder = metafunc.definition.path.parent.name
+        metafunc.parametrize("kind", [folder] if folder in KINDS else list(KINDS))
+
+
+@pytest.fixture
+def peer(kind) -> Iterator[Peer]:
+    with make_peer(kind) as peer:
+        yield peer
+
+
+@pytest.fixture
+def wire(peer) -> Wire:
+    """Link and robot in lockstep, before the first exchange."""
+    return peer.wire()
+
+
+@pytest.fixture
+def free(wire) -> Wire:
+    """The wire of a robot that lies and may be commanded."""
+    wire.start()
+    return wire
+
+
+@pytest.fixture
+def served(peer) -> Iterator[Peer]:
+    """A robot that lives beside the test."""
+    with peer.serving():
+        yield peer
+
 
 @pytest.fixture
 def go2_bundle(tmp_path, models) -> Path:
     """Untrained networks, exported for the Go2."""
     manifest = Manifest(robot_spec(GO2), camera_spec(GO2), SelectorSpec(beta=0.25))
     return write_bundle(tmp_path / "go2-bundle", models, manifest)
+
+
+@pytest.fixture
+def kinds_bundle(kind, bundle_path, go2_bundle) -> Path:
+    """Untrained networks for the robot."""
+    return {"go1": bundle_path, "go2": go2_bundle}[kind]

@@ -3,8 +3,6 @@
 The layouts were found by sending one value at a time through the vendor's library.
 """
 
-from __future__ import annotations
-
 import socket
 import struct
 import zlib
@@ -22,9 +20,9 @@ from renet.deploy.robots.sim.scene import build_scene
 from renet.interface import JOINTS
 from renet.training.export import robot_spec
 
-from .peer import Recording, Wire
+from . import peer
+from .peer import VENDOR
 
-JOINT_NAMES = ("hip", "thigh", "calf")
 COMMAND_BYTES, STATE_BYTES = 614, 792
 TIMESTAMPS = 35
 """SO_TIMESTAMPNS of Linux."""
@@ -34,8 +32,6 @@ MOTOR_COMMAND = struct.Struct("<Bffhhh12x")
 MOTOR_STATE = struct.Struct("<Bffhhffhb")
 """mode, q, dq, ddq, tau * 256, raw q, raw dq, raw ddq, temperature"""
 MOTORS_AT, COMMAND_MOTORS_AT, STATE_STRIDE, TICK_AT = 75, 22, 32, 755
-VENDOR = [f"{leg}_{joint}_joint" for leg in ("FR", "FL", "RR", "RL") for joint in JOINT_NAMES]
-"""Names of the vendor's motors 0 to 11 (FR_0 ... RL_2 in its examples)."""
 JOINT_OF = np.array([JOINTS.index(name) for name in VENDOR])
 
 MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
@@ -52,19 +48,20 @@ def checksum(data: bytes) -> bytes:
 
 
 def decode_command(datagram: bytes) -> np.ndarray:
-    """[12, 6]: mode, q, dq, tau, Kp, Kd by the vendor's motor number; checks what a robot does."""
+    """[12, 6]: mode, q, dq, tau, Kp, Kd by joint; checks what a robot does."""
     assert len(datagram) == COMMAND_BYTES
     assert datagram[:3] == HEAD
     assert datagram[-4:] == checksum(datagram[:-4])
-    motors = [
-        MOTOR_COMMAND.unpack_from(datagram, COMMAND_MOTORS_AT + MOTOR_COMMAND.size * motor)
-        for motor in range(12)
-    ]
-    return np.array(motors) / (1, 1, 1, 256, 32, 16)
+    motors = MOTOR_COMMAND.size * np.arange(12) + COMMAND_MOTORS_AT
+    joints = np.empty((12, 6))
+    joints[JOINT_OF] = [MOTOR_COMMAND.unpack_from(datagram, motor) for motor in motors]
+    return joints / (1, 1, 1, 256, 32, 16)
 
 
-class Peer(Recording):
+class Peer(peer.Peer):
     """Serves one control computer, one datagram at a time; motors are numbered FR, FL, RR, RL."""
+
+    SERVO = 10
 
     def __init__(self) -> None:
         super().__init__()
@@ -74,26 +71,30 @@ class Peer(Recording):
         self._socket.setsockopt(socket.SOL_SOCKET, TIMESTAMPS, 1)
         self.port = self._socket.getsockname()[1]
         address = ("127.0.0.1", self.port, free_port())
-        self.driver = "renet.deploy.robots.go1.driver:Go1Robot", address
+        self.driver = "renet.deploy.robots.go1.driver:go1_robot", address
         model, ground = build_scene("flat")
         model.opt.timestep = PERIOD
         self.robot = MujocoRobot(model, robot_spec(), ground)
+        self.data = self.robot.data
         self.silent = self.overloaded = self.garbled = self.still = False
         self.ticks = 0
 
-    def live(self) -> None:
-        with suppress(TimeoutError):
-            self.serve()
+    def make_link(self, power_level: int = POWER_LEVEL) -> Go1Link:
+        return Go1Link("127.0.0.1", self.port, free_port(), power_level)
 
-    def serve(self) -> None:
+    def step(self) -> None:
         """Take one command, live for 2 ms, answer."""
-        datagram, ancillary, _, sender = self._socket.recvmsg(4096, 64)
-        seconds, nanoseconds = struct.unpack("qq", ancillary[0][2])
-        self.arrivals.append(10**9 * seconds + nanoseconds)
-        motors = decode_command(datagram)
-        self.commands.append(motors)
-        joints = np.empty_like(motors)
-        joints[JOINT_OF] = motors
+        with suppress(TimeoutError):
+            datagram, ancillary, _, sender = self._socket.recvmsg(4096, 64)
+            seconds, nanoseconds = struct.unpack("qq", ancillary[0][2])
+            self.arrivals.append(10**9 * seconds + nanoseconds)
+            self.commands.append(decode_command(datagram))
+            self.obey(self.commands[-1])
+            self.ticks += 1
+            if not self.silent:
+                self._socket.sendto(self._state(), sender)
+
+    def obey(self, joints: np.ndarray) -> None:
         _, position, speed, torque, stiffness, damping = joints.T
         assert (torque == 0).all()
         limp = np.abs(position) > 1e9
@@ -101,17 +102,8 @@ class Peer(Recording):
         hold = np.where(limp, 0.0, position)
         self.robot.write(JointCommand(hold, np.where(limp, 0.0, stiffness), damping))
         if not self.still:
-            mujoco.mj_step(self.robot.model, self.robot.data)
-            mujoco.mj_forward(self.robot.model, self.robot.data)
-        self.ticks += 1
-        if not self.silent:
-            self._socket.sendto(self._state(), sender)
-
-    def pose(self, position: np.ndarray) -> None:
-        """Put the joints somewhere, in the vendor's order of motors."""
-        for name, value in zip(VENDOR, position, strict=True):
-            self.robot.data.joint(name).qpos = value
-        mujoco.mj_forward(self.robot.model, self.robot.data)
+            mujoco.mj_step(self.robot.model, self.data)
+            mujoco.mj_forward(self.robot.model, self.data)
 
     def close(self) -> None:
         self._socket.close()
@@ -139,8 +131,3 @@ def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
-
-
-def wire_of(peer: Peer) -> Wire:
-    """In lockstep: the robot answers every datagram."""
-    return Wire(Go1Link("127.0.0.1", peer.port, free_port(), POWER_LEVEL), peer.serve)

@@ -11,27 +11,33 @@ from renet.deploy.robots.go2.link import COMMANDS, MOTORS, Go2Link
 from renet.deploy.robots.go2.messages import LowCmd
 from renet.deploy.robots.real.braking import PERIOD
 
+from . import peer
 from .dds import free_domain
-from .peer import Recording, Wire
 
 BUSY = 7002
 """What MotionSwitcher says instead of ending a mode, now and then."""
 PARTS = ("mode", "q", "dq", "tau", "kp", "kd")
 
 
-class Peer(Recording, FakeGo2):
+class Peer(peer.Peer, FakeGo2):
     """A Go2 in a domain of its own."""
 
+    SERVO = 1
+
     def __init__(self) -> None:
-        Recording.__init__(self)
+        peer.Peer.__init__(self)
         FakeGo2.__init__(self, free_domain())
         self._commands = self.network.reader(COMMANDS, LowCmd, depth=10_000)
-        self.driver = "renet.deploy.robots.go2.driver:Go2Robot", ("lo", free_domain())
+        self.driver = "renet.deploy.robots.go2.driver:go2_robot", ("lo", free_domain())
         self.slow = 0
         """Steps by which MotionSwitcher's answers are late."""
         self._answers: list[tuple[int, Any]] = []
         self._switch, self._responses = self._responses, SimpleNamespace(write=self._delay)
         self.silent = self.deaf = self.stubborn = self.still = False
+
+    def make_link(self, watch: bool = False) -> Go2Link:
+        """Both are in this process, and messages pass at once."""
+        return Go2Link("lo", free_domain(), watch)
 
     def live(self) -> None:
         self.step()
@@ -64,8 +70,3 @@ class Peer(Recording, FakeGo2):
     def close(self) -> None:
         """Leave the network: whatever speaks to it goes when it is forgotten."""
         vars(self).clear()
-
-
-def wire_of(peer: Peer, watch: bool = False) -> Wire:
-    """In lockstep; both are in this process, and messages pass at once."""
-    return Wire(Go2Link("lo", free_domain(), watch), peer.step)

@@ -54,6 +54,14 @@ class DriverCfg:
         """Whether the robot's clock is the wall's."""
         return not self.simulated
 
+    @property
+    def address(self) -> str:
+        """What tells this robot from others of its kind, such as a port.
+
+        Only one program at a time drives the robot at an address; by default, one of a kind.
+        """
+        return ""
+
     def check(self) -> None:
         """Raise RenetError for options that cannot work."""
 

@@ -19,25 +19,15 @@ from renet.deploy.cfg import DeployCfg
 from renet.deploy.main import deploy
 from renet.deploy.recording.recorder import read_recording
 from renet.deploy.robots.go2 import driver
-from renet.deploy.robots.go2.driver import Go2Robot
+from renet.deploy.robots.go2.driver import go2_robot
 from renet.deploy.safety.limits import SafetyCfg
 from renet.errors import RenetError
 
 from ...waiting import until
 from ..dds import free_domain
-from ..go2_peer import Peer
 
 PATIENT = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999, joint_margin=9.0)
 """How late a step is depends on how busy the computer is."""
-
-
-@pytest.fixture
-def served() -> Iterator[Peer]:
-    peer = Peer()
-    with peer.serving():
-        yield peer
-        until(peer.released)
-    peer.close()
 
 
 def options(**changes) -> list[str]:
@@ -126,15 +116,10 @@ def test_a_bundle_of_another_robot_is_refused(bundle_path):
         deploy(DeployCfg(bundle_path, "go2", driver=Go2Cfg("lo"), camera="none", dry_run=True))
 
 
-def test_no_robot_is_one_clear_line():
-    with pytest.raises(RenetError, match="no answer from a Go2 on lo: check the cable"):
-        Go2Robot("lo", free_domain(), timeout=0.5).connect()
-
-
 def test_a_robot_that_keeps_its_mode_is_refused_before_anything_is_commanded(served):
     served.stubborn = True
     with pytest.raises(RenetError, match="the robot's mode 'normal' does not end"):
-        Go2Robot("lo", free_domain(), timeout=60.0).connect()
+        go2_robot("lo", free_domain(), timeout=60.0).connect()
     assert served.commands == []
     assert served.refused == 0
 
@@ -142,13 +127,13 @@ def test_a_robot_that_keeps_its_mode_is_refused_before_anything_is_commanded(ser
 def test_without_cyclone_dds_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setattr(driver, "find_spec", lambda name: None)
     with pytest.raises(RenetError, match=r"pip install .* -e '\.\[go2\]'"):
-        Go2Robot("lo").connect()
+        go2_robot("lo")
 
 
 def test_a_simulated_robot_in_a_process_of_its_own_is_found_and_released():
     command = [sys.executable, "-m", "renet", "simulate", f"--domain={free_domain()}"]
     run = subprocess.Popen([*command, "--seconds=30"], stdout=subprocess.PIPE, text=True)
-    robot = Go2Robot("lo", free_domain(), timeout=30.0, sink=0.1)
+    robot = go2_robot("lo", free_domain(), timeout=30.0, sink=0.1)
     robot.connect()
     assert robot.read().battery == pytest.approx(0.81)
     robot.close()

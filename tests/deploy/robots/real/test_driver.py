@@ -1,30 +1,13 @@
 """Real drivers and their sender processes, against simulated robots that live beside them."""
 
 import os
-from collections.abc import Iterator
-from importlib import import_module
 
 import pytest
 
-from renet.deploy.robots.go1 import driver as go1
 from renet.errors import RenetError
 
 from ...fakes import command
 from ...waiting import until
-from ..peer import Recording
-from .test_braking import NEEDS
-
-
-@pytest.fixture(params=["go1", "go2"])
-def served(request, monkeypatch) -> Iterator[Recording]:
-    """A robot that lives; of the Go1 two drivers find it at two ports, as in an attack."""
-    pytest.importorskip(NEEDS[request.param], reason=f"needs renet-locomotion[{request.param}]")
-    peer = import_module(f"tests.deploy.robots.{request.param}_peer").Peer()
-    monkeypatch.setattr(go1, "_claim", lambda port: None)
-    with peer.serving():
-        yield peer
-        until(peer.released)
-    peer.close()
 
 
 def test_a_robot_is_read_commanded_and_braked_at_the_end(served):
@@ -43,6 +26,13 @@ def test_a_robot_is_read_commanded_and_braked_at_the_end(served):
     until(lambda: served.braked)
     with pytest.raises(RenetError, match="closed"):
         robot.write(command())
+
+
+def test_a_connection_that_only_looked_leaves_the_robot_limp(served):
+    robot = served.make_driver(sink=0.3)
+    robot.connect()
+    robot.close()
+    assert not any(sent[:, 4:].any() for sent in served.commands)
 
 
 def test_a_sender_that_died_is_named(served):
@@ -71,3 +61,9 @@ def test_a_second_controller_is_refused_until_the_first_ones_sender_is_dead(serv
         first._sender.wait(10)
     second.connect()
     second.close()
+
+
+def test_no_robot_is_one_clear_line(peer):
+    with pytest.raises(RenetError, match=r"no answer from a Go\d .*check the cable"):
+        peer.make_driver(timeout=0.5).connect()
+    until(peer.released)

@@ -5,6 +5,7 @@ what it receives and keeps the newest good packet.
 """
 
 import importlib
+import socket
 from typing import Any
 
 import numpy as np
@@ -41,13 +42,33 @@ def unitree() -> Any:
     )
 
 
+def _require_free(port: int) -> None:
+    """Raise RenetError if this computer already talks to a robot; the library would not mind."""
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("", port))
+    except OSError as error:
+        raise RenetError(
+            f"UDP port {port} is taken: another program already talks to the Go1; end it first"
+        ) from error
+
+
 class Go1Link(Link):
     """The exchange with a Go1; the vendor's driver and its overload guard can brake it for good."""
 
     def __init__(self, host: str, port: int, local_port: int, power_level: int) -> None:
-        """Open the socket; motors stay limp until the first command."""
+        """Open the socket; motors stay limp until the first command.
+
+        Args:
+            host, port: of the robot's motor board. local_port: where it answers to.
+            power_level: of the vendor's overload guard.
+
+        Raises:
+            RenetError: no vendor's driver, or a local port that another program uses.
+        """
         super().__init__(read_envelope(GO1))
         sdk = unitree()
+        _require_free(local_port)
         self._udp = sdk.UDP(LOW_LEVEL, local_port, host, port)
         self._safety = sdk.Safety(sdk.LeggedType.Go1)
         self._level = power_level

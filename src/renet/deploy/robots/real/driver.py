@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,13 +17,11 @@ from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import Envelope
 from renet.deploy.robots.real.braking import HEARTBEAT, PERIOD
 from renet.deploy.robots.real.lock import claim
-from renet.deploy.robots.real.mailbox import ALIVE, COMMAND, SIZE, VALUES, clock, mailboxes
+from renet.deploy.robots.real.mailbox import ALIVE, COMMAND, READING, SIZE, VALUES, clock, mailboxes
 from renet.errors import RenetError
 
-SINK = 1.0
-"""Seconds of braking with which a connection ends; a standing robot sinks to the ground in them."""
 
-
+@dataclass
 class RealRobot:
     """A robot behind a sender process of its own; its clock is this computer's.
 
@@ -30,30 +29,22 @@ class RealRobot:
     life, and when no command comes for 0.1 s.
     """
 
-    def __init__(
-        self,
-        name: str,
-        envelope: Envelope,
-        link: str,
-        settings: tuple[Any, ...],
-        no_answer: str,
-        timeout: float,
-        sink: float = SINK,
-    ) -> None:
-        """Set up without talking to the robot.
+    name: str
+    """For messages."""
+    envelope: Envelope
+    """Its own limits."""
+    link: str
+    """MODULE:CLASS of its `braking.Link`."""
+    settings: tuple[Any, ...]
+    """What the link is made with; the first two, such as address and port, tell robots apart."""
+    no_answer: str
+    """What to tell the user when the robot does not answer."""
+    timeout: float = 5.0
+    """Seconds `connect` waits for the first answer."""
+    sink: float = 1.0
+    """Seconds of braking with which a connection ends: a standing robot sinks to the ground."""
 
-        Args:
-            name: of the robot, for messages. envelope: its limits.
-            link: MODULE:CLASS of its `braking.Link`. settings: what that is made with, first
-            the two that tell this robot from others, such as its address and port.
-            no_answer: what to tell the user when the robot does not answer.
-            timeout: seconds `connect` waits for the first answer.
-            sink: seconds of braking with which the connection ends.
-        """
-        self.envelope = envelope
-        self._name, self._no_answer = name, no_answer
-        self._link, self._settings = link, settings
-        self._timeout, self._sink = timeout, sink
+    def __post_init__(self) -> None:
         self._sender: subprocess.Popen | None = None
         self._stop = threading.Event()
 
@@ -62,17 +53,17 @@ class RealRobot:
 
         The sender inherits the lock on the robot: nobody else commands it before the sender ends.
         """
-        robot = f"{self._name} at {':'.join(map(str, self._settings[:2]))}"
+        robot = f"{self.name} at {':'.join(map(str, self.settings[:2]))}"
         with claim(robot) as lock:
             self._start(lock.fileno())
         threading.Thread(target=self._live, daemon=True).start()
-        deadline = time.monotonic() + self._timeout
+        deadline = time.monotonic() + self.timeout
         while self.read() is None:
-            problem, dead = self._text("problem"), self._sender.poll() is not None
-            if problem or dead or time.monotonic() > deadline:
-                problem = problem or self._text("problem")  # A sender's last word.
+            dead = self._sender.poll() is not None
+            if dead or self._problem or time.monotonic() > deadline:
+                problem = self._problem or self.no_answer  # Read anew: a sender's last word.
                 self.close()
-                raise RenetError(problem or self._no_answer)
+                raise RenetError(problem)
             time.sleep(PERIOD)
 
     def _start(self, lock: int) -> None:
@@ -83,7 +74,7 @@ class RealRobot:
         self._alive, self._commands, self._readings = mailboxes(self._memory)
         pipe, self._pipe = os.pipe()
         command = [sys.executable, "-P", "-m", "renet.deploy.robots.real.sender"]
-        arguments = (shared, pipe, self._sink, self._link, json.dumps(self._settings))
+        arguments = (shared, pipe, self.sink, self.link, json.dumps(self.settings))
         self._sender = subprocess.Popen(
             [*command, *map(str, arguments)],
             stdin=subprocess.DEVNULL,
@@ -97,8 +88,8 @@ class RealRobot:
 
     def read(self) -> RobotState | None:
         """Newest reading, without waiting; None before the first."""
-        reading = None if self._sender is None else self._readings.read()
-        if reading is None or not reading["known"]:
+        reading = self._reading()
+        if not reading["known"]:
             return None
         values: dict[str, Any] = {name: reading[name] for name in VALUES}
         return RobotState(**values)
@@ -110,13 +101,13 @@ class RealRobot:
             RenetError: not connected, braked for good, or a command that cannot be sent.
         """
         if self._sender is None:
-            raise RenetError(f"the {self._name} is not connected")
+            raise RenetError(f"the {self.name} is not connected")
         if self._stop.is_set():
             raise RenetError("the connection was closed")
         if self._sender.poll() is not None:
-            raise RenetError(f"the process that talks to the {self._name} has died")
-        if problem := self._text("problem"):
-            raise RenetError(problem)
+            raise RenetError(f"the process that talks to the {self.name} has died")
+        if self._problem:
+            raise RenetError(self._problem)
         within = self.envelope.clamp(command)
         message = (clock(), within.position, within.stiffness, within.damping)
         self._commands.write(np.array(message, COMMAND))
@@ -124,8 +115,8 @@ class RealRobot:
     @property
     def refused(self) -> str:
         """What the system refused the sender, such as real-time priority; empty if nothing."""
-        refused = self._text("refused")
-        return refused and f"{refused} to the process that talks to the {self._name}"
+        refused = self._reading()["refused"].item().decode(errors="replace")
+        return refused and f"{refused} to the process that talks to the {self.name}"
 
     def now(self) -> float:
         """Seconds on this computer's clock, which goes on while it sleeps."""
@@ -142,14 +133,18 @@ class RealRobot:
         self._stop.set()
         os.close(self._pipe)
         with suppress(subprocess.TimeoutExpired):
-            self._sender.wait(self._sink + 2.0)
+            self._sender.wait(self.sink + 2.0)
 
     def _live(self) -> None:
         """Give signs of life until the end."""
         while not self._stop.wait(HEARTBEAT):
             self._alive.write(np.array((clock(),), ALIVE))
 
-    def _text(self, name: str) -> str:
-        """One of the sender's texts; empty before its first reading."""
+    def _reading(self) -> np.ndarray:
+        """What the sender last said, of layout `READING`; zeros before its first word."""
         reading = None if self._sender is None else self._readings.read()
-        return "" if reading is None else reading[name].decode(errors="replace")
+        return np.zeros((), READING) if reading is None else reading
+
+    @property
+    def _problem(self) -> str:
+        return self._reading()["problem"].item().decode(errors="replace")

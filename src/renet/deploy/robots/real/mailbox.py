@@ -19,8 +19,8 @@ READING = np.dtype(
         *((name, "f8", size) for name, size in VECTORS.items()),
         ("temperature", "f8"),
         ("battery", "f8"),
-        ("problem", "S200"),
-        ("refused", "S200"),
+        ("problem", "S400"),
+        ("refused", "S400"),
     ]
 )
 VALUES = READING.names[1:-2] if READING.names else ()

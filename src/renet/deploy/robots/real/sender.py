@@ -75,8 +75,7 @@ def _reading(link: Link | None, problem: str, refused: str) -> np.ndarray:
         reading["known"] = True
         for name in VALUES:
             reading[name] = getattr(link.state, name)
-    reading["problem"] = problem.encode()[:200]
-    reading["refused"] = refused.encode()[:200]
+    reading["problem"], reading["refused"] = problem.encode(), refused.encode()
     return reading
 
 
