@@ -11,8 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from onnx import TensorProto as Type
-from onnx import helper
+import onnx.parser
 from safetensors.numpy import save_file
 
 from renet.bundle import DEFAULT, MANIFEST, PREVIOUS, pretrained
@@ -20,7 +19,6 @@ from renet.deploy.recording.recorder import CHUNK, MAGIC, TICK_DTYPE
 
 Maker = Callable[[Path], Path | str | None]
 """Fills a new folder; returns what to hand over, the folder itself by default."""
-info, node = helper.make_tensor_value_info, helper.make_node
 
 
 def file(data: bytes | str, name: str = "file") -> Maker:
@@ -105,7 +103,7 @@ def without(name: str, replace: Callable[[Path], object]) -> Maker:
     return bundle(edit)
 
 
-def model(name: str, data: bytes, beside: dict[str, bytes] | None = None) -> Maker:
+def model(name: str, data: bytes) -> Maker:
     """A bundle with another model, for which its manifest vouches."""
 
     def edit(path: Path) -> None:
@@ -113,51 +111,28 @@ def model(name: str, data: bytes, beside: dict[str, bytes] | None = None) -> Mak
         value["sha256"][f"{name}.onnx"] = hashlib.sha256(data).hexdigest()
         (path / MANIFEST).write_text(json.dumps(value))
         (path / f"{name}.onnx").write_bytes(data)
-        for other, content in (beside or {}).items():
-            (path / other).write_bytes(content)
 
     return bundle(edit)
 
 
-def actor(*nodes: object, initializers: tuple = (), element: int = Type.FLOAT, **sizes: object):
-    """An actor of somebody's making; `c` is a constant of 12 numbers."""
-    shapes = {"proprioception": 45, "latent_op": 64, "latent_vp": 64, "op_mask": 1} | sizes
-    inputs = [info(n, element, ["n", s]) for n, s in shapes.items()]
-    tensors = [constant(0.1), *initializers]
-    graph = helper.make_graph(nodes, "actor", inputs, [info("action", element, None)], tensors)
-    opset = [helper.make_opsetid("", 17)]
-    made = helper.make_model(graph, opset_imports=opset, ir_version=8)
-    return model("actor", made.SerializeToString())
+def actor(nodes: str, kind: str = "float", size: object = 45) -> Maker:
+    """An actor of somebody's making, in ONNX's own language."""
+    text = f"""<ir_version: 8, opset_import: ["" : 17]>
+        actor ({kind}[n, {size}] proprioception, {kind}[n, 64] latent_op,
+               {kind}[n, 64] latent_vp, {kind}[n, 1] op_mask) => ({kind}[] action)
+        <float[1, 12] c = {{{", ".join(["0.1"] * 12)}}}, int64[1] five = {{5}},
+         float[1] limit = {{0.7}}, float minus = {{-1}}, int64[1] shape = {{4000000000}},
+         bool yes = {{1}}, int64 count = {{{2**62}}}>
+        {{ {nodes} }}"""
+    return model("actor", onnx.parser.parse_model(text).SerializeToString())
 
 
-def constant(value: float, name: str = "c"):
-    return helper.make_tensor(name, Type.FLOAT, [1, 12], [value] * 12)
-
-
-def integers(name: str, *values: int):
-    return helper.make_tensor(name, Type.INT64, [len(values)], values)
-
-
-def branch(name: str):
-    """The branch of an If: its output is `c`."""
-    return helper.make_graph([node("Identity", ["c"], [name])], name, [], [info(name, 1, None)])
-
-
-ADD = node("Add", ["c", "op_mask"], ["action"])
-TURN = [  # Whether the robot's gravity points up, which it does in no trial.
-    node("Gather", ["proprioception", "five"], ["g"], axis=1),
-    node("Greater", ["g", "limit"], ["b"]),
-    node("Squeeze", ["b"], ["up"]),
-]
-LIMITS = (integers("five", 5), helper.make_tensor("limit", Type.FLOAT, [1], [0.7]))
-LOOP = helper.make_graph(
-    [node("Identity", ["go"], ["on"]), node("Identity", ["x"], ["y"])],
-    "body",
-    [info("i", Type.INT64, []), info("go", Type.BOOL, []), info("x", Type.FLOAT, None)],
-    [info("on", Type.BOOL, []), info("y", Type.FLOAT, None)],
-)
-YES = helper.make_tensor("yes", Type.BOOL, [], [True])
-FOREVER = helper.make_tensor("count", Type.INT64, [], [2**62])
+UPSIDE_DOWN = """g = Gather <axis = 1> (proprioception, five)
+    b = Greater (g, limit)
+    up = Squeeze (b)"""
+"""Whether the robot's gravity points up, which it does in no trial."""
+LOOP = """<body = loop (int64 i, bool go, float[] x) => (bool on, float[] y)
+    {on = Identity (go) y = Identity (x)}>"""
 
 
 def chunk(tag: bytes, data: bytes) -> bytes:
@@ -259,7 +234,7 @@ def scene(assets: str, body: str) -> Maker:
 
 
 TENSOR = b'{"a":{"dtype":"F32","shape":[250000000],"data_offsets":[0,1000000000]}}'
-MISCELLANY: dict[str, Maker] = {
+FILES: dict[str, Maker] = {
     "nothing": lambda folder: folder / "nowhere",
     "an empty folder": lambda folder: None,
     "an empty file": file(b""),
@@ -281,8 +256,6 @@ MISCELLANY: dict[str, Maker] = {
     "JSON": file('{"a": 1}'),
     "deep JSON": file("[" * 1_000_000),
     "a page": file("<html></html>", "page.html"),
-}
-BUNDLES: dict[str, Maker] = {
     "a manifest that is a pipe": without(MANIFEST, os.mkfifo),
     "a manifest that is a device": without(MANIFEST, lambda p: p.symlink_to("/dev/zero")),
     "a manifest of 300 MB": bundle(lambda p: os.truncate(p / MANIFEST, 300_000_000)),
@@ -302,47 +275,29 @@ BUNDLES: dict[str, Maker] = {
     "a pipe for what was before": bundle(lambda p: os.mkfifo(p / PREVIOUS)),
     "a file too many": bundle(lambda p: (p / "thesis.tex").write_text("years of work")),
     "a model that loops for ever": actor(
-        node("Loop", ["count", "yes", "c"], ["l"], body=LOOP),
-        node("Add", ["l", "op_mask"], ["action"]),
-        initializers=(FOREVER, YES),
+        f"l = Loop {LOOP} (count, yes, c) action = Add (l, op_mask)"
     ),
     "a model that does so upside down": actor(
-        *TURN,
-        node("Loop", ["count", "up", "c"], ["l"], body=LOOP),
-        node("Add", ["l", "op_mask"], ["action"]),
-        initializers=(FOREVER, *LIMITS),
+        f"{UPSIDE_DOWN} l = Loop {LOOP} (count, up, c) action = Add (l, op_mask)"
     ),
     "a model that branches": actor(
-        *TURN,
-        node("If", ["up"], ["i"], then_branch=branch("t"), else_branch=branch("e")),
-        node("Add", ["i", "op_mask"], ["action"]),
-        initializers=LIMITS,
+        f"""{UPSIDE_DOWN}
+        i = If (up) <then_branch = t () => (float[] t) {{t = Identity (c)}},
+                     else_branch = e () => (float[] e) {{e = Identity (c)}}>
+        action = Add (i, op_mask)"""
     ),
     "a model that asks for 16 GB": actor(
-        node("Expand", ["limit", "shape"], ["big"]),
-        node("ReduceSum", ["big"], ["s"], keepdims=0),
-        node("Add", ["c", "s"], ["action"]),
-        initializers=(integers("shape", 4_000_000_000), *LIMITS),
+        "big = Expand (limit, shape) s = ReduceSum <keepdims = 0> (big) action = Add (c, s)"
     ),
     "a model that asks for what gravity says": actor(
-        *TURN,
-        node("Cast", ["b"], ["k"], to=Type.INT64),
-        node("Squeeze", ["k"], ["shape"]),
-        node("Expand", ["c", "shape"], ["action"]),
-        initializers=LIMITS,
+        f"{UPSIDE_DOWN} k = Cast <to = 7> (b) s = Squeeze (k) action = Expand (c, s)"
     ),
-    "a model that throws dice": actor(node("RandomNormalLike", ["c"], ["action"])),
-    "a model with NaN": actor(
-        node("Add", ["nan", "op_mask"], ["action"]), initializers=(constant(np.nan, "nan"),)
-    ),
-    "a model of another type": actor(
-        node("Cast", ["op_mask"], ["action"], to=11), element=Type.DOUBLE
-    ),
-    "a model of symbolic sizes": actor(ADD, proprioception="k"),
+    "a model that throws dice": actor("action = RandomNormalLike (c)"),
+    "a model with NaN": actor("nan = Sqrt (minus) a = Add (c, nan) action = Add (a, op_mask)"),
+    "a model of another type": actor("action = Cast <to = 11> (op_mask)", "double"),
+    "a model of symbolic sizes": actor("action = Add (c, op_mask)", size="k"),
     "a model in ONNX Runtime's format": model("actor", b"\x18\0\0\0ORTM" + bytes(1000)),
     "a model that is text": model("vision", b"hello"),
-}
-RECORDINGS: dict[str, Maker] = {
     "a bomb of zeros": file(HEAD + SECOND * 60),
     "a sparse bomb": sparse(1_000_000_000, HEAD + SECOND * 60),
     "one chunk of 100 MB": file(HEAD + chunk(b"TICK", bytes(TICK_DTYPE.itemsize * 60_000))),
@@ -355,8 +310,6 @@ RECORDINGS: dict[str, Maker] = {
     "an image of tick 1e9": file(ticks() + chunk(b"IMAG", struct.pack("<I", 10**9) + bytes(6144))),
     "a length of 4 GB": file(HEAD + CHUNK.pack(b"TICK", 2**32 - 1, 0)),
     "a recording without header": file(MAGIC + b"x" * 100),
-}
-CHECKPOINTS: dict[str, Maker] = {
     "a checkpoint without task": checkpoint({"format": 1, "config": {"model": {}}}),
     "a checkpoint of format 99": checkpoint(STATE | {"format": 99}),
     "a checkpoint of text for numbers": checkpoint(model_of() | {"steps": "many"}),
@@ -370,8 +323,6 @@ CHECKPOINTS: dict[str, Maker] = {
     ),
     "tensors of holes": holes,
     "a header of 1 GB on paper": checkpoint(model_of(), claims(1_000_000_000, b"")),
-}
-RESULTS: dict[str, Maker] = {
     "results in a pipe": results(os.mkfifo),
     "results of a list": results(lambda p: p.write_text("[]")),
     "results of nothing": results(lambda p: p.write_text("{}")),
@@ -379,8 +330,6 @@ RESULTS: dict[str, Maker] = {
     "results of text": results(
         lambda p: p.write_text('{"runs": [1], "settings": 2, "provenance": "x", "study": []}')
     ),
-}
-SCENES: dict[str, Maker] = {
     "a billion bodies": scene("", '<replicate count="1000000000"><geom size="1"/></replicate>'),
     "a height field of 60,000 squared": scene(
         '<hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/>',
@@ -396,4 +345,3 @@ SCENES: dict[str, Maker] = {
         '<geom type="plane" size="9 9 1"/><body><joint stiffness="-1e12"/><geom size=".1"/></body>',
     ),
 }
-FILES = MISCELLANY | BUNDLES | RECORDINGS | CHECKPOINTS | RESULTS | SCENES
