@@ -234,6 +234,11 @@ def test_a_second_signal_interrupts_at_once_and_one_before_the_loop_leaves_nothi
     assert not (tmp_path / "other").exists()
 
 
+def test_few_robots_are_said_to_take_many_steps(tmp_path, capsys):
+    train(cfg(tmp_path, num_steps_per_env=None, batch_size=120))
+    assert "Each robot takes 30 control steps in an iteration" in capsys.readouterr().out
+
+
 def test_a_run_that_runs_is_not_gone_on_with(finished, tmp_path):
     run = shutil.copytree(finished, tmp_path / "Renet-Go1-Flat" / finished.name)
     with lock(run), pytest.raises(RenetError, match=f"another program writes to {run}"):

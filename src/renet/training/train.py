@@ -30,7 +30,7 @@ from renet.folders import lock
 from renet.options import TASK, RecipeCfg, TrainOptions
 from renet.tasks import RenetEnvCfg, env_cfg, make_env
 from renet.training import checkpoint as checkpoints
-from renet.training.config import RenetRunnerCfg
+from renet.training.config import RenetRunnerCfg, steps_per_env
 from renet.training.metrics import CONFIG, CURVES, write_run_report
 from renet.training.progress import Report
 from renet.training.provenance import described, differences, restored
@@ -154,6 +154,9 @@ def train(cfg: TrainCfg) -> Path | None:
                 console.print(line)
         if not rank and run:
             console.print(f"Training {cfg.task} with {env.num_envs} robots in {run}")
+            fixed, batch = agent.num_steps_per_env, agent.batch_size
+            steps = steps_per_env(fixed, batch, env.num_envs, built.alg.steps)
+            console.print(f"Each robot takes {steps:,} control steps in an iteration")
             write_atomically(run / CONFIG, (json.dumps(settings, indent=1) + "\n").encode())
         runner = built
         report = Report(console, runner, agent.max_iterations)
