@@ -2,6 +2,8 @@
 
 import re
 import subprocess
+import tomllib
+from pathlib import Path
 
 from renet import __version__, version
 
@@ -21,3 +23,15 @@ def test_an_edited_clone_is_told_from_a_clean_one_and_from_an_installed_package(
     assert re.fullmatch(rf"{__version__} \([0-9a-f]{{12}}\)", version.code_version())
     (tmp_path / "file").write_text("2")
     assert str(version.commit()).endswith("+changed")
+
+
+def test_packages_and_the_build_are_pinned():
+    project = Path(__file__).parents[1]
+    build = tomllib.loads((project / "pyproject.toml").read_text())["build-system"]["requires"]
+    for names in (build, *map(lines, project.rglob("requirements-lock.txt"))):
+        assert names
+        assert [name for name in names if not re.fullmatch(r"[\w.-]+==[\w.+]+", name)] == []
+
+
+def lines(file: Path) -> list[str]:
+    return [line for line in file.read_text().splitlines() if not line.startswith("#")]

@@ -7,11 +7,11 @@ without waiting or taking much memory, and without touching a file of the user's
 import dataclasses
 import io
 import json
+import math
 import os
 import resource
 import shutil
 import signal
-import time
 import typing
 from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
@@ -104,10 +104,13 @@ def usage() -> tuple[float, int]:
     return sum(u.ru_utime + u.ru_stime for u in both), max(u.ru_maxrss for u in both)
 
 
-def attempt(arguments: list[str]) -> str:
-    """What is wrong with how a command took its arguments; empty if nothing is."""
+def attempt(arguments: list[str], most: float = math.inf) -> str:
+    """What is wrong with how a command took its arguments; empty if nothing is.
+
+    `most` kilobytes may be this process's peak memory, or that of one of its children.
+    """
     out, error = io.StringIO(), io.StringIO()
-    (seconds, before), code = usage(), -1
+    seconds, code = usage()[0], -1
     try:
         with redirect_stdout(out), redirect_stderr(error):
             code = main(arguments)
@@ -125,7 +128,7 @@ def attempt(arguments: list[str]) -> str:
         "escape codes": "\x1b]" in said + out.getvalue(),
         f"a traceback: {said[-300:]}": "Traceback" in said,
         f"{after - seconds:.1f} s of processor time": after - seconds > PROCESSOR,
-        f"{(peak - before) / 1000:.0f} MB": peak - before > MEMORY,
+        f"{peak / 1000:.0f} MB, {most / 1000:.0f} are allowed": peak > most,
     }
     return "; ".join(text for text, is_wrong in wrong.items() if is_wrong)
 
@@ -139,14 +142,11 @@ def hand_over(name: str, option: str, variant: tuple[str, ...], folder: str) -> 
     shutil.copytree(pretrained(DEFAULT), "shipped")
     Path("recording.log").write_bytes(ticks())
     attempt(command_line(name, option, variant, "/nowhere"))  # Imports what it needs.
-    reports, sizes = {}, []
+    reports, most = {}, usage()[1] + MEMORY
     for title, path in paths.items():
         signal.alarm(PATIENCE)
         Path("progress").write_text(title)
-        begun = time.monotonic()
-        problem = attempt(command_line(name, option, variant, path))
-        sizes.append((time.monotonic() - begun, title))
-        if problem:
+        if problem := attempt(command_line(name, option, variant, path), most):
             reports[title] = problem
     print(json.dumps(reports))
     return 0
