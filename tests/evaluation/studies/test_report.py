@@ -33,6 +33,7 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
         "Where RENet does worse",
         "Noise in the camera",
         "Every way a depth camera fails",
+        "Camera use",
         "One try at each obstacle",
         "Parkour",
         "Standing on command",
@@ -42,7 +43,7 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
     assert "http" not in html
     assert "∞ s" in html
     assert html.count("bundle hash") == len(STUDIES)
-    assert html.count("<img") == 10
+    assert html.count("<img") == 11
 
 
 def test_one_study_alone_makes_a_page(results: Path, tmp_path: Path) -> None:
