@@ -3,10 +3,10 @@
 import mujoco
 import numpy as np
 import pytest
-import torch
 from mjlab.sim.sim import MujocoCfg, SimulationCfg
 from tests.sim.scenes import PLANE, scene
 
+from renet.errors import RenetError
 from renet.sim.native import engine, mujoco_memory, stages
 from renet.sim.native.engine import NativeSimulation
 from renet.sim.native.stages import moving_part
@@ -45,13 +45,17 @@ def robots(*bodies: str, sensors: str = SENSORS) -> mujoco.MjModel:
     return scene(*bodies, extra=f"{option}{MOTORS}<sensor>{sensors}</sensor>")
 
 
+def simulate(model: mujoco.MjModel, integrator: str = "implicitfast") -> NativeSimulation:
+    cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005, integrator=integrator))
+    return NativeSimulation(NUM_ENVS, cfg, model, "cpu")
+
+
 @pytest.mark.parametrize("order", [(PLANE, WALKER, TILES), (WALKER, TILES), (TILES, WALKER)])
 @pytest.mark.parametrize("integrator", ["implicitfast", "euler"])
 def test_steps_are_mujocos_own(order, integrator, monkeypatch):
     """Also while limbs touch the tiles; state, forces and every sensor."""
     monkeypatch.setattr(engine, "THREADS", 64)
-    cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005, integrator=integrator))
-    simulation = NativeSimulation(NUM_ENVS, cfg, robots(*order), "cpu")
+    simulation = simulate(robots(*order), integrator)
     model = simulation.mj_model
     assert (moving_part(model)[0] < model.nbody) == (order[-1] is TILES)
     simulation.data.ctrl[:, 0], simulation.data.ctrl[:, 1] = 0.5, -0.5
@@ -99,75 +103,28 @@ def test_bodies_moved_by_hand_are_among_what_moves():
     assert moving_part(model)[0] == model.nbody
 
 
-@pytest.fixture
-def doubted(monkeypatch):
-    """The check of MuJoCo, made anew; afterwards its usual result."""
-    stages.are_supported.cache_clear()
-    mujoco_memory.library.cache_clear()
-    yield monkeypatch
-    monkeypatch.undo()
-    stages.are_supported.cache_clear()
-    mujoco_memory.library.cache_clear()
-
-
 @pytest.mark.parametrize(
     ("module", "name", "value", "message"),
     [
-        (mujoco, "__version__", "3.99.1", "3.99.1: the native engine knows versions 3.11"),
+        (mujoco, "__version__", "3.99.1", r"3\.99\.1: it knows versions 3\.11"),
         (mujoco, "__file__", "empty/__init__.py", "no MuJoCo library in"),
         (mujoco, "__file__", "broken/__init__.py", "dylib"),
         (mujoco_memory, "SIZES", 1, "mjModel.nbody is not among"),
         (stages, "CONTACTS", stages.CONTACTS[:2], "its stages do not make its step"),
     ],
 )
-def test_an_unknown_mujoco_is_stepped_plainly_and_that_is_logged_once(
-    doubted, caplog, tmp_path, module, name, value, message
+def test_an_unknown_mujoco_is_refused_with_what_to_do(
+    monkeypatch, tmp_path, module, name, value, message
 ):
-    doubted.chdir(tmp_path)
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "libmujoco.9.dylib").touch()
-    doubted.setattr(module, name, value)
-    for simulation in [walkers() for _ in range(2)]:
-        simulation.step_n(2)
-    assert len(caplog.messages) == 1
-    assert message in caplog.messages[0]
-    assert "mj_step" in caplog.messages[0]
-    assert len(simulation._workers) == 1
-
-
-def walkers() -> NativeSimulation:
-    """Robots on tiles that differ in what they do and in one model field."""
-    cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005, integrator="implicitfast"))
-    simulation = NativeSimulation(3, cfg, robots(WALKER, TILES), "cpu")
-    simulation.expand_model_fields(("geom_friction",))
-    simulation.model.geom_friction[1, :, 0] = 0.2
-    simulation.data.ctrl[:] = torch.tensor([[0.5, -0.5], [-0.5, 0.5], [0.0, 0.0]])
-    return simulation
-
-
-def test_plain_steps_are_the_native_ones(doubted):
-    native = walkers()
-    states = []
-    for simulation in (native, walkers()):
-        for _ in range(60):
-            simulation.step_n(4)
-        simulation.step()
-        simulation.data.qpos[2, 0] += 0.01
-        simulation.data.qvel[0, 3] = float("nan")
-        simulation.step_n(2)  # Leaves the first robot alone.
-        simulation.data.xpos[1] = 7.0
-        simulation.data.qpos[2, 1] -= 0.01
-        simulation.forward_written()
-        states.append(
-            [getattr(simulation.data, n)[:].clone() for n in ("qpos", "qvel", "time", "xpos")]
-            + [simulation.data.sensordata[:].clone(), simulation.data.qfrc_constraint[:].clone()]
-        )
-        doubted.setattr(mujoco, "__version__", "3.99.1")
-        stages.are_supported.cache_clear()
-    for one, other in zip(*states, strict=True):
-        assert torch.equal(one.nan_to_num(9e9), other.nan_to_num(9e9))
-    assert (states[0][3][1] == 7.0).all()
-    assert (states[0][3][2] != 7.0).all()
+    monkeypatch.setattr(module, name, value)
+    for check in (stages.check_mujoco, mujoco_memory.library):
+        check.cache_clear()
+    with pytest.raises(RenetError, match=rf"{message}.*mujoco~=3\.11\.0, or use --engine warp"):
+        simulate(robots(WALKER, TILES))
+    mujoco_memory.library.cache_clear()
 
 
 def test_time_is_found_and_nothing_is_changed_in_looking_for_it():

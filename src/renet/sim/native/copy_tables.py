@@ -44,14 +44,6 @@ class FieldCopy(NamedTuple):
         """Whether it is single precision in Warp and double in MuJoCo; else bytes are the same."""
         return self.mujoco.dtype == np.float64
 
-    def load(self, env: int) -> None:
-        """Copy it from an environment to MuJoCo."""
-        self.mujoco.flat = self.warp[env]
-
-    def store(self, env: int) -> None:
-        """Copy it from MuJoCo to an environment."""
-        self.warp[env].flat = self.mujoco.ravel()
-
 
 def whole_data(
     wp_data: Any, mj_data: mujoco.MjData, num_envs: int, names: tuple[str, ...]

@@ -30,7 +30,7 @@ from renet.sim.native import mujoco_memory, stages
 from renet.sim.native.collision_culling import CollisionCulling
 from renet.sim.native.compiler import Source, Struct
 from renet.sim.native.copy_tables import POSE, STATE, FieldCopy, load_model, store_data, whole_data
-from renet.sim.native.stages import DERIVE, stages_of
+from renet.sim.native.stages import stages_of
 from renet.sim.threads import THREADS
 
 SOURCE = Source(Path(__file__).with_name("engine.cpp"))
@@ -96,10 +96,6 @@ class Worker:
         self.fields = load_model(simulation.wp_model, model, sorted(simulation.expanded_fields))
         self.stores = store_data(wp_data, self.data, model, num_envs)
 
-    def pose_of(self, env: int) -> np.ndarray:
-        """The fields `POSE` of an environment in Warp, one after another, [n]."""
-        return np.concatenate([np.zeros(0), *(copy.warp[env].ravel() for copy in self.pose)])
-
     def struct(self, wp_data: Any, culling: CollisionCulling) -> Struct:
         """The struct Worker of engine.cpp."""
         model = self.model
@@ -145,14 +141,15 @@ class NativeSimulation(Simulation):
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """Take Simulation's arguments; raises RenetError where MuJoCo is one it does not know."""
         self._workers: list[Worker] = []
         self._arguments: dict[tuple[int, bool, bool], Struct] = {}
         """The struct Advance of engine.cpp, by the arguments of `_advance`."""
+        stages.check_mujoco()
+        mujoco_memory.ignore_warnings()
         super().__init__(*args, **kwargs)
         self.culling = CollisionCulling(self.mj_model, self.mj_data, self.num_envs)
         self._zeroed = [getattr(self.wp_data, name).numpy() for name in RESET_TO_ZERO]
-        if stages.are_supported():
-            mujoco_memory.ignore_warnings()
 
     def expand_model_fields(self, fields: tuple[str, ...]) -> None:
         """Give each environment its own values of model fields, as Simulation does."""
@@ -202,9 +199,6 @@ class NativeSimulation(Simulation):
         """Take physics steps; if `steps` is 0, compute all that follows from the state."""
         if not self._workers:
             self._prepare()
-        if not stages.are_supported():
-            self._advance_plainly(steps, derive, only_written)
-            return
         key = steps, derive, only_written
         if key not in self._arguments:
             self._arguments[key] = self._argument(*key)
@@ -213,13 +207,11 @@ class NativeSimulation(Simulation):
 
     def _prepare(self) -> None:
         """Set up the threads, and forget the last poses."""
-        native = stages.are_supported()
-        self._workers = [Worker(self) for _ in range(min(THREADS, self.num_envs) if native else 1)]
+        self._workers = [Worker(self) for _ in range(min(THREADS, self.num_envs))]
+        self._structs = [worker.struct(self.wp_data, self.culling) for worker in self._workers]
         size = sum(copy.mujoco.size for copy in self._workers[0].pose)
         self._last_pose = np.full((self.num_envs, size), np.nan, np.float32)
         self._arguments = {}
-        if native:
-            self._structs = [worker.struct(self.wp_data, self.culling) for worker in self._workers]
 
     def _argument(self, steps: int, derive: bool, only_written: bool) -> Struct:
         """The struct Advance of engine.cpp."""
@@ -242,29 +234,6 @@ class NativeSimulation(Simulation):
             last_pose=self._last_pose,
             pose_bytes=self._last_pose.strides[0],
         )
-
-    def _advance_plainly(self, steps: int, derive: bool, only_written: bool) -> None:
-        """Do the same by MuJoCo's Python functions, one environment after another."""
-        worker, time = self._workers[0], self.wp_data.time.numpy()
-        for env in range(self.num_envs):
-            if only_written and np.array_equal(worker.pose_of(env), self._last_pose[env]):
-                continue
-            if not all(np.isfinite(copy.warp[env]).all() for copy in worker.state):
-                continue
-            for copy in (*worker.state, *worker.fields):
-                copy.load(env)
-            worker.data.time = time[env]
-            if steps:
-                mujoco.mj_step(worker.model, worker.data, steps)
-            else:
-                mujoco.mj_forward(worker.model, worker.data)
-            for stage in DERIVE if derive else ():
-                getattr(mujoco, stage)(worker.model, worker.data)
-            for copy in worker.stores:
-                copy.store(env)
-            time[env] = worker.data.time
-            if derive or not steps:
-                self._last_pose[env] = worker.pose_of(env)
 
 
 class TerrainLast(Scene):

@@ -5,7 +5,6 @@ these come last, all stages but collision detection get a model that ends before
 the same, except sums over the whole world.
 """
 
-import logging
 from ctypes import c_void_p
 from functools import cache
 from typing import NamedTuple
@@ -13,6 +12,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from renet.errors import RenetError
 from renet.sim.native import mujoco_memory
 
 POSITION = ("mj_kinematics", "mj_comPos", "mj_camlight", "mj_tendon")
@@ -105,40 +105,37 @@ def moving_bodies(model: mujoco.MjModel) -> np.ndarray:
 
 
 @cache
-def are_supported() -> bool:
-    """Whether the installed MuJoCo can be stepped stage by stage; logs a line if it cannot.
+def check_mujoco() -> None:
+    """Check the version of MuJoCo, the layout of its structs, and its stages against `mj_step`.
 
-    It checks the version, the layout of structs, and the stages of a small scene against `mj_step`.
+    Raises:
+        RenetError: the installed MuJoCo cannot be stepped stage by stage.
     """
-    problem = _problem()
-    if problem:
-        logging.getLogger(__name__).warning(
-            "MuJoCo %s: %s. Physics is stepped by plain mj_step, more slowly.",
-            mujoco.__version__,
-            problem,
-        )
-    return not problem
+    try:
+        _check_stages()
+    except (LookupError, AttributeError, OSError) as error:
+        raise RenetError(
+            f"the native engine cannot step MuJoCo {mujoco.__version__}: {error}. Install "
+            f"mujoco~={mujoco_memory.VERSION}0, or use --engine warp"
+        ) from error
 
 
-def _problem() -> str:
-    """The reason why a step cannot be split into stages; empty if it can."""
+def _check_stages() -> None:
+    """Raise LookupError, AttributeError or OSError where a step cannot be split into stages."""
     if not mujoco.__version__.startswith(mujoco_memory.VERSION):
-        return f"the native engine knows versions {mujoco_memory.VERSION}*"
+        raise LookupError(f"it knows versions {mujoco_memory.VERSION}*")
     model = mujoco.MjModel.from_xml_string(SELF_CHECK)
     plain, staged = mujoco.MjData(model), mujoco.MjData(model)
-    try:
-        sizes = [mujoco_memory.model_size(model, name) for name in ("nbody", "ngeom")]
-        library, time = mujoco_memory.library(), mujoco_memory.time(staged)
-        mujoco.mj_forward(model, staged)  # Poses of what never moves.
-        whole = model.nbody, model.ngeom
-        for stage in stages_of(model, 2, derive=False):
-            for size, shown in zip(sizes, stage[1:], strict=True):
-                size.value = shown
-            function = getattr(library, stage.function)
-            function.argtypes, function.restype = [c_void_p] * 2, None
-            function(model._address, staged._address)
-    except (LookupError, AttributeError, OSError) as error:
-        return str(error)
+    sizes = [mujoco_memory.model_size(model, name) for name in ("nbody", "ngeom")]
+    library, time = mujoco_memory.library(), mujoco_memory.time(staged)
+    mujoco.mj_forward(model, staged)  # Poses of what never moves.
+    whole = model.nbody, model.ngeom
+    for stage in stages_of(model, 2, derive=False):
+        for size, shown in zip(sizes, stage[1:], strict=True):
+            size.value = shown
+        function = getattr(library, stage.function)
+        function.argtypes, function.restype = [c_void_p] * 2, None
+        function(model._address, staged._address)
     for size, value in zip(sizes, whole, strict=True):
         size.value = value
     mujoco.mj_step(model, plain, 2)
@@ -146,4 +143,5 @@ def _problem() -> str:
         np.array_equal(getattr(plain, name), getattr(staged, name))
         for name in ("qpos", "qvel", "sensordata", "qfrc_constraint")
     )
-    return "" if same and time[0] == plain.time else "its stages do not make its step"
+    if not same or time[0] != plain.time:
+        raise LookupError("its stages do not make its step")
