@@ -47,7 +47,7 @@ class CourseStudy(WalkingStudy):
     robots: int = 4
     """Robots in each mode; each walks all laps."""
     severity: int = 4
-    """Of the grass (4: three quarters of the way to dense) and the occlusion (4: 75 %), 1 to 5."""
+    """Severity of grass (4: three quarters of the way to dense) and occlusion (4: 75 %), 1 to 5."""
     stuck_after: float = 25.0
     """Seconds on one passage after which a robot counts as stuck; 8 m take 13 s."""
 
@@ -90,11 +90,11 @@ class CourseStudy(WalkingStudy):
         for robot, trial in enumerate(trials):
             steps = int((~logs["finished"][:, robot]).sum())
             log = {name: values[:steps, robot] for name, values in logs.items()}
-            own = trace.robots(slice(robot, robot + 1)).until(steps)
+            lap_trace = trace.robots(slice(robot, robot + 1)).until(steps)
             named = {"mode": trial.mode, "lap": number, "robot": trial.robot}
-            runs.append(named | _run(log, own, len(lap)) | {"seed": seed})
+            runs.append(named | _run(log, lap_trace, len(lap)) | {"seed": seed})
             if trial.mode == "renet" and timeline is None:
-                timeline = _timeline(log, own)
+                timeline = _timeline(log, lap_trace)
         return {"runs": runs, "timeline": timeline}
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
@@ -197,8 +197,9 @@ def _passages(runs: list[dict[str, Any]], lap: tuple[str, ...]) -> list[dict[str
         for kind, end in zip(lap, run["ends"], strict=True):
             ends.setdefault((run["mode"], kind), []).append(end)
     return [
-        {"mode": mode, "kind": kind, "tries": len(own)} | {end: own.count(end) for end in ENDS}
-        for (mode, kind), own in ends.items()
+        {"mode": mode, "kind": kind, "tries": len(kind_ends)}
+        | {end: kind_ends.count(end) for end in ENDS}
+        for (mode, kind), kind_ends in ends.items()
     ]
 
 

@@ -142,19 +142,19 @@ def passage(kind: str, level: int) -> Tile:
     if not 1 <= level <= LEVELS:
         raise RenetError(f"level must be 1 to {LEVELS}, got {level}")
     share = (level - 1) / (LEVELS - 1)
-    known = tiles()
+    generators = tiles()
     # Level 1 of rough ground is flat: grass grows on what level 4 has.
-    relief = known["rough"].measure(max(share, 1 / 3))
+    relief = generators["rough"].measure(max(share, 1 / 3))
     kinds: dict[str, tuple[Callable[..., Tile], float]] = {
         "flat": (Passage, 0.0),
         "occlusion": (Passage, 0.0),
         "grass": (Relief, relief),
         "rough": (Relief, relief),
-        "stairs": (partial(Passage, obstacle=stairs), known["stairs_up"].measure(share)),
+        "stairs": (partial(Passage, obstacle=stairs), generators["stairs_up"].measure(share)),
         "slope": (partial(Passage, obstacle=slope), SLOPES[0] + share * (SLOPES[1] - SLOPES[0])),
-        "platform": (partial(Passage, obstacle=platforms), known["platform"].measure(share)),
-        "gap": (partial(Passage, obstacle=gaps), known["gap"].measure(share)),
-        "obstacles": (Blocks, known["obstacles"].measure(share)),
+        "platform": (partial(Passage, obstacle=platforms), generators["platform"].measure(share)),
+        "gap": (partial(Passage, obstacle=gaps), generators["gap"].measure(share)),
+        "obstacles": (Blocks, generators["obstacles"].measure(share)),
     }
     if kind not in kinds:
         raise RenetError(f"unknown passage '{kind}': choose among {', '.join(kinds)}")

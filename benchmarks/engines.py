@@ -48,7 +48,7 @@ class Cfg:
     bundle: Path | None = None
     runs: int = 20
     seconds: float = 15.0
-    """Of walking."""
+    """Seconds of walking."""
     level: int = 3
     engines: tuple[str, ...] = ("mujoco", "pybullet")
     terrains: tuple[str, ...] = ("flat", "stairs", "obstacles")

@@ -29,7 +29,7 @@ def facts() -> dict[str, Any]:
         "cpus": os.cpu_count(),
         "machine": platform.machine(),
         "load_before": LOAD_BEFORE,
-        "versions": {name: found for name in packages if (found := version_of(name))},
+        "versions": {name: number for name in packages if (number := version_of(name))},
     }
 
 

@@ -112,13 +112,13 @@ class FilterStudy(Study):
         trusted = replay(make_selector("paper", spec, scores.shape[1]), scores)
         delay = metrics.switch_delay(trusted[:, :, :each], onset)
         switched = metrics.switches(trusted[onset - 1 :, :, each:])
-        found = ~np.isnan(delay)
+        switches = ~np.isnan(delay)
         return {
             "gamma": spec.gamma,
             "rate_hz": spec.rate_hz,
-            "delay_s": float(np.median(delay[found])) if found.any() else None,
+            "delay_s": float(np.median(delay[switches])) if switches.any() else None,
             "formula_s": filter_delay(spec.gamma, spec.rate_hz),
-            "detected": int(found.sum()),
+            "detected": int(switches.sum()),
             "switches_per_minute": float(switched.mean() * 60 / (self.seconds - self.onset)),
             "robots": each,
             "seed": self.seed,

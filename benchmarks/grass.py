@@ -61,8 +61,8 @@ def scores(vision: onnxruntime.InferenceSession, images: np.ndarray) -> dict[str
         dict(zip(names, vision.run(None, {"depth": np.stack(pair)[None]}), strict=True))
         for pair in pairs
     ]
-    wanted = [name for name in ("anomaly_score", "variance_score") if name in names]
-    return {name: max(float(np.ravel(one[name])[0]) for one in seen) for name in wanted}
+    scores = [name for name in ("anomaly_score", "variance_score") if name in names]
+    return {name: max(float(np.ravel(one[name])[0]) for one in seen) for name in scores}
 
 
 def main() -> None:

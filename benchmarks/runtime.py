@@ -133,9 +133,9 @@ class TimedController(Controller):
 
 
 @contextmanager
-def neighbour(wanted: bool) -> Iterator[None]:
+def neighbour(busy: bool) -> Iterator[None]:
     """A process that computes without end on the last core, at normal priority."""
-    if not wanted:
+    if not busy:
         yield
         return
     last = max(os.sched_getaffinity(0))

@@ -36,7 +36,7 @@ class Cfg:
     """What is studied; by default in results/switch_NAME, and only the mode that obeys the switch:
     the others are the bundle's own."""
     severity: int = 4
-    """Of the faults it learns from, in both modes: all but glass, foam and a knocked mount."""
+    """Severity of the faults it learns from: all but glass, foam and a knocked mount."""
     robots: int = 2
     """Robots for each fault and mode in training, in turn on the study's grounds; each has a twin
     whose camera stays healthy."""
@@ -45,7 +45,7 @@ class Cfg:
     epochs: int = 200
     """Passes over the rollout."""
     seed: int = 7
-    """Of training."""
+    """Seed of training."""
 
     def __post_init__(self) -> None:
         if self.study.out == FaultStudy().out:

@@ -35,7 +35,7 @@ class Cfg:
     json: Path | None = None
     """File for the results."""
     seconds: float = 20.0
-    """Of each run."""
+    """Seconds of each run."""
     seeds: int = 4
     terrains: tuple[str, ...] = ("flat", "stairs")
 
@@ -81,7 +81,7 @@ def walk(bundle: Bundle, terrain: str, seconds: float, seed: int) -> list[tuple]
 
 
 def main(cfg: Cfg) -> None:
-    bundle, found = Bundle.load(), {}
+    bundle, results = Bundle.load(), {}
     for terrain in cfg.terrains:
         first, after, others = [], [], []
         for seed in range(1, cfg.seeds + 1):
@@ -96,13 +96,13 @@ def main(cfg: Cfg) -> None:
             after.append(numbers[near])
             others.append(numbers[~near])
         first, after, others = (np.concatenate(part) for part in (first, after, others))
-        found[terrain] = {
+        results[terrain] = {
             "switches": len(first),
             "target_jump_rad": {"switch": spread(first[:, 0]), "others": spread(others[:, 0])},
             "peak_torque_nm": {"switch": spread(after[:, 1]), "others": spread(others[:, 1])},
             "foot_slip_m_s": {"switch": spread(after[:, 2]), "others": spread(others[:, 2])},
         }
-    report(found | {"bundle_sha256": bundle.sha256}, cfg.json)
+    report(results | {"bundle_sha256": bundle.sha256}, cfg.json)
 
 
 if __name__ == "__main__":

@@ -99,7 +99,7 @@ class Cfg:
     num_steps_per_env: int | None = None
     """Control steps of each robot in an iteration, in place of the recipe's; for quick trials."""
     seed: int = 1
-    """Of training; the judging's is `study.seed`."""
+    """Seed of training; the rows are judged with `study.seed`."""
     study: TerrainStudy = field(default_factory=TerrainStudy)
     """How rows are judged; its mode, folder and bundle are the row's."""
     status: bool = False
@@ -110,8 +110,8 @@ class Cfg:
     def __post_init__(self) -> None:
         unknown = set(self.rows) - {row.name for row in ROWS}
         if unknown:
-            known = ", ".join(row.name for row in ROWS)
-            raise RenetError(f"unknown row {sorted(unknown)[0]!r}: choose among {known}")
+            names = ", ".join(row.name for row in ROWS)
+            raise RenetError(f"unknown row {sorted(unknown)[0]!r}: choose among {names}")
         if self.num_envs < 1 or self.steps <= 0:
             raise RenetError(f"num-envs {self.num_envs} and steps {self.steps} must be above 0")
 
@@ -182,21 +182,21 @@ def train_stage(cfg: Cfg, row: Row, stage: Stage) -> Path:
     Raises:
         RenetError: its checkpoint is of other settings.
     """
-    training, found = cfg.training(row, stage), newest(cfg, row, stage)
-    if found is not None:
-        state = checkpoints.load_state(found)
+    training, checkpoint = cfg.training(row, stage), newest(cfg, row, stage)
+    if checkpoint is not None:
+        state = checkpoints.load_state(checkpoint)
         stored = from_dict(ModelCfg, state["agent"]["model"])
         same = stored == training.agent.model and state["agent"]["seed"] == cfg.seed
         if not same or state["env"]["scene"]["num_envs"] != cfg.num_envs:
             raise RenetError(
-                f"{found} was trained with another model, seed or number of robots: choose"
+                f"{checkpoint} was trained with another model, seed or number of robots: choose"
                 " another --out, or the settings it was begun with"
             )
         if state["iteration"] >= training.agent.max_iterations:
-            return found
+            return checkpoint
     for earlier in parents(row, stage)[:1]:
-        found = found or newest(cfg, row, earlier)
-    train(replace(training, resume=None if found is None else str(found)))
+        checkpoint = checkpoint or newest(cfg, row, earlier)
+    train(replace(training, resume=None if checkpoint is None else str(checkpoint)))
     return checkpoints.find(cfg.folder(row, stage))
 
 
@@ -212,13 +212,13 @@ def progress(cfg: Cfg, row: Row) -> tuple[int, float, bool]:
     """
     steps, seconds, complete = 0, 0.0, True
     for stage in row.stages:
-        found = newest(cfg, row, stage)
-        if found is None:
+        checkpoint = newest(cfg, row, stage)
+        if checkpoint is None:
             return steps, seconds, False
-        state = checkpoints.load_state(found)
+        state = checkpoints.load_state(checkpoint)
         complete &= state["iteration"] >= cfg.training(row, stage).agent.max_iterations
         for earlier in parents(row, stage)[:1]:
-            begun = checkpoints.load_state(newest(cfg, row, earlier) or found)
+            begun = checkpoints.load_state(newest(cfg, row, earlier) or checkpoint)
             steps, seconds = steps - begun["steps"], seconds - begun["seconds"]
         steps, seconds = steps + state["steps"], seconds + state["seconds"]
     return steps, seconds, complete
@@ -306,12 +306,12 @@ def judge_row(cfg: Cfg, row: Row, checkpoint: Path) -> None:
 def measured(cfg: Cfg, row: Row) -> dict[str, Any] | None:
     """The row's results; None where it has not been judged so, at the whole budget."""
     path = cfg.result(row)
-    found = read_results(path) if path.is_file() else None
-    if found is None or found["steps"] < cfg.steps:
+    results = read_results(path) if path.is_file() else None
+    if results is None or results["steps"] < cfg.steps:
         return None
     names = ("robots", "quick", "seed", "speed", "seconds", "levels", "kinds", "fault")
-    same = all(found["settings"][n] == plain(getattr(cfg.study, n)) for n in names)
-    return found if same else None
+    same = all(results["settings"][n] == plain(getattr(cfg.study, n)) for n in names)
+    return results if same else None
 
 
 def passes(summary: dict[str, Any], column: str) -> str:
@@ -330,31 +330,31 @@ def table(cfg: Cfg) -> str:
     columns += ["M steps", "hours", "seed"]
     lines = [["row", *columns], ["---"] * (len(columns) + 1)]
     for row in cfg.chosen:
-        lines += [[row.name, *cells(own, row, len(columns))] for own in by_seed(cfg, row)]
+        lines += [[row.name, *cells(seed_cfg, row, len(columns))] for seed_cfg in by_seed(cfg, row)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def by_seed(cfg: Cfg, row: Row) -> list[Cfg]:
     """The configuration with each seed that the row was judged with, or as it is."""
-    found = cfg.results.glob(f"{row.slug}_*.json")
-    seeds = sorted(int(path.stem.rpartition("_")[2]) for path in found)
+    paths = cfg.results.glob(f"{row.slug}_*.json")
+    seeds = sorted(int(path.stem.rpartition("_")[2]) for path in paths)
     return [replace(cfg, seed=seed) for seed in seeds or [cfg.seed]]
 
 
 def cells(cfg: Cfg, row: Row, count: int) -> list[str]:
     """What was measured of a row with one seed, in `count` columns."""
-    found = measured(cfg, row)
+    results = measured(cfg, row)
     texts = []
     for number, name in enumerate(MEASURES):
-        ours = None if found is None else {**found, **found["levels"]}.get(name)
+        ours = None if results is None else {**results, **results["levels"]}.get(name)
         digits = 2 if name in TABLE else 3
         said = "missing" if ours is None else f"{ours:.{digits}f}"
         paper = "not in the paper" if row.paper is None else f"{row.paper[number]:g}"
         texts.append(f"{said} ({paper})")
-    if found is None:
+    if results is None:
         return texts + ["missing"] * (count - len(texts))
-    texts += [passes(found, column) for column in TABLE]
-    return [*texts, f"{found['steps'] / 1e6:.2f}", f"{found['hours']:.1f}", str(cfg.seed)]
+    texts += [passes(results, column) for column in TABLE]
+    return [*texts, f"{results['steps'] / 1e6:.2f}", f"{results['hours']:.1f}", str(cfg.seed)]
 
 
 def status(cfg: Cfg) -> str:

@@ -98,7 +98,7 @@ class Operations(TorchDispatchMode):
 
 
 def operations(env: RenetEnv) -> dict[str, float]:
-    """Of a control step in which nobody is reset, and of a reset."""
+    """Numbers of operations in a control step without a reset, and in a reset."""
     env.reset()
     with Operations() as steps:
         for _ in range(STEPS_PER_TICK):
@@ -206,7 +206,7 @@ def cameras_rays_per_second(cfg: Cfg) -> dict[str, float]:
 
 
 def best_seconds(call: Callable[[], Any], device: str, repeats: int = 5) -> float:
-    """Of a call that has already compiled what it needs."""
+    """The shortest time of a call, s, once it has compiled what it needs."""
     watch = Stopwatch(device)
     call()
     laps = []
@@ -218,7 +218,7 @@ def best_seconds(call: Callable[[], Any], device: str, repeats: int = 5) -> floa
 
 
 def peak_memory(device: str) -> int:
-    """Bytes: of this process, or on a GPU of the whole device, for Warp's are not torch's."""
+    """Bytes of this process; on a GPU those of the whole device, as torch does not count Warp's."""
     if device.startswith("cuda"):
         free, total = torch.cuda.mem_get_info(torch.device(device))
         return total - free

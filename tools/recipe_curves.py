@@ -39,9 +39,10 @@ def draw(table: list[dict[str, str]]) -> None:
         figure, axes = plt.subplots(2, 3, figsize=(10, 5), sharex=True, sharey=True)
         for axis, kind in zip(axes.flat, tiles(), strict=True):
             for label, seed in runs:
-                own = [row for row in table if (row["run"], row["seed"]) == (label, seed)]
+                curve = [row for row in table if (row["run"], row["seed"]) == (label, seed)]
                 steps, hours, level = (
-                    np.array([row[name] for row in own], float) for name in ("steps", "hours", kind)
+                    np.array([row[name] for row in curve], float)
+                    for name in ("steps", "hours", kind)
                 )
                 colour = f"C{labels.index(label)}"
                 axis.plot(steps / 1e6, level, color=colour, linewidth=1)

@@ -29,7 +29,7 @@ COLOURS = {
     "thigh": "4a525c",
     "calf": "aab2bb",
 }
-"""Of the bodies whose names end so."""
+"""Colours of bodies, by the end of their names."""
 FOOT = "1b1e23"
 KEPT = 0.02
 """Share of the triangles that gltfpack keeps."""

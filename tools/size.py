@@ -1,4 +1,4 @@
-"""Counts lines of code and files in a folder, and fails above the limits of size.json.
+"""Count lines of code and files in a folder; fail above the limits of size.json.
 
     python tools/size.py            compare with the limits
     python tools/size.py --lower    write today's numbers where they are below the limits
@@ -44,12 +44,12 @@ def count_lines(path: Path) -> int:
 
 def main(arguments: list[str], root: Path = ROOT, limits: Path = LIMITS) -> int:
     """Print a line for each number; 1 if one of them is above its limit."""
-    allowed, found = json.loads(limits.read_text()), measure(root)
-    above = [name for name, limit in allowed.items() if found[name] > limit]
+    allowed, sizes = json.loads(limits.read_text()), measure(root)
+    above = [name for name, limit in allowed.items() if sizes[name] > limit]
     for name, limit in allowed.items():
-        print(f"{name}: {found[name]} of {limit}" + (" TOO MANY" if name in above else ""))
+        print(f"{name}: {sizes[name]} of {limit}" + (" TOO MANY" if name in above else ""))
     if "--lower" in arguments:
-        lowered = {name: min(limit, found[name]) for name, limit in allowed.items()}
+        lowered = {name: min(limit, sizes[name]) for name, limit in allowed.items()}
         limits.write_text(json.dumps(lowered, indent=2) + "\n")
     return 1 if above else 0
 

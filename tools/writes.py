@@ -1,8 +1,8 @@
-"""Finds code in src that writes, renames or deletes files beside files.py and folders.py.
+"""Find code in src that writes, renames or deletes files beside files.py and folders.py.
 
     python tools/writes.py
 
-prints each place and fails if there is any.
+prints each place, and fails if there is any.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ TASK = "Renet-Go1-Parkour-Dropout"
 KINDS = 3
 """Blank image, missing rectangle, strong noise."""
 NOISE_STD = 0.5
-"""Of strong noise, image range 1."""
+"""Standard deviation of strong noise, image range 1."""
 
 
 @dataclass

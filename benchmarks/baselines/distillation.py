@@ -69,7 +69,7 @@ class Stage:
 
     name: str
     share: float
-    """Of the method's environment steps."""
+    """Share of the method's environment steps."""
     model: Mapping[str, Any] = field(default_factory=dict)
     """Fields of ModelCfg that differ from the recipe's."""
     task: str = TASK
@@ -156,22 +156,24 @@ class DistillationAlgorithm(RenetAlgorithm):
         self._teachers: list[tuple[Actor, Tensor]] = []
         reached: list[dict[str, Tensor]] = []
         taught = torch.zeros_like(kinds, dtype=torch.bool)
-        for path, own in cfg.teachers:
+        for path, lessons in cfg.teachers:
             checkpoint = checkpoints.load(Path(path), self.device)
             model = load_networks(Path(path)).to(self.device)
             if model.cfg.perception != "oracle":
                 raise RenetError(f"{path} cannot teach: it is not a policy with perception oracle")
-            wanted = torch.tensor([names.index(name) for name in own or names], device=kinds.device)
-            robots = torch.isin(kinds, wanted)
+            kind_ids = torch.tensor(
+                [names.index(name) for name in lessons or names], device=kinds.device
+            )
+            robots = torch.isin(kinds, kind_ids)
             taught |= robots
             self._teachers.append((model.actor, robots.nonzero().squeeze(-1)))
             state = checkpoint.environment
-            its = torch.isin(state["kinds"], wanted.to(state["kinds"].device))
+            its = torch.isin(state["kinds"], kind_ids.to(state["kinds"].device))
             reached.append({name: state[name][its] for name in ("levels", "passed", "kinds")})
         if not taught.all():
             raise RenetError(f"nobody teaches on {names[int(kinds[~taught][0])]}")
         self.reached = checkpoint.environment | {
-            name: torch.cat([own[name] for own in reached]) for name in reached[0]
+            name: torch.cat([environment[name] for environment in reached]) for name in reached[0]
         }
         """Curriculum of the teachers, from which the student goes on."""
         if cfg.starts_as_teacher:
@@ -181,11 +183,11 @@ class DistillationAlgorithm(RenetAlgorithm):
 
     @torch.no_grad()
     def _begin_as(self, teacher: Actor) -> None:
-        own = self.model.actor.state_dict()
+        student = self.model.actor.state_dict()
         for name, weights in teacher.state_dict().items():
-            same = own[name].shape == weights.shape
+            same = student[name].shape == weights.shape
             shared = slice(None) if same else slice(PROPRIOCEPTION_SIZE)
-            own[name][..., shared] = weights[..., shared]
+            student[name][..., shared] = weights[..., shared]
 
     def expert(self, obs: TensorDict) -> Tensor:
         """Mean actions of each robot's teacher, [N, 12]."""

@@ -211,13 +211,13 @@ class SwitchEvaluator(Evaluator):
 
     def provenance(self, seed: int) -> Provenance:
         """The bundle's, with the switch's class and weights: other results than the bundle's."""
-        own = super().provenance(seed)
+        provenance = super().provenance(seed)
         if self.switch is None:
-            return own
+            return provenance
         weights = nn.utils.parameters_to_vector(self.switch.parameters()).detach().numpy()
-        digest = hashlib.sha256(own.bundle_hash.encode() + weights.tobytes()).hexdigest()
-        name = f"{own.bundle} with {type(self.switch).__name__}"
-        return replace(own, bundle=name, bundle_hash=digest)
+        digest = hashlib.sha256(provenance.bundle_hash.encode() + weights.tobytes()).hexdigest()
+        name = f"{provenance.bundle} with {type(self.switch).__name__}"
+        return replace(provenance, bundle=name, bundle_hash=digest)
 
 
 def collect(

@@ -115,8 +115,8 @@ def test_the_loss_is_that_of_the_actions_taken(teachers, tmp_path) -> None:
     rollout = runner.alg._rollout
     assert rollout.done.any(), "episodes end between ticks, too"
     expected = (rollout.mean - torch.stack(said)).abs().sum(-1).mean().item()
-    (found,) = read_curves(tmp_path)["Loss/imitation"][1]
-    assert found == pytest.approx(expected, rel=1e-4)
+    (loss,) = read_curves(tmp_path)["Loss/imitation"][1]
+    assert loss == pytest.approx(expected, rel=1e-4)
 
 
 def test_goes_on_after_a_kill_from_the_levels_of_its_teachers(teachers, tmp_path) -> None:
@@ -136,12 +136,12 @@ def test_goes_on_after_a_kill_from_the_levels_of_its_teachers(teachers, tmp_path
 
 
 def test_begins_as_its_teacher_but_for_what_it_cannot_see(teachers, tmp_path) -> None:
-    own = student(tmp_path, teachers, starts_as_teacher=True).alg.model.actor.state_dict()
+    actor = student(tmp_path, teachers, starts_as_teacher=True).alg.model.actor.state_dict()
     for name, weights in actor_of(teachers[0][0]).state_dict().items():
         if name == "mean.0.weight":
-            assert own[name].shape != weights.shape
-            own[name], weights = (w[:, :PROPRIOCEPTION_SIZE] for w in (own[name], weights))
-        torch.testing.assert_close(own[name], weights)
+            assert actor[name].shape != weights.shape
+            actor[name], weights = (w[:, :PROPRIOCEPTION_SIZE] for w in (actor[name], weights))
+        torch.testing.assert_close(actor[name], weights)
 
 
 @pytest.mark.parametrize(("over", "drives"), [(0.0, False), (1e9, True), (1e-9, False)])

@@ -37,18 +37,18 @@ def experience(steps: int = 60, robots: int = 32) -> Experience:
 
 
 def test_returns_are_a_discounted_mean_within_the_episode() -> None:
-    told: list[torch.Tensor] = []
+    targets: list[torch.Tensor] = []
 
     class Listener(ReturnSwitch):
         def loss(self, seen: Experience, returns: torch.Tensor) -> torch.Tensor:
-            told.append(returns)
+            targets.append(returns)
             return super().loss(seen, returns)
 
     torch.manual_seed(1)
     reward, done = torch.rand(12, 5), torch.rand(12, 5) < 0.2
     seen = replace(experience(12, 5), reward=reward, done=done)
     fit(Listener((4,)), seen, gamma=0.9, horizon=4, epochs=1)
-    assert told[0].shape == (8, 5)
+    assert targets[0].shape == (8, 5)
     for t in range(8):
         for n in range(5):
             total, weight = 0.0, 0.1
@@ -57,7 +57,7 @@ def test_returns_are_a_discounted_mean_within_the_episode() -> None:
                 weight *= 0.9
                 if done[ahead, n]:
                     break
-            assert float(told[0][t, n]) == pytest.approx(total, rel=1e-5)
+            assert float(targets[0][t, n]) == pytest.approx(total, rel=1e-5)
 
 
 @pytest.mark.parametrize("kind", [ReturnSwitch, Gate])
@@ -99,25 +99,25 @@ def selector(preference: torch.Tensor, **settings) -> SwitchSelector:
 
 def test_a_flickering_preference_is_smoothed_and_a_lasting_one_is_obeyed() -> None:
     preference = torch.ones(4)
-    own = selector(preference, smoothing=0.05)
+    switch = selector(preference, smoothing=0.05)
     for update in range(400):
         preference[0] = 1.0 if update % 4 != 3 else -1.0  # Low a quarter of the time.
         preference[1] = 1.0 if update < 200 else -1.0
-        trusted = own.update(NOTHING, 0.0)
+        trusted = switch.update(NOTHING, 0.0)
         assert trusted[0]
         assert trusted[1] or update >= 200
     assert trusted.tolist() == [True, False, True, True]
-    assert own.probability[1] < 0.5 < own.probability[0]
+    assert switch.probability[1] < 0.5 < switch.probability[0]
 
 
 def test_reset_trusts_vision_again() -> None:
     preference = torch.full((2,), -1.0)
-    own = selector(preference, smoothing=1.0)
-    assert not own.update(NOTHING, 0.0).any()
+    switch = selector(preference, smoothing=1.0)
+    assert not switch.update(NOTHING, 0.0).any()
     preference[:] = 1.0
-    own.reset(np.array([True, False]))
+    switch.reset(np.array([True, False]))
     preference[:] = torch.tensor([0.0, -1.0])
-    assert own.update(NOTHING, 0.0).tolist() == [True, False]
+    assert switch.update(NOTHING, 0.0).tolist() == [True, False]
 
 
 def test_runs_in_the_closed_loop_of_the_studies(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -131,13 +131,13 @@ def test_runs_in_the_closed_loop_of_the_studies(monkeypatch: pytest.MonkeyPatch)
     assert not seen.vision[:, 2:].any()
     assert seen.failing[5:, [1, 3]].all()
     assert not seen.failing[:, [0, 2]].any()
-    own = evaluator.provenance(1)
+    plain = evaluator.provenance(1)
     evaluator.switch = Gate()
     before = evaluator.provenance(1)
     fit(evaluator.switch, seen, horizon=2, epochs=60)
     after = evaluator.provenance(1)
-    assert (own.bundle, after.bundle) == (evaluator.bundle.name, f"{own.bundle} with Gate")
-    assert len({own.bundle_hash, before.bundle_hash, after.bundle_hash}) == 3
+    assert (plain.bundle, after.bundle) == (evaluator.bundle.name, f"{plain.bundle} with Gate")
+    assert len({plain.bundle_hash, before.bundle_hash, after.bundle_hash}) == 3
     obeying = [Trial("renet", trial.schedule) for trial in trials]
     trace = evaluator.rollout(env, obeying, 1).run(60)
     assert not trace.vision[-1, [1, 3]].any()

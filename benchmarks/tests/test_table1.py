@@ -113,7 +113,7 @@ def test_prints_what_the_study_measured_beside_the_papers(done) -> None:
     kept = json.loads(cfg.result(ORACLE).read_text())
     assert kept["runs"] == summary["runs"]
     easier = replace(cfg, study=replace(cfg.study, levels=(2,)))
-    assert [table1.measured(asked, ORACLE) is None for asked in (cfg, easier)] == [False, True]
+    assert [table1.measured(one, ORACLE) is None for one in (cfg, easier)] == [False, True]
     assert (kept["steps"], kept["seed"]) == (400, 1)
     assert "0.1.0" in kept["code"]
     assert "run" in kept["curves"]
