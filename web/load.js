@@ -14,10 +14,8 @@ export function countingReader(sizes, { folder, look }, show) {
   const total = files.reduce((sum, path) => sum + (sizes[path] ?? 0), 0);
   let loaded = 0;
   return async (path) => {
-    const answer = await fetch(path);
-    if (!answer.ok) throw new Error(`${path}: ${answer.status} ${answer.statusText}`);
     const bytes = new Uint8Array(sizes[path]);
-    const reader = answer.body.getReader();
+    const reader = (await request(path)).body.getReader();
     let at = 0;
     for (let part = await reader.read(); !part.done; part = await reader.read()) {
       bytes.set(part.value, at);
@@ -30,10 +28,12 @@ export function countingReader(sizes, { folder, look }, show) {
 }
 
 /** The contract: what Python knows and the page needs. */
-export async function loadContract() {
-  const answer = await fetch("renet-page.json");
-  if (!answer.ok) throw new Error(`renet-page.json: ${answer.status} ${answer.statusText}`);
-  return answer.json();
+export const loadContract = async () => (await request("renet-page.json")).json();
+
+async function request(path) {
+  const answer = await fetch(path);
+  if (!answer.ok) throw new Error(`${path}: ${answer.status} ${answer.statusText}`);
+  return answer;
 }
 
 /**

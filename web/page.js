@@ -46,7 +46,7 @@ export class Page {
       for (const { controller } of this.simulations) controller.select(this.rule.value);
     });
     $("#severity").value = scene.severity;
-    this.controls = new Controls(this.handlers());
+    this.controls = new Controls(this);
     this.addFaults(contract.faults);
     fillSelect($("#ground"), bundle.grounds, (name) => this.setGround(name));
     fillSelect($("#bundle"), contract.bundles, (name) => (location.search = `?bundle=${name}`));
@@ -57,22 +57,6 @@ export class Page {
       `Bundle ${bundle.name} (${bundle.robot}) of ${manifest.provenance.date}, renet ${contract.renet}. ` +
       "Physics: MuJoCo. Models: ONNX Runtime. Drawing: three.js, uPlot. Nothing leaves this page.";
     this.start();
-  }
-
-  handlers() {
-    return {
-      push: () => this.push(),
-      reset: () => this.reset(),
-      breakCamera: (index) => this.breakCamera(index),
-      severity: () => this.setSeverity(),
-      nextGround: () => {
-        const { grounds } = this.runtime.bundle;
-        this.setGround(grounds[(grounds.indexOf(this.scene.ground) + 1) % grounds.length].name);
-      },
-      nextMode: () => next(this.panels[1].mode),
-      nextRule: () => next(this.rule),
-      explain: () => this.explain(),
-    };
   }
 
   addFaults(faults) {
@@ -150,6 +134,11 @@ export class Page {
     this.reset();
   }
 
+  nextGround() {
+    const { grounds } = this.runtime.bundle;
+    this.setGround(grounds[(grounds.indexOf(this.scene.ground) + 1) % grounds.length].name);
+  }
+
   setSeverity() {
     this.scene.severity = this.controls.severity;
     if (this.broken !== null) this.apply(this.broken);
@@ -191,8 +180,7 @@ export class Page {
   explain() {
     const hood = $("#hood");
     hood.hidden = !hood.hidden;
-    if (hood.hidden) $("#explain").focus();
-    else $("#close").focus();
+    $(hood.hidden ? "#explain" : "#close").focus();
   }
 
   /** Push both robots, m/s in the world frame; by default each to its left. */
@@ -254,11 +242,6 @@ export class Page {
 function fillSelect(select, choices, onChange) {
   select.append(...choices.map(({ name, title }) => new Option(title ?? name, name)));
   select.addEventListener("change", () => onChange(select.value));
-}
-
-function next(select) {
-  select.selectedIndex = (select.selectedIndex + 1) % select.options.length;
-  select.dispatchEvent(new Event("change"));
 }
 
 function press(button, down) {

@@ -81,17 +81,17 @@ export class Controller {
 
   async walk(state, teleop, now) {
     this.steer(teleop.turn, heading(state.quaternion));
-    const speed = Math.min(Math.max(teleop.speed, 0), this.contract.maxSpeed);
-    const terms = this.contract.proprioception;
-    this.observation = observe(state, this.robot, terms, speed, this.yaw, this.action);
+    const { maxSpeed, proprioception } = this.contract;
+    const speed = clamp(teleop.speed, 0, maxSpeed);
+    this.observation = observe(state, this.robot, proprioception, speed, this.yaw, this.action);
     this.policy.remember(this.observation);
     let fresh = false;
     if (this.policy.due) {
-      const taken = this.frames.take();
-      fresh = taken.fresh;
-      if (taken.image) this.image = taken.image;
+      fresh = this.frames.take();
+      const { image } = this.frames;
+      if (image) this.image = image;
       const gate = this.selector.look(this.seen(fresh, now));
-      await this.policy.tick(taken.image, this.estimator === "renet" ? gate : () => true);
+      await this.policy.tick(image, this.estimator === "renet" ? gate : () => true);
     }
     const chosen = { vp: true, renet: this.vision, op: false }[this.estimator];
     const vision = chosen && this.frames.image !== null;
@@ -105,33 +105,25 @@ export class Controller {
 
   seen(fresh, now) {
     const { image, policy, frames } = this;
-    const { anomalyScore, varianceScore, velocityOp, velocityVp, hasImage, mapError } = policy;
-    const scores = { anomalyScore, varianceScore, velocityOp, velocityVp, hasImage, mapError };
-    return { ...scores, image, fresh, age: frames.age(now), invalid: frames.invalid };
+    return { ...policy, image, fresh, age: frames.age(now), invalid: frames.invalid };
   }
 
   /** Turn the wished heading on; a robot that cannot follow is not asked for more and more. */
   steer(turn, here) {
     const { maxLead } = this.contract;
     const lead = wrap(this.yaw + turn - this.turn - here);
-    this.yaw = here + Math.min(Math.max(lead, -maxLead), maxLead);
+    this.yaw = here + clamp(lead, -maxLead, maxLead);
     this.turn = turn;
   }
 
   changeMode(problem, teleop, now) {
     const arm = teleop.arm && !this.armed;
     this.armed = Boolean(teleop.arm);
+    const enter = (mode, reason) => Object.assign(this, { mode, reason, since: now });
     if (problem) {
-      if (this.mode !== DAMPING) this.enter(DAMPING, problem, now);
-    } else if (this.mode === DAMPING && arm) {
-      this.enter(STANDING_UP, "armed", now);
-    } else if (this.stoodUp(now)) {
-      this.enter(WALKING, "stood up", now);
-    }
-  }
-
-  enter(mode, reason, now) {
-    Object.assign(this, { mode, reason, since: now });
+      if (this.mode !== DAMPING) enter(DAMPING, problem);
+    } else if (this.mode === DAMPING && arm) enter(STANDING_UP, "armed");
+    else if (this.stoodUp(now)) enter(WALKING, "stood up");
   }
 
   stoodUp(now) {
@@ -161,15 +153,11 @@ export class Controller {
 
   damped() {
     const { default_position: position } = this.robot;
-    return {
-      position,
-      stiffness: position.map(() => 0),
-      damping: position.map(() => this.cfg.damping),
-    };
+    return { position, stiffness: position.map(() => 0), damping: position.map(() => this.cfg.damping) };
   }
 
   standUpTarget(share) {
-    const x = Math.min(Math.max(share, 0), 1);
+    const x = clamp(share, 0, 1);
     const smooth = x * x * (3 - 2 * x);
     return this.start.map((q, i) => q + smooth * (this.robot.default_position[i] - q));
   }
@@ -181,12 +169,11 @@ export class Controller {
     const stiffness = [];
     const damping = [];
     this.target = Array.from(wished, (value, i) => {
-      const near = Math.min(Math.max(value, this.target[i] - reach), this.target[i] + reach);
-      const position = Math.min(Math.max(near, robot.lower[i]), robot.upper[i]);
-      const torque =
-        robot.stiffness[i] * (position - state.jointPosition[i]) -
-        robot.damping[i] * state.jointVelocity[i];
-      const scale = Math.min(1, robot.torque_limit[i] / Math.max(Math.abs(torque), 1e-9));
+      const near = clamp(value, this.target[i] - reach, this.target[i] + reach);
+      const position = clamp(near, robot.lower[i], robot.upper[i]);
+      const spring = robot.stiffness[i] * (position - state.jointPosition[i]);
+      const torque = Math.abs(spring - robot.damping[i] * state.jointVelocity[i]);
+      const scale = Math.min(1, robot.torque_limit[i] / Math.max(torque, 1e-9));
       stiffness.push(scale * robot.stiffness[i]);
       damping.push(scale * robot.damping[i]);
       return position;
@@ -195,7 +182,11 @@ export class Controller {
   }
 }
 
+function clamp(value, low, high) {
+  return Math.min(Math.max(value, low), high);
+}
+
 /** An angle between -pi and pi, rad. */
-export function wrap(angle) {
+function wrap(angle) {
   return angle - 2 * Math.PI * Math.round(angle / (2 * Math.PI));
 }

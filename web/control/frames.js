@@ -21,11 +21,11 @@ export class FrameBuffer {
     return Math.min(Math.max(now - this.time, 0), 1e3);
   }
 
-  /** The image for a vision tick, and whether it is new since the last one. */
+  /** Whether the image is new since the last vision tick, which this call begins. */
   take() {
-    const { image, fresh } = this;
+    const { fresh } = this;
     this.fresh = false;
-    return { image, fresh };
+    return fresh;
   }
 }
 

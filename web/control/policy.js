@@ -2,6 +2,8 @@
 
 import { Tensor } from "onnxruntime-web";
 
+const tensor = (values, ...shape) => new Tensor("float32", values, [1, ...shape]);
+
 const ESTIMATES = {
   latentOp: "next_latent_op",
   latentVp: "next_latent_vp",
@@ -24,7 +26,7 @@ export class Policy {
    */
   constructor(manifest, contract, sessions) {
     const [rows, columns] = contract.depthShape;
-    this.robot = manifest.robot;
+    this.manifest = manifest;
     this.sessions = sessions;
     this.stepsPerTick = contract.stepsPerTick;
     this.size = contract.proprioception.reduce((sum, term) => sum + term.size, 0);
@@ -33,23 +35,17 @@ export class Policy {
     this.frames = new Float32Array(manifest.frames * this.pixels);
     /** The two newest images that VP was given. */
     this.accepted = this.frames.slice();
-    this.shapes = {
-      history: [1, manifest.history, this.size],
-      frames: [1, manifest.frames, rows, columns],
-      latent: [1, contract.latent],
-    };
-    this.heightMap = null;
-    this.reconstruction = null;
+    this.framesShape = [manifest.frames, rows, columns];
+    this.latent = contract.latent;
+    this.heightMap = this.reconstruction = null;
     this.velocityOp = this.velocityVp = new Float32Array(3);
     this.reset();
   }
 
   reset() {
-    this.latentOp = new Float32Array(this.shapes.latent[1]);
-    this.latentVp = new Float32Array(this.shapes.latent[1]);
-    this.anomalyScore = 0;
-    this.varianceScore = 0;
-    this.mapError = 0;
+    this.latentOp = new Float32Array(this.latent);
+    this.latentVp = new Float32Array(this.latent);
+    this.anomalyScore = this.varianceScore = this.mapError = 0;
     this.hasImage = true;
     this.blank = this.fresh = true;
     this.steps = 0;
@@ -69,9 +65,7 @@ export class Policy {
   remember(proprioception) {
     this.history.copyWithin(0, this.size);
     const first = this.blank ? 0 : this.history.length - this.size;
-    for (let at = first; at < this.history.length; at += this.size) {
-      this.history.set(proprioception, at);
-    }
+    for (let at = first; at < this.history.length; at += this.size) this.history.set(proprioception, at);
     this.blank = false;
   }
 
@@ -88,7 +82,7 @@ export class Policy {
       if (this.fresh) this.frames.set(image, this.pixels);
       this.fresh = false;
     }
-    const depth = new Tensor("float32", this.frames, this.shapes.frames);
+    const depth = tensor(this.frames, ...this.framesShape);
     this.anomalyScore = this.varianceScore = Infinity;
     if (image) {
       const seen = await this.sessions.vision.run({ depth });
@@ -97,10 +91,9 @@ export class Policy {
       this.reconstruction = seen.reconstruction.data;
     }
     const estimates = await this.sessions.estimator.run({
-      proprioception_history: new Tensor("float32", this.history, this.shapes.history),
+      proprioception_history: tensor(this.history, this.manifest.history, this.size),
       ...(this.remembers ? this.withheld(image !== null && gate(this), unpaired) : { depth }),
-      latent_op: new Tensor("float32", this.latentOp, this.shapes.latent),
-      latent_vp: new Tensor("float32", this.latentVp, this.shapes.latent),
+      ...this.latents,
     });
     for (const [mine, name] of Object.entries(ESTIMATES)) this[mine] = estimates[name].data;
     this.mapError = estimates.map_error?.data[0] ?? 0;
@@ -115,10 +108,12 @@ export class Policy {
       this.accepted.set(newest, 0);
     }
     this.hasImage = hasImage;
-    return {
-      depth: new Tensor("float32", this.accepted, this.shapes.frames),
-      has_image: new Tensor("float32", [Number(hasImage)], [1, 1]),
-    };
+    return { depth: tensor(this.accepted, ...this.framesShape), has_image: tensor([Number(hasImage)], 1) };
+  }
+
+  /** Both estimators' memories, as inputs of the models. */
+  get latents() {
+    return { latent_op: tensor(this.latentOp, this.latent), latent_vp: tensor(this.latentVp, this.latent) };
   }
 
   /**
@@ -129,19 +124,18 @@ export class Policy {
    */
   async act(proprioception, vision) {
     const { action } = await this.sessions.actor.run({
-      proprioception: new Tensor("float32", proprioception, [1, this.size]),
-      latent_op: new Tensor("float32", this.latentOp, this.shapes.latent),
-      latent_vp: new Tensor("float32", this.latentVp, this.shapes.latent),
-      op_mask: new Tensor("float32", [vision ? 0 : 1], [1, 1]),
+      proprioception: tensor(proprioception, this.size),
+      ...this.latents,
+      op_mask: tensor([vision ? 0 : 1], 1),
     });
     this.steps += 1;
-    const clip = this.robot.action_clip;
+    const clip = this.manifest.robot.action_clip;
     return action.data.map((value) => Math.min(Math.max(value, -clip), clip));
   }
 
   /** Joint positions [12] in rad that an action asks for. */
   jointTarget(action) {
-    const { default_position: zero, action_scale: scale } = this.robot;
+    const { default_position: zero, action_scale: scale } = this.manifest.robot;
     return zero.map((position, joint) => position + scale * action[joint]);
   }
 }

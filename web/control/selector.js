@@ -13,8 +13,6 @@ const SCORES = {
   nearness: coveredInARow,
   map_error: () => (seen) => seen.mapError,
 };
-/** What the monitors of the vision model's outputs judge. */
-const OUTPUTS = { variance_score: "varianceScore", anomaly_score: "anomalyScore" };
 
 /** How many equal images arrived in a row. */
 function equalInARow() {
@@ -93,8 +91,7 @@ export class Selector {
     this.looked = true;
     if (!this.longestMemory) return () => true;
     const judged = this.monitors.filter(({ output }) => output);
-    return (scores) =>
-      acceptable && judged.every(({ output, threshold }) => scores[OUTPUTS[output]] < threshold);
+    return (scores) => acceptable && judged.every(({ output, threshold }) => scores[output] < threshold);
   }
 
   /** Whether each monitor of a subset finds its score below its threshold. */

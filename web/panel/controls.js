@@ -5,20 +5,19 @@ const TURN_RATE = 0.8;
 
 const $ = (selector) => document.querySelector(selector);
 
-/** Speed and heading that are asked for; everything else is told to `handlers`. */
+/** Speed and heading that are asked for; everything else is told to the page. */
 export class Controls {
-  /** @param {object} handlers push, reset, breakCamera(index or null), severity, and so on. */
-  constructor(handlers) {
-    this.handlers = handlers;
+  constructor(page) {
+    this.page = page;
     this.held = new Set();
     this.turn = 0;
     this.speedSlider = $("#speed");
     this.severitySlider = $("#severity");
     this.bindKeys();
-    $("#push").addEventListener("click", handlers.push);
-    $("#reset").addEventListener("click", handlers.reset);
+    $("#push").addEventListener("click", () => page.push());
+    $("#reset").addEventListener("click", () => page.reset());
     this.speedSlider.addEventListener("input", () => this.setSpeed(Number(this.speedSlider.value)));
-    this.severitySlider.addEventListener("input", handlers.severity);
+    this.severitySlider.addEventListener("input", () => page.setSeverity());
     this.setSpeed(Number(this.speedSlider.value));
   }
 
@@ -41,21 +40,21 @@ export class Controls {
 
   setSeverity(value) {
     this.severitySlider.value = value;
-    this.handlers.severity();
+    this.page.setSeverity();
   }
 
   bindKeys() {
-    const { handlers } = this;
+    const { page } = this;
     const once = {
       w: () => this.setSpeed(this.speed + 0.1),
       s: () => this.setSpeed(this.speed - 0.1),
-      p: handlers.push,
-      r: handlers.reset,
-      h: () => handlers.breakCamera(null),
-      t: handlers.nextGround,
-      m: handlers.nextMode,
-      l: handlers.nextRule,
-      i: handlers.explain,
+      p: () => page.push(),
+      r: () => page.reset(),
+      h: () => page.breakCamera(null),
+      t: () => page.nextGround(),
+      m: () => next(page.panels[1].mode),
+      l: () => next(page.rule),
+      i: () => page.explain(),
       "+": () => this.setSeverity(this.severity + 1),
       "-": () => this.setSeverity(this.severity - 1),
     };
@@ -73,7 +72,7 @@ export class Controls {
       const key = names[given] ?? given;
       if (sides[key]) this.held.add(sides[key]);
       else if (once[key] && (!event.repeat || "ws+-".includes(key))) once[key]();
-      else if (/^[1-9]$/.test(key) && !event.repeat) handlers.breakCamera(Number(key) - 1);
+      else if (/^[1-9]$/.test(key) && !event.repeat) page.breakCamera(Number(key) - 1);
       else return;
       event.preventDefault();
     });
@@ -83,4 +82,10 @@ export class Controls {
     });
     addEventListener("blur", () => this.held.clear());
   }
+}
+
+/** Choose the next option, as the visitor would. */
+function next(select) {
+  select.selectedIndex = (select.selectedIndex + 1) % select.options.length;
+  select.dispatchEvent(new Event("change"));
 }

@@ -3,9 +3,6 @@
 import { ESTIMATORS } from "../control/controller.js";
 import { Curves, drawDepth } from "./plots.js";
 
-const SCORES = { variance_score: "varianceScore", anomaly_score: "anomalyScore" };
-/** The vision model's outputs, and what the policy calls them. */
-
 export class Panel {
   /** `onMode` is told whenever the visitor chooses who drives. */
   constructor(slot, instruments, estimator, { palette }, onMode) {
@@ -45,7 +42,7 @@ export class Panel {
   /** Keep one control step for the curves. */
   note({ now, state, camera, controller: { policy, selector } }) {
     const monitor = selector.monitors.find(({ output }) => output);
-    const surprise = monitor ? policy[SCORES[monitor.output]] / monitor.threshold : 0;
+    const surprise = monitor ? policy[monitor.output] / monitor.threshold : 0;
     this.curves.add({ now, surprise, trust: selector.probability, state, broken: camera.broken(now) });
   }
 

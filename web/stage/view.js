@@ -39,7 +39,7 @@ export class View {
     this.scene = new THREE.Scene();
     this.scene.fog = FOG();
     this.scene.add(new THREE.HemisphereLight(0xf4f8ff, 0x8d887e, this.plain ? 0.9 : 2.1));
-    this.sun = this.addSun(1024);
+    this.sun = this.addSun();
     this.robots = [];
     this.bindPush();
     /** Where the cameras are, seen from a robot that looks along x. */
@@ -50,10 +50,10 @@ export class View {
     Object.assign(this.orbitControls, { enablePan: false, minDistance: 0.8, maxDistance: 8, maxPolarAngle: 1.5 });
   }
 
-  addSun(size) {
+  addSun() {
     const sun = new THREE.DirectionalLight(0xfff3df, this.plain ? 1.9 : 2.6);
     sun.castShadow = this.renderer.shadowMap.enabled;
-    sun.shadow.mapSize.set(size, size);
+    sun.shadow.mapSize.set(1024, 1024);
     Object.assign(sun.shadow.camera, { left: -2.5, right: 2.5, top: 2.5, bottom: -2.5, near: 0.5, far: 12 });
     sun.shadow.bias = -0.0008;
     sun.shadow.normalBias = 0.01;

@@ -15,9 +15,8 @@ export class DepthCamera {
     Object.assign(this, { world, spec, contract, seed });
     this.random = new Random(seed);
     this.rays = pixelRays(spec);
-    this.lengths = Float64Array.from({ length: spec.width * spec.height }, (_, n) =>
-      Math.hypot(...this.rays.subarray(3 * n, 3 * n + 3)),
-    );
+    const length = (_, n) => Math.hypot(...this.rays.subarray(3 * n, 3 * n + 3));
+    this.lengths = Float64Array.from({ length: spec.width * spec.height }, length);
     this.directions = new Float64Array(this.rays.length);
     this.due = 0;
     this.frame = null;
@@ -49,11 +48,8 @@ export class DepthCamera {
     const period = 1 / this.spec.rate_hz;
     this.due = Math.max(this.due, now - period) + period;
     this.healthy = { image: this.image(), fresh: true, age: 0, invalid: 0 };
-    const delivered = this.spoilt(this.healthy, now);
-    if (delivered.fresh || !this.frame) {
-      const { image, invalid, age } = delivered;
-      this.frame = { image, invalid, time: now - age };
-    }
+    const { image, invalid, age, fresh } = this.spoilt(this.healthy, now);
+    if (fresh || !this.frame) this.frame = { image, invalid, time: now - age };
     return this.frame;
   }
 
@@ -66,9 +62,11 @@ export class DepthCamera {
 
   /** What a healthy camera delivers, in [0, 1]. */
   image() {
-    const { range } = this.spec;
-    const depth = Float32Array.from(this.depth(), (metres) => this.noisy(metres) / range);
-    return depth.map((value) => Math.min(Math.max(value, 0), 1));
+    const { range, noise_std = 0.1 } = this.spec; // Older manifests do not say.
+    return Float32Array.from(this.depth(), (depth) => {
+      const deviation = Math.hypot(this.contract.relativeStd * depth, noise_std);
+      return Math.min(Math.max((depth + deviation * this.random.normal()) / range, 0), 1);
+    });
   }
 
   /** Planar metres [48 * 64] without noise, capped at the range. */
@@ -84,14 +82,7 @@ export class DepthCamera {
       for (let i = 0; i < 3; i += 1) this.directions[3 * n + i] = dot(mount[i], ray) / lengths[n];
     }
     const { distance, hit } = this.world.castRays(eye, this.directions, this.contract.seenGroups);
-    return lengths.map((length, n) =>
-      hit[n] >= 0 ? Math.min(distance[n] / length, spec.range) : spec.range,
-    );
-  }
-
-  noisy(depth) {
-    const { noise_std = 0.1 } = this.spec; // Older manifests do not say.
-    return depth + Math.hypot(this.contract.relativeStd * depth, noise_std) * this.random.normal();
+    return lengths.map((length, n) => (hit[n] >= 0 ? Math.min(distance[n] / length, spec.range) : spec.range));
   }
 }
 

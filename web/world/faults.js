@@ -10,97 +10,54 @@ class Fault {
   constructor(level, random, camera) {
     Object.assign(this, { level, random, ...camera });
   }
-
-  /** The delivered frame: image, fresh, age, invalid; `elapsed` < 0: not at work. */
-  corrupt(frame, elapsed) {
-    if (elapsed < 0) return frame;
-    const image = this.spoil(frame.image, elapsed).map((value) => Math.min(Math.max(value, 0), 1));
-    return { ...frame, image, invalid: Math.max(frame.invalid, this.holes) };
-  }
-
-  /** Share of pixels that the fault leaves without a measurement. */
-  get holes() {
-    return 0;
-  }
-
-  /** Row and column of a pixel. */
-  place(pixel) {
-    return [Math.floor(pixel / this.columns), pixel % this.columns];
-  }
 }
 
-class Blackout extends Fault {
-  spoil(image, elapsed) {
-    const remaining = this.level > 0 ? Math.max(1 - elapsed / this.level, 0) : 0;
-    return image.map((value) => value * remaining);
-  }
-}
+/** A fault that spoils each image for itself, by a function that is made anew for each camera. */
+const imageFault = (makeSpoil) =>
+  class extends Fault {
+    spoil = makeSpoil(this);
 
-class Gaussian extends Fault {
-  spoil(image) {
-    return image.map((value) => value + this.level * this.random.normal());
-  }
-}
-
-class SaltAndPepper extends Fault {
-  spoil(image) {
-    return image.map((value) => {
-      const draw = this.random.uniform();
-      return draw < this.level ? Number(draw >= 0.5 * this.level) : value;
-    });
-  }
-}
-
-class Saturated extends Fault {
-  spoil(image) {
-    return image.slice().fill(1, 0, Math.round(this.level * this.rows) * this.columns);
-  }
-}
+    /** The delivered frame: image, fresh, age, invalid; `elapsed` < 0: not at work. */
+    corrupt(frame, elapsed) {
+      if (elapsed < 0) return frame;
+      const spoilt = this.spoil(frame.image, elapsed);
+      const holes = spoilt.filter(Number.isNaN).length / spoilt.length;
+      const image = spoilt.map((value) => Math.min(Math.max(value || 0, 0), 1));
+      return { ...frame, image, invalid: Math.max(frame.invalid, holes) };
+    }
+  };
 
 /** A rectangle at a random place, drawn once. */
-class Occlusion extends Fault {
-  constructor(...given) {
-    super(...given);
-    const size = [this.rows, this.columns].map((whole) => Math.round(whole * Math.sqrt(this.level)));
-    const first = [this.rows, this.columns].map((whole, i) => this.random.integer(whole - size[i] + 1));
-    this.covers = (pixel) => this.place(pixel).every((at, i) => at >= first[i] && at < first[i] + size[i]);
-  }
-
-  spoil(image) {
-    return image.map((value, i) => (this.covers(i) ? 0.04 / this.range : value));
-  }
+function occlusion({ level, random, rows, columns, range }) {
+  const [height, width] = [rows, columns].map((whole) => Math.round(whole * Math.sqrt(level)));
+  const [top, left] = [rows - height, columns - width].map((room) => Math.floor((room + 1) * random.uniform()));
+  return (image) =>
+    image.map((value, i) => {
+      const [row, column] = [Math.floor(i / columns) - top, (i % columns) - left];
+      return row >= 0 && row < height && column >= 0 && column < width ? 0.04 / range : value;
+    });
 }
 
 /** Holes in a fixed patch whose border flickers. */
-class Glare extends Fault {
-  constructor(...given) {
-    super(...given);
-    this.field = this.smoothField(6, 8);
-  }
+function glare(fault) {
+  const patch = smoothField(fault, 6, 8);
+  return (image) => {
+    const flicker = smoothField(fault, 12, 16);
+    const field = patch.map((value, i) => value + 0.25 * flicker[i]);
+    const limit = quantile(field, 1 - fault.level);
+    return image.map((value, i) => (field[i] > limit ? NaN : value));
+  };
+}
 
-  get holes() {
-    return this.level;
-  }
-
-  spoil(image) {
-    const flicker = this.smoothField(12, 16);
-    const field = this.field.map((value, i) => value + 0.25 * flicker[i]);
-    const limit = quantile(field, 1 - this.level);
-    return image.map((value, i) => (field[i] > limit ? 0 : value));
-  }
-
-  /** Spatially correlated noise: a coarse normal grid, interpolated between its nodes. */
-  smoothField(down, across) {
-    const { rows, columns, random } = this;
-    const coarse = Array.from({ length: (down + 1) * (across + 1) }, () => random.normal());
-    return Array.from({ length: rows * columns }, (_, i) => {
-      const [row, column] = this.place(i);
-      const [r, c] = [(row * down) / (rows - 1), (column * across) / (columns - 1)];
-      const [r0, c0] = [Math.min(Math.floor(r), down - 1), Math.min(Math.floor(c), across - 1)];
-      const node = (below, right) => coarse[(r0 + below) * (across + 1) + c0 + right];
-      return mix(mix(node(0, 0), node(0, 1), c - c0), mix(node(1, 0), node(1, 1), c - c0), r - r0);
-    });
-  }
+/** Spatially correlated noise: a coarse normal grid, interpolated between its nodes. */
+function smoothField({ rows, columns, random }, down, across) {
+  const coarse = Array.from({ length: (down + 1) * (across + 1) }, () => random.normal());
+  return Array.from({ length: rows * columns }, (_, i) => {
+    const [r, c] = [(Math.floor(i / columns) * down) / (rows - 1), ((i % columns) * across) / (columns - 1)];
+    const [r0, c0] = [Math.min(Math.floor(r), down - 1), Math.min(Math.floor(c), across - 1)];
+    const node = (below, right) => coarse[(r0 + below) * (across + 1) + c0 + right];
+    return mix(mix(node(0, 0), node(0, 1), c - c0), mix(node(1, 0), node(1, 1), c - c0), r - r0);
+  });
 }
 
 class Frozen extends Fault {
@@ -132,12 +89,22 @@ class Unplugged extends Dropped {
 
 /** Classes by their names in the catalogue. */
 export const FAULTS = {
-  blackout: Blackout,
-  gaussian: Gaussian,
-  salt_and_pepper: SaltAndPepper,
-  occlusion: Occlusion,
-  glare: Glare,
-  saturated: Saturated,
+  blackout: imageFault(({ level }) => (image, elapsed) => {
+    const remaining = level > 0 ? Math.max(1 - elapsed / level, 0) : 0;
+    return image.map((value) => value * remaining);
+  }),
+  gaussian: imageFault(({ level, random }) => (image) => image.map((value) => value + level * random.normal())),
+  salt_and_pepper: imageFault(({ level, random }) => (image) =>
+    image.map((value) => {
+      const draw = random.uniform();
+      return draw < level ? Number(draw >= 0.5 * level) : value;
+    }),
+  ),
+  occlusion: imageFault(occlusion),
+  glare: imageFault(glare),
+  saturated: imageFault(({ level, rows, columns }) => (image) =>
+    image.slice().fill(1, 0, Math.round(level * rows) * columns),
+  ),
   frozen: Frozen,
   dropped: Dropped,
   unplugged: Unplugged,

@@ -4,7 +4,6 @@
 export class Random {
   constructor(seed) {
     this.state = seed >>> 0;
-    this.spare = null;
   }
 
   /** Uniform in [0, 1). */
@@ -16,21 +15,8 @@ export class Random {
     return ((t ^ (t >>> 14)) >>> 0) / 2 ** 32;
   }
 
-  /** An integer from 0 to `end` - 1. */
-  integer(end) {
-    return Math.floor(this.uniform() * end);
-  }
-
   /** Standard normal. */
   normal() {
-    if (this.spare !== null) {
-      const value = this.spare;
-      this.spare = null;
-      return value;
-    }
-    const radius = Math.sqrt(-2 * Math.log(1 - this.uniform()));
-    const angle = 2 * Math.PI * this.uniform();
-    this.spare = radius * Math.sin(angle);
-    return radius * Math.cos(angle);
+    return Math.sqrt(-2 * Math.log(1 - this.uniform())) * Math.cos(2 * Math.PI * this.uniform());
   }
 }

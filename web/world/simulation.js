@@ -76,8 +76,7 @@ export class World {
 
   /** Add to the base's velocity, m/s in the world frame. */
   push(velocity) {
-    const at = this.spin - 3;
-    velocity.forEach((value, i) => (this.data.qvel[at + i] += value));
+    velocity.forEach((value, i) => (this.data.qvel[this.spin - 3 + i] += value));
   }
 
   /** The base's position [3] m, rotation (three rows), and yaw, rad. */
@@ -98,13 +97,12 @@ export class World {
       this.hits = new mujoco.IntBuffer(rays);
       this.distances = new mujoco.DoubleBuffer(rays);
     }
-    const { hits, distances } = this;
     const [fixed, nobody, noNormals, anyDistance] = [true, -1, null, 1e10];
     mujoco.mj_multiRay(
       model, data, eye, directions, groups, fixed, nobody,
-      hits, distances, noNormals, rays, anyDistance,
+      this.hits, this.distances, noNormals, rays, anyDistance,
     );
-    return { hit: hits.GetView(), distance: distances.GetView() };
+    return { hit: this.hits.GetView(), distance: this.distances.GetView() };
   }
 
   /** Give the memory back. */

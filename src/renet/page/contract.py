@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from renet import __version__
+from renet import __version__, interface
 from renet.bundle import Bundle
 from renet.deploy.cameras.sim import RELATIVE_STD
 from renet.deploy.controller import MAX_LEAD
@@ -19,20 +19,7 @@ from renet.deploy.robots.sim.scene import FLAT, scene_spec
 from renet.deploy.safety.limits import SafetyCfg
 from renet.descriptions import RobotDescription, find_description
 from renet.faults import FAULTS, SEVERITIES, Fault
-from renet.interface import (
-    CONTROL_DT,
-    DEPTH_RANGE,
-    DEPTH_SHAPE,
-    HEIGHT_MAP_X,
-    HEIGHT_MAP_Y,
-    LATENT,
-    MAX_SPEED,
-    PHYSICS_DT,
-    PROPRIOCEPTION,
-    STEPS_PER_TICK,
-    TICK_DT,
-    TRUNK,
-)
+from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
 from renet.palette import STATES
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import VISION_THRESHOLD
@@ -65,6 +52,8 @@ OFFERED = {
 """Faults of the catalogue that the page offers, and what it calls them."""
 OPENING = "blackout"
 """Fault of the scene that opens the page."""
+OUTPUTS = {"anomaly_score": "anomalyScore", "variance_score": "varianceScore"}
+"""Outputs of the vision model that monitors judge, and what the page's policy calls them."""
 PROFILE = 0.01
 """Distance of the points at which the ground ahead is measured, m."""
 
@@ -74,32 +63,31 @@ def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
 
     Infinite durations are null.
     """
+    rows, columns = interface.DEPTH_SHAPE
     return {
         "renet": __version__,
-        "controlDt": CONTROL_DT,
-        "physicsDt": PHYSICS_DT,
-        "stepsPerTick": STEPS_PER_TICK,
-        "depthShape": DEPTH_SHAPE,
-        "latent": LATENT,
-        "proprioception": [asdict(term) for term in PROPRIOCEPTION],
+        "controlDt": interface.CONTROL_DT,
+        "physicsDt": interface.PHYSICS_DT,
+        "stepsPerTick": interface.STEPS_PER_TICK,
+        "depthShape": (rows, columns),
+        "latent": interface.LATENT,
+        "proprioception": [asdict(term) for term in interface.PROPRIOCEPTION],
         "heightMap": {"x": HEIGHT_MAP_X, "y": HEIGHT_MAP_Y, "baseHeight": MAP_HEIGHT},
         "safety": asdict(SafetyCfg()),
         "maxLead": MAX_LEAD,
-        "maxSpeed": MAX_SPEED,
+        "maxSpeed": interface.MAX_SPEED,
         "camera": {
             "relativeStd": RELATIVE_STD,
             "seenGroups": SEEN_GROUPS.tolist(),
-            "rows": DEPTH_SHAPE[0],
-            "columns": DEPTH_SHAPE[1],
-            "range": DEPTH_RANGE,
-            "tickDt": TICK_DT,
+            "rows": rows,
+            "columns": columns,
+            "range": interface.DEPTH_RANGE,
+            "tickDt": interface.TICK_DT,
         },
         "visionThreshold": VISION_THRESHOLD,
         "near": NEAR,
         "covered": COVERED,
-        "palette": {
-            state: {"colour": colour, "says": says} for state, (colour, says) in STATES.items()
-        },
+        "palette": {name: {"colour": c, "says": says} for name, (c, says) in STATES.items()},
         "faults": [_fault(FAULTS[name], title) for name, title in OFFERED.items()],
         "bundles": [_bundle(bundle) for bundle in bundles],
     }
@@ -123,7 +111,7 @@ def _bundle(bundle: Bundle) -> dict[str, Any]:
         "name": bundle.name,
         "title": f"{robot.name} · {bundle.name}",
         "robot": robot.name,
-        "base": {"body": TRUNK, "height": robot.height},
+        "base": {"body": interface.TRUNK, "height": robot.height},
         # A memory shows at a gap; without one, a blind robot finds its way down stairs.
         "opening": {"ground": "gap" if remembers else "stairs_down", "fault": OPENING},
         "selectors": {kind: _selector(kind, spec) for kind in SELECTORS},
@@ -139,17 +127,15 @@ def _selector(kind: str, spec: SelectorSpec) -> dict[str, Any]:
         "dwell": selector.dwell,
         "betweenReturns": selector.between_returns,
         "longestMemory": selector.longest_memory,
-        "monitors": [
-            {
-                "name": name,
-                "threshold": threshold,
-                "reason": MONITORS[name].reason,
-                "output": MONITORS[name].output,
-                "ofImage": MONITORS[name].of_image,
-            }
-            for name, threshold in selector.thresholds.items()
-        ],
+        "monitors": [_monitor(name, limit) for name, limit in selector.thresholds.items()],
     }
+
+
+def _monitor(name: str, threshold: float) -> dict[str, Any]:
+    monitor = MONITORS[name]
+    output = OUTPUTS.get(monitor.output, "")
+    judged = {"output": output, "ofImage": monitor.of_image}
+    return {"name": name, "threshold": threshold, "reason": monitor.reason, **judged}
 
 
 def _ground(
@@ -172,11 +158,8 @@ def _obstacle(model: mujoco.MjModel, start: float) -> tuple[float, float] | None
     mujoco.mj_kinematics(model, data)
     ahead, above = np.arange(0.0, TILE / 2, PROFILE), start + TILE
     down, geom = np.array([0.0, 0.0, -1.0]), np.zeros(1, np.int32)
-    points = [np.array([x, 0.0, above]) for x in ahead]
-    # Static geoms count, no body is left out.
-    fall = [
-        mujoco.mj_ray(model, data, point, down, SEEN_GROUPS, True, -1, geom) for point in points
-    ]
+    hit = SEEN_GROUPS, True, -1, geom  # Static geoms count, no body is left out.
+    fall = [mujoco.mj_ray(model, data, np.array([x, 0.0, above]), down, *hit) for x in ahead]
     changes = ahead[1:][np.abs(np.diff(fall)) > PROFILE]
     return (float(changes[0]), float(changes[-1])) if len(changes) else None
 
