@@ -18,6 +18,7 @@ from renet.bundle.models import (
     MODELS,
     VARIANCE,
     read_model,
+    remembers,
     session,
     try_models,
 )
@@ -83,7 +84,7 @@ class Bundle:
     @property
     def remembers(self) -> bool:
         """Whether VP can do without an image; bundles of before schema 2 cannot."""
-        return HAS_IMAGE in {node.name for node in self.sessions["estimator"].get_inputs()}
+        return remembers(self.sessions["estimator"])
 
     @property
     def predicts_variance(self) -> bool:

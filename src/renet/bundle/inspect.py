@@ -46,17 +46,12 @@ def inspect(cfg: InspectCfg) -> None:
 
 def joint_rows(robot: RobotSpec) -> list[tuple[int | str, ...]]:
     """Index, name, default position, range, gains and torque limit of every joint."""
+    ranges = [f"{a:+.2f} … {b:+.2f}" for a, b in zip(robot.lower, robot.upper, strict=True)]
+    gains = zip(robot.stiffness, robot.damping, robot.torque_limit, strict=True)
+    columns = zip(robot.joints, robot.default_position, ranges, gains, strict=True)
     return [
-        (
-            i,
-            joint,
-            f"{robot.default_position[i]:+.2f}",
-            f"{robot.lower[i]:+.2f} … {robot.upper[i]:+.2f}",
-            f"{robot.stiffness[i]:g}",
-            f"{robot.damping[i]:g}",
-            f"{robot.torque_limit[i]:g}",
-        )
-        for i, joint in enumerate(robot.joints)
+        (index, joint, f"{position:+.2f}", limits, *(f"{gain:g}" for gain in joint_gains))
+        for index, (joint, position, limits, joint_gains) in enumerate(columns)
     ]
 
 

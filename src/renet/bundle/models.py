@@ -44,33 +44,18 @@ _accepted: set[str] = set()
 
 def model_shapes(history: int) -> dict[str, tuple[dict, dict]]:
     """Inputs and outputs of each model by name, without the batch axis."""
-    depth = (FRAMES, *DEPTH_SHAPE)
+    depth, observation = (FRAMES, *DEPTH_SHAPE), (PROPRIOCEPTION_SIZE,)
+    latents = {"latent_op": (LATENT,), "latent_vp": (LATENT,)}
+    estimates = {f"next_{name}": shape for name, shape in latents.items()}
+    estimates |= {"velocity_op": (3,), "velocity_vp": (3,), "feet_height": (NUM_FEET,)}
+    estimates["height_map"] = (HEIGHT_MAP_SIZE,)
+    history_and_depth = {"proprioception_history": (history, *observation), "depth": depth}
     return {
         "actor": (
-            {
-                "proprioception": (PROPRIOCEPTION_SIZE,),
-                "latent_op": (LATENT,),
-                "latent_vp": (LATENT,),
-                "op_mask": (1,),
-            },
+            {"proprioception": observation, **latents, "op_mask": (1,)},
             {"action": (ACTION_SIZE,)},
         ),
-        "estimator": (
-            {
-                "proprioception_history": (history, PROPRIOCEPTION_SIZE),
-                "depth": depth,
-                "latent_op": (LATENT,),
-                "latent_vp": (LATENT,),
-            },
-            {
-                "next_latent_op": (LATENT,),
-                "next_latent_vp": (LATENT,),
-                "velocity_op": (3,),
-                "velocity_vp": (3,),
-                "feet_height": (NUM_FEET,),
-                "height_map": (HEIGHT_MAP_SIZE,),
-            },
-        ),
+        "estimator": (history_and_depth | latents, estimates),
         "vision": ({"depth": depth}, {"reconstruction": depth, "anomaly_score": ()}),
     }
 
@@ -116,10 +101,15 @@ def session(data: bytes, threads: int) -> ort.InferenceSession:
     return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
 
 
+def remembers(estimator: ort.InferenceSession) -> bool:
+    """Whether an estimator can do without an image; those of before schema 2 cannot."""
+    return HAS_IMAGE in {node.name for node in estimator.get_inputs()}
+
+
 def problem(model: ort.InferenceSession, name: str, history: int) -> str:
     """What is wrong with a model's signature or with what it computes; empty if nothing is."""
     inputs, outputs = model_shapes(history)[name]
-    if name == "estimator" and HAS_IMAGE in {node.name for node in model.get_inputs()}:
+    if name == "estimator" and remembers(model):
         inputs = inputs | {HAS_IMAGE: (1,)}
     expected = {key: f"tensor(float) {shape} per robot" for key, shape in inputs.items()}
     actual = {n.name: f"{n.type} {tuple(n.shape[1:])} per robot" for n in model.get_inputs()}

@@ -6,7 +6,7 @@ import numpy as np
 import onnxruntime as ort
 
 from renet.bundle import Bundle
-from renet.bundle.models import HAS_IMAGE, MAP_ERROR, model_shapes
+from renet.bundle.models import HAS_IMAGE, MAP_ERROR, model_shapes, remembers
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE, STEPS_PER_TICK
 from renet.selector.monitors import Gate
@@ -67,11 +67,6 @@ def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> 
         outputs[MAP_ERROR] = MAP_ERROR
     result |= zip(outputs, estimator.run([*outputs.values()], feed), strict=True)
     return result
-
-
-def remembers(estimator: ort.InferenceSession) -> bool:
-    """Whether an estimator can do without an image."""
-    return HAS_IMAGE in {node.name for node in estimator.get_inputs()}
 
 
 class Policy:

@@ -47,7 +47,7 @@ class FeetHeightCfg(SensorCfg):
         return FeetHeight(self)
 
 
-class HeightMap(RaySensor[Tensor]):
+class HeightMap(RaySensor):
     """`data` is [N, len(x) * len(y)]: base over terrain less `base_height`, m; y varies fastest."""
 
     def initialize(self, mj_model, model, data, device) -> None:
@@ -63,7 +63,7 @@ class HeightMap(RaySensor[Tensor]):
         return over.clamp_(-self.cfg.limit, self.cfg.limit)
 
 
-class FeetHeight(RaySensor[Tensor]):
+class FeetHeight(RaySensor):
     """`data` is [N, feet]: mean height of each foot above the terrain under it, m."""
 
     def initialize(self, mj_model, model, data, device) -> None:

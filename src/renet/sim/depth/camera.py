@@ -103,7 +103,7 @@ class CameraPerturbation:
     """Pairs of geoms that rays pass through, and of the environments [n] where they do."""
 
 
-class DepthCamera(RaySensor[Tensor]):
+class DepthCamera(RaySensor):
     """`data` is [N, H, W], m to the image plane, top row first, at most the range.
 
     An image is rendered when it is first read after it is due, and held until the next is due.

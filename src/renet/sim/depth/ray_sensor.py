@@ -1,15 +1,14 @@
 """Base of the depth camera and the terrain sensors."""
 
-from typing import Any, TypeVar
+from typing import Any
 
 from mjlab.sensor.sensor import Sensor
+from torch import Tensor
 
 from renet.sim.depth.rasterizer import scanner
 
-T = TypeVar("T")
 
-
-class RaySensor(Sensor[T]):
+class RaySensor(Sensor[Tensor]):
     """An mjlab sensor that casts rays against the static terrain."""
 
     _data: Any

@@ -64,10 +64,7 @@ def stages_of(model: mujoco.MjModel, steps: int, derive: bool) -> list[Stage]:
     # MuJoCo sweeps along the principal axes of the positions of all geoms but the world's. If there
     # is one such geom, these are the world's axes, as are the tiles': fewer bounding boxes overlap.
     of_world = int((model.geom_bodyid == 0).sum())
-    shown = {
-        "mj_step": whole,
-        "mj_collision": (model.nbody, min(of_world + 1, model.ngeom)),
-    }
+    shown = {"mj_step": whole, "mj_collision": (model.nbody, min(of_world + 1, model.ngeom))}
     if moving == whole:
         step = last_step = ("mj_step",)
     else:
