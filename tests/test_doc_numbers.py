@@ -9,6 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
+GROUNDS = ("flat", "stairs_up", "stairs_down", "obstacles", "platform", "gap")
 
 
 def cells(page: str, heading: str) -> list[list[str]]:
@@ -20,8 +21,16 @@ def cells(page: str, heading: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.split(" | ")] for line in lines]
 
 
+def by_first_cell(page: str, heading: str) -> dict[str, list[str]]:
+    return {line[0].replace(" ", "_"): line for line in cells(page, heading)}
+
+
 def result(name: str) -> dict:
     return json.loads((RESULTS / name).read_text())
+
+
+def percent(settings: list[dict], measure: str = "crossed") -> float:
+    return 100 * float(np.mean([setting["measures"][measure]["value"] for setting in settings]))
 
 
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("table1/*.json")), ids=lambda path: path.stem)
@@ -57,38 +66,31 @@ def test_column_of_the_switches(column, file, mode):
         and row["ground"] != "flat"
     ]
     assert len(settings) == 143
-    lines = {line[0].replace(" ", "_"): line for line in cells("comparison.md", "Switches")}
-    for ground in ("stairs_up", "stairs_down", "obstacles", "platform", "gap"):
-        rows = [s["measures"]["crossed"]["value"] for s in settings if s["ground"] == ground]
-        assert float(lines[ground][column]) == pytest.approx(100 * np.mean(rows), abs=0.501)
+    lines = by_first_cell("comparison.md", "Switches")
+    for ground in GROUNDS[1:]:
+        mean = percent([row for row in settings if row["ground"] == ground])
+        assert float(lines[ground][column]) == pytest.approx(mean, abs=0.501)
     for name, measure in (("all_143_settings", "crossed"), ("all,_upright", "upright")):
-        mean = np.mean([s["measures"][measure]["value"] for s in settings])
-        assert float(lines[name][column]) == pytest.approx(100 * mean, abs=0.0501)
+        mean = percent(settings, measure)
+        assert float(lines[name][column]) == pytest.approx(mean, abs=0.0501)
 
 
 @pytest.mark.parametrize(("column", "mode"), [(1, "vp"), (2, "renet"), (3, "op")])
 def test_column_of_the_shipped_policys_benchmark(column, mode):
     settings = result("leaderboard/go1-parkour.json")["settings"]
-    lines = {
-        line[0].replace(" ", "_"): line for line in cells("pretrained.md", "The fault benchmark")
-    }
-    for ground in ("flat", "stairs_up", "stairs_down", "obstacles", "platform", "gap"):
-        rows = [
-            s["measures"]["crossed"]["value"]
-            for s in settings
-            if (s["mode"], s["ground"]) == (mode, ground)
-        ]
-        assert float(lines[ground][column]) == pytest.approx(100 * np.mean(rows), abs=0.0501)
+    lines = by_first_cell("pretrained.md", "The fault benchmark")
+    for ground in GROUNDS:
+        mean = percent([s for s in settings if (s["mode"], s["ground"]) == (mode, ground)])
+        assert float(lines[ground][column]) == pytest.approx(mean, abs=0.0501)
 
 
 def test_robots_that_leave_vision_in_grass():
     runs = result("shipped/grass.json")["runs"]
-    grounds = ("flat", "stairs_up", "stairs_down", "obstacles", "platform", "gap")
     shown = {line[0]: line[1:] for line in cells("pretrained.md", "Grass") if line[0][0].isdigit()}
     for severity, blades in enumerate(("8", "20", "45", "90, 180", "90, 180"), start=1):
         counts = [
             sum(r["detected"] for r in runs if (r["ground"], r["severity"]) == (ground, severity))
-            for ground in grounds
+            for ground in GROUNDS
         ]
         assert [int(n) for n in shown[blades]] == counts
 

@@ -63,12 +63,10 @@ def test_the_added_reward_penalises_turning(load):
 def test_the_added_fault_spoils_a_run(load, tmp_path):
     module = load("add_fault")
     try:
-        out = tmp_path / "fog"
-        where = ["--out", str(out), "--seconds", "4", "--fault", "fog:5@3s"]
+        where = ["--out", str(tmp_path / "fog"), "--seconds", "4", "--fault", "fog:5@3s"]
         assert module.main(["deploy", "--camera", "sim", *where]) == 0
-        assert json.loads((out / "score.json").read_text())["falls"] == 0
-        fog = module.Fog(0.5, [np.random.default_rng(0)])
-        spoilt = fog.spoil(np.ones((48, 64)), 0, 0.0)
+        assert json.loads((tmp_path / "fog" / "score.json").read_text())["falls"] == 0
+        spoilt = module.Fog(0.5, [np.random.default_rng(0)]).spoil(np.ones((48, 64)), 0, 0.0)
         assert spoilt.mean() == pytest.approx(0.5, abs=0.01)
     finally:
         FAULTS.pop("fog")
@@ -118,15 +116,14 @@ def test_action_and_observation_follow_the_interface_not_the_mjcf(env):
     assert tuple(target.target_names) == JOINTS
     action = torch.zeros(2, 12)
     action[:, JOINTS.index("RR_calf_joint")] = 1.0
-    before = robot.data.joint_pos_target.clone()
     obs, *_ = env.step(action)
-    moved = robot.data.joint_pos_target - robot.data.default_joint_pos
-    expected = torch.zeros_like(before)
+    data = robot.data
+    moved = data.joint_pos_target - data.default_joint_pos
+    expected = torch.zeros_like(moved)
     expected[:, robot.joint_names.index("RR_calf_joint")] = 0.25
     torch.testing.assert_close(moved, expected, atol=1e-6, rtol=0)
     ids, _ = robot.find_joints(JOINTS, preserve_order=True)
     seen = obs["proprioception_clean"][:, proprioception_slices()["joint_position"]]
-    data = robot.data
     torch.testing.assert_close(seen, (data.joint_pos - data.default_joint_pos)[:, ids])
 
 

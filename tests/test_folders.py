@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -93,14 +94,8 @@ def test_what_is_no_folder_is_left_as_it_is(tmp_path):
 def test_a_folder_is_replaced_whole_and_nothing_stays_beside_it(
     folder, tmp_path, monkeypatch, unsupported
 ):
-    real = folders._rename
-
-    def old(source: Path, target: Path, flags: int) -> None:
-        if unsupported is not None:
-            raise OSError(unsupported, os.strerror(unsupported))
-        real(source, target, flags)
-
-    monkeypatch.setattr(folders, "_rename", old)
+    if unsupported is not None:
+        monkeypatch.setattr(folders, "_rename", Mock(side_effect=OSError(unsupported, "")))
     temporary_path(folder / "a.txt").write_text("of a killed program")
     write_folder(folder, {"a.txt": b"new"}, OWN, "page")
     assert contents(tmp_path) == {"out": None, "out/a.txt": b"new"}
@@ -109,21 +104,19 @@ def test_a_folder_is_replaced_whole_and_nothing_stays_beside_it(
     assert contents(tmp_path) == {}
 
 
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_a_write_that_fails_leaves_the_old_folder_and_nothing_beside_it(
-    folder, tmp_path, monkeypatch
+    folder, tmp_path, monkeypatch, error
 ):
+    def fail(path: Path, data: bytes) -> None:
+        path.touch()
+        raise error
+
     before = contents(tmp_path)
-    for error in (OSError(28, "No space left on device"), KeyboardInterrupt()):
-
-        def fail(path: Path, data: bytes, error: BaseException = error) -> None:
-            path.touch()
-            raise error
-
-        with monkeypatch.context() as patch:
-            patch.setattr(folders, "write_new", fail)
-            with pytest.raises((RenetError, KeyboardInterrupt)):
-                write_folder(folder, CONTENTS, OWN, "page")
-        assert contents(tmp_path) == before
+    monkeypatch.setattr(folders, "write_new", fail)
+    with pytest.raises((RenetError, KeyboardInterrupt)):
+        write_folder(folder, CONTENTS, OWN, "page")
+    assert contents(tmp_path) == before
 
 
 def test_a_file_added_while_a_folder_is_replaced_is_kept(folder, tmp_path, monkeypatch):
@@ -136,8 +129,7 @@ def test_a_file_added_while_a_folder_is_replaced_is_kept(folder, tmp_path, monke
     monkeypatch.setattr(folders, "_exchange", exchange)
     with pytest.raises(RenetError, match=r"thesis\.tex"):
         write_folder(folder, CONTENTS, OWN, "page")
-    (kept,) = [path for path in tmp_path.rglob("thesis.tex")]
-    assert kept.read_text() == "years"
+    assert [path.read_text() for path in tmp_path.rglob("thesis.tex")] == ["years"]
     assert (folder / "a.txt").read_bytes() == b"new"
 
 
@@ -187,15 +179,12 @@ def test_a_kill_at_any_step_leaves_the_old_folder_or_the_new_one(folder, step, k
 def test_move_replaces_nothing(tmp_path, monkeypatch):
     (tmp_path / "a").write_text("a")
     (tmp_path / "b").write_text("b")
-    for name in ("a", "b"):
-        with pytest.raises(OSError, match="File exists"):
-            move(tmp_path / "a", tmp_path / name)
-
-        def old(*_) -> None:
-            raise OSError(errno.EINVAL, "File exists, perhaps")
-
-        monkeypatch.setattr(folders, "_rename", old)
-    monkeypatch.undo()
+    with pytest.raises(OSError, match="File exists"):
+        move(tmp_path / "a", tmp_path / "a")
+    with monkeypatch.context() as patch:
+        patch.setattr(folders, "_rename", Mock(side_effect=OSError(errno.EINVAL, "still there")))
+        with pytest.raises(OSError, match="still there"):
+            move(tmp_path / "a", tmp_path / "b")
     move(tmp_path / "a", tmp_path / "c")
     assert contents(tmp_path) == {"b": b"b", "c": b"a"}
 
@@ -213,7 +202,6 @@ def test_a_locked_folder_is_anothers_until_that_ends(tmp_path):
     code += "with lock(Path(sys.argv[1])): print(flush=True); sys.stdin.read()"
     command = [sys.executable, "-c", code, str(tmp_path / "run")]
     other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert other.stdout is not None
     other.stdout.readline()
     with pytest.raises(RenetError, match="another program writes to"), lock(tmp_path / "run"):
         pass

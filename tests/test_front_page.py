@@ -7,11 +7,12 @@ import tomllib
 from pathlib import Path
 
 import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
-import pytest
 
 import renet
 from tests.test_doc_commands import parse
+from tests.test_doc_numbers import percent, result
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -37,27 +38,24 @@ def test_python_of_the_readme_runs():
 def test_the_citation_is_that_of_the_citation_file():
     source = (ROOT / "CITATION.cff").read_text()
     names = re.findall(r"family-names: (\w+), given-names: (\w+)", source)
-    authors = re.search(r"author += \{(.*?)\}", README, re.DOTALL)
-    assert authors
-    assert re.split(r"\s+and\s+", authors[1]) == [f"{last}, {first}" for last, first in names]
-    title = re.search(r"title += \{(.*?)\},\n", README, re.DOTALL)
-    assert title
-    words = title[1].replace("{", "").replace("}", "").split()
+    (authors,) = re.findall(r"author += \{(.*?)\}", README, re.DOTALL)
+    assert re.split(r"\s+and\s+", authors) == [f"{last}, {first}" for last, first in names]
+    (title,) = re.findall(r"title += \{(.*?)\},\n", README, re.DOTALL)
+    words = title.replace("{", "").replace("}", "").split()
     assert " ".join(words) in " ".join(source.split())
 
 
-def rows_of_the_readme() -> dict[str, list[str]]:
-    """The cells of the table beside the first, by the first."""
-    lines = re.findall(r"^\| (.+?) \| (.+?) \| (.+?) \| \[", README, re.MULTILINE)
-    return {name: cells for name, *cells in lines}
+# The cells of the README's table beside the first, by the first.
+LINES = re.findall(r"^\| (.+?) \| (.+?) \| (.+?) \| \[", README, re.MULTILINE)
+ROWS = {name: cells for name, *cells in LINES}
 
 
 def test_counts_of_the_readme_are_those_measured_on_stairs():
     """`renet evaluate faults --preset noise --grounds stairs_up --level 5 --onsets 1.5`."""
-    result = json.loads((ROOT / "benchmarks/results/shipped/stairs.json").read_text())
+    stairs = result("shipped/stairs.json")
     crossed = {
         (row["mode"], row.get("fault"), row.get("severity")): row["measures"]["crossed"]["value"]
-        for row in result["baseline"] + result["runs"]
+        for row in stairs["baseline"] + stairs["runs"]
     }
     noises = {(fault, severity) for _, fault, severity in crossed if fault}
     assert len(noises) == 6
@@ -68,22 +66,18 @@ def test_counts_of_the_readme_are_those_measured_on_stairs():
     }
     for name, settings in chosen.items():
         counts = [sum(round(20 * crossed[mode, *s]) for s in settings) for mode in ("vp", "renet")]
-        assert rows_of_the_readme()[name] == [f"{n} of {20 * len(settings)}" for n in counts]
+        assert ROWS[name] == [f"{n} of {20 * len(settings)}" for n in counts]
 
 
 def test_shares_of_the_readme_are_means_of_the_fault_benchmark():
-    path = ROOT / "benchmarks/results/leaderboard/go1-parkour.json"
-    settings = json.loads(path.read_text())["settings"]
+    settings = result("leaderboard/go1-parkour.json")["settings"]
     for name, measure, ground in (
         ("stay upright under 29 camera faults", "upright", ""),
         ("cross obstacles under them", "crossed", "flat"),
     ):
         rows = [s for s in settings if s["ground"] != ground]
-        means = [
-            np.mean([s["measures"][measure]["value"] for s in rows if s["mode"] == mode])
-            for mode in ("vp", "renet")
-        ]
-        assert rows_of_the_readme()[name] == [f"{100 * mean:.1f} %" for mean in means]
+        modes = [[s for s in rows if s["mode"] == mode] for mode in ("vp", "renet")]
+        assert ROWS[name] == [f"{percent(chosen, measure):.1f} %" for chosen in modes]
     assert len({s["fault"] for s in settings}) == 29
 
 
@@ -95,9 +89,8 @@ def test_the_change_log_knows_this_version():
 
 def test_the_dockerfile_installs_an_extra_and_runs_a_command():
     text = (ROOT / "Dockerfile").read_text()
-    extra = re.search(r"^RUN pip install .*'\.\[(\w+)\]'$", text, re.MULTILINE)
-    assert extra
-    assert extra[1] in PROJECT["optional-dependencies"]
+    (extra,) = re.findall(r"^RUN pip install .*'\.\[(\w+)\]'$", text, re.MULTILINE)
+    assert extra in PROJECT["optional-dependencies"]
     for copied in re.findall(r"^COPY (.+) \S+$", text, re.MULTILINE):
         assert all((ROOT / name).exists() for name in copied.split())
     command = json.loads(re.findall(r"^CMD (.+)$", text, re.MULTILINE)[0])
@@ -105,17 +98,9 @@ def test_the_dockerfile_installs_an_extra_and_runs_a_command():
     assert parse(command[1:]).robot == "mujoco"
 
 
-@pytest.fixture
-def figures(monkeypatch, tmp_path):
-    import matplotlib.pyplot as plt
-
+def test_the_notebook_walks_and_plots(monkeypatch, tmp_path):
     matplotlib.use("Agg")
     monkeypatch.chdir(tmp_path)
-    yield plt
-    plt.close("all")
-
-
-def test_the_notebook_walks_and_plots(figures):
     book = json.loads((ROOT / "examples" / "walk.ipynb").read_text())
     scope: dict = {}
     for cell in book["cells"]:
@@ -127,4 +112,5 @@ def test_the_notebook_walks_and_plots(figures):
     assert time[-1] >= 9.9
     assert not ticks["vision"][time > 4.5].any(), "blind from 4 s on"
     assert np.mean(scope["speed"][(time > 6.0) & (time < 9.9)]) > 0.3, "and still walking"
-    assert len(figures.gcf().axes) == 2
+    assert len(plt.gcf().axes) == 2
+    plt.close("all")

@@ -41,13 +41,13 @@ def test_it_has_the_mass_of_mujocos_robot_everywhere():
     """The mass matrix knows every mass, inertia, frame and axis; Bullet has no rotors' inertia."""
     bullet, other = both()
     angles = other.data.qpos[7:]
-    found = np.array(bullet._engine.calculateMassMatrix(bullet._body, list(angles)))
+    mass = np.array(bullet._engine.calculateMassMatrix(bullet._body, list(angles)))
     expected = np.zeros((18, 18))
     mujoco.mj_fullM(other.model, other.data, expected)
     expected[range(18), range(18)] -= other.model.dof_armature
-    np.testing.assert_allclose(found[6:, 6:], expected[6:, 6:], atol=1e-6)
+    np.testing.assert_allclose(mass[6:, 6:], expected[6:, 6:], atol=1e-6)
     total = other.model.body_mass.sum()
-    np.testing.assert_allclose(found[3:6, 3:6], total * np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(mass[3:6, 3:6], total * np.eye(3), atol=1e-6)
 
 
 def test_it_reads_what_mujocos_robot_reads():

@@ -65,8 +65,7 @@ def test_hooks_before_a_commit_are_checks_of_ci():
     config = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())
     checks = (ROOT / ".ci" / "run").read_text()
     for hook in config["repos"][0]["hooks"]:
-        command = hook["entry"].removesuffix(" --force-exclude")
-        assert command in checks
+        assert hook["entry"].removesuffix(" --force-exclude") in checks
 
 
 def test_forms_ask_for_the_command_and_the_version():

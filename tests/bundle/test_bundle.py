@@ -5,6 +5,7 @@ import math
 import os
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import onnx
@@ -21,7 +22,6 @@ from renet.bundle import (
 )
 from renet.errors import RenetError
 from renet.files import temporary_path
-from renet.interface import JOINTS
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.training.export import export_models
@@ -35,10 +35,7 @@ def edit(path, change) -> None:
 
 def test_round_trip(bundle_path, manifest, models):
     bundle = Bundle.load(bundle_path)
-    assert bundle.manifest.robot == manifest.robot
-    assert bundle.manifest.camera == manifest.camera
-    assert bundle.manifest.selector.beta == 0.02
-    assert bundle.manifest.robot.joints == JOINTS
+    assert replace(bundle.manifest, sha256={}) == manifest
     assert bundle.manifest.robot.default_position[:3] == (0.1, 0.9, -1.8)
     assert set(bundle.manifest.sha256) == {f"{name}.onnx" for name in models}
     before = bundle.sha256
@@ -79,10 +76,9 @@ def test_missing_folder_and_missing_model(bundle_path, tmp_path):
 
 
 def test_tampered_model(bundle_path):
-    path = bundle_path / "actor.onnx"
-    data = bytearray(path.read_bytes())
+    data = bytearray((bundle_path / "actor.onnx").read_bytes())
     data[len(data) // 2] ^= 1
-    path.write_bytes(data)
+    (bundle_path / "actor.onnx").write_bytes(data)
     with pytest.raises(RenetError, match=r"actor\.onnx is not the file the manifest describes"):
         Bundle.load(bundle_path)
 
@@ -138,8 +134,7 @@ def test_a_bundle_of_schema_1_loads_and_has_no_memory(bundle_path, tmp_path, net
 def without_input(model: bytes, name: str) -> bytes:
     """An ONNX model whose input of that name is a constant 1."""
     graph = (proto := onnx.load_from_string(model)).graph
-    (found,) = (node for node in graph.input if node.name == name)
-    graph.input.remove(found)
+    graph.input.remove(next(node for node in graph.input if node.name == name))
     one = onnx.numpy_helper.from_array(np.ones((1, 1), np.float32), name)
     graph.initializer.append(one)
     return proto.SerializeToString()
@@ -162,19 +157,13 @@ def test_the_current_folder_can_become_a_bundle(tmp_path, manifest, models, monk
     Bundle.load(write_bundle(Path(), models, manifest))
 
 
+OTHERS = ("notes.txt", ".git/config", "manifest.json.bak", "actor.onnx.old", "sub/actor.onnx")
+
+
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
-    [
-        ("notes.txt", "years of work", "no part of a bundle"),
-        (".git/config", "years of work", "no part of a bundle"),
-        ("manifest.json.bak", "years of work", "no part of a bundle"),
-        ("actor.onnx.old", "years of work", "no part of a bundle"),
-        ("sub/actor.onnx", "years of work", "no part of a bundle"),
-        (MANIFEST, '{"name": "web app"}', "is not a bundle"),
-        (MANIFEST, "[]", "is not a bundle"),
-        (MANIFEST, '{"schema": 2}', "is not a bundle"),
-        (MANIFEST, "{", "is not a bundle"),
-    ],
+    [(name, "years of work", "no part of a bundle") for name in OTHERS]
+    + [(MANIFEST, t, "is not a bundle") for t in ('{"name": "x"}', "[]", '{"schema": 2}', "{")],
 )
 def test_an_export_never_touches_a_folder_that_holds_anything_else(
     tmp_path, bundle_path, manifest, models, name, content, reason
@@ -197,28 +186,22 @@ def test_a_file_is_never_replaced(tmp_path, manifest, models):
 
 
 def test_links_are_not_followed(tmp_path, bundle_path, manifest, models):
-    real = bundle_path.rename(tmp_path / "real")
     (tmp_path / "elsewhere").write_bytes(b"mine")
-    (real / "actor.onnx").unlink()
-    (real / "actor.onnx").symlink_to(tmp_path / "elsewhere")
+    (bundle_path / "actor.onnx").unlink()
+    (bundle_path / "actor.onnx").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(RenetError, match=r"actor\.onnx"):
-        write_bundle(real, models, manifest)
+        write_bundle(bundle_path, models, manifest)
     assert (tmp_path / "elsewhere").read_bytes() == b"mine"
 
 
 def test_a_bundle_is_replaced_whole_or_not_at_all(bundle_path, manifest, models, monkeypatch):
     old = {p.name: p.read_bytes() for p in bundle_path.iterdir()}
     newer = replace(manifest, provenance=replace(manifest.provenance, iteration=7))
-
-    def full(descriptor):
-        raise OSError(28, "No space left on device")
-
     with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", full)
+        patch.setattr(os, "fsync", Mock(side_effect=OSError(28, "No space left on device")))
         with pytest.raises(RenetError, match="No space left"):
             write_bundle(bundle_path, models, newer)
     assert {p.name: p.read_bytes() for p in bundle_path.iterdir()} == old
-    assert [p.name for p in bundle_path.parent.iterdir()] == [bundle_path.name]
     write_bundle(bundle_path, models, newer)
     assert Bundle.load(bundle_path).manifest.provenance.iteration == 7
-    assert [p.name for p in bundle_path.parent.iterdir()] == [bundle_path.name]
+    assert [*bundle_path.parent.iterdir()] == [bundle_path]

@@ -17,8 +17,9 @@ from renet.bundle.policy import Policy
 from renet.errors import RenetError
 from renet.models.actor_critic import fuse
 from renet.models.memory import EstimatorMemory
-from renet.selector import SelectorInput, SelectorSpec, make_selector
+from renet.selector import SelectorSpec, make_selector
 from renet.selector.monitors import Gate
+from tests.selector.inputs import seen
 
 
 @pytest.fixture
@@ -26,49 +27,32 @@ def policy(bundle_path) -> Policy:
     return Policy(Bundle.load(bundle_path), num_robots=3)
 
 
-def test_equals_the_training_side_over_20_seconds_with_switching_and_resets(policy, networks):
+@pytest.mark.parametrize("share", [1.0, 0.6])
+def test_equals_the_training_side_over_20_seconds_with_switching_and_resets(
+    policy, networks, share
+):
+    """VP gets a share of the images, and its state is that of training, whatever others show."""
     random = np.random.default_rng(0)
     memory = EstimatorMemory(networks.cfg, 3, "cpu")
-    image = None
     for step in range(1000):
         observation = random.normal(size=(3, 45)).astype(np.float32)
-        if step % 5 == 0:
-            image = random.random((3, 48, 64)).astype(np.float16)
+        tick = step % 5 == 0
+        if tick:
+            has_image = random.random(3) < share
+            image, other = random.random((2, 3, 48, 64)).astype(np.float16)
+            shown = np.where(has_image[:, None, None], image, other).astype(np.float32)
         use_op = random.random(3) < 0.3
-        action = policy.step(observation, image.astype(np.float32), use_op)
+        action = policy.step(observation, shown, use_op, Gate(has_image, {}) if share < 1 else None)
         memory.push(torch.tensor(observation))
-        if step % 5 == 0:
-            memory.see(torch.tensor(image))
+        if tick:
+            memory.see(torch.tensor(image), *([torch.tensor(has_image)] if share < 1 else []))
             memory.tick(networks.advance)
+            np.testing.assert_array_equal(policy.has_image, has_image)
+            np.testing.assert_allclose(policy.latent_vp, memory.latent_vp, atol=1e-4)
         with torch.no_grad():
             latent = fuse(memory.latent_op, memory.latent_vp, torch.tensor(use_op))
             expected = networks.actor(torch.tensor(observation), latent)
         np.testing.assert_allclose(action, expected.clamp(-4.8, 4.8), atol=1e-4)
-        done = random.random(3) < 0.01
-        policy.reset(done)
-        memory.reset(torch.tensor(done))
-
-
-def test_withheld_images_equal_the_training_sides(policy, networks):
-    """VP's images are those of training, whatever the rejected ones show."""
-    random = np.random.default_rng(2)
-    memory = EstimatorMemory(networks.cfg, 3, "cpu")
-    for step in range(300):
-        observation = random.normal(size=(3, 45)).astype(np.float32)
-        tick, gate = step % 5 == 0, None
-        if tick:
-            has_image = random.random(3) < 0.6
-            image = random.random((3, 48, 64)).astype(np.float16)
-            shown = np.where(has_image[:, None, None], image, random.random((3, 48, 64)))
-            gate = Gate(has_image, {})
-            memory_image = torch.tensor(image)
-        policy.step(observation, shown.astype(np.float32), np.zeros(3, bool), gate)
-        memory.push(torch.tensor(observation))
-        if tick:
-            memory.see(memory_image, torch.tensor(has_image))
-            memory.tick(networks.advance)
-            np.testing.assert_array_equal(policy.has_image, has_image)
-            np.testing.assert_allclose(policy.latent_vp, memory.latent_vp, atol=1e-4)
         done = random.random(3) < 0.01
         policy.reset(done)
         memory.reset(torch.tensor(done))
@@ -79,19 +63,15 @@ def test_a_gate_withholds_what_the_vision_model_objects_to_but_only_from_whom_it
     policy.step(anything, images, np.zeros(3, bool))
     limits = np.sort(policy.anomaly_score)
     gate = Gate(np.ones(3, bool), {"anomaly_score": float(limits[1])})
-    for bound, has_image in (
-        (np.ones(3, bool), policy.anomaly_score < limits[1]),
-        (np.zeros(3, bool), np.ones(3, bool)),
-    ):
+    for robots, has_image in ((True, policy.anomaly_score < limits[1]), (False, np.full(3, True))):
         policy.reset()
-        policy.step(anything, images, np.zeros(3, bool), replace(gate, robots=bound))
+        policy.step(anything, images, np.zeros(3, bool), replace(gate, robots=np.full(3, robots)))
         np.testing.assert_array_equal(policy.has_image, has_image)
 
 
 def test_walks_on_without_a_camera(policy):
-    op = policy.step(np.zeros((3, 45)), None, np.zeros(3, bool))
+    assert np.isfinite(policy.step(np.zeros((3, 45)), None, np.zeros(3, bool))).all()
     assert np.isinf([policy.anomaly_score, policy.variance_score]).all()
-    assert np.isfinite(op).all()
 
 
 @pytest.mark.parametrize(
@@ -134,17 +114,8 @@ def trusted(bundle: Bundle, kind: str, images: str) -> bool:
     for tick, image in enumerate(recorded.astype(np.float32)):
         for _ in range(5):
             policy.step(proprioception, image[None], blind)
-        seen = SelectorInput(
-            anomaly_score=policy.anomaly_score,
-            variance_score=policy.variance_score,
-            image=image[None],
-            fresh=np.array([True]),
-            age=np.zeros(1),
-            invalid=np.zeros(1),
-            velocity_op=np.zeros((1, 3)),
-            velocity_vp=np.zeros((1, 3)),
-        )
-        vision = selector.update(seen, 0.1 * tick)
+        scores = {name: getattr(policy, name) for name in ("anomaly_score", "variance_score")}
+        vision = selector.update(seen(robots=1, image=image[None], **scores), 0.1 * tick)
     return bool(vision[0])
 
 

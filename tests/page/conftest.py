@@ -62,10 +62,7 @@ def node_page(page: Path) -> Path:
 @pytest.fixture(scope="session")
 def address(page: Path) -> Iterator[str]:
     """Where the page is served."""
-    server = serve_folder(page, 0)
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_port}/"
-    server.shutdown()
-    server.server_close()
-    thread.join()
+    with serve_folder(page, 0) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}/"
+        server.shutdown()

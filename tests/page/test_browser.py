@@ -82,8 +82,7 @@ def visit(browser: Browser, address: str) -> Iterator[Any]:
 def test_a_link_tells_a_story_from_fault_to_outcome(visit, address: str):
     story = visit("?ground=gap&fault=blackout&severity=5").load()
     story.ask(
-        """const { page } = renetPage;
-        const apply = page.apply.bind(page);
+        """const { page } = renetPage, apply = page.apply.bind(page);
         page.apply = (fault) => {
           renetPage.at = Math.max(...page.simulations.map((one) => one.world.pose().position[0]));
           apply(fault);
@@ -91,9 +90,8 @@ def test_a_link_tells_a_story_from_fault_to_outcome(visit, address: str):
     )
     assert "will fail (black)" in story.page.text_content("#message")
     story.until("renetPage.at > 0")
-    assert story.ask("renetPage.at") == pytest.approx(
-        story.its("scene.ground.obstacle[0]") - 0.3, abs=0.05
-    )
+    edge = story.its("scene.ground.obstacle[0]")
+    assert story.ask("renetPage.at") == pytest.approx(edge - 0.3, abs=0.05)
     assert story.its("simulations.map((one) => one.camera.fault.name)") == ["blackout"] * 2
     story.until("document.querySelector('#verdict').textContent")
 
@@ -114,10 +112,9 @@ def test_a_link_tells_a_story_from_fault_to_outcome(visit, address: str):
 
 def test_every_control_answers_to_keys(visit):
     one = visit("?ground=flat&fault=none").load()
-    one.press("w", "ArrowUp")
-    assert one.its("controls.speed") == pytest.approx(0.8)
-    one.press("s")
-    assert one.its("controls.speed") == pytest.approx(0.7)
+    for keys, speed in ((("w", "ArrowUp"), 0.8), (("s",), 0.7)):
+        one.press(*keys)
+        assert one.its("controls.speed") == pytest.approx(speed)
     one.page.keyboard.down("a")
     one.until("renetPage.page.controls.turn > 0.05")
     one.page.keyboard.up("a")

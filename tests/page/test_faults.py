@@ -27,17 +27,13 @@ def frames() -> list[dict[str, Any]]:
     """Ground that comes nearer, with noise: two frames before a fault, twelve during it."""
     rng = np.random.default_rng(3)
     rows, columns = np.mgrid[:48, :64]
-    out = []
-    for tick in range(14):
-        image = 0.9 - 0.015 * rows + 0.002 * columns - 0.01 * tick
-        image = np.clip(image + 0.02 * rng.standard_normal((48, 64)), 0.0, 1.0)
-        out.append(
-            {
-                "image": image.astype(np.float32),
-                "elapsed": 0.1 * (tick - 2) if tick >= 2 else -1.0,
-            }
-        )
-    return out
+    ground, ticks = 0.9 - 0.015 * rows + 0.002 * columns, range(-2, 12)
+    noise = 0.02 * rng.standard_normal((len(ticks), 48, 64))
+    images = [np.clip(ground - 0.01 * tick + n, 0, 1) for tick, n in zip(ticks, noise, strict=True)]
+    return [
+        {"image": image.astype(np.float32), "elapsed": 0.1 * tick if tick >= 0 else -1.0}
+        for tick, image in zip(ticks, images, strict=True)
+    ]
 
 
 def summary(before: np.ndarray, after: Frames) -> list[float]:
@@ -58,15 +54,12 @@ def summary(before: np.ndarray, after: Frames) -> list[float]:
 
 
 def catalogue(name: str, level: float, seed: int, given: list[dict[str, Any]]) -> np.ndarray:
-    fault = FAULTS[name](level, [np.random.default_rng(seed)])
-    out = []
-    for frame in given:
-        image = frame["image"]
-        healthy = Frames.healthy(image[None], np.zeros((1, 3)))
-        after = fault.corrupt(healthy, np.array([frame["elapsed"]]))
-        if frame["elapsed"] >= 0:
-            out.append(summary(image, after))
-    return np.array(out)
+    fault, summaries = FAULTS[name](level, [np.random.default_rng(seed)]), []
+    for image, elapsed in (frame.values() for frame in given):
+        after = fault.corrupt(Frames.healthy(image[None]), np.array([elapsed]))
+        if elapsed >= 0:
+            summaries.append(summary(image, after))
+    return np.array(summaries)
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,7 @@
 """The page's selector decides and says what the runtime's does, whatever it is given."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,9 @@ from tests.page.conftest import run_node
 
 STEPS = 3000
 PICTURES = 6
+SEEN = "fresh age invalid velocityOp velocityVp hasImage anomalyScore varianceScore mapError"
+NAMES = {re.sub("([A-Z])", r"_\1", name).lower(): name for name in SEEN.split()}
+"""What the page calls fields of `SelectorInput`, by their own names."""
 
 
 def images(rng: np.random.Generator) -> np.ndarray:
@@ -64,32 +68,16 @@ def decide(kind: str, spec, pictures: np.ndarray, steps: list[dict[str, Any]]) -
     for step in steps:
         if step["tick"] and step["fresh"]:
             image = pictures[step["picture"]][None].copy()
-        scores = {k: np.array([np.inf if v is None else v]) for k, v in step["scores"].items()}
-        seen = SelectorInput(
-            scores["anomalyScore"],
-            image,
-            *(np.array([step[name]]) for name in ("fresh", "age", "invalid")),
-            *(np.array([step[name]]) for name in ("velocityOp", "velocityVp")),
-            scores["varianceScore"],
-            np.array([step["hasImage"]]),
-            scores["mapError"],
-        )
+        scores = {k: np.inf if v is None else v for k, v in step["scores"].items()}
+        fields = {snake: np.array([(step | scores)[name]]) for snake, name in NAMES.items()}
+        seen = SelectorInput(image=image, **fields)
         verdict = None
         if step["tick"]:
             gate = selector.look(seen)
-            names = {"anomaly_score": "anomalyScore", "variance_score": "varianceScore"}
-            outputs = {output: scores[name] for output, name in names.items()}
-            verdict = gate is None or bool(gate.judge(outputs)[0])
-        vision = bool(selector.update(seen, step["now"])[0])
-        decided.append(
-            {
-                "gate": verdict,
-                "vision": vision,
-                "state": str(selector.state[0]),
-                "reason": str(selector.reason[0]),
-                "probability": float(selector.probability[0]),
-            }
-        )
+            verdict = gate is None or bool(gate.judge(fields)[0])
+        decision = {"gate": verdict, "vision": bool(selector.update(seen, step["now"])[0])}
+        decision |= {name: str(getattr(selector, name)[0]) for name in ("state", "reason")}
+        decided.append({**decision, "probability": float(selector.probability[0])})
     return decided
 
 

@@ -5,15 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.selector.inputs import seen
 
 from renet.errors import RenetError
-from renet.selector import MONITORS, SelectorInput, SelectorSpec, make_selector
+from renet.selector import MONITORS, SelectorSpec, make_selector
 from renet.selector.selector import BLIND, DWELL, REMEMBERS, SEES, check_selector
 
 SPEC = SelectorSpec(
     beta=0.2, thresholds={"variance": 3.0, "disagreement": 1.0, "map_error": 0.3}, longest_memory=2
 )
 TICK = 0.1
+HEALTHY = seen(robots=1)
 
 
 class Walk:
@@ -29,13 +31,11 @@ class Walk:
         """One tick and its twenty updates; returns the state after it."""
         if fresh:
             self.image = self.random.random((1, 48, 64)) if image is None else image.copy()
-        given = SelectorInput(
-            anomaly_score=np.zeros(1),
+        given = replace(
+            HEALTHY,
             image=self.image,
             fresh=np.array([fresh]),
             age=np.array([age]),
-            invalid=np.zeros(1),
-            velocity_op=np.zeros((1, 3)),
             velocity_vp=np.array([[apart, 0.0, 0.0]]),
             variance_score=np.array([variance]),
             map_error=np.array([map_error]),
@@ -120,11 +120,7 @@ def test_op_takes_over_within_a_tick_when_the_estimators_are_objected_to(given, 
 def test_without_a_memory_every_image_is_used_and_a_spoilt_one_costs_vision():
     for kind, spec in (("monitors", SelectorSpec(beta=0.2)), ("paper", SPEC)):
         selector = make_selector(kind, spec)
-        image = np.random.default_rng(0).random((1, 48, 64))
-        given = SelectorInput(
-            np.full(1, 0.9), image, np.ones(1, bool), np.zeros(1), np.zeros(1),
-            *np.zeros((2, 1, 3)), np.zeros(1), np.ones(1, bool), np.zeros(1),
-        )  # fmt: skip
+        given = replace(HEALTHY, anomaly_score=np.full(1, 0.9), has_image=np.ones(1, bool))
         assert selector.look(given) is None
         for update in range(7):
             selector.update(given, update / 200)

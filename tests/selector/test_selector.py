@@ -53,11 +53,7 @@ def test_probability_follows_the_equation_and_stays_a_probability(gamma, verdict
 def test_the_filter_never_switches_more_often_than_its_input(verdicts):
     steps = itertools.accumulate(verdicts, lambda p, v: low_pass(p, v, 0.1), initial=1.0)
     outputs = [p > 0.5 for p in steps]
-
-    def changes(values: list[bool]) -> int:
-        return sum(a != b for a, b in itertools.pairwise(values))
-
-    assert changes(outputs) <= changes([True, *verdicts])
+    assert np.diff(outputs).sum() <= np.diff([True, *verdicts]).sum()
 
 
 def test_the_papers_selector_leaves_and_returns_by_the_filter_alone():
@@ -70,13 +66,10 @@ def test_the_papers_selector_leaves_and_returns_by_the_filter_alone():
     selector.reset(np.array([False, True, False, False]))
     assert selector.probability[1] == 1.0
     assert selector.probability[2] < 0.5
-    for update in range(7, 15):
-        vision = selector.update(SelectorInput(np.full(4, 0.4)), 0.005 * update)
-    assert vision.all(), "no dwell"
-    for update in range(15, 35):
-        scores = np.full(4, 0.6 if update < 25 else 0.4)
+    for update in range(7, 35):
+        scores = np.full(4, 0.6 if 15 <= update < 25 else 0.4)
         vision = selector.update(SelectorInput(scores), 0.005 * update)
-    assert vision.all(), "nor any rest between two returns"
+        assert vision.all() or update not in (14, 34), "neither a dwell, nor a rest between returns"
 
 
 @pytest.mark.parametrize(

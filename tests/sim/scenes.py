@@ -1,6 +1,12 @@
-"""Scenes of a few geoms."""
+"""Scenes of a few geoms, and stock tasks on both engines."""
+
+from collections.abc import Callable
 
 import mujoco
+from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from mjlab.tasks.registry import load_env_cfg
+
+from renet.sim.native.engine import use_engine
 
 PLANE = '<geom type="plane" size="0 0 1"/>'
 ROBOT = """<body name="robot" pos="0 0 0.5"><freejoint/>
@@ -11,3 +17,16 @@ def scene(*bodies: str, extra: str = "") -> mujoco.MjModel:
     """A compiled world of bodies and geoms, beside `extra` elements of the model."""
     worldbody = f"<worldbody>{''.join(bodies)}</worldbody>"
     return mujoco.MjModel.from_xml_string(f"<mujoco>{extra}{worldbody}</mujoco>")
+
+
+def make_both(task: str, change: Callable[[ManagerBasedRlEnvCfg], None]) -> list[ManagerBasedRlEnv]:
+    """mjlab's task with three robots, changed, under MuJoCo Warp and under the native engine."""
+    envs = []
+    for engine in ("warp", "native"):
+        cfg = load_env_cfg(task)
+        cfg.scene.num_envs, cfg.seed = 3, 3
+        change(cfg)
+        with use_engine(engine, "cpu"):
+            envs.append(ManagerBasedRlEnv(cfg, "cpu"))
+        envs[-1].reset(seed=3)
+    return envs

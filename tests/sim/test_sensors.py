@@ -1,5 +1,6 @@
 """Height map and feet height against MuJoCo's rays, their stated geometry and their limits."""
 
+from itertools import product
 from types import SimpleNamespace
 
 import mujoco
@@ -55,23 +56,23 @@ def test_the_map_turns_with_yaw_and_with_nothing_else(roll, pitch, yaw, x, y):
     model = scene(STEPS, ROBOT)
     data, geom = mujoco.MjData(model), np.zeros(1, np.int32)
     mujoco.mj_forward(model, data)
-    got = height_map(model, (x, y, 0.4), (roll, pitch, yaw)).data[0]
-    missed = 0
-    for i, ahead in enumerate(HEIGHT_MAP_X):
-        for j, left in enumerate(HEIGHT_MAP_Y):
-            at_x = x + ahead * np.cos(yaw) - left * np.sin(yaw)
-            at_y = y + ahead * np.sin(yaw) + left * np.cos(yaw)
-            start, down = np.array([at_x, at_y, 3.0]), np.array([0.0, 0.0, -1.0])
-            fall = mujoco.mj_ray(model, data, start, down, None, 1, 1, geom)
-            expected = 0.4 - 0.3 - (3.0 - fall)
-            missed += abs(got[i * len(HEIGHT_MAP_Y) + j].item() - expected) > 1e-3
+    readings = height_map(model, (x, y, 0.4), (roll, pitch, yaw)).data[0]
+    missed, down = 0, np.array([0.0, 0.0, -1.0])
+    for reading, (ahead, left) in zip(readings, product(HEIGHT_MAP_X, HEIGHT_MAP_Y), strict=True):
+        at_x = x + ahead * np.cos(yaw) - left * np.sin(yaw)
+        at_y = y + ahead * np.sin(yaw) + left * np.cos(yaw)
+        start = np.array([at_x, at_y, 3.0])
+        fall = mujoco.mj_ray(model, data, start, down, None, 1, 1, geom)
+        missed += abs(reading.item() - (0.4 - 0.3 - (3.0 - fall))) > 1e-3
     assert missed <= 1  # A grid point may lie on a box's very edge.
 
 
-@pytest.mark.parametrize(("height", "reading"), [(0.9, 0.6), (5.0, 1.0), (-4.0, -1.0)])
-def test_the_map_is_clipped_to_a_metre(height, reading):
-    readings = height_map(FLAT, (0.0, 0.0, height)).data
-    torch.testing.assert_close(readings, torch.full((1, 132), reading))
+def test_readings_are_clipped_to_their_limits():
+    for height, reading in ((0.9, 0.6), (5.0, 1.0), (-4.0, -1.0)):
+        readings = height_map(FLAT, (0.0, 0.0, height)).data
+        torch.testing.assert_close(readings, torch.full((1, 132), reading))
+    feet = feet_height(FLAT, [(0.0, 0.0, z + 0.023) for z in (-3.0, -0.1, 0.4, 7.0)])
+    torch.testing.assert_close(feet.data[:, 0], torch.tensor([-0.2, -0.1, 0.4, 1.0]))
 
 
 def test_a_foot_over_an_edge_reads_the_mean_of_its_patch():
@@ -80,11 +81,6 @@ def test_a_foot_over_an_edge_reads_the_mean_of_its_patch():
     model = scene('<geom type="box" size="1 1 .3"/>', ground, ROBOT)
     foot = (0.99, 0.0, 0.3 + 0.023)
     assert feet_height(model, [foot]).data.item() == pytest.approx(0.3 / 3, abs=1e-4)
-
-
-def test_feet_heights_are_clipped_to_their_limits():
-    feet = feet_height(FLAT, [(0.0, 0.0, z + 0.023) for z in (-3.0, -0.1, 0.4, 7.0)])
-    torch.testing.assert_close(feet.data[:, 0], torch.tensor([-0.2, -0.1, 0.4, 1.0]))
 
 
 def test_a_reading_is_cast_once_until_time_passes():

@@ -1,6 +1,7 @@
 """Work on several threads, and torch on one."""
 
 import threading
+from contextlib import nullcontext
 
 import pytest
 import torch
@@ -9,38 +10,22 @@ from renet.sim import threads
 from renet.sim.threads import on_all_threads, one_torch_thread
 
 
-def test_the_caller_works_too_and_others_help(monkeypatch):
+@pytest.mark.parametrize("fails", ["nowhere", "in the caller", "elsewhere"])
+def test_caller_and_others_work_and_an_error_is_raised_after_all_have_stopped(monkeypatch, fails):
     monkeypatch.setattr(threads, "THREADS", 2)
+    caller, ended = threading.get_ident(), []
     meeting = threading.Barrier(2, timeout=20)  # One thread alone never ends.
-    met = set()
 
     def work() -> None:
         meeting.wait()
-        met.add(threading.get_ident())
-
-    on_all_threads(work)
-    assert len(met) == 2
-    assert threading.get_ident() in met
-
-
-@pytest.mark.parametrize("fails_in_caller", [True, False])
-def test_what_goes_wrong_in_any_thread_is_raised_after_all_have_stopped(
-    monkeypatch, fails_in_caller: bool
-):
-    monkeypatch.setattr(threads, "THREADS", 2)
-    caller = threading.get_ident()
-    both = threading.Barrier(2, timeout=20)
-    ended = []
-
-    def work() -> None:
-        both.wait()
-        if (threading.get_ident() == caller) == fails_in_caller:
+        here = "in the caller" if threading.get_ident() == caller else "elsewhere"
+        if here == fails:
             raise ValueError("broken")
-        ended.append(threading.get_ident())
+        ended.append(here)
 
-    with pytest.raises(ValueError, match="broken"):
+    with nullcontext() if fails == "nowhere" else pytest.raises(ValueError, match="broken"):
         on_all_threads(work)
-    assert len(ended) == 1
+    assert {*ended} == {"in the caller", "elsewhere"} - {fails}
 
 
 def test_torch_gets_its_threads_back():

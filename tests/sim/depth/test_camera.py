@@ -1,6 +1,7 @@
 """Depth and terrain scans against closed-form scenes, MuJoCo's own rays and stated statistics."""
 
 import math
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -67,13 +68,9 @@ def test_wall_is_at_one_planar_depth_and_edges_are_where_they_should_be():
     seen = np.abs(Intrinsics().axes()[0]) < 0.3
     expected = np.where(seen, 1.0, 2.0)[None].repeat(48, 0)
     np.testing.assert_allclose(image[0], expected, atol=1e-3)
-
-
-def test_top_row_comes_first_and_left_is_left():
+    # The top row comes first, and left is left.
     image = camera(scene('<geom type="box" size="0.1 0.2 0.2" pos="1.1 0.3 0.8"/>', ROBOT)).data
-    rows, columns = np.nonzero(image[0].numpy() < 2.0)
-    assert rows.max() < 24
-    assert columns.max() < 32
+    assert (np.argwhere(image[0].numpy() < 2.0).max(axis=0) < (24, 32)).all()
 
 
 def test_the_mount_yaws_then_pitches_and_never_rolls():
@@ -87,11 +84,9 @@ def test_mount_errors_stay_in_the_papers_bounds_and_change_with_the_episode():
     sensor = camera(robots=500, mount=MountCfg())
     offset = sensor._position - torch.tensor(MountCfg().position)
     assert 0.009 < offset.abs().max() <= 0.01
-    forward = sensor._rotation[:, :, 0]
-    pitch = torch.rad2deg(-torch.asin(forward[:, 2])) - 30.0
-    yaw = torch.rad2deg(torch.atan2(forward[:, 1], forward[:, 0]))
-    for angle in (pitch, yaw):
-        assert 4.5 < angle.abs().max() <= 5.001
+    x, y, z = sensor._rotation[:, :, 0].unbind(-1)
+    for angle in (-torch.asin(z) - math.radians(30.0), torch.atan2(y, x)):
+        assert 4.5 < torch.rad2deg(angle).abs().max() <= 5.001
     before = sensor._position.clone()
     sensor.reset(torch.tensor([3]))
     changed = (before != sensor._position).any(-1)
@@ -110,11 +105,9 @@ def test_noise_has_the_stated_statistics():
 def test_an_image_is_held_until_the_next_is_due():
     sensor = camera(noise=DepthNoiseCfg())
     first = sensor.normalised().clone()
-    for _ in range(19):
+    for step in range(1, 21):
         sensor.update(0.005)
-        assert torch.equal(sensor.normalised(), first)
-    sensor.update(0.005)
-    assert not torch.equal(sensor.normalised(), first)
+        assert torch.equal(sensor.normalised(), first) == (step < 20)
     assert sensor.normalised().dtype == torch.float16
     assert 0.0 <= sensor.normalised().min() <= sensor.normalised().max() <= 1.0
 
@@ -178,7 +171,7 @@ def ticks(sensor: DepthCamera, steps: int) -> list[int]:
     for _ in range(steps):
         sensor.update(0.02)
         images.append(sensor.data)
-    return [step for step in range(1, steps + 1) if images[step] is not images[step - 1]]
+    return [step for step, (a, b) in enumerate(pairwise(images), 1) if a is not b]
 
 
 def test_a_reset_between_steps_restarts_the_clock_and_one_inside_a_step_does_not():
@@ -191,10 +184,7 @@ def test_a_reset_between_steps_restarts_the_clock_and_one_inside_a_step_does_not
     assert ticks(sensor, 8) == [1, 6]  # ... and consumers still tick at steps 15 and 20.
     sensor.reset()
     assert ticks(sensor, 11) == [5, 10]
-
-
-def test_images_keep_their_rate_when_the_period_is_no_multiple_of_the_step():
-    assert ticks(camera(period=0.05), 10) == [3, 5, 8, 10]
+    assert ticks(camera(period=0.05), 10) == [3, 5, 8, 10], "no multiple of the step"
 
 
 def test_any_mjlab_task_can_carry_the_camera():
@@ -204,8 +194,7 @@ def test_any_mjlab_task_can_carry_the_camera():
     with use_engine("auto", "cpu"):
         env = ManagerBasedRlEnv(cfg, "cpu")
         env.reset()
-    sensor = env.scene["depth"]
-    assert isinstance(sensor, DepthCamera)
+    sensor, data = env.scene["depth"], env.sim.data
     shown, changed = sensor.normalised(), []
     directions = torch.from_numpy(Intrinsics().rays(np.float32))
     assert shown.shape == (2, 48, 64)
@@ -215,34 +204,28 @@ def test_any_mjlab_task_can_carry_the_camera():
             shown = sensor.normalised()
             changed.append(step)
             # The image is of now: flat ground straight below the principal point, closed form.
-            pose = env.sim.data.xpos[:, sensor._body], env.sim.data.xquat[:, sensor._body]
-            base = matrix_from_quat(pose[1])
-            eye = pose[0] + (base @ sensor._position[..., None])[..., 0]
-            rays = (base @ sensor._rotation) @ directions.T
-            expected = -eye[:, 2, None] / rays[:, 2]
+            base = matrix_from_quat(data.xquat[:, sensor._body])
+            eye = data.xpos[:, sensor._body] + (base @ sensor._position[..., None])[..., 0]
+            expected = -eye[:, 2, None] / ((base @ sensor._rotation) @ directions.T)[:, 2]
             expected = torch.where((expected > 0) & (expected < 2), expected, 2.0)
-            got = sensor.data.flatten(1)
-            torch.testing.assert_close(got, expected, atol=1e-3, rtol=0)
+            torch.testing.assert_close(sensor.data.flatten(1), expected, atol=1e-3, rtol=0)
     assert changed == [5, 10]
     env.close()
 
 
-def test_a_pose_that_is_not_finite_sees_nothing():
+def test_a_pose_that_is_not_finite_sees_nothing_and_scenes_that_cannot_be_seen_are_refused():
     sensor = camera()
     sensor._data.data.xpos[FLAT.body("robot").id] = np.nan
     assert (sensor.data == 2.0).all()
-
-
-def test_scenes_that_cannot_be_seen_are_refused():
-    with pytest.raises(RenetError, match="no terrain"):
-        terrain_shapes(scene(ROBOT))
-    with pytest.raises(RenetError, match=r"ball.*sphere"):
-        terrain_shapes(scene('<geom name="ball" size="0.3"/>'))
-    with pytest.raises(KeyError, match=r"'head'.*robot"):
-        DepthCameraCfg(name="d", body="head").build().initialize(FLAT, None, None, "cpu")
-    feet = FeetHeightCfg(name="f", sites=("paw",)).build()
-    with pytest.raises(KeyError, match=r"'paw'.*foot"):
-        feet.initialize(FLAT, None, None, "cpu")
+    for bodies, problem in ((ROBOT, "no terrain"), ('<geom name="b" size="1"/>', r"b.*sphere")):
+        with pytest.raises(RenetError, match=problem):
+            terrain_shapes(scene(bodies))
+    for cfg, problem in (
+        (DepthCameraCfg(name="d", body="head"), r"'head'.*robot"),
+        (FeetHeightCfg(name="f", sites=("paw",)), r"'paw'.*foot"),
+    ):
+        with pytest.raises(KeyError, match=problem):
+            cfg.build().initialize(FLAT, None, None, "cpu")
     for delay in ((0.1, 0.0), (-0.02, 0.0), (0.0, math.inf)):
         with pytest.raises(RenetError, match="camera delay"):
             DepthCameraCfg(name="d", delay=delay).build()

@@ -18,16 +18,16 @@ TABLE = '<body name="t{0}" pos="{1} 0 0" euler="0 0 {2}"><geom type="box" size="
 TABLES = "".join(TABLE.format(i, 4 * i, 30 * i) for i in range(5))
 
 
-def look(model: mujoco.MjModel, *qpos: np.ndarray) -> NativeSimulation:
-    """A simulation that has looked where robots are."""
-    sim = NativeSimulation(len(qpos), SimulationCfg(), model, "cpu")
-    move(sim, *qpos)
-    return sim
-
-
-def move(sim: NativeSimulation, *qpos: np.ndarray) -> None:
-    sim.data.qpos[:] = torch.tensor(np.array(qpos), dtype=torch.float32)
+def move(sim: NativeSimulation, *x: float) -> None:
+    sim.data.qpos[:, 0] = torch.tensor(x)
     sim.forward()
+
+
+def look(model: mujoco.MjModel, *x: float) -> NativeSimulation:
+    """A simulation that has looked where robots are, at `x`."""
+    sim = NativeSimulation(len(x), SimulationCfg(), model, "cpu")
+    move(sim, *x)
+    return sim
 
 
 def touchable(sim: NativeSimulation, robot: int = 0) -> list[bool]:
@@ -39,10 +39,7 @@ def touchable(sim: NativeSimulation, robot: int = 0) -> list[bool]:
 
 
 def test_only_tables_within_reach_can_be_touched():
-    model = scene(TABLES, BOT)
-    qpos = model.qpos0.copy()
-    qpos[0] = 4.0
-    here = look(model, qpos)
+    here = look(model := scene(TABLES, BOT), 4.0)
     # Radius 0.3 + 2 * 0.05 + 0.2 + 0.1 around the root, as the hinge shifts the link's frame, and
     # the travel; tables are up to 1 m long.
     assert here.culling.fields["reach"] == pytest.approx([0.7 + collision_culling.TRAVEL])
@@ -51,10 +48,7 @@ def test_only_tables_within_reach_can_be_touched():
 
 
 def test_a_lost_position_is_near_everything():
-    model = scene(TABLES, BOT)
-    qpos = model.qpos0.copy()
-    qpos[0] = np.nan
-    assert all(touchable(look(model, qpos)))
+    assert all(touchable(look(scene(TABLES, BOT), np.nan)))
 
 
 @pytest.mark.parametrize(
@@ -67,19 +61,16 @@ def test_a_lost_position_is_near_everything():
 )
 def test_models_whose_reach_is_unknown_keep_every_contact(more):
     model = scene(TABLES, BOT, more)
-    here = look(model, model.qpos0)
+    here = look(model, 0.0)
     assert here.culling.load_masks(model) == []
     assert all(touchable(here))
 
 
 def test_tables_come_into_reach_as_the_robot_walks():
-    model = scene(TABLES, BOT)
-    sim = look(model, model.qpos0, model.qpos0)
-    robots = np.tile(model.qpos0, (2, 1))
+    sim = look(scene(TABLES, BOT), 0.0, 16.0)
     for x in np.arange(0.0, 16.0, 0.1):
-        robots[:, 0] = x, 16.0 - x
-        move(sim, *robots)
-        for robot, at in enumerate(robots[:, 0]):
+        move(sim, x, 16.0 - x)
+        for robot, at in enumerate((x, 16.0 - x)):
             turn, table = np.pi / 6 * np.arange(5), 4.0 * np.arange(5)
             gap = abs(at - table) - abs(np.cos(turn)) - 0.5 * abs(np.sin(turn))
             here = np.array(touchable(sim, robot))

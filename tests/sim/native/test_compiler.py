@@ -54,13 +54,13 @@ def test_python_and_c_lay_structs_out_alike():
 
 def test_a_struct_keeps_alive_what_it_points_to():
     argument, done, _ = counter(1000)
-    gone = weakref.ref(done)
+    reference = weakref.ref(done)
     del done
     gc.collect()
-    assert gone() is not None
+    assert reference() is not None
     del argument
     gc.collect()
-    assert gone() is None
+    assert reference() is None
 
 
 @pytest.mark.parametrize("fields", [{"threads": 0}, {"threads": 0, "taken": 0, "given": 0}])

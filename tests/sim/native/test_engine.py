@@ -4,10 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab.envs import ManagerBasedRlEnv
+from mjlab.envs import ManagerBasedRlEnvCfg
 from mjlab.sim.sim import MujocoCfg, SimulationCfg
-from mjlab.tasks.registry import load_env_cfg
-from tests.sim.scenes import scene
+from tests.sim.scenes import make_both, scene
 
 from renet.errors import RenetError
 from renet.sim.native import engine
@@ -72,12 +71,9 @@ def test_only_what_was_written_is_derived_anew():
 
 
 @pytest.mark.parametrize("lost", ["a physics step", "other fields"])
-def test_what_is_known_is_forgotten(lost):
+def test_poses_are_derived_anew_after(lost):
     sim = spun()
-    if lost == "a physics step":
-        sim.step()
-    else:
-        sim.expand_model_fields(("body_pos",))
+    sim.step() if lost == "a physics step" else sim.expand_model_fields(("body_pos",))
     sim.data.xpos[:] = 7.0
     sim.forward_written()
     assert (sim.data.xpos[:, 1] != 7.0).any(-1).all()
@@ -92,12 +88,12 @@ def test_bodies_moved_by_hand_count_as_written():
 
 
 def test_randomised_colours_are_left_to_viewers():
-    plain, coloured = free_body(), free_body()
-    coloured.expand_model_fields(("geom_rgba",))
-    for sim in (plain, coloured):
+    sims = [free_body(), free_body()]
+    sims[1].expand_model_fields(("geom_rgba",))
+    for sim in sims:
         spin(sim)
         sim.step()
-    assert torch.equal(plain.data.qpos[:], coloured.data.qpos[:])
+    assert torch.equal(*(sim.data.qpos[:] for sim in sims))
 
 
 def test_a_reset_puts_its_environments_where_they_began_and_no_others():
@@ -113,14 +109,10 @@ def test_a_reset_puts_its_environments_where_they_began_and_no_others():
         assert torch.equal(now[[0, 2]], before[name][[0, 2]]), name
 
 
-def make(engine: str) -> ManagerBasedRlEnv:
-    cfg = load_env_cfg(FLAT)
-    cfg.scene.num_envs, cfg.seed = NUM_ENVS, 3
+def stand_on_flat_ground(cfg: ManagerBasedRlEnvCfg) -> None:
     cfg.terminations, cfg.curriculum = {}, {}
     cfg.observations["actor"].enable_corruption = False
     del cfg.events["push_robot"]
-    with use_engine(engine, "cpu"):
-        return ManagerBasedRlEnv(cfg, "cpu")
 
 
 def test_the_stock_go1_walks_alike_on_both_engines():
@@ -130,18 +122,13 @@ def test_the_stock_go1_walks_alike_on_both_engines():
     that stop at the same tolerance but not at the same iterate. The robots stand and sway, so
     5 mm and 0.03 rad bound the difference; contact forces agree on the robot's weight.
     """
-    envs = [make(engine) for engine in ("warp", "native")]
-    start = None
+    envs = make_both(FLAT, stand_on_flat_ground)
+    for part, names in (("data", ("qpos", "qvel")), ("model", ("geom_friction", "body_ipos"))):
+        for name in names:
+            warp, native = (getattr(getattr(env.sim, part), name) for env in envs)
+            native[:] = warp[:]
     for env in envs:
-        env.reset(seed=3)
-        state = {n: getattr(env.sim.data, n)[:].clone() for n in ("qpos", "qvel")}
-        start = start or state
-        for name, value in start.items():
-            getattr(env.sim.data, name)[:] = value
         env.sim.forward()
-    for name in ("geom_friction", "body_ipos"):
-        warp, native = (getattr(env.sim.model, name) for env in envs)
-        native[:] = warp[:]
     actions = torch.Generator().manual_seed(0)
     for _ in range(50):
         action = 0.1 * torch.randn(NUM_ENVS, 12, generator=actions)
@@ -154,8 +141,8 @@ def test_the_stock_go1_walks_alike_on_both_engines():
     weight = envs[0].sim.mj_model.body_mass.sum() * 9.81
     for value in force:
         assert (value - weight).abs().max() < 0.35 * weight
-    found = [env.scene["feet_ground_contact"].data.found > 0 for env in envs]
-    assert (found[0] == found[1]).float().mean() > 0.7
+    warp, native = (env.scene["feet_ground_contact"].data.found > 0 for env in envs)
+    assert (warp == native).float().mean() > 0.7
 
 
 def test_unknown_or_impossible_engine_is_refused():
@@ -174,21 +161,20 @@ FRAMES = """<body name="moved" pos="0 0 1"><freejoint/>
 </body>"""
 
 
-@pytest.mark.parametrize("randomised", [set(), {"body_ipos"}, {"geom_quat"}, {"geom_pos"}])
-def test_frames_that_randomisation_parts_are_computed(randomised):
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("", 0), ("body_ipos", (0, 0.3, 0)), ("geom_quat", (0.6, 0, 0.8, 0)), ("geom_pos", (0, 0, 1))],
+)
+def test_frames_that_randomisation_parts_are_computed(field, value):
     """A compiled model with fields written afterwards moves as one compiled with them."""
     model = scene(FRAMES)
     compiled = model.geom_sameframe.copy()
     assert np.count_nonzero(compiled) >= 2
-    engine.forget_coinciding_frames(model, randomised)
-    if not randomised:
+    engine.forget_coinciding_frames(model, {field})
+    if field:
+        getattr(model, field)[:] = value
+    else:
         assert (model.geom_sameframe == compiled).all()
-    if "body_ipos" in randomised:
-        model.body_ipos[1] = 0.0, 0.3, 0.0
-    if "geom_quat" in randomised:
-        model.geom_quat[:] = 0.6, 0.0, 0.8, 0.0
-    if "geom_pos" in randomised:
-        model.geom_pos[:] = 0.0, 0.0, 0.4
     data = mujoco.MjData(model)
     data.qpos[3:7] = 0.5, 0.5, -0.5, 0.5
     mujoco.mj_kinematics(model, data)
