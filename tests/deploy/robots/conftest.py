@@ -16,14 +16,14 @@ from .peer import KINDS, Peer, Wire, make_peer
 
 def pytest_generate_tests(metafunc):
     """A test of a robot runs with each kind; one in a kind's folder with that alone."""
-    if "kind" in metafunc.fixturenames:
+    if "robot_kind" in metafunc.fixturenames:
         folder = metafunc.definition.path.parent.name
-        metafunc.parametrize("kind", [folder] if folder in KINDS else list(KINDS))
+        metafunc.parametrize("robot_kind", [folder] if folder in KINDS else list(KINDS))
 
 
 @pytest.fixture
-def peer(kind) -> Iterator[Peer]:
-    with make_peer(kind) as peer:
+def peer(robot_kind) -> Iterator[Peer]:
+    with make_peer(robot_kind) as peer:
         yield peer
 
 
@@ -55,6 +55,6 @@ def go2_bundle(tmp_path, models) -> Path:
 
 
 @pytest.fixture
-def kinds_bundle(kind, bundle_path, go2_bundle) -> Path:
+def kinds_bundle(robot_kind, bundle_path, go2_bundle) -> Path:
     """Untrained networks for the robot."""
-    return {"go1": bundle_path, "go2": go2_bundle}[kind]
+    return {"go1": bundle_path, "go2": go2_bundle}[robot_kind]
