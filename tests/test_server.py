@@ -87,16 +87,12 @@ def test_a_folder_is_served_without_links_lists_and_what_is_outside(folder, page
         assert b"secret" not in content
 
 
-def test_a_folder_is_served_on_loopback_alone(folder):
+def test_a_folder_is_served_on_loopback_alone_and_a_visitor_may_leave_early(folder, capfd):
+    (folder / "large").write_bytes(bytes(50_000_000))
     with serve_folder(folder, 0) as server:
         assert server.server_address[0] == LOOPBACK
         with pytest.raises(RenetError, match="cannot serve on port"):
             serve_folder(folder, server.server_port)
-
-
-def test_a_visitor_who_leaves_early_is_no_error(folder, capfd):
-    (folder / "large").write_bytes(bytes(50_000_000))
-    with serve_folder(folder, 0) as server:
         server.daemon_threads = False  # The end waits for them.
         with socket.create_connection(server.server_address[:2]) as visitor:
             visitor.sendall(b"GET /large HTTP/1.0\r\nHost: localhost\r\n\r\n")

@@ -28,7 +28,7 @@ class Waits(TorchDispatchMode):
         always = ("_local_scalar_dense", "nonzero", "masked_select", "equal")
         if by_mask or of_list or name in always:
             calls = [frame.filename for frame in traceback.extract_stack()]
-            own = [file for file in calls if "/mjlab/" in file or "/renet/" in file]
+            files = [file for file in calls if "/mjlab/" in file or "/renet/" in file]
             self.waits.append(name)
-            self.files.append(Path(own[-1]).name if own and "/renet/" in own[-1] else "mjlab")
+            self.files.append(Path(files[-1]).name if files and "/renet/" in files[-1] else "mjlab")
         return func(*args, **(kwargs or {}))

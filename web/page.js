@@ -244,6 +244,4 @@ function fillSelect(select, choices, onChange) {
   select.addEventListener("change", () => onChange(select.value));
 }
 
-function press(button, down) {
-  button.setAttribute("aria-pressed", String(down));
-}
+const press = (button, down) => button.setAttribute("aria-pressed", String(down));

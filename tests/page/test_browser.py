@@ -100,9 +100,9 @@ def test_a_link_tells_a_story_from_fault_to_outcome(visit, address: str):
     )
     sentence = story.page.text_content("#verdict")
     outcomes = story.page.locator(".outcome").all_text_contents()
-    told = sentence.split(". ")
-    assert [words.split(" ")[0] for words in told] == ["Camera", "Renet"]
-    for robot, words, outcome in zip(robots, told, outcomes, strict=True):
+    parts = sentence.split(". ")
+    assert [words.split(" ")[0] for words in parts] == ["Camera", "Renet"]
+    for robot, words, outcome in zip(robots, parts, outcomes, strict=True):
         assert ("fell" in words) == robot["fell"] == outcome.startswith("Fell after")
         assert robot["fell"] or robot["up"] > 0.5
         assert "from memory" not in words, "the bundle that ships has none"

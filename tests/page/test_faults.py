@@ -64,7 +64,7 @@ def catalogue(name: str, level: float, seed: int, given: list[dict[str, Any]]) -
 
 @pytest.fixture(scope="module")
 def delivered(node_page: Path, tmp_path_factory) -> dict[str, Any]:
-    """Of each fault and severity [streams, frames, numbers], by the page."""
+    """The page's summaries of each fault and severity, [streams, frames, numbers]."""
     path = tmp_path_factory.mktemp("faults") / "input.json"
     listed = [{k: np.ravel(v).tolist() for k, v in f.items()} for f in frames()]
     streams = {name: 1 if name in CERTAIN else STREAMS for name in OFFERED}

@@ -182,11 +182,7 @@ export class Controller {
   }
 }
 
-function clamp(value, low, high) {
-  return Math.min(Math.max(value, low), high);
-}
+const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
 /** An angle between -pi and pi, rad. */
-function wrap(angle) {
-  return angle - 2 * Math.PI * Math.round(angle / (2 * Math.PI));
-}
+const wrap = (angle) => angle - 2 * Math.PI * Math.round(angle / (2 * Math.PI));

@@ -25,7 +25,7 @@ export class Policy {
    * @param {object} sessions ONNX Runtime sessions `actor`, `estimator` and `vision`.
    */
   constructor(manifest, contract, sessions) {
-    const [rows, columns] = contract.depthShape;
+    const { rows, columns } = contract.camera;
     this.manifest = manifest;
     this.sessions = sessions;
     this.stepsPerTick = contract.stepsPerTick;

@@ -100,6 +100,4 @@ function pixelRays({ width, height, fx, fy, cx, cy }) {
   });
 }
 
-function dot(a, b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];

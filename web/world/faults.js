@@ -110,9 +110,7 @@ export const FAULTS = {
   unplugged: Unplugged,
 };
 
-function mix(a, b, share) {
-  return a * (1 - share) + b * share;
-}
+const mix = (a, b, share) => a * (1 - share) + b * share;
 
 /** As numpy.quantile: linear between the two nearest ranks. */
 function quantile(values, share) {

@@ -7,37 +7,17 @@ from renet.faults.base import Fault
 FAULTS: dict[str, type[Fault]] = {
     fault.name: fault
     for fault in (
-        image.Gaussian,
-        image.SaltAndPepper,
-        image.Blackout,
-        image.Saturated,
-        timing.Frozen,
-        timing.Dropped,
-        timing.Latency,
-        image.Occlusion,
-        image.Blobs,
-        image.Grass,
-        image.Glare,
-        image.GlareFilled,
-        image.NearField,
-        physical.Glass,
-        physical.Foam,
-        image.MotionBlur,
-        physical.MountKnocked,
-        image.WrongScale,
+        image.Gaussian, image.SaltAndPepper, image.Blackout, image.Saturated,
+        timing.Frozen, timing.Dropped, timing.Latency,
+        image.Occlusion, image.Blobs, image.Grass,
+        image.Glare, image.GlareFilled, image.NearField,
+        physical.Glass, physical.Foam, image.MotionBlur, physical.MountKnocked, image.WrongScale,
         timing.Unplugged,
-        stereo.EdgeShadow,
-        stereo.DisparitySteps,
-        stereo.Textureless,
-        vegetation.TallGrass,
-        combined.GlareDropped,
-        combined.BlobsLatency,
-        combined.ShadowSteps,
-        combined.IntermittentBlackout,
-        combined.IntermittentFrozen,
-        combined.IntermittentGlare,
+        stereo.EdgeShadow, stereo.DisparitySteps, stereo.Textureless, vegetation.TallGrass,
+        combined.GlareDropped, combined.BlobsLatency, combined.ShadowSteps,
+        combined.IntermittentBlackout, combined.IntermittentFrozen, combined.IntermittentGlare,
     )
-}
+}  # fmt: skip
 
 
 def fault_class(name: str) -> type[Fault]:

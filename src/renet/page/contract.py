@@ -63,13 +63,11 @@ def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
 
     Infinite durations are null.
     """
-    rows, columns = interface.DEPTH_SHAPE
     return {
         "renet": __version__,
         "controlDt": interface.CONTROL_DT,
         "physicsDt": interface.PHYSICS_DT,
         "stepsPerTick": interface.STEPS_PER_TICK,
-        "depthShape": (rows, columns),
         "latent": interface.LATENT,
         "proprioception": [asdict(term) for term in interface.PROPRIOCEPTION],
         "heightMap": {"x": HEIGHT_MAP_X, "y": HEIGHT_MAP_Y, "baseHeight": MAP_HEIGHT},
@@ -79,8 +77,8 @@ def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
         "camera": {
             "relativeStd": RELATIVE_STD,
             "seenGroups": SEEN_GROUPS.tolist(),
-            "rows": rows,
-            "columns": columns,
+            "rows": interface.DEPTH_SHAPE[0],
+            "columns": interface.DEPTH_SHAPE[1],
             "range": interface.DEPTH_RANGE,
             "tickDt": interface.TICK_DT,
         },

@@ -84,21 +84,15 @@ def test_a_flat_height_field_has_no_empty_triangles():
     assert len(triangles) == 2 * 4 + 10  # The surface, and a box without its top.
 
 
-def test_a_plane_goes_on_beyond_its_drawn_size():
-    far = torch.tensor([[50.0, -80.0]])
-    height = Rasterizer(scene('<geom type="plane" size="1 1 1" pos="0 0 .1"/>'))
-    torch.testing.assert_close(height.height(far), torch.tensor([0.1]), atol=1e-4, rtol=0)
-
-
-def test_rays_see_only_what_is_fixed_and_collides():
+def test_rays_see_only_what_is_fixed_and_collides_and_planes_beyond_their_drawn_size():
     model = scene(
-        '<geom type="box" size="1 1 .1"/>'
+        '<geom type="plane" size="1 1 1" pos="0 0 .1"/>'
         '<geom type="box" size="1 1 2" contype="0" conaffinity="0"/>'
         '<body mocap="true"><geom type="box" size="1 1 3"/></body>'
         '<body><freejoint/><geom type="box" size="1 1 4"/></body>'
     )
-    height = Rasterizer(model).height(torch.zeros(1, 2))
-    torch.testing.assert_close(height, torch.tensor([0.1]))
+    heights = Rasterizer(model).height(torch.tensor([[0.0, 0.0], [50.0, -80.0]]))
+    torch.testing.assert_close(heights, torch.full((2,), 0.1), atol=1e-4, rtol=0)
 
 
 @pytest.mark.gpu

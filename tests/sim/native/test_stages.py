@@ -72,35 +72,24 @@ def test_steps_are_mujocos_own(order, integrator, monkeypatch):
     assert data.sensordata[-4] > 0.0  # The foot touches something.
     poses = ("xpos", "xquat", "cvel", "geom_xpos", "site_xpos")
     for name in ("time", "qpos", "qvel", "qacc", "qfrc_constraint", "sensordata", *poses):
-        mine, own = getattr(simulation.data, name)[:].numpy(), getattr(data, name)
-        np.testing.assert_array_equal(mine, np.float32(np.stack([own] * NUM_ENVS)), err_msg=name)
+        expected = np.float32(np.stack([getattr(data, name)] * NUM_ENVS))
+        values = getattr(simulation.data, name)[:].numpy()
+        np.testing.assert_array_equal(values, expected, err_msg=name)
 
 
-ENERGY, SUM, RAY = "<e_potential/>", '<subtreecom body="world"/>', '<rangefinder site="imu"/>'
+WHOLE_WORLD = ("<e_potential/>", '<subtreecom body="world"/>', '<rangefinder site="imu"/>')
 
 
-@pytest.mark.parametrize(
-    ("sensors", "trimmed"),
-    [(SENSORS, True), (SENSORS + SUM, False), (SENSORS + ENERGY, False), (SENSORS + RAY, False)],
-)
-def test_what_looks_at_the_whole_world_is_shown_all_of_it(sensors, trimmed):
-    model = robots(WALKER, TILES, sensors=sensors)
-    assert moving_part(model) == ((4, 4) if trimmed else (model.nbody, model.ngeom))
-
-
-@pytest.mark.parametrize("feature", ["RK4", "energy"])
-def test_rare_features_are_left_to_mujocos_step(feature):
-    model = robots(WALKER, TILES)
-    if feature == "RK4":
-        model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    else:
-        model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
-    assert moving_part(model) == (model.nbody, model.ngeom)
-
-
-def test_bodies_moved_by_hand_are_among_what_moves():
-    model = robots(WALKER, TILES, '<body mocap="true"><geom size=".1"/></body>')
-    assert moving_part(model)[0] == model.nbody
+def test_what_looks_at_the_whole_world_is_shown_all_of_it_as_rare_features_are():
+    assert moving_part(robots(WALKER, TILES)) == (4, 4)
+    by_hand = robots(WALKER, TILES, '<body mocap="true"><geom size=".1"/></body>')
+    assert moving_part(by_hand)[0] == by_hand.nbody
+    rare = [robots(WALKER, TILES, sensors=SENSORS + sensor) for sensor in WHOLE_WORLD]
+    rare += [robots(WALKER, TILES), robots(WALKER, TILES)]
+    rare[-2].opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    rare[-1].opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    for model in rare:
+        assert moving_part(model) == (model.nbody, model.ngeom)
 
 
 @pytest.mark.parametrize(

@@ -22,10 +22,9 @@ SENSED = ("sensordata", "actuator_length", "actuator_velocity", "actuator_force"
 FORCES = ("qfrc_actuator", "qfrc_bias", "qfrc_passive", "qfrc_constraint", "qfrc_smooth", "energy")
 PER_BODY = ("xpos", "xquat", "xmat", "xipos", "ximat", "subtree_com", "cvel", "subtree_linvel")
 PER_BODY += ("subtree_angmom", "cacc", "cfrc_int", "cfrc_ext")
-PER_GEOM = ("geom_xpos", "geom_xmat")
-PER_SITE = ("site_xpos", "site_xmat")
-PER_JOINT = ("xanchor", "xaxis")
-PER_CAMERA = ("cam_xpos", "cam_xmat")
+ON_BODIES = {kind: (f"{kind}_xpos", f"{kind}_xmat") for kind in ("geom", "site", "cam")}
+ON_BODIES["jnt"] = ("xanchor", "xaxis")
+"""Fields with a row for each geom, site, camera or joint."""
 
 VIEWER_FIELDS = ("geom_rgba", "light_", "mat_")
 """Prefixes of model fields that only viewers read, in Warp's memory."""
@@ -94,25 +93,17 @@ def store_data(
     """Copies of results out of an MjData, without the rows of static bodies."""
     moving = moving_bodies(mj_model)
     copies = whole_data(wp_data, mj_data, num_envs, (*INTEGRATED, *SENSED, *FORCES))
-    for names, owner in (
-        (PER_BODY, np.arange(mj_model.nbody)),
-        (PER_GEOM, mj_model.geom_bodyid),
-        (PER_SITE, mj_model.site_bodyid),
-        (PER_JOINT, mj_model.jnt_bodyid),
-        (PER_CAMERA, mj_model.cam_bodyid),
-    ):
-        for start, stop in _runs(moving[owner]):
+    owners = {names: getattr(mj_model, f"{kind}_bodyid") for kind, names in ON_BODIES.items()}
+    for names, owner in {PER_BODY: np.arange(mj_model.nbody), **owners}.items():
+        for rows in _runs(moving[owner]):
             copies += [
-                FieldCopy(
-                    getattr(wp_data, name).numpy()[:, start:stop],
-                    getattr(mj_data, name)[start:stop],
-                )
+                FieldCopy(getattr(wp_data, name).numpy()[:, rows], getattr(mj_data, name)[rows])
                 for name in names
             ]
     return copies
 
 
-def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Half-open ranges of consecutive true entries of a mask."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(int), [0]))))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+def _runs(mask: np.ndarray) -> list[slice]:
+    """Slices of consecutive true entries of a mask."""
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    return [slice(*edge) for edge in edges.reshape(-1, 2).tolist()]

@@ -7,7 +7,7 @@ back. Poses of static geoms and sums over the whole world are not copied.
 
 MuJoCo's step ends with poses and velocities of the state before it. A control step (`step_n`) also
 computes those of the state after it, and `forward_written` all that follows from the state of the
-few environments that were written to since.
+few environments that were written to since. `stages.check_mujoco` refuses unknown versions.
 """
 
 from __future__ import annotations
