@@ -7,7 +7,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
-WALKS = PAGE.split("\n## ")[1:]
+WALKS = [section for section in PAGE.split("\n## ")[1:] if "\n1. " in section]
 
 
 @pytest.mark.parametrize("walk", WALKS, ids=lambda walk: walk.splitlines()[0])
