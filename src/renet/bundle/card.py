@@ -18,45 +18,7 @@ from renet.files import read_object, write_atomically
 
 MAX_SUMMARY = 64_000_000
 """Bytes."""
-CARD = """\
----
-license: {license}
-library_name: renet
-pipeline_tag: robotics
-tags: [robotics, quadruped, locomotion, depth-camera, onnx, mujoco]
-model-index:
-- name: {index_name}
-  results: {index_results}
----
-
-# {title}
-
-A locomotion policy for the {robot} ({joints} joints) with a depth camera of {camera.height} ×
-{camera.width} pixels, {camera.range:g} m range, {camera.rate_hz:g} Hz. It has two estimators of the
-robot's state, one with and one without the camera. A selector decides at {selector.rate_hz:g} Hz
-which of them the actor follows. Three ONNX models; NumPy and ONNX Runtime run them.
-
-## Results
-
-{results}
-
-## Limits and how the results were made
-
-{remarks}
-
-## Provenance
-
-{provenance}
-
-## How to run it
-
-With renet installed and these files in `FOLDER`:
-
-```bash
-renet bundle inspect FOLDER
-renet deploy FOLDER --robot mujoco
-```
-"""
+NOTHING = "No study's results were given, so nothing is claimed here."
 
 
 @dataclass(frozen=True)
@@ -96,36 +58,63 @@ def card(bundle: Bundle, summaries: Sequence[dict[str, Any]], license: str) -> s
         license: the Hub's identifier.
     """
     manifest, name = bundle.manifest, bundle.path.resolve().name
+    robot, camera, selector = manifest.robot, manifest.camera, manifest.selector
     results = [_result(summary) for summary in summaries]
     rows = [(r["dataset"]["type"], m["name"], m["value"]) for r in results for m in r["metrics"]]
     remarks = ["It was measured in simulation; these files hold no result of a real robot."]
-    if not manifest.selector.healthy_hours:
+    if not selector.healthy_hours:
         remarks.append("The selector's thresholds were never calibrated on healthy runs.")
     for summary in summaries:
         remarks += [escape(f"{summary['study']}: {remark}") for remark in _remarks(summary)]
+    bullets = "\n".join(f"- {remark}" for remark in remarks)
     origin = {
         "bundle": bundle.sha256,
-        **asdict(manifest.provenance),
-        "threshold beta": manifest.selector.beta,
-        "calibration": manifest.selector.calibration or "none",
-        "healthy robot hours of the calibration": manifest.selector.healthy_hours,
+        **{k: v for k, v in asdict(manifest.provenance).items() if v != ""},
+        "threshold beta": selector.beta,
+        "calibration": selector.calibration or "none",
+        "healthy robot hours of the calibration": selector.healthy_hours,
         **{f"SHA-256 of {file}": digest for file, digest in manifest.sha256.items()},
-    }
-    return CARD.format(
-        license=license,
-        index_name=_yaml(name),
-        index_results=_yaml(results),
-        title=escape(name),
-        robot=escape(manifest.robot.name),
-        joints=len(manifest.robot.joints),
-        camera=manifest.camera,
-        selector=manifest.selector,
-        results=_table(("study", "measured", ""), rows)
-        if rows
-        else "No study's results were given, so nothing is claimed here.",
-        remarks="\n".join(f"- {remark}" for remark in remarks),
-        provenance=_table(("", ""), ((k, v) for k, v in origin.items() if v != "")),
-    )
+    }.items()
+    return f"""\
+---
+license: {license}
+library_name: renet
+pipeline_tag: robotics
+tags: [robotics, quadruped, locomotion, depth-camera, onnx, mujoco]
+model-index:
+- name: {_yaml(name)}
+  results: {_yaml(results)}
+---
+
+# {escape(name)}
+
+A locomotion policy for the {escape(robot.name)} ({len(robot.joints)} joints) with a depth camera of
+{camera.height} × {camera.width} pixels, {camera.range:g} m range, {camera.rate_hz:g} Hz. It has two
+estimators of the robot's state, one with and one without the camera. A selector decides at
+{selector.rate_hz:g} Hz which of them the actor follows. Three ONNX models; NumPy and ONNX Runtime
+run them.
+
+## Results
+
+{_table(("study", "measured", ""), rows) if rows else NOTHING}
+
+## Limits and how the results were made
+
+{bullets}
+
+## Provenance
+
+{_table(("", ""), origin)}
+
+## How to run it
+
+With renet installed and these files in `FOLDER`:
+
+```bash
+renet bundle inspect FOLDER
+renet deploy FOLDER --robot mujoco
+```
+"""
 
 
 def escape(value: Any) -> str:

@@ -10,19 +10,15 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-rs = pytest.importorskip(
-    "pyrealsense2",
-    reason="needs renet-locomotion[realsense] and libusb-1.0-0",
-    exc_type=ImportError,
-)
+from renet.deploy.cameras import realsense
+from renet.deploy.cameras.realsense import ClockOffset, RealSenseCamera
+from renet.errors import RenetError
+from renet.training.export import camera_spec
 
-from renet.deploy.cameras import realsense  # noqa: E402
-from renet.deploy.cameras.realsense import ClockOffset, RealSenseCamera  # noqa: E402
-from renet.errors import RenetError  # noqa: E402
-from renet.training.export import camera_spec  # noqa: E402
+from ..waiting import until
 
-from ..waiting import until  # noqa: E402
-
+NEEDS = "needs renet-locomotion[realsense] and libusb-1.0-0"
+rs = pytest.importorskip("pyrealsense2", reason=NEEDS, exc_type=ImportError)
 FOCAL = 446.8
 
 
@@ -88,6 +84,13 @@ def bus(monkeypatch) -> Bus:
     return bus
 
 
+@pytest.fixture
+def hasty(monkeypatch) -> None:
+    """Cameras look for a lost device at once."""
+    monkeypatch.setattr(realsense, "SILENCE", 0.02)
+    monkeypatch.setattr(realsense, "RETRY", 0.005)
+
+
 @contextmanager
 def streaming(device: Device | None = None, clock=time.monotonic, **options) -> Iterator:
     """A camera that was started; it is closed twice."""
@@ -114,8 +117,7 @@ def received(camera: RealSenseCamera, device: Device, millimetres: np.ndarray | 
 
 
 def test_metres_number_time_and_holes(camera, device):
-    picture = np.full((480, 848), 1000)
-    picture[:, :424] = 500
+    picture = np.where(np.arange(848) < 424, 500, np.full((480, 1), 1000))
     picture[200:260, 500:560] = 0
     frame = received(camera, device, picture)
     assert frame.image.shape == (48, 64)
@@ -165,12 +167,10 @@ def test_a_program_that_ends_without_closing_it_does_so(monkeypatch, device):
 
 def ages(delays, period=1 / 30, skew=0.0, start=1e4) -> np.ndarray:
     """Apparent ages of frames at their arrivals, that really are as old as `delays` [T] s."""
-    offset, found = ClockOffset(), []
-    for number, delay in enumerate(delays):
-        taken = start + number * period
-        stamp = (1.0 + skew) * number * period + 77.0
-        found.append(taken + delay - offset.time(stamp, taken + delay))
-    return np.array(found)
+    offset = ClockOffset()
+    taken = period * np.arange(len(delays))
+    stamps, arrivals = (1.0 + skew) * taken + 77.0, start + taken + delays
+    return arrivals - [offset.time(*pair) for pair in zip(stamps, arrivals, strict=True)]
 
 
 def test_a_delay_that_stays_is_never_forgotten():
@@ -200,9 +200,7 @@ def test_a_camera_s_clock_that_jumps_back_begins_anew(device):
         assert camera.problem == ""
 
 
-def test_a_lost_camera_is_looked_for_only_while_the_robot_is_braked(monkeypatch, bus):
-    monkeypatch.setattr(realsense, "SILENCE", 0.02)
-    monkeypatch.setattr(realsense, "RETRY", 0.005)
+def test_a_lost_camera_is_looked_for_only_while_the_robot_is_braked(hasty, bus):
     bus.plugged = [Device()]
     with streaming() as camera:
         camera.busy, bus.plugged = True, []
@@ -213,9 +211,7 @@ def test_a_lost_camera_is_looked_for_only_while_the_robot_is_braked(monkeypatch,
         until(lambda: "none is connected" in camera.problem)
 
 
-def test_fifty_replugs_each_with_a_new_device_clock_and_count(monkeypatch, bus):
-    monkeypatch.setattr(realsense, "SILENCE", 0.02)
-    monkeypatch.setattr(realsense, "RETRY", 0.005)
+def test_fifty_replugs_each_with_a_new_device_clock_and_count(hasty, bus):
     bus.plugged, last = [Device()], -np.inf
     with streaming() as camera:
         for round in range(50):

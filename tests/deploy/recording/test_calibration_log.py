@@ -24,7 +24,7 @@ from renet.selector import MONITORS
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory) -> Path:
     """A copy of the shipped bundle."""
-    return Path(shutil.copytree(pretrained(DEFAULT), tmp_path_factory.mktemp("own") / "bundle"))
+    return Path(shutil.copytree(pretrained(DEFAULT), tmp_path_factory.mktemp("copy") / "bundle"))
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +50,8 @@ def test_scores_are_the_models_own_of_the_logged_images(log, flight, bundle):
     pairs = np.stack([(flight.images[b], flight.images[a]) for a, b in pairwise(rows)])
     vision = Bundle.load(bundle).sessions["vision"]
     (expected,) = vision.run(["anomaly_score"], {"depth": pairs.astype(np.float32)})
-    found = scores["reconstruction"][0]
-    assert np.isclose(found[:, None], expected.reshape(1, -1), rtol=1e-4).any(axis=0).all()
+    measured = scores["reconstruction"][0][:, None]
+    assert np.isclose(measured, expected.reshape(1, -1), rtol=1e-4).any(axis=0).all()
     blank = -np.std([flight.images[row].astype(np.float32) for row in rows], axis=(1, 2))
     assert np.isclose(scores["uniformity"][0][:, None], blank, rtol=1e-4).any(axis=0).all()
     assert set(scores["duplicate"][0]) == {1.0}

@@ -43,8 +43,7 @@ def test_a_command_within_the_envelope_passes_and_a_joint_too_fast_is_only_brake
     target = fakes.STANDING + 0.1
     for state in (None, fakes.state(), fakes.state(joint_velocity=np.full(12, 1.0))):
         command = envelope.clamp(JointCommand(target, *gains), state)
-        for asked, sent in zip((target, *gains), vars(command).values(), strict=True):
-            np.testing.assert_array_equal(asked, sent)
+        np.testing.assert_array_equal((target, *gains), [*vars(command).values()])
     fast = np.where(np.arange(12) < 6, 31.0, 0.0)
     for sign, driven in ((1.0, True), (-1.0, False)):
         ahead = fakes.STANDING + 3.0 * np.sign(fast)

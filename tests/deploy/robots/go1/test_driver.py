@@ -165,9 +165,8 @@ def test_what_the_system_refuses_the_sender_is_printed_once(dry_run, monkeypatch
     (tmp_path / "sitecustomize.py").write_text(REFUSING)  # Every Python process reads it.
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     deploy(dry_run(seconds=0.5))
-    told = re.findall(r".*to the process that talks to the Go1", capsys.readouterr().out)
-    assert len(told) == 1
-    assert told[0].startswith("the system refused real-time priority (Operation not permitted)")
+    (line,) = re.findall(r".*to the process that talks to the Go1", capsys.readouterr().out)
+    assert line.startswith("the system refused real-time priority (Operation not permitted)")
 
 
 def test_a_name_of_the_robot_is_its_address():

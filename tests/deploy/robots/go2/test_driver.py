@@ -138,7 +138,7 @@ def test_a_simulated_robot_in_a_process_of_its_own_is_found_and_released():
     assert robot.read().battery == pytest.approx(0.81)
     robot.close()
     run.send_signal(2)
-    told = run.communicate(timeout=30)[0]
+    output = run.communicate(timeout=30)[0]
     assert run.returncode == 0
-    assert "a Go2 lies on 'flat', interface lo" in told
-    assert "with a wrong CRC 0, refused in one of its own modes 0" in told
+    assert "a Go2 lies on 'flat', interface lo" in output
+    assert "with a wrong CRC 0, refused in one of its own modes 0" in output

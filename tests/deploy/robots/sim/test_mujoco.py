@@ -53,27 +53,23 @@ def test_the_shipped_model_is_the_one_that_was_trained(robot):
     env = make_env(flat_env_cfg(play=True, robot=robot), 1, engine="native")
     theirs = env.sim.mj_model
     env.close()
-    for name in JOINTS:
-        a, b = ours.joint(name), theirs.joint(f"robot/{name}")
-        np.testing.assert_allclose(a.range, b.range)
-        np.testing.assert_allclose(a.pos, b.pos)
-        np.testing.assert_allclose(a.axis, b.axis)
-        for field in ("dof_armature", "dof_damping", "dof_frictionloss"):
-            mine, his = getattr(ours, field), getattr(theirs, field)
-            np.testing.assert_allclose(mine[a.dofadr], his[b.dofadr], rtol=1e-5)
-        a, b = ours.actuator(name), theirs.actuator(f"robot/{name}")
-        for field in ("gainprm", "biasprm", "forcerange", "forcelimited"):
-            np.testing.assert_allclose(getattr(a, field), getattr(b, field))
-    for body in range(1, ours.nbody):
-        a, b = ours.body(body), theirs.body(f"robot/{ours.body(body).name}")
-        for field in ("mass", "inertia", "ipos", "iquat", "pos", "quat"):
-            if (field, a.name) != ("pos", "trunk"):
-                np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=1e-5)
-    shape = ("type", "size", "pos", "quat", "friction", "condim", "priority", "conaffinity")
-    for geom in range(ours.ngeom):
-        a, b = ours.geom(geom), theirs.geom(f"robot/{ours.geom(geom).name}")
-        for field in shape:
-            np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=1e-5)
+
+    def assert_same(part: str, names: list[str], fields: str, **tolerances: float) -> None:
+        for name in names:
+            a, b = getattr(ours, part)(name), getattr(theirs, part)(f"robot/{name}")
+            for field in fields.split():
+                if (name, field) != ("trunk", "pos"):  # Where it starts.
+                    values = getattr(a, field), getattr(b, field)
+                    np.testing.assert_allclose(*values, **tolerances)
+
+    bodies = [ours.body(body).name for body in range(1, ours.nbody)]
+    geoms = [ours.geom(geom).name for geom in range(ours.ngeom)]
+    dynamics = "armature damping frictionloss"
+    assert_same("joint", JOINTS, f"range pos axis {dynamics}", rtol=1e-5)
+    assert_same("actuator", JOINTS, "gainprm biasprm forcerange forcelimited")
+    assert_same("body", bodies, "mass inertia ipos iquat pos quat", atol=1e-5)
+    shape = "type size pos quat friction condim priority conaffinity"
+    assert_same("geom", geoms, shape, atol=1e-5)
     for option in ("timestep", "integrator", "cone", "iterations", "ls_iterations", "impratio"):
         assert getattr(ours.opt, option) == getattr(theirs.opt, option)
 
@@ -97,9 +93,9 @@ def test_same_start_same_actions_same_steps_as_the_training_environment(env):
 
 
 SEEN = ViewPerturbation.none(1)
-FOAM = ViewPerturbation(np.array([0.1]), np.zeros((1, 3)), np.zeros(1))
-KNOCKED = ViewPerturbation(np.zeros(1), np.array([[0.1, 0.2, -0.15]]), np.zeros(1))
-GLASS = ViewPerturbation(np.zeros(1), np.zeros((1, 3)), np.array([1.0]))
+FOAM = replace(SEEN, lift=np.array([0.1]))
+KNOCKED = replace(SEEN, turn=np.array([[0.1, 0.2, -0.15]]))
+GLASS = replace(SEEN, glass=np.array([1.0]))
 
 
 @pytest.mark.parametrize(
@@ -125,9 +121,8 @@ def test_the_camera_sees_what_the_training_camera_sees(kind, view):
     assert (view is SEEN) == np.array_equal(true, mine)
     np.testing.assert_array_equal(robot.model.geom_group, groups)
     wrong = ray_perturbation(view, robot.model, np.zeros((1, 2)))
-    body = robot.data.body("trunk")
-    base = torch.tensor(body.xmat.reshape(3, 3), dtype=torch.float32)
-    eye = torch.tensor(body.xpos, dtype=torch.float32) + base @ torch.tensor(CAMERA.position)
+    base = torch.tensor(robot.base_rotation).float()
+    eye = torch.tensor(robot.base_position).float() + base @ torch.tensor(CAMERA.position)
     mount = mount_rotation(torch.tensor([CAMERA.pitch]), torch.zeros(1))[0]
     unseen = frozenset()
     if wrong is not None:

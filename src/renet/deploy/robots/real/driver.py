@@ -89,7 +89,7 @@ class RealRobot:
     def read(self) -> RobotState | None:
         """Newest reading, without waiting; None before the first."""
         reading = self._reading()
-        if not reading["known"]:
+        if not reading["valid"]:
             return None
         values: dict[str, Any] = {name: reading[name] for name in VALUES}
         return RobotState(**values)

@@ -14,7 +14,7 @@ COMMAND = np.dtype(
 )
 READING = np.dtype(
     [
-        ("known", "?"),
+        ("valid", "?"),
         ("time", "f8"),
         *((name, "f8", size) for name, size in VECTORS.items()),
         ("temperature", "f8"),

@@ -72,7 +72,7 @@ def _reading(link: Link | None, problem: str, refused: str) -> np.ndarray:
     """What the controller is told."""
     reading = np.zeros((), READING)
     if link is not None and link.state is not None:
-        reading["known"] = True
+        reading["valid"] = True
         for name in VALUES:
             reading[name] = getattr(link.state, name)
     reading["problem"], reading["refused"] = problem.encode(), refused.encode()
