@@ -49,7 +49,14 @@ for name in sys.argv[1:]:
 
 
 def test_every_command_has_help_that_imports_neither_torch_nor_mjlab():
-    subprocess.run([sys.executable, "-c", HELP, *cli.COMMANDS], check=True)
+    commands = [*cli.COMMANDS, "train Renet-Go1-Parkour --num-envs 8"]
+    subprocess.run([sys.executable, "-c", HELP, *commands], check=True)
+
+
+def test_help_of_a_task_says_who_lists_its_settings(capsys):
+    _, out, _ = run(capsys, "train", "Renet-Go1-Parkour", "--help")
+    assert "--time-budget" in out
+    assert "`train TASK --help` lists" in " ".join(out.replace("│", " ").split())
 
 
 def test_a_bar_keeps_share_and_time_left_at_80_columns(capsys, monkeypatch):

@@ -42,14 +42,14 @@ class Command:
     resume: str = ""
     """What an interruption leaves, and how to go on."""
     options: str = ""
-    """MODULE:CONFIG that `--help` alone shows, where the target's module loads PyTorch."""
+    """MODULE:CONFIG that `--help` shows, where the target's module loads PyTorch."""
 
     def load(self, arguments: list[str]) -> tuple[Callable[[Any], Any], Any, list[str]]:
         """The function, the dataclass that `--preset` asks for, and the other arguments."""
         module, config, function = self.target.split(":")
-        if self.options and arguments in (["-h"], ["--help"]):
+        if self.options and not {"-h", "--help"}.isdisjoint(arguments):
             module, config = self.options.split(":")
-            return print, getattr(importlib.import_module(module), config), arguments
+            return print, getattr(importlib.import_module(module), config), ["--help"]
         run = attrgetter(function)(importlib.import_module(module))
         if self.presets:
             parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)

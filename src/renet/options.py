@@ -14,8 +14,8 @@ TASK = "Renet-Go1-Parkour"
 class TrainOptions:
     """Train RENet.
 
-    `renet train TASK --help` also lists the options of a task, `--agent` and `--env`: those of
-    mjlab's `train`.
+    The settings of a task are options, too: `--agent.NAME` and `--env.NAME`, which mjlab's
+    `train TASK --help` lists. `renet recipe` prints them with their values.
     """
 
     task: tyro.conf.Positional[str]

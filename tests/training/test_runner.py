@@ -135,7 +135,7 @@ def test_impossible_settings_are_refused_before_anything_is_built(make, message)
 
 
 @pytest.mark.parametrize(
-    ("robots", "steps"), [(1, 6400), (64, 100), (250, 30), (256, 25), (4096, 25)]
+    ("robots", "steps"), [(1, 1000), (6, 1000), (64, 100), (250, 30), (256, 25), (4096, 25)]
 )
 def test_few_robots_take_more_steps_each_unless_told_otherwise(robots, steps):
     assert steps_per_env(None, 6_400, robots, 0) == steps

@@ -100,6 +100,22 @@ def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(
     assert 0.0 < given[0] < 59.9, "the time budget counts from the start"
 
 
+@pytest.mark.parametrize(
+    ("robots", "fixed", "line"),
+    [
+        (512, None, "25 control steps in an iteration, later 100"),
+        (512, 1000, "1,000 control steps in an iteration"),
+        (3, None, "1,000 control steps in an iteration, the most there are: take more robots"),
+        (50, None, "260 control steps in an iteration, later 1,000, the most there are: take more"),
+    ],
+)
+def test_what_iterations_are_is_said_and_that_those_of_few_robots_end_early(robots, fixed, line):
+    agent = replace(TrainCfg.from_task(TASK).agent, num_steps_per_env=fixed)
+    said = training.iterations(agent, robots, 0)
+    assert said.startswith(f"Each robot takes {line}")
+    assert ("the most" in said) == ("the most" in line)
+
+
 def whole(cfg) -> dict:
     """Both configurations, as JSON."""
     return {"env": described(cfg.env), "agent": described(cfg.agent)}

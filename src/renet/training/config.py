@@ -15,6 +15,8 @@ from renet.tasks.schedule import Schedule, value_at
 from renet.training.precision import Precision
 
 T = TypeVar("T")
+MOST_STEPS = 1000
+"""Control steps of each robot in an iteration, at most, unless their number is set: 20 s."""
 
 
 def _at_least_one(cfg: Any, *names: str) -> None:
@@ -151,7 +153,8 @@ class RenetRunnerCfg(RslRlBaseRunnerCfg):
     """Seed of everything random."""
     batch_size: Schedule = 102_400
     """Environment steps of all robots of a process in an iteration, at least: 25 control steps of
-    each, or as many more as fewer robots need (rounded up to a multiple of the 5 between ticks)."""
+    each, or as many more as fewer robots need (rounded up to a multiple of the 5 between ticks),
+    1,000 at most."""
     num_steps_per_env: int | None = None  # type: ignore[assignment]
     """Control steps per iteration in place of those that follow from `batch_size`; a multiple of
     the 5 steps between ticks."""
@@ -203,7 +206,7 @@ def steps_per_env(fixed: int | None, batch_size: Schedule, num_envs: int, steps:
     if fixed is not None:
         return fixed
     ticks = ceil(value_at(batch_size, steps) / num_envs / STEPS_PER_TICK)
-    return STEPS_PER_TICK * max(5, ticks)
+    return min(STEPS_PER_TICK * max(5, ticks), MOST_STEPS)
 
 
 def from_dict(cls: type[T], values: dict[str, Any]) -> T:

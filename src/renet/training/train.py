@@ -30,7 +30,7 @@ from renet.folders import lock
 from renet.options import TASK, RecipeCfg, TrainOptions
 from renet.tasks import RenetEnvCfg, env_cfg, make_env
 from renet.training import checkpoint as checkpoints
-from renet.training.config import RenetRunnerCfg, steps_per_env
+from renet.training.config import MOST_STEPS, RenetRunnerCfg, steps_per_env
 from renet.training.metrics import CONFIG, CURVES, write_run_report
 from renet.training.progress import Report
 from renet.training.provenance import described, differences, restored
@@ -154,9 +154,7 @@ def train(cfg: TrainCfg) -> Path | None:
                 console.print(line)
         if not rank and run:
             console.print(f"Training {cfg.task} with {env.num_envs} robots in {run}")
-            fixed, batch = agent.num_steps_per_env, agent.batch_size
-            steps = steps_per_env(fixed, batch, env.num_envs, built.alg.steps)
-            console.print(f"Each robot takes {steps:,} control steps in an iteration")
+            console.print(iterations(agent, env.num_envs, built.alg.steps))
             write_atomically(run / CONFIG, (json.dumps(settings, indent=1) + "\n").encode())
         runner = built
         report = Report(console, runner, agent.max_iterations)
@@ -172,6 +170,16 @@ def train(cfg: TrainCfg) -> Path | None:
             console.print(f"Stopped at {newest}: renet train {cfg.task} --resume {run} goes on")
             raise SystemExit(128 + received[0])
     return run
+
+
+def iterations(agent: RenetRunnerCfg, robots: int, steps: int) -> str:
+    """What iterations are in a run that has taken so many environment steps, in words."""
+    fixed, batch = agent.num_steps_per_env, agent.batch_size
+    now, later = (steps_per_env(fixed, batch, robots, at) for at in (steps, math.inf))
+    line = f"Each robot takes {now:,} control steps in an iteration"
+    line += f", later {later:,}" if later != now else ""
+    capped = fixed is None and later == MOST_STEPS
+    return f"{line}, the most there are: take more robots for larger batches" if capped else line
 
 
 def checkpoint_of(cfg: TrainCfg) -> tuple[Path | None, dict[str, Any]]:
