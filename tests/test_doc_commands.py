@@ -12,7 +12,7 @@ import pytest
 from renet import cli
 
 ROOT = Path(__file__).parents[1]
-METHOD = (ROOT / "docs" / "method.md").read_text()
+METHOD = "".join((ROOT / "docs" / f"{page}.md").read_text() for page in ("method", "choices"))
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"```(?:bash|console)\n(.*?)```", re.DOTALL)
 PROGRAM = re.compile(r"(nohup )?(renet|python \w+/\w+\.py) ")

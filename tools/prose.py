@@ -12,7 +12,7 @@ from pathlib import Path
 
 LONGEST_LINE, LONGEST_SENTENCE = 120, 30
 MOST_WORDS = {"README.md": 500, "benchmarks/NOTES.md": 3000}
-EXEMPT = {"CHANGELOG.md", "docs/method.md"}
+EXEMPT = {"CHANGELOG.md"}
 ENDS = r"\n\s*\n|\n(?=\s*(?:[-*#>|]|\d+\.)\s?)|\||[.!?](?=[\s*)]|$)"
 """What ends a sentence: a blank line, a list item, a heading, a cell, or a mark."""
 
