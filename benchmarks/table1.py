@@ -23,6 +23,7 @@ from scipy import stats
 from baselines import cheng, zhuang
 from baselines.distillation import STUDENT_TASK, DistillationCfg, Stage, StudentCfg
 from facts import errors_in_one_line
+from recipe_curves import level_curves
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance, plain, read_results, write_json
@@ -36,7 +37,6 @@ from renet.tasks.robot_cfg import ACTION_CLIP
 from renet.training import checkpoint as checkpoints
 from renet.training.config import from_dict, steps_per_env
 from renet.training.export import load_networks
-from renet.training.metrics import level_curves
 from renet.training.train import TrainCfg, train
 
 MEASURES = ("gap", "platform", "stairs", "collisions", "lin_vel_reward")

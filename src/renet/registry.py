@@ -1,7 +1,5 @@
 """Registers tasks with mjlab, which loads this module through the `mjlab.tasks` entry point."""
 
-from __future__ import annotations
-
 import torch
 from mjlab.tasks.registry import register_mjlab_task
 
@@ -39,12 +37,7 @@ def register_task(
     agent: RenetRunnerCfg,
     runner: type[RenetRunner] = RenetRunner,
 ) -> None:
-    """Register a task built like these.
-
-    Args:
-        task: its id. env: what is trained in. play: what is evaluated in.
-        agent: how it is trained. runner: that trains it.
-    """
+    """Register a task by its id: what is trained in, what is evaluated in, how, and by what."""
     env.scene.num_envs = ROBOTS
     agent.experiment_name = agent.task = task
     register_mjlab_task(task, env, play, agent, runner)

@@ -56,7 +56,7 @@ def test_pairs_that_do_not_count_are_as_if_absent():
     torch.manual_seed(0)
     him, latent, following = HybridInternalModel(), torch.randn(9, 64), torch.randn(9, 45)
     some = torch.tensor([1, 0, 1, 1, 0, 0, 1, 1, 0]).bool()
-    alone = him(latent[some], following[some])
+    alone = him(latent[some], following[some], torch.ones(int(some.sum())))
     torch.testing.assert_close(him(latent, following, some.float()), alone)
     assert him(latent, following, torch.zeros(9)) == 0.0
 
@@ -69,7 +69,7 @@ def test_training_pulls_matching_views_together():
     optimizer = torch.optim.Adam(him.parameters(), lr=1e-3)
     losses = []
     for _ in range(150):
-        loss = him(latent, following)
+        loss = him(latent, following, torch.ones(256))
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -97,7 +97,7 @@ def test_a_collapsed_module_shows_in_rank_and_usage():
         him.prototypes.weight.copy_(torch.outer(torch.randn(32).sign(), line))
         him.source.weight.zero_()
         him.source.bias.copy_(line)
-    him(torch.randn(64, 64), torch.randn(64, 45))
+    him(torch.randn(64, 64), torch.randn(64, 45), torch.ones(64))
     sides = (him.prototypes.weight @ line > 0).sum().item()
     torch.testing.assert_close(him.effective_rank(), torch.tensor(1.0), atol=1e-3, rtol=0)
     assert him.usage is not None

@@ -5,16 +5,10 @@ import torch
 import torch.nn.functional as functional
 from torch import nn
 
+from renet.models import estimators
 from renet.models.autoencoder import DepthAutoencoder, anomaly_score, variance_score
 from renet.models.config import ModelCfg
-from renet.models.estimators import (
-    AttentionEncoder,
-    DepthEmbedding,
-    MlpEncoder,
-    OPEstimator,
-    ProprioceptionEmbedding,
-    VPEstimator,
-)
+from renet.models.estimators import AttentionEncoder, MlpEncoder
 
 
 def count(module: nn.Module, *kinds: type[nn.Module]) -> int:
@@ -22,12 +16,13 @@ def count(module: nn.Module, *kinds: type[nn.Module]) -> int:
 
 
 def test_embeddings_have_as_many_layers_as_the_papers():
-    assert count(ProprioceptionEmbedding(10), nn.Linear) == 2
-    assert count(DepthEmbedding(2), nn.Conv2d) == 3
+    assert count(estimators.ProprioceptionEmbedding(10), nn.Linear) == 2
+    assert count(estimators.DepthEmbedding(2), nn.Conv2d) == 3
 
 
 def test_each_estimator_has_one_gru_layer_of_64():
-    for estimator in (OPEstimator(ModelCfg()), VPEstimator(ModelCfg())):
+    for kind in (estimators.OPEstimator, estimators.VPEstimator):
+        estimator = kind(ModelCfg())
         assert count(estimator, nn.GRUCell) == 1
         assert estimator.gru.hidden_size == 64
 
@@ -65,9 +60,7 @@ def test_the_variance_detectors_loss_is_least_at_the_error_it_makes(monkeypatch)
     depth = torch.rand(4, 2, 48, 64)
     error = torch.rand(2, 48, 64) * 0.2 + 0.05
     log_variance = torch.zeros(2, 48, 64, requires_grad=True)
-    monkeypatch.setattr(
-        detector, "predict", lambda x: (x + error, log_variance.expand(len(x), -1, -1, -1))
-    )
+    monkeypatch.setattr(detector, "predict", lambda x: (x + error, log_variance.expand_as(x)))
     optimizer = torch.optim.Adam([log_variance], lr=0.1)
     for _ in range(300):
         losses = detector.loss(depth)

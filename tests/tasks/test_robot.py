@@ -67,15 +67,10 @@ def test_joints_without_limits_are_named():
 
 def test_a_vendors_sites_named_as_legs_make_way():
     made, feet = GO1.spec(), {leg: f"{leg}_foot_collision" for leg in LEGS}
-    trunk = made.body("trunk")
     made.delete(made.site("FL"))
-    trunk.add_site(name="FL", pos=(0.0, 0.0, 0.3))
-    made.add_sensor(
-        name="height",
-        type=mujoco.mjtSensor.mjSENS_FRAMEPOS,
-        objname="FL",
-        objtype=mujoco.mjtObj.mjOBJ_SITE,
-    )
+    made.body("trunk").add_site(name="FL", pos=(0.0, 0.0, 0.3))
+    kind, site = mujoco.mjtSensor.mjSENS_FRAMEPOS, mujoco.mjtObj.mjOBJ_SITE
+    made.add_sensor(name="height", type=kind, objname="FL", objtype=site)
     renamed = rename_parts(made, trunk="trunk", feet=feet)
     for leg in LEGS:
         assert renamed.site(leg).parent.name == f"{leg}_calf"

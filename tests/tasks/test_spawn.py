@@ -73,13 +73,11 @@ def test_a_lost_robot_is_put_back_on_its_tile(everywhere, shift, why):
     everywhere.reset(seed=1)
     lost = 7
     everywhere.sim.data.qpos[lost, :3] += torch.tensor(shift)
-    obs, reward, terminated, truncated, extras = everywhere.step(
-        torch.zeros(everywhere.num_envs, 12)
-    )
+    still = torch.zeros(everywhere.num_envs, 12)
+    obs, reward, terminated, truncated, extras = everywhere.step(still)
     assert (terminated | truncated).nonzero().flatten().tolist() == [lost]
     assert extras["log"][f"Episode_Termination/{why}"] == 1
-    assert torch.isfinite(reward).all()
-    assert all(torch.isfinite(value).all() for value in obs.values())
+    assert all(value.isfinite().all() for value in (reward, *obs.values()))
     offset = everywhere.scene["robot"].data.root_link_pos_w - everywhere.scene.env_origins
     assert offset[lost, :2].abs().max() <= 0.3 + 1e-4
 

@@ -69,9 +69,8 @@ def test_gap_width_and_depth(world, level, width):
 @pytest.mark.parametrize(("level", "height"), [(1, 0.05), (10, 0.50)])
 def test_platform_height(world, level, height):
     heights = profile(world, "platform", level)
-    assert heights.max() == pytest.approx(height, abs=1e-3)
-    assert heights[195] == pytest.approx(0.0, abs=1e-3)
-    assert heights[0] == pytest.approx(0.0, abs=1e-3)
+    # Its top, the tile's middle, its edge.
+    assert [heights.max(), heights[195], heights[0]] == pytest.approx([height, 0, 0], abs=1e-3)
 
 
 @pytest.mark.parametrize("kind", ["stairs_up", "stairs_down"])
@@ -108,8 +107,11 @@ def base(env) -> torch.Tensor:
     return env.sim.data.xpos[:, int(env.scene["robot"].indexing.root_body_id)]
 
 
-def at_level(env, level: int, steps: int = 500) -> torch.Tensor:
-    """Put everybody at the start of a level, after some steps; the levels, which change later."""
+def at_level(env, level: int, steps: int = 500, asked: float = 0.0) -> torch.Tensor:
+    """Put everybody at the start of a level, after some steps in which so many metres were asked.
+
+    Returns the levels of the tiles they are on, which change later.
+    """
     env.reset()
     terrain = env.scene.terrain
     terrain.terrain_levels[:] = level
@@ -119,73 +121,68 @@ def at_level(env, level: int, steps: int = 500) -> torch.Tensor:
     env.episode_length_buf[:] = steps
     env.termination_manager.terminated[:] = False
     goal = env.command_manager.get_term("goal")
-    goal.commanded_distance[:], goal.speed[:] = 0.0, 0.8
+    goal.commanded_distance[:], goal.speed[:] = asked, 0.8
     return terrain.terrain_levels
 
 
+def end(env, robots: int = 12) -> dict[str, float]:
+    """End the episodes of the first robots; what the curriculum logs."""
+    env.curriculum_manager.compute(env_ids=torch.arange(robots))
+    return env.curriculum_manager.reset()
+
+
 def test_walk_in_minutes_rule(parkour):
-    levels = at_level(parkour, 4)
-    goal, terrain = parkour.command_manager.get_term("goal"), parkour.scene.terrain
-    where = base(parkour)
-    distance = torch.tensor([4.1, 3.0, 1.5, 1.5, 0.1, 0.1])
-    where[:6, 0] += distance
+    levels, terrain = at_level(parkour, 4), parkour.scene.terrain
+    base(parkour)[:6, 0] += torch.tensor([4.1, 3.0, 1.5, 1.5, 0.1, 0.1])
+    goal = parkour.command_manager.get_term("goal")
     goal.commanded_distance[:6] = torch.tensor([4.0, 20.0, 20.0, 2.0, 0.0, 4.0])
-    parkour.curriculum_manager.compute(env_ids=torch.arange(5))
+    logged = end(parkour, 5)
     # Below half of what was asked, at most half of 4 m, means down; robot 5 walks on.
     assert levels[:6].tolist() == [5, 4, 3, 4, 4, 4]
     for robot, level in ((0, 5), (2, 3), (5, 4)):
         start = terrain.terrain_origins[level, terrain.terrain_types[robot]]
         assert torch.equal(terrain.env_origins[robot], start)
-    logged = parkour.curriculum_manager.reset()
     assert logged["Curriculum/level/rough"] == pytest.approx(4.5)
     assert logged["Curriculum/command_stage"] in (0.0, 1.0)
 
 
 def test_who_falls_owes_the_whole_episode(parkour):
     # 200 steps of 0.02 s at 0.8 m/s remain, 3.2 m; both have covered 1 m of the 0.5 asked so far.
-    levels = at_level(parkour, 4, steps=parkour.max_episode_length - 200)
-    parkour.command_manager.get_term("goal").commanded_distance[:] = 0.5
+    levels = at_level(parkour, 4, steps=parkour.max_episode_length - 200, asked=0.5)
     base(parkour)[:2, 0] += 1.0
     parkour.termination_manager.terminated[1] = True
-    parkour.curriculum_manager.compute(env_ids=torch.tensor([0, 1]))
+    end(parkour, 2)
     assert levels[:2].tolist() == [4, 3]
 
 
 def test_who_has_not_walked_stays_at_its_level(parkour):
-    levels = at_level(parkour, 4, steps=0)
+    levels = at_level(parkour, 4, steps=0, asked=4.0)
     base(parkour)[0, 0] += 50.0
-    parkour.command_manager.get_term("goal").commanded_distance[1] = 4.0
-    parkour.curriculum_manager.compute(env_ids=torch.arange(12))
+    end(parkour)
     assert (levels == 4).all()
 
 
 def test_failing_at_the_first_level_leads_to_one_of_the_first(parkour):
     reached = set()
     for _ in range(10):
-        levels = at_level(parkour, 0)
-        parkour.command_manager.get_term("goal").commanded_distance[:] = 4.0
-        parkour.curriculum_manager.compute(env_ids=torch.arange(6))
+        levels = at_level(parkour, 0, asked=4.0)
+        end(parkour, 6)
         assert (levels[6:] == 0).all()
         reached |= set(levels[:6].tolist())
     assert reached == set(range(FIRST_LEVELS))
 
 
-def test_none_comes_back_to_a_flat_first_level(parkour):
-    kinds = parkour.scene.terrain.cfg.terrain_generator.sub_terrains
-    goal, reached = parkour.command_manager.get_term("goal"), set()
-    with pytest.MonkeyPatch.context() as patch:
-        for kind in kinds.values():
-            patch.setattr(kind, "flat_start", True)
-        levels = at_level(parkour, 0)
-        goal.commanded_distance[:] = 4.0
-        base(parkour)[0, 0] += 4.1
-        parkour.curriculum_manager.compute(env_ids=torch.arange(6))
-        assert levels[:6].tolist() == [1, 0, 0, 0, 0, 0], "who cannot walk stays"
-        for _ in range(10):
-            levels = at_level(parkour, 1)
-            goal.commanded_distance[:] = 4.0
-            parkour.curriculum_manager.compute(env_ids=torch.arange(6))
-            reached |= set(levels[:6].tolist())
+def test_none_comes_back_to_a_flat_first_level(parkour, monkeypatch):
+    for kind in parkour.scene.terrain.cfg.terrain_generator.sub_terrains.values():
+        monkeypatch.setattr(kind, "flat_start", True)
+    levels, reached = at_level(parkour, 0, asked=4.0), set()
+    base(parkour)[0, 0] += 4.1
+    end(parkour, 6)
+    assert levels[:6].tolist() == [1, 0, 0, 0, 0, 0], "who cannot walk stays"
+    for _ in range(10):
+        levels = at_level(parkour, 1, asked=4.0)
+        end(parkour, 6)
+        reached |= set(levels[:6].tolist())
     assert reached == set(range(1, 1 + FIRST_LEVELS))
 
 
@@ -197,45 +194,36 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypa
     monkeypatch.setitem(term.params, "easier_kinds", tuple(KINDS))
     for kind in terrain.cfg.terrain_generator.sub_terrains.values():
         monkeypatch.setattr(kind, "flat_start", flat_start)
-    robots, met = torch.arange(12), []
-    for _ in range(50):
-        at_level(parkour, 4)
-        parkour.curriculum_manager.compute(env_ids=robots)
-        met += terrain.terrain_levels.tolist()
-        starts = terrain.terrain_origins[terrain.terrain_levels, terrain.terrain_types]
-        assert torch.equal(terrain.env_origins, starts)
-        assert (term.func.levels == 4).all()
+
+    def drawn_levels(level: int, episodes: int) -> torch.Tensor:
+        """Levels of the tiles that robots of a level meet, [episodes, 12]."""
+        rows = []
+        for _ in range(episodes):
+            at_level(parkour, level)
+            end(parkour)
+            rows.append(terrain.terrain_levels.clone())
+            starts = terrain.terrain_origins[rows[-1], terrain.terrain_types]
+            assert torch.equal(terrain.env_origins, starts)
+            assert (term.func.levels == level).all()
+        return torch.stack(rows)
+
+    met = drawn_levels(4, 50).flatten().tolist()
     assert set(met) == set(range(int(flat_start), 5))
     # Three quarters of 600, and those of the rest that are drawn at 4: five deviations around.
     expected = 0.75 + 0.25 / (5 - flat_start)
     assert met.count(4) / 600 == pytest.approx(expected, abs=5 * (0.25 / 600) ** 0.5)
     # On easier tiles: who passes, and who fails, keeps its own level, and is told by it.
-    at_level(parkour, 4)
+    at_level(parkour, 4, asked=20.0)
     terrain.terrain_levels[:] = 2
     base(parkour)[:6, 0] += 4.1
-    parkour.command_manager.get_term("goal").commanded_distance[:] = 20.0
-    parkour.curriculum_manager.compute(env_ids=robots)
+    assert end(parkour)["Curriculum/level/rough"] == 4.0
     assert (term.func.levels == 4).all()
-    assert parkour.curriculum_manager.reset()["Curriculum/level/rough"] == 4.0
-    # Who has not passed a flat level meets nothing else.
-    for _ in range(10):
-        at_level(parkour, 0)
-        parkour.curriculum_manager.compute(env_ids=robots)
-        assert (terrain.terrain_levels == 0).all()
-    # Not on other tiles.
+    assert (drawn_levels(0, 10) == 0).all(), "who has not passed a flat level meets nothing else"
     monkeypatch.setitem(term.params, "easier_kinds", ("gap",))
-    met = []
-    for _ in range(50):
-        at_level(parkour, 4)
-        parkour.curriculum_manager.compute(env_ids=robots)
-        met += terrain.terrain_types[terrain.terrain_levels < 4].tolist()
-    assert set(met) == {KINDS.index("gap")}
-    # Not before its time.
+    easier = (drawn_levels(4, 50) < 4).any(0)
+    assert set(terrain.terrain_types[easier].tolist()) == {KINDS.index("gap")}, "not on others"
     monkeypatch.setitem(term.params, "easier_after", 12_012)
-    for _ in range(10):
-        at_level(parkour, 4)
-        parkour.curriculum_manager.compute(env_ids=robots)
-        assert (terrain.terrain_levels == 4).all()
+    assert (drawn_levels(4, 10) == 4).all(), "not before its time"
 
 
 def test_the_last_level_leads_back_to_any(parkour):
@@ -243,30 +231,24 @@ def test_the_last_level_leads_back_to_any(parkour):
     for _ in range(10):
         levels = at_level(parkour, LEVELS - 1)
         base(parkour)[:, 1] -= 4.1
-        parkour.curriculum_manager.compute(env_ids=torch.arange(12))
+        end(parkour)
         reached |= set(levels.tolist())
     assert reached == set(range(LEVELS))
 
 
 def test_who_passed_the_last_level_counts_as_there_until_it_fails(parkour):
-    curriculum, goal = parkour.curriculum_manager, parkour.command_manager.get_term("goal")
-    passed = curriculum.get_term_cfg("level").func.passed
+    passed = parkour.curriculum_manager.get_term_cfg("level").func.passed
     passed[:] = False
     types = parkour.scene.terrain.terrain_types
-    rough = (types == types[0]).nonzero()[:, 0]
+    others = int((types == types[0]).sum()) - 1
     at_level(parkour, LEVELS - 1)
     base(parkour)[0, 1] -= 4.1
-    curriculum.compute(env_ids=torch.arange(12))
-    expected = (LEVELS + (LEVELS - 1) * (len(rough) - 1)) / len(rough)
-    assert curriculum.reset()["Curriculum/level/rough"] == pytest.approx(expected)
-    at_level(parkour, 3)  # Neither up nor down.
-    curriculum.compute(env_ids=torch.arange(12))
-    expected = (LEVELS + 3 * (len(rough) - 1)) / len(rough)
-    assert curriculum.reset()["Curriculum/level/rough"] == pytest.approx(expected)
-    at_level(parkour, 3)
-    goal.commanded_distance[:] = 20.0
-    curriculum.compute(env_ids=torch.arange(12))
-    assert curriculum.reset()["Curriculum/level/rough"] == pytest.approx(2.0)
+    for level in (LEVELS - 1, 3):
+        expected = (LEVELS + level * others) / (1 + others)
+        assert end(parkour)["Curriculum/level/rough"] == pytest.approx(expected)
+        at_level(parkour, 3)  # Neither up nor down.
+    at_level(parkour, 3, asked=20.0)
+    assert end(parkour)["Curriculum/level/rough"] == pytest.approx(2.0)
     assert not passed.any()
 
 

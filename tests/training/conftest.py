@@ -1,7 +1,5 @@
 """A tiny environment with RENet's observation groups, and runners that learn in it."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from types import SimpleNamespace
 
@@ -34,15 +32,14 @@ class ToyEnv:
         self.time_outs = torch.zeros(num_envs)
         self.common_step_counter = 0
         # As far as runners ask mjlab's managers.
-        names = [f"cost_{name}" for name in CONSTRAINTS]
-        costs = torch.zeros(num_envs, len(names))
-        self.metrics_manager = SimpleNamespace(active_terms=names, _step_values=costs)
+        self.costs, names = torch.zeros(num_envs, 3), [f"cost_{name}" for name in CONSTRAINTS]
+        self.metrics_manager = SimpleNamespace(active_terms=names, _step_values=self.costs)
         self.goal = SimpleNamespace(stage=0)
         self.command_manager = SimpleNamespace(get_term=lambda _: self.goal)
         self.curriculum_manager = SimpleNamespace(active_terms=[])
 
     @property
-    def unwrapped(self) -> ToyEnv:
+    def unwrapped(self) -> "ToyEnv":
         return self
 
     def get_observations(self) -> TensorDict:
@@ -69,11 +66,10 @@ class ToyEnv:
     def step(self, actions):
         done = torch.rand(self.num_envs, generator=self.random) < 0.05
         reward = torch.exp(-actions.square().mean(-1))
-        costs = self.metrics_manager._step_values
-        costs[:] = torch.relu(actions[:, : len(CONSTRAINTS)])
+        self.costs[:] = torch.relu(actions[:, : len(CONSTRAINTS)])
         self.common_step_counter += 1
         self.time_outs[:] = done  # Written anew each step, as mjlab does.
-        extras = {"costs": costs.clone(), "time_outs": self.time_outs, "log": {}}
+        extras = {"costs": self.costs.clone(), "time_outs": self.time_outs, "log": {}}
         return self.get_observations(), reward, done.long(), extras
 
 

@@ -25,11 +25,10 @@ VP = {"vp_velocity", "vp_him", "vp_feet_height", "vp_height_map"}
 
 
 class Row(NamedTuple):
-    """What is set in ModelCfg, which layers are then other ones, and which losses are absent."""
+    """What is set in ModelCfg, how names of layers that change begin, and which losses go."""
 
     fields: dict[str, Any]
     layers: set[str]
-    """Beginnings of their names."""
     missing: set[str]
 
 

@@ -24,19 +24,21 @@ from renet.training.runner import RenetRunner
 from .conftest import ToyEnv, make_runner
 
 
-def test_trains_and_writes_curves_and_checkpoints(tmp_path):
-    runner = make_runner(ToyEnv(), tmp_path)
+@pytest.fixture
+def runner(tmp_path) -> RenetRunner:
+    return make_runner(ToyEnv(), tmp_path)
+
+
+def test_trains_and_writes_curves_and_checkpoints(runner, tmp_path):
     before = {name: p.clone() for name, p in runner.alg.model.named_parameters()}
     runner.learn(3)
     curves = read_curves(tmp_path)
     for name in ("Loss/surrogate", "Loss/vp_height_map", "Loss/anomaly", "Loss/cost_torque"):
         iterations, values = curves[name]
         assert iterations == [0, 1, 2]
-        assert all(torch.isfinite(torch.tensor(values)))
-    assert [p.name for p in checkpoints.checkpoints(tmp_path / "checkpoints")] == [
-        "it_00000002",
-        "it_00000003",
-    ]
+        assert torch.tensor(values).isfinite().all()
+    names = [path.name for path in checkpoints.checkpoints(tmp_path / "checkpoints")]
+    assert names == ["it_00000002", "it_00000003"]
     after = dict(runner.alg.model.named_parameters())
     unmoved = {name for name in before if torch.equal(before[name], after[name])}
     # VP steers first, so OP's own set is empty for the first 20 iterations.
@@ -78,26 +80,20 @@ def test_a_rate_and_a_weight_that_are_asked_for_anew_are_obeyed(tmp_path):
     assert runner.alg.np3o.cost_weight == 0.0
 
 
-def test_time_budget_stops_with_a_checkpoint(tmp_path):
-    runner = make_runner(ToyEnv(), tmp_path)
+def test_time_budget_stops_with_a_checkpoint(runner, tmp_path):
     runner.learn(10_000, time_budget_s=0.5)
     assert 0 < runner.alg.iteration < 10_000
     found = checkpoints.find(tmp_path)
     assert checkpoints.load(found).state["iteration"] == runner.alg.iteration
 
 
-@pytest.mark.parametrize(
-    ("model", "message"),
-    [
-        ({"encoder": "mlp"}, "encoder was attention, now mlp"),
-        ({"perception": "vp"}, "perception was renet, now vp"),  # Its weights would fit.
-    ],
-)
-def test_refuses_a_checkpoint_of_another_model(tmp_path, model, message):
+def test_refuses_a_checkpoint_of_another_model(tmp_path):
     make_runner(ToyEnv(), tmp_path).learn(1)
-    other = make_runner(ToyEnv(), tmp_path / "other", model=ModelCfg(**model))
-    with pytest.raises(RenetError, match=message):
-        other.load(str(tmp_path))
+    # Weights of the second one would fit.
+    for name, before, now in (("encoder", "attention", "mlp"), ("perception", "renet", "vp")):
+        other = make_runner(ToyEnv(), tmp_path / "other", model=ModelCfg(**{name: now}))
+        with pytest.raises(RenetError, match=f"{name} was {before}, now {now}"):
+            other.load(str(tmp_path))
 
 
 def test_refuses_weights_of_another_architecture(tmp_path):
@@ -142,8 +138,7 @@ def test_few_robots_take_more_steps_each_unless_told_otherwise(robots, steps):
     assert steps_per_env(10, 6_400, robots, 0) == 10
 
 
-def test_batches_grow_with_the_steps_taken(tmp_path):
-    runner = make_runner(ToyEnv(), tmp_path)
+def test_batches_grow_with_the_steps_taken(runner):
     runner._agent |= {"num_steps_per_env": None, "batch_size": "200@200,400@600"}
     steps = []
     for _ in range(4):
@@ -168,16 +163,15 @@ def test_a_checkpoint_tells_its_settings_rules_and_code(tmp_path):
         assert not torch.equal(found.exported[name], found.model[name])
 
 
-def test_a_step_never_pays_less_than_nothing(tmp_path, monkeypatch):
-    env = ToyEnv()
-    runner, step, paid = make_runner(env, tmp_path), env.step, []
+def test_a_step_never_pays_less_than_nothing(runner, monkeypatch):
+    step, paid = runner.env.step, []
 
     def poor(actions):
         obs, rewards, dones, extras = step(actions)
         paid.append(rewards - 0.5)
         return obs, paid[-1], dones, extras
 
-    monkeypatch.setattr(env, "step", poor)
+    monkeypatch.setattr(runner.env, "step", poor)
     monkeypatch.setattr(runner.alg.np3o.cfg, "gamma", 0.0)  # Nothing is bootstrapped.
     runner.learn(1)
     stored = runner.alg._rollout.rewards_and_costs
@@ -212,8 +206,7 @@ def test_the_critics_see_who_drives():
     assert torch.equal(seen, 1 - obs["difficult"][:, 0])
 
 
-def test_a_policy_that_diverged_is_not_saved(tmp_path):
-    runner = make_runner(ToyEnv(), tmp_path)
+def test_a_policy_that_diverged_is_not_saved(runner, tmp_path):
     runner.learn(2)
     update = runner.alg.update
     runner.alg.update = lambda: update() | {"surrogate": float("nan")}
@@ -244,17 +237,15 @@ def test_going_back_does_not_remove_what_was_just_written(tmp_path):
 
 
 @pytest.mark.parametrize("group", ["velocity", "proprioception", "privileged"])
-def test_a_nan_in_what_the_environment_returns_stops_training(tmp_path, group):
-    env = ToyEnv()
-    runner = make_runner(env, tmp_path)
-    step = env.step
+def test_a_nan_in_what_the_environment_returns_stops_training(runner, tmp_path, group):
+    step = runner.env.step
 
     def broken(action):
-        obs, rewards, dones, extras = step(action)
+        obs, *others = step(action)
         obs[group][1, 2] = torch.nan
-        return obs, rewards, dones, extras
+        return obs, *others
 
-    env.step = broken
+    runner.env.step = broken
     with pytest.raises(RenetError, match=rf"task's {group} became NaN or infinite in iteration 1"):
         runner.learn(1)
     assert not list(tmp_path.glob("**/it_*"))

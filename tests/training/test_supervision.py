@@ -18,22 +18,18 @@ TICKS, ROBOTS = 3, 4
 @pytest.fixture
 def rollout() -> TickRollout:
     torch.manual_seed(1)
-    mask = torch.zeros(TICKS, ROBOTS, dtype=torch.bool)
-    mask[:, :2] = True
+    no = torch.zeros(TICKS, ROBOTS, dtype=torch.bool)
+    sizes = {"velocity": 3, "height_map": 132, "next_proprioception": 45, "next_velocity": 3}
+    sizes |= {"latent_op": 64, "latent_vp": 64}
     return TickRollout(
         history=torch.randn(TICKS, ROBOTS, 10, 45),
         frames=torch.rand(TICKS, ROBOTS, 2, 48, 64).half(),
         has_image=torch.rand(TICKS, ROBOTS) < 0.7,
-        fresh=torch.zeros(TICKS, ROBOTS, dtype=torch.bool),
-        op_mask=mask,
-        velocity=torch.randn(TICKS, ROBOTS, 3),
+        fresh=no,
+        op_mask=(torch.arange(ROBOTS) < 2).expand_as(no).clone(),
         feet_height=torch.rand(TICKS, ROBOTS, 4),
-        height_map=torch.randn(TICKS, ROBOTS, 132),
-        next_proprioception=torch.randn(TICKS, ROBOTS, 45),
-        next_velocity=torch.randn(TICKS, ROBOTS, 3),
-        next_valid=torch.ones(TICKS, ROBOTS, dtype=torch.bool),
-        latent_op=torch.randn(TICKS, ROBOTS, 64),
-        latent_vp=torch.randn(TICKS, ROBOTS, 64),
+        next_valid=~no,
+        **{name: torch.randn(TICKS, ROBOTS, size) for name, size in sizes.items()},
     )
 
 
@@ -58,31 +54,22 @@ def replay(name: str, model: RENet, rollout: TickRollout) -> list[torch.Tensor]:
     return latents
 
 
-def mean_square(pairs) -> float:
-    return torch.cat([(a - b).flatten() for a, b in pairs]).square().mean().item()
-
-
-def test_loss_op_is_velocity_and_him_of_its_own_robots(model, rollout):
-    losses = losses_of("op", model, rollout)
-    assert set(losses) == {"op_velocity", "op_him"}
-    latents = replay("op", model, rollout)
-    velocity = [model.op.velocity_head(latent[:2]) for latent in latents]
-    expected = mean_square(zip(velocity, rollout.velocity[:, :2], strict=True))
-    assert losses["op_velocity"].item() == pytest.approx(expected, rel=1e-4)
-    own = torch.cat([latent[:2] for latent in latents])
-    following = target_view(rollout.next_proprioception, rollout.next_velocity)
-    him = model.op_him(own, following[:, :2].flatten(0, 1))
-    assert losses["op_him"].item() == pytest.approx(him.item(), rel=1e-4)
-
-
-def test_loss_vp_adds_feet_height_and_height_map(model, rollout):
-    losses = losses_of("vp", model, rollout)
-    assert set(losses) == {"vp_velocity", "vp_him", "vp_feet_height", "vp_height_map"}
-    latents = replay("vp", model, rollout)
-    for name in ("velocity", "feet_height", "height_map"):
-        said = [model.vp.predict(latent[2:])[name] for latent in latents]
-        expected = mean_square(zip(said, getattr(rollout, name)[:, 2:], strict=True))
-        assert losses[f"vp_{name}"].item() == pytest.approx(expected, rel=1e-4)
+@pytest.mark.parametrize("name", ["op", "vp"])
+def test_a_loss_is_of_the_estimators_heads_and_him(model, rollout, name):
+    """Eq. 1 has the velocity, to which eq. 2 adds feet height and height map."""
+    heads = ["velocity"] if name == "op" else ["velocity", "feet_height", "height_map"]
+    robots = slice(2) if name == "op" else slice(2, ROBOTS)
+    losses = losses_of(name, model, rollout)
+    assert set(losses) == {f"{name}_{term}" for term in (*heads, "him")}
+    latents = torch.stack(replay(name, model, rollout))[:, robots]
+    for head in heads:
+        error = getattr(model, name).predict(latents)[head] - getattr(rollout, head)[:, robots]
+        expected = error.square().mean().item()
+        assert losses[f"{name}_{head}"].item() == pytest.approx(expected, rel=1e-4)
+    following = target_view(rollout.next_proprioception, rollout.next_velocity)[:, robots]
+    pairs = latents.flatten(0, 1), following.flatten(0, 1)
+    him = getattr(model, f"{name}_him")(*pairs, torch.ones(len(pairs[0])))
+    assert losses[f"{name}_him"].item() == pytest.approx(him.item(), rel=1e-4)
 
 
 def test_the_whole_loss_is_the_sum_of_both_and_the_autoencoders_in_scaled_units(model, rollout):
@@ -134,11 +121,8 @@ def test_the_rate_follows_its_schedule_and_him_is_watched(model, rollout):
 
 @pytest.mark.parametrize(("robots", "learned"), [(4, 5), (40, 16)])
 def test_the_autoencoder_learns_from_a_share_of_the_images(model, monkeypatch, robots, learned):
-    seen = []
-    predict = model.autoencoder.predict
-    monkeypatch.setattr(
-        model.autoencoder, "predict", lambda pairs: seen.append(len(pairs)) or predict(pairs)
-    )
+    seen, detector, predict = [], model.autoencoder, model.autoencoder.predict
+    monkeypatch.setattr(detector, "predict", lambda x: seen.append(len(x)) or predict(x))
     supervision = Supervision(model, SupervisionCfg(autoencoder_images=16))
     # 3 ticks: 12 pairs, of which two fifths are 4.8, or 120, of which the setting takes fewer.
     losses = supervision._anomaly_losses(torch.rand(3 * robots, 2, 48, 64))

@@ -95,7 +95,7 @@ def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(
     assert "agent.seed was 1, now 3" in out
     assert "env.scene.sensors.depth_camera.delay was [0.0, 0.1], now [0.0, 0.2]" in out
     assert sum(" was " in row for row in out) == 3  # And the number of iterations.
-    ours = re.compile(r"Going on|agent|env|Training|Curves|2/2  ")
+    ours = re.compile(r"Going on|agent|env|Training|Each robot|Curves|2/2  ")
     assert all(map(ours.match, out)), "no library says anything"
     assert 0.0 < given[0] < 59.9, "the time budget counts from the start"
 
@@ -166,11 +166,8 @@ def test_settings_come_back_from_their_description():
     stored = whole(ours)
     registered = TrainCfg.from_task(TASK)
     assert whole(registered) != stored
-    back = replace(
-        registered,
-        env=restored(registered.env, stored["env"]),
-        agent=restored(registered.agent, stored["agent"]),
-    )
+    env, agent = (restored(getattr(registered, name), stored[name]) for name in ("env", "agent"))
+    back = replace(registered, env=env, agent=agent)
     assert whole(back) == stored
     assert back.agent == ours.agent
     assert back.env.commands["goal"] == ours.env.commands["goal"]

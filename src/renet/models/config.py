@@ -52,10 +52,9 @@ class ModelCfg:
             raise RenetError(f"model.frames must be 1..{FRAMES}, got {self.frames}")
         kinds = {"perception": Perception, "encoder": Encoder, "detector": Detector}
         for name, kind in kinds.items():
-            if getattr(self, name) not in (choices := get_args(kind)):
-                raise RenetError(
-                    f"model.{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}"
-                )
+            choices, value = get_args(kind), getattr(self, name)
+            if value not in choices:
+                raise RenetError(f"model.{name} must be one of {', '.join(choices)}, got {value!r}")
         if not self.initial_std > 0:
             raise RenetError(f"model.initial_std must be above 0, got {self.initial_std}")
         if self.history < 1:

@@ -37,6 +37,10 @@ class ProprioceptionEmbedding(nn.Sequential):
         super().__init__(nn.Flatten(), *layers, nn.ELU(inplace=True))
 
 
+def _compressor(inputs: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inputs, EMBEDDING), nn.ELU(inplace=True))
+
+
 class DepthEmbedding(nn.Module):
     """Three-layer CNN for d_t^{H2}: [B, H2, 48, 64] in [0, 1] to [B, 64]."""
 
@@ -53,9 +57,7 @@ class DepthEmbedding(nn.Module):
         # A third faster on a CPU.
         self.convolutions.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         rows, columns = (size // 8 for size in DEPTH_SHAPE)
-        self.project = nn.Sequential(
-            nn.Linear(32 * rows * columns, EMBEDDING), nn.ELU(inplace=True)
-        )
+        self.project = _compressor(32 * rows * columns)
 
     def forward(self, depth: Tensor) -> Tensor:
         """Embed depth images; centring them keeps the first layer's inputs zero-mean."""
@@ -67,9 +69,8 @@ class MlpEncoder(nn.Module):
 
     def __init__(self, inputs: int) -> None:
         super().__init__()
-        self.fuse = nn.Sequential(
-            *mlp((inputs * EMBEDDING, EMBEDDING, EMBEDDING)), nn.ELU(inplace=True)
-        )
+        layers = mlp((inputs * EMBEDDING, EMBEDDING, EMBEDDING))
+        self.fuse = nn.Sequential(*layers, nn.ELU(inplace=True))
 
     def forward(self, embeddings: list[Tensor]) -> Tensor:
         """Fuse a list of [B, 64] into [B, 64]."""
@@ -89,9 +90,7 @@ class AttentionEncoder(nn.Module):
         self.position = nn.Parameter(0.02 * torch.randn(tokens, TOKEN))
         self.query_key_value = nn.Linear(TOKEN, 3 * TOKEN)
         self.norm = nn.LayerNorm(TOKEN)
-        self.compress = nn.Sequential(
-            nn.Linear(inputs * EMBEDDING, EMBEDDING), nn.ELU(inplace=True)
-        )
+        self.compress = _compressor(inputs * EMBEDDING)
 
     def forward(self, embeddings: list[Tensor]) -> Tensor:
         """Fuse a list of [B, 64] into [B, 64]."""
@@ -119,8 +118,7 @@ class Estimator(nn.Module):
         """Encode the inputs of a tick to [B, 64].
 
         Args:
-            history: o^{H1}, [B, H1, 45].
-            depth: d^{H2}, [B, >=H2, 48, 64]; only VP sees it.
+            history: o^{H1}, [B, H1, 45]. depth: d^{H2}, [B, >=H2, 48, 64]; only VP sees it.
             has_image: [B] or [B, 1], 1 where `depth` holds an image of this tick, 0 where it was
                 withheld and VP is to go on from its memory.
         """
@@ -172,7 +170,6 @@ class OPEstimator(Estimator):
 
     def features(self, history: Tensor, depth: Tensor, has_image: Tensor) -> Tensor:
         """Encode o^{H1} [B, H1, 45] to [B, 64]; images are ignored."""
-        del depth, has_image
         return self.encoder([self.proprioception(history)])
 
 

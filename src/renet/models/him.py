@@ -16,7 +16,7 @@ SINKHORN_EPSILON = 0.05
 SINKHORN_ITERATIONS = 3
 TEMPERATURE = 0.1
 """SwAV's (Caron et al. 2020). At HIMLoco's 3.0 the loss hardly prefers 32 separated prototypes
-(3.13) to two antipodal heaps of them (3.19), and the prototypes collapse; docs/method.md."""
+(3.13) to two antipodal heaps of them (3.19), and the prototypes collapse; docs/choices.md."""
 PROTOTYPES = 32
 VIEW = 16
 
@@ -33,20 +33,18 @@ class HybridInternalModel(nn.Module):
         """Number of prototypes the last batch's sources used, a scalar in [1, 32]: the exponential
         of the entropy of their mean assignment."""
 
-    def forward(self, latent: Tensor, next_state: Tensor, counts: Tensor | None = None) -> Tensor:
+    def forward(self, latent: Tensor, next_state: Tensor, counts: Tensor) -> Tensor:
         """Loss_HIM of latents and the states that followed them.
 
         Args:
-            latent: h_b or h_v, [B, 64].
-            next_state: `target_view` of the next control step, [B, 45].
-            counts: 1 for pairs that count, 0 for pairs to leave out, [B]; all count by default.
+            latent: h_b or h_v, [B, 64]. next_state: `target_view` of the next step, [B, 45].
+            counts: 1 for pairs that count, 0 for pairs to leave out, [B].
 
         Returns:
             Scalar; ln(32) / 32 = 0.108 when assignments are predicted no better than chance.
         """
         source = functional.normalize(self.source(latent), dim=-1)
         prototypes = functional.normalize(self.prototypes.weight, dim=-1)
-        counts = torch.ones_like(latent[:, 0]) if counts is None else counts
         with torch.no_grad():
             assigned = torch.softmax(source @ prototypes.T / TEMPERATURE, dim=-1)
             mean = (assigned * counts.unsqueeze(-1)).sum(0) / counts.sum().clamp_min(1.0)
@@ -79,10 +77,8 @@ def target_view(proprioception: Tensor, velocity: Tensor) -> Tensor:
         o_{t+1} whose three command numbers are replaced by the velocity, [..., 45].
     """
     command = proprioception_slices()["command"]
-    return torch.cat(
-        (proprioception[..., : command.start], proprioception[..., command.stop :], velocity),
-        dim=-1,
-    )
+    before, after = proprioception[..., : command.start], proprioception[..., command.stop :]
+    return torch.cat((before, after, velocity), dim=-1)
 
 
 def swapped_prediction_loss(

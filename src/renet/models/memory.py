@@ -27,9 +27,7 @@ class EstimatorMemory:
 
     def __init__(self, cfg: ModelCfg, num_envs: int, device: str | torch.device) -> None:
         self.history = torch.zeros(num_envs, cfg.history, PROPRIOCEPTION_SIZE, device=device)
-        self.frames = torch.zeros(
-            num_envs, FRAMES, *DEPTH_SHAPE, dtype=torch.float16, device=device
-        )
+        self.frames = torch.zeros(num_envs, FRAMES, *DEPTH_SHAPE, dtype=torch.half, device=device)
         self.latent_op = torch.zeros(num_envs, LATENT, device=device)
         self.latent_vp = torch.zeros(num_envs, LATENT, device=device)
         self.blank = torch.ones(num_envs, dtype=torch.bool, device=device)
@@ -58,11 +56,9 @@ class EstimatorMemory:
         self.blank.zero_()
 
     def see(self, depth: Tensor, has_image: Tensor | None = None) -> None:
-        """Take the newest depth image, where there is one; called at a tick, before `tick`.
+        """Take the newest depth image, [N, 48, 64] in [0, 1]; called at a tick, before `tick`.
 
-        Args:
-            depth: [N, 48, 64] in [0, 1].
-            has_image: [N] bool, false where it is withheld; nowhere by default.
+        `has_image`, [N] bool, is false where it is withheld; nowhere by default.
         """
         if has_image is None:
             has_image = torch.ones_like(self.fresh)

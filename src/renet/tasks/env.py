@@ -1,7 +1,5 @@
 """mjlab's environment with fused physics steps on the CPU."""
 
-from __future__ import annotations
-
 import gc
 from copy import deepcopy
 from dataclasses import dataclass
@@ -38,14 +36,9 @@ class RenetEnv(ManagerBasedRlEnv):
         super().__init__(deepcopy(cfg), device, render_mode)
         self.task_cfg = cfg
         """The configuration as it was given."""
-        self._fuse_substeps()
-
-    def _fuse_substeps(self) -> None:
-        """Let the native engine take all substeps of a control step in one call, poses included.
-
-        Done only where it changes nothing: servos hold their target and nobody looks in between.
-        """
         self._substeps = 1
+        # The native engine takes all substeps of a control step in one call, poses included, where
+        # it changes nothing: servos hold their target and nobody looks in between.
         if hasattr(self.sim, "step_n") and not _looks_at_substeps(self.cfg):
             self._substeps, self.cfg.decimation = self.cfg.decimation, 1
             self.sim.step = partial(self.sim.step_n, self._substeps)  # type: ignore[method-assign]
@@ -69,16 +62,12 @@ class RenetEnv(ManagerBasedRlEnv):
 
 def _looks_at_substeps(cfg: RenetEnvCfg) -> bool:
     """Whether an actuator delay, an air-time sensor or a metric runs at the physics rate."""
-    articulations = [entity.articulation for entity in cfg.scene.entities.values()]
-    actuators = [
-        a for articulation in articulations if articulation for a in articulation.actuators
-    ]
+    bodies = [e.articulation for e in cfg.scene.entities.values() if e.articulation]
+    servos = [actuator for body in bodies for actuator in body.actuators]
+    contacts = [s for s in cfg.scene.sensors if isinstance(s, ContactSensorCfg)]
     return (
-        any(not isinstance(a, BuiltinPositionActuatorCfg) or a.delay_max_lag for a in actuators)
-        or any(
-            isinstance(s, ContactSensorCfg) and (s.track_air_time or s.history_length)
-            for s in cfg.scene.sensors
-        )
+        any(not isinstance(s, BuiltinPositionActuatorCfg) or s.delay_max_lag for s in servos)
+        or any(sensor.track_air_time or sensor.history_length for sensor in contacts)
         or any(metric.per_substep for metric in cfg.metrics.values())
     )
 
@@ -91,15 +80,12 @@ def make_env(
     engine: str = "auto",
     play: bool = False,
 ) -> RenetEnv:
-    """Build a task's environment.
+    """Build a task's environment; raises RenetError for an unknown task or engine.
 
     Args:
         task: task id, or a configuration, which is left as it is.
         engine: auto, native or warp (see renet.sim.native.engine).
         play: the task's evaluation variant, without noise, pushes and curriculum.
-
-    Raises:
-        RenetError: unknown task or engine, or no environment asked for.
     """
     if num_envs < 1:
         raise RenetError(f"the number of environments must be at least 1, got {num_envs}")

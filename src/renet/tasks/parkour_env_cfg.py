@@ -1,7 +1,5 @@
 """Environment configurations of the paper's tasks, which training/recipe.py makes ours."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -51,18 +49,16 @@ def randomize(
 ) -> None:
     """Add randomisation to a task's configuration, in place; what is zero stays as it is.
 
+    Robots draw the first two once, the delay of actions each second (delays that change with every
+    step blur targets rather than delay them), and the camera's errors each episode.
+
     Args:
-        cfg: the task.
-        motor_strength: largest relative change of each motor's torque limit; robots draw once.
-        joint_offset: largest error of each joint's zero position, rad, in observations and
-            targets; robots draw once.
-        action_delay: longest delay of joint targets, s, in whole physics steps (then slower); drawn
-            each second: delays that change with every step blur targets rather than delay them.
-        camera_delay: largest age of a delivered image, s, in whole control steps; drawn each
-            episode.
-        camera_position: largest error of the camera's position along each axis, m; drawn each
-            episode.
-        camera_angle: largest error of its pitch and yaw, rad; drawn each episode.
+        cfg: the task. motor_strength: largest relative change of each motor's torque limit.
+        joint_offset: largest error of joints' zeros, rad, in observations and targets.
+        action_delay: longest delay of joint targets, s, in whole physics steps (then slower).
+        camera_delay: largest age of a delivered image, s, in whole control steps.
+        camera_position: largest error of the camera's position along each axis, m.
+        camera_angle: largest error of its pitch and yaw, rad.
     """
     if motor_strength:
         cfg.events["motor_strength"] = _at_startup(
@@ -71,9 +67,8 @@ def randomize(
             effort_limit_range=(1.0 - motor_strength, 1.0 + motor_strength),
         )
     if joint_offset:
-        cfg.events["joint_offset"] = _at_startup(
-            mdp.dr.encoder_bias, bias_range=(-joint_offset, joint_offset)
-        )
+        bias = (-joint_offset, joint_offset)
+        cfg.events["joint_offset"] = _at_startup(mdp.dr.encoder_bias, bias_range=bias)
     articulation = cfg.scene.entities["robot"].articulation
     assert articulation is not None
     for actuator in articulation.actuators if action_delay else ():
@@ -120,14 +115,14 @@ def tile_env_cfg(
 
 
 def _clear_of_terrain(spec: mujoco.MjSpec) -> None:
-    """Lift the pose that MuJoCo starts from, which mjlab evaluates once before the first reset.
-
-    At the origin, on a single tile, it is inside the summit of the stairs: more contacts than fit.
-    """
+    """Lift the pose that mjlab evaluates before the first reset out of the summit of the stairs."""
     spec.body(f"robot/{TRUNK}").pos[2] = 10.0
 
 
 def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
+    tilt = {"limit_angle": math.acos(0.17)}  # 80 degrees.
+    # One set of physics options for both engines, so that policies transfer.
+    physics = MujocoCfg(timestep=PHYSICS_DT, iterations=20, ls_iterations=20, ccd_iterations=50)
     return RenetEnvCfg(
         robot=robot,
         decimation=round(CONTROL_DT / PHYSICS_DT),
@@ -143,11 +138,7 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
         rewards=_rewards(),
         terminations={
             "time_out": TerminationTermCfg(func=mdp.time_out, time_out=True),
-            "fallen": TerminationTermCfg(
-                # 80 degrees.
-                func=mdp.bad_orientation,
-                params={"limit_angle": math.acos(0.17)},
-            ),
+            "fallen": TerminationTermCfg(func=mdp.bad_orientation, params=tilt),
             "not_finite": TerminationTermCfg(func=mdp.not_finite),
             "stalled": TerminationTermCfg(func=mdp.stalled),
         },
@@ -158,14 +149,7 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
         },
         events=_events(),
         metrics={**_costs(robot), **_metrics()},
-        sim=SimulationCfg(
-            njmax=200,
-            nconmax=60,
-            # One set of physics options for both engines, so that policies transfer.
-            mujoco=MujocoCfg(
-                timestep=PHYSICS_DT, iterations=20, ls_iterations=20, ccd_iterations=50
-            ),
-        ),
+        sim=SimulationCfg(njmax=200, nconmax=60, mujoco=physics),
         viewer=ViewerConfig(
             origin_type=ViewerConfig.OriginType.ASSET_BODY,
             entity_name="robot",
@@ -200,31 +184,25 @@ def _observations() -> dict[str, ObservationGroupCfg]:
         return ObservationGroupCfg(terms={"value": term}, enable_corruption=noisy)
 
     def single(function, **params) -> ObservationGroupCfg:
-        return ObservationGroupCfg(
-            terms={"value": ObservationTermCfg(func=function, params=params)}
-        )
+        return ObservationGroupCfg({"value": ObservationTermCfg(func=function, params=params)})
 
-    privileged = ObservationGroupCfg(
-        terms={
-            "feet_contact": ObservationTermCfg(func=mdp.feet_contact),
-            "stalled_seconds": ObservationTermCfg(func=mdp.stalled_seconds),
-            "smoothed_joint_velocity": ObservationTermCfg(func=mdp.smoothed_joint_velocity),
-            "physical_parameters": ObservationTermCfg(
-                func=mdp.physical_parameters,
-                params={
-                    "trunk": SceneEntityCfg("robot", body_names=(TRUNK,)),
-                    "foot": SceneEntityCfg("robot", geom_names=FEET[:1]),
-                },
-            ),
-        }
-    )
+    parts = {
+        "trunk": SceneEntityCfg("robot", body_names=(TRUNK,)),
+        "foot": SceneEntityCfg("robot", geom_names=FEET[:1]),
+    }
+    privileged = {
+        "feet_contact": ObservationTermCfg(func=mdp.feet_contact),
+        "stalled_seconds": ObservationTermCfg(func=mdp.stalled_seconds),
+        "smoothed_joint_velocity": ObservationTermCfg(func=mdp.smoothed_joint_velocity),
+        "physical_parameters": ObservationTermCfg(func=mdp.physical_parameters, params=parts),
+    }
     return {
         "proprioception": proprioception(noisy=True),
         "proprioception_clean": proprioception(noisy=False),
         "velocity": single(mdp.velocity),
         "feet_height": single(mdp.sensor, name=FEET_HEIGHT),
         "height_map": single(mdp.sensor, name=HEIGHT_MAP),
-        "privileged": privileged,
+        "privileged": ObservationGroupCfg(terms=privileged),
         "depth": single(mdp.depth),
         "difficult": single(mdp.difficult),
     }
@@ -255,15 +233,13 @@ def _costs(robot: RobotCfg) -> dict[str, MetricsTermCfg]:
     mjlab has no manager of costs: metrics are evaluated beside rewards and logged, but not summed.
     """
     motors = {f".*_{part}_joint": motor for part, motor in robot.motors.items()}
-    velocities = {joint: 0.8 * motor.velocity for joint, motor in motors.items()}
-    torques = {joint: 0.8 * motor.torque for joint, motor in motors.items()}
-    gains = {"stiffness": robot.stiffness, "damping": robot.damping}
+    velocity = {"limits": {joint: 0.8 * motor.velocity for joint, motor in motors.items()}}
+    torque = {"limits": {joint: 0.8 * motor.torque for joint, motor in motors.items()}}
+    torque |= {"stiffness": robot.stiffness, "damping": robot.damping}
     return {
         "cost_joint_position": MetricsTermCfg(func=mdp.joint_position_cost),
-        "cost_joint_velocity": MetricsTermCfg(
-            func=mdp.joint_velocity_cost, params={"limits": velocities}
-        ),
-        "cost_torque": MetricsTermCfg(func=mdp.torque_cost, params={"limits": torques, **gains}),
+        "cost_joint_velocity": MetricsTermCfg(func=mdp.joint_velocity_cost, params=velocity),
+        "cost_torque": MetricsTermCfg(func=mdp.torque_cost, params=torque),
     }
 
 
@@ -279,18 +255,10 @@ def _metrics() -> dict[str, MetricsTermCfg]:
 def _events() -> dict[str, EventTermCfg]:
     feet = SceneEntityCfg("robot", geom_names=FEET)
     trunk = SceneEntityCfg("robot", body_names=(TRUNK,))
+    pose = {"x": (-0.3, 0.3), "y": (-0.3, 0.3), "z": (0.02, 0.04), "yaw": (-math.pi, math.pi)}
     return {
         "spawn": EventTermCfg(
-            func=mdp.reset_root_state_uniform,
-            mode="reset",
-            params={
-                "pose_range": {
-                    "x": (-0.3, 0.3),
-                    "y": (-0.3, 0.3),
-                    "z": (0.02, 0.04),
-                    "yaw": (-math.pi, math.pi),
-                },
-            },
+            func=mdp.reset_root_state_uniform, mode="reset", params={"pose_range": pose}
         ),
         "spawn_joints": EventTermCfg(
             func=mdp.reset_joints_by_offset,

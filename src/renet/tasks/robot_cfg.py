@@ -1,7 +1,5 @@
 """What the tasks need to know of a robot. The Go1 and the Go2 are in config/."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -104,8 +102,7 @@ class RobotCfg:
         for lookup, names in parts:
             for name in names:
                 _part(lookup, name)
-        free = [name for name in JOINTS if not _limited(spec.joint(name))]
-        if free:
+        if free := [name for name in JOINTS if not _limited(spec.joint(name))]:
             raise RenetError(
                 f"the robot's MJCF gives {', '.join(free)} no limits: set the joint's `range` in "
                 "RobotCfg.spec, since position costs and bundles need it"
@@ -147,8 +144,7 @@ def rename_parts(
     """Turn a vendor's MJCF into what `RobotCfg.spec` promises, in place.
 
     Args:
-        spec: the robot alone, without ground.
-        trunk: its name of the base body.
+        spec: the robot alone, without ground. trunk: its name of the base body.
         feet: its names of the feet's geoms, by leg of interface.LEGS.
         bodies: its name of each body FR_hip, FR_thigh, FR_calf, …, where it is another.
         joints: its name of each joint of interface.JOINTS, where it is another.
@@ -177,8 +173,7 @@ def rename_parts(
         geom.name = f"{leg}_foot_collision"
     for body in spec.bodies:
         colliding = [geom for geom in body.geoms if geom.contype or geom.conaffinity]
-        others = [geom for geom in colliding if geom.name not in FEET]
-        for number, geom in enumerate(others, start=1):
+        for number, geom in enumerate((g for g in colliding if g.name not in FEET), start=1):
             geom.name = f"{body.name}_collision{number}"
     return spec
 

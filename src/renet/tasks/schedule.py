@@ -4,8 +4,6 @@ Environment steps, not iterations or control steps, so that a schedule means the
 and for 16,384.
 """
 
-from __future__ import annotations
-
 import re
 from functools import lru_cache
 
@@ -23,30 +21,23 @@ _UNIT = {"": 1.0, "k": 1e3, "M": 1e6}
 
 
 def value_at(schedule: Schedule, steps: float) -> float:
-    """Value of a schedule after `steps` environment steps.
-
-    Raises:
-        RenetError: the schedule cannot be read.
-    """
-    points = _points(str(schedule))
-    return float(np.interp(steps, [at for at, _ in points], [value for _, value in points]))
+    """Value of a schedule after `steps` environment steps; raises RenetError if unreadable."""
+    return float(np.interp(steps, *_points(str(schedule))))
 
 
 @lru_cache(maxsize=256)
-def _points(schedule: str) -> tuple[tuple[float, float], ...]:
-    """(steps, value) of each point, in the order of steps; raises as `value_at` does."""
-    points = []
+def _points(schedule: str) -> tuple[list[float], list[float]]:
+    """Steps and values of all points; raises as `value_at` does."""
+    texts = (schedule if "@" in schedule else f"{schedule}@0").split(",")
     try:
-        for text in (schedule if "@" in schedule else f"{schedule}@0").split(","):
-            match = _POINT.fullmatch(text.strip())
-            if match is None:
-                raise ValueError(text)
-            points.append((float(match[2]) * _UNIT[match[3]], float(match[1])))
-    except ValueError as error:
+        points = [_POINT.fullmatch(text.strip()).groups() for text in texts]  # type: ignore[union-attr]
+        values = [float(value) for value, _, _ in points]
+        steps = [float(number) * _UNIT[unit] for _, number, unit in points]
+    except (AttributeError, ValueError) as error:
         raise RenetError(
             f"cannot read the schedule {schedule!r}: write a number, or VALUE@STEPS points joined "
             "by commas, such as 0.003@10M,0.001@60M"
         ) from error
-    if sorted(points, key=lambda point: point[0]) != points:
+    if sorted(steps) != steps:
         raise RenetError(f"the steps of the schedule {schedule!r} must not fall")
-    return tuple(points)
+    return steps, values

@@ -1,7 +1,5 @@
 """The sensors of every RENet task, and their names."""
 
-from __future__ import annotations
-
 from mjlab.envs import ManagerBasedRlEnvCfg
 from mjlab.sensor import ContactMatch, ContactSensorCfg, SensorCfg
 

@@ -1,7 +1,5 @@
 """The curriculum of tiles for mjlab, and tiles in a row for evaluation."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, cast
@@ -19,11 +17,9 @@ UNSEEN = 1
 def parkour_terrain(
     seed: int = 0, kinds: Mapping[str, Tile] | None = None, levels: int = LEVELS
 ) -> TerrainEntityCfg:
-    """The curriculum: one column per kind, one row per level.
+    """The curriculum: one column per kind of tile, by default training's, and one row per level.
 
-    Args:
-        seed: of rough ground and obstacles; other tiles hold nothing random.
-        kinds: of tile by name, the training's by default. levels: number of rows.
+    The seed is of rough ground and obstacles; other tiles hold nothing random.
     """
     generator = TerrainGeneratorCfg(
         seed=seed,

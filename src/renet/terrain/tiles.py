@@ -5,8 +5,6 @@ The robot starts in the middle and must leave. Tiles meet at z = 0 and consist o
 Training takes a `Tile` as one of mjlab's sub-terrains; `renet deploy` builds it in plain MuJoCo.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco
@@ -23,6 +21,8 @@ FLAT = 1e-3
 LEVELS = 10
 """Rows of the curriculum (paper)."""
 
+Range = tuple[float, float]
+Color = tuple[float, float, float, float]
 STEEL = (0.42, 0.48, 0.55, 1.0)
 STONE = (0.62, 0.60, 0.56, 1.0)
 ACCENT = (0.80, 0.55, 0.30, 1.0)
@@ -34,7 +34,7 @@ class TileGeom:
     """One geom of a tile, with the fields that mjlab's generator reads."""
 
     geom: mujoco.MjsGeom
-    color: tuple[float, float, float, float]
+    color: Color
     hfield: mujoco.MjsHField | None = None
 
 
@@ -46,6 +46,39 @@ class BuiltTile:
     """Where a robot starts, [3] m from the tile's corner."""
     geometries: list[TileGeom]
     flat_patches: None = None
+
+
+class TileBuilder:
+    """Adds boxes to a tile; coordinates are relative to its middle, m.
+
+    A tile is one body, so that engines can skip those far away.
+    """
+
+    def __init__(self, spec: mujoco.MjSpec) -> None:
+        self.spec = spec
+        self.body = spec.body("terrain").add_body(name=f"tile_{len(spec.bodies)}")
+        self.geometries: list[TileGeom] = []
+
+    def box(self, x: Range, y: Range, z: Range, color: Color = STONE) -> None:
+        """Add an axis-aligned box, given its range in each direction."""
+        low, high = np.array([x, y, z]).T
+        middle = (low + high) / 2 + (TILE / 2, TILE / 2, 0.0)
+        geom = self.body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX, size=(high - low) / 2, pos=middle, rgba=color
+        )
+        self.geometries.append(TileGeom(geom, color))
+
+    def square(self, half: float, z: Range, color: Color = STONE) -> None:
+        """Add a square slab around the middle."""
+        self.box((-half, half), (-half, half), z, color)
+
+    def ring(self, inner: float, outer: float, z: Range, color: Color = STONE) -> None:
+        """Add a square ring around the middle, from half-width `inner` to `outer`."""
+        sides = (inner, outer), (-outer, -inner)
+        for side in sides:
+            self.box((-outer, outer), side, z, color)
+        for side in sides:
+            self.box(side, (-inner, inner), z, color)
 
 
 @dataclass
@@ -84,44 +117,6 @@ class Tile:
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """Add the geoms of obstacles of size `measure`, m; returns the height of the start, m."""
         raise NotImplementedError
-
-
-class TileBuilder:
-    """Adds boxes to a tile; coordinates are relative to its middle, m.
-
-    A tile is one body, so that engines can skip those far away.
-    """
-
-    def __init__(self, spec: mujoco.MjSpec) -> None:
-        self.spec = spec
-        self.body = spec.body("terrain").add_body(name=f"tile_{len(spec.bodies)}")
-        self.geometries: list[TileGeom] = []
-
-    def box(
-        self,
-        x: tuple[float, float],
-        y: tuple[float, float],
-        z: tuple[float, float],
-        color: tuple[float, float, float, float] = STONE,
-    ) -> None:
-        """Add an axis-aligned box, given its range in each direction."""
-        low, high = np.array([x[0], y[0], z[0]]), np.array([x[1], y[1], z[1]])
-        middle = (low + high) / 2 + (TILE / 2, TILE / 2, 0.0)
-        geom = self.body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX, size=(high - low) / 2, pos=middle, rgba=color
-        )
-        self.geometries.append(TileGeom(geom, color))
-
-    def square(self, half: float, z: tuple[float, float], color=STONE) -> None:
-        """Add a square slab around the middle."""
-        self.box((-half, half), (-half, half), z, color)
-
-    def ring(self, inner: float, outer: float, z: tuple[float, float], color=STONE) -> None:
-        """Add a square ring around the middle, from half-width `inner` to `outer`."""
-        for side in ((inner, outer), (-outer, -inner)):
-            self.box((-outer, outer), side, z, color)
-        for side in ((inner, outer), (-outer, -inner)):
-            self.box(side, (-inner, inner), z, color)
 
 
 FLOOR = (-0.2, 0.0)
@@ -292,14 +287,9 @@ def dense_tiles() -> dict[str, Tile]:
 
 
 def find_tile(kind: str, level: int) -> tuple[Tile, float]:
-    """A tile by name, and the difficulty of a level of 1 to 10.
+    """A tile, by a key of `tiles` or `stairs`, which go down; the difficulty of a level of 1 to 10.
 
-    Args:
-        kind: a key of `tiles`, or `stairs`, which go down.
-        level: 1 to 10.
-
-    Raises:
-        RenetError: unknown kind or level.
+    Raises RenetError for an unknown kind or level.
     """
     kinds = {"stairs": Stairs(descend=True), **tiles()}
     if kind not in kinds:  # All callers know flat ground, which is no tile.

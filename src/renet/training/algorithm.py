@@ -18,13 +18,7 @@ from renet.sim.native.engine import NativeSimulation
 from renet.sim.overflow import OverflowWatch
 from renet.training import distributed
 from renet.training.average import WeightAverage
-from renet.training.config import (
-    AdaptationCfg,
-    NP3OCfg,
-    SupervisionCfg,
-    WithholdingCfg,
-    from_dict,
-)
+from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg, WithholdingCfg, from_dict
 from renet.training.np3o import NP3O
 from renet.training.precision import learning_type
 from renet.training.storage import PolicyRollout, Recorder, TickRollout
@@ -38,17 +32,10 @@ NORMALIZED_AT_ONCE = 65_536
 
 
 def op_mask(perception: str, iteration: int, difficult: Tensor, period: int) -> Tensor:
-    """The paper's mask_i: true where the OP estimator steers.
+    """The paper's mask_i, [N] bool: true where the OP estimator steers.
 
-    On simple terrain all environments alternate every `period` iterations, VP first; difficult
-    terrain always has vision.
-
-    Args:
-        perception: of the ModelCfg. iteration: learning iteration.
-        difficult: [N] or [N, 1], nonzero where the terrain forces vision.
-
-    Returns:
-        [N] bool.
+    On simple terrain all environments alternate every `period` iterations, VP first; where
+    `difficult`, [N] or [N, 1], is not zero they always have vision.
     """
     simple = difficult.reshape(-1) == 0
     if perception == "op":
@@ -59,15 +46,7 @@ def op_mask(perception: str, iteration: int, difficult: Tensor, period: int) -> 
 
 
 def critic_observation(obs: TensorDict, *perception: Tensor) -> Tensor:
-    """What the critics see: CRITIC_GROUPS, and what the policy perceives by, on which it depends.
-
-    Args:
-        obs: the task's observations.
-        perception: columns [N], such as which estimator drives.
-
-    Returns:
-        [N, C].
-    """
+    """What the critics see, [N, C]: CRITIC_GROUPS, and columns [N] on how the policy perceives."""
     groups = [obs[group] for group in CRITIC_GROUPS]
     return torch.cat((*groups, torch.stack(perception, dim=-1).to(groups[0].dtype)), dim=-1)
 
@@ -92,17 +71,14 @@ class RenetAlgorithm:
         self.np3o = NP3O(model.actor, model.critics, from_dict(NP3OCfg, np3o), dtype)
         self.supervision = Supervision(model, from_dict(SupervisionCfg, cfg["supervision"]), dtype)
         self.memory = EstimatorMemory(model.cfg, env.num_envs, device)
-        self.withholding = Withholding(
-            from_dict(WithholdingCfg, cfg["withholding"]), env.num_envs, device
-        )
+        withholding = from_dict(WithholdingCfg, cfg["withholding"])
+        self.withholding = Withholding(withholding, env.num_envs, device)
         self.average = WeightAverage(self.model, cfg["average_over"])
         self.iteration = 0
         self.steps = 0
         """Environment steps taken, of all robots and processes."""
-        self._steps = Recorder()
-        self._ticks = Recorder()
+        self._steps, self._ticks = Recorder(), Recorder()
         self._step_count = 0
-        self._cost_sum = torch.zeros(len(CONSTRAINTS), device=device)
         self._overflow = _overflow_watch(env)
 
     @classmethod
@@ -110,10 +86,8 @@ class RenetAlgorithm:
         cls, obs: TensorDict, env: VecEnv, cfg: dict[str, Any], device: str
     ) -> Self:
         """Build from rsl_rl's dictionary configuration; raises RenetError on a foreign task."""
-        missing = [
-            g for g in (*CRITIC_GROUPS, "proprioception", "depth", "difficult") if g not in obs
-        ]
-        if missing:
+        groups = (*CRITIC_GROUPS, "proprioception", "depth", "difficult")
+        if missing := [group for group in groups if group not in obs]:
             raise RenetError(
                 f"the task lacks the observation groups {', '.join(missing)}: RENet trains on "
                 "tasks built like renet.tasks (Renet-Go1-Flat, Renet-Go1-Parkour)"
@@ -130,18 +104,13 @@ class RenetAlgorithm:
         proprioception = obs["proprioception"]
         mask = self.op_mask(obs)
         self.memory.push(proprioception)
-        if self._is_tick():
+        if self._step_count % STEPS_PER_TICK == 0:
             self._tick(obs, mask)
         latent = self.latent(obs, mask)
         distribution = self.model.actor.distribution(proprioception, latent)
-        action = distribution.sample()
-        self._steps.begin(
-            proprioception=proprioception,
-            latent=latent,
-            critic_observation=self.critic_observation(obs, mask),
-            action=action,
-            mean=distribution.mean,
-        )
+        action, seen = distribution.sample(), self.critic_observation(obs, mask)
+        row = {"proprioception": proprioception, "latent": latent, "critic_observation": seen}
+        self._steps.begin(**row, action=action, mean=distribution.mean)
         return action
 
     def op_mask(self, obs: TensorDict) -> Tensor:
@@ -160,9 +129,6 @@ class RenetAlgorithm:
         if self.model.cfg.perception == "oracle":
             return torch.cat((obs["height_map"], obs["velocity"]), dim=-1)
         return fuse(self.memory.latent_op, self.memory.latent_vp, mask)
-
-    def _is_tick(self) -> bool:
-        return self._step_count % STEPS_PER_TICK == 0
 
     def _tick(self, obs: TensorDict, mask: Tensor) -> None:
         """Advance the estimators and record what they are to be taught."""
@@ -188,19 +154,18 @@ class RenetAlgorithm:
         self, obs: TensorDict, rewards: Tensor, dones: Tensor, extras: dict[str, Any]
     ) -> None:
         """Record what the environment answered; `extras["costs"]` are [N, 3]."""
-        done, costs = dones.bool(), extras["costs"]
+        done = dones.bool()
         self._steps.finish(
-            rewards_and_costs=torch.cat((rewards.unsqueeze(-1), costs), dim=-1),
+            rewards_and_costs=torch.cat((rewards.unsqueeze(-1), extras["costs"]), dim=-1),
             done=done,
             time_out=extras.get("time_outs", torch.zeros_like(done)),
         )
-        if self._is_tick():
+        if self._step_count % STEPS_PER_TICK == 0:
             self._ticks.finish(
                 next_proprioception=obs["proprioception_clean"],
                 next_velocity=obs["velocity"],
                 next_valid=~done,
             )
-        self._cost_sum += costs.mean(0)
         self.memory.reset(done)
         self._step_count += 1
         if self._overflow is not None:
@@ -219,6 +184,7 @@ class RenetAlgorithm:
         steps["value"] = self.model.critics(steps["critic_observation"])
         last = self.critic_observation(obs, self.op_mask(obs))
         self._last_value = self.model.critics(normalize(last))
+        self._mean_costs = steps["rewards_and_costs"][..., 1:].mean((0, 1))
         steps["log_prob"] = self.model.actor.log_prob(steps["mean"], steps["action"])
         # An episode cut short would have gone on: bootstrap rewards and costs alike.
         cut = steps.pop("time_out").unsqueeze(-1)
@@ -227,16 +193,14 @@ class RenetAlgorithm:
 
     def update(self) -> dict[str, float]:
         """Learn from the rollout; returns losses and mean costs by name."""
-        length = self._rollout.done.shape[0]
         learned = self._learn(TickRollout(**self._ticks.stack()))
         numbers = torch.stack(list(learned.values())).tolist()  # At once: a GPU is waited for.
         losses = dict(zip(learned, numbers, strict=True))
         self.average.update_parameters(self.model)
-        for name, cost in zip(CONSTRAINTS, (self._cost_sum / length).tolist(), strict=True):
-            losses[f"cost_{name}"] = cost
+        costs = zip(CONSTRAINTS, self._mean_costs.tolist(), strict=True)
+        losses |= {f"cost_{name}": cost for name, cost in costs}
         if self._overflow is not None:
             losses |= self._overflow.report()
-        self._cost_sum.zero_()
         self.iteration += 1
         self.steps += self._rollout.done.numel() * distributed.world_size()
         return losses
@@ -254,10 +218,9 @@ class RenetAlgorithm:
         names = ("proprioception", *CRITIC_GROUPS)
         values = (rollout.proprioception, *columns)
         broken = [n for n, v in zip(names, values, strict=True) if not v.isfinite().all()]
-        # They hold critics' values, too.
-        return broken or (
-            [] if rollout.rewards_and_costs.isfinite().all() else ["rewards or costs"]
-        )
+        if not broken and not rollout.rewards_and_costs.isfinite().all():
+            return ["rewards or costs"]  # Which hold critics' values, too.
+        return broken
 
     @property
     def optimizers(self) -> dict[str, Optimizer]:

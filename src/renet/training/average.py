@@ -12,11 +12,9 @@ class WeightAverage(AveragedModel):
     """
 
     def __init__(self, model: nn.Module, over: int) -> None:
-        """Start with the model's weights.
+        """Start with the weights of a model that is where it is to stay.
 
-        Args:
-            model: network on the device where it is to stay.
-            over: updates the average reaches back, about; 1 keeps the newest weights alone.
+        The average reaches back about `over` updates; 1 keeps the newest weights alone.
         """
         super().__init__(model, avg_fn=self._average, use_buffers=True)
         self.over = over

@@ -91,16 +91,10 @@ def _numbered(folder: Path) -> bool:
 
 
 def find(path: Path) -> Path:
-    """The checkpoint `path` is, or the newest below it, which is then printed.
+    """The checkpoint `path` is, or the newest below a folder of runs, which is then printed.
 
     Newest is the highest iteration of the last run by name, which is its date: the times of files
-    change when folders are copied.
-
-    Args:
-        path: a checkpoint, a run folder or a folder of runs.
-
-    Raises:
-        RenetError: no checkpoint there.
+    change when folders are copied. Raises RenetError where there is none.
     """
     if (path / "state.json").is_file():
         return path
@@ -123,15 +117,11 @@ def _date(run: Path) -> tuple[str, float]:
 def load(
     path: Path, device: str | torch.device = "cpu", model: nn.Module | None = None
 ) -> Checkpoint:
-    """Read a checkpoint.
-
-    Args:
-        path: of its folder. device: where its tensors are to be.
-        model: what the weights are for; the files' headers are compared with it before any tensor
-            takes memory.
+    """Read a checkpoint's folder, its tensors to a device.
 
     Raises:
-        RenetError: a file is missing or damaged, or does not fit the model.
+        RenetError: a file is missing or damaged, or does not fit the model that the weights are
+            for, with which headers are compared before any tensor takes memory.
     """
     state = load_state(path)
     tensors: dict[str, dict[str, Tensor]] = {"optimizer": {}, "average": {}}  # Not in all.
@@ -152,9 +142,8 @@ def load(
 def header(file: Path) -> dict[str, Tensor]:
     """Tensors of a file by name, without their values.
 
-    Raises:
-        RenetError: no regular file, or a larger one than any of renet's.
-        SafetensorError: not of tensors.
+    Raises RenetError where it is no regular file or larger than any of renet's, and SafetensorError
+    where it is not of tensors.
     """
     with safe_open(require_regular(file, MAX_TENSORS, "checkpoint's file"), "pt") as tensors:
         names = tensors.keys()
@@ -165,12 +154,10 @@ def header(file: Path) -> dict[str, Tensor]:
 def load_state(path: Path) -> dict[str, Any]:
     """Read a checkpoint's `state.json` alone; raises RenetError for one that no run can write."""
     state = read_object(path / "state.json", "checkpoint state")
-    if state.get("format") == 1:
+    if (number := state.get("format")) == 1:
         state = upgraded(state)
-    elif state.get("format") != FORMAT:
-        raise RenetError(
-            f"{path} has checkpoint format {state.get('format')}, this renet reads {FORMAT}"
-        )
+    elif number != FORMAT:
+        raise RenetError(f"{path} has checkpoint format {number}, this renet reads {FORMAT}")
     if not all(isinstance(state.get(name), dict) for name in ("agent", "env")):
         raise RenetError(f"{path} is not a checkpoint of RENet: it states no settings")
     for name, kind in STATE.items():
@@ -182,11 +169,11 @@ def load_state(path: Path) -> dict[str, Any]:
 def check_model(model: ModelCfg, state: dict[str, Any], path: Path) -> None:
     """Refuse weights of another model, even where they would fit; raises RenetError."""
     stored, ours = state["agent"].get("model", {}), described(model)
-    changed = [f"{k} was {v}, now {ours[k]}" for k, v in stored.items() if ours.get(k, v) != v]
-    if changed:
+    changes = [f"{k} was {v}, now {ours[k]}" for k, v in stored.items() if ours.get(k, v) != v]
+    if changes:
         raise RenetError(
             f"{path} was trained with another model, so repeat its --agent.model options: "
-            f"{'; '.join(changed)}"
+            f"{'; '.join(changes)}"
         )
 
 
@@ -195,8 +182,7 @@ def load_model(
 ) -> None:
     """Load weights, or let `module` take the tensors themselves (`assign`).
 
-    Raises:
-        RenetError: other names or shapes than the module's, with PyTorch's word on it.
+    Raises RenetError for other names or shapes than the module's, with PyTorch's word on it.
     """
     try:
         module.load_state_dict(tensors, assign=assign)

@@ -223,8 +223,9 @@ def from_dict(cls: type[T], values: dict[str, Any]) -> T:
             "another version of renet"
         )
     nested = {k: from_dict(hints[k], v) for k, v in values.items() if is_dataclass(hints[k])}
-    return cls(**{name: _tuples(value) for name, value in values.items()} | nested)
+    return cls(**{name: to_tuples(value) for name, value in values.items()} | nested)
 
 
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+def to_tuples(value: Any) -> Any:
+    """A value of JSON with tuples in place of lists, also of nested ones."""
+    return tuple(map(to_tuples, value)) if isinstance(value, list) else value

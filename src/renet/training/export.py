@@ -42,31 +42,22 @@ def export(cfg: ExportCfg) -> Path:
     model, state = load_networks(path), checkpoints.load_state(path)
     try:
         provenance = _provenance(state, model.cfg)
-        noise_std = depth_noise(state["env"])
+        sensors = state["env"].get("scene", {}).get("sensors", [])
+        noise_std = [sensor["noise"]["gaussian_std"] for sensor in sensors if "noise" in sensor]
         learned = from_dict(WithholdingCfg, state["agent"].get("withholding", {}))
     except (KeyError, TypeError, AttributeError) as error:
         raise RenetError(f"{path} is not a checkpoint of RENet: its state lacks {error}") from error
     robot = env_cfg(provenance.task).robot if provenance.task else GO1
+    selector = SelectorSpec(
+        beta=cfg.beta,
+        calibration="none: run `renet calibrate`",
+        longest_memory=learned.longest if learned.share else 0.0,
+    )
+    camera = camera_spec(robot, *noise_std[:1])
     manifest = Manifest(
-        robot=robot_spec(robot),
-        camera=camera_spec(robot, noise_std),
-        selector=SelectorSpec(
-            beta=cfg.beta,
-            calibration="none: run `renet calibrate`",
-            longest_memory=learned.longest if learned.share else 0.0,
-        ),
-        provenance=provenance,
-        history=model.cfg.history,
-        frames=model.cfg.frames,
+        robot_spec(robot), camera, selector, provenance, model.cfg.history, model.cfg.frames
     )
     return write_bundle(cfg.out, export_models(model), manifest)
-
-
-def depth_noise(env: dict[str, Any]) -> float:
-    """Standard deviation of the constant part of the depth error that a task states, m."""
-    sensors = env.get("scene", {}).get("sensors", [])
-    stated = [sensor["noise"]["gaussian_std"] for sensor in sensors if "noise" in sensor]
-    return stated[0] if stated else DepthNoiseCfg.gaussian_std
 
 
 def load_networks(path: Path) -> RENet:
@@ -114,12 +105,7 @@ def robot_spec(robot: RobotCfg = GO1) -> RobotSpec:
 
 
 def camera_spec(robot: RobotCfg = GO1, noise_std: float = DepthNoiseCfg.gaussian_std) -> CameraSpec:
-    """The tasks' camera.
-
-    Args:
-        robot: that carries it.
-        noise_std: of the constant part of the depth error, m.
-    """
+    """The tasks' camera on a robot; `noise_std` is of the constant part of the depth error, m."""
     camera = DepthCameraCfg(name="depth_camera", mount=robot.camera)
     return CameraSpec(
         **vars(camera.intrinsics),
@@ -179,21 +165,17 @@ class EstimatorGraph(nn.Module):
         next_op = self.op(history, depth, has_image, latent_op)
         next_vp = self.vp(history, depth, has_image, latent_vp)
         op, vp = self.op.predict(next_op), self.vp.predict(next_vp)
-        predictions = (
-            (op.get("velocity"), 3),
-            (vp.get("velocity"), 3),
-            (vp.get("feet_height"), NUM_FEET),
-            (vp.get("height_map"), HEIGHT_MAP_SIZE),
-        )
-        zeros = torch.zeros_like(next_vp[:, :1])
-        outputs = (
-            next_op,
-            next_vp,
-            *(zeros.expand(-1, size) if value is None else value for value, size in predictions),
-        )
-        if self.vp.map_error_head is None:
-            return outputs
-        return *outputs, self.vp.map_error(next_vp)
+        outputs = [next_op, next_vp]
+        for heads, name, size in (
+            (op, "velocity", 3),
+            (vp, "velocity", 3),
+            (vp, "feet_height", NUM_FEET),
+            (vp, "height_map", HEIGHT_MAP_SIZE),
+        ):
+            outputs.append(heads.get(name, torch.zeros_like(next_vp[:, :1]).expand(-1, size)))
+        if self.vp.map_error_head is not None:
+            outputs.append(self.vp.map_error(next_vp))
+        return tuple(outputs)
 
 
 class VisionGraph(nn.Module):
@@ -213,11 +195,7 @@ class VisionGraph(nn.Module):
 
 
 def export_models(model: RENet) -> dict[str, bytes]:
-    """The three ONNX models, with a dynamic batch axis, by name.
-
-    Raises:
-        RenetError: the model is the Oracle, which needs the simulator's truth.
-    """
+    """The three ONNX models by name, with a batch axis; raises RenetError for an Oracle."""
     if model.cfg.perception == "oracle":
         raise RenetError("the Oracle reads the simulator's truth and cannot be exported")
     model, shapes = model.cpu().eval(), model_shapes(model.cfg.history)
@@ -231,11 +209,7 @@ def export_models(model: RENet) -> dict[str, bytes]:
 
 
 def _to_onnx(graph: nn.Module, inputs: dict[str, tuple[int, ...]], outputs: Iterable[str]) -> bytes:
-    """Serialise one graph; every input and output has the batch as its first axis.
-
-    Args:
-        graph: to trace. inputs: shapes by name, without the batch. outputs: names.
-    """
+    """Serialise a graph, given inputs' shapes and outputs' names; all have the batch first."""
     buffer, example = io.BytesIO(), tuple(torch.zeros(2, *shape) for shape in inputs.values())
     # The tracing exporter is deprecated but keeps these small graphs free of external data.
     with warnings.catch_warnings(action="ignore"):

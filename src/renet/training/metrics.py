@@ -8,21 +8,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from itertools import accumulate
 from pathlib import Path
-from statistics import fmean
+from typing import Any
 
 from matplotlib.figure import Figure
 from rsl_rl.utils.log_writer import LogWriter
-from rsl_rl.utils.wandb_log_writer import WandbLogWriter
 from torch.utils.tensorboard import SummaryWriter
 
 from renet.errors import RenetError
-from renet.files import append, read_object, write_atomically
+from renet.files import append, write_atomically
 from renet.interface import CONSTRAINTS
-from renet.training.config import steps_per_env
-from renet.training.provenance import described, upgraded
+from renet.training.provenance import described
 
 CURVES = "curves.csv"
-CONFIG = "config.json"
 LEVEL = "Curriculum/level/"
 PANELS = (
     ("reward per episode", ("Train/mean_reward",)),
@@ -48,21 +45,17 @@ SMOOTHING = 0.9
 
 
 class CurvesWriter(LogWriter):
-    """rsl_rl's writer of TensorBoard or wandb, with (iteration, name, value) rows in `curves.csv`.
+    """Curves for TensorBoard and perhaps wandb, and (iteration, name, value) rows in `curves.csv`.
 
     Each row goes to the disk at once, so that a killed run keeps its curve; a resumed run appends.
     """
 
     def __init__(self, log_dir: str, logger: str, project_name: str) -> None:
-        """Open the files.
-
-        Args:
-            log_dir: folder of the run. logger: tensorboard or wandb.
-            project_name: wandb's.
-        """
+        """Open the files of a run's folder; `project_name` is for the logger `wandb`."""
         self._path = Path(log_dir) / CURVES
+        self._wandb = wandb_run(log_dir, project_name) if logger == "wandb" else None
         with self._writing():
-            self._writer = _writer(log_dir, logger, project_name)
+            self._board = SummaryWriter(log_dir, flush_secs=10)
             self._file = append(self._path)
             self._rows = csv.writer(self._file)
             # After a row that a killed run left torn, too: empty lines are no rows.
@@ -76,21 +69,23 @@ class CurvesWriter(LogWriter):
         value = float(scalar_value)
         self.latest[tag] = value
         with self._writing():
-            self._writer.add_scalar(tag, value, global_step)
+            self._board.add_scalar(tag, value, global_step)
             self._rows.writerow((global_step, tag, f"{value:.6g}"))
+        if self._wandb:
+            self._wandb.log({tag: value}, step=global_step)
 
     def store_config(self, env_cfg: dict | object, train_cfg: dict) -> None:
-        """Hand both configurations to a service that keeps them."""
-        if isinstance(self._writer, LogWriter):
-            self._writer.store_config(env_cfg, train_cfg)
+        """Keep both configurations beside wandb's curves."""
+        if self._wandb:
+            self._wandb.config.update({"env": described(env_cfg), "agent": described(train_cfg)})
 
     def stop(self) -> None:
         """Close both files, and end wandb's run."""
         with self._writing():
-            self._writer.close()
+            self._board.close()
             self._file.close()
-        if isinstance(self._writer, LogWriter):
-            self._writer.stop()
+        if self._wandb:
+            self._wandb.finish()
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -104,33 +99,15 @@ class CurvesWriter(LogWriter):
             ) from error
 
 
-def _writer(log_dir: str, logger: str, project_name: str) -> SummaryWriter:
-    """rsl_rl's writer; raises RenetError where wandb is asked for and missing."""
-    if logger == "tensorboard":
-        return SummaryWriter(log_dir=log_dir, flush_secs=10)
+def wandb_run(log_dir: str, project_name: str) -> Any:
+    """A run of wandb's; rsl_rl's own writer asks for a setting that wandb has no more."""
     try:
-        return WandbWriter(log_dir, project_name)
+        import wandb
     except ModuleNotFoundError as error:
         raise RenetError("--agent.logger wandb needs it: pip install wandb") from error
-
-
-class WandbWriter(WandbLogWriter):
-    """rsl_rl's writer for wandb, of which newer versions refuse a setting that rsl_rl gives."""
-
-    def __init__(self, log_dir: str, project_name: str) -> None:
-        import wandb
-
-        SummaryWriter.__init__(self, log_dir, flush_secs=10)
-        entity = os.getenv("WANDB_USERNAME")
-        name = Path(log_dir).name
-        wandb.init(project=project_name, entity=entity, name=name, config={"log_dir": log_dir})
-        self.logged_videos = set()
-
-    def store_config(self, env_cfg: dict | object, train_cfg: dict) -> None:
-        """Keep both configurations beside the curves."""
-        import wandb
-
-        wandb.config.update({"env": described(env_cfg), "agent": described(train_cfg)})
+    account = os.getenv("WANDB_USERNAME")
+    config = {"log_dir": log_dir}
+    return wandb.init(project=project_name, entity=account, name=Path(log_dir).name, config=config)
 
 
 def read_curves(run: Path) -> dict[str, tuple[list[int], list[float]]]:
@@ -144,32 +121,6 @@ def read_curves(run: Path) -> dict[str, tuple[list[int], list[float]]]:
             with suppress(TypeError, ValueError):
                 points.setdefault(row["name"], {})[int(row["iteration"])] = float(row["value"])
     return {name: (sorted(c), [c[i] for i in sorted(c)]) for name, c in points.items()}
-
-
-def level_curves(run: Path, steps: int = 0, every: int = 10) -> list[dict[str, float]]:
-    """Levels of the curriculum by kind of tile over a run, means of `every` iterations.
-
-    Args:
-        run: its folder.
-        steps: environment steps with which it began, if it went on from another run.
-        every: iterations.
-
-    Returns:
-        Rows of "steps" (environment steps), "hours" and each kind's level.
-    """
-    config = read_object(run / CONFIG)
-    config = config if "agent" in config else upgraded({"config": config})
-    curves, robots, agent = read_curves(run), config["env"]["scene"]["num_envs"], config["agent"]
-    values = {n.removeprefix(LEVEL): c[1] for n, c in curves.items() if n.startswith(LEVEL)}
-    seconds, rows = 0.0, []
-    for number, fps in enumerate(curves["Perf/total_fps"][1], 1):
-        fixed, batch_size = agent["num_steps_per_env"], agent["batch_size"]
-        each = robots * steps_per_env(fixed, batch_size, robots, steps)
-        steps, seconds = steps + each, seconds + each / fps
-        if number % every == 0:
-            levels = {k: round(fmean(v[number - every : number]), 3) for k, v in values.items()}
-            rows.append({"steps": steps, "hours": round(seconds / 3600, 3), **levels})
-    return rows
 
 
 def write_run_report(run: Path) -> Path:

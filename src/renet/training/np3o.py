@@ -40,8 +40,7 @@ def advantages(
     Returns:
         Advantages [T, N, K]; returns are advantages + value.
     """
-    result = torch.empty_like(rewards_and_costs)
-    running = torch.zeros_like(last_value)
+    result, running = torch.empty_like(rewards_and_costs), torch.zeros_like(last_value)
     next_value = last_value
     for step in reversed(range(rewards_and_costs.shape[0])):
         alive = (~done[step]).unsqueeze(-1).to(rewards_and_costs.dtype)
@@ -147,9 +146,8 @@ class NP3O:
         """Learn from one rollout; on a GPU nothing here waits for the device.
 
         Args:
-            rollout: what the policy did.
-            last_value: values of the states after the last step, [N, 1 + K].
-            iteration: learning iteration, which the penalties' weight grows with.
+            rollout: what the policy did. last_value: of the states after it, [N, 1 + K].
+            iteration: with which the penalties' weight grows.
             steps: environment steps taken before the rollout, for `Schedule` settings.
 
         Returns:
@@ -183,16 +181,13 @@ class NP3O:
             partial(self._value_gradient, batch, targets, index),
         )
         distributed.average_gradients(self.parameters)
-        norms = {
-            f"{name}_grad_norm": nn.utils.clip_grad_norm_(
-                network.parameters(), self.cfg.max_grad_norm
-            )
-            for name, network in (("actor", self.actor), ("critics", self.critics))
-        }
+        clip = partial(nn.utils.clip_grad_norm_, max_norm=self.cfg.max_grad_norm)
+        actor, critics = clip(self.actor.parameters()), clip(self.critics.parameters())
         kl = distributed.mean(of_policy.pop("kl"))
         self._adapt_rate(kl)
         self.optimizer.step()
         rate = self.optimizer.param_groups[0]["lr"].clone()
+        norms = {"actor_grad_norm": actor, "critics_grad_norm": critics}
         return of_policy | of_value | norms | {"kl": kl, "learning_rate": rate}
 
     def _policy_gradient(

@@ -7,9 +7,8 @@ asked for; what is exported is not touched.
 import ctypes
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager, nullcontext
-from functools import partial
-from typing import Any, Literal, TypeVar
+from contextlib import contextmanager
+from typing import Literal, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -58,31 +57,23 @@ def computed_in(dtype: torch.dtype, module: nn.Module) -> Iterator[None]:
     if dtype == torch.float32:
         yield
         return
-    on_cpu = next(module.parameters()).device.type == "cpu"
-    module.forward = partial(_autocast, module.forward, dtype)
-    try:
-        with _half_of_the_threads() if on_cpu else nullcontext():
-            yield
-    finally:
-        del module.forward
-
-
-@contextmanager
-def _half_of_the_threads() -> Iterator[None]:
     global _spare
+    forward, device = module.forward, next(module.parameters()).device.type
     threads = torch.get_num_threads()
-    _spare = threads // 2
+
+    def rounded(value: Tensor) -> Tensor:
+        with torch.autocast(device, dtype):
+            return forward(value).float()
+
+    module.forward = rounded
+    _spare = threads // 2 if device == "cpu" else 0
     torch.set_num_threads(threads - _spare)
     try:
         yield
     finally:
         torch.set_num_threads(threads)
         _spare = 0
-
-
-def _autocast(forward: Callable[..., Tensor], dtype: torch.dtype, value: Tensor) -> Tensor:
-    with torch.autocast(value.device.type, dtype):
-        return forward(value).float()
+        del module.forward
 
 
 def side_by_side(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]:
@@ -93,16 +84,17 @@ def side_by_side(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]
     """
     if not _spare:
         return first(), second()
-    other = _second.submit(_on_threads, _spare, second)
+    spare = _spare
+
+    def on_threads() -> T:
+        torch.set_num_threads(spare)  # OpenMP's number belongs to the calling thread.
+        return second()
+
+    other = _second.submit(on_threads)
     try:
         return first(), other.result()
     finally:
         wait([other])
-
-
-def _on_threads(share: int, work: Callable[[], Any]) -> Any:
-    torch.set_num_threads(share)  # OpenMP's number belongs to the calling thread.
-    return work()
 
 
 def keep_freed_memory() -> bool:

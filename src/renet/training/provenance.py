@@ -8,7 +8,7 @@ from textwrap import shorten
 from typing import Any, TypeVar
 
 from renet.interface import CONTROL_DT, PHYSICS_DT
-from renet.training.config import RenetRunnerCfg
+from renet.training.config import RenetRunnerCfg, to_tuples
 
 T = TypeVar("T")
 PLAIN = (bool, int, float, str)
@@ -17,11 +17,7 @@ UNSAID = ("env.seed", "agent.experiment_name")
 
 
 def described(value: Any) -> Any:
-    """A configuration as JSON: dataclasses as dictionaries, functions and types by their names.
-
-    Args:
-        value: nested dataclasses, dictionaries, sequences, numbers and callables.
-    """
+    """A configuration as JSON: dataclasses as dictionaries, functions and types by their names."""
 
     def plain(item: Any) -> Any:
         if is_dataclass(item) and not isinstance(item, type):
@@ -34,11 +30,9 @@ def described(value: Any) -> Any:
 
 
 def differences(before: Any, now: Any, name: str) -> Iterator[str]:
-    """A line for each place where two trees of JSON differ, as deep as both go.
+    """A line for each place where a run's JSON differs from the one it resumes, as deep as both go.
 
-    Args:
-        before: a configuration or the code's version, of a checkpoint that is resumed.
-        now: that of the run that goes on. name: of both, with dots between levels.
+    `name` stands for both in these lines, with dots between levels.
     """
     before, now = _by_name(before), _by_name(now)
     if isinstance(before, dict) and isinstance(now, dict):
@@ -59,13 +53,8 @@ def _by_name(value: Any) -> Any:
 def restored(value: T, stored: Any) -> T:
     """A configuration with the numbers, texts and sequences that were `described` of another one.
 
-    What only one of the two has stays as it is, and so do functions.
-
-    Args:
-        value: nested dataclasses, dictionaries and sequences. stored: JSON.
-
-    Raises:
-        RenetError: a dataclass of renet's refuses a value.
+    What only one of the two has stays as it is, and so do functions. Raises RenetError where a
+    dataclass refuses a value.
     """
     result: Any = value
     if isinstance(value, Enum):
@@ -78,7 +67,7 @@ def restored(value: T, stored: Any) -> T:
         result = replace(value, **changes)
     elif isinstance(stored, list) and isinstance(value, list | tuple):
         if not any(map(is_dataclass, value)):
-            result = type(value)(map(_tuples, stored))
+            result = type(value)(map(to_tuples, stored))
         elif len(stored) == len(value):
             result = type(value)(map(restored, value, stored))
     elif (isinstance(value, PLAIN) and (stored is None or isinstance(stored, PLAIN))) or (
@@ -86,10 +75,6 @@ def restored(value: T, stored: Any) -> T:
     ):
         result = stored
     return result
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def upgraded(state: dict[str, Any]) -> dict[str, Any]:

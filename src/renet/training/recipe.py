@@ -4,8 +4,6 @@ Nobody has run the paper's 1.5 billion steps. What both share is in docs/method.
 during training follows a schedule over environment steps (`tasks.schedule`).
 """
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 from mjlab.managers.curriculum_manager import CurriculumTermCfg
@@ -28,11 +26,7 @@ from renet.training.config import (
 
 
 def recipe(env: RenetEnvCfg, agent: RenetRunnerCfg) -> None:
-    """Turn the paper's task and agent into ours, in place.
-
-    Args:
-        env: of `flat_env_cfg` or `parkour_env_cfg`. agent: of the paper, `RenetRunnerCfg()`.
-    """
+    """Turn a task of `parkour_env_cfg.py`, and the paper's agent, into ours, in place."""
     set_learning(agent)
     set_rewards(env)
     set_differences(env)

@@ -52,11 +52,7 @@ class RenetRunner(OnPolicyRunner):
         self.stop = Event()
         """Set by whoever wants training to stop, with a checkpoint, as soon as it can."""
         # Keys rsl_rl reads unconditionally; constructing the algorithm consumes the class name.
-        train_cfg["algorithm"] = {
-            **train_cfg["algorithm"],
-            "class_name": self.algorithm,
-            "rnd_cfg": None,
-        }
+        train_cfg["algorithm"] |= {"class_name": self.algorithm, "rnd_cfg": None}
         super().__init__(env, train_cfg, log_dir, device)
         self.logger.git_status_repos = []
         self.folder = Path(log_dir) / CHECKPOINTS if log_dir else None
@@ -82,13 +78,11 @@ class RenetRunner(OnPolicyRunner):
         time_budget_s: float = np.inf,
         report: Callable[[], None] = lambda: None,
     ) -> Path | None:
-        """Train until `num_learning_iterations` more are done, the time is up, or `stop` is set.
+        """Train until so many more iterations are done, the time is up, or `stop` is set.
 
         Args:
-            num_learning_iterations: upper bound of additional iterations.
-            init_at_random_ep_len: spread episode ends over time from the start.
-            time_budget_s: stop cleanly, with a checkpoint, before this many seconds have passed;
-                one iteration is done in any case.
+            num_learning_iterations: at most. init_at_random_ep_len: spread the ends of episodes.
+            time_budget_s: seconds in which to end, with a checkpoint, after one iteration at least.
             report: called after each iteration.
 
         Returns:
@@ -105,15 +99,14 @@ class RenetRunner(OnPolicyRunner):
         self.open_log()
         first, last, longest = self.alg.iteration, self.alg.iteration + num_learning_iterations, 0.0
         while self.alg.iteration < last:
-            left = began + time_budget_s - time.monotonic()
+            lap = time.monotonic()
+            left = began + time_budget_s - lap
             if self._agree(self.stop.is_set() or (longest > 0.0 and left < 2.0 * longest)):
                 break
-            lap = time.monotonic()
             obs = self._iterate(obs, first, last)
             longest = max(longest, time.monotonic() - lap)
             report()
-            iteration = self.alg.iteration
-            if iteration % self.cfg["save_interval"] == 0 and iteration < last:
+            if self.alg.iteration % self.cfg["save_interval"] == 0 and self.alg.iteration < last:
                 self.save()
         newest = self.save()
         self.logger.stop_logging_writer()
@@ -171,8 +164,7 @@ class RenetRunner(OnPolicyRunner):
         if not self.alg.action_std.isfinite().all():
             bad.append("action noise")
         if self._agree(bool(bad)):
-            broken = self.alg.not_finite(obs)
-            if broken:
+            if broken := self.alg.not_finite(obs):
                 raise RenetError(
                     f"the task's {', '.join(broken)} became NaN or infinite in iteration "
                     f"{self.alg.iteration}. Nothing of it was saved: mend the task, go on with "
@@ -207,25 +199,18 @@ class RenetRunner(OnPolicyRunner):
         environment["torch_rng"] = torch.get_rng_state()
         if self.device.startswith("cuda"):
             environment["cuda_rng"] = torch.cuda.get_rng_state(self.device)
-        checkpoint = Checkpoint(
-            algorithm.model.state_dict(),
-            checkpoints.optimizer_tensors(algorithm.optimizers),
-            environment,
-            state,
-            algorithm.average.module.state_dict(),
-        )
+        optimizer = checkpoints.optimizer_tensors(algorithm.optimizers)
+        average = algorithm.average.module.state_dict()
+        weights = algorithm.model.state_dict()
+        checkpoint = Checkpoint(weights, optimizer, environment, state, average)
         keep = self.cfg["keep_checkpoints"]
         return checkpoints.save(checkpoint, self.folder, algorithm.iteration, keep)
 
     def provenance(self) -> dict[str, Any]:
         """Everything that shaped the policy: the task, both configurations, the code's version."""
         env = cast(Any, self.env).unwrapped
-        return {
-            "task": self._agent["task"],
-            "agent": described(self._agent),
-            "env": described(getattr(env, "task_cfg", env.cfg)),
-            "code": code_version(),
-        }
+        settings = {"agent": self._agent, "env": getattr(env, "task_cfg", env.cfg)}
+        return {"task": self._agent["task"], **described(settings), "code": code_version()}
 
     def load(self, path: str, **_: Any) -> dict:  # type: ignore[override]
         """Go on from a checkpoint folder; raises RenetError if it does not fit."""

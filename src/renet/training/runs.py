@@ -1,7 +1,5 @@
 """Folders of runs: where a new one begins, which one goes on, and how one is stopped."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -21,12 +19,10 @@ LOGS = Path("logs")
 
 
 def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
-    """The run that goes on; None where a new one begins.
+    """The run that goes on from a checkpoint; None where a new one begins.
 
-    Args:
-        checkpoint: to go on from; one that is not its run's newest, or in no run's folder, begins a
-            run of its own.
-        root: `--log-root`; another one than the run's branches off.
+    A new one begins without a checkpoint, from one that is not its run's newest or in no run's
+    folder, and where `root`, which is `--log-root`, is not the run's.
     """
     if checkpoint is None or checkpoint.parent.name != CHECKPOINTS:
         return None
@@ -37,11 +33,7 @@ def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
 
 
 def new_run(root: Path | None, experiment: str, name: str = "") -> Path:
-    """Create `root/experiment/date_time_name`, by default in `logs`.
-
-    Raises:
-        RenetError: it cannot be written.
-    """
+    """Create `root/experiment/date_time_name`, by default in `logs`; raises RenetError."""
     root = root or LOGS
     stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S") + (f"_{name}" if name else "")
     # A second number for runs begun in the same second.

@@ -1,7 +1,5 @@
 """One rollout: what the policy saw at 50 Hz and what the estimators saw at 10 Hz."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Self
 
@@ -32,9 +30,9 @@ class PolicyRollout:
     done: Tensor
     """Episode ended with this step, [T, N] bool."""
 
-    def flatten(self) -> PolicyRollout:
+    def flatten(self) -> Self:
         """Merge time and environments: [T * N, ...]."""
-        return PolicyRollout(*(getattr(self, f.name).flatten(0, 1) for f in fields(self)))
+        return type(self)(*(getattr(self, f.name).flatten(0, 1) for f in fields(self)))
 
 
 @dataclass

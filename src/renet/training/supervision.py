@@ -48,11 +48,7 @@ class Supervision:
         self.optimizer = torch.optim.Adam(self.parameters, lr=rate, fused=True)
 
     def update(self, rollout: TickRollout, steps: float = 0.0) -> dict[str, Tensor]:
-        """Learn from one rollout's ticks.
-
-        Args:
-            rollout: what the estimators saw.
-            steps: environment steps taken before the rollout, for `Schedule` settings.
+        """Learn from one rollout's ticks, before which `steps` environment steps were taken.
 
         Returns:
             Mean losses by name, and of each HIM the prototypes' effective rank and usage.
@@ -90,16 +86,9 @@ class Supervision:
     def _gradient(
         self, terms: Callable[[TickRollout], dict[str, Tensor]], rollout: TickRollout
     ) -> dict[str, Tensor]:
-        """Go back through the sum of some terms, in the scaled units of `SupervisionCfg`.
-
-        Returns:
-            The terms, in m/s and m.
-        """
-        weights = {
-            "velocity": self.cfg.velocity_scale**2,
-            "feet_height": self.cfg.height_scale**2,
-            "height_map": self.cfg.height_scale**2,
-        }
+        """Go back through the sum of some terms, scaled as `SupervisionCfg` says; their values."""
+        velocity, height = self.cfg.velocity_scale**2, self.cfg.height_scale**2
+        weights = {"velocity": velocity, "feet_height": height, "height_map": height}
         losses = terms(rollout)
         if losses:
             scaled = [loss * weights.get(name[3:], 1.0) for name, loss in losses.items()]
@@ -115,11 +104,7 @@ class Supervision:
         return self.estimator_losses("vp", rollout)
 
     def estimator_losses(self, name: str, rollout: TickRollout) -> dict[str, Tensor]:
-        """Every term of an estimator's loss over the ticks that train it.
-
-        Args:
-            name: op or vp.
-            rollout: sequences of K ticks of B environments.
+        """Every term of the loss of the estimator `name`, op or vp, over the ticks that train it.
 
         Returns:
             Named scalars. Absent heads are absent, and nothing is returned where no tick trains the
@@ -134,9 +119,8 @@ class Supervision:
         rollout, counts = rollout.environments(mine), chosen[:, mine].float()
         estimator, him = getattr(self.model, name), getattr(self.model, f"{name}_him")
         initial = getattr(rollout, f"latent_{name}")[0]
-        latent = estimator.unroll(
-            rollout.history, rollout.frames.float(), rollout.has_image, initial, rollout.fresh
-        )
+        images = rollout.frames.float(), rollout.has_image
+        latent = estimator.unroll(rollout.history, *images, initial, rollout.fresh)
 
         def mean(loss: Tensor) -> Tensor:
             """Over ticks that train the estimator, of [K, B, ...]."""
@@ -171,10 +155,8 @@ def draw_grass(seed: int = 0) -> Tensor:
     """Depth of blades alone, [512, 48, 64]: 1 where there are none, 0 where one is not measured."""
     rng = np.random.default_rng(seed)
     nothing = Frames.healthy(np.ones((1, *DEPTH_SHAPE), np.float32))
-    views = [
-        TallGrass(count, [rng]).corrupt(nothing, np.zeros(1)).image[0]
-        for count in rng.integers(1, GRASS_BLADES + 1, GRASS_VIEWS)
-    ]
+    counts = rng.integers(1, GRASS_BLADES + 1, GRASS_VIEWS)
+    views = [TallGrass(count, [rng]).corrupt(nothing, np.zeros(1)).image[0] for count in counts]
     return torch.from_numpy(np.stack(views))
 
 

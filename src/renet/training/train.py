@@ -1,9 +1,6 @@
 """`renet train`: one process, or one per GPU; and `renet recipe`, which says how."""
 
-from __future__ import annotations
-
 import argparse
-import io
 import json
 import math
 import os
@@ -15,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self, TextIO, cast
+from typing import Any, ClassVar, Self, cast
 
 import mjlab
 import torch
@@ -31,12 +28,15 @@ from renet.options import TASK, RecipeCfg, TrainOptions
 from renet.tasks import RenetEnvCfg, env_cfg, make_env
 from renet.training import checkpoint as checkpoints
 from renet.training.config import MOST_STEPS, RenetRunnerCfg, steps_per_env
-from renet.training.metrics import CONFIG, CURVES, write_run_report
+from renet.training.metrics import CURVES, write_run_report
 from renet.training.progress import Report
 from renet.training.provenance import described, differences, restored
 from renet.training.runner import RenetRunner
 from renet.training.runs import LATEST, new_run, resolve_resume, resumed_run, signals
 from renet.version import code_version
+
+CONFIG = "config.json"
+"""File of a run's folder that says how it was trained, of the newest start."""
 
 
 @dataclass(kw_only=True)
@@ -70,11 +70,7 @@ class TrainCfg(TrainOptions):
 
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> Self:
-        """What a command line starts from: its task, or the run it resumes.
-
-        Raises:
-            RenetError: an unknown task, or nothing to resume.
-        """
+        """What a command line starts from: its task, or the run it resumes; raises RenetError."""
         parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
         parser.add_argument("--resume", nargs="?", const="")
         parser.add_argument("--log-root", "--log_root", nargs="?", type=Path)
@@ -91,9 +87,7 @@ class TrainCfg(TrainOptions):
     def resumed(cls, state: dict[str, Any], task: str = "") -> Self:
         """The settings in a checkpoint's state; those of the code for what it does not say.
 
-        Args:
-            state: of a checkpoint. task: to train, by default the checkpoint's; another one brings
-                rules of its own.
+        The task is by default the checkpoint's; another one brings rules of its own.
         """
         cfg = cls.from_task(task or str(state.get("task", "")))
         stored = state["env"]
@@ -157,11 +151,10 @@ def train(cfg: TrainCfg) -> Path | None:
             console.print(iterations(agent, env.num_envs, built.alg.steps))
             write_atomically(run / CONFIG, (json.dumps(settings, indent=1) + "\n").encode())
         runner = built
-        report = Report(console, runner, agent.max_iterations)
-        with report.shown():
+        with Report(console, runner, agent.max_iterations) as report:
             left = agent.max_iterations - runner.alg.iteration
             budget = deadline - time.monotonic()
-            newest = runner.learn(left, time_budget_s=budget, report=report.update)
+            newest = runner.learn(left, time_budget_s=budget, report=report.iterate)
         if rank or run is None:
             return None
         if (run / CURVES).exists():
@@ -183,10 +176,9 @@ def iterations(agent: RenetRunnerCfg, robots: int, steps: int) -> str:
 
 
 def checkpoint_of(cfg: TrainCfg) -> tuple[Path | None, dict[str, Any]]:
-    """The checkpoint to go on from, and its state, which is empty without one.
+    """The checkpoint to go on from, and its state, which is empty where a new run begins.
 
-    Raises:
-        RenetError: there is none, or it has all iterations behind it.
+    Raises RenetError where there is none, or it has all iterations behind it.
     """
     if cfg.resume is None:
         return None, {}
@@ -208,22 +200,15 @@ def make_vec_env(cfg: TrainCfg, device: str, rank: int = 0) -> RslRlVecEnvWrappe
     return RslRlVecEnvWrapper(env, clip_actions=cfg.agent.clip_actions)
 
 
-class Nowhere(io.TextIOBase):
-    """A stream that drops what is written to it."""
-
-    def write(self, text: str) -> int:
-        """Drop a text."""
-        return len(text)
-
-
 @contextmanager
 def quiet(rank: int = 0) -> Iterator[Console]:
     """A console on standard output, where mjlab's and rsl_rl's tables do not appear meanwhile.
 
     On ranks above 0 nothing does.
     """
-    file = cast(TextIO, Nowhere() if rank else sys.stdout)
-    with redirect_stdout(cast(TextIO, Nowhere())):
+    shown = sys.stdout
+    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+        file = nowhere if rank else shown
         yield Console(file=file, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -259,6 +244,6 @@ def show(cfg: RecipeCfg) -> None:
         settings = checkpoints.load_state(checkpoints.find(cfg.checkpoint))
     else:
         run = TrainCfg.from_task(cfg.task)
-        settings = {"task": cfg.task, "agent": described(run.agent), "env": described(run.env)}
-        settings["code"] = code_version()
+        configurations = described({"agent": run.agent, "env": run.env})
+        settings = {"task": cfg.task, **configurations, "code": code_version()}
     print(json.dumps(settings, indent=1))

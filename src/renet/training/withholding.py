@@ -27,13 +27,9 @@ class Withholding:
         self._left = torch.zeros(num_envs, device=device)
 
     def tick(self, fresh: Tensor) -> Tensor:
-        """Let a tick pass.
+        """Let a tick pass; [N] bool, false where the image is withheld.
 
-        Args:
-            fresh: [N] bool, true where an episode began since the last tick.
-
-        Returns:
-            [N] bool, false where the image is withheld.
+        `fresh`, [N] bool, is true where an episode began since the last tick.
         """
         if not self.cfg.share:
             return torch.ones_like(fresh)

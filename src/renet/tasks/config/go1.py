@@ -1,7 +1,5 @@
 """Unitree Go1 as RENet drives it: mjlab's asset with soft joint servos."""
 
-from __future__ import annotations
-
 from mjlab.asset_zoo.robots.unitree_go1 import go1_constants as go1
 from mjlab.utils.actuator import ElectricActuator
 

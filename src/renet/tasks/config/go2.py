@@ -1,7 +1,5 @@
 """Unitree Go2 as RENet drives it: the model that ships with renet, with soft joint servos."""
 
-from __future__ import annotations
-
 import mujoco
 
 from renet.descriptions import GO2 as DESCRIPTION

@@ -1,7 +1,5 @@
 """Joint-position actions in the interface's order, whatever the order of the robot's MJCF."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from mjlab.envs import ManagerBasedRlEnv
@@ -16,8 +14,7 @@ class OrderedJointPositionActionCfg(JointPositionActionCfg):
 
     actuator_names: tuple[str, ...] | list[str] = JOINTS
 
-    def build(self, env: ManagerBasedRlEnv) -> OrderedJointPositionAction:
-        """Instantiate the term."""
+    def build(self, env: ManagerBasedRlEnv) -> "OrderedJointPositionAction":
         return OrderedJointPositionAction(self, env)
 
 

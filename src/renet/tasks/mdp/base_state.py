@@ -5,8 +5,6 @@ and costs one operation where mjlab's EntityData derives it from body velocities
 Positions and rotations are those of the last kinematics.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """The goal: a forward speed c_x and a world yaw c_yaw, sampled at random (RENet, Method C)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -45,8 +43,7 @@ class GoalCommandCfg(CommandTermCfg):
     fixed_speed: float | None = None
     """c_x for evaluation, m/s; c_yaw then stays each robot's starting yaw."""
 
-    def build(self, env: ManagerBasedRlEnv) -> GoalCommand:
-        """Instantiate the term."""
+    def build(self, env: ManagerBasedRlEnv) -> "GoalCommand":
         return GoalCommand(self, env)
 
 
@@ -127,7 +124,6 @@ class GoalCommand(CommandTerm):
         return torch.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
 
     def _update_command(self, env_ids: Tensor | None) -> None:
-        del env_ids
         error = self.yaw - base_heading(self._env)
         self._command = torch.stack((self.speed, error.sin(), error.cos()), dim=-1)
 

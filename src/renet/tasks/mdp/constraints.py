@@ -5,8 +5,6 @@ the order of interface.CONSTRAINTS for the learner. A cost is the sum over joint
 a limit, times the step's dt: zero for motion inside the limits, and for broken physics.
 """
 
-from __future__ import annotations
-
 import torch
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.managers.metrics_manager import MetricsTermCfg
@@ -25,8 +23,7 @@ def constraint_costs(env: ManagerBasedRlEnv) -> Tensor:
     """
     metrics = env.metrics_manager
     names = [f"cost_{name}" for name in CONSTRAINTS]
-    missing = [name for name in names if name not in metrics.active_terms]
-    if missing:
+    if missing := [name for name in names if name not in metrics.active_terms]:
         raise RenetError(
             f"the task lacks the metrics {', '.join(missing)}: constraint costs are those of "
             "tasks built like renet.tasks"
@@ -39,12 +36,10 @@ class joint_position_cost:
     """Joint positions beyond the robot's soft limits, [N] rad s."""
 
     def __init__(self, cfg: MetricsTermCfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
         low, high = env.scene["robot"].data.soft_joint_pos_limits.unbind(-1)
         self._middle, self._reach = (low + high) / 2, (high - low) / 2
 
     def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
-        """Evaluate the present state."""
         position = env.scene["robot"].data.joint_pos
         return _cost(env, (position - self._middle).abs() - self._reach)
 
@@ -59,8 +54,6 @@ class joint_velocity_cost:
         self._limits = _per_joint(env, cfg.params["limits"])
 
     def __call__(self, env: ManagerBasedRlEnv, limits: dict[str, float]) -> Tensor:
-        """Evaluate the present state."""
-        del limits
         velocity = env.scene["robot"].data.joint_vel
         return _cost(env, (velocity.abs() - self._limits).clamp_max(1.0))
 
@@ -81,8 +74,6 @@ class torque_cost:
     def __call__(
         self, env: ManagerBasedRlEnv, limits: dict[str, float], stiffness: float, damping: float
     ) -> Tensor:
-        """Evaluate the present state."""
-        del limits
         data = env.scene["robot"].data
         torque = stiffness * (data.joint_pos_target - data.joint_pos) - damping * data.joint_vel
         return _cost(env, torque.abs() - self._limits)

@@ -4,8 +4,6 @@ Whatever changes with time counts environment steps of all robots and processes;
 is the one place that knows how many are done.
 """
 
-from __future__ import annotations
-
 import math
 import os
 
@@ -32,15 +30,12 @@ class EnvironmentSteps:
     """Environment steps of all robots and processes since training began."""
 
     def __init__(self, cfg: CurriculumTermCfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
         self._env = env
         self._robots = env.num_envs * int(os.getenv("WORLD_SIZE", "1"))
         self._offset = 0
         """Steps that a resumed run took with another number of robots."""
 
     def __call__(self, env: ManagerBasedRlEnv, env_ids: Tensor) -> Tensor:
-        """Log the count."""
-        del env, env_ids
         return torch.tensor(float(self.count))
 
     @property
@@ -69,9 +64,9 @@ class TerrainLevels:
     One that has not walked keeps its level, as after loading a checkpoint. A robot that passes the
     last level is sent to any level.
 
-    After `easier_after` environment steps, a share of the episodes on tiles of `easier_kinds` (both
-    are parameters) use a tile of a level drawn uniformly up to the robot's own. They do not change
-    that level. Without them robots forget how to cross narrow gaps.
+    After `easier_after` environment steps, a share of the episodes on kinds of tile of
+    `easier_kinds` (both are parameters) use a tile of a level drawn uniformly up to the robot's
+    own. They do not change that level. Without them robots forget how to cross narrow gaps.
 
     Attributes:
         levels: each robot's own level, [N]; `terrain.terrain_levels` is that of the tile it is on.
@@ -81,7 +76,6 @@ class TerrainLevels:
     """
 
     def __init__(self, cfg: CurriculumTermCfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
         self.levels = tile_terrain(env).terrain_levels.clone()
         self.passed = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
 
@@ -92,17 +86,7 @@ class TerrainLevels:
         easier_after: float = math.inf,
         easier_kinds: tuple[str, ...] = (),
     ) -> dict[str, Tensor]:
-        """Set the levels and tiles of robots whose episodes end.
-
-        Args:
-            env: environment on tiles.
-            env_ids: these robots.
-            easier_after: environment steps after which easier tiles are drawn.
-            easier_kinds: kinds of tile that are drawn so.
-
-        Returns:
-            Mean level of each kind of tile.
-        """
+        """Set levels and tiles of robots whose episodes end; returns each kind's mean level."""
         terrain, command = tile_terrain(env), goal(env)
         steps = env.episode_length_buf[env_ids]
         left = (env.max_episode_length - steps).clamp_min(0) * env.step_dt
@@ -162,8 +146,6 @@ class reward_weight:
     def __call__(
         self, env: ManagerBasedRlEnv, env_ids: Tensor, reward: str, schedule: Schedule
     ) -> Tensor:
-        """Set the weight for the steps to come."""
-        del env_ids
         weight = value_at(schedule, environment_steps(env))
         env.reward_manager.get_term_cfg(reward).weight = weight
         return torch.tensor(weight)
@@ -171,7 +153,6 @@ class reward_weight:
 
 def command_stage(env: ManagerBasedRlEnv, env_ids: Tensor, after: float) -> Tensor:
     """Ask for standing, too, after so many environment steps; returns the stage, 0 or 1."""
-    del env_ids
     command = goal(env)
     if environment_steps(env) >= after:
         command.stage = 1
@@ -191,11 +172,9 @@ def curriculum_state(env: ManagerBasedRlEnv) -> dict[str, Tensor]:
 
 
 def load_curriculum_state(env: ManagerBasedRlEnv, state: dict[str, Tensor], steps: int) -> None:
-    """Restore `curriculum_state`; other numbers of robots on the tiles resample the levels.
+    """Restore `curriculum_state` of a run that has taken so many environment steps.
 
-    Args:
-        env: environment to change. state: of the run that goes on.
-        steps: environment steps that it has taken.
+    Other numbers of robots on the tiles resample the levels.
     """
     goal(env).stage = int(state["command_stage"])
     env.common_step_counter = int(state["common_step_counter"])

@@ -1,7 +1,5 @@
 """Metrics, logged as means over an episode's steps."""
 
-from __future__ import annotations
-
 from mjlab.envs import ManagerBasedRlEnv
 from torch import Tensor
 
@@ -25,10 +23,7 @@ def reward_term(env: ManagerBasedRlEnv, name: str) -> Tensor:
 def near_edge(env: ManagerBasedRlEnv, reach: float = 0.5, relief: float = 0.08) -> Tensor:
     """1 where there is an edge close to the base, in the last observed height map, [N].
 
-    Args:
-        env: environment with the observation group `height_map`.
-        reach: half-width of the square around the base, m.
-        relief: difference of heights in the square that makes an edge, m.
+    It is a difference of heights above `relief`, m, in the square of half-width `reach`, m.
     """
     rows, columns = (indices_within(reach, axis) for axis in (HEIGHT_MAP_X, HEIGHT_MAP_Y))
     observed = env.obs_buf["height_map"].unflatten(-1, (len(HEIGHT_MAP_X), -1))  # type: ignore[union-attr]

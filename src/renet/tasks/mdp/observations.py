@@ -1,7 +1,5 @@
 """Observations beyond mjlab's: true quantities for critics and estimators, and depth."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import torch
@@ -19,14 +17,9 @@ from renet.terrain.tiles import DIFFICULT
 
 
 def proprioception(env: ManagerBasedRlEnv, joints: SceneEntityCfg) -> Tensor:
-    """What the robot's own sensors say, before scaling, [N, 45].
+    """What the robot's own sensors say, in the terms, order and units of interface.PROPRIOCEPTION.
 
-    Args:
-        env: the environment.
-        joints: of the robot, in the order of interface.JOINTS.
-
-    Returns:
-        Terms, order and units of interface.PROPRIOCEPTION.
+    Before scaling, [N, 45]; `joints` are in the order of interface.JOINTS.
     """
     robot, order = env.scene["robot"], joints.joint_ids
     terms = (
@@ -82,7 +75,6 @@ class smoothed_joint_velocity(VelocityFilter):
     _step = 0
 
     def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
-        """Take in a new control step, if there was one."""
         if env.common_step_counter != self._step:
             self._step = env.common_step_counter
             self.smoothed(env)
@@ -104,8 +96,6 @@ class physical_parameters:
     def __call__(
         self, env: ManagerBasedRlEnv, trunk: SceneEntityCfg, foot: SceneEntityCfg
     ) -> Tensor:
-        """[N, 29]."""
-        del trunk, foot
         model, nominal, body = env.sim.model, env.sim.get_default_field, self._body
         mass = model.body_mass[:, body] - nominal("body_mass")[body]
         com = model.body_ipos[:, body].flatten(1) - nominal("body_ipos")[body].flatten()

@@ -1,11 +1,9 @@
 """The paper's rewards (RENet, Method A, footnote, and eq. 6), and the recipe's.
 
 Weights are in parkour_env_cfg.py and in training/recipe.py. World-frame quantities use the
-horizontal plane: <v, n_yaw> has no vertical part. Classes remember the step before, and forget it
-when an episode begins.
+horizontal plane: <v, n_yaw> has no vertical part. Classes with `reset` remember the step before,
+which is to be evaluated once, and forget it when an episode begins.
 """
-
-from __future__ import annotations
 
 from typing import Any
 
@@ -72,8 +70,6 @@ class joint_deviation:
         self._joints = torch.tensor(joints, device=env.device)
 
     def __call__(self, env: ManagerBasedRlEnv, joint_names: tuple[str, ...]) -> Tensor:
-        """Evaluate the present state."""
-        del joint_names
         data = env.scene["robot"].data
         return (data.joint_pos - data.default_joint_pos)[:, self._joints].square().sum(-1)
 
@@ -85,17 +81,14 @@ class joint_acceleration:
     """
 
     def __init__(self, cfg: RewardTermCfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
         self._before = torch.zeros_like(env.scene["robot"].data.joint_vel)
 
     def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
-        """Evaluate a step, once."""
         now = env.scene["robot"].data.joint_vel
         change, self._before = now - self._before, now
         return (change / env.step_dt).square().sum(-1)
 
     def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """Begin episodes."""
         self._before[env_ids] = 0.0
 
 
@@ -112,7 +105,6 @@ class VelocityFilter:
     """A term that smooths joint velocities since the episode began exponentially."""
 
     def __init__(self, cfg: Any, env: ManagerBasedRlEnv) -> None:
-        del cfg
         self._smoothed = torch.zeros_like(env.scene["robot"].data.joint_vel)
 
     def smoothed(self, env: ManagerBasedRlEnv) -> Tensor:
@@ -120,7 +112,6 @@ class VelocityFilter:
         return self._smoothed.lerp_(env.scene["robot"].data.joint_vel, env.step_dt / SMOOTHING)
 
     def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """Begin episodes."""
         self._smoothed[env_ids] = 0.0
 
 
@@ -132,7 +123,6 @@ class standing_motion(VelocityFilter):
     """
 
     def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
-        """Evaluate a step, once."""
         return self.smoothed(env).square().sum(-1) * (goal(env).speed <= 0.0)
 
 
@@ -150,7 +140,6 @@ class upright_tracking:
     """
 
     def __init__(self, cfg: RewardTermCfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
         robot = env.scene["robot"]
         self._feet = robot.indexing.site_ids[robot.find_sites(LEGS)[0]]
 
@@ -161,7 +150,6 @@ class upright_tracking:
         crouch: float = 0.6,
         tolerance: float = 0.4,
     ) -> Tensor:
-        """Evaluate the present state."""
         lowest = env.sim.data.site_xpos[:, self._feet, 2].amin(-1)
         height = (base_position(env)[:, 2] - lowest) / standing_height
         carried = ((height - crouch) / (1.0 - crouch)).clamp(0.0, 1.0)
@@ -184,7 +172,6 @@ class foot_clearance:
     """
 
     def __init__(self, cfg: RewardTermCfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
         robot = env.scene["robot"]
         feet, _ = robot.find_sites(LEGS, preserve_order=True)
         self._feet = robot.indexing.site_ids[feet]
@@ -193,7 +180,6 @@ class foot_clearance:
     def __call__(
         self, env: ManagerBasedRlEnv, standing_height: float, lift: float = 0.12
     ) -> Tensor:
-        """Evaluate a step, once."""
         feet = env.sim.data.site_xpos[:, self._feet]
         ground = base_position(env)[:, 2:] - standing_height
         lack = (lift + ground - feet[..., 2]).clamp(0.0, lift)
@@ -202,5 +188,4 @@ class foot_clearance:
         return (lack.square() * moved).sum(-1) / env.step_dt
 
     def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """Begin episodes."""
         self._before[env_ids] = torch.nan

@@ -1,7 +1,5 @@
 """When an episode ends; leaving the tile is success, hence a time-out, not a failure."""
 
-from __future__ import annotations
-
 import torch
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.managers.termination_manager import TerminationTermCfg
@@ -51,7 +49,6 @@ class stalled:
     """
 
     def __init__(self, cfg: TerminationTermCfg, env: ManagerBasedRlEnv) -> None:
-        del cfg
         self._origin = torch.full((env.num_envs, 2), torch.inf, device=env.device)
         self.seconds = torch.zeros(env.num_envs, device=env.device)
         """Since the last progress, [N]."""
@@ -59,7 +56,6 @@ class stalled:
     def __call__(
         self, env: ManagerBasedRlEnv, patience: float = 3.0, progress: float = 0.15
     ) -> Tensor:
-        """Evaluate a step, once."""
         position = base_position(env)[:, :2]
         waits = (position - self._origin).norm(dim=-1) < progress
         waits &= goal(env).speed > 0.0
@@ -68,6 +64,5 @@ class stalled:
         return self.seconds > patience
 
     def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """Begin episodes."""
         self._origin[env_ids] = torch.inf
         self.seconds[env_ids] = 0.0

@@ -1,4 +1,4 @@
-"""Draw what `renet train Renet-Go1-Parkour` learns: `python tools/recipe_curves.py RUN[=LABEL]...`.
+"""Draw what `renet train` learns: `python benchmarks/recipe_curves.py RUN[=LABEL]...`.
 
 Writes docs/figures/recipe.csv, every tenth iteration of each run, and docs/figures/recipe.png from
 that file; without runs the figure alone is drawn again. Runs of one label have one colour.
@@ -10,15 +10,46 @@ import csv
 import json
 import sys
 from pathlib import Path
+from statistics import fmean
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 from renet.evaluation import figures
+from renet.files import read_object
 from renet.terrain.tiles import tiles
-from renet.training.metrics import level_curves
+from renet.training.config import steps_per_env
+from renet.training.metrics import LEVEL, read_curves
+from renet.training.provenance import upgraded
+from renet.training.train import CONFIG
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "recipe"
+
+
+def level_curves(run: Path, steps: int = 0, every: int = 10) -> list[dict[str, float]]:
+    """Levels of the curriculum by kind of tile over a run, means of `every` iterations.
+
+    Args:
+        run: its folder.
+        steps: environment steps with which it began, if it went on from another run.
+        every: iterations.
+
+    Returns:
+        Rows of "steps" (environment steps), "hours" and each kind's level.
+    """
+    config = read_object(run / CONFIG)
+    config = config if "agent" in config else upgraded({"config": config})
+    curves, robots, agent = read_curves(run), config["env"]["scene"]["num_envs"], config["agent"]
+    values = {n.removeprefix(LEVEL): c[1] for n, c in curves.items() if n.startswith(LEVEL)}
+    seconds, rows = 0.0, []
+    for number, fps in enumerate(curves["Perf/total_fps"][1], 1):
+        fixed, batch_size = agent["num_steps_per_env"], agent["batch_size"]
+        each = robots * steps_per_env(fixed, batch_size, robots, steps)
+        steps, seconds = steps + each, seconds + each / fps
+        if number % every == 0:
+            levels = {k: round(fmean(v[number - every : number]), 3) for k, v in values.items()}
+            rows.append({"steps": steps, "hours": round(seconds / 3600, 3), **levels})
+    return rows
 
 
 def rows(argument: str) -> list[dict[str, str | float]]:

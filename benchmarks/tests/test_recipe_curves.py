@@ -1,0 +1,27 @@
+"""Curves of a training against a sum by hand."""
+
+import json
+
+import pytest
+
+from recipe_curves import level_curves
+from renet.training.metrics import CURVES
+
+
+@pytest.mark.parametrize("form", [1, 2])
+def test_levels_over_steps_follow_the_batches_schedule(tmp_path, form):
+    agent = {"num_steps_per_env": None, "batch_size": "2500@5000,5000@10000"}
+    config = {"agent": agent, "env": {"scene": {"num_envs": 100}}}
+    config = config if form == 2 else agent | {"num_envs": 100}
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    lines = ["iteration,name,value"]
+    for number in range(4):
+        lines += [f"{number},Perf/total_fps,1000", f"{number},Curriculum/level/gap,{number}"]
+    (tmp_path / CURVES).write_text("\n".join(lines) + "\n")
+    # Batches of 25, 25, 25 and 40 steps (a multiple of 5 that is at least 37.5) of each robot.
+    assert level_curves(tmp_path, every=2) == [
+        {"steps": 5000, "hours": 0.001, "gap": 0.5},
+        {"steps": 11500, "hours": 0.003, "gap": 2.5},
+    ]
+    late = level_curves(tmp_path, steps=20000, every=4)
+    assert [row["steps"] for row in late] == [20000 + 4 * 5000]
