@@ -144,7 +144,7 @@ COMMANDS = {
         resume=KEPT,
     ),
     "evaluate camera-use": Command(
-        "whether, where and how much a policy uses its camera",
+        "whether and where a policy uses its camera",
         "renet.evaluation.studies.camera_use:CameraUseStudy:CameraUseStudy.main",
         resume=KEPT,
     ),
