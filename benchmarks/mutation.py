@@ -29,7 +29,7 @@ PARTS = {
         ["tests/selector/test_monitors.py", "tests/selector/test_memory.py"],
     ),
     "safety": (
-        [f"deploy/safety/{name}.py" for name in ("checks", "commands", "limits", "machine")],
+        [f"deploy/safety/{name}.py" for name in ("checks", "limits", "machine")],
         ["tests/deploy/safety/test_safety.py"],
     ),
     "controller": (

@@ -12,7 +12,7 @@ from renet.bundle import Bundle
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller, Event
 from renet.deploy.loop import BRAKING, run_control_loop
-from renet.deploy.recording.recorder import Recorder, read_recording
+from renet.deploy.recording.recorder import Recorder, Recording, read_recording
 from renet.deploy.recording.replay import mismatch
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
@@ -36,7 +36,7 @@ class Rig:
 
     def __init__(self, bundle: Bundle) -> None:
         model, ground = build_scene("flat")
-        self.robot = MujocoRobot(model, bundle.manifest.robot, ground)
+        self.bundle, self.robot = bundle, MujocoRobot(model, bundle.manifest.robot, ground)
         self.camera = SimCamera(self.robot, bundle.manifest.camera, seed=1)
         self.teleop = ScriptedTeleop(0.6)
         self.events: list[Event] = []
@@ -55,20 +55,21 @@ class Rig:
             self.commands.append(command)
             self.modes.append(self.controller.decision.mode)
 
-        end = self.robot.now() + seconds
         self.camera.start()
         devices: tuple = (self.robot, self.camera if camera else None, self.teleop)
-        done = lambda: self.robot.now() >= end  # noqa: E731
+        done = lambda: self.robot.now() >= seconds  # noqa: E731
         run_control_loop(*devices, self.controller, log, done=done, on_step=record)
-        self.controller.close()
 
-
-def logged(bundle: Bundle, rig: Rig, folder: Path) -> Recorder:
-    """A log that hears of the rig's events."""
-    header = {"bundle_sha256": bundle.sha256, "safety": vars(QUICK), "selector": "monitors"}
-    log = Recorder(folder / "recording.log", header)
-    rig.controller._on_event = lambda event: (rig.events.append(event), log.event(event))
-    return log
+    def fly(self, seconds: float, folder: Path, camera: bool = True) -> Recording:
+        """Run with a recording, which replays."""
+        header = {"bundle_sha256": self.bundle.sha256, "safety": vars(QUICK)}
+        log = Recorder(folder / "recording.log", header | {"selector": "monitors"})
+        self.controller._on_event = lambda event: (self.events.append(event), log.event(event))
+        self.run(seconds, log, camera)
+        log.close()
+        flight = read_recording(log.path)
+        assert mismatch(flight, self.bundle) == 0.0
+        return flight
 
 
 def boom(*arguments):
@@ -123,17 +124,13 @@ def test_a_camera_unplugged_and_replugged_50_times_in_one_run(bundle):
 def test_what_ends_in_damping(bundle, tmp_path, device, method, answer, reason):
     rig = Rig(bundle)
     rig.spoil(device, method, during(1.49, 9, answer))
-    log = logged(bundle, rig, tmp_path)
-    rig.run(2.0, log)
-    log.close()
+    flight = rig.fly(2.0, tmp_path)
     assert rig.events[-1].what == "damping"
     assert reason in rig.events[-1].why
     assert 1.49 < rig.events[-1].time < 1.57
     after = [c for c, mode in zip(rig.commands, rig.modes, strict=True) if mode is Mode.DAMPING]
     assert all(not command.stiffness.any() for command in after)
-    flight = read_recording(tmp_path / "recording.log")
     assert len(flight.ticks) == len(rig.commands)
-    assert mismatch(flight, bundle) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -149,15 +146,12 @@ def test_what_ends_in_damping(bundle, tmp_path, device, method, answer, reason):
 def test_battery_and_motors_are_watched_while_it_walks(bundle, tmp_path, reading, warning, end):
     rig = Rig(bundle)
     rig.spoil("robot", "read", lambda s, now: replace(s, **reading) if now > 1.2 else s)
-    log = logged(bundle, rig, tmp_path)
-    rig.run(1.6, log)
-    log.close()
+    rig.fly(1.6, tmp_path)
     told = [event.why for event in rig.events if event.what == "power"]
     assert [warning in why for why in told if warning] == ([True] if warning else [])
     assert rig.modes[-BRAKING - 1] is (Mode.DAMPING if end else Mode.WALKING)
     if end:
         assert rig.events[-1].why.startswith(end)
-    assert mismatch(read_recording(tmp_path / "recording.log"), bundle) == 0.0
 
 
 def test_a_step_that_is_missed_is_left_out(bundle):
@@ -179,14 +173,10 @@ def test_a_terminal_that_is_gone_does_not_end_the_flight(bundle):
 
 def test_without_a_camera_it_walks_on_op_and_replays(bundle, tmp_path):
     rig = Rig(bundle)
-    log = logged(bundle, rig, tmp_path)
-    rig.run(3.0, log, camera=False)
-    log.close()
+    flight = rig.fly(3.0, tmp_path, camera=False)
     whys = [event.why for event in rig.events]
     assert whys == ["armed", "stood up", "no new image", "the run ends"]
-    flight = read_recording(tmp_path / "recording.log")
     assert not flight.ticks["vision"].any()
-    assert mismatch(flight, bundle) == 0.0
 
 
 def test_what_a_device_complains_of_is_told_once(bundle):
@@ -225,16 +215,11 @@ def test_a_refused_robot_gets_no_stiffness_and_hears_why_once(bundle, reading, t
 
 def test_an_operator_who_holds_the_button_does_not_arm_when_the_check_passes(bundle):
     """A refused wish to stand up must be asked for anew."""
-
-    class Holding:
-        def command(self, now: float) -> TeleopCommand:
-            return TeleopCommand(speed=0.3 if now < 0.2 else 0.0, arm=now < 0.4 or now > 0.6)
-
-    robot, modes = Standing(), []
-    controller = Controller(bundle, QUICK)
-    done = lambda: robot.time > 0.8  # noqa: E731
-    seen = lambda *step: modes.append((robot.time, controller.machine.mode))  # noqa: E731
-    run_control_loop(robot, None, Holding(), controller, done=done, on_step=seen)
-    armed = [time for time, mode in modes if mode is Mode.STANDING_UP]
-    assert armed[0] == pytest.approx(0.6, abs=2 * CONTROL_DT)
-    assert np.isfinite(armed).all()
+    robot, events = Standing(), []
+    controller = Controller(bundle, QUICK, on_event=events.append)
+    hand = SimpleNamespace(
+        command=lambda now: TeleopCommand(0.3 * (now < 0.2), arm=now < 0.4 or now > 0.6)
+    )
+    run_control_loop(robot, None, hand, controller, done=lambda: robot.time > 0.8)
+    armed = [event.time for event in events if event.what == "standing_up"]
+    assert armed == [pytest.approx(0.6, abs=2 * CONTROL_DT)]

@@ -79,16 +79,14 @@ def test_the_papers_selector_is_told_to_the_log(tmp_path):
 
 
 def test_a_dry_run_prints_commands_and_never_moves_the_robot(tmp_path, capsys, monkeypatch):
-    written = []
-    real = MujocoRobot.write
-    monkeypatch.setattr(MujocoRobot, "write", lambda s, c: (written.append(c), real(s, c)))
+    written, write = [], MujocoRobot.write
+    monkeypatch.setattr(MujocoRobot, "write", lambda s, c: (written.append(c), write(s, c)))
     run(tmp_path, dry_run=True)
-    assert len(written) == 1, "limp, before the flight"
-    assert not written[0].stiffness.any()
+    (limp,) = written  # Before the flight.
+    assert not limp.stiffness.any()
     out = capsys.readouterr().out
-    assert "FR_hip" in out
-    assert "(Kp 40)" in out
-    assert "walking: stood up" in out
+    for words in ("FR_hip", "(Kp 40)", "walking: stood up"):
+        assert words in out
 
 
 def test_a_signal_brakes_and_saves_everything(tmp_path, monkeypatch):
@@ -118,10 +116,9 @@ def test_a_flight_never_overwrites_another(tmp_path, monkeypatch, capsys):
     (log,) = Path("results/deploy").glob("*/recording.log")
     assert f"Results: {log.parent}\n" in capsys.readouterr().out
     out = Path("mine")
-    flights = [run(out, seconds=seconds) for seconds in (0.1, 0.2, 0.3)]
+    flights = [len(run(out, seconds=seconds).ticks) for seconds in (0.1, 0.2, 0.3)]
     folders = (out / "earlier-1", out / "earlier-2", out)
-    kept = [read_recording(folder / RECORDING) for folder in folders]
-    assert [len(f.ticks) for f in kept] == [len(f.ticks) for f in flights]
+    assert [len(read_recording(folder / RECORDING).ticks) for folder in folders] == flights
     assert (out / "earlier-2" / TIMELINE).exists()
 
 
@@ -306,12 +303,11 @@ def test_a_missing_viewer_is_named(tmp_path, capsys, monkeypatch):
 
 @pytest.mark.parametrize("teleop", ["keyboard", "joystick"])
 def test_the_deadman_reaches_the_operators_device(monkeypatch, teleop):
-    given = []
-    for name in ("KeyboardTeleop", "JoystickTeleop"):
-        monkeypatch.setattr(devices, name, lambda deadman: given.append(deadman))
-    for deadman in (2.5, None):
-        devices.make_teleop(DeployCfg(robot="go1", teleop=teleop, deadman=deadman))
-    assert given == [2.5, DEADMAN]
+    device = devices.TELEOPS[teleop]
+    monkeypatch.setattr(device, "__init__", lambda self, deadman: setattr(self, "given", deadman))
+    for deadman, given in ((2.5, 2.5), (None, DEADMAN)):
+        made = devices.make_teleop(DeployCfg(robot="go1", teleop=teleop, deadman=deadman))
+        assert (type(made), made.given) == (device, given)
 
 
 def test_faults_begin_with_the_run_not_with_the_wait_for_a_first_image(monkeypatch):
@@ -349,17 +345,16 @@ def test_devices_are_closed_robot_first_even_after_half_a_start(tmp_path, monkey
 
 def test_nothing_is_printed_by_the_thread_that_drives_the_robot(tmp_path, monkeypatch):
     """A terminal may take for ever."""
-    driving, printed = [], []
+    calls, printers = [], []
     wait = MujocoRobot.wait
-    monkeypatch.setattr(MujocoRobot, "wait", lambda s, until: (driving.append(1), wait(s, until)))
+    monkeypatch.setattr(MujocoRobot, "wait", lambda s, until: (calls.append("w"), wait(s, until)))
+    monkeypatch.setattr(MujocoRobot, "close", lambda robot: calls.append("close"))
 
     def show(*words, **options) -> None:
-        if driving and not closed:
-            printed.append(threading.current_thread() is threading.main_thread())
+        if calls and calls[-1] != "close":
+            printers.append(threading.current_thread())
 
-    closed = []
-    monkeypatch.setattr(MujocoRobot, "close", lambda robot: closed.append(1))
     monkeypatch.setattr("builtins.print", show)
     run(tmp_path, dry_run=True)
-    assert printed
-    assert not any(printed)
+    assert printers
+    assert threading.main_thread() not in printers

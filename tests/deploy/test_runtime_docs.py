@@ -5,7 +5,6 @@ import pty
 import re
 import signal
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -26,7 +25,6 @@ from renet.descriptions import GO1
 from renet.selector.monitors import MONITORS
 
 from .fakes import state
-from .waiting import until
 
 PAGE = (Path(__file__).parents[2] / "docs" / "runtime.md").read_text()
 PORT = f"usb{os.getpid()}"
@@ -40,11 +38,12 @@ def program(marker: str) -> str:
 
 
 class Link:
-    """A robot that stands still and remembers what it was told."""
+    """A robot that stands still, remembers what it was told, and says when it lies or stands."""
 
     def __init__(self) -> None:
         self.told: list[np.ndarray] = []
         self.closed = False
+        self.on_lying = self.on_standing = lambda: None
 
     def newest(self) -> SimpleNamespace:
         names = ("time", "q", "dq", "torque", "quaternion_wxyz", "gyro")
@@ -53,6 +52,10 @@ class Link:
 
     def servo(self, position, stiffness, damping) -> None:
         self.told.append(stiffness)
+        if stiffness.any():
+            self.on_standing()
+        elif len(self.told) % 100 == 1:
+            self.on_lying()
 
     def close(self) -> None:
         self.closed = True
@@ -71,9 +74,10 @@ def link(tmp_path, monkeypatch) -> Link:
 
 
 @pytest.fixture
-def keyboard(monkeypatch) -> Iterator[int]:
-    """What is written here are keys pressed on the program's terminal."""
+def keyboard(monkeypatch, link) -> Iterator[int]:
+    """What is written here are keys pressed on the program's terminal; r while the robot lies."""
     master, slave = pty.openpty()
+    link.on_lying = lambda: os.write(master, b"r")  # Again: the first may come too early.
     with os.fdopen(slave) as stream:
         monkeypatch.setattr(sys, "stdin", stream)
         yield master
@@ -90,10 +94,8 @@ def walk(bundle: Path) -> int:
 
 
 def test_another_robot_in_a_page(link, keyboard, tmp_path, bundle_path):
-    keys = threading.Thread(target=press, args=(keyboard, link))
-    keys.start()
+    link.on_standing = lambda: os.write(keyboard, b"q")
     assert walk(bundle_path) == 0
-    keys.join()
     assert link.closed
     assert any(stiffness.any() for stiffness in link.told), "it stood up"
     assert not link.told[-1].any(), "it ends braking"
@@ -105,27 +107,8 @@ def test_another_robot_in_a_page(link, keyboard, tmp_path, bundle_path):
     assert len(body.splitlines()) < 30
 
 
-def press(keyboard: int, link: Link) -> None:
-    """Stand up, then quit; keys typed before the program starts are not its own."""
-    until(lambda: bool(link.told))
-    for _ in range(9):
-        if not any(s.any() for s in link.told):
-            os.write(keyboard, b"r")  # Again: on a busy machine the first may come too early.
-            time.sleep(1.2)  # A key counts as released after 1 s.
-    os.write(keyboard, b"q")
-
-
 def test_ctrl_c_in_that_program_brakes_and_closes(link, keyboard, bundle_path):
-    servo = link.servo
-
-    def interrupted(position, stiffness, damping) -> None:
-        servo(position, stiffness, damping)
-        if stiffness.any():
-            os.kill(os.getpid(), signal.SIGINT)
-        elif len(link.told) % 100 == 1:
-            os.write(keyboard, b"r")  # Again: on a busy machine the first may come too early.
-
-    link.servo = interrupted  # type: ignore[method-assign]
+    link.on_standing = lambda: os.kill(os.getpid(), signal.SIGINT)
     walk(bundle_path)
     assert link.closed
     assert not link.told[-1].any()

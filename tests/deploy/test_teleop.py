@@ -14,10 +14,14 @@ from renet.errors import RenetError
 
 
 @pytest.fixture
-def terminal():
+def keyboard():
+    """A keyboard's terminal, and what types on it."""
     master, slave = pty.openpty()
     with os.fdopen(slave) as stream:
-        yield master, stream
+        keyboard = KeyboardTeleop(stream)
+        yield keyboard, lambda keys: os.write(master, keys.encode())
+        with suppress(ValueError):  # A test has closed it.
+            keyboard.close()
 
 
 @pytest.mark.parametrize(
@@ -33,51 +37,65 @@ def terminal():
         ("w w", TeleopCommand(speed=0.2, stop=True)),
     ],
 )
-def test_keys(terminal, keys, command):
-    master, stream = terminal
-    keyboard = KeyboardTeleop(stream)
+def test_keys(keyboard, keys, command):
+    keyboard, press = keyboard
     assert keyboard.command(0.0) == TeleopCommand()
-    os.write(master, keys.encode())
-    found = keyboard.command(0.0)
-    assert (found.speed, found.turn) == (pytest.approx(command.speed), pytest.approx(command.turn))
-    assert (found.arm, found.stop) == (command.arm, command.stop)
+    press(keys)
+    assert vars(keyboard.command(0.0)) == pytest.approx(vars(command))
     assert not keyboard.command(0.0).stop
     assert not keyboard.quit
-    os.write(master, b"q")
+    press("q")
     assert keyboard.command(0.0).stop
     assert keyboard.command(0.0).stop
     assert keyboard.quit
 
 
-def test_a_held_key_arms_once(terminal):
-    master, stream = terminal
-    keyboard, armed = KeyboardTeleop(stream), []
+def test_a_held_key_arms_once(keyboard):
+    keyboard, press = keyboard
+    armed = []
     for now in (0.0, 0.7, 1.4, 2.5):
-        os.write(master, b"r")
+        press("r")
         armed.append(keyboard.command(now).arm)
     assert armed == [True, False, False, True]
 
 
-def test_without_any_key_it_stands_until_told_anew(terminal):
-    master, stream = terminal
-    keyboard = KeyboardTeleop(stream, deadman=5.0)
-    os.write(master, b"wwww")
+def test_without_any_key_it_stands_until_told_anew(keyboard):
+    keyboard, press = keyboard
+    keyboard._deadman = Deadman(5.0)
+    press("wwww")
     assert keyboard.command(0.0).speed == keyboard.command(5.0).speed == pytest.approx(0.4)
     assert keyboard.command(5.5).speed == pytest.approx(0.2)
-    os.write(master, b"\n")
+    press("\n")
     assert keyboard.command(5.6).speed == pytest.approx(0.4), "any key is a sign of life"
     assert keyboard.command(11.7) == TeleopCommand()
-    os.write(master, b"\n")
+    press("\n")
     assert keyboard.command(11.8) == TeleopCommand(), "it does not leap back to the old speed"
 
 
-def test_the_terminal_is_given_back(terminal):
-    _, stream = terminal
-    before = termios.tcgetattr(stream)
-    keyboard = KeyboardTeleop(stream)
-    assert termios.tcgetattr(stream) != before
-    keyboard.close()
-    assert termios.tcgetattr(stream) == before
+def test_a_flood_of_keys_does_not_hold_up_a_step(keyboard, monkeypatch):
+    """A key held down, or a cat on the keyboard: one read a step, and the stop in it is obeyed."""
+    keyboard, press = keyboard
+    sizes, read = [], os.read
+
+    def flooded(descriptor: int, size: int) -> bytes:
+        press("w" * 1000)  # It never ends.
+        sizes.append(size)
+        return read(descriptor, size)
+
+    press("w" * 100 + " ")
+    monkeypatch.setattr(os, "read", flooded)
+    assert keyboard.command(0.0).stop
+    assert len(sizes) == 1
+
+
+def test_the_terminal_is_given_back():
+    _, slave = pty.openpty()
+    with os.fdopen(slave) as stream:
+        before = termios.tcgetattr(stream)
+        keyboard = KeyboardTeleop(stream)
+        assert termios.tcgetattr(stream) != before
+        keyboard.close()
+        assert termios.tcgetattr(stream) == before
 
 
 def test_a_lost_terminal_stops():
@@ -89,9 +107,11 @@ def test_a_lost_terminal_stops():
     keyboard.close()
 
 
-def test_no_terminal():
+def test_what_is_not_there_is_named(tmp_path):
     with pytest.raises(RenetError, match="needs a terminal"):
         KeyboardTeleop(io.StringIO())
+    with pytest.raises(RenetError, match="no joystick at"):
+        JoystickTeleop(tmp_path / "js0")
 
 
 @pytest.fixture
@@ -151,33 +171,6 @@ def test_an_unplugged_joystick_stops(stick):
     assert not joystick.command(0.0).stop
     os.close(writer)
     assert joystick.command(0.1).stop
-
-
-def test_no_joystick(tmp_path):
-    with pytest.raises(RenetError, match="no joystick at"):
-        JoystickTeleop(tmp_path / "js0")
-
-
-def test_a_flood_of_keys_does_not_hold_up_a_step(terminal):
-    """A key held down, or a cat on the keyboard: one read a step, and the stop in it is obeyed."""
-    master, stream = terminal
-    keyboard = KeyboardTeleop(stream)
-    os.set_blocking(master, False)
-    reads = []
-    real = os.read
-
-    def read(descriptor: int, size: int) -> bytes:
-        with suppress(BlockingIOError):
-            os.write(master, b"w" * 1000)  # It never ends.
-        reads.append(size)
-        return real(descriptor, size)
-
-    os.write(master, b"w" * 100 + b" ")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "read", read)
-        command = keyboard.command(0.0)
-    assert command.stop
-    assert len(reads) == 1
 
 
 @pytest.mark.parametrize("amplitude", [1, 655, 1300])

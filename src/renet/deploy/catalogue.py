@@ -1,7 +1,7 @@
 """The robots and cameras that `renet deploy` knows: `--robot NAME`, `--camera NAME`.
 
-Drivers are imported only to be built: a robot's computer needs no simulator, and a simulation no
-vendor's library.
+MuJoCo is imported only to simulate, and a vendor's library only by a driver that is built: nobody
+needs those of the others.
 """
 
 import socket
@@ -12,7 +12,12 @@ from typing import Any, ClassVar, Literal
 
 from renet.bundle.manifest import CameraSpec, RobotSpec
 from renet.deploy.cameras.base import Camera, CameraCfg
+from renet.deploy.cameras.realsense import RealSenseCamera
+from renet.deploy.recording.recorder import read_recording
+from renet.deploy.recording.replay import ReplayCamera
 from renet.deploy.robots.driver import DriverCfg, RobotDriver
+from renet.deploy.robots.go1.driver import go1_robot
+from renet.deploy.robots.go2.driver import go2_robot
 from renet.descriptions import GO1, GO2, RobotDescription, find_description
 from renet.errors import RenetError
 from renet.interface import Terrain
@@ -82,8 +87,6 @@ class Go1Cfg(DriverCfg):
 
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """The driver of the robot at `robot_host`."""
-        from renet.deploy.robots.go1.driver import go1_robot
-
         return go1_robot(host=self.robot_host, power_level=self.power_level)
 
 
@@ -106,8 +109,6 @@ class Go2Cfg(DriverCfg):
 
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """The driver of the robot at `interface`; a dry run leaves its own modes alone."""
-        from renet.deploy.robots.go2.driver import go2_robot
-
         return go2_robot(self.interface, self.domain, watch=dry_run)
 
 
@@ -135,8 +136,6 @@ class RealSenseCfg(CameraCfg):
 
     def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
         """A camera whose frames are timed by the robot's clock."""
-        from renet.deploy.cameras.realsense import RealSenseCamera
-
         return RealSenseCamera(
             camera, robot.now, serial=self.serial, upside_down=self.rotate == 180
         )
@@ -156,9 +155,6 @@ class ReplayCfg(CameraCfg):
 
     def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
         """A camera that shows the recording from its start."""
-        from renet.deploy.recording.recorder import read_recording
-        from renet.deploy.recording.replay import ReplayCamera
-
         assert self.recording is not None
         return ReplayCamera(read_recording(self.recording), robot.now)
 

@@ -10,6 +10,8 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import tyro
 
+from renet import __version__
+from renet.bundle import Bundle
 from renet.deploy.cameras.base import CameraCfg
 from renet.deploy.catalogue import CAMERAS, ROBOTS
 from renet.deploy.robots.driver import DriverCfg
@@ -145,14 +147,13 @@ class DeployCfg:
         self.driver.check()
         self.lens.check()
 
-    def header(self) -> dict[str, Any]:
-        """What a recording says of the run, as JSON values."""
-        options = vars(self.driver) | vars(self.lens)
+    def header(self, bundle: Bundle) -> dict[str, Any]:
+        """What the recording of a bundle's run says of it, as JSON values."""
+        options = (vars(self.driver) | vars(self.lens)).items()
+        selector = bundle.manifest.selector
+        calibrated = selector.thresholds.get("reconstruction", selector.beta)
         return {
-            **{
-                k: v if isinstance(v, int | float) or v is None else str(v)
-                for k, v in options.items()
-            },
+            **{k: v if isinstance(v, int | float | None) else str(v) for k, v in options},
             "safety": asdict(self.limits),
             "selector": self.selector,
             "robot": self.robot,
@@ -160,6 +161,11 @@ class DeployCfg:
             "fault": list(self.fault),
             "onsets": [fault.onset * CONTROL_DT for fault in self.faults],
             "seed": self.seed,
+            "renet": __version__,
+            "bundle": bundle.name,
+            "bundle_sha256": bundle.sha256,
+            "models": bundle.manifest.sha256,
+            "beta": selector.beta if self.selector == "paper" else calibrated,
         }
 
 

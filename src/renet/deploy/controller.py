@@ -17,22 +17,10 @@ from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.buffer import FrameBuffer
 from renet.deploy.inference import InlineInference, Sessions
 from renet.deploy.observation import observe
-from renet.deploy.robots.base import JointCommand, RobotState, heading
-from renet.deploy.safety.checks import (
-    all_finite,
-    clean_state,
-    stand_up_problem,
-    state_problem,
-    teleop_problem,
-)
-from renet.deploy.safety.commands import (
-    damping_command,
-    limited_command,
-    limited_speed,
-    stand_up_target,
-)
-from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.safety.machine import Mode, SafetyMachine
+from renet.deploy.robots.base import JointCommand, RobotState, all_finite, heading
+from renet.deploy.safety.checks import clean_state, stand_up_problem, state_problem, teleop_problem
+from renet.deploy.safety.limits import SafetyCfg, limited_command, limited_speed
+from renet.deploy.safety.machine import Mode, SafetyMachine, damping_command, stand_up_target
 from renet.deploy.safety.plausibility import Readings
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
@@ -131,8 +119,9 @@ class Controller:
         self._start = self._target = np.array(self.robot.default_position)
         self._yaw = self._turn = 0.0
         self._start_over()
-        self.decision = self._decide(damping_command(self.robot, safety), 0.0)
+        self.decision: Decision
         """What the last tick decided."""
+        self._decide(damping_command(self.robot, safety), 0.0)
 
     def tick(
         self, state: RobotState | None, frame: DepthFrame | None, teleop: TeleopCommand, now: float
@@ -152,8 +141,7 @@ class Controller:
             command = self._tick(state, frame, teleop, now)
         except Exception as error:  # Whatever it is, a robot must be left braked.
             self.machine.trip(f"{type(error).__name__}: {error}", now)
-            command = damping_command(self.robot, self.cfg)
-            self.decision = self._decide(command, now)
+            command = self._decide(damping_command(self.robot, self.cfg), now)
         if self.machine.mode is not mode:
             self.tell(now, self.machine.mode, self.machine.reason)
         return command
@@ -190,8 +178,7 @@ class Controller:
             command = self._limited(stand_up_target(self._start, self.robot, share), state)
         else:
             command = damping_command(self.robot, self.cfg)
-        self.decision = self._decide(command, now)
-        return command
+        return self._decide(command, now)
 
     def _read(self, raw: RobotState | None, now: float) -> None:
         """Keep the newest good reading; one that is malformed or out of order is none."""
@@ -239,9 +226,7 @@ class Controller:
         self._action = action
         command = self._limited(self.policy.joint_target(action), state)
         self._switch(now)
-        inferred = output is not None or fallback
-        self.decision = self._decide(command, now, vision, inferred, fallback)
-        return command
+        return self._decide(command, now, vision, output is not None or fallback, fallback)
 
     def _steer(self, turn: float, here: float) -> None:
         """Turn the wished heading on; a robot that cannot follow is not asked for ever more."""
@@ -302,10 +287,11 @@ class Controller:
         vision: bool = False,
         inferred: bool = False,
         fallback: bool = False,
-    ) -> Decision:
+    ) -> JointCommand:
+        """Keep what this tick decided; returns its command."""
         policy, walking = self.policy, self.machine.mode is Mode.WALKING
         latent = (policy.latent_vp if vision else policy.latent_op)[0]
-        return Decision(
+        self.decision = Decision(
             command=command,
             mode=self.machine.mode,
             vision=vision,
@@ -322,6 +308,7 @@ class Controller:
             inferred=inferred,
             fallback=fallback,
         )
+        return command
 
     def tell(self, now: float, what: str, why: str) -> None:
         """Tell the listener; see `Event`."""

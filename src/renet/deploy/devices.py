@@ -12,15 +12,11 @@ from renet.deploy.cfg import DeployCfg
 from renet.deploy.robots.driver import RobotDriver
 from renet.deploy.robots.real.driver import RealRobot
 from renet.deploy.robots.real.lock import claim
-from renet.deploy.teleop import CONTROLS, JoystickTeleop, KeyboardTeleop, ScriptedTeleop, Teleop
+from renet.deploy.teleop import JoystickTeleop, KeyboardTeleop, ScriptedTeleop, Teleop
 from renet.errors import RenetError
 
-TELEOPS: dict[str, Callable[[DeployCfg], Teleop]] = {
-    "auto": lambda cfg: ScriptedTeleop(cfg.speed),
-    "keyboard": lambda cfg: KeyboardTeleop(deadman=cfg.operator_timeout),
-    "joystick": lambda cfg: JoystickTeleop(deadman=cfg.operator_timeout),
-}
-"""Makes what commands the robot, by the name that `--teleop` takes."""
+TELEOPS = {"keyboard": KeyboardTeleop, "joystick": JoystickTeleop}
+"""An operator's device by the name that `--teleop` takes."""
 FIRST_IMAGE = 2.0
 """Seconds in which a real camera's first image is waited for."""
 
@@ -76,8 +72,10 @@ def make_robot(cfg: DeployCfg, bundle: Bundle) -> RobotDriver:
 
 def make_teleop(cfg: DeployCfg) -> Teleop:
     """The operator's device."""
-    if cfg.teleop in CONTROLS:
-        print(f"{cfg.teleop}: {CONTROLS[cfg.teleop]}")
-        if cfg.operator_timeout < math.inf:
-            print(f"{cfg.operator_timeout:g} s without a sign of the operator: the robot stands")
-    return TELEOPS[cfg.teleop](cfg)
+    if cfg.teleop == "auto":
+        return ScriptedTeleop(cfg.speed)
+    device = TELEOPS[cfg.teleop]
+    print(f"{cfg.teleop}: {device.CONTROLS}")
+    if cfg.operator_timeout < math.inf:
+        print(f"{cfg.operator_timeout:g} s without a sign of the operator: the robot stands")
+    return device(deadman=cfg.operator_timeout)

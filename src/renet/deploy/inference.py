@@ -2,13 +2,14 @@
 
 The loop gives the thread a few milliseconds, in which it is usually done: then a live robot acts
 on exactly what training acted on. A result that is late is used one or more control steps later; a
-thread that is dead or stuck at the next tick costs vision, not the robot: that tick runs in line,
-blind, and the selector falls back to OP.
+tick that failed or is stuck at the next one costs vision, not the robot: that next tick runs in
+line, blind, and the selector falls back to OP.
 """
 
 import threading
 import time
-from queue import Empty, SimpleQueue
+from concurrent.futures import CancelledError, Future
+from queue import SimpleQueue
 
 import onnxruntime as ort
 
@@ -42,55 +43,48 @@ class InlineInference:
 
 
 class ThreadedInference(InlineInference):
-    """Ticks on a daemon thread; a dead thread is replaced at the next tick."""
+    """Ticks on a daemon thread, which survives those that fail."""
 
     def __init__(self, sessions: Sessions, patience: float = 0.008) -> None:
         """Start the thread; `take` waits `patience` seconds in the step that began a tick."""
         super().__init__(sessions)
-        self._patience = patience
-        self._start()
-
-    def _start(self) -> None:
-        self._jobs: SimpleQueue[EstimatorInput | None] = SimpleQueue()
-        self._results: SimpleQueue[EstimatorOutput] = SimpleQueue()
-        self._outstanding, self._deadline = False, 0.0
-        self._thread = threading.Thread(
-            target=_work, args=(self._sessions, self._jobs, self._results), daemon=True
-        )
+        self._patience, self._deadline = patience, 0.0
+        self._jobs: SimpleQueue[tuple[EstimatorInput, Future[EstimatorOutput]] | None]
+        self._jobs = SimpleQueue()
+        self._tick: Future[EstimatorOutput] | None = None
+        """The newest tick, as long as its result was not taken."""
+        self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
     def ready(self) -> bool:
-        """False if the thread died, which starts another, or was too late with the last tick.
+        """False if the last tick failed or was late.
 
         Its result, when it comes, is thrown away: the policy goes on without it.
         """
-        if not self._thread.is_alive():
-            self._start()
-            return False
-        if self._outstanding:
-            # A result that nobody took is late even if it is here by now, unless the tick that it
-            # was for has been made up for already.
-            late, self._deadline = self._deadline > 0.0, 0.0
-            return self._collect(0.0) is not None and not late
-        return True
+        if self._tick is None:
+            return True
+        # A result that nobody took is late even if it is here by now, unless the tick that it was
+        # for has been made up for already.
+        late, self._deadline = self._deadline > 0.0, 0.0
+        done = self._tick.done()
+        if done:
+            self._tick = None
+        return done and not late
 
     def begin(self, inputs: EstimatorInput) -> None:
         """Start a tick."""
-        self._outstanding, self._deadline = True, time.monotonic() + self._patience
-        self._jobs.put(inputs)
+        self._tick, self._deadline = Future(), time.monotonic() + self._patience
+        self._jobs.put((inputs, self._tick))
 
     def take(self) -> EstimatorOutput | None:
         """The tick's result, once, or None; waits at most for the rest of `patience`."""
-        if not self._outstanding or self._deadline == 0.0:
+        if self._tick is None or self._deadline == 0.0:
             return None
-        return self._collect(max(self._deadline - time.monotonic(), 0.0))
-
-    def _collect(self, wait: float) -> EstimatorOutput | None:
         try:
-            output = self._results.get(timeout=wait) if wait > 0 else self._results.get_nowait()
-        except Empty:
+            output = self._tick.result(max(self._deadline - time.monotonic(), 0.0))
+        except (TimeoutError, CancelledError):  # `ready` says so before the next tick.
             return None
-        self._outstanding = False
+        self._tick = None
         return output
 
     def close(self) -> None:
@@ -98,15 +92,10 @@ class ThreadedInference(InlineInference):
         self._jobs.put(None)
         self._thread.join(timeout=1.0)
 
-
-def _work(
-    sessions: Sessions,
-    jobs: SimpleQueue[EstimatorInput | None],
-    results: SimpleQueue[EstimatorOutput],
-) -> None:
-    while (inputs := jobs.get()) is not None:
-        try:
-            results.put(infer(sessions, inputs))
-        except Exception:
-            # The thread's end is its report: the control loop sees it at the next tick.
-            return
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            inputs, tick = job
+            try:
+                tick.set_result(infer(self._sessions, inputs))
+            except BaseException:  # To have no result is its report.
+                tick.cancel()

@@ -17,8 +17,7 @@ from renet.deploy.recording.recorder import Recorder
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.driver import RobotDriver
 from renet.deploy.safety.checks import EMPTY, OVERHEATED, power_problem, pre_arm_problem
-from renet.deploy.safety.commands import damping_command
-from renet.deploy.safety.machine import ENDED, EXHAUSTED, REFUSED, Mode
+from renet.deploy.safety.machine import ENDED, EXHAUSTED, REFUSED, Mode, damping_command
 from renet.deploy.teleop import Teleop, TeleopCommand
 from renet.interface import CONTROL_DT
 

@@ -6,9 +6,7 @@ from contextlib import ExitStack, nullcontext
 from datetime import datetime
 from itertools import count
 from pathlib import Path
-from typing import Any
 
-from renet import __version__
 from renet.bundle import Bundle
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.controller import Controller, Event
@@ -51,8 +49,7 @@ def deploy(cfg: DeployCfg) -> Path:
             robot, camera, teleop = start_devices(cfg, bundle, terminal.say, stack)
             locks.enter_context(lock(folder))
             _keep_earlier(folder)
-            header = _header(cfg, bundle)
-            recorder = Recorder(folder / RECORDING, header, patient=not cfg.live)
+            recorder = Recorder(folder / RECORDING, cfg.header(bundle), patient=not cfg.live)
             stack.callback(recorder.close)
 
             def tell(event: Event) -> None:
@@ -132,16 +129,3 @@ def _over(cfg: DeployCfg, machine: SafetyMachine, begun: float, now: float) -> b
         machine.since >= begun or (passed > 1.0 and not cfg.dry_run)
     )
     return passed >= cfg.length - CONTROL_DT / 2 or (damped and cfg.teleop == "auto")
-
-
-def _header(cfg: DeployCfg, bundle: Bundle) -> dict[str, Any]:
-    """What the recording says of the run."""
-    selector = bundle.manifest.selector
-    calibrated = selector.thresholds.get("reconstruction", selector.beta)
-    return cfg.header() | {
-        "renet": __version__,
-        "bundle": bundle.name,
-        "bundle_sha256": bundle.sha256,
-        "models": bundle.manifest.sha256,
-        "beta": selector.beta if cfg.selector == "paper" else calibrated,
-    }

@@ -15,21 +15,17 @@ from typing import Any, Protocol
 from renet.errors import RenetError
 from renet.interface import MAX_SPEED
 
-SPEED_STEP, TURN_STEP = 0.1, 0.1
+SPEED_KEYS, TURN_KEYS = {"w": 0.1, "s": -0.1}, {"a": 0.1, "d": -0.1}
 """m/s and rad per key press."""
 TURN_RATE = 1.0
 """rad/s at a joystick's full deflection."""
 DEAD_ZONE = 0.1
-MOVED = DEAD_ZONE
-"""Share of its range that a stick must move to show that somebody holds it: noise is smaller."""
+"""Share of its range that a stick must leave its middle to steer, and move to show that somebody
+holds it: noise is smaller."""
 FADE = 1.0
 """Seconds in which the speed falls to zero when nobody steers any more."""
 MAX_INPUT = 4096
 """Bytes of keys or joystick events read in one control step; the rest waits for the next."""
-CONTROLS = {
-    "keyboard": "w/s faster/slower, a/d left/right, r stand up and walk, space stop, q quit",
-    "joystick": "left stick up speed, right stick turn, Start stand up and walk, A or B stop",
-}
 
 
 @dataclass(frozen=True)
@@ -55,12 +51,12 @@ class Teleop(Protocol):
         ...
 
 
+@dataclass
 class ScriptedTeleop:
     """Arms at once and walks straight ahead."""
 
-    def __init__(self, speed: float) -> None:
-        self.speed = speed
-        self._armed = False
+    speed: float
+    _armed: bool = False
 
     def command(self, now: float) -> TeleopCommand:
         """To arm at the first call, the speed from then on."""
@@ -68,27 +64,29 @@ class ScriptedTeleop:
         return TeleopCommand(arm=True) if arm else TeleopCommand(speed=self.speed)
 
 
+@dataclass
 class Deadman:
     """Takes the speed away when an operator gives no sign for too long.
 
     A joystick out of range or a broken link sends nothing: it cannot be told from a still hand.
     """
 
-    def __init__(self, timeout: float) -> None:
-        """Set up with the seconds of silence after which nobody steers."""
-        self._timeout = timeout
-        self._heard: float | None = None
+    timeout: float
+    """Seconds of silence after which nobody steers."""
+    _heard: float | None = None
 
     def authority(self, heard: bool, now: float) -> float:
         """Share of the speed that still counts: 1, and 0 once `timeout` + `FADE` s were silent."""
         if heard or self._heard is None:
             self._heard = now
-        silent = now - self._heard - self._timeout
+        silent = now - self._heard - self.timeout
         return min(max(1.0 - silent / FADE, 0.0), 1.0)
 
 
 class KeyboardTeleop:
     """Reads keys from a terminal. Closing the terminal stops the robot."""
+
+    CONTROLS = "w/s faster/slower, a/d left/right, r stand up and walk, space stop, q quit"
 
     def __init__(self, stream: Any = None, deadman: float = math.inf) -> None:
         """Take over the terminal; raises RenetError if there is none.
@@ -117,22 +115,13 @@ class KeyboardTeleop:
         arm, keys = False, b""
         if select.select([self._descriptor], [], [], 0.0)[0]:
             keys = os.read(self._descriptor, MAX_INPUT)
-            self.quit |= not keys  # The terminal is gone.
-        for key in keys:
-            match chr(key):
-                case "w":
-                    self.speed = min(self.speed + SPEED_STEP, MAX_SPEED)
-                case "s":
-                    self.speed = max(self.speed - SPEED_STEP, 0.0)
-                case "a":
-                    self.turn += TURN_STEP
-                case "d":
-                    self.turn -= TURN_STEP
-                case "r":
-                    # Terminals repeat a held key, which must be released before it arms again.
-                    arm, self.speed, self._armed = now - self._armed > 1.0, 0.0, now
-                case "q":
-                    self.quit = True
+            self.quit |= not keys or b"q" in keys  # No keys: the terminal is gone.
+        for key in map(chr, keys):
+            self.speed = min(max(self.speed + SPEED_KEYS.get(key, 0.0), 0.0), MAX_SPEED)
+            self.turn += TURN_KEYS.get(key, 0.0)
+            if key == "r":
+                # Terminals repeat a held key, which must be released before it arms again.
+                arm, self.speed, self._armed = now - self._armed > 1.0, 0.0, now
         authority = self._deadman.authority(bool(keys), now)
         if authority == 0.0:
             self.speed = 0.0
@@ -147,6 +136,7 @@ class KeyboardTeleop:
 class JoystickTeleop:
     """Reads a joystick with the numbers of an Xbox pad."""
 
+    CONTROLS = "left stick up speed, right stick turn, Start stand up and walk, A or B stop"
     EVENT = struct.Struct("<IhBB")
     BUTTON, AXIS, INITIAL = 1, 2, 0x80
     SPEED_AXIS, TURN_AXIS = 1, 3
@@ -203,7 +193,7 @@ class JoystickTeleop:
         """Note an axis; returns whether one that steers moved since it last did."""
         self._axes[number] = value
         steers = number in (self.SPEED_AXIS, self.TURN_AXIS)
-        moved = steers and abs(value - self._held.get(number, 0.0)) >= MOVED
+        moved = steers and abs(value - self._held.get(number, 0.0)) >= DEAD_ZONE
         if moved:
             self._held[number] = value
         return moved

@@ -6,7 +6,7 @@ import numpy as np
 
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.cameras.base import DepthFrame
-from renet.deploy.robots.base import VECTORS, RobotState, projected_gravity
+from renet.deploy.robots.base import VECTORS, RobotState, all_finite, projected_gravity
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
@@ -41,11 +41,6 @@ def clean_state(raw: RobotState, now: float) -> RobotState:
     if abs(math.hypot(*arrays["quaternion"]) - 1.0) > 0.1:
         raise RenetError("the quaternion's length is not 1")
     return RobotState(float(raw.time), **arrays)
-
-
-def all_finite(values: np.ndarray) -> bool:
-    """Whether a few numbers are finite: for a dozen this is three times as fast as NumPy."""
-    return all(map(math.isfinite, values.tolist()))
 
 
 def state_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg, now: float) -> str:

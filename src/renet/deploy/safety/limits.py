@@ -1,9 +1,14 @@
-"""The limits of a run, as the options `--safety.*` set them."""
+"""The limits of a run, and joint commands within them."""
 
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from renet.bundle.manifest import RobotSpec
+from renet.deploy.robots.base import JointCommand, RobotState, all_finite
 from renet.errors import RenetError
+from renet.interface import CONTROL_DT, MAX_SPEED
 
 
 @dataclass(frozen=True)
@@ -46,3 +51,31 @@ class SafetyCfg:
                 raise RenetError(f"the safety limit {name} must be positive, got {value}")
         if self.max_tilt > math.pi:
             raise RenetError(f"the safety limit max_tilt is in rad, got {self.max_tilt}")
+
+
+def limited_speed(speed: float) -> float:
+    """An operator's speed within training's."""
+    return min(max(float(speed), 0.0), MAX_SPEED)
+
+
+def limited_command(
+    target: np.ndarray, previous: np.ndarray, state: RobotState, robot: RobotSpec, cfg: SafetyCfg
+) -> JointCommand:
+    """Servo command for a joint target [12] rad, within all limits.
+
+    The target moves at most `target_rate` and stays in the joints' ranges. Where the servo would
+    ask for more torque than the motor gives, its gains shrink: at this instant that equals the
+    saturation of training. Between two commands the motor's own limit is the last.
+
+    Raises:
+        RenetError: the target is not finite.
+    """
+    if not all_finite(target):
+        raise RenetError("the joint target is not finite")
+    limit, reach = robot.arrays, cfg.target_rate * CONTROL_DT
+    target = np.minimum(np.maximum(target, previous - reach), previous + reach)
+    target = np.minimum(np.maximum(target, limit["lower"]), limit["upper"])
+    stiffness, damping = limit["stiffness"], limit["damping"]
+    torque = stiffness * (target - state.joint_position) - damping * state.joint_velocity
+    scale = limit["torque_limit"] / np.maximum(np.abs(torque), limit["torque_limit"])
+    return JointCommand(target, scale * stiffness, scale * damping)

@@ -1,4 +1,4 @@
-"""When a robot may move.
+"""When a robot may move, and how it brakes and rises.
 
     DAMPING --arm, nothing wrong--> STANDING_UP --joints followed--> WALKING
        ^                                 |                             |
@@ -11,9 +11,13 @@ again. Losing vision is no problem here: the selector falls back to OP within WA
 import math
 from enum import StrEnum
 
+import numpy as np
+
+from renet.bundle.manifest import RobotSpec
+from renet.deploy.robots.base import JointCommand
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.teleop import TeleopCommand
-from renet.interface import CONTROL_DT
+from renet.interface import ACTION_SIZE, CONTROL_DT
 
 REFUSED = "the robot takes no commands"
 """Why a robot is damped whose driver fails."""
@@ -86,3 +90,16 @@ class SafetyMachine:
             return f"no control tick for {1000 * (now - last):.0f} ms"
         self._late = self._late + 1 if now - last > 1.5 * CONTROL_DT else 0
         return f"{self._late} late control ticks in a row" if self._late > self.cfg.max_late else ""
+
+
+def damping_command(robot: RobotSpec, cfg: SafetyCfg) -> JointCommand:
+    """Brake only; needs no reading."""
+    brake = np.full(ACTION_SIZE, cfg.damping)
+    return JointCommand(np.asarray(robot.default_position), np.zeros(ACTION_SIZE), brake)
+
+
+def stand_up_target(start: np.ndarray, robot: RobotSpec, share: float) -> np.ndarray:
+    """Joint positions [12] between the pose at arming and the default pose, smooth at both ends."""
+    share = min(max(share, 0.0), 1.0)
+    smooth = share * share * (3.0 - 2.0 * share)
+    return start + smooth * (np.asarray(robot.default_position) - start)

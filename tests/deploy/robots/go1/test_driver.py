@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from renet.bundle import Bundle
+from renet.deploy import catalogue
 from renet.deploy.catalogue import Go1Cfg
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.controller import Controller
 from renet.deploy.main import deploy
 from renet.deploy.recording.recorder import read_recording
-from renet.deploy.robots.go1 import driver, link
+from renet.deploy.robots.go1 import link
 from renet.deploy.robots.go1.driver import go1_robot
 from renet.deploy.robots.go1.link import LOW_LEVEL, MOTORS
 from renet.deploy.safety.limits import SafetyCfg
@@ -133,7 +134,7 @@ def test_the_shipped_bundle_walks_over_the_wire(free, peer):
 def dry_run(served, monkeypatch, tmp_path) -> partial[DeployCfg]:
     """Settings that watch the served robot."""
     robot = partial(go1_robot, port=served.port, local_port=free_port())
-    monkeypatch.setattr(driver, "go1_robot", robot)
+    monkeypatch.setattr(catalogue, "go1_robot", robot)
     address = Go1Cfg(robot_host="127.0.0.1")
     fixed = {"robot": "go1", "driver": address, "camera": "none", "dry_run": True}
     return partial(DeployCfg, **fixed, out=tmp_path)
