@@ -67,15 +67,12 @@ def test_a_bundle_with_links_is_refused(bundle_path, name):
         Bundle.load(bundle_path)
 
 
-def test_missing_folder_and_missing_model(bundle_path, tmp_path):
+def test_missing_folder_missing_model_and_tampered_model(bundle_path, tmp_path):
     with pytest.raises(RenetError, match="no bundle at"):
         Bundle.load(tmp_path / "nowhere")
     (bundle_path / "vision.onnx").unlink()
     with pytest.raises(RenetError, match=r"cannot read the model .*vision\.onnx"):
         Bundle.load(bundle_path)
-
-
-def test_tampered_model(bundle_path):
     data = bytearray((bundle_path / "actor.onnx").read_bytes())
     data[len(data) // 2] ^= 1
     (bundle_path / "actor.onnx").write_bytes(data)

@@ -68,7 +68,7 @@ def test_sensor_grain_does_not_make_ground_rough() -> None:
     assert smooth_surface(floor() + grain).mean() > 0.75
 
 
-def test_grass_hides_more_and_blinds_more_the_denser_it_is() -> None:
+def test_grass_hides_and_blinds_more_the_denser_it_is_and_measures_no_blade_too_near() -> None:
     image = floor().astype(np.float32)
     hidden, blind = [], []
     for level in FAULTS["tall_grass"].levels:
@@ -79,11 +79,7 @@ def test_grass_hides_more_and_blinds_more_the_denser_it_is() -> None:
         blind.append(frames.invalid.mean())
     assert (np.diff([hidden, blind]) > 0).all()
     assert hidden[0] < 0.25 < 0.7 < hidden[-1]
-
-
-def test_no_blade_is_measured_below_the_near_range_and_some_are_above() -> None:
-    image = np.ones(DEPTH_SHAPE)
-    frames = spoil("tall_grass", 45, image)
+    frames = spoil("tall_grass", 45, np.ones(DEPTH_SHAPE))
     measured = frames.image[(frames.image > 0) & (frames.image < 1)] * DEPTH_RANGE
     assert measured.min() >= NEAR_RANGE - 1e-6
     assert measured.max() > 0.5
