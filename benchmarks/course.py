@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
+import matplotlib.pyplot as plt
 import numpy as np
 import tyro
 from matplotlib.figure import Figure
@@ -20,7 +21,7 @@ from course_env import CourseEnv, PlaceInjector, course_env_cfg, course_length, 
 from course_terrain import LAP, SHORT_LAP, passage
 from facts import errors_in_one_line
 from renet.errors import RenetError
-from renet.evaluation import figures, metrics
+from renet.evaluation import figures
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
@@ -155,7 +156,7 @@ def _run(log: dict[str, np.ndarray], trace: Trace, passages: int) -> dict[str, A
         "seconds": len(vision) * CONTROL_DT,
         "falls": int(log["fell"].sum()),
         "stuck": int(log["stuck"].sum()),
-        "switches": int(metrics.switches(trace.vision[:, None])[0]),
+        "switches": int(np.diff(trace.vision[:, 0]).sum()),
         "vision_share": float(vision.mean()),
         "vision_share_healthy": float(vision[~failing].mean()),
         "vision_share_failing": float(vision[failing].mean()) if failing.any() else None,
@@ -211,13 +212,21 @@ def draw_timelines(laps: Sequence[dict[str, Any]], lap: Sequence[str], beta: flo
         lap: kinds of passage.
         beta: threshold.
     """
-    marks, events = [], []
-    for line in laps:
+    size = (11, 1.75 * len(laps) + 0.9)
+    figure, axes = plt.subplots(len(laps), 1, figsize=size, squeeze=False)
+    for number, (axis, line) in enumerate(zip(axes[:, 0], laps, strict=True), start=1):
         where = line["passage"]
         starts = np.flatnonzero(np.diff(where, prepend=-1))
-        marks.append([(k * TICK_DT, lap[where[k]]) for k in starts])
-        events.append([(instant, name) for name in ("fell", "stuck") for instant in line[name]])
-    return figures.timelines(laps, marks, beta, "", events, TICK_DT)
+        marks = [(k * TICK_DT, lap[where[k]]) for k in starts]
+        right = figures.draw_timeline(axis, line, marks, beta, TICK_DT)
+        axis.set_ylabel(f"lap {number}")
+        look = {"ha": "right", "fontweight": "bold", "color": "#9c1f12"}
+        for name in ("fell", "stuck"):
+            for instant in line[name]:
+                figures.write_beside(axis, instant, name, 0.04, **look)
+    axis.set_xlabel("time (s)")
+    figures.legend(figure, axis, right)
+    return figure
 
 
 def draw_passages(passages: Sequence[dict[str, Any]]) -> Figure:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from course_terrain import passage
 from renet.evaluation.env import SimEnv
-from renet.evaluation.protocols import StepResult
+from renet.evaluation.trace import StepResult
 from renet.faults import FAULTS, Frames, Injector
 from renet.interface import CONTROL_DT
 from renet.tasks import RenetEnvCfg, RobotCfg

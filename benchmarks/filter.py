@@ -26,7 +26,7 @@ from renet.evaluation.monitor_log import replay
 from renet.evaluation.rollout import Trial, check_speed
 from renet.evaluation.study import Figures, Part, Study, Table
 from renet.faults import Injection
-from renet.interface import CONTROL_DT, PHYSICS_DT
+from renet.interface import CONTROL_DT, PHYSICS_DT, SelectorName
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import filter_delay
 
@@ -49,6 +49,8 @@ class FilterStudy(Study):
     """Length of each run."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
+    selector: SelectorName = "paper"
+    """Whose threshold the scores are compared with."""
 
     name: ClassVar[str] = "filter"
     selectable: ClassVar[tuple[str, ...]] = ("gammas", "rates")
@@ -75,10 +77,6 @@ class FilterStudy(Study):
     def robots_each(self) -> int:
         """Robots of each kind, after `quick`."""
         return 4 if self.quick else self.robots
-
-    def make_evaluator(self) -> Evaluator:
-        """The evaluator of the settings' bundle with the paper's selector."""
-        return Evaluator(self.bundle, self.engine, "paper")
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """Anomaly scores [T, 2 N]: N cameras that fail for good, then N that flicker."""
@@ -111,7 +109,8 @@ class FilterStudy(Study):
         onset, each = round(self.onset / CONTROL_DT), self.robots_each
         trusted = replay(make_selector("paper", spec, scores.shape[1]), scores)
         delay = metrics.switch_delay(trusted[:, :, :each], onset)
-        switched = metrics.switches(trusted[onset - 1 :, :, each:])
+        updates = trusted[onset - 1 :, :, each:].reshape(-1, each)
+        switched = np.diff(updates, axis=0).sum(axis=0)
         switches = ~np.isnan(delay)
         return {
             "gamma": spec.gamma,

@@ -18,7 +18,6 @@ import tyro
 from baselines.switches import Gate, ReturnSwitch, SwitchEvaluator, collect, fit
 from facts import errors_in_one_line
 from renet.errors import RenetError
-from renet.evaluation.env import grounds_env_cfg
 from renet.evaluation.rollout import Trial
 from renet.evaluation.studies.faults import FaultStudy
 from renet.faults import FAULTS, Injection, PhysicalFault
@@ -66,8 +65,7 @@ def trained(cfg: Cfg) -> SwitchEvaluator:
     ]
     study = cfg.study
     evaluator = SwitchEvaluator(study.bundle, study.engine)
-    task = grounds_env_cfg(study.levels, evaluator.robot)
-    env = evaluator.make_env(task, [trial.robot for trial in trials], study.speed, cfg.seed)
+    env = evaluator.make_env(study.levels, [trial.robot for trial in trials], study.speed, cfg.seed)
     env.place_on([study.grounds[trial.robot % len(study.grounds)] for trial in trials])
     seen = collect(evaluator, env, trials, cfg.steps, cfg.seed, study.speed)
     evaluator.switch = SWITCHES[cfg.switch]()

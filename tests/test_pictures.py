@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pictures import WARM_UP, Cfg, errors, main
-from renet.interface import HEIGHT_MAP_SIZE
+from pictures import WARM_UP, Cfg, as_seen, errors, main
+from renet.interface import HEIGHT_MAP_SIZE, HEIGHT_MAP_X, HEIGHT_MAP_Y
 from renet.terrain.tiles import tiles
 
 
@@ -36,3 +36,15 @@ def test_errors_by_hand():
     (row,) = errors(maps, ["gap"])
     assert row["rmse_m"] == pytest.approx(0.1)
     assert row["rmse_of_flat_ground_m"] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "row", "column"),
+    [(-1, 0, 0, -1), (0, -1, -1, 0), (-1, -1, 0, 0)],
+    ids=["ahead right", "behind left", "ahead left"],
+)
+def test_ahead_is_up_and_left_is_left(x, y, row, column):
+    values = np.zeros((len(HEIGHT_MAP_X), len(HEIGHT_MAP_Y)))
+    values[x, y] = -0.5  # A robot's height over high ground is small.
+    picture = as_seen(values.ravel())
+    assert picture[row, column] == picture.sum() == 0.5

@@ -6,6 +6,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +20,18 @@ from matplotlib.patches import Rectangle
 
 from renet.camera import Intrinsics
 from renet.evaluation import figures
+from renet.evaluation.env import SimEnv
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.play import keep_maps
-from renet.evaluation.report.video import RELIEF, as_seen
 from renet.evaluation.results import output_folder, write_json
-from renet.evaluation.rollout import PARKOUR, Trial
+from renet.evaluation.rollout import PARKOUR, Rollout, Trial
+from renet.evaluation.trace import UPDATES_PER_STEP
 from renet.interface import CONTROL_DT, DEPTH_RANGE, HEIGHT_MAP_X, HEIGHT_MAP_Y
+from renet.selector.monitors import SelectorInput
 from renet.sim.depth.camera import DepthNoiseCfg, MountCfg, add_noise, mount_rotation
 from renet.sim.depth.rasterizer import scanner
 from renet.sim.depth.raycast import TerrainScanner
 from renet.tasks.mdp.base_state import tile_terrain
+from renet.tasks.sensors import HEIGHT_MAP
 from renet.terrain.tiles import TILE, tiles
 
 PICTURED_LEVELS = (1, 5, 10)
@@ -42,6 +45,8 @@ WARM_UP = 50
 """Control steps after which a map counts: the estimator's memory begins empty."""
 EXTENT = (-HEIGHT_MAP_Y[-1], -HEIGHT_MAP_Y[0], HEIGHT_MAP_X[0], HEIGHT_MAP_X[-1])
 """Right and ahead of the base, m."""
+RELIEF = 0.5
+"""Metres of ground above or below the robot's own that end a height map's colours."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +159,31 @@ def _view(
     depth = rays.depth(eye[None], rotation, lens, DEPTH_RANGE)
     depth = depth.reshape(lens.height, lens.width)
     return torch.where(depth >= 0.0, depth, DEPTH_RANGE)
+
+
+def keep_maps(rollout: Rollout, env: SimEnv) -> list[np.ndarray]:
+    """Let a rollout keep the robots' height maps, predicted and true.
+
+    Returns:
+        A list that every control step of the rollout extends by [N, 2, 132] m: the VP estimator's
+        map, then the terrain's.
+    """
+    maps, sensor, updates = [], env.env.scene[HEIGHT_MAP], count()
+
+    def keep(seen: SelectorInput) -> None:
+        if next(updates) % UPDATES_PER_STEP == 0:
+            maps.append(np.stack((rollout.policy.height_map, sensor.data.numpy()), axis=1))
+
+    rollout.on_update = keep
+    return maps
+
+
+def as_seen(height_map: np.ndarray) -> np.ndarray:
+    """Heights of the ground [12, 11] m of a height map [132], from above: ahead is up.
+
+    A height map is the robot's height over the ground: its negative is the ground's.
+    """
+    return -height_map.reshape(len(HEIGHT_MAP_X), len(HEIGHT_MAP_Y))[::-1, ::-1]
 
 
 def errors(maps: np.ndarray, kinds: Sequence[str]) -> list[dict[str, Any]]:

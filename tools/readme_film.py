@@ -14,8 +14,7 @@ from pathlib import Path
 import imageio_ffmpeg
 
 from renet.evaluation.demo import film_comparison
-from renet.evaluation.report.video import VideoCfg
-from renet.evaluation.studies.faults import Setting
+from renet.evaluation.studies.benchmark import Setting
 from renet.evaluation.studies.noise import NoiseStudy
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "walk.webp"
@@ -31,7 +30,7 @@ def main() -> None:
     study = NoiseStudy(grounds=(NOISE.ground,), level=LEVEL, onsets=onset, seconds=7.5)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "film.mp4"
-        film_comparison(study, study.make_evaluator(), NOISE, path, VideoCfg(fps=FPS))
+        film_comparison(study, study.make_evaluator(), NOISE, path, FPS)
         ffmpeg = shutil.which("ffmpeg") or imageio_ffmpeg.get_ffmpeg_exe()
         webp = ["-c:v", "libwebp_anim", "-quality", "40", "-loop", "0", str(OUT)]
         subprocess.run([ffmpeg, "-v", "error", "-y", "-i", str(path), *webp], check=True)

@@ -20,9 +20,8 @@ from torch import Tensor, nn
 from renet.bundle.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.protocols import EvalEnv
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import Trial
+from renet.evaluation.rollout import EvalEnv, Trial
 from renet.interface import LATENT, PROPRIOCEPTION_SIZE
 from renet.models.actor_critic import mlp
 from renet.selector import SelectorInput

@@ -134,7 +134,7 @@ COMMANDS = {
         "renet.evaluation.studies.terrain:TerrainStudy:TerrainStudy.main",
         presets={
             "success": "renet.evaluation.studies.terrain:SuccessStudy",
-            "standing": "renet.evaluation.studies.standing:StandingStudy",
+            "standing": "renet.evaluation.studies.terrain:StandingStudy",
         },
         resume=KEPT,
     ),

@@ -25,5 +25,5 @@ def run_study(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple
 
 @pytest.fixture
 def summary(folder: Path) -> dict:
-    """Of the study that a file of tests has as its `folder`."""
+    """The summary of the study that a file of tests has as its `folder`."""
     return json.loads((folder / "summary.json").read_text())

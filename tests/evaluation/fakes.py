@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.protocols import StepResult
 from renet.evaluation.results import Provenance
+from renet.evaluation.trace import StepResult
 from renet.faults import ViewPerturbation
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
 from renet.selector import SelectorSpec, make_selector
@@ -17,6 +17,8 @@ from renet.tasks.config.go1 import GO1
 
 GROUND = np.full(DEPTH_SHAPE, 0.5, np.float32)
 SPEED = 0.62
+SCENE = """<mujoco><worldbody><light pos="0 0 3"/><geom type="plane" size="0 0 1"/>
+<body><freejoint/><geom type="box" size="0.2 0.1 0.1"/></body></worldbody></mujoco>"""
 
 
 class FakeEnv:
@@ -26,6 +28,7 @@ class FakeEnv:
         self.num_robots = num_robots
         self.bad = np.zeros(num_robots, int)
         self.x = np.zeros(num_robots)
+        self.scene_spec = mujoco.MjSpec.from_string(SCENE)
 
     def reset(self) -> StepResult:
         self.x[:] = 0
@@ -45,16 +48,6 @@ class FakeEnv:
 
     def place_on(self, grounds: Sequence[str]) -> None:
         assert len(grounds) == self.num_robots
-
-    @property
-    def scene_spec(self) -> mujoco.MjSpec:
-        spec = mujoco.MjSpec()
-        spec.worldbody.add_light(pos=(0, 0, 3))
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1))
-        body = spec.worldbody.add_body()
-        body.add_freejoint()
-        body.add_geom(size=(0.2, 0.1, 0.1), type=mujoco.mjtGeom.mjGEOM_BOX)
-        return spec
 
     def poses(self, rows: Sequence[int]) -> np.ndarray:
         pose = np.zeros((len(rows), 7))
@@ -96,17 +89,16 @@ class FakePolicy:
 
 
 class FakeEvaluator:
-    """Stands in for `renet.evaluation.evaluator.Evaluator`; its robots are of the class `env`."""
+    """Stands in for `renet.evaluation.evaluator.Evaluator`; its robots and policy are fakes."""
 
     beta = 0.01
     thresholds: ClassVar = {"reconstruction": 0.01, "duplicate": 3.0, "frame_age": 0.2}
     robot = GO1
     rollout = Evaluator.rollout
     terrain_env_cfg = Evaluator.terrain_env_cfg
-    grounds_env_cfg = Evaluator.grounds_env_cfg
 
-    def __init__(self, env: type[FakeEnv] = FakeEnv) -> None:
-        self.env = env
+    def __init__(self, env: type[FakeEnv] = FakeEnv, policy: type[FakePolicy] = FakePolicy) -> None:
+        self.env, self.policy = env, policy
 
     def provenance(self, seed: int) -> Provenance:
         return Provenance("fake", "0" * 64, "native", seed)
@@ -115,7 +107,7 @@ class FakeEvaluator:
         return self.env(len(robots))
 
     def make_policy(self, num_robots: int) -> FakePolicy:
-        return FakePolicy(num_robots)
+        return self.policy(num_robots)
 
     def make_selector(self, num_robots: int, selector: str = "paper") -> MonitorSelector:
         return make_selector("paper", SelectorSpec(beta=self.beta), num_robots)

@@ -1,6 +1,5 @@
 """When memory is stale: simulated hazards whose answer is known."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,6 @@ from renet.evaluation.calibrate_memory import MEASURED, MEMORY, compare
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Rollout
 from renet.evaluation.trace import Trace
-from renet.selector.calibration import stale_above
 
 ROBOTS, STEPS = 400, 500
 
@@ -31,22 +29,6 @@ def test_robots_walk_from_memory_and_twins_with_op(tmp_path, models, manifest, m
     assert not trace.vision[:, 6:].any()
     assert trace.has_image[:5, :6].all()
     assert not trace.has_image[15:, :6].any()
-
-
-def test_memory_is_stale_from_where_its_falls_exceed_ops():
-    random = np.random.default_rng(0)
-    error = random.uniform(0, 1, 50_000)
-    blind = np.full(50_000, 0.004)
-    fell = random.random(50_000) < np.where(error > 0.7, 0.02, 0.001)
-    assert stale_above(error, fell, blind) == pytest.approx(0.7, abs=0.02)
-
-
-def test_chance_makes_no_memory_stale():
-    random = np.random.default_rng(1)
-    error, blind = random.uniform(0, 1, 20_000), np.full(20_000, 0.004)
-    found = [stale_above(error, random.random(20_000) < 0.003, blind) for _ in range(50)]
-    assert np.isinf(found).mean() > 0.9
-    assert math.isinf(stale_above(np.zeros(0), np.zeros(0, bool), np.zeros(0)))
 
 
 def walk(hazard) -> Trace:

@@ -1,7 +1,6 @@
 """Films: a real short one, and the mistakes that stop one before it begins."""
 
 from dataclasses import replace
-from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -39,15 +38,9 @@ def test_mistakes_are_named_before_anything_is_written(tmp_path, fields, message
 
 
 def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path, monkeypatch):
-    monkeypatch.setattr(video, "VideoCfg", partial(video.VideoCfg, width=96, height=72, fps=10))
-    cfg = PlayCfg(
-        bundle=CHECKPOINT,
-        out=tmp_path / "film.mp4",
-        terrain="platform",
-        fault=("gaussian:3@0.5s",),
-        seconds=1.0,
-    )
-    film = run_play(cfg)
+    monkeypatch.setattr(video, "PANEL", (96, 72))
+    cfg = PlayCfg(CHECKPOINT, tmp_path / "film.mp4", "platform", fault=("gaussian:3@0.5s",))
+    film = run_play(replace(cfg, seconds=1.0))
     assert film.stat().st_size > 1000
     assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
 

@@ -10,7 +10,6 @@ from renet.selector.selector import MonitorSelector
 from .fakes import SPEED, FakeEnv, FakePolicy
 
 NOISE = (Injection("gaussian", 1.0, onset=20),)
-POLICY_MODES = ("vp", "renet", "op", "oracle-switch")
 
 
 def prepare(rows: list[Trial]) -> Rollout:
@@ -19,13 +18,11 @@ def prepare(rows: list[Trial]) -> Rollout:
 
 
 def test_each_mode_uses_the_estimator_it_is_named_after() -> None:
-    trace = prepare([Trial(mode, NOISE) for mode in POLICY_MODES]).run(60)
-    vp, renet, op, oracle = trace.vision.T
-    assert vp.all()
-    assert not op.any()
-    np.testing.assert_array_equal(oracle, np.arange(60) < 20)
+    modes, steps = ("vp", "renet", "op", "oracle-switch"), np.arange(60)
+    trace = prepare([Trial(mode, NOISE) for mode in modes]).run(60)
     # Seven updates of 5 ms (P_t = 0.9^7 < 0.5): two control steps still run on vision.
-    np.testing.assert_array_equal(renet, np.arange(60) < 22)
+    expected = [steps >= 0, steps < 22, steps < 0, steps < 20]
+    np.testing.assert_array_equal(trace.vision.T, expected)
 
 
 def test_a_fall_is_latched_and_stops_the_count() -> None:
@@ -45,8 +42,7 @@ def test_a_robot_that_starts_anew_trusts_vision_at_once() -> None:
     class Doubtful:
         """Trusts nobody but a robot that has just started anew."""
 
-        probability = np.ones(1)
-        trusted = np.zeros(1, bool)
+        probability, trusted = np.ones(1), np.zeros(1, bool)
 
         def look(self, seen):
             return None
@@ -94,28 +90,20 @@ def test_only_renets_images_are_withheld_and_the_papers_mode_obeys_the_papers_ru
     np.testing.assert_array_equal(paper, steps < 22)
 
 
-def test_faults_act_at_ticks_and_hold_between_them() -> None:
-    trace = prepare([Trial("op", NOISE)]).run(60, film=[0])
+def test_faults_act_at_ticks_and_hold_between_them_alike_in_every_mode() -> None:
+    rows = [Trial("op", NOISE, 0), Trial("oracle-switch", NOISE, 0), Trial("op", NOISE, 1)]
+    fresh, rollout = [], prepare(rows)
+    rollout.on_update = lambda seen: fresh.append(seen.fresh.all())
+    trace = rollout.run(60, film=[0])
     assert trace.film is not None
     assert trace.film.images.shape == (12, 1, 48, 64)
     assert trace.film.poses.shape == (60, 1, 7)
+    assert sum(fresh) == 12
     changed = np.flatnonzero(np.diff(trace.anomaly[:, 0])) + 1
     assert (changed % 5 == 0).all()
     assert changed[0] == 20
-
-
-def test_robots_of_one_number_get_the_same_noise_in_every_mode() -> None:
-    rows = [Trial("op", NOISE, 0), Trial("oracle-switch", NOISE, 0), Trial("op", NOISE, 1)]
-    trace = prepare(rows).run(60)
     np.testing.assert_array_equal(trace.anomaly[:, 0], trace.anomaly[:, 1])
     assert (trace.anomaly[20:, 0] != trace.anomaly[20:, 2]).any()
-
-
-def test_a_frame_is_fresh_once_a_tick() -> None:
-    fresh, rollout = [], prepare([Trial("renet")])
-    rollout.on_update = lambda seen: fresh.append(seen.fresh.all())
-    rollout.run(50)
-    assert sum(fresh) == 10
 
 
 def test_wrong_input_is_refused() -> None:

@@ -76,8 +76,7 @@ def test_calibration_learns_from_robots_that_get_somewhere() -> None:
     trace.travelled[:, [0, 3]] = walk[:, None]
     trace.travelled[:, 1] = 0.1
     trace.travelled[:, 2] = np.concatenate([walk[:50], walk[:50]])
-    trace.ended[[49, 99], 2] = trace.fell[99, 2] = True
-    trace.ended[99, 3] = trace.fell[99, 3] = True
+    trace.ended[[49, 99], 2] = trace.fell[99, 2] = trace.ended[99, 3] = trace.fell[99, 3] = True
     # Robot 4 falls at step 7 and stands at the end; robot 5 leaves its tile at 12 and falls later.
     trace.ended[7, 4] = trace.fell[7, 4] = True
     trace.ended[[12, 99], 5] = trace.fell[99, 5] = True

@@ -10,8 +10,7 @@ from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.memory import MemoryStudy
 from renet.evaluation.studies.noise import NoiseStudy
-from renet.evaluation.studies.standing import StandingStudy
-from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
+from renet.evaluation.studies.terrain import StandingStudy, SuccessStudy, TerrainStudy
 from renet.evaluation.study import Study
 from renet.terrain.tiles import tiles
 
@@ -26,6 +25,9 @@ class Ladder(FakeEnv):
     )
     able: np.ndarray | None = None
     """Who can; None on flat ground, which nobody leaves."""
+    stands: np.ndarray | bool = False
+    """Who neither leaves its tile nor falls."""
+    clock = 0
 
     def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
         self.able = levels < self.reach[kinds]
@@ -37,28 +39,23 @@ class Ladder(FakeEnv):
             result.fell[0] = result.ended[0] = True
             return result
         self.clock += 1
-        over = np.full(self.num_robots, self.clock % 20 == 0)
-        result.ended[:] = over
-        result.fell[:] = over & ~self.able
+        result.ended[:] = (self.clock % 20 == 0) & ~np.asarray(self.stands)
+        result.fell[:] = result.ended & ~self.able
         return result
 
 
-class Hurdles(FakeEnv):
+class Hurdles(Ladder):
     """Robots cross after 20 steps; on gaps beyond level 2 they fall, beyond level 4 they stand."""
 
     def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
         gap = kinds == list(tiles()).index("gap")
-        self.falls = gap & (levels >= 2) & (levels < 4)
-        self.stands = gap & (levels >= 4)
+        self.able, self.stands = ~gap | (levels < 2), gap & (levels >= 4)
         self.clock = 0
 
     def step(self, action: np.ndarray):
         result = super().step(action)
-        self.clock += 1
-        over = (self.clock % 20 == 0) & ~self.stands
-        result.ended[:] = over
-        # A second try would succeed, and must not count.
-        result.fell[:] = over & self.falls & (self.clock <= 20)
+        if self.clock >= 20:  # A second try would succeed, and must not count.
+            self.able = ~np.zeros(self.num_robots, bool)
         return result
 
 
@@ -72,9 +69,10 @@ class HurdlesEvaluator(FakeEvaluator):
 class Obedient(FakeEnv):
     """Stops on command; robots of uneven number sway their only joint for ever."""
 
+    clock, speed = 0, 0.6
+
     def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
-        self.levels = levels
-        self.clock, self.speed = 0, 0.6
+        """One ground is as good as another."""
 
     def command(self, speed: float) -> None:
         self.speed = speed
@@ -93,33 +91,24 @@ class Obedient(FakeEnv):
         return pose
 
 
+FAULTS = FaultStudy(
+    faults=("gaussian", "frozen"),
+    robots=2,
+    lasts=1.0,
+    seconds=2.6,
+    healthy_minutes=0.1,
+    grounds=("flat", "gap"),
+    severities=(1, 5),
+)
+SUCCESS = SuccessStudy(kinds=("gap", "stairs_up"), levels=(1, 3, 5), robots=3, seconds=2)
+STANDING = StandingStudy(kinds=("flat", "stairs_up"), robots=2, seconds=1.0)
 TINY: dict[str, tuple[Study, Callable[[], FakeEvaluator]]] = {
     "noise": (NoiseStudy(robots=2, onsets=(1.0,), lasts=4.0, seconds=5.0), FakeEvaluator),
-    "faults": (
-        FaultStudy(
-            faults=("gaussian", "frozen"),
-            robots=2,
-            lasts=1.0,
-            seconds=2.6,
-            healthy_minutes=0.1,
-            grounds=("flat", "gap"),
-            severities=(1, 5),
-        ),
-        FakeEvaluator,
-    ),
-    "memory": (
-        MemoryStudy(grounds=("gap:3", "platform:4"), robots=2, seconds=4),
-        FakeEvaluator,
-    ),
+    "faults": (FAULTS, FakeEvaluator),
+    "memory": (MemoryStudy(grounds=("gap:3", "platform:4"), robots=2, seconds=4), FakeEvaluator),
     "camera_use": (CameraUseStudy(grounds=("gap:3",), robots=2, seconds=1.0), FakeEvaluator),
-    "success": (
-        SuccessStudy(kinds=("gap", "stairs_up"), levels=(1, 3, 5), robots=3, seconds=2),
-        HurdlesEvaluator,
-    ),
+    "success": (SUCCESS, HurdlesEvaluator),
     "terrain": (TerrainStudy(robots=3, seconds=2), partial(FakeEvaluator, Ladder)),
-    "standing": (
-        StandingStudy(kinds=("flat", "stairs_up"), robots=2, seconds=1.0),
-        partial(FakeEvaluator, Obedient),
-    ),
+    "standing": (STANDING, partial(FakeEvaluator, Obedient)),
     "margins": (MarginsStudy(axes=("payload",), robots=1, seconds=0.2), FakeEvaluator),
 }

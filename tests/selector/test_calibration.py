@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 
 from renet.errors import RenetError
 from renet.selector import MONITORS
-from renet.selector.calibration import calibrate, calibrate_monitors, decluster, return_level
+from renet.selector.calibration import (
+    calibrate,
+    calibrate_monitors,
+    decluster,
+    return_level,
+    stale_above,
+)
 
 
 def hours(n: float, seed: int = 0, runs: int = 40) -> list[np.ndarray]:
@@ -106,3 +112,19 @@ def test_fewer_false_alarms_never_lower_a_threshold(lower, factor) -> None:
 def test_bad_input_is_refused(wrong, message: str) -> None:
     with pytest.raises(RenetError, match=message):
         wrong()
+
+
+def test_memory_is_stale_from_where_its_falls_exceed_ops():
+    random = np.random.default_rng(0)
+    error = random.uniform(0, 1, 50_000)
+    blind = np.full(50_000, 0.004)
+    fell = random.random(50_000) < np.where(error > 0.7, 0.02, 0.001)
+    assert stale_above(error, fell, blind) == pytest.approx(0.7, abs=0.02)
+
+
+def test_chance_makes_no_memory_stale():
+    random = np.random.default_rng(1)
+    error, blind = random.uniform(0, 1, 20_000), np.full(20_000, 0.004)
+    limits = [stale_above(error, random.random(20_000) < 0.003, blind) for _ in range(50)]
+    assert np.isinf(limits).mean() > 0.9
+    assert math.isinf(stale_above(np.zeros(0), np.zeros(0, bool), np.zeros(0)))

@@ -7,7 +7,7 @@ import torch
 from mjlab.terrains import TerrainGenerator
 
 from renet.errors import RenetError
-from renet.evaluation.env import PARKOUR, grounds_env_cfg, terrain_env_cfg
+from renet.evaluation.env import terrain_env_cfg
 from renet.sim.depth.rasterizer import scanner
 from renet.tasks import RenetEnvCfg, env_cfg, make_env
 from renet.tasks.config.go1 import GO1
@@ -304,6 +304,6 @@ def drawn(cfg: RenetEnvCfg) -> set[bytes]:
 def test_studies_draw_other_tiles_than_training(task):
     trained = drawn(env_cfg(task))
     grounds = {"rough": 5, "obstacles": 5}
-    for judged in (terrain_env_cfg(PARKOUR, 1, GO1), grounds_env_cfg(grounds, GO1)):
+    for judged in (terrain_env_cfg("parkour", GO1), terrain_env_cfg(grounds, GO1)):
         assert len(drawn(judged)) > 20
         assert not drawn(judged) & trained

@@ -83,9 +83,8 @@ class CalibrateCfg:
         if not 0.0 <= self.false_alarm < 1.0:
             raise RenetError(f"false alarm must be at least 0 and below 1, got {self.false_alarm}")
         if not 0.0 < self.false_alarms_per_hour < math.inf:
-            raise RenetError(
-                f"false alarms per hour must be positive, got {self.false_alarms_per_hour}"
-            )
+            rate = self.false_alarms_per_hour
+            raise RenetError(f"false alarms per hour must be positive, got {rate}")
 
 
 def run_calibrate(cfg: CalibrateCfg) -> float:
@@ -96,18 +95,17 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     """
     if cfg.log and cfg.images:
         raise RenetError("give --log or --images, not both")
-    if cfg.log or cfg.images:
-        bundle = Bundle.load(cfg.bundle)
-        spec = bundle.manifest.selector
-        if cfg.images:
-            series = image_scores(cfg.images, cfg.scale, cfg.lens, bundle)
-        else:
-            series = recorded_scores(cfg.log, bundle)
-        # Thresholds of what was not recorded stay.
-        names = {MEMORY} | (MONITORS.keys() - series.keys())
-        kept = {name: limit for name, limit in spec.thresholds.items() if name in names}
-        return _store(cfg, bundle, series, {}, (kept, spec.longest_memory))
-    return _store(cfg, *_simulated_scores(cfg))
+    if not cfg.log and not cfg.images:
+        return _store(cfg, *_simulated_scores(cfg))
+    bundle = Bundle.load(cfg.bundle)
+    if cfg.images:
+        series = image_scores(cfg.images, cfg.scale, cfg.lens, bundle)
+    else:
+        series = recorded_scores(cfg.log, bundle)
+    # Thresholds of what was not recorded stay.
+    spec, names = bundle.manifest.selector, {MEMORY} | (MONITORS.keys() - series.keys())
+    kept = {name: limit for name, limit in spec.thresholds.items() if name in names}
+    return _store(cfg, bundle, series, {}, (kept, spec.longest_memory))
 
 
 def _store(
@@ -116,9 +114,8 @@ def _store(
     """Learn thresholds, and β without the `grassy` runs; write them into the manifest, return β."""
     scores = np.concatenate(series["reconstruction"])
     # Healthy runs say nothing of how stale a memory may be.
-    series = {name: runs for name, runs in series.items() if name != MEMORY}
-    if cfg.sparse_grass and bundle.predicts_variance:
-        series = {name: runs for name, runs in series.items() if name != "reconstruction"}
+    replaced = {"reconstruction"} if cfg.sparse_grass and bundle.predicts_variance else set()
+    series = {name: runs for name, runs in series.items() if name not in {MEMORY, *replaced}}
     thresholds, hours = calibrate_monitors(series, cfg.false_alarms_per_hour, 1.0 / TICK_DT)
     for name, runs in grassy.items():
         if name in thresholds and runs:
@@ -132,37 +129,30 @@ def _store(
     source = f"{len(cfg.log)} recording(s)" if cfg.log else f"successful episodes, seed {cfg.seed}"
     source = "images" if cfg.images else source
     how = f"{rule} of {len(scores)} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
-    manifest = bundle.manifest
+    manifest, (limits, longest) = bundle.manifest, memory
     selector = replace(
         manifest.selector,
         beta=beta,
         calibration=how,
-        thresholds=thresholds | memory[0],
-        longest_memory=memory[1],
+        thresholds=thresholds | limits,
+        longest_memory=longest,
         false_alarms_per_hour=cfg.false_alarms_per_hour,
         healthy_hours=hours,
     )
     write_manifest(bundle.path, replace(manifest, selector=selector))
     print(f"beta {beta:.6g} ({how}) written to {bundle.path}")
-    if memory[1]:
-        limit = f"expects an error of {memory[0][MEMORY]:.2g} m or " if MEMORY in memory[0] else ""
-        print(f"VP drives from memory until it {limit}has had no image for {memory[1]:.3g} s")
+    if longest:
+        limit = f"expects an error of {limits[MEMORY]:.2g} m or " if MEMORY in limits else ""
+        print(f"VP drives from memory until it {limit}has had no image for {longest:.3g} s")
+    rate = f"{cfg.false_alarms_per_hour:g} false alarms per hour"
+    title = f"Thresholds for {rate}, from {hours:.2f} healthy robot hours"
     rows = [(name, f"{value:.4g}") for name, value in thresholds.items()]
-    show(
-        f"Thresholds for {cfg.false_alarms_per_hour:g} false alarms per hour, from"
-        f" {hours:.2f} healthy robot hours",
-        ("monitor", "threshold"),
-        rows,
-    )
+    show(title, ("monitor", "threshold"), rows)
     return beta
 
 
 def _simulated_scores(cfg: CalibrateCfg) -> tuple[Bundle, Series, Series, Memory]:
-    """The bundle, every monitor's scores in successful episodes, without and with grass; memory.
-
-    Raises:
-        RenetError: settings that cannot be run, or a policy that never succeeds.
-    """
+    """The bundle, every monitor's scores in successful episodes, without and with grass; memory."""
     from renet.evaluation.evaluator import Evaluator
     from renet.terrain.tiles import LEVELS
 

@@ -73,8 +73,7 @@ def compare(trace: Trace, dies: np.ndarray, ground: np.ndarray) -> Memory:
 
     Args:
         trace: of N robots that walk from memory, then of their N twins with OP.
-        dies: control step at which each camera dies, [N].
-        ground: number of the ground that each robot is on, [N].
+        dies, ground: control step at which each camera dies, and number of its ground, [N].
     """
     steps, count = np.arange(len(trace.over))[:, None], len(dies)
     walks = np.vstack([np.ones((1, 2 * count), bool), ~trace.over[:-1]])

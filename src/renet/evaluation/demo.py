@@ -10,16 +10,15 @@ import numpy as np
 
 from renet.evaluation.report.page import provenance_section, render, write_page
 from renet.evaluation.report.summary import noise_facts, noise_headline
-from renet.evaluation.studies.faults import Setting
+from renet.evaluation.studies.benchmark import Setting
+from renet.evaluation.studies.fault_findings import setting_of
 from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.trace import Trace
-from renet.faults import fault_class
 from renet.interface import CONTROL_DT, Engine
 from renet.terminal import show
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
-    from renet.evaluation.report.video import VideoCfg
 
 
 @dataclass(frozen=True)
@@ -37,18 +36,7 @@ class DemoCfg:
 
 
 def run_demo(cfg: DemoCfg, evaluator: Evaluator | None = None) -> Path:
-    """Run the paper's noise study on the CPU and put its results on one page.
-
-    Args:
-        cfg: settings.
-        evaluator: made from `cfg.bundle` by default.
-
-    Returns:
-        The page, `cfg.out/index.html`.
-
-    Raises:
-        RenetError: a bundle that cannot be used, or a folder that cannot be written to.
-    """
+    """Run the paper's noise study and put its results on one page; raises as `Study.run`."""
     study = NoiseStudy(out=cfg.out, bundle=cfg.bundle, seed=cfg.seed, engine=cfg.engine)
     evaluator = evaluator or study.make_evaluator()
     summary = study.run(evaluator)
@@ -56,7 +44,15 @@ def run_demo(cfg: DemoCfg, evaluator: Evaluator | None = None) -> Path:
         show(*table)
     setting = worst_of_vp(summary)
     video = film_comparison(study, evaluator, setting, cfg.out / "video.mp4")
-    return write_demo_page(summary, video, setting, cfg.out)
+    sections = [
+        render("demo", facts=noise_facts(summary), film=video, noise=label(setting)),
+        render("demo_method"),
+        render("noise", summary=summary, settings=summary["settings"], folder=cfg.out),
+        render("demo_provenance"),
+        provenance_section(summary),
+    ]
+    page, title = cfg.out / "index.html", "A robot dog loses its eyes"
+    return write_page(page, title, noise_headline(summary), sections)
 
 
 def film_comparison(
@@ -64,32 +60,30 @@ def film_comparison(
     evaluator: Evaluator,
     setting: Setting,
     path: Path,
-    cfg: VideoCfg | None = None,
+    fps: int = 25,
 ) -> Path:
     """Film VP alone beside RENet: one setting walks again, as it did in the study."""
-    from renet.evaluation.report.video import VideoCfg, film
+    from renet.evaluation.report.video import film
 
-    cfg, modes = cfg or VideoCfg(), {"vp": "VP alone: always on camera", "renet": "RENet"}
+    modes = {"vp": "VP alone: always on camera", "renet": "RENet"}
     trials = study.trials([setting])
     env = study.make_env(evaluator, tuple(trial.robot for trial in trials))
-    everybody = range(len(trials))
-    trace = study.walk(evaluator, env, "one setting, filmed", trials, film=everybody)
+    trace = study.walk(evaluator, env, "one setting, filmed", trials, film=range(len(trials)))
     robot = first_to_fall(study, trace)
     titles = {study.modes.index(m) * study.robots_each + robot: t for m, t in modes.items()}
-    return film(path, env.scene_spec, trace, titles, label(setting), cfg)
+    return film(path, env.scene_spec, trace, titles, label(setting), fps)
 
 
 def worst_of_vp(summary: dict[str, Any]) -> Setting:
     """The noise with most VP falls, then the slowest."""
     alone = [run for run in summary["runs"] if run["mode"] == "vp"]
     worst = max(alone, key=lambda run: (run["falls"], -run["mean_forward_velocity"]))
-    return Setting(worst["ground"], worst["onset"], worst["fault"], worst["severity"])
+    return setting_of(worst)
 
 
 def label(setting: Setting) -> str:
     """A noise in words, such as "salt and pepper 30 %"."""
-    level = fault_class(setting.fault).level_of(setting.severity)
-    return f"{setting.fault.replace('_', ' ')} {100 * level:.0f} %"
+    return f"{setting.fault.replace('_', ' ')} {100 * setting.level:.0f} %"
 
 
 def first_to_fall(study: NoiseStudy, trace: Trace) -> int:
@@ -100,16 +94,3 @@ def first_to_fall(study: NoiseStudy, trace: Trace) -> int:
     # Who fell before the noise began says nothing about it.
     upright = np.where(upright * CONTROL_DT < study.onsets[0], study.steps + 1, upright)
     return int(np.lexsort((trace.speed[-150:, index].mean(axis=0), upright))[0])
-
-
-def write_demo_page(summary: dict[str, Any], video: Path, setting: Setting, out: Path) -> Path:
-    """Write index.html into `out`, from the study's figures there; the video is of `setting`."""
-    sections = [
-        render("demo", facts=noise_facts(summary), film=video, noise=label(setting)),
-        render("demo_method"),
-        render("noise", summary=summary, settings=summary["settings"], folder=out),
-        render("demo_provenance"),
-        provenance_section(summary),
-    ]
-    title = "A robot dog loses its eyes"
-    return write_page(out / "index.html", title, noise_headline(summary), sections)

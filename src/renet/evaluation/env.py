@@ -14,8 +14,8 @@ from torch import Tensor
 
 from renet.bundle.manifest import Manifest
 from renet.errors import RenetError
-from renet.evaluation.protocols import StepResult
-from renet.evaluation.rollout import FLAT, PARKOUR
+from renet.evaluation.rollout import FLAT
+from renet.evaluation.trace import StepResult
 from renet.faults import ViewPerturbation
 from renet.faults.physical import obstacles, spread
 from renet.sim.depth.camera import CameraPerturbation, DepthCamera
@@ -44,44 +44,24 @@ def robot_of(manifest: Manifest) -> RobotCfg:
         ) from error
 
 
-def terrain_env_cfg(terrain: str, level: int, robot: RobotCfg) -> RenetEnvCfg:
-    """A task to measure in.
+def terrain_env_cfg(terrain: str | Mapping[str, int], robot: RobotCfg) -> RenetEnvCfg:
+    """A task to measure in; its random tiles are not training's.
 
     Args:
-        terrain: "flat", "parkour" (all tiles at all levels) or a kind of tile; random tiles are not
-            training's.
-        level: of the tile, 1 to 10.
+        terrain: "flat", "parkour" (all tiles at all levels), or grounds side by side for
+            `SimEnv.place_on`: the level, 1 to 10, of each kind of tile or "flat"; raises
+            RenetError for an unknown one.
         robot: to put there.
-
-    Raises:
-        RenetError: an unknown kind of tile or level.
     """
     if terrain == FLAT:
         return flat_env_cfg(play=True, robot=robot)
-    if terrain == PARKOUR:
+    if isinstance(terrain, str):
         return tile_env_cfg(parkour_terrain(UNSEEN), play=True, robot=robot)
-    return tile_env_cfg(tile_row({terrain: level}), play=True, robot=robot)
-
-
-def grounds_env_cfg(grounds: Mapping[str, int], robot: RobotCfg) -> RenetEnvCfg:
-    """A task on several grounds side by side, for robots to be put on by `SimEnv.place_on`.
-
-    Args:
-        grounds: level, 1 to 10, of each: "flat" or a kind of tile. robot: to put there.
-
-    Raises:
-        RenetError: an unknown ground or level.
-    """
-    return tile_env_cfg(tile_row(grounds), play=True, robot=robot)
+    return tile_env_cfg(tile_row(terrain), play=True, robot=robot)
 
 
 def study_env_cfg(task: str | RenetEnvCfg, speed: float) -> RenetEnvCfg:
-    """A task for measuring: straight ahead at one speed, ended only by a fall.
-
-    Args:
-        task: id, or a configuration made with `play=True`.
-        speed: c_x, m/s; c_yaw stays each robot's starting yaw.
-    """
+    """A task, or its id, for measuring: straight ahead at `speed`, m/s, ended only by a fall."""
     cfg = env_cfg(task, play=True) if isinstance(task, str) else task
     command = cfg.commands[COMMAND]
     assert isinstance(command, GoalCommandCfg)
@@ -109,7 +89,6 @@ class SimEnv:
             self._draw_bodies(robots, seed)
         self.num_robots = len(robots)
         self._seed = seed
-        self._start = np.zeros((self.num_robots, 2))
         self._view = ViewPerturbation.none(self.num_robots)
         self._camera.normal, self._noise = self._draw_noise, torch.Generator()
 
@@ -187,7 +166,7 @@ class SimEnv:
         terrain.env_origins[:] = terrain.terrain_origins[levels, kinds]
 
     def place_on(self, grounds: Sequence[str]) -> None:
-        """Put each robot on a ground of `grounds_env_cfg`, from the next reset on; [N] names."""
+        """Put each robot on a ground of `terrain_env_cfg`, from the next reset on; [N] names."""
         kinds = list(tile_terrain(self.env).cfg.terrain_generator.sub_terrains)
         self.place(np.zeros(len(grounds), int), np.array([kinds.index(g) for g in grounds]))
 
@@ -237,21 +216,17 @@ def ray_perturbation(
     """Translate a camera perturbation into what the ray caster does; None if nothing changes.
 
     Args:
-        view: of N cameras. model: the scene. middles: [M, 2] horizontal middles of its tiles.
-
-    Raises:
-        RenetError: obstacles are to be glass where there are none.
+        view: of N cameras; raises RenetError if obstacles are to be glass where there are none.
+        model: the scene. middles: [M, 2] horizontal middles of its tiles.
     """
     if view == ViewPerturbation.none(len(view.lift)):
         return None
-    shares = [float(share) for share in np.unique(view.glass) if share > 0]
-    unseen = []
-    if shares:
-        tiles = obstacles(model, middles)
-        unseen = [
-            (spread(tiles, share), torch.from_numpy(np.flatnonzero(view.glass == share)))
-            for share in shares
-        ]
+    shares = np.unique(view.glass[view.glass > 0])
+    tiles = obstacles(model, middles) if shares.size else []
+    unseen = [
+        (spread(tiles, share), torch.from_numpy(np.flatnonzero(view.glass == share)))
+        for share in shares.tolist()
+    ]
     lift = torch.as_tensor(view.lift, dtype=torch.float32)
     turn = torch.as_tensor(Rotation.from_rotvec(view.turn).as_matrix(), dtype=torch.float32)
     return CameraPerturbation(lift, turn, unseen)

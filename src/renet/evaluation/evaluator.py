@@ -6,15 +6,16 @@ from pathlib import Path
 from renet.bundle import Bundle
 from renet.bundle.policy import Policy
 from renet.errors import RenetError
-from renet.evaluation.env import SimEnv, grounds_env_cfg, robot_of, study_env_cfg, terrain_env_cfg
-from renet.evaluation.protocols import EvalEnv, EvalPolicy, EvalSelector
+from renet.evaluation.env import SimEnv, robot_of, study_env_cfg, terrain_env_cfg
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import FLAT, PARKOUR, Rollout, Trial
+from renet.evaluation.rollout import FLAT, PARKOUR, EvalEnv, EvalPolicy, Rollout, Trial
 from renet.selector import make_selector
-from renet.selector.selector import check_kind
+from renet.selector.selector import MonitorSelector, check_kind
 from renet.sim.threads import THREADS
 from renet.tasks import RenetEnvCfg, RobotCfg
 from renet.tasks.sensors import depth_camera
+
+Task = str | Mapping[str, int] | RenetEnvCfg
 
 
 class Evaluator:
@@ -23,15 +24,11 @@ class Evaluator:
     def __init__(
         self, bundle: Path | None = None, engine: str = "auto", selector: str = "monitors"
     ) -> None:
-        """Load a bundle.
+        """Load a bundle; raises RenetError where it, or the selector's name, cannot be used.
 
         Args:
             bundle: its folder; the one that ships with renet by default.
-            engine: auto, native or warp.
-            selector: monitors, which is all monitors with a dwell, or paper.
-
-        Raises:
-            RenetError: a missing, damaged or incompatible bundle, or an unknown selector.
+            engine: auto, native or warp. selector: monitors (all of them, with a dwell) or paper.
         """
         check_kind(selector)
         self.bundle = Bundle.load(bundle, threads=THREADS)
@@ -46,8 +43,8 @@ class Evaluator:
     def beta(self) -> float:
         """The selector's threshold on the anomaly score: the paper's, or the calibrated one."""
         spec = self.bundle.manifest.selector
-        calibrated = spec.thresholds.get("reconstruction", spec.beta)
-        return spec.beta if self.selector == "paper" else calibrated
+        thresholds = {} if self.selector == "paper" else spec.thresholds
+        return thresholds.get("reconstruction", spec.beta)
 
     @property
     def thresholds(self) -> dict[str, float]:
@@ -59,33 +56,23 @@ class Evaluator:
         engine = "native" if self.engine == "auto" else self.engine
         return Provenance(self.bundle.name, self.bundle.sha256, engine, seed)
 
-    def terrain_env_cfg(self, terrain: str, level: int) -> RenetEnvCfg:
+    def terrain_env_cfg(self, terrain: str | Mapping[str, int]) -> RenetEnvCfg:
         """`env.terrain_env_cfg` with the bundle's robot."""
-        return terrain_env_cfg(terrain, level, self.robot)
+        return terrain_env_cfg(terrain, self.robot)
 
-    def grounds_env_cfg(self, levels: Mapping[str, int]) -> RenetEnvCfg:
-        """`env.grounds_env_cfg` with the bundle's robot."""
-        return grounds_env_cfg(levels, self.robot)
-
-    def make_env(
-        self, task: str | RenetEnvCfg, robots: Sequence[int], speed: float, seed: int
-    ) -> SimEnv:
+    def make_env(self, task: Task, robots: Sequence[int], speed: float, seed: int) -> SimEnv:
         """Make an environment of robots that are commanded to walk straight ahead.
 
         Args:
-            task: terrain as in `terrain_env_cfg`, a registered task, or a configuration made with
-                `play=True`.
+            task: terrain or grounds as in `terrain_env_cfg`, a registered task, or a configuration
+                made with `play=True`; raises RenetError if it is another robot's than the bundle.
             robots: one number for each robot; those with the same number are twins.
-            speed: commanded, m/s.
-            seed: of bodies and starts.
-
-        Raises:
-            RenetError: a seed outside NumPy's range, or a bundle for another robot than the task's.
+            speed: commanded, m/s. seed: of bodies and starts.
         """
         if not 0 <= seed < 2**32:
             raise RenetError(f"seed must be from 0 to 2^32 - 1, got {seed}")
-        if task in (FLAT, PARKOUR):
-            task = self.terrain_env_cfg(str(task), 1)
+        if isinstance(task, Mapping) or (isinstance(task, str) and task in (FLAT, PARKOUR)):
+            task = self.terrain_env_cfg(task)
         cfg = study_env_cfg(task, speed)
         robot = self.bundle.manifest.robot.name
         if robot != cfg.robot.name:
@@ -102,7 +89,7 @@ class Evaluator:
         """Make the policy under study."""
         return Policy(self.bundle, num_robots)
 
-    def make_selector(self, num_robots: int, selector: str | None = None) -> EvalSelector:
+    def make_selector(self, num_robots: int, selector: str | None = None) -> MonitorSelector:
         """Make the bundle's selector, or another one with its thresholds."""
         return make_selector(selector or self.selector, self.bundle.manifest.selector, num_robots)
 

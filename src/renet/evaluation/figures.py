@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +14,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
-from renet.evaluation.results import Provenance
+from renet.evaluation.results import Provenance, grouped
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT
 from renet.palette import BLIND, SEES
 
-BAND = 0.3
-"""Opacity of what is behind a timeline."""
 LOSS, PROBABILITY = "#3c3ca0", "#64aa5f"
 FAMILIES = {
     "gaussian": ("#9ecae1", "#4292c6", "#084594"),
@@ -98,24 +96,20 @@ def speed_over_time(
 
     Args:
         curves: mode → (noise, level) → [T] m/s, mean over the robots.
-        onset: seconds at which the noise begins.
-        command: commanded speed, m/s.
+        onset: seconds at which the noise begins. command: commanded speed, m/s.
     """
     figure, axes = plt.subplots(1, len(curves), figsize=(11, 4.2), sharey=True, squeeze=False)
     for axis, letter, (mode, settings) in zip(axes[0], "abcdef", curves.items(), strict=False):
-        used: dict[str, int] = {}
+        shades = {noise: cycle(FAMILIES.get(noise, ("#7d8590",))) for noise, _ in settings}
         for (noise, level), speed in settings.items():
-            shade = used[noise] = used.get(noise, -1) + 1
-            colour = FAMILIES.get(noise, ("#7d8590",))[shade % 3 if noise in FAMILIES else 0]
-            style = "--" if noise == "none" else "-"
-            axis.plot(smooth(speed), style, color=colour, label=noise_label(noise, level))
+            look: Any = {"color": next(shades[noise]), "label": noise_label(noise, level)}
+            axis.plot(smooth(speed), "--" if noise == "none" else "-", **look)
         axis.axvline(onset / CONTROL_DT, color=INK, linewidth=1, linestyle=":")
         axis.axhline(command, color=FAINT, linewidth=1, linestyle=(0, (1, 3)))
-        _write(axis, onset / CONTROL_DT, "noise begins", 0.0, xytext=(4, 5))
+        write_beside(axis, onset / CONTROL_DT, "noise begins", 0.0, xytext=(4, 5))
         axis.set(title=f"({letter}) {MODE_NAMES[mode]}", xlabel="timestep (0.02 s)")
     axes[0][0].set_ylabel("mean forward velocity (m/s)")
-    handles, labels = axes[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=9)
+    legend(figure, axes[0][0])
     return figure
 
 
@@ -136,14 +130,13 @@ def mean_cells(
     column: str = "severity",
 ) -> Cells:
     """Mean shares of the runs in percent, by fault and `column`."""
-    groups: dict[tuple[str, str], list[float]] = {}
-    for run in runs:
-        name = str(run[column]).replace("_", "\n")
-        groups.setdefault((run["fault"], name), []).append(100 * share(run))
-    shares = {key: np.array(values)[~np.isnan(values)] for key, values in groups.items()}
-    return {
-        key: (s.mean(), f"{s.mean():.0f}") if s.size else (np.nan, "–") for key, s in shares.items()
-    }
+    cells = {}
+    for (fault, name), group in grouped(runs, "fault", column).items():
+        shares = np.array([100 * share(run) for run in group])
+        shares = shares[~np.isnan(shares)]
+        cell = (shares.mean(), f"{shares.mean():.0f}") if shares.size else (np.nan, "–")
+        cells[fault, str(name).replace("_", "\n")] = cell
+    return cells
 
 
 def colour_tables(
@@ -152,10 +145,8 @@ def colour_tables(
     """Coloured tables side by side with the same rows, green for 100, red for 0.
 
     Args:
-        panels: by title.
-        title: of all.
-        xlabel: what the columns are.
-        width: of a column, inches.
+        panels: by title. title: of all.
+        xlabel: what the columns are. width: of a column, inches.
     """
     rows = list(dict.fromkeys(row for panel in panels.values() for row, _ in panel))
     columns = list(dict.fromkeys(column for panel in panels.values() for _, column in panel))
@@ -177,75 +168,88 @@ def colour_tables(
         return figure
 
 
-def bands(axis: Axes, vision: np.ndarray, every: float = CONTROL_DT) -> None:
-    """Behind a timeline, whether VP is in charge or OP; `vision` is [T] bool, `every` s apart."""
-    edges = np.flatnonzero(np.diff(vision.astype(int))) + 1
-    for start, end in zip([0, *edges], [*edges, len(vision)], strict=True):
-        colour = SEES if vision[start] else BLIND
-        axis.axvspan(start * every, end * every, color=colour, alpha=BAND, linewidth=0)
-
-
-def timelines(
-    lines: Sequence[Mapping[str, Any]],
-    marks: Sequence[Sequence[tuple[float, str]]],
-    beta: float,
-    title: str,
-    events: Sequence[Sequence[tuple[float, str]]] = (),
-    every: float = CONTROL_DT,
+def share_panels(
+    panels: Mapping[str, Sequence[dict[str, Any]]],
+    name: str,
+    place: Callable[[dict[str, Any]], float],
+    tick: Callable[[float], str],
+    xlabel: str = "",
 ) -> Figure:
-    """The paper's timeline, line by line: loss, threshold, P_t and the estimator in charge.
+    """Shares of robots that cross with their intervals, a line for each mode, up to four in a row.
 
     Args:
-        lines: `anomaly`, `probability` and `vision` (VP in charge), [T] each.
-        marks: instants to point out in each line, (seconds, text).
-        beta: threshold.
-        title: of the figure.
-        events: what went wrong in each line, (seconds, text).
-        every: seconds between values.
+        panels: rows of a summary, by title.
+        name: of the share, whose columns are NAME_rate, NAME_ci95_low and NAME_ci95_high.
+        place: of a row along the horizontal axis. tick: text of such a place.
+        xlabel: what the horizontal axis shows.
     """
-    height = 2.8 if len(lines) == 1 else 1.75
-    size = (11, height * len(lines) + 0.9)
-    figure, axes = plt.subplots(len(lines), 1, figsize=size, squeeze=False)
-    for number, (axis, line) in enumerate(zip(axes[:, 0], lines, strict=True)):
-        bands(axis, np.array(line["vision"], bool), every)
-        right = _loss_and_probability(axis, line, beta, every)
-        axis.set_ylabel("anomaly score" if len(lines) == 1 else f"lap {number + 1}")
-        for instant, text in marks[number]:
-            axis.axvline(instant, color=INK, linewidth=1, linestyle=":")
-            _write(axis, instant, text, 1.0, xytext=(3, -10))
-        for instant, text in events[number] if events else ():
-            _write(axis, instant, text, 0.04, ha="right", fontweight="bold", color="#9c1f12")
-    axes[0, 0].set_title(title)
-    axes[-1, 0].set_xlabel("time (s)")
-    keys = [Rectangle((0, 0), 1, 1, color=c, alpha=BAND) for c in (SEES, BLIND)]
-    named = axes[-1, 0].get_legend_handles_labels(), right.get_legend_handles_labels()
-    figure.legend(
-        [*named[0][0], *named[1][0], *keys],
-        [*named[0][1], *named[1][1], "VP in charge", "OP in charge"],
-        loc="outside upper center",
-        ncols=5,
-        fontsize=9,
-    )
+    columns = min(len(panels), 4)
+    rows = -(-len(panels) // columns)
+    size = (2.5 * columns + 0.9, 2.4 * rows + 0.8)
+    figure, axes = plt.subplots(rows, columns, figsize=size, sharey=True, squeeze=False)
+    for axis, (title, runs) in zip(axes.flat, panels.items(), strict=False):
+        places = sorted({place(run) for run in runs})
+        modes = grouped(sorted(runs, key=place), "mode")
+        # Side by side, or equal shares would hide each other.
+        apart = 0.012 * (places[-1] - places[0] or 1.0)
+        for number, ((mode,), line) in enumerate(modes.items()):
+            ends = ("rate", "ci95_low", "ci95_high")
+            share, *interval = np.array([[100 * run[f"{name}_{e}"] for run in line] for e in ends])
+            x = np.array(list(map(place, line))) + (number - (len(modes) - 1) / 2) * apart
+            look: Any = {"color": MODE_COLOURS[mode], "label": MODE_NAMES[mode]}
+            look |= {"fmt": "o--" if mode == "op" else "o-", "markersize": 4, "elinewidth": 1}
+            axis.errorbar(x, share, np.abs(interval - share), **look)
+        axis.set_xticks(places, list(map(tick, places)))
+        axis.set_title(title, fontsize=9)
+    for axis in axes.flat[len(panels) :]:
+        axis.set_axis_off()
+    axes[0][0].set_ylim(-4, 104)
+    axes[-1][0].set_xlabel(xlabel)
+    figure.supylabel("robots that cross (%)", fontsize=10)
+    legend(figure, axes[0][0])
     return figure
 
 
-def _write(axis: Axes, instant: float, text: str, height: float, **look: Any) -> None:
-    """Write beside an instant, at a share of the axis' height."""
-    look = {"xytext": (0, 0), "textcoords": "offset points", "fontsize": 7.5} | look
-    axis.annotate(text, (instant, height), xycoords=("data", "axes fraction"), **look)
+def timeline(
+    line: Mapping[str, Any], marks: Sequence[tuple[float, str]], beta: float, title: str
+) -> Figure:
+    """The paper's timeline of one robot; see `draw_timeline`."""
+    figure, axis = plt.subplots(figsize=(11, 3.7))
+    right = draw_timeline(axis, line, marks, beta)
+    axis.set(title=title, xlabel="time (s)", ylabel="anomaly score")
+    legend(figure, axis, right)
+    return figure
 
 
-def _loss_and_probability(axis: Axes, line: Mapping[str, Any], beta: float, every: float) -> Axes:
-    """Draw loss and threshold on `axis` and P_t on its right, which is returned."""
+def draw_timeline(
+    axis: Axes,
+    line: Mapping[str, Any],
+    marks: Sequence[tuple[float, str]],
+    beta: float,
+    every: float = CONTROL_DT,
+) -> Axes:
+    """Draw loss, threshold, the estimator in charge, and on a right axis, which is returned, P_t.
+
+    Args:
+        axis: to draw on.
+        line: `anomaly`, `probability` and `vision` (VP in charge), [T] each, `every` s apart.
+        marks: instants to point out, (seconds, text). beta: threshold.
+    """
+    vision = np.array(line["vision"], bool)
     # A robot that was set down has no score before its first tick.
     anomaly = np.array(line["anomaly"], float)
     anomaly[anomaly <= 0] = np.nan
-    time = np.arange(len(anomaly)) * every
+    time, height = np.arange(len(anomaly)) * every, axis.get_xaxis_transform()
     axis.plot(time, anomaly, color=LOSS, label="reconstruction loss")
     axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label="threshold β")
-    axis.set_yscale("log")
-    axis.set_ylim(top=4 * np.max(anomaly, where=~np.isnan(anomaly), initial=beta))
-    axis.set_xlim(0, time[-1])
+    for acts, colour, label in ((vision, SEES, "VP in charge"), (~vision, BLIND, "OP in charge")):
+        look = {"color": colour, "alpha": 0.3, "linewidth": 0, "label": label}
+        axis.fill_between(time, 0, 1, acts, step="post", transform=height, **look)
+    top = 4 * np.max(anomaly, where=~np.isnan(anomaly), initial=beta)
+    axis.set(yscale="log", ylim=(None, top), xlim=(0, time[-1]))
+    for instant, text in marks:
+        axis.axvline(instant, color=INK, linewidth=1, linestyle=":")
+        write_beside(axis, instant, text, 1.0, xytext=(3, -10))
     right = axis.twinx()
     label = "vision probability $P_t$"
     right.plot(time, np.array(line["probability"]), "--", color=PROBABILITY, label=label)
@@ -253,3 +257,15 @@ def _loss_and_probability(axis: Axes, line: Mapping[str, Any], beta: float, ever
     right.set_ylabel("$P_t$", color=PROBABILITY)
     right.grid(False)
     return right
+
+
+def write_beside(axis: Axes, instant: float, text: str, height: float, **look: Any) -> None:
+    """Write beside an instant, at a share of the axis' height."""
+    look = {"xytext": (0, 0), "textcoords": "offset points", "fontsize": 7.5} | look
+    axis.annotate(text, (instant, height), xycoords=("data", "axes fraction"), **look)
+
+
+def legend(figure: Figure, *axes: Axes) -> None:
+    """Explain the lines of some axes above a figure."""
+    handles = [handle for axis in axes for handle in axis.get_legend_handles_labels()[0]]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), fontsize=9)

@@ -13,35 +13,21 @@ def switch_delay(vision: np.ndarray, start: int, end: int | None = None) -> np.n
 
     Args:
         vision: [T, U, N] bool, vision trusted after each of the U selector updates of a step.
-        start: the control step the fault begins at.
+        start: the control step the fault begins at, 1 or later.
         end: the control step it is over at; later switches do not count.
 
     Returns:
         [N] seconds, a multiple of the update period; 0 where vision was not trusted at `start`
         already, NaN where it stayed trusted.
     """
-    updates = vision.shape[1]
     blind = ~vision[start:end].reshape(-1, vision.shape[2])
-    delay = (blind.argmax(axis=0) + 1) * (CONTROL_DT / updates)
+    delay = (blind.argmax(axis=0) + 1) * (CONTROL_DT / vision.shape[1])
     delay = np.where(blind.any(axis=0), delay, np.nan)
-    if start > 0:
-        delay = np.where(vision[start - 1, -1], delay, 0.0)
-    return delay
-
-
-def switches(vision: np.ndarray) -> np.ndarray:
-    """[N] changes between vision and OP over the updates of `vision` [T, U, N]."""
-    flat = vision.reshape(-1, vision.shape[2])
-    return (flat[1:] != flat[:-1]).sum(axis=0)
+    return np.where(vision[start - 1, -1], delay, 0.0)
 
 
 def false_switches(vision: np.ndarray, failing: np.ndarray) -> int:
-    """Times any robot left vision while its camera was healthy.
-
-    Args:
-        vision: [T, U, N] bool.
-        failing: [T, N] bool, the camera is failing.
-    """
+    """Times any robot left vision, [T, U, N] bool, while no camera was `failing`, [T, N] bool."""
     flat = vision.reshape(-1, vision.shape[2])
     healthy = ~np.repeat(failing, vision.shape[1], axis=0)
     return int((flat[:-1] & ~flat[1:] & healthy[1:]).sum())
@@ -55,36 +41,34 @@ def healthy_hours(failing: np.ndarray) -> float:
 def bootstrap_interval(
     values: np.ndarray, statistic: Callable[..., np.ndarray] = np.mean
 ) -> tuple[float, float]:
-    """95 % percentile bootstrap interval of a statistic of `values` [n], of 2,000 resamples.
+    """95 % percentile bootstrap interval of a statistic, of 2,000 resamples; NaN without values.
 
     Args:
-        values: one independent number for each robot; NaNs are left out.
+        values: one independent number for each robot, [n]; NaNs are left out.
         statistic: takes an array and `axis`.
-
-    Returns:
-        Lower and upper end; NaN where there are no values.
     """
     values = np.asarray(values, float)
     values = values[~np.isnan(values)]
     if len(values) < 2:
         only = float(values[0]) if len(values) else float("nan")
         return only, only
-    drawn = scipy.stats.bootstrap(
-        (values,), statistic, n_resamples=2000, method="percentile", rng=0
-    )
-    return float(drawn.confidence_interval.low), float(drawn.confidence_interval.high)
+    options = {"n_resamples": 2000, "method": "percentile", "rng": 0}
+    interval = scipy.stats.bootstrap((values,), statistic, **options).confidence_interval
+    return float(interval.low), float(interval.high)
 
 
 def wilson_interval(successes: np.ndarray) -> tuple[float, float]:
     """Wilson's 95 % interval of a share, from 0 or 1 for each robot [n]; n > 0."""
     test = scipy.stats.binomtest(int(successes.sum()), len(successes))
-    interval = test.proportion_ci(0.95, "wilson")
-    return float(interval.low), float(interval.high)
+    low, high = test.proportion_ci(0.95, "wilson")
+    return float(low), float(high)
 
 
-def with_interval(name: str, values: np.ndarray) -> dict[str, float]:
-    """The 95 % bootstrap interval of the mean of `values` [n], as columns of a summary's row."""
-    low, high = bootstrap_interval(values)
+def with_interval(
+    name: str, values: np.ndarray, statistic: Callable[..., np.ndarray] = np.mean
+) -> dict[str, float]:
+    """The 95 % bootstrap interval of a statistic of `values` [n], as columns of a summary's row."""
+    low, high = bootstrap_interval(values, statistic)
     return {f"{name}_ci95_low": low, f"{name}_ci95_high": high}
 
 

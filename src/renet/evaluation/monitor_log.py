@@ -4,10 +4,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from renet.evaluation.protocols import EvalSelector
 from renet.evaluation.trace import UPDATES_PER_STEP, Trace
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
+from renet.selector.selector import MonitorSelector
 
 UPDATES_PER_TICK = UPDATES_PER_STEP * STEPS_PER_TICK
 
@@ -32,8 +32,7 @@ class MonitorLog:
     @property
     def scores(self) -> dict[str, np.ndarray]:
         """Scores by monitor name, [ticks, N]."""
-        table = np.stack(self._ticks)
-        return {name: table[:, i] for i, name in enumerate(MONITORS)}
+        return dict(zip(MONITORS, np.stack(self._ticks, axis=1), strict=True))
 
 
 def successful_runs(trace: Trace, speed: float = 0.0) -> list[tuple[int, slice]]:
@@ -42,10 +41,7 @@ def successful_runs(trace: Trace, speed: float = 0.0) -> list[tuple[int, slice]]
     It did not end in a fall, and the robot came at least half as far as it was told to (the
     curriculum's rule): one that stands with its nose to a step sees a blank image. A robot still
     walking when the run ends succeeded, too. The steps between a restart and the next tick see an
-    old image and are left out.
-
-    Args:
-        trace: of the run. speed: commanded, m/s; 0 forgives standing still.
+    old image and are left out. A commanded `speed` of 0 m/s forgives standing still.
     """
     runs = []
     for robot in range(trace.anomaly.shape[1]):
@@ -71,7 +67,7 @@ def healthy_series(
     }
 
 
-def replay(selector: EvalSelector, anomaly: np.ndarray) -> np.ndarray:
+def replay(selector: MonitorSelector, anomaly: np.ndarray) -> np.ndarray:
     """A selector's answers [T, U, N] to the anomaly scores [T, N] of a run, which did not obey it.
 
     It judges anomaly scores alone, as the paper's does.

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,8 @@ import renet
 from renet.errors import RenetError
 from renet.files import read_object, write_atomically
 from renet.version import commit
+
+Row = TypeVar("Row", bound=Mapping[str, Any])
 
 
 @dataclass(frozen=True)
@@ -55,11 +57,7 @@ class Provenance:
 
 
 def output_folder(path: Path) -> Path:
-    """`path` as an existing folder that can be written to.
-
-    Raises:
-        RenetError: it is a file, cannot be made, or cannot be written to.
-    """
+    """`path` as an existing folder; raises RenetError where it cannot be made or written to."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -75,18 +73,14 @@ def plain(value: Any) -> Any:
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, Path):
         return str(value)
-    if isinstance(value, np.ndarray):
+    if isinstance(value, (np.ndarray, np.generic)):
         return plain(value.tolist())
     if isinstance(value, (list, tuple)):
         return [plain(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
     if isinstance(value, float):
-        if math.isnan(value):
-            return None
         if math.isinf(value):
-            return "inf" if value > 0 else "-inf"
-        return round(value, 6)
+            return str(value)
+        return None if math.isnan(value) else round(value, 6)
     return value
 
 
@@ -115,22 +109,15 @@ PARTS_FORMAT = 6
 
 
 def kept(
-    folder: Path, name: str, key: Mapping[str, Any], make: Callable[[], dict[str, Any]]
+    folder: Path, name: str, key: dict[str, Any], make: Callable[[], dict[str, Any]]
 ) -> dict[str, Any]:
     """A finished part of a study: from an earlier run, or made and written to `folder` now.
 
-    An interrupted study thus goes on where it stopped.
-
-    Args:
-        folder: of the study's parts.
-        name: of the part.
-        key: what its numbers depend on; parts of other keys lie beside it.
-        make: makes it.
-
-    Raises:
-        RenetError: there is an earlier part, and it is damaged or of other settings.
+    An interrupted study thus goes on where it stopped. Parts of another `key`, which is what a
+    part's numbers depend on, lie beside it. Raises RenetError for an earlier part that is damaged
+    or of other settings.
     """
-    key = plain(dict(key) | {"format": PARTS_FORMAT})
+    key = plain(key | {"format": PARTS_FORMAT})
     digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
     path = folder / f"{name}-{digest[:8]}.json"
     if path.exists():
@@ -143,6 +130,14 @@ def kept(
     part = plain(make()) | {"key": key}
     write_json(path, part)
     return part
+
+
+def grouped(rows: Sequence[Row], *names: str) -> dict[tuple[Any, ...], list[Row]]:
+    """Rows by their values of some columns, in the order in which these first occur."""
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[name] for name in names), []).append(row)
+    return groups
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -8,16 +8,16 @@ under the modality the selector last chose, then the selector's filter is update
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, Protocol, get_args
 
 import numpy as np
 
 from renet.errors import RenetError
-from renet.evaluation.protocols import EvalEnv, EvalPolicy, EvalSelector
-from renet.evaluation.trace import UPDATES_PER_STEP, Film, Trace, TrueState
-from renet.faults import Frames, Injector, Schedule
+from renet.evaluation.trace import UPDATES_PER_STEP, Film, StepResult, Trace, TrueState
+from renet.faults import Frames, Injector, Schedule, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import Gate, SelectorInput
+from renet.selector.selector import MonitorSelector
 from renet.terminal import progress
 
 FLAT: Final = "flat"
@@ -47,18 +47,12 @@ class Trial:
 def check_modes(modes: Sequence[str]) -> None:
     """Raise RenetError unless each mode is a policy mode and is given once."""
     if not modes or not {*modes} <= {*get_args(Mode)} or len({*modes}) < len(modes):
-        raise RenetError(
-            f"modes {', '.join(modes) or 'none'}: choose, once each, among"
-            f" {', '.join(get_args(Mode))}"
-        )
+        names, choices = ", ".join(modes) or "none", ", ".join(get_args(Mode))
+        raise RenetError(f"modes {names}: choose, once each, among {choices}")
 
 
 def check_grounds(levels: Mapping[str, int]) -> None:
-    """Raise RenetError for a ground that is neither flat nor a kind of tile, or has no such level.
-
-    Args:
-        levels: level, 1 to 10, of each ground.
-    """
+    """Raise RenetError unless each ground is flat or a kind of tile, and its level is 1 to 10."""
     from renet.terrain.tiles import find_tile  # Needs MuJoCo; calibration from logs does not.
 
     for ground, level in levels.items():
@@ -78,6 +72,48 @@ def check_finite(settings: Any) -> None:
             raise RenetError(f"{name.replace('_', ' ')} must be a finite number, got {value}")
 
 
+class EvalEnv(Protocol):
+    """A batch of simulated robots."""
+
+    num_robots: int
+
+    def reset(self) -> StepResult:
+        """Put every robot at its start."""
+        ...
+
+    def step(self, action: np.ndarray) -> StepResult:
+        """Act [N, 12] for one control step."""
+        ...
+
+    def poses(self, rows: Sequence[int]) -> np.ndarray:
+        """Generalised positions [len(rows), nq], for pictures."""
+        ...
+
+    def perturb_cameras(self, view: ViewPerturbation) -> None:
+        """Let the cameras see the scene so from their next image on: physical faults."""
+
+
+class EvalPolicy(Protocol):
+    """Anybody's policy: `renet.bundle.policy.Policy` is one.
+
+    Further attributes are optional. The selector's monitors compare `velocity_op` and `velocity_vp`
+    ([N, 3] m/s) and judge `variance_score` ([N]). A policy with `has_image` ([N] bool) can do
+    without an image: its `step` takes a `gate` as well.
+    """
+
+    anomaly_score: np.ndarray
+    """[N] how unlike its training images the last frames were; any scale."""
+
+    def reset(self, mask: np.ndarray | None = None) -> None:
+        """Forget the past of the masked robots [N], of all by default."""
+
+    def step(
+        self, proprioception: np.ndarray, depth: np.ndarray, op_mask: np.ndarray
+    ) -> np.ndarray:
+        """Actions [N, 12]; `op_mask` is the paper's mask, True where OP is to act."""
+        ...
+
+
 class Rollout:
     """A run of N robots, each with the policy mode and the camera faults of its trial."""
 
@@ -85,23 +121,18 @@ class Rollout:
         self,
         env: EvalEnv,
         policy: EvalPolicy,
-        selector: EvalSelector,
+        selector: MonitorSelector,
         trials: Sequence[Trial],
         seed: int,
-        paper: EvalSelector | None = None,
+        paper: MonitorSelector | None = None,
     ) -> None:
         """Prepare a run.
 
         Args:
-            env: as many robots as trials.
-            policy: acts for all of them.
+            env, policy: of as many robots as trials; raises RenetError for another number.
             selector: trials in mode `renet` obey it.
-            trials: mode and camera faults of each robot.
-            seed: of the camera faults.
+            trials: mode and camera faults of each robot. seed: of the camera faults.
             paper: the selector that trials in mode `paper` obey; None where there are none.
-
-        Raises:
-            RenetError: the environment does not hold as many robots as there are trials.
         """
         if env.num_robots != len(trials):
             raise RenetError(f"{len(trials)} trials need as many robots, not {env.num_robots}")
@@ -112,7 +143,6 @@ class Rollout:
         """Policy mode of each robot, [N]."""
         schedules, streams = [t.schedule for t in trials], [t.robot for t in trials]
         self.injector = Injector(schedules, streams, seed, physical=True)
-        """Carries out the camera faults."""
         self.on_update: Callable[[SelectorInput], Any] = lambda seen: None
         """Receives the input of every update of the selectors, before it."""
 
@@ -125,22 +155,14 @@ class Rollout:
         film: Sequence[int] = (),
         on_step: Callable[[int], Any] = lambda step: None,
     ) -> Trace:
-        """Run for a number of control steps, beside a progress bar.
+        """Run for a number of control steps; raises RenetError if the scene cannot have a fault.
 
         Args:
-            steps: control steps.
-            title: of the progress bar.
+            steps: control steps. title: of the progress bar.
             until_ended: control steps after which the run ends once every robot's first try is
                 over; None: it does not.
             film: robots to keep poses and images of.
-            on_step: called after every control step with its number, from 0; the run ends early
-                where it returns True.
-
-        Returns:
-            What happened, [steps, N].
-
-        Raises:
-            RenetError: the scene cannot have one of the faults.
+            on_step: called after every control step with its number, from 0; True ends the run.
         """
         trace = Trace.empty(steps, len(self.modes))
         poses, images = [], []
@@ -224,19 +246,16 @@ class Rollout:
 
     def _selector_input(self, step: int, update: int) -> SelectorInput:
         """What a selector's update is shown: only the tick's first update has a new frame."""
-        policy, frames = self.policy, self._frames
+        frames, zero = self._frames, np.zeros(len(self.modes))
         passed = step % STEPS_PER_TICK * CONTROL_DT + update * PHYSICS_DT
-        zero = np.zeros(len(self.modes))
         still = np.zeros((len(self.modes), 3))
+        optional = {"variance_score": zero, "map_error": zero, "has_image": zero == 0.0}
+        optional |= {"velocity_op": still, "velocity_vp": still}
         return SelectorInput(
-            anomaly_score=policy.anomaly_score,
-            variance_score=getattr(policy, "variance_score", zero),
+            anomaly_score=self.policy.anomaly_score,
             image=frames.image,
             fresh=frames.fresh if passed == 0.0 else np.zeros_like(frames.fresh),
             age=frames.age + passed,
             invalid=frames.invalid,
-            velocity_op=getattr(policy, "velocity_op", still),
-            velocity_vp=getattr(policy, "velocity_vp", still),
-            has_image=getattr(policy, "has_image", zero == 0.0),
-            map_error=getattr(policy, "map_error", zero),
+            **{name: getattr(self.policy, name, absent) for name, absent in optional.items()},
         )

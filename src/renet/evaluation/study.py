@@ -49,6 +49,8 @@ class Study:
     """Seed of the robots' bodies and starts and of the camera faults."""
     engine: Engine = "auto"
     """Physics engine; auto: native on a CPU, warp on a GPU."""
+    selector: SelectorName = "monitors"
+    """What `renet` trusts: monitors (all of them, with a dwell) or paper (reconstruction alone)."""
 
     name: ClassVar[str]
     """Name of the study's folder in the results, and of its template."""
@@ -57,31 +59,18 @@ class Study:
 
     def __post_init__(self) -> None:
         check_finite(self)
+        check_kind(self.selector)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """Batches of robots by name, each kept on disk once it has run.
-
-        Args:
-            evaluator: makes environments, policies and selectors.
-        """
+        """Batches of robots by name, each kept on disk once it has run."""
         raise NotImplementedError
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """The summary's content beside settings and provenance; `runs` is its list of rows.
-
-        Args:
-            parts: results of `parts` by name.
-            evaluator: the one that made them.
-        """
+        """The summary's content beside settings and provenance; `runs` is its list of rows."""
         raise NotImplementedError
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """Figures by their file's name, which `run` saves; none by default.
-
-        Args:
-            summary: content of summary.json.
-            parts: results of `parts` by name.
-        """
+        """Figures of a summary by their file's name, which `run` saves; none by default."""
         return {}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
@@ -89,22 +78,16 @@ class Study:
         raise NotImplementedError
 
     def make_evaluator(self) -> Evaluator:
-        """The evaluator of the settings' bundle."""
+        """The evaluator of the settings' bundle and selector."""
         from renet.evaluation.evaluator import Evaluator
 
-        return Evaluator(self.bundle, self.engine)
+        return Evaluator(self.bundle, self.engine, self.selector)
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
-        """Run what has not been run yet and write the results to `out`.
+        """Run what has not been run yet, write the results to `out` and return the summary.
 
-        Args:
-            evaluator: made from the settings by default.
-
-        Returns:
-            The summary.
-
-        Raises:
-            RenetError: a bundle that cannot be used, or a folder that cannot be written to.
+        The evaluator is made from the settings by default. Raises RenetError for a bundle that
+        cannot be used, or a folder that cannot be written to.
         """
         evaluator = evaluator or self.make_evaluator()
         out = output_folder(self.out)
@@ -151,8 +134,6 @@ class WalkingStudy(Study):
     """Robots in each setting and mode; with `quick` always fewer."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
-    selector: SelectorName = "monitors"
-    """What `renet` trusts: monitors (all of them, with a dwell) or paper (reconstruction alone)."""
 
     quick_robots: ClassVar[int] = 5
 
@@ -160,7 +141,6 @@ class WalkingStudy(Study):
         super().__post_init__()
         check_modes(self.modes)
         check_speed(self.speed)
-        check_kind(self.selector)
         if self.robots < 1:
             raise RenetError(f"robots must be at least 1, got {self.robots}")
 
@@ -177,9 +157,3 @@ class WalkingStudy(Study):
             for mode in self.modes
             for robot in range(self.robots_each)
         ]
-
-    def make_evaluator(self) -> Evaluator:
-        """The evaluator of the settings' bundle and selector."""
-        from renet.evaluation.evaluator import Evaluator
-
-        return Evaluator(self.bundle, self.engine, self.selector)

@@ -45,6 +45,18 @@ class TrueState:
 
 
 @dataclass(frozen=True)
+class StepResult(TrueState):
+    """What N robots sense and truly do after a control step."""
+
+    proprioception: np.ndarray
+    """[N, 45]"""
+    depth: np.ndarray
+    """[N, 48, 64] normalised, held between the camera's ticks."""
+    angular_velocity: np.ndarray
+    """[N, 3] true base rate, rad/s, base frame."""
+
+
+@dataclass(frozen=True)
 class Trace(TrueState):
     """What happened, for each control step and robot; [T, N] unless said otherwise.
 
@@ -72,23 +84,20 @@ class Trace(TrueState):
     def empty(cls, steps: int, count: int) -> Trace:
         """Room for `steps` control steps of `count` robots."""
         flags = ("fell", "ended", "vision", "has_image", "failing")
-        names = [f.name for f in fields(cls) if f.name not in ("trusted", "film")]
-        room: dict[str, Any] = {
-            name: np.zeros((steps, count), bool if name in flags else float) for name in names
-        }
+        names = {f.name for f in fields(cls)} - {"trusted", "film"}
+        room: Any = {n: np.zeros((steps, count), bool if n in flags else float) for n in names}
         return cls(**room, trusted=np.ones((steps, UPDATES_PER_STEP, count), bool))
 
     def until(self, steps: int) -> Trace:
         """The first control steps only, without film."""
-        return Trace(
-            **{name: value[:steps] for name, value in vars(self).items() if name != "film"}
-        )
+        return Trace(**{name: array[:steps] for name, array in self._arrays()})
 
     def robots(self, index: slice | np.ndarray) -> Trace:
         """Some robots only, by their places or a mask [N], without film."""
-        return Trace(
-            **{name: value[..., index] for name, value in vars(self).items() if name != "film"}
-        )
+        return Trace(**{name: array[..., index] for name, array in self._arrays()})
+
+    def _arrays(self) -> list[tuple[str, Any]]:
+        return [(name, array) for name, array in vars(self).items() if name != "film"]
 
     def groups(self, each: int) -> list[Trace]:
         """The robots in their order, `each` in a group."""

@@ -46,8 +46,8 @@ def test_each_view_shows_its_images():
             assert shown[ground + row[view], 0] == 100 + ground + row[view]
         assert (shown[ground + row["blank"]] == 0).all()
         np.testing.assert_array_equal(shown[ground + row["frozen"]], first[ground + row["frozen"]])
-        own = 100 + ground + row["mirrored"]
-        assert tuple(shown[ground + row["mirrored"], [0, -1]]) == (own + 0.5, own)
+        left = 100 + ground + row["mirrored"]
+        assert tuple(shown[ground + row["mirrored"], [0, -1]]) == (left + 0.5, left)
         assert shown[ground + row["foreign"], 0] == 100 + ground + 1
         assert shown[ground + row["foreign"] + 1, 0] == 100 + ground, (
             "the last robot sees the first's"

@@ -18,9 +18,9 @@ def beside_op(over: float) -> dict:
     return {"over_op": over, "over_op_ci95_low": over - 0.1, "over_op_ci95_high": over + 0.1}
 
 
-def usual(falls: int) -> list[dict]:
+def usual(falls: int, ground: str = "flat") -> list[dict]:
     """The same robots without a fault, in every mode."""
-    row = {"ground": "flat", "falls": falls, "robots": 10}
+    row = {"ground": ground, "falls": falls, "robots": 10}
     return [row | {"mode": mode} for mode in ("vp", "renet", "op")]
 
 
@@ -34,10 +34,10 @@ def test_harm_and_misses_are_published() -> None:
     vp, op = run("foam", "vp", 5), run("foam", "op")
     renet = run("foam", "renet", 5, detected=7, **beside_op(-0.5))
     # Five of ten against none of ten: C(10, 5) / C(20, 5) = 1.6 %.
-    harm = harmful([vp, renet, op], usual(0))
-    assert [(h["renet"], h["op"], h["beyond_chance"]) for h in harm] == [(0.5, 1.0, True)]
-    found = missed([vp, renet, op], usual(0))
-    assert [(m["undetected"], m["vp_falls"], m["beyond_chance"]) for m in found] == [(3, 5, True)]
+    (harm,) = harmful([vp, renet, op], usual(0))
+    assert (harm["renet"], harm["op"], harm["beyond_chance"]) == (0.5, 1.0, True)
+    (miss,) = missed([vp, renet, op], usual(0))
+    assert (miss["undetected"], miss["vp_falls"], miss["beyond_chance"]) == (3, 5, True)
     # Where healthy robots and OP's fall as well, that is no more than chance.
     assert not harmful([vp, renet, op], usual(1))[0]["beyond_chance"]
     assert not missed([vp, renet, op], usual(1))[0]["beyond_chance"]
@@ -48,19 +48,21 @@ def test_harm_and_misses_are_published() -> None:
 
 
 def test_severities_and_onsets_are_judged_together_and_grounds_apart() -> None:
-    three, renet = run("foam", "vp", 3), run("foam", "renet", detected=0)
-    rows = [three, renet]
-    for onset in (1.5, 2.5, 3.5):
-        rows += [row | {"severity": 5, "onset": onset, "falls": 6} for row in rows[:2]]
+    rows = [run("foam", "vp", 3), run("foam", "renet", detected=0)]
+    worse = [
+        row | {"severity": 5, "onset": onset, "falls": 6}
+        for onset in (1.5, 2.5, 3.5)
+        for row in rows
+    ]
     # 3 of 10 against none of 10: 10.5 %; 21 of 40: 0.2 %.
-    assert not missed(rows[:2], usual(0))[0]["beyond_chance"]
-    assert [miss["beyond_chance"] for miss in missed(rows, usual(0))] == [True] * 4
-    claim = findings(rows[:4], usual(0), healthy(0, 0))["claims"][1]
+    assert not missed(rows, usual(0))[0]["beyond_chance"]
+    assert [miss["beyond_chance"] for miss in missed(rows + worse, usual(0))] == [True] * 4
+    claim = findings(rows + worse[:2], usual(0), healthy(0, 0))["claims"][1]
     text = "2 settings not noticed by every robot: foam 3 on flat, foam 5 on flat"
     assert (claim["met"], claim["measured"]) == (False, text)
-    elsewhere = [row | {"ground": "gap"} for row in rows[2:]]
-    both = usual(0) + [row | {"ground": "gap", "falls": 5} for row in usual(0)]
-    assert not any(miss["beyond_chance"] for miss in missed(rows[:2] + elsewhere, both))
+    elsewhere = rows + [row | {"ground": "gap"} for row in worse]
+    misses = missed(elsewhere, usual(0) + usual(5, "gap"))
+    assert not any(miss["beyond_chance"] for miss in misses)
 
 
 @pytest.mark.parametrize("rate", [0.02, 0.2, 0.5])
@@ -75,12 +77,6 @@ def test_robots_that_fall_as_often_as_the_others_seldom_look_worse(rate: float) 
     assert looked_worse <= 200 * 0.05
 
 
-def test_without_healthy_hours_nothing_is_promised_of_them() -> None:
-    for hours, promised in ((0, False), (1.0, True)):
-        claims = findings([], usual(0), healthy(0, hours))["claims"]
-        assert any("false switch" in claim["claim"] for claim in claims) == promised
-
-
 def test_claims_are_judged_by_what_was_measured() -> None:
     blind = {"severity": 5, "detected_by_paper": 0}
     runs = [
@@ -89,12 +85,13 @@ def test_claims_are_judged_by_what_was_measured() -> None:
         run("blackout", "renet", detected=9, detection_delay_s=0.3, **blind),
         run("blackout", "op", severity=5),
     ]
-    claims = {
-        c["claim"]: (c["met"], c["measured"])
-        for c in findings(runs, usual(0), healthy(1, 2.5))["claims"]
-    }
-    assert [met for met, _ in claims.values()] == [True, False, False, True, True, False]
-    assert claims["frozen images are noticed"][1] == "10 of 10 robots; by the paper's rule alone 0"
-    # Where nothing makes VP fall, there is no delay to judge.
+    claims = findings(runs, usual(0), healthy(1, 2.5))["claims"]
+    assert [claim["met"] for claim in claims] == [True, False, False, True, True, False]
+    measured = {claim["claim"]: claim["measured"] for claim in claims}
+    text = "10 of 10 robots; by the paper's rule alone 0"
+    assert measured["frozen images are noticed"] == text
+    # Where nothing makes VP fall, there is no delay to judge; without healthy hours no switches.
     harmless = findings(runs[:1], [], healthy(3, 2.0))["claims"]
-    assert [c["met"] for c in harmless] == [True, True, False, True]
+    assert [claim["met"] for claim in harmless] == [True, True, False, True]
+    unknown = findings(runs[:1], [], healthy(0, 0))["claims"]
+    assert not any("false switch" in claim["claim"] for claim in unknown)

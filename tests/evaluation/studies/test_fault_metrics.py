@@ -4,23 +4,14 @@ import numpy as np
 import pytest
 
 from renet.evaluation import metrics
-from renet.evaluation.studies.fault_metrics import (
-    Batch,
-    beside_op,
-    departure,
-    end_of,
-    estimates,
-    noticing,
-    pair_counts,
-    robot_measures,
-    survival,
-)
+from renet.evaluation.studies import fault_metrics
+from renet.evaluation.studies.benchmark import Setting
 from renet.evaluation.trace import Trace
 
 ONSET, OVER, STEPS = 20, 60, 100
 
 
-def batch(count: int = 4) -> Batch:
+def faulty(count: int = 4) -> Trace:
     """Robot 0 notices at once, 1 late, 2 never, 3 after it fell; vision is back after the end."""
     trace = Trace.empty(STEPS, count)
     trace.forward_velocity[:] = 0.6
@@ -30,15 +21,19 @@ def batch(count: int = 4) -> Batch:
     trace.trusted[ONSET + 10 : OVER, :, 3] = False
     if count > 4:  # A fifth robot had left vision before.
         trace.trusted[ONSET - 3 : OVER, :, 4] = False
-    return Batch(trace, np.ones_like(trace.trusted), ONSET, OVER)
+    return trace
+
+
+def noticed(trace: Trace) -> dict:
+    """Who noticed; the paper's selector trusts vision all along."""
+    return fault_metrics.noticing(trace, np.ones_like(trace.trusted), ONSET, OVER)
 
 
 def test_detection_return_and_survival_by_hand() -> None:
-    row = noticing(batch()) | survival(batch().trace, STEPS)
+    row = noticed(faulty()) | fault_metrics.survival(faulty(), STEPS)
     assert row["detected"] == 2
     assert row["detection_delay_s"] == pytest.approx((0.045 + 0.405) / 2)
-    assert row["detected_by_paper"] == 0
-    assert row["paper_detection_delay_s"] is None
+    assert (row["detected_by_paper"], row["paper_detection_delay_s"]) == (0, None)
     assert (row["falls"], row["survival"]) == (1, 0.75)
     # Robot 0 is not back before the run ends, 1 after 15 steps and one update.
     assert (row["recovered"], row["away_at_end"]) == (1, 2)
@@ -47,26 +42,29 @@ def test_detection_return_and_survival_by_hand() -> None:
 
 
 def test_a_robot_without_vision_neither_notices_nor_misses() -> None:
-    four, five = noticing(batch(4)), noticing(batch(5))
+    four, five = noticed(faulty(4)), noticed(faulty(5))
     for name in ("vision_active_at_onset", "detected", "detection_delay_s", "detected_by_paper"):
         assert five[name] == four[name]
     assert four["vision_active_at_onset"] == 4
 
 
-def test_a_fault_ends_by_itself_or_with_the_study() -> None:
-    assert [end_of("frozen", severity, 20, 60) for severity in (1, 4)] == [30, 60]
-    assert end_of("gaussian", 1, 20, 60) == end_of("mount_knocked", 1, 20, 60) == 60
+@pytest.mark.parametrize(
+    ("fault", "severity", "end"),
+    [("frozen", 1, 30), ("frozen", 4, 60), ("gaussian", 1, 60), ("mount_knocked", 1, 60)],
+)
+def test_a_fault_ends_by_itself_or_with_the_study(fault: str, severity: int, end: int) -> None:
+    assert fault_metrics.end_of(Setting("flat", 0.4, fault, severity), 60) == end
 
 
 def test_only_what_comes_before_a_fall_counts() -> None:
     trusted, gone = np.ones((50, 4, 2), bool), np.zeros((50, 2), bool)
     trusted[30:], gone[25:, 0] = False, True
-    np.testing.assert_allclose(departure(trusted, gone, 20, 50), [np.nan, 0.205])
+    np.testing.assert_allclose(fault_metrics.departure(trusted, gone, 20, 50), [np.nan, 0.205])
     # One that starts anew after a fall has not returned to vision.
     trusted[10:31], trusted[31:], gone[:30, 0] = False, True, False
-    np.testing.assert_allclose(departure(~trusted, gone, 20), [np.nan, 0.225])
+    np.testing.assert_allclose(fault_metrics.departure(~trusted, gone, 20), [np.nan, 0.225])
     # Nothing is seen after the run's end.
-    assert np.isnan(departure(~trusted, gone, 50)).all()
+    assert np.isnan(fault_metrics.departure(~trusted, gone, 50)).all()
 
 
 def walk() -> Trace:
@@ -85,48 +83,52 @@ def walk() -> Trace:
 
 
 def test_every_measure_by_hand() -> None:
-    found = robot_measures(walk(), 20, 0.6, STEPS)
-    np.testing.assert_array_equal(found["crossed"], [1, 0, 0, 1])
-    np.testing.assert_array_equal(found["upright"], [1, 0, 1, 1])
+    measures = fault_metrics.robot_measures(walk(), 20, 0.6, STEPS)
     # Robot 1 stands still for the 40 of 80 steps after its fall.
-    np.testing.assert_allclose(found["speed_error"], [0.2, 0.3, 0.6, 0.0], atol=1e-12)
-    longer = robot_measures(walk(), 20, 0.6, STEPS + 100)
+    steps, speed = np.array([60, 40, np.nan, 80]), np.array([0.8, 0.6, np.nan, 0.6])
+    expected = {
+        "crossed": [1, 0, 0, 1],
+        "upright": [1, 0, 1, 1],
+        "speed_error": [0.2, 0.3, 0.6, 0.0],
+        "energy_per_metre": 60.0 * steps * 0.02 / (steps * 0.02 * speed),
+        "collisions": [0, 1, 2, 0],
+        "seconds_without_sight": [0.4, 0, 0, 0],
+        "switches": [2, 0, 0, 0],
+    }
+    assert list(measures) == list(expected)
+    for name, values in expected.items():
+        np.testing.assert_allclose(measures[name], values, atol=1e-12, err_msg=name)
+    longer = fault_metrics.robot_measures(walk(), 20, 0.6, STEPS + 100)
     np.testing.assert_allclose(longer["speed_error"], [0.2, 84 / 180, 0.6, 0.0], atol=1e-12)
-    mean = survival(walk(), STEPS)["mean_forward_velocity"]
+    mean = fault_metrics.survival(walk(), STEPS)["mean_forward_velocity"]
     assert mean == pytest.approx((0.8 + 0.36 + 0.0 + 0.6) / 4)  # Robot 0 until it crosses.
-    steps = np.array([60, 40, np.nan, 80])
-    speed = np.array([0.8, 0.6, np.nan, 0.6])
-    expected = 60.0 * steps * 0.02 / (steps * 0.02 * speed)
-    np.testing.assert_allclose(found["energy_per_metre"], expected)
-    np.testing.assert_array_equal(found["collisions"], [0, 1, 2, 0])
-    np.testing.assert_allclose(found["seconds_without_sight"], [0.4, 0, 0, 0])
-    np.testing.assert_array_equal(found["switches"], [2, 0, 0, 0])
 
 
 def test_changes_are_paired_by_robot() -> None:
-    values = robot_measures(walk(), 20, 0.6, STEPS)
-    found = estimates(values, values | {"speed_error": values["speed_error"] - 0.1})
-    assert found["crossed"]["value"] == 0.5
-    assert found["crossed"]["ci95"] == pytest.approx([0.150, 0.850], abs=1e-3)  # Wilson's.
-    assert found["crossed"]["change"] == {"value": 0.0, "ci95": [0.0, 0.0]}
+    values = fault_metrics.robot_measures(walk(), 20, 0.6, STEPS)
+    rows = fault_metrics.estimates(values, values | {"speed_error": values["speed_error"] - 0.1})
+    assert rows["crossed"]["value"] == 0.5
+    assert rows["crossed"]["ci95"] == pytest.approx([0.150, 0.850], abs=1e-3)  # Wilson's.
+    assert rows["crossed"]["change"] == {"value": 0.0, "ci95": [0.0, 0.0]}
     # All robots change alike, however different they are.
-    assert found["speed_error"]["change"]["ci95"] == pytest.approx([0.1, 0.1])
+    assert rows["speed_error"]["change"]["ci95"] == pytest.approx([0.1, 0.1])
     nothing = {name: [np.nan] for name in values}
-    assert estimates(nothing, nothing)["switches"]["value"] is None
+    assert fault_metrics.estimates(nothing, nothing)["switches"]["value"] is None
 
 
 def test_twins_and_op_are_matched_robot_by_robot() -> None:
-    fell, calm, op = [1, 1, 0, 0], [1, 0, 0, 1], [0, 1, 1, 0]
-    own, twin, blind = ({"upright": 1 - np.array(falls)} for falls in (fell, calm, op))
-    assert pair_counts(own, twin) == {"falls_by_fault": 1, "falls_spared": 1}
-    found = beside_op(own, blind)
-    assert found["over_op_ci95_low"] < found["over_op"] == 0 < found["over_op_ci95_high"]
-    assert set(beside_op(own, None).values()) == {None}
+    fell, calm, op = (
+        {"upright": 1 - np.array(falls)} for falls in ([1, 1, 0, 0], [1, 0, 0, 1], [0, 1, 1, 0])
+    )
+    assert fault_metrics.pair_counts(fell, calm) == {"falls_by_fault": 1, "falls_spared": 1}
+    row = fault_metrics.beside_op(fell, op)
+    assert row["over_op_ci95_low"] < row["over_op"] == 0 < row["over_op_ci95_high"]
+    assert set(fault_metrics.beside_op(fell, None).values()) == {None}
 
 
 @pytest.mark.parametrize(("count", "limit"), [(0, 2.996), (1, 4.744), (5, 10.513)])
 def test_the_poisson_limit_is_the_textbooks(count: int, limit: float) -> None:
-    found = metrics.poisson_upper(count)
-    assert found == pytest.approx(limit, abs=1e-3)
-    chance = sum(math.exp(-found) * found**i / math.factorial(i) for i in range(count + 1))
+    mean = metrics.poisson_upper(count)
+    assert mean == pytest.approx(limit, abs=1e-3)
+    chance = sum(math.exp(-mean) * mean**i / math.factorial(i) for i in range(count + 1))
     assert chance == pytest.approx(0.05)

@@ -9,9 +9,14 @@ import pytest
 
 from renet.errors import RenetError
 from renet.evaluation.studies.benchmark import GROUNDS, ONSETS
-from renet.evaluation.studies.fault_tables import result_tables, study_tables
 from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard, rank
+from renet.evaluation.studies.leaderboard import (
+    LeaderboardCfg,
+    make_leaderboard,
+    rank,
+    result_tables,
+    study_tables,
+)
 
 
 def complete(name: str, crossed: float) -> dict:

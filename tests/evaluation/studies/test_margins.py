@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from renet.evaluation.env import grounds_env_cfg
-from renet.evaluation.studies.margins import ALLOWED, AXES, MarginsStudy, margin
+from renet.evaluation.env import terrain_env_cfg
+from renet.evaluation.studies.margins import ALLOWED, AXES, MarginsStudy, change, margin
 from renet.tasks.config.go1 import GO1
 from renet.tasks.sensors import DEPTH_CAMERA
 
 
 def flat_cfg():
-    return grounds_env_cfg({"flat": 1}, GO1)
+    return terrain_env_cfg({"flat": 1}, GO1)
 
 
 def settings(cfg) -> dict:
@@ -45,7 +45,7 @@ CHANGED = {
 @pytest.mark.parametrize("axis", AXES)
 def test_an_axis_changes_one_thing_and_nothing_else(axis: str) -> None:
     before, cfg = settings(flat_cfg()), flat_cfg()
-    AXES[axis].apply(cfg, AXES[axis].levels[0])
+    change(cfg, axis, AXES[axis].levels[0])
     after = settings(cfg)
     assert {name for name in after if after[name] != before.get(name)} == {CHANGED[axis]}
     assert settings(flat_cfg()) == before, "the robot's own description is untouched"
@@ -54,17 +54,17 @@ def test_an_axis_changes_one_thing_and_nothing_else(axis: str) -> None:
 def test_levels_are_in_the_units_they_are_shown_in() -> None:
     cfg = flat_cfg()
     for axis, level in (("camera_delay", 300), ("gravity", 10), ("motor_strength", 40)):
-        AXES[axis].apply(cfg, level)
-    found = settings(cfg)
-    assert found["motor_strength"]["effort_limit_range"] == (0.4, 0.4)
-    assert found["camera"][0] == (0.3, 0.3)
-    bias = found["sensors"][1]["bias"]
+        change(cfg, axis, level)
+    after = settings(cfg)
+    assert after["motor_strength"]["effort_limit_range"] == (0.4, 0.4)
+    assert after["camera"][0] == (0.3, 0.3)
+    bias = after["sensors"][1]["bias"]
     seen = np.add(bias[3:6], (0.0, 0.0, -1.0))
     assert np.linalg.norm(seen) == pytest.approx(1.0)
     # A turn of 10 degrees about each of two axes is one of 14.1 degrees.
     assert -seen[2] == pytest.approx(math.cos(math.radians(10) * math.sqrt(2)))
     assert sum(map(abs, bias)) == pytest.approx(sum(map(abs, bias[3:6])))
-    AXES["action_delay"].apply(cfg, 20)
+    change(cfg, "action_delay", 20)
     assert settings(cfg)["delays"] == {(4, 4)}
 
 
@@ -77,8 +77,8 @@ def test_the_margin_ends_at_the_first_level_beyond_it() -> None:
     held = [run(None, 0.0), *(run(level, ALLOWED) for level in levels)]
     assert margin(held, "payload", levels) == {"margin": levels[-1], "broke": None, "held": 1.0}
     held[2]["failed"] = 0.1  # The second level; that a worse one is survived does not count.
-    found = margin(held, "payload", levels)
-    assert (found["margin"], found["broke"]) == (levels[0], levels[1])
+    end = margin(held, "payload", levels)
+    assert (end["margin"], end["broke"]) == (levels[0], levels[1])
     held[0]["failed"] = 0.1
     assert margin(held, "payload", levels) == {"margin": None, "broke": levels[0], "held": 0.0}
 
@@ -95,8 +95,8 @@ def test_robots_fall_at_the_violent_end_and_the_sweep_stops_there(
         ("nominal", None), ("payload", 1.0), ("payload", 90.0)
     ]  # fmt: skip
     assert [run["failed"] for run in summary["runs"]] == [0, 0, 1]
-    (found,) = summary["margins"]
-    assert (found["margin"], found["broke"]) == (1.0, 90.0)
+    (end,) = summary["margins"]
+    assert (end["margin"], end["broke"]) == (1.0, 90.0)
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
     assert (tmp_path / "margins.png").stat().st_size > 10_000
     assert study.tables(summary)[0][2] == [("payload", "1 kg")]

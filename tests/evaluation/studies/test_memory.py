@@ -12,9 +12,11 @@ from ..fakes import FakeEnv, FakeEvaluator, FakePolicy
 class Crossing(FakeEnv):
     """Robots leave their tile after 3 s, if they have not fallen before."""
 
+    clock = 0
+
     def step(self, action):
         result = super().step(action)
-        self.clock = getattr(self, "clock", 0) + 1
+        self.clock += 1
         result.ended[:] |= self.clock % 150 == 0
         return result
 
@@ -28,18 +30,15 @@ class Trusting(FakePolicy):
         return action
 
 
-class Evaluator(FakeEvaluator):
-    def make_policy(self, num_robots):
-        return Trusting(num_robots)
-
-
 def test_who_trusts_a_black_camera_falls_and_the_others_cross(tmp_path):
     study = MemoryStudy(
         out=tmp_path, grounds=("gap:3",), without=(0.1, 2.0), robots=3, seconds=3.5,
         modes=("vp", "paper", "op"),
     )  # fmt: skip
     assert study.onset == 75  # 1.2 m at 0.6 m/s, less half a second.
-    runs = {(r["mode"], r["without_s"]): r for r in study.run(Evaluator(Crossing))["runs"]}
+    runs = {
+        (r["mode"], r["without_s"]): r for r in study.run(FakeEvaluator(Crossing, Trusting))["runs"]
+    }
     assert set(runs) == {(m, s) for m in ("vp", "paper") for s in (0, 0.1, 2.0)} | {("op", 0)}
     crossed = {key: run["crossed"] for key, run in runs.items()}
     # A tenth of a second is too short to fall in; the paper's switch leaves vision in 35 ms.

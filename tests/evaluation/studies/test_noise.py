@@ -11,6 +11,8 @@ from renet.evaluation.studies.noise import NoiseStudy
 from ..fakes import SPEED, FakeEvaluator
 from ..tiny import TINY
 
+SHORT: dict = {"onsets": (0.2,), "lasts": 0.6, "seconds": 0.8}
+
 
 @pytest.fixture
 def folder(run_study) -> Path:
@@ -18,13 +20,15 @@ def folder(run_study) -> Path:
 
 
 def test_the_preset_is_the_papers_comparison(folder: Path, summary: dict) -> None:
-    settings = [(run["fault"], run["level"], run["mode"]) for run in summary["runs"]]
-    noises = [("gaussian", level) for level in (0.3, 0.7, 1.0)]
-    noises += [("salt_and_pepper", level) for level in (0.1, 0.3, 0.7)]
-    assert settings == [(*noise, mode) for noise in noises for mode in ("vp", "renet")]
-    rows = [*summary["runs"], *summary["baseline"]]
+    levels = {"gaussian": (0.3, 0.7, 1.0), "salt_and_pepper": (0.1, 0.3, 0.7)}
+    assert [(run["fault"], run["level"], run["mode"]) for run in summary["runs"]] == [
+        (noise, level, mode)
+        for noise in levels
+        for level in levels[noise]
+        for mode in ("vp", "renet")
+    ]
     assert [row["mode"] for row in summary["baseline"]] == ["vp", "renet"]
-    assert {row["robots"] for row in rows} == {2}
+    assert {row["robots"] for row in [*summary["runs"], *summary["baseline"]]} == {2}
     assert summary["provenance"].keys() >= {"bundle_hash", "engine", "seed", "command", "date"}
     assert summary["healthy"]["false_switches"] == 0
     assert summary["healthy"]["robot_hours"] == pytest.approx(2 * 5.0 / 3600, abs=1e-6)
@@ -35,13 +39,9 @@ def test_the_preset_is_the_papers_comparison(folder: Path, summary: dict) -> Non
 
 
 def test_measured_values_are_those_of_the_robots(summary: dict) -> None:
-    for run in summary["runs"]:
-        if run["mode"] == "renet":
-            assert run["falls"] == 0
-            assert run["mean_forward_velocity"] == pytest.approx(SPEED, abs=1e-6)
-            assert run["velocity_ci95_low"] == pytest.approx(SPEED, abs=1e-6)
-            assert run["detection_delay_s"] == pytest.approx(0.035)
-            assert run["detected"] == 2
+    names = ("falls", "detected", "mean_forward_velocity", "velocity_ci95_low", "detection_delay_s")
+    for run in (run for run in summary["runs"] if run["mode"] == "renet"):
+        assert [run[n] for n in names] == pytest.approx([0, 2, SPEED, SPEED, 0.035], abs=1e-6)
     strongest = next(r for r in summary["runs"] if (r["mode"], r["level"]) == ("vp", 1.0))
     assert (strongest["falls"], strongest["mean_forward_velocity"]) == (2, 0)
 
@@ -56,8 +56,7 @@ def test_only_renet_has_a_delay_in_the_table(summary: dict) -> None:
 
 
 def test_on_tiles_the_table_says_who_crossed(tmp_path: Path) -> None:
-    study = NoiseStudy(tmp_path, robots=2, faults=("gaussian:5",), grounds=("stairs_up",), level=2)
-    study = replace(study, onsets=(0.2,), lasts=0.6, seconds=0.8)
+    study = NoiseStudy(tmp_path, robots=2, faults=("gaussian:5",), grounds=("stairs_up",), **SHORT)
     ((title, _, rows),) = study.tables(study.run(FakeEvaluator()))
     assert title == "Camera noise: stairs up"
     # Nobody leaves the tile in the fake environment.
@@ -73,9 +72,7 @@ def test_the_timelines_camera_recovers() -> None:
 
 def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     faults = ("gaussian:2", "gaussian:4")
-    study = NoiseStudy(
-        tmp_path / "deep" / "er", quick=True, faults=faults, onsets=(0.2,), lasts=0.6, seconds=0.8
-    )
+    study = NoiseStudy(tmp_path / "deep" / "er", quick=True, faults=faults, **SHORT)
     walked: list[str] = []
     real = FaultStudy._run_batch
 

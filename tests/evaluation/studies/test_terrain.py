@@ -4,8 +4,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from renet.evaluation.rollout import Trace
-from renet.evaluation.studies.terrain import SuccessStudy, highest_level, passed, worse_than_op
+from renet.evaluation.env import SimEnv, study_env_cfg
+from renet.evaluation.studies.terrain import (
+    SuccessStudy,
+    highest_level,
+    passed,
+    stillness,
+    worse_than_op,
+)
+from renet.evaluation.trace import Trace
 from renet.faults import ViewPerturbation
 from renet.terrain.tiles import LEVELS
 
@@ -13,16 +20,13 @@ from ..fakes import FakeEvaluator
 from ..tiny import TINY, Hurdles, Ladder
 
 
-def test_highest_level_counts_passes_in_a_row() -> None:
-    levels_passed = np.array([[1, 1, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], bool)
-    np.testing.assert_array_equal(highest_level(levels_passed), [2, 1, 0])
-
-
-def test_a_robot_passes_by_leaving_its_tile_even_after_a_fall() -> None:
+def test_a_robot_passes_even_after_a_fall_and_levels_count_in_a_row() -> None:
     trace = Trace.empty(4, 3)
     trace.ended[[0, 2], 0] = trace.fell[0, 0] = True
     trace.ended[1, 1] = trace.fell[1, 1] = True
     assert passed(trace).tolist() == [True, False, False]
+    levels_passed = np.array([[1, 1, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], bool)
+    np.testing.assert_array_equal(highest_level(levels_passed), [2, 1, 0])
 
 
 def test_summary_holds_the_papers_table(run_study) -> None:
@@ -41,9 +45,9 @@ def test_summary_holds_the_papers_table(run_study) -> None:
 def test_collisions_are_those_of_the_first_mode(tmp_path: Path) -> None:
     class Scraping(Ladder):
         def result(self, speed, fell):
-            found = super().result(speed, fell)
-            found.collisions[:] = np.arange(self.num_robots) // 3 % 2  # OP's.
-            return found
+            result = super().result(speed, fell)
+            result.collisions[:] = np.arange(self.num_robots) // 3 % 2  # OP's.
+            return result
 
     study = replace(TINY["terrain"][0], out=tmp_path, modes=("vp", "op"), kinds=("gap",))
     assert study.run(FakeEvaluator(Scraping))["collisions"] == 0
@@ -107,3 +111,30 @@ def test_a_fault_begins_before_the_obstacle() -> None:
     assert injection.onset == 75
     (later,) = SuccessStudy(fault="frozen:2@4s+1s").schedule
     assert (later.onset, later.duration) == (200, 1.0)
+
+
+def test_drift_counts_from_when_robots_should_stand_and_joints_all_along() -> None:
+    poses = np.zeros((4, 1, 9))
+    poses[:, 0, 0] = (0.0, 3.0, 3.0, 3.3)
+    poses[:, 0, 1] = (0.0, 0.0, 0.0, 0.4)
+    poses[:, 0, 7] = (0.0, 0.02, 0.02, 0.0)
+    drift, speed = stillness(poses, settled=1)
+    np.testing.assert_allclose(drift, 0.5)
+    np.testing.assert_allclose(speed[:, 0], (0.5, 0.0, 0.5), atol=1e-12)
+
+
+def test_robots_that_stop_stand_and_restless_ones_do_not(run_study) -> None:
+    _, summary = run_study("standing")
+    assert [(run["kind"], run["level"], run["mode"]) for run in summary["runs"]] == [
+        ("flat", 1, "vp"), ("flat", 1, "op"), ("stairs_up", 3, "vp"), ("stairs_up", 3, "op")
+    ]  # fmt: skip
+    assert {(run["robots"], run["still"], run["falls"]) for run in summary["runs"]} == {(2, 1, 0)}
+    assert all(run["drift_m"] == 0 for run in summary["runs"])
+
+
+def test_the_simulated_world_obeys() -> None:
+    world = SimEnv(study_env_cfg("Renet-Go1-Flat", 0.6), range(2), 1, "native")
+    world.reset()
+    world.command(0.0)
+    after = world.step(np.zeros((2, 12), np.float32))
+    np.testing.assert_allclose(after.proprioception[:, 6], 0.0)

@@ -3,10 +3,9 @@
 import base64
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from jinja2.exceptions import UndefinedError
@@ -24,8 +23,7 @@ MAX_MEDIA = 64_000_000
 """Bytes of a picture or film."""
 
 
-@dataclass(frozen=True)
-class Section:
+class Section(NamedTuple):
     """A part of a page; one without a title follows the one before."""
 
     title: str
@@ -33,27 +31,13 @@ class Section:
 
 
 def render(template: str, **context: Any) -> Section:
-    """A section from the template of a name, which sets its `title`; text is escaped.
-
-    Args:
-        template: name without ".html".
-        context: the template's variables.
-    """
+    """A section from a template, by its name without ".html" and its variables; text is escaped."""
     module = load_template(template).make_module(context)
     return Section(module.title, Markup(str(module)))  # type: ignore[attr-defined]
 
 
-def study_sections(summary: dict[str, Any], name: str, folder: Path) -> list[Section]:
-    """What a page shows of a study, and the provenance of its numbers.
-
-    Args:
-        summary: content of its summary.json.
-        name: of the study, which is its template's.
-        folder: where its figures are.
-
-    Raises:
-        RenetError: the summary lacks something, or holds text for numbers, or a figure is missing.
-    """
+def study_sections(name: str, summary: dict[str, Any], folder: Path) -> list[Section]:
+    """A study's template, from its summary and the figures in its folder, and the provenance."""
     with reading(f"{name} in {folder}"):
         section = render(name, summary=summary, settings=summary["settings"], folder=folder)
         return [section, provenance_section(summary)]
@@ -84,11 +68,7 @@ def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -
 
 
 def data_uri(path: Path) -> str:
-    """A PNG or mp4 as a data URI.
-
-    Raises:
-        RenetError: it is a link, which may lead out of its folder, or anything but such a file.
-    """
+    """A PNG or mp4 as a data URI; raises RenetError for a link and for any other file."""
     demand_no_links(path, path.parent)
     media, start, magic = MEDIA[path.suffix]
     content = read_bytes(path, MAX_MEDIA, "picture")

@@ -21,12 +21,10 @@ def overview_section(summaries: Summaries) -> Section:
 
 def worse_section(summaries: Summaries) -> Section:
     """Settings in which RENet does worse than OP alone, and faults it does not notice."""
-    rows = [
-        row for name, make in WORSE.items() if name in summaries for row in make(summaries[name])
-    ]
-    chance = []
-    if "faults" in summaries:
-        chance = _worse_faults(summaries["faults"], beyond_chance=False)
+    groups = [make(summaries[name]) for name, make in WORSE.items() if name in summaries]
+    rows = [row for group in groups for row in group]
+    faults = summaries.get("faults")
+    chance = _worse_faults(faults, beyond_chance=False) if faults else []
     return render("worse", rows=rows, chance=chance)
 
 
@@ -61,18 +59,16 @@ def noise_facts(summary: dict[str, Any]) -> list[tuple[str, str]]:
 def _faults(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """What was not measured is left out."""
     renet = [run for run in summary["runs"] if run["mode"] == "renet"]
-    total = {
-        name: sum(run[name] for run in renet)
-        for name in ("robots", "falls", "vision_active_at_onset")
-    }
+    robots, falls, watching, noticed = (
+        sum(run[name] for run in renet)
+        for name in ("robots", "falls", "vision_active_at_onset", "detected")
+    )
     rate = summary["healthy"]["false_switches_per_hour"]
     facts = []
-    if total["robots"]:
-        share = 1 - total["falls"] / total["robots"]
-        facts.append((_percent(share), "of RENet's robots survive a camera fault"))
-    if total["vision_active_at_onset"]:
-        share = sum(run["detected"] for run in renet) / total["vision_active_at_onset"]
-        facts.append((_percent(share), "of failing cameras are noticed"))
+    if robots:
+        facts.append((_percent(1 - falls / robots), "of RENet's robots survive a camera fault"))
+    if watching:
+        facts.append((_percent(noticed / watching), "of failing cameras are noticed"))
     if rate is not None:
         facts.append((f"{rate:.1f}", "false switches per healthy robot hour"))
     return facts
@@ -108,15 +104,9 @@ def _worse_faults(summary: dict[str, Any], *, beyond_chance: bool = True) -> lis
 
 
 def _worse_success(summary: dict[str, Any]) -> list[Row]:
-    return [
-        (
-            "obstacles",
-            f"{w['kind'].replace('_', ' ')} {100 * w['size_m']:.0f} cm",
-            _percent(w["renet"]),
-            _percent(w["op"]),
-        )
-        for w in summary["worse"]
-    ]
+    tiles = [f"{w['kind'].replace('_', ' ')} {100 * w['size_m']:.0f} cm" for w in summary["worse"]]
+    shares = [(_percent(w["renet"]), _percent(w["op"])) for w in summary["worse"]]
+    return [("obstacles", tile, *pair) for tile, pair in zip(tiles, shares, strict=True)]
 
 
 FACTS = {"noise": noise_facts, "faults": _faults, "terrain": _terrain}

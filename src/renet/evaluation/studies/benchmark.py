@@ -6,13 +6,14 @@ docs/benchmark.md is the specification.
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from jsonschema import Draft202012Validator
 
 from renet.errors import RenetError
 from renet.evaluation.results import read_results
-from renet.interface import Terrain
+from renet.faults import Injection, fault_class
+from renet.interface import CONTROL_DT, Terrain
 
 BENCHMARK, VERSION = "renet-faults", 1
 GROUNDS: dict[Terrain, int] = {
@@ -30,6 +31,30 @@ PROTOCOL = ("seed", "speed", "lasts", "seconds", "quick")
 """Settings of the study that a result file tells; seconds, m/s."""
 SCHEMA = Path(__file__).with_name("benchmark.schema.json")
 """JSON Schema (2020-12) of result files."""
+
+
+class Setting(NamedTuple):
+    """What happens to a group of robots."""
+
+    ground: str
+    onset: float
+    """Seconds."""
+    fault: str
+    severity: int
+
+    @property
+    def step(self) -> int:
+        """Control step at which the fault begins."""
+        return round(self.onset / CONTROL_DT)
+
+    @property
+    def level(self) -> float:
+        """Strength of the fault, in its own unit."""
+        return fault_class(self.fault).level_of(self.severity)
+
+    def injection(self, seconds: float) -> Injection:
+        """The fault, over after some seconds at the latest."""
+        return Injection.of(self.fault, self.severity, self.step, seconds)
 
 
 def result(summary: Mapping[str, Any]) -> dict[str, Any]:
@@ -65,11 +90,7 @@ def result(summary: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_result(path: Path) -> dict[str, Any]:
-    """A result file of this version, valid under `SCHEMA`.
-
-    Raises:
-        RenetError: anything else.
-    """
+    """A result file of this version, valid under `SCHEMA`; raises RenetError for another file."""
     content = read_results(path)
     if (content.get("benchmark"), content.get("version")) != (BENCHMARK, VERSION):
         raise RenetError(f"{path} is no result of {BENCHMARK}, version {VERSION}")

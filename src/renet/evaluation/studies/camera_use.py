@@ -19,9 +19,9 @@ from scipy.stats import binomtest, fisher_exact
 
 from renet.errors import RenetError
 from renet.evaluation import metrics
-from renet.evaluation.protocols import EvalEnv, StepResult
-from renet.evaluation.rollout import Mode, Trial, check_grounds, check_modes, check_speed
+from renet.evaluation.rollout import EvalEnv, Mode, Trial, check_grounds, check_modes, check_speed
 from renet.evaluation.study import Figures, Part, Study, Table
+from renet.evaluation.trace import StepResult
 from renet.faults import ViewPerturbation
 from renet.interface import CONTROL_DT
 
@@ -143,8 +143,8 @@ class CameraUseStudy(Study):
         each = min(self.robots, 8) if self.quick else self.robots
         rows = [(view, robot) for view in VIEWS for robot in range(each)]
         trials = [Trial(self.mode, (), robot, kind) for _, robot in rows]
-        cfg = evaluator.grounds_env_cfg({kind: int(level)})
-        env = evaluator.make_env(cfg, [robot for _, robot in rows], self.speed, self.seed)
+        task, robots = {kind: int(level)}, [robot for _, robot in rows]
+        env = evaluator.make_env(task, robots, self.speed, self.seed)
         env.place_on([kind] * len(rows))
         shown = ShownImages(env, [view for view, _ in rows], each)
         title = f"{self.grounds.index(ground) + 1}/{len(self.grounds)} {ground}"
@@ -157,10 +157,7 @@ class CameraUseStudy(Study):
             both = ~(healthy.over | group.over)
             apart = np.abs(group.travelled - healthy.travelled) * both
             crossed, *_ = group.first_try()
-            part[view] = {
-                "crossed": crossed,
-                "parted": apart.max(axis=0) > PARTED,
-            }
+            part[view] = {"crossed": crossed, "parted": apart.max(axis=0) > PARTED}
         return part
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:

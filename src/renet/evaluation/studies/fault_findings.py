@@ -10,31 +10,30 @@ import numpy as np
 import scipy
 
 from renet.evaluation.figures import setting_label
+from renet.evaluation.results import grouped
+from renet.evaluation.studies.benchmark import Setting
 from renet.terrain.tiles import DIFFICULT
 
 Runs = list[dict[str, Any]]
-Setting = tuple[str, float, str, int]
-"""Ground, onset, fault and severity."""
-Claim = tuple[str, bool, str]
-"""What is claimed, whether it is so, and what was measured."""
 CHANCE = 0.05
 """Probability below which a difference is not put down to chance."""
 MARGIN = 0.02
 """RENet's survival may be this much below OP's before a setting is listed as harmful."""
 SEVERE = 3
 """Severity from which a fault that makes VP fall must be noticed."""
-FROZEN = ("frozen",)
-UNIFORM = ("blackout", "saturated", "occlusion")
-"""Faults whose severity 5 leaves one value in the whole image."""
+BLIND = {"frozen": ("frozen",), "uniform": ("blackout", "saturated", "occlusion")}
+"""Faults whose severity 5 repeats one image, or leaves one value in the whole image."""
 
 
 def setting_of(run: dict[str, Any]) -> Setting:
-    """Which setting a row is of."""
-    return run["ground"], run["onset"], run["fault"], run["severity"]
+    """The setting of a row."""
+    return Setting(*(run[name] for name in Setting._fields))
 
 
 def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
     """`harmful`, `missed` and `claims` of a summary, from `runs`, `baseline` and `healthy`.
+
+    A claim is a row: `claim`, whether it is `met`, and what was `measured`.
 
     Args:
         runs: with their pairs, see `fault_metrics`. baseline: the same grounds without faults.
@@ -44,26 +43,21 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
     simple = [h for h in harm if h["ground"] not in DIFFICULT]
     severe = [miss for miss in misses if miss["severity"] >= SEVERE]
     claims = [
-        (
+        _chance_claim(
             "on simple ground no fault makes RENet fall more often than OP, beyond chance",
-            not any(h["beyond_chance"] for h in simple),
-            _beyond_and_within(simple, "settings below"),
+            simple,
+            "settings below",
         ),
-        (
+        _chance_claim(
             f"no fault of severity >= {SEVERE} that makes VP fall goes unnoticed",
-            not any(miss["beyond_chance"] for miss in severe),
-            _beyond_and_within(severe, "settings not noticed by every robot"),
+            severe,
+            "settings not noticed by every robot",
         ),
         *_delay_claim(runs, baseline),
         *_false_switch_claim(healthy),
         *_blind_claims(runs),
     ]
-    names = ("claim", "met", "measured")
-    return {
-        "harmful": harm,
-        "missed": misses,
-        "claims": [dict(zip(names, claim, strict=True)) for claim in claims],
-    }
+    return {"harmful": harm, "missed": misses, "claims": claims}
 
 
 def harmful(runs: Runs, baseline: Runs) -> Runs:
@@ -74,7 +68,7 @@ def harmful(runs: Runs, baseline: Runs) -> Runs:
     survival = {setting_of(r): r["survival"] for r in runs if r["mode"] == "op"}
     worse = _beyond_chance(runs, baseline, "renet", "op")
     return [
-        _where(r)
+        setting_of(r)._asdict()
         | {
             "renet": r["survival"],
             "op": survival[setting_of(r)],
@@ -87,11 +81,10 @@ def harmful(runs: Runs, baseline: Runs) -> Runs:
 
 
 def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, dict[str, Any]]:
-    """VP's rows of the settings with more falls than its healthy twins have.
+    """VP's rows, by setting, of the settings with more falls than its healthy twins have.
 
-    Returns:
-        By setting; with `beyond_chance`, judged from all of a fault's severe settings on the ground
-        together (of its mild ones where it has no severe ones).
+    `beyond_chance` is judged from all of a fault's severe settings on the ground together (of its
+    mild ones where it has no severe ones).
     """
     severe = [r for r in runs if r["severity"] >= SEVERE]
     mild = {r["fault"] for r in runs} - {r["fault"] for r in severe}
@@ -106,51 +99,49 @@ def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, dict[str, 
 
 def missed(runs: Runs, baseline: Runs) -> Runs:
     """Faults that make VP fall and that the selector did not notice on every robot."""
-    vp = settings_vp_falls_in(runs, baseline)
+    vp_rows = settings_vp_falls_in(runs, baseline)
     return [
-        _where(r)
+        setting_of(r)._asdict()
         | {
             "undetected": r["vision_active_at_onset"] - r["detected"],
-            "vp_falls": vp[setting_of(r)]["falls_by_fault"],
-            "vp_spared": vp[setting_of(r)]["falls_spared"],
-            "beyond_chance": vp[setting_of(r)]["beyond_chance"],
+            "vp_falls": vp["falls_by_fault"],
+            "vp_spared": vp["falls_spared"],
+            "beyond_chance": vp["beyond_chance"],
         }
         for r in runs
-        if r["mode"] == "renet"
-        and setting_of(r) in vp
-        and r["detected"] < r["vision_active_at_onset"]
+        if r["mode"] == "renet" and r["detected"] < r["vision_active_at_onset"]
+        if (vp := vp_rows.get(setting_of(r)))
     ]
 
 
-def _where(run: dict[str, Any]) -> dict[str, Any]:
-    return {name: run[name] for name in ("fault", "severity", "ground", "onset")}
-
-
-def _beyond_chance(runs: Runs, baseline: Runs, mode: str, reference: str) -> set[tuple[str, str]]:
+def _beyond_chance(runs: Runs, baseline: Runs, mode: str, reference: str) -> set[tuple[Any, ...]]:
     """Grounds and faults under which `mode` falls more, beyond chance, than `reference` without."""
-    usual = {r["ground"]: (r["falls"], r["robots"]) for r in baseline if r["mode"] == reference}
-    counts: dict[tuple[str, str], np.ndarray] = {}
-    for run in runs:
-        if run["mode"] == mode and run["ground"] in usual:
-            place, count = (run["ground"], run["fault"]), np.array([run["falls"], run["robots"]])
-            counts[place] = counts.get(place, np.zeros(2, int)) + count
+
+    def count(rows: Runs) -> tuple[int, int]:
+        falls = sum(row["falls"] for row in rows)
+        return falls, sum(row["robots"] for row in rows) - falls
+
+    usual = {r["ground"]: [r] for r in baseline if r["mode"] == reference}
+    groups = grouped([r for r in runs if r["mode"] == mode], "ground", "fault")
     tables = {
-        place: [(falls, robots - falls) for falls, robots in (count, usual[place[0]])]
-        for place, count in counts.items()
+        place: [count(rows), count(usual[place[0]])]
+        for place, rows in groups.items()
+        if place[0] in usual
     }
     return {p for p, t in tables.items() if scipy.stats.fisher_exact(t, "greater").pvalue < CHANCE}
 
 
-def _beyond_and_within(settings: Runs, what: str) -> str:
-    """How many of the settings chance cannot explain, and which it can."""
-    clear = [s for s in settings if s["beyond_chance"]]
+def _chance_claim(claim: str, settings: Runs, what: str) -> dict[str, Any]:
+    """The claim that chance explains all settings: how many it cannot, and which it can."""
+    clear = [setting_label(s) for s in settings if s["beyond_chance"]]
     unclear = [setting_label(s) for s in settings if not s["beyond_chance"]]
-    named = ": " + ", ".join(map(setting_label, clear)) if clear else ""
+    named = ": " + ", ".join(clear) if clear else ""
     aside = f" ({', '.join(unclear)} within chance)" if unclear else ""
-    return f"{len(clear)} {what}{named}{aside}"
+    measured = f"{len(clear)} {what}{named}{aside}"
+    return {"claim": claim, "met": not clear, "measured": measured}
 
 
-def _false_switch_claim(healthy: dict[str, Any]) -> list[Claim]:
+def _false_switch_claim(healthy: dict[str, Any]) -> Runs:
     """Nothing is said of healthy hours where there are none."""
     if not healthy["robot_hours"]:
         return []
@@ -159,10 +150,11 @@ def _false_switch_claim(healthy: dict[str, Any]) -> list[Claim]:
         f"{rate:.2f} ({healthy['false_switches']} in {healthy['robot_hours']:.2f} robot hours;"
         f" 95 % limit {limit:.2f})"
     )
-    return [("at most 1 false switch per healthy hour", rate <= 1.0, measured)]
+    claim = "at most 1 false switch per healthy hour"
+    return [{"claim": claim, "met": rate <= 1.0, "measured": measured}]
 
 
-def _delay_claim(runs: Runs, baseline: Runs) -> list[Claim]:
+def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
     """The median of the severe settings' median delays where VP falls; nothing if it never does."""
     vp = settings_vp_falls_in(runs, baseline)
     where = [
@@ -180,19 +172,20 @@ def _delay_claim(runs: Runs, baseline: Runs) -> list[Claim]:
         f"{delay:.3f} s; worst 95th percentile {worst['detection_delay_p95_s']:.2f} s"
         f" ({setting_label(worst)})"
     )
-    return [(claim, delay <= 0.2, measured)]
+    return [{"claim": claim, "met": delay <= 0.2, "measured": measured}]
 
 
-def _blind_claims(runs: Runs) -> list[Claim]:
+def _blind_claims(runs: Runs) -> Runs:
     """Frozen and uniform images: noticed by the monitors, and what the paper's rule alone does."""
     worst = [run for run in runs if run["mode"] == "renet" and run["severity"] == 5]
     claims = []
-    for what, faults in (("frozen", FROZEN), ("uniform", UNIFORM)):
+    for what, faults in BLIND.items():
         names = ("vision_active_at_onset", "detected", "detected_by_paper")
         robots, detected, paper = (
             sum(run[name] for run in worst if run["fault"] in faults) for name in names
         )
         if robots:
             measured = f"{detected} of {robots} robots; by the paper's rule alone {paper}"
-            claims.append((f"{what} images are noticed", detected == robots, measured))
+            claim = f"{what} images are noticed"
+            claims.append({"claim": claim, "met": detected == robots, "measured": measured})
     return claims

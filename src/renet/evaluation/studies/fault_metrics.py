@@ -7,27 +7,19 @@ Differences are taken between twins, robot by robot.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from renet.evaluation import metrics
+from renet.evaluation.results import grouped
+from renet.evaluation.studies.benchmark import Setting
 from renet.evaluation.trace import Trace
 from renet.faults import fault_class
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.terrain.tiles import TILE
 
 SHARES = ("crossed", "upright")
-MEASURES = (
-    *SHARES,
-    "speed_error",
-    "energy_per_metre",
-    "collisions",
-    "seconds_without_sight",
-    "switches",
-)
-"""The measures of docs/benchmark.md, in its order."""
 TRAVELLED = 0.2
 """m from the onset on; below it energy per metre is not computed."""
 Values = Mapping[str, Any]
@@ -69,7 +61,7 @@ def robot_measures(trace: Trace, onset: int, command: float, steps: int) -> dict
 def estimates(values: Values, twins: Values) -> dict[str, dict[str, Any]]:
     """Each measure's mean over the robots and its mean change from their twins, with intervals."""
     rows = {}
-    for name in MEASURES:
+    for name in values:
         faulty, healthy = (np.array(part[name], float) for part in (values, twins))
         interval = metrics.wilson_interval if name in SHARES else metrics.bootstrap_interval
         change = _mean(faulty - healthy, metrics.bootstrap_interval)
@@ -90,25 +82,19 @@ def by_robot(runs: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, dict[str,
 
     The same robots stand in all settings: an interval of a mean over settings is one over robots.
     """
-    seen: dict[str, dict[str, list]] = {}
-    for run in runs:
-        seen.setdefault(run["mode"], {}).setdefault(run["ground"], []).append(run["values"])
-    return {
-        mode: {
-            ground: {name: np.mean([robots[name] for robots in values], axis=0) for name in SHARES}
-            for ground, values in grounds.items()
+    means: dict[str, dict[str, dict[str, np.ndarray]]] = {}
+    for (mode, ground), rows in grouped(runs, "mode", "ground").items():
+        means.setdefault(mode, {})[ground] = {
+            name: np.mean([row["values"][name] for row in rows], axis=0) for name in SHARES
         }
-        for mode, grounds in seen.items()
-    }
+    return means
 
 
 def pair_counts(values: Values, twins: Values) -> dict[str, int]:
     """Robots that fell while their twins did not, and the other way round."""
     fell, calm = (1 - np.array(part["upright"], float) > 0 for part in (values, twins))
-    return {
-        "falls_by_fault": int((fell & ~calm).sum()),
-        "falls_spared": int((calm & ~fell).sum()),
-    }
+    by_fault, spared = int((fell & ~calm).sum()), int((calm & ~fell).sum())
+    return {"falls_by_fault": by_fault, "falls_spared": spared}
 
 
 def beside_op(values: Values, op: Values | None) -> dict[str, Any]:
@@ -119,24 +105,10 @@ def beside_op(values: Values, op: Values | None) -> dict[str, Any]:
     return {"over_op": float(gain.mean()), **metrics.with_interval("over_op", gain)}
 
 
-@dataclass(frozen=True)
-class Batch:
-    """Some robots of a rollout under one fault, and what the selectors answered."""
-
-    trace: Trace
-    paper: np.ndarray
-    """[T, U, N] bool: vision trusted by the paper's selector."""
-    onset: int
-    """Control step at which the fault begins."""
-    end: int
-    """Control step at which it is over."""
-
-
-def end_of(fault: str, severity: int, onset: int, over: int) -> int:
+def end_of(setting: Setting, over: int) -> int:
     """The control step at which a fault is over: by itself, or because the study ends it."""
-    model = fault_class(fault)
-    lasts = model.lasts(model.level_of(severity))
-    return over if np.isinf(lasts) else min(over, onset + round(lasts / CONTROL_DT))
+    lasts = fault_class(setting.fault).lasts(setting.level)
+    return over if np.isinf(lasts) else min(over, setting.step + round(lasts / CONTROL_DT))
 
 
 def survival(trace: Trace, until: int) -> dict[str, Any]:
@@ -158,30 +130,32 @@ def survival(trace: Trace, until: int) -> dict[str, Any]:
     }
 
 
-def noticing(batch: Batch) -> dict[str, Any]:
+def noticing(trace: Trace, paper: np.ndarray, onset: int, end: int) -> dict[str, Any]:
     """Who noticed the fault, who returned to vision after it, and how soon.
 
     A fault that is noticed only after it is over, or after the robot fell, was missed; one that
     comes while vision is not trusted can be neither noticed nor missed: `vision_active_at_onset`
     counts the robots that trusted vision.
+
+    Args:
+        trace: of robots under one fault. paper: [T, U, N] bool, the paper's selector trusts vision.
+        onset: control step at which the fault begins. end: the one at which it is over.
     """
-    trusted, over, onset, end = batch.trace.trusted, batch.trace.over, batch.onset, batch.end
+    trusted, over = trace.trusted, trace.over
     # A last image from before the end is judged until the next tick.
     until = end + STEPS_PER_TICK
     delay = departure(trusted, over, onset, until)
     active = trusted[onset - 1, -1] & ~over[onset - 1]
-    paper = np.where(active, departure(batch.paper, over, onset, until), np.nan)
+    by_paper = np.where(active, departure(paper, over, onset, until), np.nan)
     back = departure(~trusted, over, end)
-    low, high = metrics.bootstrap_interval(delay, np.median)
     return {
         "vision_active_at_onset": int(active.sum()),
         "detected": int((~np.isnan(delay)).sum()),
         "detection_delay_s": _quantile(delay, 0.5),
         "detection_delay_p95_s": _quantile(delay, 0.95),
-        "detection_delay_ci95_low": low,
-        "detection_delay_ci95_high": high,
-        "detected_by_paper": int((~np.isnan(paper)).sum()),
-        "paper_detection_delay_s": _quantile(paper, 0.5),
+        **metrics.with_interval("detection_delay", delay, np.median),
+        "detected_by_paper": int((~np.isnan(by_paper)).sum()),
+        "paper_detection_delay_s": _quantile(by_paper, 0.5),
         "away_at_end": int((~trusted[end - 1, -1] & ~over[end - 1]).sum()),
         "recovered": int((~np.isnan(back)).sum()),
         "recovery_delay_s": _quantile(back, 0.5),
@@ -198,8 +172,7 @@ def departure(
     trusts vision, which is no return.
 
     Args:
-        trusted: [T, U, N] bool.
-        gone: [T, N] bool, fallen or across.
+        trusted: [T, U, N] bool. gone: [T, N] bool, fallen or across.
         start: control step. end: the one from which on departures do not count.
 
     Returns:

@@ -12,22 +12,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.monitor_log import MonitorLog, healthy_series, replay
-from renet.evaluation.report.fault_gallery import draw_gallery
-from renet.evaluation.results import write_json
+from renet.evaluation.results import grouped, write_json
 from renet.evaluation.rollout import FLAT, Trial, check_grounds
 from renet.evaluation.studies import fault_metrics
-from renet.evaluation.studies.benchmark import GROUNDS, ONSETS, result
+from renet.evaluation.studies.benchmark import GROUNDS, ONSETS, Setting, result
 from renet.evaluation.studies.fault_findings import findings
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
-from renet.faults import FAULTS, SEVERITIES, Injection, fault_class
+from renet.faults import FAULTS, SEVERITIES, fault_class
 from renet.faults.physical import Glass
 from renet.files import remove
 from renet.interface import CONTROL_DT, STEPS_PER_TICK, Terrain
@@ -41,25 +40,6 @@ HEALTHY_ROBOTS = 64
 """Robots side by side in the run without faults."""
 Rows = Mapping[tuple[Any, str], dict[str, Any]]
 """Rows of a part, by setting or ground, and mode."""
-
-
-class Setting(NamedTuple):
-    """What happens to a group of robots."""
-
-    ground: str
-    onset: float
-    """Seconds."""
-    fault: str
-    severity: int
-
-    @property
-    def step(self) -> int:
-        """Control step at which the fault begins."""
-        return round(self.onset / CONTROL_DT)
-
-    def injection(self, seconds: float) -> Injection:
-        """The fault, over after some seconds at the latest."""
-        return Injection.of(self.fault, self.severity, self.step, seconds)
 
 
 @dataclass(frozen=True)
@@ -90,11 +70,9 @@ class FaultStudy(WalkingStudy):
 
     name: ClassVar[str] = "faults"
     selectable: ClassVar[tuple[str, ...]] = ("faults",)
-    quick_severities: ClassVar[tuple[int, ...]] = (5,)
 
     def __post_init__(self) -> None:
-        for fault, severity in (s[2:] for batch in self.batches.values() for s in batch):
-            fault_class(fault).level_of(severity)
+        _ = [setting.level for settings in self.batches.values() for setting in settings]
         super().__post_init__()
         if not self.vision_modes:
             raise RenetError(f"modes {self.modes}: no camera fault matters to OP, add a mode")
@@ -119,7 +97,7 @@ class FaultStudy(WalkingStudy):
     @property
     def batches(self) -> dict[str, list[Setting]]:
         """Settings that run side by side, by the name of their part."""
-        severities = self.quick_severities if self.quick else self.severities
+        severities = (5,) if self.quick else self.severities
         batches = {}
         for text in self.faults:
             fault, _, severity = text.partition(":")
@@ -165,8 +143,8 @@ class FaultStudy(WalkingStudy):
 
     def make_env(self, evaluator: Evaluator, robots: tuple[int, ...]) -> SimEnv:
         """Robots of these numbers, on no ground yet."""
-        cfg = FLAT if self.grounds == (FLAT,) else evaluator.grounds_env_cfg(self.levels)
-        return evaluator.make_env(cfg, robots, self.speed, self.seed)
+        task = FLAT if self.grounds == (FLAT,) else self.levels
+        return evaluator.make_env(task, robots, self.speed, self.seed)
 
     def walk(
         self,
@@ -202,17 +180,15 @@ class FaultStudy(WalkingStudy):
         env = make(tuple(trial.robot for trial in trials))
         trace = self.walk(evaluator, env, title, trials)
         paper = replay(evaluator.make_selector(len(trials), "paper"), trace.anomaly)
-        runs: list[dict[str, Any]] = []
-        for number, (setting, mode) in enumerate(self.groups(settings)):
+        runs = []
+        for number, (setting, _) in enumerate(self.groups(settings)):
             rows = slice(number * each, (number + 1) * each)
             over = setting.step + round(self.lasts / CONTROL_DT)
-            end = fault_metrics.end_of(*setting[2:], setting.step, over)
+            end = fault_metrics.end_of(setting, over)
             group = trace.robots(rows)
-            batch = fault_metrics.Batch(group, paper[..., rows], setting.step, end)
             runs.append(
-                self.labels(setting, mode)
-                | fault_metrics.survival(group, over)
-                | fault_metrics.noticing(batch)
+                fault_metrics.survival(group, over)
+                | fault_metrics.noticing(group, paper[..., rows], setting.step, end)
                 | {"values": self.measures(group, setting.step)}
             )
         return {"runs": runs} | self.curves(trace, self.vision_modes)
@@ -221,24 +197,8 @@ class FaultStudy(WalkingStudy):
         """Every measure of each robot, [N], from a control step on."""
         return fault_metrics.robot_measures(trace, onset, self.speed, self.steps)
 
-    def labels(self, setting: Setting, mode: str) -> dict[str, Any]:
-        """What a row of the summary begins with."""
-        model = fault_class(setting.fault)
-        return {
-            "fault": setting.fault,
-            "severity": setting.severity,
-            "level": model.level_of(setting.severity),
-            "unit": model.unit,
-            "ground": setting.ground,
-            "ground_level": self.levels[setting.ground],
-            "onset": setting.onset,
-            "mode": mode,
-            "seed": self.seed,
-        }
-
     def curves(self, trace: Trace, modes: Sequence[str]) -> Part:
         """Further contents of the part of a batch whose robots walk in `modes`; none here."""
-        del trace, modes
         return {}
 
     def _run_twins(self, evaluator: Evaluator, make: Any) -> Part:
@@ -280,7 +240,6 @@ class FaultStudy(WalkingStudy):
         return {
             "false_switches": metrics.false_switches(trace.trusted, trace.failing),
             "robot_hours": metrics.healthy_hours(trace.failing),
-            "falls": int(trace.fell.sum()),
             "alarms": {
                 name: sum(
                     len(decluster(run, np.nextafter(threshold, -np.inf))) for run in series[name]
@@ -300,10 +259,12 @@ class FaultStudy(WalkingStudy):
             ]
         first = str(self.onsets[0])
         baseline = [
-            {k: v for k, v in run.items() if k != "values"}
-            | {"measures": fault_metrics.estimates(run["values"][first], run["values"][first])}
+            run | {"measures": fault_metrics.estimates(run["values"][first], run["values"][first])}
             for run in twins.values()
         ]
+        by_robot = fault_metrics.by_robot(runs)
+        for run in [*runs, *baseline]:
+            del run["values"]
         # The seconds before the faults are the same in all batches: those of the twins count once.
         calm, walks = parts["no_fault"], parts.get("healthy", {})
         hours = calm["healthy_robot_hours"] + walks.get("robot_hours", 0)
@@ -315,8 +276,6 @@ class FaultStudy(WalkingStudy):
             "upper_95_per_hour": metrics.poisson_upper(switches) / hours if hours else math.nan,
             "alarms_by_monitor": walks.get("alarms", {}),
         }
-        by_robot = fault_metrics.by_robot(runs)
-        runs = [{k: v for k, v in run.items() if k != "values"} for run in runs]
         return {
             "runs": runs,
             "by_robot": by_robot,
@@ -329,19 +288,26 @@ class FaultStudy(WalkingStudy):
         }
 
     def _row(self, setting: Setting, mode: str, runs: Rows, twins: Rows) -> dict[str, Any]:
-        """The row of a setting in one mode, compared with its twins.
-
-        Args:
-            setting: of a batch. mode: of the study.
-            runs: of the batch, by setting and mode. twins: by ground and mode.
-        """
+        """The row of a setting in one mode, compared with its twins (by ground and mode)."""
         twin, onset = twins[setting.ground, mode], str(setting.onset)
         calm = twin["values"][onset]
-        row: dict[str, Any] | None = runs.get((setting, mode))
-        if row is None:
-            row = dict.fromkeys(next(iter(runs.values())))
-            row |= {"detected": 0, "detected_by_paper": 0, "vision_active_at_onset": 0}
-            row |= twin | self.labels(setting, mode) | {"values": calm}
+        measured: dict[str, Any] | None = runs.get((setting, mode))
+        if measured is None:  # OP, which a fault does not change.
+            measured = dict.fromkeys(next(iter(runs.values())))
+            measured |= {"detected": 0, "detected_by_paper": 0, "vision_active_at_onset": 0}
+            measured |= twin | {"values": calm}
+        row = {
+            "fault": setting.fault,
+            "severity": setting.severity,
+            "level": setting.level,
+            "unit": fault_class(setting.fault).unit,
+            "ground": setting.ground,
+            "ground_level": self.levels[setting.ground],
+            "onset": setting.onset,
+            "mode": mode,
+            "seed": self.seed,
+            **measured,
+        }
         values, op = row["values"], twins.get((setting.ground, "op"))
         beside = op["values"][onset] if op is not None and mode == "renet" else None
         return (
@@ -360,45 +326,43 @@ class FaultStudy(WalkingStudy):
         return summary
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """crossed.png, survival.png, detection.png and gallery.png."""
+        """crossed.png, survival.png and detection.png."""
         runs, cells = summary["runs"], figures.mean_cells
         modes = {figures.MODE_NAMES[m]: [r for r in runs if r["mode"] == m] for m in self.modes}
-        crossed = {
-            name: cells(rows, lambda run: run["measures"]["crossed"]["value"], "ground")
-            for name, rows in modes.items()
-        }
-        upright = {name: cells(rows, lambda run: run["survival"]) for name, rows in modes.items()}
         obeying = modes.get(figures.MODE_NAMES["renet"]) or runs
-        noticed = {
-            name: cells(
-                obeying, lambda r, key=key: r[key] / (r["vision_active_at_onset"] or np.nan)
-            )
-            for name, key in (
-                ("RENet's selector", "detected"),
-                ("the paper's rule alone", "detected_by_paper"),
-            )
-        }
-        titles = (
-            "Robots that cross (%), all severities and onsets together",
-            "Robots on their feet (%), all grounds and onsets together",
-            "Robots with vision that noticed the fault while it lasted (%)",
-        )
+        selectors = {"RENet's selector": "detected", "the paper's rule alone": "detected_by_paper"}
+
+        def noticed(name: str) -> figures.Cells:
+            return cells(obeying, lambda r: r[name] / (r["vision_active_at_onset"] or np.nan))
+
         return {
-            "crossed.png": figures.colour_tables(crossed, titles[0], width=0.62),
-            "survival.png": figures.colour_tables(upright, titles[1], "severity"),
-            "detection.png": figures.colour_tables(noticed, titles[2], "severity"),
-            "gallery.png": draw_gallery(list(dict.fromkeys(r["fault"] for r in runs)), self.seed),
+            "crossed.png": figures.colour_tables(
+                {mode: cells(rows, _crossed, "ground") for mode, rows in modes.items()},
+                "Robots that cross (%), all severities and onsets together",
+                width=0.62,
+            ),
+            "survival.png": figures.colour_tables(
+                {mode: cells(rows, lambda run: run["survival"]) for mode, rows in modes.items()},
+                "Robots on their feet (%), all grounds and onsets together",
+                "severity",
+            ),
+            "detection.png": figures.colour_tables(
+                {selector: noticed(name) for selector, name in selectors.items()},
+                "Robots with vision that noticed the fault while it lasted (%)",
+                "severity",
+            ),
         }
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Robots that crossed, by ground and fault, and the claims."""
-        shares: dict[tuple[str, str, str], list[float]] = {}
-        for run in summary["runs"]:
-            group = run["ground"], run["fault"], run["mode"]
-            shares.setdefault(group, []).append(run["measures"]["crossed"]["value"])
+        groups = grouped(summary["runs"], "ground", "fault", "mode")
+        shares = {
+            group: f"{100 * np.mean(list(map(_crossed, runs))):.0f}"
+            for group, runs in groups.items()
+        }
         crossed = [
-            (*where, *(f"{100 * np.mean(shares[*where, mode]):.0f}" for mode in self.modes))
-            for where in dict.fromkeys(group[:2] for group in shares)
+            (*where, *(shares[*where, mode] for mode in self.modes))
+            for where in dict.fromkeys(group[:2] for group in groups)
         ]
         claims = [
             ("yes" if claim["met"] else "NO", claim["claim"], claim["measured"])
@@ -408,3 +372,7 @@ class FaultStudy(WalkingStudy):
             ("Robots that cross (%)", ("ground", "fault", *self.modes), crossed),
             ("What is claimed, and what was measured", ("met", "claim", "measured"), claims),
         ]
+
+
+def _crossed(run: dict[str, Any]) -> float:
+    return run["measures"]["crossed"]["value"]

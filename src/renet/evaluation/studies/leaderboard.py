@@ -1,25 +1,36 @@
-"""`renet evaluate leaderboard`: policies ranked by their result files, and the tables behind."""
+"""`renet evaluate leaderboard`: policies ranked by their result files, and the tables behind.
 
+These are by ground, severity and fault, and show RENet beside VP.
+"""
+
+import csv
 import math
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tyro
 
 from renet.errors import RenetError
 from renet.evaluation.metrics import bootstrap_interval
-from renet.evaluation.studies.benchmark import ONSETS, PROTOCOL, read_result
-from renet.evaluation.studies.fault_tables import result_tables, study_tables
+from renet.evaluation.results import grouped
+from renet.evaluation.studies.benchmark import GROUNDS, ONSETS, PROTOCOL, read_result
+from renet.evaluation.studies.fault_findings import SEVERE, findings
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.study import Table
 from renet.files import write_atomically
 from renet.terminal import show
+from renet.terrain.tiles import DIFFICULT
 
 HEADER = ("", "policy", "mode", "crossed", "95 %", "upright", "speed error", "J/m", "blind (s)")
+LOSS = 0.1 - 1e-6
+"""Share of robots from which on a difference counts as ten points."""
+MENTIONED = 5.0
+"""Points from which on a loss is listed."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +50,7 @@ class LeaderboardCfg:
 
 
 def make_leaderboard(cfg: LeaderboardCfg) -> Path:
-    """Print the tables, write them and return their path.
-
-    Raises:
-        RenetError: a file that is no result of this version, or results of different protocols.
-    """
+    """Print the tables, write them and return their path; raises as `read_result` and `rank`."""
     results = [read_result(path) for path in cfg.files]
     tables: list[Table] = [("Fault benchmark, version 1", HEADER, rank(results))]
     tables += result_tables(results, cfg.severity, cfg.onset)
@@ -61,49 +68,39 @@ def _markdown(table: Table) -> str:
 
 
 def rank(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Rows of the leaderboard, best first; results of other robots or fewer settings come last.
+    """Rows of the leaderboard, best first, those of other robots or fewer settings last.
 
-    Raises:
-        RenetError: results of different protocols.
+    Raises RenetError for results of different protocols.
     """
     if len({tuple(r["protocol"][name] for name in ("quick", "speed")) for r in results}) != 1:
         raise RenetError("give results of one protocol: all of them quick, or none")
-    rows = [_row(result, mode) for result in results for mode in result["policy"]["modes"]]
-    rows.sort(key=lambda row: (not row["complete"], -row["crossed"], -row["upright"]))
-    return [
-        (
-            str(place) if row["complete"] else "incomplete",
-            row["policy"],
-            row["mode"],
-            f"{100 * row['crossed']:.1f} %",
-            row["interval"],
-            f"{100 * row['upright']:.1f} %",
-            *(f"{row[name]:.2f}" for name in ("speed_error", "energy", "blind")),
+    rows = []
+    pairs = [(result, mode) for result in results for mode in result["policy"]["modes"]]
+    for result, mode in pairs:
+        entries = [entry for entry in result["settings"] if entry["mode"] == mode]
+        tiles = [entry for entry in entries if entry["ground"] != "flat"]
+        crossed, upright = _mean(tiles, "crossed"), _mean(entries, "upright")
+        others = ("speed_error", "energy_per_metre", "seconds_without_sight")
+        cells = (
+            result["policy"]["name"],
+            mode,
+            f"{100 * crossed:.1f} %",
+            _interval(result, mode, Counter(entry["ground"] for entry in tiles)),
+            f"{100 * upright:.1f} %",
+            *(f"{_mean(entries, name):.2f}" for name in others),
         )
+        rows.append((not _is_complete(result["protocol"], entries), -crossed, -upright, cells))
+    rows.sort(key=lambda row: row[:3])
+    return [
+        ("incomplete" if row[0] else str(place), *row[-1])
         for place, row in enumerate(rows, start=1)
     ]
 
 
-def _row(result: Mapping[str, Any], mode: str) -> dict[str, Any]:
-    """One policy in one mode: means over the settings."""
-    entries = [entry for entry in result["settings"] if entry["mode"] == mode]
-    tiles = [entry for entry in entries if entry["ground"] != "flat"]
-
-    def mean(entries: Sequence[Mapping[str, Any]], name: str) -> float:
-        measured = np.array([entry["measures"][name]["value"] for entry in entries], float)
-        return float(np.nanmean(measured)) if (~np.isnan(measured)).any() else math.nan
-
-    return {
-        "policy": result["policy"]["name"],
-        "mode": mode,
-        "complete": _is_complete(result["protocol"], entries),
-        "crossed": mean(tiles, "crossed"),
-        "interval": _interval(result, mode, Counter(entry["ground"] for entry in tiles)),
-        "upright": mean(entries, "upright"),
-        "speed_error": mean(entries, "speed_error"),
-        "energy": mean(entries, "energy_per_metre"),
-        "blind": mean(entries, "seconds_without_sight"),
-    }
+def _mean(entries: Sequence[Mapping[str, Any]], name: str) -> float:
+    """The mean of a measure over the settings in which it was taken; NaN without any."""
+    measured = np.array([entry["measures"][name]["value"] for entry in entries], float)
+    return float(np.nanmean(measured)) if (~np.isnan(measured)).any() else math.nan
 
 
 def _is_complete(protocol: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]) -> bool:
@@ -127,3 +124,188 @@ def _interval(result: Mapping[str, Any], mode: str, settings: Mapping[str, int])
     crossed = [result["by_robot"][mode][ground]["crossed"] for ground in settings]
     robots = np.average(crossed, axis=0, weights=list(settings.values()))
     return "{:.1f} to {:.1f}".format(*(100 * end for end in bootstrap_interval(robots)))
+
+
+class Row(NamedTuple):
+    """A setting: means over its robots; `shares` and `healthy` are [crossed, upright]."""
+
+    ground: str
+    onset: str
+    fault: str
+    severity: int
+    shares: np.ndarray
+    healthy: np.ndarray
+    """The same of the robots' twins, whose cameras do not fail."""
+    healthy_switches: float
+
+
+Policies = Mapping[tuple[str, str], Sequence[Row]]
+"""Settings by the names of policy and mode."""
+
+
+def result_tables(
+    results: Sequence[Mapping[str, Any]], severity: int | None, onset: str | None
+) -> Iterator[Table]:
+    """Tables of result files, from their settings of one severity and onset, or all of them."""
+    policies: dict[tuple[str, str], list[Row]] = defaultdict(list)
+    for result in results:
+        for row in result["settings"]:
+            if severity in (None, row["severity"]) and onset in (None, row["onset"]):
+                policies[result["policy"]["name"], row["mode"]].append(_setting(row))
+    yield by_ground(policies)
+    yield by_severity(policies)
+    for name in dict.fromkeys(name for name, _ in policies):
+        if {(name, "vp"), (name, "renet")} <= policies.keys():
+            yield losses(name, policies[name, "vp"])
+            yield separation(name, policies[name, "vp"], policies[name, "renet"])
+    for result in results:
+        if {"vp", "renet"} <= result.get("by_robot", {}).keys():
+            yield paired(result)
+
+
+def _setting(setting: Mapping[str, Any]) -> Row:
+    """A setting of a result file."""
+    measures = [setting["measures"][name] for name in ("crossed", "upright", "switches")]
+    values = np.array([measure["value"] for measure in measures])
+    twins = values - [measure["change"]["value"] for measure in measures]
+    place = (setting["ground"], setting["onset"], setting["fault"], setting["severity"])
+    return Row(*place, values[:2], twins[:2], twins[2])
+
+
+def percent(shares: Sequence[Any]) -> str:
+    """The mean of [crossed, upright] pairs of shares, the latter in parentheses."""
+    return "{:.1f} ({:.1f})".format(*(100 * np.mean(shares, axis=0))) if len(shares) else "-"
+
+
+def by_ground(policies: Policies) -> Table:
+    """Means over the settings of each ground, and how many settings there are in all."""
+    columns = {ground: (ground,) for ground in GROUNDS}
+    columns |= {"all but flat": tuple(GROUNDS)[1:], "all": tuple(GROUNDS)}
+    rows = []
+    for policy, settings in policies.items():
+        cells = []
+        for grounds in columns.values():
+            chosen = [row for row in settings if row.ground in grounds]
+            cell = percent([row.shares for row in chosen])
+            if chosen and len(grounds) == 1:
+                switches = np.mean([row.healthy_switches for row in chosen])
+                cell += f" [{percent([row.healthy for row in chosen])}, {switches:.2f}]"
+            cells.append(cell)
+        rows.append((*policy, *cells, len(settings)))
+    title = "Crossed (upright), %, by ground; in brackets: with a healthy camera, switches"
+    return title, ("policy", "mode", *columns, "settings"), rows
+
+
+def by_severity(policies: Policies) -> Table:
+    """Crossed on all ground but the flat, and upright on all."""
+    severities = sorted({row.severity for settings in policies.values() for row in settings})
+    rows = []
+    for policy, settings in policies.items():
+        cells = []
+        for severity in severities:
+            chosen = [row for row in settings if row.severity == severity]
+            tiles = [row.shares[0] for row in chosen if row.ground != "flat"]
+            upright = [row.shares[1] for row in chosen]
+            cells.append(percent([(np.mean(tiles), np.mean(upright))] if tiles else []))
+        rows.append((*policy, *cells))
+    title = "Crossed on tiles (upright on all ground), %, by severity"
+    return title, ("policy", "mode", *map(str, severities)), rows
+
+
+def losses(policy: str, vp: Sequence[Row]) -> Table:
+    """Points of crossing that VP loses to its healthy twins under severe faults, by fault."""
+    points: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for row in vp:
+        if row.severity >= SEVERE:
+            points[row.fault, row.ground].append(100 * (row.healthy[0] - row.shares[0]))
+    means = {key: float(np.mean(lost)) for key, lost in points.items()}
+    largest = sorted(means.items(), key=lambda pair: -pair[1])
+    rows = [(*key, f"{mean:.0f}") for key, mean in largest if mean >= MENTIONED]
+    title = f"Points of crossing that VP loses from severity {SEVERE} on, {policy}"
+    return title, ("fault", "ground", "points"), rows
+
+
+def separation(policy: str, vp: Sequence[Row], renet: Sequence[Row]) -> Table:
+    """Settings in which one is ten points behind the other, of those in which a fault harms."""
+    header = ("settings", "RENet ahead", "VP ahead", "harmed", "and RENet ahead", "and VP ahead")
+    counts: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(len(header), int))
+    partners = {row[:4]: row for row in renet}
+    for row in vp:
+        pair = row, partners[row[:4]]
+        # Harm to either: chance that lowers one of the two alone would speak for the other.
+        harmed = any((one.healthy - one.shares > LOSS).any() for one in pair)
+        gain = pair[1].shares - row.shares
+        ahead, behind = bool((gain > LOSS).any()), bool((-gain > LOSS).any())
+        count = np.array([1, ahead, behind, harmed, harmed and ahead, harmed and behind])
+        for key in (row.ground, "platforms and gaps" if row.ground in DIFFICULT else "elsewhere"):
+            counts[key] += count
+    title = f"Settings in which RENet or VP is ten points ahead, {policy}"
+    return title, ("ground", *header), [(key, *row.tolist()) for key, row in counts.items()]
+
+
+def paired(result: Mapping[str, Any]) -> Table:
+    """RENet less VP, robot by robot over all settings, in points with 95 % intervals."""
+    vp, renet = (result["by_robot"][mode] for mode in ("vp", "renet"))
+    settings = Counter(row["ground"] for row in result["settings"] if row["mode"] == "vp")
+    groups = {ground: (ground,) for ground in settings}
+    groups |= {"all but the first": tuple(settings)[1:], "all": tuple(settings)}
+    rows = []
+    for title, grounds in groups.items():
+        cells = []
+        for name in ("crossed", "upright") if grounds else ():
+            gains = [np.subtract(renet[ground][name], vp[ground][name]) for ground in grounds]
+            gain = np.average(gains, axis=0, weights=[settings[ground] for ground in grounds])
+            low, high = bootstrap_interval(100 * gain)
+            cells.append(f"{100 * gain.mean():+.1f} ({low:+.1f} to {high:+.1f})")
+        rows.append((title, *cells))
+    title = f"RENet less VP, points with 95 % intervals over robots, {result['policy']['name']}"
+    return title, ("ground", "crossed", "upright"), rows
+
+
+def study_tables(path: Path) -> Iterator[Table]:
+    """Who noticed which fault, and what a study claims, by the rows of its summary.csv.
+
+    Raises RenetError for any other file.
+    """
+    rows = list(csv.DictReader(path.read_text().splitlines() if path.is_file() else ()))
+    if not rows or "over_op" not in rows[0]:
+        raise RenetError(f"{path} is no summary.csv of the study `renet evaluate faults`")
+    runs = [{name: _number(text) for name, text in row.items()} for row in rows]
+    yield noticed(runs)
+    yield claims(runs)
+
+
+def _number(text: str) -> Any:
+    """What a cell of a CSV file holds; None where it is empty."""
+    for kind in (int, float):
+        with suppress(ValueError):
+            return kind(text)
+    return text or None
+
+
+def noticed(runs: Sequence[Mapping[str, Any]]) -> Table:
+    """Robots in mode renet that noticed a fault, of those that used vision, by severity."""
+    faults = grouped([run for run in runs if run["mode"] == "renet"], "fault")
+    severities = sorted({run["severity"] for rows in faults.values() for run in rows})
+    table = []
+    for (fault,), rows in faults.items():
+        groups = grouped(rows, "severity")
+        counts = [sum(run["detected"] for run in groups.get((s,), ())) for s in severities]
+        robots = sum(run["vision_active_at_onset"] for run in rows)
+        table.append((fault, *counts, robots // len(groups)))
+    return "Robots that noticed, by severity", ("fault", *map(str, severities), "of each"), table
+
+
+def claims(runs: Sequence[Mapping[str, Any]]) -> Table:
+    """The study's claims, and settings in which RENet falls more often than OP robot by robot."""
+    twins = [
+        {**run, "falls": run["falls"] - run["falls_by_fault"] + run["falls_spared"]}
+        for run in runs
+        if run["mode"] != "renet"
+    ]
+    summary = findings(list(map(dict, runs)), twins, {"robot_hours": 0})
+    rows = [(claim["claim"], claim["measured"]) for claim in summary["claims"]]
+    below = Counter(run["ground"] for run in runs if (run["over_op_ci95_high"] or 0) < 0)
+    counts = ", ".join(f"{ground} {number}" for ground, number in below.items()) or "none"
+    rows.append(("settings in which RENet falls more often than OP, interval below 0", counts))
+    return "What is claimed, and what was measured", ("claim", "measured"), rows

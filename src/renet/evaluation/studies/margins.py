@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -19,6 +20,7 @@ import scipy
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
+from renet.evaluation.results import grouped
 from renet.evaluation.rollout import Mode, check_grounds
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import (
@@ -40,82 +42,6 @@ STOPPED = 0.1
 does not tip over."""
 
 
-def delay_actions(cfg: RenetEnvCfg, milliseconds: float) -> None:
-    """Let joint targets reach the motors late."""
-    articulation = cfg.scene.entities["robot"].articulation
-    assert articulation is not None
-    for actuator in articulation.actuators:
-        actuator.delay_min_lag = actuator.delay_max_lag = round(milliseconds / 1e3 / PHYSICS_DT)
-
-
-def delay_camera(cfg: RenetEnvCfg, milliseconds: float) -> None:
-    """Let images come late."""
-    from renet.tasks.sensors import depth_camera
-
-    depth_camera(cfg).delay = (milliseconds / 1e3, milliseconds / 1e3)
-
-
-def tilt_camera(cfg: RenetEnvCfg, degrees: float) -> None:
-    """Let the camera look further down, or up where it is negative."""
-    from renet.tasks.sensors import depth_camera
-
-    camera = depth_camera(cfg)
-    camera.mount = replace(camera.mount, pitch=camera.mount.pitch + math.radians(degrees))
-
-
-def set_friction(cfg: RenetEnvCfg, coefficient: float) -> None:
-    """Give every foot one friction coefficient."""
-    cfg.events["foot_friction"].params["ranges"] = (coefficient, coefficient)
-
-
-def set_payload(cfg: RenetEnvCfg, kilograms: float) -> None:
-    """Load every trunk alike."""
-    cfg.events["payload"].params["ranges"] = (kilograms, kilograms)
-
-
-def weaken_motors(cfg: RenetEnvCfg, percent: float) -> None:
-    """Limit torques to a share of the motors' own."""
-    from renet.tasks.parkour_env_cfg import randomize
-
-    randomize(cfg, motor_strength=1.0)
-    cfg.events["motor_strength"].params["effort_limit_range"] = (percent / 100, percent / 100)
-
-
-def scale_gains(cfg: RenetEnvCfg, percent: float) -> None:
-    """Scale stiffness and damping of all servos."""
-    scale = (percent / 100, percent / 100)
-    cfg.events["servo_gains"].params |= {"kp_range": scale, "kd_range": scale}
-
-
-def offset_joints(cfg: RenetEnvCfg, radians: float) -> None:
-    """Draw an error of each joint's zero."""
-    from renet.tasks.parkour_env_cfg import randomize
-
-    randomize(cfg, joint_offset=radians)
-
-
-def tilt_imu(cfg: RenetEnvCfg, degrees: float) -> None:
-    """Let the IMU be mounted with a turn about each horizontal axis, as gravity shows it."""
-    down = np.array((0.0, 0.0, -1.0))
-    turn = scipy.spatial.transform.Rotation.from_rotvec((degrees, degrees, 0.0), degrees=True)
-    _bias_sensor(cfg, "projected_gravity", turn.apply(down) - down)
-
-
-def bias_gyroscope(cfg: RenetEnvCfg, rate: float) -> None:
-    """Add a rate, rad/s, on every axis."""
-    _bias_sensor(cfg, "base_angular_velocity", np.full(3, rate))
-
-
-def _bias_sensor(cfg: RenetEnvCfg, name: str, error: np.ndarray) -> None:
-    """Add an error to a term of the proprioception."""
-    from mjlab.utils.noise import ConstantNoiseCfg
-
-    group, bias = cfg.observations["proprioception"], np.zeros(PROPRIOCEPTION_SIZE)
-    bias[proprioception_slices()[name]] = error
-    noise = ConstantNoiseCfg(bias=tuple(bias.tolist()))
-    group.enable_corruption, group.terms["value"].noise = True, noise
-
-
 @dataclass(frozen=True)
 class Axis:
     """One way a robot may differ from the simulated one."""
@@ -124,24 +50,66 @@ class Axis:
     unit: str
     levels: tuple[float, ...]
     """From mild to violent."""
-    apply: Callable[[RenetEnvCfg, float], None]
-    """Changes a task's configuration to a level."""
 
 
 AXES = {
-    "action_delay": Axis("joint targets late by", "ms", (5, 10, 20, 30, 40, 60), delay_actions),
-    "camera_delay": Axis("images late by", "ms", (100, 200, 300, 500, 800), delay_camera),
-    "friction": Axis("friction of the feet", "", (0.5, 0.4, 0.3, 0.2, 0.1), set_friction),
-    "payload": Axis("payload", "kg", (3, 5, 7, 10, 14), set_payload),
-    "motor_strength": Axis("motor strength", "%", (80, 60, 50, 40, 30, 20), weaken_motors),
-    "soft_gains": Axis("softer servos", "%", (70, 60, 50, 40, 30), scale_gains),
-    "stiff_gains": Axis("stiffer servos", "%", (130, 160, 200, 300, 400), scale_gains),
-    "joint_zeros": Axis("joint zeros off by", "rad", (0.03, 0.06, 0.1, 0.15, 0.25), offset_joints),
-    "gravity": Axis("IMU tilted by", "°", (2, 5, 10, 15, 25), tilt_imu),
-    "gyro": Axis("gyroscope's bias", "rad/s", (0.1, 0.2, 0.5, 1.0, 2.0), bias_gyroscope),
-    "camera_down": Axis("camera tilted down", "°", (5, 10, 15, 25, 40), tilt_camera),
-    "camera_up": Axis("camera tilted up", "°", (-5, -10, -15, -25, -40), tilt_camera),
+    "action_delay": Axis("joint targets late by", "ms", (5, 10, 20, 30, 40, 60)),
+    "camera_delay": Axis("images late by", "ms", (100, 200, 300, 500, 800)),
+    "friction": Axis("friction of the feet", "", (0.5, 0.4, 0.3, 0.2, 0.1)),
+    "payload": Axis("payload", "kg", (3, 5, 7, 10, 14)),
+    "motor_strength": Axis("motor strength", "%", (80, 60, 50, 40, 30, 20)),
+    "soft_gains": Axis("softer servos", "%", (70, 60, 50, 40, 30)),
+    "stiff_gains": Axis("stiffer servos", "%", (130, 160, 200, 300, 400)),
+    "joint_zeros": Axis("joint zeros off by", "rad", (0.03, 0.06, 0.1, 0.15, 0.25)),
+    "gravity": Axis("IMU tilted by", "°", (2, 5, 10, 15, 25)),
+    "gyro": Axis("gyroscope's bias", "rad/s", (0.1, 0.2, 0.5, 1.0, 2.0)),
+    "camera_down": Axis("camera tilted down", "°", (5, 10, 15, 25, 40)),
+    "camera_up": Axis("camera tilted up", "°", (-5, -10, -15, -25, -40)),
 }
+
+
+def change(cfg: RenetEnvCfg, axis: str, level: float) -> None:
+    """Change a task's configuration to a level of an axis, in the axis' unit."""
+    from renet.tasks.parkour_env_cfg import randomize
+    from renet.tasks.sensors import depth_camera
+
+    camera, events = depth_camera(cfg), cfg.events
+    match axis:
+        case "action_delay":
+            for actuator in cfg.scene.entities["robot"].articulation.actuators:
+                actuator.delay_min_lag = actuator.delay_max_lag = round(level / 1e3 / PHYSICS_DT)
+        case "camera_delay":
+            camera.delay = (level / 1e3, level / 1e3)
+        case "friction":
+            events["foot_friction"].params["ranges"] = (level, level)
+        case "payload":
+            events["payload"].params["ranges"] = (level, level)
+        case "motor_strength":
+            randomize(cfg, motor_strength=1.0)
+            events["motor_strength"].params["effort_limit_range"] = (level / 100, level / 100)
+        case "soft_gains" | "stiff_gains":
+            scale = (level / 100, level / 100)
+            events["servo_gains"].params |= {"kp_range": scale, "kd_range": scale}
+        case "joint_zeros":
+            randomize(cfg, joint_offset=level)
+        case "gravity":  # Mounted with a turn about each horizontal axis.
+            down, turn = np.array((0.0, 0.0, -1.0)), (level, level, 0.0)
+            turned = scipy.spatial.transform.Rotation.from_rotvec(turn, degrees=True).apply(down)
+            _bias_sensor(cfg, "projected_gravity", turned - down)
+        case "gyro":
+            _bias_sensor(cfg, "base_angular_velocity", np.full(3, level))
+        case "camera_down" | "camera_up":
+            camera.mount = replace(camera.mount, pitch=camera.mount.pitch + math.radians(level))
+
+
+def _bias_sensor(cfg: RenetEnvCfg, name: str, error: np.ndarray) -> None:
+    """Add an error, [3], to a term of the proprioception."""
+    from mjlab.utils.noise import ConstantNoiseCfg
+
+    group, bias = cfg.observations["proprioception"], np.zeros(PROPRIOCEPTION_SIZE)
+    bias[proprioception_slices()[name]] = error
+    noise = ConstantNoiseCfg(bias=tuple(bias.tolist()))
+    group.enable_corruption, group.terms["value"].noise = True, noise
 
 
 @dataclass(frozen=True)
@@ -174,11 +142,6 @@ class MarginsStudy(WalkingStudy):
         if self.seconds < CONTROL_DT or not self.grounds:
             raise RenetError("seconds must be positive, and a ground given")
 
-    @property
-    def settings(self) -> list[tuple[str, str]]:
-        """Ground and mode of every group of robots."""
-        return [(ground, mode) for ground in self.grounds for mode in self.modes]
-
     def levels(self, axis: str) -> tuple[float, ...]:
         """Levels of a sweep, after `quick`."""
         return AXES[axis].levels[:: 2 if self.quick else 1]
@@ -200,10 +163,9 @@ class MarginsStudy(WalkingStudy):
 
     def _walk(self, evaluator: Evaluator, axis: str, level: float | None) -> list[dict[str, Any]]:
         """One level of one axis: a row for each ground and mode."""
-        each = self.robots_each
-        cfg = evaluator.grounds_env_cfg(dict.fromkeys(self.grounds, self.level))
+        cfg = evaluator.terrain_env_cfg(dict.fromkeys(self.grounds, self.level))
         if level is not None:
-            AXES[axis].apply(cfg, level)
+            change(cfg, axis, level)
         trials = self.trials_on(self.grounds)
         env = evaluator.make_env(cfg, [trial.robot for trial in trials], self.speed, self.seed)
         env.place_on([trial.ground for trial in trials])
@@ -211,15 +173,26 @@ class MarginsStudy(WalkingStudy):
         steps = round(self.seconds / CONTROL_DT)
         trace = evaluator.rollout(env, trials, self.seed).run(steps, title)
         runs = []
+        each = self.robots_each
         for trial, group in zip(trials[::each], trace.groups(each), strict=True):
             crossed, fell, _ = group.first_try()
             slow = group.forward_velocity[-round(1.0 / CONTROL_DT) :].mean(axis=0) < STOPPED
             stopped = slow & ~crossed & ~fell
-            named = {"axis": axis, "level": level, "ground": trial.ground, "mode": trial.mode}
-            counts = {"robots": each, "falls": int(fell.sum()), "stopped": int(stopped.sum())}
             failed = fell | stopped
-            share = {"failed": float(failed.mean()), **metrics.with_interval("failed", failed)}
-            runs.append(named | counts | share | {"seed": self.seed})
+            runs.append(
+                {
+                    "axis": axis,
+                    "level": level,
+                    "ground": trial.ground,
+                    "mode": trial.mode,
+                    "robots": each,
+                    "falls": int(fell.sum()),
+                    "stopped": int(stopped.sum()),
+                    "failed": float(failed.mean()),
+                    **metrics.with_interval("failed", failed),
+                    "seed": self.seed,
+                }
+            )
         return runs
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
@@ -227,37 +200,33 @@ class MarginsStudy(WalkingStudy):
         runs = [run for part in parts.values() for run in part["runs"]]
         margins = [
             {"axis": axis, "unit": AXES[axis].unit, "ground": ground, "mode": mode}
-            | margin(
-                [r for r in runs if (r["ground"], r["mode"]) == (ground, mode)],
-                axis,
-                self.levels(axis),
-            )
+            | margin(rows, axis, self.levels(axis))
             for axis in self.axes
-            for ground, mode in self.settings
+            for (ground, mode), rows in grouped(runs, "ground", "mode").items()
         ]
         return {"runs": runs, "margins": margins}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """margins.png: a table of colours, one row for each axis."""
-        panels = {}
-        for ground in self.grounds:
-            cells = {
+        panels = {
+            ground.replace("_", " "): {
                 (AXES[m["axis"]].title, figures.MODE_NAMES[m["mode"]]): (100 * m["held"], _text(m))
-                for m in summary["margins"]
-                if m["ground"] == ground
+                for m in margins
             }
-            panels[ground.replace("_", " ")] = cells
+            for (ground,), margins in grouped(summary["margins"], "ground").items()
+        }
         title = f"Held with at most {100 * ALLOWED:.0f} % of the robots failing"
         return {"margins.png": figures.colour_tables(panels, title, width=0.95)}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """How far each ground and mode holds."""
-        rows: dict[str, list[str]] = {axis: [AXES[axis].title] for axis in self.axes}
-        for row in summary["margins"]:
-            rows[row["axis"]].append(_text(row))
-        header = tuple(f"{ground} {mode}" for ground, mode in self.settings)
+        rows = [
+            (AXES[axis].title, *map(_text, margins))
+            for (axis,), margins in grouped(summary["margins"], "axis").items()
+        ]
+        header = (f"{ground} {mode}" for ground in self.grounds for mode in self.modes)
         title = f"Within it at most {100 * ALLOWED:.0f} % fall or stop; ≥: the sweep's end"
-        return [(title, ("axis", *header), [tuple(row) for row in rows.values()])]
+        return [(title, ("axis", *header), rows)]
 
 
 def margin(runs: list[dict[str, Any]], axis: str, levels: tuple[float, ...]) -> dict[str, Any]:
@@ -268,13 +237,11 @@ def margin(runs: list[dict[str, Any]], axis: str, levels: tuple[float, ...]) -> 
         the first or for the nominal robots; `broke`, the level at which it was, None at the end of
         the sweep; `held`, the margin's place in the sweep, 0 to 1.
     """
-    within = 0
     failed = {run["level"]: run["failed"] for run in runs if run["axis"] in (axis, "nominal")}
-    if failed[None] <= ALLOWED:
-        while within < len(levels) and failed[levels[within]] <= ALLOWED:
-            within += 1
+    held = list(takewhile(lambda level: failed[level] <= ALLOWED, (None, *levels)))
+    within = max(len(held) - 1, 0)
     return {
-        "margin": levels[within - 1] if within else None,
+        "margin": held[-1] if held else None,
         "broke": levels[within] if within < len(levels) else None,
         "held": within / len(levels),
     }

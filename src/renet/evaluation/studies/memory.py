@@ -13,12 +13,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
+from renet.evaluation.results import grouped
 from renet.evaluation.rollout import Mode, Trial
 from renet.evaluation.studies.terrain import SIZES
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
@@ -103,38 +102,33 @@ class MemoryStudy(WalkingStudy):
         }
 
     def _walk(self, evaluator: Evaluator, ground: str) -> Part:
-        kind, _, level = ground.partition(":")
+        kind, level = ground.split(":")
         trials = [
-            Trial(mode, self._failure(seconds), robot, kind)
+            Trial(mode, (Injection.of(*DEAD, self.onset, seconds),) if seconds else (), robot, kind)
             for seconds, mode in self.settings
             for robot in range(self.robots_each)
         ]
-        cfg = evaluator.grounds_env_cfg({kind: int(level)})
-        robots = tuple(trial.robot for trial in trials)
-        env = evaluator.make_env(cfg, robots, self.speed, self.seed)
+        task, robots = {kind: int(level)}, [trial.robot for trial in trials]
+        env = evaluator.make_env(task, robots, self.speed, self.seed)
         env.place_on([trial.ground for trial in trials])
         title = f"{self.grounds.index(ground) + 1}/{len(self.grounds)} {ground}"
         steps = round(self.seconds / CONTROL_DT)
         rollout = evaluator.rollout(env, trials, self.seed)
         trace = rollout.run(steps, title, until_ended=self.onset)
-        groups = trace.groups(self.robots_each)
-        crossed, fell = zip(*(group.first_try()[:2] for group in groups), strict=True)
-        return {"crossed": np.stack(crossed), "fell": np.stack(fell)}
-
-    def _failure(self, seconds: float) -> tuple[Injection, ...]:
-        return (Injection.of(*DEAD, self.onset, seconds),) if seconds else ()
+        crossed, fell, _ = trace.first_try()
+        shape = (len(self.settings), self.robots_each)
+        return {"crossed": crossed.reshape(shape), "fell": fell.reshape(shape)}
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """One row for each ground, mode and time; what two seconds without an image cost."""
+        """One row for each ground, mode and time; what the missing images cost."""
         runs = []
         for ground in self.grounds:
-            part, (kind, _, level) = parts[ground.replace(":", "_")], ground.partition(":")
-            crossed = {
-                setting: np.array(robots, bool)
-                for setting, robots in zip(self.settings, part["crossed"], strict=True)
-            }
-            for (seconds, mode), fell in zip(self.settings, part["fell"], strict=True):
-                shares = crossed[seconds, mode]
+            part, (kind, level) = parts[ground.replace(":", "_")], ground.split(":")
+            crossed, fell = (
+                dict(zip(self.settings, np.array(part[name], bool), strict=True))
+                for name in ("crossed", "fell")
+            )
+            for (seconds, mode), shares in crossed.items():
                 # The same robots with a healthy camera: what the missing images cost each.
                 change = shares.astype(float) - crossed[0.0, mode]
                 runs.append(
@@ -146,7 +140,7 @@ class MemoryStudy(WalkingStudy):
                         "without_s": seconds,
                         "robots": len(shares),
                         "crossed": int(shares.sum()),
-                        "fell": int(np.sum(fell)),
+                        "fell": int(fell[seconds, mode].sum()),
                         "crossed_rate": float(shares.mean()),
                         **metrics.with_interval("crossed", shares),
                         "change": float(change.mean()),
@@ -158,57 +152,32 @@ class MemoryStudy(WalkingStudy):
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """memory.png: the share that crosses against the time, one panel for each ground."""
-        columns = min(len(self.grounds), 4)
-        rows = -(-len(self.grounds) // columns)
-        size = (2.5 * columns + 0.8, 2.4 * rows + 0.7)
-        figure, axes = plt.subplots(
-            rows, columns, figsize=size, sharex=True, sharey=True, squeeze=False
-        )
-        for axis, ground in zip(axes.flat, self.grounds, strict=False):
-            kind, _, level = ground.partition(":")
-            runs = [r for r in summary["runs"] if (r["ground"], r["level"]) == (kind, int(level))]
-            self._draw_ground(axis, runs)
-            axis.set(title=f"{SIZES[kind]} {100 * runs[0]['size_m']:.0f} cm", ylim=(-4, 104))
-        for axis in axes.flat[len(self.grounds) :]:
-            axis.set_axis_off()
-        figure.supylabel("robots that cross (%)", fontsize=10)
-        axes[-1][0].set_xlabel("seconds without an image")
-        handles, labels = axes[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
-        return {"memory.png": figure}
-
-    def _draw_ground(self, axis: Axes, runs: list[dict[str, Any]]) -> None:
-        """One line for each mode, with 95 % intervals over robots; even steps, not to scale."""
         times = [0.0, *sorted(self.without)]
-        for number, mode in enumerate(self.modes):
-            line = sorted((r for r in runs if r["mode"] == mode), key=lambda run: run["without_s"])
-            share, low, high = (
-                np.array([100 * run[name] for run in line])
-                for name in ("crossed_rate", "crossed_ci95_low", "crossed_ci95_high")
-            )
-            place = np.arange(len(line)) + 0.06 * (number - (len(self.modes) - 1) / 2)
-            look: Any = {"color": figures.MODE_COLOURS[mode], "label": figures.MODE_NAMES[mode]}
-            if mode == "op":
-                axis.axhline(share[0], linestyle="--", **look)
-                continue
-            error = np.abs([low - share, high - share])
-            axis.errorbar(place, share, error, fmt="o-", markersize=3.5, elinewidth=0.8, **look)
-        axis.set_xticks(range(len(times)), [f"{time:g}" for time in times])
+        panels = {
+            f"{SIZES[kind]} {100 * size:.0f} cm": [
+                run | {"without_s": time}
+                for run in runs
+                # OP, which never sees, has one share at all times.
+                for time in (times if run["mode"] == "op" else [run["without_s"]])
+            ]
+            for (kind, size), runs in grouped(summary["runs"], "ground", "size_m").items()
+        }
+        figure = figures.share_panels(
+            panels,
+            "crossed",
+            lambda run: times.index(run["without_s"]),  # Even steps, not to scale.
+            lambda place: f"{times[int(place)]:g}",
+            "seconds without an image",
+        )
+        return {"memory.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Shares that cross, by ground and time."""
-        runs = {
-            (r["ground"], r["level"], r["without_s"], r["mode"]): r["crossed"]
-            for r in summary["runs"]
-        }
         rows = []
-        for ground in self.grounds:
-            kind, level = ground.split(":")
+        for (kind, level), runs in grouped(summary["runs"], "ground", "level").items():
+            crossed = {(run["mode"], run["without_s"]): run["crossed"] for run in runs}
             for seconds in (0.0, *self.without):
-                counts = (
-                    runs[kind, int(level), 0.0 if mode == "op" else seconds, mode]
-                    for mode in self.modes
-                )
-                rows.append((ground, f"{seconds:g}", *counts))
+                counts = (crossed.get((mode, seconds), crossed[mode, 0.0]) for mode in self.modes)
+                rows.append((f"{kind}:{level}", f"{seconds:g}", *counts))
         header = ("ground", "seconds", *self.modes)
         return [(f"Robots that cross without an image, of {summary['robots']}", header, rows)]

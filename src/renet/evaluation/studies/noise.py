@@ -14,7 +14,6 @@ from renet.evaluation.rollout import FLAT, Mode, Trial
 from renet.evaluation.studies.faults import FaultStudy, Setting
 from renet.evaluation.study import Figures, Part, Table
 from renet.evaluation.trace import Trace
-from renet.faults import fault_class
 from renet.interface import Terrain
 
 
@@ -56,12 +55,9 @@ class NoiseStudy(FaultStudy):
 
     def curves(self, trace: Trace, modes: Sequence[str]) -> Part:
         """Mean speed over time of each mode, and the timeline of the robot that recovers."""
-        each = self.robots_each
+        groups = zip(modes, trace.groups(self.robots_each), strict=False)
         return {
-            "speed": {
-                mode: trace.speed[:, number * each : (number + 1) * each].mean(axis=1)
-                for number, mode in enumerate(modes)
-            },
+            "speed": {mode: group.speed.mean(axis=1) for mode, group in groups},
             "timeline": {
                 name: getattr(trace, name)[:, -1].astype(float)
                 for name in ("anomaly", "probability", "vision")
@@ -72,8 +68,7 @@ class NoiseStudy(FaultStudy):
         """noise.png and timeline.png."""
         batches = {("none", 0.0): parts["no_fault"]}
         for name, (setting,) in self.batches.items():
-            level = fault_class(setting.fault).level_of(setting.severity)
-            batches[setting.fault, level] = parts[name]
+            batches[setting.fault, setting.level] = parts[name]
         curves = {
             # OP walks alike under every noise.
             mode: {
@@ -92,7 +87,7 @@ class NoiseStudy(FaultStudy):
         line, title = batches[strongest]["timeline"], "One robot loses its camera and gets it back"
         return {
             "noise.png": figures.speed_over_time(curves, onset, self.speed),
-            "timeline.png": figures.timelines([line], [marks], summary["beta"], title),
+            "timeline.png": figures.timeline(line, marks, summary["beta"], title),
         }
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:

@@ -22,23 +22,19 @@ from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.memory import MemoryStudy
 from renet.evaluation.studies.noise import NoiseStudy
-from renet.evaluation.studies.standing import StandingStudy
-from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
+from renet.evaluation.studies.terrain import StandingStudy, SuccessStudy, TerrainStudy
 from renet.evaluation.study import Study
 from renet.interface import Engine
 
 STUDIES: dict[str, type[Study]] = {
-    study.name: study
-    for study in (
-        NoiseStudy,
-        FaultStudy,
-        MemoryStudy,
-        CameraUseStudy,
-        SuccessStudy,
-        TerrainStudy,
-        StandingStudy,
-        MarginsStudy,
-    )
+    "noise": NoiseStudy,
+    "faults": FaultStudy,
+    "memory": MemoryStudy,
+    "camera_use": CameraUseStudy,
+    "success": SuccessStudy,
+    "terrain": TerrainStudy,
+    "standing": StandingStudy,
+    "margins": MarginsStudy,
 }
 """Studies in the order of the page."""
 
@@ -64,15 +60,11 @@ class ReportCfg:
 
 
 def make_report(cfg: ReportCfg) -> Path:
-    """Assemble the page from every study found and return its path.
-
-    Raises:
-        RenetError: no study has been run, or its results are damaged.
-    """
+    """Assemble the page of all studies that have been run; raises RenetError if it cannot."""
     if cfg.run:
         run_studies(cfg)
-    paths = {name: cfg.results / name / "summary.json" for name in STUDIES}
-    paths = {name: path for name, path in paths.items() if path.exists()}
+    files = ((name, cfg.results / name / "summary.json") for name in STUDIES)
+    paths = {name: path for name, path in files if path.exists()}
     for path in paths.values():
         demand_no_links(path, cfg.results)
     summaries = {name: read_results(path) for name, path in paths.items()}
@@ -85,7 +77,7 @@ def make_report(cfg: ReportCfg) -> Path:
     studies = [
         section
         for name, summary in summaries.items()
-        for section in study_sections(summary, name, cfg.results / name)
+        for section in study_sections(name, summary, cfg.results / name)
     ]
     with reading(", ".join(summaries)):
         top = [overview_section(summaries), render("how_to_read"), worse_section(summaries)]
@@ -99,11 +91,7 @@ def make_report(cfg: ReportCfg) -> Path:
 
 
 def run_studies(cfg: ReportCfg) -> None:
-    """Run every study into its folder in `results`.
-
-    Raises:
-        RenetError: a bundle that cannot be used, or a folder that cannot be written to.
-    """
+    """Run every study into its folder in `results`; raises as `Study.run`."""
     from renet.evaluation.evaluator import Evaluator
 
     Evaluator(cfg.bundle, cfg.engine)

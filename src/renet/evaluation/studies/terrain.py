@@ -1,14 +1,14 @@
 """The terrain study: which tiles a policy crosses, level by level.
 
-Every level of a kind of tile is walked at once, in every mode. The study has two protocols:
+Every level of a kind of tile is walked at once, in every mode, and judged by true poses. The study
+has three protocols:
 
 - `terrain` is the paper's table. Robots walk in a random direction and start again in the middle
   after a fall. One passes a level when it leaves the tile within the time; its highest level is the
   number of levels passed in a row from the first, 0 to 10. As many robots walk on flat ground.
 - `success` gives each robot one try, straight at the obstacle, with a camera that may fail. It
   succeeds when it leaves the tile within the time without a fall.
-
-Both are judged by true poses.
+- `standing` commands robots to stop.
 """
 
 from __future__ import annotations
@@ -19,13 +19,11 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
+from renet.evaluation.results import grouped
 from renet.evaluation.rollout import FLAT, PARKOUR, Mode, Trial
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
@@ -41,6 +39,11 @@ TABLE = {"gap": ("gap",), "platform": ("platform",), "stairs": ("stairs_up", "st
 """The paper's columns, and the tiles each is the mean of."""
 AIM = 0.1
 """With one try, robots start within this angle of straight at the obstacle, rad."""
+WALK, SETTLE = 3.0, 1.5
+"""Seconds before the command to stand, and seconds that a robot then has for stopping."""
+DRIFT, MOVING = 0.1, 0.2
+"""A robot stands still that drifts less than this, m, with joints slower than this on average,
+rad/s, from the moment it has had time to stop."""
 SIZES = {
     "gap": "gap width",
     "platform": "platform height",
@@ -77,6 +80,8 @@ class TerrainStudy(WalkingStudy):
     name: ClassVar[str] = "terrain"
     selectable: ClassVar[tuple[str, ...]] = ("kinds",)
     one_try: ClassVar[bool] = False
+    twins: ClassVar[bool] = False
+    """Whether the same robots meet every level."""
     grounds: ClassVar[tuple[str, ...]] = tuple(tiles())
     quick_levels: ClassVar[tuple[int, ...]] = tuple(range(1, LEVELS + 1))
     quick_robots: ClassVar[int] = 4
@@ -107,12 +112,10 @@ class TerrainStudy(WalkingStudy):
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One batch for each kind of tile, and one on flat ground where that is reported."""
         make = cache(partial(self._make_env, evaluator))
-        parts: dict[str, Callable[[], Part]] = {}
-        if not self.one_try:
-            parts["flat"] = partial(self._walk_flat, evaluator)
-        for kind in self.kinds:
-            parts[kind] = partial(self._walk_tiles, evaluator, make, kind)
-        return parts
+        flat = {} if self.one_try else {"flat": partial(self._walk_flat, evaluator)}
+        return flat | {
+            kind: partial(self._walk_tiles, evaluator, make, kind) for kind in self.kinds
+        }
 
     def _walk_flat(self, evaluator: Evaluator) -> Part:
         """As many robots as in a setting, on flat ground."""
@@ -126,27 +129,48 @@ class TerrainStudy(WalkingStudy):
     def _walk_tiles(self, evaluator: Evaluator, make: Any, kind: str) -> Part:
         """All levels and modes of one kind of tile, side by side."""
         settings, each = self.settings, self.robots_each
-        level = np.repeat([level - 1 for level, _ in settings], each)
-        # With one try, the same robots meet every size; the table's are all different.
-        trials = [
-            Trial(mode, self.schedule, robot if self.one_try else level * each + robot)
-            for level, mode in settings
-            for robot in range(each)
-        ]
-        env = make(tuple(trial.robot for trial in trials))
-        env.place(level, np.full(len(level), list(tiles()).index(kind)))
+        env, trials = self.robots_on(make, [(kind, *setting) for setting in settings])
         steps = round(self.seconds / CONTROL_DT)
         least = 0 if self.one_try else None
         title = f"{self.kinds.index(kind) + 1}/{len(self.kinds)} {kind}"
         trace = evaluator.rollout(env, trials, self.seed).run(steps, title, until_ended=least)
         groups = trace.groups(each)
-        runs = [self._run(kind, *s, group) for s, group in zip(settings, groups, strict=True)]
-        first = trace.robots(np.repeat([mode == self.modes[0] for _, mode in settings], each))
-        return {"runs": runs, "passed": [passed(group) for group in groups]} | self._walking(first)
+        first = trace.robots(np.array([trial.mode == self.modes[0] for trial in trials]))
+        walks = ~first.over
+        along = np.minimum(first.forward_velocity, self.speed) / (self.speed + 1e-5)
+        return {
+            "runs": [self._run(kind, *s, group) for s, group in zip(settings, groups, strict=True)],
+            "passed": [passed(group) for group in groups],
+            # Sums over the steps of first tries: collisions, and the reward for speed.
+            "steps": int(walks.sum()),
+            "collisions": float(first.collisions[walks].sum()),
+            "lin_vel_reward": float(along[walks].sum()),
+        }
+
+    def robots_on(
+        self, make: Callable[[tuple[int, ...]], SimEnv], groups: Sequence[tuple[str, int, str]]
+    ) -> tuple[SimEnv, list[Trial]]:
+        """Robots on their tiles, and their trials.
+
+        Args:
+            make: makes an environment of these robot numbers.
+            groups: kind, level and mode of each group; flat ground has level 1.
+        """
+        each = self.robots_each
+        rows = [(*group, robot) for group in groups for robot in range(each)]
+        trials = [
+            Trial(mode, self.schedule, robot if self.twins else level * each + robot)
+            for _, level, mode, robot in rows
+        ]
+        env = make(tuple(trial.robot for trial in trials))
+        # The first level of rough ground has no relief.
+        columns = [list(tiles()).index("rough" if kind == FLAT else kind) for kind, *_ in rows]
+        env.place(np.array([level - 1 for _, level, *_ in rows]), np.array(columns))
+        return env, trials
 
     def _make_env(self, evaluator: Evaluator, numbers: Sequence[int]) -> SimEnv:
         """The curriculum's field of tiles, walked along +x where there is one try."""
-        cfg = evaluator.terrain_env_cfg(PARKOUR, 1)
+        cfg = evaluator.terrain_env_cfg(PARKOUR)
         if self.one_try:
             cfg.events["spawn"].params["pose_range"]["yaw"] = (-AIM, AIM)
         return evaluator.make_env(cfg, numbers, self.speed, self.seed)
@@ -171,24 +195,10 @@ class TerrainStudy(WalkingStudy):
             "seed": self.seed,
         }
 
-    def _walking(self, trace: Trace) -> Part:
-        """Sums over the steps of robots' first tries: collisions, and the reward for speed."""
-        over = trace.over
-        along = np.minimum(trace.forward_velocity, self.speed) / (self.speed + 1e-5)
-        return {
-            "steps": int((~over).sum()),
-            "collisions": float(trace.collisions[~over].sum()),
-            "lin_vel_reward": float(along[~over].sum()),
-        }
-
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """Rows, the paper's table, and sizes RENet crosses less often than OP alone."""
         runs = [run for kind in self.kinds for run in parts[kind]["runs"]]
-        summary: dict[str, Any] = {
-            "runs": runs,
-            "worse": worse_than_op(runs),
-            "robots": self.robots_each,
-        }
+        summary = {"runs": runs, "worse": worse_than_op(runs), "robots": self.robots_each}
         if self.one_try:
             return summary
         first = [n for n, (_, mode) in enumerate(self.settings) if mode == self.modes[0]]
@@ -214,15 +224,21 @@ class TerrainStudy(WalkingStudy):
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """The share of robots that get across, against the obstacle's size."""
-        return {f"{self.name}.png": draw_success(summary)}
+        panels = {
+            f"{SIZES[kind]} (cm)": rows
+            for (kind,), rows in grouped(summary["runs"], "kind").items()
+        }
+        figure = figures.share_panels(
+            panels, "success", lambda run: 100 * run["size_m"], lambda size: f"{size:.0f}"
+        )
+        return {f"{self.name}.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Shares that get across, and the paper's table."""
-        share: dict[tuple[str, str], list[str]] = {}
-        for run in summary["runs"]:
-            size = (run["kind"], f"{100 * run['size_m']:.0f}")
-            share.setdefault(size, []).append(f"{100 * run['success_rate']:.0f}")
-        rows = [(*size, *rates) for size, rates in share.items()]
+        rows = [
+            (kind, f"{100 * size:.0f}", *(f"{100 * run['success_rate']:.0f}" for run in runs))
+            for (kind, size), runs in grouped(summary["runs"], "kind", "size_m").items()
+        ]
         header = ("obstacle", "size (cm)", *self.modes)
         tables: list[Table] = [(f"Robots that cross, % of {summary['robots']}", header, rows)]
         if not self.one_try:
@@ -247,8 +263,95 @@ class SuccessStudy(TerrainStudy):
 
     name: ClassVar[str] = "success"
     one_try: ClassVar[bool] = True
+    twins: ClassVar[bool] = True
     quick_levels: ClassVar[tuple[int, ...]] = (1, 2, 4)
     quick_robots: ClassVar[int] = 10
+
+
+@dataclass(frozen=True)
+class StandingStudy(TerrainStudy):
+    """Whether a robot that is commanded to stand after 3 s does, and stands still.
+
+    The paper's second level of commands (Method C) asks for it on uneven ground, where goal-guided
+    rewards otherwise leave a robot stepping on the spot.
+    """
+
+    out: Path = Path("results/standing")
+    """Folder for summary.json, summary.csv and parts/."""
+    kinds: tuple[Terrain, ...] = (FLAT, "rough", "obstacles", "stairs_up", "stairs_down")
+    """Ground to stop on."""
+    levels: tuple[int, ...] = (3,)
+    """Levels of the ground, 1 to 10."""
+    modes: tuple[Mode, ...] = ("vp", "op")
+    """Policy modes to compare."""
+    seconds: float = 6.0
+    """Time that a robot must stand, from 1.5 s after the command on."""
+
+    name: ClassVar[str] = "standing"
+    selectable: ClassVar[tuple[str, ...]] = ()
+    grounds: ClassVar[tuple[str, ...]] = (FLAT, *tiles())
+    twins: ClassVar[bool] = True
+    quick_levels: ClassVar[tuple[int, ...]] = (3,)
+    quick_robots: ClassVar[int] = 5
+
+    def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
+        """All robots of every ground and mode, side by side."""
+        return {"runs": partial(self._stand, evaluator)}
+
+    def _stand(self, evaluator: Evaluator) -> Part:
+        groups = [
+            (kind, 1 if kind == FLAT else level, mode)
+            for kind in self.kinds
+            for level, mode in self.settings
+        ]
+        env, trials = self.robots_on(partial(self._make_env, evaluator), groups)
+        seconds = np.cumsum((WALK, SETTLE, self.seconds))
+        stop, settled, steps = np.round(seconds / CONTROL_DT).astype(int)
+
+        def command_to_stand(step: int) -> None:
+            if step + 1 == stop:
+                env.command(0.0)
+
+        rollout, title = evaluator.rollout(env, trials, self.seed), f"{len(trials)} robots stop"
+        trace = rollout.run(steps, title, film=range(len(trials)), on_step=command_to_stand)
+        assert trace.film is not None
+        drift, joint_speed = stillness(trace.film.poses, settled)
+        # One that fell or left its tile starts anew elsewhere, which is not standing.
+        fell, gone = (np.any(flags[stop:], axis=0) for flags in (trace.fell, trace.ended))
+        still = ~gone & (drift < DRIFT) & (joint_speed.mean(axis=0) < MOVING)
+        runs = []
+        numbers = np.arange(len(trials)).reshape(len(groups), -1)
+        for group, robots in zip(groups, numbers, strict=True):
+            stayed = robots[~gone[robots]]
+            runs.append(
+                dict(zip(("kind", "level", "mode"), group, strict=True))
+                | {
+                    "robots": len(robots),
+                    "still": int(still[robots].sum()),
+                    "falls": int(fell[robots].sum()),
+                    "drift_m": np.median(drift[stayed]) if stayed.size else None,
+                    "joint_speed_rad_per_s": joint_speed[:, stayed].mean() if stayed.size else None,
+                    "seed": self.seed,
+                }
+            )
+        return {"runs": runs}
+
+    def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
+        """The rows, and the criteria of standing still."""
+        return {"runs": parts["runs"]["runs"], "drift_m": DRIFT, "moving_rad_per_s": MOVING}
+
+    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
+        """No figures: the table says it all."""
+        return {}
+
+    def tables(self, summary: dict[str, Any]) -> list[Table]:
+        """The rows."""
+        header = tuple(name for name in summary["runs"][0] if name != "seed")
+        rows = [
+            tuple(f"{run[n]:.3f}" if isinstance(run[n], float) else run[n] for n in header)
+            for run in summary["runs"]
+        ]
+        return [("Commanded to stand", header, rows)]
 
 
 def passed(trace: Trace) -> np.ndarray:
@@ -273,34 +376,17 @@ def worse_than_op(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def draw_success(summary: dict[str, Any]) -> Figure:
-    """Draw the share of robots that cross against the size, one panel for each kind of tile."""
-    kinds = list(dict.fromkeys(run["kind"] for run in summary["runs"]))
-    size = (2.4 * len(kinds) + 1, 3.4)
-    figure, axes = plt.subplots(1, len(kinds), figsize=size, sharey=True, squeeze=False)
-    for axis, kind in zip(axes[0], kinds, strict=True):
-        _draw_rates(axis, [run for run in summary["runs"] if run["kind"] == kind])
-        axis.set(xlabel=f"{SIZES[kind]} (cm)", ylim=(-4, 104))
-    axes[0][0].set_ylabel("robots that cross (%)")
-    handles, labels = axes[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
-    return figure
+def stillness(poses: np.ndarray, settled: int) -> tuple[np.ndarray, np.ndarray]:
+    """How far and how fast robots move that should stand.
 
+    Args:
+        poses: [T, N, 7 + joints] generalised positions at each control step.
+        settled: the control step from which on they should stand, 1 or later.
 
-def _draw_rates(axis: Axes, runs: list[dict[str, Any]]) -> None:
-    """Shares in percent against the size in cm, one line with its intervals for each mode."""
-    modes = list(dict.fromkeys(run["mode"] for run in runs))
-    sizes = sorted({100 * run["size_m"] for run in runs})
-    apart = 0.012 * (sizes[-1] - sizes[0] or 1.0)
-    for number, mode in enumerate(modes):
-        line = [run for run in runs if run["mode"] == mode]
-        share, *ends = (
-            np.array([100 * run[name] for run in line])
-            for name in ("success_rate", "success_ci95_low", "success_ci95_high")
-        )
-        # Side by side, or equal shares would hide each other.
-        size = [100 * run["size_m"] + (number - (len(modes) - 1) / 2) * apart for run in line]
-        look: Any = {"color": figures.MODE_COLOURS[mode], "label": figures.MODE_NAMES[mode]}
-        error = np.abs(ends - share)
-        axis.errorbar(size, share, error, fmt="o-", markersize=4, elinewidth=1, **look)
-    axis.set_xticks(sizes, [f"{size:.0f}" for size in sizes])
+    Returns:
+        Horizontal distance from where each was at `settled` to its last place, [N] m; mean speed of
+        its joints from then on, [T - settled, N] rad/s.
+    """
+    drift = np.linalg.norm(poses[-1, :, :2] - poses[settled, :, :2], axis=-1)
+    speed = np.abs(np.diff(poses[settled - 1 :, :, 7:], axis=0)).mean(axis=-1) / CONTROL_DT
+    return drift, speed

@@ -1,7 +1,9 @@
+"""tools/fault_gallery.py: every fault has a picture, and motion blur is what a camera sees."""
+
 import numpy as np
 import pytest
 
-from renet.evaluation.report.fault_gallery import example, scene
+from fault_gallery import example, scene
 from renet.faults import FAULTS, Frames, Injection, Injector, ViewPerturbation
 from renet.interface import DEPTH_SHAPE
 
