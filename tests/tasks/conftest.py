@@ -1,28 +1,58 @@
 """One small environment of each of the paper's tasks, shared by all tests of a module."""
 
 import math
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 
 import pytest
 import torch
 
 from renet.tasks import RenetEnv, env_cfg, make_env
+from renet.tasks.mdp.commands import GoalCommand
 from renet.tasks.parkour_env_cfg import flat_env_cfg
 
 
 @pytest.fixture(scope="module")
-def flat() -> RenetEnv:
+def shared_flat() -> RenetEnv:
     cfg = flat_env_cfg()
     cfg.rewards = env_cfg("Renet-Go1-Flat").rewards | cfg.rewards  # The recipe's, too.
-    env = make_env(cfg, 4)
-    env.reset()
-    return env
+    return make_env(cfg, 4)
 
 
 @pytest.fixture(scope="module")
-def parkour() -> RenetEnv:
-    env = make_env("Renet-Go1-Parkour-Paper", 12)
-    env.reset()
-    return env
+def shared_parkour() -> RenetEnv:
+    return make_env("Renet-Go1-Parkour-Paper", 12)
+
+
+@pytest.fixture
+def flat(shared_flat) -> RenetEnv:
+    shared_flat.reset()
+    return shared_flat
+
+
+@pytest.fixture
+def parkour(shared_parkour) -> RenetEnv:
+    shared_parkour.reset()
+    return shared_parkour
+
+
+@pytest.fixture
+def goal(flat) -> GoalCommand:
+    return flat.command_manager.get_term("goal")
+
+
+@pytest.fixture
+def build() -> Iterator[Callable[..., RenetEnv]]:
+    """As `make_env`, in which robots stand, until the end of a test."""
+    with ExitStack() as stack:
+
+        def make(*args, **options) -> RenetEnv:
+            env = make_env(*args, **options)
+            stack.callback(env.close)
+            env.reset()
+            return env
+
+        yield make
 
 
 def evaluate(env: RenetEnv, name: str) -> torch.Tensor:

@@ -21,6 +21,11 @@ def walkers():
     env.close()
 
 
+@pytest.fixture
+def goal(walkers):
+    return walkers.command_manager.get_term("goal")
+
+
 def wrapped(angle: torch.Tensor) -> torch.Tensor:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
@@ -30,8 +35,7 @@ def heading(env) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("begins", ["reset", "time-out"])
-def test_an_episode_begins_with_a_goal_around_the_yaw_it_begins_with(walkers, begins):
-    goal = walkers.command_manager.get_term("goal")
+def test_an_episode_begins_with_a_goal_around_the_yaw_it_begins_with(walkers, goal, begins):
     walkers.reset(seed=3)
     goal.yaw[:], goal.commanded_distance[:] = 100.0, 5.0
     if begins == "reset":
@@ -48,8 +52,7 @@ def test_an_episode_begins_with_a_goal_around_the_yaw_it_begins_with(walkers, be
     assert (goal.commanded_distance == 0.0).all()
 
 
-def test_policies_are_told_the_speed_and_the_heading_error(walkers):
-    goal = walkers.command_manager.get_term("goal")
+def test_policies_are_told_the_speed_and_the_heading_error(walkers, goal):
     walkers.reset(seed=4)
     for _ in range(3):
         walkers.step(torch.ones(64, 12))
@@ -58,8 +61,7 @@ def test_policies_are_told_the_speed_and_the_heading_error(walkers):
         torch.testing.assert_close(goal.command, told, atol=1e-5, rtol=1e-5)
 
 
-def test_goals_change_after_their_time_and_turn_no_further_than_they_may(walkers):
-    goal = walkers.command_manager.get_term("goal")
+def test_goals_change_after_their_time_and_turn_no_further_than_they_may(walkers, goal):
     walkers.reset(seed=4)
     goal.cfg.later_turn = 0.3
     goal.time_left.clamp_(max=0.09)  # Five steps.
@@ -78,8 +80,7 @@ def test_goals_change_after_their_time_and_turn_no_further_than_they_may(walkers
     goal.cfg.later_turn = math.pi
 
 
-def test_others_keep_their_goals_when_some_begin_anew(walkers):
-    goal = walkers.command_manager.get_term("goal")
+def test_others_keep_their_goals_when_some_begin_anew(walkers, goal):
     walkers.reset(seed=5)
     walkers.step(STILL)
     speed, left = goal.speed.clone(), goal.time_left.clone()
@@ -90,8 +91,8 @@ def test_others_keep_their_goals_when_some_begin_anew(walkers):
     assert (goal.speed[1:3] != speed[1:3]).all()
 
 
-def test_the_second_level_asks_for_standing():
-    env = make_env("Renet-Go1-Flat", 256)
+def test_the_second_level_asks_for_standing(build):
+    env = build("Renet-Go1-Flat", 256)
     goal = env.command_manager.get_term("goal")
     goal.stage = 1
     env.reset()
@@ -105,15 +106,12 @@ def test_the_second_level_asks_for_standing():
     assert torch.equal(goal.time_left < 4.0, stands), "two fifths of 4 to 10 s"
     walking = goal.speed[~stands]
     assert 0.1 <= walking.min() < 0.2 < walking.max() <= 1.0
-    env.close()
 
 
-def test_a_fixed_goal_is_kept():
+def test_a_fixed_goal_is_kept(build):
     cfg = env_cfg("Renet-Go1-Flat", play=True)
     cfg.commands["goal"].fixed_speed = 0.6
-    env = make_env(cfg, 8)
-    env.reset()
-    goal = env.command_manager.get_term("goal")
+    goal = build(cfg, 8).command_manager.get_term("goal")
     assert (goal.speed == 0.6).all()
     assert goal.heading_error.abs().max() < 1e-3
     yaw = goal.yaw.clone()
@@ -121,4 +119,3 @@ def test_a_fixed_goal_is_kept():
     goal.compute(dt=0.02)
     assert (goal.speed == 0.6).all()
     torch.testing.assert_close(goal.yaw, yaw)
-    env.close()

@@ -37,7 +37,6 @@ def test_action_order_is_joint_order(flat):
 
 
 def test_depth_changes_at_the_global_tick_only(flat):
-    flat.reset()
     held = flat.obs_buf["depth"].clone()
     for step in range(1, 2 * STEPS_PER_TICK + 1):
         obs, *_ = flat.step(torch.zeros(4, 12))
@@ -46,9 +45,8 @@ def test_depth_changes_at_the_global_tick_only(flat):
         held = obs["depth"].clone()
 
 
-def test_a_control_step_waits_for_a_gpu_only_where_mjlab_does():
-    parkour = make_env("Renet-Go1-Parkour", 12)
-    parkour.reset()
+def test_a_control_step_waits_for_a_gpu_only_where_mjlab_does(build):
+    parkour = build("Renet-Go1-Parkour", 12)
     parkour.step(torch.zeros(12, 12))  # At first use Warp's arrays are wrapped.
     with Waits() as watch:
         for _ in range(STEPS_PER_TICK):
@@ -59,11 +57,10 @@ def test_a_control_step_waits_for_a_gpu_only_where_mjlab_does():
     assert set(watch.files) - {"rasterizer.py"} == {"mjlab"}
 
 
-def test_costs_are_in_the_interfaces_order_whatever_that_of_the_metrics():
+def test_costs_are_in_the_interfaces_order_whatever_that_of_the_metrics(build):
     cfg = flat_env_cfg()
     cfg.metrics = dict(reversed(cfg.metrics.items()))
-    env = make_env(cfg, 4)
-    env.reset()
+    env = build(cfg, 4)
     env.step(torch.full((4, 12), 4.8))
     costs = mdp.constraint_costs(env)
     assert costs.shape == (4, 3)
@@ -77,7 +74,6 @@ def test_costs_are_in_the_interfaces_order_whatever_that_of_the_metrics():
 
 
 def test_robots_that_fell_or_are_not_finite_are_reset_alone(flat):
-    flat.reset()
     flat.step(torch.zeros(4, 12))
     flat.sim.data.qpos[1, 3:7] = torch.tensor([0.0, 1.0, 0.0, 0.0])
     flat.sim.data.qpos[2, 7] = flat.sim.data.qvel[3, 1] = torch.nan
@@ -118,7 +114,6 @@ def test_same_seed_same_rollout():
 
 
 def test_curriculum_state_round_trips_and_survives_another_size(parkour):
-    parkour.reset()  # Who has not walked keeps its level.
     terrain = parkour.scene.terrain
     term = parkour.curriculum_manager.get_term_cfg("level").func
     levels, passed = term.levels, term.passed
@@ -193,14 +188,12 @@ def test_leaving_the_tile_is_a_time_out_and_a_gap_is_not(parkour):
     assert extras["log"]["Episode_Termination/in_gap"] == 1
 
 
-def test_play_shows_every_level():
-    env = make_env("Renet-Go1-Parkour", 200, play=True)
-    env.reset()
+def test_play_shows_every_level(build):
+    env = build("Renet-Go1-Parkour", 200, play=True)
     assert set(env.scene.terrain.terrain_levels.tolist()) == set(range(10))
 
 
 def test_what_was_observed_stays_when_the_environment_goes_on(parkour):
-    parkour.reset()
     seen = parkour.step(torch.zeros(12, 12))[0]
     kept = {name: value.clone() for name, value in seen.items()}
     for _ in range(STEPS_PER_TICK):
@@ -209,7 +202,6 @@ def test_what_was_observed_stays_when_the_environment_goes_on(parkour):
 
 
 def test_noise_is_within_its_bounds_and_scaled_with_what_it_is_added_to(parkour):
-    parkour.reset()
     most = torch.zeros(45)
     columns = proprioception_slices()
     for term in PROPRIOCEPTION:
@@ -224,15 +216,12 @@ def test_noise_is_within_its_bounds_and_scaled_with_what_it_is_added_to(parkour)
         assert (side[:, most > 0.0].amax(0) > 0.8 * most[most > 0.0]).all()
 
 
-def test_a_task_without_rewards_and_ends_goes_on():
+def test_a_task_without_rewards_and_ends_goes_on(build):
     cfg = flat_env_cfg()
     cfg.rewards, cfg.terminations, cfg.metrics = {}, {}, {}
-    env = make_env(cfg, 2)
-    env.reset()
-    _, reward, terminated, truncated, _ = env.step(torch.zeros(2, 12))
+    _, reward, terminated, truncated, _ = build(cfg, 2).step(torch.zeros(2, 12))
     assert not reward.any()
     assert not (terminated | truncated).any()
-    env.close()
 
 
 def test_mjlabs_own_environment_runs_a_task_as_ours_does():

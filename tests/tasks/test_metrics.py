@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
-from renet.tasks import env_cfg, make_env, mdp
+from renet.tasks import env_cfg, mdp
 from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.terrains import tile_row
 
@@ -12,7 +12,6 @@ from .conftest import evaluate
 
 
 def test_how_often_a_sum_is_negative_and_what_constraints_cost_is_logged(flat):
-    flat.reset()
     flat.reward_manager.get_term_cfg("action_rate").weight = -100.0
     rewards = [flat.step(torch.full((4, 12), 4.8 * (n < 1)))[1].clone() for n in range(3)]
     flat.reward_manager.get_term_cfg("action_rate").weight = -0.1
@@ -25,21 +24,18 @@ def test_how_often_a_sum_is_negative_and_what_constraints_cost_is_logged(flat):
 
 
 @pytest.mark.parametrize("weight", [0.0, -2.0])
-def test_a_rewards_value_is_logged_whatever_its_weight(weight):
+def test_a_rewards_value_is_logged_whatever_its_weight(build, weight):
     cfg = env_cfg("Renet-Go1-Flat")
     cfg.rewards["linear_velocity"].weight = weight
-    env = make_env(cfg, 2)
-    env.reset()
+    env = build(cfg, 2)
     env.sim.data.qvel[:, :2] = 0.3
     env.reward_buf = env.reward_manager.compute(dt=0.02)
     expected = evaluate(env, "linear_velocity")
     assert (expected != 0.0).all()
     torch.testing.assert_close(mdp.reward_term(env, "linear_velocity"), expected)
-    env.close()
 
 
 def test_an_edge_is_relief_within_half_a_metre(parkour):
-    parkour.reset()
     maps = torch.zeros(12, len(HEIGHT_MAP_X), len(HEIGHT_MAP_Y))
     ahead, aside = HEIGHT_MAP_X.index(0.45), HEIGHT_MAP_Y.index(-0.45)
     maps[0, ahead, 5] = -0.1  # A step ahead.
@@ -52,12 +48,10 @@ def test_an_edge_is_relief_within_half_a_metre(parkour):
 
 
 @pytest.mark.parametrize(("distance", "edge"), [(1.1, 1.0), (0.0, 0.0)])
-def test_the_share_of_steps_near_an_edge_is_logged(distance, edge):
+def test_the_share_of_steps_near_an_edge_is_logged(build, distance, edge):
     cfg = tile_env_cfg(tile_row({"gap": 5}), play=True)
     cfg.events["spawn"].params["pose_range"] = {"x": (distance, distance), "z": (0.02, 0.02)}
-    env = make_env(cfg, 2)
-    env.reset()
+    env = build(cfg, 2)
     for _ in range(3):
         env.step(torch.zeros(2, 12))
     assert env.metrics_manager.reset()["Episode_Metrics/near_edge"] == edge
-    env.close()

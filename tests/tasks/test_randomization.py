@@ -2,21 +2,25 @@
 
 import math
 
+import pytest
 import torch
 
 from renet.interface import proprioception_slices
-from renet.tasks import env_cfg, make_env
+from renet.tasks import env_cfg
 from renet.tasks.parkour_env_cfg import flat_env_cfg, randomize
 from renet.tasks.sensors import depth_camera
 
 
-def randomized(robots: int, **ranges: float):
-    """Robots that stand still on a plane unless randomisation moves them."""
-    cfg = env_cfg("Renet-Go1-Flat", play=True)
-    randomize(cfg, **ranges)
-    env = make_env(cfg, robots)
-    env.reset()
-    return env
+@pytest.fixture
+def randomized(build):
+    """Makes robots that stand still on a plane unless randomisation moves them."""
+
+    def make(robots: int, **ranges: float):
+        cfg = env_cfg("Renet-Go1-Flat", play=True)
+        randomize(cfg, **ranges)
+        return build(cfg, robots)
+
+    return make
 
 
 def test_what_is_asked_for_is_randomised_and_the_recipe_adds_a_real_robots_differences():
@@ -34,7 +38,7 @@ def test_what_is_asked_for_is_randomised_and_the_recipe_adds_a_real_robots_diffe
     assert errors == [(0.01, math.radians(5.0)), (0.03, 0.14)]
 
 
-def test_motors_differ_in_strength():
+def test_motors_differ_in_strength(randomized):
     env = randomized(64, motor_strength=0.2)
     limits = env.sim.model.actuator_forcerange[:, :, 1]
     ratio = limits / env.sim.get_default_field("actuator_forcerange")[:, 1]
@@ -43,10 +47,9 @@ def test_motors_differ_in_strength():
     env.step(torch.full((64, 12), 20.0))
     force = env.sim.data.actuator_force[:].abs()
     assert (force - limits).max().abs() < 1e-3
-    env.close()
 
 
-def test_joint_zeros_are_off_in_what_is_seen_and_in_what_is_done():
+def test_joint_zeros_are_off_in_what_is_seen_and_in_what_is_done(randomized):
     env = randomized(16, joint_offset=0.03)
     offset = env.scene["robot"].data.encoder_bias
     assert 0.02 < offset.abs().max() <= 0.03
@@ -55,10 +58,9 @@ def test_joint_zeros_are_off_in_what_is_seen_and_in_what_is_done():
     true = data.joint_pos - data.default_joint_pos
     torch.testing.assert_close(seen[:, proprioception_slices()["joint_position"]], true + offset)
     torch.testing.assert_close(data.joint_pos_target, data.default_joint_pos - offset)
-    env.close()
 
 
-def test_some_actions_arrive_late():
+def test_some_actions_arrive_late(randomized):
     env, late = randomized(32, action_delay=0.02), []
     moved = env.sim.mj_model.actuator_trnid[:, 0] - 1  # After the free joint.
     for step in range(20):
@@ -66,4 +68,3 @@ def test_some_actions_arrive_late():
         target = env.scene["robot"].data.joint_pos_target[:, moved]
         late.append(((env.sim.data.ctrl[:] - target).abs() > 1e-5).any(dim=1))
     assert 0.0 < torch.stack(late[3:]).float().mean() < 1.0
-    env.close()

@@ -82,9 +82,8 @@ def test_a_lost_robot_is_put_back_on_its_tile(everywhere, shift, why):
     assert offset[lost, :2].abs().max() <= 0.3 + 1e-4
 
 
-def test_every_kind_of_tile_logs_its_level():
-    env = make_env("Renet-Go1-Parkour", 12)
-    env.reset()
+def test_every_kind_of_tile_logs_its_level(build):
+    env = build("Renet-Go1-Parkour", 12)
     term = env.curriculum_manager.get_term_cfg("level").func
     term.levels[:] = env.scene.terrain.terrain_levels[:] = env.scene.terrain.terrain_types + 1
     env.command_manager.get_term("goal").commanded_distance[:] = 10.0
@@ -93,4 +92,3 @@ def test_every_kind_of_tile_logs_its_level():
     logged = {name: extras["log"][f"Curriculum/level/{name}"] for name in KINDS}
     # Robots that stood when they were to walk move down a level.
     assert [logged[name] for name in KINDS] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-    env.close()

@@ -10,17 +10,16 @@ from renet.tasks.parkour_env_cfg import flat_env_cfg
 from renet.training.recipe import follow
 
 
-def test_the_second_level_begins_after_its_environment_steps(flat):
-    command, term = flat.command_manager.get_term("goal"), mdp.command_stage
-    everyone = torch.arange(4)
+def test_the_second_level_begins_after_its_environment_steps(flat, goal):
+    term, everyone = mdp.command_stage, torch.arange(4)
     for step, stage in ((0, 0), (99, 0), (100, 1), (5000, 1)):
         flat.common_step_counter = step
         assert term(flat, everyone, after=400) == stage
-        assert command.stage == stage
+        assert goal.stage == stage
     # Going back, as after loading another checkpoint, is that checkpoint's business.
     flat.common_step_counter = 0
     assert term(flat, everyone, after=400) == 1
-    command.stage = 0
+    goal.stage = 0
 
 
 @pytest.mark.parametrize("processes", [1, 3])
@@ -49,9 +48,8 @@ def test_a_rewards_weight_follows_its_schedule_of_environment_steps(monkeypatch)
         make_env(cfg, 4)
 
 
-def test_a_robot_that_stands_as_asked_is_paid_nearly_all_there_is():
-    env = make_env("Renet-Go1-Flat", 4, play=True)
-    env.reset()
+def test_a_robot_that_stands_as_asked_is_paid_nearly_all_there_is(build):
+    env = build("Renet-Go1-Flat", 4, play=True)
     command = env.command_manager.get_term("goal")
     command.speed[:] = torch.tensor([0.0, 0.0, 0.5, 0.5])
     command.yaw[:] = env.scene["robot"].data.heading_w
@@ -63,4 +61,3 @@ def test_a_robot_that_stands_as_asked_is_paid_nearly_all_there_is():
     assert (reward[2:] < 0.3 * 2.0 * 0.02).all()
     told = obs["proprioception"][:, proprioception_slices()["command"]]
     assert told[:, 0].tolist() == pytest.approx([0.0, 0.0, 0.5, 0.5])
-    env.close()

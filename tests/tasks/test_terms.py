@@ -10,9 +10,7 @@ from renet.tasks import env_cfg, make_env, mdp
 from .conftest import evaluate
 
 
-def test_goal_velocity_is_equation_6(flat):
-    flat.reset()
-    goal = flat.command_manager.get_term("goal")
+def test_goal_velocity_is_equation_6(flat, goal):
     velocity = torch.tensor([[0.3, 0.0], [2.0, 0.0], [-0.5, 0.0], [0.0, 0.0]])
     flat.sim.data.qvel[:, :2], goal.yaw[:] = velocity, 0.0
     goal.speed[:] = torch.tensor([0.6, 0.6, 0.5, 0.0])
@@ -24,7 +22,6 @@ def test_goal_velocity_is_equation_6(flat):
 
 
 def test_collision_counts_bodies_not_geoms(flat):
-    flat.reset()
     flat.sim.data.sensordata[:] = 0.0
     bodies, calves = flat.scene["thigh_trunk_contact"], flat.scene["calf_contact"]
     views = [slot.data_view for slot in calves._slots]
@@ -37,8 +34,7 @@ def test_collision_counts_bodies_not_geoms(flat):
     assert evaluate(flat, "collision").tolist() == [3.0, 0.0, 0.0, 0.0]
 
 
-def test_penalties_by_hand(flat):
-    flat.reset()
+def test_penalties_by_hand(flat, goal):
     data, robot = flat.sim.data, flat.scene["robot"]
     angle = 0.3
     data.qpos[:, 3:7] = torch.tensor([math.cos(angle / 2), math.sin(angle / 2), 0.0, 0.0])
@@ -49,7 +45,6 @@ def test_penalties_by_hand(flat):
     data.qvel[:, 6] = 2.0
     flat.sim.forward()
     flat.scene.update(0.0)
-    goal = flat.command_manager.get_term("goal")
     goal.yaw[:] = 0.5
 
     def weigh(name: str) -> float:
@@ -76,7 +71,6 @@ def test_the_footnotes_scales(flat):
 
 
 def test_torque_is_judged_before_the_motor_saturates(flat):
-    flat.reset()
     flat.step(torch.zeros(4, 12))
     data, robot = flat.sim.data, flat.scene["robot"]
     data.qpos[:, 7:] = robot.data.default_joint_pos
@@ -104,7 +98,6 @@ def test_torque_is_judged_before_the_motor_saturates(flat):
 
 
 def test_a_standing_robot_costs_nothing_and_a_lying_one_collides(flat):
-    flat.reset()
     for _ in range(50):
         flat.step(torch.zeros(4, 12))
     assert (mdp.constraint_costs(flat) == 0.0).all()
@@ -120,7 +113,6 @@ def test_a_standing_robot_costs_nothing_and_a_lying_one_collides(flat):
 
 
 def test_joint_acceleration_starts_each_episode_at_rest(flat):
-    flat.reset()
     flat.sim.data.qvel[:, 6:] = 1.5
     expected = 12 * (1.5 / 0.02) ** 2
     assert evaluate(flat, "joint_acceleration").tolist() == pytest.approx([expected] * 4)
@@ -131,7 +123,6 @@ def test_joint_acceleration_starts_each_episode_at_rest(flat):
 
 
 def test_foot_clearance_by_hand(flat):
-    flat.reset()
     data, kind = flat.sim.data, flat.cfg.robot
     sites, _ = flat.scene["robot"].find_sites(("FR", "FL", "RR", "RL"), preserve_order=True)
     columns = flat.scene["robot"].indexing.site_ids[sites]
@@ -149,10 +140,8 @@ def test_foot_clearance_by_hand(flat):
     assert (evaluate(flat, "foot_clearance") == 0.0).all()
 
 
-def test_upright_tracking_asks_for_speed_and_standing_height_over_the_lowest_foot(flat):
-    flat.reset()
-    data, kind = flat.sim.data, flat.cfg.robot
-    goal, robot = flat.command_manager.get_term("goal"), flat.scene["robot"].indexing
+def test_upright_tracking_asks_for_speed_and_standing_height_over_the_lowest_foot(flat, goal):
+    data, kind, robot = flat.sim.data, flat.cfg.robot, flat.scene["robot"].indexing
     goal.yaw[:], goal.speed[:] = 0.0, torch.tensor([0.6, 0.6, 0.6, 0.0])
     data.qvel[:, :2] = 0.0
     data.qvel[:3, 0] = torch.tensor([0.3, 0.99, -0.3])  # The last stands still, as it was told.
@@ -166,9 +155,8 @@ def test_upright_tracking_asks_for_speed_and_standing_height_over_the_lowest_foo
     assert got == pytest.approx([0.5, 0.75 * 0.5, 0.0, 0.0], abs=1e-3)
 
 
-def test_standing_motion_is_smoothed_and_counts_only_where_standing_is_asked_for(flat):
-    flat.reset()
-    goal, data = flat.command_manager.get_term("goal"), flat.sim.data
+def test_standing_motion_is_smoothed_and_counts_only_where_standing_is_asked_for(flat, goal):
+    data = flat.sim.data
     goal.speed[:] = torch.tensor([0.0, 0.3, 0.0, 0.3])
     data.qvel[:] = 0.0
     data.qvel[:, 6], data.qvel[:, 8] = 1.0, -2.0
@@ -194,9 +182,8 @@ def test_tiles_are_shared_out_as_the_recipe_says():
     assert torch.bincount(env.scene.terrain.terrain_types).tolist() == [2, 2, 3, 2, 4, 4]
 
 
-def test_critics_see_how_long_a_robot_stalls_and_its_smoothed_motion(flat):
-    flat.reset()
-    goal, data = flat.command_manager.get_term("goal"), flat.sim.data
+def test_critics_see_how_long_a_robot_stalls_and_its_smoothed_motion(flat, goal):
+    data = flat.sim.data
     goal.speed[:], goal.time_left[:] = torch.tensor([0.5, 0.5, 0.0, 0.0]), 10.0
     smooth = torch.zeros(4, 12)
     for step in range(6):
@@ -210,9 +197,8 @@ def test_critics_see_how_long_a_robot_stalls_and_its_smoothed_motion(flat):
     assert seen[:, 4].tolist() == pytest.approx([0.04, 0.1, 0.0, 0.0])
 
 
-def test_a_robot_that_gives_up_has_stalled(flat):
-    flat.reset()
-    goal, data = flat.command_manager.get_term("goal"), flat.sim.data
+def test_a_robot_that_gives_up_has_stalled(flat, goal):
+    data = flat.sim.data
     base = int(flat.scene["robot"].indexing.root_body_id)
     # Walks, gives up, was told to stand, gives up but is set down anew.
     goal.speed[:] = torch.tensor([0.5, 0.5, 0.0, 0.5])

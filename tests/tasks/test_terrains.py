@@ -9,7 +9,7 @@ from mjlab.terrains import TerrainGenerator
 from renet.errors import RenetError
 from renet.evaluation.env import terrain_env_cfg
 from renet.sim.depth.rasterizer import scanner
-from renet.tasks import RenetEnvCfg, env_cfg, make_env
+from renet.tasks import RenetEnvCfg, env_cfg
 from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.curriculums import FIRST_LEVELS
 from renet.tasks.parkour_env_cfg import tile_env_cfg
@@ -21,8 +21,8 @@ TASK = "Renet-Go1-Parkour"
 
 
 @pytest.fixture(scope="module")
-def world(parkour):
-    return parkour, scanner(parkour.sim.mj_model, "cpu")
+def world(shared_parkour):
+    return shared_parkour, scanner(shared_parkour.sim.mj_model, "cpu")
 
 
 def profile(world, kind: str, level: int, angle: float = 0.0) -> np.ndarray:
@@ -253,12 +253,10 @@ def test_who_passed_the_last_level_counts_as_there_until_it_fails(parkour):
 
 
 @pytest.mark.parametrize("kind", tiles())
-def test_a_robot_can_be_put_on_every_single_tile(kind):
-    env = make_env(tile_env_cfg(tile_row({kind: LEVELS}), play=True), 1)
-    env.reset()
+def test_a_robot_can_be_put_on_every_single_tile(build, kind):
+    env = build(tile_env_cfg(tile_row({kind: LEVELS}), play=True), 1)
     above = env.scene["robot"].data.root_link_pos_w[0, 2] - env.scene.env_origins[0, 2]
     assert 0.25 < above < 0.35
-    env.close()
 
 
 def test_single_tiles_that_do_not_exist_are_refused():
