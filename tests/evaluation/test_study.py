@@ -15,8 +15,10 @@ from renet.errors import RenetError
 from renet.evaluation.env import FLAT, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import MAX_JSON, read_results
+from renet.evaluation.studies.camera_use import CameraUseStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.margins import MarginsStudy
+from renet.evaluation.studies.memory import MemoryStudy
 from renet.evaluation.studies.noise import NoiseStudy
 from renet.evaluation.studies.terrain import StandingStudy, SuccessStudy, TerrainStudy
 from renet.evaluation.study import Study
@@ -131,6 +133,29 @@ WRONG: dict[type[Study], dict[str, list]] = {
 def test_bad_settings_are_refused(study: type[Study], wrong: dict) -> None:
     with pytest.raises(RenetError):
         study(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("study", "name", "value", "message"),
+    [
+        (MemoryStudy, "grounds", ("gap",), "ground 'gap': write KIND:LEVEL"),
+        (MemoryStudy, "grounds", ("moon:3",), "ground 'moon:3'"),
+        (MemoryStudy, "grounds", ("gap:11",), "1 to 10"),
+        (MemoryStudy, "grounds", (), "give a ground and a time"),
+        (MemoryStudy, "without", (0.0, 1.0), "different times above 0 s"),
+        (MemoryStudy, "without", (1.0, 1.0), "different times above 0 s"),
+        (MemoryStudy, "before", -1.0, "before must be at least 0 s"),
+        (CameraUseStudy, "grounds", ("gap",), "write KIND:LEVEL, such as gap:3"),
+        (CameraUseStudy, "grounds", ("moon:3",), "moon"),
+        (CameraUseStudy, "grounds", (), "give a ground"),
+        (CameraUseStudy, "robots", 1, "at least 2 robots"),
+        (CameraUseStudy, "speed", 0.0, "speed must be positive"),
+        (CameraUseStudy, "mode", "both", "modes both"),
+    ],
+)
+def test_settings_that_measure_nothing_are_named(study, name, value, message) -> None:
+    with pytest.raises(RenetError, match=message):
+        study(**{name: value})
 
 
 def test_files_that_are_no_results_are_refused(tmp_path: Path) -> None:

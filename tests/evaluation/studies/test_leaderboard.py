@@ -8,15 +8,10 @@ import numpy as np
 import pytest
 
 from renet.errors import RenetError
+from renet.evaluation.studies import leaderboard
 from renet.evaluation.studies.benchmark import GROUNDS, ONSETS
 from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.studies.leaderboard import (
-    LeaderboardCfg,
-    make_leaderboard,
-    rank,
-    result_tables,
-    study_tables,
-)
+from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard, rank
 
 
 def complete(name: str, crossed: float) -> dict:
@@ -132,7 +127,7 @@ RESULT = {
 
 
 def test_tables_behind_the_ranking_by_hand() -> None:
-    ground, severity, losses, separation, paired = result_tables([RESULT], None, None)
+    ground, severity, losses, separation, paired = leaderboard.result_tables([RESULT], None, None)
     assert ground[2] == [
         ("ours", "vp", "100.0 (100.0) [100.0 (100.0), 0.50]", "-", "-", "-", "-",
          "55.0 (55.0) [67.5 (67.5), 0.50]", "55.0 (55.0)", "70.0 (70.0)", 3),
@@ -161,14 +156,14 @@ def test_tables_behind_the_ranking_by_hand() -> None:
 
 
 def test_tables_can_be_of_one_severity_or_onset() -> None:
-    ground = next(result_tables([RESULT], 5, None))
+    ground = next(leaderboard.result_tables([RESULT], 5, None))
     assert [row[-1] for row in ground[2]] == [1, 1]
-    assert next(result_tables([RESULT], None, "before_the_edge"))[2] == []
+    assert next(leaderboard.result_tables([RESULT], None, "before_the_edge"))[2] == []
 
 
 def test_who_noticed_is_read_from_a_studys_rows(tmp_path: Path, run_study) -> None:
     folder, summary = run_study("faults")
-    noticed, claims = study_tables(folder / "summary.csv")
+    noticed, claims = leaderboard.study_tables(folder / "summary.csv")
     assert noticed[1] == ("fault", "1", "5", "of each")
     # Two robots on flat ground, and on gaps two for each onset.
     rows = {fault: counts for fault, *counts in noticed[2]}
@@ -181,4 +176,4 @@ def test_who_noticed_is_read_from_a_studys_rows(tmp_path: Path, run_study) -> No
         csv.writer(file).writerows([["kind"], ["gap"]])
     for path in (tmp_path / "other.csv", tmp_path / "missing.csv"):
         with pytest.raises(RenetError, match="is no summary"):
-            next(study_tables(path))
+            next(leaderboard.study_tables(path))

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from renet.errors import RenetError
 from renet.evaluation.studies.memory import MemoryStudy
 
 from ..fakes import FakeEnv, FakeEvaluator, FakePolicy
@@ -47,20 +46,3 @@ def test_who_trusts_a_black_camera_falls_and_the_others_cross(tmp_path):
     assert (runs["vp", 2.0]["change"], runs["paper", 2.0]["change"]) == (-1.0, 0.0)
     assert runs["vp", 0]["size_m"] == pytest.approx(0.2333, abs=1e-3)
     assert (tmp_path / "memory.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"grounds": ("gap",)}, "ground 'gap': write KIND:LEVEL"),
-        ({"grounds": ("moon:3",)}, "ground 'moon:3'"),
-        ({"grounds": ("gap:11",)}, "1 to 10"),
-        ({"grounds": ()}, "give a ground and a time"),
-        ({"without": (0.0, 1.0)}, "different times above 0 s"),
-        ({"without": (1.0, 1.0)}, "different times above 0 s"),
-        ({"before": -1.0}, "before must be at least 0 s"),
-    ],
-)
-def test_wrong_settings_are_refused(wrong, message):
-    with pytest.raises(RenetError, match=message):
-        MemoryStudy(**wrong)

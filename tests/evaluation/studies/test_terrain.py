@@ -5,13 +5,7 @@ import numpy as np
 import pytest
 
 from renet.evaluation.env import SimEnv, study_env_cfg
-from renet.evaluation.studies.terrain import (
-    SuccessStudy,
-    highest_level,
-    passed,
-    stillness,
-    worse_than_op,
-)
+from renet.evaluation.studies import terrain
 from renet.evaluation.trace import Trace
 from renet.faults import ViewPerturbation
 from renet.terrain.tiles import LEVELS
@@ -24,19 +18,18 @@ def test_a_robot_passes_even_after_a_fall_and_levels_count_in_a_row() -> None:
     trace = Trace.empty(4, 3)
     trace.ended[[0, 2], 0] = trace.fell[0, 0] = True
     trace.ended[1, 1] = trace.fell[1, 1] = True
-    assert passed(trace).tolist() == [True, False, False]
+    assert terrain.passed(trace).tolist() == [True, False, False]
     levels_passed = np.array([[1, 1, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]], bool)
-    np.testing.assert_array_equal(highest_level(levels_passed), [2, 1, 0])
+    np.testing.assert_array_equal(terrain.highest_level(levels_passed), [2, 1, 0])
 
 
 def test_summary_holds_the_papers_table(run_study) -> None:
     folder, summary = run_study("terrain")
-    reached = {"gap": 6, "platform": 4, "stairs_up": 10, "stairs_down": 3}
-    assert summary["levels_by_kind"] == reached
-    assert summary["levels"] == {"gap": 6, "platform": 4, "stairs": 6.5}
-    assert summary["robots"] == 3
-    assert summary["falls_on_flat"] == 100
-    assert summary["collisions"] == 0
+    assert summary == summary | {
+        "levels_by_kind": {"gap": 6, "platform": 4, "stairs_up": 10, "stairs_down": 3},
+        "levels": {"gap": 6, "platform": 4, "stairs": 6.5},
+        **{"robots": 3, "falls_on_flat": 100, "collisions": 0},
+    }
     assert 0.99 < summary["lin_vel_reward"] <= 1
     assert len(summary["runs"]) == 4 * LEVELS
     assert (folder / "terrain.png").stat().st_size > 10_000
@@ -90,7 +83,7 @@ def test_where_renet_crosses_less_often_than_op_alone_is_listed() -> None:
         for level, both in rates.items()
         for mode, rate in zip(("renet", "op"), both, strict=False)
     ]
-    assert worse_than_op(runs) == [{"kind": "gap", "size_m": 0.2, "renet": 0.5, "op": 0.8}]
+    assert terrain.worse_than_op(runs) == [{"kind": "gap", "size_m": 0.2, "renet": 0.5, "op": 0.8}]
 
 
 def test_faults_of_the_scene_reach_the_cameras(tmp_path: Path) -> None:
@@ -107,9 +100,9 @@ def test_faults_of_the_scene_reach_the_cameras(tmp_path: Path) -> None:
 
 
 def test_a_fault_begins_before_the_obstacle() -> None:
-    (injection,) = SuccessStudy(fault="frozen:2", speed=0.6).schedule
+    (injection,) = terrain.SuccessStudy(fault="frozen:2", speed=0.6).schedule
     assert injection.onset == 75
-    (later,) = SuccessStudy(fault="frozen:2@4s+1s").schedule
+    (later,) = terrain.SuccessStudy(fault="frozen:2@4s+1s").schedule
     assert (later.onset, later.duration) == (200, 1.0)
 
 
@@ -118,7 +111,7 @@ def test_drift_counts_from_when_robots_should_stand_and_joints_all_along() -> No
     poses[:, 0, 0] = (0.0, 3.0, 3.0, 3.3)
     poses[:, 0, 1] = (0.0, 0.0, 0.0, 0.4)
     poses[:, 0, 7] = (0.0, 0.02, 0.02, 0.0)
-    drift, speed = stillness(poses, settled=1)
+    drift, speed = terrain.stillness(poses, settled=1)
     np.testing.assert_allclose(drift, 0.5)
     np.testing.assert_allclose(speed[:, 0], (0.5, 0.0, 0.5), atol=1e-12)
 
@@ -126,8 +119,8 @@ def test_drift_counts_from_when_robots_should_stand_and_joints_all_along() -> No
 def test_robots_that_stop_stand_and_restless_ones_do_not(run_study) -> None:
     _, summary = run_study("standing")
     assert [(run["kind"], run["level"], run["mode"]) for run in summary["runs"]] == [
-        ("flat", 1, "vp"), ("flat", 1, "op"), ("stairs_up", 3, "vp"), ("stairs_up", 3, "op")
-    ]  # fmt: skip
+        (*place, mode) for place in (("flat", 1), ("stairs_up", 3)) for mode in ("vp", "op")
+    ]
     assert {(run["robots"], run["still"], run["falls"]) for run in summary["runs"]} == {(2, 1, 0)}
     assert all(run["drift_m"] == 0 for run in summary["runs"])
 
