@@ -55,7 +55,11 @@ def image_scores(
     for path in paths:
         pixels = read_image(path)
         if preprocessor is None:
-            preprocessor = DepthPreprocessor(_lens(pixels, lens), bundle.manifest.camera)
+            height, width = pixels.shape
+            focal = width / 2 / math.tan(WIDTH / 2)
+            intrinsics = lens or (focal, focal, width / 2, height / 2)
+            camera = Intrinsics(height, width, *intrinsics)
+            preprocessor = DepthPreprocessor(camera, bundle.manifest.camera)
         older, newest = newest, preprocessor.image(pixels * scale)[None]
         pair = np.stack((newest, older if older.size else newest), axis=1)
         scores = dict(zip(names, vision.run(names, {"depth": pair}), strict=True))
@@ -90,9 +94,3 @@ def read_image(path: Path) -> np.ndarray:
     if pixels.ndim != 2:
         raise RenetError(f"{path} has colours: give depth images of one channel, of 16 bits")
     return pixels.astype(np.float64)
-
-
-def _lens(pixels: np.ndarray, lens: tuple[float, float, float, float] | None) -> Intrinsics:
-    height, width = pixels.shape
-    focal = width / 2 / math.tan(WIDTH / 2)
-    return Intrinsics(height, width, *(lens or (focal, focal, width / 2, height / 2)))

@@ -166,25 +166,19 @@ def track(ticks: np.ndarray) -> np.ndarray:
         return ticks["base_position"].astype(float)
     walking = ticks["mode"] == MODES.index(Mode.WALKING)
     velocity = np.where(ticks["vision"][:, None], ticks["velocity_vp"], ticks["velocity_op"])
-    forward, left = velocity[:, 0], velocity[:, 1]
     yaw = np.array([heading(q) if np.isfinite(q).all() else 0.0 for q in ticks["quaternion"]])
-    steps = np.stack(
-        [
-            forward * np.cos(yaw) - left * np.sin(yaw),
-            forward * np.sin(yaw) + left * np.cos(yaw),
-            np.zeros(len(ticks)),
-        ],
-        axis=1,
-    )
-    return np.cumsum(CONTROL_DT * np.where(walking[:, None], steps, 0.0), axis=0)
+    # Numbers x + iy of the plane, which exp(i yaw) turns from the base to the world.
+    steps = (velocity[:, 0] + 1j * velocity[:, 1]) * np.exp(1j * yaw)
+    path = np.cumsum(CONTROL_DT * np.where(walking, steps, 0.0))
+    return np.stack([path.real, path.imag, np.zeros(len(ticks))], axis=1)
 
 
 def spread(values: np.ndarray) -> dict[str, float]:
     """p50, p99 and maximum; empty for no values."""
     if not len(values):
         return {}
-    points = np.percentile(values, (50, 99, 100))
-    return {name: round(float(v), 3) for name, v in zip(("p50", "p99", "max"), points, strict=True)}
+    points = np.percentile(values, (50, 99, 100)).astype(float).round(3)
+    return dict(zip(("p50", "p99", "max"), points.tolist(), strict=True))
 
 
 def _mean(values: np.ndarray) -> float:

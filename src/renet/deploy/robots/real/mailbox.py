@@ -12,18 +12,10 @@ ALIVE = np.dtype([("time", "f8")])
 COMMAND = np.dtype(
     [("time", "f8"), ("position", "f8", 12), ("stiffness", "f8", 12), ("damping", "f8", 12)]
 )
-READING = np.dtype(
-    [
-        ("valid", "?"),
-        ("time", "f8"),
-        *((name, "f8", size) for name, size in VECTORS.items()),
-        ("temperature", "f8"),
-        ("battery", "f8"),
-        ("problem", "S400"),
-        ("refused", "S400"),
-    ]
-)
-VALUES = READING.names[1:-2] if READING.names else ()
+VALUES = ("time", *VECTORS, "temperature", "battery")
+"""Fields of a `RobotState`."""
+NUMBERS = [(name, "f8", VECTORS.get(name, ())) for name in VALUES]
+READING = np.dtype([("valid", "?"), *NUMBERS, ("problem", "S400"), ("refused", "S400")])
 SIZE = 4096
 
 
