@@ -185,7 +185,7 @@ def share_panels(
     """
     columns = min(len(panels), 4)
     rows = -(-len(panels) // columns)
-    size = (2.5 * columns + 0.9, 2.4 * rows + 0.8)
+    size = (max(2.5 * columns, 6.8) + 0.9, 2.4 * rows + 0.8)  # Wide enough for the legend.
     figure, axes = plt.subplots(rows, columns, figsize=size, sharey=True, squeeze=False)
     for axis, (title, runs) in zip(axes.flat, panels.items(), strict=False):
         places = sorted({place(run) for run in runs})
@@ -244,7 +244,8 @@ def draw_timeline(
     axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label="threshold β")
     for acts, colour, label in ((vision, SEES, "VP in charge"), (~vision, BLIND, "OP in charge")):
         look = {"color": colour, "alpha": 0.3, "linewidth": 0, "label": label}
-        axis.fill_between(time, 0, 1, acts, step="post", transform=height, **look)
+        until_next = acts | np.insert(acts[:-1], 0, False)
+        axis.fill_between(time, 0, 1, until_next, step="post", transform=height, **look)
     top = 4 * np.max(anomaly, where=~np.isnan(anomaly), initial=beta)
     axis.set(yscale="log", ylim=(None, top), xlim=(0, time[-1]))
     for instant, text in marks:
