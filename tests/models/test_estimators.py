@@ -41,21 +41,18 @@ def test_gradients_flow_through_time_but_not_across_a_reset(model):
 
 
 def test_op_never_sees_depth_and_vp_does(model):
-    history, latent = torch.randn(2, 10, 45), torch.zeros(2, 64)
-    one, two = torch.rand(2, 2, 48, 64), torch.rand(2, 2, 48, 64)
-    yes, no = torch.ones(2), torch.zeros(2)
-    assert torch.equal(model.op(history, one, yes, latent), model.op(history, two, no, latent))
-    assert not torch.equal(model.vp(history, one, yes, latent), model.vp(history, two, yes, latent))
-
-
-def test_a_withheld_image_says_nothing_whatever_it_shows(model):
+    """VP only where the image was not withheld, which then says nothing, whatever it shows."""
     history, latent = torch.randn(2, 10, 45), torch.randn(2, 64)
     one, two = torch.rand(2, 2, 48, 64), torch.rand(2, 2, 48, 64)
-    no = torch.zeros(2)
-    assert torch.equal(model.vp(history, one, no, latent), model.vp(history, two, no, latent))
-    assert not torch.equal(
-        model.vp(history, one, no, latent), model.vp(history, one, 1 - no, latent)
-    )
+    yes, no = torch.ones(2), torch.zeros(2)
+
+    def same(estimator, first, second) -> bool:
+        return torch.equal(estimator(history, *first, latent), estimator(history, *second, latent))
+
+    assert same(model.op, (one, yes), (two, no))
+    assert not same(model.vp, (one, yes), (two, yes))
+    assert same(model.vp, (one, no), (two, no))
+    assert not same(model.vp, (one, no), (one, yes))
 
 
 def test_the_maps_error_is_judged_without_moving_the_memory():

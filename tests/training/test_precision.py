@@ -49,12 +49,12 @@ def test_a_module_computes_in_another_type_only_while_it_learns():
     assert torch.equal(layer(value), exact)
 
 
-def test_automatic_precision_follows_the_hardware(monkeypatch):
-    for has, expected in ((True, torch.bfloat16), (False, torch.float32)):
-        monkeypatch.setattr(precision, "has_bfloat16", lambda device, has=has: has)
-        assert learning_type("auto", "cpu") == expected
-        assert learning_type("float32", "cpu") == torch.float32
-        assert learning_type("bfloat16", "cpu") == torch.bfloat16
+@pytest.mark.parametrize("has", [True, False])
+def test_automatic_precision_follows_the_hardware(monkeypatch, has):
+    monkeypatch.setattr(precision, "has_bfloat16", lambda device: has)
+    assert learning_type("auto", "cpu") == (torch.bfloat16 if has else torch.float32)
+    assert learning_type("float32", "cpu") == torch.float32
+    assert learning_type("bfloat16", "cpu") == torch.bfloat16
 
 
 def test_work_side_by_side_shares_the_threads_and_gives_them_back(two_threads):

@@ -74,11 +74,11 @@ def test_the_algorithm_withholds_records_and_tells_the_critics():
     env = ToyEnv()
     alg = make_runner(env, withholding=WithholdingCfg(share=0.5, sight=0.3)).alg
     collect(alg, env, steps=100)
-    ticks = {key: torch.stack([row[key] for row in alg._ticks._rows]) for key in ("has_image",)}
-    assert ticks["has_image"][:, ::2].all()
-    assert 0.1 < ticks["has_image"][:, 1::2].float().mean() < 0.9
+    has_image = torch.stack([row["has_image"] for row in alg._ticks._rows])
+    assert has_image[:, ::2].all()
+    assert 0.1 < has_image[:, 1::2].float().mean() < 0.9
     age = alg._rollout.critic_observation[..., -2].unflatten(0, (-1, 5))[:, 0]
-    lost = (~ticks["has_image"]).float()
+    lost = (~has_image).float()
     # Normalised, so that what was never lost is below what was.
     assert age[lost > 0].min() > age[lost == 0].max()
     assert len(alg.update()) > 5
