@@ -42,10 +42,8 @@ def sabotage(bundle) -> Sabotage:
 def run(bundle, sabotage) -> Iterator[Run]:
     """A controller whose thread runs a spoilt estimator, and whose loop waits for it."""
 
-    def threaded(sessions) -> ThreadedInference:
-        return ThreadedInference({**sessions, "estimator": sabotage}, patience=5.0)
-
-    run = Run(bundle, inference=threaded)
+    run = Run(bundle, inference=lambda s: ThreadedInference({**s, "estimator": sabotage}))
+    run.controller._perception.patience = 5.0
     yield run
     run.controller.close()
 
@@ -83,7 +81,7 @@ def test_a_result_that_is_late_by_a_whole_tick_costs_vision(run):
 def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(sabotage, run):
     run.ticks(60)
     inference, before = run.controller._perception, run.controller.policy.latent_op.copy()
-    inference._patience, sabotage.mood = 0.001, "hangs"
+    inference.patience, sabotage.mood = 0.001, "hangs"
     assert not any(run.ticks(40)[20:])
     assert run.controller.decision.mode is Mode.WALKING
     assert not np.array_equal(before, run.controller.policy.latent_op), "OP's estimator goes on"
@@ -91,7 +89,7 @@ def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(sabotage, run):
     until(inference._tick.done)
     run.ticks(1)
     assert not run.controller.decision.inferred, "its tick was made up for"
-    inference._patience = 5.0
+    inference.patience = 5.0
     assert all(run.ticks(200)[-50:]), "vision comes back"
 
 

@@ -1,27 +1,25 @@
 """Keys through a real pseudo-terminal, a joystick's events through a pipe."""
 
 import io
+import math
 import os
-import pty
 import struct
+import sys
 import termios
-from contextlib import suppress
 
 import pytest
 
+from renet.deploy import teleop
 from renet.deploy.teleop import Deadman, JoystickTeleop, KeyboardTeleop, TeleopCommand
 from renet.errors import RenetError
 
 
 @pytest.fixture
-def keyboard():
-    """A keyboard's terminal, and what types on it."""
-    master, slave = pty.openpty()
-    with os.fdopen(slave) as stream:
-        keyboard = KeyboardTeleop(stream)
-        yield keyboard, lambda keys: os.write(master, keys.encode())
-        with suppress(ValueError):  # A test has closed it.
-            keyboard.close()
+def keyboard(terminal):
+    """A keyboard and what types on it."""
+    keyboard = KeyboardTeleop(math.inf)
+    yield keyboard, lambda keys: os.write(terminal, keys.encode())
+    keyboard.close()
 
 
 @pytest.mark.parametrize(
@@ -88,38 +86,39 @@ def test_a_flood_of_keys_does_not_hold_up_a_step(keyboard, monkeypatch):
     assert len(sizes) == 1
 
 
-def test_the_terminal_is_given_back():
-    _, slave = pty.openpty()
-    with os.fdopen(slave) as stream:
-        before = termios.tcgetattr(stream)
-        keyboard = KeyboardTeleop(stream)
-        assert termios.tcgetattr(stream) != before
-        keyboard.close()
-        assert termios.tcgetattr(stream) == before
+def test_the_terminal_is_given_back(terminal):
+    before = termios.tcgetattr(sys.stdin)
+    keyboard = KeyboardTeleop(math.inf)
+    assert termios.tcgetattr(sys.stdin) != before
+    keyboard.close()
+    assert termios.tcgetattr(sys.stdin) == before
 
 
-def test_a_lost_terminal_stops():
-    master, slave = pty.openpty()
-    keyboard = KeyboardTeleop(os.fdopen(slave))
-    os.close(master)
+def test_a_lost_terminal_stops(terminal):
+    keyboard = KeyboardTeleop(math.inf)
+    os.close(terminal)
     assert keyboard.command(0.0).stop
     assert keyboard.quit
     keyboard.close()
 
 
-def test_what_is_not_there_is_named(tmp_path):
-    with pytest.raises(RenetError, match="needs a terminal"):
-        KeyboardTeleop(io.StringIO())
+def test_what_is_not_there_is_named(tmp_path, monkeypatch):
+    for stdin in (io.StringIO(), None):
+        monkeypatch.setattr(sys, "stdin", stdin)
+        with pytest.raises(RenetError, match="needs a terminal"):
+            KeyboardTeleop(math.inf)
+    monkeypatch.setattr(teleop, "JOYSTICK", tmp_path / "js0")
     with pytest.raises(RenetError, match="no joystick at"):
-        JoystickTeleop(tmp_path / "js0")
+        JoystickTeleop(math.inf)
 
 
 @pytest.fixture
-def stick(tmp_path):
+def stick(tmp_path, monkeypatch):
     """A joystick and what writes its events: (value, kind, number)."""
     path = tmp_path / "js0"
     os.mkfifo(path)
-    joystick = JoystickTeleop(path)
+    monkeypatch.setattr(teleop, "JOYSTICK", path)
+    joystick = JoystickTeleop(math.inf)
     writer = os.open(path, os.O_WRONLY)
 
     def event(value: int, kind: int, number: int) -> None:
@@ -139,14 +138,14 @@ def test_sticks_and_buttons(stick):
     assert joystick.command(0.0) == TeleopCommand(arm=True)
     event(-32767, 2, 1)
     event(-16384, 2, 3)
-    teleop = joystick.command(0.1)
-    assert (teleop.speed, teleop.turn) == (1.0, pytest.approx(0.05, abs=1e-4))
+    ahead = joystick.command(0.1)
+    assert (ahead.speed, ahead.turn) == (1.0, pytest.approx(0.05, abs=1e-4))
     assert joystick.command(100.0).turn == pytest.approx(0.1, abs=1e-4), "no far turn after a pause"
     event(32767, 2, 1)
     event(1000, 2, 3)
-    teleop = joystick.command(100.1)
-    assert teleop.speed == 0.0, "it walks forwards only"
-    assert teleop.turn == pytest.approx(0.1, abs=1e-4), "small deflections are none"
+    back = joystick.command(100.1)
+    assert back.speed == 0.0, "it walks forwards only"
+    assert back.turn == pytest.approx(0.1, abs=1e-4), "small deflections are none"
     event(1, 1, 0)
     assert joystick.command(100.2).stop
     assert not joystick.command(100.3).stop

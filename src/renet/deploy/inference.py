@@ -45,10 +45,12 @@ class InlineInference:
 class ThreadedInference(InlineInference):
     """Ticks on a daemon thread, which survives those that fail."""
 
-    def __init__(self, sessions: Sessions, patience: float = 0.008) -> None:
-        """Start the thread; `take` waits `patience` seconds in the step that began a tick."""
+    patience = 0.008
+    """Seconds that `take` waits in the step that began a tick."""
+
+    def __init__(self, sessions: Sessions) -> None:
         super().__init__(sessions)
-        self._patience, self._deadline = patience, 0.0
+        self._deadline = 0.0
         self._jobs: SimpleQueue[tuple[EstimatorInput, Future[EstimatorOutput]] | None]
         self._jobs = SimpleQueue()
         self._tick: Future[EstimatorOutput] | None = None
@@ -73,7 +75,7 @@ class ThreadedInference(InlineInference):
 
     def begin(self, inputs: EstimatorInput) -> None:
         """Start a tick."""
-        self._tick, self._deadline = Future(), time.monotonic() + self._patience
+        self._tick, self._deadline = Future(), time.monotonic() + self.patience
         self._jobs.put((inputs, self._tick))
 
     def take(self) -> EstimatorOutput | None:

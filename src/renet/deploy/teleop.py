@@ -9,14 +9,14 @@ import termios
 import tty
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from renet.errors import RenetError
 from renet.interface import MAX_SPEED
 
 SPEED_KEYS, TURN_KEYS = {"w": 0.1, "s": -0.1}, {"a": 0.1, "d": -0.1}
 """m/s and rad per key press."""
+JOYSTICK = "/dev/input/js0"
 TURN_RATE = 1.0
 """rad/s at a joystick's full deflection."""
 DEAD_ZONE = 0.1
@@ -88,19 +88,17 @@ class KeyboardTeleop:
 
     CONTROLS = "w/s faster/slower, a/d left/right, r stand up and walk, space stop, q quit"
 
-    def __init__(self, stream: Any = None, deadman: float = math.inf) -> None:
-        """Take over the terminal; raises RenetError if there is none.
+    def __init__(self, deadman: float) -> None:
+        """Take over standard input; raises RenetError if that is no terminal.
 
         Args:
-            stream: of the terminal, standard input by default.
             deadman: seconds without any key after which the robot stands.
         """
-        self._stream = sys.stdin if stream is None else stream
         try:
-            self._descriptor = self._stream.fileno()
+            self._descriptor = sys.stdin.fileno()
             self._before = termios.tcgetattr(self._descriptor)
             tty.setcbreak(self._descriptor)
-        except (termios.error, OSError, ValueError) as error:
+        except (termios.error, OSError, ValueError, AttributeError) as error:  # None: closed.
             raise RenetError(
                 "--teleop keyboard needs a terminal: run renet in one, or take a joystick"
             ) from error
@@ -142,17 +140,16 @@ class JoystickTeleop:
     SPEED_AXIS, TURN_AXIS = 1, 3
     ARM_BUTTONS, STOP_BUTTONS = (7,), (0, 1)
 
-    def __init__(self, device: Path = Path("/dev/input/js0"), deadman: float = math.inf) -> None:
-        """Open the device; raises RenetError if there is none.
+    def __init__(self, deadman: float) -> None:
+        """Open `JOYSTICK`; raises RenetError if there is none.
 
         Args:
-            device: of the joystick.
             deadman: seconds without a move of stick or button after which the robot stands.
         """
         try:
-            self._device = os.open(device, os.O_RDONLY | os.O_NONBLOCK)
+            self._device = os.open(JOYSTICK, os.O_RDONLY | os.O_NONBLOCK)
         except OSError as error:
-            raise RenetError(f"no joystick at {device}: {error.strerror}") from error
+            raise RenetError(f"no joystick at {JOYSTICK}: {error.strerror}") from error
         self._axes: dict[int, float] = {}
         self._held: dict[int, float] = {}
         self._turn, self._time = 0.0, None
