@@ -3,13 +3,16 @@
 import os
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
+from types import SimpleNamespace
 
 import pytest
 
 from renet.bundle import Bundle
 from renet.deploy import devices
-from renet.deploy.catalogue import ROBOTS
-from renet.deploy.cfg import DeployCfg
+from renet.deploy.catalogue import ROBOTS, RealSenseCfg, SimCameraCfg
+from renet.deploy.cfg import DEADMAN, DeployCfg
+from renet.deploy.main import deploy
 from renet.deploy.robots.driver import DriverCfg
 from renet.errors import RenetError
 
@@ -65,3 +68,45 @@ def test_no_driver_can_forget_the_lock_on_its_robot(monkeypatch):
         start(third, bad=True)
     with ExitStack() as fourth:
         assert start(fourth).connected
+
+
+@pytest.mark.parametrize("teleop", ["keyboard", "joystick"])
+def test_the_deadman_reaches_the_operators_device(monkeypatch, teleop):
+    device = devices.TELEOPS[teleop]
+    monkeypatch.setattr(device, "__init__", lambda self, deadman: setattr(self, "given", deadman))
+    for deadman, given in ((2.5, 2.5), (None, DEADMAN)):
+        made = devices.make_teleop(DeployCfg(robot="go1", teleop=teleop, deadman=deadman))
+        assert (type(made), made.given) == (device, given)
+
+
+def test_faults_begin_with_the_run_not_with_the_wait_for_a_first_image(monkeypatch):
+    camera = SimpleNamespace(start=lambda: None, latest=iter([None, None, "image"]).__next__)
+    robot = SimpleNamespace(connect=lambda: None, now=lambda: 0.0)
+    monkeypatch.setattr(devices, "make_robot", lambda *given: robot)
+    monkeypatch.setattr(RealSenseCfg, "build", lambda *given: camera)
+    pressed = []
+    teleop = SimpleNamespace(command=pressed.append)
+    monkeypatch.setattr(devices, "make_teleop", lambda cfg: teleop)
+    cfg = DeployCfg(robot="go1", fault=("blackout@5s",), teleop="keyboard")
+    _, faulty, *_ = devices.start_devices(cfg, Bundle.load(), print, ExitStack())
+    assert faulty._begun is None
+    assert pressed, "keys of that time are taken, so that they cannot arm later"
+
+
+def test_devices_are_closed_robot_first_even_after_half_a_start(tmp_path, monkeypatch):
+    closed = []
+
+    def refuse() -> None:
+        raise RenetError("the camera does not start")
+
+    def part(name: str) -> SimpleNamespace:
+        close = partial(closed.append, name)
+        return SimpleNamespace(connect=lambda: None, start=refuse, close=close)
+
+    for name in ("robot", "teleop"):
+        monkeypatch.setattr(devices, f"make_{name}", lambda *_, name=name: part(name))
+    monkeypatch.setattr(SimCameraCfg, "build", lambda *_: part("camera"))
+    with pytest.raises(RenetError, match="does not start"):
+        deploy(DeployCfg(out=tmp_path / "out"))
+    assert closed == ["robot", "camera", "teleop"]
+    assert not (tmp_path / "out").exists()

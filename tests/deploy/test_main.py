@@ -7,11 +7,8 @@ import signal
 import sys
 import threading
 import xml.etree.ElementTree as ET
-from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +17,7 @@ import tyro
 from renet import cli, descriptions
 from renet.bundle import Bundle, read_manifest, write_manifest
 from renet.deploy import catalogue, devices, main
-from renet.deploy.catalogue import Go1Cfg, RealSenseCfg, ReplayCfg, SimCameraCfg, SimulationCfg
+from renet.deploy.catalogue import Go1Cfg, ReplayCfg, SimulationCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
 from renet.deploy.recording.recorder import MODES, Recording, read_recording
@@ -299,48 +296,6 @@ def test_a_missing_viewer_is_named(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "mjviser", None)
     assert cli.main(["deploy", "--viewer", "--out", str(tmp_path)]) == 2
     assert "pip install mjviser" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("teleop", ["keyboard", "joystick"])
-def test_the_deadman_reaches_the_operators_device(monkeypatch, teleop):
-    device = devices.TELEOPS[teleop]
-    monkeypatch.setattr(device, "__init__", lambda self, deadman: setattr(self, "given", deadman))
-    for deadman, given in ((2.5, 2.5), (None, DEADMAN)):
-        made = devices.make_teleop(DeployCfg(robot="go1", teleop=teleop, deadman=deadman))
-        assert (type(made), made.given) == (device, given)
-
-
-def test_faults_begin_with_the_run_not_with_the_wait_for_a_first_image(monkeypatch):
-    camera = SimpleNamespace(start=lambda: None, latest=iter([None, None, "image"]).__next__)
-    robot = SimpleNamespace(connect=lambda: None, now=lambda: 0.0)
-    monkeypatch.setattr(devices, "make_robot", lambda *given: robot)
-    monkeypatch.setattr(RealSenseCfg, "build", lambda *given: camera)
-    pressed = []
-    teleop = SimpleNamespace(command=pressed.append)
-    monkeypatch.setattr(devices, "make_teleop", lambda cfg: teleop)
-    cfg = DeployCfg(robot="go1", fault=("blackout@5s",), teleop="keyboard")
-    _, faulty, *_ = devices.start_devices(cfg, Bundle.load(), print, ExitStack())
-    assert faulty._begun is None
-    assert pressed, "keys of that time are taken, so that they cannot arm later"
-
-
-def test_devices_are_closed_robot_first_even_after_half_a_start(tmp_path, monkeypatch):
-    closed = []
-
-    def refuse() -> None:
-        raise RenetError("the camera does not start")
-
-    def part(name: str) -> SimpleNamespace:
-        close = partial(closed.append, name)
-        return SimpleNamespace(connect=lambda: None, start=refuse, close=close)
-
-    for name in ("robot", "teleop"):
-        monkeypatch.setattr(devices, f"make_{name}", lambda *_, name=name: part(name))
-    monkeypatch.setattr(SimCameraCfg, "build", lambda *_: part("camera"))
-    with pytest.raises(RenetError, match="does not start"):
-        deploy(DeployCfg(out=tmp_path / "out"))
-    assert closed == ["robot", "camera", "teleop"]
-    assert not (tmp_path / "out").exists()
 
 
 def test_nothing_is_printed_by_the_thread_that_drives_the_robot(tmp_path, monkeypatch):
