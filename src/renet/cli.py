@@ -125,6 +125,11 @@ COMMANDS = {
         presets={"noise": "renet.evaluation.studies.noise:NoiseStudy"},
         resume=KEPT,
     ),
+    "evaluate benchmark": Command(
+        "what is still crossed when the camera fails at an edge",
+        "renet.evaluation.studies.crossing:CrossingStudy:CrossingStudy.main",
+        resume=KEPT,
+    ),
     "evaluate leaderboard": Command(
         "rank policies by their results under faults",
         "renet.evaluation.studies.leaderboard:LeaderboardCfg:make_leaderboard",

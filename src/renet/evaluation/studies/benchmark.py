@@ -1,4 +1,4 @@
-"""The fault benchmark, version 1: its grounds and onsets, and its result files.
+"""The fault benchmark: grounds and onsets of version 1, and the result files of both versions.
 
 docs/benchmark.md is the specification.
 """
@@ -15,7 +15,7 @@ from renet.evaluation.results import read_results
 from renet.faults import Injection, fault_class
 from renet.interface import CONTROL_DT, Terrain
 
-BENCHMARK, VERSION = "renet-faults", 1
+BENCHMARK = "renet-faults"
 GROUNDS: dict[Terrain, int] = {
     "flat": 1,
     "stairs_up": 6,
@@ -29,8 +29,8 @@ ONSETS = {0.5: "on_the_way", 1.5: "before_the_edge"}
 """Names of the seconds at which faults begin."""
 PROTOCOL = ("seed", "speed", "lasts", "seconds", "quick")
 """Settings of the study that a result file tells; seconds, m/s."""
-SCHEMA = Path(__file__).with_name("benchmark.schema.json")
-"""JSON Schema (2020-12) of result files."""
+SCHEMAS = {1: "benchmark.schema.json", 2: "crossing.schema.json"}
+"""JSON Schema (2020-12) of the result files of each version."""
 
 
 class Setting(NamedTuple):
@@ -57,22 +57,27 @@ class Setting(NamedTuple):
         return Injection.of(self.fault, self.severity, self.step, seconds)
 
 
-def result(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """The result file of a fault study's summary; its onsets must be the benchmark's."""
-    settings, origin = summary["settings"], summary["provenance"]
+def header(summary: Mapping[str, Any], version: int) -> dict[str, Any]:
+    """What every result file begins with: which policy, and where its numbers come from."""
+    origin = summary["provenance"]
+    names = ("commit", "engine", "command", "date")
     return {
         "benchmark": BENCHMARK,
-        "version": VERSION,
+        "version": version,
         "policy": {
             "name": origin["bundle"],
             "url": None,
             "sha256": origin["bundle_hash"],
-            "modes": settings["modes"],
+            "modes": summary["settings"]["modes"],
         },
-        "provenance": {
-            "renet": origin["renet_version"],
-            **{name: origin[name] for name in ("commit", "engine", "command", "date")},
-        },
+        "provenance": {"renet": origin["renet_version"], **{name: origin[name] for name in names}},
+    }
+
+
+def result(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """The result file of a fault study's summary; its onsets must be the benchmark's."""
+    settings = summary["settings"]
+    return header(summary, 1) | {
         "protocol": {
             "robots": summary["robots"],
             **{name: settings[name] for name in PROTOCOL},
@@ -90,11 +95,15 @@ def result(summary: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_result(path: Path) -> dict[str, Any]:
-    """A result file of this version, valid under `SCHEMA`; raises RenetError for another file."""
+    """A result file, valid under its version's schema; raises RenetError for another file."""
     content = read_results(path)
-    if (content.get("benchmark"), content.get("version")) != (BENCHMARK, VERSION):
-        raise RenetError(f"{path} is no result of {BENCHMARK}, version {VERSION}")
-    error = next(Draft202012Validator(json.loads(SCHEMA.read_text())).iter_errors(content), None)
+    schema = SCHEMAS.get(content.get("version", 0))
+    if content.get("benchmark") != BENCHMARK or schema is None:
+        raise RenetError(
+            f"{path} is no result of {BENCHMARK}, version {' or '.join(map(str, SCHEMAS))}"
+        )
+    validator = Draft202012Validator(json.loads(Path(__file__).with_name(schema).read_text()))
+    error = next(validator.iter_errors(content), None)
     if error is not None:
         # The message may quote the whole file; what is wrong with it comes last.
         message = error.message if len(error.message) < 200 else f"… {error.message[-150:]}"

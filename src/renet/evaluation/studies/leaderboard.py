@@ -19,6 +19,7 @@ from renet.errors import RenetError
 from renet.evaluation.metrics import bootstrap_interval
 from renet.evaluation.results import grouped
 from renet.evaluation.studies.benchmark import GROUNDS, ONSETS, PROTOCOL, read_result
+from renet.evaluation.studies.crossing import SCORES, places
 from renet.evaluation.studies.fault_findings import SEVERE, findings
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.study import Table
@@ -52,8 +53,14 @@ class LeaderboardCfg:
 def make_leaderboard(cfg: LeaderboardCfg) -> Path:
     """Print the tables, write them and return their path; raises as `read_result` and `rank`."""
     results = [read_result(path) for path in cfg.files]
-    tables: list[Table] = [("Fault benchmark, version 1", HEADER, rank(results))]
-    tables += result_tables(results, cfg.severity, cfg.onset)
+    versions = {result["version"] for result in results}
+    if len(versions) > 1:
+        raise RenetError("give results of one version of the benchmark")
+    if versions == {2}:
+        tables = [("Fault benchmark, version 2", ("", "policy", "mode", *SCORES), places(results))]
+    else:
+        tables: list[Table] = [("Fault benchmark, version 1", HEADER, rank(results))]
+        tables += result_tables(results, cfg.severity, cfg.onset)
     tables += study_tables(cfg.noticed) if cfg.noticed else ()
     write_atomically(cfg.out, "\n".join(map(_markdown, tables)).encode())
     for table in tables:
