@@ -98,7 +98,7 @@ class CrossingStudy(WalkingStudy):
 
     out: Path = Path("results/benchmark")
     """Folder for summary.json, summary.csv, result.json and parts/."""
-    draw: int = 0
+    draw_seed: int = 0
     """Seed of the faults that are on no list."""
     grounds: tuple[str, ...] = tuple(LEVELS)
     """Kinds of tile."""
@@ -113,13 +113,13 @@ class CrossingStudy(WalkingStudy):
         super().__post_init__()
         if not self.grounds or not {*self.grounds} <= {*LEVELS}:
             raise RenetError(f"grounds {self.grounds}: choose among {', '.join(LEVELS)}")
-        if self.draw < 0 or self.seconds < 1:
-            raise RenetError("draw must be at least 0, and seconds at least 1")
+        if self.draw_seed < 0 or self.seconds < 1:
+            raise RenetError("draw seed must be at least 0, and seconds at least 1")
 
     @property
     def faults(self) -> dict[str, Faults]:
         """Every fault by its name in the results."""
-        return {name: ((name, 5),) for name in TELLING} | drawn_faults(self.draw)
+        return {name: ((name, 5),) for name in TELLING} | drawn_faults(self.draw_seed)
 
     @property
     def places(self) -> list[tuple[str, str]]:
@@ -236,7 +236,7 @@ def result(summary: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-PROTOCOL = ("seed", "draw", "speed", "seconds", "quick")
+PROTOCOL = ("seed", "draw_seed", "speed", "seconds", "quick")
 """Settings of the study that a result file tells."""
 
 
@@ -246,7 +246,7 @@ def places(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     Raises RenetError for results of different protocols, whose robots met other things.
     """
     if any(r["protocol"] != results[0]["protocol"] for r in results):
-        raise RenetError("give results of one protocol: robots, seed, draw, speed, seconds, quick")
+        raise RenetError("give results of one protocol: robots, seeds, speed, seconds, quick")
     entries = [
         (scores["crossed"], result["policy"]["name"], mode, score_cells(scores))
         for result in results
