@@ -140,7 +140,7 @@ class CrossingStudy(WalkingStudy):
     def _walk(self, evaluator: Evaluator, ground: str, size: str) -> Part:
         """Walk with healthy cameras first: they tell when each robot is where its twin's fails."""
         level, each = LEVELS[ground][SIZES.index(size)], self.robots_each
-        cfg = evaluator.grounds_env_cfg({ground: level})
+        cfg = evaluator.terrain_env_cfg({ground: level})
         spawn = cfg.events["spawn"].params["pose_range"]
         spawn |= {"x": (0.0, 0.0), "y": (0.0, 0.0), "yaw": (-AIM, AIM)}
 
@@ -153,7 +153,9 @@ class CrossingStudy(WalkingStudy):
 
         place = f"{self.places.index((ground, size)) + 1}/{len(self.places)} {ground}, {size}"
         healthy = [Trial(mode, (), r, ground) for mode in self.modes for r in range(each)]
-        twins = dict(zip(self.modes, run(healthy, f"{place}: twins"), strict=True))
+        twins: dict[str, Trace] = dict(
+            zip(self.modes, run(healthy, f"{place}: twins"), strict=True)
+        )
         # A robot in OP walks as its twin does.
         groups = [(mode, s) for mode in self.modes if mode != "op" for s in self.settings]
         trials = [
@@ -216,8 +218,11 @@ def score_cells(scores: Mapping[str, Any]) -> list[str]:
         return "-" if scores[name] is None else f"{100 * scores[name]:.1f} %"
 
     def interval(name: str) -> str:
-        ends = [scores.get(f"{name}_ci95_{end}") for end in ("low", "high")]
-        return "-" if None in ends else "{:.1f} to {:.1f}".format(*(100 * end for end in ends))
+        if scores[name] is None:
+            return "-"
+        return "{:.1f} to {:.1f}".format(
+            *(100 * scores[f"{name}_ci95_{e}"] for e in ("low", "high"))
+        )
 
     intervals = [cell for name in ("crossed", "kept") for cell in (share(name), interval(name))]
     return [*intervals, share("healthy"), share("upright")]

@@ -56,10 +56,11 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
     versions = {result["version"] for result in results}
     if len(versions) > 1:
         raise RenetError("give results of one version of the benchmark")
+    tables: list[Table] = []
     if versions == {2}:
-        tables = [("Fault benchmark, version 2", ("", "policy", "mode", *SCORES), places(results))]
+        tables += [("Fault benchmark, version 2", ("", "policy", "mode", *SCORES), places(results))]
     else:
-        tables: list[Table] = [("Fault benchmark, version 1", HEADER, rank(results))]
+        tables += [("Fault benchmark, version 1", HEADER, rank(results))]
         tables += result_tables(results, cfg.severity, cfg.onset)
     tables += study_tables(cfg.noticed) if cfg.noticed else ()
     write_atomically(cfg.out, "\n".join(map(_markdown, tables)).encode())
