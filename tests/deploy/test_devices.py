@@ -1,7 +1,7 @@
 """Devices of one run: what is taken before they start, and given back however that ends."""
 
 import os
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from types import SimpleNamespace
@@ -10,7 +10,7 @@ import pytest
 
 from renet.bundle import Bundle
 from renet.deploy import devices
-from renet.deploy.catalogue import ROBOTS, RealSenseCfg, SimCameraCfg
+from renet.deploy.catalogue import RealSenseCfg, SimCameraCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import deploy
 from renet.deploy.robots.driver import DriverCfg
@@ -18,56 +18,51 @@ from renet.errors import RenetError
 
 from .fakes import Standing
 
+CONNECTED: list[str] = []
+"""Ports that drivers have connected to."""
+
 
 class Robot(Standing):
     """A driver that knows of no lock."""
 
-    def __init__(self, bad: bool) -> None:
-        super().__init__()
-        self.bad, self.connected = bad, False
-
     def connect(self) -> None:
-        self.connected = True
-        if self.bad:
+        CONNECTED.append(self.port)
+        if self.port == "dead":
             raise RenetError("no answer")
 
 
 @dataclass(frozen=True)
 class RobotCfg(DriverCfg):
-    port: str = "usb"
-    bad: bool = False
+    port: str
 
     @property
     def address(self) -> str:
         return self.port
 
-    def build(self, *given) -> Robot:
-        return Robot(self.bad)
+    def build(self, *_) -> Robot:
+        robot = Robot()
+        robot.port = self.port
+        return robot
 
 
-def test_no_driver_can_forget_the_lock_on_its_robot(monkeypatch):
+def test_no_driver_can_forget_the_lock_on_its_robot():
     """A second program is refused before it connects; the lock ends with the first's devices."""
-    kind = f"mine-{os.getpid()}"
-    monkeypatch.setitem(ROBOTS, kind, RobotCfg)
-    bundle, connected = Bundle.load(), []
-    monkeypatch.setattr(Robot, "close", lambda robot: connected.append(robot), raising=False)
+    kind, bundle = f"mine-{os.getpid()}", Bundle.load()
 
-    def start(stack: ExitStack, **options) -> Robot:
-        cfg = DeployCfg(robot=kind, driver=RobotCfg(**options), camera="none", dry_run=True)
-        return devices.start_devices(cfg, bundle, print, stack)[0]
+    def start(stack: ExitStack, port: str) -> None:
+        cfg = DeployCfg(robot=kind, driver=RobotCfg(port), camera="none", dry_run=True)
+        devices.start_devices(cfg, bundle, print, stack)
 
     with ExitStack() as first, ExitStack() as second:
-        assert start(first).connected
-        monkeypatch.setattr(Robot, "connect", lambda robot: pytest.fail("it was disturbed"))
+        start(first, "usb")
         with pytest.raises(RenetError, match=rf"another program .* drives the {kind} usb: end it"):
-            start(second)
-        monkeypatch.undo()
-        monkeypatch.setitem(ROBOTS, kind, RobotCfg)
-        assert start(second, port="another").connected
-    with pytest.raises(RenetError, match="no answer"), ExitStack() as third:
-        start(third, bad=True)
-    with ExitStack() as fourth:
-        assert start(fourth).connected
+            start(second, "usb")
+        start(second, "another")
+        assert CONNECTED == ["usb", "another"]
+    for port in ("dead", "dead", "usb"):
+        with suppress(RenetError) if port == "dead" else nullcontext(), ExitStack() as stack:
+            start(stack, port)
+    assert CONNECTED[2:] == ["dead", "dead", "usb"]
 
 
 @pytest.mark.parametrize("teleop", ["keyboard", "joystick"])
