@@ -14,11 +14,14 @@ from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard, rank
 
 
+def share(value: float, change: float = 0.0) -> dict:
+    return {"value": value, "ci95": None, "change": {"value": change, "ci95": None}}
+
+
 def complete(name: str, crossed: float) -> dict:
     """A result of every quick setting in which the same share crosses everywhere."""
-    share = {"value": crossed, "ci95": None, "change": {"value": 0.0, "ci95": None}}
-    measures = dict.fromkeys(("crossed", "upright", "speed_error", "energy_per_metre"), share)
-    measures |= dict.fromkeys(("collisions", "seconds_without_sight", "switches"), share)
+    names = ("crossed", "upright", "speed_error", "energy_per_metre", "collisions")
+    measures = {n: share(crossed) for n in (*names, "seconds_without_sight", "switches")}
     settings = [
         {"ground": s.ground, "level": GROUNDS[s.ground], "fault": s.fault, "severity": s.severity}
         | {"onset": ONSETS[s.onset], "mode": "vp", "measures": measures}
@@ -29,11 +32,10 @@ def complete(name: str, crossed: float) -> dict:
     protocol = {"robots": 5, "seed": 1, "speed": 0.6, "lasts": 4.0, "seconds": 10.0, "quick": True}
     origin = dict.fromkeys(("renet", "commit", "command", "date"), "x") | {"engine": "warp"}
     kind = {"benchmark": "renet-faults", "version": 1, "provenance": origin}
-    one = {"crossed": [1.0, 0.0], "upright": [1.0, 1.0]}
-    robots = {ground: one | {"crossed": [crossed, crossed]} for ground in GROUNDS}
-    robots["gap"] = one
-    by_robot = {"by_robot": {"vp": robots}}
-    return kind | {"policy": policy, "protocol": protocol, "settings": settings} | by_robot
+    robots = {g: {"crossed": [crossed] * 2, "upright": [1.0, 1.0]} for g in GROUNDS}
+    robots["gap"]["crossed"] = [1.0, 0.0]
+    parts = {"policy": policy, "protocol": protocol, "settings": settings}
+    return kind | parts | {"by_robot": {"vp": robots}}
 
 
 def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked() -> None:
@@ -51,8 +53,8 @@ def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked() -> None:
         ("incomplete", "lucky", "vp", "80.0 %"),
     ]
     # Two robots that differ on gaps alone: the mean of both, or twice the one or the other.
-    share = np.mean([s["ground"] == "gap" for s in good["settings"] if s["ground"] != "flat"])
-    assert rows[0][4] == f"{60 * (1 - share):.1f} to {60 + 40 * share:.1f}"
+    weight = np.mean([s["ground"] == "gap" for s in good["settings"] if s["ground"] != "flat"])
+    assert rows[0][4] == f"{60 * (1 - weight):.1f} to {60 + 40 * weight:.1f}"
     del good["by_robot"]
     assert rank([good])[0][4] == "-"
     with pytest.raises(RenetError, match="one protocol"):
@@ -99,11 +101,9 @@ def test_a_file_against_the_schema_is_one_line(tmp_path: Path, spoil, message: s
 
 def setting(ground: str, severity: int, mode: str, crossed: float, change: float) -> dict:
     """A setting in which as many robots stay upright as cross."""
-    share = {"value": crossed, "ci95": None, "change": {"value": change, "ci95": None}}
-    switches = {"value": 3.0, "ci95": None, "change": {"value": 2.5, "ci95": None}}
     place = {"ground": ground, "onset": "on_the_way", "fault": "glare", "severity": severity}
-    measures = {"crossed": share, "upright": share, "switches": switches}
-    return place | {"mode": mode, "measures": measures}
+    measures = dict.fromkeys(("crossed", "upright"), share(crossed, change))
+    return place | {"mode": mode, "measures": measures | {"switches": share(3.0, 2.5)}}
 
 
 RESULT = {
@@ -153,9 +153,7 @@ def test_tables_behind_the_ranking_by_hand() -> None:
         ("all but the first", "+20.0 (+20.0 to +20.0)", "+50.0 (+0.0 to +100.0)"),
         ("all", "+13.3 (+13.3 to +13.3)", "+33.3 (+0.0 to +66.7)"),
     ]
-
-
-def test_tables_can_be_of_one_severity_or_onset() -> None:
+    # Tables can be of one severity or onset.
     ground = next(leaderboard.result_tables([RESULT], 5, None))
     assert [row[-1] for row in ground[2]] == [1, 1]
     assert next(leaderboard.result_tables([RESULT], None, "before_the_edge"))[2] == []

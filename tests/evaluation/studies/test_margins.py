@@ -68,8 +68,8 @@ def test_levels_are_in_the_units_they_are_shown_in() -> None:
     assert settings(cfg)["delays"] == {(4, 4)}
 
 
-def run(level: float | None, failed: float, axis: str = "payload") -> dict:
-    return {"axis": "nominal" if level is None else axis, "level": level, "failed": failed}
+def run(level: float | None, failed: float) -> dict:
+    return {"axis": "payload" if level else "nominal", "level": level, "failed": failed}
 
 
 def test_the_margin_ends_at_the_first_level_beyond_it() -> None:
@@ -77,8 +77,8 @@ def test_the_margin_ends_at_the_first_level_beyond_it() -> None:
     held = [run(None, 0.0), *(run(level, ALLOWED) for level in levels)]
     assert margin(held, "payload", levels) == {"margin": levels[-1], "broke": None, "held": 1.0}
     held[2]["failed"] = 0.1  # The second level; that a worse one is survived does not count.
-    end = margin(held, "payload", levels)
-    assert (end["margin"], end["broke"]) == (levels[0], levels[1])
+    end = {"margin": levels[0], "broke": levels[1], "held": 1 / len(levels)}
+    assert margin(held, "payload", levels) == end
     held[0]["failed"] = 0.1
     assert margin(held, "payload", levels) == {"margin": None, "broke": levels[0], "held": 0.0}
 

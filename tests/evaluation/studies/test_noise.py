@@ -102,8 +102,7 @@ def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_a_folder_that_cannot_be_written_to_is_reported(tmp_path: Path, monkeypatch) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(RenetError, match="cannot write"):
-        NoiseStudy(out=tmp_path / "file").run(FakeEvaluator())
     monkeypatch.setattr("os.access", lambda path, mode: False)
-    with pytest.raises(RenetError, match="permission denied"):
-        NoiseStudy(out=tmp_path).run(FakeEvaluator())
+    for out, message in ((tmp_path / "file", "cannot write"), (tmp_path, "permission denied")):
+        with pytest.raises(RenetError, match=message):
+            NoiseStudy(out=out).run(FakeEvaluator())
