@@ -16,6 +16,9 @@ from renet.deploy.recording.recorder import read_recording
 from renet.errors import RenetError
 
 COMMAND = ("-m", "renet.cli", "deploy", "--terrain", "obstacles", "--seconds", "30", "--out")
+ON_A_SMALL_DISK = """mount -t tmpfs -o size=${1}k none $2; disk=$2; shift 2
+"$@"; code=$?; cp -r $disk/. $disk-copy; exit $code"""
+"""Runs a command with a disk of $1 kB at $2, and keeps a copy of what that held."""
 SIGNALS = ("KILL", "TERM", "INT")
 WHOLE, FULL = "nothing", "full disk"
 EVERY = 60.0
@@ -44,7 +47,7 @@ class Flights(threading.Thread):
         while not self._over.wait(max(0.0, begun + EVERY - time.monotonic())):
             begun, end = time.monotonic(), str(self._random.choice((*SIGNALS, FULL, WHOLE)))
             if end == FULL:
-                self._fly(end, PATIENCE, int(self._random.integers(size)))
+                self._fly(end, PATIENCE, int(self._random.integers(4, size // 1000)))
             else:
                 wait = self._random.uniform(0.0, seconds) if end in SIGNALS else PATIENCE
                 self._fly(end, wait)
@@ -56,16 +59,15 @@ class Flights(threading.Thread):
             self.join()
 
     def _fly(self, end: str, wait: float, room: int | None = None) -> None:
-        """One run, its end after `wait` seconds, and what it left.
-
-        Where a disk has `room` for so many bytes of a file only, the system's limit of a file's
-        size stands for that disk.
-        """
-        before = self._recordings()
-        command = [sys.executable, *COMMAND, str(self._out)]
-        limited = [] if room is None else ["prlimit", f"--fsize={room}"]
+        """One run, its end after `wait` seconds, and what it left; `room`: kB of a disk."""
+        before, out, small = self._recordings(), self._out, []
+        if room is not None:
+            out = self._out / f"disk-{sum(self.count.values())}"
+            out.mkdir()
+            small = ["unshare", "-rm", "sh", "-c", ON_A_SMALL_DISK, "sh", str(room), str(out)]
+        command = [*small, sys.executable, *COMMAND, str(out)]
         process = subprocess.Popen(
-            [*limited, *command], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
         )
         with suppress(subprocess.TimeoutExpired):
             process.wait(wait)

@@ -282,8 +282,9 @@ def plot(results: dict, path: Path) -> None:
         "control step,\nms of CPU time": ("tick_cpu_p50_ms", "tick_cpu_p99_ms"),
         "in the minute": ("switches", "damped", "falls"),
         "largest joint target,\nshare of the envelope": ("target",),
+        "load of the\ncomputer": ("load",),
     }
-    rows, figure = results["by_minute"], Figure(figsize=(9, 7), layout="constrained")
+    rows, figure = results["by_minute"], Figure(figsize=(9, 8), layout="constrained")
     axes = figure.subplots(len(panels), 1, sharex=True)
     for axis, (label, names) in zip(axes, panels.items(), strict=True):
         for name in names:

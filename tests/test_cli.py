@@ -1,8 +1,11 @@
 """The door: every command explains itself, and every mistake is one line and exit code 2."""
 
+import os
 import re
+import signal
 import subprocess
 import sys
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import pytest
@@ -93,6 +96,26 @@ def test_the_shell_completes_commands_options_and_choices(capsys):
         ["faults"],
         ["stairs", "stairs_up", "stairs_down"],
     ]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, 0])
+def test_an_interrupt_that_an_import_turns_into_an_error_is_one(capsys, monkeypatch, number):
+    """As native modules do."""
+
+    def load(*arguments):
+        with suppress(KeyboardInterrupt):
+            os.kill(os.getpid(), number)
+        raise ImportError("initialization failed")
+
+    monkeypatch.setattr(cli.Command, "load", load)
+    with nullcontext() if number else pytest.raises(ImportError):
+        assert run(capsys, "deploy") == (130, "", "renet: interrupted\n")
+
+
+def test_a_full_disk_behind_standard_output_is_one_line():
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([sys.executable, "-m", "renet"], stdout=full, stderr=subprocess.PIPE)
+    assert (done.returncode, done.stderr) == (2, b"renet: [Errno 28] No space left on device\n")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any, Union
 
 from renet import __version__
@@ -188,19 +189,31 @@ def main(argv: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else argv
     # A spinning OpenMP team starves whatever shares the machine; must be set before torch loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # As Ctrl-C.
+    interrupts: list[int] = []
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        interrupts.append(number)
+        raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        main_thread = threading.current_thread() is threading.main_thread()
+        if main_thread and signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, interrupt)
     try:
-        return _run(arguments)
-    except BrokenPipeError:
-        # `renet … | head`: nobody reads on, and what is still held back must not raise at exit.
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        for stream in (sys.stdout, sys.stderr):
+        return _run(arguments, interrupts)
+    except BrokenPipeError:  # `renet … | head`: nobody reads on.
+        code, streams = SIGPIPE_CODE, (sys.stdout, sys.stderr)
+    except OSError as error:  # A full disk behind standard output, for one.
+        print(f"renet: {error}", file=sys.stderr)
+        code, streams = 2, (sys.stdout,)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in streams:  # What is still held back must not raise at exit.
+        with suppress(OSError):
             os.dup2(nowhere, stream.fileno())
-        return SIGPIPE_CODE
+    return code
 
 
-def _run(arguments: list[str]) -> int:
+def _run(arguments: list[str], interrupts: list[int]) -> int:
     """Run a command; what the user can put right becomes one line."""
     try:
         return _dispatch(arguments)
@@ -211,8 +224,12 @@ def _run(arguments: list[str]) -> int:
         line = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(error))
         print(f"renet: {line}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt as interrupt:
-        print(": ".join(filter(None, ("renet: interrupted", str(interrupt)))), file=sys.stderr)
+    except (KeyboardInterrupt, Exception) as error:
+        # Native modules turn an interrupt during their import into an ImportError.
+        if not (interrupts or isinstance(error, KeyboardInterrupt)):
+            raise
+        why = str(error) if isinstance(error, KeyboardInterrupt) else ""
+        print(": ".join(filter(None, ("renet: interrupted", why))), file=sys.stderr)
         return 130
     finally:
         sys.stdout.flush()

@@ -21,6 +21,7 @@ import pytest
 
 from renet.bundle import DEFAULT, pretrained
 from renet.cli import COMMANDS, main
+from renet.page.writer import VENDOR
 
 from ..forked import fork
 from .files import FILES, manifest, ticks
@@ -37,14 +38,22 @@ PATHS_AS_TEXT = ("resume",)
 """Options that name what is read and are not typed as paths."""
 VARIANTS: dict[str, list[list[str]]] = {
     "deploy": [["--seconds", "0.1"], ["--camera", "replay", "--seconds", "0.1"]],
+    "page": [["--runtime", "packages"]],
     "train": [["Renet-Go1-Flat", "--max-iterations", "1", "--num-envs", "2"]],
     "bundle card": [["--out", "out"]],
     "calibrate": [["shipped"]],
     "evaluate leaderboard": [["recording.log"]],
     "evaluate log": [["recording.log", "--out", "out"]],
+    "evaluate report --bundle": [["--run", "--out", "out.html"]],
     "evaluate report": [["--out", "out.html"]],
 }
-"""Options that a command needs to go on to a path; none by default."""
+"""Options that a command, or one of its options, needs to go on to a path; none by default."""
+ACCEPTED = {
+    "recipe": {"history 1e9", "hidden abc", "of pipes", "tensors of", "a header of"},
+    "evaluate log": {"a length of 4 GB"},
+}
+"""Parts of the names of files that a command does read: settings as they stand, without weights;
+and a recording that is torn at its first chunk."""
 
 
 def is_path(hint: object) -> bool:
@@ -75,10 +84,12 @@ def options() -> Iterator[tuple[str, str, tuple[str, ...]]]:
             if hasattr(config, "defaults"):
                 config = config.defaults(variant)
             for option in inputs(config):
-                yield name, option, tuple(variant)
+                (chosen,) = VARIANTS.get(f"{name} {option}", [variant])
+                yield name, option, tuple(chosen)
 
 
-OPTIONS = list({(name, option): (name, option, more) for name, option, more in options()}.values())
+OPTIONS = list({triple[:2]: triple for triple in reversed([*options()])}.values())
+"""Each with the first options that a command can have it with."""
 
 
 def command_line(name: str, option: str, variant: tuple[str, ...], path: str) -> list[str]:
@@ -104,10 +115,13 @@ def usage() -> tuple[float, int]:
     return sum(u.ru_utime + u.ru_stime for u in both), max(u.ru_maxrss for u in both)
 
 
-def attempt(arguments: list[str], most: float = math.inf) -> str:
+def attempt(arguments: list[str], most: float = math.inf, accepted: bool = False) -> str:
     """What is wrong with how a command took its arguments; empty if nothing is.
 
-    `most` kilobytes may be this process's peak memory, or that of one of its children.
+    Args:
+        arguments: of the command line.
+        most: kilobytes that this process, or one of its children, may take.
+        accepted: the command may read what it was given, and need not refuse it.
     """
     out, error = io.StringIO(), io.StringIO()
     seconds, code = usage()[0], -1
@@ -122,7 +136,7 @@ def attempt(arguments: list[str], most: float = math.inf) -> str:
     said = error.getvalue()
     lines = [line for line in said.splitlines() if line.startswith("renet:")]
     wrong = {
-        f"exit code {code}: {said[-300:]}": code not in (0, 2),
+        f"exit code {code}: {said[-300:]}": code not in ((0, 2) if accepted else (2,)),
         f"a refusal in {len(lines)} lines: {said[-600:]}": code == 2 and len(lines) != 1,
         f"a long refusal: {said[:200]}": len(said) > 2500,
         "escape codes": "\x1b]" in said + out.getvalue(),
@@ -141,12 +155,16 @@ def hand_over(name: str, option: str, variant: tuple[str, ...], folder: str) -> 
     os.chdir(work)
     shutil.copytree(pretrained(DEFAULT), "shipped")
     Path("recording.log").write_bytes(ticks())
+    for file in VENDOR:
+        Path("packages", file).parent.mkdir(parents=True, exist_ok=True)
+        Path("packages", file).touch()
     attempt(command_line(name, option, variant, "/nowhere"))  # Imports what it needs.
     reports, most = {}, usage()[1] + MEMORY
     for title, path in paths.items():
         signal.alarm(PATIENCE)
         Path("progress").write_text(title)
-        if problem := attempt(command_line(name, option, variant, path), most):
+        accepted = any(part in title for part in ACCEPTED.get(name, ()))
+        if problem := attempt(command_line(name, option, variant, path), most, accepted):
             reports[title] = problem
     print(json.dumps(reports))
     return 0
@@ -185,9 +203,9 @@ def test_there_are_sixty_files_and_every_command_that_reads_is_tried():
     assert len(FILES) >= 60
     reading = {name for name, _, _ in OPTIONS}
     assert set(COMMANDS) - reading == {"simulate"}, "this one reads nothing"
-    assert {("deploy", "--scene"), ("deploy", "--recording"), ("train", "--resume")} <= {
-        (name, option) for name, option, _ in OPTIONS
-    }
+    brief = ("--seconds", "0.1")
+    assert {("deploy", "--scene", brief), ("deploy", "bundle", brief)} <= {*OPTIONS}
+    assert ("deploy", "--recording", ("--camera", "replay", *brief)) in OPTIONS
 
 
 def test_markup_in_a_bundle_is_printed_as_it_is(tmp_path, capsys):

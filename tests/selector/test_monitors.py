@@ -41,6 +41,11 @@ def test_each_monitor_objects_to_its_fault_alone(name, threshold, bad):
     assert chosen.reason.tolist() == ["", MONITORS[name].reason]
 
 
+def test_what_a_camera_has_not_given_yet_is_not_needed():
+    scores = Scorer(1).scores(SelectorInput(np.array([0.3])), ["reconstruction", "uniformity"])
+    np.testing.assert_array_equal(scores, [[0.3], [0.0]])
+
+
 def test_equal_images_in_a_row_are_counted():
     scorer, live, frozen = Scorer(2), np.random.default_rng(1), seen().image[1]
 

@@ -35,15 +35,19 @@ def test_a_bundle_beyond_the_robots_envelope_is_refused_by_joint_and_number(
     values[3] = value
     with pytest.raises(RenetError, match=message):
         read_envelope(GO1).check(replace(manifest.robot, **{field: tuple(values)}))
-    read_envelope(GO1).check(manifest.robot)
+    weak = {name: (0.1,) * 12 for name in ("stiffness", "damping", "torque_limit")}
+    for robot in (manifest.robot, replace(manifest.robot, **weak)):
+        read_envelope(GO1).check(robot)
 
 
 def test_a_command_within_the_envelope_passes_and_a_joint_too_fast_is_only_braked():
     envelope, gains = read_envelope(GO1), (np.full(12, 20.0), np.ones(12))
     target = fakes.STANDING + 0.1
     for state in (None, fakes.state(), fakes.state(joint_velocity=np.full(12, 1.0))):
-        command = envelope.clamp(JointCommand(target, *gains), state)
-        np.testing.assert_array_equal((target, *gains), [*vars(command).values()])
+        for weaker in (1.0, 0.01, 0.0):
+            given = (target, weaker * gains[0], weaker * gains[1])
+            command = envelope.clamp(JointCommand(*given), state)
+            np.testing.assert_array_equal(given, [*vars(command).values()])
     fast = np.where(np.arange(12) < 6, 31.0, 0.0)
     for sign, driven in ((1.0, True), (-1.0, False)):
         ahead = fakes.STANDING + 3.0 * np.sign(fast)

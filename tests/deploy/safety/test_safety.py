@@ -139,7 +139,7 @@ def walking() -> SafetyMachine:
 
 def test_arming_waits_for_health_and_must_be_pressed_anew():
     machine = SafetyMachine(CFG)
-    assert (machine.reason, machine.refused) == ("start", "")
+    assert (machine.reason, machine.refused, machine.since) == ("start", "", -math.inf)
     drive(machine, 50)
     assert machine.mode is Mode.DAMPING, "nobody armed it"
     machine.update("tilted", ARM, time_of(50))
@@ -168,6 +168,7 @@ def test_the_first_reason_stays_until_the_next_arming():
     machine.update("stale", IDLE, time_of(11))
     drive(machine, 100, first=12)
     assert (machine.mode, machine.reason) == (Mode.DAMPING, "tilted")
+    assert machine.since == time_of(10)
 
 
 @pytest.mark.parametrize(
@@ -192,6 +193,13 @@ def test_one_late_tick_is_forgiven_and_six_in_a_row_are_not():
         now += periods * CONTROL_DT
         machine.update("", IDLE, now)
     assert machine.reason == "6 late control ticks in a row"
+
+
+def test_late_ticks_are_counted_anew_from_the_start_and_in_each_mode():
+    machine = SafetyMachine(CFG)
+    for tick in range(11):  # Five before it is armed, and five after.
+        machine.update("", ARM if tick == 5 else IDLE, 1.6 * CONTROL_DT * tick)
+    assert (machine.mode, machine.refused) == (Mode.STANDING_UP, "")
 
 
 def test_rising_starts_at_the_measured_pose_and_ends_at_the_default():

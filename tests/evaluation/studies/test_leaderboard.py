@@ -172,6 +172,8 @@ def test_who_noticed_is_read_from_a_studys_rows(tmp_path: Path, run_study) -> No
     assert claims[2][-1][1] == "none"
     with (tmp_path / "other.csv").open("w") as file:
         csv.writer(file).writerows([["kind"], ["gap"]])
-    for path in (tmp_path / "other.csv", tmp_path / "missing.csv"):
-        with pytest.raises(RenetError, match="is no summary"):
-            next(leaderboard.study_tables(path))
+    (tmp_path / "half.csv").write_text("over_op,mode\n1,renet\n")
+    (tmp_path / "bytes.csv").write_bytes(bytes(range(256)))
+    for name in ("other", "half", "bytes", "missing"):
+        with pytest.raises(RenetError, match=r"is no summary|cannot read the summary"):
+            next(leaderboard.study_tables(tmp_path / f"{name}.csv"))

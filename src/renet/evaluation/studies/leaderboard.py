@@ -23,7 +23,7 @@ from renet.evaluation.studies.crossing import SCORES, places
 from renet.evaluation.studies.fault_findings import SEVERE, findings
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.study import Table
-from renet.files import write_atomically
+from renet.files import MAX_JSON, read_bytes, write_atomically
 from renet.terminal import show
 from renet.terrain.tiles import DIFFICULT
 
@@ -52,6 +52,7 @@ class LeaderboardCfg:
 
 def make_leaderboard(cfg: LeaderboardCfg) -> Path:
     """Print the tables, write them and return their path; raises as `read_result` and `rank`."""
+    noticed_tables = [*study_tables(cfg.noticed)] if cfg.noticed else []
     results = [read_result(path) for path in cfg.files]
     versions = {result["version"] for result in results}
     if len(versions) > 1:
@@ -62,7 +63,7 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
     else:
         tables += [("Fault benchmark, version 1", HEADER, rank(results))]
         tables += result_tables(results, cfg.severity, cfg.onset)
-    tables += study_tables(cfg.noticed) if cfg.noticed else ()
+    tables += noticed_tables
     write_atomically(cfg.out, "\n".join(map(_markdown, tables)).encode())
     for table in tables:
         show(*table)
@@ -275,12 +276,15 @@ def study_tables(path: Path) -> Iterator[Table]:
 
     Raises RenetError for any other file.
     """
-    rows = list(csv.DictReader(path.read_text().splitlines() if path.is_file() else ()))
-    if not rows or "over_op" not in rows[0]:
-        raise RenetError(f"{path} is no summary.csv of the study `renet evaluate faults`")
-    runs = [{name: _number(text) for name, text in row.items()} for row in rows]
-    yield noticed(runs)
-    yield claims(runs)
+    lines = read_bytes(path, MAX_JSON, "summary").decode(errors="replace").splitlines()
+    try:
+        rows = [{k: _number(text) for k, text in row.items()} for row in csv.DictReader(lines)]
+        _ = rows[0]["over_op"]
+        yield from (noticed(rows), claims(rows))
+    except (csv.Error, LookupError, TypeError, ValueError) as error:
+        raise RenetError(
+            f"{path} is no summary.csv of the study `renet evaluate faults`"
+        ) from error
 
 
 def _number(text: str) -> Any:
