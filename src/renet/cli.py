@@ -127,7 +127,7 @@ COMMANDS = {
         resume=KEPT,
     ),
     "evaluate benchmark": Command(
-        "what is still crossed when the camera fails at an edge",
+        "who still crosses when the camera fails at an edge",
         "renet.evaluation.studies.crossing:CrossingStudy:CrossingStudy.main",
         resume=KEPT,
     ),
