@@ -180,8 +180,10 @@ def test_a_port_that_is_taken_is_refused():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("0.0.0.0", 0))
         port = other.getsockname()[1]
-        with pytest.raises(RenetError, match=f"port {port} is taken: another program"):
-            go1_robot("127.0.0.1", free_port(), port).connect()
+        robot = go1_robot("127.0.0.1", free_port(), port)
+        for start in (robot.connect, lambda: Go1Link("127.0.0.1", free_port(), port, 10)):
+            with pytest.raises(RenetError, match=f"port {port} is taken: another program"):
+                start()
 
 
 def test_without_the_vendors_module_the_error_says_what_to_install(monkeypatch):
