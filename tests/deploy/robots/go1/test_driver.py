@@ -181,7 +181,7 @@ def test_a_port_that_is_taken_is_refused():
         other.bind(("0.0.0.0", 0))
         port = other.getsockname()[1]
         robot = go1_robot("127.0.0.1", free_port(), port)
-        for start in (robot.connect, lambda: Go1Link("127.0.0.1", free_port(), port, 10)):
+        for start in (robot.connect, lambda: link.Go1Link("127.0.0.1", free_port(), port, 10)):
             with pytest.raises(RenetError, match=f"port {port} is taken: another program"):
                 start()
 
