@@ -99,8 +99,10 @@ class Bundle:
     @property
     def sha256(self) -> str:
         """The digest of all that decides, models' digests and the selector, in hexadecimal."""
-        decides = [self.manifest.sha256, dataclasses.asdict(self.manifest.selector)]
-        digests = json.dumps(decides, sort_keys=True)
+        selector = dataclasses.asdict(self.manifest.selector)
+        if not selector["longest_memory"]:  # Bundles from before memory keep their digest.
+            del selector["longest_memory"]
+        digests = json.dumps([self.manifest.sha256, selector], sort_keys=True)
         return hashlib.sha256(digests.encode()).hexdigest()
 
 
