@@ -19,6 +19,27 @@ CODE = {".py", ".cpp", ".h"}
 WEB = {".js", ".css", ".html"}
 PARTS = {"src": (("src",), CODE), "tests": (("tests",), CODE), "web": (("web", "src"), WEB)}
 """Folders and suffixes of what is counted together; the report's templates lie in src."""
+FEATURES = {
+    "go2": ("deploy/robots/go2", "tasks/config/go2.py"),
+    "guards": (
+        "folders.py",
+        "server.py",
+        "trial.py",
+        "bundle/graph.py",
+        "deploy/safety/plausibility.py",
+        "deploy/safety/watchdog.py",
+        "deploy/robots/real/lock.py",
+        "deploy/robots/sim/scene_file.py",
+        "deploy/recording/calibration_images.py",
+    ),
+    "memory": (
+        "training/withholding.py",
+        "evaluation/calibrate_memory.py",
+        "evaluation/studies/memory.py",
+    ),
+    "benchmark_2": ("evaluation/studies/crossing.py", "evaluation/studies/camera_use.py"),
+}
+"""Files in src/renet that serve one feature alone, counted apart as well; the rest is the core."""
 
 
 def measure(root: Path = ROOT) -> dict[str, int]:
@@ -32,6 +53,10 @@ def measure(root: Path = ROOT) -> dict[str, int]:
         ]
         for part, (folders, suffixes) in PARTS.items()
     }
+    for feature, names in FEATURES.items():
+        places = [root / "src" / "renet" / name for name in names]
+        files[feature] = [p for p in files["src"] if any(p.is_relative_to(at) for at in places)]
+    files["core"] = [p for p in files["src"] if not any(p in files[name] for name in FEATURES)]
     lines = {f"{part}_lines": sum(map(count_lines, paths)) for part, paths in files.items()}
     widest = max(Counter(path.parent for path in files["src"]).values(), default=0)
     return {**lines, "widest_folder": widest}
@@ -44,12 +69,16 @@ def count_lines(path: Path) -> int:
 
 def main(arguments: list[str], root: Path = ROOT, limits: Path = LIMITS) -> int:
     """Print a line for each number; 1 if one of them is above its limit."""
-    allowed, sizes = json.loads(limits.read_text()), measure(root)
-    above = [name for name, limit in allowed.items() if sizes[name] > limit]
-    for name, limit in allowed.items():
-        print(f"{name}: {sizes[name]} of {limit}" + (" TOO MANY" if name in above else ""))
+    limit, sizes = json.loads(limits.read_text()), measure(root)
+    above = {name for name in limit if sizes[name] > limit[name]}
+    for name, size in sizes.items():
+        print(
+            f"{name}: {size}",
+            f"of {limit[name]}" if name in limit else "",
+            "TOO MANY" if name in above else "",
+        )
     if "--lower" in arguments:
-        lowered = {name: min(limit, sizes[name]) for name, limit in allowed.items()}
+        lowered = {name: min(most, sizes[name]) for name, most in limit.items()}
         limits.write_text(json.dumps(lowered, indent=2) + "\n")
     return 1 if above else 0
 
