@@ -34,7 +34,7 @@ PARTS = {
     ),
     "controller": (
         ["deploy/controller.py"],
-        ["tests/deploy/test_controller.py", "tests/deploy/test_loop.py"],
+        [f"tests/deploy/test_{name}.py" for name in ("controller", "inference", "loop")],
     ),
     "envelope": (["deploy/robots/envelope.py"], ["tests/deploy/robots/test_envelope.py"]),
     "go1": (
@@ -50,7 +50,7 @@ PARTS = {
     ),
     "sender": (
         ["deploy/robots/real/braking.py", "deploy/robots/real/mailbox.py"],
-        ["tests/deploy/robots/real/test_braking.py"],
+        [f"tests/deploy/robots/real/test_{name}.py" for name in ("braking", "mailbox")],
     ),
 }
 """Modules to mutate, within src/renet, and the tests that mirror them."""
