@@ -20,7 +20,7 @@ from renet.deploy.robots.base import heading
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.safety.machine import Mode
+from renet.deploy.safety.machine import Mode, stand_up_target
 from renet.deploy.teleop import TeleopCommand
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
@@ -40,7 +40,11 @@ def test_it_rises_and_then_walks(bundle):
     run = Run(bundle)
     assert not run.controller.decision.command.stiffness.any()
     crouched = STANDING + 0.3
-    run.ticks(WALKS_AT, camera=False, joint_position=crouched)
+    run.ticks(WALKS_AT // 2, camera=False, joint_position=crouched)
+    share = (time_of(run.step - 1) - time_of(1)) / run.controller.cfg.stand_up_seconds
+    target = stand_up_target(crouched, run.controller.robot, share)
+    np.testing.assert_allclose(run.controller.decision.command.position, target)
+    run.ticks(WALKS_AT - run.step, camera=False, joint_position=crouched)
     assert run.controller.decision.mode is Mode.STANDING_UP
     assert not run.controller.decision.action.any()
     command = run.tick(joint_position=crouched)
