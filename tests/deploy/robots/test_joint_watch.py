@@ -65,16 +65,12 @@ def test_the_words_are_what_the_model_does(name):
     assert expected[WAYS[part][0]]
 
 
-def test_which_end_is_down(watched):
+@pytest.mark.parametrize(
+    ("end", "axis", "degrees"),
+    [("nose", "y", 30), ("tail", "y", -30), ("left side", "x", -30), ("right side", "x", 30)],
+)
+def test_which_end_is_down(watched, end, axis, degrees):
     watch, said = watched
-    turns = {
-        "nose": ("y", 30),
-        "tail": ("y", -30),
-        "left side": ("x", -30),
-        "right side": ("x", 30),
-    }
-    for end, turn in turns.items():
-        for _ in range(2):
-            watch.look(state(quaternion=turned(*turn)))
-        assert said == [f"the base leans: {end} down"]
-        said.clear()
+    for _ in range(2):
+        watch.look(state(quaternion=turned(axis, degrees)))
+    assert said == [f"the base leans: {end} down"]
