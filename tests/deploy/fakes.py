@@ -111,12 +111,12 @@ class Run:
         self.step += 1
         return command
 
-    def ticks(self, count: int, camera: bool = True, **changes) -> list[bool]:
-        """Vision at each step, with a new frame every fifth one."""
+    def ticks(self, count: int, camera=lambda frame: frame, **changes) -> list[bool]:
+        """Vision at each step; every fifth one has a new frame, which `camera` spoils."""
         seen = []
         for _ in range(count):
             last = self.step - self.step % 5
-            self.tick(frame(last, time_of(last)) if camera else None, **changes)
+            self.tick(camera(frame(last, time_of(last))), **changes)
             seen.append(self.controller.decision.vision)
         return seen
 

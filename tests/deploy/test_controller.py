@@ -1,6 +1,7 @@
 """The controller against the training side, against lost cameras and threads, and against abuse."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -40,11 +41,11 @@ def test_it_rises_and_then_walks(bundle):
     run = Run(bundle)
     assert not run.controller.decision.command.stiffness.any()
     crouched = STANDING + 0.3
-    run.ticks(WALKS_AT // 2, camera=False, joint_position=crouched)
+    run.ticks(WALKS_AT // 2, lambda frame: None, joint_position=crouched)
     share = (time_of(run.step - 1) - time_of(1)) / run.controller.cfg.stand_up_seconds
     target = stand_up_target(crouched, run.controller.robot, share)
     np.testing.assert_allclose(run.controller.decision.command.position, target)
-    run.ticks(WALKS_AT - run.step, camera=False, joint_position=crouched)
+    run.ticks(WALKS_AT - run.step, lambda frame: None, joint_position=crouched)
     assert run.controller.decision.mode is Mode.STANDING_UP
     assert not run.controller.decision.action.any()
     command = run.tick(joint_position=crouched)
@@ -58,7 +59,7 @@ def test_it_rises_and_then_walks(bundle):
 def test_motors_that_obey_nobody_do_not_walk(bundle):
     run = Run(bundle)
     lying = STANDING + np.tile([0.0, 0.8, -0.6], 4)
-    run.ticks(WALKS_AT + 1, camera=False, joint_position=lying)
+    run.ticks(WALKS_AT + 1, lambda frame: None, joint_position=lying)
     assert run.whats() == ["standing_up", "damping"]
     assert "did not follow" in run.events[1].why
     assert not run.controller.decision.command.stiffness.any()
@@ -66,7 +67,7 @@ def test_motors_that_obey_nobody_do_not_walk(bundle):
 
 def test_a_refused_wish_to_rise_says_why(bundle):
     run = Run(bundle)
-    run.ticks(5, camera=False, quaternion=np.array([0.0, 1, 0, 0]))
+    run.ticks(5, lambda frame: None, quaternion=np.array([0.0, 1, 0, 0]))
     assert run.whats() == ["refused"]
     assert "tilted" in run.events[0].why
 
@@ -119,10 +120,7 @@ def test_a_lost_camera_costs_vision_within_its_age_limit_and_returns_after_the_d
     run = Run(bundle)
     assert all(run.ticks(60)[WALKS_AT:])
     last = frame(run.step, time_of(run.step))
-    gone = []
-    for _ in range(30):
-        run.tick(last)
-        gone.append(run.controller.decision.vision)
+    gone = run.ticks(30, lambda frame: last)
     assert not any(gone[13:]), "0.2 s of age, 35 ms of filter"
     assert run.events[-1].why == "no new image"
     back = run.ticks(150)
@@ -144,9 +142,7 @@ def test_a_lost_camera_costs_vision_within_its_age_limit_and_returns_after_the_d
 def test_every_monitor_is_told_what_it_judges(bundle, thresholds, change, reason):
     spec = replace(bundle.manifest.selector, thresholds=thresholds)
     run = Run(replace(bundle, manifest=replace(bundle.manifest, selector=spec)))
-    for _ in range(WALKS_AT + 20):
-        last = run.step - run.step % 5
-        run.tick(replace(frame(last, time_of(last)), **change))
+    run.ticks(WALKS_AT + 20, lambda frame: replace(frame, **change))
     assert [event.why for event in run.events if event.what == "op"] == [reason]
 
 
@@ -177,9 +173,7 @@ def test_whoever_stops_it_from_outside_is_quoted_once(bundle):
 def test_a_malformed_frame_costs_vision_and_nothing_else(bundle, bad):
     run = Run(bundle)
     run.ticks(60)
-    for _ in range(10):
-        good = frame(run.step, time_of(run.step))
-        run.tick(replace(good, **bad) if isinstance(bad, dict) else bad)
+    run.ticks(10, lambda good: replace(good, **bad) if isinstance(bad, dict) else bad)
     assert not run.controller.decision.vision
     assert run.events[-1].what == "op"
     assert "depth" in run.events[-1].why
@@ -308,18 +302,18 @@ def test_one_reading_from_the_future_is_forgotten(bundle):
     assert run.whats()[0] == "standing_up"
 
 
+def repeating(period: int) -> Callable[[DepthFrame], DepthFrame]:
+    images = [frame(number, 0.0, seed=period).image for number in range(period)]
+    return lambda frame: replace(frame, image=images[frame.number // 5 % period])
+
+
 def test_images_that_come_again_are_no_images(bundle):
     """Two that alternate for ever, and a second that repeats; one held for two ticks is news."""
     run = Run(bundle)
     run.ticks(40)
     for period in (2, 9):
         assert all(run.ticks(400)[-20:]), "vision is back"
-        seen = []
-        for _ in range(60 + 5 * period):
-            image = (run.step // 5) % period
-            picture = frame(run.step, time_of(run.step - run.step % 5))
-            run.tick(replace(picture, image=frame(image, 0.0, seed=period).image))
-            seen.append(run.controller.decision.vision)
+        seen = run.ticks(60 + 5 * period, repeating(period))
         assert all(seen[: 5 * period]), "each is new once"
         assert not any(seen[-20:])
         assert "came again" in run.events[-1].why
