@@ -4,7 +4,6 @@ import os
 import zlib
 from contextlib import nullcontext
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -85,8 +84,9 @@ def test_replay_is_bit_for_bit(bundle, flight):
     assert 0 < np.mean(vision) < 1
 
 
-def test_a_flight_with_an_impatient_vision_thread_replays_too(bundle, tmp_path):
-    run_control_loop(bundle, tmp_path / "a.log", partial(ThreadedInference, patience=0.0))
+def test_a_flight_with_an_impatient_vision_thread_replays_too(bundle, tmp_path, monkeypatch):
+    monkeypatch.setattr(ThreadedInference, "patience", 0.0)
+    run_control_loop(bundle, tmp_path / "a.log", ThreadedInference)
     flight = read_recording(tmp_path / "a.log")
     assert mismatch(flight, bundle) == 0.0
 
