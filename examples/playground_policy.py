@@ -55,9 +55,8 @@ class PlaygroundStudy(CameraUseStudy):
         return evaluator
 
 
-COMMANDS["evaluate playground"] = Command(
-    "camera use", f"{__name__}:PlaygroundStudy:PlaygroundStudy.main"
-)
-
 if __name__ == "__main__":
+    COMMANDS["evaluate playground"] = Command(
+        "camera use", f"{__name__}:PlaygroundStudy:PlaygroundStudy.main"
+    )
     raise SystemExit(main())

@@ -10,6 +10,7 @@ import tyro
 
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator, Provenance
+from renet.evaluation.rollout import demand_shapes
 from renet.evaluation.studies.benchmark import read_result
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard
@@ -17,25 +18,12 @@ from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboar
 SHAPES = {"observation": (45,), "depth": (48, 64), "action": (12,)}  # Of each robot.
 
 
-def check_shapes(path, nodes, shapes) -> None:
-    """Refuse a model that takes or gives anything else than the shapes of each robot, by name."""
-    present = {node.name: list(node.shape) for node in nodes}
-    batched = all(shape and not isinstance(shape[0], int) for shape in present.values())
-    if {name: tuple(shape[1:]) for name, shape in present.items()} != shapes or not batched:
-        raise RenetError(
-            f"{path} has {', '.join(f'{name} {shape}' for name, shape in present.items())}; a study"
-            " gives proprioception [N, 45] (no base velocity) and depth [N, 48, 64] in [0, 1], and"
-            " holds the joint targets of actions [N, 12] with gains 40 and 1: compute what else the"
-            " model needs in the policy's `step` (docs/evaluation.md, Your own policy)"
-        )
-
-
 class TheirPolicy:
     """An ONNX model (observation [N, 45], depth [N, 48, 64]) -> action [N, 12], without memory."""
 
     def __init__(self, model: Path, num_robots: int):
         self.model = ort.InferenceSession(model)
-        check_shapes(model, [*self.model.get_inputs(), *self.model.get_outputs()], SHAPES)
+        demand_shapes(model, [*self.model.get_inputs(), *self.model.get_outputs()], SHAPES)
         self.anomaly_score = np.zeros(num_robots)  # Constant: only the other monitors judge images.
 
     def reset(self, mask=None): ...

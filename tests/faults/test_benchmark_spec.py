@@ -1,6 +1,5 @@
 """The benchmark's specification agrees with its schema and with the catalogue of faults."""
 
-import json
 import re
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from renet.evaluation.studies import benchmark
 from renet.faults import FAULTS
 
 SPECIFICATION = (Path(__file__).parents[2] / "docs" / "benchmark.md").read_text()
-SCHEMA = json.loads(benchmark.SCHEMA.read_text())
+SCHEMA = benchmark.schema(1)
 MEASURES = SCHEMA["$defs"]["setting"]["properties"]["measures"]
 
 

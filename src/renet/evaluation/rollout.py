@@ -8,6 +8,7 @@ under the modality the selector last chose, then the selector's filter is update
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any, Final, Literal, Protocol, get_args
 
 import numpy as np
@@ -112,6 +113,28 @@ class EvalPolicy(Protocol):
     ) -> np.ndarray:
         """Actions [N, 12]; `op_mask` is the paper's mask, True where OP is to act."""
         ...
+
+
+def demand_shapes(path: Path, nodes: Sequence[Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Refuse somebody's ONNX policy that takes or gives anything else than its caller handles.
+
+    Args:
+        path: of the model.
+        nodes: its inputs and outputs, of an ONNX Runtime session.
+        shapes: the shape of each for one robot, by name; the model must take N robots.
+
+    Raises:
+        RenetError: other names, other shapes, or a fixed number of robots.
+    """
+    present = {node.name: list(node.shape) for node in nodes}
+    batched = all(shape and not isinstance(shape[0], int) for shape in present.values())
+    if {name: tuple(shape[1:]) for name, shape in present.items()} != shapes or not batched:
+        raise RenetError(
+            f"{path} has {', '.join(f'{name} {shape}' for name, shape in present.items())}; a study"
+            " gives proprioception [N, 45] (no base velocity) and depth [N, 48, 64] in [0, 1], and"
+            " holds the joint targets of actions [N, 12] with gains 40 and 1: compute what else the"
+            " model needs in the policy's `step` (docs/evaluation.md, Your own policy)"
+        )
 
 
 class Rollout:

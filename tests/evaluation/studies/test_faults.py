@@ -7,7 +7,7 @@ from jsonschema import Draft202012Validator
 
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial
-from renet.evaluation.studies.benchmark import ONSETS, SCHEMA
+from renet.evaluation.studies.benchmark import ONSETS, schema
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.study import WalkingStudy
 from renet.faults import Injection
@@ -91,7 +91,7 @@ def test_quick_is_smaller_and_glass_is_studied_where_there_are_obstacles() -> No
 
 def test_the_result_file_is_valid(folder: Path) -> None:
     result = json.loads((folder / "result.json").read_text())
-    Draft202012Validator(json.loads(SCHEMA.read_text())).validate(result)
+    Draft202012Validator(schema(1)).validate(result)
     assert result["policy"]["modes"] == ["vp", "renet", "op"]
     assert result["provenance"]["commit"] == commit()
     assert {entry["onset"] for entry in result["settings"]} == set(ONSETS.values())

@@ -94,6 +94,11 @@ def result(summary: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def schema(version: int) -> dict[str, Any]:
+    """The JSON Schema of a version's result files."""
+    return json.loads(Path(__file__).with_name(SCHEMAS[version]).read_text())
+
+
 def read_result(path: Path) -> dict[str, Any]:
     """A result file, valid under its version's schema; raises RenetError for another file."""
     content = read_results(path)
