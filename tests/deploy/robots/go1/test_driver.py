@@ -153,7 +153,7 @@ def test_a_dry_run_tells_what_moves_and_commands_nothing(served, dry_run, tmp_pa
     threading.Thread(target=let_go).start()
     # Where it is when it is armed depends on how busy the computer is.
     patient = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999, joint_margin=9.0)
-    deploy(dry_run(seconds=3.5, safety=patient))
+    deploy(dry_run(seconds=6.0, safety=patient))
     shown = capsys.readouterr().out
     assert "rad: front right, knee folds" in shown
     # Which line is printed depends on when it stood; the gain says that it would have acted.
