@@ -4,7 +4,6 @@ import os
 import re
 import socket
 import threading
-import time
 from functools import partial
 from types import SimpleNamespace
 
@@ -18,16 +17,17 @@ from renet.deploy.cfg import DeployCfg
 from renet.deploy.controller import Controller
 from renet.deploy.main import deploy
 from renet.deploy.recording.recorder import read_recording
+from renet.deploy.robots.base import RobotState
 from renet.deploy.robots.go1 import link
 from renet.deploy.robots.go1.driver import go1_robot
 from renet.deploy.robots.go1.link import LOW_LEVEL, MOTORS
+from renet.deploy.robots.joint_watch import JointWatch
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import Mode
 from renet.errors import RenetError
 from renet.interface import JOINTS
 from renet.training.export import robot_spec
 
-from ...waiting import until
 from ..go1_peer import free_port
 from ..peer import KINDS, VENDOR
 
@@ -140,20 +140,29 @@ def dry_run(served, monkeypatch, tmp_path) -> partial[DeployCfg]:
     return partial(DeployCfg, **fixed, out=tmp_path)
 
 
-def test_a_dry_run_tells_what_moves_and_commands_nothing(served, dry_run, tmp_path, capsys):
+def test_a_dry_run_tells_what_moves_and_commands_nothing(
+    served, dry_run, tmp_path, capsys, monkeypatch
+):
     """The joint-order check of docs/robot.md: a robot that sinks moves its own joints."""
     gravity = served.robot.model.opt.gravity
     gravity[2] = -0.01  # Something must always move: a sensor trembles.
 
+    watched, look = threading.Event(), JointWatch.look
+
+    def look_and_tell(watch: JointWatch, state: RobotState | None) -> None:
+        look(watch, state)
+        if state is not None:
+            watched.set()
+
     def let_go() -> None:
-        until((tmp_path / "recording.log").exists)
-        time.sleep(1.0)
+        watched.wait(60.0)
         gravity[2] = -50.0
 
+    monkeypatch.setattr(JointWatch, "look", look_and_tell)
     threading.Thread(target=let_go).start()
     # Where it is when it is armed depends on how busy the computer is.
     patient = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999, joint_margin=9.0)
-    deploy(dry_run(seconds=6.0, safety=patient))
+    deploy(dry_run(seconds=3.5, safety=patient))
     shown = capsys.readouterr().out
     assert "rad: front right, knee folds" in shown
     # Which line is printed depends on when it stood; the gain says that it would have acted.
