@@ -13,7 +13,7 @@ import pytest
 from renet import cli
 from renet.terminal import progress
 
-SHIPPED = Path(__file__).parents[1] / "src/renet/pretrained/checkpoint/it_00002850"
+(SHIPPED,) = (Path(__file__).parents[1] / "src/renet/pretrained/checkpoint").iterdir()
 
 
 def run(capsys, *arguments: str) -> tuple[int, str, str]:

@@ -1,6 +1,5 @@
 """What `renet train` does around the loop: folders, settings, devices, stopping and going on."""
 
-import json
 import os
 import re
 import shutil
@@ -12,7 +11,7 @@ import mjlab.scripts.train
 import pytest
 import torch
 
-from renet.cli import main, parse
+from renet.cli import parse
 from renet.errors import RenetError
 from renet.folders import lock
 from renet.tasks.parkour_env_cfg import parkour_env_cfg
@@ -177,31 +176,14 @@ def test_settings_come_back_from_their_description():
     assert restored(registered.env, stored["env"]).rewards.keys() == registered.env.rewards.keys()
 
 
-def test_checkpoints_of_format_1_go_on(tmp_path, capsys):
-    """The shipped one; its settings lay flat, without withholding, with other curriculum terms."""
-    found = checkpoints.find(SHIPPED)
-    raw = json.loads((found / "state.json").read_text())
-    assert raw["format"] == 1
-    options = ["--num-envs", "8", "--agent.num-steps-per-env", "5", "--log-root", str(tmp_path)]
-    options += ["--max-iterations", str(raw["iteration"] + 1)]
-    assert main(["train", raw["task"], "--resume", str(found), *options]) == 0
-    assert "env.curriculum.level.params.easier_step was" in capsys.readouterr().out
-    state = checkpoints.load_state(checkpoints.find(tmp_path))
-    for name in ("model", "algorithm", "supervision"):
-        assert state["agent"][name].items() >= raw["config"][name].items()
-    assert not state["agent"]["model"]["predict_map_error"], "which it does not state"
-    assert state["agent"]["withholding"]["share"] == 0.0
-    assert state["steps"] == raw["steps"] + 8 * 5
-    assert state["env"]["decimation"] == 4
-
-
-@pytest.mark.xfail(strict=True, reason="it learned before images were withheld; the next trains")
 def test_the_shipped_checkpoint_states_the_recipe():
     state = checkpoints.load_state(checkpoints.find(SHIPPED))
     shipped, recipe = TrainCfg.resumed(state), TrainCfg.from_task(state["task"])
     size = {"max_iterations": shipped.agent.max_iterations, "seed": shipped.agent.seed}
     assert shipped.agent == replace(recipe.agent, **size)
-    recipe.env.scene.num_envs = shipped.env.scene.num_envs
+    scene = recipe.env.scene
+    scene.num_envs = scene.terrain.num_envs = shipped.env.scene.num_envs
+    recipe.env.seed = shipped.env.seed
     assert described(shipped.env) == described(recipe.env)
 
 

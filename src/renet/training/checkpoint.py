@@ -25,7 +25,7 @@ from renet.errors import RenetError
 from renet.files import MEGABYTE, read_object, require_regular
 from renet.folders import foreign, remove_folder, write_folder
 from renet.models.config import ModelCfg
-from renet.training.provenance import described, upgraded
+from renet.training.provenance import described
 
 FORMAT = 2
 TENSORS = ("model", "average", "optimizer", "environment")
@@ -154,9 +154,7 @@ def header(file: Path) -> dict[str, Tensor]:
 def load_state(path: Path) -> dict[str, Any]:
     """Read a checkpoint's `state.json` alone; raises RenetError for one that no run can write."""
     state = read_object(path / "state.json", "checkpoint state")
-    if (number := state.get("format")) == 1:
-        state = upgraded(state)
-    elif number != FORMAT:
+    if (number := state.get("format")) != FORMAT:
         raise RenetError(f"{path} has checkpoint format {number}, this renet reads {FORMAT}")
     if not all(isinstance(state.get(name), dict) for name in ("agent", "env")):
         raise RenetError(f"{path} is not a checkpoint of RENet: it states no settings")

@@ -7,8 +7,7 @@ from enum import Enum
 from textwrap import shorten
 from typing import Any, TypeVar
 
-from renet.interface import CONTROL_DT, PHYSICS_DT
-from renet.training.config import RenetRunnerCfg, to_tuples
+from renet.training.config import to_tuples
 
 T = TypeVar("T")
 PLAIN = (bool, int, float, str)
@@ -75,22 +74,3 @@ def restored(value: T, stored: Any) -> T:
     ):
         result = stored
     return result
-
-
-def upgraded(state: dict[str, Any]) -> dict[str, Any]:
-    """What a checkpoint of format 1 states, in today's words.
-
-    There all settings were one flat configuration, and the task's rules lay beside it.
-    """
-    config, task = state.get("config"), state.get("task_cfg", {})
-    if not (isinstance(config, dict) and isinstance(task, dict)):
-        return {}
-    agent = described(RenetRunnerCfg())  # What is missing was not a setting then, and off.
-    for name in agent.keys() & config.keys():
-        value = config[name]
-        merged = isinstance(value, dict) and isinstance(agent[name], dict)
-        agent[name] = agent[name] | value if merged else value
-    # It was written while substeps were fused.
-    task = {"scene": {"num_envs": config.get("num_envs")}} | task
-    task["decimation"] = round(CONTROL_DT / PHYSICS_DT)
-    return state | {"agent": agent, "env": task}
