@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,8 @@ def test_a_refused_wish_to_rise_says_why(bundle):
 def test_the_shipped_checkpoint_acts_alike_in_torch_and_on_the_robot(tmp_path):
     """20 s of closed loop with faults: the robot obeys the bundle, torch shadows it."""
     bundle = Bundle.load(export(ExportCfg(checkpoint=CHECKPOINT, out=tmp_path / "bundle")))
+    spec = replace(bundle.manifest.selector, longest_memory=1.0)
+    bundle = replace(bundle, manifest=replace(bundle.manifest, selector=spec))
     networks = load_networks(checkpoints.find(CHECKPOINT))
     memory = EstimatorMemory(networks.cfg, 1, "cpu")
     model, ground = build_scene("flat")
@@ -83,7 +86,7 @@ def test_the_shipped_checkpoint_acts_alike_in_torch_and_on_the_robot(tmp_path):
     camera = FaultyCamera(source, [parse_fault(text) for text in FAULTS], robot.now, seed=2)
     controller = Controller(bundle, SafetyCfg(stand_up_seconds=0.5))
     camera.start()
-    last, yaw, modes, worst, walked = np.zeros(12), None, [], 0.0, 0
+    last, yaw, states, worst, walked = np.zeros(12), None, [], 0.0, 0
     for step in range(round((SECONDS + 1.0) / CONTROL_DT)):
         state, now = robot.read(), robot.now()
         shown = camera.latest()
@@ -97,7 +100,8 @@ def test_the_shipped_checkpoint_acts_alike_in_torch_and_on_the_robot(tmp_path):
         observation = observe(state, controller.robot, 0.6, yaw, last)[None]
         memory.push(torch.tensor(observation))
         if walked % 5 == 0:
-            memory.see(torch.tensor(shown.image[None]).half())
+            image = torch.tensor(shown.image[None]).half()
+            memory.see(image, torch.tensor([decision.has_image]))
             memory.tick(networks.advance)
         with torch.no_grad():
             latent = fuse(memory.latent_op, memory.latent_vp, torch.tensor([not decision.vision]))
@@ -110,9 +114,12 @@ def test_the_shipped_checkpoint_acts_alike_in_torch_and_on_the_robot(tmp_path):
         assert decision.frame_age == pytest.approx(now - shown.time)
         worst = max(worst, float(np.abs(decision.action - action.clip(-clip, clip)).max()))
         last, walked = decision.action, walked + 1
-        modes.append(decision.vision)
+        states.append((decision.vision, decision.vision and decision.has_image))
     assert walked >= SECONDS / CONTROL_DT
-    assert np.abs(np.diff(modes)).sum() >= 4, "the flight must switch to and fro"
+    phases = [state for state, _ in groupby(states)]
+    sees, remembers, blind = (True, True), (True, False), (False, False)
+    assert phases[:4] == [sees, remembers, blind, sees]
+    assert len(phases) >= 6
     assert worst < 1e-4
 
 
