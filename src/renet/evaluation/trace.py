@@ -80,6 +80,11 @@ class Trace(TrueState):
     """[T, U, N] bool: the selector's answer after each of its U updates of a step."""
     film: Film | None = field(default=None, repr=False)
 
+    @property
+    def sees(self) -> np.ndarray:
+        """[T, U, N] bool: VP drove, and its newest tick had an image."""
+        return self.trusted & self.has_image[:, None]
+
     @classmethod
     def empty(cls, steps: int, count: int) -> Trace:
         """Room for `steps` control steps of `count` robots."""

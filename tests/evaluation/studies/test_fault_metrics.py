@@ -12,11 +12,12 @@ ONSET, OVER, STEPS = 20, 60, 100
 
 
 def faulty(count: int = 4) -> Trace:
-    """Robot 0 notices at once, 1 late, 2 never, 3 after it fell; vision is back after the end."""
+    """Robot 0 leaves vision at once, 1 loses its images late, 2 nothing, 3 leaves after its fall."""
     trace = Trace.empty(STEPS, count)
     trace.forward_velocity[:] = 0.6
     trace.trusted[ONSET + 2 : OVER + 50, :, 0] = False
-    trace.trusted[ONSET + 20 : OVER + 15, :, 1] = False
+    trace.has_image[:] = True
+    trace.has_image[ONSET + 20 : OVER + 15, 1] = False
     trace.fell[ONSET + 5, 3] = trace.ended[ONSET + 5, 3] = True
     trace.trusted[ONSET + 10 : OVER, :, 3] = False
     if count > 4:  # A fifth robot had left vision before.

@@ -131,23 +131,23 @@ def survival(trace: Trace, until: int) -> dict[str, Any]:
 
 
 def noticing(trace: Trace, paper: np.ndarray, onset: int, end: int) -> dict[str, Any]:
-    """Who noticed the fault, who returned to vision after it, and how soon.
+    """Who noticed the fault, who saw again after it, and how soon.
 
-    A fault that is noticed only after it is over, or after the robot fell, was missed; one that
-    comes while vision is not trusted can be neither noticed nor missed: `vision_active_at_onset`
-    counts the robots that trusted vision.
+    Who notices ceases to see: its images are withheld, or OP takes over. A fault that is noticed
+    only after it is over, or after the robot fell, was missed; one that comes while a robot does
+    not see can be neither noticed nor missed: `vision_active_at_onset` counts those who see.
 
     Args:
         trace: of robots under one fault. paper: [T, U, N] bool, the paper's selector trusts vision.
         onset: control step at which the fault begins. end: the one at which it is over.
     """
-    trusted, over = trace.trusted, trace.over
+    sees, over = trace.sees, trace.over
     # A last image from before the end is judged until the next tick.
     until = end + STEPS_PER_TICK
-    delay = departure(trusted, over, onset, until)
-    active = trusted[onset - 1, -1] & ~over[onset - 1]
+    delay = departure(sees, over, onset, until)
+    active = sees[onset - 1, -1] & ~over[onset - 1]
     by_paper = np.where(active, departure(paper, over, onset, until), np.nan)
-    back = departure(~trusted, over, end)
+    back = departure(~sees, over, end)
     return {
         "vision_active_at_onset": int(active.sum()),
         "detected": int((~np.isnan(delay)).sum()),
@@ -156,7 +156,7 @@ def noticing(trace: Trace, paper: np.ndarray, onset: int, end: int) -> dict[str,
         **metrics.with_interval("detection_delay", delay, np.median),
         "detected_by_paper": int((~np.isnan(by_paper)).sum()),
         "paper_detection_delay_s": _quantile(by_paper, 0.5),
-        "away_at_end": int((~trusted[end - 1, -1] & ~over[end - 1]).sum()),
+        "away_at_end": int((~sees[end - 1, -1] & ~over[end - 1]).sum()),
         "recovered": int((~np.isnan(back)).sum()),
         "recovery_delay_s": _quantile(back, 0.5),
         "recovery_delay_p95_s": _quantile(back, 0.95),
