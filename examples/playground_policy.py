@@ -1,7 +1,8 @@
-"""MuJoCo Playground's Go1 policy, which sees no image, under a study.
+"""MuJoCo Playground's Go1 policy, which sees no image, under two studies.
 
-`python examples/playground_policy.py evaluate playground --model go1_policy.onnx` says so; the
-model is mujoco_playground/experimental/sim2sim/onnx/go1_policy.onnx of Playground's repository.
+`python examples/playground_policy.py evaluate playground --model go1_policy.onnx` says so, and
+`… evaluate playground-benchmark` what it crosses; the model is
+mujoco_playground/experimental/sim2sim/onnx/go1_policy.onnx of Playground's repository.
 """
 
 from dataclasses import dataclass
@@ -12,7 +13,9 @@ import onnxruntime as ort
 
 from renet.cli import COMMANDS, Command, main
 from renet.errors import RenetError
+from renet.evaluation.rollout import Mode
 from renet.evaluation.studies.camera_use import CameraUseStudy
+from renet.evaluation.studies.crossing import CrossingStudy
 from renet.interface import PROPRIOCEPTION, proprioception_slices
 from third_party_policy import TheirEvaluator
 
@@ -43,20 +46,30 @@ class PlaygroundPolicy:
         return 2.0 * self.action  # Their scale is 0.5, the harness's 0.25; both add to one pose.
 
 
-@dataclass(frozen=True)
-class PlaygroundStudy(CameraUseStudy):
-    """Whether Playground's Go1 policy uses its camera."""
-
-    model: Path = Path("go1_policy.onnx")
-
+class Playground:
     def make_evaluator(self):
         evaluator = TheirEvaluator(self.model)
         evaluator.make_policy = lambda n: PlaygroundPolicy(self.model, n, evaluator)
         return evaluator
 
 
+@dataclass(frozen=True)
+class CameraUse(Playground, CameraUseStudy):
+    """Whether Playground's Go1 policy uses its camera."""
+
+    model: Path = Path("go1_policy.onnx")
+
+
+@dataclass(frozen=True)
+class Benchmark(Playground, CrossingStudy):
+    """What Playground's Go1 policy crosses; cameras that fail do not change it."""
+
+    model: Path = Path("go1_policy.onnx")
+    modes: tuple[Mode, ...] = ("op",)
+
+
 if __name__ == "__main__":
-    COMMANDS["evaluate playground"] = Command(
-        "camera use", f"{__name__}:PlaygroundStudy:PlaygroundStudy.main"
-    )
+    for name, study in (("", CameraUse), ("-benchmark", Benchmark)):
+        words = f"{__name__}:{study.__name__}:{study.__name__}.main"
+        COMMANDS[f"evaluate playground{name}"] = Command(study.__doc__, words)
     raise SystemExit(main())

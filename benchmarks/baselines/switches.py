@@ -25,6 +25,7 @@ from renet.evaluation.rollout import EvalEnv, Trial
 from renet.interface import LATENT, PROPRIOCEPTION_SIZE
 from renet.models.actor_critic import mlp
 from renet.selector import SelectorInput
+from renet.selector.monitors import Gate as ImageGate
 from renet.training.np3o import advantages
 
 BLIND = PROPRIOCEPTION_SIZE + LATENT
@@ -141,10 +142,14 @@ class ObservedPolicy(Policy):
     """[N, INPUTS] of the newest step."""
 
     def step(
-        self, proprioception: np.ndarray, depth: np.ndarray | None, op_mask: np.ndarray
+        self,
+        proprioception: np.ndarray,
+        depth: np.ndarray | None,
+        op_mask: np.ndarray,
+        gate: ImageGate | None = None,
     ) -> np.ndarray:
         """Actions [N, 12]; see `Policy`."""
-        action = super().step(proprioception, depth, op_mask)
+        action = super().step(proprioception, depth, op_mask, gate)
         score = np.log(np.clip(self.anomaly_score, 1e-9, 1e9))[:, None]
         parts = (proprioception, self.latent_op, self.latent_vp, score)
         self.inputs = torch.from_numpy(np.concatenate(parts, axis=1).astype(np.float32))

@@ -99,7 +99,7 @@ theirs (float[1, 48] obs) => (float[1, 12] continuous_actions)
 
 def test_playgrounds_policy_sees_the_simulator_in_its_own_order(tmp_path: Path) -> None:
     onnx.save(onnx.parser.parse_model(PLAYGROUND), tmp_path / "go1_policy.onnx")
-    study = playground_policy.PlaygroundStudy(model=tmp_path / "go1_policy.onnx")
+    study = playground_policy.CameraUse(model=tmp_path / "go1_policy.onnx")
     evaluator = study.make_evaluator()
     env = evaluator.make_env("flat", range(2), 0.6, 1)
     result = env.reset()
@@ -111,6 +111,6 @@ def test_playgrounds_policy_sees_the_simulator_in_its_own_order(tmp_path: Path) 
 
 
 def test_another_model_is_not_taken_for_playgrounds(model: Path) -> None:
-    evaluator = playground_policy.PlaygroundStudy(model=model).make_evaluator()
+    evaluator = playground_policy.CameraUse(model=model).make_evaluator()
     with pytest.raises(RenetError, match="is not Playground's Go1 policy"):
         evaluator.make_policy(2)

@@ -174,6 +174,7 @@ def share_panels(
     place: Callable[[dict[str, Any]], float],
     tick: Callable[[float], str],
     xlabel: str = "",
+    rotation: float = 0.0,
 ) -> Figure:
     """Shares of robots that cross with their intervals, a line for each mode, up to four in a row.
 
@@ -181,7 +182,7 @@ def share_panels(
         panels: rows of a summary, by title.
         name: of the share, whose columns are NAME_rate, NAME_ci95_low and NAME_ci95_high.
         place: of a row along the horizontal axis. tick: text of such a place.
-        xlabel: what the horizontal axis shows.
+        xlabel: what the horizontal axis shows. rotation: of its ticks' texts, degrees.
     """
     columns = min(len(panels), 4)
     rows = -(-len(panels) // columns)
@@ -199,7 +200,7 @@ def share_panels(
             look: Any = {"color": MODE_COLOURS[mode], "label": MODE_NAMES[mode]}
             look |= {"fmt": "o--" if mode == "op" else "o-", "markersize": 4, "elinewidth": 1}
             axis.errorbar(x, share, np.abs(interval - share), **look)
-        axis.set_xticks(places, list(map(tick, places)))
+        axis.set_xticks(places, list(map(tick, places)), rotation=rotation)
         axis.set_title(title, fontsize=9)
     for axis in axes.flat[len(panels) :]:
         axis.set_axis_off()

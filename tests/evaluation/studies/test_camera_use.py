@@ -66,7 +66,9 @@ def test_the_sentence_says_what_chance_does_not_explain(blank, says):
     total = {view: compare(part, view) for view in VIEWS}
     runs = [{"ground": "gap:3", "view": view} | row for view, row in total.items()]
     assert says in sentence(total, runs)
-    assert ("beyond chance on gap" in sentence(total, runs)) == (blank[0] == 10)
+    assert ("On gap alone the difference" in sentence(total, runs)) == (blank[0] == 10)
+    runs = [run | {"p": 1.0} for run in runs]
+    assert ("On no ground alone" in sentence(total, runs)) == (blank[0] == 10)
 
 
 def test_the_probability_is_the_sign_tests():
@@ -97,14 +99,10 @@ def test_two_policies_that_look_and_two_that_do_not(mode, gain, looks, tmp_path)
     if gain is not None:
         evaluator.make_policy = partial(Reader, gain)  # type: ignore[method-assign]
     study = camera_use.CameraUseStudy(
-        out=tmp_path, grounds=("gap:3",), mode=mode, robots=12, seconds=1.0
+        out=tmp_path, grounds=("gap:3",), modes=(mode,), robots=12, seconds=1.0
     )
     summary = study.run(evaluator)
     assert ("ignores its camera" not in summary["sentence"]) == looks
     assert (summary["total"]["blank"]["parted"] > 10) == looks
     assert summary["total"]["control"]["parted"] == 0
     assert (tmp_path / "camera_use.png").stat().st_size > 10_000
-
-
-def test_control_and_views_have_a_colour_each():
-    assert len(camera_use.COLOURS) == len({*camera_use.COLOURS}) == len(VIEWS)

@@ -52,9 +52,8 @@ def summary(folder):
 def test_kept_is_what_twins_cross_and_crossed_is_all(summary):
     scores = summary["scores"]
     black = [r for r in summary["runs"] if (r["mode"], r["fault"]) == ("vp", "blackout")]
-    assert [(r["crossed"], r["kept"], r["twins"], r["upright"]) for r in black] == [
-        (0, 0, 7, 0)
-    ] * 2
+    counts = [[r[n] for n in ("crossed", "kept", "twins", "upright")] for r in black]
+    assert counts == [[0, 0, 7, 0]] * 2
     for mode in ("paper", "op"):  # The paper's switch leaves black images in 35 ms.
         assert (scores[mode]["crossed"], scores[mode]["kept"]) == (0.7, 1.0)
     assert scores["vp"]["kept"] < 1.0
@@ -98,21 +97,31 @@ def test_the_interval_of_kept_is_over_robots():
 def test_the_result_is_valid_and_ranked(folder, tmp_path, capsys):
     result = read_result(folder / "result.json")
     assert result["version"] == 2
+    assert (folder / "crossing.png").stat().st_size > 10_000
     assert result["faults"]["drawn_1"] == [list(f) for f in drawn_faults(0)["drawn_1"]]
     make_leaderboard(LeaderboardCfg((folder / "result.json",), tmp_path / "board.md"))
     rows = (tmp_path / "board.md").read_text().splitlines()[4:]
     assert [row.split(" | ")[1:3] for row in rows][-1] == ["fake", "vp"]
-    result["protocol"]["draw_seed"] = 1
-    (tmp_path / "other.json").write_text(json.dumps(result))
-    with pytest.raises(RenetError, match="one protocol"):
-        make_leaderboard(LeaderboardCfg((folder / "result.json", tmp_path / "other.json")))
+    # The paper's switch is no `renet`: differences are from the first mode, VP.
+    by_robot = {mode: np.array(scores["by_robot"]) for mode, scores in result["scores"].items()}
+    behind = 100 * (by_robot["vp"] - by_robot["paper"]).mean()
+    cells = {row.split(" | ")[2]: row.rstrip(" |").split(" | ")[-1] for row in rows}
+    assert cells["paper"].startswith(f"{behind:+.1f} (")
+    assert cells["vp"] == "+0.0 (+0.0 to +0.0)"
+    easier = result | {"settings": [row for row in result["settings"] if row["size"] == "easy"]}
+    other = result | {"protocol": result["protocol"] | {"draw_seed": 1}}
+    for number, wrong in enumerate((easier, other)):
+        path = tmp_path / f"{number}.json"
+        path.write_text(json.dumps(wrong))
+        with pytest.raises(RenetError, match="the same settings"):
+            make_leaderboard(LeaderboardCfg((folder / "result.json", path)))
 
 
 def test_a_damaged_file_is_refused_and_versions_do_not_share_a_table(folder, tmp_path):
     result = read_result(folder / "result.json")
     del result["scores"]
     (tmp_path / "damaged.json").write_text(json.dumps(result))
-    with pytest.raises(RenetError, match="'scores' is a required property"):
+    with pytest.raises(RenetError, match=r"'scores' is a required property \(see docs/crossing"):
         read_result(tmp_path / "damaged.json")
     (tmp_path / "old.json").write_text(json.dumps(complete("old", 0.5)))
     with pytest.raises(RenetError, match="one version"):
@@ -124,7 +133,7 @@ def test_a_damaged_file_is_refused_and_versions_do_not_share_a_table(folder, tmp
     [
         ({"grounds": ("flat",)}, "choose among gap, platform"),
         ({"draw_seed": -1}, "draw seed must be at least 0"),
-        ({"seconds": 0.5}, "seconds at least 1"),
+        ({"seconds": 0.5}, "seconds must be at least 1"),
     ],
 )
 def test_settings_that_measure_nothing_are_refused(wrong, message):

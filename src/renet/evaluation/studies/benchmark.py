@@ -1,6 +1,6 @@
 """The fault benchmark: grounds and onsets of version 1, and the result files of both versions.
 
-docs/benchmark.md is the specification.
+docs/benchmark.md and docs/crossing.md are the specifications.
 """
 
 import json
@@ -29,8 +29,8 @@ ONSETS = {0.5: "on_the_way", 1.5: "before_the_edge"}
 """Names of the seconds at which faults begin."""
 PROTOCOL = ("seed", "speed", "lasts", "seconds", "quick")
 """Settings of the study that a result file tells; seconds, m/s."""
-SCHEMAS = {1: "benchmark.schema.json", 2: "crossing.schema.json"}
-"""JSON Schema (2020-12) of the result files of each version."""
+PAGES = {1: "benchmark", 2: "crossing"}
+"""Page of each version in docs/, and the name of its result files' JSON Schema (2020-12)."""
 
 
 class Setting(NamedTuple):
@@ -96,21 +96,20 @@ def result(summary: Mapping[str, Any]) -> dict[str, Any]:
 
 def schema(version: int) -> dict[str, Any]:
     """The JSON Schema of a version's result files."""
-    return json.loads(Path(__file__).with_name(SCHEMAS[version]).read_text())
+    return json.loads(Path(__file__).with_name(f"{PAGES[version]}.schema.json").read_text())
 
 
 def read_result(path: Path) -> dict[str, Any]:
     """A result file, valid under its version's schema; raises RenetError for another file."""
     content = read_results(path)
-    schema = SCHEMAS.get(content.get("version", 0))
-    if content.get("benchmark") != BENCHMARK or schema is None:
+    version = content.get("version", 0)
+    if content.get("benchmark") != BENCHMARK or version not in PAGES:
         raise RenetError(
-            f"{path} is no result of {BENCHMARK}, version {' or '.join(map(str, SCHEMAS))}"
+            f"{path} is no result of {BENCHMARK}, version {' or '.join(map(str, PAGES))}"
         )
-    validator = Draft202012Validator(json.loads(Path(__file__).with_name(schema).read_text()))
-    error = next(validator.iter_errors(content), None)
+    error = next(Draft202012Validator(schema(version)).iter_errors(content), None)
     if error is not None:
         # The message may quote the whole file; what is wrong with it comes last.
         message = error.message if len(error.message) < 200 else f"… {error.message[-150:]}"
-        raise RenetError(f"{path}, {error.json_path}: {message} (see docs/benchmark.md)")
+        raise RenetError(f"{path}, {error.json_path}: {message} (see docs/{PAGES[version]}.md)")
     return content

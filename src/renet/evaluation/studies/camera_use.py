@@ -1,29 +1,30 @@
 """The camera-use study: whether a policy looks at its camera, on which ground, and what it gains.
 
 Twins differ in nothing but the images they are shown. If the camera does not matter, they walk the
-same way to the millimetre. The policy may be anybody's (docs/evaluation.md, Your own policy).
+same way to the centimetre. The policy may be anybody's (docs/evaluation.md, Your own policy).
 """
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import matplotlib.pyplot as plt
 import numpy as np
 from scipy.stats import binomtest, fisher_exact
 
 from renet.errors import RenetError
-from renet.evaluation import metrics
-from renet.evaluation.rollout import EvalEnv, Mode, Trial, check_grounds, check_modes, check_speed
-from renet.evaluation.study import Figures, Part, Study, Table
+from renet.evaluation import figures, metrics
+from renet.evaluation.results import grouped
+from renet.evaluation.rollout import FLAT, EvalEnv, Mode, Trial
+from renet.evaluation.studies.one_try import LevelStudy
+from renet.evaluation.study import Figures, Part, Table
 from renet.evaluation.trace import StepResult
 from renet.faults import ViewPerturbation
-from renet.interface import CONTROL_DT
+from renet.terrain.tiles import tiles
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
@@ -37,7 +38,6 @@ VIEWS = {
     "foreign": "another robot's images",
 }
 """What each group of twins is shown. The control tells how far rounding alone parts twins."""
-COLOURS = ("#000000", "#8a919c", "#0072b2", "#56b4e9", "#e69f00", "#009e73")
 PARTED = 0.01
 """m by which the ways of twins differ at least once if the images mattered."""
 CHANCE = 0.01
@@ -93,7 +93,7 @@ class ShownImages:
 
 
 @dataclass(frozen=True)
-class CameraUseStudy(Study):
+class CameraUseStudy(LevelStudy):
     """Whether a policy uses its camera: twins that are shown wrong images, on six grounds."""
 
     out: Path = Path("results/camera_use")
@@ -106,65 +106,42 @@ class CameraUseStudy(Study):
         "platform:4",
         "gap:3",
     )
-    """Ground and level, KIND:LEVEL, as in the memory study, or flat:1."""
-    mode: Mode = "vp"
-    """How RENet's own policies walk: vp looks always, op never; others' ignore it."""
-    robots: int = 20
-    """Robots on each ground; with `quick` 8."""
-    speed: float = 0.6
-    """Commanded forward speed, m/s."""
+    """Ground and level, KIND:LEVEL, such as gap:3 or flat:1."""
+    modes: tuple[Mode, ...] = ("vp",)
+    """How RENet's own policies walk, one mode: vp looks always, op never; others' ignore it."""
     seconds: float = 10.0
     """Time to leave the tile."""
 
     name: ClassVar[str] = "camera_use"
-    selectable: ClassVar[tuple[str, ...]] = ("grounds",)
+    kinds: ClassVar[tuple[str, ...]] = (FLAT, *tiles())
+    quick_robots: ClassVar[int] = 8
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_modes((self.mode,))
-        check_speed(self.speed)
-        if self.robots < 2 or self.seconds < 1 or not self.grounds:
-            raise RenetError("give a ground, at least 2 robots and at least 1 second")
-        for ground in self.grounds:
-            kind, _, level = ground.partition(":")
-            if not level.isdecimal():
-                raise RenetError(f"ground {ground!r}: write KIND:LEVEL, such as gap:3")
-            check_grounds({kind: int(level)})
+        if self.robots < 2 or len(self.modes) > 1:
+            raise RenetError("give at least 2 robots, and one mode")
 
-    def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
+    def walk_on(self, evaluator: Evaluator, kind: str, level: int, title: str) -> Part:
         """All views on one ground, side by side."""
-        return {
-            ground.replace(":", "_"): partial(self._walk, evaluator, ground)
-            for ground in self.grounds
-        }
-
-    def _walk(self, evaluator: Evaluator, ground: str) -> Part:
-        kind, _, level = ground.partition(":")
-        each = min(self.robots, 8) if self.quick else self.robots
-        rows = [(view, robot) for view in VIEWS for robot in range(each)]
-        trials = [Trial(self.mode, (), robot, kind) for _, robot in rows]
-        task, robots = {kind: int(level)}, [robot for _, robot in rows]
-        env = evaluator.make_env(task, robots, self.speed, self.seed)
-        env.place_on([kind] * len(rows))
-        shown = ShownImages(env, [view for view, _ in rows], each)
-        title = f"{self.grounds.index(ground) + 1}/{len(self.grounds)} {ground}"
-        steps = round(self.seconds / CONTROL_DT)
-        trace = evaluator.rollout(shown, trials, self.seed).run(steps, title, until_ended=1)
+        each = self.robots_each
+        views = [view for view in VIEWS for _ in range(each)]
+        trials = [Trial(self.modes[0], (), row % each, kind) for row in range(len(views))]
+        shown = partial(ShownImages, views=views, each=each)
+        trace = self.walk(evaluator, {kind: level}, trials, title, view=shown)
         groups = dict(zip(VIEWS, trace.groups(each), strict=True))
         healthy = groups["healthy"]
         part: Part = {}
         for view, group in groups.items():
-            both = ~(healthy.over | group.over)
-            apart = np.abs(group.travelled - healthy.travelled) * both
+            apart = np.abs(group.travelled - healthy.travelled) * ~(healthy.over | group.over)
             crossed, *_ = group.first_try()
             part[view] = {"crossed": crossed, "parted": apart.max(axis=0) > PARTED}
         return part
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """One row for each ground and view, the totals over all grounds, and the sentence."""
-        grounds = {ground: parts[ground.replace(":", "_")] for ground in self.grounds}
+        grounds, labels = self.by_ground(parts), {"mode": self.modes[0], "seed": self.seed}
         runs = [
-            {"ground": ground, "view": view, "seed": self.seed} | compare(part, view)
+            {"ground": ground, "view": view} | labels | compare(part, view)
             for ground, part in grounds.items()
             for view in VIEWS
         ]
@@ -179,20 +156,19 @@ class CameraUseStudy(Study):
         return {"runs": runs, "total": total, "sentence": sentence(total, runs)}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """camera_use.png: who crosses each ground, by what it is shown."""
-        figure, axis = plt.subplots(figsize=(1.3 * len(self.grounds) + 2, 3.6))
-        for number, (view, colour) in enumerate(zip(VIEWS, COLOURS, strict=True)):
-            runs = [run for run in summary["runs"] if run["view"] == view]
-            share, low, high = (
-                np.array([100 * run[name] for run in runs])
-                for name in ("crossed_rate", "crossed_ci95_low", "crossed_ci95_high")
-            )
-            place = np.arange(len(runs)) + 0.11 * (number - (len(VIEWS) - 1) / 2)
-            error = np.abs([low - share, high - share])
-            axis.errorbar(place, share, error, fmt="o", color=colour, label=VIEWS[view])
-        axis.set_xticks(range(len(self.grounds)), [g.replace("_", " ") for g in self.grounds])
-        axis.set(ylabel="robots that cross (%)", ylim=(-4, 104))
-        figure.legend(loc="outside upper center", ncols=3)
+        """camera_use.png: who crosses, by what it is shown, one panel for each ground."""
+        panels = {
+            ground.replace("_", " "): runs
+            for (ground,), runs in grouped(summary["runs"], "ground").items()
+        }
+        views = [*VIEWS]
+        figure = figures.share_panels(
+            panels,
+            "crossed",
+            lambda run: views.index(run["view"]),
+            lambda place: views[int(place)],
+            rotation=90,
+        )
         figure.suptitle(textwrap.fill(summary["sentence"], 100), fontsize=9)
         return {"camera_use.png": figure}
 
@@ -243,15 +219,16 @@ def sentence(total: Mapping[str, Mapping[str, Any]], runs: Sequence[Mapping[str,
         runs: `compare` with its ground and view, by ground.
     """
     views = [view for view in VIEWS if view not in ("healthy", "control")]
-    robots, control = total["healthy"]["robots"], total["control"]["parted"]
-    looks = [
-        view
-        for view in views
-        if _more(total[view]["parted"], control, robots) < CHANCE / len(views)
-    ]
+    robots, unlike = total["healthy"]["robots"], CHANCE / len(views)
+
+    def parted(view: str) -> list[int]:
+        return [total[view]["parted"], robots - total[view]["parted"]]
+
+    tables = {view: [parted(view), parted("control")] for view in views}
+    looks = [v for v, table in tables.items() if fisher_exact(table, "greater").pvalue < unlike]
     if not looks:
         return "This policy ignores its camera: its robots walk alike, whatever they are shown."
-    costs = {view: total[view] for view in views if total[view]["p"] < CHANCE / len(views)}
+    costs = {view: total[view] for view in views if total[view]["p"] < unlike}
     if not costs:
         return (
             "This policy looks at its camera, for its robots walk otherwise when they are shown"
@@ -264,16 +241,11 @@ def sentence(total: Mapping[str, Mapping[str, Any]], runs: Sequence[Mapping[str,
         for run in runs
         if run["view"] == view and run["p"] < CHANCE / tests
     ]
+    alone = f"On {', '.join(where)} alone" if where else "On no ground alone"
     return (
         f"This policy uses its camera: {total['healthy']['crossed']} of {robots} robots cross,"
         f" and {worst['crossed']} when they are shown {VIEWS[view]}"
-        f" ({100 * worst['change']:+.0f} points, 95 % over robots of one seed"
-        f" {100 * worst['change_ci95_low']:+.0f} to {100 * worst['change_ci95_high']:+.0f});"
-        f" beyond chance on {', '.join(where) or 'no single ground'}."
+        f" ({100 * worst['change']:+.0f} points, 95 % over walks of one seed"
+        f" {100 * worst['change_ci95_low']:+.0f} to {100 * worst['change_ci95_high']:+.0f})."
+        f" {alone} the difference is larger than chance explains."
     )
-
-
-def _more(count: int, control: int, robots: int) -> float:
-    """Fisher's one-sided probability of so many more robots than in the control."""
-    table = [[count, robots - count], [control, robots - control]]
-    return float(fisher_exact(table, alternative="greater").pvalue)

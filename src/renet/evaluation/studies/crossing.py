@@ -2,13 +2,13 @@
 
 Robots walk straight at an obstacle of three sizes. Each one's camera fails a distance before the
 edge, for some seconds; its twin's never does. Some faults are drawn by a seed, so that nobody can
-tune a policy to a list. docs/benchmark.md is the specification.
+tune a policy to a list. docs/crossing.md is the specification.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,18 +17,18 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 
 from renet.errors import RenetError
-from renet.evaluation import metrics
-from renet.evaluation.results import write_json
+from renet.evaluation import figures, metrics
+from renet.evaluation.results import grouped, write_json
 from renet.evaluation.rollout import Trial
 from renet.evaluation.studies.benchmark import header
-from renet.evaluation.study import Part, Table, WalkingStudy
+from renet.evaluation.studies.one_try import AIM, EDGES, OneTryStudy
+from renet.evaluation.study import Figures, Part, Table
 from renet.evaluation.trace import Trace
 from renet.faults import FAULTS, Injection
 from renet.faults.physical import PhysicalFault
 from renet.interface import CONTROL_DT
 
 if TYPE_CHECKING:
-    from renet.evaluation.env import SimEnv
     from renet.evaluation.evaluator import Evaluator
 
 VERSION = 2
@@ -40,8 +40,6 @@ LEVELS = {
     "stairs_down": (6, 8, 10),
 }
 """Level of each size: gaps of 23, 43, 57 cm, platforms of 20, 30, 40 cm, steps of 15, 19, 23 cm."""
-EDGES = {"gap": 1.2, "platform": 1.4, "stairs_up": 1.2, "stairs_down": 1.5}
-"""m from the middle of a tile, where robots start, to the first edge."""
 DISTANCES = (0.3, 0.8)
 """m before the edge at which cameras fail."""
 LENGTHS = (1.0, 4.0)
@@ -64,8 +62,8 @@ TELLING = (
 them."""
 DRAWN = 4
 """Faults that the seed draws."""
-AIM = 0.1
-"""Robots start within this angle of straight at the obstacle, rad."""
+BATCH = 64
+"""Groups of robots that walk side by side."""
 
 Faults = tuple[tuple[str, int], ...]
 """Faults that act one after the other on the same images, each with its severity."""
@@ -93,38 +91,35 @@ class Setting(NamedTuple):
 
 
 @dataclass(frozen=True)
-class CrossingStudy(WalkingStudy):
+class CrossingStudy(OneTryStudy):
     """What a policy still crosses when its camera fails just before an edge."""
 
     out: Path = Path("results/benchmark")
-    """Folder for summary.json, summary.csv, result.json and parts/."""
+    """Folder for summary.json, summary.csv, result.json, crossing.png and parts/."""
     draw_seed: int = 0
     """Seed of the faults that are on no list."""
     grounds: tuple[str, ...] = tuple(LEVELS)
     """Kinds of tile."""
-    seconds: float = 12.0
-    """Time to leave the tile."""
 
     name: ClassVar[str] = "benchmark"
-    selectable: ClassVar[tuple[str, ...]] = ("grounds",)
     quick_robots: ClassVar[int] = 10
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.grounds or not {*self.grounds} <= {*LEVELS}:
             raise RenetError(f"grounds {self.grounds}: choose among {', '.join(LEVELS)}")
-        if self.draw_seed < 0 or self.seconds < 1:
-            raise RenetError("draw seed must be at least 0, and seconds at least 1")
+        if self.draw_seed < 0:
+            raise RenetError(f"draw seed must be at least 0, got {self.draw_seed}")
+
+    def levels(self, size: str) -> dict[str, int]:
+        """Level of each ground."""
+        return {ground: LEVELS[ground][SIZES.index(size)] for ground in self.grounds}
 
     @property
     def faults(self) -> dict[str, Faults]:
-        """Every fault by its name in the results."""
-        return {name: ((name, 5),) for name in TELLING} | drawn_faults(self.draw_seed)
-
-    @property
-    def places(self) -> list[tuple[str, str]]:
-        """Kind and size of every ground; `quick` leaves out the frontier."""
-        return list(itertools.product(self.grounds, SIZES[:2] if self.quick else SIZES))
+        """Every fault by its name in the results; `quick` takes every second one."""
+        faults = {name: ((name, 5),) for name in TELLING} | drawn_faults(self.draw_seed)
+        return dict(list(faults.items())[:: 2 if self.quick else 1])
 
     @property
     def settings(self) -> list[Setting]:
@@ -134,42 +129,41 @@ class CrossingStudy(WalkingStudy):
         return [Setting(*one) for one in itertools.product(self.faults, distances, lengths)]
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """One part for each kind and size of ground."""
-        return {"_".join(place): partial(self._walk, evaluator, *place) for place in self.places}
+        """One part for each size; `quick` leaves out the frontier."""
+        sizes = SIZES[:2] if self.quick else SIZES
+        return {size: partial(self._walk, evaluator, size) for size in sizes}
 
-    def _walk(self, evaluator: Evaluator, ground: str, size: str) -> Part:
+    def _walk(self, evaluator: Evaluator, size: str) -> Part:
         """Walk with healthy cameras first: they tell when each robot is where its twin's fails."""
-        level, each = LEVELS[ground][SIZES.index(size)], self.robots_each
-        cfg = evaluator.terrain_env_cfg({ground: level})
+        levels = self.levels(size)
+        each, cfg = self.robots_each, evaluator.terrain_env_cfg(levels)
         spawn = cfg.events["spawn"].params["pose_range"]
         spawn |= {"x": (0.0, 0.0), "y": (0.0, 0.0), "yaw": (-AIM, AIM)}
 
-        def run(trials: list[Trial], title: str) -> list[Trace]:
-            env: SimEnv = evaluator.make_env(cfg, [t.robot for t in trials], self.speed, self.seed)
-            env.place_on([ground] * len(trials))
-            rollout = evaluator.rollout(env, trials, self.seed)
-            steps = round(self.seconds / CONTROL_DT)
-            return rollout.run(steps, title, until_ended=1).groups(each)
+        def walk(trials: list[Trial], title: str) -> Iterator[Trace]:
+            for start in range(0, len(trials), BATCH * each):
+                batch = trials[start : start + BATCH * each]
+                bar = f"{size}, {title} {start + len(batch)}/{len(trials)}"
+                yield from self.walk(evaluator, cfg, batch, bar).groups(each)
 
-        place = f"{self.places.index((ground, size)) + 1}/{len(self.places)} {ground}, {size}"
-        healthy = [Trial(mode, (), r, ground) for mode in self.modes for r in range(each)]
-        twins: dict[str, Trace] = dict(
-            zip(self.modes, run(healthy, f"{place}: twins"), strict=True)
-        )
+        pairs = list(itertools.product(self.grounds, self.modes))
+        twins = dict(zip(pairs, walk(self.trials_on(self.grounds), "healthy"), strict=True))
         # A robot in OP walks as its twin does.
-        groups = [(mode, s) for mode in self.modes if mode != "op" for s in self.settings]
+        groups = [(*pair, s) for pair in pairs if pair[1] != "op" for s in self.settings]
         trials = [
             Trial(mode, self._failure(setting, onset), robot, ground)
-            for mode, setting in groups
-            for robot, onset in enumerate(self._onsets(twins[mode], EDGES[ground], setting))
+            for ground, mode, setting in groups
+            for robot, onset in enumerate(self._onsets(twins[ground, mode], EDGES[ground], setting))
         ]
-        walked = dict(zip(groups, run(trials, place), strict=True)) if trials else {}
+        tries = (trace.first_try() for trace in walk(trials, "failing"))
+        walked = dict(zip(groups, tries, strict=True))
         runs = []
-        for mode, setting in itertools.product(self.modes, self.settings):
-            crossed, fell, _ = walked.get((mode, setting), twins[mode]).first_try()
-            values = {"crossed": crossed, "upright": ~fell, "twins": twins[mode].first_try()[0]}
+        for (ground, mode), setting in itertools.product(pairs, self.settings):
+            healthy = twins[ground, mode].first_try()
+            crossed, fell, _ = walked.get((ground, mode, setting), healthy)
+            values = {"crossed": crossed, "upright": ~fell, "twins": healthy[0]}
             runs.append(
-                {"ground": ground, "size": size, "level": level}
+                {"ground": ground, "size": size, "level": levels[ground]}
                 | setting._asdict()
                 | {"mode": mode, "robots": each, "values": values}
             )
@@ -200,6 +194,31 @@ class CrossingStudy(WalkingStudy):
         summary = super().run(evaluator)
         write_json(self.out / "result.json", result(summary))
         return summary
+
+    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
+        """crossing.png: who crosses each ground, by fault, all sizes together."""
+        runs = [run for part in parts.values() for run in part["runs"]]
+        names = ["healthy", *self.faults]
+        panels: dict[str, list[dict[str, Any]]] = {}
+        for (ground, mode), rows in grouped(runs, "ground", "mode").items():
+            crossed = {
+                name: [run["values"]["crossed"] for run in group]
+                for (name,), group in grouped(rows, "fault").items()
+            }
+            crossed["healthy"] = [run["values"]["twins"] for run in rows]
+            panels.setdefault(ground.replace("_", " "), []).extend(
+                {"mode": mode, "place": names.index(name), "crossed_rate": np.mean(values)}
+                | metrics.with_interval("crossed", np.mean(values, axis=0))
+                for name, values in crossed.items()
+            )
+        figure = figures.share_panels(
+            panels,
+            "crossed",
+            lambda run: run["place"],
+            lambda place: names[int(place)].replace("_", " "),
+            rotation=90,
+        )
+        return {"crossing.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Each mode's scores."""
@@ -245,20 +264,43 @@ PROTOCOL = ("seed", "draw_seed", "speed", "seconds", "quick")
 """Settings of the study that a result file tells."""
 
 
-def places(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Rows of the leaderboard, best first, by what is crossed.
+def ranking(results: Sequence[Mapping[str, Any]]) -> Table:
+    """The leaderboard, best first, by what is crossed.
+
+    Its last column is what mode `renet` of the first result, or else its first mode, crosses more:
+    points, with a 95 % bootstrap interval over robots, each paired with itself.
 
     Raises RenetError for results of different protocols, whose robots met other things.
     """
-    if any(r["protocol"] != results[0]["protocol"] for r in results):
-        raise RenetError("give results of one protocol: robots, seeds, speed, seconds, quick")
-    entries = [
-        (scores["crossed"], result["policy"]["name"], mode, score_cells(scores))
-        for result in results
-        for mode, scores in result["scores"].items()
-    ]
-    entries.sort(key=lambda entry: -entry[0])
-    return [(str(place), *entry[1:3], *entry[3]) for place, entry in enumerate(entries, start=1)]
+    if any(_conditions(result) != _conditions(results[0]) for result in results):
+        raise RenetError(
+            "give results of the same settings: robots, seeds, speed, seconds, quick and grounds"
+        )
+    first = results[0]["scores"]
+    reference = "renet" if "renet" in first else next(iter(first))
+    entries = sorted(
+        (
+            (result["policy"]["name"], mode, scores)
+            for result in results
+            for mode, scores in result["scores"].items()
+        ),
+        key=lambda entry: -entry[-1]["crossed"],
+    )
+    rows = []
+    for place, (name, mode, scores) in enumerate(entries, start=1):
+        gain = 100 * np.subtract(first[reference]["by_robot"], scores["by_robot"])
+        low, high = metrics.bootstrap_interval(gain)
+        ahead = f"{gain.mean():+.1f} ({low:+.1f} to {high:+.1f})"
+        rows.append((str(place), name, mode, *score_cells(scores), ahead))
+    title = f"Fault benchmark, version 2; last column: {results[0]['policy']['name']}, {reference},"
+    return f"{title} less this one", ("", "policy", "mode", *SCORES, "ahead"), rows
+
+
+def _conditions(result: Mapping[str, Any]) -> tuple[Any, ...]:
+    """What the robots of a result met: equal for results that can be compared."""
+    names = ("ground", "size", "level", "fault", "distance", "length")
+    settings = {tuple(row[name] for name in names) for row in result["settings"]}
+    return result["protocol"], result["faults"], settings
 
 
 def _counts(run: Mapping[str, Any]) -> dict[str, Any]:

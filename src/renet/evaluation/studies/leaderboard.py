@@ -19,7 +19,7 @@ from renet.errors import RenetError
 from renet.evaluation.metrics import bootstrap_interval
 from renet.evaluation.results import grouped
 from renet.evaluation.studies.benchmark import GROUNDS, ONSETS, PROTOCOL, read_result
-from renet.evaluation.studies.crossing import SCORES, places
+from renet.evaluation.studies.crossing import ranking
 from renet.evaluation.studies.fault_findings import SEVERE, findings
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.study import Table
@@ -59,7 +59,7 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
         raise RenetError("give results of one version of the benchmark")
     tables: list[Table] = []
     if versions == {2}:
-        tables += [("Fault benchmark, version 2", ("", "policy", "mode", *SCORES), places(results))]
+        tables += [ranking(results)]
     else:
         tables += [("Fault benchmark, version 1", HEADER, rank(results))]
         tables += result_tables(results, cfg.severity, cfg.onset)

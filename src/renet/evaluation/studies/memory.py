@@ -7,9 +7,8 @@ knows the fault are twins in all else. Judged by true poses, in one try.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -19,8 +18,9 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import grouped
 from renet.evaluation.rollout import Mode, Trial
+from renet.evaluation.studies.one_try import NEAREST, LevelStudy
 from renet.evaluation.studies.terrain import SIZES
-from renet.evaluation.study import Figures, Part, Table, WalkingStudy
+from renet.evaluation.study import Figures, Part, Table
 from renet.faults import Injection
 from renet.interface import CONTROL_DT
 from renet.terrain.tiles import LEVELS, tiles
@@ -28,14 +28,12 @@ from renet.terrain.tiles import LEVELS, tiles
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
 
-EDGE = 1.2
-"""Metres from a robot's start to the nearest obstacle's edge."""
 DEAD = "blackout", 5
 """The fault, and its severity."""
 
 
 @dataclass(frozen=True)
-class MemoryStudy(WalkingStudy):
+class MemoryStudy(LevelStudy):
     """How long a robot finds its way without an image."""
 
     out: Path = Path("results/memory")
@@ -50,40 +48,27 @@ class MemoryStudy(WalkingStudy):
         "stairs_down:8",
         "obstacles:10",
     )
-    """Ground and level, KIND:LEVEL; gap, platform, stairs_up, stairs_down, obstacles, rough, and 1
-    to 10."""
+    """Ground and level, KIND:LEVEL, such as gap:3; levels are 1 to 10."""
     without: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0)
     """Seconds without an image; robots with a healthy camera walk as well."""
     before: float = 0.5
     """Seconds before the edge, at the commanded speed, at which images cease."""
     modes: tuple[Mode, ...] = ("vp", "paper", "oracle-switch", "op", "renet")
     """Policy modes to compare."""
-    seconds: float = 12.0
-    """Time to leave the tile."""
 
     name: ClassVar[str] = "memory"
-    selectable: ClassVar[tuple[str, ...]] = ("grounds",)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.grounds or not self.without:
-            raise RenetError("give a ground and a time without an image")
-        for ground in self.grounds:
-            kind, _, level = ground.partition(":")
-            if kind not in tiles() or not level.isdecimal() or not 1 <= int(level) <= LEVELS:
-                raise RenetError(
-                    f"ground {ground!r}: write KIND:LEVEL, of {', '.join(tiles())} and 1 to"
-                    f" {LEVELS}, such as gap:3"
-                )
-        if min(self.without) <= 0 or len({*self.without}) < len(self.without):
+        if not self.without or min(self.without) <= 0 or len({*self.without}) < len(self.without):
             raise RenetError(f"without {self.without}: give different times above 0 s")
-        if self.before < 0 or self.seconds < 1:
-            raise RenetError("before must be at least 0 s, and seconds at least 1")
+        if self.before < 0:
+            raise RenetError(f"before must be at least 0 s, got {self.before}")
 
     @property
     def onset(self) -> int:
         """Control step at which images cease."""
-        return round(max(EDGE / self.speed - self.before, 0.0) / CONTROL_DT)
+        return round(max(NEAREST / self.speed - self.before, 0.0) / CONTROL_DT)
 
     @property
     def settings(self) -> list[tuple[float, str]]:
@@ -94,27 +79,14 @@ class MemoryStudy(WalkingStudy):
             for seconds in (0.0, *(self.without if mode != "op" else ()))
         ]
 
-    def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
+    def walk_on(self, evaluator: Evaluator, kind: str, level: int, title: str) -> Part:
         """All modes and times on one ground, side by side."""
-        return {
-            ground.replace(":", "_"): partial(self._walk, evaluator, ground)
-            for ground in self.grounds
-        }
-
-    def _walk(self, evaluator: Evaluator, ground: str) -> Part:
-        kind, level = ground.split(":")
         trials = [
             Trial(mode, (Injection.of(*DEAD, self.onset, seconds),) if seconds else (), robot, kind)
             for seconds, mode in self.settings
             for robot in range(self.robots_each)
         ]
-        task, robots = {kind: int(level)}, [trial.robot for trial in trials]
-        env = evaluator.make_env(task, robots, self.speed, self.seed)
-        env.place_on([trial.ground for trial in trials])
-        title = f"{self.grounds.index(ground) + 1}/{len(self.grounds)} {ground}"
-        steps = round(self.seconds / CONTROL_DT)
-        rollout = evaluator.rollout(env, trials, self.seed)
-        trace = rollout.run(steps, title, until_ended=self.onset)
+        trace = self.walk(evaluator, {kind: level}, trials, title, until_ended=self.onset)
         crossed, fell, _ = trace.first_try()
         shape = (len(self.settings), self.robots_each)
         return {"crossed": crossed.reshape(shape), "fell": fell.reshape(shape)}
@@ -122,8 +94,8 @@ class MemoryStudy(WalkingStudy):
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """One row for each ground, mode and time; what the missing images cost."""
         runs = []
-        for ground in self.grounds:
-            part, (kind, level) = parts[ground.replace(":", "_")], ground.split(":")
+        for ground, part in self.by_ground(parts).items():
+            kind, level = ground.split(":")
             crossed, fell = (
                 dict(zip(self.settings, np.array(part[name], bool), strict=True))
                 for name in ("crossed", "fell")

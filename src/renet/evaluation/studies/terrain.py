@@ -25,6 +25,7 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import grouped
 from renet.evaluation.rollout import FLAT, PARKOUR, Mode, Trial
+from renet.evaluation.studies.one_try import AIM, NEAREST
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Schedule, parse_fault
@@ -37,8 +38,6 @@ if TYPE_CHECKING:
 
 TABLE = {"gap": ("gap",), "platform": ("platform",), "stairs": ("stairs_up", "stairs_down")}
 """The paper's columns, and the tiles each is the mean of."""
-AIM = 0.1
-"""With one try, robots start within this angle of straight at the obstacle, rad."""
 WALK, SETTLE = 3.0, 1.5
 """Seconds before the command to stand, and seconds that a robot then has for stopping."""
 DRIFT, MOVING = 0.1, 0.2
@@ -101,7 +100,7 @@ class TerrainStudy(WalkingStudy):
         """What happens to every camera; the nearest obstacle begins 1.2 m from the start."""
         if self.fault is None:
             return ()
-        return (parse_fault(self.fault, max(1.2 / self.speed - 0.5, 0.0)),)
+        return (parse_fault(self.fault, max(NEAREST / self.speed - 0.5, 0.0)),)
 
     @property
     def settings(self) -> list[tuple[int, str]]:
