@@ -12,7 +12,7 @@ ONSET, OVER, STEPS = 20, 60, 100
 
 
 def faulty(count: int = 4) -> Trace:
-    """Robot 0 leaves vision at once, 1 loses its images late, 2 nothing, 3 leaves after its fall."""
+    """Robot 0 leaves vision at once, 1 loses images late, 2 nothing, 3 leaves after its fall."""
     trace = Trace.empty(STEPS, count)
     trace.forward_velocity[:] = 0.6
     trace.trusted[ONSET + 2 : OVER + 50, :, 0] = False
