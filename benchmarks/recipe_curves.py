@@ -1,7 +1,8 @@
 """Draw what `renet train` learns: `python benchmarks/recipe_curves.py RUN[=LABEL]...`.
 
 Writes docs/figures/recipe.csv, every tenth iteration of each run, and docs/figures/recipe.png from
-that file; without runs the figure alone is drawn again. Runs of one label have one colour.
+that file and the flagship's curves; without runs the figure alone is drawn again. Runs of one label
+have one colour.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from renet.files import read_object
 from renet.terrain.tiles import tiles
 from renet.training.config import steps_per_env
 from renet.training.metrics import LEVEL, read_curves
-from renet.training.provenance import upgraded
 from renet.training.train import CONFIG
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "recipe"
+FLAGSHIP = Path(__file__).with_name("flagship") / "curves.csv"
 
 
 def level_curves(run: Path, steps: int = 0, every: int = 10) -> list[dict[str, float]]:
@@ -37,9 +38,8 @@ def level_curves(run: Path, steps: int = 0, every: int = 10) -> list[dict[str, f
     Returns:
         Rows of "steps" (environment steps), "hours" and each kind's level.
     """
-    config = read_object(run / CONFIG)
-    config = config if "agent" in config else upgraded({"config": config})
-    curves, robots, agent = read_curves(run), config["env"]["scene"]["num_envs"], config["agent"]
+    config, curves = read_object(run / CONFIG), read_curves(run)
+    robots, agent = config["env"]["scene"]["num_envs"], config["agent"]
     values = {n.removeprefix(LEVEL): c[1] for n, c in curves.items() if n.startswith(LEVEL)}
     seconds, rows = 0.0, []
     for number, fps in enumerate(curves["Perf/total_fps"][1], 1):
@@ -56,14 +56,14 @@ def rows(argument: str) -> list[dict[str, str | float]]:
     """Environment steps, hours and the curriculum's levels of a run, every tenth iteration."""
     folder, _, label = argument.partition("=")
     config = json.loads((Path(folder) / "config.json").read_text())
-    seed = config.get("agent", config)["seed"]
+    seed = config["agent"]["seed"]
     return [
         {"run": label or f"seed {seed}", "seed": seed, **row} for row in level_curves(Path(folder))
     ]
 
 
 def draw(table: list[dict[str, str]]) -> None:
-    """A panel for each kind of tile, a line for each run, a dot at each hour."""
+    """A panel for each kind of tile, a line for each run."""
     labels = list(dict.fromkeys(row["run"] for row in table))
     runs = dict.fromkeys((row["run"], row["seed"]) for row in table)
     with plt.rc_context(figures.STYLE):
@@ -71,14 +71,10 @@ def draw(table: list[dict[str, str]]) -> None:
         for axis, kind in zip(axes.flat, tiles(), strict=True):
             for label, seed in runs:
                 curve = [row for row in table if (row["run"], row["seed"]) == (label, seed)]
-                steps, hours, level = (
-                    np.array([row[name] for row in curve], float)
-                    for name in ("steps", "hours", kind)
+                steps, level = (
+                    np.array([row[name] for row in curve], float) for name in ("steps", kind)
                 )
-                colour = f"C{labels.index(label)}"
-                axis.plot(steps / 1e6, level, color=colour, linewidth=1)
-                at = np.interp(np.arange(1, int(hours[-1]) + 1), hours, steps)
-                axis.plot(at / 1e6, np.interp(at, steps, level), ".", color=colour)
+                axis.plot(steps / 1e6, level, color=f"C{labels.index(label)}", linewidth=1)
             axis.set(title=kind.replace("_", " "), ylim=(0, 10))
         for axis in axes[1]:
             axis.set_xlabel("million environment steps")
@@ -98,8 +94,9 @@ def main(runs: list[str]) -> None:
             writer = csv.DictWriter(file, list(kept[0]), lineterminator="\n")
             writer.writeheader()
             writer.writerows(kept)
-    with path.open(newline="") as file:
-        draw(list(csv.DictReader(file)))
+    with path.open(newline="") as before, FLAGSHIP.open(newline="") as file:
+        flagship = [row | {"run": "with memory", "seed": "1"} for row in csv.DictReader(file)]
+        draw([*csv.DictReader(before), *flagship])
 
 
 if __name__ == "__main__":

@@ -2,17 +2,13 @@
 
 import json
 
-import pytest
-
 from recipe_curves import level_curves
 from renet.training.metrics import CURVES
 
 
-@pytest.mark.parametrize("form", [1, 2])
-def test_levels_over_steps_follow_the_batches_schedule(tmp_path, form):
+def test_levels_over_steps_follow_the_batches_schedule(tmp_path):
     agent = {"num_steps_per_env": None, "batch_size": "2500@5000,5000@10000"}
     config = {"agent": agent, "env": {"scene": {"num_envs": 100}}}
-    config = config if form == 2 else agent | {"num_envs": 100}
     (tmp_path / "config.json").write_text(json.dumps(config))
     lines = ["iteration,name,value"]
     for number in range(4):
