@@ -136,10 +136,11 @@ COMMANDS = {
         "renet.evaluation.studies.leaderboard:LeaderboardCfg:make_leaderboard",
     ),
     "evaluate terrain": Command(
-        "highest levels; --preset success or standing",
+        "highest levels; --preset success, dawn, standing",
         "renet.evaluation.studies.terrain:TerrainStudy:TerrainStudy.main",
         presets={
             "success": "renet.evaluation.studies.terrain:SuccessStudy",
+            "dawn": "renet.evaluation.studies.terrain:DawnStudy",
             "standing": "renet.evaluation.studies.terrain:StandingStudy",
         },
         resume=KEPT,

@@ -11,7 +11,7 @@ from renet.faults import ViewPerturbation
 from renet.terrain.tiles import LEVELS
 
 from ..fakes import FakeEvaluator
-from ..tiny import TINY, Hurdles, Ladder
+from ..tiny import TINY, Hurdles, HurdlesEvaluator, Ladder
 
 
 def test_a_robot_passes_even_after_a_fall_and_levels_count_in_a_row() -> None:
@@ -74,6 +74,25 @@ def test_every_size_and_mode_has_its_row(run_study) -> None:
     assert summary["provenance"]["bundle_hash"] == "0" * 64
     assert (folder / "success.png").stat().st_size > 10_000
     assert (folder / "summary.csv").read_text().count("\n") == 19
+
+
+def test_dawns_sizes_are_walked_and_stated(tmp_path: Path) -> None:
+    """arXiv 2609.29092: stairs of 6 to 18 cm, gaps of 10 to 90 cm, steps of 10 to 54 cm."""
+    walked = {}
+
+    class Evaluator(HurdlesEvaluator):
+        def make_env(self, task, robots, speed, seed):
+            built = task.scene.terrain.terrain_generator.sub_terrains
+            walked.update({k: [100 * built[k].measure(d) for d in (0, 1)] for k in study.kinds})
+            return super().make_env(task, robots, speed, seed)
+
+    study = terrain.DawnStudy(out=tmp_path, robots=3, modes=("vp",))
+    rows = study.run(Evaluator())["runs"]
+    stated = {kind: [100 * r["size_m"] for r in rows if r["kind"] == kind] for kind in study.kinds}
+    for kind, sizes in (("stairs_up", [6, 18]), ("gap", [10, 90]), ("platform", [10, 54])):
+        assert walked[kind] == pytest.approx(sizes)
+        assert [stated[kind][0], stated[kind][-1]] == pytest.approx(sizes)
+        assert len(stated[kind]) == 10
 
 
 def test_where_renet_crosses_less_often_than_op_alone_is_listed() -> None:

@@ -14,7 +14,7 @@ has three protocols:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -30,7 +30,7 @@ from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Schedule, parse_fault
 from renet.interface import CONTROL_DT, Terrain
-from renet.terrain.tiles import LEVELS, tiles
+from renet.terrain.tiles import LEVELS, Tile, tiles
 
 if TYPE_CHECKING:
     from renet.evaluation.env import SimEnv
@@ -58,8 +58,8 @@ SIZES = {
 class TerrainStudy(WalkingStudy):
     """The paper's table: how far up the training curriculum a policy gets.
 
-    `--preset success` gives every robot one try at each obstacle instead; `--preset standing`
-    commands robots to stop.
+    `--preset success` gives every robot one try at each obstacle instead, `--preset dawn` at those
+    of DAWN's simulation; `--preset standing` commands robots to stop.
     """
 
     out: Path = Path("results/terrain")
@@ -82,6 +82,8 @@ class TerrainStudy(WalkingStudy):
     twins: ClassVar[bool] = False
     """Whether the same robots meet every level."""
     grounds: ClassVar[tuple[str, ...]] = tuple(tiles())
+    sizes: ClassVar[Mapping[str, tuple[float, float]]] = {}
+    """Sizes at levels 1 and 10, m, of tiles whose sizes are not the curriculum's."""
     quick_levels: ClassVar[tuple[int, ...]] = tuple(range(1, LEVELS + 1))
     quick_robots: ClassVar[int] = 4
 
@@ -94,6 +96,14 @@ class TerrainStudy(WalkingStudy):
         if self.seconds < 1:
             raise RenetError(f"seconds must be at least 1, got {self.seconds}")
         _ = self.schedule
+
+    @property
+    def tiles(self) -> dict[str, Tile]:
+        """Every kind of tile in the study's sizes."""
+        changed = tiles()
+        for kind, (low, high) in self.sizes.items():
+            changed[kind] = replace(changed[kind], low=low, high=high)
+        return changed
 
     @property
     def schedule(self) -> Schedule:
@@ -170,6 +180,7 @@ class TerrainStudy(WalkingStudy):
     def _make_env(self, evaluator: Evaluator, numbers: Sequence[int]) -> SimEnv:
         """The curriculum's field of tiles, walked along +x where there is one try."""
         cfg = evaluator.terrain_env_cfg(PARKOUR)
+        cfg.scene.terrain.terrain_generator.sub_terrains = self.tiles
         if self.one_try:
             cfg.events["spawn"].params["pose_range"]["yaw"] = (-AIM, AIM)
         return evaluator.make_env(cfg, numbers, self.speed, self.seed)
@@ -181,7 +192,7 @@ class TerrainStudy(WalkingStudy):
         return {
             "kind": kind,
             "level": level,
-            "size_m": tiles()[kind].measure((level - 1) / (LEVELS - 1)),
+            "size_m": self.tiles[kind].measure((level - 1) / (LEVELS - 1)),
             "mode": mode,
             "fault": self.fault,
             "robots": len(success),
@@ -265,6 +276,34 @@ class SuccessStudy(TerrainStudy):
     twins: ClassVar[bool] = True
     quick_levels: ClassVar[tuple[int, ...]] = (1, 2, 4)
     quick_robots: ClassVar[int] = 10
+
+
+@dataclass(frozen=True)
+class DawnStudy(SuccessStudy):
+    """DAWN's obstacles in simulation (arXiv 2609.29092), with one try each.
+
+    100 robots meet ten sizes of each kind; `--seed` 1, 2 and 3 are its three seeds, there of
+    trainings. Its speed, treads, run-up and time are not published: these are the success study's.
+    """
+
+    out: Path = Path("results/dawn")
+    """Folder for summary.json, summary.csv, dawn.png and parts/."""
+    levels: tuple[int, ...] = tuple(range(1, LEVELS + 1))
+    """Tenths of the range of sizes, 1 to 10."""
+    modes: tuple[Mode, ...] = ("vp", "op")
+    """Policy modes to compare."""
+    robots: int = 10
+    """Robots for each size and mode; with `quick` always fewer."""
+
+    name: ClassVar[str] = "dawn"
+    twins: ClassVar[bool] = False
+    quick_robots: ClassVar[int] = 4
+    sizes: ClassVar[Mapping[str, tuple[float, float]]] = {
+        "stairs_up": (0.06, 0.18),
+        "stairs_down": (0.06, 0.18),
+        "gap": (0.10, 0.90),
+        "platform": (0.10, 0.54),
+    }
 
 
 @dataclass(frozen=True)
