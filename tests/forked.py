@@ -1,5 +1,6 @@
 """Processes of their own that begin with the large libraries loaded, which takes seconds."""
 
+import gc
 import multiprocessing
 import os
 import resource
@@ -43,6 +44,7 @@ def fork(work: Callable[..., int | None], *arguments: object) -> Done:
 
 
 def _child(folder: str, work: Callable[..., int | None], arguments: tuple) -> None:
+    gc.freeze()  # Whoever collects garbage need not look through the libraries.
     for descriptor in (1, 2):
         os.dup2(os.open(f"{folder}/{descriptor}", os.O_CREAT | os.O_WRONLY), descriptor)
     try:
