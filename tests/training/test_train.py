@@ -214,8 +214,8 @@ def test_a_second_signal_interrupts_at_once_and_one_before_the_loop_leaves_nothi
     tmp_path, monkeypatch
 ):
     def twice(self, *args):
-        os.kill(os.getpid(), signal.SIGINT)
-        os.kill(os.getpid(), signal.SIGINT)
+        for _ in range(2):
+            signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(training.RenetRunner, "_iterate", twice)
     with pytest.raises(KeyboardInterrupt):
