@@ -1,7 +1,8 @@
 """The paper's Table I: every row trained with one recipe, one seed and one budget, then judged.
 
 `python benchmarks/table1.py` trains and judges what is not done yet, row by row; after any kill the
-same command goes on. `--status` says where it stands, `--table` prints it beside the paper's.
+same command goes on. `--status` says where it stands. `--table` prints it beside the paper's, and
+which rows differ from SA by more than its seeds do.
 What a row needs to go on lies in its folder: checkpoints of `renet train`, and the terrain study.
 What is measured, with the curriculum's curves, is in `--results`, a file a row and seed.
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+from collections.abc import Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -314,14 +316,51 @@ def measured(cfg: Cfg, row: Row) -> dict[str, Any] | None:
     return results if same else None
 
 
+def passed(summary: dict[str, Any], column: str) -> tuple[int, int]:
+    """Tiles of a column that robots passed, and those they tried."""
+    runs = [run for run in summary["runs"] if run["kind"] in TABLE[column]]
+    return sum(run["passed"] for run in runs), sum(run["robots"] for run in runs)
+
+
 def passes(summary: dict[str, Any], column: str) -> str:
     """Tiles passed of those tried, with the Clopper-Pearson interval in per cent."""
-    runs = [run for run in summary["runs"] if run["kind"] in TABLE[column]]
-    passed, tried = sum(r["passed"] for r in runs), sum(r["robots"] for r in runs)
+    count, tried = passed(summary, column)
     if not tried:
         return "missing"
-    low, high = stats.binomtest(passed, tried).proportion_ci(0.95)
-    return f"{passed}/{tried} ({100 * low:.0f} to {100 * high:.0f} %)"
+    low, high = stats.binomtest(count, tried).proportion_ci(0.95)
+    return f"{count}/{tried} ({100 * low:.0f} to {100 * high:.0f} %)"
+
+
+def prediction_interval(values: Sequence[float]) -> tuple[float, float]:
+    """Where one more value lies with a probability of 95 %, of a normal distribution; n > 1."""
+    spread = np.std(values, ddof=1) * np.sqrt(1 + 1 / len(values))
+    low, high = stats.t.interval(0.95, len(values) - 1, np.mean(values), spread)
+    return float(low), float(high)
+
+
+def differences(cfg: Cfg) -> str:
+    """A line for each measure: what seeds of SA predict of one more, and which rows are outside."""
+    results = {
+        row.name: [r for seed_cfg in by_seed(cfg, row) if (r := measured(seed_cfg, row))]
+        for row in ROWS
+    }
+    if len(results["SA"]) < 2:
+        return "One seed of SA says nothing about how far seeds differ."
+    lines = ["95 % prediction intervals of one more seed of SA:"]
+    for name in (*TABLE, "collisions"):
+        values = {
+            row: [r[name] if name == "collisions" else passed(r, name)[0] for r in seeds]
+            for row, seeds in results.items()
+        }
+        low, high = prediction_interval(values.pop("SA"))
+        outside = [
+            f"{row} {value:.3g}"
+            for row, seeds in values.items()
+            for value in seeds
+            if not low <= value <= high
+        ]
+        lines.append(f"- {name} {low:.3g} to {high:.3g}; outside: {', '.join(outside) or 'none'}")
+    return "\n".join(lines)
 
 
 def table(cfg: Cfg) -> str:
@@ -375,7 +414,7 @@ def status(cfg: Cfg) -> str:
 def main(cfg: Cfg) -> None:
     """Print, or train and judge what is left."""
     if cfg.status or cfg.table:
-        print(status(cfg) if cfg.status else table(cfg))
+        print(status(cfg) if cfg.status else f"{table(cfg)}\n\n{differences(cfg)}")
         return
     for row in cfg.chosen:
         if not measured(cfg, row):

@@ -23,7 +23,6 @@ from renet.evaluation.rollout import FLAT, EvalEnv, Mode, Trial
 from renet.evaluation.studies.one_try import LevelStudy
 from renet.evaluation.study import Figures, Part, Table
 from renet.evaluation.trace import StepResult
-from renet.faults import ViewPerturbation
 from renet.terrain.tiles import tiles
 
 if TYPE_CHECKING:
@@ -55,11 +54,14 @@ class ShownImages:
             views: of each row, [N].
             each: robots in a group.
         """
-        self.num_robots, self._env, self._views = env.num_robots, env, np.array(views)
-        row = np.arange(self.num_robots)
+        self._env, self._views = env, np.array(views)
+        row = np.arange(len(views))
         healthy = row - row % (each * len(VIEWS))
         self._other = healthy + (row + 1) % each
         """The healthy row of the next robot on the same ground, [N]."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._env, name)
 
     def reset(self) -> StepResult:
         """Put every robot at its start; its image there is what a frozen camera shows."""
@@ -70,14 +72,6 @@ class ShownImages:
     def step(self, action: np.ndarray) -> StepResult:
         """Act [N, 12] for one control step."""
         return self._show(self._env.step(action))
-
-    def poses(self, rows: Sequence[int]) -> np.ndarray:
-        """Generalised positions [len(rows), nq], for pictures."""
-        return self._env.poses(rows)
-
-    def perturb_cameras(self, view: ViewPerturbation) -> None:
-        """Let the cameras see the scene so from their next image on."""
-        self._env.perturb_cameras(view)
 
     def _show(self, result: StepResult) -> StepResult:
         depth, shown = result.depth, result.depth.copy()

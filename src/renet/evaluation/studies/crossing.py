@@ -222,29 +222,7 @@ class CrossingStudy(OneTryStudy):
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Each mode's scores."""
-        rows = [(mode, *score_cells(scores)) for mode, scores in summary["scores"].items()]
-        return [("Fault benchmark, version 2", ("mode", *SCORES), rows)]
-
-
-SCORES = ("crossed", "95 %", "kept", "95 %", "healthy", "upright")
-"""Columns of a table of scores."""
-
-
-def score_cells(scores: Mapping[str, Any]) -> list[str]:
-    """The cells of `SCORES`, in percent."""
-
-    def share(name: str) -> str:
-        return "-" if scores[name] is None else f"{100 * scores[name]:.1f} %"
-
-    def interval(name: str) -> str:
-        if scores[name] is None:
-            return "-"
-        return "{:.1f} to {:.1f}".format(
-            *(100 * scores[f"{name}_ci95_{e}"] for e in ("low", "high"))
-        )
-
-    intervals = [cell for name in ("crossed", "kept") for cell in (share(name), interval(name))]
-    return [*intervals, share("healthy"), share("upright")]
+        return [ranking([result(summary)])]
 
 
 def result(summary: Mapping[str, Any]) -> dict[str, Any]:
@@ -265,7 +243,7 @@ PROTOCOL = ("seed", "draw_seed", "speed", "seconds", "quick")
 
 
 def ranking(results: Sequence[Mapping[str, Any]]) -> Table:
-    """The leaderboard, best first, by what is crossed.
+    """The leaderboard, best first, by what is crossed; shares in per cent.
 
     Its last column is what mode `renet` of the first result, or else its first mode, crosses more:
     points, with a 95 % bootstrap interval over robots, each paired with itself.
@@ -288,12 +266,22 @@ def ranking(results: Sequence[Mapping[str, Any]]) -> Table:
     )
     rows = []
     for place, (name, mode, scores) in enumerate(entries, start=1):
+        cells = []
+        for share in ("crossed", "kept"):
+            ends = [scores.get(f"{share}_ci95_{end}") for end in ("low", "high")]
+            cells += [_percent(scores[share]), " to ".join(map(_percent, ends))]
         gain = 100 * np.subtract(first[reference]["by_robot"], scores["by_robot"])
         low, high = metrics.bootstrap_interval(gain)
         ahead = f"{gain.mean():+.1f} ({low:+.1f} to {high:+.1f})"
-        rows.append((str(place), name, mode, *score_cells(scores), ahead))
-    title = f"Fault benchmark, version 2; last column: {results[0]['policy']['name']}, {reference},"
-    return f"{title} less this one", ("", "policy", "mode", *SCORES, "ahead"), rows
+        others = map(_percent, (scores["healthy"], scores["upright"]))
+        rows.append((str(place), name, mode, *cells, *others, ahead))
+    title = f"Fault benchmark, version 2; ahead: {results[0]['policy']['name']}, {reference}, is"
+    columns = ("crossed", "95 %", "kept", "95 %", "healthy", "upright", "ahead")
+    return title, ("", "policy", "mode", *columns), rows
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f}"
 
 
 def _conditions(result: Mapping[str, Any]) -> tuple[Any, ...]:

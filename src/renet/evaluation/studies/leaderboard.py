@@ -1,6 +1,6 @@
 """`renet evaluate leaderboard`: policies ranked by their result files, and the tables behind.
 
-These are by ground, severity and fault, and show RENet beside VP.
+These are by ground and severity, and show RENet beside VP, robot by robot.
 """
 
 import csv
@@ -20,18 +20,12 @@ from renet.evaluation.metrics import bootstrap_interval
 from renet.evaluation.results import grouped
 from renet.evaluation.studies.benchmark import GROUNDS, ONSETS, PROTOCOL, read_result
 from renet.evaluation.studies.crossing import ranking
-from renet.evaluation.studies.fault_findings import SEVERE, findings
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.study import Table
 from renet.files import MAX_JSON, read_bytes, write_atomically
 from renet.terminal import show
-from renet.terrain.tiles import DIFFICULT
 
 HEADER = ("", "policy", "mode", "crossed", "95 %", "upright", "speed error", "J/m", "blind (s)")
-LOSS = 0.1 - 1e-6
-"""Share of robots from which on a difference counts as ten points."""
-MENTIONED = 5.0
-"""Points from which on a loss is listed."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +41,12 @@ class LeaderboardCfg:
     onset: str | None = None
     """Onset that counts there, on_the_way or before_the_edge; both by default."""
     noticed: Path | None = None
-    """summary.csv of a study: who noticed its faults, and what it claims."""
+    """summary.csv of a study: who noticed its faults."""
 
 
 def make_leaderboard(cfg: LeaderboardCfg) -> Path:
     """Print the tables, write them and return their path; raises as `read_result` and `rank`."""
-    noticed_tables = [*study_tables(cfg.noticed)] if cfg.noticed else []
+    noticed_tables = [study_table(cfg.noticed)] if cfg.noticed else []
     results = [read_result(path) for path in cfg.files]
     versions = {result["version"] for result in results}
     if len(versions) > 1:
@@ -163,10 +157,6 @@ def result_tables(
                 policies[result["policy"]["name"], row["mode"]].append(_setting(row))
     yield by_ground(policies)
     yield by_severity(policies)
-    for name in dict.fromkeys(name for name, _ in policies):
-        if {(name, "vp"), (name, "renet")} <= policies.keys():
-            yield losses(name, policies[name, "vp"])
-            yield separation(name, policies[name, "vp"], policies[name, "renet"])
     for result in results:
         if {"vp", "renet"} <= result.get("by_robot", {}).keys():
             yield paired(result)
@@ -221,37 +211,6 @@ def by_severity(policies: Policies) -> Table:
     return title, ("policy", "mode", *map(str, severities)), rows
 
 
-def losses(policy: str, vp: Sequence[Row]) -> Table:
-    """Points of crossing that VP loses to its healthy twins under severe faults, by fault."""
-    points: dict[tuple[str, str], list[float]] = defaultdict(list)
-    for row in vp:
-        if row.severity >= SEVERE:
-            points[row.fault, row.ground].append(100 * (row.healthy[0] - row.shares[0]))
-    means = {key: float(np.mean(lost)) for key, lost in points.items()}
-    largest = sorted(means.items(), key=lambda pair: -pair[1])
-    rows = [(*key, f"{mean:.0f}") for key, mean in largest if mean >= MENTIONED]
-    title = f"Points of crossing that VP loses from severity {SEVERE} on, {policy}"
-    return title, ("fault", "ground", "points"), rows
-
-
-def separation(policy: str, vp: Sequence[Row], renet: Sequence[Row]) -> Table:
-    """Settings in which one is ten points behind the other, of those in which a fault harms."""
-    header = ("settings", "RENet ahead", "VP ahead", "harmed", "and RENet ahead", "and VP ahead")
-    counts: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(len(header), int))
-    partners = {row[:4]: row for row in renet}
-    for row in vp:
-        pair = row, partners[row[:4]]
-        # Harm to either: chance that lowers one of the two alone would speak for the other.
-        harmed = any((one.healthy - one.shares > LOSS).any() for one in pair)
-        gain = pair[1].shares - row.shares
-        ahead, behind = bool((gain > LOSS).any()), bool((-gain > LOSS).any())
-        count = np.array([1, ahead, behind, harmed, harmed and ahead, harmed and behind])
-        for key in (row.ground, "platforms and gaps" if row.ground in DIFFICULT else "elsewhere"):
-            counts[key] += count
-    title = f"Settings in which RENet or VP is ten points ahead, {policy}"
-    return title, ("ground", *header), [(key, *row.tolist()) for key, row in counts.items()]
-
-
 def paired(result: Mapping[str, Any]) -> Table:
     """RENet less VP, robot by robot over all settings, in points with 95 % intervals."""
     vp, renet = (result["by_robot"][mode] for mode in ("vp", "renet"))
@@ -271,16 +230,15 @@ def paired(result: Mapping[str, Any]) -> Table:
     return title, ("ground", "crossed", "upright"), rows
 
 
-def study_tables(path: Path) -> Iterator[Table]:
-    """Who noticed which fault, and what a study claims, by the rows of its summary.csv.
+def study_table(path: Path) -> Table:
+    """Who noticed which fault, by the rows of a study's summary.csv.
 
     Raises RenetError for any other file.
     """
     lines = read_bytes(path, MAX_JSON, "summary").decode(errors="replace").splitlines()
     try:
         rows = [{k: _number(text) for k, text in row.items()} for row in csv.DictReader(lines)]
-        _ = rows[0]["over_op"]
-        yield from (noticed(rows), claims(rows))
+        return noticed(rows)
     except (csv.Error, LookupError, TypeError, ValueError) as error:
         raise RenetError(
             f"{path} is no summary.csv of the study `renet evaluate faults`"
@@ -306,18 +264,3 @@ def noticed(runs: Sequence[Mapping[str, Any]]) -> Table:
         robots = sum(run["vision_active_at_onset"] for run in rows)
         table.append((fault, *counts, robots // len(groups)))
     return "Robots that noticed, by severity", ("fault", *map(str, severities), "of each"), table
-
-
-def claims(runs: Sequence[Mapping[str, Any]]) -> Table:
-    """The study's claims, and settings in which RENet falls more often than OP robot by robot."""
-    twins = [
-        {**run, "falls": run["falls"] - run["falls_by_fault"] + run["falls_spared"]}
-        for run in runs
-        if run["mode"] != "renet"
-    ]
-    summary = findings(list(map(dict, runs)), twins, {"robot_hours": 0})
-    rows = [(claim["claim"], claim["measured"]) for claim in summary["claims"]]
-    below = Counter(run["ground"] for run in runs if (run["over_op_ci95_high"] or 0) < 0)
-    counts = ", ".join(f"{ground} {number}" for ground, number in below.items()) or "none"
-    rows.append(("settings in which RENet falls more often than OP, interval below 0", counts))
-    return "What is claimed, and what was measured", ("claim", "measured"), rows

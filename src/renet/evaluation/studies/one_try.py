@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from renet.errors import RenetError
 from renet.evaluation.rollout import EvalEnv, Trial
@@ -43,7 +43,7 @@ class OneTryStudy(WalkingStudy):
         trials: Sequence[Trial],
         title: str,
         until_ended: int = 1,
-        view: Callable[[EvalEnv], EvalEnv] = lambda env: env,
+        view: Callable[[EvalEnv], Any] = lambda env: env,
     ) -> Trace:
         """Run trials, each on its ground.
 
