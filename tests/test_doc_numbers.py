@@ -2,6 +2,7 @@
 
 import json
 import re
+import statistics
 from pathlib import Path
 
 import numpy as np
@@ -43,8 +44,30 @@ def test_row_of_table_1(path):
     for run in row["runs"]:
         passed[run["kind"].split("_")[0]] += run["passed"]
     shown = next(line for line in cells("comparison.md", "Table I") if line[0] == title)
-    assert [int(n) for n in shown[1:4]] == list(passed.values())
-    assert float(shown[4]) == pytest.approx(row["collisions"], abs=0.00501)
+    assert [int(n.strip("*")) for n in shown[1:4]] == list(passed.values())
+    assert float(shown[4].strip("*")) == pytest.approx(row["collisions"], abs=0.00501)
+
+
+def test_table_1_claims_what_lies_outside_its_prediction_intervals():
+    lines = [line for line in cells("comparison.md", "Table I") if len(line) == 5][1:]
+    seeds, others = lines[:4], {line[0]: line[1:] for line in lines[5:]}
+    text = (ROOT / "docs" / "comparison.md").read_text()
+    claims = re.findall(r"^- \*\*(\w+)\*\*: (.+)$", text, re.MULTILINE)
+    for column, (name, claim) in enumerate(claims[:4], start=1):
+        values = [float(line[column]) for line in seeds]
+        # Student's t with three degrees of freedom, for the mean of four and one value more.
+        reach = 3.182446 * statistics.stdev(values) * (1 + 1 / 4) ** 0.5
+        ends = [statistics.mean(values) + sign * reach for sign in (-1, 1)]
+        shown = [float(end) for end in lines[4][column].strip("*").split(" to ")]
+        assert shown == pytest.approx(ends, abs=0.501 if column < 4 else 0.0151), name
+        outside = {
+            row
+            for row, numbers in others.items()
+            if not ends[0] <= float(numbers[column - 1].strip("*")) <= ends[1]
+        }
+        assert outside == {row for row, n in others.items() if n[column - 1].startswith("**")}
+        named = {row for row in others if re.search(rf"{row.split(',')[0]}\b", claim)}
+        assert {row.split(",")[0] for row in outside} == {row.split(",")[0] for row in named}
 
 
 @pytest.mark.parametrize(

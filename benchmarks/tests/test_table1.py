@@ -119,6 +119,14 @@ def test_prints_what_the_study_measured_beside_the_papers(done) -> None:
     assert "run" in kept["curves"]
 
 
+def test_differences_are_from_what_seeds_predict() -> None:
+    assert table1.prediction_interval([1.0, 3.0]) == pytest.approx((2 - 22.0, 2 + 22.0), abs=0.1)
+    results = Path(table1.__file__).parent / "results" / "table1"
+    lines = table1.differences(table1.Cfg(results=results)).splitlines()[1:]
+    assert [line.split()[1] for line in lines] == ["gap", "platform", "stairs", "collisions"]
+    assert lines[2].endswith("outside: Zhuang 111")
+
+
 def test_results_outlive_their_runs_and_count_for_their_budget_alone(done, tmp_path) -> None:
     cfg, _, _ = done
     elsewhere = replace(cfg, out=tmp_path)
