@@ -49,8 +49,8 @@ PARTS = {
         ],
     ),
     "sender": (
-        ["deploy/robots/real/braking.py", "deploy/robots/real/mailbox.py"],
-        [f"tests/deploy/robots/real/test_{name}.py" for name in ("braking", "mailbox")],
+        [f"deploy/robots/real/{name}.py" for name in ("braking", "mailbox", "sender")],
+        [f"tests/deploy/robots/real/test_{name}.py" for name in ("braking", "mailbox", "sender")],
     ),
 }
 """Modules to mutate, within src/renet, and the tests that mirror them."""

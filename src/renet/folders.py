@@ -10,7 +10,7 @@ import fcntl
 import os
 import stat
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 from renet.errors import RenetError
@@ -123,10 +123,13 @@ def move(source: Path, target: Path) -> None:
 def lock(folder: Path) -> Iterator[None]:
     """Make a folder and keep other programs that lock it out; the kernel unlocks it at the end.
 
+    A folder that it made and that is still empty then is removed.
+
     Raises:
         RenetError: another program holds it, or it cannot be made.
     """
     try:
+        made = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError as error:
@@ -140,7 +143,12 @@ def lock(folder: Path) -> Iterator[None]:
             ) from error
         except OSError:
             pass  # A file system without locks.
-        yield
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                if made:
+                    folder.rmdir()
     finally:
         os.close(descriptor)
 

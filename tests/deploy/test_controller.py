@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import torch
 
-from renet.bundle import Bundle
+from renet.bundle import Bundle, write_bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.buffer import FrameBuffer
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
-from renet.deploy.controller import Controller, Event
+from renet.deploy.controller import A_WHILE, Controller, Event
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import heading
 from renet.deploy.robots.sim.mujoco import MujocoRobot
@@ -27,15 +27,48 @@ from renet.deploy.teleop import TeleopCommand
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
 from renet.models.actor_critic import fuse
+from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
+from renet.models.renet import RENet
 from renet.training import checkpoint as checkpoints
-from renet.training.export import ExportCfg, export, load_networks
+from renet.training.export import ExportCfg, export, export_models, load_networks
 
 from .fakes import ARM, GO, STANDING, WALKS_AT, Broken, Run, frame, state, time_of, turned
 
 CHECKPOINT = Path(str(files("renet").joinpath("pretrained", "checkpoint")))
 SECONDS = 20.0
 FAULTS = ("blackout@2s+2s", "frozen:3@9s", "salt_and_pepper:2@14s+1s")
+
+
+@pytest.fixture(scope="module")
+def judging(tmp_path_factory, bundle) -> Bundle:
+    """Untrained networks that also predict what their errors are."""
+    torch.manual_seed(0)
+    networks = RENet(ModelCfg(detector="variance", predict_map_error=True), critic_size=10).eval()
+    path = tmp_path_factory.mktemp("judging") / "bundle"
+    return Bundle.load(write_bundle(path, export_models(networks), bundle.manifest))
+
+
+def with_selector(bundle: Bundle, **changes) -> Bundle:
+    spec = replace(bundle.manifest.selector, **changes)
+    return replace(bundle, manifest=replace(bundle.manifest, selector=spec))
+
+
+def test_all_models_have_run_before_it_walks(bundle):
+    """The first run of a model is many times slower than all others."""
+    runs = []
+
+    class Watched:
+        def __init__(self, name: str) -> None:
+            self.name, self.get_inputs = name, bundle.sessions[name].get_inputs
+            self.get_outputs = bundle.sessions[name].get_outputs
+
+        def run(self, *arguments):
+            runs.append(self.name)
+            return bundle.sessions[self.name].run(*arguments)
+
+    Controller(replace(bundle, sessions={name: Watched(name) for name in bundle.sessions}))
+    assert sorted(runs) == sorted(bundle.sessions)
 
 
 def test_it_rises_and_then_walks(bundle):
@@ -50,8 +83,8 @@ def test_it_rises_and_then_walks(bundle):
     assert run.controller.decision.mode is Mode.STANDING_UP
     assert not run.controller.decision.action.any()
     command = run.tick(joint_position=crouched)
-    assert [event.why for event in run.events] == ["armed", "stood up"]
-    assert run.whats() == ["standing_up", "walking"]
+    begun = [(time_of(1), "standing_up", "armed"), (time_of(WALKS_AT), "walking", "stood up")]
+    assert run.events == [Event(*words) for words in begun]
     assert run.controller.decision.mode is Mode.WALKING
     assert run.controller.decision.action.any()
     assert np.isfinite(command.position).all()
@@ -69,8 +102,30 @@ def test_motors_that_obey_nobody_do_not_walk(bundle):
 def test_a_refused_wish_to_rise_says_why(bundle):
     run = Run(bundle)
     run.ticks(5, lambda frame: None, quaternion=np.array([0.0, 1, 0, 0]))
-    assert run.whats() == ["refused"]
-    assert "tilted" in run.events[0].why
+    assert run.events == [Event(time_of(1), "refused", "tilted by more than 70 degrees")]
+
+
+def test_a_robot_that_says_nothing_is_refused_and_one_that_falls_as_it_stands_does_not_walk(bundle):
+    controller = Run(bundle).controller
+    controller.tick(None, None, ARM, 0.0)
+    assert controller.machine.refused == "no state from the robot"
+    run = Run(bundle)
+    run.ticks(WALKS_AT)
+    run.tick(quaternion=turned("x", 90))
+    assert run.whats() == ["standing_up", "damping"]
+
+
+def test_an_action_that_is_no_number_and_a_listener_that_fails(bundle):
+    """The first brakes, and is told; the second changes nothing."""
+    run = Run(bundle)
+    run.ticks(WALKS_AT + 1)
+    run.controller.policy.act = lambda *inputs: np.full((1, 12), np.nan)
+    assert not run.tick().stiffness.any()
+    why = "RenetError: the policy's action is not finite"
+    assert run.events[-1] == Event(time_of(run.step - 1), "damping", why)
+    deaf = Run(bundle)
+    deaf.controller._on_event = None
+    assert all(deaf.ticks(30)[WALKS_AT:])
 
 
 def test_the_shipped_checkpoint_acts_alike_in_torch_and_on_the_robot(tmp_path):
@@ -144,13 +199,40 @@ def test_a_lost_camera_costs_vision_within_its_age_limit_and_returns_after_the_d
         ({}, {"image": np.full((48, 64), 0.5)}, "the image is blank"),
         ({"disagreement": 1e-6}, {}, "the estimators disagree on velocity"),
         ({"reconstruction": 1e-9}, {}, "images unlike those of training"),
+        ({"variance": 1e-9}, {}, "images unlike those of training"),
+        ({"map_error": 1e-9}, {}, "the memory of the ground is stale"),
     ],
 )
-def test_every_monitor_is_told_what_it_judges(bundle, thresholds, change, reason):
-    spec = replace(bundle.manifest.selector, thresholds=thresholds)
-    run = Run(replace(bundle, manifest=replace(bundle.manifest, selector=spec)))
+def test_every_monitor_is_told_what_it_judges(judging, thresholds, change, reason):
+    run = Run(with_selector(judging, thresholds=thresholds))
     run.ticks(WALKS_AT + 20, lambda frame: replace(frame, **change))
     assert [event.why for event in run.events if event.what == "op"] == [reason]
+
+
+def test_it_goes_on_from_memory_and_then_without(judging):
+    """Both are told, but not that one image is late; what is recorded is what the models said."""
+    run = Run(with_selector(judging, longest_memory=1.0))
+    run.ticks(60)
+    last = frame(run.step - 5, time_of(run.step - 5))
+    run.ticks(10, lambda frame: last)
+    run.ticks(20)
+    assert run.whats() == ["standing_up", "walking"]
+    good = frame(run.step - 5, time_of(run.step - 5))
+    seen = run.ticks(40, lambda frame: good)
+    decision, policy = run.controller.decision, run.controller.policy
+    assert (all(seen), decision.has_image, decision.probability) == (True, False, 1.0)
+    for name in ("anomaly_score", "variance_score", "map_error", "velocity_op", "velocity_vp"):
+        value = getattr(policy, name)[0]
+        assert np.abs(value).max() > 0
+        np.testing.assert_array_equal(getattr(decision, name.removesuffix("_score")), value)
+    assert not any(run.ticks(40, lambda frame: good)[25:])
+    assert run.controller.decision.probability < 0.5
+    assert all(run.ticks(300)[-10:])
+    assert run.controller.decision.has_image
+    told = [("memory", "no new image"), ("op", "no new image"), ("vp", "vision is healthy")]
+    assert [(event.what, event.why) for event in run.events[2:]] == told
+    passed = [event.time - good.time for event in run.events[2:4]]
+    assert passed == pytest.approx([A_WHILE + 0.1, 1.1], abs=0.08), "the last tick lasts 0.1 s"
 
 
 def test_whoever_stops_it_from_outside_is_quoted_once(bundle):
@@ -159,7 +241,10 @@ def test_whoever_stops_it_from_outside_is_quoted_once(bundle):
     for why in ("the robot takes no commands", "again"):
         run.controller.trip(why, time_of(40))
     assert run.events[-1] == Event(time_of(40), "damping", "the robot takes no commands")
+    assert run.controller.machine.since == time_of(40)
     assert not run.tick().stiffness.any()
+    decision = run.controller.decision
+    assert not any(map(np.any, (decision.action, decision.latent, decision.vision)))
 
 
 @pytest.mark.parametrize(
@@ -307,6 +392,14 @@ def test_one_reading_from_the_future_is_forgotten(bundle):
     run.ticks(30)
     assert run.controller.decision.mode is not Mode.STANDING_UP
     assert run.whats()[0] == "standing_up"
+
+
+def test_a_sensor_that_froze_is_noticed_when_each_reading_is_read_twice(bundle):
+    run = Run(bundle)
+    run.ticks(40)
+    for _ in range(16):
+        run.tick(time=0.04 * (run.step // 2), joint_torque=np.zeros(12))
+    assert "frozen" in run.events[-1].why
 
 
 def repeating(period: int) -> Callable[[DepthFrame], DepthFrame]:

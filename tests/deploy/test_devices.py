@@ -4,6 +4,7 @@ import os
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -15,6 +16,7 @@ from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import deploy
 from renet.deploy.robots.driver import DriverCfg
 from renet.errors import RenetError
+from renet.folders import lock
 
 from .fakes import Standing
 
@@ -63,6 +65,16 @@ def test_no_driver_can_forget_the_lock_on_its_robot():
         with suppress(RenetError) if port == "dead" else nullcontext(), ExitStack() as stack:
             start(stack, port)
     assert CONNECTED[2:] == ["dead", "dead", "usb"]
+
+
+@pytest.mark.parametrize("taken", [True, False])
+def test_a_folder_that_cannot_be_used_is_refused_before_the_robot_is_touched(tmp_path, taken):
+    driver, before = RobotCfg("serial"), len(CONNECTED)
+    out = tmp_path if taken else Path("/proc/nowhere")
+    cfg = DeployCfg(robot="mine", driver=driver, camera="none", dry_run=True, out=out, seconds=0.1)
+    with lock(tmp_path), pytest.raises(RenetError, match=r"(program writes|cannot write) to"):
+        deploy(cfg)
+    assert len(CONNECTED) == before
 
 
 @pytest.mark.parametrize("teleop", ["keyboard", "joystick"])

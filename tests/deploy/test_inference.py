@@ -58,12 +58,17 @@ def test_the_second_thread_gives_the_same_commands(bundle, run):
 
 def test_a_tick_that_fails_costs_one_tick_of_vision(sabotage, run):
     run.ticks(60)
-    sabotage.mood = "fails"
-    run.ticks(6)
-    sabotage.mood = "well"
-    run.ticks(20)
+    sabotage.mood, decisions = "fails", []
+    for _ in range(10):
+        run.ticks(1)
+        decisions.append(run.controller.decision)
+        sabotage.mood = "well" if len(decisions) == 6 else sabotage.mood
+    fallback = [decision for decision in decisions if decision.fallback]
+    assert [decision.inferred for decision in fallback] == [True]
+    run.ticks(16)
     assert run.whats()[:4] == ["standing_up", "walking", "inference", "op"]
     assert run.whats().count("inference") == 1, "the thread lives"
+    assert run.events[2].why == f"{LATE}: this tick runs blind"
     assert run.events[3].why == LATE
     assert run.events[3].time - run.events[2].time <= 0.2
     assert all(run.ticks(150)[-50:]), "vision comes back"
@@ -83,6 +88,7 @@ def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(sabotage, run):
     inference, before = run.controller._perception, run.controller.policy.latent_op.copy()
     inference.patience, sabotage.mood = 0.001, "hangs"
     assert not any(run.ticks(40)[20:])
+    assert run.controller.decision.anomaly == np.inf
     assert run.controller.decision.mode is Mode.WALKING
     assert not np.array_equal(before, run.controller.policy.latent_op), "OP's estimator goes on"
     sabotage.released.set()

@@ -42,12 +42,11 @@ def deploy(cfg: DeployCfg) -> Path:
     cfg.check()
     bundle = Bundle.load(cfg.bundle)
     folder = cfg.out or Path("results/deploy") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
-    with ExitStack() as locks:
+    with lock(folder):  # From before a robot is touched.
         with ExitStack() as stack:
             terminal = Terminal()
             stack.callback(terminal.close)
             robot, camera, teleop = start_devices(cfg, bundle, terminal.say, stack)
-            locks.enter_context(lock(folder))
             _keep_earlier(folder)
             recorder = Recorder(folder / RECORDING, cfg.header(bundle), patient=not cfg.live)
             stack.callback(recorder.close)

@@ -2,6 +2,8 @@
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -56,10 +58,8 @@ class Link(ABC):
 
     def exchange(self, now: float) -> None:
         """Read what arrived, send the newest command; raises only what sending itself raises."""
-        try:
+        with self.braked_on_failure():
             self._receive(now)
-        except Exception as error:  # Sending on is all that can still brake the robot.
-            self.problem = f"the robot's driver failed: {type(error).__name__}: {error}"
         if now - self._alive > LIFELESS:
             self._too_old = now  # A command from before the gap must not be obeyed after it.
         silent = now - self.commanded > SILENCE or self.commanded <= self._too_old
@@ -68,6 +68,14 @@ class Link(ABC):
             zero = np.zeros_like(command.stiffness)
             command = JointCommand(command.position, zero, zero + BRAKE)
         self._send(command)
+
+    @contextmanager
+    def braked_on_failure(self) -> Iterator[None]:
+        """Make a problem of what fails in a block: sending on is all that can still brake."""
+        try:
+            yield
+        except Exception as error:
+            self.problem = f"the robot's driver failed: {type(error).__name__}: {error}"
 
     def _news(self, tick: int) -> bool:
         """Whether a reading with this count of the robot's, of 32 bits, is newer than the last.

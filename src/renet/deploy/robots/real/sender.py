@@ -56,16 +56,15 @@ def main(arguments: list[str]) -> None:
 
 def step(link: Link, alive: Mailbox, commands: Mailbox) -> None:
     """One exchange, with what the controller last said."""
-    sign, message = alive.read(), commands.read()
-    try:
+    with link.braked_on_failure():
+        sign, message = alive.read(), commands.read()
         if sign is not None:
             link.alive(float(sign["time"]))
         if message is not None and message["time"] != link.commanded:
             parts = (message["position"], message["stiffness"], message["damping"])
             link.command(JointCommand(*parts), float(message["time"]))
+    with link.braked_on_failure():
         link.exchange(clock())
-    except Exception as error:  # Talking on is all that can still brake the robot.
-        link.problem = f"the robot's driver failed: {type(error).__name__}: {error}"
 
 
 def _reading(link: Link | None, problem: str, refused: str) -> np.ndarray:
