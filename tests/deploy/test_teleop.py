@@ -31,7 +31,8 @@ def keyboard(terminal):
         ("w" * 50, TeleopCommand(speed=1.0)),
         ("aad?", TeleopCommand(turn=0.1)),
         ("wö€", TeleopCommand(speed=0.1)),  # A foreign letter is no key.
-        ("wwwr", TeleopCommand(arm=True)),  # Arming again forgets the old speed.
+        ("wwwr", TeleopCommand()),  # Standing up forgets the old speed.
+        ("their\n", TeleopCommand()),  # A pasted word is no wish to rise.
         ("w w", TeleopCommand(speed=0.2, stop=True)),
     ],
 )

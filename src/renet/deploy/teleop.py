@@ -118,8 +118,10 @@ class KeyboardTeleop:
             self.speed = min(max(self.speed + SPEED_KEYS.get(key, 0.0), 0.0), MAX_SPEED)
             self.turn += TURN_KEYS.get(key, 0.0)
             if key == "r":
-                # Terminals repeat a held key, which must be released before it arms again.
-                arm, self.speed, self._armed = now - self._armed > 1.0, 0.0, now
+                # Terminals repeat a held key, which must be released before it arms again, and
+                # send a pasted text at once, which is no wish to rise.
+                arm = keys == b"r" and now - self._armed > 1.0
+                self.speed, self._armed = 0.0, now
         authority = self._deadman.authority(bool(keys), now)
         if authority == 0.0:
             self.speed = 0.0

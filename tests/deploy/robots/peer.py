@@ -80,7 +80,10 @@ class Peer:
 
     @contextmanager
     def serving(self) -> Iterator[Self]:
-        """Live on a thread of its own, in wall-clock time, until all senders have ended."""
+        """Live on a thread of its own, in wall-clock time, until all senders have ended.
+
+        Nothing outside its envelope may have reached it then.
+        """
         done = threading.Event()
 
         def serve() -> None:
@@ -93,6 +96,12 @@ class Peer:
         until(self.released)
         done.set()
         server.join(5)
+        limits, sent = self.make_driver().envelope, np.array(self.commands).reshape(-1, 12, 6)
+        _, position, _, torque, stiffness, damping = np.moveaxis(sent, -1, 0)
+        inside = (position >= limits.lower - 1e-6) & (position <= limits.upper + 1e-6)
+        assert (inside | ((stiffness == 0) & (damping == 0))).all(), "limp motors have no target"
+        assert ((stiffness >= 0) & (stiffness <= 100) & (damping >= 0) & (damping <= 10)).all()
+        assert not torque.any()
 
     @property
     def angles(self) -> np.ndarray:

@@ -2,10 +2,13 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
+
+from cyclonedds.core import DDSException
 
 from renet.deploy.robots.go2.link import COMMANDS, QUIET, RELEASE, STATES, reading
 from renet.deploy.robots.go2.messages import LowCmd, LowState, crc
@@ -59,13 +62,13 @@ def test_its_own_controller_has_ended_before_the_first_command(wire, peer):
     ("failure", "why"),
     [
         ("stubborn", "the robot's mode 'normal' does not end: end it with the remote or app"),
-        ("deaf", "motion switcher does not answer: is it a Go2 EDU?"),
+        ("deaf", "the robot's motion switcher does not answer: is it a Go2 EDU?"),
     ],
 )
 def test_a_mode_that_does_not_end_is_refused(wire, peer, failure, why):
     setattr(peer, failure, True)
     wire.run(round(RELEASE / PERIOD) + 5)
-    assert why in wire.link.problem
+    assert wire.link.problem == why
     assert wire.link.state is None
     wire.send(command(), 50)
     assert peer.commands == []
@@ -84,6 +87,19 @@ def test_a_robot_that_says_nothing_is_waited_for(wire, peer):
     assert wire.link.problem == ""
     peer.silent = False
     wire.start()
+    assert wire.link.problem == "", "its time to end its mode began with its first word"
+
+
+def test_a_command_that_nobody_takes_is_followed_by_the_next(free, peer, monkeypatch):
+    def full(sample: LowCmd) -> None:
+        raise DDSException(DDSException.DDS_RETCODE_TIMEOUT)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(free.link, "_commands", SimpleNamespace(write=full))
+        free.hold(1)
+    assert peer.commands == []
+    free.hold(1)
+    assert (len(peer.commands), free.link.problem) == (1, "")
 
 
 def test_watching_ends_no_mode_and_commands_nothing(peer):
@@ -102,7 +118,7 @@ def test_a_mode_that_comes_back_silences_this_program_for_good(free, peer):
     app._ask(SELECT_MODE, json.dumps({"name": "ai"}))
     for _ in range(round(CHECK_EVERY / PERIOD) + 2):
         free.hold(1)
-    assert "the robot's mode 'ai' was started again" in free.link.problem
+    assert free.link.problem == "the robot's mode 'ai' was started again"
     refused = peer.refused
     assert refused <= CHECK_EVERY / PERIOD + 2
     for _ in range(500):
@@ -120,7 +136,7 @@ def test_another_program_that_commands_the_motors_is_refused_at_the_start(wire, 
     for _ in range(round(RELEASE / PERIOD) + 100):
         send()
         wire.run(1)
-    assert "another program commands the robot's motors: end it first" in wire.link.problem
+    assert wire.link.problem == "another program commands the robot's motors: end it first"
     assert wire.link.state is None
 
 
@@ -138,7 +154,7 @@ def test_another_program_that_begins_to_command_brakes_for_good(free, peer):
     free.hold(5)
     stranger()()
     free.run(1)
-    assert "another program commands the robot's motors" in free.link.problem
+    assert free.link.problem == "another program commands the robot's motors"
     free.hold(2)
     assert peer.braked
 
