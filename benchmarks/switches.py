@@ -75,8 +75,8 @@ def trained(cfg: Cfg) -> SwitchEvaluator:
     env = evaluator.make_env(levels, [trial.robot for trial in trials], study.speed, cfg.seed)
     env.place_on([study.grounds[trial.robot % len(study.grounds)] for trial in trials])
     seen = collect(evaluator, env, trials, cfg.steps, cfg.seed, study.speed)
-    evaluator.switch = SWITCHES[cfg.switch]()
-    losses = fit(evaluator.switch, seen, horizon=min(150, cfg.steps // 3), epochs=cfg.epochs)
+    evaluator.switch = switch = SWITCHES[cfg.switch]()
+    losses = fit(switch, seen, horizon=min(150, cfg.steps // 3), epochs=cfg.epochs)
     print(f"Loss of {cfg.switch}: {losses[0]:.3f} before, {losses[-1]:.3f} after training")
     return evaluator
 

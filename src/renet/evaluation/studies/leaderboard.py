@@ -133,8 +133,6 @@ class Row(NamedTuple):
     """A setting: means over its robots; `shares` and `healthy` are [crossed, upright]."""
 
     ground: str
-    onset: str
-    fault: str
     severity: int
     shares: np.ndarray
     healthy: np.ndarray
@@ -167,8 +165,7 @@ def _setting(setting: Mapping[str, Any]) -> Row:
     measures = [setting["measures"][name] for name in ("crossed", "upright", "switches")]
     values = np.array([measure["value"] for measure in measures])
     twins = values - [measure["change"]["value"] for measure in measures]
-    place = (setting["ground"], setting["onset"], setting["fault"], setting["severity"])
-    return Row(*place, values[:2], twins[:2], twins[2])
+    return Row(setting["ground"], setting["severity"], values[:2], twins[:2], twins[2])
 
 
 def percent(shares: Sequence[Any]) -> str:
