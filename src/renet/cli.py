@@ -21,7 +21,7 @@ from types import FrameType
 from typing import Annotated, Any, Union
 
 from renet import __version__
-from renet.errors import RenetError, install, unknown_name
+from renet.errors import RenetError, install, printable, unknown_name
 
 SIGPIPE_CODE = 141
 """Exit code of a program whose reader left, as shells count it."""
@@ -221,9 +221,7 @@ def _run(arguments: list[str], interrupts: list[int]) -> int:
     except (RenetError, OSError) as error:
         if getattr(error, "filename", "") is None:  # About no file that the user named.
             raise
-        # One line, in which no name of a file commands the terminal.
-        line = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(error))
-        print(f"renet: {line}", file=sys.stderr)
+        print(f"renet: {printable(str(error))}", file=sys.stderr)
         return 2
     except (KeyboardInterrupt, Exception) as error:
         # Native modules turn an interrupt during their import into an ImportError.

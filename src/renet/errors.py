@@ -11,6 +11,11 @@ class RenetError(Exception):
     """
 
 
+def printable(text: str) -> str:
+    """One line of a text that may be a stranger's: nothing in it commands the terminal."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
 def install(extra: str) -> str:
     """How to install what an extra of `pyproject.toml` lists; renet is not on PyPI."""
     extras = f"[{extra}]" if extra else ""

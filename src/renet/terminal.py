@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from renet.errors import printable
+
 Step = TypeVar("Step")
 MAX_WAITING = 1000
 """Lines that wait for a stalled terminal; later ones are dropped."""
@@ -29,7 +31,7 @@ class Terminal:
     def say(self, line: str) -> None:
         """Print a line soon."""
         with suppress(Full):
-            self._lines.put_nowait(line)
+            self._lines.put_nowait(printable(line))
 
     def close(self) -> None:
         """Print the lines that wait; give up after a second if the terminal hangs."""
@@ -47,9 +49,9 @@ class Terminal:
 
 def show(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
     """Print a table on standard output, without markup: a bundle's texts are not trusted."""
-    table = Table(*header, title=title, title_justify="left", title_style="bold")
+    table = Table(*header, title=printable(title), title_justify="left", title_style="bold")
     for row in rows:
-        table.add_row(*map(str, row))
+        table.add_row(*(printable(str(cell)) for cell in row))
     Console(markup=False, emoji=False).print(table)
 
 

@@ -22,6 +22,7 @@ import pytest
 from renet.bundle import DEFAULT, pretrained
 from renet.cli import COMMANDS, main
 from renet.page.writer import VENDOR
+from renet.terminal import Terminal, show
 
 from ..forked import fork
 from .files import FILES, manifest, ticks
@@ -206,6 +207,20 @@ def test_there_are_sixty_files_and_every_command_that_reads_is_tried():
     brief = ("--seconds", "0.1")
     assert {("deploy", "--scene", brief), ("deploy", "bundle", brief)} <= {*OPTIONS}
     assert ("deploy", "--recording", ("--camera", "replay", *brief)) in OPTIONS
+
+
+def test_no_strangers_text_commands_the_terminal(capsys):
+    """Whether as an error, in a table or as an event of a run."""
+    title = "a\x1b]0;owned\x07\nb\x9bc"
+    assert main(["evaluate", title]) == 2
+    show(title, ["of"], [[title]])
+    terminal = Terminal()
+    terminal.say(title)
+    terminal.close()
+    said = "".join(capsys.readouterr())
+    assert said.count("owned") >= 4
+    assert all(c.isprintable() or c == "\n" for c in said)
+    assert "a\nb" not in said
 
 
 def test_markup_in_a_bundle_is_printed_as_it_is(tmp_path, capsys):

@@ -260,6 +260,13 @@ def test_runs_begun_in_the_same_second_have_folders_of_their_own(tmp_path):
     assert all("_mine" in run.name for run in (tmp_path / "task").iterdir())
 
 
+@pytest.mark.parametrize("name", ["../../elsewhere", "a/b", "\x1b]0;owned\x07", "a\0b"])
+def test_no_name_of_a_run_leads_out_of_its_experiment(tmp_path, name):
+    with pytest.raises(RenetError, match=r"agent.run-name must be no path"):
+        new_run(tmp_path / "logs", "task", name)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_process_gets_its_own_gpu_or_is_told(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)

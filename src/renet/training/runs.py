@@ -34,6 +34,8 @@ def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
 
 def new_run(root: Path | None, experiment: str, name: str = "") -> Path:
     """Create `root/experiment/date_time_name`, by default in `logs`; raises RenetError."""
+    if "/" in name or not name.isprintable():  # A stranger's checkpoint may hold any.
+        raise RenetError(f"agent.run-name must be no path, got {name!r}")
     root = root or LOGS
     stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S") + (f"_{name}" if name else "")
     # A second number for runs begun in the same second.

@@ -21,7 +21,7 @@ from mjlab.rl import RslRlVecEnvWrapper
 from mjlab.tasks.registry import load_rl_cfg, load_runner_cls
 from rich.console import Console
 
-from renet.errors import RenetError
+from renet.errors import RenetError, printable
 from renet.files import write_atomically
 from renet.folders import lock
 from renet.options import TASK, RecipeCfg, TrainOptions
@@ -145,7 +145,7 @@ def train(cfg: TrainCfg) -> Path | None:
         settings = built.provenance()
         for part in ("agent", "env", "code"):
             for line in differences(state.get(part, settings[part]), settings[part], part):
-                console.print(line)
+                console.print(printable(line))
         if not rank and run:
             console.print(f"Training {cfg.task} with {env.num_envs} robots in {run}")
             console.print(iterations(agent, env.num_envs, built.alg.steps))
