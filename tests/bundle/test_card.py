@@ -99,6 +99,15 @@ def test_markup_is_escaped(tmp_path, results):
     assert escape("a\n|b|") == r"a \|b\|"
 
 
+def test_a_readme_that_is_no_card_stays(tmp_path, capsys):
+    readme = tmp_path / "README.md"
+    for text, code in (("# My thesis", 2), ("", 2), ("---\nlicense: mit\n---", 0)):
+        readme.write_text(text)
+        assert main(["bundle", "card", "--out", str(tmp_path)]) == code
+        assert (readme.read_text() == text) == (code == 2)
+    assert capsys.readouterr().err.count("README.md is no model card") == 2
+
+
 def test_a_card_may_lie_in_its_bundle(tmp_path, bundle_path):
     assert main(["bundle", "card", str(bundle_path), "--out", str(bundle_path)]) == 0
     assert "never calibrated" in (bundle_path / "README.md").read_text()

@@ -81,7 +81,9 @@ def test_it_rises_and_then_walks(bundle):
     np.testing.assert_allclose(run.controller.decision.command.position, target)
     run.ticks(WALKS_AT - run.step, lambda frame: None, joint_position=crouched)
     assert run.controller.decision.mode is Mode.STANDING_UP
-    assert not run.controller.decision.action.any()
+    decision = run.controller.decision
+    assert not decision.action.any()
+    assert not any((decision.vision, decision.inferred, decision.fallback))
     command = run.tick(joint_position=crouched)
     begun = [(time_of(1), "standing_up", "armed"), (time_of(WALKS_AT), "walking", "stood up")]
     assert run.events == [Event(*words) for words in begun]

@@ -117,7 +117,7 @@ def page_case(folder: Path) -> Case:
 
 def card_case(folder: Path) -> Case:
     (folder / "out").mkdir()
-    (folder / "out" / "README.md").write_text("an earlier card")
+    (folder / "out" / "README.md").write_text("---\nan earlier card")
     return Case(cli("bundle", "card", "--out", folder / "out"), folder / "out")
 
 

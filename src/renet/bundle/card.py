@@ -4,6 +4,7 @@ Its front matter follows the Hub's specification, `modelcard.md` of github.com/h
 """
 
 import json
+import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -14,10 +15,12 @@ import tyro
 
 from renet.bundle import Bundle
 from renet.errors import RenetError
-from renet.files import read_object, write_atomically
+from renet.files import MAX_JSON, read_bytes, read_object, write_atomically
 
 MAX_SUMMARY = 64_000_000
 """Bytes."""
+START = b"---\n"
+"""The first line of a front matter, with which every card begins."""
 NOTHING = "No study's results were given, so nothing is claimed here."
 
 
@@ -40,13 +43,16 @@ def write_card(cfg: CardCfg) -> Path:
 
     Raises:
         RenetError: a damaged bundle, results that are missing, damaged or of another bundle, or a
-            folder that cannot be written to.
+            folder that cannot be written to or whose README.md is no card.
     """
     if not re.fullmatch(r"[a-z0-9.+-]+", cfg.license):
         raise RenetError(f"--license {cfg.license!r}: give the Hub's identifier, e.g. apache-2.0")
     bundle = Bundle.load(cfg.bundle)
     summaries = [] if cfg.results is None else [*_read_summaries(cfg.results, bundle)]
-    write_atomically(cfg.out / "README.md", card(bundle, summaries, cfg.license).encode(), "card")
+    path = cfg.out / "README.md"
+    if os.path.lexists(path) and not read_bytes(path, MAX_JSON, "card").startswith(START):
+        raise RenetError(f"{path} is no model card: move it, or choose another folder")
+    write_atomically(path, card(bundle, summaries, cfg.license).encode(), "card")
     return cfg.out
 
 
