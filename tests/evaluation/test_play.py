@@ -10,7 +10,7 @@ from renet.bundle import Bundle
 from renet.errors import RenetError
 from renet.evaluation.env import robot_of
 from renet.evaluation.play import PlayCfg, opened, run_play
-from renet.evaluation.report import video
+from renet.evaluation.report import painter
 from renet.tasks.config.go1 import GO1
 
 CHECKPOINT = Path(str(files("renet"))) / "pretrained" / "checkpoint"
@@ -38,7 +38,7 @@ def test_mistakes_are_named_before_anything_is_written(tmp_path, fields, message
 
 
 def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path, monkeypatch):
-    monkeypatch.setattr(video, "PANEL", (96, 72))
+    monkeypatch.setattr(painter, "PANEL", (96, 72))
     cfg = PlayCfg(CHECKPOINT, tmp_path / "film.mp4", "platform", fault=("gaussian:3@0.5s",))
     film = run_play(replace(cfg, seconds=1.0))
     assert film.stat().st_size > 1000

@@ -188,7 +188,7 @@ class Rollout:
             on_step: called after every control step with its number, from 0; True ends the run.
         """
         trace = Trace.empty(steps, len(self.modes))
-        poses, images = [], []
+        poses, images, maps = [], [], []
         self._reset()
         for step in progress(range(steps), title):
             action = self._act(step, trace)
@@ -197,13 +197,19 @@ class Rollout:
                 if step % STEPS_PER_TICK == 0:
                     shown = self._frames.image[list(film)]
                     images.append(np.round(shown * 255).astype(np.uint8))
+                    height_map = getattr(self.policy, "height_map", None)
+                    maps += [] if height_map is None else [height_map[list(film)]]
             self._advance(action, step, trace)
             tries_over = until_ended is not None and step >= until_ended
             tries_over = tries_over and trace.ended[: step + 1].any(axis=0).all()
             if on_step(step) is True or tries_over:
                 trace = trace.until(step + 1)
                 break
-        return replace(trace, film=Film(np.stack(poses), np.stack(images))) if film else trace
+        return (
+            replace(trace, film=Film(np.stack(poses), np.stack(images), np.array(maps)))
+            if film
+            else trace
+        )
 
     def _reset(self) -> None:
         """Put every robot at its start, trusting vision."""

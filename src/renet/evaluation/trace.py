@@ -21,6 +21,8 @@ class Film:
     """[T, R, nq]"""
     images: np.ndarray
     """[ticks, R, 48, 64] uint8: the depth image each robot got at each tick."""
+    maps: np.ndarray
+    """[ticks, R, 132] m: VP's height map after each tick; empty for policies that have none."""
 
 
 @dataclass(frozen=True)
