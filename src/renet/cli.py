@@ -67,9 +67,10 @@ KEPT = "what has finished is kept: the same command goes on"
 AT_ONCE = "nothing is half-written: give the same command again"
 COMMANDS = {
     "demo": Command(
-        "see the shipped policy lose its camera: one page",
-        "renet.evaluation.demo:DemoCfg:run_demo",
+        "see who crosses a gap after the camera has died",
+        "renet.evaluation.demo:DemoStudy:run_demo",
         group="Walk",
+        presets={"noise": "renet.evaluation.studies.noise:NoiseStudy"},
         resume=KEPT,
     ),
     "play": Command(
@@ -259,8 +260,8 @@ def _dispatch(arguments: list[str]) -> int:
     except KeyboardInterrupt as interrupt:
         raise KeyboardInterrupt(str(interrupt) or command.resume) from interrupt
     where = result if isinstance(result, Path) else getattr(cfg, "out", None)
-    if where is not None:
-        print(f"Results: {where}")
+    if where is not None:  # A sentence says it better.
+        print(result if isinstance(result, str) else f"Results: {where}")
     return 0
 
 

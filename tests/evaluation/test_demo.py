@@ -1,20 +1,86 @@
-import json
+"""The demo, with stand-ins: VP falls on an image that does not change, OP at the gap."""
+
 import re
 import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from renet.evaluation import demo
-from renet.evaluation.demo import DemoCfg, first_to_fall, run_demo, worst_of_vp
-from renet.evaluation.report import video
+from renet.evaluation.demo import DemoStudy, run_demo
+from renet.evaluation.report import painter, video
+from renet.evaluation.results import read_results
+from renet.evaluation.trace import Trace
+from renet.selector import SelectorSpec, make_selector
 
-from .fakes import FakeEvaluator
+from .fakes import FakeEnv, FakeEvaluator, FakePolicy
 from .tiny import TINY
 
-STUDY = TINY["noise"][0]
+
+class Gap(FakeEnv):
+    """Whoever is upright after 3 s has crossed; no image is like the one before."""
+
+    clock = 0
+
+    def step(self, action):
+        self.clock += 1
+        result = super().step(action)
+        result.ended[:] |= self.clock == 150
+        return result
+
+    def result(self, speed, fell):
+        result = super().result(speed, fell)
+        result.depth[:, ::2] = 0.53 + self.clock / 2000
+        return result
+
+
+class Forgetful(FakePolicy):
+    """VP falls where an image that it may use is the last one again, OP as soon as it drives."""
+
+    last = np.zeros(0)
+    fresh: np.ndarray | bool = True
+
+    def withheld(self, gate) -> np.ndarray | bool:
+        return False
+
+    def step(self, proprioception, depth, op_mask, gate=None):
+        action = super().step(proprioception, depth, op_mask)
+        self.clock = getattr(self, "clock", -1) + 1
+        if self.clock % 5 == 0:
+            repeated = self.last.size and (depth == self.last).all(axis=(1, 2))
+            self.fresh = ~np.asarray(repeated) | self.withheld(gate)
+            self.last = depth
+        action[:, 0] = np.where(op_mask | ~np.asarray(self.fresh), 1.0, 0.0)
+        return action
+
+
+class Remembering(Forgetful):
+    """Its VP goes on without the images that the gate withholds."""
+
+    def __init__(self, num_robots: int) -> None:
+        super().__init__(num_robots)
+        self.has_image = np.ones(num_robots, bool)
+        self.height_map = np.zeros((num_robots, 132), np.float32)
+
+    def withheld(self, gate):
+        if gate is not None:
+            self.has_image = gate.judge({"anomaly_score": self.anomaly_score})
+        return ~self.has_image
+
+
+class GapEvaluator(FakeEvaluator):
+    """With every monitor that needs no model."""
+
+    def __init__(self, policy: type[FakePolicy], longest_memory: float) -> None:
+        super().__init__(Gap, policy)
+        limits = {"frame_age": 0.2, "uniformity": -0.005}
+        self.spec = SelectorSpec(self.beta, thresholds=limits, longest_memory=longest_memory)
+
+    def make_selector(self, num_robots: int, selector: str = "monitors"):
+        return make_selector(selector, self.spec, num_robots)
 
 
 class Links(HTMLParser):
@@ -36,45 +102,76 @@ class Links(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def page(run_study, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    patch, out = pytest.MonkeyPatch(), tmp_path_factory.mktemp("demo")
-    # What the study's own tests have run is not run again.
-    shutil.copytree(run_study("noise")[0] / "parts", out / "parts")
-    patch.setattr(demo, "NoiseStudy", lambda **settings: replace(STUDY, **settings))
-    patch.setattr(video, "PANEL", (96, 72))
-    try:
-        return run_demo(DemoCfg(out=out), FakeEvaluator())
-    finally:
-        patch.undo()
+def small_films():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(painter, "PANEL", (120, 90))
+        patch.setattr(demo, "SHOWN", (0.2, 0.6))
+        yield
 
 
-def test_the_page_needs_no_network(page: Path) -> None:
-    html = page.read_text()
-    page_links = Links()
-    page_links.feed(html)
-    assert not page_links.open
-    assert len(page_links.links) == 3
-    assert all(link.startswith("data:") for link in page_links.links)
-    assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", html)
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, small_films) -> Path:
+    out = tmp_path_factory.mktemp("demo")
+    study = DemoStudy(out, robots=3, seconds=3.4)
+    sentence = run_demo(study, GapEvaluator(Remembering, 9.0))  # type: ignore[arg-type]
+    assert sentence == (
+        "The camera dies 0.5 s before a gap of 37 cm: of 3 robots 3 cross with RENet, which"
+        " remembers it; 0 that trust the last image, 0 with the paper's switch,"
+        " 0 that are blind."
+    )
+    return out
+
+
+def check_page(path: Path, media: int) -> str:
+    html = path.read_text()
+    links = Links()
+    links.feed(html)
+    assert not links.open
+    assert len(links.links) == media
+    assert all(link.startswith("data:") for link in links.links)
+    text = re.sub(r"base64,[A-Za-z0-9+/=]+", "", html)
+    assert "http" not in text
     assert all(text in html for text in ("prefers-color-scheme: dark", "width=device-width"))
+    return text
 
 
-def test_the_page_says_what_was_measured(page: Path) -> None:
-    html = page.read_text()
-    assert all(text in html for text in ("12 of 12", "0 with RENet", "SP 70 %"))
+def test_the_page_says_what_was_measured_and_needs_no_network(folder: Path) -> None:
+    text = check_page(folder / "index.html", media=2)
+    assert text.count("0 of 3") == 3
+    assert "3 of 3" in text
+    assert "number 1 of 3" in text
+    assert "no memory" not in text
 
 
-def test_the_folder_holds_everything(page: Path) -> None:
-    names = "index.html summary.json summary.csv noise.png timeline.png video.mp4 parts"
-    assert {path.name for path in page.parent.iterdir()} == set(names.split())
-    assert (page.parent / "video.mp4").read_bytes()[4:8] == b"ftyp"
+def test_the_folder_holds_everything(folder: Path) -> None:
+    names = "index.html summary.json summary.csv demo.png film.mp4 parts"
+    assert {path.name for path in folder.iterdir()} == set(names.split())
+    assert (folder / "film.mp4").read_bytes()[4:8] == b"ftyp"
 
 
-def test_the_film_shows_the_setting_vp_suffers_most_in(page: Path) -> None:
-    evaluator = FakeEvaluator()
-    trials = STUDY.trials([worst_of_vp(json.loads((page.parent / "summary.json").read_text()))])
-    env = STUDY.make_env(evaluator, tuple(trial.robot for trial in trials))
-    trace = evaluator.rollout(env, trials, STUDY.seed).run(STUDY.steps)
-    assert trace.fallen[-1, :2].all()
-    assert first_to_fall(STUDY, trace) in (0, 1)
-    assert (page.parent / "video.mp4").stat().st_size > 1000
+def test_a_bundle_without_memory_runs_and_says_so(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(video, "film", lambda path, *args: path.write_bytes(b"\0\0\0\0ftyp"))
+    study = DemoStudy(tmp_path, robots=2, seconds=3.4, modes=("vp", "renet"))
+    sentence = run_demo(study, GapEvaluator(Forgetful, 0.0))  # type: ignore[arg-type]
+    assert "of 2 robots 0 cross with RENet, which has no memory here; 0 that trust" in sentence
+    assert "This bundle has no memory" in (tmp_path / "index.html").read_text()
+    assert [run["fell"] for run in read_results(tmp_path / "summary.json")["runs"]] == [2, 2]
+
+
+def test_the_film_is_slow_after_the_cameras_death_and_ends_with_the_run(monkeypatch) -> None:
+    monkeypatch.setattr(demo, "SHOWN", (1.0, 4.0))
+    study, end = DemoStudy(speed=0.6), 160
+    steps = study.pace(Trace.empty(end, 1))
+    assert study.onset == 75
+    assert steps[:3] == [25, 27, 29]
+    assert steps[25:27] == [75, 76]
+    assert steps[-1] == end - 1
+
+
+def test_the_noise_preset_makes_a_page_of_the_papers_figure(run_study, tmp_path: Path) -> None:
+    study, evaluator = TINY["noise"]
+    # What the study's own tests have run is not run again.
+    shutil.copytree(run_study("noise")[0] / "parts", tmp_path / "parts")
+    sentence = run_demo(replace(study, out=tmp_path), evaluator())
+    assert sentence.endswith("with RENet.")
+    assert "SP 70 %" in check_page(tmp_path / "index.html", media=2)

@@ -3,7 +3,6 @@
 import os
 import shutil
 import signal
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +11,13 @@ import pytest
 from renet import cli
 from renet.bundle import DEFAULT, Bundle, pretrained
 from renet.evaluation import calibrate, demo, evaluator, figures, results, study
+from renet.evaluation.demo import DemoStudy
+from renet.evaluation.report import video
 from renet.evaluation.rollout import Rollout
 from renet.evaluation.studies.memory import MemoryStudy
-from renet.evaluation.studies.noise import NoiseStudy
 from renet.training import export
 
 from .fakes import FakeEvaluator
-from .tiny import TINY
 
 SIMULATED = ["--terrains", "flat", "--robots", "2", "--seconds", "2"]
 """A calibration that is over at once: a healthy run, and one through grass."""
@@ -118,20 +117,17 @@ def test_an_interrupted_export_leaves_the_bundle(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("name", ["film_comparison", "write_page"])
+@pytest.mark.parametrize(("owner", "name"), [(video, "film"), (demo, "write_page")])
 def test_an_interrupted_demo_leaves_no_half_page(
-    tmp_path, monkeypatch, capsys, name, number
+    tmp_path, monkeypatch, capsys, owner, name, number
 ) -> None:
-    noise = TINY["noise"][0]
-    monkeypatch.setattr(demo, "NoiseStudy", lambda **settings: replace(noise, **settings))
     if name == "write_page":
-        film = tmp_path / "video.mp4"
-        monkeypatch.setattr(demo, "film_comparison", lambda *args: film)
-        monkeypatch.setattr(demo, "render", lambda *args, **kwargs: None)
-        monkeypatch.setattr(demo, "provenance_section", lambda summary: None)
-    monkeypatch.setattr(NoiseStudy, "make_evaluator", lambda self: FakeEvaluator())
-    interrupt(monkeypatch, demo, name, number=number)
-    assert cli.main(["demo", "--out", str(tmp_path)]) == 130
+        monkeypatch.setattr(video, "film", lambda *args: None)
+        monkeypatch.setattr(demo, "study_sections", lambda *args: [])
+    monkeypatch.setattr(DemoStudy, "make_evaluator", lambda self: FakeEvaluator())
+    interrupt(monkeypatch, owner, name, number=number)
+    command = ["demo", "--robots", "2", "--seconds", "2", "--out", str(tmp_path)]
+    assert cli.main(command) == 130
     assert capsys.readouterr().err.splitlines()[-1] == f"renet: interrupted: {cli.KEPT}"
     assert "index.html" not in files(tmp_path)
-    assert {"summary.json", "noise.png"} < files(tmp_path).keys()
+    assert ("demo.png" in files(tmp_path)) == (name == "write_page")

@@ -1,96 +1,151 @@
-"""`renet demo`: break the camera of the shipped policy and watch it keep walking, on one page."""
+"""`renet demo`: a robot's camera dies half a second before a gap, and who remembers it crosses."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from renet.evaluation.report.page import provenance_section, render, write_page
-from renet.evaluation.report.summary import noise_facts, noise_headline
-from renet.evaluation.studies.benchmark import Setting
-from renet.evaluation.studies.fault_findings import setting_of
-from renet.evaluation.studies.noise import NoiseStudy
+from renet.evaluation import figures, metrics
+from renet.evaluation.report.page import render, study_sections, write_page
+from renet.evaluation.report.summary import gap_headline, noise_headline
+from renet.evaluation.rollout import Mode, Trial
+from renet.evaluation.studies.one_try import EDGES
+from renet.evaluation.study import Figures, Part, Study, Table, WalkingStudy
 from renet.evaluation.trace import Trace
-from renet.interface import CONTROL_DT, Engine
+from renet.faults import Injection
+from renet.interface import CONTROL_DT
 from renet.terminal import show
+from renet.terrain.tiles import LEVELS, tiles
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
 
+GROUND, LEVEL = "gap", 5
+"""Kind and level of the tile: a gap of 37 cm."""
+DEAD = "unplugged", 5
+"""The fault and its severity: no image any more."""
+BEFORE = 0.5
+"""Seconds before the edge, at the commanded speed, at which cameras die."""
+STRIDE, SLOWLY = 2, 2.0
+"""Control steps from one picture of the film to the next; half of it for seconds after death."""
+SHOWN = 1.0, 4.0
+"""Seconds of the film before and after death."""
+TITLES = {
+    "vp": "trusts its last image",
+    "paper": "the paper's switch",
+    "op": "is blind",
+    "renet": "RENet",
+}
+"""What films and figures call each mode."""
+
 
 @dataclass(frozen=True)
-class DemoCfg:
-    """Settings of the demo."""
+class DemoStudy(WalkingStudy):
+    """Watch robots whose camera dies before a gap; --preset noise: the paper's noise figure."""
 
     out: Path = Path("renet-demo")
-    """Folder for index.html, summary.json, summary.csv, figures, video and parts/."""
-    bundle: Path | None = None
-    """Bundle folder; the one that ships with renet by default."""
-    seed: int = 1
-    """Seed of the robots' starts and of the noise."""
-    engine: Engine = "auto"
-    """Physics engine; auto: native on a CPU, warp on a GPU."""
+    """Folder for index.html, film.mp4, demo.png, summary.json, summary.csv and parts/."""
+    modes: tuple[Mode, ...] = ("vp", "paper", "op", "renet")
+    """Policy modes to compare; the film shows the first beside the last."""
+    seconds: float = 9.0
+    """Time to leave the tile."""
+
+    name: ClassVar[str] = "demo"
+
+    @property
+    def onset(self) -> int:
+        """Control step at which cameras die."""
+        return max(round((EDGES[GROUND] / self.speed - BEFORE) / CONTROL_DT), 0)
+
+    @property
+    def gap(self) -> float:
+        """Width of the gap, m."""
+        return tiles()[GROUND].measure((LEVEL - 1) / (LEVELS - 1))
+
+    def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
+        """All modes side by side."""
+        return {GROUND: partial(self._walk, evaluator)}
+
+    def _walk(self, evaluator: Evaluator) -> Part:
+        """Walk, and film the first pair of twins whose left robot alone falls."""
+        from renet.evaluation.report.video import film
+
+        dead = (Injection.of(*DEAD, self.onset, self.seconds),)
+        each = self.robots_each
+        trials = [Trial(mode, dead, robot, GROUND) for mode in self.modes for robot in range(each)]
+        robots = [trial.robot for trial in trials]
+        env = evaluator.make_env({GROUND: LEVEL}, robots, self.speed, self.seed)
+        env.place_on([GROUND] * len(trials))
+        steps = round(self.seconds / CONTROL_DT)
+        rollout = evaluator.rollout(env, trials, self.seed)
+        title = f"{len(trials)} robots"
+        trace = rollout.run(steps, title, until_ended=self.onset, film=range(len(trials)))
+        crossed, fell, _ = (ends.reshape(-1, each) for ends in trace.first_try())
+        pair = int((fell[0] & crossed[-1]).argmax())
+        titles = {row * each + pair: TITLES.get(self.modes[row], "") for row in (0, -1)}
+        titles = {row % len(trials): title for row, title in titles.items()}
+        film(self.out / "film.mp4", env.scene_spec, trace, titles, "no image", self.pace(trace))
+        return {
+            "crossed": crossed,
+            "fell": fell,
+            "pair": pair,
+            "remembers": bool((trace.vision & ~trace.has_image).any()),
+        }
+
+    def pace(self, trace: Trace) -> list[int]:
+        """Control steps of the film's pictures: time slows down from the camera's death on."""
+        before, after = (round(seconds / CONTROL_DT) for seconds in SHOWN)
+        dead, normal = self.onset, self.onset + round(SLOWLY / CONTROL_DT)
+        end = min(dead + after, len(trace.fell))
+        slowly = range(dead, min(normal, end), STRIDE // 2)
+        return [*range(max(dead - before, 0), dead, STRIDE), *slowly, *range(normal, end, STRIDE)]
+
+    def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
+        """A row for each mode."""
+        part = parts[GROUND]
+        ends = zip(self.modes, np.array(part["crossed"]), np.array(part["fell"]), strict=True)
+        runs = [
+            {"mode": mode, "robots": len(crossed), "crossed": int(crossed.sum())}
+            | {"fell": int(fell.sum()), "crossed_rate": float(crossed.mean())}
+            | metrics.with_interval("crossed", crossed)
+            for mode, crossed, fell in ends
+        ]
+        film = {name: part[name] for name in ("pair", "remembers")}
+        return {"runs": runs, "gap_m": self.gap, "before_s": BEFORE} | film
+
+    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
+        """demo.png: how many cross, a bar for each mode."""
+        counts = {run["mode"]: run["crossed"] for run in summary["runs"]}
+        title = f"The camera dies {BEFORE} s before a gap of {100 * self.gap:.0f} cm: who crosses"
+        return {"demo.png": figures.count_bars(counts, TITLES, self.robots_each, title)}
+
+    def tables(self, summary: dict[str, Any]) -> list[Table]:
+        """Who crossed and who fell."""
+        rows = [
+            (TITLES.get(run["mode"], run["mode"]), run["crossed"], run["fell"])
+            for run in summary["runs"]
+        ]
+        title = f"{self.robots_each} robots each before a gap of {100 * self.gap:.0f} cm"
+        return [(title, ("when the camera dies", "crossed", "fell"), rows)]
 
 
-def run_demo(cfg: DemoCfg, evaluator: Evaluator | None = None) -> Path:
-    """Run the paper's noise study and put its results on one page; raises as `Study.run`."""
-    study = NoiseStudy(out=cfg.out, bundle=cfg.bundle, seed=cfg.seed, engine=cfg.engine)
-    evaluator = evaluator or study.make_evaluator()
+HEADLINES = {"demo": gap_headline, "noise": noise_headline}
+
+
+def run_demo(study: Study, evaluator: Evaluator | None = None) -> str:
+    """Run the demo's or the noise study, put it on one page and return what it comes to."""
     summary = study.run(evaluator)
     for table in study.tables(summary):
         show(*table)
-    setting = worst_of_vp(summary)
-    video = film_comparison(study, evaluator, setting, cfg.out / "video.mp4")
-    sections = [
-        render("demo", facts=noise_facts(summary), film=video, noise=label(setting)),
-        render("demo_method"),
-        render("noise", summary=summary, settings=summary["settings"], folder=cfg.out),
-        render("demo_provenance"),
-        provenance_section(summary),
-    ]
-    page, title = cfg.out / "index.html", "A robot dog loses its eyes"
-    return write_page(page, title, noise_headline(summary), sections)
-
-
-def film_comparison(
-    study: NoiseStudy,
-    evaluator: Evaluator,
-    setting: Setting,
-    path: Path,
-    fps: int = 25,
-) -> Path:
-    """Film VP alone beside RENet: one setting walks again, as it did in the study."""
-    from renet.evaluation.report.video import film
-
-    modes = {"vp": "VP alone: always on camera", "renet": "RENet"}
-    trials = study.trials([setting])
-    env = study.make_env(evaluator, tuple(trial.robot for trial in trials))
-    trace = study.walk(evaluator, env, "one setting, filmed", trials, film=range(len(trials)))
-    robot = first_to_fall(study, trace)
-    titles = {study.modes.index(m) * study.robots_each + robot: t for m, t in modes.items()}
-    return film(path, env.scene_spec, trace, titles, label(setting), fps)
-
-
-def worst_of_vp(summary: dict[str, Any]) -> Setting:
-    """The noise with most VP falls, then the slowest."""
-    alone = [run for run in summary["runs"] if run["mode"] == "vp"]
-    worst = max(alone, key=lambda run: (run["falls"], -run["mean_forward_velocity"]))
-    return setting_of(worst)
-
-
-def label(setting: Setting) -> str:
-    """A noise in words, such as "salt and pepper 30 %"."""
-    return f"{setting.fault.replace('_', ' ')} {100 * setting.level:.0f} %"
-
-
-def first_to_fall(study: NoiseStudy, trace: Trace) -> int:
-    """The first robot that falls under VP once the noise has begun, then the slowest."""
-    start = study.modes.index("vp") * study.robots_each
-    index = slice(start, start + study.robots_each)
-    upright = (~trace.fallen[:, index]).sum(axis=0)
-    # Who fell before the noise began says nothing about it.
-    upright = np.where(upright * CONTROL_DT < study.onsets[0], study.steps + 1, upright)
-    return int(np.lexsort((trace.speed[-150:, index].mean(axis=0), upright))[0])
+    sentence = HEADLINES[study.name](summary)
+    sections = study_sections(study.name, summary, study.out)
+    sections.insert(1, render("demo_method"))
+    page = write_page(study.out / "index.html", "A robot dog loses its eyes", sentence, sections)
+    pictures = sorted(path.name for path in study.out.iterdir() if path.suffix in (".png", ".mp4"))
+    print(f"Page: {page}; beside it: {', '.join(pictures)}")
+    return sentence

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from renet.evaluation.results import Provenance, grouped
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT
-from renet.palette import BLIND, SEES
+from renet.palette import BLIND, REMEMBERS, SEES
 
 LOSS, PROBABILITY = "#3c3ca0", "#64aa5f"
 FAMILIES = {
@@ -27,10 +27,10 @@ FAMILIES = {
 }
 INK, FAINT = "#222730", "#8a919c"
 MODE_COLOURS = {
-    "vp": "#d9602b",
-    "renet": "#3c3ca0",
-    "op": "#3f8f63",
-    "paper": "#b08bd0",
+    "vp": SEES,
+    "renet": REMEMBERS,
+    "op": BLIND,
+    "paper": "#009e73",
     "oracle-switch": "#7d8590",
 }
 MODE_NAMES = {
@@ -142,7 +142,7 @@ def mean_cells(
 def colour_tables(
     panels: Mapping[str, Cells], title: str, xlabel: str = "", width: float = 0.42
 ) -> Figure:
-    """Coloured tables side by side with the same rows, green for 100, red for 0.
+    """Coloured tables side by side with the same rows, light for 100, dark for 0.
 
     Args:
         panels: by title. title: of all.
@@ -155,9 +155,9 @@ def colour_tables(
         figure, axes = plt.subplots(1, len(panels), figsize=size, sharey=True, squeeze=False)
         for axis, (name, panel) in zip(axes[0], panels.items(), strict=True):
             shade = [[panel.get((r, c), (np.nan, ""))[0] for c in columns] for r in rows]
-            axis.imshow(np.array(shade, float), vmin=0, vmax=100, cmap="RdYlGn", aspect="auto")
+            axis.imshow(np.array(shade, float), vmin=0, vmax=100, cmap="cividis", aspect="auto")
             for (row, column), (value, text) in panel.items():
-                ink = "white" if value < 15 or value > 85 else INK
+                ink = "white" if value < 50 else INK
                 place = columns.index(column), rows.index(row)
                 axis.text(*place, text, ha="center", va="center", fontsize=8, color=ink)
             axis.set_xticks(range(len(columns)), columns, fontsize=8)
@@ -208,6 +208,23 @@ def share_panels(
     axes[-1][0].set_xlabel(xlabel)
     figure.supylabel("robots that cross (%)", fontsize=10)
     legend(figure, axes[0][0])
+    return figure
+
+
+def count_bars(counts: Mapping[str, int], names: Mapping[str, str], of: int, title: str) -> Figure:
+    """A bar for each mode with its count of `of` robots written on its end."""
+    figure, axis = plt.subplots(figsize=(9, 0.9 + 0.55 * len(counts)))
+    bars = axis.barh(
+        [names.get(mode, mode) for mode in counts],
+        [*counts.values()],
+        color=[MODE_COLOURS[mode] for mode in counts],
+    )
+    axis.bar_label(bars, [f"{count} of {of}" for count in counts.values()], padding=5)
+    axis.set(title=title, xlim=(0, 1.15 * of), xticks=[])
+    axis.grid(False)
+    axis.invert_yaxis()
+    axis.spines[["bottom", "left"]].set_visible(False)
+    axis.tick_params(length=0, labelsize=11)
     return figure
 
 

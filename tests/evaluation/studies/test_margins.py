@@ -88,7 +88,7 @@ def test_robots_fall_at_the_violent_end_and_the_sweep_stops_there(
 ) -> None:
     monkeypatch.setitem(AXES, "payload", replace(AXES["payload"], levels=(1.0, 90.0, 99.0)))
     study = MarginsStudy(
-        out=tmp_path, axes=("payload",), grounds=("flat",), modes=("op",), robots=2, seconds=1.2
+        out=tmp_path, axes=("payload",), grounds=("flat",), modes=("op",), robots=2, seconds=2.0
     )
     summary = study.run()
     assert [(r["axis"], r["level"]) for r in summary["runs"]] == [

@@ -28,6 +28,23 @@ def worse_section(summaries: Summaries) -> Section:
     return render("worse", rows=rows, chance=chance)
 
 
+def gap_headline(summary: dict[str, Any]) -> str:
+    """One sentence that says who crossed the demo's gap."""
+    crossed = {run["mode"]: run["crossed"] for run in summary["runs"]}
+    others = {
+        "vp": "that trust the last image",
+        "paper": "with the paper's switch",
+        "op": "that are blind",
+    }
+    counts = ", ".join(f"{crossed[mode]} {how}" for mode, how in others.items() if mode in crossed)
+    remembers = "which remembers it" if summary["remembers"] else "which has no memory here"
+    return (
+        f"The camera dies {summary['before_s']} s before a gap of {100 * summary['gap_m']:.0f} cm:"
+        f" of {summary['runs'][0]['robots']} robots {crossed.get('renet', 0)} cross with RENet,"
+        f" {remembers}; {counts}."
+    )
+
+
 def noise_headline(summary: dict[str, Any]) -> str:
     """One sentence that says what the noise study measured."""
     runs = summary["runs"]

@@ -328,21 +328,28 @@ class FaultStudy(WalkingStudy):
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """crossed.png, survival.png and detection.png."""
         runs, cells = summary["runs"], figures.mean_cells
-        modes = {figures.MODE_NAMES[m]: [r for r in runs if r["mode"] == m] for m in self.modes}
-        obeying = modes.get(figures.MODE_NAMES["renet"]) or runs
+        modes = {mode: [r for r in runs if r["mode"] == mode] for mode in self.modes}
+        obeying = modes.get("renet") or runs
         selectors = {"RENet's selector": "detected", "the paper's rule alone": "detected_by_paper"}
 
         def noticed(name: str) -> figures.Cells:
             return cells(obeying, lambda r: r[name] / (r["vision_active_at_onset"] or np.nan))
 
+        def panels(share: Callable[[Any], float], column: str = "severity") -> Any:
+            tables = {mode: dict(cells(rows, share, column)) for mode, rows in modes.items()}
+            # OP sees no fault: one row at the foot of the others' tables.
+            blind = tables.pop("op", {}) if len(tables) > 1 else {}
+            row = {("OP alone, any fault", name): cell for (_, name), cell in blind.items()}
+            return {figures.MODE_NAMES[mode]: table | row for mode, table in tables.items()}
+
         return {
             "crossed.png": figures.colour_tables(
-                {mode: cells(rows, _crossed, "ground") for mode, rows in modes.items()},
+                panels(_crossed, "ground"),
                 "Robots that cross (%), all severities and onsets together",
                 width=0.62,
             ),
             "survival.png": figures.colour_tables(
-                {mode: cells(rows, lambda run: run["survival"]) for mode, rows in modes.items()},
+                panels(lambda run: run["survival"]),
                 "Robots on their feet (%), all grounds and onsets together",
                 "severity",
             ),

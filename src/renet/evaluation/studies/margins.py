@@ -215,7 +215,9 @@ class MarginsStudy(WalkingStudy):
             }
             for (ground,), margins in grouped(summary["margins"], "ground").items()
         }
-        title = f"Held with at most {100 * ALLOWED:.0f} % of the robots failing"
+        title = (
+            f"How far a robot may be off before {100 * ALLOWED:.0f} % fail; even: the sweep's end"
+        )
         return {"margins.png": figures.colour_tables(panels, title, width=0.95)}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
@@ -225,7 +227,7 @@ class MarginsStudy(WalkingStudy):
             for (axis,), margins in grouped(summary["margins"], "axis").items()
         ]
         header = (f"{ground} {mode}" for ground in self.grounds for mode in self.modes)
-        title = f"Within it at most {100 * ALLOWED:.0f} % fall or stop; ≥: the sweep's end"
+        title = f"Within it at most {100 * ALLOWED:.0f} % fall or stop; even: the sweep's end"
         return [(title, ("axis", *header), rows)]
 
 
@@ -252,4 +254,4 @@ def _text(row: Mapping[str, Any]) -> str:
     if row["margin"] is None:
         return "–"
     number = f"{abs(row['margin']):g} {row['unit']}".strip()
-    return number if row["broke"] is not None else f"≥ {number}"
+    return number if row["broke"] is not None else f"even {number}"
