@@ -6,4 +6,4 @@ COPY src src
 RUN pip install --no-cache-dir -c requirements-lock.txt '.[sim]'
 # A folder to mount: docker run --rm -v "$PWD/results:/results" renet
 WORKDIR /results
-CMD ["renet", "deploy", "--robot", "mujoco", "--camera", "sim", "--terrain", "stairs", "--fault", "blackout@5s", "--seconds", "8", "--out", "/results/deploy"]
+CMD ["renet", "deploy", "--robot", "mujoco", "--camera", "sim", "--terrain", "gap", "--level", "5", "--fault", "blackout@3.3s", "--seconds", "10", "--out", "/results/deploy"]

@@ -45,20 +45,21 @@ def braked_at_the_end(flight: Recording) -> bool:
     return bool((ticks["mode"] == MODES.index(Mode.DAMPING)).all() and not ticks["stiffness"].any())
 
 
-def test_out_of_the_box_it_walks_on_and_switches_within_a_fifth_of_a_second(tmp_path, capsys):
-    arguments = "deploy --robot mujoco --camera sim --terrain stairs --fault blackout@5s"
-    assert cli.main([*arguments.split(), "--seconds", "8", "--out", str(tmp_path)]) == 0
+def test_out_of_the_box_it_remembers_the_gap_and_crosses_it_with_its_camera_black(tmp_path, capsys):
+    arguments = "deploy --camera sim --terrain gap --level 5 --fault blackout@3.3s"
+    assert cli.main([*arguments.split(), "--seconds", "10", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
-    for words in ("standing_up: armed", "walking: stood up", "op: the image is"):
+    story = "sees → remembers → crossed the gap; "
+    for words in ("standing_up: armed", "walking: stood up", "memory: the image is", story):
         assert words in out
     score = json.loads((tmp_path / SCORE).read_text())
     assert score["falls"] == 0
     assert score["complete"]
     assert score["distance_from"] == "simulator"
-    assert score["distance_m"] > 2.0
-    assert score["walking_seconds"] == pytest.approx(6.0, abs=0.1)
-    (delay,) = score["switch_delay_s"]
-    assert 0.0 < delay <= 0.2
+    assert score["distance_m"] > 4.0
+    assert score["walking_seconds"] == pytest.approx(8.0, abs=0.1)
+    assert score["memory_share"] > 0.7
+    assert score["switch_delay_s"] == [None]
     assert ET.parse(tmp_path / TIMELINE)
     flight = read_recording(tmp_path / RECORDING)
     assert braked_at_the_end(flight)

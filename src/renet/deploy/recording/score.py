@@ -104,6 +104,8 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
         "commanded_m_s": round(_mean(ticks["speed"][walking]), 3),
         "vision_share": round(_mean(ticks["vision"][walking]), 4),
         "memory_share": round(_mean((ticks["vision"] & ~ticks["has_image"])[walking]), 4),
+        "states": states(ticks[walking]),
+        "crossed": crossed(run, path),
         "switches": sum(event.what in ("op", "vp") for event in run.events),
         "op_before_first_fault": sum(e.what == "op" and bool(e.time < first) for e in run.events),
         "switch_delay_s": [delay_to_op(blind, onset) for onset in onsets],
@@ -117,7 +119,11 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
 def summary(score: dict[str, Any]) -> str:
     """A score in one line."""
     delays = ", ".join("never" if d is None else f"{d:.2f} s" for d in score["switch_delay_s"])
+    if score["memory_share"] and not any(score["switch_delay_s"]):
+        delays = ""  # Memory spared it OP.
+    end = "fell" if score["falls"] else score["crossed"]
     parts = [
+        " → ".join([*score["states"], *filter(None, [end])]),
         f"walked {score['walking_seconds']:.1f} s and {score['distance_m']:.1f} m "
         f"({score['distance_from']})",
         f"on vision {score['vision_share']:.0%}",
@@ -126,6 +132,23 @@ def summary(score: dict[str, Any]) -> str:
         f"falls: {score['falls']}",
     ]
     return "; ".join(part for part in parts if part)
+
+
+def states(walking: np.ndarray) -> list[str]:
+    """Names of the selector's states in ticks [T], in the order in which they first came."""
+    acting = np.where(walking["vision"], np.where(walking["has_image"], 0, 1), 2)
+    return [[*STATES][number] for number in dict.fromkeys(acting.tolist())]
+
+
+def crossed(run: Recording, path: np.ndarray) -> str:
+    """Whether a robot has left its simulated tile, from its path [T, 3] m; empty elsewhere."""
+    terrain = run.header.get("terrain")
+    if not terrain or terrain == "flat" or not simulated(run.ticks):
+        return ""
+    from renet.terrain.tiles import TILE  # Needs MuJoCo, which a robot may lack.
+
+    done = np.abs(path[:, :2]).max(initial=0.0) > TILE / 2
+    return f"{'crossed' if done else 'did not cross'} the {terrain.replace('_', ' ')}"
 
 
 def delay_to_op(blind: np.ndarray, onset: float) -> float | None:
