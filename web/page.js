@@ -5,15 +5,13 @@ import { Controls } from "./panel/controls.js";
 import { readScene, sceneLink } from "./panel/link.js";
 import { Panel } from "./panel/panel.js";
 import { drawDepth } from "./panel/plots.js";
-import { Story } from "./panel/story.js";
+import { BEFORE, Story } from "./panel/story.js";
 import { View } from "./stage/view.js";
 import { DepthCamera, makeFault } from "./world/camera.js";
 import { Simulation } from "./world/simulation.js";
 
-const BEFORE = 0.5;
-/** Seconds before an obstacle's edge, at the speed that is asked for, at which cameras break; */
 const LATER = 4;
-/** and seconds after the start on ground without one. */
+/** Seconds after the start at which cameras break on ground without an obstacle. */
 const SIDEWAYS = 1;
 /** m/s to the left of the push of the key and the button. */
 const SLOW_MOTION = { pace: 0.25, milliseconds: 2000 };
@@ -36,8 +34,8 @@ export class Page {
       document.documentElement.style.setProperty(`--${state}`, colour);
     }
     const slots = [...document.querySelectorAll(".slot")];
-    this.panels = ["vp", "renet"].map((estimator, n) => {
-      const choose = (name) => (this.simulations[n].controller.estimator = name);
+    this.panels = [bundle.opening.left, "renet"].map((estimator, n) => {
+      const choose = (name) => this.simulations[n].controller.choose(name, this.rule.value);
       return new Panel(slots[n], $(".instruments"), estimator, contract, choose);
     });
     this.view = new View($("#view"), slots, runtime, (push) => this.push(push));
@@ -103,8 +101,7 @@ export class Page {
     const { ground } = this.scene;
     this.simulations = this.panels.map((panel) => {
       const simulation = new Simulation(this.runtime, ground, seed);
-      simulation.controller.estimator = panel.estimator;
-      simulation.controller.select(this.rule.value);
+      simulation.controller.choose(panel.estimator, this.rule.value);
       return simulation;
     });
     this.story = new Story(ground, this.panels.map(({ name }) => name));

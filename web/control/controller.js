@@ -9,8 +9,8 @@ export const DAMPING = "damping";
 export const STANDING_UP = "standing_up";
 export const WALKING = "walking";
 
-/** Who drives: the selector's choice (renet), or always the same estimator. */
-export const ESTIMATORS = { vp: "Camera only", renet: "renet", op: "Blind only" };
+/** Who drives: the selector's choice, with memory (renet) or without, or always one estimator. */
+export const ESTIMATORS = { vp: "Camera only", forgets: "Without memory", renet: "renet", op: "Blind only" };
 
 /** Drives one robot with a bundle. */
 export class Controller {
@@ -35,9 +35,16 @@ export class Controller {
     this.forget();
   }
 
+  /** Let somebody drive, by a kind of selector. */
+  choose(estimator, kind) {
+    this.estimator = estimator;
+    this.select(kind);
+  }
+
   /** Decide by all monitors or by the paper's rule from now on; trusts vision at first. */
   select(kind) {
-    this.selector = new Selector(this.selectors[kind], this.contract);
+    const memory = this.estimator === "forgets" ? { longestMemory: 0 } : {};
+    this.selector = new Selector({ ...this.selectors[kind], ...memory }, this.contract);
     this.vision = true;
   }
 
@@ -93,7 +100,7 @@ export class Controller {
       const gate = this.selector.look(this.seen(fresh, now));
       await this.policy.tick(image, this.estimator === "renet" ? gate : () => true);
     }
-    const chosen = { vp: true, renet: this.vision, op: false }[this.estimator];
+    const chosen = { vp: true, forgets: this.vision, renet: this.vision, op: false }[this.estimator];
     const vision = chosen && this.frames.image !== null;
     const remembers = this.estimator === "renet" && !this.policy.hasImage;
     this.driving = vision ? (remembers ? "remembers" : "sees") : "blind";

@@ -1,5 +1,7 @@
 // What becomes of the robots, in words.
 
+export const BEFORE = 0.5;
+/** Seconds before an obstacle's edge, at the speed that is asked for, at which cameras break. */
 const CLEAR = 0.3;
 /** Metres beyond an obstacle at which the hind feet have left it, too. */
 const SETTLED = 8;

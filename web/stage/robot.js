@@ -5,7 +5,7 @@ import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 
 const IDLE = "#667180";
 const PUSH = "#c62f3b";
-const WRONG = 0.12;
+const WRONG = 0.25;
 /** Error of the believed ground, m, from which on it is drawn black. */
 const BODY_GREY = 0x98a1ab;
 

@@ -30,7 +30,7 @@ from renet.terrain.tiles import TILE
 MAP_HEIGHT = 0.3
 """Metres of the base above the ground that read as zero in a height map, as in training."""
 GROUNDS = {
-    "gap": ("Gap", 4, "leapt the gap"),
+    "gap": ("Gap", 5, "leapt the gap"),
     "stairs_down": ("Stairs down", 2, "came down the stairs"),
     "stairs_up": ("Stairs up", 2, "climbed the stairs"),
     "platform": ("Platform", 3, "crossed the platform"),
@@ -111,7 +111,11 @@ def _bundle(bundle: Bundle) -> dict[str, Any]:
         "robot": robot.name,
         "base": {"body": interface.TRUNK, "height": robot.height},
         # A memory shows at a gap; without one, a blind robot finds its way down stairs.
-        "opening": {"ground": "gap" if remembers else "stairs_down", "fault": OPENING},
+        "opening": {
+            "ground": "gap" if remembers else "stairs_down",
+            "fault": OPENING,
+            "left": "forgets" if remembers else "vp",
+        },
         "selectors": {kind: _selector(kind, spec) for kind in SELECTORS},
         "grounds": [_ground(robot, terrain, *words) for terrain, words in GROUNDS.items()],
     }

@@ -11,9 +11,11 @@ from renet.errors import RenetError
 from renet.evaluation.report.summary import FACTS, WORSE, worse_section
 from renet.evaluation.studies.report import STUDIES, ReportCfg, make_report, run_studies
 from renet.evaluation.study import Study
-from tests.browser import open_browser, watch
+from tests.browser import compare, open_browser, watch
 
 from ..tiny import TINY
+
+GOLDEN = Path(__file__).with_name("golden")
 
 
 @pytest.fixture(scope="module")
@@ -176,6 +178,8 @@ def test_a_real_browser_shows_the_page_without_complaint(
         "['color', 'backgroundColor'].map(name => getComputedStyle(document.body)[name]"
         ".match(/\\d+/g).map(Number).reduce((a, b) => a + b) / 3)"
     )
-    window.close()
     dark = scheme == "dark"
+    if not dark:
+        compare(window.screenshot(), GOLDEN / f"report-{width}.png")
+    window.close()
     assert (ink > 200 and paper < 50) if dark else (ink < 50 and paper > 200)
