@@ -12,7 +12,7 @@ import numpy as np
 
 import renet
 from tests.test_doc_commands import parse
-from tests.test_doc_numbers import percent, result
+from tests.test_doc_numbers import result
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -24,7 +24,7 @@ def test_the_readme_has_500_words_at_most_and_two_commands():
     commands = re.findall(r"```bash\n(.*?)```", README, re.DOTALL)
     assert len(commands) == 2
     assert all("-m venv .venv" in command and "pip install -c" in command for command in commands)
-    assert "renet deploy" in commands[0]
+    assert "--terrain gap --level 5 --fault blackout@3.3s" in commands[0]
     assert commands[1].endswith("&& pytest\n")
 
 
@@ -46,39 +46,42 @@ def test_the_citation_is_that_of_the_citation_file():
 
 
 # The cells of the README's table beside the first, by the first.
-LINES = re.findall(r"^\| (.+?) \| (.+?) \| (.+?) \| \[", README, re.MULTILINE)
+LINES = re.findall(r"^\| \[(.+?)\]\(.+?\) \| (.+?) \| (.+?) \| (.+?) \|$", README, re.MULTILINE)
 ROWS = {name: cells for name, *cells in LINES}
+MODES = ("vp", "op", "renet")
 
 
-def test_counts_of_the_readme_are_those_measured_on_stairs():
-    """`renet evaluate faults --preset noise --grounds stairs_up --level 5 --onsets 1.5`."""
-    stairs = result("shipped/stairs.json")
-    crossed = {
-        (row["mode"], row.get("fault"), row.get("severity")): row["measures"]["crossed"]["value"]
-        for row in stairs["baseline"] + stairs["runs"]
+def counts(runs: list[dict]) -> list[str]:
+    """The cells of a row: how many cross, by mode."""
+    crossed = {run["mode"]: f"{run['crossed']} of {run['robots']}" for run in runs}
+    return [crossed[mode] for mode in MODES]
+
+
+def test_counts_of_the_readme_are_those_of_the_memory_study_and_of_the_demo():
+    memory, demo = result("shipped/memory.json"), result("shipped/demo.json")
+    gap = [run for run in memory["runs"] if (run["ground"], run["level"]) == ("gap", 5)]
+    assert round(100 * gap[0]["size_m"]) == round(100 * demo["gap_m"]) == 37
+    names = [name for name in ROWS if name.startswith(("leap", "the same"))]
+    # A blind robot walks as with a healthy camera.
+    blind = [run for run in gap if run["mode"] == "op"]
+    black = [blind + [r for r in gap if r["without_s"] == seconds] for seconds in (0.0, 8.0)]
+    expected = [*map(counts, black), counts(demo["runs"])]
+    assert [ROWS[name] for name in names] == expected
+    (left, right) = re.findall(r"pairs (\d+) left robots crossed and (\d+) right", README)[0]
+    assert [f"{left} of 20", f"{right} of 20"] == [expected[2][0], expected[2][2]]
+    assert memory["settings"]["before"] == demo["before_s"] == 0.5
+
+
+def test_speeds_of_the_readme_are_those_in_the_strongest_noise():
+    noise = result("shipped/noise.json")
+    (name,) = (name for name in ROWS if "asked for" in name)
+    assert name.startswith(f"{noise['settings']['speed']} m/s")
+    speeds = {
+        run["mode"]: f"{run['mean_forward_velocity']:.2f} m/s"
+        for run in noise["runs"]
+        if (run["fault"], run["severity"]) == ("gaussian", 5)
     }
-    noises = {(fault, severity) for _, fault, severity in crossed if fault}
-    assert len(noises) == 6
-    chosen = {
-        "climb stairs of 13 cm, healthy camera": [(None, None)],
-        "the same, Gaussian noise 70 %": [("gaussian", 4)],
-        "the same, all six noises": sorted(noises),
-    }
-    for name, settings in chosen.items():
-        counts = [sum(round(20 * crossed[mode, *s]) for s in settings) for mode in ("vp", "renet")]
-        assert ROWS[name] == [f"{n} of {20 * len(settings)}" for n in counts]
-
-
-def test_shares_of_the_readme_are_means_of_the_fault_benchmark():
-    settings = result("leaderboard/go1-parkour.json")["settings"]
-    for name, measure, ground in (
-        ("stay upright under 29 camera faults", "upright", ""),
-        ("cross obstacles under them", "crossed", "flat"),
-    ):
-        rows = [s for s in settings if s["ground"] != ground]
-        modes = [[s for s in rows if s["mode"] == mode] for mode in ("vp", "renet")]
-        assert ROWS[name] == [f"{percent(chosen, measure):.1f} %" for chosen in modes]
-    assert len({s["fault"] for s in settings}) == 29
+    assert ROWS[name] == [speeds["vp"], "–", speeds["renet"]]
 
 
 def test_the_change_log_knows_this_version():

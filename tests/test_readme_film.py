@@ -1,0 +1,56 @@
+"""The README's film: whole, and of the story that its caption tells."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from renet.palette import REMEMBERS, SEES, rgb
+
+FILM = Path(__file__).parents[1] / "docs" / "figures" / "walk.webp"
+
+
+@pytest.fixture(scope="module")
+def pictures() -> np.ndarray:
+    """[T, height, width, 3]"""
+    with Image.open(FILM) as film:
+        frames = [np.asarray(frame.convert("RGB"), float) for frame in ImageSequence.Iterator(film)]
+    return np.stack(frames)
+
+
+def chips(pictures: np.ndarray) -> np.ndarray:
+    """Colours of the states beside both robots' titles, [T, 2, 3]."""
+    width = pictures.shape[2] // 2
+    boxes = [
+        pictures[:, 3:6, side * width + width - 80 : side * width + width - 10] for side in (0, 1)
+    ]
+    return np.stack([box.mean(axis=(1, 2)) for box in boxes], axis=1)
+
+
+def test_it_is_small_and_no_picture_is_blank_or_stands_still(pictures: np.ndarray) -> None:
+    assert FILM.stat().st_size < 2.5e6
+    count, height, width, _ = pictures.shape
+    assert count >= 60
+    assert (height, width) == (300, 800)
+    for half in (pictures[:, :, : width // 2], pictures[:, :, width // 2 :]):
+        assert half.std(axis=(1, 2, 3)).min() > 20
+    assert np.abs(np.diff(pictures[:, :, width // 2 :], axis=0)).mean(axis=(1, 2, 3)).min() > 0.5
+
+
+def test_the_right_robot_remembers_and_the_left_one_believes_and_falls(
+    pictures: np.ndarray,
+) -> None:
+    left, right = np.moveaxis(chips(pictures), 1, 0)
+
+    def near(colours: np.ndarray, name: str) -> np.ndarray:
+        return np.abs(colours - rgb(name)).max(axis=1) < 25
+
+    assert near(left, SEES).all(), "it takes its last image for sight"
+    assert near(right[0:5], SEES).all()
+    assert near(right[-20:], REMEMBERS).all()
+    # Once it has fallen its picture stops.
+    width = pictures.shape[2] // 2
+    changes = np.abs(np.diff(pictures[:, 24:-24, :width], axis=0)).mean(axis=(1, 2, 3))
+    assert changes[:30].min() > 0.5
+    assert changes[-5:].max() < 0.5
