@@ -8,6 +8,7 @@ import pytest
 from renet.bundle import DEFAULT, Bundle, pretrained, read_manifest, write_bundle, write_manifest
 from renet.bundle.manifest import SelectorSpec
 from renet.errors import RenetError
+from renet.evaluation import calibrate_memory
 from renet.evaluation.calibrate import CalibrateCfg, _store, run_calibrate
 from renet.evaluation.env import terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
@@ -55,8 +56,10 @@ def test_simulated_cameras_err_as_in_the_bundles_training(bundle: Path, tmp_path
 
 
 def test_calibration_is_written_into_the_bundle_without_and_with_sparse_grass(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(calibrate_memory, "DIES", (0.1, 0.2))
+    monkeypatch.setattr(calibrate_memory, "MEASURED", 0.6)
     # Only robots that walk count: the shipped policy's do.
     bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
     short = CalibrateCfg(bundle, robots=2, seconds=3.0, terrains=("flat",))
@@ -72,6 +75,7 @@ def test_calibration_is_written_into_the_bundle_without_and_with_sparse_grass(
     assert Evaluator(bundle, selector="paper").beta == pytest.approx(beta)
     assert Bundle.load(bundle).sha256 != Bundle.load(pretrained(DEFAULT)).sha256
     assert selector.gamma == 0.1
+    assert 0.0 < selector.longest_memory <= 0.6
     # Where a variance is predicted, sparse grass passes.
     bare = selector.thresholds["invalid_fraction"]
     beta = run_calibrate(short)

@@ -95,6 +95,7 @@ def test_an_interrupted_calibration_leaves_the_bundle(
     scores = {name: [np.linspace(0.01, 0.02, 300)] for name in calibrate.MONITORS}
     monkeypatch.setattr(calibrate, "recorded_scores", lambda *arguments: scores)
     monkeypatch.setattr(calibrate, "healthy_series", lambda *arguments: scores)
+    monkeypatch.setattr(calibrate, "memory_limits", lambda *arguments: ({}, 0.0))
     interrupt(monkeypatch, owner, name, call, number)
     assert cli.main(["calibrate", str(bundle), *source]) == 130
     assert capsys.readouterr().err.splitlines()[-1] == f"renet: interrupted: {cli.AT_ONCE}"
