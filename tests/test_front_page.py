@@ -48,7 +48,7 @@ def test_the_citation_is_that_of_the_citation_file():
 # The cells of the README's table beside the first, by the first.
 LINES = re.findall(r"^\| \[(.+?)\]\(.+?\) \| (.+?) \| (.+?) \| (.+?) \|$", README, re.MULTILINE)
 ROWS = {name: cells for name, *cells in LINES}
-MODES = ("vp", "op", "renet")
+MODES = ("vp", "oracle-switch", "renet")
 
 
 def counts(runs: list[dict]) -> list[str]:
@@ -62,9 +62,7 @@ def test_counts_of_the_readme_are_those_of_the_memory_study_and_of_the_demo():
     gap = [run for run in memory["runs"] if (run["ground"], run["level"]) == ("gap", 5)]
     assert round(100 * gap[0]["size_m"]) == round(100 * demo["gap_m"]) == 37
     names = [name for name in ROWS if name.startswith(("leap", "the same"))]
-    # A blind robot walks as with a healthy camera.
-    blind = [run for run in gap if run["mode"] == "op"]
-    black = [blind + [r for r in gap if r["without_s"] == seconds] for seconds in (0.0, 8.0)]
+    black = [[r for r in gap if r["without_s"] == seconds] for seconds in (0.0, 8.0)]
     expected = [*map(counts, black), counts(demo["runs"])]
     assert [ROWS[name] for name in names] == expected
     (left, right) = re.findall(r"pairs (\d+) left robots crossed and (\d+) right", README)[0]

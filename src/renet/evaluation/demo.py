@@ -38,7 +38,7 @@ SHOWN = 1.0, 4.0
 TITLES = {
     "vp": "trusts its last image",
     "paper": "the paper's switch",
-    "op": "is blind",
+    "oracle-switch": "goes blind at once",
     "renet": "RENet",
 }
 """What films and figures call each mode."""
@@ -50,7 +50,7 @@ class DemoStudy(WalkingStudy):
 
     out: Path = Path("renet-demo")
     """Folder for index.html, film.mp4, demo.png, summary.json, summary.csv and parts/."""
-    modes: tuple[Mode, ...] = ("vp", "paper", "op", "renet")
+    modes: tuple[Mode, ...] = ("vp", "paper", "oracle-switch", "renet")
     """Policy modes to compare; the film shows the first beside the last."""
     seconds: float = 9.0
     """Time to leave the tile."""

@@ -142,7 +142,7 @@ def mean_cells(
 def colour_tables(
     panels: Mapping[str, Cells], title: str, xlabel: str = "", width: float = 0.42
 ) -> Figure:
-    """Coloured tables side by side with the same rows, light for 100, dark for 0.
+    """Coloured tables side by side with the same rows, dark for 100, light for 0.
 
     Args:
         panels: by title. title: of all.
@@ -155,9 +155,9 @@ def colour_tables(
         figure, axes = plt.subplots(1, len(panels), figsize=size, sharey=True, squeeze=False)
         for axis, (name, panel) in zip(axes[0], panels.items(), strict=True):
             shade = [[panel.get((r, c), (np.nan, ""))[0] for c in columns] for r in rows]
-            axis.imshow(np.array(shade, float), vmin=0, vmax=100, cmap="cividis", aspect="auto")
+            axis.imshow(np.array(shade, float), vmin=0, vmax=130, cmap="Blues", aspect="auto")
             for (row, column), (value, text) in panel.items():
-                ink = "white" if value < 50 else INK
+                ink = "white" if value > 80 else INK
                 place = columns.index(column), rows.index(row)
                 axis.text(*place, text, ha="center", va="center", fontsize=8, color=ink)
             axis.set_xticks(range(len(columns)), columns, fontsize=8)

@@ -34,7 +34,7 @@ def gap_headline(summary: dict[str, Any]) -> str:
     others = {
         "vp": "that trust the last image",
         "paper": "with the paper's switch",
-        "op": "that are blind",
+        "oracle-switch": "that go blind at once",
     }
     counts = ", ".join(f"{crossed[mode]} {how}" for mode, how in others.items() if mode in crossed)
     remembers = "which remembers it" if summary["remembers"] else "which has no memory here"
