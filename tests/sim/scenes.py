@@ -1,4 +1,4 @@
-"""Scenes of a few geoms, and stock tasks on both engines."""
+"""Scenes of a few geoms, and stock tasks on either engine."""
 
 from collections.abc import Callable
 
@@ -19,14 +19,14 @@ def scene(*bodies: str, extra: str = "") -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(f"<mujoco>{extra}{worldbody}</mujoco>")
 
 
-def make_both(task: str, change: Callable[[ManagerBasedRlEnvCfg], None]) -> list[ManagerBasedRlEnv]:
-    """mjlab's task with three robots, changed, under MuJoCo Warp and under the native engine."""
-    envs = []
-    for engine in ("warp", "native"):
-        cfg = load_env_cfg(task)
-        cfg.scene.num_envs, cfg.seed = 3, 3
-        change(cfg)
-        with use_engine(engine, "cpu"):
-            envs.append(ManagerBasedRlEnv(cfg, "cpu"))
-        envs[-1].reset(seed=3)
-    return envs
+def make(
+    task: str, change: Callable[[ManagerBasedRlEnvCfg], None], engine: str
+) -> ManagerBasedRlEnv:
+    """mjlab's task with three robots, changed, under an engine."""
+    cfg = load_env_cfg(task)
+    cfg.scene.num_envs, cfg.seed = 3, 3
+    change(cfg)
+    with use_engine(engine, "cpu"):
+        env = ManagerBasedRlEnv(cfg, "cpu")
+    env.reset(seed=3)
+    return env

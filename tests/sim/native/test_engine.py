@@ -6,7 +6,7 @@ import pytest
 import torch
 from mjlab.envs import ManagerBasedRlEnvCfg
 from mjlab.sim.sim import MujocoCfg, SimulationCfg
-from tests.sim.scenes import make_both, scene
+from tests.sim.scenes import make, scene
 
 from renet.errors import RenetError
 from renet.sim.native import engine
@@ -122,7 +122,7 @@ def test_the_stock_go1_walks_alike_on_both_engines():
     that stop at the same tolerance but not at the same iterate. The robots stand and sway, so
     5 mm and 0.03 rad bound the difference; contact forces agree on the robot's weight.
     """
-    envs = make_both(FLAT, stand_on_flat_ground)
+    envs = [make(FLAT, stand_on_flat_ground, engine) for engine in ("warp", "native")]
     for part, names in (("data", ("qpos", "qvel")), ("model", ("geom_friction", "body_ipos"))):
         for name in names:
             warp, native = (getattr(getattr(env.sim, part), name) for env in envs)
