@@ -40,6 +40,8 @@ class Wire(Link):
 
     def _send(self, command: JointCommand | None) -> None:
         self.sent.append(command)
+        if len(self.sent) > 2000:
+            pytest.fail("it never ends")
         if len(self.sent) == 2 and self.pipe >= 0:
             os.close(self.pipe)
             if self.failure == "send":
