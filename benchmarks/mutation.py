@@ -13,6 +13,7 @@ import random
 import shutil
 import subprocess
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 
 import tyro
@@ -129,10 +130,12 @@ def main(cfg: Cfg) -> None:
         results[part] = {
             "mutants": len(names),
             "run": len(chosen),
+            "seed": cfg.seed,
             "score": round(1.0 - len(alive) / len(chosen), 3),
             "ended_by_time": sum(codes[name] not in (*ALIVE, *KILLED) for name in chosen),
             "tests_left_out": cfg.skip,
             "alive": alive,
+            "date": date.today().isoformat(),
         }
         report({name: results[name] for name in PARTS if name in results}, cfg.json)
 
