@@ -3,10 +3,14 @@
 import json
 import re
 import statistics
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from renet.evaluation.studies.benchmark import read_result
+from renet.evaluation.studies.crossing import ranking
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -138,3 +142,28 @@ def test_the_course():
         total = totals[names[line[0]]]
         assert float(line[1].split()[0]) == pytest.approx(total["distance_m"] / 1e3, abs=0.00501)
         assert int(line[2].split()[0]) == total["falls"]
+
+
+def test_the_leaderboard_of_version_2():
+    names = ("go1-parkour", "without-memory", "return", "gate", "playground")
+    files = [RESULTS / "leaderboard_2" / f"{name}.json" for name in names]
+    results = [read_result(file) for file in files if file.exists()]
+    assert len(results) > 1
+    _, _, rows = ranking(results)
+    shown = [line for line in cells("crossing.md", "Results") if line[0].isdigit()]
+    assert shown == [list(row) for row in rows]
+    text = (ROOT / "docs" / "crossing.md").read_text()
+    cross = Counter()
+    for row in results[0]["settings"]:
+        cross[row["ground"], row["mode"]] += row["crossed"]
+    gaps = re.search(r"of 160, RENet crosses (\d+), VP (\d+), the\s+paper's switch (\d+)", text)
+    assert [int(n) for n in gaps.groups()] == [cross["gap", m] for m in ("renet", "vp", "paper")]
+    assert f"crosses {cross['gap', 'oracle-switch']} of the 160 gaps" in text
+    assert (cross["gap", "op"], cross["platform", "op"]) == (0, 160)
+    assert f"OP crosses all 160, RENet {cross['platform', 'renet']}" in text
+    by_mode = {tuple(row[1:3]): row for row in rows}
+    for mode, points in (("vp", "2.5"), ("paper", "4.7")):
+        ahead = by_mode["go1-parkour", mode][-1].replace("+", "")
+        assert ahead.split(" (")[0] == points
+        assert ahead.split(" (")[1].strip(")") in text
+    assert f"differ by {float(rows[0][3]) - float(rows[-1][3]):.1f} points" in text

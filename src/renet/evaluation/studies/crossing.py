@@ -269,7 +269,8 @@ def ranking(results: Sequence[Mapping[str, Any]]) -> Table:
         cells = []
         for share in ("crossed", "kept"):
             ends = [scores.get(f"{share}_ci95_{end}") for end in ("low", "high")]
-            cells += [_percent(scores[share]), " to ".join(map(_percent, ends))]
+            interval = "-" if None in ends else " to ".join(map(_percent, ends))
+            cells += [_percent(scores[share]), interval]
         gain = 100 * np.subtract(first[reference]["by_robot"], scores["by_robot"])
         low, high = metrics.bootstrap_interval(gain)
         ahead = f"{gain.mean():+.1f} ({low:+.1f} to {high:+.1f})"
