@@ -14,6 +14,8 @@ const SOFTWARE_PAUSE = 33;
 const UP = new THREE.Vector3(0, 0, 1);
 const START = [-1.35, -1.25, 0.62];
 /** Metres from a robot to the camera that follows it: ahead, left, up. */
+const LOWEST = 0.4;
+/** Metres of the camera above the ground under it, at least. */
 const REACH = 0.45;
 /** Metres from a robot's middle at which a drag still takes hold of it. */
 const PUSH = [0.01, 1.5];
@@ -161,6 +163,9 @@ export class View {
     camera.aspect = aspect;
     const away = Math.max(1, aspect ** -0.6);
     camera.position.multiplyScalar(away).applyAxisAngle(UP, last.yaw).add(last.position);
+    // It does not fall into a gap with its robot.
+    const ground = this.terrain.heightAt(camera.position.x, camera.position.y);
+    camera.position.z = Math.max(camera.position.z, ground + LOWEST);
     camera.lookAt(x + 0.25 * Math.cos(last.yaw), y + 0.25 * Math.sin(last.yaw), z - 0.05);
     camera.updateMatrixWorld();
     this.sun.position.set(x - 1.6, y - 2.2, z + 5);
