@@ -81,7 +81,8 @@ class Flights(threading.Thread):
             messages = process.communicate()[1]
         after = self._recordings()
         self.count[f"ended by {end}, exit code {process.returncode}"] += 1
-        self.count["tracebacks"] += "Traceback" in messages
+        if "Traceback" in messages:
+            self.count[f"a traceback: {messages.splitlines()[-1][:100]}"] += 1
         self.count["earlier recordings that changed"] += len(before.keys() - after.keys())
         for path in (after[content] for content in after.keys() - before.keys()):
             self.count["recordings"] += 1
