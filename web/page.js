@@ -1,8 +1,7 @@
 // "Break its camera": two copies of one robot, the same start, the same ground, the same fault.
 
-import { ESTIMATORS } from "./control/controller.js";
 import { Controls } from "./panel/controls.js";
-import { readScene, sceneLink } from "./panel/link.js";
+import { sceneLink } from "./panel/link.js";
 import { Panel } from "./panel/panel.js";
 import { drawDepth } from "./panel/plots.js";
 import { BEFORE, Story } from "./panel/story.js";
@@ -41,7 +40,7 @@ export class Page {
     this.view = new View($("#view"), slots, runtime, (push) => this.push(push));
     this.rule = $("#rule");
     this.rule.addEventListener("change", () => {
-      for (const { controller } of this.simulations) controller.select(this.rule.value);
+      for (const { controller } of this.simulations) controller.choose(controller.estimator, this.rule.value);
     });
     $("#severity").value = scene.severity;
     this.controls = new Controls(this);

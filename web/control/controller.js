@@ -24,10 +24,9 @@ export class Controller {
     this.cfg = contract.safety;
     this.policy = new Policy(manifest, contract, sessions);
     this.selectors = bundle.selectors;
-    this.select(kind);
+    this.choose("renet", kind);
     this.frames = new FrameBuffer();
     this.black = new Float32Array(this.policy.pixels);
-    this.estimator = "renet";
     this.mode = DAMPING;
     this.reason = "start";
     this.armed = false;
@@ -35,15 +34,10 @@ export class Controller {
     this.forget();
   }
 
-  /** Let somebody drive, by a kind of selector. */
+  /** Let somebody drive from now on, by all monitors or the paper's rule; trusts vision at first. */
   choose(estimator, kind) {
     this.estimator = estimator;
-    this.select(kind);
-  }
-
-  /** Decide by all monitors or by the paper's rule from now on; trusts vision at first. */
-  select(kind) {
-    const memory = this.estimator === "forgets" ? { longestMemory: 0 } : {};
+    const memory = estimator === "forgets" ? { longestMemory: 0 } : {};
     this.selector = new Selector({ ...this.selectors[kind], ...memory }, this.contract);
     this.vision = true;
   }
