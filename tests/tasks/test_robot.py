@@ -1,5 +1,6 @@
 """A robot's description with a mistake is refused in words that name it."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import mujoco
@@ -14,23 +15,26 @@ from renet.tasks.robot_cfg import RobotCfg, rename_parts
 from renet.tasks.terrains import tile_row
 
 
-def without(*geoms: str, site: str | None = None) -> RobotCfg:
-    """A Go1 whose MJCF lacks something."""
+def edited(change: Callable[[mujoco.MjSpec], object]) -> RobotCfg:
+    """A Go1 whose MJCF is changed."""
 
     def spec() -> mujoco.MjSpec:
         made = GO1.spec()
-        for part in (*map(made.geom, geoms), *([made.site(site)] if site else [])):
-            made.delete(part)
+        change(made)
         return made
 
     return replace(GO1, spec=spec)
+
+
+def without(*geoms: str) -> RobotCfg:
+    return edited(lambda spec: [spec.delete(spec.geom(name)) for name in geoms])
 
 
 @pytest.mark.parametrize(
     ("robot", "problem"),
     [
         (without("RL_foot_collision"), "no geom named 'RL_foot_collision'"),
-        (without(site="FL"), "no site named 'FL'"),
+        (edited(lambda spec: spec.delete(spec.site("FL"))), "no site named 'FL'"),
         (without("FR_calf_collision2"), "beside the foot, not none: FR 1, FL 2, RR 2, RL 2"),
         (without("RR_calf_collision1", "RR_calf_collision2"), "RR 0"),
         (replace(GO1, motors={"hip": GO1.motors["hip"]}), "motors must be of hip, thigh, calf"),
@@ -42,27 +46,19 @@ def test_what_is_missing_is_named(robot, problem):
 
 
 def test_margins_of_a_vendors_geoms_are_dropped():
-    def spec() -> mujoco.MjSpec:
-        made = GO1.spec()
-        for geom in made.geoms:
-            geom.margin = 0.001
-        return made
-
-    assert not replace(GO1, spec=spec).checked_spec().compile().geom_margin.any()
+    robot = edited(lambda spec: [setattr(geom, "margin", 0.001) for geom in spec.geoms])
+    assert not robot.checked_spec().compile().geom_margin.any()
     # Which MuJoCo Warp would have refused on boxes.
-    cfg = tile_env_cfg(tile_row({"gap": 1}), robot=replace(GO1, spec=spec))
-    make_env(cfg, 1).close()
+    make_env(tile_env_cfg(tile_row({"gap": 1}), robot=robot), 1).close()
 
 
 def test_joints_without_limits_are_named():
-    def spec() -> mujoco.MjSpec:
-        made = GO1.spec()
+    def unlimit(spec: mujoco.MjSpec) -> None:
         for name in ("FR_thigh_joint", "RL_calf_joint"):
-            made.joint(name).range = (0.0, 0.0)
-        return made
+            spec.joint(name).range = (0.0, 0.0)
 
     with pytest.raises(RenetError, match="gives FR_thigh_joint, RL_calf_joint no limits"):
-        make_env(flat_env_cfg(robot=replace(GO1, spec=spec)), 1)
+        make_env(flat_env_cfg(robot=edited(unlimit)), 1)
 
 
 def test_a_vendors_sites_named_as_legs_make_way():

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from renet.interface import ACTION_SIZE, CONSTRAINTS
 from renet.training import precision
 from renet.training.algorithm import RenetAlgorithm
-from renet.training.config import RenetRunnerCfg
+from renet.training.config import NP3OCfg, RenetRunnerCfg
 from renet.training.runner import RenetRunner
 
 
@@ -18,6 +18,9 @@ from renet.training.runner import RenetRunner
 def single_precision(monkeypatch):
     """Unless a test asks for bfloat16, results are the same on every machine."""
     monkeypatch.setattr(precision, "has_bfloat16", lambda device: False)
+
+
+ONE_EPOCH = NP3OCfg(num_learning_epochs=1)
 
 
 class ToyEnv:
@@ -76,7 +79,8 @@ class ToyEnv:
 def make_runner(env, folder=None, seed: int = 0, **settings) -> RenetRunner:
     """Untrained, with the same weights each time; curves and checkpoints go to `folder`."""
     torch.manual_seed(seed)
-    cfg = RenetRunnerCfg(**({"num_steps_per_env": 10, "save_interval": 2} | settings))
+    short = {"num_steps_per_env": 10, "save_interval": 2, "algorithm": ONE_EPOCH}
+    cfg = RenetRunnerCfg(**(short | settings))
     return RenetRunner(env, asdict(cfg), str(folder) if folder else None, "cpu")
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+import tyro
 from mjlab.rl import RslRlVecEnvWrapper
 
 from renet.cli import parse
@@ -92,16 +93,17 @@ def test_differs_in_the_layers_it_names(row):
 
 
 def test_the_pages_options_change_exactly_the_field_they_name():
-    """Each row of the table in docs/method.md, through the parser of `renet train`."""
+    """Each row of the table in docs/method.md; the parser of `renet train` reads one of them."""
     page = (Path(__file__).parents[2] / "docs" / "method.md").read_text()
     options = r"^\| ([\w/ ()-]+?) \| `(--agent\.model\.[^`]+)` \|"
     table = dict(re.findall(options, page, re.MULTILINE))
     assert set(table) == (set(ROWS) - {"default"}), "every row of the table is documented"
-    default = TrainCfg.from_task("Renet-Go1-Flat")
     for name, line in table.items():
-        cfg = parse(TrainCfg, ["Renet-Go1-Flat", *line.split()], "")
-        before = asdict(default.agent.model)
-        model = asdict(cfg.agent.model).items()
-        assert {key: value for key, value in model if before[key] != value} == ROWS[name].fields
-        assert replace(cfg.agent, model=default.agent.model) == default.agent
-        assert described(cfg.env) == described(default.env)
+        options = line.replace("--agent.model.", "--").split()
+        model = tyro.cli(ModelCfg, args=options, config=TrainCfg.tyro_flags)
+        assert model == ModelCfg(**ROWS[name].fields)
+    default = TrainCfg.from_task("Renet-Go1-Flat")
+    cfg = parse(TrainCfg, ["Renet-Go1-Flat", *table["One Obs"].split()], "")
+    assert cfg.agent.model == replace(default.agent.model, history=1)
+    assert replace(cfg.agent, model=default.agent.model) == default.agent
+    assert described(cfg.env) == described(default.env)

@@ -8,6 +8,7 @@ import torch
 
 from renet.models.config import ModelCfg
 from renet.training import precision
+from renet.training.config import NP3OCfg
 from renet.training.precision import computed_in, keep_freed_memory, learning_type, side_by_side
 
 from ..forked import fork
@@ -27,7 +28,8 @@ def test_bfloat16_learns_what_single_precision_learns(two_threads):
     losses, models = [], []
     for kind in ("float32", "bfloat16"):
         env = ToyEnv(num_envs=16)
-        alg = make_runner(env, model=ModelCfg(critic_hidden=(64, 64)), precision=kind).alg
+        small = ModelCfg(critic_hidden=(64, 64))
+        alg = make_runner(env, model=small, precision=kind, algorithm=NP3OCfg()).alg
         before = alg.model.state_dict()["critics.reward.0.weight"].clone()
         collect(alg, env)
         losses.append(alg.update())
