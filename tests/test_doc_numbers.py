@@ -169,3 +169,20 @@ def test_the_leaderboard_of_version_2():
         assert ahead.split(" (")[0] == points
         assert ahead.split(" (")[1].strip(")") in text
     assert f"differ by {float(rows[0][3]) - float(rows[-1][3]):.1f} points" in text
+
+
+@pytest.mark.parametrize(
+    ("row", "mode"),
+    [("RENet", "renet"), ("VP on black images", "vp"), ("switch that knows", "oracle-switch")],
+)
+def test_robots_that_cross_with_black_cameras(row, mode):
+    (shown,) = (line[1:] for line in cells("memory.md", "Measure it") if line[0] == row)
+    counts = [
+        [
+            run["crossed"]
+            for run in result(f"shipped/{name}.json")["runs"]
+            if (run["mode"], run["without_s"]) == (mode, 6)
+        ]
+        for name in ("blackout_on_the_way", "blackout")
+    ]
+    assert shown == [f"{early} / {late}" for early, late in zip(*counts, strict=True)]
