@@ -37,7 +37,12 @@ FEATURES = {
         "evaluation/calibrate_memory.py",
         "evaluation/studies/memory.py",
     ),
-    "benchmark_2": ("evaluation/studies/crossing.py", "evaluation/studies/camera_use.py"),
+    "benchmark_2": (
+        "evaluation/studies/crossing.py",
+        "evaluation/studies/camera_use.py",
+        "evaluation/studies/one_try.py",
+    ),
+    "films": ("evaluation/report/painter.py",),
 }
 """Files in src/renet that serve one feature alone, counted apart as well; the rest is the core."""
 
