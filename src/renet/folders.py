@@ -123,13 +123,13 @@ def move(source: Path, target: Path) -> None:
 def lock(folder: Path) -> Iterator[None]:
     """Make a folder and keep other programs that lock it out; the kernel unlocks it at the end.
 
-    A folder that it made and that is still empty then is removed.
+    Folders that it made, parents too, and that are still empty then are removed.
 
     Raises:
         RenetError: another program holds it, or it cannot be made.
     """
     try:
-        made = not folder.exists()
+        made = [path for path in (folder, *folder.parents) if not path.exists()]
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError as error:
@@ -147,8 +147,8 @@ def lock(folder: Path) -> Iterator[None]:
             yield
         finally:
             with suppress(OSError):
-                if made:
-                    folder.rmdir()
+                for path in made:
+                    path.rmdir()
     finally:
         os.close(descriptor)
 
