@@ -42,6 +42,8 @@ def test_each_monitor_objects_to_its_fault_alone(name, threshold, bad):
 
 
 def test_what_a_camera_has_not_given_yet_is_not_needed():
+    every = Scorer(1).scores(seen(robots=1, map_error=np.zeros(1)))
+    assert every.shape == (len(MONITORS), 1)
     scores = Scorer(1).scores(SelectorInput(np.array([0.3])), ["reconstruction", "uniformity"])
     np.testing.assert_array_equal(scores, [[0.3], [0.0]])
 
