@@ -9,7 +9,6 @@ What is measured, with the curriculum's curves, is in `--results`, a file a row 
 
 from __future__ import annotations
 
-import hashlib
 import io
 from collections.abc import Sequence
 from contextlib import redirect_stderr
@@ -18,27 +17,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 import tyro
 from scipy import stats
 
 from baselines import cheng, zhuang
+from baselines.checkpoint_policy import CheckpointEvaluator
 from baselines.distillation import STUDENT_TASK, DistillationCfg, Stage, StudentCfg
 from facts import errors_in_one_line
 from recipe_curves import level_curves
 from renet.errors import RenetError
-from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.results import Provenance, plain, read_results, write_json
+from renet.evaluation.results import plain, read_results, write_json
 from renet.evaluation.studies.terrain import TABLE, TerrainStudy
-from renet.interface import STEPS_PER_TICK
-from renet.models.actor_critic import fuse
 from renet.models.config import ModelCfg
-from renet.models.memory import EstimatorMemory
-from renet.models.renet import RENet
-from renet.tasks.robot_cfg import ACTION_CLIP
 from renet.training import checkpoint as checkpoints
 from renet.training.config import from_dict, steps_per_env
-from renet.training.export import load_networks
 from renet.training.train import TrainCfg, train
 
 MEASURES = ("gap", "platform", "stairs", "collisions", "lin_vel_reward")
@@ -224,64 +216,6 @@ def progress(cfg: Cfg, row: Row) -> tuple[int, float, bool]:
             steps, seconds = steps - begun["steps"], seconds - begun["seconds"]
         steps, seconds = steps + state["steps"], seconds + state["seconds"]
     return steps, seconds, complete
-
-
-class CheckpointPolicy:
-    """A checkpoint's actor and estimators in torch, with the simulator's truth for the Oracle."""
-
-    def __init__(self, model: RENet, evaluator: CheckpointEvaluator, num_robots: int) -> None:
-        self._model, self._evaluator = model, evaluator
-        self.anomaly_score = np.zeros(num_robots)
-        self.reset()
-
-    def reset(self, mask: np.ndarray | None = None) -> None:
-        """Forget the past of the masked robots [N], of all by default."""
-        if mask is None:
-            self._memory = EstimatorMemory(self._model.cfg, len(self.anomaly_score), "cpu")
-            self._steps = 0
-        else:
-            self._memory.reset(torch.from_numpy(mask))
-
-    @torch.no_grad()
-    def step(
-        self, proprioception: np.ndarray, depth: np.ndarray, op_mask: np.ndarray
-    ) -> np.ndarray:
-        """Mean actions [N, 12]; estimators tick at 10 Hz."""
-        sensed = torch.from_numpy(proprioception)
-        self._memory.push(sensed)
-        if self._steps % STEPS_PER_TICK == 0:
-            self._memory.see(torch.from_numpy(depth))
-            self._memory.tick(self._model.advance)
-        self._steps += 1
-        if self._model.cfg.perception == "oracle":
-            truth = self._evaluator.env.observation
-            latent = torch.cat((truth["height_map"], truth["velocity"]), dim=-1)
-        else:
-            memory = self._memory
-            latent = fuse(memory.latent_op, memory.latent_vp, torch.from_numpy(op_mask))
-        return self._model.actor(sensed, latent.float()).clamp(-ACTION_CLIP, ACTION_CLIP).numpy()
-
-
-class CheckpointEvaluator(Evaluator):
-    """Judges a checkpoint, also one that cannot be exported."""
-
-    def __init__(self, path: Path) -> None:
-        """Load a checkpoint; raises RenetError where it is damaged."""
-        super().__init__()
-        self._model = load_networks(path)
-        self._name = path.name
-        digest = hashlib.sha256()
-        for name, value in sorted(checkpoints.load(path).exported.items()):
-            digest.update(name.encode() + value.numpy().tobytes())
-        self._digest = digest.hexdigest()
-
-    def make_policy(self, num_robots: int) -> CheckpointPolicy:
-        """The policy for N robots of the newest environment."""
-        return CheckpointPolicy(self._model, self, num_robots)
-
-    def provenance(self, seed: int) -> Provenance:
-        """The checkpoint's name and hash in place of a bundle's."""
-        return Provenance(self._name, self._digest, "native", seed)
 
 
 def stage_curves(cfg: Cfg, row: Row, stage: Stage) -> list[dict[str, float]]:

@@ -142,7 +142,7 @@ COMMANDS = {
         presets={
             "success": "renet.evaluation.studies.terrain:SuccessStudy",
             "dawn": "renet.evaluation.studies.terrain:DawnStudy",
-            "standing": "renet.evaluation.studies.terrain:StandingStudy",
+            "standing": "renet.evaluation.studies.standing:StandingStudy",
         },
         resume=KEPT,
     ),

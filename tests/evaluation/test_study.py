@@ -20,7 +20,8 @@ from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.memory import MemoryStudy
 from renet.evaluation.studies.noise import NoiseStudy
-from renet.evaluation.studies.terrain import StandingStudy, SuccessStudy, TerrainStudy
+from renet.evaluation.studies.standing import StandingStudy
+from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
 from renet.evaluation.study import Study
 from renet.registry import register_tasks
 from renet.tasks.config.go1 import GO1

@@ -22,7 +22,8 @@ from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.memory import MemoryStudy
 from renet.evaluation.studies.noise import NoiseStudy
-from renet.evaluation.studies.terrain import StandingStudy, SuccessStudy, TerrainStudy
+from renet.evaluation.studies.standing import StandingStudy
+from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
 from renet.evaluation.study import Study
 from renet.interface import Engine
 

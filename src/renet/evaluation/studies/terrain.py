@@ -1,14 +1,13 @@
 """The terrain study: which tiles a policy crosses, level by level.
 
 Every level of a kind of tile is walked at once, in every mode, and judged by true poses. The study
-has three protocols:
+has two protocols:
 
 - `terrain` is the paper's table. Robots walk in a random direction and start again in the middle
   after a fall. One passes a level when it leaves the tile within the time; its highest level is the
   number of levels passed in a row from the first, 0 to 10. As many robots walk on flat ground.
 - `success` gives each robot one try, straight at the obstacle, with a camera that may fail. It
   succeeds when it leaves the tile within the time without a fall.
-- `standing` commands robots to stop.
 """
 
 from __future__ import annotations
@@ -38,11 +37,6 @@ if TYPE_CHECKING:
 
 TABLE = {"gap": ("gap",), "platform": ("platform",), "stairs": ("stairs_up", "stairs_down")}
 """The paper's columns, and the tiles each is the mean of."""
-WALK, SETTLE = 3.0, 1.5
-"""Seconds before the command to stand, and seconds that a robot then has for stopping."""
-DRIFT, MOVING = 0.1, 0.2
-"""A robot stands still that drifts less than this, m, with joints slower than this on average,
-rad/s, from the moment it has had time to stop."""
 SIZES = {
     "gap": "gap width",
     "platform": "platform height",
@@ -306,92 +300,6 @@ class DawnStudy(SuccessStudy):
     }
 
 
-@dataclass(frozen=True)
-class StandingStudy(TerrainStudy):
-    """Whether a robot that is commanded to stand after 3 s does, and stands still.
-
-    The paper's second level of commands (Method C) asks for it on uneven ground, where goal-guided
-    rewards otherwise leave a robot stepping on the spot.
-    """
-
-    out: Path = Path("results/standing")
-    """Folder for summary.json, summary.csv and parts/."""
-    kinds: tuple[Terrain, ...] = (FLAT, "rough", "obstacles", "stairs_up", "stairs_down")
-    """Ground to stop on."""
-    levels: tuple[int, ...] = (3,)
-    """Levels of the ground, 1 to 10."""
-    modes: tuple[Mode, ...] = ("vp", "op")
-    """Policy modes to compare."""
-    seconds: float = 6.0
-    """Time that a robot must stand, from 1.5 s after the command on."""
-
-    name: ClassVar[str] = "standing"
-    selectable: ClassVar[tuple[str, ...]] = ()
-    grounds: ClassVar[tuple[str, ...]] = (FLAT, *tiles())
-    twins: ClassVar[bool] = True
-    quick_levels: ClassVar[tuple[int, ...]] = (3,)
-    quick_robots: ClassVar[int] = 5
-
-    def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """All robots of every ground and mode, side by side."""
-        return {"runs": partial(self._stand, evaluator)}
-
-    def _stand(self, evaluator: Evaluator) -> Part:
-        groups = [
-            (kind, 1 if kind == FLAT else level, mode)
-            for kind in self.kinds
-            for level, mode in self.settings
-        ]
-        env, trials = self.robots_on(partial(self._make_env, evaluator), groups)
-        seconds = np.cumsum((WALK, SETTLE, self.seconds))
-        stop, settled, steps = np.round(seconds / CONTROL_DT).astype(int)
-
-        def command_to_stand(step: int) -> None:
-            if step + 1 == stop:
-                env.command(0.0)
-
-        rollout, title = evaluator.rollout(env, trials, self.seed), f"{len(trials)} robots stop"
-        trace = rollout.run(steps, title, film=range(len(trials)), on_step=command_to_stand)
-        assert trace.film is not None
-        drift, joint_speed = stillness(trace.film.poses, settled)
-        # One that fell or left its tile starts anew elsewhere, which is not standing.
-        fell, gone = (np.any(flags[stop:], axis=0) for flags in (trace.fell, trace.ended))
-        still = ~gone & (drift < DRIFT) & (joint_speed.mean(axis=0) < MOVING)
-        runs = []
-        numbers = np.arange(len(trials)).reshape(len(groups), -1)
-        for group, robots in zip(groups, numbers, strict=True):
-            stayed = robots[~gone[robots]]
-            runs.append(
-                dict(zip(("kind", "level", "mode"), group, strict=True))
-                | {
-                    "robots": len(robots),
-                    "still": int(still[robots].sum()),
-                    "falls": int(fell[robots].sum()),
-                    "drift_m": np.median(drift[stayed]) if stayed.size else None,
-                    "joint_speed_rad_per_s": joint_speed[:, stayed].mean() if stayed.size else None,
-                    "seed": self.seed,
-                }
-            )
-        return {"runs": runs}
-
-    def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """The rows, and the criteria of standing still."""
-        return {"runs": parts["runs"]["runs"], "drift_m": DRIFT, "moving_rad_per_s": MOVING}
-
-    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """No figures: the table says it all."""
-        return {}
-
-    def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """The rows."""
-        header = tuple(name for name in summary["runs"][0] if name != "seed")
-        rows = [
-            tuple(f"{run[n]:.3f}" if isinstance(run[n], float) else run[n] for n in header)
-            for run in summary["runs"]
-        ]
-        return [("Commanded to stand", header, rows)]
-
-
 def passed(trace: Trace) -> np.ndarray:
     """[N] bool: the robot left its tile at least once."""
     return np.any(trace.ended & ~trace.fell, axis=0)
@@ -412,19 +320,3 @@ def worse_than_op(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         and (blind := op.get((r["kind"], r["level"]))) is not None
         and r["success_rate"] < blind - 0.02
     ]
-
-
-def stillness(poses: np.ndarray, settled: int) -> tuple[np.ndarray, np.ndarray]:
-    """How far and how fast robots move that should stand.
-
-    Args:
-        poses: [T, N, 7 + joints] generalised positions at each control step.
-        settled: the control step from which on they should stand, 1 or later.
-
-    Returns:
-        Horizontal distance from where each was at `settled` to its last place, [N] m; mean speed of
-        its joints from then on, [T - settled, N] rad/s.
-    """
-    drift = np.linalg.norm(poses[-1, :, :2] - poses[settled, :, :2], axis=-1)
-    speed = np.abs(np.diff(poses[settled - 1 :, :, 7:], axis=0)).mean(axis=-1) / CONTROL_DT
-    return drift, speed

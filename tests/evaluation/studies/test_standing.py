@@ -1,0 +1,22 @@
+import numpy as np
+
+from renet.evaluation.studies.standing import stillness
+
+
+def test_drift_counts_from_when_robots_should_stand_and_joints_all_along() -> None:
+    poses = np.zeros((4, 1, 9))
+    poses[:, 0, 0] = (0.0, 3.0, 3.0, 3.3)
+    poses[:, 0, 1] = (0.0, 0.0, 0.0, 0.4)
+    poses[:, 0, 7] = (0.0, 0.02, 0.02, 0.0)
+    drift, speed = stillness(poses, settled=1)
+    np.testing.assert_allclose(drift, 0.5)
+    np.testing.assert_allclose(speed[:, 0], (0.5, 0.0, 0.5), atol=1e-12)
+
+
+def test_robots_that_stop_stand_and_restless_ones_do_not(run_study) -> None:
+    _, summary = run_study("standing")
+    assert [(run["kind"], run["level"], run["mode"]) for run in summary["runs"]] == [
+        (*place, mode) for place in (("flat", 1), ("stairs_up", 3)) for mode in ("vp", "op")
+    ]
+    assert {(run["robots"], run["still"], run["falls"]) for run in summary["runs"]} == {(2, 1, 0)}
+    assert all(run["drift_m"] == 0 for run in summary["runs"])
