@@ -1,5 +1,7 @@
 """The simulated environment: tiles, twins, and physical faults, which change rays alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,7 @@ def quiet(cfg):
     """A study's world whose camera has no noise and a nominal mount."""
     camera = next(sensor for sensor in cfg.scene.sensors if sensor.name == DEPTH_CAMERA)
     camera.noise.relative_std = camera.noise.gaussian_std = 0.0
-    camera.mount.position_error = camera.mount.angle_error = 0.0
+    camera.mount = replace(camera.mount, position_error=0.0, angle_error=0.0)
     return cfg
 
 

@@ -99,6 +99,13 @@ def test_op_takes_over_when_memory_is_too_old_and_hands_back_after_the_dwell():
     assert set(walk.run(5) + walk.run(3, variance=9.0) + walk.run(5)) == {BLIND}
 
 
+def test_the_reason_stays_that_of_the_first_image_withheld_when_op_takes_over():
+    walk = Walk()
+    # Images that stay black are soon frozen too.
+    assert walk.run(30, image=np.zeros((1, 48, 64)))[-1] == BLIND
+    assert walk.selector.reason[0] == "the image is blank"
+
+
 @pytest.mark.parametrize(
     ("given", "reason"),
     [

@@ -125,7 +125,8 @@ export class Selector {
       this.returned = now;
     }
     if (this.vision && good) this.reason = "";
-    const ceasing = leaving || (this.longestMemory > 0 && !good && !this.reason);
+    const stale = this.reason && verdicts.every((verdict, i) => verdict || this.monitors[i].ofImage);
+    const ceasing = (leaving && !stale) || (this.longestMemory > 0 && !good && !this.reason);
     const objection = verdicts.indexOf(false);
     if (ceasing && !(good && healthy) && objection >= 0) this.reason = this.monitors[objection].reason;
     return this.vision;

@@ -192,9 +192,10 @@ class MonitorSelector:
         self._returned[returning] = now
         self.vision = (self.vision & likely) | returning
         self.reason[self.vision & good] = ""
-        # With a memory the reason is that of the first image withheld, not that memory is stale.
+        # Where memory is stale the reason stays that of the first image withheld.
+        stale = leaving & (self.reason != "") & verdicts[~self._of_image].all(axis=0)
         ceasing = ~good & (self.reason == "") if self.longest_memory else leaving
-        self._explain(~(good & healthy) & (leaving | ceasing), verdicts)
+        self._explain(~(good & healthy) & (leaving & ~stale | ceasing), verdicts)
         return self.vision
 
     def _explain(self, robots: np.ndarray, verdicts: np.ndarray) -> None:

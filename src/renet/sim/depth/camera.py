@@ -18,9 +18,12 @@ from renet.sim.depth.rasterizer import scanner
 from renet.sim.depth.ray_sensor import RaySensor
 
 
-@dataclass
+@dataclass(frozen=True)
 class MountCfg:
-    """Pose of the camera on its body, and its errors, which are drawn for each episode."""
+    """Pose of the camera on its body, and its errors, which are drawn for each episode.
+
+    Frozen, since all tasks of a robot share it.
+    """
 
     position: tuple[float, float, float] = (0.27, 0.0, 0.03)
     """Position in the body frame, m (on the head, as in published Go1 parkour policies)."""
