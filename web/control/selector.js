@@ -125,9 +125,10 @@ export class Selector {
       this.returned = now;
     }
     if (this.vision && good) this.reason = "";
-    const stale = this.reason && verdicts.every((verdict, i) => verdict || this.monitors[i].ofImage);
-    const ceasing = (leaving && !stale) || (this.longestMemory > 0 && !good && !this.reason);
-    const objection = verdicts.indexOf(false);
+    const ceasing = leaving || (this.longestMemory > 0 && !good && !this.reason);
+    // Of the images the first that was withheld has spoken.
+    const mute = (i) => this.reason && this.monitors[i].ofImage;
+    const objection = verdicts.findIndex((verdict, i) => !verdict && !mute(i));
     if (ceasing && !(good && healthy) && objection >= 0) this.reason = this.monitors[objection].reason;
     return this.vision;
   }

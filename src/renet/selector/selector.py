@@ -185,6 +185,9 @@ class MonitorSelector:
         self.probability = low_pass(self.probability, healthy, self.spec.gamma, due)
         likely = self.probability > VISION_THRESHOLD
         self._good_since = np.where(good & healthy, np.minimum(self._good_since, now), np.inf)
+        if (self.vision & likely & good & healthy).all():  # As almost always.
+            self.reason[:] = ""
+            return self.vision
         leaving = self.vision & ~likely
         dwelt = now - self._good_since >= self.dwell - 1e-9
         rested = now - self._returned >= self.between_returns - 1e-9
@@ -192,17 +195,18 @@ class MonitorSelector:
         self._returned[returning] = now
         self.vision = (self.vision & likely) | returning
         self.reason[self.vision & good] = ""
-        # Where memory is stale the reason stays that of the first image withheld.
-        stale = leaving & (self.reason != "") & verdicts[~self._of_image].all(axis=0)
         ceasing = ~good & (self.reason == "") if self.longest_memory else leaving
-        self._explain(~(good & healthy) & (leaving & ~stale | ceasing), verdicts)
+        self._explain(~(good & healthy) & (leaving | ceasing), verdicts)
         return self.vision
 
     def _explain(self, robots: np.ndarray, verdicts: np.ndarray) -> None:
         """Set the reason of the masked robots [N] to that of the first monitor that objects."""
-        for robot in np.flatnonzero(robots & ~verdicts.all(axis=0)):
-            name = [*self.thresholds][int(verdicts[:, robot].argmin())]
-            self.reason[robot] = MONITORS[name].reason
+        for robot in np.flatnonzero(robots):
+            objects = ~verdicts[:, robot]
+            if self.reason[robot]:  # Of the images the first that was withheld has spoken.
+                objects &= ~self._of_image
+            if objects.any():
+                self.reason[robot] = MONITORS[[*self.thresholds][objects.argmax()]].reason
 
     def _judge(
         self, verdicts: np.ndarray, seen: SelectorInput, now: float
@@ -215,7 +219,7 @@ class MonitorSelector:
         self._last_good = np.where(good, now, self._last_good)
         self.without_image = now - self._last_good
         remembered = self.without_image <= self.longest_memory
-        return good, np.logical_and.reduce([remembered, *verdicts[~self._of_image]])
+        return good, remembered & verdicts[~self._of_image].all(axis=0)
 
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Use vision again and forget the past of the masked robots [N], by default of all."""

@@ -53,24 +53,26 @@ class Readings:
 
 
 def jump_problem(last: RobotState, state: RobotState, passed: float) -> str:
-    """Name the joint that turned farther in `passed` seconds than its speeds say; empty if none.
+    """Name a joint that turned farther in `passed` seconds than its speeds say; empty if none.
 
     Between two readings a speed can leave the range of both by what the motor's acceleration makes
     of the time, so that the turn is free within a distance that grows with the time squared.
     """
-    turn = state.joint_position - last.joint_position
-    ends = passed * np.stack([last.joint_velocity, state.joint_velocity])
-    beyond = np.maximum(ends.min(axis=0) - turn, turn - ends.max(axis=0))
-    joint = int(np.argmax(beyond))
-    if beyond[joint] <= MAX_JUMP * max(passed / CONTROL_DT, 1.0) ** 2:
-        return ""
-    return f"{JOINTS[joint]} jumped by {abs(turn[joint]):.2f} rad at another speed"
+    limit = MAX_JUMP * max(passed / CONTROL_DT, 1.0) ** 2
+    turns = (state.joint_position - last.joint_position).tolist()
+    speeds = zip(last.joint_velocity.tolist(), state.joint_velocity.tolist(), strict=True)
+    for joint, turn, ends in zip(JOINTS, turns, speeds, strict=True):
+        if max(passed * min(ends) - turn, turn - passed * max(ends)) > limit:
+            return f"{joint} jumped by {abs(turn):.2f} rad at another speed"
+    return ""
 
 
 def rotation_vector(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """The turn [3] rad from one attitude (w, x, y, z) to another, in the base frame."""
-    axis = before[0] * after[1:] - after[0] * before[1:] - np.cross(before[1:], after[1:])
-    cosine, sine = float(before @ after), math.hypot(*axis)
-    if cosine < 0.0:
-        cosine, axis = -cosine, -axis
-    return axis * (2.0 * math.atan2(sine, cosine) / sine) if sine else axis
+    w, x, y, z = before.tolist()
+    # The inverse of the one times the other, written out: np.cross takes five times as long.
+    product = np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]]) @ after
+    cosine, axis = product[0], product[1:]
+    sine = math.hypot(*axis)
+    angle = 2.0 * math.atan2(sine, abs(cosine))
+    return axis * math.copysign(angle / sine, cosine) if sine else axis
