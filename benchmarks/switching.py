@@ -1,12 +1,13 @@
 """What a switch of estimators does to the joints: target jumps, torque and slip beside other steps.
 
-Robots walk in MuJoCo under the real controller; their camera goes black for half a second, again
-and again, so that OP takes over and hands back. A step counts as a switch for `AFTER` s after it.
+Robots walk in MuJoCo under the real controller, without the selector's memory. Their camera goes
+black for half a second, at another time for each seed, so that OP takes over and hands back. A step
+counts as a switch for `AFTER` steps after it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -44,7 +45,7 @@ def walk(bundle: Bundle, terrain: str, seconds: float, seed: int) -> list[tuple]
     """(vision, jump, torque, slip) of each walking step."""
     model, ground = build_scene(terrain, 3, seed=seed)
     robot = MujocoRobot(model, bundle.manifest.robot, ground)
-    begins = np.arange(4.0, seconds, 7.0)
+    begins = np.arange(4.0 + np.random.default_rng(seed).random(), seconds, 7.0)
     faults = [parse_fault(f"blackout@{begin:g}s+0.5s") for begin in begins]
     camera = FaultyCamera(SimCamera(robot, bundle.manifest.camera, seed), faults, robot.now, seed)
     controller, rows = Controller(bundle), []
@@ -80,12 +81,18 @@ def walk(bundle: Bundle, terrain: str, seconds: float, seed: int) -> list[tuple]
     return rows
 
 
+def without_memory(bundle: Bundle) -> Bundle:
+    """A bundle whose selector hands over to OP as soon as its filter lets it."""
+    selector = replace(bundle.manifest.selector, longest_memory=0.0)
+    return replace(bundle, manifest=replace(bundle.manifest, selector=selector))
+
+
 def main(cfg: Cfg) -> None:
     bundle, results = Bundle.load(), {}
     for terrain in cfg.terrains:
         first, after, others = [], [], []
         for seed in range(1, cfg.seeds + 1):
-            rows = walk(bundle, terrain, cfg.seconds, seed)
+            rows = walk(without_memory(bundle), terrain, cfg.seconds, seed)
             vision = np.array([row[0] for row in rows])
             numbers = np.array([row[1:] for row in rows])
             switched = np.flatnonzero(vision[1:] != vision[:-1]) + 1
