@@ -35,3 +35,4 @@ figure margins/margins.png margins.png
 figure course/passages.png passages.png
 figure filter/filter.png filter.png
 figure severity_5/crossed.png crossed.png
+python tools/tables.py --fill

@@ -1,0 +1,146 @@
+"""Hold the documents' tables about the policy that ships to the files of its results.
+
+    python tools/tables.py           name the rows that differ from their results; exit code 1
+    python tools/tables.py --fill    write them
+
+The first cell of a row says what the row is about; the others are filled. Rows are neither added
+nor removed, except those of a leaderboard.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from renet.evaluation.studies.benchmark import read_result
+from renet.evaluation.studies.crossing import ranking
+from renet.evaluation.studies.leaderboard import paired
+
+ROOT = Path(__file__).parent.parent
+RESULTS = ROOT / "benchmarks" / "results"
+GROUNDS = ("flat", "stairs_up", "stairs_down", "obstacles", "platform", "gap")
+MODES = {
+    "VP alone": "vp",
+    "VP on black images": "vp",
+    "RENet": "renet",
+    "OP alone": "op",
+    "OP": "op",
+    "switch that knows": "oracle-switch",
+}
+"""Modes of the studies, by their name in the tables."""
+LEADERBOARD = ("go1-parkour", "without-memory", "return", "gate", "playground")
+
+
+@cache
+def result(name: str) -> Any:
+    """A result file of the policy that ships."""
+    return json.loads((RESULTS / "shipped" / f"{name}.json").read_text())
+
+
+def crossed(label: str) -> list[str]:
+    """VP, RENet and OP in the fault benchmark, per cent, and RENet less VP, by ground."""
+    study = result("severity_5")
+    grounds = GROUNDS[1:] if label == "all but flat" else (label.replace(" ", "_"),)
+    means = []
+    for mode in ("vp", "renet", "op"):
+        shares = [
+            row["measures"]["crossed"]["value"]
+            for row in study["settings"]
+            if row["mode"] == mode and row["ground"] in grounds
+        ]
+        means.append(f"{100 * np.mean(shares):.1f}")
+    ahead = {ground: cell for ground, cell, _ in paired(study)[2]}
+    key = "all but the first" if len(grounds) > 1 else grounds[0]
+    return [*means, ahead[key].replace("-", "−")]
+
+
+def grass(label: str) -> list[str]:
+    """How many robots' images are withheld among so many blades, by ground."""
+    severity = 1 + ("8", "20", "45", "90", "180").index(label.split(", ")[0])
+    runs = [run for run in result("grass")["runs"] if run["severity"] == severity]
+    return [str(sum(r["detected"] for r in runs if r["ground"] == ground)) for ground in GROUNDS]
+
+
+def standing(label: str) -> list[str]:
+    """How many stand still, with VP and with OP, on each ground of the label."""
+    still = {(run["kind"], run["mode"]): str(run["still"]) for run in result("standing")["runs"]}
+    kinds = [kind.replace(" ", "_") for kind in label.split(", ")]
+    return [", ".join(still[kind, mode] for kind in kinds) for mode in ("vp", "op")]
+
+
+def course(label: str) -> list[str]:
+    """Kilometres, falls, times stuck and passages of the course."""
+    (row,) = (row for row in result("course")["totals"] if row["mode"] == MODES[label])
+    kilometres, falls = row["distance_m"] / 1000, str(row["falls"])
+    if not row["falls"]:  # The exact limit of Poisson's distribution.
+        falls = f"0 (95 % limit {-math.log(0.05) / kilometres:.1f} per km)"
+    passages = f"{row['crossed']} of {row['passages']}"
+    return [f"{kilometres:.2f} km", falls, str(row["stuck"]), passages]
+
+
+def black(label: str) -> list[str]:
+    """Who crosses with a black camera, from 1.5 s and from 0.5 s before the edge on."""
+    counts = []
+    for name in ("blackout_on_the_way", "blackout"):
+        seconds = 0 if label in ("OP", "healthy camera") else 6
+        mode = MODES.get(label, "renet")
+        runs = [r for r in result(name)["runs"] if (r["mode"], r["without_s"]) == (mode, seconds)]
+        counts.append([str(run["crossed"]) for run in runs])
+    if label in ("OP", "healthy camera"):  # When the camera fails is nothing to them.
+        return counts[0]
+    return [" / ".join(pair) for pair in zip(*counts, strict=True)]
+
+
+TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
+    ("pretrained.md", "The fault benchmark"): crossed,
+    ("pretrained.md", "Grass"): grass,
+    ("pretrained.md", "Standing"): standing,
+    ("pretrained.md", "A course"): course,
+    ("memory.md", "Measure it"): black,
+    ("crossing.md", "Results"): None,
+}
+"""What fills the cells of a row, given its first one, by page and heading; the first table counts.
+None: a leaderboard, whose rows are all new."""
+
+
+def leaderboard() -> list[list[str]]:
+    """The rows of version 2's leaderboard, best first, of the entries that have a file."""
+    files = [RESULTS / "leaderboard_2" / f"{name}.json" for name in LEADERBOARD]
+    return [list(row) for row in ranking([read_result(f) for f in files if f.exists()])[2]]
+
+
+def filled(page: str, heading: str, fill: Callable[[str], list[str]] | None = None) -> str:
+    """A page whose first table under a heading has today's numbers; without `fill` new rows."""
+    text = page.split("\n")
+    below = next(i for i, line in enumerate(text) if re.fullmatch(rf"#+ {heading}", line))
+    top = next(i for i in range(below, len(text)) if text[i].startswith("|---")) + 1
+    end = next(i for i in range(top, len(text)) if not text[i].startswith("|"))
+    labels = [line.strip("| ").split(" | ")[0] for line in text[top:end]]
+    rows = [[label, *fill(label)] for label in labels] if fill else leaderboard()
+    return "\n".join([*text[:top], *(f"| {' | '.join(row)} |" for row in rows), *text[end:]])
+
+
+def main(arguments: list[str], docs: Path = ROOT / "docs") -> int:
+    """Compare or fill; 1 if a page differs from its results and is not to be filled."""
+    wrong = 0
+    for (name, heading), fill in TABLES.items():
+        page = (docs / name).read_text()
+        new = filled(page, heading, fill)
+        if "--fill" in arguments:
+            (docs / name).write_text(new)
+        elif new != page:
+            print(f"{name}, {heading}: other numbers than its results; run tools/tables.py --fill")
+            wrong = 1
+    return wrong
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
