@@ -30,9 +30,8 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 # Optional extras, of which the documentation needs only the docstrings.
 autodoc_mock_imports = ["pybullet", "pyrealsense2", "scipy", "unitree_legged_sdk"]
-# Diagrams are Mermaid's, which GitHub draws and Pygments does not know; packages offer again what
-# their modules define.
-suppress_warnings = ["misc.highlighting_failure", "ref.python"]
+# Packages offer again what their modules define.
+suppress_warnings = ["ref.python"]
 
 EMBEDDED = """```{raw} html
 <iframe src="demo/" title="Break its camera" loading="lazy"
