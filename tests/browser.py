@@ -51,7 +51,7 @@ def watch(page: Page) -> tuple[list[str], list[str]]:
     return complaints, requests
 
 
-def compare(screenshot: bytes, golden: Path) -> None:
+def compare(screenshot: bytes, golden: Path, worst: float = WORST) -> None:
     """Fail where a screenshot is blank, or looks otherwise than a small golden picture.
 
     To make that anew, delete it, run the test, and look at what it wrote.
@@ -69,4 +69,4 @@ def compare(screenshot: bytes, golden: Path) -> None:
     rows, columns = (side // COARSER for side in difference.shape)
     whole = difference[: COARSER * rows, : COARSER * columns]
     blocks = whole.reshape(rows, COARSER, columns, COARSER).mean(axis=(1, 3))
-    assert blocks.max() < WORST, np.unravel_index(blocks.argmax(), blocks.shape)
+    assert blocks.max() < worst, np.unravel_index(blocks.argmax(), blocks.shape)

@@ -1,5 +1,6 @@
 """The README's film: whole, and of the story that its caption tells."""
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 from renet.palette import REMEMBERS, SEES, rgb
+from tests.browser import compare
 
 FILM = Path(__file__).parents[1] / "docs" / "figures" / "walk.webp"
 
@@ -54,3 +56,10 @@ def test_the_right_robot_remembers_and_the_left_one_believes_and_falls(
     changes = np.abs(np.diff(pictures[:, 24:-24, :width], axis=0)).mean(axis=(1, 2, 3))
     assert changes[:30].min() > 0.5
     assert changes[-5:].max() < 0.5
+
+
+def test_start_leap_fall_and_end_look_like_their_golden_pictures(pictures: np.ndarray) -> None:
+    """Below one another; the file decodes to the same pictures everywhere."""
+    chosen = np.concatenate(pictures[[0, 29, 58, -1]]).astype(np.uint8)
+    Image.fromarray(chosen).save(stream := io.BytesIO(), "PNG")
+    compare(stream.getvalue(), FILM.parents[2] / "tests" / "golden" / "film.png", worst=6.0)
