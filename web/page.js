@@ -1,7 +1,7 @@
 // "Break its camera": two copies of one robot, the same start, the same ground, the same fault.
 
 import { Controls } from "./panel/controls.js";
-import { sceneLink } from "./panel/link.js";
+import { bundleLink, sceneLink } from "./panel/link.js";
 import { Panel } from "./panel/panel.js";
 import { drawDepth } from "./panel/plots.js";
 import { BEFORE, Story } from "./panel/story.js";
@@ -29,7 +29,8 @@ export class Page {
     this.slowUntil = 0;
     this.notice = scene.unknown.length ? `The link asks for ${scene.unknown.join(" and ")}: not here.` : "";
     const { contract, manifest, bundle } = runtime;
-    for (const [state, { colour }] of Object.entries(contract.palette)) {
+    const { bundles, palette } = contract;
+    for (const [state, { colour }] of Object.entries(palette)) {
       document.documentElement.style.setProperty(`--${state}`, colour);
     }
     const slots = [...document.querySelectorAll(".slot")];
@@ -46,9 +47,10 @@ export class Page {
     this.controls = new Controls(this);
     this.addFaults(contract.faults);
     fillSelect($("#ground"), bundle.grounds, (name) => this.setGround(name));
-    fillSelect($("#bundle"), contract.bundles, (name) => (location.search = `?bundle=${name}`));
-    $("#bundle").value = bundle.name;
-    $("#bundle").hidden = contract.bundles.length < 2;
+    const visit = (n) => (location.search = bundleLink(bundles[n], bundles));
+    fillSelect($("#bundle"), bundles.map(({ title }, n) => ({ name: n, title })), visit);
+    $("#bundle").selectedIndex = bundles.indexOf(bundle);
+    $("#bundle").hidden = bundles.length < 2;
     for (const button of ["#explain", "#close"]) $(button).addEventListener("click", () => this.explain());
     $("#about").textContent =
       `Bundle ${bundle.name} (${bundle.robot}) of ${manifest.provenance.date}, renet ${contract.renet}. ` +

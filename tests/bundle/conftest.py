@@ -11,6 +11,7 @@ from renet.bundle.manifest import Manifest
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.selector import SelectorSpec
+from renet.tasks.config.go2 import GO2
 from renet.training.export import camera_spec, export_models, robot_spec
 
 
@@ -40,3 +41,10 @@ def bundle(tmp_path_factory, models, manifest) -> Bundle:
     """Untrained networks reconstruct badly: the largest beta, so that only real faults count."""
     easy = replace(manifest, selector=SelectorSpec(beta=0.25))
     return Bundle.load(write_bundle(tmp_path_factory.mktemp("b") / "bundle", models, easy))
+
+
+@pytest.fixture(scope="session")
+def go2_bundle(tmp_path_factory, models) -> Path:
+    """The same networks, for the Go2."""
+    manifest = Manifest(robot_spec(GO2), camera_spec(GO2), SelectorSpec(beta=0.25))
+    return write_bundle(tmp_path_factory.mktemp("go2") / "untrained", models, manifest)

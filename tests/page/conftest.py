@@ -3,18 +3,18 @@ import shutil
 import subprocess
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from renet.bundle import Bundle, pretrained, read_manifest, write_manifest
+from renet.bundle import pretrained, read_manifest, write_manifest
 from renet.page.writer import WEB, PageCfg, write_page
 from renet.server import serve_folder
-from renet.training.export import ExportCfg, export
+from tests.bundle.conftest import go2_bundle, models, networks  # noqa: F401
 
-CHECKPOINT = pretrained("checkpoint")
 LIMIT = 300.0
 """Seconds after which a Node.js that does not end fails its test."""
 
@@ -37,15 +37,15 @@ def page(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session")
 def memory_bundle(tmp_path_factory) -> Path:
-    """The shipped checkpoint, whose VP may drive for a second and a half without an image."""
-    path = export(ExportCfg(checkpoint=CHECKPOINT, out=tmp_path_factory.mktemp("memory") / "b"))
-    manifest, shipped = read_manifest(path), Bundle.load().manifest.selector
-    write_manifest(path, replace(manifest, selector=replace(shipped, longest_memory=1.5)))
+    """The shipped bundle, whose VP may drive for a second and a half without an image."""
+    path = tmp_path_factory.mktemp("memory") / "b"
+    manifest = read_manifest(shutil.copytree(pretrained("go1-parkour"), path))
+    write_manifest(path, replace(manifest, selector=replace(manifest.selector, longest_memory=1.5)))
     return path
 
 
 @pytest.fixture(scope="session")
-def memory_page(page: Path, memory_bundle: Path, tmp_path_factory) -> Path:
+def memory_page(node_page: Path, memory_bundle: Path, tmp_path_factory) -> Path:
     """The page of that bundle."""
     out = tmp_path_factory.mktemp("memory-page") / "page"
     return write_page(PageCfg((memory_bundle,), out))
@@ -60,9 +60,22 @@ def node_page(page: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def address(page: Path) -> Iterator[str]:
-    """Where the page is served."""
+def robots_page(node_page: Path, go2_bundle: Path, tmp_path_factory) -> Path:  # noqa: F811
+    """The page of the shipped bundle and one of a Go2."""
+    out = tmp_path_factory.mktemp("robots-page") / "page"
+    return write_page(PageCfg((pretrained("go1-parkour"), go2_bundle), out))
+
+
+@contextmanager
+def served(page: Path) -> Iterator[str]:
     with serve_folder(page, 0) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{server.server_port}/"
         server.shutdown()
+
+
+@pytest.fixture(scope="session")
+def address(page: Path) -> Iterator[str]:
+    """Where the page is served."""
+    with served(page) as address:
+        yield address

@@ -5,15 +5,19 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page
 
+from renet.descriptions import GO2
+from renet.interface import LEGS, TRUNK
 from tests.browser import compare, open_browser, watch
+from tests.page.conftest import served
 
 GOLDEN = Path(__file__).with_name("golden")
 DESKTOP, PHONE = {"width": 1280, "height": 760}, {"width": 390, "height": 844}
-PARTS = ("h1", "nav", ".outcome", ".who select", ".eye", "#faults", ".drive")
+PARTS = ("h1", "nav > *", ".outcome", ".who select", ".eye", "#faults", ".drive")
 """What is laid over the stage, and must not lie upon each other."""
 
 
@@ -60,13 +64,19 @@ def browser() -> Iterator[Browser]:
         yield browser
 
 
+@pytest.fixture(scope="module")
+def robots_address(robots_page: Path) -> Iterator[str]:
+    with served(robots_page) as address:
+        yield address
+
+
 @pytest.fixture
 def visit(browser: Browser, address: str) -> Iterator[Any]:
     """Makes visits, each in a window of its own, and ends them without a complaint."""
     visits: list[Visit] = []
 
-    def make(query: str = "", size: dict[str, int] = DESKTOP) -> Visit:
-        visits.append(Visit(browser, address, query, size))
+    def make(query: str = "", size: dict[str, int] = DESKTOP, at: str = address) -> Visit:
+        visits.append(Visit(browser, at, query, size))
         return visits[-1]
 
     yield make
@@ -169,6 +179,43 @@ def test_drag_pushes_a_robot_and_turns_the_view_elsewhere(visit):
     one.until(f"Math.abs(renetPage.page.{eye} - {before}) > 0.05")
 
 
+def test_a_go2_stands_up_and_a_visitor_changes_to_the_go1(visit, robots_address: str):
+    one = visit("?robot=go2&ground=flat&fault=none", at=robots_address)
+    one.load("renetPage.page.simulations[0].walking")
+    masses = mujoco.MjModel.from_xml_path(str(GO2.mjcf)).body_mass
+    assert one.its("simulations[0].world.model.body_mass.slice(1)") == pytest.approx(masses[1:])
+    assert one.its("simulations[0].world.pose().position[2]") > 0.2
+    parts = [f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf")]
+    drawn = one.its("runtime.look.map(({ name }) => name.split('-')[0])")
+    assert {*drawn} == {TRUNK, *parts}, "by its own meshes"
+    one.page.select_option("#bundle", label="Go1 · go1-parkour")
+    one.until("globalThis.renetPage?.page.runtime.bundle.robot === 'Unitree Go1'")
+    assert "?robot=go1&ground=" in one.page.url
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.57])
+def test_a_robot_that_lies_in_a_gap_is_seen(visit, yaw: float):
+    one = visit("?ground=gap&fault=none")
+    one.page.route("**/*.onnx", lambda route: None)
+    one.load("renetPage.stats.first")
+    one.ask(
+        f"""const {{ view, simulations: [{{ world }}], scene: {{ ground }} }} = renetPage.page;
+        const x = (ground.obstacle[0] + ground.obstacle[1]) / 2, half = {yaw} / 2;
+        world.data.qpos.set([x, 0, -0.6, Math.cos(half), 0, 0, Math.sin(half)], world.free);
+        world.mujoco.mj_forward(world.model, world.data);
+        view.followed[0] = null;
+        renetPage.above = () => {{
+          const [eye, at] = [view.cameras[0].position, view.followed[0].position];
+          const share = Array.from({{ length: 50 }}, (_, n) => n / 50);
+          return share.every((s) => {{
+            const {{ x, y, z }} = eye.clone().lerp(at, s);
+            return z > view.terrain.heightAt(x, y);
+          }});
+        }}; 0"""
+    )
+    one.until("renetPage.page.view.followed[0]?.position.z < -0.5 && renetPage.above()")
+
+
 def test_link_that_asks_for_what_is_not_there_says_so(visit):
     one = visit("?ground=moon&fault=none&severity=9").load("renetPage.stats.first")
     one.until("document.querySelector('#message').textContent.includes('moon')")
@@ -188,11 +235,12 @@ def test_everything_can_be_reached_with_tab_and_has_a_name(visit):
     assert one.page.locator("#faults button:visible").count() == 11
 
 
-@pytest.mark.parametrize("name", ["desktop", "phone", "hood"])
-def test_first_picture_is_the_golden_one(visit, name: str):
+@pytest.mark.parametrize("name", ["desktop", "phone", "hood", "go2-desktop", "go2-phone"])
+def test_first_picture_is_the_golden_one(visit, address: str, robots_address: str, name: str):
     """Before the models have come, robots stand still."""
-    size = DESKTOP if name == "desktop" else PHONE
-    one = visit("?ground=gap&fault=blackout", size)
+    size, go2 = DESKTOP if "desktop" in name else PHONE, "go2" in name
+    at = robots_address if go2 else address
+    one = visit(f"?ground=gap&fault=blackout{'&robot=go2' if go2 else ''}", size, at)
     one.page.route("**/*.onnx", lambda route: None)
     one.load("renetPage.stats.pictures > 3 && renetPage.stats.loaded > 0.5")
     assert "%" in one.page.text_content("#message")

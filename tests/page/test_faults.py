@@ -12,6 +12,7 @@ from renet.bundle import Bundle
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import FLAT, build_scene
+from renet.descriptions import find_description
 from renet.faults import FAULTS, Frames
 from renet.page.contract import GROUNDS, OFFERED
 from renet.page.writer import WEB
@@ -88,13 +89,16 @@ def test_fault_does_what_the_catalogue_says(delivered, name: str, severity: int)
     assert (far <= 0.0).all(), far
 
 
+@pytest.mark.parametrize("number", [0, 1], ids=["go1", "go2"])
 @pytest.mark.parametrize("ground", [name for name in GROUNDS if name != FLAT])
-def test_camera_sees_what_the_runtimes_camera_sees(node_page: Path, ground: str):
-    model, height = build_scene(ground, GROUNDS[ground][1])
-    manifest = Bundle.load().manifest
+def test_camera_sees_what_the_runtimes_camera_sees(robots_page: Path, ground: str, number: int):
+    manifest = Bundle.load(robots_page / "bundles" / str(number)).manifest
+    description = find_description(manifest.robot.name)
+    model, height = build_scene(ground, GROUNDS[ground][1], robot=description)
     robot = MujocoRobot(model, manifest.robot, height)
     robot.data.qpos[0] = 1.0
     mujoco.mj_forward(robot.model, robot.data)
     its = SimCamera(robot, manifest.camera).depth().ravel()
     assert its.std() > 0.1
-    np.testing.assert_allclose(run_node("view.mjs", WEB, node_page, ground), its, atol=1e-4)
+    link = f"?robot={description.name.split()[1].lower()}&ground={ground}"
+    np.testing.assert_allclose(run_node("view.mjs", WEB, robots_page, link), its, atol=1e-4)

@@ -17,8 +17,10 @@ from renet import cli
 from renet.bundle import Bundle, pretrained, read_manifest, write_manifest
 from renet.bundle.manifest import Manifest
 from renet.deploy.robots.sim.scene import build_scene
+from renet.descriptions import GO1, GO2
 from renet.errors import RenetError
 from renet.files import MEGABYTE
+from renet.interface import TRUNK
 from renet.page.contract import GROUNDS, MAP_HEIGHT, contract
 from renet.page.writer import MARK, VENDOR, WEB, PageCfg, write_page
 from renet.sim.sensors import HeightMapCfg
@@ -125,20 +127,30 @@ def test_bad_bundle_leaves_the_earlier_page_as_it_was(tmp_path, runtime):
     assert sorted(tmp_path.rglob("*")) == before
 
 
+def test_two_bundles_of_one_name_are_refused(tmp_path, runtime):
+    bundle = Path(shutil.copytree(pretrained("go1-parkour"), tmp_path / "go1-parkour"))
+    with pytest.raises(RenetError, match="rename one of two"):
+        write_page(PageCfg((bundle, pretrained("go1-parkour")), tmp_path / "page", runtime))
+    assert not (tmp_path / "page").exists()
+
+
 @pytest.fixture(scope="module")
-def shared() -> dict[str, Any]:
-    return contract([Bundle.load()])
+def shared(go2_bundle) -> dict[str, Any]:
+    return contract([Bundle.load(), Bundle.load(go2_bundle)])
 
 
 ENDS = {"gap": (1.2, 1.57), "stairs_down": (1.5, 3.9), "stairs_up": (1.2, 3.6)}
 ENDS |= {"platform": (1.4, 2.8), "flat": None}
 
 
+@pytest.mark.parametrize("number", [0, 1], ids=["go1", "go2"])
 @pytest.mark.parametrize("terrain", GROUNDS)
-def test_grounds_are_those_of_the_runtime_and_obstacles_end_where_tiles_say(terrain, shared):
-    ground = next(g for g in shared["bundles"][0]["grounds"] if g["name"] == terrain)
+def test_grounds_are_the_runtimes_and_obstacles_end_where_tiles_say(terrain, number, shared):
+    bundle, robot = shared["bundles"][number], (GO1, GO2)[number]
+    ground = next(g for g in bundle["grounds"] if g["name"] == terrain)
     mine = mujoco.MjModel.from_xml_string(ground["xml"])
-    its, start = build_scene(terrain, GROUNDS[terrain][1])
+    its, start = build_scene(terrain, GROUNDS[terrain][1], robot=robot)
+    assert bundle["base"] == {"body": TRUNK, "height": robot.height}
     assert ground["start"] == start
     for name in ("geom_pos", "geom_size", "geom_group", "body_mass", "actuator_gainprm"):
         assert getattr(mine, name) == pytest.approx(getattr(its, name), rel=1e-5, abs=1e-5), name

@@ -1,4 +1,7 @@
-// The scene in the page's address: ?bundle=…&ground=gap&fault=blackout&severity=5
+// The scene in the page's address: ?robot=go2&bundle=…&ground=gap&fault=blackout&severity=5
+
+/** What an address calls a bundle's robot, "Unitree Go2": go2. */
+const nickname = ({ robot }) => robot.split(" ").at(-1).toLowerCase();
 
 /**
  * The scene that an address asks for.
@@ -15,7 +18,8 @@ export function readScene(search, { bundles, faults }) {
     if (name !== null && !choice) unknown.push(`${key} "${name.slice(0, 30)}"`);
     return choice ?? choices.find((one) => one.name === fallback) ?? choices[0];
   };
-  const bundle = choose("bundle", bundles, null);
+  const robot = asks.has("robot") && choose("robot", bundles.map((one) => ({ name: nickname(one) })), null).name;
+  const bundle = choose("bundle", bundles.filter((one) => !robot || nickname(one) === robot), null);
   const ground = choose("ground", bundle.grounds, bundle.opening.ground);
   const none = { name: "none", none: true };
   const fault = choose("fault", [...faults, none], bundle.opening.fault);
@@ -24,10 +28,18 @@ export function readScene(search, { bundles, faults }) {
   return { bundle, ground, fault: fault.none ? null : fault, severity, unknown };
 }
 
-/** The address that leads to a scene; one bundle needs no name. */
-export function sceneLink({ bundle, ground, fault, severity }, { bundles }) {
+/** What leads to one of several bundles: the robot where there are others, the name among its own. */
+export function bundleLink(bundle, bundles) {
   const asks = new URLSearchParams();
-  if (bundles.length > 1) asks.set("bundle", bundle.name);
+  const alike = bundles.filter((one) => nickname(one) === nickname(bundle));
+  if (alike.length < bundles.length) asks.set("robot", nickname(bundle));
+  if (alike.length > 1) asks.set("bundle", bundle.name);
+  return asks;
+}
+
+/** The address that leads to a scene. */
+export function sceneLink({ bundle, ground, fault, severity }, { bundles }) {
+  const asks = bundleLink(bundle, bundles);
   asks.set("ground", ground.name);
   asks.set("fault", fault?.name ?? "none");
   if (fault) asks.set("severity", severity);

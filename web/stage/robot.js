@@ -81,10 +81,12 @@ export class Robot {
     return node;
   }
 
-  /** A strip on the back in the colour of the state. */
+  /** A strip on the back, wherever that is, in the colour of the state. */
   addLamp() {
     const lamp = new THREE.Mesh(new THREE.BoxGeometry(0.2, 0.035, 0.012), new THREE.MeshBasicMaterial());
-    lamp.position.set(0, 0, 0.062);
+    this.trunk.updateMatrixWorld();
+    const down = new THREE.Raycaster(new THREE.Vector3(0, 0, 1), new THREE.Vector3(0, 0, -1));
+    lamp.position.copy(down.intersectObject(this.trunk)[0].point);
     lamp.renderOrder = 2;
     this.trunk.add(lamp);
     return lamp.material;

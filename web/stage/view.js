@@ -16,6 +16,8 @@ const START = [-1.35, -1.25, 0.62];
 /** Metres from a robot to the camera that follows it: ahead, left, up. */
 const LOWEST = 0.4;
 /** Metres of the camera above the ground under it, at least. */
+const BRIM = 0.6;
+/** Metres from a robot at which, on two opposite sides, the ground is above it in a gap alone. */
 const REACH = 0.45;
 /** Metres from a robot's middle at which a drag still takes hold of it. */
 const PUSH = [0.01, 1.5];
@@ -163,8 +165,13 @@ export class View {
     camera.aspect = aspect;
     const away = Math.max(1, aspect ** -0.6);
     camera.position.multiplyScalar(away).applyAxisAngle(UP, last.yaw).add(last.position);
-    // It does not fall into a gap with its robot.
-    const ground = this.terrain.heightAt(camera.position.x, camera.position.y);
+    // It does not fall into a gap with its robot, but looks in from above.
+    const { heightAt } = this.terrain;
+    const lower = ([dx, dy]) => Math.min(heightAt(x + dx, y + dy), heightAt(x - dx, y - dy));
+    const brim = Math.max(...[[BRIM, 0], [0, BRIM]].map(lower));
+    const sunk = THREE.MathUtils.clamp((brim - z) / BRIM, 0, 0.8);
+    camera.position.lerp(new THREE.Vector3(x, y, brim + 2), sunk);
+    const ground = heightAt(camera.position.x, camera.position.y);
     camera.position.z = Math.max(camera.position.z, ground + LOWEST);
     camera.lookAt(x + 0.25 * Math.cos(last.yaw), y + 0.25 * Math.sin(last.yaw), z - 0.05);
     camera.updateMatrixWorld();

@@ -107,7 +107,7 @@ def _bundle(bundle: Bundle) -> dict[str, Any]:
     remembers = spec.longest_memory > 0.0
     return {
         "name": bundle.name,
-        "title": f"{robot.name} · {bundle.name}",
+        "title": f"{robot.name.split()[-1]} · {bundle.name}",
         "robot": robot.name,
         "base": {"body": interface.TRUNK, "height": robot.height},
         # A memory shows at a gap; without one, a blind robot finds its way down stairs.
@@ -135,8 +135,7 @@ def _selector(kind: str, spec: SelectorSpec) -> dict[str, Any]:
 
 def _monitor(name: str, threshold: float) -> dict[str, Any]:
     monitor = MONITORS[name]
-    output = OUTPUTS.get(monitor.output, "")
-    judged = {"output": output, "ofImage": monitor.of_image}
+    judged = {"output": OUTPUTS.get(monitor.output, ""), "ofImage": monitor.of_image}
     return {"name": name, "threshold": threshold, "reason": monitor.reason, **judged}
 
 

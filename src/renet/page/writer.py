@@ -69,8 +69,7 @@ def run_page(cfg: PageCfg) -> Path:
     """Write the page, and serve it if asked to; returns its folder.
 
     Raises:
-        RenetError: a bad bundle, a folder that holds something else, missing npm packages, or a
-            port that is taken.
+        RenetError: what `write_page` raises, or a port that is taken.
     """
     folder = write_page(cfg)
     if cfg.open:
@@ -86,7 +85,7 @@ def write_page(cfg: PageCfg) -> Path:
     """Write the folder whole, in place of an earlier page that nobody changed.
 
     Raises:
-        RenetError: a bad bundle, a folder that holds something else, or missing npm packages.
+        RenetError: a bad bundle, two of one name, a folder of something else, no npm packages.
     """
     vendor = [cfg.runtime / name for name in VENDOR]
     missing = next((path for path in vendor if not path.is_file()), None)
@@ -98,6 +97,8 @@ def write_page(cfg: PageCfg) -> Path:
     earlier = _earlier(cfg.out)
     demand_own(cfg.out, earlier, "page")
     bundles = [Bundle.load(path) for path in cfg.bundles or (None,)]
+    if len({(bundle.manifest.robot.name, bundle.name) for bundle in bundles}) < len(bundles):
+        raise RenetError("visitors choose between a robot's bundles by name: rename one of two")
     contents = _contents(bundles, cfg.runtime)
     write_folder(cfg.out, contents, earlier, "page")
     return cfg.out

@@ -5,12 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from renet.bundle import write_bundle
-from renet.bundle.manifest import Manifest
-from renet.selector import SelectorSpec
-from renet.tasks.config.go2 import GO2
-from renet.training.export import camera_spec, robot_spec
-
+from ...bundle.conftest import go2_bundle  # noqa: F401
 from .peer import KINDS, Peer, Wire, make_peer
 
 
@@ -48,13 +43,6 @@ def served(peer) -> Iterator[Peer]:
 
 
 @pytest.fixture
-def go2_bundle(tmp_path, models) -> Path:
-    """Untrained networks, exported for the Go2."""
-    manifest = Manifest(robot_spec(GO2), camera_spec(GO2), SelectorSpec(beta=0.25))
-    return write_bundle(tmp_path / "go2-bundle", models, manifest)
-
-
-@pytest.fixture
-def kinds_bundle(robot_kind, bundle_path, go2_bundle) -> Path:
+def kinds_bundle(robot_kind, bundle_path, go2_bundle) -> Path:  # noqa: F811
     """Untrained networks for the robot."""
     return {"go1": bundle_path, "go2": go2_bundle}[robot_kind]
