@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
 # Every entry of version 2's leaderboard, its table and its figure (docs/crossing.md):
 #   benchmarks/leaderboard_2.sh GO1_POLICY.ONNX BUNDLE_WITHOUT_MEMORY
-# The model is MuJoCo Playground's (examples/playground_policy.py), the bundle the earlier policy.
+# The model is MuJoCo Playground's (examples/playground_policy.py), the bundle the earlier policy;
+# both paths are from the repository's root.
 # A study that is done is not run again.
 set -euo pipefail
-model=$(realpath "$1") earlier=$(realpath "$2")
+model=$1 earlier=$2
 cd "$(dirname "$0")/.."
 out=results/leaderboard_2 kept=benchmarks/results/leaderboard_2
 mkdir -p "$kept"

@@ -112,9 +112,10 @@ None: a leaderboard, whose rows are all new."""
 
 
 def leaderboard() -> list[list[str]]:
-    """The rows of version 2's leaderboard, best first, of the entries that have a file."""
+    """The rows of version 2's leaderboard, best first; of a policy with a switch its switch."""
     files = [RESULTS / "leaderboard_2" / f"{name}.json" for name in LEADERBOARD]
-    return [list(row) for row in ranking([read_result(f) for f in files if f.exists()])[2]]
+    rows = ranking([read_result(file) for file in files])[2]
+    return [[place, name.split(" with ")[-1], *cells] for place, name, *cells in rows]
 
 
 def filled(page: str, heading: str, fill: Callable[[str], list[str]] | None = None) -> str:
