@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # Every entry of version 2's leaderboard, its table and its figure (docs/crossing.md):
 #   benchmarks/leaderboard_2.sh GO1_POLICY.ONNX BUNDLE_WITHOUT_MEMORY
-# The model is MuJoCo Playground's (examples/playground_policy.py), the bundle the earlier policy;
-# both paths are from the repository's root.
+# The model is MuJoCo Playground's (examples/playground_policy.py), the bundle the earlier policy:
+#   git archive 4410888 src/renet/pretrained/go1-parkour | tar x --transform s,.*parkour,without-memory,
+# Both paths are from the repository's root.
 # A study that is done is not run again.
 set -euo pipefail
 model=$1 earlier=$2
