@@ -39,7 +39,7 @@ class Readings:
         if last is None or not 0.0 < passed <= LONGEST:
             self._drift, self._alike = np.zeros(3), 1
             return ""
-        same = all(np.array_equal(getattr(last, n), getattr(state, n)) for n in VECTORS)
+        same = all((getattr(last, n) == getattr(state, n)).all() for n in VECTORS)
         self._alike = self._alike + 1 if same else 1
         if self._alike > MOST_ALIKE:
             return f"the readings are frozen: {self._alike} are the same"
