@@ -26,7 +26,6 @@ export class Page {
   /** @param {object} runtime of load.js. @param {object} scene of link.js. */
   constructor(runtime, scene) {
     Object.assign(this, { runtime, scene });
-    this.slowUntil = 0;
     this.notice = scene.unknown.length ? `The link asks for ${scene.unknown.join(" and ")}: not here.` : "";
     const { contract, manifest, bundle } = runtime;
     const { bundles, palette } = contract;

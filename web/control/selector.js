@@ -127,8 +127,7 @@ export class Selector {
     if (this.vision && good) this.reason = "";
     const ceasing = leaving || (this.longestMemory > 0 && !good && !this.reason);
     // Of the images the first that was withheld has spoken.
-    const mute = (i) => this.reason && this.monitors[i].ofImage;
-    const objection = verdicts.findIndex((verdict, i) => !verdict && !mute(i));
+    const objection = verdicts.findIndex((fine, i) => !fine && !(this.reason && this.monitors[i].ofImage));
     if (ceasing && !(good && healthy) && objection >= 0) this.reason = this.monitors[objection].reason;
     return this.vision;
   }

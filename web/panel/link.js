@@ -9,7 +9,7 @@ const nickname = ({ robot }) => robot.split(" ").at(-1).toLowerCase();
  * @param {object} contract shared with the runtime.
  * @returns {object} bundle, ground, fault (null: none), severity, and `unknown`, what makes no sense.
  */
-export function readScene(search, { bundles, faults }) {
+export function readScene(search, { bundles, faults, faults: [{ levels }] }) {
   const asks = new URLSearchParams(search);
   const unknown = [];
   const choose = (key, choices, fallback) => {
@@ -23,8 +23,7 @@ export function readScene(search, { bundles, faults }) {
   const ground = choose("ground", bundle.grounds, bundle.opening.ground);
   const none = { name: "none", none: true };
   const fault = choose("fault", [...faults, none], bundle.opening.fault);
-  const severities = faults[0].levels.map((_, i) => ({ name: i + 1 }));
-  const severity = choose("severity", severities, severities.length).name;
+  const severity = choose("severity", levels.map((_, i) => ({ name: i + 1 })), levels.length).name;
   return { bundle, ground, fault: fault.none ? null : fault, severity, unknown };
 }
 
