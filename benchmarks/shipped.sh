@@ -17,6 +17,7 @@ study memory memory
 version_1="gap:3 platform:6 stairs_up:6 stairs_down:10 obstacles:10"
 study blackout memory --grounds $version_1 --without 2 6
 study blackout_on_the_way memory --grounds $version_1 --without 2 6 --before 1.5
+study two_seconds memory --grounds $version_1 --without 2 --robots 100 --modes renet
 study noise faults --preset noise
 study stairs faults --preset noise --grounds stairs_up --level 5 --onsets 1.5 --seconds 10
 study healthy faults --faults gaussian:4 frozen:5 --grounds flat --onsets 0.5 --healthy-minutes 200

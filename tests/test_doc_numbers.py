@@ -118,6 +118,22 @@ def test_tables_of_the_shipped_policy_are_those_of_its_results(tmp_path, capsys)
     assert page.read_text() == right
 
 
+def test_what_two_seconds_without_an_image_cost():
+    lost = {
+        run["ground"]: [
+            -round(100 * run[f"change{end}"]) for end in ("", "_ci95_high", "_ci95_low")
+        ]
+        for run in result("shipped/two_seconds.json")["runs"]
+        if run["without_s"] == 2
+    }
+    text = " ".join((ROOT / "docs" / "memory.md").read_text().replace("−", "-").split())
+    for ground, name in (("stairs_down", "stairs down"), ("platform", "platforms")):
+        points, low, high = lost[ground]
+        assert re.search(rf"{points} {name} \(.*?{low} to {high}\)", text)
+    assert "{} tiles of blocks ({} to {})".format(*lost["obstacles"]) in text
+    assert max(lost["gap"][0], lost["stairs_up"][0]) <= 0
+
+
 def test_nobody_falls_who_stands():
     assert not any(run["falls"] for run in result("shipped/standing.json")["runs"])
 
