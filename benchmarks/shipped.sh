@@ -22,6 +22,7 @@ study noise faults --preset noise
 study stairs faults --preset noise --grounds stairs_up --level 5 --onsets 1.5 --seconds 10
 study healthy faults --faults gaussian:4 frozen:5 --grounds flat --onsets 0.5 --healthy-minutes 200
 study grass faults --faults tall_grass --onsets 1.5 --healthy-minutes 0 --modes renet
+study camera_use camera-use
 study margins margins --quick --seconds 5
 python benchmarks/course.py && cp results/course/summary.json benchmarks/results/shipped/course.json
 python benchmarks/filter.py && cp results/filter/summary.json benchmarks/results/shipped/filter.json
