@@ -21,16 +21,22 @@ def few_images_will_do(monkeypatch):
     monkeypatch.setattr(calibration_images, "MIN_MINUTES", COUNT / 600)
 
 
-@pytest.fixture
-def folder(tmp_path) -> Path:
+@pytest.fixture(scope="module")
+def images(tmp_path_factory) -> Path:
     """A plane 0.6 to 2.9 m away in millimetres, with grain, and a hole of a tenth of the image."""
-    random, path = np.random.default_rng(0), tmp_path / "images"
-    path.mkdir()
+    random, path = np.random.default_rng(0), tmp_path_factory.mktemp("images")
     for number in range(COUNT):
         plane = np.linspace(2900, 600, 480)[:, None] + random.normal(0, 10, (480, 640))
         plane[:48] = 0
-        Image.fromarray(plane.astype(np.uint16)).save(path / f"{number:05}.png")
+        image = Image.fromarray(plane.astype(np.uint16))
+        image.save(path / f"{number:05}.png", compress_level=1)
     return path
+
+
+@pytest.fixture
+def folder(images, tmp_path) -> Path:
+    """A copy of the images, to be spoilt."""
+    return Path(shutil.copytree(images, tmp_path / "images"))
 
 
 def test_images_in_millimetres_set_the_thresholds_of_image_monitors_alone(folder, tmp_path):
