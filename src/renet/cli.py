@@ -86,7 +86,7 @@ COMMANDS = {
     ),
     "simulate": Command(
         "run a simulated Go2 behind its DDS topics",
-        "renet.deploy.robots.go2.fake:SimulateCfg:simulate",
+        "renet.deploy.robots.go2.simulate:SimulateCfg:simulate",
         "sim,go2",
         group="Walk",
     ),

@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -31,8 +32,10 @@ def modules() -> list[str]:
     files = [*(root / "deploy").rglob("*.py"), *(root / "selector").rglob("*.py")]
     names = [f.relative_to(root).with_suffix("").as_posix().replace("/", ".") for f in files]
     names = [f"renet.{name.removesuffix('.__init__')}" for name in names]
-    simulated = {f"renet.deploy.{name}" for name in SIMULATION}
-    return sorted({*names, "renet.cli", "renet.evaluation.calibrate"} - simulated)
+    other = {f"renet.deploy.{name}" for name in SIMULATION}
+    if find_spec("cyclonedds") is None:  # Needs renet-locomotion[go2].
+        other |= {name for name in names if name.startswith("renet.deploy.robots.go2.")}
+    return sorted({*names, "renet.cli", "renet.evaluation.calibrate"} - other)
 
 
 BLOCK = f"""

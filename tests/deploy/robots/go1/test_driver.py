@@ -186,6 +186,7 @@ def test_a_name_of_the_robot_is_its_address():
 
 
 def test_a_port_that_is_taken_is_refused():
+    pytest.importorskip(KINDS["go1"], reason="needs renet-locomotion[go1]")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("0.0.0.0", 0))
         port = other.getsockname()[1]

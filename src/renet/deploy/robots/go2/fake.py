@@ -1,4 +1,4 @@
-"""`renet simulate`: a Go2 of MuJoCo behind the vendor's DDS topics, on this computer alone.
+"""A Go2 of MuJoCo behind the vendor's DDS topics, on this computer alone.
 
 To a driver it is a robot: it publishes its state at 500 Hz, its own controller holds the motors
 until MotionSwitcher releases them, and it obeys commands whose CRC is right, within its motors'
@@ -7,10 +7,8 @@ its own go on with the last one.
 """
 
 import json
-import time
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -34,7 +32,7 @@ from renet.deploy.robots.go2.switch import (
 from renet.deploy.robots.real.braking import PERIOD
 from renet.deploy.robots.sim.scene import build_scene
 from renet.descriptions import GO2
-from renet.interface import JOINTS, TRUNK, Terrain
+from renet.interface import JOINTS, TRUNK
 
 LOOPBACK = "lo"
 SPORT = "normal"
@@ -175,37 +173,3 @@ class FakeGo2:
 
     def _limp(self) -> None:
         self._drive(0, LYING, 0.0, 0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class SimulateCfg:
-    """Let a simulated robot live on this computer's loopback interface, for drivers to find."""
-
-    robot: Literal["go2"] = "go2"
-    """go2: a Unitree Go2, behind its vendor's DDS topics."""
-    terrain: Terrain = "flat"
-    """The ground; stairs lead down from a summit, stairs_up out of a pit."""
-    level: int = 1
-    """Level of the terrain, 1 to 10."""
-    domain: int = 0
-    """DDS domain; real robots are in 0."""
-    seconds: float = float("inf")
-    """How long it lives; until Ctrl-C by default."""
-
-
-def simulate(cfg: SimulateCfg) -> None:
-    """Run at the pace of the wall clock; prints at the end what it was told."""
-    robot = FakeGo2(cfg.domain, cfg.terrain, cfg.level)
-    print(f"a Go2 lies on {cfg.terrain!r}, interface {LOOPBACK}, domain {cfg.domain}; Ctrl-C ends")
-    begun = time.monotonic()
-    try:
-        while robot.steps * PERIOD < cfg.seconds:
-            robot.step()
-            time.sleep(max(0.0, begun + robot.steps * PERIOD - time.monotonic()))
-    except KeyboardInterrupt:
-        pass
-    print(
-        f"{robot.steps} steps; commands obeyed {robot.accepted}, with a wrong CRC {robot.wrong}, "
-        f"refused in one of its own modes {robot.refused}; trunk at "
-        f"{robot.data.body(TRUNK).xpos[2]:.2f} m"
-    )
