@@ -302,7 +302,7 @@ def plot(results: dict, path: Path) -> None:
 
 def main(cfg: Cfg) -> None:
     if cfg.minutes > 0:
-        # Else malloc keeps up to 9 MB of the simulated grass for its next densest frame.
+        # Else malloc keeps the arrays of the densest simulated grass for good.
         ctypes.CDLL(None).mallopt(MMAP_THRESHOLD, 2**17)
         with tempfile.TemporaryDirectory() as folder:
             report(soak(cfg, Path(folder)), cfg.json)
