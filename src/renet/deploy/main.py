@@ -73,9 +73,9 @@ def deploy(cfg: DeployCfg) -> Path:
                 return ended or _over(cfg, controller.machine, begun, robot.now())
 
             def close() -> None:
-                tell(Event(robot.now(), Mode.DAMPING, HANGS))
                 if not cfg.dry_run:
                     brake(robot, controller)
+                tell(Event(robot.now(), Mode.DAMPING, HANGS))
                 stack.close()
 
             # A simulation with priority would starve the rest of the computer.

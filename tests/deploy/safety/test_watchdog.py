@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import takewhile
 
 import pytest
 
@@ -16,10 +17,8 @@ HANGING = """
 import hashlib, os, sys
 from renet.bundle.policy import Policy
 from renet.cli import main
-from renet.deploy.safety import watchdog
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 
-watchdog.PATIENCE = 3.0
 act, write = Policy.act, MujocoRobot.write
 
 def hang(policy, *arguments):
@@ -43,20 +42,41 @@ def test_a_model_that_never_returns_ends_the_run_braked(tmp_path, numbers):
     command = [sys.executable, "-c", HANGING, str(out)]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as program:
-        lines = iter(program.stdout.readline, "hangs\n")
-        assert list(lines)[-1] == "stiff\n"
+        assert list(takewhile("hangs\n".__ne__, program.stdout))[-1] == "stiff\n"
         for number in numbers:
             program.send_signal(number)
         begun = time.monotonic()
-        rest, errors = program.communicate(timeout=60)
+        rest, errors = program.stdout.read(), program.stderr.read()
         assert time.monotonic() - begun < 30.0, "not the minutes that the model takes"
     assert program.returncode == 2
-    assert errors == "renet: the control loop hangs since 3 s: the run ends, braked\n"
+    assert errors == "renet: the control loop hangs since 6 s: the run ends, braked\n"
     commands = [line for line in rest.splitlines() if line in ("stiff", "braked")]
     assert commands[0] == "braked"
     run = read_recording(out / RECORDING)
     assert run.complete
     assert (run.events[-1].what, run.events[-1].why) == ("damping", HANGS)
+
+
+LATE = """
+import time
+from renet.deploy.safety import watchdog
+
+watchdog.PATIENCE = 0.5
+
+def close():
+    print("braked", flush=True)
+    time.sleep(2.0)
+
+with watchdog.watchdog(close) as step:
+    time.sleep(1.5)
+    step()
+    print("walks on", flush=True)
+"""
+
+
+def test_a_loop_that_returns_after_the_braking_does_not_walk_on():
+    program = subprocess.run([sys.executable, "-c", LATE], capture_output=True, text=True)
+    assert (program.returncode, program.stdout) == (2, "braked\n")
 
 
 @pytest.mark.parametrize("name", ["INT", "TSTP", "QUIT", "TERM", "HUP", "USR1", "USR2"])

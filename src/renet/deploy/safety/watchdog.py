@@ -59,18 +59,21 @@ def watchdog(close: Callable[[], None]) -> Iterator[Callable[[], None]]:
     Yields:
         A function to call at every step.
     """
-    steps, ended = 0, threading.Event()
+    steps, hangs, ended = 0, False, threading.Event()
 
     def step() -> None:
         nonlocal steps
         steps += 1
+        if hangs:
+            thread.join()  # Until the process ends: a loop that returns late must not walk on.
 
     def watch() -> None:
+        nonlocal hangs
         last = looks = 0
         while not ended.wait(POLL):
             # Looks are counted, not seconds: a computer that slept has not looked.
             last, looks = steps, looks + 1 if steps == last else 0
-            if looks * POLL >= PATIENCE:
+            if hangs := looks * POLL >= PATIENCE:
                 _end(close)
 
     thread = threading.Thread(target=watch, daemon=True)
