@@ -3,12 +3,11 @@
 import gc
 import multiprocessing
 import os
-import resource
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from subprocess import CompletedProcess
 
 TIMEOUT = 600.0
 """Seconds after which a process hangs; some start in ten on a busy computer."""
@@ -18,18 +17,7 @@ mujoco.viewer scipy.interpolate matplotlib.pyplot mediapy onnxruntime viser"""
 multiprocessing.set_forkserver_preload(LIBRARIES.split())
 
 
-@dataclass
-class Done:
-    """What became of a process."""
-
-    returncode: int
-    stdout: str
-    stderr: str
-    peak: int
-    """Kilobytes of memory, its own children's included."""
-
-
-def fork(work: Callable[..., int | None], *arguments: object) -> Done:
+def fork(work: Callable[..., int | None], *arguments: object) -> CompletedProcess[str]:
     """Call a function of a module with arguments that can be pickled; its result is the code."""
     with tempfile.TemporaryDirectory() as folder:
         context = multiprocessing.get_context("forkserver")
@@ -38,19 +26,13 @@ def fork(work: Callable[..., int | None], *arguments: object) -> Done:
         process.join(TIMEOUT)
         process.kill()
         process.join()
-        said = {path.name: path.read_text() for path in Path(folder).iterdir()}
+        output, errors = (Path(folder, name).read_text() for name in ("1", "2"))
     assert process.exitcode is not None
-    return Done(process.exitcode, said["1"], said["2"], int(said.get("peak", 0)))
+    return CompletedProcess(arguments, process.exitcode, output, errors)
 
 
 def _child(folder: str, work: Callable[..., int | None], arguments: tuple) -> None:
     gc.freeze()  # Whoever collects garbage need not look through the libraries.
     for descriptor in (1, 2):
         os.dup2(os.open(f"{folder}/{descriptor}", os.O_CREAT | os.O_WRONLY), descriptor)
-    try:
-        sys.exit(work(*arguments))
-    finally:
-        sys.stdout.flush()
-        kinds = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-        peak = max(resource.getrusage(kind).ru_maxrss for kind in kinds)
-        Path(folder, "peak").write_text(str(peak))
+    sys.exit(work(*arguments))
