@@ -8,7 +8,7 @@ from renet.faults import FAULTS, Frames, Injection, Injector, ViewPerturbation
 from renet.interface import DEPTH_SHAPE
 
 
-def test_motion_blur_is_the_mean_of_what_a_turning_camera_sees() -> None:
+def test_motion_blur_is_the_mean_of_what_a_turning_camera_sees():
     seconds, rates = 0.04, np.array([0.0, 4.0, 4.0])
     turns = np.linspace(-0.5, 0.5, 9)[:, None] * seconds * rates
     views = [ViewPerturbation(np.zeros(1), turn[None], np.zeros(1)) for turn in turns]
@@ -24,7 +24,7 @@ def test_motion_blur_is_the_mean_of_what_a_turning_camera_sees() -> None:
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_every_fault_has_its_picture(fault: str) -> None:
+def test_every_fault_has_its_picture(fault):
     pictures = [example(fault, severity, 0) for severity in (1, 5)]
     assert all(picture.shape == DEPTH_SHAPE for picture in pictures)
     assert all(picture.min() >= 0 and picture.max() <= 1 for picture in pictures)
