@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from ..bundle.conftest import manifest, models, networks  # noqa: F401  fixtures here, too
-from .tiny import TINY
+from .fakes import FakeEvaluator
+from .tiny import EVALUATORS, TINY
 
 
 @pytest.fixture(scope="session")
@@ -16,14 +17,7 @@ def run_study(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple
     root = tmp_path_factory.mktemp("results")
 
     def run(name: str) -> tuple[Path, dict]:
-        study, evaluator = TINY[name]
-        replace(study, out=root / name).run(evaluator())
+        replace(TINY[name], out=root / name).run(EVALUATORS.get(name, FakeEvaluator)())
         return root / name, json.loads((root / name / "summary.json").read_text())
 
     return cache(run)
-
-
-@pytest.fixture
-def summary(folder: Path) -> dict:
-    """The summary of the study that a file of tests has as its `folder`."""
-    return json.loads((folder / "summary.json").read_text())

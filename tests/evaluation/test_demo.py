@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -102,24 +103,18 @@ class Links(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def small_films():
+def folder(tmp_path_factory) -> Iterator[Path]:
+    out = tmp_path_factory.mktemp("demo")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(painter, "PANEL", (120, 90))
         patch.setattr(demo, "SHOWN", (0.2, 0.6))
-        yield
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, small_films) -> Path:
-    out = tmp_path_factory.mktemp("demo")
-    study = DemoStudy(out, robots=3, seconds=3.4)
-    sentence = run_demo(study, GapEvaluator(Remembering, 9.0))  # type: ignore[arg-type]
-    assert sentence == (
-        "The camera dies 0.5 s before a gap of 37 cm: of 3 robots 3 cross with RENet, which"
-        " remembers it; 0 that trust the last image, 0 with the paper's switch,"
-        " 0 that go blind at once."
-    )
-    return out
+        sentence = run_demo(DemoStudy(out, robots=3, seconds=3.4), GapEvaluator(Remembering, 9.0))
+        assert sentence == (
+            "The camera dies 0.5 s before a gap of 37 cm: of 3 robots 3 cross with RENet, which"
+            " remembers it; 0 that trust the last image, 0 with the paper's switch,"
+            " 0 that go blind at once."
+        )
+        yield out
 
 
 def check_page(path: Path, media: int) -> str:
@@ -135,7 +130,10 @@ def check_page(path: Path, media: int) -> str:
     return text
 
 
-def test_the_page_says_what_was_measured_and_needs_no_network(folder: Path) -> None:
+def test_the_page_says_what_was_measured_and_needs_no_network(folder):
+    names = "index.html summary.json summary.csv demo.png film.mp4 parts"
+    assert {path.name for path in folder.iterdir()} == set(names.split())
+    assert (folder / "film.mp4").read_bytes()[4:8] == b"ftyp"
     text = check_page(folder / "index.html", media=2)
     assert text.count("0 of 3") == 3
     assert "3 of 3" in text
@@ -143,22 +141,16 @@ def test_the_page_says_what_was_measured_and_needs_no_network(folder: Path) -> N
     assert "no memory" not in text
 
 
-def test_the_folder_holds_everything(folder: Path) -> None:
-    names = "index.html summary.json summary.csv demo.png film.mp4 parts"
-    assert {path.name for path in folder.iterdir()} == set(names.split())
-    assert (folder / "film.mp4").read_bytes()[4:8] == b"ftyp"
-
-
-def test_a_bundle_without_memory_runs_and_says_so(tmp_path: Path, monkeypatch) -> None:
+def test_a_bundle_without_memory_runs_and_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(video, "film", lambda path, *args: path.write_bytes(b"\0\0\0\0ftyp"))
     study = DemoStudy(tmp_path, robots=2, seconds=3.4, modes=("vp", "renet"))
-    sentence = run_demo(study, GapEvaluator(Forgetful, 0.0))  # type: ignore[arg-type]
+    sentence = run_demo(study, GapEvaluator(Forgetful, 0.0))
     assert "of 2 robots 0 cross with RENet, which has no memory here; 0 that trust" in sentence
     assert "This bundle has no memory" in (tmp_path / "index.html").read_text()
     assert [run["fell"] for run in read_results(tmp_path / "summary.json")["runs"]] == [2, 2]
 
 
-def test_the_film_is_slow_after_the_cameras_death_and_ends_with_the_run(monkeypatch) -> None:
+def test_the_film_is_slow_after_the_cameras_death_and_ends_with_the_run(monkeypatch):
     monkeypatch.setattr(demo, "SHOWN", (1.0, 4.0))
     study, end = DemoStudy(speed=0.6), 160
     steps = study.pace(Trace.empty(end, 1))
@@ -168,10 +160,9 @@ def test_the_film_is_slow_after_the_cameras_death_and_ends_with_the_run(monkeypa
     assert steps[-1] == end - 1
 
 
-def test_the_noise_preset_makes_a_page_of_the_papers_figure(run_study, tmp_path: Path) -> None:
-    study, evaluator = TINY["noise"]
+def test_the_noise_preset_makes_a_page_of_the_papers_figure(run_study, tmp_path):
     # What the study's own tests have run is not run again.
     shutil.copytree(run_study("noise")[0] / "parts", tmp_path / "parts")
-    sentence = run_demo(replace(study, out=tmp_path), evaluator())  # type: ignore[arg-type]
+    sentence = run_demo(replace(TINY["noise"], out=tmp_path), FakeEvaluator())
     assert sentence.endswith("with RENet.")
     assert "SP 70 %" in check_page(tmp_path / "index.html", media=2)

@@ -11,25 +11,30 @@ from renet.evaluation.rollout import Rollout, Trial
 from renet.faults import Injection, ViewPerturbation
 from renet.selector import SelectorSpec, make_selector
 from renet.tasks.parkour_env_cfg import tile_env_cfg
-from renet.tasks.sensors import DEPTH_CAMERA
+from renet.tasks.sensors import depth_camera
 from renet.tasks.terrains import tile_row
 from renet.terrain.tiles import LEVELS, TILE, tiles
 
 from .fakes import FakePolicy
 
 
-def quiet(cfg):
-    """A study's world whose camera has no noise and a nominal mount."""
-    camera = next(sensor for sensor in cfg.scene.sensors if sensor.name == DEPTH_CAMERA)
+def quiet(task, robots: int) -> SimEnv:
+    """Twins in a study's world whose cameras have no noise and a nominal mount."""
+    cfg = study_env_cfg(task, 0.5)
+    camera = depth_camera(cfg)
     camera.noise.relative_std = camera.noise.gaussian_std = 0.0
     camera.mount = replace(camera.mount, position_error=0.0, angle_error=0.0)
-    return cfg
+    return SimEnv(cfg, [0] * robots, 3, "native")
 
 
 @pytest.fixture(scope="module")
-def tile() -> SimEnv:
-    cfg = tile_env_cfg(tile_row({"platform": 8}), play=True)
-    return SimEnv(quiet(study_env_cfg(cfg, 0.5)), [0, 0, 0, 0], 3, "native")
+def flat():
+    return quiet("Renet-Go1-Flat", 2)
+
+
+@pytest.fixture(scope="module")
+def tile():
+    return quiet(tile_env_cfg(tile_row({"platform": 8}), play=True), 4)
 
 
 def seen(world: SimEnv, **rows: dict[int, object]) -> np.ndarray:
@@ -44,13 +49,7 @@ def seen(world: SimEnv, **rows: dict[int, object]) -> np.ndarray:
     return depth
 
 
-@pytest.fixture(scope="module")
-def true(tile: SimEnv) -> np.ndarray:
-    return seen(tile)
-
-
-def test_foam_brings_the_ground_nearer_by_what_it_is_high() -> None:
-    flat = SimEnv(quiet(study_env_cfg("Renet-Go1-Flat", 0.5)), [0, 0], 3, "native")
+def test_foam_brings_the_ground_nearer_by_what_it_is_high(flat):
     depth = seen(flat, lift={1: 0.1})
     eye = flat.env.sim.data.qpos[0, 2].item() + 0.03  # The head is level with the trunk, about.
     both = (depth < 1.0).all(axis=0)
@@ -62,43 +61,42 @@ def test_foam_brings_the_ground_nearer_by_what_it_is_high() -> None:
     assert 0.4 < ratio.mean() < 0.85
 
 
-def test_only_the_disturbed_robots_see_it(tile: SimEnv, true: np.ndarray) -> None:
-    depth = seen(tile, lift={1: 0.1}, turn={2: (0.0, 0.2, 0.0)}, glass={3: 1.0})
+def test_only_the_disturbed_robots_see_it_and_each_what_is_true(tile):
+    true = seen(tile)
+    depth = seen(tile, lift={1: 0.1}, turn={2: (0.0, 0.1, 0.0)}, glass={3: 1.0})
     np.testing.assert_array_equal(depth[0], true[0])
     assert ((np.abs(depth - true)[1:] > 0.02).mean(axis=(1, 2)) > 0.05).all()
-
-
-def test_a_pitched_camera_sees_what_was_rows_away(tile: SimEnv, true: np.ndarray) -> None:
-    down = seen(tile, turn={0: (0.0, 0.1, 0.0)})[0]
     # Pitch is positive downwards: the picture's lower rows move up.
-    shift = int(np.argmin([np.abs(down[:40] - true[0, k : 40 + k]).mean() for k in range(9)]))
-    assert shift == pytest.approx(0.1 * 24.0 / 0.4875, abs=1.1)
+    shifts = [np.abs(depth[2][:40] - true[2][k : 40 + k]).mean() for k in range(9)]
+    assert np.argmin(shifts) == pytest.approx(0.1 * 24.0 / 0.4875, abs=1.1)
+    # Through glass, the ground behind.
+    assert (depth[3] >= true[3] - 2e-3).all()
+    assert (depth[3] > true[3] + 0.05).any()
 
 
-def test_glass_shows_the_ground_behind(tile: SimEnv, true: np.ndarray) -> None:
-    clear = seen(tile, glass={0: 1.0})[0]
-    assert (clear >= true[0] - 2e-3).all()
-    assert (clear > true[0] + 0.05).any()
-
-
-def test_glass_needs_obstacles() -> None:
-    flat = SimEnv(study_env_cfg("Renet-Go1-Flat", 0.5), [0], 3, "native")
+def test_glass_needs_obstacles(flat):
     with pytest.raises(RenetError, match="no obstacle that could be glass"):
         seen(flat, glass={0: 1.0})
 
 
-def test_a_physical_fault_comes_and_goes_with_its_schedule(tile: SimEnv) -> None:
+def test_a_physical_fault_comes_and_goes_with_its_schedule(tile):
     foam = (Injection("foam", 0.15, onset=10, duration=0.2),)
     rows = [Trial("op", foam), Trial("op"), Trial("op", foam), Trial("op")]
     selector = make_selector("paper", SelectorSpec(beta=1.0), 4)
     film = Rollout(tile, FakePolicy(4), selector, rows, 0).run(30, film=[0, 1]).film
-    assert film is not None
     gap = np.abs(film.images[:, 0].astype(float) - film.images[:, 1]).mean(axis=(1, 2))
     disturbed = gap > 5 * gap[:2].max() + 1
     np.testing.assert_array_equal(disturbed, [False, False, True, True, False, False])
 
 
-def test_robots_stand_on_the_tiles_they_are_placed_on() -> None:
+def test_robots_obey_a_new_command(flat):
+    flat.reset()
+    flat.command(0.0)
+    after = flat.step(np.zeros((2, 12), np.float32))
+    np.testing.assert_allclose(after.proprioception[:, 6], 0.0)
+
+
+def test_robots_stand_on_the_tiles_they_are_placed_on():
     kinds, levels = np.array([4, 2, 3, 5]), np.array([0, 9, 4, 2])
     world = SimEnv(study_env_cfg("Renet-Go1-Parkour", 0.5), range(4), 1, "auto")
     world.place(levels, kinds)

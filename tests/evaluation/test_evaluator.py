@@ -30,23 +30,25 @@ def bundle(tmp_path_factory: pytest.TempPathFactory, models, manifest) -> Path:
     return write_bundle(tmp_path_factory.mktemp("evaluator") / "bundle", models, manifest)
 
 
-def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bundle: Path) -> None:
+def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bundle):
     evaluator = Evaluator(bundle, selector="paper")
     noise = (Injection("salt_and_pepper", 1.0, onset=10),)
-    rows = [Trial("renet"), Trial("renet", noise), Trial("vp", noise)]
-    world = evaluator.make_env("Renet-Go1-Flat", range(3), 0.6, 1)
-    trace = evaluator.rollout(world, rows, 1).run(30, film=[1])
+    rows = [Trial("renet"), Trial("renet", noise), Trial("vp", noise), Trial("op", noise)]
+    world = evaluator.make_env("Renet-Go1-Flat", [0, 1, 2, 3, 3], 0.6, 1)
+    trace = evaluator.rollout(world, [*rows, Trial("op")], 1).run(30, film=[1])
     assert np.isfinite(trace.forward_velocity).all()
     assert trace.vision[:, [0, 2]].all()
     # The first spoilt image comes with a clean one before it; the next tick has two.
     assert not trace.vision[20:, 1].any()
-    assert trace.film is not None
     assert trace.film.images[0].std() > 5
     assert not trace.fallen.any()
+    # Studies need not run OP again for each fault: it does the same.
+    assert (trace.anomaly[20:, 3] > 1.2 * trace.anomaly[20:, 4]).all()
+    np.testing.assert_allclose(trace.height[:, 3], trace.height[:, 4], atol=1e-5)
     assert evaluator.provenance(3).bundle_hash == evaluator.bundle.sha256
 
 
-def test_simulated_cameras_err_as_in_the_bundles_training(bundle: Path, tmp_path: Path) -> None:
+def test_simulated_cameras_err_as_in_the_bundles_training(bundle, tmp_path):
     shutil.copytree(bundle, copy := tmp_path / "bundle")
     manifest = read_manifest(copy)
     write_manifest(copy, replace(manifest, camera=replace(manifest.camera, noise_std=0.02)))
@@ -56,8 +58,8 @@ def test_simulated_cameras_err_as_in_the_bundles_training(bundle: Path, tmp_path
 
 
 def test_calibration_is_written_into_the_bundle_without_and_with_sparse_grass(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(calibrate_memory, "DIES", (0.1, 0.2))
     monkeypatch.setattr(calibrate_memory, "MEASURED", 0.6)
     # Only robots that walk count: the shipped policy's do.
@@ -87,7 +89,7 @@ def test_calibration_is_written_into_the_bundle_without_and_with_sparse_grass(
     assert {"variance", "reconstruction"} & {*names} == {"variance"}
 
 
-def test_thresholds_below_zero_are_lifted_for_sparse_grass_too(tmp_path: Path) -> None:
+def test_thresholds_below_zero_are_lifted_for_sparse_grass_too(tmp_path):
     bundle = Bundle.load(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
     scores = np.linspace(0.01, 0.02, 300)
     healthy = {name: [scores] for name in MONITORS} | {"uniformity": [scores - 0.22]}
@@ -106,15 +108,13 @@ def test_thresholds_below_zero_are_lifted_for_sparse_grass_too(tmp_path: Path) -
         *(("false_alarm", 2.0), ("false_alarms_per_hour", 0.0), ("seconds", np.inf)),
     ],
 )
-def test_calibration_refuses_mistakes_before_anybody_walks(
-    bundle: Path, name: str, value, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_calibration_refuses_mistakes_before_anybody_walks(bundle, name, value, monkeypatch):
     monkeypatch.setattr(Evaluator, "rollout", lambda *args, **kwargs: pytest.fail("walked"))
     with pytest.raises(RenetError):
         run_calibrate(CalibrateCfg(bundle, **{name: value}))
 
 
-def test_twins_are_alike_in_batches_of_any_size_and_every_run_is_the_same(bundle: Path) -> None:
+def test_twins_are_alike_in_batches_of_any_size_and_every_run_is_the_same(bundle):
     evaluator = Evaluator(bundle)
 
     def walk(*robots: int) -> tuple[np.ndarray, np.ndarray]:

@@ -41,7 +41,7 @@ def roll(kind: str, fault: str, level: float, duration: float = 2.0) -> tuple[Tr
     # Two frames after the first held one; an age of 0.2 s; at once.
     [("frozen", np.inf, 0.135), ("unplugged", np.inf, 0.135), ("blackout", 0.0, 0.035)],
 )
-def test_monitors_notice_what_the_papers_rule_cannot(fault, level, delay) -> None:
+def test_monitors_notice_what_the_papers_rule_cannot(fault, level, delay):
     trace, _ = roll("monitors", fault, level)
     flat = trace.trusted.reshape(-1, 2)
     assert (~flat[:, 0]).argmax() == pytest.approx((1.0 + delay) * 200 - 1, abs=1.01)
@@ -52,7 +52,7 @@ def test_monitors_notice_what_the_papers_rule_cannot(fault, level, delay) -> Non
     assert 0.95 <= back <= 1.25
 
 
-def test_disagreeing_estimators_are_noticed() -> None:
+def test_disagreeing_estimators_are_noticed():
     controller = FakePolicy(2)
     controller.velocity_op = np.zeros((2, 3))
     controller.velocity_vp = np.array([[0.4, 0.0, 0.0], [0.2, 0.0, 0.0]])
@@ -61,7 +61,7 @@ def test_disagreeing_estimators_are_noticed() -> None:
     assert trace.trusted[-1, -1].tolist() == [False, True]
 
 
-def test_the_log_keeps_the_highest_score_of_a_tick() -> None:
+def test_the_log_keeps_the_highest_score_of_a_tick():
     _, log = roll("paper", "unplugged", 0.5, duration=0.5)
     age = log.scores["frame_age"]
     assert age.shape == (60, 2)
@@ -71,7 +71,7 @@ def test_the_log_keeps_the_highest_score_of_a_tick() -> None:
     assert log.scores["uniformity"].max() < -0.01
 
 
-def test_calibration_learns_from_robots_that_get_somewhere() -> None:
+def test_calibration_learns_from_robots_that_get_somewhere():
     trace = Trace.empty(100, 6)
     walk = np.arange(100) * 0.012
     trace.travelled[:, [0, 3]] = walk[:, None]
@@ -87,7 +87,7 @@ def test_calibration_learns_from_robots_that_get_somewhere() -> None:
     assert successful_runs(trace) == sorted(walked + stood)
 
 
-def test_the_shipped_selector_walks_on_vision_through_sparse_grass_alone() -> None:
+def test_the_shipped_selector_walks_on_vision_through_sparse_grass_alone():
     evaluator, severities = Evaluator(), (1, 2, 4, 5)
     grass = {s: (Injection.of("tall_grass", s, onset=20),) for s in severities}
     trials = [Trial("renet", grass[s], robot) for s in severities for robot in range(5)]

@@ -15,14 +15,7 @@ from renet.errors import RenetError
 from renet.evaluation.env import FLAT, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import MAX_JSON, read_results
-from renet.evaluation.studies.camera_use import CameraUseStudy
-from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.studies.margins import MarginsStudy
-from renet.evaluation.studies.memory import MemoryStudy
-from renet.evaluation.studies.noise import NoiseStudy
-from renet.evaluation.studies.standing import StandingStudy
-from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
-from renet.evaluation.study import Study
+from renet.evaluation.studies.report import STUDIES
 from renet.registry import register_tasks
 from renet.tasks.config.go1 import GO1
 
@@ -31,39 +24,46 @@ from .fakes import SPEED, FakeEvaluator
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-def test_the_recipe_of_a_study_runs_and_goes_on(tmp_path: Path, monkeypatch) -> None:
+def test_the_recipe_of_a_study_runs_and_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(cli, "COMMANDS", dict(cli.COMMANDS))
     recipe = runpy.run_path(str(EXAMPLES / "add_study.py"), run_name="recipe")
-    study = recipe["SpeedStudy"](out=tmp_path)
-    summary = study.run(FakeEvaluator())
-    assert [run["commanded"] for run in summary["runs"]] == [0.3, 0.6, 0.9]
-    assert summary["runs"][0]["speed"] == pytest.approx(SPEED, abs=1e-6)
-    assert json.loads((tmp_path / "summary.json").read_text()) == summary
-    assert (tmp_path / "summary.csv").read_text().count("\n") == 4
-    next((tmp_path / "parts").glob("speed_0.6-*")).unlink()
+    study = recipe["SpeedStudy"](out=tmp_path / "deep" / "er")
     made: list[float] = []
 
     class Counting(FakeEvaluator):
         def make_env(self, task, robots, speed, seed):
             made.append(speed)
+            if made == [0.3, 0.6]:
+                raise KeyboardInterrupt
             return super().make_env(task, robots, speed, seed)
+
+    with pytest.raises(KeyboardInterrupt):
+        study.run(Counting())
+    assert not (study.out / "summary.json").exists()
+    summary = study.run(Counting())
+    assert made == [0.3, 0.6, 0.6, 0.9], "only what is missing is run"
+    assert [run["commanded"] for run in summary["runs"]] == [0.3, 0.6, 0.9]
+    assert summary["runs"][0]["speed"] == pytest.approx(SPEED, abs=1e-6)
+    assert json.loads((study.out / "summary.json").read_text()) == summary
+    assert (study.out / "summary.csv").read_text().count("\n") == 4
+    assert replace(study, out=tmp_path / "whole").run(FakeEvaluator())["runs"] == summary["runs"]
 
     class Other(Counting):
         def make_policy(self, num_robots):
             return super().make_policy(num_robots)
 
-    study.run(Counting())
-    assert made == [0.6], "only what is missing is run"
     study.run(Other())
-    assert made == [0.6, 0.3, 0.6, 0.9], "another policy's results are not gone on with"
-    for part in (tmp_path / "parts").glob("speed_0.3-*"):
-        part.write_text(part.read_text().replace('"seed": 1', '"seed": 2'))
-    with pytest.raises(RenetError, match="is of other settings than its name says"):
-        study.run(Other())
+    assert made[4:] == [0.3, 0.6, 0.9], "another policy's results are not gone on with"
+    damage = {'{"key": {}}': "of other settings than its name", '{"half': "not JSON"}
+    for content, message in damage.items():
+        for part in (study.out / "parts").glob("speed_0.3-*"):
+            part.write_text(content)
+        with pytest.raises(RenetError, match=rf"speed_0\.3-\w+\.json is {message}"):
+            study.run(Other())
     assert study.tables(summary)[0][2][0] == (0.3, pytest.approx(SPEED), 0)
 
 
-def test_presets_are_chosen_on_the_command_line(capsys) -> None:
+def test_presets_are_chosen_on_the_command_line(capsys):
     for words, default in (
         (["faults", "--preset", "noise"], "results/noise"),
         (["faults"], "results/faults"),
@@ -78,7 +78,7 @@ def test_presets_are_chosen_on_the_command_line(capsys) -> None:
     assert cli.main(["evaluate", "faults", "--preset"]) == 2
 
 
-def test_a_study_walks_the_bundles_own_robot(tmp_path: Path) -> None:
+def test_a_study_walks_the_bundles_own_robot(tmp_path):
     register_tasks("Twin", replace(GO1, name="Somebody's Go1"))
     shutil.copytree(pretrained("go1-parkour"), tmp_path / "twin")
     manifest = read_manifest(tmp_path / "twin")
@@ -96,8 +96,8 @@ def test_a_study_walks_the_bundles_own_robot(tmp_path: Path) -> None:
 
 
 LAVA = ("lava",)
-WRONG: dict[type[Study], dict[str, list]] = {
-    FaultStudy: {
+WRONG: dict[str, dict[str, list]] = {
+    "faults": {
         "faults": [("smoke",), ("gaussian:9",), ("gaussian:x",), ()],
         "modes": [("blind",), (), ("op",)],
         "healthy_minutes": [-1.0, nan, inf],
@@ -105,63 +105,49 @@ WRONG: dict[type[Study], dict[str, list]] = {
         **{"severities": [(0,)], "onsets": [(0.5, 8.0)], "grounds": [LAVA], "level": [11]},
         **{"speed": [0.0], "robots": [0], "selector": ["coin"]},
     },
-    MarginsStudy: {"axes": [("luck",)], "grounds": [LAVA, ()], "level": [0], "seconds": [inf]},
-    StandingStudy: {"kinds": [LAVA], "modes": [("x",)], "levels": [(11,)], "seconds": [0, inf]},
-    SuccessStudy: {
-        "kinds": [LAVA],
-        "levels": [(0,), (), (1, 1)],
-        "fault": ["gremlins", "frozen:9"],
-    },
-    TerrainStudy: {"kinds": [()], "robots": [0], "modes": [("x",), ("vp",) * 2], "seconds": [inf]},
+    "margins": {"axes": [("luck",)], "grounds": [LAVA, ()], "level": [0], "seconds": [inf]},
+    "standing": {"kinds": [LAVA], "modes": [("x",)], "levels": [(11,)], "seconds": [0, inf]},
+    "success": {"kinds": [LAVA], "levels": [(0,), (), (1, 1)], "fault": ["gremlins", "frozen:9"]},
+    "terrain": {"kinds": [()], "robots": [0], "modes": [("x",), ("vp",) * 2], "seconds": [inf]},
 }
 """Any one of these values is refused, with all others at their defaults."""
 
 
 @pytest.mark.parametrize(
-    ("study", "wrong"),
+    ("study", "wrong", "message"),
     [
         *(
-            (study, {name: value})
+            (study, {name: value}, None)
             for study, names in WRONG.items()
             for name, values in names.items()
             for value in values
         ),
-        (FaultStudy, {"faults": ("glass",), "grounds": ("flat", "gap")}),
-        (SuccessStudy, {"speed": -0.6, "fault": "foam"}),
-        (NoiseStudy, {"grounds": ("flat", "gap")}),
+        ("faults", {"faults": ("glass",), "grounds": ("flat", "gap")}, None),
+        ("success", {"speed": -0.6, "fault": "foam"}, None),
+        ("noise", {"grounds": ("flat", "gap")}, None),
+        ("memory", {"grounds": ("gap",)}, "ground 'gap': write KIND:LEVEL"),
+        ("memory", {"grounds": ("moon:3",)}, "ground 'moon:3'"),
+        ("memory", {"grounds": ("gap:11",)}, "1 to 10"),
+        ("memory", {"grounds": ()}, "give a ground"),
+        ("memory", {"without": (0.0, 1.0)}, "different times above 0 s"),
+        ("memory", {"without": (1.0, 1.0)}, "different times above 0 s"),
+        ("memory", {"before": -1.0}, "before must be at least 0 s"),
+        ("camera_use", {"grounds": ("gap",)}, "write KIND:LEVEL, of flat, rough"),
+        ("camera_use", {"grounds": ("moon:3",)}, "moon"),
+        ("camera_use", {"grounds": ()}, "give a ground"),
+        ("camera_use", {"robots": 1}, "at least 2 robots"),
+        ("camera_use", {"speed": 0.0}, "speed must be positive"),
+        ("camera_use", {"modes": ("both",)}, "modes both"),
+        ("camera_use", {"modes": ("vp", "op")}, "one mode"),
+        ("camera_use", {"grounds": ("stairs:3",)}, "write KIND:LEVEL"),
     ],
 )
-def test_bad_settings_are_refused(study: type[Study], wrong: dict) -> None:
-    with pytest.raises(RenetError):
-        study(**wrong)
-
-
-@pytest.mark.parametrize(
-    ("study", "name", "value", "message"),
-    [
-        (MemoryStudy, "grounds", ("gap",), "ground 'gap': write KIND:LEVEL"),
-        (MemoryStudy, "grounds", ("moon:3",), "ground 'moon:3'"),
-        (MemoryStudy, "grounds", ("gap:11",), "1 to 10"),
-        (MemoryStudy, "grounds", (), "give a ground"),
-        (MemoryStudy, "without", (0.0, 1.0), "different times above 0 s"),
-        (MemoryStudy, "without", (1.0, 1.0), "different times above 0 s"),
-        (MemoryStudy, "before", -1.0, "before must be at least 0 s"),
-        (CameraUseStudy, "grounds", ("gap",), "write KIND:LEVEL, of flat, rough"),
-        (CameraUseStudy, "grounds", ("moon:3",), "moon"),
-        (CameraUseStudy, "grounds", (), "give a ground"),
-        (CameraUseStudy, "robots", 1, "at least 2 robots"),
-        (CameraUseStudy, "speed", 0.0, "speed must be positive"),
-        (CameraUseStudy, "modes", ("both",), "modes both"),
-        (CameraUseStudy, "modes", ("vp", "op"), "one mode"),
-        (CameraUseStudy, "grounds", ("stairs:3",), "write KIND:LEVEL"),
-    ],
-)
-def test_settings_that_measure_nothing_are_named(study, name, value, message) -> None:
+def test_settings_that_measure_nothing_are_refused(study, wrong, message):
     with pytest.raises(RenetError, match=message):
-        study(**{name: value})
+        STUDIES[study](**wrong)
 
 
-def test_files_that_are_no_results_are_refused(tmp_path: Path) -> None:
+def test_files_that_are_no_results_are_refused(tmp_path):
     huge = tmp_path / "huge.json"
     with huge.open("wb") as file:
         file.truncate(MAX_JSON + 1)

@@ -36,7 +36,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_blind_policy_sees_nothing_near(model: Path) -> None:
+def test_a_blind_policy_sees_nothing_near(model):
     policy = example.TheirPolicy(model, 2)
     depth = np.full((2, 48, 64), 0.25, np.float16)
     action = policy.step(np.zeros((2, 45), np.float32), depth, np.array([False, True]))
@@ -51,9 +51,7 @@ def test_a_blind_policy_sees_nothing_near(model: Path) -> None:
         ("float[N, 45] observation, float[N, 64, 64] depth", r"depth \[N, 48, 64\] in \[0, 1\]"),
     ],
 )
-def test_a_model_with_other_inputs_is_told_what_it_is_given(
-    tmp_path: Path, theirs: str, message: str
-) -> None:
+def test_a_model_with_other_inputs_is_told_what_it_is_given(tmp_path, theirs, message):
     size, name = theirs.split("] ")[0] + "]", theirs.split("] ")[1].split(",")[0]
     text = f'<ir_version: 8, opset_import: ["" : 17]>\nt ({theirs}) => ({size} action)'
     model = onnx.parser.parse_model(f"{text} {{ action = Identity ({name}) }}")
@@ -63,9 +61,7 @@ def test_a_model_with_other_inputs_is_told_what_it_is_given(
     assert "\n" not in str(error.value)
 
 
-def test_it_enters_the_leaderboard_with_one_command(
-    model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_enters_the_leaderboard_with_one_command(model, tmp_path, monkeypatch):
     small = {"faults": ("frozen:3",), "grounds": ("flat", "gap"), "healthy_minutes": 0}
     small |= {"onsets": (0.5,), "lasts": 0.2, "seconds": 0.8}
     monkeypatch.setattr(example, "FaultStudy", lambda **given: FaultStudy(**(given | small)))
@@ -97,7 +93,7 @@ theirs (float[1, 48] obs) => (float[1, 12] continuous_actions)
 """Its action repeats what it sees first: velocity, turn rate, gravity, three joints."""
 
 
-def test_playgrounds_policy_sees_the_simulator_in_its_own_order(tmp_path: Path) -> None:
+def test_playgrounds_policy_sees_the_simulator_in_its_own_order(tmp_path):
     onnx.save(onnx.parser.parse_model(PLAYGROUND), tmp_path / "go1_policy.onnx")
     study = playground_policy.CameraUse(model=tmp_path / "go1_policy.onnx")
     evaluator = study.make_evaluator()
@@ -110,7 +106,7 @@ def test_playgrounds_policy_sees_the_simulator_in_its_own_order(tmp_path: Path) 
     np.testing.assert_allclose(seen[:, 9:12], result.proprioception[:, 9:12], atol=1e-6)
 
 
-def test_another_model_is_not_taken_for_playgrounds(model: Path) -> None:
+def test_another_model_is_not_taken_for_playgrounds(model):
     evaluator = playground_policy.CameraUse(model=model).make_evaluator()
     with pytest.raises(RenetError, match="is not Playground's Go1 policy"):
         evaluator.make_policy(2)

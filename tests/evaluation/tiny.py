@@ -5,13 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from renet.evaluation.studies.camera_use import CameraUseStudy
-from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.studies.margins import MarginsStudy
-from renet.evaluation.studies.memory import MemoryStudy
-from renet.evaluation.studies.noise import NoiseStudy
-from renet.evaluation.studies.standing import StandingStudy
-from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
+from renet.evaluation.studies.report import STUDIES
 from renet.evaluation.study import Study
 from renet.terrain.tiles import tiles
 
@@ -92,24 +86,21 @@ class Obedient(FakeEnv):
         return pose
 
 
-FAULTS = FaultStudy(
-    faults=("gaussian", "frozen"),
-    robots=2,
-    lasts=1.0,
-    seconds=2.6,
-    healthy_minutes=0.1,
-    grounds=("flat", "gap"),
-    severities=(1, 5),
-)
-SUCCESS = SuccessStudy(kinds=("gap", "stairs_up"), levels=(1, 3, 5), robots=3, seconds=2)
-STANDING = StandingStudy(kinds=("flat", "stairs_up"), robots=2, seconds=1.0)
-TINY: dict[str, tuple[Study, Callable[[], FakeEvaluator]]] = {
-    "noise": (NoiseStudy(robots=2, onsets=(1.0,), lasts=4.0, seconds=5.0), FakeEvaluator),
-    "faults": (FAULTS, FakeEvaluator),
-    "memory": (MemoryStudy(grounds=("gap:3", "platform:4"), robots=2, seconds=4), FakeEvaluator),
-    "camera_use": (CameraUseStudy(grounds=("gap:3",), robots=2, seconds=1.0), FakeEvaluator),
-    "success": (SUCCESS, HurdlesEvaluator),
-    "terrain": (TerrainStudy(robots=3, seconds=2), partial(FakeEvaluator, Ladder)),
-    "standing": (STANDING, partial(FakeEvaluator, Obedient)),
-    "margins": (MarginsStudy(axes=("payload",), robots=1, seconds=0.2), FakeEvaluator),
+SETTINGS: dict[str, dict] = {
+    "noise": {"robots": 2, "onsets": (1.0,), "lasts": 4.0, "seconds": 5.0},
+    "faults": {"faults": ("gaussian", "frozen"), "grounds": ("flat", "gap"), "severities": (1, 5)}
+    | {"robots": 2, "lasts": 1.0, "seconds": 2.6, "healthy_minutes": 0.1},
+    "memory": {"grounds": ("gap:3", "platform:4"), "robots": 2, "seconds": 4},
+    "camera_use": {"grounds": ("gap:3",), "robots": 2, "seconds": 1.0},
+    "success": {"kinds": ("gap", "stairs_up"), "levels": (1, 3, 5), "robots": 3, "seconds": 2},
+    "terrain": {"robots": 3, "seconds": 2},
+    "standing": {"kinds": ("flat", "stairs_up"), "robots": 2, "seconds": 1.0},
+    "margins": {"axes": ("payload",), "robots": 1, "seconds": 0.2},
 }
+TINY: dict[str, Study] = {name: STUDIES[name](**settings) for name, settings in SETTINGS.items()}
+EVALUATORS: dict[str, Callable[[], FakeEvaluator]] = {
+    "success": HurdlesEvaluator,
+    "terrain": partial(FakeEvaluator, Ladder),
+    "standing": partial(FakeEvaluator, Obedient),
+}
+"""Those of the other studies are a `FakeEvaluator`."""

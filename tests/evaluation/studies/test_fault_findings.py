@@ -30,7 +30,7 @@ def healthy(switches: int, hours: float) -> dict:
     return {"false_switches": switches, "robot_hours": hours} | rates
 
 
-def test_harm_and_misses_are_published() -> None:
+def test_harm_and_misses_are_published():
     vp, op = run("foam", "vp", 5), run("foam", "op")
     renet = run("foam", "renet", 5, detected=7, **beside_op(-0.5))
     # Five of ten against none of ten: C(10, 5) / C(20, 5) = 1.6 %.
@@ -47,7 +47,7 @@ def test_harm_and_misses_are_published() -> None:
     assert missed([run("foam", "vp"), renet, op], usual(0)) == []
 
 
-def test_severities_and_onsets_are_judged_together_and_grounds_apart() -> None:
+def test_severities_and_onsets_are_judged_together_and_grounds_apart():
     rows = [run("foam", "vp", 3), run("foam", "renet", detected=0)]
     worse = [
         row | {"severity": 5, "onset": onset, "falls": 6}
@@ -66,7 +66,7 @@ def test_severities_and_onsets_are_judged_together_and_grounds_apart() -> None:
 
 
 @pytest.mark.parametrize("rate", [0.02, 0.2, 0.5])
-def test_robots_that_fall_as_often_as_the_others_seldom_look_worse(rate: float) -> None:
+def test_robots_that_fall_as_often_as_the_others_seldom_look_worse(rate):
     # One run without faults stands beside ten with them: its luck must count once.
     draw, looked_worse = np.random.default_rng(0), 0
     for _ in range(200):
@@ -77,7 +77,7 @@ def test_robots_that_fall_as_often_as_the_others_seldom_look_worse(rate: float) 
     assert looked_worse <= 200 * 0.05
 
 
-def test_claims_are_judged_by_what_was_measured() -> None:
+def test_claims_are_judged_by_what_was_measured():
     blind = {"severity": 5, "detected_by_paper": 0}
     runs = [
         run("frozen", "renet", **blind),

@@ -30,7 +30,7 @@ def noticed(trace: Trace) -> dict:
     return fault_metrics.noticing(trace, np.ones_like(trace.trusted), ONSET, OVER)
 
 
-def test_detection_return_and_survival_by_hand() -> None:
+def test_detection_return_and_survival_by_hand():
     row = noticed(faulty()) | fault_metrics.survival(faulty(), STEPS)
     assert row["detected"] == 2
     assert row["detection_delay_s"] == pytest.approx((0.045 + 0.405) / 2)
@@ -42,7 +42,7 @@ def test_detection_return_and_survival_by_hand() -> None:
     assert row["mean_forward_velocity"] == pytest.approx(0.6 * (3 * 100 + 25) / 400)
 
 
-def test_a_robot_without_vision_neither_notices_nor_misses() -> None:
+def test_a_robot_without_vision_neither_notices_nor_misses():
     four, five = noticed(faulty(4)), noticed(faulty(5))
     for name in ("vision_active_at_onset", "detected", "detection_delay_s", "detected_by_paper"):
         assert five[name] == four[name]
@@ -53,11 +53,11 @@ def test_a_robot_without_vision_neither_notices_nor_misses() -> None:
     ("fault", "severity", "end"),
     [("frozen", 1, 30), ("frozen", 4, 60), ("gaussian", 1, 60), ("mount_knocked", 1, 60)],
 )
-def test_a_fault_ends_by_itself_or_with_the_study(fault: str, severity: int, end: int) -> None:
+def test_a_fault_ends_by_itself_or_with_the_study(fault, severity, end):
     assert fault_metrics.end_of(Setting("flat", 0.4, fault, severity), 60) == end
 
 
-def test_only_what_comes_before_a_fall_counts() -> None:
+def test_only_what_comes_before_a_fall_counts():
     trusted, gone = np.ones((50, 4, 2), bool), np.zeros((50, 2), bool)
     trusted[30:], gone[25:, 0] = False, True
     np.testing.assert_allclose(fault_metrics.departure(trusted, gone, 20, 50), [np.nan, 0.205])
@@ -83,7 +83,7 @@ def walk() -> Trace:
     return trace
 
 
-def test_every_measure_by_hand() -> None:
+def test_every_measure_by_hand():
     measures = fault_metrics.robot_measures(walk(), 20, 0.6, STEPS)
     # Robot 1 stands still for the 40 of 80 steps after its fall.
     steps, speed = np.array([60, 40, np.nan, 80]), np.array([0.8, 0.6, np.nan, 0.6])
@@ -105,7 +105,7 @@ def test_every_measure_by_hand() -> None:
     assert mean == pytest.approx((0.8 + 0.36 + 0.0 + 0.6) / 4)  # Robot 0 until it crosses.
 
 
-def test_changes_are_paired_by_robot() -> None:
+def test_changes_are_paired_by_robot():
     values = fault_metrics.robot_measures(walk(), 20, 0.6, STEPS)
     rows = fault_metrics.estimates(values, values | {"speed_error": values["speed_error"] - 0.1})
     assert rows["crossed"]["value"] == 0.5
@@ -117,7 +117,7 @@ def test_changes_are_paired_by_robot() -> None:
     assert fault_metrics.estimates(nothing, nothing)["switches"]["value"] is None
 
 
-def test_twins_and_op_are_matched_robot_by_robot() -> None:
+def test_twins_and_op_are_matched_robot_by_robot():
     fell, calm, op = (
         {"upright": 1 - np.array(falls)} for falls in ([1, 1, 0, 0], [1, 0, 0, 1], [0, 1, 1, 0])
     )
@@ -128,7 +128,7 @@ def test_twins_and_op_are_matched_robot_by_robot() -> None:
 
 
 @pytest.mark.parametrize(("count", "limit"), [(0, 2.996), (1, 4.744), (5, 10.513)])
-def test_the_poisson_limit_is_the_textbooks(count: int, limit: float) -> None:
+def test_the_poisson_limit_is_the_textbooks(count, limit):
     mean = metrics.poisson_upper(count)
     assert mean == pytest.approx(limit, abs=1e-3)
     chance = sum(math.exp(-mean) * mean**i / math.factorial(i) for i in range(count + 1))

@@ -2,7 +2,6 @@
 
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,7 +37,7 @@ def complete(name: str, crossed: float) -> dict:
     return kind | parts | {"by_robot": {"vp": robots}}
 
 
-def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked() -> None:
+def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked():
     poor, good, cheat = complete("poor", 0.4), complete("good", 0.6), complete("cheat", 1.0)
     cheat["settings"] = cheat["settings"][1:]
     easy, lucky = complete("easy", 0.9), complete("lucky", 0.8)
@@ -61,7 +60,7 @@ def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked() -> None:
         rank([poor, good | {"protocol": good["protocol"] | {"quick": False}}])
 
 
-def test_the_leaderboard_is_made_from_files(tmp_path: Path, capsys) -> None:
+def test_the_leaderboard_is_made_from_files(tmp_path, capsys):
     files = []
     for name, crossed in (("one", 0.5), ("two", 0.7)):
         files.append(tmp_path / f"{name}.json")
@@ -89,7 +88,7 @@ def test_the_leaderboard_is_made_from_files(tmp_path: Path, capsys) -> None:
         (lambda r: r.update(settings={"many": "x" * 9000}), "settings: ….*is not of type 'array'"),
     ],
 )
-def test_a_file_against_the_schema_is_one_line(tmp_path: Path, spoil, message: str) -> None:
+def test_a_file_against_the_schema_is_one_line(tmp_path, spoil, message):
     broken, file = json.loads(json.dumps(complete("one", 0.5))), tmp_path / "one.json"
     spoil(broken)
     file.write_text(json.dumps(broken))
@@ -126,7 +125,7 @@ RESULT = {
 """Numbers from which every table follows by hand."""
 
 
-def test_tables_behind_the_ranking_by_hand() -> None:
+def test_tables_behind_the_ranking_by_hand():
     ground, severity, paired = leaderboard.result_tables([RESULT], None, None)
     assert ground[2] == [
         ("ours", "vp", "100.0 (100.0) [100.0 (100.0), 0.50]", "-", "-", "-", "-",
@@ -151,7 +150,7 @@ def test_tables_behind_the_ranking_by_hand() -> None:
     assert next(leaderboard.result_tables([RESULT], None, "before_the_edge"))[2] == []
 
 
-def test_who_noticed_is_read_from_a_studys_rows(tmp_path: Path, run_study) -> None:
+def test_who_noticed_is_read_from_a_studys_rows(tmp_path, run_study):
     folder, _ = run_study("faults")
     noticed = leaderboard.study_table(folder / "summary.csv")
     assert noticed[1] == ("fault", "1", "5", "of each")

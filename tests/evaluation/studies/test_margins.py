@@ -1,7 +1,6 @@
 import json
 import math
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -43,7 +42,7 @@ CHANGED = {
 
 
 @pytest.mark.parametrize("axis", AXES)
-def test_an_axis_changes_one_thing_and_nothing_else(axis: str) -> None:
+def test_an_axis_changes_one_thing_and_nothing_else(axis):
     before, cfg = settings(flat_cfg()), flat_cfg()
     change(cfg, axis, AXES[axis].levels[0])
     after = settings(cfg)
@@ -51,7 +50,7 @@ def test_an_axis_changes_one_thing_and_nothing_else(axis: str) -> None:
     assert settings(flat_cfg()) == before, "the robot's own description is untouched"
 
 
-def test_levels_are_in_the_units_they_are_shown_in() -> None:
+def test_levels_are_in_the_units_they_are_shown_in():
     cfg = flat_cfg()
     for axis, level in (("camera_delay", 300), ("gravity", 10), ("motor_strength", 40)):
         change(cfg, axis, level)
@@ -72,7 +71,7 @@ def run(level: float | None, failed: float) -> dict:
     return {"axis": "payload" if level else "nominal", "level": level, "failed": failed}
 
 
-def test_the_margin_ends_at_the_first_level_beyond_it() -> None:
+def test_the_margin_ends_at_the_first_level_beyond_it():
     levels = AXES["payload"].levels
     held = [run(None, 0.0), *(run(level, ALLOWED) for level in levels)]
     assert margin(held, "payload", levels) == {"margin": levels[-1], "broke": None, "held": 1.0}
@@ -83,9 +82,7 @@ def test_the_margin_ends_at_the_first_level_beyond_it() -> None:
     assert margin(held, "payload", levels) == {"margin": None, "broke": levels[0], "held": 0.0}
 
 
-def test_robots_fall_at_the_violent_end_and_the_sweep_stops_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_robots_fall_at_the_violent_end_and_the_sweep_stops_there(tmp_path, monkeypatch):
     monkeypatch.setitem(AXES, "payload", replace(AXES["payload"], levels=(1.0, 90.0, 99.0)))
     study = MarginsStudy(
         out=tmp_path, axes=("payload",), grounds=("flat",), modes=("op",), robots=2, seconds=2.0

@@ -1,25 +1,19 @@
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.studies.faults import FaultStudy, Setting
+from renet.evaluation.studies.faults import Setting
 from renet.evaluation.studies.noise import NoiseStudy
 
 from ..fakes import SPEED, FakeEvaluator
-from ..tiny import TINY
 
 SHORT: dict = {"onsets": (0.2,), "lasts": 0.6, "seconds": 0.8}
 
 
-@pytest.fixture
-def folder(run_study) -> Path:
-    return run_study("noise")[0]
-
-
-def test_the_preset_is_the_papers_comparison(folder: Path, summary: dict) -> None:
+def test_the_preset_is_the_papers_comparison(run_study):
+    folder, summary = run_study("noise")
     levels = {"gaussian": (0.3, 0.7, 1.0), "salt_and_pepper": (0.1, 0.3, 0.7)}
     assert [(run["fault"], run["level"], run["mode"]) for run in summary["runs"]] == [
         (noise, level, mode)
@@ -38,7 +32,8 @@ def test_the_preset_is_the_papers_comparison(folder: Path, summary: dict) -> Non
     assert not list(folder.glob("*.part"))
 
 
-def test_measured_values_are_those_of_the_robots(summary: dict) -> None:
+def test_measured_values_are_those_of_the_robots(run_study):
+    _, summary = run_study("noise")
     names = ("falls", "detected", "mean_forward_velocity", "velocity_ci95_low", "detection_delay_s")
     for run in (run for run in summary["runs"] if run["mode"] == "renet"):
         assert [run[n] for n in names] == pytest.approx([0, 2, SPEED, SPEED, 0.035], abs=1e-6)
@@ -46,8 +41,8 @@ def test_measured_values_are_those_of_the_robots(summary: dict) -> None:
     assert (strongest["falls"], strongest["mean_forward_velocity"]) == (2, 0)
 
 
-def test_only_renet_has_a_delay_in_the_table(summary: dict) -> None:
-    ((_, _, rows),) = TINY["noise"][0].tables(summary)
+def test_only_renet_has_a_delay_in_the_table(run_study):
+    ((_, _, rows),) = NoiseStudy().tables(run_study("noise")[1])
     names = [("VP alone", "no noise"), ("RENet", "no noise"), ("VP alone", "GA 30 %")]
     assert [row[:2] for row in rows[:3]] == names
     assert {row[5] for row in rows if row[0] == "VP alone"} == {"-"}
@@ -55,7 +50,7 @@ def test_only_renet_has_a_delay_in_the_table(summary: dict) -> None:
     assert {row[3] for row in rows} == {"-"}, "flat ground has no end"
 
 
-def test_on_tiles_the_table_says_who_crossed(tmp_path: Path) -> None:
+def test_on_tiles_the_table_says_who_crossed(tmp_path):
     study = NoiseStudy(tmp_path, robots=2, faults=("gaussian:5",), grounds=("stairs_up",), **SHORT)
     ((title, _, rows),) = study.tables(study.run(FakeEvaluator()))
     assert title == "Camera noise: stairs up"
@@ -63,44 +58,25 @@ def test_on_tiles_the_table_says_who_crossed(tmp_path: Path) -> None:
     assert [row[3] for row in rows] == ["0 of 2"] * 4
 
 
-def test_the_timelines_camera_recovers() -> None:
+def test_the_timelines_camera_recovers():
     last = NoiseStudy().trials([Setting("flat", 3.0, "gaussian", 5)])[-1]
     assert last.mode == "renet"
     at_work = np.array([last.schedule[0].elapsed(k) >= 0 for k in range(450)])
     np.testing.assert_array_equal(at_work, (np.arange(450) >= 150) & (np.arange(450) < 300))
 
 
-def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    faults = ("gaussian:2", "gaussian:4")
-    study = NoiseStudy(tmp_path / "deep" / "er", quick=True, faults=faults, **SHORT)
-    walked: list[str] = []
-    real = FaultStudy._run_batch
-
-    def spy(self, evaluator, make, name):
-        walked.append(name)
-        if name == "gaussian_4" and walked.count(name) == 1:
-            raise KeyboardInterrupt
-        return real(self, evaluator, make, name)
-
-    monkeypatch.setattr(FaultStudy, "_run_batch", spy)
+def test_faults_may_be_added_to_a_study(tmp_path, monkeypatch):
     monkeypatch.setattr(NoiseStudy, "draw", lambda *args: {})
-    with pytest.raises(KeyboardInterrupt):
-        study.run(FakeEvaluator())
-    assert not (study.out / "summary.json").exists()
-    summary = study.run(FakeEvaluator())
-    assert walked == ["gaussian_2", "gaussian_4", "gaussian_4"]
-    assert {run["robots"] for run in summary["runs"]} == {5}
-    more = replace(study, faults=(*faults, "gaussian:5"))
-    assert len(more.run(FakeEvaluator())["runs"]) == 6
-    assert walked[3:] == ["gaussian_5"], "finished faults are not run again"
-    next((study.out / "parts").glob("gaussian_5-*.json")).write_text('{"half')
-    with pytest.raises(RenetError, match=r"gaussian_5-\w+\.json is not JSON"):
-        more.run(FakeEvaluator())
-    whole = replace(study, out=tmp_path / "whole").run(FakeEvaluator())
-    assert whole["runs"] == summary["runs"]
+    study = NoiseStudy(tmp_path, robots=2, faults=("gaussian:2",), **SHORT)
+    study.run(FakeEvaluator())
+    earlier = {*(tmp_path / "parts").iterdir()}
+    more = replace(study, faults=("gaussian:2", "gaussian:5"))
+    assert len(more.run(FakeEvaluator())["runs"]) == 4
+    (added,) = {*(tmp_path / "parts").iterdir()} - earlier
+    assert added.name.startswith("gaussian_5"), "finished faults are not run again"
 
 
-def test_a_folder_that_cannot_be_written_to_is_reported(tmp_path: Path, monkeypatch) -> None:
+def test_a_folder_that_cannot_be_written_to_is_reported(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setattr("os.access", lambda path, mode: False)
     for out, message in ((tmp_path / "file", "cannot write"), (tmp_path, "permission denied")):

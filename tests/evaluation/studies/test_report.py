@@ -5,7 +5,6 @@ import shutil
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser
 
 from renet.errors import RenetError
 from renet.evaluation.report.summary import FACTS, WORSE, worse_section
@@ -35,7 +34,7 @@ def standing(results: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(results / "standing", tmp_path / "standing")) / "summary.json"
 
 
-def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
+def test_the_report_holds_every_study_and_needs_no_network(page):
     html = re.sub(r"base64,[A-Za-z0-9+/=]+", "", page.read_text()).replace("&#39;", "'")
     headings = (
         "Where RENet does worse,Noise in the camera,Every way a depth camera fails,Camera use,"
@@ -48,16 +47,14 @@ def test_the_report_holds_every_study_and_needs_no_network(page: Path) -> None:
     assert html.count("<img") == 10
 
 
-def test_one_study_alone_makes_a_page(standing: Path, tmp_path: Path) -> None:
+def test_one_study_alone_makes_a_page(standing, tmp_path):
     page = make_report(ReportCfg(tmp_path))
     assert page == tmp_path / "index.html"
     assert "Parkour" not in page.read_text()
     assert "none of what was run" in page.read_text()
 
 
-def test_results_of_different_bundles_are_pointed_out(
-    page: Path, results: Path, standing: Path, tmp_path: Path
-) -> None:
+def test_results_of_different_bundles_are_pointed_out(page, results, standing, tmp_path):
     assert "Careful" not in page.read_text()
     shutil.copytree(results / "noise", tmp_path / "noise")
     standing.write_text(standing.read_text().replace("0" * 64, "f" * 64))
@@ -65,7 +62,7 @@ def test_results_of_different_bundles_are_pointed_out(
     assert "2 different bundles, 0000000000, ffffffffff" in html
 
 
-def test_what_is_worse_than_op_alone_is_listed() -> None:
+def test_what_is_worse_than_op_alone_is_listed():
     glare = {"fault": "glare", "severity": 5, "ground": "gap", "renet": 0.5, "op": 1.0}
     frozen = {"fault": "frozen", "severity": 3, "ground": "stairs_up", "undetected": 2}
     frozen |= {"vp_falls": 4, "vp_spared": 1, "beyond_chance": False}
@@ -79,7 +76,7 @@ def test_what_is_worse_than_op_alone_is_listed() -> None:
     assert WORSE["success"]({"worse": worse}) == [("obstacles", "gap 10 cm", "20 %", "30 %")]
 
 
-def test_what_was_not_measured_is_no_large_number() -> None:
+def test_what_was_not_measured_is_no_large_number():
     calm = {"false_switches": 0, "false_switches_per_hour": None}
     blind = {"mode": "op", "robots": 2, "falls": 1, "vision_active_at_onset": 2, "detected": 0}
     faults = {"runs": [blind], "healthy": calm}
@@ -92,7 +89,7 @@ def test_what_was_not_measured_is_no_large_number() -> None:
     assert [value for value, _ in both] == ["100 %", "100 %"]
 
 
-def test_no_results_are_reported(tmp_path: Path) -> None:
+def test_no_results_are_reported(tmp_path):
     with pytest.raises(RenetError, match="no results in"):
         make_report(ReportCfg(tmp_path, tmp_path / "page.html"))
     assert not (tmp_path / "page.html").exists()
@@ -111,7 +108,7 @@ def test_no_results_are_reported(tmp_path: Path) -> None:
     ],
     ids=["deep", "half", "list", "incomplete", "text for rows", "list for row", "text for number"],
 )
-def test_damaged_results_end_in_one_line(standing: Path, tmp_path: Path, damaged) -> None:
+def test_damaged_results_end_in_one_line(standing, tmp_path, damaged):
     standing.write_text(damaged(json.loads(standing.read_text())))
     with pytest.raises(RenetError, match="standing") as caught:
         make_report(ReportCfg(tmp_path, tmp_path / "page.html"))
@@ -120,7 +117,7 @@ def test_damaged_results_end_in_one_line(standing: Path, tmp_path: Path, damaged
 
 
 @pytest.mark.parametrize("spoil", ["link", "pipe", "text", "folder", "summary"])
-def test_only_pictures_of_the_folder_itself_are_shown(results: Path, tmp_path: Path, spoil) -> None:
+def test_only_pictures_of_the_folder_itself_are_shown(results, tmp_path, spoil):
     """A stranger's folder of results must not put this computer's files on the page."""
     folder, picture = tmp_path / "r" / "terrain", tmp_path / "r" / "terrain" / "terrain.png"
     shutil.copytree(results / "terrain", folder)
@@ -138,7 +135,7 @@ def test_only_pictures_of_the_folder_itself_are_shown(results: Path, tmp_path: P
     assert not (tmp_path / "r" / "index.html").exists()
 
 
-def test_text_of_a_summary_is_escaped(standing: Path, tmp_path: Path) -> None:
+def test_text_of_a_summary_is_escaped(standing, tmp_path):
     content = json.loads(standing.read_text())
     content["provenance"]["command"] = "<script>alert(1)</script>"
     standing.write_text(json.dumps(content))
@@ -147,7 +144,7 @@ def test_text_of_a_summary_is_escaped(standing: Path, tmp_path: Path) -> None:
     assert "&lt;script&gt;" in html
 
 
-def test_run_runs_every_study_into_its_folder(tmp_path: Path, monkeypatch) -> None:
+def test_run_runs_every_study_into_its_folder(tmp_path, monkeypatch):
     ran = {}
     monkeypatch.setattr(Study, "main", lambda self: ran.update({self.name: self}))
     run_studies(ReportCfg(tmp_path, run=True, quick=True, seed=7))
@@ -164,9 +161,7 @@ def browser():
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [390, 1200])
-def test_a_real_browser_shows_the_page_without_complaint(
-    page: Path, browser: Browser, width: int, scheme: str
-) -> None:
+def test_a_real_browser_shows_the_page_without_complaint(page, browser, width, scheme):
     window = browser.new_page(viewport={"width": width, "height": 844}, color_scheme=scheme)
     complaints, requests = watch(window)
     window.goto(page.resolve().as_uri())

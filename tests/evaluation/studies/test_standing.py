@@ -3,7 +3,7 @@ import numpy as np
 from renet.evaluation.studies.standing import stillness
 
 
-def test_drift_counts_from_when_robots_should_stand_and_joints_all_along() -> None:
+def test_drift_counts_from_when_robots_should_stand_and_joints_all_along():
     poses = np.zeros((4, 1, 9))
     poses[:, 0, 0] = (0.0, 3.0, 3.0, 3.3)
     poses[:, 0, 1] = (0.0, 0.0, 0.0, 0.4)
@@ -13,7 +13,7 @@ def test_drift_counts_from_when_robots_should_stand_and_joints_all_along() -> No
     np.testing.assert_allclose(speed[:, 0], (0.5, 0.0, 0.5), atol=1e-12)
 
 
-def test_robots_that_stop_stand_and_restless_ones_do_not(run_study) -> None:
+def test_robots_that_stop_stand_and_restless_ones_do_not(run_study):
     _, summary = run_study("standing")
     assert [(run["kind"], run["level"], run["mode"]) for run in summary["runs"]] == [
         (*place, mode) for place in (("flat", 1), ("stairs_up", 3)) for mode in ("vp", "op")
