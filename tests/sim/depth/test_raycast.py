@@ -6,7 +6,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.sim.scenes import scene
+from tests.sim.scenes import mujoco_rays, scene
 
 from renet.camera import Intrinsics
 from renet.sim.depth.camera import mount_rotation
@@ -18,24 +18,15 @@ RANGE = 2.0
 RAYS = torch.from_numpy(Intrinsics().rays(np.float32))
 
 
-def mujoco_rays(model: mujoco.MjModel, eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Ray parameter of each hit, [P]; -1 for a miss. mj_ray's unit is the length of the ray."""
-    data, geom = mujoco.MjData(model), np.zeros(1, np.int32)
-    mujoco.mj_forward(model, data)
-    eye, directions = eye.astype(float), directions.astype(float)
-    return np.array([mujoco.mj_ray(model, data, eye, d, None, 1, -1, geom) for d in directions])
-
-
 def assert_sees_what_mujoco_sees(model: mujoco.MjModel, eye, rotation: torch.Tensor) -> int:
     """Compare every fifth pixel; at most 1 in 50 may lie on an edge and see past it.
 
     Images drawn and rays cast, which are not the same code.
     """
-    scanners, eyes = (Rasterizer(model), TerrainScanner(model, "cpu")), torch.tensor(eye)[None]
-    expected = mujoco_rays(model, np.array(eye), (RAYS[::5] @ rotation[0].T).numpy())
+    expected = mujoco_rays(model, eye, (RAYS[::5] @ rotation[0].T).numpy())
     expected[expected > RANGE] = -1.0
-    for scanner in scanners:
-        got = scanner.depth(eyes, rotation, Intrinsics(), RANGE)[0, ::5]
+    for scanner in (Rasterizer(model), TerrainScanner(model, "cpu")):
+        got = scanner.depth(torch.tensor(eye)[None], rotation, Intrinsics(), RANGE)[0, ::5]
         differs = np.abs(got.numpy() - expected) > 1e-3
         assert differs.mean() <= 0.02
     return int((expected >= 0).sum())

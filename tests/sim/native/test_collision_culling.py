@@ -4,8 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab.sim.sim import SimulationCfg
-from tests.sim.scenes import scene
+from tests.sim.scenes import scene, simulate
 
 from renet.sim.native import collision_culling
 from renet.sim.native.engine import NativeSimulation
@@ -25,7 +24,7 @@ def move(sim: NativeSimulation, *x: float) -> None:
 
 def look(model: mujoco.MjModel, *x: float) -> NativeSimulation:
     """A simulation that has looked where robots are, at `x`."""
-    sim = NativeSimulation(len(x), SimulationCfg(), model, "cpu")
+    sim = simulate(model, len(x))
     move(sim, *x)
     return sim
 

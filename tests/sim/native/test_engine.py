@@ -5,15 +5,13 @@ import numpy as np
 import pytest
 import torch
 from mjlab.envs import ManagerBasedRlEnvCfg
-from mjlab.sim.sim import MujocoCfg, SimulationCfg
-from tests.sim.scenes import make, scene
+from tests.sim.scenes import make, scene, simulate
 
 from renet.errors import RenetError
 from renet.sim.native import engine
 from renet.sim.native.engine import NativeSimulation, use_engine
 
 FLAT = "Mjlab-Velocity-Flat-Unitree-Go1"
-NUM_ENVS = 3
 FREE_BODY = """<body name="top" pos="0 0 50"><freejoint/>
   <inertial pos="0.01 0 0" mass="1" diaginertia="0.01 0.02 0.03"/>
   <body pos="0.1 0 0"><joint name="hinge" axis="0 1 0"/>
@@ -23,40 +21,29 @@ MOTOR = """<actuator><motor joint="hinge" ctrlrange="-1 1"/></actuator>
 <sensor><gyro site="s"/><jointpos joint="hinge"/></sensor>"""
 
 
-def simulation(model: mujoco.MjModel) -> NativeSimulation:
-    cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005))
-    return NativeSimulation(NUM_ENVS, cfg, model, "cpu")
-
-
-def free_body() -> NativeSimulation:
-    return simulation(scene(FREE_BODY, extra=MOTOR))
-
-
-def spin(sim: NativeSimulation) -> None:
-    sim.data.qvel[:] = torch.linspace(-0.5, 0.5, 7).repeat(NUM_ENVS, 1)
+def spun(substeps: int, *expanded: str) -> NativeSimulation:
+    """Free bodies after some substeps, with fields of the model of their own."""
+    sim = simulate(scene(FREE_BODY, extra=MOTOR))
+    sim.expand_model_fields(expanded)
+    sim.data.qvel[:] = torch.linspace(-0.5, 0.5, 7).repeat(3, 1)
     sim.data.ctrl[:] = torch.tensor([[0.02], [-0.01], [0.0]])
-
-
-def spun() -> NativeSimulation:
-    sim = free_body()
-    spin(sim)
-    sim.step_n(4)
+    sim.step_n(substeps)
     return sim
 
 
-DERIVED = ("xpos", "xquat", "xmat", "site_xpos", "cvel", "subtree_com", "sensordata")
+def read(sim: NativeSimulation, *names: str) -> dict[str, torch.Tensor]:
+    return {name: getattr(sim.data, name)[:].clone() for name in names}
 
 
 def test_a_control_step_ends_with_poses_and_velocities_of_the_state_it_leads_to():
-    sim = spun()
-    derived = {name: getattr(sim.data, name)[:].clone() for name in DERIVED}
+    sim = spun(4)
+    derived = read(sim, "xpos", "xquat", "xmat", "site_xpos", "cvel", "subtree_com", "sensordata")
     sim.forward()
-    for name, value in derived.items():
-        torch.testing.assert_close(value, getattr(sim.data, name)[:], msg=name)
+    torch.testing.assert_close(read(sim, *derived), derived)
 
 
 def test_only_what_was_written_is_derived_anew():
-    sim = spun()
+    sim = spun(4)
     sim.data.xpos[:] = 7.0
     sim.forward_written()
     assert (sim.data.xpos[:] == 7.0).all()
@@ -72,7 +59,7 @@ def test_only_what_was_written_is_derived_anew():
 
 @pytest.mark.parametrize("lost", ["a physics step", "other fields"])
 def test_poses_are_derived_anew_after(lost):
-    sim = spun()
+    sim = spun(4)
     sim.step() if lost == "a physics step" else sim.expand_model_fields(("body_pos",))
     sim.data.xpos[:] = 7.0
     sim.forward_written()
@@ -80,7 +67,7 @@ def test_poses_are_derived_anew_after(lost):
 
 
 def test_bodies_moved_by_hand_count_as_written():
-    sim = simulation(scene('<body mocap="true"><geom size=".1"/></body>'))
+    sim = simulate(scene('<body mocap="true"><geom size=".1"/></body>'))
     sim.step_n(4)
     sim.data.mocap_pos[1, 0] = torch.tensor([1.0, 2.0, 3.0])
     sim.forward_written()
@@ -88,23 +75,14 @@ def test_bodies_moved_by_hand_count_as_written():
 
 
 def test_randomised_colours_are_left_to_viewers():
-    sims = [free_body(), free_body()]
-    sims[1].expand_model_fields(("geom_rgba",))
-    for sim in sims:
-        spin(sim)
-        sim.step()
-    assert torch.equal(*(sim.data.qpos[:] for sim in sims))
+    assert torch.equal(spun(1).data.qpos[:], spun(1, "geom_rgba").data.qpos[:])
 
 
 def test_a_reset_puts_its_environments_where_they_began_and_no_others():
-    new, sim = free_body(), free_body()
-    spin(sim)
-    sim.step_n(10)
-    names = ("qpos", "qvel", "ctrl", "time", "sensordata")
-    before = {name: getattr(sim.data, name)[:].clone() for name in names}
+    new, sim = simulate(scene(FREE_BODY, extra=MOTOR)), spun(10)
+    before = read(sim, "qpos", "qvel", "ctrl", "time", "sensordata")
     sim.reset(torch.tensor([1]))
-    for name in names:
-        now = getattr(sim.data, name)[:]
+    for name, now in read(sim, *before).items():
         assert torch.equal(now[1], getattr(new.data, name)[1]), name
         assert torch.equal(now[[0, 2]], before[name][[0, 2]]), name
 
@@ -131,7 +109,7 @@ def test_the_stock_go1_walks_alike_on_both_engines():
         env.sim.forward()
     actions = torch.Generator().manual_seed(0)
     for _ in range(50):
-        action = 0.1 * torch.randn(NUM_ENVS, 12, generator=actions)
+        action = 0.1 * torch.randn(3, 12, generator=actions)
         for env in envs:
             env.step(action)
     warp, native = (env.scene["robot"].data for env in envs)

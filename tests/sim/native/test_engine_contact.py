@@ -5,14 +5,11 @@ import numpy as np
 import pytest
 import torch
 from mjlab.envs import ManagerBasedRlEnvCfg
-from mjlab.sim.sim import MujocoCfg, SimulationCfg
-from tests.sim.scenes import make, scene
+from tests.sim.scenes import make, mujoco_rays, scene, simulate
 
 from renet.errors import RenetError
 from renet.sim.native.engine import NativeSimulation
 
-NUM_ENVS = 3
-ROUGH = "Mjlab-Velocity-Rough-Unitree-Go1"
 CRATE = """<geom name="floor" type="plane" size="0 0 1"/>
 <body name="crate" pos="0 0 0.1"><freejoint/>
   <geom name="crate" type="box" size="0.15 0.15 0.1" mass="2" priority="1"/></body>"""
@@ -22,8 +19,7 @@ TOUCH = """<sensor><contact geom1="crate" geom2="floor" data="found force" reduc
 
 def crates(crate: str = CRATE) -> NativeSimulation:
     """The same crates on floors."""
-    cfg, model = SimulationCfg(mujoco=MujocoCfg(timestep=0.005)), scene(crate, extra=TOUCH)
-    return NativeSimulation(NUM_ENVS, cfg, model, "cpu")
+    return simulate(scene(crate, extra=TOUCH))
 
 
 def run(sim: NativeSimulation, steps: int) -> None:
@@ -117,9 +113,9 @@ def use_two_tiles(cfg: ManagerBasedRlEnvCfg) -> None:
 
 def test_the_stock_rough_task_runs_and_scans_the_ground_that_mujocos_rays_find():
     """From where robots are: Warp's rays read what the native engine has written."""
-    env = make(ROUGH, use_two_tiles, "native")
+    env = make("Mjlab-Velocity-Rough-Unitree-Go1", use_two_tiles, "native")
     for _ in range(3):
-        observation, *_ = env.step(torch.zeros(NUM_ENVS, 12))
+        observation, *_ = env.step(torch.zeros(3, 12))
     assert all(torch.isfinite(value).all() for value in observation.values())
     env.sim.forward()
     env.sim.sense()
@@ -127,13 +123,7 @@ def test_the_stock_rough_task_runs_and_scans_the_ground_that_mujocos_rays_find()
     scan, base = env.scene["terrain_scan"].data, env.scene["robot"].data.root_link_pos_w
     start = scan.hit_pos_w + scan.distances[..., None] * torch.tensor([0.0, 0.0, 1.0])
     torch.testing.assert_close(start.mean(1), base, atol=1e-3, rtol=0)
-    model = env.sim.mj_model
-    data, down, geom = mujoco.MjData(model), np.array([0.0, 0.0, -1.0]), np.zeros(1, np.int32)
-    data.qpos[2] = 100.0  # The robot is out of the rays' way.
-    mujoco.mj_kinematics(model, data)
-    expected = [
-        mujoco.mj_ray(model, data, point, down, None, 1, -1, geom)
-        for point in start.flatten(0, 1).double().numpy()
-    ]
+    env.sim.mj_model.qpos0[2] = 100.0  # The robot is out of the rays' way.
+    expected = mujoco_rays(env.sim.mj_model, start.flatten(0, 1).double().numpy(), (0, 0, -1))
     differs = np.abs(scan.distances.flatten().numpy() - expected) > 1e-3
     assert differs.mean() < 0.02  # Rays that graze an edge.

@@ -3,16 +3,12 @@
 import mujoco
 import numpy as np
 import pytest
-from mjlab.sim.sim import MujocoCfg, SimulationCfg
-from tests.sim.scenes import PLANE, scene
+from tests.sim.scenes import PLANE, scene, simulate
 
 from renet.errors import RenetError
 from renet.sim.native import engine, mujoco_memory, stages
-from renet.sim.native.engine import NativeSimulation
 from renet.sim.native.stages import moving_part
 
-NUM_ENVS = 2
-STEPS = 300
 WALKER = """
 <body name="trunk" pos="0.3 0.2 0.35"><freejoint/>
   <geom type="box" size=".2 .1 .05" mass="4"/><site name="imu"/>
@@ -41,13 +37,7 @@ MOTORS = '<actuator><position joint="hip" kp="20"/><position joint="knee" kp="20
 
 
 def robots(*bodies: str, sensors: str = SENSORS) -> mujoco.MjModel:
-    option = '<option integrator="implicitfast"/>'
-    return scene(*bodies, extra=f"{option}{MOTORS}<sensor>{sensors}</sensor>")
-
-
-def simulate(model: mujoco.MjModel, integrator: str = "implicitfast") -> NativeSimulation:
-    cfg = SimulationCfg(mujoco=MujocoCfg(timestep=0.005, integrator=integrator))
-    return NativeSimulation(NUM_ENVS, cfg, model, "cpu")
+    return scene(*bodies, extra=f"{MOTORS}<sensor>{sensors}</sensor>")
 
 
 @pytest.mark.parametrize("order", [(PLANE, WALKER, TILES), (WALKER, TILES), (TILES, WALKER)])
@@ -55,24 +45,24 @@ def simulate(model: mujoco.MjModel, integrator: str = "implicitfast") -> NativeS
 def test_steps_are_mujocos_own(order, integrator, monkeypatch):
     """Also while limbs touch the tiles; state, forces and every sensor."""
     monkeypatch.setattr(engine, "THREADS", 64)
-    simulation = simulate(robots(*order), integrator)
+    simulation = simulate(robots(*order), integrator=integrator)
     model = simulation.mj_model
     assert (moving_part(model)[0] < model.nbody) == (order[-1] is TILES)
     simulation.data.ctrl[:, 0], simulation.data.ctrl[:, 1] = 0.5, -0.5
-    simulation._advance(STEPS)
-    assert [worker.model.nbody for worker in simulation._workers] == [model.nbody] * NUM_ENVS
+    simulation._advance(300)
+    assert [worker.model.nbody for worker in simulation._workers] == [model.nbody] * 3
 
     reference = model.__copy__()
     reference.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     data = mujoco.MjData(reference)
     data.qpos[:] = np.float32(data.qpos)
     data.ctrl[:] = 0.5, -0.5
-    mujoco.mj_step(reference, data, STEPS)
+    mujoco.mj_step(reference, data, 300)
     assert data.ncon > 2
     assert data.sensordata[-4] > 0.0  # The foot touches something.
     poses = ("xpos", "xquat", "cvel", "geom_xpos", "site_xpos")
     for name in ("time", "qpos", "qvel", "qacc", "qfrc_constraint", "sensordata", *poses):
-        expected = np.float32(np.stack([getattr(data, name)] * NUM_ENVS))
+        expected = np.float32(np.stack([getattr(data, name)] * 3))
         values = getattr(simulation.data, name)[:].numpy()
         np.testing.assert_array_equal(values, expected, err_msg=name)
 
