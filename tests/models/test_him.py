@@ -38,9 +38,8 @@ def test_sinkhorn_and_loss_match_the_reference(seed, batch):
     scores = source @ prototypes.T, target @ prototypes.T
     assignments = [reference_sinkhorn(s) for s in scores]
     counts = torch.ones(batch, dtype=torch.float64)
-    found = sinkhorn(torch.tensor(scores[0]), counts)
-    np.testing.assert_allclose(found, assignments[0], atol=1e-9)
-    np.testing.assert_allclose(found.sum(1), np.ones(batch))
+    got = sinkhorn(torch.tensor(scores[0]), counts)
+    np.testing.assert_allclose(got, assignments[0], atol=1e-9)
 
     def log_softmax(x):
         return x - np.log(np.exp(x).sum(-1, keepdims=True))
@@ -79,13 +78,12 @@ def test_training_pulls_matching_views_together():
     assert losses[-1] < 0.5 * chance
     # At HIMLoco's temperature of 3 the prototypes collapse onto one line in as many steps.
     assert him.effective_rank() > 8
-    assert him.usage is not None
     assert him.usage > 16
 
 
 def test_the_shipped_prototypes_have_not_collapsed():
-    found = checkpoints.find(Path(renet.__file__).parent / "pretrained" / "checkpoint")
-    model = load_networks(found)
+    shipped = Path(renet.__file__).parent / "pretrained" / "checkpoint"
+    model = load_networks(checkpoints.find(shipped))
     assert min(model.op_him.effective_rank(), model.vp_him.effective_rank()) > 8
 
 
@@ -100,7 +98,6 @@ def test_a_collapsed_module_shows_in_rank_and_usage():
     him(torch.randn(64, 64), torch.randn(64, 45), torch.ones(64))
     sides = (him.prototypes.weight @ line > 0).sum().item()
     torch.testing.assert_close(him.effective_rank(), torch.tensor(1.0), atol=1e-3, rtol=0)
-    assert him.usage is not None
     assert him.usage.item() == pytest.approx(sides, rel=1e-3)
 
 

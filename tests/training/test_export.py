@@ -23,10 +23,6 @@ MODELS = {
 """Every row whose exported networks differ."""
 
 
-def sessions(models: dict[str, bytes]) -> dict[str, ort.InferenceSession]:
-    return {name: ort.InferenceSession(data) for name, data in models.items()}
-
-
 @pytest.mark.parametrize("fields", MODELS.values(), ids=MODELS)
 def test_sequence_matches_pytorch(fields):
     torch.manual_seed(0)
@@ -34,7 +30,7 @@ def test_sequence_matches_pytorch(fields):
     model = RENet(cfg, critic_size=10).eval()
     models = export_models(model)
     assert sum(map(len, models.values())) < 3e6
-    onnx = sessions(models)
+    onnx = {name: ort.InferenceSession(data) for name, data in models.items()}
     memory = EstimatorMemory(cfg, 3, "cpu")
     latents = {name: np.zeros((3, 64), np.float32) for name in ("latent_op", "latent_vp")}
     for tick in range(6):
@@ -50,20 +46,18 @@ def test_sequence_matches_pytorch(fields):
             "has_image": has_image[:, None].float().numpy(),
             **latents,
         }
-        names = {i.name for i in onnx["estimator"].get_inputs()}
-        assert names == set(inputs)
+        assert {i.name for i in onnx["estimator"].get_inputs()} == set(inputs)
         outputs = [o.name for o in onnx["estimator"].get_outputs()]
         result = dict(zip(outputs, onnx["estimator"].run(None, inputs), strict=True))
-        np.testing.assert_allclose(result["next_latent_op"], memory.latent_op, atol=1e-4)
-        np.testing.assert_allclose(result["next_latent_vp"], memory.latent_vp, atol=1e-4)
-        latents = {n: result[f"next_{n}"] for n in latents}
+        latents = {name: result[f"next_{name}"] for name in latents}
+        for name, latent in latents.items():
+            np.testing.assert_allclose(latent, getattr(memory, name), atol=1e-4)
         with torch.no_grad():
             estimate = model.vp.predict(memory.latent_vp)
             action = model.actor(observation, fuse(memory.latent_op, memory.latent_vp, mask))
             reconstruction = model.autoencoder.predict(memory.frames.float())[0]
         for name in ("feet_height", "height_map"):
-            expected = estimate.get(name)
-            expected = np.zeros_like(result[name]) if expected is None else expected.numpy()
+            expected = estimate.get(name, torch.zeros(result[name].shape)).numpy()
             np.testing.assert_allclose(result[name], expected, atol=1e-4)
         assert ("map_error" in result) == cfg.predict_map_error
         if cfg.predict_map_error:
@@ -71,16 +65,13 @@ def test_sequence_matches_pytorch(fields):
             ahead = variance.reshape(3, 12, 11)[:, 4:]  # From 0.15 m on.
             expected = np.sqrt(ahead.mean(axis=(1, 2)))
             np.testing.assert_allclose(result["map_error"], expected, rtol=1e-4)
-        (got,) = onnx["actor"].run(
-            None,
-            {"proprioception": observation.numpy(), "op_mask": mask[:, None].numpy(), **latents},
-        )
+        inputs = {"proprioception": observation.numpy(), "op_mask": mask[:, None].numpy()}
+        (got,) = onnx["actor"].run(None, inputs | latents)
         np.testing.assert_allclose(got, action.numpy(), atol=1e-4)
-        got, score = onnx["vision"].run(
-            ("reconstruction", "anomaly_score"), {"depth": memory.frames.float().numpy()}
-        )
+        depth = memory.frames.float().numpy()
+        got, score = onnx["vision"].run(("reconstruction", "anomaly_score"), {"depth": depth})
         np.testing.assert_allclose(got, reconstruction.numpy(), atol=1e-4)
-        expected = np.mean((memory.frames.float().numpy() - got) ** 2, axis=(1, 2, 3))
+        expected = np.mean((depth - got) ** 2, axis=(1, 2, 3))
         np.testing.assert_allclose(score, expected, rtol=1e-4)
 
 

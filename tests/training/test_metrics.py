@@ -46,8 +46,7 @@ def test_curves_go_to_wandb_offline_beside_the_file(tmp_path, monkeypatch):
     wandb = pytest.importorskip("wandb")
     for name, value in {"MODE": "offline", "DIR": str(tmp_path), "SILENT": "true"}.items():
         monkeypatch.setenv(f"WANDB_{name}", value)
-    runner = make_runner(ToyEnv(), tmp_path, logger="wandb")
-    runner.learn(2)
+    make_runner(ToyEnv(), tmp_path, logger="wandb").learn(2)
     wandb.teardown()  # Its service writes what is left.
     (log,) = (tmp_path / "wandb").glob("offline-run-*/*.wandb")
     assert b"surrogate" in log.read_bytes()

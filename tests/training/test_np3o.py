@@ -6,32 +6,27 @@ import torch
 
 from renet.models.actor_critic import Actor, Critics
 from renet.models.config import ModelCfg
+from renet.training import np3o
 from renet.training.config import NP3OCfg
-from renet.training.np3o import (
-    NP3O,
-    advantages,
-    cost_surrogate,
-    make_targets,
-    reward_surrogate,
-    violation,
-)
 from renet.training.storage import PolicyRollout
 
 
 def test_reward_surrogate_by_hand():
     ratio, advantage = torch.tensor([1.5, 0.5, 1.0]), torch.tensor([1.0, -1.0, 2.0])
     # min(1.5, 1.2) + min(-0.5, -0.8) + 2.0
-    assert reward_surrogate(ratio, advantage, 0.2).item() == pytest.approx(-(1.2 - 0.8 + 2.0) / 3)
+    loss = np3o.reward_surrogate(ratio, advantage, 0.2).item()
+    assert loss == pytest.approx(-(1.2 - 0.8 + 2.0) / 3)
 
 
 def test_cost_surrogate_takes_the_pessimistic_side():
-    loss = cost_surrogate(torch.tensor([1.5, 0.5]), torch.tensor([[1.0, -1.0], [-1.0, 1.0]]), 0.2)
+    ratio, advantage = torch.tensor([1.5, 0.5]), torch.tensor([[1.0, -1.0], [-1.0, 1.0]])
+    loss = np3o.cost_surrogate(ratio, advantage, 0.2)
     # column 0: max(1.5, 1.2), max(-0.5, -0.8); column 1: max(-1.5, -1.2), max(0.5, 0.8)
     assert loss.tolist() == pytest.approx([(1.5 - 0.5) / 2, (-1.2 + 0.8) / 2])
 
 
 def test_violation_by_hand():
-    value = violation(*(torch.tensor([x]) for x in (5.0, 1.0, 0.2, 2.0)), gamma=0.9)
+    value = np3o.violation(*(torch.tensor([x]) for x in (5.0, 1.0, 0.2, 2.0)), gamma=0.9)
     assert value.item() == pytest.approx((0.1 * (5.0 - 1.0) + 0.2) / 2.0)
 
 
@@ -54,45 +49,57 @@ def test_advantages_match_a_plain_loop():
                         break
                     weight *= gamma * lam
                 expected[start, env, column] = total
-    got = advantages(*map(torch.tensor, (rewards_and_costs, value, last, done)), gamma, lam)
+    got = np3o.advantages(*map(torch.tensor, (rewards_and_costs, value, last, done)), gamma, lam)
     np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
-def small(initial_std: float = 1.0, **settings) -> NP3O:
+def small(initial_std: float = 1.0, **settings) -> np3o.NP3O:
     """Of networks that learn quickly."""
     hidden = dict.fromkeys(("actor_hidden", "critic_hidden", "cost_critic_hidden"), (16,))
     cfg = ModelCfg(**hidden, initial_std=initial_std)
-    return NP3O(Actor(cfg), Critics(cfg, 4), NP3OCfg(**settings))
+    return np3o.NP3O(Actor(cfg), Critics(cfg, 4), NP3OCfg(**settings))
 
 
-def bandit(algorithm: NP3O, iterations: int) -> float:
+def random_rollout(
+    algorithm: np3o.NP3O, steps: int = 10, robots: int = 3, noise: float = 1.0
+) -> tuple[PolicyRollout, torch.Tensor]:
+    """What networks answer to noise of a standard deviation, and values after the last step."""
+
+    def draw(*shape: int) -> torch.Tensor:
+        return noise * torch.randn(steps, robots, *shape)
+
+    proprioception, latent, critic_observation = draw(45), draw(128), draw(4)
+    with torch.no_grad():
+        policy = algorithm.actor.distribution(proprioception, latent)
+        action = policy.sample()
+        value = algorithm.critics(critic_observation)
+    rollout = PolicyRollout(
+        proprioception=proprioception,
+        latent=latent,
+        critic_observation=critic_observation,
+        action=action,
+        log_prob=policy.log_prob(action).sum(-1),
+        mean=policy.mean,
+        value=value,
+        rewards_and_costs=draw(4),
+        done=draw() > 1.5,
+    )
+    return rollout, noise * torch.randn(robots, 4)
+
+
+def bandit(algorithm: np3o.NP3O, iterations: int) -> float:
     """One-step episodes: reward -|a - 2|^2, first cost relu(a0 - 1); returns the final mean a0.
 
     The unconstrained optimum is a = 2 everywhere; the constraint binds a0 alone, to 1 or less.
     """
-    actor, critics, count = algorithm.actor, algorithm.critics, 512
-    observation, latent = torch.zeros(count, 45), torch.zeros(count, 128)
-    critic_observation = torch.zeros(count, 4)
     for iteration in range(iterations):
-        with torch.no_grad():
-            distribution = actor.distribution(observation, latent)
-            action = distribution.sample()
-            value = critics(critic_observation)
-        reward = -((action - 2.0) ** 2).sum(-1, keepdim=True)
-        cost = torch.cat((torch.relu(action[:, :1] - 1.0), torch.zeros(count, 2)), dim=-1)
-        rollout = PolicyRollout(
-            proprioception=observation[None],
-            latent=latent[None],
-            critic_observation=critic_observation[None],
-            action=action[None],
-            log_prob=distribution.log_prob(action).sum(-1)[None],
-            mean=distribution.mean[None],
-            value=value[None],
-            rewards_and_costs=torch.cat((reward, cost), dim=-1)[None],
-            done=torch.ones(1, count, dtype=torch.bool),
-        )
-        algorithm.update(rollout, torch.zeros(count, 4), iteration)
-    return actor(observation[:1], latent[:1])[0, 0].item()
+        rollout, last = random_rollout(algorithm, 1, 512, noise=0.0)
+        reward = -((rollout.action - 2.0) ** 2).sum(-1)
+        rollout.rewards_and_costs[..., 0] = reward
+        rollout.rewards_and_costs[..., 1] = torch.relu(rollout.action[..., 0] - 1.0)
+        rollout.done[:] = True
+        algorithm.update(rollout, last, iteration)
+    return random_rollout(algorithm, noise=0.0)[0].mean[0, 0, 0].item()
 
 
 @pytest.mark.parametrize(("weight", "low", "high"), [(4.0, 0.5, 1.15), (0.0, 1.7, 2.3)])
@@ -114,9 +121,9 @@ def test_critics_keep_their_rate_while_the_actors_adapts():
 
 def test_a_satisfied_constraint_contributes_nothing():
     torch.manual_seed(0)
-    cfg = NP3OCfg(cost_budget=(1e6, 1e6, 1e6))
-    targets = make_targets(*random_rollout(Actor(ModelCfg())), cfg)
-    cost = cost_surrogate(torch.full((30,), 1.1), targets.cost_advantage, cfg.clip)
+    algorithm = small(cost_budget=(1e6, 1e6, 1e6))
+    targets = np3o.make_targets(*random_rollout(algorithm), algorithm.cfg)
+    cost = np3o.cost_surrogate(torch.full((30,), 1.1), targets.cost_advantage, algorithm.cfg.clip)
     assert torch.relu(cost + targets.violation).sum() == 0.0
 
 
@@ -125,41 +132,14 @@ def test_a_noisy_critic_does_not_change_the_actors_step():
     for noise in (0.0, 1e4):
         torch.manual_seed(0)
         algorithm = small(num_learning_epochs=1, num_mini_batches=1)
-        actor = algorithm.actor
-        rollout, last = random_rollout(actor)
-        targets = make_targets(rollout, last, algorithm.cfg)
+        rollout, last = random_rollout(algorithm)
+        targets = np3o.make_targets(rollout, last, algorithm.cfg)
         targets.value_target += noise
-        order = torch.arange(rollout.done.numel())
-        deviation = actor.log_std.detach().exp()
-        losses = algorithm._step(rollout.flatten(), targets, order, deviation)
-        moved.append([p.detach().clone() for p in actor.parameters()])
+        deviation = algorithm.actor.log_std.detach().exp()
+        losses = algorithm._step(rollout.flatten(), targets, torch.arange(30), deviation)
+        moved.append(list(algorithm.actor.parameters()))
     assert losses["critics_grad_norm"] > 100 * losses["actor_grad_norm"]
     assert all(torch.equal(a, b) for a, b in zip(*moved, strict=True))
-
-
-def random_rollout(actor: Actor, steps=10, robots=3) -> tuple[PolicyRollout, torch.Tensor]:
-    """An actor's answers to noise, and the values after the last step."""
-
-    def draw(*shape: int) -> torch.Tensor:
-        return torch.randn(steps, robots, *shape)
-
-    proprioception, latent = draw(45), draw(128)
-    with torch.no_grad():
-        mean = actor(proprioception, latent)
-        action = mean + draw(12)
-        log_prob = actor.log_prob(mean, action)
-    rollout = PolicyRollout(
-        proprioception=proprioception,
-        latent=latent,
-        critic_observation=draw(4),
-        action=action,
-        log_prob=log_prob,
-        mean=mean,
-        value=draw(4),
-        rewards_and_costs=draw(4),
-        done=draw() > 1.5,
-    )
-    return rollout, torch.randn(robots, 4)
 
 
 def test_entropy_divergence_and_budgets_follow_their_schedules():
@@ -169,8 +149,8 @@ def test_entropy_divergence_and_budgets_follow_their_schedules():
         cost_budget=("0@0,4@10M", 1.0, "2"),
         num_learning_epochs=1,
     )
-    rollout, last = random_rollout(algorithm.actor)
-    late, early = (make_targets(rollout, last, algorithm.cfg, steps) for steps in (5e6, 0))
+    rollout, last = random_rollout(algorithm)
+    late, early = (np3o.make_targets(rollout, last, algorithm.cfg, steps) for steps in (5e6, 0))
     gap = (early.violation - late.violation) * torch.tensor([1.0, 0.0, 0.0])
     torch.testing.assert_close(early.violation - late.violation, gap)
     assert gap[0] > 0

@@ -11,13 +11,7 @@ from renet.models.config import ModelCfg
 from renet.tasks import make_env
 from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import critic_observation
-from renet.training.config import (
-    AdaptationCfg,
-    NP3OCfg,
-    RenetRunnerCfg,
-    SupervisionCfg,
-    steps_per_env,
-)
+from renet.training.config import AdaptationCfg, NP3OCfg, RenetRunnerCfg, SupervisionCfg
 from renet.training.metrics import read_curves
 from renet.training.runner import RenetRunner
 
@@ -64,9 +58,7 @@ def test_resume_restores_everything(tmp_path):
         lambda alg: alg.average.module.state_dict(),
         lambda alg: checkpoints.optimizer_tensors(alg.optimizers),
     ):
-        ours, theirs = tensors(first.alg), tensors(second.alg)
-        assert ours.keys() == theirs.keys()
-        assert all(torch.equal(ours[name], theirs[name]) for name in ours)
+        torch.testing.assert_close(tensors(first.alg), tensors(second.alg), atol=0, rtol=0)
     second.learn(1)
     assert read_curves(tmp_path)["Loss/surrogate"][0] == [0, 1, 2]
 
@@ -128,14 +120,6 @@ def test_refuses_weights_of_another_architecture(tmp_path):
 def test_impossible_settings_are_refused_before_anything_is_built(make, message):
     with pytest.raises(RenetError, match=message):
         make()
-
-
-@pytest.mark.parametrize(
-    ("robots", "steps"), [(1, 1000), (6, 1000), (64, 100), (250, 30), (256, 25), (4096, 25)]
-)
-def test_few_robots_take_more_steps_each_unless_told_otherwise(robots, steps):
-    assert steps_per_env(None, 6_400, robots, 0) == steps
-    assert steps_per_env(10, 6_400, robots, 0) == 10
 
 
 def test_batches_grow_with_the_steps_taken(runner):
@@ -254,8 +238,7 @@ def test_a_nan_in_what_the_environment_returns_stops_training(runner, tmp_path, 
 def test_an_iteration_reports_buffers_that_overflowed(tmp_path):
     """On MuJoCo Warp, the engine of GPUs, with its CPU backend."""
     env = RslRlVecEnvWrapper(make_env("Renet-Go1-Flat", 2, engine="warp"))
-    runner = RenetRunner(env, asdict(RenetRunnerCfg(num_steps_per_env=5)), str(tmp_path), "cpu")
-    runner.learn(1, init_at_random_ep_len=False)
+    make_runner(env, tmp_path, num_steps_per_env=5).learn(1, init_at_random_ep_len=False)
     env.close()
     curves = read_curves(tmp_path)
     for name in ("contacts", "constraints"):
