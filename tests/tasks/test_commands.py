@@ -30,10 +30,6 @@ def wrapped(angle: torch.Tensor) -> torch.Tensor:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def heading(env) -> torch.Tensor:
-    return env.scene["robot"].data.heading_w
-
-
 @pytest.mark.parametrize("begins", ["reset", "time-out"])
 def test_an_episode_begins_with_a_goal_around_the_yaw_it_begins_with(walkers, goal, begins):
     walkers.reset(seed=3)
@@ -43,7 +39,7 @@ def test_an_episode_begins_with_a_goal_around_the_yaw_it_begins_with(walkers, go
     else:
         walkers.episode_length_buf[:] = walkers.max_episode_length
         walkers.step(STILL)
-    turn = wrapped(goal.yaw - heading(walkers))
+    turn = wrapped(goal.yaw - walkers.scene["robot"].data.heading_w)
     assert turn.abs().max() <= math.pi / 2 + 1e-4
     assert turn.min() < -1.0
     assert turn.max() > 1.0
@@ -56,7 +52,7 @@ def test_policies_are_told_the_speed_and_the_heading_error(walkers, goal):
     walkers.reset(seed=4)
     for _ in range(3):
         walkers.step(torch.ones(64, 12))
-        error = goal.yaw - heading(walkers)
+        error = goal.yaw - walkers.scene["robot"].data.heading_w
         told = torch.stack((goal.speed, error.sin(), error.cos()), dim=-1)
         torch.testing.assert_close(goal.command, told, atol=1e-5, rtol=1e-5)
 

@@ -101,38 +101,22 @@ def test_critics_see_what_randomisation_drew_and_draws_again(flat):
     torch.testing.assert_close(obs["privileged"][:, 17:18], drawn + 1.0)
 
 
-def test_same_seed_same_rollout():
-    results = []
-    for _ in range(2):
-        env = make_env("Renet-Go1-Flat", 2, seed=5)
-        obs, _ = env.reset()
-        for _ in range(6):
-            obs, reward, *_ = env.step(torch.full((2, 12), 0.2))
-        results.append((obs["proprioception"], obs["depth"], reward))
-    for first, second in zip(*results, strict=True):
-        assert torch.equal(first, second)
-
-
 def test_curriculum_state_round_trips_and_survives_another_size(parkour):
     terrain = parkour.scene.terrain
     term = parkour.curriculum_manager.get_term_cfg("level").func
-    levels, passed = term.levels, term.passed
-    levels[:] = torch.arange(12) % 10
+    levels = torch.arange(12) % 10
+    term.levels[:], term.passed[:], parkour.common_step_counter = levels, levels < 5, 77
     terrain.terrain_levels[:] = 0  # All are on an easier tile.
-    passed[:] = torch.arange(12) % 10 < 5
-    parkour.common_step_counter = 77
     state = {name: value.clone() for name, value in mdp.curriculum_state(parkour).items()}
-    levels[:] = 0
-    passed[:] = False
-    parkour.common_step_counter = 0
+    term.levels[:], term.passed[:], parkour.common_step_counter = 0, False, 0
     mdp.load_curriculum_state(parkour, state, 0)
-    assert torch.equal(levels, torch.arange(12) % 10)
+    assert torch.equal(term.levels, levels)
     assert torch.equal(terrain.terrain_levels, levels)
-    assert torch.equal(passed, torch.arange(12) % 10 < 5)
+    assert torch.equal(term.passed, levels < 5)
     assert parkour.common_step_counter == 77
     parkour.reset()
-    assert torch.equal(terrain.terrain_levels, torch.arange(12) % 10), "also in the next reset"
-    origins = terrain.terrain_origins[terrain.terrain_levels, terrain.terrain_types]
+    assert torch.equal(terrain.terrain_levels, levels), "also in the next reset"
+    origins = terrain.terrain_origins[levels, terrain.terrain_types]
     assert torch.equal(terrain.env_origins, origins)
     offset = parkour.scene["robot"].data.root_link_pos_w - origins
     assert offset[:, :2].abs().max() < 0.31
@@ -173,19 +157,6 @@ def test_fused_substeps_are_the_same_physics():
     for name, tolerance in (("qpos", 1e-4), ("qvel", 1e-2)):
         first, second = (getattr(env.sim.data, name)[:] for env in envs)
         torch.testing.assert_close(first, second, atol=tolerance, rtol=0)
-
-
-def test_leaving_the_tile_is_a_time_out_and_a_gap_is_not(parkour):
-    kinds = list(parkour.scene.terrain.cfg.terrain_generator.sub_terrains)
-    gap = int((parkour.scene.terrain.terrain_types == kinds.index("gap")).nonzero()[0])
-    parkour.reset()
-    parkour.sim.data.qpos[0, 1] += 4.5
-    parkour.sim.data.qpos[gap, :3] = parkour.scene.env_origins[gap] + torch.tensor([1.25, 0, -0.4])
-    _, _, terminated, truncated, extras = parkour.step(torch.zeros(12, 12))
-    assert (terminated[0], truncated[0]) == (False, True)
-    assert (terminated[gap], truncated[gap]) == (True, False)
-    assert extras["log"]["Episode_Termination/left_tile"] == 1
-    assert extras["log"]["Episode_Termination/in_gap"] == 1
 
 
 def test_play_shows_every_level(build):
@@ -230,25 +201,20 @@ def test_mjlabs_own_environment_runs_a_task_as_ours_does():
     rollouts = []
     for env in (ManagerBasedRlEnv(deepcopy(cfg), "cpu"), make_env(cfg, 3, seed=4, engine="warp")):
         env.reset(seed=5)
-        steps = [env.step(torch.full((3, 12), 4.0)) for _ in range(8)]
-        last = {**steps[-1][0], "costs": mdp.constraint_costs(env)}
-        rollouts.append((last, torch.stack([step[1] for step in steps])))
+        rewards = []
+        for _ in range(8):
+            observations, reward, *_ = env.step(torch.full((3, 12), 4.0))
+            rewards.append(reward.clone())
+        results = {"costs": mdp.constraint_costs(env), "rewards": torch.stack(rewards)}
+        rollouts.append(results | observations)
         env.close()
-    (seen, rewards), (expected, expected_rewards) = rollouts
-    assert seen.keys() == expected.keys()
-    for name, value in seen.items():
-        torch.testing.assert_close(value, expected[name], msg=name)
-    torch.testing.assert_close(rewards, expected_rewards)
-    assert (seen["costs"] > 0.0).any()
+    torch.testing.assert_close(*rollouts)
+    assert (rollouts[0]["costs"] > 0.0).any()
 
 
-def test_errors_name_what_is_wrong():
-    with pytest.raises(RenetError, match="did you mean Renet-Go1-Flat or Renet-Go1-Parkour"):
-        make_env("Renet-Go1-Moon", 1)
+def test_an_environment_without_robots_is_refused():
     with pytest.raises(RenetError, match="at least 1"):
         make_env("Renet-Go1-Flat", 0)
-    with pytest.raises(RenetError, match="not a RENet task"):
-        make_env("Mjlab-Velocity-Flat-Unitree-Go1", 1)
 
 
 def test_stages_of_a_step_are_spared_the_terrain(parkour):

@@ -65,17 +65,25 @@ def test_robots_begin_at_rest_upright_near_the_middle_looking_anywhere(everywher
 
 
 @pytest.mark.parametrize(
-    ("shift", "why"),
-    [((60.0, 0.0, 0.0), "left_tile"), ((0.0, 0.0, -5.0), "below_map")],
-    ids=["off the map", "through the floor"],
+    ("kind", "position", "why"),
+    [
+        ("rough", (0.0, 4.5, 0.3), "left_tile"),
+        ("rough", (60.0, 0.0, 0.3), "left_tile"),  # It is off the map.
+        ("rough", (0.0, 0.0, -5.0), "below_map"),
+        ("gap", (1.25, 0.0, -0.4), "in_gap"),
+    ],
 )
-def test_a_lost_robot_is_put_back_on_its_tile(everywhere, shift, why):
+def test_a_lost_robot_is_put_back_and_leaving_its_tile_alone_is_a_time_out(
+    everywhere, kind, position, why
+):
     everywhere.reset(seed=1)
-    lost = 7
-    everywhere.sim.data.qpos[lost, :3] += torch.tensor(shift)
+    lost = KINDS.index(kind)
+    start = everywhere.scene.env_origins[lost] + torch.tensor(position)
+    everywhere.sim.data.qpos[lost, :3] = start
     still = torch.zeros(everywhere.num_envs, 12)
     obs, reward, terminated, truncated, extras = everywhere.step(still)
     assert (terminated | truncated).nonzero().flatten().tolist() == [lost]
+    assert (terminated[lost], truncated[lost]) == (why != "left_tile", why == "left_tile")
     assert extras["log"][f"Episode_Termination/{why}"] == 1
     assert all(value.isfinite().all() for value in (reward, *obs.values()))
     offset = everywhere.scene["robot"].data.root_link_pos_w - everywhere.scene.env_origins

@@ -1,10 +1,13 @@
 """Tiles: their stated sizes, a free start, and symmetry that makes any yaw work."""
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 import pytest
 import torch
 from mjlab.terrains import TerrainGenerator
+from mjlab.terrains.terrain_generator import TerrainOutput
 
 from renet.errors import RenetError
 from renet.evaluation.env import terrain_env_cfg
@@ -44,18 +47,22 @@ def test_the_start_is_flat_free_and_at_the_stated_height(world, kind, level):
     assert (heights - origin[2]).abs().max() < 1e-3
 
 
+def built(tile: Tile, difficulty: float, seed: int = 0) -> tuple[mujoco.MjSpec, TerrainOutput]:
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_body(name="terrain")
+    return spec, tile.function(difficulty, spec, np.random.default_rng(seed))
+
+
 def test_obstacles_never_reach_into_the_start():
     obstacles = tiles()["obstacles"]
     for seed in range(30):
-        spec = mujoco.MjSpec()
-        spec.worldbody.add_body(name="terrain")
-        blocks = obstacles.function(0.5, spec, np.random.default_rng(seed)).geometries[1:]
+        _, tile = built(obstacles, 0.5, seed)
+        blocks = [block.geom for block in tile.geometries[1:]]
         assert len(blocks) == obstacles.count
         for block in blocks:
-            near = np.abs(block.geom.pos[:2] - TILE / 2) - block.geom.size[:2]
-            assert near.max() > 0.8
-            far = np.abs(block.geom.pos[:2] - TILE / 2) + block.geom.size[:2]
-            assert far.max() < TILE / 2
+            away = np.abs(block.pos[:2] - TILE / 2)
+            assert (away - block.size[:2]).max() > 0.8
+            assert (away + block.size[:2]).max() < TILE / 2
 
 
 @pytest.mark.parametrize(("level", "width"), [(1, 0.10), (10, 0.70)])
@@ -162,38 +169,26 @@ def test_who_has_not_walked_stays_at_its_level(parkour):
     assert (levels == 4).all()
 
 
-def test_failing_at_the_first_level_leads_to_one_of_the_first(parkour):
-    reached = set()
-    for _ in range(10):
-        levels = at_level(parkour, 0, asked=4.0)
-        end(parkour, 6)
-        assert (levels[6:] == 0).all()
-        reached |= set(levels[:6].tolist())
-    assert reached == set(range(FIRST_LEVELS))
+@pytest.fixture
+def begin_flat(parkour, monkeypatch) -> Callable[[bool], None]:
+    """Sets whether the first level of each kind of tile is flat, until the end of a test."""
 
+    def set_starts(flat: bool) -> None:
+        for kind in parkour.scene.terrain.cfg.terrain_generator.sub_terrains.values():
+            monkeypatch.setattr(kind, "flat_start", flat)
 
-def test_none_comes_back_to_a_flat_first_level(parkour, monkeypatch):
-    for kind in parkour.scene.terrain.cfg.terrain_generator.sub_terrains.values():
-        monkeypatch.setattr(kind, "flat_start", True)
-    levels, reached = at_level(parkour, 0, asked=4.0), set()
-    base(parkour)[0, 0] += 4.1
-    end(parkour, 6)
-    assert levels[:6].tolist() == [1, 0, 0, 0, 0, 0], "who cannot walk stays"
-    for _ in range(10):
-        levels = at_level(parkour, 1, asked=4.0)
-        end(parkour, 6)
-        reached |= set(levels[:6].tolist())
-    assert reached == set(range(1, 1 + FIRST_LEVELS))
+    return set_starts
 
 
 @pytest.mark.parametrize("flat_start", [False, True])
-def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypatch, flat_start):
+def test_some_episodes_are_on_easier_tiles_and_change_no_level(
+    parkour, monkeypatch, begin_flat, flat_start
+):
     term, terrain = parkour.curriculum_manager.get_term_cfg("level"), parkour.scene.terrain
+    begin_flat(flat_start)
     monkeypatch.setattr(parkour, "common_step_counter", 1_000)
     monkeypatch.setitem(term.params, "easier_after", 12_000)
     monkeypatch.setitem(term.params, "easier_kinds", tuple(KINDS))
-    for kind in terrain.cfg.terrain_generator.sub_terrains.values():
-        monkeypatch.setattr(kind, "flat_start", flat_start)
 
     def drawn_levels(level: int, episodes: int) -> torch.Tensor:
         """Levels of the tiles that robots of a level meet, [episodes, 12]."""
@@ -226,14 +221,27 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypa
     assert (drawn_levels(4, 10) == 4).all(), "not before its time"
 
 
-def test_the_last_level_leads_back_to_any(parkour):
-    reached = set()
+@pytest.mark.parametrize(
+    ("flat_start", "level", "walked", "reached"),
+    [
+        (False, 0, 0.0, range(FIRST_LEVELS)),
+        (True, 0, 0.0, range(1)),  # Who cannot walk stays, and none comes back to where it is flat.
+        (True, 0, 4.1, range(1, 2)),
+        (True, 1, 0.0, range(1, 1 + FIRST_LEVELS)),
+        (False, LEVELS - 1, 4.1, range(LEVELS)),
+    ],
+)
+def test_failing_at_the_first_level_and_passing_the_last_lead_to_any_of_several(
+    parkour, begin_flat, flat_start, level, walked, reached
+):
+    begin_flat(flat_start)
+    levels = set()
     for _ in range(10):
-        levels = at_level(parkour, LEVELS - 1)
-        base(parkour)[:, 1] -= 4.1
+        tiles = at_level(parkour, level, asked=4.0)
+        base(parkour)[:, 1] -= walked
         end(parkour)
-        reached |= set(levels.tolist())
-    assert reached == set(range(LEVELS))
+        levels |= set(tiles.tolist())
+    assert levels == set(reached)
 
 
 def test_who_passed_the_last_level_counts_as_there_until_it_fails(parkour):
@@ -267,13 +275,10 @@ def test_single_tiles_that_do_not_exist_are_refused():
 
 def edges(tile: Tile, difficulty: float) -> np.ndarray:
     """Distances from the middle, m, at which the ground changes by over 2 cm on the way out."""
-    spec = mujoco.MjSpec()
-    spec.worldbody.add_body(name="terrain")
-    origin = tile.function(difficulty, spec, np.random.default_rng(0)).origin
-    terrain = scanner(spec.compile(), "cpu")
+    spec, output = built(tile, difficulty)
     out = torch.arange(0, 380) * 0.01 + 0.003
-    line = torch.stack((out, torch.zeros_like(out)), dim=-1) + torch.tensor(origin[:2]).float()
-    heights = terrain.height(line).numpy()
+    line = torch.stack((out, torch.zeros_like(out)), dim=-1) + torch.tensor(output.origin[:2])
+    heights = scanner(spec.compile(), "cpu").height(line.float()).numpy()
     return out[1:].numpy()[np.abs(np.diff(heights)) > 0.02]
 
 
