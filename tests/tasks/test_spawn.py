@@ -73,9 +73,8 @@ def test_robots_begin_at_rest_upright_near_the_middle_looking_anywhere(everywher
         ("gap", (1.25, 0.0, -0.4), "in_gap"),
     ],
 )
-def test_a_lost_robot_is_put_back_and_leaving_its_tile_alone_is_a_time_out(
-    everywhere, kind, position, why
-):
+def test_a_lost_robot_is_put_back_on_its_tile(everywhere, kind, position, why):
+    """Leaving a tile alone is a time-out."""
     everywhere.reset(seed=1)
     lost = KINDS.index(kind)
     start = everywhere.scene.env_origins[lost] + torch.tensor(position)

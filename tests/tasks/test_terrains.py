@@ -231,7 +231,7 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(
         (False, LEVELS - 1, 4.1, range(LEVELS)),
     ],
 )
-def test_failing_at_the_first_level_and_passing_the_last_lead_to_any_of_several(
+def test_the_first_and_the_last_level_lead_to_any_of_several(
     parkour, begin_flat, flat_start, level, walked, reached
 ):
     begin_flat(flat_start)

@@ -35,7 +35,7 @@ def run(alg: RenetAlgorithm, env, steps: int, flip_at: int | None = None) -> lis
     return read
 
 
-def test_a_flip_finds_a_warm_memory_and_changes_at_once_what_the_actor_reads():
+def test_a_flip_finds_warm_memories_and_changes_what_the_actor_reads():
     alg, env = algorithm(iteration=PERIOD - 1)
     steered_by_op, other = algorithm(iteration=PERIOD)
     read, always = run(alg, env, 11, flip_at=7), run(steered_by_op, other, 11)
