@@ -1,9 +1,12 @@
-"""Healthy readings and frames to spoil, and a controller that is fed with them."""
+"""Healthy readings and frames to spoil, a controller that is fed with them, and a wait."""
 
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from renet.bundle import Bundle
@@ -11,10 +14,13 @@ from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller, Event
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import read_envelope
+from renet.deploy.robots.sim.mujoco import MujocoRobot
+from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.teleop import TeleopCommand
 from renet.descriptions import GO1
 from renet.interface import CONTROL_DT
+from renet.training.export import robot_spec
 
 READINGS = count()
 STANDING = np.tile([0.1, 0.9, -1.8, -0.1, 0.9, -1.8], 2)
@@ -47,6 +53,22 @@ def frame(number: int, time: float, seed: int = 0) -> DepthFrame:
     slope = np.linspace(0.9, 0.3, 48)[:, None]
     image = np.clip(slope + 0.03 * random.normal(size=(48, 64)), 0.0, 1.0)
     return DepthFrame(image, number, time)
+
+
+def until(condition: Callable[[], bool], act: Callable[[], None] = lambda: None) -> None:
+    """Act until a condition of another thread holds; gives up after about ten seconds."""
+    for _ in range(1000):
+        if condition():
+            return
+        act()
+        time.sleep(0.01)
+    pytest.fail("it never happened")
+
+
+def robot_on(terrain: str = "flat", level: int = 3) -> MujocoRobot:
+    """A simulated Go1 on the plane or on a training tile."""
+    model, ground = build_scene(terrain, level)
+    return MujocoRobot(model, robot_spec(), ground)
 
 
 class Broken:
@@ -91,7 +113,8 @@ class Standing:
 
 
 ARM, GO = TeleopCommand(arm=True), TeleopCommand(speed=0.6)
-QUICK = SafetyCfg(stand_up_seconds=0.1)
+QUICK, BRISK = SafetyCfg(stand_up_seconds=0.1), SafetyCfg(stand_up_seconds=0.5)
+"""For robots without and with weight."""
 WALKS_AT = 7
 """Control step at which `Run` walks: armed at step 1, stood_up 0.1 s later."""
 

@@ -10,9 +10,6 @@ import pytest
 
 import renet
 from renet.bundle import DEFAULT, pretrained
-from renet.deploy.cfg import DeployCfg
-from renet.deploy.main import deploy
-from renet.deploy.safety.limits import SafetyCfg
 
 TRAINING = ("torch", "mjlab", "warp", "mujoco", "mujoco_warp", "rsl_rl", "matplotlib", "mediapy")
 SIMULATION = (
@@ -57,13 +54,6 @@ def test_the_runtime_imports_without_training_packages():
     assert len(modules()) > 30
     done = without_training_packages("\n".join(f"import {name}" for name in modules()))
     assert done.returncode == 0, done.stderr
-
-
-@pytest.fixture(scope="module")
-def log(tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("flight")
-    deploy(DeployCfg(out=out, seconds=4.0, safety=SafetyCfg(stand_up_seconds=0.4)))
-    return out / "recording.log"
 
 
 def test_logs_are_scored_replayed_and_calibrated_from_without_them(log, tmp_path):

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future
+from unittest.mock import DEFAULT, Mock
 
 import numpy as np
 import pytest
@@ -12,37 +13,19 @@ from renet.deploy.inference import ThreadedInference
 from renet.deploy.safety.machine import Mode
 from renet.interface import CONTROL_DT
 
-from .fakes import Run, frame, time_of
-from .waiting import until
-
-
-class Sabotage:
-    """A session that fails or hangs off the main thread, on demand."""
-
-    def __init__(self, session) -> None:
-        self.session, self.mood = session, "well"
-        self.released = threading.Event()
-        self.get_inputs, self.get_outputs = session.get_inputs, session.get_outputs
-
-    def run(self, *arguments):
-        if threading.current_thread() is not threading.main_thread():
-            if self.mood == "fails":
-                raise SystemExit  # The worst: it would end a thread silently.
-            if self.mood == "hangs":
-                self.released.wait(30)
-        return self.session.run(*arguments)
+from .fakes import Run, frame, time_of, until
 
 
 @pytest.fixture
-def sabotage(bundle) -> Sabotage:
-    return Sabotage(bundle.sessions["estimator"])
+def estimator(bundle) -> Mock:
+    """A session that can be spoilt, of the thread alone."""
+    return Mock(wraps=bundle.sessions["estimator"])
 
 
 @pytest.fixture
-def run(bundle, sabotage) -> Iterator[Run]:
-    """A controller whose thread runs a spoilt estimator, and whose loop waits for it."""
-
-    run = Run(bundle, inference=lambda s: ThreadedInference({**s, "estimator": sabotage}))
+def run(bundle, estimator) -> Iterator[Run]:
+    """A controller with a second thread, for which its loop waits."""
+    run = Run(bundle, inference=lambda s: ThreadedInference({**s, "estimator": estimator}))
     run.controller._perception.patience = 5.0
     yield run
     run.controller.close()
@@ -56,61 +39,56 @@ def test_the_second_thread_gives_the_same_commands(bundle, run):
         np.testing.assert_array_equal(a.position, b.position)
 
 
-def test_a_tick_that_fails_costs_one_tick_of_vision(sabotage, run):
-    run.ticks(60)
-    sabotage.mood, decisions = "fails", []
-    for _ in range(10):
-        run.ticks(1)
-        decisions.append(run.controller.decision)
-        sabotage.mood = "well" if len(decisions) == 6 else sabotage.mood
-    fallback = [decision for decision in decisions if decision.fallback]
-    assert [decision.inferred for decision in fallback] == [True]
-    run.ticks(16)
-    assert run.whats()[:4] == ["standing_up", "walking", "inference", "op"]
-    assert run.whats().count("inference") == 1, "the thread lives"
-    assert run.events[2].why == f"{LATE}: this tick runs blind"
-    assert run.events[3].why == LATE
-    assert run.events[3].time - run.events[2].time <= 0.2
-    assert all(run.ticks(150)[-50:]), "vision comes back"
-    assert run.controller.decision.mode is Mode.WALKING
+def test_a_tick_that_fails_costs_one_tick_of_vision(estimator, walk):
+    estimator.run.side_effect = SystemExit  # The worst: it would end a thread silently.
+    decisions = []
+    for step in range(10):
+        walk.ticks(1)
+        decisions.append(walk.controller.decision)
+        if step == 5:
+            estimator.run.side_effect = None
+    assert [decision.inferred for decision in decisions if decision.fallback] == [True]
+    walk.ticks(16)
+    assert walk.whats()[:4] == ["standing_up", "walking", "inference", "op"]
+    assert walk.whats().count("inference") == 1, "the thread lives"
+    inference, op = walk.events[2:4]
+    assert (inference.why, op.why) == (f"{LATE}: this tick runs blind", LATE)
+    assert op.time - inference.time <= 0.2
+    assert all(walk.ticks(150)[-50:]), "vision comes back"
+    assert walk.controller.decision.mode is Mode.WALKING
 
 
-def test_a_result_that_is_late_by_a_whole_tick_costs_vision(run):
+def test_a_result_that_is_late_by_a_whole_tick_costs_vision(walk):
     """It is there when the next tick begins, but nobody has acted on it."""
-    run.ticks(60)
-    run.controller._perception.take = lambda: None
-    assert not any(run.ticks(40)[10:])
-    assert run.controller.decision.mode is Mode.WALKING
+    walk.controller._perception.take = lambda: None
+    assert not any(walk.ticks(40)[10:])
+    assert walk.controller.decision.mode is Mode.WALKING
 
 
-def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(sabotage, run):
-    run.ticks(60)
-    inference, before = run.controller._perception, run.controller.policy.latent_op.copy()
-    inference.patience, sabotage.mood = 0.001, "hangs"
-    assert not any(run.ticks(40)[20:])
-    assert run.controller.decision.anomaly == np.inf
-    assert run.controller.decision.mode is Mode.WALKING
-    assert not np.array_equal(before, run.controller.policy.latent_op), "OP's estimator goes on"
-    sabotage.released.set()
+def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(estimator, walk):
+    controller, released = walk.controller, threading.Event()
+    inference, before = controller._perception, controller.policy.latent_op.copy()
+    inference.patience = 0.001
+    estimator.run.side_effect = lambda *arguments: released.wait(30) and DEFAULT
+    assert not any(walk.ticks(40)[20:])
+    assert controller.decision.anomaly == np.inf
+    assert controller.decision.mode is Mode.WALKING
+    assert not np.array_equal(before, controller.policy.latent_op), "OP's estimator goes on"
+    released.set()
     until(inference._tick.done)
-    run.ticks(1)
-    assert not run.controller.decision.inferred, "its tick was made up for"
+    walk.ticks(1)
+    assert not controller.decision.inferred, "its tick was made up for"
     inference.patience = 5.0
-    assert all(run.ticks(200)[-50:]), "vision comes back"
+    assert all(walk.ticks(200)[-50:]), "vision comes back"
 
 
 def test_the_loop_waits_for_less_than_half_a_period(bundle, monkeypatch):
     """With a thread that hangs, `take` gives up while there is time for the rest of the step."""
-    waits = []
-
-    def result(tick: Future, timeout: float) -> None:
-        waits.append(timeout)
-        raise TimeoutError
-
+    result = Mock(side_effect=TimeoutError)
     monkeypatch.setattr(Future, "result", result)
     inference = ThreadedInference(bundle.sessions)
     inference.begin(None)  # type: ignore[arg-type]
     assert inference.take() is None
-    assert len(waits) == 1
-    assert 0.0 < waits[0] <= CONTROL_DT / 2
+    result.assert_called_once()
+    assert 0.0 < result.call_args.args[0] <= CONTROL_DT / 2
     inference.close()

@@ -10,20 +10,15 @@ import pytest
 
 from renet.bundle import Bundle
 from renet.deploy.cameras.sim import SimCamera
-from renet.deploy.controller import Controller, Event
+from renet.deploy.controller import Controller
 from renet.deploy.loop import BRAKING, run_control_loop
-from renet.deploy.recording.recorder import Recorder, Recording, read_recording
+from renet.deploy.recording.recorder import MODES, Recorder, Recording, read_recording
 from renet.deploy.recording.replay import mismatch
-from renet.deploy.robots.sim.mujoco import MujocoRobot
-from renet.deploy.robots.sim.scene import build_scene
-from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
 from renet.interface import CONTROL_DT
 
-from .fakes import ARM, Standing
-
-QUICK = SafetyCfg(stand_up_seconds=0.5)
+from .fakes import ARM, BRISK, Standing, robot_on
 
 
 @pytest.fixture(scope="module")
@@ -35,14 +30,8 @@ class Rig:
     """A simulated robot on the plane, whose devices can be spoilt."""
 
     def __init__(self, bundle: Bundle) -> None:
-        model, ground = build_scene("flat")
-        self.bundle, self.robot = bundle, MujocoRobot(model, bundle.manifest.robot, ground)
+        self.bundle, self.robot, self.teleop = bundle, robot_on(), ScriptedTeleop(0.6)
         self.camera = SimCamera(self.robot, bundle.manifest.camera, seed=1)
-        self.teleop = ScriptedTeleop(0.6)
-        self.events: list[Event] = []
-        self.commands: list = []
-        self.modes: list[Mode] = []
-        self.controller = Controller(bundle, QUICK, on_event=self.events.append)
 
     def spoil(self, device: str, method: str, how: Callable) -> None:
         """Pass what a device's method gives, and the time, through a function."""
@@ -50,22 +39,14 @@ class Rig:
         given = lambda *arguments: how(real(*arguments), self.robot.now())  # noqa: E731
         setattr(getattr(self, device), method, given)
 
-    def run(self, seconds: float, log=None, camera: bool = True) -> None:
-        def record(command, state) -> None:
-            self.commands.append(command)
-            self.modes.append(self.controller.decision.mode)
-
-        self.camera.start()
-        devices: tuple = (self.robot, self.camera if camera else None, self.teleop)
-        done = lambda: self.robot.now() >= seconds  # noqa: E731
-        run_control_loop(*devices, self.controller, log, done=done, on_step=record)
-
     def fly(self, seconds: float, folder: Path, camera: bool = True) -> Recording:
         """Run with a recording, which replays."""
-        header = {"bundle_sha256": self.bundle.sha256, "safety": vars(QUICK)}
+        header = {"bundle_sha256": self.bundle.sha256, "safety": vars(BRISK)}
         log = Recorder(folder / "recording.log", header | {"selector": "monitors"})
-        self.controller._on_event = lambda event: (self.events.append(event), log.event(event))
-        self.run(seconds, log, camera)
+        controller = Controller(self.bundle, BRISK, on_event=log.event)
+        devices: tuple = (self.robot, self.camera if camera else None, self.teleop)
+        self.camera.start()
+        run_control_loop(*devices, controller, log, done=lambda: self.robot.now() >= seconds)
         log.close()
         flight = read_recording(log.path)
         assert mismatch(flight, self.bundle) == 0.0
@@ -80,7 +61,7 @@ def during(begin: float, end: float, what: Callable) -> Callable:
     return lambda value, now: what() if begin <= now < end else value
 
 
-def test_a_camera_unplugged_and_replugged_50_times_in_one_run(bundle):
+def test_a_camera_unplugged_and_replugged_50_times_in_one_run(bundle, tmp_path):
     """Silence, errors, a driver that repeats its last frame, and garbage, in turn."""
     rig, held, plugs, upright = Rig(bundle), [], [], []
     endings = [
@@ -101,12 +82,12 @@ def test_a_camera_unplugged_and_replugged_50_times_in_one_run(bundle):
         return endings[int(cycle) % len(endings)](frame)
 
     rig.spoil("camera", "latest", look)
-    rig.run(26.2)
+    flight = rig.fly(26.2, tmp_path)
     assert len(set(plugs)) >= 50
-    assert rig.modes[-BRAKING - 1] is Mode.WALKING
+    assert flight.ticks["mode"][-BRAKING - 1] == MODES.index(Mode.WALKING)
     assert min(upright[:-BRAKING]) > 0.5
     assert np.hypot(*rig.robot.base_position[:2]) > 3.0
-    assert sum(event.what == "op" for event in rig.events) <= 26.2 / 5 + 1
+    assert sum(event.what == "op" for event in flight.events) <= 26.2 / 5 + 1
 
 
 @pytest.mark.parametrize(
@@ -125,12 +106,14 @@ def test_what_ends_in_damping(bundle, tmp_path, device, method, answer, reason):
     rig = Rig(bundle)
     rig.spoil(device, method, during(1.49, 9, answer))
     flight = rig.fly(2.0, tmp_path)
-    assert rig.events[-1].what == "damping"
-    assert reason in rig.events[-1].why
-    assert 1.49 < rig.events[-1].time < 1.57
-    after = [c for c, mode in zip(rig.commands, rig.modes, strict=True) if mode is Mode.DAMPING]
-    assert all(not command.stiffness.any() for command in after)
-    assert len(flight.ticks) == len(rig.commands)
+    end = flight.events[-1]
+    assert end.what == "damping"
+    assert reason in end.why
+    assert 1.49 < end.time < 1.57
+    damped = flight.ticks["mode"] == MODES.index(Mode.DAMPING)
+    assert not flight.ticks["stiffness"][damped].any()
+    every_step = CONTROL_DT * np.arange(101 + BRAKING)
+    np.testing.assert_allclose(flight.ticks["now"], every_step, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -146,12 +129,13 @@ def test_what_ends_in_damping(bundle, tmp_path, device, method, answer, reason):
 def test_battery_and_motors_are_watched_while_it_walks(bundle, tmp_path, reading, warning, end):
     rig = Rig(bundle)
     rig.spoil("robot", "read", lambda s, now: replace(s, **reading) if now > 1.2 else s)
-    rig.fly(1.6, tmp_path)
-    told = [event.why for event in rig.events if event.what == "power"]
+    flight = rig.fly(1.6, tmp_path)
+    told = [event.why for event in flight.events if event.what == "power"]
     assert [warning in why for why in told if warning] == ([True] if warning else [])
-    assert rig.modes[-BRAKING - 1] is (Mode.DAMPING if end else Mode.WALKING)
+    mode = Mode.DAMPING if end else Mode.WALKING
+    assert flight.ticks["mode"][-BRAKING - 1] == MODES.index(mode)
     if end:
-        assert rig.events[-1].why.startswith(end)
+        assert flight.events[-1].why.startswith(end)
 
 
 def test_a_step_that_is_missed_is_left_out(bundle):
@@ -159,33 +143,31 @@ def test_a_step_that_is_missed_is_left_out(bundle):
     late, wait = {0.3: 0.015, 0.5: 0.025, 0.7: 0.05}, robot.wait
     robot.wait = lambda until: wait(until + late.pop(round(until, 6), 0.0))
     done = lambda: begun.append(robot.time) or robot.time > 1.0  # noqa: E731
-    run_control_loop(robot, None, ScriptedTeleop(0.5), Controller(bundle, QUICK), done=done)
+    run_control_loop(robot, None, ScriptedTeleop(0.5), Controller(bundle, BRISK), done=done)
     assert np.diff(begun).min() > 0.004, "no two at once"
     assert np.isclose(np.array(begun[-10:]) / CONTROL_DT % 1, [[0], [1]], atol=1e-6).any(0).all()
 
 
 def test_a_terminal_that_is_gone_does_not_end_the_flight(bundle):
     robot = Standing()
-    devices: tuple = (robot, None, ScriptedTeleop(0.5), Controller(bundle, QUICK))
+    devices: tuple = (robot, None, ScriptedTeleop(0.5), Controller(bundle, BRISK))
     run_control_loop(*devices, done=lambda: robot.time > 0.19, on_step=boom)
     assert robot.time == pytest.approx(0.2 + 0.02 * BRAKING)
 
 
 def test_without_a_camera_it_walks_on_op_and_replays(bundle, tmp_path):
-    rig = Rig(bundle)
-    flight = rig.fly(3.0, tmp_path, camera=False)
+    flight = Rig(bundle).fly(3.0, tmp_path, camera=False)
     whats = ["standing_up", "memory", "walking", "op", "damping"]
-    assert [event.what for event in rig.events] == whats
+    assert [event.what for event in flight.events] == whats
     assert not flight.ticks["vision"].any()
 
 
-def test_what_a_device_complains_of_is_told_once(bundle):
+def test_what_a_device_complains_of_is_told_once(bundle, tmp_path):
     rig = Rig(bundle)
     rig.spoil("robot", "read", during(0.2, 0.3, boom))
     rig.spoil("camera", "latest", during(0.3, 0.4, boom))
     rig.camera.problem = "connect it by USB 3"  # type: ignore[attr-defined]
-    rig.run(0.5)
-    told = [(event.what, event.why) for event in rig.events]
+    told = [(event.what, event.why) for event in rig.fly(0.5, tmp_path).events]
     assert told.count(("robot", "OSError: unplugged")) == 1
     assert told.count(("camera", "OSError: unplugged")) == 1
     assert told.count(("camera", "connect it by USB 3")) == 2, "before and after"
@@ -195,14 +177,13 @@ def test_what_a_device_complains_of_is_told_once(bundle):
     ("reading", "teleop", "recording"),
     [
         ({"battery": 0.05}, ARM, ""),
-        ({"temperature": 90.0}, ARM, ""),
         ({}, TeleopCommand(speed=0.9, arm=True), ""),
         ({}, ARM, "the recording ends early"),
     ],
 )
 def test_a_refused_robot_gets_no_stiffness_and_hears_why_once(bundle, reading, teleop, recording):
     robot, events = Standing(**reading), []
-    controller = Controller(bundle, QUICK, on_event=events.append)
+    controller = Controller(bundle, BRISK, on_event=events.append)
     hand = SimpleNamespace(command=lambda now: teleop)
     log = SimpleNamespace(append=lambda *arguments: None, problem=recording)
     run_control_loop(robot, None, hand, controller, log, done=lambda: robot.time > 0.8)
@@ -216,7 +197,7 @@ def test_a_refused_robot_gets_no_stiffness_and_hears_why_once(bundle, reading, t
 def test_an_operator_who_holds_the_button_does_not_arm_when_the_check_passes(bundle):
     """A refused wish to stand up must be asked for anew."""
     robot, events = Standing(), []
-    controller = Controller(bundle, QUICK, on_event=events.append)
+    controller = Controller(bundle, BRISK, on_event=events.append)
     hand = SimpleNamespace(
         command=lambda now: TeleopCommand(0.3 * (now < 0.2), arm=now < 0.4 or now > 0.6)
     )

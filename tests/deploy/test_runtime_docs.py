@@ -6,6 +6,7 @@ import signal
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -71,25 +72,18 @@ def link(tmp_path, monkeypatch) -> Link:
     return link
 
 
-@pytest.fixture
-def keyboard(terminal, link) -> int:
-    """A terminal on which somebody presses r while the robot lies."""
+@pytest.mark.parametrize("end", ["q", "Ctrl-C"])
+def test_another_robot_in_a_page_until_it_ends(link, terminal, tmp_path, bundle_path, end):
+    """The page's program, then `renet deploy` with a bundle for its robot and somebody's hand."""
     link.on_lying = lambda: os.write(terminal, b"r")  # Again: the first may come too early.
-    return terminal
-
-
-def walk(bundle: Path) -> int:
-    """Run the page's program, then `renet deploy` with a bundle for its robot."""
-    manifest = read_manifest(bundle)
-    write_manifest(bundle, replace(manifest, robot=replace(manifest.robot, name="My robot")))
+    interrupt = partial(os.kill, os.getpid(), signal.SIGINT)
+    link.on_standing = interrupt if end == "Ctrl-C" else partial(os.write, terminal, b"q")
+    manifest = read_manifest(bundle_path)
+    robot = replace(manifest.robot, name="My robot")
+    write_manifest(bundle_path, replace(manifest, robot=robot))
     exec(program("my_sdk"), {"__name__": "my_robot"})
     options = f"--robot mine --port {PORT} --camera none --teleop keyboard --out out"
-    return cli.main(["deploy", str(bundle), *options.split()])
-
-
-def test_another_robot_in_a_page(link, keyboard, tmp_path, bundle_path):
-    link.on_standing = lambda: os.write(keyboard, b"q")
-    assert walk(bundle_path) == 0
+    assert cli.main(["deploy", str(bundle_path), *options.split()]) == 0
     assert link.closed
     assert any(stiffness.any() for stiffness in link.told), "it stood up"
     assert not link.told[-1].any(), "it ends braking"
@@ -99,13 +93,6 @@ def test_another_robot_in_a_page(link, keyboard, tmp_path, bundle_path):
     assert run.header["port"] == PORT
     body = program("my_sdk").split("class MyRobot:")[1].split("\n\n\n")[0]
     assert len(body.splitlines()) < 30
-
-
-def test_ctrl_c_in_that_program_brakes_and_closes(link, keyboard, bundle_path):
-    link.on_standing = lambda: os.kill(os.getpid(), signal.SIGINT)
-    walk(bundle_path)
-    assert link.closed
-    assert not link.told[-1].any()
 
 
 def test_reading_a_log(tmp_path, monkeypatch):

@@ -21,9 +21,8 @@ from renet.deploy.safety.watchdog import interruptible
 from renet.deploy.teleop import ScriptedTeleop
 from renet.terminal import Terminal
 
-from ..deploy.fakes import QUICK, Standing
+from ..deploy.fakes import QUICK, Standing, until
 from ..deploy.robots.peer import KINDS, Peer, make_peer
-from ..deploy.waiting import until
 
 CONTROLLER = """
 import ctypes, json, os, pkgutil, resource, signal, sys, time

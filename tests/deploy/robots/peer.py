@@ -19,8 +19,7 @@ from renet.deploy.robots.real.driver import RealRobot
 from renet.deploy.teleop import TeleopCommand
 from renet.interface import CONTROL_DT, JOINTS
 
-from ..fakes import command
-from ..waiting import until
+from ..fakes import command, until
 
 KINDS = {"go1": "unitree_legged_sdk.robot_interface", "go2": "cyclonedds"}
 """Module that each kind of robot needs."""

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 from renet.deploy.robots.joint_watch import TURN, WAYS, JointWatch
-from renet.descriptions import GO1
 from renet.interface import JOINTS
 
-from ..fakes import STANDING, state, turned
+from ..fakes import STANDING, robot_on, state, turned
 
 
 @pytest.fixture
@@ -43,15 +42,13 @@ def test_small_movements_and_no_reading_say_nothing(watched):
 @pytest.mark.parametrize("name", JOINTS)
 def test_the_words_are_what_the_model_does(name):
     """Turn one joint of the standing model and see where its foot goes, in the base frame."""
-    model = mujoco.MjModel.from_xml_path(str(GO1.mjcf))
     leg, part, _ = name.split("_")
 
     def foot(turn: float) -> tuple[np.ndarray, float]:
-        data = mujoco.MjData(model)
-        for joint, position in zip(JOINTS, STANDING, strict=True):
-            data.joint(joint).qpos = position + turn * (joint == name)
-        data.joint(0).qpos[:] = (0, 0, 0, 1, 0, 0, 0)
-        mujoco.mj_forward(model, data)
+        robot = robot_on()
+        data = robot.data
+        data.joint(name).qpos += turn
+        mujoco.mj_forward(robot.model, data)
         at = data.geom(f"{leg}_foot_collision").xpos
         return at.copy(), float(np.linalg.norm(at - data.body(f"{leg}_thigh").xpos))
 

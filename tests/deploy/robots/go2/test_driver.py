@@ -23,7 +23,7 @@ from renet.deploy.robots.go2.driver import go2_robot
 from renet.deploy.safety.limits import SafetyCfg
 from renet.errors import RenetError
 
-from ...waiting import until
+from ...fakes import until
 from ..dds import free_domain
 
 PATIENT = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999, joint_margin=9.0)

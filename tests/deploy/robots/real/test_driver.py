@@ -6,8 +6,7 @@ import pytest
 
 from renet.errors import RenetError
 
-from ...fakes import command
-from ...waiting import until
+from ...fakes import command, until
 
 
 def test_a_robot_is_read_commanded_and_braked_at_the_end(served):
