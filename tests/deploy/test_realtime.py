@@ -5,6 +5,7 @@ import os
 import re
 import threading
 from pathlib import Path
+from unittest.mock import Mock
 
 from renet.deploy import main, realtime
 
@@ -30,9 +31,7 @@ def test_the_calling_thread_alone_gets_priority_and_gives_it_back():
 
 
 def test_a_system_that_refuses_is_quoted(monkeypatch):
-    def refuse(*arguments):
-        raise PermissionError(1, "Operation not permitted")
-
+    refuse = Mock(side_effect=PermissionError(1, "Operation not permitted"))
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     with realtime.realtime(50) as refused:
         assert "real-time priority (Operation not permitted)" in refused

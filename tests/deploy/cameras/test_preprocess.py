@@ -10,17 +10,17 @@ from renet.training.export import camera_spec
 
 LENS = Intrinsics(480, 848, 446.8, 446.8, 424.0, 240.0)
 """87 degrees across."""
+PREPROCESSOR = DepthPreprocessor(LENS, camera_spec())
 
 
 def test_every_pixel_is_taken_where_training_casts_its_ray():
     rows, columns = np.mgrid[: LENS.height, : LENS.width]
-    preprocessor = DepthPreprocessor(LENS, camera_spec())
     rays = Intrinsics().rays().reshape(48, 64, 3)
     left = (LENS.cx - 0.5 - columns) / LENS.fx
     up = (LENS.cy - 0.5 - rows) / LENS.fy
     half_pixel = 0.5 / LENS.fx
     for direction, axis in ((left, 1), (up, 2)):
-        seen = preprocessor.image(direction + 1.0)
+        seen = PREPROCESSOR.image(direction + 1.0)
         np.testing.assert_allclose(seen, (rays[..., axis] + 1) / 2, atol=half_pixel)
 
 
@@ -38,17 +38,16 @@ def test_clipping_and_holes():
     depth = np.full((480, 848), 7.0)
     depth[:, 424:] = 0.0
     depth[300:] = 0.5
-    image = DepthPreprocessor(LENS, camera_spec()).image(depth)
+    image = PREPROCESSOR.image(depth)
     assert set(np.unique(image)) == {np.float32(0.25), np.float32(1.0)}
 
 
 def test_only_the_policys_view_counts_as_invalid():
     raw = np.ones((480, 848), np.uint16)
-    preprocessor = DepthPreprocessor(LENS, camera_spec())
     raw[:, :100] = 0
-    assert preprocessor.invalid(raw) == 0.0
+    assert PREPROCESSOR.invalid(raw) == 0.0
     raw[:240] = 0
-    assert preprocessor.invalid(raw) == pytest.approx(0.5, abs=0.01)
+    assert PREPROCESSOR.invalid(raw) == pytest.approx(0.5, abs=0.01)
 
 
 def test_a_narrow_camera_is_refused():
@@ -59,7 +58,6 @@ def test_a_narrow_camera_is_refused():
 
 
 def test_an_image_of_another_size_than_its_lens_is_refused():
-    preprocessor = DepthPreprocessor(LENS, camera_spec())
-    for look in (preprocessor.image, preprocessor.invalid):
+    for look in (PREPROCESSOR.image, PREPROCESSOR.invalid):
         with pytest.raises(RenetError, match=r"\(240, 424\) rows and columns"):
             look(np.ones((240, 424)))

@@ -28,9 +28,7 @@ from .. import fakes
         ("upper", 100.0, "upper 100 rad of FL_hip_joint; a Unitree Go1 takes -inf to 0.863"),
     ],
 )
-def test_a_bundle_beyond_the_robots_envelope_is_refused_by_joint_and_number(
-    manifest, field, value, message
-):
+def test_a_bundle_beyond_the_robots_envelope_is_refused(manifest, field, value, message):
     values = list(getattr(manifest.robot, field))
     values[3] = value
     with pytest.raises(RenetError, match=message):

@@ -22,7 +22,7 @@ from renet.errors import RenetError
 from renet.interface import CONTROL_DT
 from renet.training.export import robot_spec
 
-from ..fakes import ARM, STANDING, frame, state, time_of, turned
+from ..fakes import ARM, QUICK, STANDING, frame, state, time_of, turned
 
 GO1, CFG = robot_spec(), SafetyCfg()
 IDLE = TeleopCommand()
@@ -121,27 +121,25 @@ def test_what_keeps_a_robot_lying(change, refusal):
     assert bool(result) == bool(refusal)
 
 
-def drive(machine: SafetyMachine, steps: int, first: int = 0, teleop: TeleopCommand = IDLE) -> None:
-    for step in range(first, first + steps):
-        machine.update("", teleop, time_of(step))
-
-
-def walking() -> SafetyMachine:
-    machine = SafetyMachine(SafetyCfg(stand_up_seconds=0.1))
-    machine.update("", IDLE, 0.0)
-    machine.update("", ARM, time_of(1))
-    assert (machine.mode, machine.reason) == (Mode.STANDING_UP, "armed")
-    drive(machine, 8, first=2)
-    assert (machine.mode, machine.reason) == (Mode.WALKING, "stood up")
-    assert machine.since == time_of(7)
+@pytest.fixture
+def machine() -> SafetyMachine:
+    """One that was armed at step 1 and has walked since step 7."""
+    machine = SafetyMachine(QUICK)
+    for step in range(10):
+        machine.update("", ARM if step == 1 else IDLE, time_of(step))
     return machine
+
+
+def test_it_walks_when_it_has_stood_up(machine):
+    assert (machine.mode, machine.reason, machine.refused) == (Mode.WALKING, "stood up", "")
+    assert machine.since == time_of(7)
 
 
 def test_arming_waits_for_health_and_must_be_pressed_anew():
     machine = SafetyMachine(CFG)
     assert (machine.reason, machine.refused, machine.since) == ("start", "", -math.inf)
-    drive(machine, 50)
-    assert machine.mode is Mode.DAMPING, "nobody armed it"
+    for step in range(50):
+        assert machine.update("", IDLE, time_of(step)) is Mode.DAMPING, "nobody armed it"
     machine.update("tilted", ARM, time_of(50))
     assert (machine.mode, machine.refused) == (Mode.DAMPING, "tilted")
     machine.update("tilted", ARM, time_of(51))
@@ -150,8 +148,7 @@ def test_arming_waits_for_health_and_must_be_pressed_anew():
     assert machine.mode is Mode.DAMPING, "and is not pressed again"
     machine.update("", IDLE, time_of(53))
     machine.update("", ARM, time_of(54))
-    assert machine.mode is Mode.STANDING_UP
-    assert walking().refused == ""
+    assert (machine.mode, machine.reason) == (Mode.STANDING_UP, "armed")
 
 
 def test_joints_that_did_not_follow():
@@ -162,11 +159,9 @@ def test_joints_that_did_not_follow():
     assert stand_up_problem(state(joint_position=moved(0, 0.6)), GO1, CFG) == "", "just so"
 
 
-def test_the_first_reason_stays_until_the_next_arming():
-    machine = walking()
-    machine.update("tilted", IDLE, time_of(10))
-    machine.update("stale", IDLE, time_of(11))
-    drive(machine, 100, first=12)
+def test_the_first_reason_stays_until_the_next_arming(machine):
+    for step in range(10, 100):
+        machine.update({10: "tilted", 11: "stale"}.get(step, ""), IDLE, time_of(step))
     assert (machine.mode, machine.reason) == (Mode.DAMPING, "tilted")
     assert machine.since == time_of(10)
 
@@ -180,14 +175,13 @@ def test_the_first_reason_stays_until_the_next_arming():
         (math.nan, "the clock is not finite"),
     ],
 )
-def test_clocks(now, reason):
-    machine = walking()
+def test_clocks(machine, now, reason):
     machine.update("", IDLE, now)
     assert (machine.mode, machine.reason) == (Mode.DAMPING, reason)
 
 
-def test_one_late_tick_is_forgiven_and_six_in_a_row_are_not():
-    machine, now = walking(), time_of(9)
+def test_one_late_tick_is_forgiven_and_six_in_a_row_are_not(machine):
+    now = time_of(9)
     for periods in (*5 * [1.6], 1.0, 1.0, *5 * [1.6], 1.0, *6 * [1.6]):
         assert machine.mode is Mode.WALKING
         now += periods * CONTROL_DT

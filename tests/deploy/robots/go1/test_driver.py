@@ -3,9 +3,9 @@
 import os
 import re
 import socket
-import threading
 from functools import partial
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -91,21 +91,14 @@ def test_a_reordered_older_reading_is_no_news(wire, peer):
     peer.ticks += 2000
     wire.run(3)
     assert wire.link.state.time > newest
-    peer.ticks = 2**32 - 6
-    wire.run(2)
-    wire.link._tick = 2**32 - 8
-    wire.run(8)
-    assert wire.link._tick < 10, "the counter goes on from zero"
 
 
 def test_the_power_level_is_the_vendors_guards(peer):
-    levels = []
     for level in (1, 10):
         wire = peer.wire(power_level=level)
-        guard = SimpleNamespace(PowerProtect=lambda out, state, level: levels.append(level) or 0)
-        wire.link._safety = guard
+        wire.link._safety = Mock(PowerProtect=Mock(return_value=0))
         wire.run(3)
-    assert set(levels) == {1, 10}
+        assert wire.link._safety.PowerProtect.call_args.args[2] == level
 
 
 def test_the_vendors_guard_brakes_for_good(free, peer):
@@ -140,26 +133,17 @@ def dry_run(served, monkeypatch, tmp_path) -> partial[DeployCfg]:
     return partial(DeployCfg, **fixed, out=tmp_path)
 
 
-def test_a_dry_run_tells_what_moves_and_commands_nothing(
-    served, dry_run, tmp_path, capsys, monkeypatch
-):
+def test_a_dry_run_tells_what_moves(served, dry_run, tmp_path, capsys, monkeypatch):
     """The joint-order check of docs/robot.md: a robot that sinks moves its own joints."""
-    gravity = served.robot.model.opt.gravity
+    gravity, look = served.robot.model.opt.gravity, JointWatch.look
     gravity[2] = -0.01  # Something must always move: a sensor trembles.
 
-    watched, look = threading.Event(), JointWatch.look
-
-    def look_and_tell(watch: JointWatch, state: RobotState | None) -> None:
+    def look_and_let_go(watch: JointWatch, state: RobotState | None) -> None:
         look(watch, state)
         if state is not None:
-            watched.set()
+            gravity[2] = -50.0
 
-    def let_go() -> None:
-        watched.wait(60.0)
-        gravity[2] = -50.0
-
-    monkeypatch.setattr(JointWatch, "look", look_and_tell)
-    threading.Thread(target=let_go).start()
+    monkeypatch.setattr(JointWatch, "look", look_and_let_go)
     # Where it is when it is armed depends on how busy the computer is.
     patient = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999, joint_margin=9.0)
     deploy(dry_run(seconds=3.5, safety=patient))
@@ -197,9 +181,7 @@ def test_a_port_that_is_taken_is_refused():
 
 
 def test_without_the_vendors_module_the_error_says_what_to_install(monkeypatch):
-    def missing(name: str):
-        raise ImportError(f"No module named {name!r}")
-
+    missing = Mock(side_effect=ImportError("No module named 'unitree_legged_sdk'"))
     monkeypatch.setattr(link.importlib, "import_module", missing)
-    with pytest.raises(RenetError, match=r"\.\[go1\]'.*unitree_legged_sdk"):
+    with pytest.raises(RenetError, match=r"\.\[go1\]'.*\(No module named 'unitree_legged_sdk'\)"):
         link.unitree()
