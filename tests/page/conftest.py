@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -19,7 +18,7 @@ LIMIT = 300.0
 """Seconds after which a Node.js that does not end fails its test."""
 
 
-def run_node(script: str, *arguments: object) -> Any:
+def run_node(script: str, *arguments: object):
     """What a script of this folder prints, read as JSON."""
     command = ["node", str(Path(__file__).with_name(script)), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT)
@@ -36,27 +35,21 @@ def page(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def memory_bundle(tmp_path_factory) -> Path:
-    """The shipped bundle, whose VP may drive for a second and a half without an image."""
-    path = tmp_path_factory.mktemp("memory") / "b"
-    manifest = read_manifest(shutil.copytree(pretrained("go1-parkour"), path))
-    write_manifest(path, replace(manifest, selector=replace(manifest.selector, longest_memory=1.5)))
-    return path
-
-
-@pytest.fixture(scope="session")
-def memory_page(node_page: Path, memory_bundle: Path, tmp_path_factory) -> Path:
-    """The page of that bundle."""
-    out = tmp_path_factory.mktemp("memory-page") / "page"
-    return write_page(PageCfg((memory_bundle,), out))
-
-
-@pytest.fixture(scope="session")
 def node_page(page: Path) -> Path:
     """The shipped bundle's, where there is a Node.js to run its modules."""
     if shutil.which("node") is None:
         pytest.skip("no Node.js on this machine")
     return page
+
+
+@pytest.fixture(scope="session")
+def memory_page(node_page: Path, tmp_path_factory) -> Path:
+    """The page of the shipped bundle, whose VP may drive for 1.5 s without an image."""
+    folder = tmp_path_factory.mktemp("memory")
+    path = shutil.copytree(pretrained("go1-parkour"), folder / "b")
+    manifest = read_manifest(path)
+    write_manifest(path, replace(manifest, selector=replace(manifest.selector, longest_memory=1.5)))
+    return write_page(PageCfg((path,), folder / "page"))
 
 
 @pytest.fixture(scope="session")

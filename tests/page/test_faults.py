@@ -1,8 +1,6 @@
 """The page's faults do to images what the catalogue's do."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -24,7 +22,7 @@ CERTAIN = ("blackout", "saturated", "frozen", "unplugged")
 """Faults without randomness: the same image, up to rounding."""
 
 
-def frames() -> list[dict[str, Any]]:
+def frames() -> list[dict]:
     """Ground that comes nearer, with noise: two frames before a fault, twelve during it."""
     rng = np.random.default_rng(3)
     rows, columns = np.mgrid[:48, :64]
@@ -54,7 +52,7 @@ def summary(before: np.ndarray, after: Frames) -> list[float]:
     ]
 
 
-def catalogue(name: str, level: float, seed: int, given: list[dict[str, Any]]) -> np.ndarray:
+def catalogue(name: str, level: float, seed: int, given: list[dict]) -> np.ndarray:
     fault, summaries = FAULTS[name](level, [np.random.default_rng(seed)]), []
     for image, elapsed in (frame.values() for frame in given):
         after = fault.corrupt(Frames.healthy(image[None]), np.array([elapsed]))
@@ -64,7 +62,7 @@ def catalogue(name: str, level: float, seed: int, given: list[dict[str, Any]]) -
 
 
 @pytest.fixture(scope="module")
-def delivered(node_page: Path, tmp_path_factory) -> dict[str, Any]:
+def delivered(node_page, tmp_path_factory) -> dict:
     """The page's summaries of each fault and severity, [streams, frames, numbers]."""
     path = tmp_path_factory.mktemp("faults") / "input.json"
     listed = [{k: np.ravel(v).tolist() for k, v in f.items()} for f in frames()]
@@ -75,7 +73,7 @@ def delivered(node_page: Path, tmp_path_factory) -> dict[str, Any]:
 
 @pytest.mark.parametrize("severity", SEVERITIES)
 @pytest.mark.parametrize("name", OFFERED)
-def test_fault_does_what_the_catalogue_says(delivered, name: str, severity: int):
+def test_fault_does_what_the_catalogue_says(delivered, name, severity):
     level, given = FAULTS[name].level_of(severity), frames()
     mine = np.array(delivered[name][SEVERITIES.index(severity)])
     its = np.stack([catalogue(name, level, seed, given) for seed in range(len(mine))])
@@ -91,7 +89,7 @@ def test_fault_does_what_the_catalogue_says(delivered, name: str, severity: int)
 
 @pytest.mark.parametrize("number", [0, 1], ids=["go1", "go2"])
 @pytest.mark.parametrize("ground", [name for name in GROUNDS if name != FLAT])
-def test_camera_sees_what_the_runtimes_camera_sees(robots_page: Path, ground: str, number: int):
+def test_camera_sees_what_the_runtimes_camera_sees(robots_page, ground, number):
     manifest = Bundle.load(robots_page / "bundles" / str(number)).manifest
     description = find_description(manifest.robot.name)
     model, height = build_scene(ground, GROUNDS[ground][1], robot=description)
