@@ -9,10 +9,8 @@ import numpy as np
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.evaluation.trace import StepResult
-from renet.faults import ViewPerturbation
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
 from renet.selector import SelectorSpec, make_selector
-from renet.selector.selector import MonitorSelector
 from renet.tasks.config.go1 import GO1
 
 GROUND = np.full(DEPTH_SHAPE, 0.5, np.float32)
@@ -43,7 +41,7 @@ class FakeEnv:
         self.x[fell] = 0
         return self.result(SPEED * (1 - np.minimum(harm, 1)), fell)
 
-    def perturb_cameras(self, view: ViewPerturbation) -> None:
+    def perturb_cameras(self, view) -> None:
         """Its cameras see one ground, whatever the scene."""
 
     def place_on(self, grounds: Sequence[str]) -> None:
@@ -109,5 +107,5 @@ class FakeEvaluator:
     def make_policy(self, num_robots: int) -> FakePolicy:
         return self.policy(num_robots)
 
-    def make_selector(self, num_robots: int, selector: str = "paper") -> MonitorSelector:
+    def make_selector(self, num_robots: int, selector: str = "paper"):
         return make_selector("paper", SelectorSpec(beta=self.beta), num_robots)

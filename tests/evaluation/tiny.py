@@ -6,18 +6,18 @@ from functools import partial
 import numpy as np
 
 from renet.evaluation.studies.report import STUDIES
-from renet.evaluation.study import Study
 from renet.terrain.tiles import tiles
 
 from .fakes import FakeEnv, FakeEvaluator
 
 
 class Ladder(FakeEnv):
-    """Robots leave their tile after 20 steps up to a level of their kind, and fall above it."""
+    """Robots leave their tile after 20 steps up to a level of their kind.
 
-    reach = np.array(
-        [10 if k == "stairs_up" else {"stairs_down": 3, "gap": 6}.get(k, 4) for k in tiles()]
-    )
+    Above it they fall, two levels higher they stand.
+    """
+
+    reach = np.array([{"stairs_up": 10, "stairs_down": 3, "gap": 2}.get(k, 4) for k in tiles()])
     able: np.ndarray | None = None
     """Who can; None on flat ground, which nobody leaves."""
     stands: np.ndarray | bool = False
@@ -25,7 +25,7 @@ class Ladder(FakeEnv):
     clock = 0
 
     def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
-        self.able = levels < self.reach[kinds]
+        self.able, self.stands = levels < self.reach[kinds], levels >= self.reach[kinds] + 2
         self.clock = 0
 
     def step(self, action: np.ndarray):
@@ -40,16 +40,11 @@ class Ladder(FakeEnv):
 
 
 class Hurdles(Ladder):
-    """Robots cross after 20 steps; on gaps beyond level 2 they fall, beyond level 4 they stand."""
-
-    def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
-        gap = kinds == list(tiles()).index("gap")
-        self.able, self.stands = ~gap | (levels < 2), gap & (levels >= 4)
-        self.clock = 0
+    """A second try would succeed, and must not count."""
 
     def step(self, action: np.ndarray):
         result = super().step(action)
-        if self.clock >= 20:  # A second try would succeed, and must not count.
+        if self.clock >= 20:
             self.able = ~np.zeros(self.num_robots, bool)
         return result
 
@@ -97,7 +92,7 @@ SETTINGS: dict[str, dict] = {
     "standing": {"kinds": ("flat", "stairs_up"), "robots": 2, "seconds": 1.0},
     "margins": {"axes": ("payload",), "robots": 1, "seconds": 0.2},
 }
-TINY: dict[str, Study] = {name: STUDIES[name](**settings) for name, settings in SETTINGS.items()}
+TINY = {name: STUDIES[name](**settings) for name, settings in SETTINGS.items()}
 EVALUATORS: dict[str, Callable[[], FakeEvaluator]] = {
     "success": HurdlesEvaluator,
     "terrain": partial(FakeEvaluator, Ladder),

@@ -11,17 +11,16 @@ from renet.evaluation.trace import Trace
 ONSET, OVER, STEPS = 20, 60, 100
 
 
-def faulty(count: int = 4) -> Trace:
-    """Robot 0 leaves vision at once, 1 loses images late, 2 nothing, 3 leaves after its fall."""
-    trace = Trace.empty(STEPS, count)
+def faulty() -> Trace:
+    """Robot 0 leaves vision at once, 1 loses images late, 3 leaves after its fall, 4 before."""
+    trace = Trace.empty(STEPS, 5)
     trace.forward_velocity[:] = 0.6
     trace.trusted[ONSET + 2 : OVER + 50, :, 0] = False
     trace.has_image[:] = True
     trace.has_image[ONSET + 20 : OVER + 15, 1] = False
     trace.fell[ONSET + 5, 3] = trace.ended[ONSET + 5, 3] = True
     trace.trusted[ONSET + 10 : OVER, :, 3] = False
-    if count > 4:  # A fifth robot had left vision before.
-        trace.trusted[ONSET - 3 : OVER, :, 4] = False
+    trace.trusted[ONSET - 3 : OVER, :, 4] = False
     return trace
 
 
@@ -31,7 +30,8 @@ def noticed(trace: Trace) -> dict:
 
 
 def test_detection_return_and_survival_by_hand():
-    row = noticed(faulty()) | fault_metrics.survival(faulty(), STEPS)
+    five, four = faulty(), faulty().robots(np.arange(4))
+    row = noticed(four) | fault_metrics.survival(four, STEPS)
     assert row["detected"] == 2
     assert row["detection_delay_s"] == pytest.approx((0.045 + 0.405) / 2)
     assert (row["detected_by_paper"], row["paper_detection_delay_s"]) == (0, None)
@@ -40,13 +40,10 @@ def test_detection_return_and_survival_by_hand():
     assert (row["recovered"], row["away_at_end"]) == (1, 2)
     assert row["recovery_delay_s"] == pytest.approx(0.305)
     assert row["mean_forward_velocity"] == pytest.approx(0.6 * (3 * 100 + 25) / 400)
-
-
-def test_a_robot_without_vision_neither_notices_nor_misses():
-    four, five = noticed(faulty(4)), noticed(faulty(5))
+    # A robot without vision neither notices nor misses.
     for name in ("vision_active_at_onset", "detected", "detection_delay_s", "detected_by_paper"):
-        assert five[name] == four[name]
-    assert four["vision_active_at_onset"] == 4
+        assert noticed(five)[name] == row[name]
+    assert row["vision_active_at_onset"] == 4
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """The leaderboard: who leads, and the tables behind, from files that may be damaged."""
 
-import csv
 import json
 
 import numpy as np
@@ -61,17 +60,16 @@ def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked():
 
 
 def test_the_leaderboard_is_made_from_files(tmp_path, capsys):
-    files = []
-    for name, crossed in (("one", 0.5), ("two", 0.7)):
-        files.append(tmp_path / f"{name}.json")
-        files[-1].write_text(json.dumps(complete(name, crossed)))
-    table = make_leaderboard(LeaderboardCfg(tuple(files), tmp_path / "new" / "board.md"))
+    files = tmp_path / "one.json", tmp_path / "two.json"
+    for file, crossed in zip(files, (0.5, 0.7), strict=True):
+        file.write_text(json.dumps(complete(file.stem, crossed)))
+    table = make_leaderboard(LeaderboardCfg(files, tmp_path / "new" / "board.md"))
     ranking = table.read_text().split("\n\n")[1].splitlines()
     assert [line.split(" | ")[1] for line in ranking[2:]] == ["two", "one"]
     assert "two" in capsys.readouterr().out
     files[0].write_text('{"benchmark": "renet-faults", "version": 3}')
     with pytest.raises(RenetError, match="no result of renet-faults, version 1 or 2"):
-        make_leaderboard(LeaderboardCfg(tuple(files), table))
+        make_leaderboard(LeaderboardCfg(files, table))
 
 
 @pytest.mark.parametrize(
@@ -105,6 +103,7 @@ def setting(ground: str, severity: int, mode: str, crossed: float, change: float
     return place | {"mode": mode, "measures": measures | {"switches": share(3.0, 2.5)}}
 
 
+EVERYBODY = {"crossed": [1.0, 1.0], "upright": [1.0, 1.0]}
 RESULT = {
     "policy": {"name": "ours", "modes": ["vp", "renet"]},
     "settings": [
@@ -116,10 +115,8 @@ RESULT = {
         setting("gap", 5, "renet", 0.4, -0.3),
     ],
     "by_robot": {
-        "vp": {"flat": {"crossed": [1.0, 1.0], "upright": [1.0, 1.0]}}
-        | {"gap": {"crossed": [0.5, 0.5], "upright": [0.0, 1.0]}},
-        "renet": {"flat": {"crossed": [1.0, 1.0], "upright": [1.0, 1.0]}}
-        | {"gap": {"crossed": [0.7, 0.7], "upright": [1.0, 1.0]}},
+        "vp": {"flat": EVERYBODY, "gap": {"crossed": [0.5, 0.5], "upright": [0.0, 1.0]}},
+        "renet": {"flat": EVERYBODY, "gap": EVERYBODY | {"crossed": [0.7, 0.7]}},
     },
 }
 """Numbers from which every table follows by hand."""
@@ -158,10 +155,9 @@ def test_who_noticed_is_read_from_a_studys_rows(tmp_path, run_study):
     rows = {fault: counts for fault, *counts in noticed[2]}
     assert rows["frozen"] == [0, 0, 6]
     assert rows["gaussian"][1:] == [6, 6]
-    with (tmp_path / "other.csv").open("w") as file:
-        csv.writer(file).writerows([["kind"], ["gap"]])
-    (tmp_path / "half.csv").write_text("mode\nrenet\n")
-    (tmp_path / "bytes.csv").write_bytes(bytes(range(256)))
-    for name in ("other", "half", "bytes", "missing"):
+    contents = {"other": b"kind\ngap\n", "half": b"mode\nrenet\n", "bytes": bytes(range(256))}
+    for name, content in contents.items():
+        (tmp_path / name).write_bytes(content)
+    for name in (*contents, "missing"):
         with pytest.raises(RenetError, match=r"is no summary|cannot read the summary"):
-            leaderboard.study_table(tmp_path / f"{name}.csv")
+            leaderboard.study_table(tmp_path / name)
