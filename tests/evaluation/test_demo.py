@@ -2,10 +2,8 @@
 
 import re
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,45 +36,32 @@ class Gap(FakeEnv):
         return result
 
 
-class Forgetful(FakePolicy):
-    """VP falls where an image that it may use is the last one again, OP as soon as it drives."""
-
-    last = np.zeros(0)
-    fresh: np.ndarray | bool = True
-
-    def withheld(self, gate) -> np.ndarray | bool:
-        return False
-
-    def step(self, proprioception, depth, op_mask, gate=None):
-        action = super().step(proprioception, depth, op_mask)
-        self.clock = getattr(self, "clock", -1) + 1
-        if self.clock % 5 == 0:
-            repeated = self.last.size and (depth == self.last).all(axis=(1, 2))
-            self.fresh = ~np.asarray(repeated) | self.withheld(gate)
-            self.last = depth
-        action[:, 0] = np.where(op_mask | ~np.asarray(self.fresh), 1.0, 0.0)
-        return action
-
-
-class Remembering(Forgetful):
-    """Its VP goes on without the images that the gate withholds."""
+class Remembering(FakePolicy):
+    """VP falls where an image that the gate lets through is the last one again, OP always."""
 
     def __init__(self, num_robots: int) -> None:
         super().__init__(num_robots)
-        self.has_image = np.ones(num_robots, bool)
+        self.has_image, self.fresh = np.ones((2, num_robots), bool)
         self.height_map = np.zeros((num_robots, 132), np.float32)
+        self.last, self.clock = np.zeros((num_robots, 1, 1)), 0
 
-    def withheld(self, gate):
-        if gate is not None:
-            self.has_image = gate.judge({"anomaly_score": self.anomaly_score})
-        return ~self.has_image
+    def step(self, proprioception, depth, op_mask, gate=None):
+        action = super().step(proprioception, depth, op_mask)
+        if self.clock % 5 == 0:
+            if gate is not None:
+                self.has_image = gate.judge({"anomaly_score": self.anomaly_score})
+            repeated = (depth == self.last).all(axis=(1, 2))
+            self.fresh, self.last = ~(repeated & self.has_image), depth
+        self.clock += 1
+        action[:, 0] = np.where(op_mask | ~self.fresh, 1.0, 0.0)
+        return action
 
 
 class GapEvaluator(FakeEvaluator):
     """With every monitor that needs no model."""
 
-    def __init__(self, policy: type[FakePolicy], longest_memory: float) -> None:
-        super().__init__(Gap, policy)
+    def __init__(self, longest_memory: float) -> None:
+        super().__init__(Gap, Remembering)
         limits = {"frame_age": 0.2, "uniformity": -0.005}
         self.spec = SelectorSpec(self.beta, thresholds=limits, longest_memory=longest_memory)
 
@@ -89,8 +74,7 @@ class Links(HTMLParser):
 
     def __init__(self) -> None:
         super().__init__()
-        self.links: list[str] = []
-        self.open: list[str] = []
+        self.links, self.open = [], []
 
     def handle_starttag(self, tag, attrs) -> None:
         links = [value for name, value in attrs if name in ("src", "href")]
@@ -103,12 +87,12 @@ class Links(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Iterator[Path]:
+def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(painter, "PANEL", (120, 90))
         patch.setattr(demo, "SHOWN", (0.2, 0.6))
-        sentence = run_demo(DemoStudy(out, robots=3, seconds=3.4), GapEvaluator(Remembering, 9.0))
+        sentence = run_demo(DemoStudy(out, robots=3, seconds=3.4), GapEvaluator(9.0))
         assert sentence == (
             "The camera dies 0.5 s before a gap of 37 cm: of 3 robots 3 cross with RENet, which"
             " remembers it; 0 that trust the last image, 0 with the paper's switch,"
@@ -117,7 +101,7 @@ def folder(tmp_path_factory) -> Iterator[Path]:
         yield out
 
 
-def check_page(path: Path, media: int) -> str:
+def check_page(path, media: int) -> str:
     html = path.read_text()
     links = Links()
     links.feed(html)
@@ -144,7 +128,7 @@ def test_the_page_says_what_was_measured_and_needs_no_network(folder):
 def test_a_bundle_without_memory_runs_and_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(video, "film", lambda path, *args: path.write_bytes(b"\0\0\0\0ftyp"))
     study = DemoStudy(tmp_path, robots=2, seconds=3.4, modes=("vp", "renet"))
-    sentence = run_demo(study, GapEvaluator(Forgetful, 0.0))
+    sentence = run_demo(study, GapEvaluator(0.0))
     assert "of 2 robots 0 cross with RENet, which has no memory here; 0 that trust" in sentence
     assert "This bundle has no memory" in (tmp_path / "index.html").read_text()
     assert [run["fell"] for run in read_results(tmp_path / "summary.json")["runs"]] == [2, 2]
