@@ -1,11 +1,11 @@
-"""Documents: commands run here or say what they take; links, files and tests named exist."""
+"""Documents: commands run here or say what they take; links, files, tests and layers exist."""
 
 import ast
 import pydoc
 import re
 import shlex
+import tomllib
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -16,6 +16,8 @@ METHOD = "".join((ROOT / "docs" / f"{page}.md").read_text() for page in ("method
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"```(?:bash|console)\n(.*?)```", re.DOTALL)
 PROGRAM = re.compile(r"(nohup )?(renet|python \w+/\w+\.py) ")
+ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text()
+WALKS = [section for section in ARCHITECTURE.split("\n## ")[1:] if "\n1. " in section]
 QUICK = ("renet bundle inspect",)
 """Commands that are run here; test_cli.py runs every command's --help."""
 EXAMPLES = (ROOT / "tests" / "test_examples.py").read_text()
@@ -54,7 +56,7 @@ def test_quick_commands_run(capsys, tmp_path, monkeypatch):
         assert len(capsys.readouterr().out.splitlines()) > 20
 
 
-def parse(arguments: list[str]) -> Any:
+def parse(arguments: list[str]):
     """The settings of a command line without `renet`; None where it asks for help."""
     name, rest = cli._match(arguments)
     _, config, rest = cli.COMMANDS[name].load(rest)
@@ -135,3 +137,24 @@ def test_every_fault_is_closed_by_a_test_that_exists_or_a_reason():
     assert len(closed_by) > 110
     assert len(reasons) <= 4
     assert all(re.search(r"\]\(#[\w-]+\)$|^`\.ci/run`", reason) for reason in reasons), reasons
+
+
+@pytest.mark.parametrize("walk", WALKS, ids=lambda walk: walk.splitlines()[0])
+def test_a_walk_has_at_most_five_files_and_each_exists(walk):
+    steps = re.findall(r"^\d\. `([^`]+)`", walk, re.MULTILINE)
+    assert 3 <= len(steps) <= 5
+    assert len(steps) == len(re.findall(r"^\d\.", walk, re.MULTILINE))
+    missing = [step for step in steps if not (ROOT / step).is_file()]
+    assert not missing
+    assert len(WALKS) == 3
+
+
+def test_the_layers_are_those_that_ci_checks():
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    layers = contracts["contracts"][0]["layers"]
+    section = ARCHITECTURE.split("## Packages")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| (`.*?) \|", section, re.MULTILINE)
+    names = [re.findall(r"`(\w+)`", row) for row in rows]
+    assert names == [re.findall(r"renet\.(\w+)", layer) for layer in layers]
+    packages = {path.parent.name for path in (ROOT / "src" / "renet").glob("*/__init__.py")}
+    assert packages <= {name for row in names for name in row}

@@ -22,7 +22,8 @@ FILES = ("add_reward", "add_fault", "add_robot", "add_study", "third_party_polic
 @pytest.fixture
 def load(monkeypatch):
     monkeypatch.setattr(cli, "COMMANDS", dict(cli.COMMANDS))
-    return import_module
+    yield import_module
+    FAULTS.pop("fog", None)
 
 
 def added_robot():
@@ -62,14 +63,11 @@ def test_the_added_reward_penalises_turning(load):
 
 def test_the_added_fault_spoils_a_run(load, tmp_path):
     module = load("add_fault")
-    try:
-        where = ["--out", str(tmp_path / "fog"), "--seconds", "4", "--fault", "fog:5@3s"]
-        assert module.main(["deploy", "--camera", "sim", *where]) == 0
-        assert json.loads((tmp_path / "fog" / "score.json").read_text())["falls"] == 0
-        spoilt = module.Fog(0.5, [np.random.default_rng(0)]).spoil(np.ones((48, 64)), 0, 0.0)
-        assert spoilt.mean() == pytest.approx(0.5, abs=0.01)
-    finally:
-        FAULTS.pop("fog")
+    where = ["--out", str(tmp_path / "fog"), "--seconds", "4", "--fault", "fog:5@3s"]
+    assert module.main(["deploy", "--camera", "sim", *where]) == 0
+    assert json.loads((tmp_path / "fog" / "score.json").read_text())["falls"] == 0
+    spoilt = module.Fog(0.5, [np.random.default_rng(0)]).spoil(np.ones((48, 64)), 0, 0.0)
+    assert spoilt.mean() == pytest.approx(0.5, abs=0.01)
 
 
 def test_the_added_study_runs_from_the_command_line(load, tmp_path):
