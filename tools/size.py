@@ -19,32 +19,9 @@ CODE = {".py", ".cpp", ".h"}
 WEB = {".js", ".css", ".html"}
 PARTS = {"src": (("src",), CODE), "tests": (("tests",), CODE), "web": (("web", "src"), WEB)}
 """Folders and suffixes of what is counted together; the report's templates lie in src."""
-FEATURES = {
-    "go2": ("deploy/robots/go2", "tasks/config/go2.py"),
-    "guards": (
-        "folders.py",
-        "server.py",
-        "trial.py",
-        "bundle/graph.py",
-        "deploy/safety/plausibility.py",
-        "deploy/safety/watchdog.py",
-        "deploy/robots/real/lock.py",
-        "deploy/robots/sim/scene_file.py",
-        "deploy/recording/calibration_images.py",
-    ),
-    "memory": (
-        "training/withholding.py",
-        "evaluation/calibrate_memory.py",
-        "evaluation/studies/memory.py",
-    ),
-    "benchmark_2": (
-        "evaluation/studies/crossing.py",
-        "evaluation/studies/camera_use.py",
-        "evaluation/studies/one_try.py",
-    ),
-    "films": ("evaluation/report/painter.py",),
-}
-"""Files in src/renet that serve one feature alone, counted apart as well; the rest is the core."""
+ADDITIONS = Path(__file__).with_name("additions.json")
+"""Lines that each commit of a new feature since 54c3052 added to src and to tests, less those it
+deleted."""
 
 
 def measure(root: Path = ROOT) -> dict[str, int]:
@@ -58,11 +35,11 @@ def measure(root: Path = ROOT) -> dict[str, int]:
         ]
         for part, (folders, suffixes) in PARTS.items()
     }
-    for feature, names in FEATURES.items():
-        places = [root / "src" / "renet" / name for name in names]
-        files[feature] = [p for p in files["src"] if any(p.is_relative_to(at) for at in places)]
-    files["core"] = [p for p in files["src"] if not any(p in files[name] for name in FEATURES)]
     lines = {f"{part}_lines": sum(map(count_lines, paths)) for part, paths in files.items()}
+    features = json.loads(ADDITIONS.read_text()).values()
+    for place, part in enumerate(("src", "tests")):
+        added = sum(commit[place] for commits in features for commit in commits.values())
+        lines[f"{part}_lines_without_features"] = lines[f"{part}_lines"] - added
     widest = max(Counter(path.parent for path in files["src"]).values(), default=0)
     return {**lines, "widest_folder": widest}
 
