@@ -22,6 +22,9 @@ SCENE = """<mujoco><worldbody><light pos="0 0 3"/><geom type="plane" size="0 0 1
 class FakeEnv:
     """Speed falls with the first action; a robot driven at 1 falls after ten steps and restarts."""
 
+    clock = 0
+    """Steps since the last reset."""
+
     def __init__(self, num_robots: int) -> None:
         self.num_robots = num_robots
         self.bad = np.zeros(num_robots, int)
@@ -29,10 +32,12 @@ class FakeEnv:
         self.scene_spec = mujoco.MjSpec.from_string(SCENE)
 
     def reset(self) -> StepResult:
+        self.clock = 0
         self.x[:] = 0
         return self.result(np.zeros(self.num_robots), np.zeros(self.num_robots, bool))
 
     def step(self, action: np.ndarray) -> StepResult:
+        self.clock += 1
         harm = action[:, 0]
         self.bad = np.where(harm >= 1, self.bad + 1, 0)
         fell = self.bad > 10

@@ -28,11 +28,6 @@ def quiet(task, robots: int) -> SimEnv:
 
 
 @pytest.fixture(scope="module")
-def flat():
-    return quiet("Renet-Go1-Flat", 2)
-
-
-@pytest.fixture(scope="module")
 def tile():
     return quiet(tile_env_cfg(tile_row({"platform": 8}), play=True), 4)
 
@@ -49,7 +44,8 @@ def seen(world: SimEnv, **rows: dict[int, object]) -> np.ndarray:
     return depth
 
 
-def test_foam_brings_the_ground_nearer_by_what_it_is_high(flat):
+def test_foam_brings_flat_ground_nearer_by_its_height_and_nothing_there_is_glass():
+    flat = quiet("Renet-Go1-Flat", 2)
     depth = seen(flat, lift={1: 0.1})
     eye = flat.env.sim.data.qpos[0, 2].item() + 0.03  # The head is level with the trunk, about.
     both = (depth < 1.0).all(axis=0)
@@ -59,6 +55,8 @@ def test_foam_brings_the_ground_nearer_by_what_it_is_high(flat):
     pitch = 0.27 * abs(flat.env.sim.data.qpos[0, 5].item())
     assert ratio.mean() == pytest.approx((eye - 0.1) / eye, abs=0.1 + pitch)
     assert 0.4 < ratio.mean() < 0.85
+    with pytest.raises(RenetError, match="no obstacle that could be glass"):
+        seen(flat, glass={0: 1.0})
 
 
 def test_only_the_disturbed_robots_see_it_and_each_what_is_true(tile):
@@ -74,11 +72,6 @@ def test_only_the_disturbed_robots_see_it_and_each_what_is_true(tile):
     assert (depth[3] > true[3] + 0.05).any()
 
 
-def test_glass_needs_obstacles(flat):
-    with pytest.raises(RenetError, match="no obstacle that could be glass"):
-        seen(flat, glass={0: 1.0})
-
-
 def test_a_physical_fault_comes_and_goes_with_its_schedule(tile):
     foam = (Injection("foam", 0.15, onset=10, duration=0.2),)
     rows = [Trial("op", foam), Trial("op"), Trial("op", foam), Trial("op")]
@@ -89,14 +82,7 @@ def test_a_physical_fault_comes_and_goes_with_its_schedule(tile):
     np.testing.assert_array_equal(disturbed, [False, False, True, True, False, False])
 
 
-def test_robots_obey_a_new_command(flat):
-    flat.reset()
-    flat.command(0.0)
-    after = flat.step(np.zeros((2, 12), np.float32))
-    np.testing.assert_allclose(after.proprioception[:, 6], 0.0)
-
-
-def test_robots_stand_on_the_tiles_they_are_placed_on():
+def test_robots_stand_on_the_tiles_they_are_placed_on_and_obey_a_new_command():
     kinds, levels = np.array([4, 2, 3, 5]), np.array([0, 9, 4, 2])
     world = SimEnv(study_env_cfg("Renet-Go1-Parkour", 0.5), range(4), 1, "auto")
     world.place(levels, kinds)
@@ -109,7 +95,9 @@ def test_robots_stand_on_the_tiles_they_are_placed_on():
     np.testing.assert_allclose(np.diff(position[order, 0]), TILE * np.diff(levels[order]), atol=0.7)
     rise = tiles()["stairs_up"].measure(9 / (LEVELS - 1))
     assert position[1, 2] < -5 * rise
+    world.command(0.0)
     for _ in range(5):
         result = world.step(np.zeros((4, 12), np.float32))
+    np.testing.assert_allclose(result.proprioception[:, 6], 0.0)
     assert not result.ended.any()
     assert result.travelled.max() < 0.3

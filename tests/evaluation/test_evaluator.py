@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from renet.bundle import DEFAULT, Bundle, pretrained, read_manifest, write_bundle, write_manifest
+from renet.bundle import DEFAULT, Bundle, pretrained, read_manifest, write_bundle
 from renet.bundle.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation import calibrate, calibrate_memory
@@ -17,7 +17,6 @@ from renet.faults import Injection
 from renet.selector.monitors import MONITORS
 from renet.tasks.config.go1 import GO1
 from renet.tasks.parkour_env_cfg import randomize
-from renet.tasks.sensors import DEPTH_CAMERA
 
 
 @pytest.fixture(scope="module")
@@ -56,15 +55,6 @@ def test_the_shipped_selector_walks_on_vision_through_sparse_grass_alone():
     sees = evaluator.rollout(env, trials, 1).run(120).sees.all(axis=(0, 1)).reshape(4, 5)
     assert sees[:2].sum() >= 9
     assert not sees[2:].any()
-
-
-def test_simulated_cameras_err_as_in_the_bundles_training(bundle, tmp_path):
-    shutil.copytree(bundle, copy := tmp_path / "bundle")
-    manifest = read_manifest(copy)
-    write_manifest(copy, replace(manifest, camera=replace(manifest.camera, noise_std=0.02)))
-    for folder, std in ((copy, 0.02), (bundle, 0.1)):
-        world = Evaluator(folder).make_env("Renet-Go1-Flat", [0], 0.6, 1)
-        assert world.env.scene[DEPTH_CAMERA].cfg.noise.gaussian_std == std
 
 
 def test_calibration_is_written_into_the_bundle_without_and_with_sparse_grass(

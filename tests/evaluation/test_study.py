@@ -1,6 +1,7 @@
 """What every study shares: recipe, presets on the command line, any registered robot."""
 
 import json
+import os
 import runpy
 import shutil
 from dataclasses import replace
@@ -18,6 +19,7 @@ from renet.evaluation.results import MAX_JSON, read_results
 from renet.evaluation.studies.report import STUDIES
 from renet.registry import register_tasks
 from renet.tasks.config.go1 import GO1
+from renet.tasks.sensors import DEPTH_CAMERA
 
 from .fakes import SPEED, FakeEvaluator
 
@@ -78,18 +80,21 @@ def test_presets_are_chosen_on_the_command_line(capsys):
     assert cli.main(["evaluate", "faults", "--preset"]) == 2
 
 
-def test_a_study_walks_the_bundles_own_robot(tmp_path):
+def test_a_study_walks_the_bundles_own_robot_whose_cameras_err_as_in_training(tmp_path):
     register_tasks("Twin", replace(GO1, name="Somebody's Go1"))
     shutil.copytree(pretrained("go1-parkour"), tmp_path / "twin")
     manifest = read_manifest(tmp_path / "twin")
     robot = replace(manifest.robot, name="Somebody's Go1")
     origin = replace(manifest.provenance, task="Renet-Twin-Flat")
-    write_manifest(tmp_path / "twin", replace(manifest, robot=robot, provenance=origin))
+    camera = replace(manifest.camera, noise_std=0.02)
+    twin = replace(manifest, robot=robot, provenance=origin, camera=camera)
+    write_manifest(tmp_path / "twin", twin)
     evaluator = Evaluator(tmp_path / "twin")
     for terrain in (FLAT, {"stairs_up": 3}):
         assert terrain_env_cfg(terrain, evaluator.robot).robot.name == "Somebody's Go1"
     env = evaluator.make_env(FLAT, range(2), 0.6, 1)
     assert env.env.cfg.robot.name == "Somebody's Go1"
+    assert env.env.scene[DEPTH_CAMERA].cfg.noise.gaussian_std == 0.02
     refusal = "bundle twin drives a Somebody's Go1, this task's robot is a Unitree Go1"
     with pytest.raises(RenetError, match=refusal):
         evaluator.make_env("Renet-Go1-Flat", range(2), 0.6, 1)
@@ -149,12 +154,9 @@ def test_settings_that_measure_nothing_are_refused(study, wrong, message):
 
 def test_files_that_are_no_results_are_refused(tmp_path):
     huge = tmp_path / "huge.json"
-    with huge.open("wb") as file:
-        file.truncate(MAX_JSON + 1)
-    for path, message in (
-        (huge, "at most 64 MB"),
-        (tmp_path, "s a directory"),
-        (tmp_path / "x", "run"),
-    ):
+    huge.touch()
+    os.truncate(huge, MAX_JSON + 1)
+    wrong = {huge: "at most 64 MB", tmp_path: "s a directory", tmp_path / "x": "run"}
+    for path, message in wrong.items():
         with pytest.raises(RenetError, match=message):
             read_results(path)

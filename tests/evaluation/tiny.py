@@ -22,18 +22,15 @@ class Ladder(FakeEnv):
     """Who can; None on flat ground, which nobody leaves."""
     stands: np.ndarray | bool = False
     """Who neither leaves its tile nor falls."""
-    clock = 0
 
     def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
         self.able, self.stands = levels < self.reach[kinds], levels >= self.reach[kinds] + 2
-        self.clock = 0
 
     def step(self, action: np.ndarray):
         result = super().step(action)
         if self.able is None:
             result.fell[0] = result.ended[0] = True
             return result
-        self.clock += 1
         result.ended[:] = (self.clock % 20 == 0) & ~np.asarray(self.stands)
         result.fell[:] = result.ended & ~self.able
         return result
@@ -59,7 +56,7 @@ class HurdlesEvaluator(FakeEvaluator):
 class Obedient(FakeEnv):
     """Stops on command; robots of uneven number sway their only joint for ever."""
 
-    clock, speed = 0, 0.6
+    speed = 0.6
 
     def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
         """One ground is as good as another."""
@@ -68,7 +65,6 @@ class Obedient(FakeEnv):
         self.speed = speed
 
     def step(self, action: np.ndarray):
-        self.clock += 1
         before = self.x.copy()
         result = super().step(action)
         self.x = before + self.speed * 0.02

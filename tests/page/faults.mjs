@@ -30,7 +30,7 @@ function summary(before, { image, invalid, fresh, age }) {
 
 function run(name, level, seed) {
   const fault = new FAULTS[name](level, new Random(seed), contract.camera);
-  return frames.flatMap(({ image, elapsed: [elapsed] }) => {
+  return frames.flatMap(({ image, elapsed }) => {
     const frame = { image: Float32Array.from(image), fresh: true, age: 0, invalid: 0 };
     const after = fault.corrupt(frame, elapsed);
     return elapsed < 0 ? [] : [summary(frame.image, after)];

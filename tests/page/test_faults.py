@@ -20,52 +20,44 @@ STREAMS = 16
 SEVERITIES = (1, 3, 5)
 CERTAIN = ("blackout", "saturated", "frozen", "unplugged")
 """Faults without randomness: the same image, up to rounding."""
+ROWS, COLUMNS = np.mgrid[:48, :64]
+TICKS = np.arange(-2, 12)
+"""Two frames before a fault, twelve during it."""
+ELAPSED = np.where(TICKS >= 0, 0.1 * TICKS, -1.0)
+GROUND = 0.9 - 0.015 * ROWS + 0.002 * COLUMNS - 0.01 * TICKS[:, None, None]
+IMAGES = GROUND + 0.02 * np.random.default_rng(3).standard_normal(GROUND.shape)
+IMAGES = IMAGES.clip(0, 1).astype(np.float32)
+"""Ground that comes nearer, with noise."""
 
 
-def frames() -> list[dict]:
-    """Ground that comes nearer, with noise: two frames before a fault, twelve during it."""
-    rng = np.random.default_rng(3)
-    rows, columns = np.mgrid[:48, :64]
-    ground, ticks = 0.9 - 0.015 * rows + 0.002 * columns, range(-2, 12)
-    noise = 0.02 * rng.standard_normal((len(ticks), 48, 64))
-    images = [np.clip(ground - 0.01 * tick + n, 0, 1) for tick, n in zip(ticks, noise, strict=True)]
-    return [
-        {"image": image.astype(np.float32), "elapsed": 0.1 * tick if tick >= 0 else -1.0}
-        for tick, image in zip(ticks, images, strict=True)
-    ]
+def summary(before: np.ndarray, after: Frames) -> np.ndarray:
+    """Ten numbers of each stream's frame, [streams, 10]."""
+    image = after.image.astype(float)
+    changed = np.abs(image - before) > 1e-6
+    parts = image, image == 0, image == 1, changed, image * ROWS / 48, image * COLUMNS / 64
+    mean, *shares = (part.mean(axis=(1, 2)) for part in parts)
+    state = after.invalid, after.fresh, after.age
+    return np.stack([mean, image.std(axis=(1, 2)), *shares, *state], axis=1)
 
 
-def summary(before: np.ndarray, after: Frames) -> list[float]:
-    image = after.image[0].astype(float)
-    rows, columns = np.mgrid[:48, :64]
-    return [
-        image.mean(),
-        image.std(),
-        (image == 0).mean(),
-        (image == 1).mean(),
-        (np.abs(image - before) > 1e-6).mean(),
-        (image * rows).mean() / 48,
-        (image * columns).mean() / 64,
-        float(after.invalid[0]),
-        float(after.fresh[0]),
-        float(after.age[0]),
-    ]
-
-
-def catalogue(name: str, level: float, seed: int, given: list[dict]) -> np.ndarray:
-    fault, summaries = FAULTS[name](level, [np.random.default_rng(seed)]), []
-    for image, elapsed in (frame.values() for frame in given):
-        after = fault.corrupt(Frames.healthy(image[None]), np.array([elapsed]))
-        if elapsed >= 0:
-            summaries.append(summary(image, after))
-    return np.array(summaries)
+def catalogue(name: str, level: float, streams: int) -> np.ndarray:
+    fault = FAULTS[name](level, [np.random.default_rng(seed) for seed in range(streams)])
+    summaries = []
+    for image, elapsed in zip(IMAGES, ELAPSED, strict=True):
+        frames = Frames.healthy(np.repeat(image[None], streams, axis=0))
+        after = fault.corrupt(frames, np.full(streams, elapsed))
+        summaries += [summary(image, after)] if elapsed >= 0 else []
+    return np.stack(summaries, axis=1)
 
 
 @pytest.fixture(scope="module")
 def delivered(node_page, tmp_path_factory) -> dict:
     """The page's summaries of each fault and severity, [streams, frames, numbers]."""
     path = tmp_path_factory.mktemp("faults") / "input.json"
-    listed = [{k: np.ravel(v).tolist() for k, v in f.items()} for f in frames()]
+    listed = [
+        {"image": image.ravel().tolist(), "elapsed": elapsed}
+        for image, elapsed in zip(IMAGES, ELAPSED, strict=True)
+    ]
     streams = {name: 1 if name in CERTAIN else STREAMS for name in OFFERED}
     path.write_text(json.dumps({"frames": listed, "streams": streams, "severities": SEVERITIES}))
     return run_node("faults.mjs", WEB, node_page, path)
@@ -74,9 +66,8 @@ def delivered(node_page, tmp_path_factory) -> dict:
 @pytest.mark.parametrize("severity", SEVERITIES)
 @pytest.mark.parametrize("name", OFFERED)
 def test_fault_does_what_the_catalogue_says(delivered, name, severity):
-    level, given = FAULTS[name].level_of(severity), frames()
     mine = np.array(delivered[name][SEVERITIES.index(severity)])
-    its = np.stack([catalogue(name, level, seed, given) for seed in range(len(mine))])
+    its = catalogue(name, FAULTS[name].level_of(severity), len(mine))
     if name in CERTAIN:
         np.testing.assert_allclose(mine, its, atol=1e-4)
         return

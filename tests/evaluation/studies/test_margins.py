@@ -29,9 +29,9 @@ def settings(cfg) -> dict:
 CHANGED = {
     "action_delay": "delays",
     "friction": "foot_friction",
+    "joint_zeros": "joint_offset",
     "payload": "payload",
     "motor_strength": "motor_strength",
-    "joint_zeros": "joint_offset",
     **dict.fromkeys(("soft_gains", "stiff_gains"), "servo_gains"),
     **dict.fromkeys(("gravity", "gyro"), "sensors"),
     **dict.fromkeys(("camera_delay", "camera_down", "camera_up"), "camera"),
