@@ -40,15 +40,15 @@ def spoilt(fault: str, level: float, image: np.ndarray | None = None, rate=None)
 
 @pytest.mark.parametrize("fault", SENSOR_FAULTS)
 @pytest.mark.parametrize("severity", SEVERITIES)
-def test_every_fault_spoils_after_its_onset_and_only_then(fault: str, severity: int) -> None:
-    frames = play([Injection.of(fault, severity, onset=25)])
+def test_every_fault_spoils_while_it_lasts_and_only_then(fault: str, severity: int) -> None:
+    frames = play([Injection.of(fault, severity, onset=25, duration=1.0)])
     for t, frame in enumerate(frames):
         assert (frame.image.shape, frame.image.dtype) == ((2, *DEPTH_SHAPE), np.float32)
         assert 0 <= frame.image.min() <= frame.image.max() <= 1
-        if t < 5:
+        if not 5 <= t < 15:
             np.testing.assert_array_equal(frame.image, ground(2, t))
             assert frame.fresh.all()
-    assert any(np.any(f.image != ground(2, t)) for t, f in enumerate(frames[5:], start=5))
+    assert any(np.any(frames[t].image != ground(2, t)) for t in range(5, 15))
 
 
 @pytest.mark.parametrize("name", SENSOR_FAULTS)
@@ -60,14 +60,6 @@ def test_robots_it_is_not_at_work_on_keep_their_frames(name: str) -> None:
         for field, value in vars(after).items():
             np.testing.assert_array_equal(value[1], getattr(given, field)[1])
         np.testing.assert_array_equal(given.image, ground(2, tick), "the input is not changed")
-
-
-@pytest.mark.parametrize("fault", SENSOR_FAULTS)
-def test_a_fault_of_limited_duration_leaves_no_trace(fault: str) -> None:
-    frames = play([Injection.of(fault, 3, onset=25, duration=0.5)])
-    for t in range(10, 20):
-        np.testing.assert_array_equal(frames[t].image, ground(2, t))
-        assert frames[t].fresh.all()
 
 
 @pytest.mark.parametrize("fault", SENSOR_FAULTS)
@@ -115,14 +107,10 @@ def test_glare_holes_read_zero_and_raise_the_invalid_fraction_filled_or_not() ->
     assert (holes[:, :, 1:] & holes[:, :, :-1]).mean() / holes.mean() > 0.8
 
 
-def test_near_field_turns_what_is_closer_into_holes() -> None:
+def test_near_field_turns_what_is_closer_into_holes_and_wrong_scale_multiplies_and_caps() -> None:
     after, near = spoilt("near_field", 0.5), GROUND < 0.25
-    assert (after.image[near] == 0).all()
-    np.testing.assert_array_equal(after.image[~near], GROUND[~near])
+    np.testing.assert_array_equal(after.image, np.where(near, 0, GROUND))
     np.testing.assert_allclose(after.invalid, near.mean(axis=(1, 2)))
-
-
-def test_wrong_scale_multiplies_and_caps() -> None:
     scaled = spoilt("wrong_scale", 1.3).image
     np.testing.assert_allclose(scaled, np.minimum(GROUND * 1.3, 1), rtol=1e-6)
 
@@ -192,7 +180,6 @@ def test_injector_knows_who_is_failing() -> None:
     injector = Injector(schedules, range(3), 0)
     assert injector.at_work(10).tolist() == [True, False, False]
     assert injector.at_work(20).tolist() == [False, False, True]
-    assert not Injection("frozen", 0.2, 10).at_work(20)
 
 
 @pytest.mark.parametrize(
@@ -202,7 +189,6 @@ def test_injector_knows_who_is_failing() -> None:
         lambda: Injection.of("gaussian", 6),
         lambda: Injection("gaussian", 1.0, onset=-1),
         lambda: Injection("gaussian", 1.0, duration=0),
-        lambda: Injector([(Injection.of("foam", 3),)], [0], 0),
     ],
 )
 def test_what_no_model_stands_for_is_refused(wrong) -> None:

@@ -8,14 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renet.errors import RenetError
-from renet.selector import MONITORS
-from renet.selector.calibration import (
-    calibrate,
-    calibrate_monitors,
-    decluster,
-    return_level,
-    stale_above,
-)
+from renet.selector import MONITORS, calibration
+from renet.selector.calibration import calibrate_monitors, decluster, return_level, stale_above
 
 
 def hours(n: float, seed: int = 0, runs: int = 40) -> list[np.ndarray]:
@@ -104,9 +98,15 @@ def test_fewer_false_alarms_never_lower_a_threshold(lower, factor) -> None:
     [
         (lambda: calibrate_monitors({"age": [np.array([np.nan])]}), "one score, all of them fin"),
         (lambda: calibrate_monitors({"age": []}), "needs at least one score"),
-        (lambda: calibrate(np.array([])), "needs at least one score, all of them finite"),
-        (lambda: calibrate(np.array([1.0, math.nan])), "at least one score, all of them finite"),
-        (lambda: calibrate(np.arange(50.0), 0.01), "of 0.01 needs at least 99 .* got 50"),
+        (
+            lambda: calibration.calibrate(np.array([])),
+            "needs at least one score, all of them finite",
+        ),
+        (lambda: calibration.calibrate(np.array([1.0, math.nan])), "one score, all of them finite"),
+        (
+            lambda: calibration.calibrate(np.arange(50.0), 0.01),
+            "0.01 needs at least 99 .* got 50",
+        ),
     ],
 )
 def test_bad_input_is_refused(wrong, message: str) -> None:

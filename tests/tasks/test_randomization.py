@@ -1,4 +1,4 @@
-"""Randomisation that is off by default: what it changes, and by how much."""
+"""Pushes, and randomisation that is off by default: what they change, and by how much."""
 
 import math
 
@@ -32,6 +32,18 @@ def test_only_what_is_asked_for_is_randomised():
         assert camera.delay == (0.0, age)
         assert (camera.mount.position_error, camera.mount.angle_error) == (0.01, math.radians(5.0))
         assert {actuator.delay_max_lag for actuator in robot.articulation.actuators} == {steps}
+
+
+def test_each_robot_is_pushed_sideways(flat):
+    flat.reset(seed=1)
+    before = flat.sim.data.qvel[:].clone()
+    push = flat.event_manager.get_term_cfg("push")
+    push.func(flat, torch.arange(4), **push.params)
+    change = (flat.sim.data.qvel[:] - before)[:, :6]
+    assert 0.2 < change[:, :2].abs().max() <= 0.5 + 1e-5
+    assert change[:, 2:].abs().max() < 1e-4, "only along x and y"
+    assert len(change[:, 0].unique()) == 4
+    assert push.interval_range_s == (6.0, 10.0)
 
 
 def test_motors_differ_in_strength(randomized):

@@ -162,13 +162,6 @@ def test_who_falls_owes_the_whole_episode(parkour):
     assert levels[:2].tolist() == [4, 3]
 
 
-def test_who_has_not_walked_stays_at_its_level(parkour):
-    levels = at_level(parkour, 4, steps=0, asked=4.0)
-    base(parkour)[0, 0] += 50.0
-    end(parkour)
-    assert (levels == 4).all()
-
-
 @pytest.fixture
 def begin_flat(parkour, monkeypatch) -> Callable[[bool], None]:
     """Sets whether the first level of each kind of tile is flat, until the end of a test."""
@@ -222,22 +215,24 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(
 
 
 @pytest.mark.parametrize(
-    ("flat_start", "level", "walked", "reached"),
+    ("flat_start", "level", "steps", "walked", "reached"),
     [
-        (False, 0, 0.0, range(FIRST_LEVELS)),
-        (True, 0, 0.0, range(1)),  # Who cannot walk stays, and none comes back to where it is flat.
-        (True, 0, 4.1, range(1, 2)),
-        (True, 1, 0.0, range(1, 1 + FIRST_LEVELS)),
-        (False, LEVELS - 1, 4.1, range(LEVELS)),
+        (False, 0, 500, 0.0, range(FIRST_LEVELS)),
+        (True, 0, 500, 0.0, range(1)),  # Who cannot walk stays, and none comes back to flat ground.
+        (True, 0, 500, 4.1, range(1, 2)),
+        (True, 1, 500, 0.0, range(1, 1 + FIRST_LEVELS)),
+        (False, LEVELS - 1, 500, 4.1, range(LEVELS)),
+        (False, 4, 0, 0.0, range(4, 5)),  # Who has not taken a step stays.
+        (False, 4, 0, 50.0, range(4, 5)),
     ],
 )
 def test_the_first_and_the_last_level_lead_to_any_of_several(
-    parkour, begin_flat, flat_start, level, walked, reached
+    parkour, begin_flat, flat_start, level, steps, walked, reached
 ):
     begin_flat(flat_start)
     levels = set()
     for _ in range(10):
-        tiles = at_level(parkour, level, asked=4.0)
+        tiles = at_level(parkour, level, steps, asked=4.0)
         base(parkour)[:, 1] -= walked
         end(parkour)
         levels |= set(tiles.tolist())
