@@ -1,4 +1,4 @@
-"""mjlab's own commands run the tasks, without anything of `renet`'s."""
+"""mjlab finds the tasks by itself, and its own commands run them, with nothing of `renet`'s."""
 
 import mjlab.scripts.play as play
 import mjlab.scripts.train as train
@@ -9,6 +9,8 @@ from mjlab.viewer import NativeMujocoViewer
 from renet.sim.native.engine import use_engine
 from renet.training.checkpoint import load
 from renet.training.metrics import read_curves
+
+from ..forked import fork
 
 TASK = "Renet-Go1-Parkour"
 
@@ -49,3 +51,30 @@ def test_play_steps_a_policy_of_zeros(task, monkeypatch):
         play.main()
     assert len(steps) == 3
     assert all(reward.shape == (2,) for _, reward, *_ in steps)
+
+
+def start(first: str) -> None:
+    exec(f"import {first}")
+    import mjlab.tasks  # noqa: F401
+    from mjlab.tasks.registry import list_tasks
+
+    from renet.tasks import make_env
+
+    kinds = ("Flat", "Parkour", "Parkour-Paper")
+    names = {f"Renet-{robot}-{kind}" for robot in ("Go1", "Go2") for kind in kinds}
+    assert {task for task in list_tasks() if "Renet" in task} == names
+    env = make_env("Renet-Go1-Parkour", 2)
+    env.reset()
+    env.step(env.action_manager.action)
+
+
+@pytest.mark.parametrize(
+    "first",
+    ["mjlab.tasks", "renet.sim.depth.camera", "renet.training.config", "torch, warp, renet.tasks"],
+)
+def test_tasks_are_registered_and_start_silently_whatever_is_imported_first(first):
+    """Neither does Warp tell that it starts, has no GPU, or which modules it loads."""
+    done = fork(start, first)
+    assert done.returncode == 0, done.stderr
+    for chatter in ("Failed to load", "Warp", "load on device", "CUDA"):
+        assert chatter not in done.stdout + done.stderr

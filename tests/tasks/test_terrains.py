@@ -1,7 +1,5 @@
 """Tiles: their stated sizes, a free start, and symmetry that makes any yaw work."""
 
-from collections.abc import Callable
-
 import mujoco
 import numpy as np
 import pytest
@@ -162,23 +160,16 @@ def test_who_falls_owes_the_whole_episode(parkour):
     assert levels[:2].tolist() == [4, 3]
 
 
-@pytest.fixture
-def begin_flat(parkour, monkeypatch) -> Callable[[bool], None]:
-    """Sets whether the first level of each kind of tile is flat, until the end of a test."""
-
-    def set_starts(flat: bool) -> None:
-        for kind in parkour.scene.terrain.cfg.terrain_generator.sub_terrains.values():
-            monkeypatch.setattr(kind, "flat_start", flat)
-
-    return set_starts
+def begin_flat(env, monkeypatch, flat: bool) -> None:
+    """Say whether the first level of each kind of tile is flat, until the end of a test."""
+    for kind in env.scene.terrain.cfg.terrain_generator.sub_terrains.values():
+        monkeypatch.setattr(kind, "flat_start", flat)
 
 
 @pytest.mark.parametrize("flat_start", [False, True])
-def test_some_episodes_are_on_easier_tiles_and_change_no_level(
-    parkour, monkeypatch, begin_flat, flat_start
-):
+def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypatch, flat_start):
     term, terrain = parkour.curriculum_manager.get_term_cfg("level"), parkour.scene.terrain
-    begin_flat(flat_start)
+    begin_flat(parkour, monkeypatch, flat_start)
     monkeypatch.setattr(parkour, "common_step_counter", 1_000)
     monkeypatch.setitem(term.params, "easier_after", 12_000)
     monkeypatch.setitem(term.params, "easier_kinds", tuple(KINDS))
@@ -227,9 +218,9 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(
     ],
 )
 def test_the_first_and_the_last_level_lead_to_any_of_several(
-    parkour, begin_flat, flat_start, level, steps, walked, reached
+    parkour, monkeypatch, flat_start, level, steps, walked, reached
 ):
-    begin_flat(flat_start)
+    begin_flat(parkour, monkeypatch, flat_start)
     levels = set()
     for _ in range(10):
         tiles = at_level(parkour, level, steps, asked=4.0)
