@@ -9,8 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 from subprocess import CompletedProcess
 
-TIMEOUT = 600.0
-"""Seconds after which a process hangs; some start in ten on a busy computer."""
 # Nothing of mjlab's and renet's: which is imported first matters.
 LIBRARIES = """torch._dynamo tensordict rsl_rl.runners torch.utils.tensorboard mujoco_warp
 mujoco.viewer scipy.interpolate matplotlib.pyplot mediapy onnxruntime viser"""
@@ -23,7 +21,7 @@ def fork(work: Callable[..., int | None], *arguments: object) -> CompletedProces
         context = multiprocessing.get_context("forkserver")
         process = context.Process(target=_child, args=(folder, work, arguments))
         process.start()
-        process.join(TIMEOUT)
+        process.join(600.0)  # Some start in ten seconds on a busy computer; by now it hangs.
         process.kill()
         process.join()
         output, errors = (Path(folder, name).read_text() for name in ("1", "2"))

@@ -26,7 +26,6 @@ def test_motion_blur_is_the_mean_of_what_a_turning_camera_sees():
 @pytest.mark.parametrize("fault", FAULTS)
 def test_every_fault_has_its_picture(fault):
     pictures = [example(fault, severity, 0) for severity in (1, 5)]
-    assert all(picture.shape == DEPTH_SHAPE for picture in pictures)
-    assert all(picture.min() >= 0 and picture.max() <= 1 for picture in pictures)
+    assert all(p.shape == DEPTH_SHAPE and 0 <= p.min() <= p.max() <= 1 for p in pictures)
     if fault != "dropped":  # The frame shown may be one that was not lost.
         assert (pictures[1] != scene()).any()

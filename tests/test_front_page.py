@@ -1,6 +1,5 @@
 """What a newcomer meets first: README, citation, change log, Dockerfile and notebook."""
 
-import ast
 import json
 import re
 import tomllib
@@ -48,13 +47,12 @@ def test_the_citation_is_that_of_the_citation_file():
 # The cells of the README's table beside the first, by the first.
 LINES = re.findall(r"^\| \[(.+?)\]\(.+?\) \| (.+?) \| (.+?) \| (.+?) \|$", README, re.MULTILINE)
 ROWS = {name: cells for name, *cells in LINES}
-MODES = ("vp", "oracle-switch", "renet")
 
 
 def counts(runs: list[dict]) -> list[str]:
     """The cells of a row: how many cross, by mode."""
     crossed = {run["mode"]: f"{run['crossed']} of {run['robots']}" for run in runs}
-    return [crossed[mode] for mode in MODES]
+    return [crossed[mode] for mode in ("vp", "oracle-switch", "renet")]
 
 
 def test_counts_of_the_readme_are_those_of_the_memory_study_and_of_the_demo():
@@ -104,11 +102,9 @@ def test_the_notebook_walks_and_plots(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     book = json.loads((ROOT / "examples" / "walk.ipynb").read_text())
     scope: dict = {}
-    for cell in book["cells"]:
-        if cell["cell_type"] == "code":
-            code = "".join(cell["source"])
-            exec(compile(ast.parse(code), "walk.ipynb", "exec"), scope)
-            assert not cell["outputs"]
+    for cell in (cell for cell in book["cells"] if cell["cell_type"] == "code"):
+        exec("".join(cell["source"]), scope)
+        assert not cell["outputs"]
     time, ticks = scope["time"], scope["ticks"]
     assert time[-1] >= 9.9
     dead = (time > 4.5) & (time < 9.9)

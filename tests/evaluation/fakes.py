@@ -22,12 +22,9 @@ SCENE = """<mujoco><worldbody><light pos="0 0 3"/><geom type="plane" size="0 0 1
 class FakeEnv:
     """Speed falls with the first action; a robot driven at 1 falls after ten steps and restarts."""
 
-    clock = 0
-    """Steps since the last reset."""
-
     def __init__(self, num_robots: int) -> None:
         self.num_robots = num_robots
-        self.bad = np.zeros(num_robots, int)
+        self.bad, self.clock = np.zeros(num_robots, int), 0
         self.x = np.zeros(num_robots)
         self.scene_spec = mujoco.MjSpec.from_string(SCENE)
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
-import pytest
 
 from renet.evaluation import demo
 from renet.evaluation.demo import DemoStudy, run_demo
@@ -70,28 +69,13 @@ class Links(HTMLParser):
         self.links, self.open = [], []
 
     def handle_starttag(self, tag, attrs) -> None:
-        links = [value for name, value in attrs if name in ("src", "href")]
+        links = (value for name, value in attrs if name in ("src", "href"))
         self.links += [link for link in links if not link.startswith("#")]
         if tag not in ("meta", "img"):
             self.open.append(tag)
 
     def handle_endtag(self, tag) -> None:
         assert self.open.pop() == tag
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    out = tmp_path_factory.mktemp("demo")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(painter, "PANEL", (120, 90))
-        patch.setattr(demo, "SHOWN", (0.2, 0.6))
-        sentence = run_demo(DemoStudy(out, robots=3, seconds=3.4), GapEvaluator(9.0))
-        assert sentence == (
-            "The camera dies 0.5 s before a gap of 37 cm: of 3 robots 3 cross with RENet, which"
-            " remembers it; 0 that trust the last image, 0 with the paper's switch,"
-            " 0 that go blind at once."
-        )
-        yield out
 
 
 def check_page(path, media: int) -> str:
@@ -107,14 +91,21 @@ def check_page(path, media: int) -> str:
     return text
 
 
-def test_the_page_says_what_was_measured_and_needs_no_network(folder):
+def test_the_page_says_what_was_measured_and_needs_no_network(tmp_path, monkeypatch):
+    monkeypatch.setattr(painter, "PANEL", (120, 90))
+    monkeypatch.setattr(demo, "SHOWN", (0.2, 0.6))
+    sentence = run_demo(DemoStudy(tmp_path, robots=3, seconds=3.4), GapEvaluator(9.0))
+    assert sentence == (
+        "The camera dies 0.5 s before a gap of 37 cm: of 3 robots 3 cross with RENet, which"
+        " remembers it; 0 that trust the last image, 0 with the paper's switch,"
+        " 0 that go blind at once."
+    )
     names = "index.html summary.json summary.csv demo.png film.mp4 parts"
-    assert {path.name for path in folder.iterdir()} == set(names.split())
-    assert (folder / "film.mp4").read_bytes()[4:8] == b"ftyp"
-    text = check_page(folder / "index.html", media=2)
+    assert {path.name for path in tmp_path.iterdir()} == set(names.split())
+    assert (tmp_path / "film.mp4").read_bytes()[4:8] == b"ftyp"
+    text = check_page(tmp_path / "index.html", media=2)
     assert text.count("0 of 3") == 3
-    assert "3 of 3" in text
-    assert "number 1 of 3" in text
+    assert all(words in text for words in ("3 of 3", "number 1 of 3"))
     assert "no memory" not in text
 
 
@@ -132,9 +123,7 @@ def test_the_film_is_slow_after_the_cameras_death_and_ends_with_the_run(monkeypa
     study, end = DemoStudy(speed=0.6), 160
     steps = study.pace(Trace.empty(end, 1))
     assert study.onset == 75
-    assert steps[:3] == [25, 27, 29]
-    assert steps[25:27] == [75, 76]
-    assert steps[-1] == end - 1
+    assert [*steps[:3], *steps[25:27], steps[-1]] == [25, 27, 29, 75, 76, end - 1]
 
 
 def test_the_noise_preset_makes_a_page_of_the_papers_figure(run_study, tmp_path):

@@ -1,19 +1,18 @@
 """Films: a real short one, and the mistakes that stop one before it begins."""
 
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
-from renet.bundle import Bundle
+from renet.bundle import Bundle, pretrained
 from renet.errors import RenetError
 from renet.evaluation.env import robot_of
 from renet.evaluation.play import PlayCfg, opened, run_play
 from renet.evaluation.report import painter
 from renet.tasks.config.go1 import GO1
 
-CHECKPOINT = Path(str(files("renet"))) / "pretrained" / "checkpoint"
+CHECKPOINT = pretrained("checkpoint")
 
 
 @pytest.mark.parametrize(

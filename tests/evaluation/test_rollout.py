@@ -81,8 +81,7 @@ def test_faults_act_at_ticks_and_hold_between_them_alike_in_every_mode():
     fresh, rollout = [], prepare(rows)
     rollout.on_update = lambda seen: fresh.append(seen.fresh.all())
     trace = rollout.run(60, film=[0])
-    assert trace.film.images.shape == (12, 1, 48, 64)
-    assert trace.film.poses.shape == (60, 1, 7)
+    assert (trace.film.images.shape, trace.film.poses.shape) == ((12, 1, 48, 64), (60, 1, 7))
     assert sum(fresh) == 12
     changed = np.flatnonzero(np.diff(trace.anomaly[:, 0])) + 1
     assert (changed % 5 == 0).all()

@@ -86,7 +86,7 @@ theirs (float[1, 48] obs) => (float[1, 12] continuous_actions)
 """Its action repeats what it sees first: velocity, turn rate, gravity, three joints."""
 
 
-def test_playgrounds_policy_sees_the_simulator_in_its_own_order(tmp_path):
+def test_playgrounds_policy_alone_sees_the_simulator_in_its_own_order(model, tmp_path):
     onnx.save(onnx.parser.parse_model(PLAYGROUND), tmp_path / "go1_policy.onnx")
     study = playground_policy.CameraUse(model=tmp_path / "go1_policy.onnx")
     evaluator = study.make_evaluator()
@@ -97,9 +97,6 @@ def test_playgrounds_policy_sees_the_simulator_in_its_own_order(tmp_path):
     np.testing.assert_allclose(seen[:, 3:6], result.angular_velocity, atol=0.7)
     np.testing.assert_allclose(seen[:, 6:9], [[0, 0, -1]] * 2, atol=0.2)
     np.testing.assert_allclose(seen[:, 9:12], result.proprioception[:, 9:12], atol=1e-6)
-
-
-def test_another_model_is_not_taken_for_playgrounds(model):
-    evaluator = playground_policy.CameraUse(model=model).make_evaluator()
+    another = playground_policy.CameraUse(model=model).make_evaluator()
     with pytest.raises(RenetError, match="is not Playground's Go1 policy"):
-        evaluator.make_policy(2)
+        another.make_policy(2)

@@ -14,14 +14,11 @@ from renet.page.writer import WEB, PageCfg, write_page
 from renet.server import serve_folder
 from tests.bundle.conftest import go2_bundle, models, networks  # noqa: F401
 
-LIMIT = 300.0
-"""Seconds after which a Node.js that does not end fails its test."""
-
 
 def run_node(script: str, *arguments: object):
     """What a script of this folder prints, read as JSON."""
     command = ["node", str(Path(__file__).with_name(script)), *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300.0)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

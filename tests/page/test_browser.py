@@ -12,7 +12,6 @@ from renet.interface import LEGS, TRUNK
 from tests.browser import compare, open_browser, watch
 from tests.page.conftest import served
 
-GOLDEN = Path(__file__).with_name("golden")
 DESKTOP, PHONE = {"width": 1280, "height": 760}, {"width": 390, "height": 844}
 PARTS = ("h1", "nav > *", ".outcome", ".who select", ".eye", "#faults", ".drive")
 """What is laid over the stage, and must not lie upon each other."""
@@ -247,7 +246,7 @@ def test_first_picture_is_the_golden_one(visit, address, robots_address, name):
         for part, box in boxes.items():
             assert 0 <= box["x"] <= box["x"] + box["width"] <= size["width"] + 0.5, part
     assert one.ask("document.documentElement.scrollWidth") <= size["width"]
-    compare(one.page.screenshot(), GOLDEN / f"{name}.png")
+    compare(one.page.screenshot(), Path(__file__).with_name("golden") / f"{name}.png")
 
 
 @pytest.mark.parametrize("missing", ["**/estimator.onnx", "**/three.module.js"])

@@ -118,8 +118,8 @@ def test_what_is_refused_leaves_everything_as_it_was(tmp_path, cfg, bundles, out
 
 def test_wheel_takes_along_what_the_page_needs():
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
-    carried = project["tool"]["hatch"]["build"]["artifacts"]
-    assert carried == [f"web/node_modules/{name}" for name in VENDOR]
+    artifacts = [f"web/node_modules/{name}" for name in VENDOR]
+    assert project["tool"]["hatch"]["build"]["artifacts"] == artifacts
 
 
 @pytest.mark.parametrize("missing", VENDOR)
@@ -175,12 +175,12 @@ def test_download_is_small(page):
 
 
 def test_files_arrive_with_types_that_browsers_ask_for(address):
-    for kind, folder, name in (
-        ("text/javascript", "", "main.js"),
-        ("text/javascript", "vendor/", "onnxruntime-web/dist/ort.wasm.min.mjs"),
-        ("application/wasm", "vendor/", "@mujoco/mujoco/mujoco.wasm"),
-    ):
-        with urllib.request.urlopen(address + folder + name) as answer:
+    types = {
+        "main.js": "text/javascript",
+        "vendor/onnxruntime-web/dist/ort.wasm.min.mjs": "text/javascript",
+        "vendor/@mujoco/mujoco/mujoco.wasm": "application/wasm",
+    }
+    for name, kind in types.items():
+        with urllib.request.urlopen(address + name) as answer:
             assert answer.headers["Content-Type"] == kind
-            source = WEB / folder.replace("vendor", "node_modules") / name
-            assert answer.read() == source.read_bytes()
+            assert answer.read() == (WEB / name.replace("vendor", "node_modules")).read_bytes()

@@ -32,8 +32,7 @@ def noticed(trace: Trace) -> dict:
 def test_detection_return_and_survival_by_hand():
     five, four = faulty(), faulty().robots(np.arange(4))
     row = noticed(four) | fault_metrics.survival(four, STEPS)
-    assert row["detected"] == 2
-    assert row["detection_delay_s"] == pytest.approx((0.045 + 0.405) / 2)
+    assert (row["detected"], row["detection_delay_s"]) == (2, pytest.approx((0.045 + 0.405) / 2))
     assert (row["detected_by_paper"], row["paper_detection_delay_s"]) == (0, None)
     assert (row["falls"], row["survival"]) == (1, 0.75)
     # Robot 0 is not back before the run ends, 1 after 15 steps and one update.

@@ -153,8 +153,7 @@ def test_who_noticed_is_read_from_a_studys_rows(tmp_path, run_study):
     assert noticed[1] == ("fault", "1", "5", "of each")
     # Two robots on flat ground, and on gaps two for each onset.
     rows = {fault: counts for fault, *counts in noticed[2]}
-    assert rows["frozen"] == [0, 0, 6]
-    assert rows["gaussian"][1:] == [6, 6]
+    assert (rows["frozen"], rows["gaussian"][1:]) == ([0, 0, 6], [6, 6])
     contents = {"other": b"kind\ngap\n", "half": b"mode\nrenet\n", "bytes": bytes(range(256))}
     for name, content in contents.items():
         (tmp_path / name).write_bytes(content)

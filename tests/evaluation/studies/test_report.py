@@ -14,8 +14,6 @@ from tests.browser import compare, open_browser, watch
 
 from ..tiny import TINY
 
-GOLDEN = Path(__file__).with_name("golden")
-
 
 @pytest.fixture(scope="module")
 def results(run_study) -> Path:
@@ -84,9 +82,8 @@ def test_what_was_not_measured_is_no_large_number():
     assert FACTS["faults"](faults) == []
     off = blind | {"mode": "renet", "vision_active_at_onset": 0, "falls": 0}
     seen = blind | {"mode": "renet", "vision_active_at_onset": 1, "detected": 1, "falls": 0}
-    assert [value for value, _ in FACTS["faults"](faults | {"runs": [off]})] == ["100 %"]
-    both = FACTS["faults"](faults | {"runs": [off, seen]})
-    assert [value for value, _ in both] == ["100 %", "100 %"]
+    assert [v for v, _ in FACTS["faults"](faults | {"runs": [off]})] == ["100 %"]
+    assert [v for v, _ in FACTS["faults"](faults | {"runs": [off, seen]})] == ["100 %", "100 %"]
 
 
 def test_no_results_are_reported(tmp_path):
@@ -150,7 +147,7 @@ def test_a_real_browser_shows_the_page_without_complaint(page, width):
         window = browser.new_page(viewport={"width": width, "height": 844})
         complaints, requests = watch(window)
         window.goto(address)
-        compare(window.screenshot(), GOLDEN / f"report-{width}.png")
+        compare(window.screenshot(), Path(__file__).with_name("golden") / f"report-{width}.png")
         assert [url for url in requests if not url.startswith("data:")] == [address]
         assert window.evaluate("document.documentElement.scrollWidth") == width
         assert window.evaluate("[...document.images].every(i => i.complete && i.naturalWidth > 0)")
