@@ -12,7 +12,6 @@ from renet.faults.base import ImageFault
 class Fog(ImageFault):
     """Distant surfaces look nearer, as fog scatters light back; level is by how much."""
 
-    name = "fog"
     unit = "share"
     levels = (0.1, 0.3, 0.5, 0.7, 0.9)
 

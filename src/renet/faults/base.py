@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -57,17 +58,22 @@ class Frames:
 class Fault:
     """One way a camera fails, for n robots, each with its own random stream.
 
-    A subclass has a name and five severities, and spoils frames in `corrupt`. It gets every frame,
-    before, during and after the fault, so that it can keep past ones. The first paragraph of its
-    docstring is shown to users: what happens, and what `level` means.
+    A subclass has five severities, and spoils frames in `corrupt`. It gets every frame, before,
+    during and after the fault, so that it can keep past ones. The first paragraph of its docstring
+    is shown to users: what happens, and what `level` means.
     """
 
     name: ClassVar[str]
+    """What users call it; by default as the class: EdgeShadow is edge_shadow."""
     unit: ClassVar[str]
     levels: ClassVar[tuple[float, ...]]
     """The `level` of severities 1 to 5."""
     level_is_duration: ClassVar[bool] = False
     """Whether the level is the number of seconds after which the fault ends by itself."""
+
+    def __init_subclass__(cls) -> None:
+        if "name" not in vars(cls):
+            cls.name = re.sub(r"\B[A-Z]", r"_\g<0>", cls.__name__).lower()
 
     def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
         self.level = level

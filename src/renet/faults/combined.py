@@ -37,21 +37,18 @@ class TwoFaults(Fault):
 class GlareDropped(TwoFaults):
     """Low sun on a slow computer: glare and dropped frames, both of the level's severity."""
 
-    name = "glare_dropped"
     kinds = (image.Glare, timing.Dropped)
 
 
 class BlobsLatency(TwoFaults):
     """Drops on the lens and a busy bus: blobs and latency, both of the level's severity."""
 
-    name = "blobs_latency"
     kinds = (image.Blobs, timing.Latency)
 
 
 class ShadowSteps(TwoFaults):
     """A coarse stereo matcher: edge shadows and disparity steps of the level's severity."""
 
-    name = "shadow_steps"
     kinds = (stereo.DisparitySteps, stereo.EdgeShadow)
 
 
@@ -76,19 +73,16 @@ class Intermittent(Fault):
 class IntermittentBlackout(Intermittent):
     """A loose connector: all zeros in a part of every second; level is that part."""
 
-    name = "intermittent_blackout"
     kind, severity = image.Blackout, 5
 
 
 class IntermittentFrozen(Intermittent):
     """A driver that hangs and recovers: frozen in a part of every second; level is that part."""
 
-    name = "intermittent_frozen"
     kind, severity = timing.Frozen, 5
 
 
 class IntermittentGlare(Intermittent):
     """Sun between trees: glare of severity 5 in a part of every second; level is that part."""
 
-    name = "intermittent_glare"
     kind, severity = image.Glare, 5

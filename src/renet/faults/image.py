@@ -50,7 +50,6 @@ def fill_holes(image: np.ndarray, holes: np.ndarray) -> np.ndarray:
 class Gaussian(ImageFault):
     """Grain on every pixel and frame; level is its standard deviation, image range 1."""
 
-    name = "gaussian"
     unit = "σ"
     levels = (0.1, 0.3, 0.5, 0.7, 1.0)  # The paper has 0.3, 0.7 and 1.
 
@@ -62,7 +61,6 @@ class Gaussian(ImageFault):
 class SaltAndPepper(ImageFault):
     """Random pixels become nearest or farthest, half each; level is their share."""
 
-    name = "salt_and_pepper"
     unit = "share"
     levels = (0.05, 0.1, 0.3, 0.5, 0.7)  # The paper has 0.1, 0.3 and 0.7.
 
@@ -75,7 +73,6 @@ class SaltAndPepper(ImageFault):
 class Blackout(ImageFault):
     """The picture fades to all zeros; level is the seconds the fade takes."""
 
-    name = "blackout"
     unit = "s fade"
     levels = (1.0, 0.5, 0.2, 0.1, 0.0)
 
@@ -87,7 +84,6 @@ class Blackout(ImageFault):
 class Saturated(ImageFault):
     """The top rows read the farthest depth; level is their share of the image."""
 
-    name = "saturated"
     unit = "share"
     levels = (0.2, 0.4, 0.6, 0.8, 1.0)
 
@@ -100,7 +96,6 @@ class Saturated(ImageFault):
 class Occlusion(ImageFault):
     """Something close to the lens: a rectangle reads 4 cm; level is its share of the image."""
 
-    name = "occlusion"
     unit = "share"
     levels = (0.1, 0.25, 0.5, 0.75, 1.0)
 
@@ -118,7 +113,6 @@ class Occlusion(ImageFault):
 class Blobs(ImageFault):
     """Dirt or drops on the lens: near discs of 1 to 4 pixels radius; level is their number."""
 
-    name = "blobs"
     unit = "blobs"
     levels = (2, 5, 10, 20, 30)
 
@@ -141,7 +135,6 @@ class Grass(ImageFault):
     lower two thirds (dense) of the image; level is how far between the two.
     """
 
-    name = "grass"
     unit = "density"
     levels = (0.0, 0.25, 0.5, 0.75, 1.0)
 
@@ -158,7 +151,6 @@ class Grass(ImageFault):
 class Glare(ImageFault):
     """Sun blinds the stereo pair: correlated holes, read as zero; level is their share."""
 
-    name = "glare"
     unit = "share"
     levels = (0.05, 0.15, 0.3, 0.5, 0.8)
 
@@ -174,8 +166,6 @@ class Glare(ImageFault):
 class GlareFilled(Glare):
     """As glare, but the driver fills the holes from their left: smooth and plausible."""
 
-    name = "glare_filled"
-
     def fill(self, image: np.ndarray, holes: np.ndarray) -> np.ndarray:
         return fill_holes(image, holes)
 
@@ -186,7 +176,6 @@ class NearField(ImageFault):
     The paper has about 10 cm, at stairs.
     """
 
-    name = "near_field"
     unit = "m"
     levels = (0.1, 0.15, 0.2, 0.3, 0.5)
 
@@ -197,7 +186,6 @@ class NearField(ImageFault):
 class WrongScale(ImageFault):
     """Every depth is multiplied by the level: its unit or the baseline's calibration is off."""
 
-    name = "wrong_scale"
     unit = "factor"
     levels = (0.9, 0.8, 0.6, 1.3, 1.6)
 
@@ -208,7 +196,6 @@ class WrongScale(ImageFault):
 class MotionBlur(ImageFault):
     """Smeared by the base's pitch and yaw rate during the exposure; level is its length."""
 
-    name = "motion_blur"
     unit = "ms"
     levels = (5, 10, 20, 30, 40)
     samples = 9

@@ -59,7 +59,6 @@ class Glass(PhysicalFault):
     least one.
     """
 
-    name = "glass"
     unit = "share"
     levels = (0.2, 0.4, 0.6, 0.8, 1.0)
     terrains = ("obstacles", "stairs_up", "platform")
@@ -74,7 +73,6 @@ class Foam(PhysicalFault):
     level is by how much.
     """
 
-    name = "foam"
     unit = "m"
     levels = (0.02, 0.04, 0.07, 0.1, 0.15)
 
@@ -85,7 +83,6 @@ class Foam(PhysicalFault):
 class MountKnocked(PhysicalFault):
     """A knock has turned the camera about a random axis; level is the angle."""
 
-    name = "mount_knocked"
     unit = "°"
     levels = (3, 6, 10, 15, 25)
 

@@ -36,7 +36,6 @@ class EdgeShadow(ImageFault):
     Only the left imager sees what is there.
     """
 
-    name = "edge_shadow"
     unit = "mm"
     levels = (25, 50, 75, 100, 150)
 
@@ -55,7 +54,6 @@ class DisparitySteps(ImageFault):
     The ground becomes terraces, coarser the farther away.
     """
 
-    name = "disparity_steps"
     unit = "px"
     levels = (0.02, 0.05, 0.1, 0.2, 0.4)
 
@@ -74,7 +72,6 @@ class Textureless(ImageFault):
     There is nothing to match in them; edges keep their depth.
     """
 
-    name = "textureless"
     unit = "share"
     levels = (0.1, 0.25, 0.45, 0.7, 0.9)
 

@@ -13,7 +13,6 @@ from renet.interface import TICK_DT
 class Frozen(Fault):
     """The same image is delivered as new; level is for how many seconds."""
 
-    name = "frozen"
     unit = "s"
     levels = (0.2, 0.5, 1.0, 3.0, FOREVER)
     level_is_duration = True
@@ -31,7 +30,6 @@ class Frozen(Fault):
 class Dropped(Fault):
     """Each frame is lost with a probability; level is that probability."""
 
-    name = "dropped"
     unit = "share"
     levels = (0.1, 0.3, 0.5, 0.7, 0.9)
     _held: Frames | None = None
@@ -57,7 +55,6 @@ class Dropped(Fault):
 class Unplugged(Dropped):
     """No frames at all; level is the seconds after which the camera is back."""
 
-    name = "unplugged"
     unit = "s"
     levels = (1.0, 2.0, 5.0, 10.0, FOREVER)
     level_is_duration = True
@@ -72,7 +69,6 @@ class Latency(Fault):
     The driver stamps frames on arrival.
     """
 
-    name = "latency"
     unit = "ms"
     levels = (50, 100, 200, 300, 500)
 

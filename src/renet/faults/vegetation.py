@@ -32,7 +32,6 @@ class TallGrass(ImageFault):
     A blade is a strip from root to tip in perspective, for a camera of the Go1's pose.
     """
 
-    name = "tall_grass"
     unit = "blades"
     levels = (8, 20, 45, 90, 180)
 
