@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -65,78 +66,70 @@ class Command:
 
 KEPT = "what has finished is kept: the same command goes on"
 AT_ONCE = "nothing is half-written: give the same command again"
+_walk, _train = partial(Command, group="Walk"), partial(Command, group="Train")
+_study = partial(Command, resume=KEPT)
+_bundle = partial(Command, extra="", group="Bundles")
 COMMANDS = {
-    "demo": Command(
+    "demo": _walk(
         "see who crosses a gap after the camera has died",
         "renet.evaluation.demo:DemoStudy:run_demo",
-        group="Walk",
         presets={"noise": "renet.evaluation.studies.noise:NoiseStudy"},
         resume=KEPT,
     ),
-    "play": Command(
+    "play": _walk(
         "film a bundle or checkpoint while its camera fails",
         "renet.evaluation.play:PlayCfg:run_play",
-        group="Walk",
     ),
-    "deploy": Command(
+    "deploy": _walk(
         "run a bundle on a robot, simulated or real",
         "renet.deploy.main:DeployCfg:deploy",
         "sim",
-        group="Walk",
     ),
-    "simulate": Command(
+    "simulate": _walk(
         "run a simulated Go2 behind its DDS topics",
         "renet.deploy.robots.go2.simulate:SimulateCfg:simulate",
         "sim,go2",
-        group="Walk",
     ),
-    "page": Command(
+    "page": _walk(
         "walk in the browser and break the camera there",
         "renet.page.writer:PageCfg:run_page",
         "sim",
-        group="Walk",
     ),
-    "train": Command(
+    "train": _train(
         "train RENet on a CPU or on GPUs",
         "renet.training.train:TrainCfg:train",
-        group="Train",
         options="renet.options:TrainOptions",
     ),
-    "recipe": Command(
+    "recipe": _train(
         "print every setting of a checkpoint or a new run",
         "renet.training.train:RecipeCfg:show",
-        group="Train",
         options="renet.options:RecipeCfg",
     ),
-    "export": Command(
+    "export": _train(
         "turn a checkpoint into a bundle of ONNX models",
         "renet.training.export:ExportCfg:export",
-        group="Train",
         resume=AT_ONCE,
         options="renet.options:ExportCfg",
     ),
-    "calibrate": Command(
+    "calibrate": _train(
         "set a bundle's fault detection from healthy walks",
         "renet.evaluation.calibrate:CalibrateCfg:run_calibrate",
-        group="Train",
         resume=AT_ONCE,
     ),
-    "evaluate faults": Command(
+    "evaluate faults": _study(
         "all camera faults; --preset noise: the paper's six",
         "renet.evaluation.studies.faults:FaultStudy:FaultStudy.main",
         presets={"noise": "renet.evaluation.studies.noise:NoiseStudy"},
-        resume=KEPT,
     ),
-    "evaluate benchmark": Command(
+    "evaluate benchmark": _study(
         "who still crosses when the camera fails at an edge",
         "renet.evaluation.studies.crossing:CrossingStudy:CrossingStudy.main",
-        resume=KEPT,
     ),
     "evaluate leaderboard": Command(
         "rank policies by their results under faults",
         "renet.evaluation.studies.leaderboard:LeaderboardCfg:make_leaderboard",
     ),
-    "evaluate terrain": Command(
+    "evaluate terrain": _study(
         "highest levels; --preset success, dawn, standing",
         "renet.evaluation.studies.terrain:TerrainStudy:TerrainStudy.main",
         presets={
@@ -144,44 +137,35 @@ COMMANDS = {
             "dawn": "renet.evaluation.studies.terrain:DawnStudy",
             "standing": "renet.evaluation.studies.standing:StandingStudy",
         },
-        resume=KEPT,
     ),
-    "evaluate memory": Command(
+    "evaluate memory": _study(
         "who crosses, against seconds without an image",
         "renet.evaluation.studies.memory:MemoryStudy:MemoryStudy.main",
-        resume=KEPT,
     ),
-    "evaluate camera-use": Command(
+    "evaluate camera-use": _study(
         "whether and where a policy uses its camera",
         "renet.evaluation.studies.camera_use:CameraUseStudy:CameraUseStudy.main",
-        resume=KEPT,
     ),
-    "evaluate margins": Command(
+    "evaluate margins": _study(
         "how far a robot may differ before it falls",
         "renet.evaluation.studies.margins:MarginsStudy:MarginsStudy.main",
-        resume=KEPT,
     ),
     "evaluate log": Command(
         "score a recording: falls, distance, switches",
         "renet.deploy.recording.score:ScoreCfg:score_log",
         "",
     ),
-    "evaluate report": Command(
+    "evaluate report": _study(
         "all studies of a folder on one page",
         "renet.evaluation.studies.report:ReportCfg:make_report",
-        resume=KEPT,
     ),
-    "bundle inspect": Command(
+    "bundle inspect": _bundle(
         "print a bundle's inputs by index, name and unit",
         "renet.bundle.inspect:InspectCfg:inspect",
-        "",
-        group="Bundles",
     ),
-    "bundle card": Command(
+    "bundle card": _bundle(
         "write a bundle's model card",
         "renet.bundle.card:CardCfg:write_card",
-        "",
-        group="Bundles",
     ),
 }
 
