@@ -29,7 +29,6 @@ class NoiseStudy(FaultStudy):
     )
     """Noises, NAME:SEVERITY; the paper's are 30, 70, 100 % and 10, 30, 70 %."""
     modes: tuple[Mode, ...] = ("vp", "renet")
-    """Policy modes to compare."""
     grounds: tuple[Terrain, ...] = (FLAT,)
     """Flat ground without end, or one kind of tile: see `faults`."""
     onsets: tuple[float, ...] = (3.0,)

@@ -41,7 +41,6 @@ class StandingStudy(TerrainStudy):
     levels: tuple[int, ...] = (3,)
     """Levels of the ground, 1 to 10."""
     modes: tuple[Mode, ...] = ("vp", "op")
-    """Policy modes to compare."""
     seconds: float = 6.0
     """Time that a robot must stand, from 1.5 s after the command on."""
 

@@ -63,7 +63,6 @@ class TerrainStudy(WalkingStudy):
     levels: tuple[int, ...] = tuple(range(1, LEVELS + 1))
     """Levels of the curriculum, 1 to 10."""
     modes: tuple[Mode, ...] = ("renet",)
-    """Policy modes to compare."""
     fault: str | None = None
     """A camera fault, NAME[:SEVERITY][@SECONDS[+DURATION]]; without a time it begins half a second
     before a robot is 1.2 m from its start, where gaps and stairs up begin."""
@@ -261,7 +260,6 @@ class SuccessStudy(TerrainStudy):
     levels: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 10)
     """Sizes, as levels of the curriculum, 1 to 10."""
     modes: tuple[Mode, ...] = ("vp", "renet", "op")
-    """Policy modes to compare."""
     seconds: float = 16.0
     """Time to cross: the 4 m to the tile's edge take 6.7 s at the commanded speed."""
 
@@ -285,7 +283,6 @@ class DawnStudy(SuccessStudy):
     levels: tuple[int, ...] = tuple(range(1, LEVELS + 1))
     """Tenths of the range of sizes, 1 to 10."""
     modes: tuple[Mode, ...] = ("vp", "op")
-    """Policy modes to compare."""
     robots: int = 10
     """Robots for each size and mode; with `quick` always fewer."""
 
