@@ -23,13 +23,7 @@ from renet.evaluation import figures, metrics
 from renet.evaluation.results import grouped
 from renet.evaluation.rollout import Mode, check_grounds
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
-from renet.interface import (
-    CONTROL_DT,
-    PHYSICS_DT,
-    PROPRIOCEPTION_SIZE,
-    Terrain,
-    proprioception_slices,
-)
+from renet.interface import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION, Terrain
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
@@ -106,8 +100,9 @@ def _bias_sensor(cfg: RenetEnvCfg, name: str, error: np.ndarray) -> None:
     """Add an error, [3], to a term of the proprioception."""
     from mjlab.utils.noise import ConstantNoiseCfg
 
-    group, bias = cfg.observations["proprioception"], np.zeros(PROPRIOCEPTION_SIZE)
-    bias[proprioception_slices()[name]] = error
+    group = cfg.observations["proprioception"]
+    errors = [error if term.name == name else np.zeros(term.size) for term in PROPRIOCEPTION]
+    bias = np.concatenate(errors)
     noise = ConstantNoiseCfg(bias=tuple(bias.tolist()))
     group.enable_corruption, group.terms["value"].noise = True, noise
 
@@ -125,7 +120,6 @@ class MarginsStudy(WalkingStudy):
     level: int = 2
     """Level of the ground, 1 to 10."""
     modes: tuple[Mode, ...] = ("vp", "op", "renet")
-    """Policy modes to compare."""
     seconds: float = 8.0
     """Time of each robot, or until it has left its tile."""
 
