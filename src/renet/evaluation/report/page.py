@@ -40,7 +40,8 @@ def study_sections(name: str, summary: dict[str, Any], folder: Path) -> list[Sec
     """A study's template, from its summary and the figures in its folder, and the provenance."""
     with reading(f"{name} in {folder}"):
         section = render(name, summary=summary, settings=summary["settings"], folder=folder)
-        return [section, provenance_section(summary)]
+        macros: Any = load_template("macros").module
+        return [section, Section("", Markup(macros.provenance(summary["provenance"])))]
 
 
 @contextmanager
@@ -54,12 +55,6 @@ def reading(what: str) -> Iterator[None]:
         ) from error
 
 
-def provenance_section(summary: dict[str, Any]) -> Section:
-    """Where a summary's numbers come from."""
-    macros = load_template("macros").module
-    return Section("", Markup(macros.provenance(summary["provenance"])))  # type: ignore[attr-defined]
-
-
 def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -> Path:
     """Write a page atomically; one of four sections or more begins with a list of them."""
     text = load_template("page").render(title=title, lead=lead, sections=sections)
@@ -69,7 +64,7 @@ def write_page(path: Path, title: str, lead: str, sections: Sequence[Section]) -
 
 def data_uri(path: Path) -> str:
     """A PNG or mp4 as a data URI; raises RenetError for a link and for any other file."""
-    demand_no_links(path, path.parent)
+    refuse_link(path, path.parent)
     media, start, magic = MEDIA[path.suffix]
     content = read_bytes(path, MAX_MEDIA, "picture")
     if content[start : start + len(magic)] != magic:
@@ -77,7 +72,7 @@ def data_uri(path: Path) -> str:
     return f"data:{media};base64,{base64.b64encode(content).decode()}"
 
 
-def demand_no_links(path: Path, folder: Path) -> None:
+def refuse_link(path: Path, folder: Path) -> None:
     """Raise RenetError where a link leads from a folder to a path inside it."""
     if path.resolve() != folder.resolve() / path.relative_to(folder):
         raise RenetError(f"{path} is a link: a report shows only what lies in {folder}")

@@ -8,13 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from renet.errors import RenetError
-from renet.evaluation.report.page import (
-    demand_no_links,
-    reading,
-    render,
-    study_sections,
-    write_page,
-)
+from renet.evaluation.report.page import reading, refuse_link, render, study_sections, write_page
 from renet.evaluation.report.summary import overview_section, worse_section
 from renet.evaluation.results import read_results
 from renet.evaluation.studies.camera_use import CameraUseStudy
@@ -67,7 +61,7 @@ def make_report(cfg: ReportCfg) -> Path:
     files = ((name, cfg.results / name / "summary.json") for name in STUDIES)
     paths = {name: path for name, path in files if path.exists()}
     for path in paths.values():
-        demand_no_links(path, cfg.results)
+        refuse_link(path, cfg.results)
     summaries = {name: read_results(path) for name, path in paths.items()}
     if not summaries:
         raise RenetError(
