@@ -27,11 +27,10 @@ from rich.progress import track
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from facts import report
-from renet.interface import ACTION_SIZE, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TICK
+from renet.interface import ACTION_SIZE, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TICK, TRUNK
 from renet.sim.native.engine import use_engine
 from renet.tasks import RenetEnv, make_env
 from renet.tasks.env import env_cfg
-from renet.tasks.robot_cfg import TRUNK
 from renet.training.runner import RenetRunner
 from renet.training.train import TrainCfg, make_vec_env, quiet
 

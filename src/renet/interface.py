@@ -76,6 +76,8 @@ HEIGHT_MAP_Y = tuple(round(-0.75 + 0.15 * i, 2) for i in range(11))
 """Metres ahead of and left of the base, in the yaw-aligned base frame; the 2.5D map m_t is
 flattened with y fastest (index = i_x * len(HEIGHT_MAP_Y) + i_y)."""
 HEIGHT_MAP_SIZE = len(HEIGHT_MAP_X) * len(HEIGHT_MAP_Y)
+MAP_HEIGHT = 0.3
+"""Height of the base above the ground that reads as zero in the map, m (Extreme Parkour)."""
 NUM_FEET = len(LEGS)
 
 

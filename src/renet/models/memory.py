@@ -5,14 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from renet.interface import (
-    CONTROL_DT,
-    DEPTH_SHAPE,
-    FRAMES,
-    LATENT,
-    PROPRIOCEPTION_SIZE,
-    STEPS_PER_TICK,
-)
+from renet.interface import DEPTH_SHAPE, FRAMES, LATENT, PROPRIOCEPTION_SIZE, TICK_DT
 from renet.models.config import ModelCfg
 
 
@@ -68,7 +61,7 @@ class EstimatorMemory:
         pair = torch.stack((depth, previous), dim=1)
         self.frames = torch.where(has_image[:, None, None, None], pair, self.frames)
         self.has_image = has_image
-        self.image_age = (self.image_age + STEPS_PER_TICK * CONTROL_DT) * ~has_image
+        self.image_age = (self.image_age + TICK_DT) * ~has_image
 
     @torch.no_grad()
     def tick(self, advance: Callable[..., Tensor]) -> None:

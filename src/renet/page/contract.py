@@ -19,7 +19,7 @@ from renet.deploy.robots.sim.scene import FLAT, scene_spec
 from renet.deploy.safety.limits import SafetyCfg
 from renet.descriptions import RobotDescription, find_description
 from renet.faults import FAULTS, SEVERITIES, Fault
-from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
+from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT
 from renet.palette import STATES
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import VISION_THRESHOLD
@@ -27,8 +27,6 @@ from renet.selector.monitors import COVERED, MONITORS, NEAR
 from renet.selector.selector import SELECTORS
 from renet.terrain.tiles import TILE
 
-MAP_HEIGHT = 0.3
-"""Metres of the base above the ground that read as zero in a height map, as in training."""
 GROUNDS = {
     "gap": ("Gap", 5, "leapt the gap"),
     "stairs_down": ("Stairs down", 2, "came down the stairs"),
@@ -129,14 +127,13 @@ def _selector(kind: str, spec: SelectorSpec) -> dict[str, Any]:
         "dwell": selector.dwell,
         "betweenReturns": selector.between_returns,
         "longestMemory": selector.longest_memory,
-        "monitors": [_monitor(name, limit) for name, limit in selector.thresholds.items()],
+        "monitors": [
+            {"name": name, "threshold": threshold, "reason": monitor.reason}
+            | {"output": OUTPUTS.get(monitor.output, ""), "ofImage": monitor.of_image}
+            for name, threshold in selector.thresholds.items()
+            for monitor in [MONITORS[name]]
+        ],
     }
-
-
-def _monitor(name: str, threshold: float) -> dict[str, Any]:
-    monitor = MONITORS[name]
-    judged = {"output": OUTPUTS.get(monitor.output, ""), "ofImage": monitor.of_image}
-    return {"name": name, "threshold": threshold, "reason": monitor.reason, **judged}
 
 
 def _ground(

@@ -8,7 +8,7 @@ import torch
 from mjlab.sensor.sensor import SensorCfg
 from torch import Tensor
 
-from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, LEGS
+from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, LEGS, MAP_HEIGHT
 from renet.sim.depth.ray_sensor import RaySensor
 
 
@@ -19,8 +19,8 @@ class HeightMapCfg(SensorCfg):
     body: str = "robot/trunk"
     x: tuple[float, ...] = HEIGHT_MAP_X
     y: tuple[float, ...] = HEIGHT_MAP_Y
-    base_height: float = 0.3
-    """Height of the base above the terrain that reads as zero, m (Extreme Parkour)."""
+    base_height: float = MAP_HEIGHT
+    """Height of the base above the terrain that reads as zero, m."""
     limit: float = 1.0
     """Values are clipped to plus or minus this, m."""
 

@@ -19,12 +19,12 @@ from mjlab.terrains import TerrainEntityCfg
 from mjlab.utils.noise import UniformNoiseCfg
 from mjlab.viewer import ViewerConfig
 
-from renet.interface import CONTROL_DT, JOINTS, PHYSICS_DT, PROPRIOCEPTION
+from renet.interface import CONTROL_DT, JOINTS, PHYSICS_DT, PROPRIOCEPTION, TRUNK
 from renet.tasks import mdp
 from renet.tasks.config.go1 import GO1
 from renet.tasks.env import RenetEnvCfg
 from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg
-from renet.tasks.robot_cfg import FEET, TRUNK, RobotCfg
+from renet.tasks.robot_cfg import FEET, RobotCfg
 from renet.tasks.sensors import FEET_HEIGHT, HEIGHT_MAP, depth_camera, sensors
 from renet.tasks.terrains import parkour_terrain
 
@@ -148,7 +148,14 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
             "command_stage": CurriculumTermCfg(func=mdp.command_stage, params={"after": 4e8}),
         },
         events=_events(),
-        metrics={**_costs(robot), **_metrics()},
+        metrics={
+            **_costs(robot),
+            "collisions": MetricsTermCfg(func=mdp.reward_term, params={"name": "collision"}),
+            "lin_vel_reward": MetricsTermCfg(
+                func=mdp.reward_term, params={"name": "linear_velocity"}
+            ),
+            "reward_clipped": MetricsTermCfg(func=mdp.reward_clipped),
+        },
         sim=SimulationCfg(njmax=200, nconmax=60, mujoco=physics),
         viewer=ViewerConfig(
             origin_type=ViewerConfig.OriginType.ASSET_BODY,
@@ -240,15 +247,6 @@ def _costs(robot: RobotCfg) -> dict[str, MetricsTermCfg]:
         "cost_joint_position": MetricsTermCfg(func=mdp.joint_position_cost),
         "cost_joint_velocity": MetricsTermCfg(func=mdp.joint_velocity_cost, params=velocity),
         "cost_torque": MetricsTermCfg(func=mdp.torque_cost, params=torque),
-    }
-
-
-def _metrics() -> dict[str, MetricsTermCfg]:
-    """Logged as means over an episode's steps, beside the rewards."""
-    return {
-        "collisions": MetricsTermCfg(func=mdp.reward_term, params={"name": "collision"}),
-        "lin_vel_reward": MetricsTermCfg(func=mdp.reward_term, params={"name": "linear_velocity"}),
-        "reward_clipped": MetricsTermCfg(func=mdp.reward_clipped),
     }
 
 

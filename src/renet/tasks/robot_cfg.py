@@ -10,11 +10,9 @@ from mjlab.entity import EntityArticulationInfoCfg, EntityCfg
 from mjlab.utils.spec_config import CollisionCfg
 
 from renet.errors import RenetError
-from renet.interface import JOINTS, LEGS
+from renet.interface import JOINTS, LEGS, MAP_HEIGHT, TRUNK
 from renet.sim.depth.camera import MountCfg
 
-TRUNK = "trunk"
-"""Name of the base body."""
 PARTS = ("hip", "thigh", "calf")
 BODIES = (TRUNK, *(f"{leg}_{part}" for leg in LEGS for part in PARTS))
 """Names of all bodies the tasks look for."""
@@ -76,7 +74,7 @@ class RobotCfg:
     """Kd of every joint, N m s/rad."""
     action_scale: float = 0.25
     """Radians of joint target per policy unit."""
-    map_height: float = 0.3
+    map_height: float = MAP_HEIGHT
     """Height of the base over flat ground that reads as zero in the height map, m."""
 
     def entity(self) -> EntityCfg:

@@ -4,10 +4,10 @@ from mjlab.envs import ManagerBasedRlEnvCfg
 from mjlab.sensor import ContactMatch, ContactSensorCfg, SensorCfg
 
 from renet.errors import RenetError
-from renet.interface import LEGS
+from renet.interface import LEGS, TRUNK
 from renet.sim.depth.camera import DepthCameraCfg
 from renet.sim.sensors import FeetHeightCfg, HeightMapCfg
-from renet.tasks.robot_cfg import CALVES, FEET, TRUNK, RobotCfg
+from renet.tasks.robot_cfg import CALVES, FEET, RobotCfg
 
 DEPTH_CAMERA = "depth_camera"
 HEIGHT_MAP = "height_map"

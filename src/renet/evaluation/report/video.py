@@ -13,7 +13,7 @@ from renet.errors import RenetError
 from renet.evaluation.report.painter import Painter, View
 from renet.evaluation.trace import Trace
 from renet.files import write_atomically
-from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT, STEPS_PER_TICK
 from renet.palette import STATES, rgb
 from renet.terminal import progress
 
@@ -22,8 +22,8 @@ _font = ImageFont.load_default
 GREEN, RED, WHITE = (126, 200, 120), (235, 92, 80), (245, 245, 245)
 SHADE = (16, 18, 22, 190)
 """Behind texts."""
-MAP_HEIGHT = 0.3
-"""Metres of the base above the ground that read as zero in a height map, as in training."""
+FPS = 25
+"""Pictures a second, a divisor of the control rate."""
 DOT, WRONG = 0.025, 0.25
 """Radius of a height map's dots, m, and the error from which on they are black."""
 
@@ -35,7 +35,6 @@ def film(
     titles: Mapping[int, str],
     fault: str,
     steps: Sequence[int] = (),
-    fps: int = 25,
 ) -> Path:
     """Draw robots side by side and write an mp4 that any browser plays, beside a progress bar.
 
@@ -47,14 +46,13 @@ def film(
         titles: what to call the robots that are shown, by their places in the trace.
         fault: what to call a failing camera.
         steps: control steps of the pictures; all of them, at the clock's pace, by default.
-        fps: pictures a second, a divisor of the control rate.
     """
     poses, robots = trace.film.poses, list(titles)  # type: ignore[union-attr]
     painter = Painter(spec, poses[0, robots])
     last = np.maximum((~trace.over).sum(axis=0) - 1, 0)
 
     def pictures() -> Iterator[np.ndarray]:
-        for step in progress(steps or range(0, len(poses), round(1 / (fps * CONTROL_DT))), "video"):
+        for step in progress(steps or range(0, len(poses), round(1 / (FPS * CONTROL_DT))), "video"):
             shown = {robot: min(step, last[robot]) for robot in robots}
             views = painter.draw(np.stack([poses[at, robot] for robot, at in shown.items()]))
             panels = []
@@ -63,12 +61,13 @@ def film(
                 _draw_map(image, view, painter, trace, at, robot)
                 _stamp(image, trace, at, robot, titles[robot], fault)
                 if trace.fallen[step, robot]:
-                    _draw_fall(image)
+                    fell = {"font": _font(30), "stroke_width": 2, "stroke_fill": WHITE}
+                    ImageDraw.Draw(image).text((12, 30), "fell", RED, **fell)
                 panels.append(np.asarray(image))
             yield np.hstack(panels)
 
     try:
-        video = mediapy.compress_video(pictures(), fps=fps, crf=26)
+        video = mediapy.compress_video(pictures(), fps=FPS, crf=26)
     except RuntimeError as error:
         raise RenetError(f"cannot write {path}: {str(error).splitlines()[0]}") from error
     write_atomically(path, video)
@@ -125,9 +124,3 @@ def _stamp(image: Image.Image, trace: Trace, step: int, robot: int, title: str, 
     draw.text((8, height - 19), pace, font=_font(13), fill=WHITE)
     words, colour = (fault, RED) if failing else ("camera healthy", GREEN)
     draw.text((width - 8, height - 19), words, font=_font(13), fill=colour, anchor="ra")
-
-
-def _draw_fall(image: Image.Image) -> None:
-    """Write in large letters what became of a robot."""
-    look = {"font": _font(30), "fill": RED, "stroke_width": 2, "stroke_fill": WHITE}
-    ImageDraw.Draw(image).text((12, 30), "fell", **look)
