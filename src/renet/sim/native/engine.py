@@ -146,7 +146,8 @@ class NativeSimulation(Simulation):
         self._arguments: dict[tuple[int, bool, bool], Struct] = {}
         """The struct Advance of engine.cpp, by the arguments of `_advance`."""
         stages.check_mujoco()
-        mujoco_memory.ignore_warnings()
+        # It would append its warnings to a log file in the working folder.
+        mujoco.set_mju_user_warning(lambda message: None)
         super().__init__(*args, **kwargs)
         self.culling = CollisionCulling(self.mj_model, self.mj_data, self.num_envs)
         self._zeroed = [getattr(self.wp_data, name).numpy() for name in RESET_TO_ZERO]

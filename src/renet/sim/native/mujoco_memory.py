@@ -62,14 +62,3 @@ def time(data: mujoco.MjData) -> np.ndarray:
     if not same:
         raise LookupError("mjData.time does not lie before mjData.energy")
     return view
-
-
-@ctypes.CFUNCTYPE(None, ctypes.c_char_p)
-def _ignore(message: bytes) -> None:
-    pass
-
-
-def ignore_warnings() -> None:
-    """Drop MuJoCo's warnings, which it would append to a log file in the working folder."""
-    handler = ctypes.c_void_p.in_dll(library(), "mju_user_warning")
-    handler.value = ctypes.cast(_ignore, ctypes.c_void_p).value
