@@ -15,17 +15,13 @@ from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.robots.real.braking import Link
 from renet.descriptions import GO1
 from renet.errors import RenetError, install
-from renet.interface import JOINTS
+from renet.interface import ACTION_SIZE
 
 LOW_LEVEL = 0xFF
 SERVO = 0x0A
 """Motor mode that obeys position, velocity, gains and torque."""
-MOTOR_LEGS = ("FR", "FL", "RR", "RL")
-MOTORS = tuple(
-    3 * MOTOR_LEGS.index(name.split("_")[0]) + ("hip", "thigh", "calf").index(name.split("_")[1])
-    for name in JOINTS
-)
-"""The vendor's motor number of each joint; zero and sign of both are the vendor's model's."""
+MOTORS = range(ACTION_SIZE)
+"""The vendor numbers the motors as `interface.JOINTS`; zeros and signs are its model's."""
 
 
 def unitree() -> Any:
