@@ -36,10 +36,8 @@ class ViewPerturbation:
 
     def __eq__(self, other: object) -> bool:
         """Whether all numbers are equal."""
-        return isinstance(other, ViewPerturbation) and all(
-            np.array_equal(mine, theirs)
-            for mine, theirs in zip(vars(self).values(), vars(other).values(), strict=True)
-        )
+        same_kind = isinstance(other, ViewPerturbation)
+        return same_kind and all(map(np.array_equal, vars(self).values(), vars(other).values()))
 
 
 class PhysicalFault(Fault):

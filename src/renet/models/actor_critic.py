@@ -24,11 +24,6 @@ def fuse(latent_op: Tensor, latent_vp: Tensor, op_mask: Tensor) -> Tensor:
     return torch.cat((latent_op * mask, latent_vp * (1.0 - mask)), dim=-1)
 
 
-def latent_size(cfg: ModelCfg) -> int:
-    """Width of what stands beside o_t at the actor's input."""
-    return HEIGHT_MAP_SIZE + 3 if cfg.perception == "oracle" else 2 * LATENT
-
-
 def mlp(sizes: Sequence[int]) -> nn.Sequential:
     """Linear layers with ELU between them."""
     layers: list[nn.Module] = []
@@ -42,7 +37,8 @@ class Actor(nn.Module):
 
     def __init__(self, cfg: ModelCfg) -> None:
         super().__init__()
-        self.mean = mlp((PROPRIOCEPTION_SIZE + latent_size(cfg), *cfg.actor_hidden, ACTION_SIZE))
+        latent = HEIGHT_MAP_SIZE + 3 if cfg.perception == "oracle" else 2 * LATENT
+        self.mean = mlp((PROPRIOCEPTION_SIZE + latent, *cfg.actor_hidden, ACTION_SIZE))
         self.log_std = nn.Parameter(torch.full((ACTION_SIZE,), cfg.initial_std).log())
         # A small last layer starts the policy at the default pose.
         with torch.no_grad():

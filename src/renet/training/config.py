@@ -1,8 +1,8 @@
 """The agent's configuration: networks, N-P3O, supervision, and what rsl_rl's runner reads."""
 
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields
 from math import ceil
-from typing import Annotated, Any, Literal, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar
 
 import tyro
 from mjlab.rl import RslRlBaseRunnerCfg
@@ -210,20 +210,14 @@ def steps_per_env(fixed: int | None, batch_size: Schedule, num_envs: int, steps:
 
 
 def from_dict(cls: type[T], values: dict[str, Any]) -> T:
-    """Build a dataclass, and those in it, from JSON; lists become tuples.
-
-    Raises:
-        RenetError: a key is unknown, which means a file of another version.
-    """
-    hints = get_type_hints(cls)
+    """Build a dataclass from JSON, lists as tuples; raises RenetError for an unknown key."""
     unknown = sorted(set(values) - {f.name for f in fields(cls)})  # type: ignore[arg-type]
     if unknown:
         raise RenetError(
             f"{cls.__name__} has no field {', '.join(unknown)}: the configuration was written by "
             "another version of renet"
         )
-    nested = {k: from_dict(hints[k], v) for k, v in values.items() if is_dataclass(hints[k])}
-    return cls(**{name: to_tuples(value) for name, value in values.items()} | nested)
+    return cls(**{name: to_tuples(value) for name, value in values.items()})
 
 
 def to_tuples(value: Any) -> Any:

@@ -16,13 +16,7 @@ from renet.tasks.parkour_env_cfg import randomize
 from renet.tasks.schedule import Schedule, value_at
 from renet.tasks.sensors import depth_camera
 from renet.terrain.tiles import dense_tiles
-from renet.training.config import (
-    AdaptationCfg,
-    NP3OCfg,
-    RenetRunnerCfg,
-    SupervisionCfg,
-    WithholdingCfg,
-)
+from renet.training.config import NP3OCfg, RenetRunnerCfg, SupervisionCfg
 
 
 def recipe(env: RenetEnvCfg, agent: RenetRunnerCfg) -> None:
@@ -65,9 +59,9 @@ def set_learning(agent: RenetRunnerCfg) -> None:
         learning_rate="1e-3@20M,3e-4@150M,1e-4@300M",
     )
     # In turns of 20 iterations an estimator forgets what the other one practises meanwhile.
-    agent.adaptation = AdaptationCfg(period=4)
+    agent.adaptation.period = 4
     # From the first step on, which costs no level.
-    agent.withholding = WithholdingCfg(share=0.5)
+    agent.withholding.share = 0.5
     # Small batches learn to walk sooner; large ones carry less noise once little is left to learn.
     agent.batch_size = "12800@5M,51200@40M"
     agent.average_over = 100

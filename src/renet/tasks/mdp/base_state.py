@@ -50,11 +50,6 @@ def on_tiles(env: ManagerBasedRlEnv, *kinds: str) -> Tensor:
     return mask
 
 
-def height_above_start(env: ManagerBasedRlEnv) -> Tensor:
-    """Height of the base above the start of its tile, [N] m."""
-    return base_position(env)[:, 2] - env.scene.env_origins[:, 2]
-
-
 def distance_from_start(env: ManagerBasedRlEnv) -> Tensor:
     """Distance of the base from the start of its tile in the maximum norm, [N] m."""
     return (base_position(env) - env.scene.env_origins)[:, :2].abs().amax(-1)

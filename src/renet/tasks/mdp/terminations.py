@@ -5,17 +5,17 @@ from mjlab.envs import ManagerBasedRlEnv
 from mjlab.managers.termination_manager import TerminationTermCfg
 from torch import Tensor
 
-from renet.tasks.mdp.base_state import (
-    base_position,
-    distance_from_start,
-    height_above_start,
-    on_tiles,
-)
+from renet.tasks.mdp.base_state import base_position, distance_from_start, on_tiles
 from renet.tasks.mdp.commands import goal
 from renet.terrain.tiles import TILE
 
 PIT_DEPTH = 0.25
 """Metres below a tile's start at which the base is in a gap, not above it."""
+
+
+def height_above_start(env: ManagerBasedRlEnv) -> Tensor:
+    """Height of the base above the start of its tile, [N] m."""
+    return base_position(env)[:, 2] - env.scene.env_origins[:, 2]
 
 
 def not_finite(env: ManagerBasedRlEnv) -> Tensor:
