@@ -26,8 +26,7 @@ def unknown_name(kind: str, name: str, choices: Iterable[str]) -> RenetError:
     """The error for a name that is not among the choices: it suggests the nearest, or lists all.
 
     Args:
-        kind: what the name stands for, such as "fault".
-        name: what the user wrote.
+        kind: what the name stands for, such as "fault". name: what the user wrote.
         choices: the names that exist.
     """
     names = list(choices)

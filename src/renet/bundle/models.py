@@ -76,8 +76,7 @@ def try_models(models: dict[str, bytes], history: int, where: str) -> None:
 
     Args:
         models: ONNX bytes by name, in the order of `MODELS`.
-        history: proprioceptions that the estimator sees.
-        where: the bundle, for messages.
+        history: proprioceptions that the estimator sees. where: the bundle, for messages.
 
     Raises:
         RenetError: one of them cannot run, needs too much time or memory, or has outputs of

@@ -42,8 +42,7 @@ def run_control_loop(
 
     Args:
         robot: connected. Its envelope must hold the controller's bundle.
-        camera: started; None without.
-        recorder: of the run; None without.
+        camera: started; None without. recorder: of the run; None without.
         done: asked at every control step.
         on_step: told every command, and the reading before it.
         dry_run: never write to the robot.

@@ -109,10 +109,8 @@ class Injector:
             schedules: one for each robot.
             streams: number of each robot's random stream.
             seed: seed of the whole study.
-            physical: whether the cameras are in a world that carries out physical faults.
-
-        Raises:
-            RenetError: a physical fault without such a world.
+            physical: whether the cameras are in a world that carries out physical faults; these
+                raise RenetError elsewhere.
         """
         self._num_robots = len(schedules)
         self._stages: list[tuple[Injection, Fault, np.ndarray]] = []

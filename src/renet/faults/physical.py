@@ -97,11 +97,8 @@ def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:
     """Geoms of each tile's obstacles: boxes that neither span the tile nor carry its start.
 
     Args:
-        model: a scene with terrain.
+        model: a scene with terrain; raises RenetError without obstacles.
         middles: [tiles, 2] m, world.
-
-    Raises:
-        RenetError: there are no obstacles.
     """
     import mujoco
 

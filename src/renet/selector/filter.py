@@ -16,8 +16,7 @@ def low_pass(
     Args:
         probability: vision probability P_{t-1}, [N].
         healthy: verdicts P^_t, [N] bool.
-        gamma: weight of a new verdict, above 0 and at most 1.
-        count: number of updates.
+        gamma: weight of a new verdict, above 0 and at most 1. count: number of updates.
 
     Returns:
         P_t, [N].

@@ -142,13 +142,11 @@ def rename_parts(
     """Turn a vendor's MJCF into what `RobotCfg.spec` promises, in place.
 
     Args:
-        spec: the robot alone, without ground. trunk: its name of the base body.
+        spec: the robot alone, without ground; raises RenetError if it lacks a part.
+        trunk: its name of the base body.
         feet: its names of the feet's geoms, by leg of interface.LEGS.
         bodies: its name of each body FR_hip, FR_thigh, FR_calf, …, where it is another.
         joints: its name of each joint of interface.JOINTS, where it is another.
-
-    Raises:
-        RenetError: a part is missing.
     """
     vendor_names = {TRUNK: trunk, **(bodies or {}), **(joints or {})}
     parts = {}

@@ -43,10 +43,8 @@ def tile_row(grounds: Mapping[str, int]) -> TerrainEntityCfg:
     single rings where the default recipe trains on several.
 
     Args:
-        grounds: level, 1 to 10, of each kind of tile; "flat" is one without relief.
-
-    Raises:
-        RenetError: unknown kind or level.
+        grounds: level, 1 to 10, of each kind of tile; "flat" is one without relief. Raises
+            RenetError for an unknown kind or level.
     """
     kinds = {}
     for kind, level in grounds.items():

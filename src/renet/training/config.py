@@ -199,8 +199,7 @@ def steps_per_env(fixed: int | None, batch_size: Schedule, num_envs: int, steps:
 
     Args:
         fixed: number in place of the one that follows from `batch_size`, or None.
-        batch_size: of RenetRunnerCfg.
-        num_envs: robots of this process.
+        batch_size: of RenetRunnerCfg. num_envs: robots of this process.
         steps: environment steps taken so far.
     """
     if fixed is not None:

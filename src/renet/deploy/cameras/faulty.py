@@ -18,14 +18,11 @@ class FaultyCamera(Camera):
     def __init__(
         self, camera: Camera, faults: Sequence[Injection], now: Callable[[], float], seed: int
     ) -> None:
-        """Wrap a camera.
+        """Wrap a camera; raises RenetError for a fault that it or its scene cannot have.
 
         Args:
             camera: the one to spoil. faults: one after the other on the same frames.
             now: the robot's clock. seed: of the faults' randomness.
-
-        Raises:
-            RenetError: a fault that this camera or its scene cannot have.
         """
         self._camera, self._now = camera, now
         self._perturb = getattr(camera, "perturb", None)

@@ -15,14 +15,11 @@ class DepthPreprocessor:
     """Picks a policy's pixels from one camera's images."""
 
     def __init__(self, lens: Intrinsics, spec: CameraSpec) -> None:
-        """Find the pixels in images without distortion.
+        """Find the pixels in images without distortion; raises RenetError for too narrow a view.
 
         Args:
             lens: of the camera; both focal lengths are negative where it is mounted upside down.
             spec: what the policy sees.
-
-        Raises:
-            RenetError: too narrow a view.
         """
         left, up = spec.intrinsics.axes()
         self._columns = np.rint(lens.cx - 0.5 - lens.fx * left).astype(int)

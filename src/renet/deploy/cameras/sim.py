@@ -50,11 +50,7 @@ class SimCamera(Camera):
         return self._frame
 
     def perturb(self, view: ViewPerturbation) -> None:
-        """Apply physical faults from the next image on.
-
-        Raises:
-            RenetError: obstacles are to be glass where there are none.
-        """
+        """Spoil views from the next image on; raises RenetError for glass without obstacles."""
         if view == self._view:
             return
         model, unseen = self._robot.model, []

@@ -101,11 +101,7 @@ class ReplayCamera(Camera):
     """
 
     def __init__(self, run: Recording, now: Callable[[], float]) -> None:
-        """Set up; raises RenetError if the run has no images.
-
-        Args:
-            run: from `read_recording`. now: the robot's clock.
-        """
+        """Set up to show a run by the robot's clock `now`; raises RenetError without images."""
         if not run.images:
             raise RenetError("the recording holds no images: it was made without a camera")
         self._run, self._now, self._begun = run, now, math.inf

@@ -56,11 +56,8 @@ class Envelope:
         """The nearest command within the limits.
 
         Args:
-            command: to be sent.
+            command: to be sent; raises RenetError if it is not made of [12] finite numbers.
             state: newest reading, for torque and velocity; None leaves both to the motors.
-
-        Raises:
-            RenetError: the command is not made of [12] finite numbers.
         """
         parts = {}
         for name in ("position", "stiffness", "damping"):

@@ -61,14 +61,11 @@ def limited_speed(speed: float) -> float:
 def limited_command(
     target: np.ndarray, previous: np.ndarray, state: RobotState, robot: RobotSpec, cfg: SafetyCfg
 ) -> JointCommand:
-    """Servo command for a joint target [12] rad, within all limits.
+    """Servo command for a joint target [12] rad within all limits; raises RenetError if not finite.
 
     The target moves at most `target_rate` and stays in the joints' ranges. Where the servo would
     ask for more torque than the motor gives, its gains shrink: at this instant that equals the
     saturation of training. Between two commands the motor's own limit is the last.
-
-    Raises:
-        RenetError: the target is not finite.
     """
     if not all_finite(target):
         raise RenetError("the joint target is not finite")

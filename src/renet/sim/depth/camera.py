@@ -84,8 +84,7 @@ def add_noise(
     """Noisy depth of the same shape, m; one Gaussian draw has the variances of both errors.
 
     Args:
-        depth: m, of any shape.
-        cfg: standard deviations.
+        depth: m, of any shape. cfg: standard deviations.
         normal: draws normal numbers in the shape of a tensor.
     """
     if cfg.relative_std == 0.0 and cfg.gaussian_std == 0.0:
@@ -148,8 +147,7 @@ class DepthCamera(RaySensor):
         pitch, yaw = (mount.angle_error * error[:, 3:]).unbind(-1)
         self._rotation[env_ids] = mount_rotation(mount.pitch + pitch, yaw)
         least = round(self.cfg.delay[0] / CONTROL_DT)
-        drawn = torch.randint(least, self._most + 1, (count,), device=self._device)
-        self._delay[env_ids] = drawn
+        self._delay[env_ids] = torch.randint(least, self._most + 1, (count,), device=self._device)
 
     def reset(self, env_ids: Tensor | slice | None = None) -> None:
         """Draw mounts and delays of the environments' new episodes."""

@@ -99,8 +99,7 @@ def _bins(low: np.ndarray, high: np.ndarray) -> dict[str, object]:
     """The shapes that touch each bin, as fields of the struct Terrain.
 
     Args:
-        low: [shapes, 2] horizontal corners of the boxes around them, m.
-        high: [shapes, 2].
+        low, high: [shapes, 2] horizontal corners of the boxes around them, m.
     """
     wide = (high - low > WIDE).any(-1)
     fine = np.flatnonzero(~wide)

@@ -106,8 +106,7 @@ class TerrainScanner:
         Args:
             position: [N, 3] m, world.
             rotation: [N, 3, 3], camera axes (forward, left, up) as columns, world.
-            lens: rays of every camera.
-            limit: m of depth beyond which nothing is seen.
+            lens: rays of every camera. limit: m of depth beyond which nothing is seen.
 
         Returns:
             [N, H * W] m to the image plane; -1 where nothing is seen.

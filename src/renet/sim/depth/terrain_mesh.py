@@ -24,8 +24,7 @@ def terrain_shapes(
     """Shapes of a model's static geoms that can collide.
 
     Args:
-        model: the scene.
-        without: ids of geoms to leave out.
+        model: the scene. without: ids of geoms to leave out.
 
     Returns:
         Boxes [B, 15] (centre, rotation by rows, half sizes), and corners [T, 3, 3] of the triangles

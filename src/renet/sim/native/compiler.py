@@ -24,14 +24,11 @@ class Struct(ctypes.Structure):
     """A struct of a C++ file, which keeps the objects alive that its pointers point to."""
 
     def __init__(self, **fields: Any) -> None:
-        """Set all fields but `work`, which `Source.call` sets.
+        """Set all fields but `work`, which `Source.call` sets; raises TypeError for others.
 
         Args:
             fields: numbers and structs; for pointers NumPy arrays, ctypes objects, addresses or
                 None.
-
-        Raises:
-            TypeError: a field is missing or unknown.
         """
         super().__init__()
         differing = fields.keys() ^ ({field[0] for field in self._fields_} - {"work"})
@@ -58,11 +55,7 @@ class Source:
 
     @cache  # noqa: B019  Sources are module constants.
     def struct(self, name: str) -> type[Struct]:
-        """The ctypes class of a struct whose fields are numbers, pointers and such structs.
-
-        Raises:
-            KeyError: the file has no such struct, or one with a field of another type.
-        """
+        """A struct of numbers, pointers, structs as a ctypes class; raises KeyError for others."""
         match = re.search(rf"^struct {name} {{\n(.*?)^}};", self.text, re.DOTALL | re.MULTILINE)
         if not match:
             raise KeyError(name)

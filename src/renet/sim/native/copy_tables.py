@@ -47,11 +47,7 @@ class FieldCopy(NamedTuple):
 def whole_data(
     wp_data: Any, mj_data: mujoco.MjData, num_envs: int, names: tuple[str, ...]
 ) -> list[FieldCopy]:
-    """Copies of whole fields of mjData, without those that are empty in this model.
-
-    Raises:
-        RenetError: a field has another size in MuJoCo.
-    """
+    """Copies of mjData's whole fields, but for empty ones; raises RenetError for other sizes."""
     copies = []
     for name in names:
         source, target = getattr(wp_data, name), getattr(mj_data, name)
@@ -65,11 +61,7 @@ def whole_data(
 
 
 def load_model(wp_model: Any, mj_model: mujoco.MjModel, names: list[str]) -> list[FieldCopy]:
-    """Copies of per-environment model fields into an MjModel.
-
-    Raises:
-        RenetError: a field has another size or type in MuJoCo.
-    """
+    """Copies of randomised fields into an MjModel; raises RenetError for other sizes or types."""
     copies = []
     for name in names:
         source, target = getattr(wp_model, name), getattr(mj_model, name)

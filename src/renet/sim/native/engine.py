@@ -48,8 +48,7 @@ def forget_coinciding_frames(model: mujoco.MjModel, randomised: set[str]) -> Non
     Kinematics does not read the fields of marked frames, such as those of most terrain geoms.
 
     Args:
-        model: changed in place.
-        randomised: names of the fields that differ between environments.
+        model: changed in place. randomised: names of the fields that differ between environments.
     """
     marks = mujoco.mjtSameFrame
     inertial = bool({"body_ipos", "body_iquat"} & randomised)
@@ -68,11 +67,7 @@ class Worker:
     """One thread's model and data, and the copies into and out of them."""
 
     def __init__(self, simulation: NativeSimulation) -> None:
-        """Copy a simulation's model.
-
-        Raises:
-            RenetError: the simulation randomises a field that the native engine cannot.
-        """
+        """Copy a simulation's model; raises RenetError if it randomises what this engine cannot."""
         self.model = model = simulation.mj_model.__copy__()
         if simulation.expanded_fields & INERTIAL and model.dof_simplenum.any():
             raise RenetError(
@@ -253,11 +248,9 @@ def use_engine(name: str, device: str) -> Iterator[None]:
     """A context in which mjlab environments are built with an engine.
 
     Args:
-        name: `native` (C MuJoCo), `warp` (MuJoCo Warp), or `auto`: native on a CPU, else warp.
+        name: `native` (C MuJoCo; raises RenetError off the CPU), `warp` (MuJoCo Warp), or `auto`:
+            native on a CPU, else warp; raises RenetError for any other.
         device: torch's name of the device, such as `cpu`.
-
-    Raises:
-        RenetError: unknown engine, or the native one off the CPU.
     """
     if name not in get_args(Engine):
         raise unknown_name("engine", name, get_args(Engine))

@@ -19,11 +19,7 @@ SIZES = 32
 
 @cache
 def library() -> ctypes.CDLL:
-    """MuJoCo's C library.
-
-    Raises:
-        LookupError: MuJoCo's package has no library for Linux or macOS.
-    """
+    """MuJoCo's C library; raises LookupError if its package has none for Linux or macOS."""
     folder = Path(mujoco.__file__).parent
     for pattern in ("libmujoco.so*", "libmujoco*.dylib"):
         for path in folder.glob(pattern):
@@ -32,11 +28,7 @@ def library() -> ctypes.CDLL:
 
 
 def model_size(model: mujoco.MjModel, name: str) -> ctypes.c_int64:
-    """A writable number at the beginning of mjModel, such as nbody.
-
-    Raises:
-        LookupError: the layout of mjModel is another one.
-    """
+    """A writable number at mjModel's beginning, such as nbody; raises LookupError if not there."""
     sizes = (ctypes.c_int64 * SIZES).from_address(model._address)
     value = getattr(model, name)
     for index in [i for i, size in enumerate(sizes) if size == value]:
@@ -49,11 +41,7 @@ def model_size(model: mujoco.MjModel, name: str) -> ctypes.c_int64:
 
 
 def time(data: mujoco.MjData) -> np.ndarray:
-    """A view [1] of `time`, the number before `energy` in mjData.
-
-    Raises:
-        LookupError: the layout of mjData is another one.
-    """
+    """A view [1] of mjData's `time`, before its `energy`; raises LookupError if not there."""
     before = ctypes.cast(data.energy.ctypes.data - 8, ctypes.POINTER(ctypes.c_double))
     view, kept = np.ctypeslib.as_array(before, (1,)), data.time
     data.time = kept + 1.0

@@ -54,8 +54,7 @@ def stages_of(model: mujoco.MjModel, steps: int, derive: bool) -> list[Stage]:
     """The stages of physics steps of a model, in order.
 
     Args:
-        model: not changed.
-        steps: number of steps; 0: all that follows from the present state.
+        model: not changed. steps: number of steps; 0: all that follows from the present state.
         derive: whether to end with poses and velocities of the state after the last step.
     """
     whole, moving = (model.nbody, model.ngeom), moving_part(model)

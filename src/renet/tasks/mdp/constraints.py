@@ -16,11 +16,7 @@ from renet.interface import CONSTRAINTS
 
 
 def constraint_costs(env: ManagerBasedRlEnv) -> Tensor:
-    """Costs of the newest step, [N, 3] in the order of interface.CONSTRAINTS.
-
-    Raises:
-        RenetError: the task has no such metrics.
-    """
+    """Costs of the newest step, [N, 3] as interface.CONSTRAINTS; raises RenetError without them."""
     metrics = env.metrics_manager
     names = [f"cost_{name}" for name in CONSTRAINTS]
     if missing := [name for name in names if name not in metrics.active_terms]:
