@@ -205,11 +205,9 @@ class Rollout:
             if on_step(step) is True or tries_over:
                 trace = trace.until(step + 1)
                 break
-        return (
-            replace(trace, film=Film(np.stack(poses), np.stack(images), np.array(maps)))
-            if film
-            else trace
-        )
+        if not film:
+            return trace
+        return replace(trace, film=Film(np.stack(poses), np.stack(images), np.array(maps)))
 
     def _reset(self) -> None:
         """Put every robot at its start, trusting vision."""
