@@ -1,6 +1,6 @@
 """The exception that renet raises for everything a user can correct."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 
 
@@ -20,6 +20,12 @@ def install(extra: str) -> str:
     """How to install what an extra of `pyproject.toml` lists; renet is not on PyPI."""
     extras = f"[{extra}]" if extra else ""
     return f"in a clone of renet, run pip install -c requirements-lock.txt -e '.{extras}'"
+
+
+def demand_name(kind: str, name: str, choices: Collection[str]) -> None:
+    """Raise `unknown_name` unless a name is among the choices."""
+    if name not in choices:
+        raise unknown_name(kind, name, choices)
 
 
 def unknown_name(kind: str, name: str, choices: Iterable[str]) -> RenetError:

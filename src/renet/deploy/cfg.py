@@ -6,7 +6,7 @@ import sys
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -16,7 +16,7 @@ from renet.deploy.cameras.base import CameraCfg
 from renet.deploy.catalogue import CAMERAS, ROBOTS
 from renet.deploy.robots.driver import DriverCfg
 from renet.deploy.safety.limits import SafetyCfg
-from renet.errors import RenetError, unknown_name
+from renet.errors import RenetError, demand_name
 from renet.faults import Injection, parse_fault
 from renet.interface import CONTROL_DT, MAX_SPEED, SelectorName
 
@@ -29,7 +29,6 @@ DEADMAN = 5.0
 LIMP = 10.0
 """rad; farther than any joint can be from the default pose."""
 
-Kind = TypeVar("Kind")
 NoPrefix = tyro.conf.arg(name="")
 
 
@@ -76,10 +75,12 @@ class DeployCfg:
 
     def __post_init__(self) -> None:
         if type(self.driver) is DriverCfg:
-            object.__setattr__(self, "driver", _kind(ROBOTS, self.robot, "robot")())
+            demand_name("robot", self.robot, ROBOTS)
+            object.__setattr__(self, "driver", ROBOTS[self.robot]())
         camera = self.driver.camera if self.camera == "auto" else self.camera
         if type(self.lens) is CameraCfg:
-            object.__setattr__(self, "lens", _kind(CAMERAS, camera, "camera")())
+            demand_name("camera", camera, CAMERAS)
+            object.__setattr__(self, "lens", CAMERAS[camera]())
 
     @staticmethod
     def defaults(arguments: list[str]) -> "DeployCfg":
@@ -167,9 +168,3 @@ class DeployCfg:
             "models": bundle.manifest.sha256,
             "beta": selector.beta if self.selector == "paper" else calibrated,
         }
-
-
-def _kind(table: dict[str, type[Kind]], name: str, what: str) -> type[Kind]:
-    if name not in table:
-        raise unknown_name(what, name, table)
-    return table[name]

@@ -5,12 +5,12 @@ from pathlib import Path
 
 from renet.bundle import Bundle
 from renet.bundle.policy import Policy
-from renet.errors import RenetError
+from renet.errors import RenetError, demand_name
 from renet.evaluation.env import SimEnv, robot_of, study_env_cfg, terrain_env_cfg
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import FLAT, PARKOUR, EvalEnv, EvalPolicy, Rollout, Trial
 from renet.selector import make_selector
-from renet.selector.selector import MonitorSelector, check_kind
+from renet.selector.selector import SELECTORS, MonitorSelector
 from renet.sim.threads import THREADS
 from renet.tasks import RenetEnvCfg, RobotCfg
 from renet.tasks.sensors import depth_camera
@@ -30,7 +30,7 @@ class Evaluator:
             bundle: its folder; the one that ships with renet by default.
             engine: auto, native or warp. selector: monitors (all of them, with a dwell) or paper.
         """
-        check_kind(selector)
+        demand_name("selector", selector, SELECTORS)
         self.bundle = Bundle.load(bundle, threads=THREADS)
         self.engine, self.selector = engine, selector
 

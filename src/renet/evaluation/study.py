@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from renet.errors import RenetError
+from renet.errors import RenetError, demand_name
 from renet.evaluation import figures
 from renet.evaluation.results import kept, output_folder, plain, write_csv, write_json
 from renet.evaluation.rollout import Mode, Trial, check_finite, check_modes, check_speed
 from renet.interface import Engine, SelectorName
-from renet.selector.selector import check_kind
+from renet.selector.selector import SELECTORS
 from renet.terminal import show
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Study:
 
     def __post_init__(self) -> None:
         check_finite(self)
-        check_kind(self.selector)
+        demand_name("selector", self.selector, SELECTORS)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """Batches of robots by name, each kept on disk once it has run."""

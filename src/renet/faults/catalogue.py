@@ -1,6 +1,6 @@
 """The table of all fault models."""
 
-from renet.errors import unknown_name
+from renet.errors import demand_name
 from renet.faults import combined, image, physical, stereo, timing, vegetation
 from renet.faults.base import Fault
 
@@ -22,6 +22,5 @@ FAULTS: dict[str, type[Fault]] = {
 
 def fault_class(name: str) -> type[Fault]:
     """The fault model of a name; raises RenetError for an unknown one."""
-    if name not in FAULTS:
-        raise unknown_name("fault", name, FAULTS)
+    demand_name("fault", name, FAULTS)
     return FAULTS[name]

@@ -15,7 +15,7 @@ from typing import get_args
 
 import numpy as np
 
-from renet.errors import RenetError, unknown_name
+from renet.errors import RenetError, demand_name
 from renet.interface import SelectorName
 from renet.selector.filter import VISION_THRESHOLD, filter_delay, low_pass
 from renet.selector.monitors import MONITORS, Gate, Scorer, SelectorInput
@@ -66,8 +66,7 @@ class SelectorSpec:
                 f"selector.longest_memory must be finite, from 0 s, got {self.longest_memory}"
             )
         for name in self.thresholds:
-            if name not in MONITORS:
-                raise unknown_name("monitor", name, MONITORS)
+            demand_name("monitor", name, MONITORS)
 
     @property
     def used_thresholds(self) -> dict[str, float]:
@@ -268,15 +267,9 @@ def check_selector(spec: SelectorSpec) -> None:
             )
 
 
-def check_kind(kind: str) -> None:
-    """Raise RenetError for a name that is none of `SELECTORS`."""
-    if kind not in SELECTORS:
-        raise unknown_name("selector", kind, SELECTORS)
-
-
 def make_selector(kind: str, spec: SelectorSpec, num_robots: int = 1) -> MonitorSelector:
     """A selector for N robots by its name, one of `SELECTORS`; raises RenetError for another."""
-    check_kind(kind)
+    demand_name("selector", kind, SELECTORS)
     if kind == "paper":
         beta = {"reconstruction": spec.beta}
         return MonitorSelector(beta, spec, num_robots, dwell=0.0, between_returns=0.0)

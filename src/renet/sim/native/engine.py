@@ -24,7 +24,7 @@ import torch
 from mjlab.scene import Scene
 from mjlab.sim.sim import Simulation
 
-from renet.errors import RenetError, unknown_name
+from renet.errors import RenetError, demand_name
 from renet.interface import Engine
 from renet.sim.native import mujoco_memory, stages
 from renet.sim.native.collision_culling import CollisionCulling
@@ -252,8 +252,7 @@ def use_engine(name: str, device: str) -> Iterator[None]:
             native on a CPU, else warp; raises RenetError for any other.
         device: torch's name of the device, such as `cpu`.
     """
-    if name not in get_args(Engine):
-        raise unknown_name("engine", name, get_args(Engine))
+    demand_name("engine", name, get_args(Engine))
     on_cpu = torch.device(device).type == "cpu"
     if name == "native" and not on_cpu:
         raise RenetError(f"the native engine runs on the CPU, not on {device}: use --engine warp")
