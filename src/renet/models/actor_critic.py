@@ -12,13 +12,10 @@ from renet.models.config import ModelCfg
 
 
 def fuse(latent_op: Tensor, latent_vp: Tensor, op_mask: Tensor) -> Tensor:
-    """h = concat(h_b * mask, h_v * (1 - mask)) (RENet, eq. 3).
+    """h = concat(h_b * mask, h_v * (1 - mask)), [B, 128] (RENet, eq. 3).
 
     Args:
         latent_op, latent_vp: [B, 64]. op_mask: [B] or [B, 1], 1 where OP is selected, 0 for VP.
-
-    Returns:
-        [B, 128].
     """
     mask = op_mask.reshape(-1, 1).to(latent_op.dtype)
     return torch.cat((latent_op * mask, latent_vp * (1.0 - mask)), dim=-1)

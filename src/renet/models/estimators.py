@@ -141,16 +141,13 @@ class Estimator(nn.Module):
     def unroll(
         self, history: Tensor, depth: Tensor, has_image: Tensor, latent: Tensor, fresh: Tensor
     ) -> Tensor:
-        """Replay T ticks with gradients through time.
+        """Replay T ticks with gradients through time; returns latents [T, B, 64].
 
         Args:
             history: [T, B, H1, 45]. depth: [T, B, H2, 48, 64]. has_image: [T, B].
             latent: [B, 64] before the first tick.
             fresh: [T, B] bool, true where an episode began since the previous tick, so that its
                 memory starts from zero.
-
-        Returns:
-            Latents [T, B, 64].
         """
         ticks, batch = fresh.shape
         inputs = (values.flatten(0, 1) for values in (history, depth, has_image))

@@ -11,15 +11,12 @@ VISION_THRESHOLD = 0.5
 def low_pass(
     probability: np.ndarray, healthy: np.ndarray, gamma: float, count: int = 1
 ) -> np.ndarray:
-    """P_t = (1 - gamma) P_{t-1} + gamma P^_t, `count` times with the same P^_t.
+    """P_t = (1 - gamma) P_{t-1} + gamma P^_t, [N], `count` times with the same P^_t.
 
     Args:
         probability: vision probability P_{t-1}, [N].
         healthy: verdicts P^_t, [N] bool.
         gamma: weight of a new verdict, above 0 and at most 1. count: number of updates.
-
-    Returns:
-        P_t, [N].
     """
     return healthy + (1.0 - gamma) ** count * (probability - healthy)
 

@@ -31,14 +31,11 @@ def advantages(
     gamma: float,
     lam: float,
 ) -> Tensor:
-    """GAE of each column (Schulman et al. 2016).
+    """GAE of each column (Schulman et al. 2016), [T, N, K]; returns are these + value.
 
     Args:
         rewards_and_costs, value: [T, N, K]. last_value: [N, K], of the state after the last step.
         done: [T, N] bool; nothing is carried over the end of an episode.
-
-    Returns:
-        Advantages [T, N, K]; returns are advantages + value.
     """
     result, running = torch.empty_like(rewards_and_costs), torch.zeros_like(last_value)
     next_value = last_value
@@ -143,15 +140,12 @@ class NP3O:
     def update(
         self, rollout: PolicyRollout, last_value: Tensor, iteration: int, steps: float = 0.0
     ) -> dict[str, Tensor]:
-        """Learn from one rollout; on a GPU nothing here waits for the device.
+        """Learn from one rollout; mean losses by name. On a GPU nothing here waits for the device.
 
         Args:
             rollout: what the policy did. last_value: of the states after it, [N, 1 + K].
             iteration: with which the penalties' weight grows.
             steps: environment steps taken before the rollout, for `Schedule` settings.
-
-        Returns:
-            Mean losses by name.
         """
         self._entropy = value_at(self.cfg.entropy, steps)
         self._desired_kl = value_at(self.cfg.desired_kl, steps)

@@ -37,10 +37,7 @@ def cast(
     camera, pixel = wp.tid()  # type: ignore[misc]
     ray = rotation[camera] * rays[pixel]
     hit = wp.mesh_query_ray(mesh, position[camera], ray, limit)
-    if hit.result:
-        depth[camera, pixel] = hit.t
-    else:
-        depth[camera, pixel] = -1.0
+    depth[camera, pixel] = wp.where(hit.result, hit.t, -1.0)
 
 
 class TerrainScanner:
@@ -78,15 +75,14 @@ class TerrainScanner:
         return -self.clearance(position, None, position.new_zeros(1, 2)).squeeze(-1)
 
     def clearance(self, position: Tensor, rotation: Tensor | None, pattern: Tensor) -> Tensor:
-        """Height of frames over the terrain at points around them.
+        """Height of frames over the terrain at points around them, [N, P] m.
+
+        Where there is no terrain, it is taken as 1 m below the lowest surface.
 
         Args:
             position: [N, 3] m, world.
             rotation: [N, 3, 3], frame to world, whose yaw turns the pattern; None: no turn.
             pattern: [P, 2] m from the position.
-
-        Returns:
-            [N, P] m. Where there is no terrain, it is taken as 1 m below the lowest surface.
         """
         position = position.float()
         x, y = pattern.float().unbind(-1)
@@ -101,15 +97,12 @@ class TerrainScanner:
         return position[:, 2:] - (self.top - torch.where(fall < 0.0, self.drop, fall))
 
     def depth(self, position: Tensor, rotation: Tensor, lens: Intrinsics, limit: float) -> Tensor:
-        """Planar depth of cameras.
+        """Planar depth of cameras, [N, H * W] m to the image plane; -1 where nothing is seen.
 
         Args:
             position: [N, 3] m, world.
             rotation: [N, 3, 3], camera axes (forward, left, up) as columns, world.
             lens: rays of every camera. limit: m of depth beyond which nothing is seen.
-
-        Returns:
-            [N, H * W] m to the image plane; -1 where nothing is seen.
         """
         rays = torch.from_numpy(lens.rays(np.float32)).to(position.device)
         return self._cast(position, rotation, rays, limit)
