@@ -12,7 +12,7 @@ from renet import cli
 from renet.errors import RenetError
 from renet.faults import FAULTS
 from renet.interface import JOINTS, LEGS, proprioception_slices
-from renet.tasks import make_env, mdp
+from renet.tasks import env_cfg, make_env, mdp
 from renet.tasks.robot_cfg import rename_parts
 
 ROOT = Path(__file__).parents[1]
@@ -36,7 +36,7 @@ def added_robot():
 def env(request):
     if request.param == "AlienGo":
         added_robot()
-    made = make_env(f"Renet-{request.param}-Flat", 2, play=True)
+    made = make_env(env_cfg(f"Renet-{request.param}-Flat", play=True), 2)
     made.reset()
     yield made
     made.close()

@@ -4,7 +4,7 @@ import mujoco
 import pytest
 import torch
 
-from renet.tasks import make_env
+from renet.tasks import env_cfg, make_env
 from renet.terrain.tiles import LEVELS, tiles
 
 KINDS = list(tiles())
@@ -13,7 +13,7 @@ KINDS = list(tiles())
 @pytest.fixture(scope="module")
 def everywhere():
     """One robot on every tile of the curriculum."""
-    env = make_env("Renet-Go1-Parkour", LEVELS * len(KINDS), play=True)
+    env = make_env(env_cfg("Renet-Go1-Parkour", play=True), LEVELS * len(KINDS))
     terrain = env.scene.terrain
     tile = torch.arange(env.num_envs)
     terrain.terrain_levels[:], terrain.terrain_types[:] = tile // len(KINDS), tile % len(KINDS)

@@ -55,9 +55,8 @@ def terrain_env_cfg(terrain: str | Mapping[str, int], robot: RobotCfg) -> RenetE
     """
     if terrain == FLAT:
         return flat_env_cfg(play=True, robot=robot)
-    if isinstance(terrain, str):
-        return tile_env_cfg(parkour_terrain(UNSEEN), play=True, robot=robot)
-    return tile_env_cfg(tile_row(terrain), play=True, robot=robot)
+    tiles = parkour_terrain(UNSEEN) if isinstance(terrain, str) else tile_row(terrain)
+    return tile_env_cfg(tiles, play=True, robot=robot)
 
 
 def study_env_cfg(task: str | RenetEnvCfg, speed: float) -> RenetEnvCfg:

@@ -78,18 +78,16 @@ def make_env(
     device: str = "cpu",
     seed: int = 1,
     engine: str = "auto",
-    play: bool = False,
 ) -> RenetEnv:
     """Build a task's environment; raises RenetError for an unknown task or engine.
 
     Args:
         task: task id, or a configuration, which is left as it is.
         engine: auto, native or warp (see renet.sim.native.engine).
-        play: the task's evaluation variant, without noise, pushes and curriculum.
     """
     if num_envs < 1:
         raise RenetError(f"the number of environments must be at least 1, got {num_envs}")
-    cfg = env_cfg(task, play) if isinstance(task, str) else deepcopy(task)
+    cfg = env_cfg(task) if isinstance(task, str) else deepcopy(task)
     cfg.scene.num_envs = num_envs
     cfg.seed = seed
     gc.collect()  # Earlier environments: few objects with much memory that refer to one another.
@@ -98,12 +96,14 @@ def make_env(
 
 
 def env_cfg(task: str, play: bool = False) -> RenetEnvCfg:
-    """A copy of a registered RENet task's configuration; raises RenetError if there is none."""
+    """A copy of a registered RENet task's configuration; raises RenetError if there is none.
+
+    With `play` it is the evaluation variant, without noise, pushes and curriculum.
+    """
     import mjlab.tasks  # noqa: F401  registers every plug-in's tasks
 
     if task not in list_tasks():
-        renet_tasks = [name for name in list_tasks() if name.startswith("Renet")]
-        raise unknown_name("task", task, renet_tasks)
+        raise unknown_name("task", task, [n for n in list_tasks() if n.startswith("Renet")])
     cfg = load_env_cfg(task, play)
     if not isinstance(cfg, RenetEnvCfg):
         raise RenetError(f"{task} is not a RENet task: it defines no constraint costs")
