@@ -12,6 +12,7 @@ import onnx
 import pytest
 
 from renet.bundle import MANIFEST, PREVIOUS, Bundle, pretrained, write_bundle, write_manifest
+from renet.bundle.models import remembers
 from renet.errors import RenetError
 from renet.files import temporary_path
 from renet.models.config import ModelCfg
@@ -117,8 +118,9 @@ def test_a_bundle_of_schema_1_loads_and_has_no_memory(bundle_path, tmp_path, net
     old = write_bundle(tmp_path / "old", plain, manifest)
     edit(old, lambda m: (m.update(schema=1), m["selector"].pop("longest_memory")))
     bundle = Bundle.load(old)
-    assert (bundle.remembers, bundle.manifest.selector.longest_memory) == (False, 0.0)
-    assert Bundle.load(bundle_path).remembers
+    assert not remembers(bundle.sessions["estimator"])
+    assert bundle.manifest.selector.longest_memory == 0.0
+    assert remembers(Bundle.load(bundle_path).sessions["estimator"])
     write_manifest(old, bundle.manifest)
     assert json.loads((old / MANIFEST).read_text())["schema"] == 2
     edit(old, lambda m: m["selector"].update(longest_memory=1.0))

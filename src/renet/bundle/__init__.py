@@ -70,7 +70,7 @@ class Bundle:
                     f"{folder}: the selector has a threshold of the {name.replace('_', ' ')}, but"
                     f" {model}.onnx has no {output}: run `renet calibrate`"
                 )
-        if manifest.selector.longest_memory and not bundle.remembers:
+        if manifest.selector.longest_memory and not remembers(sessions["estimator"]):
             raise RenetError(
                 f"{folder}: the selector lets VP drive without an image, but estimator.onnx has no"
                 f" input {HAS_IMAGE}: set selector.longest_memory to 0"
@@ -80,11 +80,6 @@ class Bundle:
     def outputs(self, model: str) -> set[str]:
         """Names of a model's outputs."""
         return {output.name for output in self.sessions[model].get_outputs()}
-
-    @property
-    def remembers(self) -> bool:
-        """Whether VP can do without an image; bundles of before schema 2 cannot."""
-        return remembers(self.sessions["estimator"])
 
     @property
     def predicts_variance(self) -> bool:
