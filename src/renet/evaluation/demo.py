@@ -134,15 +134,12 @@ class DemoStudy(WalkingStudy):
         return [(title, ("when the camera dies", "crossed", "fell"), rows)]
 
 
-HEADLINES = {"demo": gap_headline, "noise": noise_headline}
-
-
 def run_demo(study: Study, evaluator: Evaluator | None = None) -> str:
     """Run the demo's or the noise study, put it on one page and return what it comes to."""
     summary = study.run(evaluator)
     for table in study.tables(summary):
         show(*table)
-    sentence = HEADLINES[study.name](summary)
+    sentence = {"demo": gap_headline, "noise": noise_headline}[study.name](summary)
     sections = study_sections(study.name, summary, study.out)
     sections.insert(1, render("demo_method"))
     page = write_page(study.out / "index.html", "A robot dog loses its eyes", sentence, sections)

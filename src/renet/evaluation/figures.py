@@ -26,20 +26,15 @@ FAMILIES = {
     "salt_and_pepper": ("#fdae6b", "#f16913", "#a63603"),
 }
 INK, FAINT = "#222730", "#8a919c"
-MODE_COLOURS = {
-    "vp": SEES,
-    "renet": REMEMBERS,
-    "op": BLIND,
-    "paper": "#009e73",
-    "oracle-switch": "#7d8590",
+MODES = {
+    "vp": (SEES, "VP alone"),
+    "renet": (REMEMBERS, "RENet"),
+    "op": (BLIND, "OP alone"),
+    "paper": ("#009e73", "paper's switch"),
+    "oracle-switch": ("#7d8590", "switch that knows the fault"),
 }
-MODE_NAMES = {
-    "vp": "VP alone",
-    "renet": "RENet",
-    "op": "OP alone",
-    "paper": "paper's switch",
-    "oracle-switch": "switch that knows the fault",
-}
+MODE_COLOURS = {mode: colour for mode, (colour, _) in MODES.items()}
+MODE_NAMES = {mode: name for mode, (_, name) in MODES.items()}
 
 STYLE: dict[Any, Any] = {
     "figure.facecolor": "white",

@@ -9,8 +9,6 @@ from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
 from renet.selector.selector import MonitorSelector
 
-UPDATES_PER_TICK = UPDATES_PER_STEP * STEPS_PER_TICK
-
 
 class MonitorLog:
     """Records every monitor's score; a rollout's `on_update`."""
@@ -23,7 +21,7 @@ class MonitorLog:
     def __call__(self, seen: SelectorInput) -> None:
         """Take the scores of one update; a tick keeps the highest of its updates."""
         scores = self._scorer.scores(seen)
-        if self._updates % UPDATES_PER_TICK == 0:
+        if self._updates % (UPDATES_PER_STEP * STEPS_PER_TICK) == 0:
             self._ticks.append(scores)
         else:
             np.maximum(self._ticks[-1], scores, out=self._ticks[-1])

@@ -48,8 +48,6 @@ OFFERED = {
     "unplugged": "Unplugged",
 }
 """Faults of the catalogue that the page offers, and what it calls them."""
-OPENING = "blackout"
-"""Fault of the scene that opens the page."""
 OUTPUTS = {"anomaly_score": "anomalyScore", "variance_score": "varianceScore"}
 """Outputs of the vision model that monitors judge, and what the page's policy calls them."""
 PROFILE = 0.01
@@ -111,7 +109,7 @@ def _bundle(bundle: Bundle) -> dict[str, Any]:
         # A memory shows at a gap; without one, a blind robot finds its way down stairs.
         "opening": {
             "ground": "gap" if remembers else "stairs_down",
-            "fault": OPENING,
+            "fault": "blackout",
             "left": "forgets" if remembers else "vp",
         },
         "selectors": {kind: _selector(kind, spec) for kind in SELECTORS},
