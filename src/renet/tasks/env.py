@@ -73,11 +73,7 @@ def _looks_at_substeps(cfg: RenetEnvCfg) -> bool:
 
 
 def make_env(
-    task: str | RenetEnvCfg,
-    num_envs: int,
-    device: str = "cpu",
-    seed: int = 1,
-    engine: str = "auto",
+    task: str | RenetEnvCfg, num_envs: int, device: str = "cpu", seed: int = 1, engine: str = "auto"
 ) -> RenetEnv:
     """Build a task's environment; raises RenetError for an unknown task or engine.
 
