@@ -65,6 +65,7 @@ def test_an_older_checkpoint_of_a_run_branches_off(tmp_path):
     old, new = (checkpoints.save(Checkpoint({}, {}, {}), folder, it, keep=9) for it in (5, 9))
     assert resumed_run(old, None) is None
     assert resumed_run(new, None) == folder.parent
+    assert resumed_run(tmp_path / "checkpoints" / "best", None) is None
 
 
 def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(

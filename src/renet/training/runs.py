@@ -28,8 +28,8 @@ def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
         return None
     run = checkpoint.parent.parent
     elsewhere = root is not None and run.resolve().parent.parent != root.resolve()
-    newest = checkpoints.checkpoints(checkpoint.parent)[-1]
-    return None if elsewhere or newest != checkpoint else run
+    newest = checkpoints.checkpoints(checkpoint.parent)[-1:]  # None of a copy with another name.
+    return None if elsewhere or newest != [checkpoint] else run
 
 
 def new_run(root: Path | None, experiment: str, name: str = "") -> Path:
