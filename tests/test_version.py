@@ -8,9 +8,7 @@ from pathlib import Path
 from renet import __version__, version
 
 
-def test_an_edited_clone_is_told_from_a_clean_one_and_from_an_installed_package(
-    tmp_path, monkeypatch
-):
+def test_an_edited_clone_is_told_from_a_clean_and_an_installed_one(tmp_path, monkeypatch):
     monkeypatch.setattr(version, "CHECKOUT", tmp_path / "inside")
     (tmp_path / "inside").mkdir()
     (tmp_path / "file").write_text("1")

@@ -133,13 +133,10 @@ WRONG: dict[str, dict[str, list]] = {
         ("memory", {"without": (1.0, 1.0)}, "different times above 0 s"),
         ("memory", {"before": -1.0}, "before must be at least 0 s"),
         ("camera_use", {"grounds": ("gap",)}, "write KIND:LEVEL, of flat, rough"),
-        ("camera_use", {"grounds": ("moon:3",)}, "moon"),
-        ("camera_use", {"grounds": ()}, "give a ground"),
         ("camera_use", {"robots": 1}, "at least 2 robots"),
         ("camera_use", {"speed": 0.0}, "speed must be positive"),
         ("camera_use", {"modes": ("both",)}, "modes both"),
         ("camera_use", {"modes": ("vp", "op")}, "one mode"),
-        ("camera_use", {"grounds": ("stairs:3",)}, "write KIND:LEVEL"),
     ],
 )
 def test_settings_that_measure_nothing_are_refused(study, wrong, message):

@@ -71,9 +71,8 @@ def test_it_enters_the_leaderboard_with_one_command(model, tmp_path, monkeypatch
     assert summary["provenance"]["bundle_hash"] == sha256(model.read_bytes()).hexdigest()
     assert {run["falls"] for run in summary["runs"]} == {0}
     board = (tmp_path / "leaderboard.md").read_text().split("\n\n")[1].splitlines()
-    assert sorted(line.split(" | ")[1:3] for line in board[2:]) == [
-        ["still", mode] for mode in ("op", "renet", "vp")
-    ]
+    rows = sorted(line.split(" | ")[1:3] for line in board[2:])
+    assert rows == [["still", mode] for mode in ("op", "renet", "vp")]
 
 
 PLAYGROUND = """

@@ -87,9 +87,7 @@ def test_a_link_tells_a_story_from_fault_to_outcome(visit, address):
     assert story.its("simulations.map((one) => one.camera.fault.name)") == ["blackout"] * 2
     story.until("document.querySelector('#verdict').textContent")
 
-    robots = story.its(
-        "simulations.map((one) => ({ fell: one.fell, state: one.state, up: one.upright }))"
-    )
+    robots = story.its("simulations.map(({ fell, state, upright }) => ({ fell, state, upright }))")
     sentence = story.page.text_content("#verdict")
     outcomes = story.page.locator(".outcome").all_text_contents()
     parts = sentence.split(". ")
@@ -98,7 +96,7 @@ def test_a_link_tells_a_story_from_fault_to_outcome(visit, address):
     assert [words.split(" ")[0] for words in parts] == [left, "Renet"]
     for robot, words, outcome in zip(robots, parts, outcomes, strict=True):
         assert ("fell" in words) == robot["fell"] == outcome.startswith("Fell after")
-        assert robot["fell"] or robot["up"] > 0.5
+        assert robot["fell"] or robot["upright"] > 0.5
     assert robots[1]["state"] != "sees", "renet noticed"
     assert ("from memory" in parts[1]) == (remembers and not robots[1]["fell"])
     assert all(url.startswith((address, "blob:", "data:")) for url in story.requests)

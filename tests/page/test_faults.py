@@ -26,8 +26,8 @@ TICKS = np.arange(-2, 12)
 ELAPSED = np.where(TICKS >= 0, 0.1 * TICKS, -1.0)
 GROUND = 0.9 - 0.015 * ROWS + 0.002 * COLUMNS - 0.01 * TICKS[:, None, None]
 IMAGES = GROUND + 0.02 * np.random.default_rng(3).standard_normal(GROUND.shape)
-IMAGES = IMAGES.clip(0, 1).astype(np.float32)
-"""Ground that comes nearer, with noise."""
+FRAMES = [*zip(IMAGES.clip(0, 1).astype(np.float32), ELAPSED, strict=True)]
+"""Ground that comes nearer, with noise, and seconds since the fault."""
 
 
 def summary(before: np.ndarray, after: Frames) -> np.ndarray:
@@ -43,7 +43,7 @@ def summary(before: np.ndarray, after: Frames) -> np.ndarray:
 def catalogue(name: str, level: float, streams: int) -> np.ndarray:
     fault = FAULTS[name](level, [np.random.default_rng(seed) for seed in range(streams)])
     summaries = []
-    for image, elapsed in zip(IMAGES, ELAPSED, strict=True):
+    for image, elapsed in FRAMES:
         frames = Frames.healthy(np.repeat(image[None], streams, axis=0))
         after = fault.corrupt(frames, np.full(streams, elapsed))
         summaries += [summary(image, after)] if elapsed >= 0 else []
@@ -54,10 +54,7 @@ def catalogue(name: str, level: float, streams: int) -> np.ndarray:
 def delivered(node_page, tmp_path_factory) -> dict:
     """The page's summaries of each fault and severity, [streams, frames, numbers]."""
     path = tmp_path_factory.mktemp("faults") / "input.json"
-    listed = [
-        {"image": image.ravel().tolist(), "elapsed": elapsed}
-        for image, elapsed in zip(IMAGES, ELAPSED, strict=True)
-    ]
+    listed = [{"image": image.ravel().tolist(), "elapsed": elapsed} for image, elapsed in FRAMES]
     streams = {name: 1 if name in CERTAIN else STREAMS for name in OFFERED}
     path.write_text(json.dumps({"frames": listed, "streams": streams, "severities": SEVERITIES}))
     return run_node("faults.mjs", WEB, node_page, path)

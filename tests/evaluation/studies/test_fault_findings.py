@@ -49,11 +49,8 @@ def test_harm_and_misses_are_published():
 
 def test_severities_and_onsets_are_judged_together_and_grounds_apart():
     rows = [run("foam", "vp", 3), run("foam", "renet", detected=0)]
-    worse = [
-        row | {"severity": 5, "onset": onset, "falls": 6}
-        for onset in (1.5, 2.5, 3.5)
-        for row in rows
-    ]
+    later = ({"severity": 5, "onset": onset, "falls": 6} for onset in (1.5, 2.5, 3.5))
+    worse = [row | change for change in later for row in rows]
     # 3 of 10 against none of 10: 10.5 %; 21 of 40: 0.2 %.
     assert not missed(rows, usual(0))[0]["beyond_chance"]
     assert [miss["beyond_chance"] for miss in missed(rows + worse, usual(0))] == [True] * 4
