@@ -38,7 +38,7 @@ def commands(page: Path) -> list[tuple[str, str, str]]:
 
 COMMANDS = sorted({(page.name, *row) for page in PAGES for row in commands(page)})
 INLINE = re.findall(r"`(renet [^`…]+)`", (ROOT / "README.md").read_text())
-LINES = sorted({x for _, x, *_ in COMMANDS} | {*INLINE})
+LINES = sorted({line for _, line, *_ in COMMANDS} | {*INLINE})
 
 
 @pytest.mark.parametrize(("page", "line", "comment", "above"), COMMANDS)
