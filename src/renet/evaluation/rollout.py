@@ -216,7 +216,7 @@ class Rollout:
         self._result = self.env.reset()
         self.policy.reset()
         for selector in self.selectors:
-            selector.reset(everybody)
+            selector.reset()
         self._frames = Frames.healthy(self._result.depth)
         self._trusted = everybody
         """[N] bool: the last answer of the selector that each robot obeys."""
