@@ -3,9 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.resources import files
 from itertools import groupby
-from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
@@ -13,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from renet.bundle import Bundle, write_bundle
+from renet.bundle import Bundle, pretrained, write_bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.buffer import FrameBuffer
 from renet.deploy.cameras.faulty import FaultyCamera
@@ -35,7 +33,7 @@ from renet.training.export import ExportCfg, export, export_models, load_network
 
 from .fakes import ARM, GO, STANDING, WALKS_AT, Broken, Run, frame, robot_on, state, time_of, turned
 
-CHECKPOINT = Path(str(files("renet").joinpath("pretrained", "checkpoint")))
+CHECKPOINT = pretrained("checkpoint")
 SECONDS = 20.0
 FAULTS = ("blackout@2s+2s", "frozen:3@9s", "salt_and_pepper:2@14s+1s")
 
@@ -73,12 +71,11 @@ def test_it_rises_and_then_walks(run):
     assert decision.mode is Mode.STANDING_UP
     assert not decision.action.any()
     assert not any((decision.vision, decision.inferred, decision.fallback))
-    command = run.tick(joint_position=crouched)
+    run.tick(joint_position=crouched)
     begun = [(time_of(1), "standing_up", "armed"), (time_of(WALKS_AT), "walking", "stood up")]
     assert run.events == [Event(*words) for words in begun]
     assert run.controller.decision.mode is Mode.WALKING
     assert run.controller.decision.action.any()
-    assert np.isfinite(command.position).all()
 
 
 def test_motors_that_obey_nobody_and_a_robot_that_falls_as_it_stands_do_not_walk(bundle):
@@ -243,7 +240,6 @@ def test_a_malformed_frame_costs_vision_and_nothing_else(walk, bad):
         ({"joint_position": np.full(12, np.nan)}, "joint_position is not finite"),
         ({"quaternion": turned("x", 180)}, "tilted"),
         ({"time": -5.0}, "the state is"),
-        ({"joint_velocity": np.zeros((12, 1))}, "shape"),
     ],
 )
 def test_a_bad_reading_damps_and_arming_brings_it_back(walk, changes, reason):

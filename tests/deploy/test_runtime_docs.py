@@ -6,9 +6,9 @@ import signal
 import sys
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -36,57 +36,41 @@ def program(marker: str) -> str:
     return found
 
 
-class Link:
-    """A robot that stands still, remembers what it was told, and says when it lies or stands."""
-
-    def __init__(self) -> None:
-        self.told: list[np.ndarray] = []
-        self.closed = False
-        self.on_lying = self.on_standing = lambda: None
-
-    def newest(self) -> SimpleNamespace:
-        names = ("time", "q", "dq", "torque", "quaternion_wxyz", "gyro")
-        reading = vars(state(time.monotonic())).values()
-        return SimpleNamespace(**dict(zip(names, reading, strict=False)))
-
-    def servo(self, position, stiffness, damping) -> None:
-        self.told.append(stiffness)
-        if stiffness.any():
-            self.on_standing()
-        elif len(self.told) % 100 == 1:
-            self.on_lying()
-
-    def close(self) -> None:
-        self.closed = True
+def newest() -> SimpleNamespace:
+    """The reading of a robot that stands still, as the page's library gives it."""
+    names = ("time", "q", "dq", "torque", "quaternion_wxyz", "gyro")
+    return SimpleNamespace(**dict(zip(names, vars(state(time.monotonic())).values(), strict=False)))
 
 
-@pytest.fixture
-def link(tmp_path, monkeypatch) -> Link:
-    """The page's robot, in a folder that holds its description."""
-    link = Link()
+@pytest.mark.parametrize("end", ["q", "Ctrl-C"])
+def test_another_robot_in_a_page_until_it_ends(terminal, tmp_path, monkeypatch, bundle_path, end):
+    """The page's program, then `renet deploy` with a bundle for its robot and somebody's hand."""
+    link = Mock(newest=newest)
+
+    def servo(position, stiffness, damping) -> None:
+        if not stiffness.any():
+            os.write(terminal, b"r" * (link.servo.call_count % 100 == 1))  # May come too early.
+        elif end == "q":
+            os.write(terminal, b"q")
+        else:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    link.servo.side_effect = servo
     monkeypatch.setitem(sys.modules, "my_sdk", SimpleNamespace(open=lambda port: link))
     monkeypatch.setitem(catalogue.ROBOTS, "mine", None)
     monkeypatch.setitem(descriptions.DESCRIPTIONS, "My robot", None)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_robot.xml").write_text(GO1.mjcf.read_text())
-    return link
-
-
-@pytest.mark.parametrize("end", ["q", "Ctrl-C"])
-def test_another_robot_in_a_page_until_it_ends(link, terminal, tmp_path, bundle_path, end):
-    """The page's program, then `renet deploy` with a bundle for its robot and somebody's hand."""
-    link.on_lying = lambda: os.write(terminal, b"r")  # Again: the first may come too early.
-    interrupt = partial(os.kill, os.getpid(), signal.SIGINT)
-    link.on_standing = interrupt if end == "Ctrl-C" else partial(os.write, terminal, b"q")
     manifest = read_manifest(bundle_path)
     robot = replace(manifest.robot, name="My robot")
     write_manifest(bundle_path, replace(manifest, robot=robot))
     exec(program("my_sdk"), {"__name__": "my_robot"})
     options = f"--robot mine --port {PORT} --camera none --teleop keyboard --out out"
     assert cli.main(["deploy", str(bundle_path), *options.split()]) == 0
-    assert link.closed
-    assert any(stiffness.any() for stiffness in link.told), "it stood up"
-    assert not link.told[-1].any(), "it ends braking"
+    link.close.assert_called_once()
+    stiff = [call.args[1].any() for call in link.servo.call_args_list]
+    assert any(stiff), "it stood up"
+    assert not stiff[-1], "it ends braking"
     run = read_recording(tmp_path / "out" / "recording.log")
     assert run.complete
     assert run.events[0].why == "armed"

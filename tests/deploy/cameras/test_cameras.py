@@ -1,9 +1,11 @@
 """Cameras around cameras: faults injected, flights shown again."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 
-from renet.deploy.cameras.base import DepthFrame
+from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.recording.recorder import TICK_DTYPE, Recording
 from renet.deploy.recording.replay import ReplayCamera
@@ -11,48 +13,33 @@ from renet.errors import RenetError
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
 
-from ..fakes import frame, time_of
+from ..fakes import Standing, frame, time_of
 
 
-class Source:
-    """A clock and a camera of a given rate."""
+def watch(fault: str, steps: int, idle: int = 0, every: int = 5) -> list[DepthFrame]:
+    """What is shown at each of some steps, after idle ones, of a frame in `every` steps."""
+    step = 0
 
-    def __init__(self, every: int = 5) -> None:
-        self.step, self.every, self.open = 0, every, False
-
-    def now(self) -> float:
-        return 50.0 + time_of(self.step)
-
-    def start(self) -> None:
-        self.open = True
-
-    def latest(self) -> DepthFrame | None:
-        last = self.step - self.step % self.every
+    def latest() -> DepthFrame:
+        last = step - step % every
         return frame(last, 50.0 + time_of(last))
 
-    def close(self) -> None:
-        self.open = False
-
-
-def watch(source: Source, fault: str, steps: int, idle: int = 0) -> list[DepthFrame]:
-    """What the camera shows at each step, first asked `idle` steps after its start."""
-    camera = FaultyCamera(source, [parse_fault(fault)], source.now, seed=1)
+    source = Mock(spec=Camera, latest=latest)
+    camera = FaultyCamera(source, [parse_fault(fault)], lambda: 50.0 + time_of(step), seed=1)
     camera.start()
-    assert source.open
-    source.step += idle
+    source.start.assert_called_once()
     seen = []
-    for _ in range(steps):
+    for step in range(idle, idle + steps):  # noqa: B007  (the clock)
         seen.append(camera.latest())
-        source.step += 1
     camera.close()
-    assert not source.open
+    source.close.assert_called_once()
     return seen
 
 
 @pytest.mark.parametrize("idle", [0, 500])
 def test_blackout_from_its_onset_to_its_end(idle):
     """Counted from the first look: a controller takes its time to load."""
-    seen = watch(Source(), "blackout@1s+0.5s", 100, idle)
+    seen = watch("blackout@1s+0.5s", 100, idle)
     black = [not shown.image.any() for shown in seen]
     assert not any(black[:50])
     assert all(black[50:75])
@@ -61,7 +48,7 @@ def test_blackout_from_its_onset_to_its_end(idle):
 
 
 def test_an_unplugged_camera_grows_old_and_comes_back():
-    seen = watch(Source(), "unplugged:1@1s", 120)
+    seen = watch("unplugged:1@1s", 120)
     ages = [50.0 + time_of(k) - shown.time for k, shown in enumerate(seen)]
     assert max(ages[:50]) < 0.1
     assert ages[99] == pytest.approx(1.08)
@@ -69,25 +56,25 @@ def test_an_unplugged_camera_grows_old_and_comes_back():
 
 
 def test_holes_are_told():
-    assert watch(Source(), "glare:4@0s", 10)[-1].invalid > 0.3
+    assert watch("glare:4@0s", 10)[-1].invalid > 0.3
 
 
 def test_a_faster_camera_is_thinned_out_to_ten_frames_a_second():
-    seen = watch(Source(every=2), "blackout@9s", 100)
+    seen = watch("blackout@9s", 100, every=2)
     times = sorted({shown.time for shown in seen})
     assert len(times) == 20
     assert np.diff(times).min() >= 0.08 - 1e-9
 
 
 def test_a_silent_camera_stays_silent():
-    source = Source()
-    source.latest = lambda: None
-    assert watch(source, "blackout@0s", 10) == [None] * 10
+    silent = Mock(spec=Camera, latest=Mock(return_value=None))
+    camera = FaultyCamera(silent, [parse_fault("blackout@0s")], Standing().now, seed=1)
+    assert [camera.latest() for _ in range(10)] == [None] * 10
 
 
 def test_faults_of_the_scene_are_refused():
     with pytest.raises(RenetError, match="acts on the scene"):
-        watch(Source(), "glass@1s", 1)
+        watch("glass@1s", 1)
 
 
 @pytest.mark.parametrize(
@@ -117,18 +104,18 @@ def test_a_flight_is_shown_again_on_another_clock():
     ticks["frame_number"][[3, 8]] = (11, 12)
     ticks["frame_invalid"][8] = 0.25
     images = {row: np.full((48, 64), row / 10, np.float16) for row in (3, 8)}
-    source = Source()
-    camera = ReplayCamera(Recording({}, ticks, images, [], True), source.now)
+    clock = Standing()
+    camera = ReplayCamera(Recording({}, ticks, images, [], True), clock.now)
     assert camera.latest() is None
-    source.step = 40
+    clock.time = 50.8
     camera.start()
     numbers = []
     for _ in range(10):
         numbers.append(camera.latest().number)
-        source.step += 1
+        clock.time += CONTROL_DT
     assert numbers == [11] * 5 + [12] * 5
     last = camera.latest()
     assert (last.time, last.invalid) == (pytest.approx(50.9), 0.25)
     camera.close()
     with pytest.raises(RenetError, match="without a camera"):
-        ReplayCamera(Recording({}, ticks, {}, [], True), source.now)
+        ReplayCamera(Recording({}, ticks, {}, [], True), clock.now)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -52,17 +52,10 @@ class Device:
 
 
 class Bus:
-    """librealsense with a USB bus of ours: its own lists no software devices."""
+    """A USB bus of ours: librealsense's own lists no software devices."""
 
-    def __init__(self) -> None:
-        self.plugged: list[Device] = []
-        self.broken = False
-
-    def __getattr__(self, name: str):
-        return getattr(rs, name)
-
-    def context(self) -> Bus:
-        return self
+    plugged: Sequence[Device] = ()
+    broken = False
 
     def query_devices(self):
         if self.broken:
@@ -79,7 +72,7 @@ def device() -> Device:
 def bus(monkeypatch) -> Bus:
     """What a camera finds that is not told its device."""
     bus = Bus()
-    monkeypatch.setattr(realsense, "realsense", lambda: bus)
+    monkeypatch.setattr(rs, "context", lambda: bus)
     return bus
 
 

@@ -15,11 +15,9 @@ from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.go1.driver import POWER_LEVEL
 from renet.deploy.robots.go1.link import Go1Link
 from renet.deploy.robots.real.braking import PERIOD
-from renet.deploy.robots.sim.mujoco import MujocoRobot
-from renet.deploy.robots.sim.scene import build_scene
 from renet.interface import JOINTS
-from renet.training.export import robot_spec
 
+from ..fakes import robot_on
 from . import peer
 from .peer import VENDOR
 
@@ -72,9 +70,8 @@ class Peer(peer.Peer):
         self.port = self._socket.getsockname()[1]
         address = ("127.0.0.1", self.port, free_port())
         self.driver = "renet.deploy.robots.go1.driver:go1_robot", address
-        model, ground = build_scene("flat")
-        model.opt.timestep = PERIOD
-        self.robot = MujocoRobot(model, robot_spec(), ground)
+        self.robot = robot_on()
+        self.robot.model.opt.timestep = PERIOD
         self.data = self.robot.data
         self.silent = self.overloaded = self.garbled = self.still = False
         self.ticks = 0

@@ -22,7 +22,7 @@ from renet.errors import RenetError
 from renet.interface import CONTROL_DT
 from renet.training.export import robot_spec
 
-from ..fakes import ARM, QUICK, STANDING, frame, state, time_of, turned
+from ..fakes import ARM, QUICK, STANDING, command, frame, state, time_of, turned
 
 GO1, CFG = robot_spec(), SafetyCfg()
 IDLE = TeleopCommand()
@@ -203,34 +203,28 @@ def test_rising_starts_at_the_measured_pose_and_ends_at_the_default():
 
 
 def test_damping_only_brakes():
-    command = damping_command(GO1, CFG)
-    assert (command.stiffness == 0).all()
-    assert (command.damping == CFG.damping).all()
-    np.testing.assert_array_equal(command.position, GO1.default_position)
+    brakes = vars(damping_command(GO1, CFG))
+    np.testing.assert_equal(brakes, vars(command(GO1.default_position, 0.0, CFG.damping)))
 
 
 def test_a_small_step_passes_unchanged():
-    command = limited_command(STANDING + 0.1, STANDING, state(), GO1, CFG)
-    np.testing.assert_allclose(command.position, STANDING + 0.1)
-    np.testing.assert_allclose(command.stiffness, 40.0)
-    np.testing.assert_allclose(command.damping, 1.0)
+    passed = limited_command(STANDING + 0.1, STANDING, state(), GO1, CFG)
+    np.testing.assert_equal(vars(passed), vars(command(STANDING + 0.1)))
 
 
 twelve = st.lists(st.floats(-1e6, 1e6), min_size=12, max_size=12).map(np.array)
-ranges = st.lists(st.floats(0, 1), min_size=12, max_size=12).map(
-    lambda share: np.array(GO1.lower) + share * np.subtract(GO1.upper, GO1.lower)
-)
+ranges = st.tuples(*map(st.floats, GO1.lower, GO1.upper)).map(np.array)
 
 
 @given(twelve, ranges, ranges, st.lists(st.floats(-60, 60), min_size=12, max_size=12))
 def test_no_command_leaves_its_limits(target, previous, position, velocity):
     reading = state(joint_position=position, joint_velocity=np.array(velocity))
-    command = limited_command(target, previous, reading, GO1, CFG)
-    assert ((command.position >= GO1.lower) & (command.position <= GO1.upper)).all()
-    assert (np.abs(command.position - previous) <= CFG.target_rate * CONTROL_DT + 1e-9).all()
-    assert (command.stiffness <= 40.0).all()
-    assert ((command.damping >= 0.0) & (command.damping <= 1.0)).all()
-    torque = command.stiffness * (command.position - position) - command.damping * velocity
+    limited = limited_command(target, previous, reading, GO1, CFG)
+    assert ((limited.position >= GO1.lower) & (limited.position <= GO1.upper)).all()
+    assert (np.abs(limited.position - previous) <= CFG.target_rate * CONTROL_DT + 1e-9).all()
+    assert (limited.stiffness <= 40.0).all()
+    assert ((limited.damping >= 0.0) & (limited.damping <= 1.0)).all()
+    torque = limited.stiffness * (limited.position - position) - limited.damping * velocity
     assert (np.abs(torque) <= np.array(GO1.torque_limit) + 1e-6).all()
 
 
