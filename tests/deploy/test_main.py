@@ -16,7 +16,7 @@ import tyro
 
 from renet import cli, descriptions
 from renet.bundle import Bundle, read_manifest, write_manifest
-from renet.deploy import catalogue, devices, main
+from renet.deploy import devices, main
 from renet.deploy.catalogue import Go1Cfg, ReplayCfg, SimulationCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
@@ -254,41 +254,6 @@ def test_a_simulation_takes_model_height_and_limits_from_the_bundles_robot(spot,
     assert robot.base_position[2] == 0.4
     assert (robot.envelope.velocity[2], robot.envelope.damping) == (10.0, 5.0)
     assert run(tmp_path / "out", bundle=spot, seconds=1.0).header["robot"] == "mujoco"
-
-
-DRIVER = """
-from dataclasses import dataclass
-from renet.deploy.catalogue import ROBOTS, SimulationCfg
-
-@dataclass(frozen=True)
-class MoonCfg(SimulationCfg):
-    gravity: float = 1.6
-
-    def build(self, robot, live, seed, dry_run):
-        driver = super().build(robot, live, seed, dry_run)
-        driver.model.opt.gravity[2] = -self.gravity
-        return driver
-
-ROBOTS["moon"] = MoonCfg
-"""
-
-
-def test_a_driver_of_an_installed_package_is_known(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(catalogue.ROBOTS, "moon", None)  # Taken out again at the end.
-    for name, points in (("moon", "moon = moon_driver"), ("broken", "broken = no_such_module")):
-        info = tmp_path / f"{name}-1.0.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-        (info / "entry_points.txt").write_text(f"[renet.robots]\n{points}\n")
-    (tmp_path / "moon_driver.py").write_text(DRIVER)
-    monkeypatch.syspath_prepend(tmp_path)
-    out = tmp_path / "out"
-    arguments = ["deploy", "--robot", "moon", "--gravity", "3.7", "--seconds", "0.1", "--out", out]
-    assert cli.main([str(argument) for argument in arguments]) == 0
-    assert read_recording(out / RECORDING).header["gravity"] == 3.7
-    told = capsys.readouterr().err
-    assert "cannot use no_such_module" in told
-    assert "moon" not in told
 
 
 @pytest.mark.parametrize("option", ["--terrain gap", "--viewer", "--host 10.0.0.1", "--serial 1"])

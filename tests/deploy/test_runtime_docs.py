@@ -20,7 +20,6 @@ from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import deploy
 from renet.deploy.recording.recorder import read_recording
 from renet.deploy.safety.limits import SafetyCfg
-from renet.descriptions import GO1
 from renet.selector.monitors import MONITORS
 
 from .fakes import state
@@ -32,8 +31,8 @@ PORT = f"usb{os.getpid()}"
 
 def program(marker: str) -> str:
     """The Python block that holds a marker."""
-    (found,) = [b for b in re.findall(r"```python\n(.*?)```", PAGE, re.S) if marker in b]
-    return found
+    (block,) = [b for b in re.findall(r"```python\n(.*?)```", PAGE, re.S) if marker in b]
+    return block
 
 
 def newest() -> SimpleNamespace:
@@ -42,9 +41,27 @@ def newest() -> SimpleNamespace:
     return SimpleNamespace(**dict(zip(names, vars(state(time.monotonic())).values(), strict=False)))
 
 
+@pytest.fixture
+def package(tmp_path, monkeypatch) -> None:
+    """The page's driver where Python finds it, and one that does not load."""
+    info = tmp_path / "mine-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    drivers = "broken = no_such_module\nmine = my_robot\n"
+    (info / "entry_points.txt").write_text(f"[renet.robots]\n{drivers}")
+    (tmp_path / "my_robot.py").write_text(program("my_sdk"))
+    (tmp_path / "my_robot.xml").write_text(descriptions.GO1.mjcf.read_text())
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "my_robot", raising=False)
+    for table, name in ((catalogue.ROBOTS, "mine"), (descriptions.DESCRIPTIONS, "My robot")):
+        monkeypatch.setitem(table, name, None)  # Taken out again at the end.
+
+
+@pytest.mark.usefixtures("package")
 @pytest.mark.parametrize("end", ["q", "Ctrl-C"])
-def test_another_robot_in_a_page_until_it_ends(terminal, tmp_path, monkeypatch, bundle_path, end):
-    """The page's program, then `renet deploy` with a bundle for its robot and somebody's hand."""
+def test_a_driver_of_a_package_runs_until_it_ends(terminal, monkeypatch, bundle_path, end, capsys):
+    """With a bundle for its robot, and somebody at the keyboard."""
     link = Mock(newest=newest)
 
     def servo(position, stiffness, damping) -> None:
@@ -57,24 +74,25 @@ def test_another_robot_in_a_page_until_it_ends(terminal, tmp_path, monkeypatch, 
 
     link.servo.side_effect = servo
     monkeypatch.setitem(sys.modules, "my_sdk", SimpleNamespace(open=lambda port: link))
-    monkeypatch.setitem(catalogue.ROBOTS, "mine", None)
-    monkeypatch.setitem(descriptions.DESCRIPTIONS, "My robot", None)
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "my_robot.xml").write_text(GO1.mjcf.read_text())
     manifest = read_manifest(bundle_path)
     robot = replace(manifest.robot, name="My robot")
     write_manifest(bundle_path, replace(manifest, robot=robot))
-    exec(program("my_sdk"), {"__name__": "my_robot"})
     options = f"--robot mine --port {PORT} --camera none --teleop keyboard --out out"
     assert cli.main(["deploy", str(bundle_path), *options.split()]) == 0
+    told = capsys.readouterr().err
+    assert "cannot use no_such_module" in told
+    assert "my_robot" not in told
     link.close.assert_called_once()
     stiff = [call.args[1].any() for call in link.servo.call_args_list]
     assert any(stiff), "it stood up"
     assert not stiff[-1], "it ends braking"
-    run = read_recording(tmp_path / "out" / "recording.log")
+    run = read_recording(Path("out") / "recording.log")
     assert run.complete
     assert run.events[0].why == "armed"
     assert run.header["port"] == PORT
+
+
+def test_a_driver_has_less_than_thirty_lines():
     body = program("my_sdk").split("class MyRobot:")[1].split("\n\n\n")[0]
     assert len(body.splitlines()) < 30
 
@@ -92,14 +110,14 @@ def test_every_monitor_is_on_the_page(name):
 
 def test_limits_are_the_codes():
     cfg = SafetyCfg()
-    for name, value in (
-        ("max_state_age", f"{1000 * cfg.max_state_age:.0f} ms"),
-        ("max_tilt", f"{np.degrees(cfg.max_tilt):.0f}°"),
-        ("joint_margin", f"{cfg.joint_margin:g} rad"),
-        ("max_stand_up_error", f"{cfg.max_stand_up_error:g} rad"),
-        ("max_gap", f"{cfg.max_gap:g} s"),
-        ("max_late", f"{cfg.max_late}"),
-        ("target_rate", f"{cfg.target_rate:.0f} rad/s"),
+    for words in (
+        f"`max_state_age` {1000 * cfg.max_state_age:.0f} ms",
+        f"`max_tilt` {np.degrees(cfg.max_tilt):.0f}°",
+        f"`joint_margin` {cfg.joint_margin:g} rad",
+        f"`max_stand_up_error` {cfg.max_stand_up_error:g} rad",
+        f"`max_gap` {cfg.max_gap:g} s",
+        f"`max_late` {cfg.max_late}",
+        f"`target_rate` {cfg.target_rate:.0f} rad/s",
+        f"{DEADMAN:g} s with a real robot",
     ):
-        assert f"`{name}` {value}" in PAGE
-    assert f"{DEADMAN:g} s with a real robot" in PAGE
+        assert words in PAGE
