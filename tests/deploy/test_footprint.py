@@ -12,27 +12,20 @@ import renet
 from renet.bundle import DEFAULT, pretrained
 
 TRAINING = ("torch", "mjlab", "warp", "mujoco", "mujoco_warp", "rsl_rl", "matplotlib", "mediapy")
-SIMULATION = (
-    "robots.sim.mujoco",
-    "robots.sim.scene",
-    "robots.sim.scene_file",
-    "robots.go2.fake",
-    "cameras.sim",
-    "robots.sim.viewer",
-)
-"""Modules of `renet.deploy` that are the simulated robot, imported when it is asked for."""
+ELSEWHERE = ("renet.deploy.robots.sim.", "renet.deploy.cameras.sim", "renet.deploy.robots.go2.fake")
+"""Beginnings of modules that are the simulated robot, imported when it is asked for."""
+if find_spec("cyclonedds") is None:  # Needs renet-locomotion[go2].
+    ELSEWHERE += ("renet.deploy.robots.go2.",)
 
 
 def modules() -> list[str]:
     """Everything a robot runs."""
-    root = Path(renet.__file__).parent
-    files = [*(root / "deploy").rglob("*.py"), *(root / "selector").rglob("*.py")]
-    names = [f.relative_to(root).with_suffix("").as_posix().replace("/", ".") for f in files]
-    names = [f"renet.{name.removesuffix('.__init__')}" for name in names]
-    other = {f"renet.deploy.{name}" for name in SIMULATION}
-    if find_spec("cyclonedds") is None:  # Needs renet-locomotion[go2].
-        other |= {name for name in names if name.startswith("renet.deploy.robots.go2.")}
-    return sorted({*names, "renet.cli", "renet.evaluation.calibrate"} - other)
+    root = Path(renet.__file__).parents[1]
+    files = [f for part in ("deploy", "selector") for f in (root / "renet" / part).rglob("*.py")]
+    paths = [".".join(file.relative_to(root).with_suffix("").parts) for file in files]
+    names = [path.removesuffix(".__init__") for path in paths]
+    names += ["renet.cli", "renet.evaluation.calibrate"]
+    return sorted(name for name in names if not name.startswith(ELSEWHERE))
 
 
 BLOCK = f"""

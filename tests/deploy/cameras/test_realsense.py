@@ -141,12 +141,11 @@ def test_a_program_that_ends_without_closing_it_does_so(monkeypatch, device):
     """Else the interpreter's end aborts the process while the thread is inside librealsense."""
     ends = []
     monkeypatch.setattr("atexit.register", ends.append)
-    camera = RealSenseCamera(camera_spec(), time.monotonic, device.device)
-    camera.start()
-    received(camera, device, 700)
-    (end,) = ends
-    end()
-    assert not camera._thread.is_alive()
+    with streaming(device) as camera:
+        received(camera, device, 700)
+        (end,) = ends
+        end()
+        assert not camera._thread.is_alive()
 
 
 def ages(delays, period=1 / 30, skew=0.0, start=1e4) -> np.ndarray:

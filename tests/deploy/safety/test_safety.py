@@ -130,11 +130,6 @@ def machine() -> SafetyMachine:
     return machine
 
 
-def test_it_walks_when_it_has_stood_up(machine):
-    assert (machine.mode, machine.reason, machine.refused) == (Mode.WALKING, "stood up", "")
-    assert machine.since == time_of(7)
-
-
 def test_arming_waits_for_health_and_must_be_pressed_anew():
     machine = SafetyMachine(CFG)
     assert (machine.reason, machine.refused, machine.since) == ("start", "", -math.inf)
@@ -159,7 +154,9 @@ def test_joints_that_did_not_follow():
     assert stand_up_problem(state(joint_position=moved(0, 0.6)), GO1, CFG) == "", "just so"
 
 
-def test_the_first_reason_stays_until_the_next_arming(machine):
+def test_it_walks_until_the_first_reason_which_stays_until_the_next_arming(machine):
+    assert (machine.mode, machine.reason, machine.refused) == (Mode.WALKING, "stood up", "")
+    assert machine.since == time_of(7)
     for step in range(10, 100):
         machine.update({10: "tilted", 11: "stale"}.get(step, ""), IDLE, time_of(step))
     assert (machine.mode, machine.reason) == (Mode.DAMPING, "tilted")

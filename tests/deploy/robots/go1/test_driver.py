@@ -12,7 +12,6 @@ import pytest
 
 from renet.bundle import Bundle
 from renet.deploy import catalogue
-from renet.deploy.catalogue import Go1Cfg
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.controller import Controller
 from renet.deploy.main import deploy
@@ -20,7 +19,6 @@ from renet.deploy.recording.recorder import read_recording
 from renet.deploy.robots.base import RobotState
 from renet.deploy.robots.go1 import link
 from renet.deploy.robots.go1.driver import go1_robot
-from renet.deploy.robots.go1.link import LOW_LEVEL, MOTORS
 from renet.deploy.robots.joint_watch import JointWatch
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import Mode
@@ -43,20 +41,20 @@ os.sched_setscheduler = refuse
 def test_order_and_signs_are_those_of_the_vendors_own_limits():
     """The library clamps motor by motor: only a knee must never be above -0.8 rad."""
     sdk = pytest.importorskip(KINDS["go1"], reason="needs renet-locomotion[go1]")
-    udp = sdk.UDP(LOW_LEVEL, 0, "127.0.0.1", free_port())
+    udp = sdk.UDP(link.LOW_LEVEL, 0, "127.0.0.1", free_port())
     ranges = []
     for extreme in (-10.0, 10.0):
         packet = sdk.LowCmd()
         udp.InitCmdData(packet)
-        for motor in MOTORS:
+        for motor in link.MOTORS:
             packet.motorCmd[motor].q = extreme
         sdk.Safety(sdk.LeggedType.Go1).PositionLimit(packet)
-        ranges.append([packet.motorCmd[motor].q for motor in MOTORS])
+        ranges.append([packet.motorCmd[motor].q for motor in link.MOTORS])
     # Its ranges are an older robot's, within 0.2 rad but for the thigh's upper end.
     np.testing.assert_allclose(ranges[0], ROBOT.lower, atol=0.2)
     ends = [joint for joint, name in enumerate(JOINTS) if "thigh" not in name]
     np.testing.assert_allclose(np.array(ranges[1])[ends], np.array(ROBOT.upper)[ends], atol=0.2)
-    assert [VENDOR[motor] for motor in MOTORS] == list(JOINTS)
+    assert [VENDOR[motor] for motor in link.MOTORS] == list(JOINTS)
 
 
 def test_the_librarys_empty_packet_and_one_with_a_wrong_crc_are_no_readings(wire, peer):
@@ -128,7 +126,7 @@ def dry_run(served, monkeypatch, tmp_path) -> partial[DeployCfg]:
     """Settings that watch the served robot."""
     robot = partial(go1_robot, port=served.port, local_port=free_port())
     monkeypatch.setattr(catalogue, "go1_robot", robot)
-    address = Go1Cfg(robot_host="127.0.0.1")
+    address = catalogue.Go1Cfg(robot_host="127.0.0.1")
     fixed = {"robot": "go1", "driver": address, "camera": "none", "dry_run": True}
     return partial(DeployCfg, **fixed, out=tmp_path)
 

@@ -119,9 +119,8 @@ def test_the_camera_sees_what_the_training_camera_sees(kind, view):
     if wrong is not None:
         eye, mount = eye - wrong.lift * torch.eye(3)[2], mount @ wrong.turn[0]
         unseen = wrong.unseen[0][0] if wrong.unseen else unseen
-    raw = Rasterizer(robot.model, unseen).depth(
-        eye[None], (base @ mount)[None], Intrinsics(), CAMERA.range
-    )
+    rays = eye[None], (base @ mount)[None], Intrinsics(), CAMERA.range
+    raw = Rasterizer(robot.model, unseen).depth(*rays)
     theirs = torch.where(raw < 0, CAMERA.range, raw).reshape(48, 64).numpy()
     error = np.abs(mine - theirs)
     # Rays that graze an edge may fall on either side of it.
