@@ -1,8 +1,12 @@
-"""For all tests: the garbage collector leaves alone what imports have made."""
+"""For all tests: interrupts work, and the garbage collector leaves alone what imports have made."""
 
 import gc
+import signal
 
 import pytest
+
+# A shell's background jobs ignore SIGINT, and so would each program that a test interrupts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, nullcontext, suppress
 from datetime import datetime
 from itertools import count
 from pathlib import Path
@@ -75,7 +75,8 @@ def deploy(cfg: DeployCfg) -> Path:
             def close() -> None:
                 if not cfg.dry_run:
                     brake(robot, controller)
-                tell(Event(robot.now(), Mode.DAMPING, HANGS))
+                with suppress(Exception):  # What hangs may be the robot's clock.
+                    tell(Event(robot.now(), Mode.DAMPING, HANGS))
                 stack.close()
 
             # A simulation with priority would starve the rest of the computer.
