@@ -25,16 +25,12 @@ def reference_sinkhorn(score: np.ndarray) -> np.ndarray:
     return (q * batch).T
 
 
-def unit(random: np.random.Generator, *shape: int) -> np.ndarray:
-    value = random.normal(size=shape)
-    return value / np.linalg.norm(value, axis=-1, keepdims=True)
-
-
 @settings(max_examples=20)
 @given(seed=st.integers(0, 1000), batch=st.integers(2, 40))
 def test_sinkhorn_and_loss_match_the_reference(seed, batch):
     random = np.random.default_rng(seed)
-    source, target, prototypes = (unit(random, count, 16) for count in (batch, batch, 32))
+    draws = [random.normal(size=(count, 16)) for count in (batch, batch, 32)]
+    source, target, prototypes = (x / np.linalg.norm(x, axis=-1, keepdims=True) for x in draws)
     scores = source @ prototypes.T, target @ prototypes.T
     assignments = [reference_sinkhorn(s) for s in scores]
     counts = torch.ones(batch, dtype=torch.float64)

@@ -2,6 +2,7 @@
 
 import threading
 from contextlib import nullcontext
+from functools import partial
 
 import pytest
 import torch
@@ -28,14 +29,11 @@ def test_caller_and_others_work_and_an_error_is_raised_after_all_have_stopped(mo
     assert {*ended} == {"in the caller", "elsewhere"} - {fails}
 
 
-def test_torch_gets_its_threads_back():
-    before = torch.get_num_threads()
-    try:
-        torch.set_num_threads(2)
-        with one_torch_thread("cpu"):
-            assert torch.get_num_threads() == 1
+def test_torch_gets_its_threads_back(request):
+    request.addfinalizer(partial(torch.set_num_threads, torch.get_num_threads()))
+    torch.set_num_threads(2)
+    with one_torch_thread("cpu"):
+        assert torch.get_num_threads() == 1
+    assert torch.get_num_threads() == 2
+    with one_torch_thread("cuda:0"):
         assert torch.get_num_threads() == 2
-        with one_torch_thread("cuda:0"):
-            assert torch.get_num_threads() == 2
-    finally:
-        torch.set_num_threads(before)

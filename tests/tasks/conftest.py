@@ -1,8 +1,7 @@
 """One small environment of each of the paper's tasks, shared by all tests of a module."""
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable
 
 import pytest
 import torch
@@ -42,17 +41,16 @@ def goal(flat) -> GoalCommand:
 
 
 @pytest.fixture
-def build() -> Iterator[Callable[..., RenetEnv]]:
+def build(request) -> Callable[..., RenetEnv]:
     """As `make_env`, in which robots stand, until the end of a test."""
-    with ExitStack() as stack:
 
-        def make(*args, **options) -> RenetEnv:
-            env = make_env(*args, **options)
-            stack.callback(env.close)
-            env.reset()
-            return env
+    def make(*args, **options) -> RenetEnv:
+        env = make_env(*args, **options)
+        request.addfinalizer(env.close)
+        env.reset()
+        return env
 
-        yield make
+    return make
 
 
 def evaluate(env: RenetEnv, name: str) -> torch.Tensor:

@@ -3,15 +3,8 @@
 import pytest
 import torch
 
-from renet.tasks import make_env, mdp
+from renet.tasks import mdp
 from renet.tasks.mdp.base_state import base_heading, base_position, base_velocity
-
-
-@pytest.fixture(scope="module", params=["native", "warp"])
-def env(request):
-    made = make_env("Renet-Go1-Flat", 3, seed=2, engine=request.param)
-    yield made
-    made.close()
 
 
 def check(env) -> None:
@@ -25,9 +18,9 @@ def check(env) -> None:
         torch.testing.assert_close(got, expected, atol=2e-5, rtol=1e-5)
 
 
-def test_each_quantity_is_mjlabs_after_steps_resets_and_states_written(env):
-    random = torch.Generator().manual_seed(0)
-    env.reset()
+@pytest.mark.parametrize("engine", ["native", "warp"])
+def test_each_quantity_is_mjlabs_after_steps_resets_and_states_written(build, engine):
+    env, random = build("Renet-Go1-Flat", 3, engine=engine), torch.Generator().manual_seed(0)
     check(env)
     for _ in range(3):
         env.step(torch.randn(3, 12, generator=random))

@@ -48,15 +48,6 @@ def test_an_episode_begins_with_a_goal_around_the_yaw_it_begins_with(walkers, go
     assert (goal.commanded_distance == 0.0).all()
 
 
-def test_policies_are_told_the_speed_and_the_heading_error(walkers, goal):
-    walkers.reset(seed=4)
-    for _ in range(3):
-        walkers.step(torch.ones(64, 12))
-        error = goal.yaw - walkers.scene["robot"].data.heading_w
-        told = torch.stack((goal.speed, error.sin(), error.cos()), dim=-1)
-        torch.testing.assert_close(goal.command, told, atol=1e-5, rtol=1e-5)
-
-
 def test_goals_change_after_their_time_and_turn_no_further_than_they_may(walkers, goal):
     walkers.reset(seed=4)
     goal.cfg.later_turn = 0.3

@@ -87,12 +87,8 @@ def test_robots_that_fell_or_are_not_finite_are_reset_alone(flat):
 
 def test_critics_see_what_randomisation_drew_and_draws_again(flat):
     trunk = flat.scene["robot"].indexing.body_ids[:1]
-
-    def payload() -> torch.Tensor:
-        return flat.sim.model.body_mass[:, trunk] - flat.sim.get_default_field("body_mass")[trunk]
-
     obs, _ = flat.reset()
-    drawn = payload().clone()
+    drawn = flat.sim.model.body_mass[:, trunk] - flat.sim.get_default_field("body_mass")[trunk]
     assert drawn.unique().numel() > 1
     torch.testing.assert_close(obs["privileged"][:, 17:18], drawn)
     flat.sim.model.body_mass[:, trunk] += 1.0
@@ -173,9 +169,8 @@ def test_what_was_observed_stays_when_the_environment_goes_on(parkour):
 
 def test_noise_is_within_its_bounds_and_scaled_with_what_it_is_added_to(parkour):
     most = torch.zeros(45)
-    columns = proprioception_slices()
     for term in PROPRIOCEPTION:
-        most[columns[term.name]] = term.scale * NOISE.get(term.name, 0.0)
+        most[proprioception_slices()[term.name]] = term.scale * NOISE.get(term.name, 0.0)
     seen = []
     for _ in range(20):
         now = parkour.step(torch.zeros(12, 12))[0]

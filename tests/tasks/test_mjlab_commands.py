@@ -25,11 +25,14 @@ def test_train_takes_two_iterations_and_goes_on(tmp_path, monkeypatch):
             train.main()
     first, second = sorted(tmp_path.glob(f"{TASK}/*"))
     assert [path.name for path in first.glob("checkpoints/*")] == ["it_00000002"]
-    last = load(next(second.glob("checkpoints/*")))
-    state = last.state
-    assert (state["iteration"], state["steps"], state["task"]) == (4, 4 * 4 * 5, TASK)
-    assert last.environment["common_step_counter"] == 4 * 5
-    assert len(last.environment["levels"]) == 4
+    end = load(next(second.glob("checkpoints/*")))
+    assert (end.state["iteration"], end.state["steps"], end.state["task"]) == (
+        4,
+        4 * 4 * 5,
+        TASK,
+    )
+    assert end.environment["common_step_counter"] == 4 * 5
+    assert len(end.environment["levels"]) == 4
     for iterations, values in read_curves(first).values():
         assert set(iterations) <= {0, 1}
         assert np.isfinite(values).all()

@@ -27,8 +27,7 @@ def evaluated() -> dict[str, np.ndarray]:
     env.reset()
     terrain = env.scene.terrain
     terrain.terrain_levels[:] = torch.arange(12) % 10
-    starts = terrain.terrain_origins[terrain.terrain_levels, terrain.terrain_types]
-    terrain.env_origins[:] = starts
+    terrain.env_origins[:] = terrain.terrain_origins[terrain.terrain_levels, terrain.terrain_types]
     for cfg in env.reward_manager._term_cfgs:
         cfg.weight = 1.0
     generator = torch.Generator().manual_seed(0)
@@ -55,20 +54,20 @@ def terms(env) -> dict[str, torch.Tensor]:
     goal.compute(dt=0.0)
     seen = env.observation_manager.compute(update_history=True)
     scale = torch.tensor([term.scale for term in PROPRIOCEPTION for _ in range(term.size)])
+    values = {"reward": (rewards, rewards._step_reward), "metric": (metrics, metrics._step_values)}
     return {
         **{f"termination/{name}": ends.get_term(name) for name in ends.active_terms},
-        **dict(zip(_named("reward", rewards), rewards._step_reward.T, strict=True)),
-        **dict(zip(_named("metric", metrics), metrics._step_values.T, strict=True)),
+        **{
+            f"{kind}/{name}": columns[:, number]
+            for kind, (manager, columns) in values.items()
+            for number, name in enumerate(manager.active_terms)
+        },
         "costs": mdp.constraint_costs(env),
         "observation/proprioception": seen["proprioception_clean"] / scale,
         "observation/velocity": seen["velocity"],
         "observation/feet_contact": seen["privileged"][:, :4],
         "observation/difficult": seen["difficult"],
     }
-
-
-def _named(kind: str, manager) -> list[str]:
-    return [f"{kind}/{name}" for name in manager.active_terms]
 
 
 @pytest.mark.parametrize("name", [name for name in RECORDED.files if "violated" not in name])

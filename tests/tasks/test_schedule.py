@@ -22,16 +22,9 @@ def test_a_number_is_the_same_at_all_times(value, steps):
     assert value_at(value, steps) == value_at(str(value), steps) == pytest.approx(value)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        *(
-            (t, "VALUE@STEPS")
-            for t in ("", "fast", "1@", "@3M", "1@3G", "1@-3M", "1@1M;2@2M", "inf", "nan")
-        ),
-        ("1@3M,2@1M", "must not fall"),
-    ],
-)
-def test_what_is_no_schedule_is_refused(text, message):
-    with pytest.raises(RenetError, match=message):
-        value_at(text, 0)
+def test_what_is_no_schedule_is_refused():
+    for text in ("", "fast", "1@", "@3M", "1@3G", "1@-3M", "1@1M;2@2M", "inf", "nan"):
+        with pytest.raises(RenetError, match="VALUE@STEPS"):
+            value_at(text, 0)
+    with pytest.raises(RenetError, match="must not fall"):
+        value_at("1@3M,2@1M", 0)

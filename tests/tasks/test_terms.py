@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from renet.tasks import env_cfg, make_env, mdp
+from renet.tasks import env_cfg, mdp
 
 from .conftest import evaluate
 
@@ -136,13 +136,7 @@ def test_upright_tracking_asks_for_speed_and_standing_height_over_the_lowest_foo
     assert got == pytest.approx([0.5, 0.75 * 0.5, 0.0, 0.0], abs=1e-3)
 
 
-def test_tiles_are_shared_out_as_the_recipe_says():
-    env = make_env("Renet-Go1-Parkour", 17)
-    assert torch.bincount(env.scene.terrain.terrain_types).tolist() == [2, 2, 3, 2, 4, 4]
-
-
 def test_critics_see_how_long_a_robot_stalls_and_its_smoothed_motion(flat, goal):
-    data = flat.sim.data
     goal.speed[:], goal.time_left[:] = torch.tensor([0.5, 0.5, 0.0, 0.0]), 10.0
     smooth = torch.zeros(4, 12)
     for step in range(6):
@@ -150,21 +144,20 @@ def test_critics_see_how_long_a_robot_stalls_and_its_smoothed_motion(flat, goal)
             flat.reset(env_ids=torch.tensor([0]))
             goal.speed[0], smooth[0] = 0.5, 0.0
         seen = flat.step(torch.full((4, 12), 0.3))[0]["privileged"]
-        smooth = smooth + 0.1 * (data.qvel[:, 6:] - smooth)
+        smooth = smooth + 0.1 * (flat.sim.data.qvel[:, 6:] - smooth)
         torch.testing.assert_close(seen[:, 5:17], smooth, atol=1e-4, rtol=1e-4)
     # The first step of an episode marks where it stands.
     assert seen[:, 4].tolist() == pytest.approx([0.04, 0.1, 0.0, 0.0])
 
 
 def test_a_robot_that_gives_up_has_stalled(flat, goal):
-    data = flat.sim.data
     base = int(flat.scene["robot"].indexing.root_body_id)
     # Walks, gives up, was told to stand, gives up but is set down anew.
     goal.speed[:] = torch.tensor([0.5, 0.5, 0.0, 0.5])
     ends = flat.termination_manager
     seen = []
     for step in range(170):
-        data.xpos[0, base, 0] = 0.01 * step
+        flat.sim.data.xpos[0, base, 0] = 0.01 * step
         if step == 100:
             ends.reset(torch.tensor([3]))
         ends.compute()

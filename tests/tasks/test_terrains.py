@@ -90,7 +90,6 @@ def test_stairs_rise_and_tread(world, kind, level, rise):
     env, _ = world
     summit = env.scene.terrain.terrain_origins[level - 1, KINDS.index(kind), 2].item()
     assert summit == pytest.approx(sign * 9 * rise, abs=1e-3)
-    assert sign * (heights[195] - heights[0]) > 5 * rise
 
 
 @pytest.mark.parametrize("kind", ["stairs_up", "stairs_down", "gap", "platform"])
@@ -148,7 +147,6 @@ def test_walk_in_minutes_rule(parkour):
         start = terrain.terrain_origins[level, terrain.terrain_types[robot]]
         assert torch.equal(terrain.env_origins[robot], start)
     assert logged["Curriculum/level/rough"] == pytest.approx(4.5)
-    assert logged["Curriculum/command_stage"] in (0.0, 1.0)
 
 
 def test_who_falls_owes_the_whole_episode(parkour):

@@ -17,12 +17,6 @@ def write(folder: Path, value: float, iteration: int) -> None:
     writer.stop()
 
 
-def test_a_resumed_runs_last_value_counts(tmp_path):
-    write(tmp_path, 1.0, 7)
-    write(tmp_path, 2.0, 7)
-    assert read_curves(tmp_path) == {"Loss/value": ([7], [2.0])}
-
-
 def test_a_file_that_cannot_be_opened_and_a_full_disk_are_named(tmp_path, monkeypatch):
     (tmp_path / CURVES).mkdir()
     with pytest.raises(RenetError, match="cannot write the curves"):
@@ -33,12 +27,13 @@ def test_a_file_that_cannot_be_opened_and_a_full_disk_are_named(tmp_path, monkey
         CurvesWriter(str(tmp_path), "tensorboard", "")
 
 
-def test_a_row_torn_by_a_power_cut_costs_itself_alone(tmp_path):
+def test_a_resumed_runs_last_value_counts_and_a_torn_row_costs_itself_alone(tmp_path):
     write(tmp_path, 1.0, 1)
+    write(tmp_path, 2.0, 1)
     with (tmp_path / CURVES).open("a") as file:
         file.write("2,Loss/val")
     write(tmp_path, 3.0, 3)
-    assert read_curves(tmp_path) == {"Loss/value": ([1, 3], [1.0, 3.0])}
+    assert read_curves(tmp_path) == {"Loss/value": ([1, 3], [2.0, 3.0])}
 
 
 def test_curves_go_to_wandb_offline_beside_the_file(tmp_path, monkeypatch):

@@ -75,8 +75,7 @@ def test_a_rate_and_a_weight_that_are_asked_for_anew_are_obeyed(tmp_path):
 def test_time_budget_stops_with_a_checkpoint(runner, tmp_path):
     runner.learn(10_000, time_budget_s=0.5)
     assert 0 < runner.alg.iteration < 10_000
-    found = checkpoints.find(tmp_path)
-    assert checkpoints.load(found).state["iteration"] == runner.alg.iteration
+    assert checkpoints.load(checkpoints.find(tmp_path)).state["iteration"] == runner.alg.iteration
 
 
 def test_refuses_a_checkpoint_of_another_model(tmp_path):

@@ -167,8 +167,7 @@ def test_the_maps_error_is_learnt_as_a_gaussian_likelihood_and_moves_nothing_els
     latents = torch.stack(replay("vp", model, rollout))[:, 2:]  # OP drives the first two.
     wrong = (model.vp.predict(latents)["height_map"] - rollout.height_map[:, 2:]).detach()
     normal = torch.distributions.Normal(0.0, model.vp.map_log_variance(latents).exp().sqrt())
-    constant = 0.5 * math.log(2 * math.pi)
-    expected = -normal.log_prob(wrong).mean() - constant
+    expected = -normal.log_prob(wrong).mean() - 0.5 * math.log(2 * math.pi)
     torch.testing.assert_close(losses["vp_map_nll"], expected, atol=1e-5, rtol=1e-4)
     losses["vp_map_nll"].backward()
     moved = {n for n, p in model.named_parameters() if p.grad is not None and p.grad.any()}

@@ -40,16 +40,6 @@ def camera(model: mujoco.MjModel = FLAT, robots: int = 1, **fields) -> DepthCame
     return sensor
 
 
-@pytest.mark.parametrize("pitch", [0.3, 0.6, 1.2])
-def test_plane_at_a_known_pitch(pitch):
-    image = camera(mount=MountCfg((0.0, 0.0, 0.0), pitch, 0.0, 0.0)).data
-    # A pixel (1, left, up) of the camera pitched down by `pitch`; height 0.5 m.
-    up = Intrinsics().axes()[1][:, None].repeat(64, 1)
-    drop = math.sin(pitch) - up * math.cos(pitch)
-    expected = np.where(drop > 0.5 / 2.0, 0.5 / np.maximum(drop, 1e-9), 2.0)
-    np.testing.assert_allclose(image[0], expected, atol=1e-3)
-
-
 def test_wall_is_at_one_planar_depth_and_edges_are_where_they_should_be():
     image = camera(scene('<geom type="box" size="0.1 0.3 5" pos="1.1 0 0"/>', ROBOT)).data
     seen = np.abs(Intrinsics().axes()[0]) < 0.3
@@ -87,16 +77,8 @@ def test_noise_has_the_stated_statistics():
     assert error.mean().abs() < 1e-3
     assert error.var() == pytest.approx(0.01 + 0.015**2, rel=0.02)
     assert torch.equal(add_noise(depth, QUIET), depth)
-
-
-def test_an_image_is_held_until_the_next_is_due():
-    sensor = camera(noise=DepthNoiseCfg())
-    first = sensor.normalised().clone()
-    for step in range(1, 21):
-        sensor.update(0.005)
-        assert torch.equal(sensor.normalised(), first) == (step < 20)
-    assert sensor.normalised().dtype == torch.float16
-    assert 0.0 <= sensor.normalised().min() <= sensor.normalised().max() <= 1.0
+    shown = camera(noise=DepthNoiseCfg()).normalised()
+    assert 0.0 <= shown.min() <= shown.max() <= 1.0
 
 
 class Walk:

@@ -1,4 +1,4 @@
-"""The terrain mesh and its ray caster against MuJoCo's own rays."""
+"""What a CPU draws and what rays hit, against each other and against MuJoCo's own rays."""
 
 import mujoco
 import numpy as np
@@ -15,7 +15,8 @@ from renet.sim.depth.raycast import TerrainScanner
 from renet.sim.depth.terrain_mesh import terrain_shapes
 
 RANGE = 2.0
-RAYS = torch.from_numpy(Intrinsics().rays(np.float32))
+LENS = Intrinsics()
+RAYS = torch.from_numpy(LENS.rays(np.float32))
 
 
 def assert_sees_what_mujoco_sees(model: mujoco.MjModel, eye, rotation: torch.Tensor) -> int:
@@ -26,7 +27,7 @@ def assert_sees_what_mujoco_sees(model: mujoco.MjModel, eye, rotation: torch.Ten
     expected = mujoco_rays(model, eye, (RAYS[::5] @ rotation[0].T).numpy())
     expected[expected > RANGE] = -1.0
     for scanner in (Rasterizer(model), TerrainScanner(model, "cpu")):
-        got = scanner.depth(torch.tensor(eye)[None], rotation, Intrinsics(), RANGE)[0, ::5]
+        got = scanner.depth(torch.tensor(eye)[None], rotation, LENS, RANGE)[0, ::5]
         differs = np.abs(got.numpy() - expected) > 1e-3
         assert differs.mean() <= 0.02
     return int((expected >= 0).sum())
@@ -92,9 +93,128 @@ def test_a_gpu_sees_what_the_cpu_sees():
     model = scene(CLUTTER, extra=SOLID)
     eyes = torch.tensor([[-1.6, 0.1, 0.5], [float("nan"), 0.0, 0.5]])
     rotation = mount_rotation(torch.tensor([0.5, 0.5]), torch.zeros(2))
-    cpu = Rasterizer(model).depth(eyes, rotation, Intrinsics(), RANGE)
+    cpu = Rasterizer(model).depth(eyes, rotation, LENS, RANGE)
     poses = eyes.cuda(), rotation.cuda()
-    gpu = TerrainScanner(model, "cuda:0").depth(*poses, Intrinsics(), RANGE)
+    gpu = TerrainScanner(model, "cuda:0").depth(*poses, LENS, RANGE)
     assert (cpu[0] >= 0).any()
     assert (gpu[1] < 0).all()
     assert ((gpu.cpu() - cpu).abs() > 1e-4).float().mean() < 0.01
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    """A plane, a wide box, a height field, and boxes that overlap at all angles."""
+    random = np.random.default_rng(4)
+    boxes = "".join(
+        '<geom type="box" size="{} {} {}" pos="{} {} {}" euler="{} {} {}"/>'.format(
+            *random.uniform(0.02, 0.6, 3),
+            *random.uniform(-3, 3, 2),
+            random.uniform(-0.2, 0.6),
+            *(random.uniform(-40, 40, 3) * (i % 2)),
+        )
+        for i in range(60)
+    )
+    bumps = " ".join(map(str, random.random(81)))
+    field = f'<hfield name="f" nrow="9" ncol="9" size="1 1 .3 .2" elevation="{bumps}"/>'
+    geoms = """<geom type="plane" size="0 0 1" pos="0 0 -.6"/>
+        <geom type="box" size="30 30 .1" pos="5 0 -.5"/>
+        <geom type="hfield" hfield="f" pos="1 1 -.1" euler="5 -10 30"/>"""
+    return scene(geoms, boxes, extra=f"<asset>{field}</asset>")
+
+
+@pytest.fixture(scope="module")
+def scanner(model) -> Rasterizer:
+    return Rasterizer(model)
+
+
+@pytest.fixture(scope="module")
+def caster(model) -> TerrainScanner:
+    return TerrainScanner(model, "cpu")
+
+
+@settings(max_examples=40)
+@given(
+    x=st.floats(-4, 4),
+    y=st.floats(-4, 4),
+    z=st.floats(-0.395, 1.0),  # On a surface either answer would be right.
+    pitch=st.floats(-1.5, 1.5),
+    yaw=st.floats(-4, 4),
+    limit=st.sampled_from([0.3, 2.0, 9.0]),
+)
+def test_an_image_shows_what_rays_hit_also_from_inside_a_box(
+    scanner, caster, x, y, z, pitch, yaw, limit
+):
+    eye = torch.tensor([[x, y, z]])
+    rotation = mount_rotation(torch.tensor([pitch]), torch.tensor([yaw]))
+    drawn = scanner.depth(eye, rotation, LENS, limit)
+    cast = caster.depth(eye, rotation, LENS, limit)  # Rays that graze an edge may differ.
+    assert ((drawn - cast).abs() > 1e-3).float().mean() < 0.002
+
+
+def test_cameras_see_for_themselves_wherever_they_are_in_the_batch(scanner):
+    random = torch.Generator().manual_seed(0)
+    eyes = torch.rand(37, 3, generator=random) * torch.tensor([6.0, 6.0, 0.5]) - 3.0
+    rotation = mount_rotation(*torch.rand(2, 37, generator=random))
+    together = scanner.depth(eyes, rotation, LENS, 2.0)
+    alone = [scanner.depth(eyes[i : i + 1], rotation[i : i + 1], LENS, 2.0) for i in range(37)]
+    assert torch.equal(together, torch.cat(alone))
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_a_pose_that_is_not_finite_sees_nothing_and_harms_nobody(scanner, number):
+    eyes = torch.tensor([[0.0, -2.0, 0.8]] * 3)
+    rotation = mount_rotation(torch.full((3,), 0.5), torch.zeros(3))
+    whole = scanner.depth(eyes, rotation, LENS, 2.0)[0]
+    eyes[0, 1] = rotation[1, 2, 0] = number
+    first, second, third = scanner.depth(eyes, rotation, LENS, 2.0)
+    assert (torch.stack((first, second)) == -1.0).all()
+    assert torch.equal(third, whole)
+    ground = scanner.height(torch.tensor([[number, 0.0], [0.0, -2.0]]))
+    assert ground[0] == pytest.approx(scanner.top - scanner.drop)
+    assert ground[1] > -0.61
+
+
+@pytest.mark.parametrize("turned", [True, False])
+@pytest.mark.parametrize("frames", [3, 600])  # One thread, and all.
+def test_clearances_are_those_rays_find(scanner, caster, frames, turned):
+    random = torch.Generator().manual_seed(1)
+    position = torch.rand(frames, 3, generator=random) * 6 - 3
+    pattern = torch.rand(7, 2, generator=random) * 2 - 1
+    rotation = mount_rotation(*torch.rand(2, frames, generator=random) * 3) if turned else None
+    heights = scanner.clearance(position, rotation, pattern)
+    cast = caster.clearance(position, rotation, pattern)
+    assert heights.shape == (frames, 7)
+    assert ((heights - cast).abs() > 1e-4).float().mean() < 0.002
+
+
+def test_heights_do_not_depend_on_the_point_they_are_asked_from(scanner):
+    points = torch.rand(400, 2, generator=torch.Generator().manual_seed(1)) * 10 - 5
+    over = scanner.clearance(torch.zeros(1, 3), None, points)[0]
+    torch.testing.assert_close(scanner.height(points), -over)
+    far = torch.tensor([[120.0, -150.0]])
+    torch.testing.assert_close(scanner.height(far), torch.tensor([-0.6]))
+
+
+def test_it_takes_views_and_double_precision(scanner):
+    points = torch.rand(4000, 2, generator=torch.Generator().manual_seed(1)) * 10 - 5
+    heights = scanner.height(points)
+    for same in (points.double(), points.T.contiguous().T):
+        assert torch.equal(scanner.height(same), heights)
+    frames = torch.rand(5, 4, 3, generator=torch.Generator().manual_seed(2))
+    turns = torch.eye(3).repeat(5, 4, 1, 1)
+    third = scanner.clearance(frames[:, 2], turns[:, 1], points[:9])
+    copies = frames[:, 2].clone(), turns[:, 1].clone(), points[:9].double()
+    assert torch.equal(scanner.clearance(*copies), third)
+    eyes, rotation = torch.tensor([[0.0, -2.0, 0.8]]), mount_rotation(torch.ones(1), torch.ones(1))
+    doubles = scanner.depth(eyes.double(), rotation.double(), LENS, 2.0)
+    assert torch.equal(doubles, scanner.depth(eyes, rotation, LENS, 2.0))
+
+
+def test_boxes_that_touch_leave_no_gap_between_them():
+    pair = "".join(f'<geom type="box" size="1 1 .1" pos="{x} 0 0"/>' for x in (-1, 1))
+    touching = Rasterizer(scene(pair))
+    seam = torch.stack((torch.zeros(50), torch.linspace(-1, 1, 50)), -1)
+    torch.testing.assert_close(touching.height(seam), torch.full((50,), 0.1))
+    down = mount_rotation(torch.full((50,), torch.pi / 2), torch.zeros(50))
+    eyes = torch.cat((seam * 0.3, torch.full((50, 1), 0.5)), dim=-1)
+    torch.testing.assert_close(touching.depth(eyes, down, LENS, 2.0), torch.full((50, 3072), 0.4))
