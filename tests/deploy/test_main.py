@@ -66,9 +66,8 @@ def test_out_of_the_box_it_remembers_the_gap_and_crosses_it_with_its_camera_blac
 
 def test_the_papers_selector_is_told_to_the_log(tmp_path):
     flight = run(tmp_path, selector="paper", fault=("gaussian@1",))
-    beta = Bundle.load().manifest.selector.beta
     assert flight.header["selector"] == "paper"
-    assert flight.header["beta"] == beta
+    assert flight.header["beta"] == Bundle.load().manifest.selector.beta
     assert flight.events[-2].why == "images unlike those of training"
     assert mismatch(flight, Bundle.load()) == 0.0
 

@@ -47,8 +47,7 @@ def package(tmp_path, monkeypatch) -> None:
     info = tmp_path / "mine-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
-    drivers = "broken = no_such_module\nmine = my_robot\n"
-    (info / "entry_points.txt").write_text(f"[renet.robots]\n{drivers}")
+    (info / "entry_points.txt").write_text("[renet.robots]\na = no_such_module\nb = my_robot\n")
     (tmp_path / "my_robot.py").write_text(program("my_sdk"))
     (tmp_path / "my_robot.xml").write_text(descriptions.GO1.mjcf.read_text())
     monkeypatch.syspath_prepend(tmp_path)
@@ -75,8 +74,7 @@ def test_a_driver_of_a_package_runs_until_it_ends(terminal, monkeypatch, bundle_
     link.servo.side_effect = servo
     monkeypatch.setitem(sys.modules, "my_sdk", SimpleNamespace(open=lambda port: link))
     manifest = read_manifest(bundle_path)
-    robot = replace(manifest.robot, name="My robot")
-    write_manifest(bundle_path, replace(manifest, robot=robot))
+    write_manifest(bundle_path, replace(manifest, robot=replace(manifest.robot, name="My robot")))
     options = f"--robot mine --port {PORT} --camera none --teleop keyboard --out out"
     assert cli.main(["deploy", str(bundle_path), *options.split()]) == 0
     told = capsys.readouterr().err

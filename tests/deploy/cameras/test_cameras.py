@@ -10,7 +10,7 @@ from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.recording.recorder import TICK_DTYPE, Recording
 from renet.deploy.recording.replay import ReplayCamera
 from renet.errors import RenetError
-from renet.faults import parse_fault
+from renet.faults import Injection, parse_fault
 from renet.interface import CONTROL_DT
 
 from ..fakes import Standing, frame, time_of
@@ -86,8 +86,7 @@ def test_faults_of_the_scene_are_refused():
     ],
 )
 def test_faults_are_read(text, fields):
-    fault = parse_fault(text)
-    assert (fault.fault, fault.level, fault.onset, fault.duration) == fields
+    assert parse_fault(text) == Injection(*fields)
 
 
 @pytest.mark.parametrize(

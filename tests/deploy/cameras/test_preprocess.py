@@ -51,10 +51,9 @@ def test_only_the_policys_view_counts_as_invalid():
 
 
 def test_a_narrow_camera_is_refused():
-    with pytest.raises(RenetError, match="not wide enough"):
-        DepthPreprocessor(Intrinsics(480, 848, 900.0, 446.8, 424.0, 240.0), camera_spec())
-    with pytest.raises(RenetError, match="not high enough"):
-        DepthPreprocessor(Intrinsics(480, 848, 446.8, 900.0, 424.0, 240.0), camera_spec())
+    for side, focal in (("wide", (900.0, 446.8)), ("high", (446.8, 900.0))):
+        with pytest.raises(RenetError, match=f"not {side} enough"):
+            DepthPreprocessor(Intrinsics(480, 848, *focal, 424.0, 240.0), camera_spec())
 
 
 def test_an_image_of_another_size_than_its_lens_is_refused():

@@ -83,13 +83,11 @@ def test_falls_are_counted_once_each(flight):
 
 
 def test_a_drop_off_the_ground_is_a_fall_and_stairs_are_none(flight):
-    height = np.full(STEPS, 0.3)
-    height[150:200] = np.linspace(0.3, -0.3, 50)
-    height[200:] = -0.3
-    flight.ticks["base_position"][:] = np.stack([np.zeros(STEPS), np.zeros(STEPS), height], axis=1)
+    position = flight.ticks["base_position"]
+    position[:] = (0.0, 0.0, 0.3)
+    position[150:200, 2], position[200:, 2] = np.linspace(0.3, -0.3, 50), -0.3
     assert score(flight, [])["falls"] == 0
-    seconds = CONTROL_DT * np.arange(STEPS - 300)
-    flight.ticks["base_position"][300:, 2] -= 4.9 * seconds**2
+    position[300:, 2] -= 4.9 * (CONTROL_DT * np.arange(STEPS - 300)) ** 2
     assert score(flight, [])["falls"] == 1
 
 

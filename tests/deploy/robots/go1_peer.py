@@ -21,7 +21,7 @@ from ..fakes import robot_on
 from . import peer
 from .peer import VENDOR
 
-COMMAND_BYTES, STATE_BYTES = 614, 792
+LOCAL, COMMAND_BYTES, STATE_BYTES = "127.0.0.1", 614, 792
 TIMESTAMPS = 35
 """SO_TIMESTAMPNS of Linux."""
 HEAD = b"\xfe\xef\xff"
@@ -64,12 +64,11 @@ class Peer(peer.Peer):
     def __init__(self) -> None:
         super().__init__()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("127.0.0.1", 0))
+        self._socket.bind((LOCAL, 0))
         self._socket.settimeout(0.2)
         self._socket.setsockopt(socket.SOL_SOCKET, TIMESTAMPS, 1)
         self.port = self._socket.getsockname()[1]
-        address = ("127.0.0.1", self.port, free_port())
-        self.driver = "renet.deploy.robots.go1.driver:go1_robot", address
+        self.driver = "renet.deploy.robots.go1.driver:go1_robot", (LOCAL, self.port, free_port())
         self.robot = robot_on()
         self.robot.model.opt.timestep = PERIOD
         self.data = self.robot.data
@@ -77,7 +76,7 @@ class Peer(peer.Peer):
         self.ticks = 0
 
     def make_link(self, power_level: int = POWER_LEVEL) -> Go1Link:
-        return Go1Link("127.0.0.1", self.port, free_port(), power_level)
+        return Go1Link(LOCAL, self.port, free_port(), power_level)
 
     def step(self) -> None:
         """Take one command, live for 2 ms, answer."""
@@ -126,5 +125,5 @@ class Peer(peer.Peer):
 def free_port() -> int:
     """A UDP port nobody uses."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
+        probe.bind((LOCAL, 0))
         return probe.getsockname()[1]
