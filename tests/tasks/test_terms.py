@@ -121,6 +121,24 @@ def test_joint_acceleration_starts_each_episode_at_rest(flat):
     assert again.tolist() == pytest.approx([expected, 0.0, 0.0, 0.0])
 
 
+def test_foot_clearance_by_hand(flat):
+    data, kind = flat.sim.data, flat.cfg.robot
+    sites, _ = flat.scene["robot"].find_sites(("FR", "FL", "RR", "RL"), preserve_order=True)
+    columns = flat.scene["robot"].indexing.site_ids[sites]
+    base = flat.scene["robot"].indexing.root_body_id
+    standing = data.xpos[:, base, 2] - (kind.map_height - kind.foot_radius)
+    feet = torch.zeros(4, 4, 3)
+    feet[..., 2] = standing[:, None] + torch.tensor([0.05, 0.30, 0.0, 0.12])
+    data.site_xpos[:, columns] = feet
+    assert (evaluate(flat, "foot_clearance") == 0.0).all()  # No speed is known yet.
+    data.site_xpos[:, columns] = feet + torch.tensor([0.003, 0.004, 0.0])
+    # 0.25 m/s; lifted by 5 cm of 12, high up, not at all, just enough.
+    expected = 0.25 * (0.07**2 + 0.12**2)
+    assert evaluate(flat, "foot_clearance").tolist() == pytest.approx([expected] * 4, rel=1e-3)
+    flat.reward_manager.reset(torch.arange(4))
+    assert (evaluate(flat, "foot_clearance") == 0.0).all()
+
+
 def test_upright_tracking_asks_for_speed_and_standing_height_over_the_lowest_foot(flat, goal):
     data, kind, robot = flat.sim.data, flat.cfg.robot, flat.scene["robot"].indexing
     goal.yaw[:], goal.speed[:] = 0.0, torch.tensor([0.6, 0.6, 0.6, 0.0])
@@ -134,6 +152,28 @@ def test_upright_tracking_asks_for_speed_and_standing_height_over_the_lowest_foo
     data.site_xpos[:, robot.site_ids[ids], 2] = feet
     got = evaluate(flat, "upright_tracking").tolist()
     assert got == pytest.approx([0.5, 0.75 * 0.5, 0.0, 0.0], abs=1e-3)
+
+
+def test_standing_motion_is_smoothed_and_counts_only_where_standing_is_asked_for(flat, goal):
+    data = flat.sim.data
+    goal.speed[:] = torch.tensor([0.0, 0.3, 0.0, 0.3])
+    data.qvel[:] = 0.0
+    data.qvel[:, 6], data.qvel[:, 8] = 1.0, -2.0
+    # A tenth of each velocity.
+    assert evaluate(flat, "standing_motion").tolist() == pytest.approx([0.05, 0.0, 0.05, 0.0])
+    data.qvel[:] = -data.qvel[:]  # Shaking: 0.9 * 0.1 - 0.1 of each is left.
+    left = evaluate(flat, "standing_motion").tolist()
+    assert left == pytest.approx([0.0005, 0.0, 0.0005, 0.0], rel=1e-4)
+    flat.reward_manager.reset(torch.tensor([0]))
+    assert evaluate(flat, "standing_motion")[0].item() == pytest.approx(0.05)
+
+
+def test_rewards_beyond_the_papers_are_the_recipes_alone():
+    paper, ours = (env_cfg(f"Renet-Go1-{task}").rewards for task in ("Parkour-Paper", "Parkour"))
+    extra = ours.keys() - paper.keys()
+    assert extra == {"foot_clearance", "standing_motion", "upright_tracking"}
+    changed = [name for name, term in paper.items() if ours[name].weight != term.weight]
+    assert changed == ["collision"]
 
 
 def test_critics_see_how_long_a_robot_stalls_and_its_smoothed_motion(flat, goal):
