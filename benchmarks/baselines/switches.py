@@ -191,9 +191,9 @@ class SwitchSelector:
         self._mean = before + self._smoothing * (newest - before)
         return self._mean >= 0.0
 
-    def reset(self, mask: np.ndarray) -> None:
-        """Start anew for the masked robots [N]."""
-        self._mean[mask] = np.nan
+    def reset(self, mask: np.ndarray | None = None) -> None:
+        """Start anew for the masked robots [N], by default for all."""
+        self._mean[slice(None) if mask is None else mask] = np.nan
 
 
 class SwitchEvaluator(Evaluator):

@@ -155,7 +155,7 @@ def test_fused_substeps_are_the_same_physics():
 
 
 def test_play_shows_every_level(build):
-    env = build("Renet-Go1-Parkour", 200, play=True)
+    env = build(env_cfg("Renet-Go1-Parkour", play=True), 200)
     assert set(env.scene.terrain.terrain_levels.tolist()) == set(range(10))
 
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from renet.errors import RenetError
-from renet.tasks import make_env, mdp
+from renet.tasks import env_cfg, make_env, mdp
 from renet.tasks.parkour_env_cfg import flat_env_cfg
 from renet.training.recipe import follow
 
@@ -48,7 +48,7 @@ def test_a_rewards_weight_follows_its_schedule_of_environment_steps(monkeypatch)
 
 
 def test_a_robot_that_stands_as_asked_is_paid_nearly_all_there_is(build):
-    env = build("Renet-Go1-Flat", 4, play=True)
+    env = build(env_cfg("Renet-Go1-Flat", play=True), 4)
     command = env.command_manager.get_term("goal")
     command.speed[:] = torch.tensor([0.0, 0.0, 0.5, 0.5])
     command.yaw[:] = env.scene["robot"].data.heading_w
