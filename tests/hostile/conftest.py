@@ -1,0 +1,21 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from .files import FILES
+
+
+@pytest.fixture(scope="session")
+def hostile(tmp_path_factory) -> Path:
+    """A folder of hostile files beside a victim, and their paths by name."""
+    folder = tmp_path_factory.mktemp("hostile")
+    (folder / "files" / "victim").mkdir(parents=True)
+    (folder / "verdicts").mkdir()
+    (folder / "files" / "victim" / "thesis.tex").write_text("years of work")
+    paths = {}
+    for number, (title, make) in enumerate(FILES.items()):
+        (place := folder / "files" / str(number)).mkdir()
+        paths[title] = str(make(place) or place)
+    (folder / "paths.json").write_text(json.dumps(paths))
+    return folder
