@@ -1,9 +1,13 @@
-"""For all tests: interrupts work, and the garbage collector leaves alone what imports have made."""
+"""For all tests: few threads, interrupts that work, and a garbage collector that skips imports."""
 
 import gc
+import os
 import signal
 
 import pytest
+
+# Workers share the cores: OpenMP's threads must neither be many nor wait in a loop.
+os.environ |= {"OMP_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
 
 # A shell's background jobs ignore SIGINT, and so would each program that a test interrupts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
