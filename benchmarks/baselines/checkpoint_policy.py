@@ -11,7 +11,7 @@ import torch
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.interface import STEPS_PER_TICK
-from renet.models.actor_critic import fuse
+from renet.models.adaptation import fuse
 from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
 from renet.tasks.robot_cfg import ACTION_CLIP

@@ -15,7 +15,7 @@ import torch
 from renet.bundle import Bundle, write_bundle
 from renet.bundle.policy import Policy
 from renet.errors import RenetError
-from renet.models.actor_critic import fuse
+from renet.models.adaptation import fuse
 from renet.models.memory import EstimatorMemory
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.monitors import Gate

@@ -24,7 +24,7 @@ from renet.deploy.safety.machine import Mode, stand_up_target
 from renet.deploy.teleop import TeleopCommand
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
-from renet.models.actor_critic import fuse
+from renet.models.adaptation import fuse
 from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet

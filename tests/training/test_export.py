@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from renet.errors import RenetError
-from renet.models.actor_critic import fuse
+from renet.models.adaptation import fuse
 from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet

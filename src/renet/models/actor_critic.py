@@ -11,16 +11,6 @@ from renet.interface import ACTION_SIZE, CONSTRAINTS, HEIGHT_MAP_SIZE, LATENT, P
 from renet.models.config import ModelCfg
 
 
-def fuse(latent_op: Tensor, latent_vp: Tensor, op_mask: Tensor) -> Tensor:
-    """h = concat(h_b * mask, h_v * (1 - mask)), [B, 128] (RENet, eq. 3).
-
-    Args:
-        latent_op, latent_vp: [B, 64]. op_mask: [B] or [B, 1], 1 where OP is selected, 0 for VP.
-    """
-    mask = op_mask.reshape(-1, 1).to(latent_op.dtype)
-    return torch.cat((latent_op * mask, latent_vp * (1.0 - mask)), dim=-1)
-
-
 def mlp(sizes: Sequence[int]) -> nn.Sequential:
     """Linear layers with ELU between them."""
     layers: list[nn.Module] = []

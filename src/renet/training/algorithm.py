@@ -10,7 +10,7 @@ from torch.optim import Optimizer
 
 from renet.errors import RenetError
 from renet.interface import CONSTRAINTS, STEPS_PER_TICK
-from renet.models.actor_critic import fuse
+from renet.models.adaptation import fuse, op_mask
 from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
@@ -29,20 +29,6 @@ CRITIC_GROUPS = ("proprioception_clean", "velocity", "feet_height", "height_map"
 """Observation groups the critics see; the actor sees `proprioception` and the latent."""
 NORMALIZED_AT_ONCE = 65_536
 """Rows of a rollout whose statistics ranks exchange in one message (80 MB)."""
-
-
-def op_mask(perception: str, iteration: int, difficult: Tensor, period: int) -> Tensor:
-    """The paper's mask_i, [N] bool: true where the OP estimator steers.
-
-    On simple terrain all environments alternate every `period` iterations, VP first; where
-    `difficult`, [N] or [N, 1], is not zero they always have vision.
-    """
-    simple = difficult.reshape(-1) == 0
-    if perception == "op":
-        return torch.ones_like(simple)
-    if perception == "renet" and (iteration // period) % 2 == 1:
-        return simple
-    return torch.zeros_like(simple)
 
 
 def critic_observation(obs: TensorDict, *perception: Tensor) -> Tensor:
@@ -115,9 +101,8 @@ class RenetAlgorithm:
 
     def op_mask(self, obs: TensorDict) -> Tensor:
         """True where the OP estimator drives in this iteration, [N] bool."""
-        return op_mask(
-            self.model.cfg.perception, self.iteration, obs["difficult"], self.adaptation.period
-        )
+        perception, period = self.model.cfg.perception, self.adaptation.period
+        return op_mask(perception, self.iteration, obs["difficult"], period)
 
     def critic_observation(self, obs: TensorDict, mask: Tensor) -> Tensor:
         """What the critics see of the present state, [N, C]."""
@@ -211,7 +196,7 @@ class RenetAlgorithm:
         return losses | self.supervision.update(ticks, self.steps)
 
     def not_finite(self, obs: TensorDict) -> list[str]:
-        """Names of what the environment reported in the last rollout and is no number."""
+        """Names of the environment's outputs in the last rollout that hold NaN or infinity."""
         rollout = self._rollout
         sizes = [obs[group].shape[-1] for group in CRITIC_GROUPS]
         columns = rollout.critic_observation[..., : sum(sizes)].split(sizes, dim=-1)

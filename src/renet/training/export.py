@@ -19,7 +19,7 @@ from renet.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpe
 from renet.bundle.models import HAS_IMAGE, MAP_ERROR, VARIANCE, model_shapes
 from renet.errors import RenetError
 from renet.interface import HEIGHT_MAP_SIZE, JOINTS, NUM_FEET
-from renet.models.actor_critic import fuse
+from renet.models.adaptation import fuse
 from renet.models.autoencoder import anomaly_score, variance_score
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
