@@ -16,8 +16,8 @@ MAX_MEMORY = 400 * MEGABYTE
 MAX_SECONDS = 3
 """Processor time in seconds that a trial may need beside the program's own start."""
 PATIENCE = 5.0
-"""Seconds of the wall clock in which a trial must have run, or have waited for a processor, for a
-tenth: a busy computer may take its time, and what waits for another program may not."""
+"""Seconds of the wall clock, for a tenth of which a trial must run or wait for a processor: a busy
+computer may be slow, but a trial that waits for another program is ended."""
 ACCEPTED = "accepted"
 
 
@@ -34,7 +34,7 @@ def run_trial(module: str, arguments: list[str], what: str, data: bytes = b"") -
     command = [sys.executable, "-P", "-m", module, *arguments]
     # Each thread's own heap reserves address space, which the limit counts.
     env = os.environ | {"MALLOC_ARENA_MAX": "1"}
-    with open(os.memfd_create("trial"), "wb+") as memory:  # Of which no step waits for another.
+    with open(os.memfd_create("trial"), "wb+") as memory:  # Writing cannot block, as to a pipe.
         memory.write(data)
         memory.seek(0)
         with Popen(command, stdin=memory, stdout=PIPE, stderr=DEVNULL, env=env) as process:

@@ -126,7 +126,7 @@ export class Selector {
     }
     if (this.vision && good) this.reason = "";
     const ceasing = leaving || (this.longestMemory > 0 && !good && !this.reason);
-    // Of the images the first that was withheld has spoken.
+    // The first withheld image gave the reason.
     const objection = verdicts.findIndex((fine, i) => !fine && !(this.reason && this.monitors[i].ofImage));
     if (ceasing && !(good && healthy) && objection >= 0) this.reason = this.monitors[objection].reason;
     return this.vision;

@@ -30,7 +30,7 @@ from renet.trial import judge, run_trial
 
 MODELS = ("actor", "estimator", "vision")
 MAX_MODEL = 32 * MEGABYTE
-"""Bytes of one model; the shipped ones have 5 MB together."""
+"""Largest size of one model, bytes; the shipped three have 2 MB together."""
 MAX_RUN = 0.2
 """Processor time in seconds of one run for one robot; the shipped ones need a few milliseconds."""
 VARIANCE = "variance_score"

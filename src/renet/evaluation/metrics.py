@@ -27,7 +27,7 @@ def switch_delay(vision: np.ndarray, start: int, end: int | None = None) -> np.n
 
 
 def false_switches(vision: np.ndarray, failing: np.ndarray) -> int:
-    """Times any robot left vision, [T, U, N] bool, while no camera was `failing`, [T, N] bool."""
+    """How often robots left vision, [T, U, N] bool, with no camera of theirs `failing`, [T, N]."""
     flat = vision.reshape(-1, vision.shape[2])
     healthy = ~np.repeat(failing, vision.shape[1], axis=0)
     return int((flat[:-1] & ~flat[1:] & healthy[1:]).sum())

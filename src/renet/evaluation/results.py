@@ -105,7 +105,7 @@ def read_results(path: Path) -> dict[str, Any]:
 
 
 PARTS_FORMAT = 6
-"""Raised when a study keeps other things in its parts: those of before are made anew."""
+"""Increase it when the contents of parts change: older parts are then made anew."""
 
 
 def kept(

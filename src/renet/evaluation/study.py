@@ -55,7 +55,7 @@ class Study:
     name: ClassVar[str]
     """Name of the study's folder in the results, and of its template."""
     selectable: ClassVar[tuple[str, ...]] = ()
-    """Settings of which a part's result does not depend: they select which parts are made."""
+    """Settings on which no part's result depends: they select which parts are made."""
 
     def __post_init__(self) -> None:
         check_finite(self)

@@ -202,7 +202,7 @@ class MonitorSelector:
         """Set the reason of the masked robots [N] to that of the first monitor that objects."""
         for robot in np.flatnonzero(robots):
             objects = ~verdicts[:, robot]
-            if self.reason[robot]:  # Of the images the first that was withheld has spoken.
+            if self.reason[robot]:  # The first withheld image gave the reason.
                 objects &= ~self._of_image
             if objects.any():
                 self.reason[robot] = MONITORS[[*self.thresholds][objects.argmax()]].reason

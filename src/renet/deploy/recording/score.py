@@ -89,7 +89,7 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     path = track(ticks)[walking]
     metres = float(np.hypot(*(path[-1] - path[0])[:2])) if len(path) else 0.0
     first = start + min(onsets, default=np.inf)
-    # Who is let go on stairs when the run ends may topple: that is no fall of the policy.
+    # A robot let go on stairs as the run ends may topple, which is not the policy's fall.
     until = next((event.time for event in run.events if event.why == ENDED), np.inf)
     felled = np.diff(fallen(ticks).astype(int), prepend=0) > 0
     blind = ticks["now"][walking & ~ticks["vision"]] - start

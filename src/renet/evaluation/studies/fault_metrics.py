@@ -31,10 +31,10 @@ def robot_measures(trace: Trace, onset: int, command: float, steps: int) -> dict
 
     Args:
         trace: of the run. onset: control step from which on they count.
-        command: commanded speed, m/s. steps: of the longest run: so long a fallen robot lies.
+        command: commanded speed, m/s. steps: of the longest run, whose rest a fallen robot lies.
     """
     crossed, fell, seconds = trace.first_try()
-    # On endless ground and towards a tile's corner as far as a tile's edge is across.
+    # On endless ground, or towards a tile's corner, half a tile's width counts as crossed.
     crossed = crossed | (np.isnan(seconds) & (trace.travelled.max(axis=0) >= TILE / 2))
     since = np.arange(len(trace.ended))[:, None] >= onset
     walking = since & ~trace.over

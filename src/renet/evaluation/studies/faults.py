@@ -56,7 +56,7 @@ class FaultStudy(WalkingStudy):
     severities: tuple[int, ...] = SEVERITIES
     """Severities of faults that name none, 1 to 5."""
     grounds: tuple[Terrain, ...] = tuple(GROUNDS)
-    """Flat ground alone has no end, and among others is a tile as they are."""
+    """Flat ground alone is endless; beside others it is a tile like theirs."""
     level: int | None = None
     """Level of all tiles, 1 to 10; by default the benchmark's for each ground."""
     onsets: tuple[float, ...] = tuple(ONSETS)

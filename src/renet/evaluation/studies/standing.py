@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 WALK, SETTLE = 3.0, 1.5
 """Seconds before the command to stand, and seconds that a robot then has for stopping."""
 DRIFT, MOVING = 0.1, 0.2
-"""A robot stands still that drifts less than this, m, with joints slower than this on average,
-rad/s, from the moment it has had time to stop."""
+"""A robot stands still if it drifts less than this, m, with joints slower than this on average,
+rad/s, once it has had time to stop."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class StandingStudy(TerrainStudy):
 
 
 def stillness(poses: np.ndarray, settled: int) -> tuple[np.ndarray, np.ndarray]:
-    """How far and how fast robots move that should stand.
+    """How far and how fast robots that should stand move.
 
     Args:
         poses: [T, N, 7 + joints] generalised positions at each control step.

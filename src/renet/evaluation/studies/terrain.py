@@ -274,8 +274,8 @@ class SuccessStudy(TerrainStudy):
 class DawnStudy(SuccessStudy):
     """DAWN's obstacles in simulation (arXiv 2609.29092), with one try each.
 
-    100 robots meet ten sizes of each kind; `--seed` 1, 2 and 3 are its three seeds, there of
-    trainings. Its speed, treads, run-up and time are not published: these are the success study's.
+    100 robots meet ten sizes of each kind; `--seed` 1, 2 and 3 stand for its three trainings. Its
+    speed, treads, run-up and time are not published: these are the success study's.
     """
 
     out: Path = Path("results/dawn")

@@ -19,8 +19,8 @@ def height_above_start(env: ManagerBasedRlEnv) -> Tensor:
 
 
 def not_finite(env: ManagerBasedRlEnv) -> Tensor:
-    """NaN or infinity in the physics state, which those of forces end in, [N]."""
-    # One of them makes the sum so.
+    """NaN or infinity in the physics state, where those in forces end up, [N]."""
+    # A single one makes the sum not finite.
     return ~(env.sim.data.qpos.sum(-1) + env.sim.data.qvel.sum(-1)).isfinite()
 
 
