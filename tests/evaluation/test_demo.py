@@ -6,10 +6,13 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
+import pytest
 
+from renet.errors import RenetError
 from renet.evaluation import demo
 from renet.evaluation.demo import DemoStudy, run_demo
 from renet.evaluation.report import painter, video
+from renet.evaluation.report.summary import gap_headline, noise_headline
 from renet.evaluation.results import read_results
 from renet.evaluation.trace import Trace
 from renet.selector import SelectorSpec, make_selector
@@ -132,3 +135,30 @@ def test_the_noise_preset_makes_a_page_of_the_papers_figure(run_study, tmp_path)
     sentence = run_demo(replace(TINY["noise"], out=tmp_path), FakeEvaluator())
     assert sentence.endswith("with RENet.")
     assert "SP 70 %" in check_page(tmp_path / "index.html", media=2)
+
+
+def test_the_film_is_of_the_walk_that_is_told(tmp_path, monkeypatch):
+    films = []
+    monkeypatch.setattr(video, "film", lambda path, *args: films.append(path.write_bytes(b"")))
+    study = DemoStudy(tmp_path, robots=2, seconds=3.4)
+    for seed in (1, 2, 1, 1):
+        replace(study, seed=seed).run(GapEvaluator(0.0))
+    assert len(films) == 3, "the last walk's film lay there already"
+    (tmp_path / "film.mp4").unlink()
+    study.run(GapEvaluator(0.0))
+    assert len(films) == 4
+
+
+def test_a_walk_that_ends_before_cameras_die_is_refused():
+    for settings in ({"seconds": 1.0}, {"speed": 0.1}, {"seconds": 0.0}):
+        with pytest.raises(RenetError, match="seconds must be above"):
+            DemoStudy(**settings)
+
+
+def test_modes_that_did_not_walk_are_not_told_of():
+    run = {"robots": 3, "crossed": 2, "falls": 1}
+    summary = {"before_s": 0.5, "gap_m": 0.37, "remembers": False, "runs": [run | {"mode": "vp"}]}
+    assert gap_headline(summary).endswith("of 3 robots cross 2 that trust the last image.")
+    assert noise_headline(summary) == (
+        "1 kinds of camera noise, 3 robots each; falls: 1 with VP alone."
+    )

@@ -26,3 +26,4 @@ def test_bootstrap_interval_of_a_mean_matches_the_normal_one():
     half = 1.96 * values.std() / 20
     assert (low, high) == pytest.approx((values.mean() - half, values.mean() + half), abs=0.03)
     assert np.isnan(metrics.bootstrap_interval(np.array([np.nan]))).all()
+    assert metrics.bootstrap_interval(np.zeros(1), lambda values: 7.0) == (7.0, 7.0)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.report.page import render, study_sections, write_page
 from renet.evaluation.report.summary import gap_headline, noise_headline
@@ -18,6 +19,7 @@ from renet.evaluation.studies.one_try import EDGES
 from renet.evaluation.study import Figures, Part, Study, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
+from renet.files import remove
 from renet.interface import CONTROL_DT
 from renet.terminal import show
 from renet.terrain.tiles import LEVELS, tiles
@@ -57,6 +59,11 @@ class DemoStudy(WalkingStudy):
 
     name: ClassVar[str] = "demo"
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.seconds <= (dies := self.onset * CONTROL_DT):
+            raise RenetError(f"seconds must be above {dies:g}, when cameras die: {self.seconds}")
+
     @property
     def onset(self) -> int:
         """Control step at which cameras die."""
@@ -66,6 +73,17 @@ class DemoStudy(WalkingStudy):
     def gap(self) -> float:
         """Width of the gap, m."""
         return tiles()[GROUND].measure((LEVEL - 1) / (LEVELS - 1))
+
+    def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
+        """As every study; walks again where the film is missing."""
+        if not (self.out / "film.mp4").exists():
+            self._forget()
+        return super().run(evaluator)
+
+    def _forget(self) -> None:
+        """Delete kept walks: the film shows the newest one alone."""
+        for part in (self.out / "parts").glob(f"{GROUND}-*.json"):
+            remove(part)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """All modes side by side."""
@@ -89,6 +107,7 @@ class DemoStudy(WalkingStudy):
         pair = int((fell[0] & crossed[-1]).argmax())
         titles = {row * each + pair: TITLES.get(self.modes[row], "") for row in (0, -1)}
         titles = {row % len(trials): title for row, title in titles.items()}
+        self._forget()
         film(self.out / "film.mp4", env.scene_spec, trace, titles, "no image", self.pace(trace))
         return {
             "crossed": crossed,

@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from renet.evaluation.results import Provenance, grouped
+from renet.faults import fault_class
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT
 from renet.palette import BLIND, REMEMBERS, SEES
@@ -80,8 +81,12 @@ def setting_label(finding: dict[str, Any]) -> str:
 
 def noise_label(noise: str, level: float) -> str:
     """A noise setting as the paper writes it, such as "GA 30 %"."""
-    short = {"gaussian": "GA", "salt_and_pepper": "SP"}
-    return "no noise" if noise == "none" else f"{short.get(noise, noise)} {100 * level:.0f} %"
+    if noise == "none":
+        return "no noise"
+    short = {"gaussian": "GA", "salt_and_pepper": "SP"}.get(noise)
+    if short is None:
+        return f"{noise}, {fault_class(noise).describe(float(level))}"
+    return f"{short} {100 * level:.0f} %"
 
 
 def speed_over_time(

@@ -50,7 +50,7 @@ def bootstrap_interval(
     values = np.asarray(values, float)
     values = values[~np.isnan(values)]
     if len(values) < 2:
-        only = float(values[0]) if len(values) else float("nan")
+        only = float(statistic(values)) if len(values) else float("nan")
         return only, only
     options = {"n_resamples": 2000, "method": "percentile", "rng": 0}
     interval = scipy.stats.bootstrap((values,), statistic, **options).confidence_interval

@@ -116,15 +116,10 @@ class EvalPolicy(Protocol):
 
 
 def demand_shapes(path: Path, nodes: Sequence[Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse somebody's ONNX policy that takes or gives anything else than its caller handles.
+    """Refuse an ONNX policy that does not take and give, for N robots, what its caller handles.
 
-    Args:
-        path: of the model.
-        nodes: its inputs and outputs, of an ONNX Runtime session.
-        shapes: the shape of each for one robot, by name; the model must take N robots.
-
-    Raises:
-        RenetError: other names, other shapes, or a fixed number of robots.
+    `nodes` are its session's inputs and outputs, `shapes` those of one robot by name; raises
+    RenetError for others.
     """
     present = {node.name: list(node.shape) for node in nodes}
     batched = all(shape and not isinstance(shape[0], int) for shape in present.values())
@@ -211,14 +206,13 @@ class Rollout:
 
     def _reset(self) -> None:
         """Put every robot at its start, trusting vision."""
-        everybody = np.ones(len(self.modes), bool)
         self.env.perturb_cameras(self.injector.perturbation(0))
         self._result = self.env.reset()
         self.policy.reset()
         for selector in self.selectors:
             selector.reset()
         self._frames = Frames.healthy(self._result.depth)
-        self._trusted = everybody
+        self._trusted = np.ones(len(self.modes), bool)
         """[N] bool: the last answer of the selector that each robot obeys."""
 
     def _act(self, step: int, trace: Trace) -> np.ndarray:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
+from renet.errors import RenetError
 from renet.evaluation.studies.benchmark import ONSETS, schema
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.study import WalkingStudy
@@ -62,6 +63,11 @@ def test_quick_is_smaller_and_glass_is_studied_where_there_are_obstacles():
     robots = sum(len(quick.trials(settings)) for settings in quick.batches.values())
     robots += len(quick.trials_on(quick.grounds))
     assert robots * quick.steps + quick.healthy_minutes / 4 * 60 * 50 < 1_000_000
+
+
+def test_a_fault_begins_after_the_first_control_step():
+    with pytest.raises(RenetError, match=r"0\.02 <= onsets"):
+        FaultStudy(onsets=(0.005,))
 
 
 def test_the_result_file_is_valid(run_study):

@@ -96,6 +96,21 @@ def test_a_file_against_the_schema_is_one_line(tmp_path, spoil, message):
     assert not (tmp_path / "board.md").exists()
 
 
+def test_a_valid_file_without_its_numbers_is_one_line(tmp_path):
+    file, board = tmp_path / "one.json", tmp_path / "board.md"
+    result = complete("one", 0.5)
+    result["settings"][3]["measures"]["crossed"]["value"] = None
+    file.write_text(json.dumps(result))
+    make_leaderboard(LeaderboardCfg((file,), board))
+    for spoilt in (
+        {},
+        {"vp": {g: {"crossed": [1.0] * n, "upright": [1.0]} for n, g in enumerate(GROUNDS, 1)}},
+    ):
+        file.write_text(json.dumps(result | {"by_robot": spoilt}))
+        with pytest.raises(RenetError, match="a number is missing, or not one a robot"):
+            make_leaderboard(LeaderboardCfg((file,), board))
+
+
 def setting(ground: str, severity: int, mode: str, crossed: float, change: float) -> dict:
     """A setting in which as many robots stay upright as cross."""
     place = {"ground": ground, "onset": "on_the_way", "fault": "glare", "severity": severity}

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from renet.errors import RenetError
 from renet.evaluation.studies.memory import MemoryStudy
 
 from ..fakes import FakeEnv, FakeEvaluator, FakePolicy
@@ -43,3 +44,15 @@ def test_who_trusts_a_black_camera_falls_and_the_others_cross(tmp_path):
     assert (runs["vp", 2.0]["change"], runs["paper", 2.0]["change"]) == (-1.0, 0.0)
     assert runs["vp", 0]["size_m"] == pytest.approx(0.2333, abs=1e-3)
     assert (tmp_path / "memory.png").stat().st_size > 10_000
+
+
+def test_times_are_found_again_as_files_round_them(tmp_path):
+    study = MemoryStudy(tmp_path, grounds=("gap:3",), without=(1 / 3,), robots=2, modes=("vp",))
+    summary = study.run(FakeEvaluator(Crossing, Trusting))
+    ((_, _, rows),) = study.tables(summary)
+    assert rows == [("gap:3", "0", 2), ("gap:3", "0.333333", 0)]
+
+
+def test_robots_too_slow_to_lose_their_camera_are_refused():
+    with pytest.raises(RenetError, match="no image is missing within 12"):
+        MemoryStudy(speed=0.08)

@@ -1,6 +1,6 @@
 import numpy as np
 
-from renet.evaluation.studies.standing import stillness
+from renet.evaluation.studies.standing import StandingStudy, stillness
 
 
 def test_drift_counts_from_when_robots_should_stand_and_joints_all_along():
@@ -20,3 +20,8 @@ def test_robots_that_stop_stand_and_restless_ones_do_not(run_study):
     ]
     assert {(run["robots"], run["still"], run["falls"]) for run in summary["runs"]} == {(2, 1, 0)}
     assert all(run["drift_m"] == 0 for run in summary["runs"])
+
+
+def test_flat_ground_has_one_level():
+    groups = StandingStudy(kinds=("flat", "gap"), levels=(3, 5), modes=("op",)).groups
+    assert groups == [("flat", 1, "op"), ("gap", 3, "op"), ("gap", 5, "op")]

@@ -1,5 +1,6 @@
 """The top of the report: the large numbers, and everything that went wrong."""
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -38,21 +39,24 @@ def gap_headline(summary: dict[str, Any]) -> str:
     }
     counts = ", ".join(f"{crossed[mode]} {how}" for mode, how in others.items() if mode in crossed)
     remembers = "which remembers it" if summary["remembers"] else "which has no memory here"
+    ours = f"{crossed['renet']} cross with RENet, {remembers};" if "renet" in crossed else "cross"
     return (
         f"The camera dies {summary['before_s']} s before a gap of {100 * summary['gap_m']:.0f} cm:"
-        f" of {summary['runs'][0]['robots']} robots {crossed.get('renet', 0)} cross with RENet,"
-        f" {remembers}; {counts}."
+        f" of {summary['runs'][0]['robots']} robots {ours} {counts}."
     )
 
 
 def noise_headline(summary: dict[str, Any]) -> str:
     """One sentence that says what the noise study measured."""
     runs = summary["runs"]
-    falls = {mode: sum(r["falls"] for r in runs if r["mode"] == mode) for mode in ("vp", "renet")}
-    trials = [run["robots"] for run in runs if run["mode"] == "renet"]
+    falls, trials = Counter[str](), Counter[str]()
+    for run in runs:
+        falls[run["mode"]] += run["falls"]
+        trials[run["mode"]] += 1
+    kinds = max(trials.values())
+    counts = ", ".join(f"{falls[mode]} with {MODE_NAMES[mode]}" for mode in trials)
     return (
-        f"{len(trials)} kinds of camera noise, {sum(trials)} robots: {falls['vp']} fell with the"
-        f" vision estimator alone, {falls['renet']} with RENet."
+        f"{kinds} kinds of camera noise, {kinds * runs[0]['robots']} robots each; falls: {counts}."
     )
 
 
@@ -61,13 +65,16 @@ def noise_facts(summary: dict[str, Any]) -> list[tuple[str, str]]:
     renet = [run for run in summary["runs"] if run["mode"] == "renet"]
     if not renet:
         return []
-    speeds = [run["mean_forward_velocity"] for run in renet]
+    speeds = [v for run in renet if (v := run["mean_forward_velocity"]) is not None]
     delays = [r["detection_delay_s"] for r in renet if r["detection_delay_s"] is not None]
     robots = sum(run["robots"] for run in renet)
     upright = robots - sum(run["falls"] for run in renet)
     return [
         (f"{upright} of {robots}", "RENet robots on their feet"),
-        (f"{min(speeds):.2f}–{max(speeds):.2f} m/s", "RENet's mean speed under noise"),
+        (
+            f"{min(speeds):.2f}–{max(speeds):.2f} m/s" if speeds else "–",
+            "RENet's mean speed under noise",
+        ),
         (f"{1000 * max(delays):.0f} ms" if delays else "none", "slowest median switch to OP"),
         (str(summary["healthy"]["false_switches"]), "false switches while the camera was healthy"),
     ]

@@ -47,13 +47,7 @@ class ShownImages:
     """An environment whose robots are shown other images than their cameras take; see `VIEWS`."""
 
     def __init__(self, env: EvalEnv, views: Sequence[str], each: int) -> None:
-        """Wrap an environment.
-
-        Args:
-            env: its rows are groups of `each` robots; the first of `len(VIEWS)` groups is healthy.
-            views: of each row, [N].
-            each: robots in a group.
-        """
+        """Wrap an environment: groups of `each` robots, one for every view of a ground in turn."""
         self._env, self._views = env, np.array(views)
         row = np.arange(len(views))
         healthy = row - row % (each * len(VIEWS))
@@ -206,12 +200,7 @@ def compare(part: Mapping[str, Mapping[str, Any]], view: str) -> dict[str, Any]:
 
 
 def sentence(total: Mapping[str, Mapping[str, Any]], runs: Sequence[Mapping[str, Any]]) -> str:
-    """What a study shows, in words.
-
-    Args:
-        total: `compare` over all grounds, by view.
-        runs: `compare` with its ground and view, by ground.
-    """
+    """What a study shows, in words; `total` by view and `runs` by ground are of `compare`."""
     views = [view for view in VIEWS if view not in ("healthy", "control")]
     robots, unlike = total["healthy"]["robots"], CHANCE / len(views)
 

@@ -320,8 +320,7 @@ def score(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         chosen = robots.astype(int)
         return kept[chosen].sum(axis) / np.maximum(able[chosen].sum(axis), 1)
 
+    everybody = np.arange(len(able))
     if able.any():
-        low, high = metrics.bootstrap_interval(np.arange(len(able)), share)
-        everybody = share(np.arange(len(able)))
-        scores |= {"kept": everybody, "kept_ci95_low": low, "kept_ci95_high": high}
+        scores |= {"kept": share(everybody)} | metrics.with_interval("kept", everybody, share)
     return scores

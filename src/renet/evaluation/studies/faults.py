@@ -82,9 +82,10 @@ class FaultStudy(WalkingStudy):
             raise RenetError(
                 f"lasts {self.lasts} must be positive, healthy minutes {self.healthy_minutes} >= 0"
             )
-        if not 0 < min(self.onsets) <= max(self.onsets) + self.lasts <= self.seconds + 1e-6:
+        if min(self.onsets) < CONTROL_DT or max(self.onsets) + self.lasts > self.seconds + 1e-6:
             raise RenetError(
-                f"0 < onsets {self.onsets} + lasts {self.lasts} <= seconds {self.seconds} must hold"
+                f"{CONTROL_DT} <= onsets {self.onsets}, and + lasts {self.lasts} <= seconds"
+                f" {self.seconds}, must hold"
             )
         check_grounds(self.levels)
 
@@ -146,20 +147,13 @@ class FaultStudy(WalkingStudy):
         task = FLAT if self.grounds == (FLAT,) else self.levels
         return evaluator.make_env(task, robots, self.speed, self.seed)
 
-    def walk(
-        self,
-        evaluator: Evaluator,
-        env: SimEnv,
-        title: str,
-        trials: Sequence[Trial],
-        film: Sequence[int] = (),
-    ) -> Trace:
-        """Run trials, each on its ground, until all robots are done; film those of some rows."""
+    def walk(self, evaluator: Evaluator, env: SimEnv, title: str, trials: Sequence[Trial]) -> Trace:
+        """Run trials, each on its ground, until all robots are done."""
         if self.grounds != (FLAT,):
             env.place_on([trial.ground for trial in trials])
         least = round((max(self.onsets) + self.lasts) / CONTROL_DT) + STEPS_PER_TICK
         rollout = evaluator.rollout(env, trials, self.seed)
-        return rollout.run(self.steps, title, until_ended=least, film=film)
+        return rollout.run(self.steps, title, until_ended=least)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One batch for each fault, one without faults, and healthy walking."""
@@ -362,14 +356,13 @@ class FaultStudy(WalkingStudy):
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Robots that crossed, by ground and fault, and the claims."""
-        groups = grouped(summary["runs"], "ground", "fault", "mode")
-        shares = {
-            group: f"{100 * np.mean(list(map(_crossed, runs))):.0f}"
-            for group, runs in groups.items()
-        }
+
+        def share(runs: list[Any], mode: str) -> str:
+            return f"{100 * np.mean([_crossed(run) for run in runs if run['mode'] == mode]):.0f}"
+
         crossed = [
-            (*where, *(shares[*where, mode] for mode in self.modes))
-            for where in dict.fromkeys(group[:2] for group in groups)
+            (*where, *(share(runs, mode) for mode in self.modes))
+            for where, runs in grouped(summary["runs"], "ground", "fault").items()
         ]
         claims = [
             ("yes" if claim["met"] else "NO", claim["claim"], claim["measured"])

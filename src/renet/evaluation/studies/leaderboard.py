@@ -7,10 +7,9 @@ import csv
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import tyro
@@ -25,6 +24,10 @@ from renet.evaluation.study import Table
 from renet.files import MAX_JSON, read_bytes, write_atomically
 from renet.terminal import show
 
+Settings = Sequence[Mapping[str, Any]]
+"""Settings of result files."""
+Policies = Mapping[tuple[str, str], Settings]
+"""The same by the names of policy and mode."""
 HEADER = ("", "policy", "mode", "crossed", "95 %", "upright", "speed error", "J/m", "blind (s)")
 
 
@@ -36,10 +39,10 @@ class LeaderboardCfg:
     """result.json of each policy; `renet evaluate faults` writes one."""
     out: Path = Path("results/leaderboard.md")
     """All tables, as Markdown."""
-    severity: int | None = None
+    severity: Literal[1, 2, 3, 4, 5] | None = None
     """Severity that counts in the tables behind the ranking; all by default."""
-    onset: str | None = None
-    """Onset that counts there, on_the_way or before_the_edge; both by default."""
+    onset: Literal["on_the_way", "before_the_edge"] | None = None
+    """Onset that counts there; both by default."""
     noticed: Path | None = None
     """summary.csv of a study: who noticed its faults."""
 
@@ -52,11 +55,15 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
     if len(versions) > 1:
         raise RenetError("give results of one version of the benchmark")
     tables: list[Table] = []
-    if versions == {2}:
-        tables += [ranking(results)]
-    else:
-        tables += [("Fault benchmark, version 1", HEADER, rank(results))]
-        tables += result_tables(results, cfg.severity, cfg.onset)
+    try:
+        if versions == {2}:
+            tables += [ranking(results)]
+        else:
+            tables += [("Fault benchmark, version 1", HEADER, rank(results))]
+            tables += result_tables(results, cfg.severity, cfg.onset)
+    except (LookupError, TypeError, ValueError) as error:
+        names = ", ".join(map(str, cfg.files))
+        raise RenetError(f"{names}: a number is missing, or not one a robot ({error})") from error
     tables += noticed_tables
     write_atomically(cfg.out, "\n".join(map(_markdown, tables)).encode())
     for table in tables:
@@ -100,9 +107,12 @@ def rank(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     ]
 
 
-def _mean(entries: Sequence[Mapping[str, Any]], name: str) -> float:
-    """The mean of a measure over the settings in which it was taken; NaN without any."""
-    measured = np.array([entry["measures"][name]["value"] for entry in entries], float)
+def _mean(settings: Settings, name: str, twins: bool = False) -> float:
+    """The mean of a measure over the settings, or twins there, it was taken in; NaN without any."""
+    measures = [setting["measures"][name] for setting in settings]
+    measured = np.array([measure["value"] for measure in measures], float)
+    if twins:
+        measured -= np.array([measure["change"]["value"] for measure in measures], float)
     return float(np.nanmean(measured)) if (~np.isnan(measured)).any() else math.nan
 
 
@@ -129,30 +139,15 @@ def _interval(result: Mapping[str, Any], mode: str, settings: Mapping[str, int])
     return "{:.1f} to {:.1f}".format(*(100 * end for end in bootstrap_interval(robots)))
 
 
-class Row(NamedTuple):
-    """A setting: means over its robots; `shares` and `healthy` are [crossed, upright]."""
-
-    ground: str
-    severity: int
-    shares: np.ndarray
-    healthy: np.ndarray
-    """The same of the robots' twins, whose cameras do not fail."""
-    healthy_switches: float
-
-
-Policies = Mapping[tuple[str, str], Sequence[Row]]
-"""Settings by the names of policy and mode."""
-
-
 def result_tables(
     results: Sequence[Mapping[str, Any]], severity: int | None, onset: str | None
 ) -> Iterator[Table]:
     """Tables of result files, from their settings of one severity and onset, or all of them."""
-    policies: dict[tuple[str, str], list[Row]] = defaultdict(list)
+    policies: dict[tuple[str, str], list[Mapping[str, Any]]] = defaultdict(list)
     for result in results:
         for row in result["settings"]:
             if severity in (None, row["severity"]) and onset in (None, row["onset"]):
-                policies[result["policy"]["name"], row["mode"]].append(_setting(row))
+                policies[result["policy"]["name"], row["mode"]].append(row)
     yield by_ground(policies)
     yield by_severity(policies)
     for result in results:
@@ -160,17 +155,12 @@ def result_tables(
             yield paired(result)
 
 
-def _setting(setting: Mapping[str, Any]) -> Row:
-    """A setting of a result file."""
-    measures = [setting["measures"][name] for name in ("crossed", "upright", "switches")]
-    values = np.array([measure["value"] for measure in measures])
-    twins = values - [measure["change"]["value"] for measure in measures]
-    return Row(setting["ground"], setting["severity"], values[:2], twins[:2], twins[2])
-
-
-def percent(shares: Sequence[Any]) -> str:
-    """The mean of [crossed, upright] pairs of shares, the latter in parentheses."""
-    return "{:.1f} ({:.1f})".format(*(100 * np.mean(shares, axis=0))) if len(shares) else "-"
+def percent(tiles: Settings, settings: Settings, twins: bool = False) -> str:
+    """The mean share that crosses `tiles` and, in parentheses, stays upright in `settings`, %."""
+    if not tiles:
+        return "-"
+    crossed, upright = _mean(tiles, "crossed", twins), _mean(settings, "upright", twins)
+    return f"{100 * crossed:.1f} ({100 * upright:.1f})"
 
 
 def by_ground(policies: Policies) -> Table:
@@ -181,11 +171,11 @@ def by_ground(policies: Policies) -> Table:
     for policy, settings in policies.items():
         cells = []
         for grounds in columns.values():
-            chosen = [row for row in settings if row.ground in grounds]
-            cell = percent([row.shares for row in chosen])
+            chosen = [row for row in settings if row["ground"] in grounds]
+            cell = percent(chosen, chosen)
             if chosen and len(grounds) == 1:
-                switches = np.mean([row.healthy_switches for row in chosen])
-                cell += f" [{percent([row.healthy for row in chosen])}, {switches:.2f}]"
+                switches = _mean(chosen, "switches", twins=True)
+                cell += f" [{percent(chosen, chosen, twins=True)}, {switches:.2f}]"
             cells.append(cell)
         rows.append((*policy, *cells, len(settings)))
     title = "Crossed (upright), %, by ground; in brackets: with a healthy camera, switches"
@@ -194,15 +184,14 @@ def by_ground(policies: Policies) -> Table:
 
 def by_severity(policies: Policies) -> Table:
     """Crossed on all ground but the flat, and upright on all."""
-    severities = sorted({row.severity for settings in policies.values() for row in settings})
+    severities = sorted({row["severity"] for settings in policies.values() for row in settings})
     rows = []
     for policy, settings in policies.items():
         cells = []
         for severity in severities:
-            chosen = [row for row in settings if row.severity == severity]
-            tiles = [row.shares[0] for row in chosen if row.ground != "flat"]
-            upright = [row.shares[1] for row in chosen]
-            cells.append(percent([(np.mean(tiles), np.mean(upright))] if tiles else []))
+            chosen = [row for row in settings if row["severity"] == severity]
+            tiles = [row for row in chosen if row["ground"] != "flat"]
+            cells.append(percent(tiles, chosen))
         rows.append((*policy, *cells))
     title = "Crossed on tiles (upright on all ground), %, by severity"
     return title, ("policy", "mode", *map(str, severities)), rows
@@ -233,21 +222,14 @@ def study_table(path: Path) -> Table:
     Raises RenetError for any other file.
     """
     lines = read_bytes(path, MAX_JSON, "summary").decode(errors="replace").splitlines()
+    numbers = ("severity", "detected", "vision_active_at_onset")
     try:
-        rows = [{k: _number(text) for k, text in row.items()} for row in csv.DictReader(lines)]
+        rows = [row | {name: int(row[name]) for name in numbers} for row in csv.DictReader(lines)]
         return noticed(rows)
     except (csv.Error, LookupError, TypeError, ValueError) as error:
         raise RenetError(
             f"{path} is no summary.csv of the study `renet evaluate faults`"
         ) from error
-
-
-def _number(text: str) -> Any:
-    """What a cell of a CSV file holds; None where it is empty."""
-    for kind in (int, float):
-        with suppress(ValueError):
-            return kind(text)
-    return text or None
 
 
 def noticed(runs: Sequence[Mapping[str, Any]]) -> Table:

@@ -64,6 +64,8 @@ class MemoryStudy(LevelStudy):
             raise RenetError(f"without {self.without}: give different times above 0 s")
         if self.before < 0:
             raise RenetError(f"before must be at least 0 s, got {self.before}")
+        if self.onset * CONTROL_DT >= self.seconds:
+            raise RenetError(f"at {self.speed} m/s no image is missing within {self.seconds} s")
 
     @property
     def onset(self) -> int:
@@ -124,7 +126,7 @@ class MemoryStudy(LevelStudy):
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """memory.png: the share that crosses against the time, one panel for each ground."""
-        times = [0.0, *sorted(self.without)]
+        times = [0.0, *(round(seconds, 6) for seconds in sorted(self.without))]
         panels = {
             f"{SIZES[kind]} {100 * size:.0f} cm": [
                 run | {"without_s": time}
@@ -148,7 +150,7 @@ class MemoryStudy(LevelStudy):
         rows = []
         for (kind, level), runs in grouped(summary["runs"], "ground", "level").items():
             crossed = {(run["mode"], run["without_s"]): run["crossed"] for run in runs}
-            for seconds in (0.0, *self.without):
+            for seconds in sorted({run["without_s"] for run in runs}):
                 counts = (crossed.get((mode, seconds), crossed[mode, 0.0]) for mode in self.modes)
                 rows.append((f"{kind}:{level}", f"{seconds:g}", *counts))
         header = ("ground", "seconds", *self.modes)

@@ -97,7 +97,7 @@ class NoiseStudy(FaultStudy):
                 figures.noise_label(run.get("fault", "none"), run.get("level", 0.0)),
                 f"{run['falls']} of {run['robots']}",
                 crossed(run),
-                f"{run['mean_forward_velocity']:.2f}",
+                "-" if (v := run["mean_forward_velocity"]) is None else f"{v:.2f}",
                 "-" if (s := run["detection_delay_s"]) is None else f"{1000 * s:.0f}",
             )
             for run in noise_rows(summary)

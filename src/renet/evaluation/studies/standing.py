@@ -51,17 +51,22 @@ class StandingStudy(TerrainStudy):
     quick_levels: ClassVar[tuple[int, ...]] = (3,)
     quick_robots: ClassVar[int] = 5
 
+    @property
+    def groups(self) -> list[tuple[str, int, str]]:
+        """Kind, level and mode of each group of robots; flat ground has one level."""
+        return [
+            (kind, 1 if kind == FLAT else level, mode)
+            for kind in self.kinds
+            for level, mode in self.settings
+            if kind != FLAT or level == self.levels[0]
+        ]
+
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """All robots of every ground and mode, side by side."""
         return {"runs": partial(self._stand, evaluator)}
 
     def _stand(self, evaluator: Evaluator) -> Part:
-        groups = [
-            (kind, 1 if kind == FLAT else level, mode)
-            for kind in self.kinds
-            for level, mode in self.settings
-        ]
-        env, trials = self.robots_on(partial(self._make_env, evaluator), groups)
+        env, trials = self.robots_on(partial(self._make_env, evaluator), self.groups)
         seconds = np.cumsum((WALK, SETTLE, self.seconds))
         stop, settled, steps = np.round(seconds / CONTROL_DT).astype(int)
 
@@ -77,8 +82,8 @@ class StandingStudy(TerrainStudy):
         fell, gone = (np.any(flags[stop:], axis=0) for flags in (trace.fell, trace.ended))
         still = ~gone & (drift < DRIFT) & (joint_speed.mean(axis=0) < MOVING)
         runs = []
-        numbers = np.arange(len(trials)).reshape(len(groups), -1)
-        for group, robots in zip(groups, numbers, strict=True):
+        numbers = np.arange(len(trials)).reshape(len(self.groups), -1)
+        for group, robots in zip(self.groups, numbers, strict=True):
             stayed = robots[~gone[robots]]
             runs.append(
                 dict(zip(("kind", "level", "mode"), group, strict=True))

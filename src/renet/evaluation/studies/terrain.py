@@ -152,12 +152,7 @@ class TerrainStudy(WalkingStudy):
     def robots_on(
         self, make: Callable[[tuple[int, ...]], SimEnv], groups: Sequence[tuple[str, int, str]]
     ) -> tuple[SimEnv, list[Trial]]:
-        """Robots on their tiles, and their trials.
-
-        Args:
-            make: makes an environment of these robot numbers.
-            groups: kind, level and mode of each group; flat ground has level 1.
-        """
+        """Robots on their tiles, and their trials; groups are kind, level (1 on flat) and mode."""
         each = self.robots_each
         rows = [(*group, robot) for group in groups for robot in range(each)]
         trials = [
