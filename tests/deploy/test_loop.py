@@ -172,6 +172,7 @@ def test_what_a_device_complains_of_is_told_once(bundle, tmp_path):
     ("reading", "teleop", "recording"),
     [
         ({"battery": 0.05}, ARM, ""),
+        ({"battery": None}, ARM, ""),
         ({}, TeleopCommand(speed=0.9, arm=True), ""),
         ({}, ARM, "the recording ends early"),
     ],
@@ -199,3 +200,20 @@ def test_an_operator_who_holds_the_button_does_not_arm_when_the_check_passes(bun
     run_control_loop(robot, None, hand, controller, done=lambda: robot.time > 0.8)
     armed = [event.time for event in events if event.what == "standing_up"]
     assert armed == [pytest.approx(0.6, abs=2 * CONTROL_DT)]
+
+
+def test_a_step_that_returns_late_brakes(bundle):
+    """Its reading is as old, and nobody looked at the robot meanwhile."""
+    robot, controller, late = Standing(), Controller(bundle, BRISK), []
+    act = controller.policy.act
+
+    def slow(*arguments):
+        if robot.time > 1.0 and not late:
+            late.append(len(robot.told))
+            robot.time += 0.3
+        return act(*arguments)
+
+    controller.policy.act = slow
+    run_control_loop(robot, None, ScriptedTeleop(0.5), controller, done=lambda: robot.time > 2.0)
+    assert robot.told[late[0] - 1].stiffness.any()
+    assert not robot.told[late[0]].stiffness.any()

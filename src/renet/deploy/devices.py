@@ -38,10 +38,10 @@ def start_devices(
             file, a robot that another program drives, or a device that does not answer.
     """
     robot = make_robot(cfg, bundle)
-    camera = cfg.lens.build(bundle.manifest.camera, robot, cfg.seed)
-    teleop = make_teleop(cfg)
     if not (cfg.driver.simulated or isinstance(robot, RealRobot)):  # Its sender holds a lock.
         stack.enter_context(claim(f"{cfg.robot} {cfg.driver.address}".rstrip()))
+    camera = cfg.lens.build(bundle.manifest.camera, robot, cfg.seed)
+    teleop = make_teleop(cfg)
     for device in (teleop, camera, robot):
         stack.callback(getattr(device, "close", lambda: None))
     robot.connect()

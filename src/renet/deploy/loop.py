@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from renet.deploy.cameras.base import Camera, DepthFrame
@@ -133,17 +133,18 @@ class _Loop:
             return wish
         if not self._refused and not self.dry_run:
             recording = "" if self.recorder is None else self.recorder.problem
-            camera = self.camera is not None
-            problem = pre_arm_problem(
-                state, wish, frame, camera, recording, self.controller.cfg, now
-            )
+            camera, cfg = self.camera is not None, self.controller.cfg
+            given = (state, wish, frame, camera, recording, cfg, now)
+            problem = self._ask("arming", lambda: pre_arm_problem(*given), "a device says nonsense")
             self._refused = bool(problem)
             if problem:
                 self.controller.tell(now, "refused", problem)
-        return replace(wish, arm=False) if self._refused else wish
+        return TeleopCommand() if self._refused else wish
 
     def _write(self, command: JointCommand, state: RobotState | None, now: float) -> None:
         try:
+            if self.robot.now() - now > self.controller.cfg.max_gap:  # Its reading is as old.
+                command = damping_command(self.controller.robot, self.controller.cfg)
             self.robot.write(self.robot.envelope.clamp(command, state))
         except Exception as error:
             self.controller.trip(f"{REFUSED}: {error}", now)

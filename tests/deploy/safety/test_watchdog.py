@@ -88,3 +88,13 @@ def test_a_signal_asks_the_run_to_end(name):
         os.kill(os.getpid(), number)
         assert interrupted()
     assert signal.getsignal(number) is before
+
+
+def test_a_terminal_that_is_gone_or_hangs_keeps_nobody_from_braking():
+    full = "import os; r, w = os.pipe(); os.dup2(w, 2); os.set_blocking(2, False)\n"
+    full += "while True:\n try: os.write(2, bytes(65536))\n except BlockingIOError: break\n"
+    full += "os.set_blocking(2, True)\n"
+    for ill in ("import os, sys; os.close(2); sys.stderr = None\n", full):
+        program = [sys.executable, "-c", ill + LATE.replace("0.5", "0.5\nwatchdog.CLOSING = 3.0")]
+        ended = subprocess.run(program, stdout=subprocess.PIPE, text=True, timeout=60)
+        assert (ended.returncode, ended.stdout) == (2, "braked\n")

@@ -165,22 +165,19 @@ class RealSenseCamera(Camera):
             f"{offered}): connect it by USB 3"
         )
 
-    def _run(self, stream: tuple[Any, Any]) -> None:
-        while not self._stop.is_set():
+    def _run(self, stream: tuple[Any, Any] | None) -> None:
+        while stream is not None:
             try:
                 self._stream(stream[1])
             except Exception as error:  # The robot walks on without its camera.
                 self.problem = f"{type(error).__name__}: {error}"
             _shut(stream[0])
-            while not self._stop.wait(RETRY):
-                if self.busy:
-                    continue
+            stream = None
+            while stream is None and not self._stop.wait(RETRY):
                 try:
-                    stream = self._open()
+                    stream = None if self.busy else self._open()
                 except Exception as error:
                     self.problem = str(error)
-                else:
-                    break
 
     def _stream(self, queue: Any) -> None:
         """Prepare frames until they stop."""

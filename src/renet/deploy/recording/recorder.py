@@ -210,16 +210,15 @@ class Recorder:
         magic = MAGIC
         while (chunk := self._chunks.get()) is not None:
             tag, data = chunk
-            packed = zlib.compress(data, 1)
-            head = magic + CHUNK.pack(tag, len(packed), zlib.crc32(packed))
-            magic = b""
             try:
-                self._file.write(head + packed)
+                packed = zlib.compress(data, 1)
+                self._file.write(magic + CHUNK.pack(tag, len(packed), zlib.crc32(packed)) + packed)
                 self._file.flush()
                 os.fsync(self._file.fileno())  # The battery may go next.
-            except (OSError, ValueError) as error:
-                self.problem = f"the recording {self.path} ends early: {error}"
+            except (OSError, ValueError, MemoryError) as error:
+                self.problem = f"the recording {self.path} ends early: {error!s}"
                 return
+            magic = b""
 
 
 def _store_teleop(tick: np.ndarray, teleop: TeleopCommand) -> None:

@@ -87,10 +87,10 @@ def watchdog(close: Callable[[], None]) -> Iterator[Callable[[], None]]:
 
 def _end(close: Callable[[], None]) -> None:
     """End the process, whatever hangs."""
-    with suppress(OSError):
-        sys.stderr.write(f"renet: {HANGS} since {PATIENCE:g} s: the run ends, braked\n")
-        sys.stderr.flush()
     threading.Timer(CLOSING, os._exit, [EXIT_CODE]).start()
     with suppress(Exception):
         close()
+    with suppress(Exception):  # The terminal may hang, too, or be none.
+        sys.stderr.write(f"renet: {HANGS} since {PATIENCE:g} s: the run ends, braked\n")
+        sys.stderr.flush()
     os._exit(EXIT_CODE)

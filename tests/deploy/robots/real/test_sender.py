@@ -30,6 +30,8 @@ class Wire(Link):
     def __init__(self, failure: str = "", pipe: int = -1) -> None:
         if failure == "start":
             raise RenetError("no such card")
+        if failure == "library":
+            raise OSError("no libddsc")
         super().__init__(read_envelope(GO1))
         Wire.last, self.failure, self.pipe = self, failure, pipe
         self.sent, self.times = [], []
@@ -37,6 +39,8 @@ class Wire(Link):
     def _receive(self, now: float) -> None:
         self.times.append(now)
         self.state = replace(fakes.state(now), temperature=30.0, battery=0.5)
+        if self.failure == "shape":
+            self.state = replace(self.state, joint_position=np.zeros(11))
 
     def _send(self, command: JointCommand | None) -> None:
         self.sent.append(command)
@@ -154,6 +158,16 @@ def test_one_that_never_commanded_leaves_the_robot_limp_at_once(controller, monk
     assert Wire.last.sent == [None] * 3
 
 
-def test_a_link_that_cannot_start_is_the_senders_last_word(controller, monkeypatch):
-    last = run(controller, monkeypatch, "start")
-    assert (last["valid"], last["problem"]) == (False, b"no such card")
+def test_a_reading_of_another_shape_ends_braked(controller, monkeypatch):
+    controller.say(fakes.command())
+    run(controller, monkeypatch, "shape")
+    assert Wire.last.problem.startswith("the robot's driver failed: ValueError")
+    assert not Wire.last.sent[-1].stiffness.any()
+
+
+@pytest.mark.parametrize(
+    ("failure", "why"), [("start", b"no such card"), ("library", b"OSError: no libddsc")]
+)
+def test_a_link_that_cannot_start_is_the_senders_last_word(controller, monkeypatch, failure, why):
+    last = run(controller, monkeypatch, failure)
+    assert (last["valid"], last["problem"]) == (False, why)

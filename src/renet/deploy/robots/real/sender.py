@@ -40,8 +40,10 @@ def main(arguments: list[str]) -> None:
     with realtime(PRIORITY) as refused:  # From before the link starts threads of its own.
         try:
             link: Link = pkgutil.resolve_name(link_class)(*json.loads(settings))
-        except RenetError as error:
-            readings.write(_reading(None, str(error), refused))
+        except Exception as error:
+            named = isinstance(error, RenetError)
+            problem = str(error) if named else f"{type(error).__name__}: {error}"
+            readings.write(_reading(None, problem, refused))
             return
         due, end = clock(), np.inf
         while clock() < end:
@@ -49,7 +51,8 @@ def main(arguments: list[str]) -> None:
                 link.problem = link.problem or "the connection was closed"
                 end = clock() + float(sink) if link.commanded > -np.inf else 0.0
             step(link, alive, commands)
-            readings.write(_reading(link, link.problem, refused))
+            with link.braked_on_failure():
+                readings.write(_reading(link, link.problem, refused))
             due = max(due + PERIOD, clock())
             time.sleep(max(0.0, due - clock()))
 
