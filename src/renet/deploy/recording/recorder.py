@@ -216,7 +216,8 @@ class Recorder:
                 self._file.flush()
                 os.fsync(self._file.fileno())  # The battery may go next.
             except (OSError, ValueError, MemoryError) as error:
-                self.problem = f"the recording {self.path} ends early: {error!s}"
+                why = str(error) or "out of memory"
+                self.problem = f"the recording {self.path} ends early: {why}"
                 return
             magic = b""
 
