@@ -156,7 +156,7 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
             ),
             "reward_clipped": MetricsTermCfg(func=mdp.reward_clipped),
         },
-        sim=SimulationCfg(njmax=200, nconmax=60, mujoco=physics),
+        sim=SimulationCfg(njmax=400, nconmax=60, mujoco=physics),
         viewer=ViewerConfig(
             origin_type=ViewerConfig.OriginType.ASSET_BODY,
             entity_name="robot",
