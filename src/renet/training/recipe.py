@@ -38,9 +38,9 @@ def set_learning(agent: RenetRunnerCfg) -> None:
     agent.model = ModelCfg(initial_std=0.5, detector="variance", predict_map_error=True)
     agent.algorithm = NP3OCfg(
         # With a third of this the deviation fell to 2 degrees a joint, and gaps were crossed less.
-        entropy="0.008@200M,0.001@300M",
+        entropy="0.008@168M,0.001@205M",
         # Late, nearly all of the gradient is noise: smaller steps average over more of it.
-        desired_kl="0.01@250M,0.004@280M",
+        desired_kl="0.01@190M,0.004@212M",
         # With 0.95 most of the actor's gradient is noise; critics that see the truth explain the
         # returns well enough to take it out.
         lam=0.8,
