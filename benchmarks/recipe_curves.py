@@ -24,7 +24,7 @@ from renet.training.metrics import LEVEL, read_curves
 from renet.training.train import CONFIG
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "recipe"
-FLAGSHIP = Path(__file__).with_name("flagship") / "curves.csv"
+FLAGSHIP = Path(__file__).with_name("results") / "flagship.csv"
 
 
 def level_curves(run: Path, steps: int = 0, every: int = 10) -> list[dict[str, float]]:

@@ -108,7 +108,7 @@ class Recorder:
             patient: wait for a slow disk, at most `CLOSING` seconds at a time: for runs on a
                 simulated clock, which no disk keeps up with for long.
         """
-        self._patience = CLOSING if patient else 0.0
+        self._patience = CLOSING / 3 if patient else 0.0  # A flush has three chunks.
         self._file = create(path, "recording")
         self._chunks: Queue[tuple[bytes, bytes] | None] = Queue(MAX_WAITING)
         self.path, self.problem = path, ""
