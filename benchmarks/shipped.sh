@@ -30,9 +30,10 @@ python benchmarks/course.py && cp results/course/summary.json benchmarks/results
 python benchmarks/filter.py && cp results/filter/summary.json benchmarks/results/shipped/filter.json
 before_the_edge="--severities 5 --onsets 1.5 --healthy-minutes 0"
 study severity_5 faults $before_the_edge --modes vp renet op
+study severity_5_rules faults $before_the_edge --modes paper oracle-switch
 study unnoticed faults --faults saturated:3 saturated:4 glass:3 glass:4 near_field:3 near_field:4 edge_shadow:3 \
     edge_shadow:4 --onsets 1.5 --healthy-minutes 0 --modes vp renet
-for name in severity_5 unnoticed; do
+for name in severity_5 severity_5_rules unnoticed; do
     cp "results/$name/result.json" "benchmarks/results/shipped/$name.json"
 done
 figure success/success.png success.png
