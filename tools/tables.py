@@ -101,7 +101,7 @@ def black(label: str) -> list[str]:
 
 def one_try(label: str) -> list[str]:
     """Who of 100 crosses with one try, on ground that separates policies."""
-    path = {"this policy": "success_100", "the one before": "../earlier/success_100"}[label]
+    path = {"this policy": "success_100", "the earlier recipe's": "../earlier/success_100"}[label]
     passed = {(run["kind"], run["level"]): str(run["passed"]) for run in result(path)["runs"]}
     return [passed[kind, level] for kind in ("gap", "platform") for level in (8, 10)] + [
         passed[f"stairs_{way}", 10] for way in ("up", "down")
