@@ -86,7 +86,7 @@ class RandomCamera:
     def __init__(self) -> None:
         random = np.random.default_rng(0)
         slope = np.linspace(0.9, 0.3, DEPTH_SHAPE[0])[:, None]
-        noise = 0.03 * random.standard_normal((50, *DEPTH_SHAPE))
+        noise = 0.01 * random.standard_normal((50, *DEPTH_SHAPE))
         self._images = np.clip(slope + noise, 0.0, 1.0).astype(np.float32)
         self._frame = DepthFrame(self._images[0], -1, 0.0)
 

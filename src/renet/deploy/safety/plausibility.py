@@ -39,7 +39,7 @@ class Readings:
         if last is None or not 0.0 < passed <= LONGEST:
             self._drift, self._alike = np.zeros(3), 1
             return ""
-        same = all((getattr(last, n) == getattr(state, n)).all() for n in VECTORS)
+        same = all(getattr(last, n).tobytes() == getattr(state, n).tobytes() for n in VECTORS)
         self._alike = self._alike + 1 if same else 1
         if self._alike > MOST_ALIKE:
             return f"the readings are frozen: {self._alike} are the same"
@@ -58,13 +58,13 @@ def jump_problem(last: RobotState, state: RobotState, passed: float) -> str:
     Between two readings a speed can leave the range of both by what the motor's acceleration makes
     of the time, so that the turn is free within a distance that grows with the time squared.
     """
-    limit = MAX_JUMP * max(passed / CONTROL_DT, 1.0) ** 2
-    turns = (state.joint_position - last.joint_position).tolist()
-    speeds = zip(last.joint_velocity.tolist(), state.joint_velocity.tolist(), strict=True)
-    for joint, turn, ends in zip(JOINTS, turns, speeds, strict=True):
-        if max(passed * min(ends) - turn, turn - passed * max(ends)) > limit:
-            return f"{joint} jumped by {abs(turn):.2f} rad at another speed"
-    return ""
+    turn = state.joint_position - last.joint_position
+    before, after = passed * last.joint_velocity, passed * state.joint_velocity
+    beyond = np.maximum(np.minimum(before, after) - turn, turn - np.maximum(before, after))
+    worst = int(beyond.argmax())
+    if beyond[worst] <= MAX_JUMP * max(passed / CONTROL_DT, 1.0) ** 2:
+        return ""
+    return f"{JOINTS[worst]} jumped by {abs(turn[worst]):.2f} rad at another speed"
 
 
 def rotation_vector(before: np.ndarray, after: np.ndarray) -> np.ndarray:

@@ -18,9 +18,8 @@ from cyclonedds.idl import make_idl_struct, types
 
 from renet.errors import RenetError
 
-U1, U2, U4, I2, I4, F4 = "u1", "<u2", "<u4", "<i2", "<i4", "<f4"
-IDL = {U1: types.uint8, U2: types.uint16, U4: types.uint32}
-IDL |= {I2: types.int16, I4: types.int32, F4: types.float32}
+IDL = {"u1": types.uint8, "<u2": types.uint16, "<u4": types.uint32}
+IDL |= {"<i2": types.int16, "<i4": types.int32, "<f4": types.float32}
 MODULE = "unitree_go.msg.dds_"
 TYPES = Path(__file__).with_name("types.json")
 """By type, 0.10.2's TypeInformation and TypeMapping (XTypes 1.3), zlib and base64."""
@@ -29,83 +28,39 @@ TYPES_SHA256 = "343432cdda6f245986f3cd7db5b4ffe75037185c3d6cec5885bf86f86e44eed7
 Fields = tuple[tuple[str, Any, int], ...]
 """Name, type (of NumPy, or name and fields of a struct) and count of each."""
 
-HEAD: Fields = (
-    ("head", U1, 2),
-    ("level_flag", U1, 1),
-    ("frame_reserve", U1, 1),
-    ("sn", U4, 2),
-    ("version", U4, 2),
-    ("bandwidth", U2, 1),
+
+def _fields(text: str, **structs: Fields) -> Fields:
+    """Fields from their types, names and counts, as C writes them; types may be other structs."""
+    fields = []
+    for kind, name, *count in map(str.split, text.replace("[", " ").replace("]", "").split(",")):
+        part = (kind, structs[kind]) if kind in structs else np.dtype(f"<{kind}").str.lstrip("|")
+        fields.append((name, part, int(*count or (1,))))
+    return tuple(fields)
+
+
+HEAD = "u1 head[2], u1 level_flag, u1 frame_reserve, u4 sn[2], u4 version[2], u2 bandwidth, "
+LOW_CMD = _fields(
+    HEAD + "MotorCmd_ motor_cmd[20], BmsCmd_ bms_cmd, u1 wireless_remote[40], u1 led[12],"
+    "u1 fan[2], u1 gpio, u4 reserve, u4 crc",
+    MotorCmd_=_fields("u1 mode, f4 q, f4 dq, f4 tau, f4 kp, f4 kd, u4 reserve[3]"),
+    BmsCmd_=_fields("u1 off, u1 reserve[3]"),
 )
-MOTOR_CMD: Fields = (
-    ("mode", U1, 1),
-    ("q", F4, 1),
-    ("dq", F4, 1),
-    ("tau", F4, 1),
-    ("kp", F4, 1),
-    ("kd", F4, 1),
-    ("reserve", U4, 3),
-)
-LOW_CMD: Fields = (
-    *HEAD,
-    ("motor_cmd", ("MotorCmd_", MOTOR_CMD), 20),
-    ("bms_cmd", ("BmsCmd_", (("off", U1, 1), ("reserve", U1, 3))), 1),
-    ("wireless_remote", U1, 40),
-    ("led", U1, 12),
-    ("fan", U1, 2),
-    ("gpio", U1, 1),
-    ("reserve", U4, 1),
-    ("crc", U4, 1),
-)
-IMU_STATE: Fields = (
-    ("quaternion", F4, 4),
-    ("gyroscope", F4, 3),
-    ("accelerometer", F4, 3),
-    ("rpy", F4, 3),
-    ("temperature", U1, 1),
-)
-MOTOR_STATE: Fields = (
-    ("mode", U1, 1),
-    ("q", F4, 1),
-    ("dq", F4, 1),
-    ("ddq", F4, 1),
-    ("tau_est", F4, 1),
-    ("q_raw", F4, 1),
-    ("dq_raw", F4, 1),
-    ("ddq_raw", F4, 1),
-    ("temperature", U1, 1),
-    ("lost", U4, 1),
-    ("reserve", U4, 2),
-)
-BMS_STATE: Fields = (
-    ("version_high", U1, 1),
-    ("version_low", U1, 1),
-    ("status", U1, 1),
-    ("soc", U1, 1),
-    ("current", I4, 1),
-    ("cycle", U2, 1),
-    ("bq_ntc", U1, 2),
-    ("mcu_ntc", U1, 2),
-    ("cell_vol", U2, 15),
-)
-LOW_STATE: Fields = (
-    *HEAD,
-    ("imu_state", ("IMUState_", IMU_STATE), 1),
-    ("motor_state", ("MotorState_", MOTOR_STATE), 20),
-    ("bms_state", ("BmsState_", BMS_STATE), 1),
-    ("foot_force", I2, 4),
-    ("foot_force_est", I2, 4),
-    ("tick", U4, 1),
-    ("wireless_remote", U1, 40),
-    ("bit_flag", U1, 1),
-    ("adc_reel", F4, 1),
-    ("temperature_ntc1", U1, 1),
-    ("temperature_ntc2", U1, 1),
-    ("power_v", F4, 1),
-    ("power_a", F4, 1),
-    ("fan_frequency", U2, 4),
-    ("reserve", U4, 1),
-    ("crc", U4, 1),
+LOW_STATE = _fields(
+    HEAD + "IMUState_ imu_state, MotorState_ motor_state[20], BmsState_ bms_state,"
+    "i2 foot_force[4], i2 foot_force_est[4], u4 tick, u1 wireless_remote[40], u1 bit_flag,"
+    "f4 adc_reel, u1 temperature_ntc1, u1 temperature_ntc2, f4 power_v, f4 power_a,"
+    "u2 fan_frequency[4], u4 reserve, u4 crc",
+    IMUState_=_fields(
+        "f4 quaternion[4], f4 gyroscope[3], f4 accelerometer[3], f4 rpy[3], u1 temperature"
+    ),
+    MotorState_=_fields(
+        "u1 mode, f4 q, f4 dq, f4 ddq, f4 tau_est, f4 q_raw, f4 dq_raw, f4 ddq_raw,"
+        "u1 temperature, u4 lost, u4 reserve[2]"
+    ),
+    BmsState_=_fields(
+        "u1 version_high, u1 version_low, u1 status, u1 soc, i4 current, u2 cycle, u1 bq_ntc[2],"
+        "u1 mcu_ntc[2], u2 cell_vol[15]"
+    ),
 )
 CDR = b"\0\1\0\0"
 """Header of a payload: plain CDR, little-endian."""
