@@ -153,7 +153,7 @@ def test_what_is_said_of_version_2():
     assert "of 160, RENet crosses {}, VP {}, the paper's switch {}".format(*gaps) in text
     assert f"crosses {gaps[3]} of the 160 gaps" in text
     assert f"The learned gate crosses {gate['gap', 'renet']}." in text
-    assert f"the earlier RENet crosses {earlier['gap', 'renet']} gaps" in text
+    assert f"without memory**, crosses {earlier['gap', 'renet']} gaps" in text
     assert f"OP crosses {shipped['gap', 'op']}." in text
     assert {shipped[ground, "op"] for ground in ("platform", "stairs_up", "stairs_down")} == {160}
     ahead = {tuple(row[1:3]): row[-1].replace("+", "").strip(")").split(" (") for row in rows}
