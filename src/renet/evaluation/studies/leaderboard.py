@@ -53,7 +53,10 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
     results = [read_result(path) for path in cfg.files]
     versions = {result["version"] for result in results}
     if len(versions) > 1:
-        raise RenetError("give results of one version of the benchmark")
+        each = ", ".join(
+            f"{p} is of {r['version']}" for p, r in zip(cfg.files, results, strict=True)
+        )
+        raise RenetError(f"give results of one version of the benchmark: {each}")
     tables: list[Table] = []
     try:
         if versions == {2}:
