@@ -33,9 +33,16 @@ study severity_5 faults $before_the_edge --modes vp renet op
 study severity_5_rules faults $before_the_edge --modes paper oracle-switch
 study unnoticed faults --faults saturated:3 saturated:4 glass:3 glass:4 near_field:3 near_field:4 edge_shadow:3 \
     edge_shadow:4 --onsets 1.5 --healthy-minutes 0 --modes vp renet
-for name in severity_5 severity_5_rules unnoticed; do
+for switch in return gate; do
+    python benchmarks/switches.py $switch faults --study.severities 5 --study.onsets 1.5 --study.healthy-minutes 0 \
+        --study.out results/severity_5_$switch
+done
+for name in severity_5 severity_5_rules severity_5_return severity_5_gate unnoticed; do
     cp "results/$name/result.json" "benchmarks/results/shipped/$name.json"
 done
+renet evaluate faults --modes vp renet op --out results/version_1
+cp results/version_1/result.json benchmarks/results/leaderboard/go1-parkour.json
+cp results/version_1/summary.csv benchmarks/results/leaderboard/faults.csv
 figure success/success.png success.png
 figure memory/memory.png memory.png
 figure noise/noise.png noise.png

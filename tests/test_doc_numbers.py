@@ -7,7 +7,6 @@ import statistics
 from collections import Counter
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import tables
@@ -16,7 +15,6 @@ from renet.evaluation.studies.crossing import ranking
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
-GROUNDS = ("flat", "stairs_up", "stairs_down", "obstacles", "platform", "gap")
 
 
 def cells(page: str, heading: str) -> list[list[str]]:
@@ -28,16 +26,8 @@ def cells(page: str, heading: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.split(" | ")] for line in lines]
 
 
-def by_first_cell(page: str, heading: str) -> dict[str, list[str]]:
-    return {line[0].replace(" ", "_"): line for line in cells(page, heading)}
-
-
 def result(name: str) -> dict:
     return json.loads((RESULTS / name).read_text())
-
-
-def percent(settings: list[dict], measure: str = "crossed") -> float:
-    return 100 * float(np.mean([setting["measures"][measure]["value"] for setting in settings]))
 
 
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("table1/*.json")), ids=lambda path: path.stem)
@@ -74,34 +64,6 @@ def test_table_1_claims_what_lies_outside_its_prediction_intervals():
         assert outside == {row for row, n in others.items() if n[column - 1].startswith("**")}
         named = {row for row in others if re.search(rf"{row.split(',')[0]}\b", claim)}
         assert {row.split(",")[0] for row in outside} == {row.split(",")[0] for row in named}
-
-
-@pytest.mark.parametrize(
-    ("column", "file", "mode"),
-    [
-        (1, "go1-parkour", "vp"),
-        (2, "go1-parkour", "renet"),
-        (3, "oracle-switch", "oracle-switch"),
-        (4, "switch-gate", "renet"),
-        (5, "switch-return", "renet"),
-        (6, "go1-parkour", "op"),
-    ],
-)
-def test_column_of_the_switches(column, file, mode):
-    settings = [
-        row
-        for row in result(f"leaderboard/{file}.json")["settings"]
-        if (row["mode"], row["severity"], row["onset"]) == (mode, 5, "before_the_edge")
-        and row["ground"] != "flat"
-    ]
-    assert len(settings) == 143
-    lines = by_first_cell("comparison.md", "Switches")
-    for ground in GROUNDS[1:]:
-        mean = percent([row for row in settings if row["ground"] == ground])
-        assert float(lines[ground][column]) == pytest.approx(mean, abs=0.501)
-    for name, measure in (("all_143_settings", "crossed"), ("all,_upright", "upright")):
-        mean = percent(settings, measure)
-        assert float(lines[name][column]) == pytest.approx(mean, abs=0.0501)
 
 
 def test_tables_of_the_shipped_policy_are_those_of_its_results(tmp_path, capsys):

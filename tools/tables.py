@@ -36,6 +36,16 @@ MODES = {
     "switch that knows": "oracle-switch",
 }
 """Modes of the studies, by their name in the tables."""
+SWITCHES = (
+    ("severity_5", "vp"),
+    ("severity_5", "renet"),
+    ("severity_5_rules", "paper"),
+    ("severity_5_rules", "oracle-switch"),
+    ("severity_5_gate", "renet"),
+    ("severity_5_return", "renet"),
+    ("severity_5", "op"),
+)
+"""Studies and modes of the table of switches, column by column."""
 LEADERBOARD = ("go1-parkour", "without-memory", "return", "gate", "playground")
 
 
@@ -45,21 +55,30 @@ def result(name: str) -> Any:
     return json.loads((RESULTS / "shipped" / f"{name}.json").read_text())
 
 
+def mean(study: str, mode: str, grounds: tuple[str, ...], measure: str = "crossed") -> str:
+    """A mode's mean over a study's settings on some grounds, per cent."""
+    shares = [
+        row["measures"][measure]["value"]
+        for row in result(study)["settings"]
+        if row["mode"] == mode and row["ground"] in grounds
+    ]
+    return f"{100 * np.mean(shares):.1f}"
+
+
 def crossed(label: str) -> list[str]:
     """VP, RENet and OP in the fault benchmark, per cent, and RENet less VP, by ground."""
-    study = result("severity_5")
     grounds = GROUNDS[1:] if label == "all but flat" else (label.replace(" ", "_"),)
-    means = []
-    for mode in ("vp", "renet", "op"):
-        shares = [
-            row["measures"]["crossed"]["value"]
-            for row in study["settings"]
-            if row["mode"] == mode and row["ground"] in grounds
-        ]
-        means.append(f"{100 * np.mean(shares):.1f}")
-    ahead = {ground: cell for ground, cell, _ in paired(study)[2]}
+    ahead = {ground: cell for ground, cell, _ in paired(result("severity_5"))[2]}
     key = "all but the first" if len(grounds) > 1 else grounds[0]
+    means = [mean("severity_5", mode, grounds) for mode in ("vp", "renet", "op")]
     return [*means, ahead[key].replace("-", "−")]
+
+
+def switches(label: str) -> list[str]:
+    """Every switch of the same two estimators at severity 5, per cent, by ground."""
+    grounds = GROUNDS[1:] if label.startswith("all") else (label.replace(" ", "_"),)
+    measure = "upright" if label.endswith("upright") else "crossed"
+    return [mean(study, mode, grounds, measure) for study, mode in SWITCHES]
 
 
 def grass(label: str) -> list[str]:
@@ -112,6 +131,7 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("pretrained.md", "Obstacles"): one_try,
     ("pretrained.md", "The fault benchmark"): crossed,
     ("pretrained.md", "Grass"): grass,
+    ("comparison.md", "At severity 5"): switches,
     ("pretrained.md", "Standing"): standing,
     ("pretrained.md", "A course"): course,
     ("memory.md", "Measure it"): black,
