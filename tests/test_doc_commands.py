@@ -27,7 +27,7 @@ def commands(page: Path) -> list[tuple[str, str, str]]:
     rows = []
     for block in re.findall(r"```(?:bash|console)\n(.*?)```", page.read_text(), re.DOTALL):
         above = ""
-        for line in block.splitlines():
+        for line in block.replace("\\\n", "").splitlines():
             command, _, comment = (part.strip() for part in line.partition("#"))
             if not command:
                 above = comment
