@@ -61,7 +61,7 @@ def parse(arguments: list[str]):
     if "--help" in rest:
         return None
     # A run to go on from is looked for on the disk: its settings are those of any other.
-    settings = [part for part in rest if part not in ("--resume", "latest")]
+    settings = shlex.split(re.sub(r"--resume \S+", "", shlex.join(rest)))
     return cli.parse(config, settings, "")
 
 
