@@ -78,6 +78,8 @@ class Painter:
         """From each robot to its camera, [R, 3] m."""
         self._axes = np.stack([_axes(away) for away in self._away])
         """Axes of each camera, as columns, [R, 3, 3]."""
+        # A robot without visual meshes shows what it collides with, MuJoCo's group 3.
+        meshes = (model.geom_group[model.body_weldid[model.geom_bodyid] != 0] < 3).any()
         with wp.ScopedDevice("cpu"):
             self._warp_model = mjw.put_model(model)
             self._data = mjw.put_data(model, self._host, nworld=len(starts))
@@ -90,7 +92,7 @@ class Painter:
                 render_seg=True,
                 use_textures=False,
                 use_shadows=True,
-                enabled_geom_groups=[0, 1, 2],
+                enabled_geom_groups=[0, 1, 2] if meshes else [0, 1, 2, 3],
                 cam_active=[i == self._camera for i in range(model.ncam)],
             )
 
