@@ -3,9 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import pytest
 
 from renet.bundle import Bundle, pretrained
+from renet.descriptions import FOLDER
 from renet.errors import RenetError
 from renet.evaluation.env import robot_of
 from renet.evaluation.play import PlayCfg, opened, run_play
@@ -42,6 +44,16 @@ def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path, monkeypatch):
     film = run_play(replace(cfg, seconds=1.0))
     assert film.stat().st_size > 1000
     assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
+
+
+@pytest.mark.parametrize("name", ["go1", "go2"])
+def test_a_robot_without_visual_meshes_is_seen(name, monkeypatch):
+    monkeypatch.setattr(painter, "PANEL", (96, 72))
+    spec = mujoco.MjSpec.from_file(str(FOLDER / f"{name}.xml"))
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 1])
+    start = spec.compile().qpos0[None]
+    (view,) = painter.Painter(spec, start).draw(start)
+    assert 0.02 < 1.0 - view.ground.mean() < 0.5
 
 
 def test_a_checkpoint_becomes_a_bundle_for_as_long_as_it_is_open():

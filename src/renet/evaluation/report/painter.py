@@ -79,7 +79,7 @@ class Painter:
         self._axes = np.stack([_axes(away) for away in self._away])
         """Axes of each camera, as columns, [R, 3, 3]."""
         # A robot without visual meshes shows what it collides with, MuJoCo's group 3.
-        meshes = (model.geom_group[model.body_weldid[model.geom_bodyid] != 0] < 3).any()
+        meshes = (model.geom_group[~self._ground] < 3).any()
         with wp.ScopedDevice("cpu"):
             self._warp_model = mjw.put_model(model)
             self._data = mjw.put_data(model, self._host, nworld=len(starts))
