@@ -1,17 +1,20 @@
 """A robot's description with a mistake is refused in words that name it."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
 import mujoco
 import pytest
 
+from renet.descriptions import find_description
 from renet.errors import RenetError
-from renet.interface import LEGS
+from renet.interface import JOINTS, LEGS
 from renet.tasks import make_env
 from renet.tasks.config.go1 import GO1
+from renet.tasks.config.go2 import GO2
 from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
-from renet.tasks.robot_cfg import RobotCfg, rename_parts
+from renet.tasks.robot_cfg import FEET, RobotCfg, rename_parts
 from renet.tasks.terrains import tile_row
 
 
@@ -47,6 +50,22 @@ def without(*geoms: str) -> RobotCfg:
 def test_what_is_missing_is_named(robot, problem):
     with pytest.raises(RenetError, match=problem):
         make_env(flat_env_cfg(robot=robot), 1)
+
+
+@pytest.mark.parametrize("robot", [GO1, GO2], ids=["go1", "go2"])
+def test_feet_hold_the_robot_above_the_ground(robot):
+    spec = mujoco.MjSpec.from_file(str(find_description(robot.name).mjcf))
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 1], contype=1)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[2] = robot.height
+    for joint in JOINTS:
+        (pose,) = (angle for name, angle in robot.pose.items() if re.fullmatch(name, joint))
+        data.joint(joint).qpos = data.actuator(joint).ctrl = pose
+    mujoco.mj_step(model, data, 600)
+    assert sorted({model.geom(pair[1]).name for pair in data.contact.geom}) == sorted(FEET)
+    assert data.contact.dist.min() > -0.003
+    assert all(data.geom(foot).xpos[2] > robot.foot_radius - 0.003 for foot in FEET)
 
 
 def test_margins_of_a_vendors_geoms_are_dropped():
