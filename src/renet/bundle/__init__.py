@@ -31,8 +31,8 @@ OURS = (MANIFEST, PREVIOUS, *(f"{name}.onnx" for name in MODELS))
 """Every file of a bundle."""
 COMPANIONS = ("README.md", "LICENSE", ".gitattributes", ".gitignore", ".git", ".cache")
 """What git, the Hugging Face Hub and `renet bundle card` keep beside them, which is never read."""
-DEFAULT = "go1-parkour"
-"""The bundle that ships with the package."""
+DEFAULT, *_ = SHIPPED = ("go1-parkour", "go2-parkour")
+"""The bundles that ship with the package; the first where none is asked for."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,15 @@ class Bundle:
         """Read and verify a bundle.
 
         Args:
-            path: its folder; None is the one that ships with renet.
+            path: its folder; or the name of one that ships, unless a folder has it; None: DEFAULT.
             threads: ONNX Runtime threads per model.
 
         Raises:
             RenetError: missing or altered file, other schema, or models that do not fit.
         """
         folder = pretrained(DEFAULT) if path is None else Path(path)
+        if str(folder) in SHIPPED and not folder.exists():
+            folder = pretrained(str(folder))
         manifest = read_manifest(folder)
         models = {
             name: read_model(folder / f"{name}.onnx", manifest.sha256.get(f"{name}.onnx"))

@@ -23,7 +23,7 @@ class InspectCfg:
     """Print a bundle's inputs, robot and camera."""
 
     bundle: tyro.conf.Positional[Path | None] = None
-    """Bundle folder; the one that ships with renet by default."""
+    """Bundle folder, or the name of one that ships: go1-parkour (the default), go2-parkour."""
 
 
 def inspect(cfg: InspectCfg) -> None:

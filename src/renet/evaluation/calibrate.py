@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import tyro
 
-from renet.bundle import Bundle, write_manifest
+from renet.bundle import Bundle, read_manifest, write_manifest
 from renet.deploy.recording.calibration_images import image_scores
 from renet.deploy.recording.calibration_log import recorded_scores
 from renet.errors import RenetError
@@ -93,6 +93,7 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     Raises:
         RenetError: a bundle or a log that cannot be used, or a policy that never succeeds.
     """
+    read_manifest(cfg.bundle)  # No name of a bundle that ships: that one is not written to.
     if cfg.log and cfg.images:
         raise RenetError("give --log or --images, not both")
     if not cfg.log and not cfg.images:

@@ -24,7 +24,8 @@ class PlayCfg:
     """Film one robot, once for each policy mode, side by side."""
 
     bundle: tyro.conf.Positional[Path | None] = None
-    """Bundle folder, or a checkpoint or run folder; the bundle that ships with renet by default."""
+    """Bundle folder, or a checkpoint or run folder; or the name of a bundle that ships: go1-parkour
+    (the default), go2-parkour."""
     out: Path | None = None
     """The film; results/play.mp4 by default."""
     terrain: Terrain | Literal["parkour"] = "flat"

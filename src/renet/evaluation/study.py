@@ -42,7 +42,7 @@ class Study:
     out: Path = Path("results/study")
     """Folder for summary.json, summary.csv, figures and parts/."""
     bundle: Path | None = None
-    """Bundle folder; the one that ships with renet by default."""
+    """Bundle folder, or the name of one that ships: go1-parkour (the default), go2-parkour."""
     quick: bool = False
     """Fewer robots and settings instead."""
     seed: int = 1

@@ -47,7 +47,7 @@ class ReportCfg:
     quick: bool = False
     """With `run`: the quick form of every study; the full ones take 1.6 hours on one core."""
     bundle: Path | None = None
-    """With `run`: bundle folder; the one that ships with renet by default."""
+    """With `run`: bundle folder or name, as for every study."""
     seed: int = 1
     """With `run`: of every study."""
     engine: Engine = "auto"
