@@ -42,8 +42,8 @@ def go2_spec() -> mujoco.MjSpec:
     feet = {leg: leg for leg in LEGS}
     spec = rename_parts(mujoco.MjSpec.from_file(str(path)), trunk="base", feet=feet)
     for leg in LEGS:
-        # Its feet are bodies of 40 g, into which MuJoCo lets the ground sink: 25 mm at a trot.
-        # With this they give as little as the Go1's, which belong to its calves.
+        # MuJoCo's contacts are as soft as the body's effective mass is small. Its feet are bodies
+        # of their own and sank 25 mm at a trot; the Go1's belong to its calves.
         spec.geom(f"{leg}_foot_collision").solimp[:2] = 0.96, 0.98
     for name in ("abduction", "front_hip", "back_hip", "knee"):
         spec.find_default(name).joint.range = (0.0, 0.0)  # Each joint shall say its own.
