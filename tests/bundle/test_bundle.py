@@ -11,7 +11,16 @@ import numpy as np
 import onnx
 import pytest
 
-from renet.bundle import MANIFEST, PREVIOUS, Bundle, pretrained, write_bundle, write_manifest
+from renet.bundle import (
+    DEFAULT,
+    MANIFEST,
+    PREVIOUS,
+    SHIPPED,
+    Bundle,
+    pretrained,
+    write_bundle,
+    write_manifest,
+)
 from renet.bundle.models import remembers
 from renet.errors import RenetError
 from renet.files import temporary_path
@@ -57,6 +66,16 @@ def test_a_bundle_with_links_is_refused(bundle_path, name):
     (bundle_path / name).symlink_to(pretrained("go1-parkour") / name)
     with pytest.raises(RenetError, match=f"holds {name}, which is a link"):
         Bundle.load(bundle_path)
+
+
+def test_a_folder_comes_before_the_bundle_that_ships_under_its_name(bundle_path, monkeypatch):
+    for name in SHIPPED:
+        monkeypatch.chdir(pretrained(name))
+        assert Bundle.load(name).path == pretrained(name)
+        monkeypatch.chdir(bundle_path.rename(bundle_path.with_name(name)).parent)
+        assert Bundle.load(name).path == Path(name)
+        bundle_path = bundle_path.with_name(name)
+    assert Bundle.load().path == pretrained(DEFAULT)
 
 
 def test_missing_folder_missing_model_and_tampered_model(bundle_path, tmp_path):

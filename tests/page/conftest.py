@@ -12,7 +12,6 @@ import pytest
 from renet.bundle import pretrained, read_manifest, write_manifest
 from renet.page.writer import WEB, PageCfg, write_page
 from renet.server import serve_folder
-from tests.bundle.conftest import go2_bundle, models, networks  # noqa: F401
 
 
 def run_node(script: str, *arguments: object):
@@ -25,7 +24,7 @@ def run_node(script: str, *arguments: object):
 
 @pytest.fixture(scope="session")
 def page(tmp_path_factory) -> Path:
-    """The page of the shipped bundle."""
+    """The page of the bundles that ship."""
     if not (WEB / "node_modules" / "three").is_dir():
         pytest.skip(f"the page's npm packages are missing: npm ci --prefix {WEB}")
     return write_page(PageCfg(out=tmp_path_factory.mktemp("page") / "page"))
@@ -33,7 +32,7 @@ def page(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session")
 def node_page(page: Path) -> Path:
-    """The shipped bundle's, where there is a Node.js to run its modules."""
+    """The same, where there is a Node.js to run its modules."""
     if shutil.which("node") is None:
         pytest.skip("no Node.js on this machine")
     return page
@@ -47,13 +46,6 @@ def memory_page(node_page: Path, tmp_path_factory) -> Path:
     manifest = read_manifest(path)
     write_manifest(path, replace(manifest, selector=replace(manifest.selector, longest_memory=1.5)))
     return write_page(PageCfg((path,), folder / "page"))
-
-
-@pytest.fixture(scope="session")
-def robots_page(node_page: Path, go2_bundle: Path, tmp_path_factory) -> Path:  # noqa: F811
-    """The page of the shipped bundle and one of a Go2."""
-    out = tmp_path_factory.mktemp("robots-page") / "page"
-    return write_page(PageCfg((pretrained("go1-parkour"), go2_bundle), out))
 
 
 @contextmanager

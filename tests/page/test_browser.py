@@ -10,7 +10,6 @@ import pytest
 from renet.descriptions import GO2
 from renet.interface import LEGS, TRUNK
 from tests.browser import compare, open_browser, watch
-from tests.page.conftest import served
 
 DESKTOP, PHONE = {"width": 1280, "height": 760}, {"width": 390, "height": 844}
 PARTS = ("h1", "nav > *", ".outcome", ".who select", ".eye", "#faults", ".drive")
@@ -49,20 +48,14 @@ def browser():
         yield browser
 
 
-@pytest.fixture(scope="module")
-def robots_address(robots_page):
-    with served(robots_page) as address:
-        yield address
-
-
 @pytest.fixture
 def visit(browser, address):
     """Makes visits, each in a window of its own, and ends them without a complaint."""
     visits: list[Visit] = []
 
-    def make(query: str = "", size: dict[str, int] = DESKTOP, at: str = address) -> Visit:
+    def make(query: str = "", size: dict[str, int] = DESKTOP) -> Visit:
         context = browser.new_context(viewport=size, has_touch=size == PHONE)
-        visits.append(Visit(context.new_page(), at + query))
+        visits.append(Visit(context.new_page(), address + query))
         return visits[-1]
 
     yield make
@@ -163,8 +156,8 @@ def test_drag_pushes_a_robot_and_turns_the_view_elsewhere(visit):
     one.until(f"Math.abs(renetPage.page.{eye} - {before}) > 0.05")
 
 
-def test_a_go2_stands_up_and_a_visitor_changes_to_the_go1(visit, robots_address):
-    one = visit("?robot=go2&ground=flat&fault=none", at=robots_address)
+def test_a_go2_stands_up_and_a_visitor_changes_to_the_go1(visit):
+    one = visit("?robot=go2&ground=flat&fault=none")
     one.load("renetPage.page.simulations[0].walking")
     masses = mujoco.MjModel.from_xml_path(str(GO2.mjcf)).body_mass
     assert one.its("simulations[0].world.model.body_mass.slice(1)") == pytest.approx(masses[1:])
@@ -219,11 +212,10 @@ def test_a_wrong_link_is_corrected_and_everything_can_be_reached_with_tab(visit)
 
 
 @pytest.mark.parametrize("name", ["desktop", "phone", "hood", "go2-desktop", "go2-phone"])
-def test_first_picture_is_the_golden_one(visit, address, robots_address, name):
+def test_first_picture_is_the_golden_one(visit, name):
     """Before the models have come, robots stand still."""
     size, go2 = DESKTOP if "desktop" in name else PHONE, "go2" in name
-    at = robots_address if go2 else address
-    one = visit(f"?ground=gap&fault=blackout{'&robot=go2' if go2 else ''}", size, at)
+    one = visit(f"?ground=gap&fault=blackout{'&robot=go2' if go2 else ''}", size)
     one.page.route("**/*.onnx", lambda route: None)
     one.load("renetPage.stats.pictures > 3 && renetPage.stats.loaded > 0.5")
     assert "%" in one.page.text_content("#message")

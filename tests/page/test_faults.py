@@ -77,8 +77,8 @@ def test_fault_does_what_the_catalogue_says(delivered, name, severity):
 
 @pytest.mark.parametrize("number", [0, 1], ids=["go1", "go2"])
 @pytest.mark.parametrize("ground", [name for name in GROUNDS if name != FLAT])
-def test_camera_sees_what_the_runtimes_camera_sees(robots_page, ground, number):
-    manifest = Bundle.load(robots_page / "bundles" / str(number)).manifest
+def test_camera_sees_what_the_runtimes_camera_sees(node_page, ground, number):
+    manifest = Bundle.load(node_page / "bundles" / str(number)).manifest
     description = find_description(manifest.robot.name)
     model, height = build_scene(ground, GROUNDS[ground][1], robot=description)
     robot = MujocoRobot(model, manifest.robot, height)
@@ -87,4 +87,4 @@ def test_camera_sees_what_the_runtimes_camera_sees(robots_page, ground, number):
     its = SimCamera(robot, manifest.camera).depth().ravel()
     assert its.std() > 0.1
     link = f"?robot={description.name.split()[1].lower()}&ground={ground}"
-    np.testing.assert_allclose(run_node("view.mjs", WEB, robots_page, link), its, atol=1e-4)
+    np.testing.assert_allclose(run_node("view.mjs", WEB, node_page, link), its, atol=1e-4)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import tyro
 
-from renet.bundle import MANIFEST, Bundle
+from renet.bundle import MANIFEST, SHIPPED, Bundle, pretrained
 from renet.bundle.models import MAX_MODEL, MODELS
 from renet.errors import RenetError
 from renet.files import MEGABYTE, read_bytes, read_object
@@ -54,7 +54,7 @@ class PageCfg:
     """Write the page "Break its camera": a bundle walks in the browser, and its camera fails."""
 
     bundles: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """Bundle folders, among which visitors choose; the one that ships with renet by default."""
+    """Bundle folders, among which visitors choose; by default those that ship with renet."""
     out: Path = Path("renet-page")
     """Folder to write; must be empty, absent, or an earlier page as it was written."""
     runtime: Path = WEB / "node_modules"
@@ -96,7 +96,7 @@ def write_page(cfg: PageCfg) -> Path:
         )
     earlier = _earlier(cfg.out)
     demand_own(cfg.out, earlier, "page")
-    bundles = [Bundle.load(path) for path in cfg.bundles or (None,)]
+    bundles = [Bundle.load(path) for path in cfg.bundles or map(pretrained, SHIPPED)]
     if len({(bundle.manifest.robot.name, bundle.name) for bundle in bundles}) < len(bundles):
         raise RenetError("visitors choose between a robot's bundles by name: rename one of two")
     contents = _contents(bundles, cfg.runtime)
