@@ -14,7 +14,7 @@ import math
 import re
 import sys
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -66,12 +66,12 @@ def mean(study: str, mode: str, grounds: tuple[str, ...], measure: str = "crosse
     return f"{100 * np.mean(shares):.1f}"
 
 
-def crossed(label: str) -> list[str]:
+def crossed(label: str, study: str = "severity_5") -> list[str]:
     """VP, RENet and OP in the fault benchmark, per cent, and RENet less VP, by ground."""
     grounds = GROUNDS[1:] if label == "all but flat" else (label.replace(" ", "_"),)
-    ahead = {ground: cell for ground, cell, _ in paired(result("severity_5"))[2]}
+    ahead = {ground: cell for ground, cell, _ in paired(result(study))[2]}
     key = "all but the first" if len(grounds) > 1 else grounds[0]
-    means = [mean("severity_5", mode, grounds) for mode in ("vp", "renet", "op")]
+    means = [mean(study, mode, grounds) for mode in ("vp", "renet", "op")]
     return [*means, ahead[key].replace("-", "−")]
 
 
@@ -119,10 +119,10 @@ def course(label: str) -> list[str]:
     return [f"{kilometres:.2f} km", falls, str(row["stuck"]), passages]
 
 
-def black(label: str) -> list[str]:
+def black(label: str, studies: tuple[str, ...] = ("blackout_on_the_way", "blackout")) -> list[str]:
     """Who crosses with a black camera, from 1.5 s and from 0.5 s before the edge on."""
     counts = []
-    for name in ("blackout_on_the_way", "blackout"):
+    for name in studies:
         seconds = 0 if label in ("OP", "healthy camera") else 6
         mode = MODES.get(label, "renet")
         runs = [r for r in result(name)["runs"] if (r["mode"], r["without_s"]) == (mode, seconds)]
@@ -141,6 +141,16 @@ def one_try(label: str) -> list[str]:
     ]
 
 
+def go2(label: str) -> list[str]:
+    """Which Go2s of 20 cross with one try, size by size."""
+    mode = {"with vision": "vp", "without": "op"}[label]
+    rows = [run for run in result("../go2/success")["runs"] if run["mode"] == mode]
+    passed = {(run["kind"], run["level"]): str(run["passed"]) for run in rows}
+    sizes = {"gap": (4, 6, 8, 10), "platform": (6, 8, 10), "stairs_up": (8, 10)}
+    sizes |= {"stairs_down": sizes["stairs_up"]}
+    return [", ".join(passed[kind, level] for level in sizes[kind]) for kind in sizes]
+
+
 TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("pretrained.md", "Obstacles"): one_try,
     ("pretrained.md", "The fault benchmark"): crossed,
@@ -149,6 +159,9 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("pretrained.md", "Standing"): standing,
     ("pretrained.md", "A course"): course,
     ("memory.md", "Measure it"): black,
+    ("go2.md", "What it can do"): go2,
+    ("go2.md", "When its camera fails"): partial(black, studies=("../go2/blackout",)),
+    ("go2.md", "The fault benchmark"): partial(crossed, study="../go2/severity_5"),
     ("crossing.md", "Results"): None,
 }
 """What fills the cells of a row, given its first one, by page and heading; the first table counts.
