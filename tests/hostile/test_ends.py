@@ -110,7 +110,7 @@ def page_case(folder: Path) -> Case:
         (folder / "packages" / name).write_text(name)
     (folder / "out").mkdir()
     arguments = ("page", "--out", folder / "out" / "page", "--runtime", folder / "packages")
-    assert cli(*arguments)() == 0
+    assert cli("page", pretrained(DEFAULT), *arguments[1:])() == 0
     other = Path(shutil.copytree(pretrained(DEFAULT), folder / "other"))
     return Case(cli("page", other, *arguments[1:]), folder / "out", True, 9)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import tyro
 
-from renet.bundle import Bundle, read_manifest, write_manifest
+from renet.bundle import Bundle, write_manifest
 from renet.deploy.recording.calibration_images import image_scores
 from renet.deploy.recording.calibration_log import recorded_scores
 from renet.errors import RenetError
@@ -93,12 +93,11 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     Raises:
         RenetError: a bundle or a log that cannot be used, or a policy that never succeeds.
     """
-    read_manifest(cfg.bundle)  # No name of a bundle that ships: that one is not written to.
     if cfg.log and cfg.images:
         raise RenetError("give --log or --images, not both")
     if not cfg.log and not cfg.images:
         return _store(cfg, *_simulated_scores(cfg))
-    bundle = Bundle.load(cfg.bundle)
+    bundle = Bundle.load(cfg.bundle.resolve())
     if cfg.images:
         series = image_scores(cfg.images, cfg.scale, cfg.lens, bundle)
     else:
@@ -166,7 +165,8 @@ def _simulated_scores(cfg: CalibrateCfg) -> tuple[Bundle, Series, Series, Memory
     if not cfg.terrains or not {*cfg.terrains} <= {FLAT, PARKOUR}:
         raise RenetError(f"terrains {cfg.terrains}: choose among {FLAT}, {PARKOUR}")
     check_speed(cfg.speed)
-    evaluator = Evaluator(cfg.bundle, cfg.engine)
+    # A folder, not the name of a bundle that ships: that one is not written to.
+    evaluator = Evaluator(cfg.bundle.resolve(), cfg.engine)
     series = _healthy_runs(cfg, evaluator, grass=False)
     if not series["reconstruction"]:
         raise RenetError("no episode succeeded: train the policy before calibrating its selector")
