@@ -43,7 +43,7 @@ def go2_spec() -> mujoco.MjSpec:
     spec = rename_parts(mujoco.MjSpec.from_file(str(path)), trunk="base", feet=feet)
     for leg in LEGS:
         # MuJoCo's contacts are as soft as the body's effective mass is small. Its feet are bodies
-        # of their own and sank 25 mm at a trot; the Go1's belong to its calves.
+        # of their own, and sank until its ankles touched; the Go1's belong to its calves.
         spec.geom(f"{leg}_foot_collision").solimp[:2] = 0.96, 0.98
     for name in ("abduction", "front_hip", "back_hip", "knee"):
         spec.find_default(name).joint.range = (0.0, 0.0)  # Each joint shall say its own.
