@@ -97,7 +97,7 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
         raise RenetError("give --log or --images, not both")
     if not cfg.log and not cfg.images:
         return _store(cfg, *_simulated_scores(cfg))
-    bundle = Bundle.load(cfg.bundle.resolve())
+    bundle = Bundle.load(cfg.bundle.absolute())
     if cfg.images:
         series = image_scores(cfg.images, cfg.scale, cfg.lens, bundle)
     else:
@@ -166,7 +166,7 @@ def _simulated_scores(cfg: CalibrateCfg) -> tuple[Bundle, Series, Series, Memory
         raise RenetError(f"terrains {cfg.terrains}: choose among {FLAT}, {PARKOUR}")
     check_speed(cfg.speed)
     # A folder, not the name of a bundle that ships: that one is not written to.
-    evaluator = Evaluator(cfg.bundle.resolve(), cfg.engine)
+    evaluator = Evaluator(cfg.bundle.absolute(), cfg.engine)
     series = _healthy_runs(cfg, evaluator, grass=False)
     if not series["reconstruction"]:
         raise RenetError("no episode succeeded: train the policy before calibrating its selector")
