@@ -1,5 +1,6 @@
 """The environment's contract: observations, costs, resets, checkpoints, errors."""
 
+import sys
 from copy import deepcopy
 
 import pytest
@@ -216,3 +217,9 @@ def test_stages_of_a_step_are_spared_the_terrain(parkour):
     bodies, geoms = moving_part(model)
     assert bodies == model.body("robot/trunk").id + 13
     assert geoms < 0.1 * model.ngeom
+
+
+def test_a_source_tree_that_is_not_installed_knows_its_tasks(monkeypatch):
+    monkeypatch.setattr("mjlab.tasks.registry._REGISTRY", {})
+    monkeypatch.delitem(sys.modules, "renet.registry")  # Nobody's entry point names it.
+    assert env_cfg("Renet-Go1-Flat").scene.num_envs

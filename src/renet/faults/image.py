@@ -15,11 +15,6 @@ from renet.interface import DEPTH_RANGE, DEPTH_SHAPE
 ROWS, COLUMNS = DEPTH_SHAPE
 
 
-def normalised(metres: float) -> float:
-    """A depth in the image's units."""
-    return metres / DEPTH_RANGE
-
-
 def smooth_field(rng: np.random.Generator, cells: tuple[int, int] = (6, 8)) -> np.ndarray:
     """Spatially correlated noise [48, 64]: a coarse grid of normal numbers, interpolated."""
     coarse = rng.standard_normal((cells[0] + 1, cells[1] + 1))
@@ -107,7 +102,7 @@ class Occlusion(ImageFault):
         return pattern
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        return np.where(self.patterns[robot], np.float32(normalised(0.04)), image)
+        return np.where(self.patterns[robot], np.float32(0.04 / DEPTH_RANGE), image)
 
 
 class Blobs(ImageFault):
@@ -123,7 +118,7 @@ class Blobs(ImageFault):
         for _ in range(int(self.level)):
             r, c, radius = rng.uniform(0, ROWS), rng.uniform(0, COLUMNS), rng.uniform(1, 4)
             inside = (rows - r) ** 2 + (columns - c) ** 2 <= radius**2
-            pattern[inside] = normalised(rng.uniform(0.03, 0.2))
+            pattern[inside] = rng.uniform(0.03, 0.2) / DEPTH_RANGE
         return pattern
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
@@ -144,7 +139,7 @@ class Grass(ImageFault):
         present = rng.random(COLUMNS) < 0.25 + 0.7 * self.level
         tips = ROWS - covered * rng.uniform(0.6, 1.0, COLUMNS)
         blades = present & (np.arange(ROWS)[:, None] >= tips)
-        depth = rng.uniform(normalised(0.2), normalised(0.6), COLUMNS).astype(np.float32)
+        depth = rng.uniform(0.2 / DEPTH_RANGE, 0.6 / DEPTH_RANGE, COLUMNS).astype(np.float32)
         return np.where(blades, np.minimum(image, depth), image)
 
 
@@ -180,7 +175,7 @@ class NearField(ImageFault):
     levels = (0.1, 0.15, 0.2, 0.3, 0.5)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        return np.where(image < normalised(self.level), np.nan, image)
+        return np.where(image < self.level / DEPTH_RANGE, np.nan, image)
 
 
 class WrongScale(ImageFault):

@@ -9,7 +9,7 @@ import numpy as np
 
 from renet.camera import Intrinsics
 from renet.faults.base import ImageFault
-from renet.faults.image import normalised, smooth_field
+from renet.faults.image import smooth_field
 from renet.interface import DEPTH_RANGE
 
 FOCAL = Intrinsics().fx
@@ -59,7 +59,7 @@ class DisparitySteps(ImageFault):
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
         """The image of rounded disparities; holes and pixels out of range stay as they are."""
-        scale = normalised(FOCAL * BASELINE)
+        scale = FOCAL * BASELINE / DEPTH_RANGE
         measured = (image > 0.0) & (image < 1.0)
         steps = np.round(scale / np.where(measured, image, 1.0) / self.level)
         rounded = scale / (np.maximum(steps, 1.0) * self.level)

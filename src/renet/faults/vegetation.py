@@ -4,7 +4,6 @@ import numpy as np
 
 from renet.camera import Intrinsics
 from renet.faults.base import ImageFault
-from renet.faults.image import normalised
 from renet.interface import DEPTH_RANGE
 
 CAMERA_HEIGHT = 0.33
@@ -39,7 +38,7 @@ class TallGrass(ImageFault):
         """The image behind the blades; those too near and part of the others are holes."""
         blades = self.depth(robot)
         unmatched = self.rngs[robot].random(image.shape) < UNMATCHED
-        lost = unmatched | (blades < normalised(NEAR_RANGE))
+        lost = unmatched | (blades < NEAR_RANGE / DEPTH_RANGE)
         lost &= (blades < 1.0) & (image >= blades)
         return np.where(lost, np.nan, np.minimum(image, blades))
 

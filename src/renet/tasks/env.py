@@ -98,6 +98,8 @@ def env_cfg(task: str, play: bool = False) -> RenetEnvCfg:
     """
     import mjlab.tasks  # noqa: F401  registers every plug-in's tasks
 
+    import renet.registry  # noqa: F401  ours, also from a source tree that is not installed
+
     if task not in list_tasks():
         raise unknown_name("task", task, [n for n in list_tasks() if n.startswith("Renet")])
     cfg = load_env_cfg(task, play)
