@@ -45,11 +45,9 @@ class Bundle:
 
     @staticmethod
     def load(path: Path | str | None = None, threads: int = 1) -> Bundle:
-        """Read and verify a bundle.
+        """Read and verify the bundle in a folder or, where there is none, the shipped one so named.
 
-        Args:
-            path: its folder; or the name of one that ships, unless a folder has it; None: DEFAULT.
-            threads: ONNX Runtime threads per model.
+        None means `DEFAULT`; each model runs on `threads` threads of ONNX Runtime.
 
         Raises:
             RenetError: missing or altered file, other schema, or models that do not fit.
@@ -128,14 +126,11 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def write_bundle(path: Path, models: dict[str, bytes], manifest: Manifest) -> Path:
-    """Write a bundle whole; one that is already there is replaced, anything else stays as it is.
-
-    Args:
-        path: of the folder. models: ONNX bytes by name. manifest: without digests.
+    """Write a bundle whole, or replace one: ONNX bytes by name and a manifest without digests.
 
     Raises:
-        RenetError: `path` holds anything that is not a bundle's, the models do not fit the
-            manifest, or it cannot be written.
+        RenetError: the folder holds anything that is not a bundle's, which stays as it is; the
+            models do not fit the manifest; or it cannot be written.
     """
     path = path.resolve()  # Which the current folder no longer is once it is replaced.
     try_models({name: models[name] for name in MODELS}, manifest.history, "the new bundle")

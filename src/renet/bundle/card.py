@@ -59,9 +59,7 @@ def write_card(cfg: CardCfg) -> Path:
 def card(bundle: Bundle, summaries: Sequence[dict[str, Any]], license: str) -> str:
     """Markdown with YAML front matter; every number is read from the bundle or from its studies.
 
-    Args:
-        bundle: verified. summaries: contents of summary.json of its studies.
-        license: the Hub's identifier.
+    `summaries` are the contents of their summary.json; `license` is the Hub's identifier.
     """
     manifest, name = bundle.manifest, bundle.path.resolve().name
     robot, camera, selector = manifest.robot, manifest.camera, manifest.selector

@@ -30,19 +30,15 @@ OPERATORS = """
     Round Selu Shape Sigmoid Sign Sin Sinh Slice Softmax Softplus Softsign Split Sqrt Squeeze Sub
     Sum Tan Tanh ThresholdedRelu Transpose Unsqueeze Where Xor
 """
-"""Those whose time and memory follow from their inputs' sizes, but for `SIZED`."""
+"""Operators whose time and memory follow from their inputs' sizes, but for `SIZED`."""
 SIZED = ("Expand", "Pad", "Reshape", "Slice", "Split", "Squeeze", "Unsqueeze")
 """Operators whose inputs after the first say how large their output is, as a `Reduce…`'s do."""
 
 
 def check_graph(data: bytes) -> None:
-    """Refuse a model that is no ONNX protobuf, or whose time and memory may depend on its inputs.
+    """Refuse a file that is no ONNX protobuf, or whose time and memory may depend on its inputs.
 
-    Args:
-        data: the whole file.
-
-    Raises:
-        ValueError: what it holds that it may not.
+    Raises ValueError naming what it holds that it may not.
     """
     if data[4:8] == b"ORTM":
         raise ValueError("it is in ONNX Runtime's own format, not in ONNX")
@@ -85,8 +81,7 @@ def _check_node(node: memoryview, constants: set[bytes]) -> None:
 def _fields(message: memoryview, kind: str) -> Iterator[tuple[int, memoryview]]:
     """Numbers and contents of a message's fields; a number's own content is empty.
 
-    Raises:
-        ValueError: it is torn, or has a field that this kind of message may not have.
+    Raises ValueError if it is torn, or has a field that this kind of message may not have.
     """
     at = 0
     while at < len(message):

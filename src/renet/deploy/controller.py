@@ -96,13 +96,10 @@ class Controller:
         selector: str = "monitors",
         on_event: Callable[[Event], None] = lambda event: None,
     ) -> None:
-        """Set up in DAMPING.
+        """Set up in DAMPING; `selector` is one of `renet.selector.selector.SELECTORS`.
 
-        Args:
-            bundle: policy, robot, camera and selector.
-            inference: makes what runs vision ticks; in line by default, which is deterministic.
-            selector: one of `renet.selector.selector.SELECTORS`.
-            on_event: told every transition with its reason.
+        `inference` makes what runs vision ticks: in line by default, which is deterministic.
+        `on_event` is told every transition with its reason.
         """
         self.robot, self.cfg = bundle.manifest.robot, safety
         self.policy = Policy(bundle)
@@ -120,21 +117,16 @@ class Controller:
         self._yaw = self._turn = 0.0
         self._start_over()
         self.decision: Decision
-        """What the last tick decided."""
         self._decide(damping_command(self.robot, safety), 0.0)
 
     def tick(
         self, state: RobotState | None, frame: DepthFrame | None, teleop: TeleopCommand, now: float
     ) -> JointCommand:
-        """One control step, every 0.02 s.
+        """One control step, every 0.02 s; `now` is in seconds on the robot's clock.
 
-        Args:
-            state: newest reading; None if there is none. frame: newest of the camera, the same as
-            before if none came; None without a camera. teleop: the operator's command.
-            now: seconds on the robot's clock.
-
-        Returns:
-            A command within all limits; braking only if anything at all is wrong.
+        `state` is the newest reading, None if there is none; `frame` the camera's newest, the same
+        as before if no other came, None without a camera. Returns a command within all limits,
+        which only brakes if anything at all is wrong.
         """
         mode = self.machine.mode
         try:

@@ -24,14 +24,9 @@ FIRST_IMAGE = 2.0
 def start_devices(
     cfg: DeployCfg, bundle: Bundle, say: Callable[[str], None], stack: ExitStack
 ) -> tuple[RobotDriver, Camera | None, Teleop]:
-    """Make and start the devices of one run.
+    """Make and start the robot, the camera (None without one) and the operator of one run.
 
-    Args:
-        cfg: says which. bundle: for them. say: tells the user a line.
-        stack: closes them, the robot first, also after half a start.
-
-    Returns:
-        Robot, camera (None without one) and operator.
+    `stack` closes them, the robot first, also after half a start; `say` tells the user a line.
 
     Raises:
         RenetError: a bundle for another robot or beyond this one's limits, a missing package or
@@ -61,7 +56,7 @@ def start_devices(
 
 
 def make_robot(cfg: DeployCfg, bundle: Bundle) -> RobotDriver:
-    """The robot, not connected yet."""
+    """The robot, not connected yet; raises RenetError for a bundle that it cannot take."""
     spec, drives = bundle.manifest.robot, cfg.driver.drives
     if drives is not None and spec.name != drives.name:
         raise RenetError(f"the bundle drives a {spec.name}, --robot {cfg.robot} is a {drives.name}")

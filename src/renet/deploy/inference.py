@@ -59,10 +59,7 @@ class ThreadedInference(InlineInference):
         self._thread.start()
 
     def ready(self) -> bool:
-        """False if the last tick failed or was late.
-
-        Its result, when it comes, is thrown away: the policy goes on without it.
-        """
+        """False if the last tick failed or was late: the policy goes on without its result."""
         if self._tick is None:
             return True
         # A result that nobody took is late even if it is here by now, unless the tick that it was

@@ -38,14 +38,10 @@ def run_control_loop(
     on_step: Callable[[JointCommand, RobotState | None], None] = lambda command, state: None,
     dry_run: bool = False,
 ) -> None:
-    """Drive a robot until `done`, then brake.
+    """Drive a connected robot, with a started camera if there is one, until `done`; then brake.
 
-    Args:
-        robot: connected. Its envelope must hold the controller's bundle.
-        camera: started; None without. recorder: of the run; None without.
-        done: asked at every control step.
-        on_step: told every command, and the reading before it.
-        dry_run: never write to the robot.
+    `done` is asked at every control step; `on_step` is told every command and the reading before
+    it. A dry run never writes to the robot.
 
     Raises:
         RenetError: the bundle asks for more than the robot takes. Whatever `done` or the robot's

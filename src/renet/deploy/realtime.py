@@ -14,11 +14,8 @@ LOCK_ALL = 3
 def realtime(priority: int) -> Iterator[str]:
     """Run a block on this thread with real-time priority, locked memory and no garbage collector.
 
-    Args:
-        priority: of SCHED_FIFO, 1 to 99. Only the calling thread gets it, and threads it starts.
-
-    Yields:
-        What the system refused, in one line; empty if it granted all. The collector always stops.
+    Only this thread, and threads it starts, get the priority of SCHED_FIFO, 1 to 99. Yields in one
+    line what the system refused, empty if it granted all; the collector always stops.
     """
     refused = []
     before, order = os.sched_getparam(0), os.sched_getscheduler(0)

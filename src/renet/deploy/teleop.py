@@ -91,8 +91,7 @@ class KeyboardTeleop:
     def __init__(self, deadman: float) -> None:
         """Take over standard input; raises RenetError if that is no terminal.
 
-        Args:
-            deadman: seconds without any key after which the robot stands.
+        The robot stands after `deadman` seconds without any key.
         """
         try:
             self._descriptor = sys.stdin.fileno()
@@ -106,7 +105,6 @@ class KeyboardTeleop:
         self._armed = -math.inf
         self._deadman = Deadman(deadman)
         self.quit = False
-        """The operator wants to end the program."""
 
     def command(self, now: float) -> TeleopCommand:
         """All keys pressed since the last call; a stop among them wins."""
@@ -145,8 +143,7 @@ class JoystickTeleop:
     def __init__(self, deadman: float) -> None:
         """Open `JOYSTICK`; raises RenetError if there is none.
 
-        Args:
-            deadman: seconds without a move of stick or button after which the robot stands.
+        The robot stands after `deadman` seconds without a move of stick or button.
         """
         try:
             self._device = os.open(JOYSTICK, os.O_RDONLY | os.O_NONBLOCK)

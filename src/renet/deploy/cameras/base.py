@@ -50,11 +50,9 @@ class CameraCfg:
         """Raise RenetError for options that cannot work."""
 
     def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera | None:
-        """Make the camera without starting it; None is no camera at all.
+        """Make a camera of the bundle's images without starting it; None is no camera at all.
 
-        Args:
-            camera: the images that the bundle takes. robot: whose clock frames are timed by.
-            seed: of a simulated camera's noise.
+        The robot's clock times its frames; `seed` is that of a simulated camera's noise.
 
         Raises:
             RenetError: a package or file is missing, or the camera cannot give such images.

@@ -20,9 +20,7 @@ class FaultyCamera(Camera):
     ) -> None:
         """Wrap a camera; raises RenetError for a fault that it or its scene cannot have.
 
-        Args:
-            camera: the one to spoil. faults: one after the other on the same frames.
-            now: the robot's clock. seed: of the faults' randomness.
+        The faults act one after the other on the same frames; `now` is the robot's clock, s.
         """
         self._camera, self._now = camera, now
         self._perturb = getattr(camera, "perturb", None)

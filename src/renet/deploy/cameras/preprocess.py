@@ -17,9 +17,7 @@ class DepthPreprocessor:
     def __init__(self, lens: Intrinsics, spec: CameraSpec) -> None:
         """Find the pixels in images without distortion; raises RenetError for too narrow a view.
 
-        Args:
-            lens: of the camera; both focal lengths are negative where it is mounted upside down.
-            spec: what the policy sees.
+        Both focal lengths of the lens are negative where the camera is mounted upside down.
         """
         left, up = spec.intrinsics.axes()
         self._columns = np.rint(lens.cx - 0.5 - lens.fx * left).astype(int)

@@ -88,12 +88,10 @@ class RealSenseCamera(Camera):
         serial: str = "",
         upside_down: bool = False,
     ) -> None:
-        """Set up without touching the camera.
+        """Set up without touching the camera; `clock` gives seconds on the robot's clock.
 
-        Args:
-            spec: what the policy must be given. clock: seconds on the robot's clock.
-            device: an open librealsense device, such as a software device; found by default.
-            serial: which of several cameras. upside_down: turned by 180 degrees in its mount.
+        `device` is an open librealsense device, such as a software device; by default the camera
+        of this serial number, or the only one. `upside_down`: turned by 180 degrees in its mount.
         """
         self._spec, self._clock, self._device, self._serial = spec, clock, device, serial
         self._turn = -1 if upside_down else 1

@@ -35,7 +35,6 @@ def image_scores(
         scale: metres of one step of their values; 0 stands for no measurement.
         lens: focal lengths and principal point fx, fy, cx, cy, pixels; by default those of a
             camera that sees 87 degrees horizontally, without distortion.
-        bundle: of the policy.
 
     Raises:
         RenetError: too few images, one that is none, sizes that differ, a lens that sees too

@@ -90,12 +90,10 @@ class Recorder:
     """
 
     def __init__(self, path: Path, header: dict[str, Any], patient: bool = False) -> None:
-        """Create the file; raises RenetError if that cannot be done.
+        """Create the file, with a header of JSON values; raises RenetError if that cannot be done.
 
-        Args:
-            path: of the recording. header: JSON values, such as the bundle's hash.
-            patient: wait for a slow disk, at most `CLOSING` seconds at a time: for runs on a
-                simulated clock, which no disk keeps up with for long.
+        A patient recorder waits for a slow disk, at most `CLOSING` seconds at a time: for runs on
+        a simulated clock, which no disk keeps up with for long.
         """
         self._patience = CLOSING / 3 if patient else 0.0  # A flush has three chunks.
         self._file = create(path, "recording")
@@ -231,7 +229,7 @@ def _store_state(tick: np.ndarray, state: RobotState | None) -> int:
             if value.shape != (size,):
                 raise ValueError(name)
             tick[name] = value
-    except Exception:  # As above.
+    except Exception:  # A driver's object may fail in any way.
         for name in VECTORS:
             tick[name] = np.nan
         return BAD
@@ -249,7 +247,6 @@ class Recording:
     images: dict[int, np.ndarray]
     """[48, 64] float16 by the tick at which it was new."""
     events: list[Event]
-    """Transitions and their reasons."""
     complete: bool
     """False where the end is missing."""
 

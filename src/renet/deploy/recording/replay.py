@@ -43,8 +43,7 @@ def replay(run: Recording, bundle: Bundle) -> Iterator[Decision]:
     """What the controller decides at each tick of a run, given the same inputs.
 
     Raises:
-        RenetError: the run was made with another bundle, or its log does not say with which
-        limits.
+        RenetError: the run was made with another bundle, or its log lacks limits or selector.
     """
     made_with = run.header.get("bundle_sha256")
     if made_with != bundle.sha256:
@@ -95,10 +94,7 @@ def _frame(tick: np.ndarray, image: np.ndarray) -> DepthFrame | None:
 
 
 class ReplayCamera(Camera):
-    """Gives each image as long after `start` as it came after the run's first image.
-
-    After the last image no new one comes.
-    """
+    """Gives each image as long after `start` as it came after the run's first; keeps the last."""
 
     def __init__(self, run: Recording, now: Callable[[], float]) -> None:
         """Set up to show a run by the robot's clock `now`; raises RenetError without images."""

@@ -77,10 +77,8 @@ def write_score(run: Recording, folder: Path, onsets: Sequence[float] = ()) -> d
 def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     """Falls, distance, speed, switches and timing of a run.
 
-    The distance is from where walking began to where it ended.
-
-    Args:
-        run: read back. onsets: seconds from its start at which vision was spoilt.
+    The distance is from where walking began to where it ended. Vision was spoilt at `onsets`,
+    seconds from the run's start.
     """
     ticks = run.ticks
     start = ticks["now"][0] if len(ticks) else 0.0
@@ -154,8 +152,7 @@ def crossed(run: Recording, path: np.ndarray) -> str:
 def delay_to_op(blind: np.ndarray, onset: float) -> float | None:
     """Seconds from an onset to OP; zero if OP acted already, None if it never did.
 
-    Args:
-        blind: seconds from the run's start of the steps that walked on OP. onset: the same.
+    The onset and `blind`, the steps that walked on OP, are in seconds from the run's start.
     """
     later = blind[blind >= onset - 1e-9]
     return round(float(later[0] - onset), 3) if len(later) else None
@@ -211,9 +208,7 @@ def _mean(values: np.ndarray) -> float:
 def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
     """Draw anomaly score, vision probability and speed over who was in charge.
 
-    Args:
-        run: read back. onsets: seconds from its start at which its camera was spoilt.
-        path: of the picture; its ending says the format.
+    Vision was spoilt at `onsets`, seconds from the run's start; the path's ending says the format.
 
     Raises:
         RenetError: matplotlib is not installed, or the picture cannot be written.

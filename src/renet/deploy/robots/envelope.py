@@ -17,7 +17,6 @@ class Envelope:
     """A robot's own limits; arrays follow `interface.JOINTS`."""
 
     name: str
-    """Robot the limits belong to."""
     lower: np.ndarray
     """[12] rad"""
     upper: np.ndarray
@@ -53,11 +52,9 @@ class Envelope:
                 )
 
     def clamp(self, command: JointCommand, state: RobotState | None = None) -> JointCommand:
-        """The nearest command within the limits.
+        """The nearest command within the limits; raises RenetError unless of [12] finite numbers.
 
-        Args:
-            command: to be sent; raises RenetError if it is not made of [12] finite numbers.
-            state: newest reading, for torque and velocity; None leaves both to the motors.
+        Without a reading, the limits of torque and velocity are left to the motors.
         """
         parts = {}
         for name in ("position", "stiffness", "damping"):

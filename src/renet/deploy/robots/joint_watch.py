@@ -24,7 +24,6 @@ class JointWatch:
     """Compares readings with those before; meant for a limp robot moved by hand."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
-        """Set up with what is told each movement in one line."""
         self._say = say
         self._from: np.ndarray | None = None
         self._leaning = ""

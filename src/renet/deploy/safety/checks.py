@@ -88,15 +88,10 @@ def pre_arm_problem(
     cfg: SafetyCfg,
     now: float,
 ) -> str:
-    """Why the devices forbid standing up; empty if they do not.
+    """Why the devices forbid standing up at `now`, s on the robot's clock; empty if they do not.
 
-    What the controller itself checks at every tick (joints within range, tilt, age of the
-    reading) is not repeated here.
-
-    Args:
-        state: newest reading. teleop: the operator's command. frame: newest of the camera.
-        camera: whether there is one. recorder: its problem. cfg: limits of battery and motors.
-        now: seconds on the robot's clock.
+    `camera` says whether there is one, `recorder` what its problem is. What the controller itself
+    checks at every tick (joints within range, tilt, age of the reading) is not repeated here.
     """
     speed = getattr(teleop, "speed", 0.0)
     if speed != 0.0:

@@ -24,7 +24,6 @@ REFUSED = "the robot takes no commands"
 EXHAUSTED = "the robot lies down"
 """Why a robot is damped whose battery or motors are at their end."""
 ENDED = "the run ends"
-"""Why a robot is damped at the end."""
 
 
 class Mode(StrEnum):

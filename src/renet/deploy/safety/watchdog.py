@@ -17,7 +17,6 @@ PATIENCE = 6.0
 CLOSING = 20.0
 """Seconds that devices may take to be closed by a run that hangs."""
 HANGS = "the control loop hangs"
-"""Why such a run ends."""
 EXIT_CODE = 2
 
 
@@ -25,10 +24,7 @@ EXIT_CODE = 2
 def interruptible() -> Iterator[Callable[[], bool]]:
     """Let signals ask a run to end, braking, instead of ending the program.
 
-    A second Ctrl-C interrupts.
-
-    Yields:
-        Whether the run was asked to end.
+    Yields a function that says whether the run was asked to; a second Ctrl-C interrupts.
     """
     interrupted = False
 
@@ -51,13 +47,9 @@ def interruptible() -> Iterator[Callable[[], bool]]:
 def watchdog(close: Callable[[], None]) -> Iterator[Callable[[], None]]:
     """End this process when a loop hangs, as in a model or a driver that does not return.
 
-    Python handles no signal meanwhile: neither Ctrl-C nor TERM would end it.
-
-    Args:
-        close: called on another thread before the process ends: brakes and saves what there is.
-
-    Yields:
-        A function to call at every step.
+    Python handles no signal meanwhile: neither Ctrl-C nor TERM would end it. Before the process
+    ends, `close` brakes and saves what there is, on another thread. Yields a function to call at
+    every step.
     """
     steps, hangs, ended = 0, False, threading.Event()
 

@@ -20,10 +20,8 @@ def go1_robot(
 ) -> RealRobot:
     """A Go1 behind a sender process, which is not talked to yet.
 
-    Args:
-        host, port: of the robot's motor board. local_port: where it answers to.
-        power_level: of the vendor's overload guard.
-        options: `timeout` and `sink` of `RealRobot`.
+    Its motor board at `host` and `port` answers to `local_port`. `power_level` is that of the
+    vendor's overload guard; `options` are `timeout` and `sink` of `RealRobot`.
 
     Raises:
         RenetError: an unknown host, or no such power level.

@@ -55,9 +55,8 @@ class Go1Link(Link):
     def __init__(self, host: str, port: int, local_port: int, power_level: int) -> None:
         """Open the socket; motors stay limp until the first command.
 
-        Args:
-            host, port: of the robot's motor board. local_port: where it answers to.
-            power_level: of the vendor's overload guard.
+        The robot's motor board at `host` and `port` answers to `local_port`; `power_level` is that
+        of the vendor's overload guard.
 
         Raises:
             RenetError: no vendor's driver, or a local port that another program uses.

@@ -51,10 +51,7 @@ class FakeGo2:
     """A robot that lies on the ground; it lives only while `step` is called."""
 
     def __init__(self, domain: int = 0, terrain: str = "flat", level: int = 1) -> None:
-        """Lay the robot down and join the network.
-
-        Args:
-            domain: DDS domain. terrain: kind of its ground. level: of the ground, 1 to 10.
+        """Lay the robot on a terrain of a level, 1 to 10, and join a DDS domain.
 
         Raises:
             RenetError: an unknown terrain, or DDS that fails.

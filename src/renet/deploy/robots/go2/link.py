@@ -41,11 +41,9 @@ class Go2Link(Link):
     """
 
     def __init__(self, interface: str, domain: int, watch: bool) -> None:
-        """Join the network; nothing is sent to the motors before the first command.
+        """Join a DDS domain on a network card; motors are sent nothing before the first command.
 
-        Args:
-            interface: network card that the robot is at. domain: its DDS domain.
-            watch: only look: end no mode, and never command.
+        `watch` means only to look: to end no mode, and never to command.
         """
         super().__init__(read_envelope(GO2))
         network = Network(interface, domain)
@@ -81,9 +79,7 @@ class Go2Link(Link):
     def _claim(self, heard: bool, answers: bool, now: float) -> None:
         """Set `_free` once the motors are; afterwards a problem if they are somebody else's again.
 
-        Args:
-            heard: whether somebody else commanded them. answers: whether the robot sent a reading.
-            now: seconds on the caller's clock.
+        `heard`: somebody else commanded them; `answers`: the robot sent a reading; `now`: seconds.
         """
         mode = self._switch.mode
         if self._free:
@@ -117,11 +113,7 @@ class Go2Link(Link):
 
 
 def reading(values: Any, now: float) -> RobotState:
-    """A robot's state from a LowState's fields. Its CRC is not checked, as the vendor does not.
-
-    Args:
-        values: of the message. now: when it came.
-    """
+    """State in a LowState that came at `now`, s, whose CRC the vendor does not check either."""
     motors, imu = values["motor_state"][MOTORS], values["imu_state"]
     charge = float(values["bms_state"]["soc"]) / 100.0
     return RobotState(

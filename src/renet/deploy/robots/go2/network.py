@@ -40,10 +40,7 @@ class Network:
     """One participant of a DDS domain."""
 
     def __init__(self, interface: str, domain: int = 0) -> None:
-        """Join.
-
-        Args:
-            interface: name of the network card, such as eth0. domain: the robot's is 0.
+        """Join a domain (the robot's is 0) on the network card of this name, such as eth0.
 
         Raises:
             RenetError: no such interface, another version of Cyclone DDS, or one that fails.

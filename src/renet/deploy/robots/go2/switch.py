@@ -55,9 +55,7 @@ class MotionSwitcher:
     def step(self, now: float, release: bool) -> None:
         """Take over an answer that has come, and ask again when that is due.
 
-        Args:
-            now: seconds on the caller's clock.
-            release: whether to end an active mode.
+        Then `release` ends an active mode, too; `now` is in seconds on the caller's clock.
         """
         for response in self._reader.take(8):
             self._read(response)

@@ -78,10 +78,7 @@ class Link(ABC):
             self.problem = f"the robot's driver failed: {type(error).__name__}: {error}"
 
     def _news(self, tick: int) -> bool:
-        """Whether a reading with this count of the robot's, of 32 bits, is newer than the last.
-
-        One that comes again or out of order is not.
-        """
+        """Whether a reading's 32-bit count is newer than the last, not repeated or out of order."""
         newer = self._tick is None or 0 < (tick - self._tick) % 2**32 < 2**31
         if newer:
             self._tick = tick

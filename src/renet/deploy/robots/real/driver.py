@@ -30,9 +30,7 @@ class RealRobot:
     """
 
     name: str
-    """For messages."""
     envelope: Envelope
-    """Its own limits."""
     link: str
     """MODULE:CLASS of its `braking.Link`."""
     settings: tuple[Any, ...]

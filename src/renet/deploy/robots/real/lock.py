@@ -13,10 +13,8 @@ def claim(robot: str) -> socket.socket:
     """Hold a robot until this process and all that inherit the socket have closed it or are dead.
 
     The lock is an abstract Unix socket, a name without a file: whoever may reach the robot over the
-    same network sees it, and the system frees it however its holders end.
-
-    Args:
-        robot: what tells it from other robots, such as its name and address.
+    same network sees it, and the system frees it however its holders end. `robot` is what tells
+    it from others, such as its name and address.
 
     Raises:
         RenetError: another program on this computer holds it.

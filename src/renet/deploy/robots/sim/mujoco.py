@@ -27,12 +27,9 @@ class MujocoRobot:
     def __init__(
         self, model: mujoco.MjModel, robot: RobotSpec, ground: float = 0.0, real_time: bool = False
     ) -> None:
-        """Put the robot at the origin, in its default pose.
+        """Put the robot of a scene (see scene.build_scene) at the origin, in its default pose.
 
-        Args:
-            model: a scene with the robot in it (see scene.build_scene).
-            robot: of the bundle. ground: height of what it stands on, m.
-            real_time: pace the simulation to the wall clock.
+        It stands at a height of `ground`, m; `real_time` paces the simulation to the wall clock.
         """
         description = find_description(robot.name)
         self.model, self.data = model, place(model, ground + description.height)
@@ -112,10 +109,7 @@ class MujocoRobot:
         self._hidden = geoms
 
     def cast(self, eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Distance [R] in m from `eye` [3] m to the terrain along unit directions [R, 3].
-
-        Infinite where there is none.
-        """
+        """Distance [R] m from `eye` [3] m along unit vectors [R, 3] to the terrain, inf if none."""
         model, hidden, count = self.model, self._hidden, len(directions)
         distance, geoms = np.empty(count), np.empty(count, np.int32)
         groups = model.geom_group[hidden]

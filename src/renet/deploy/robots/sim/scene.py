@@ -38,10 +38,8 @@ def scene_spec(
 ) -> tuple[mujoco.MjSpec, float]:
     """A scene with a robot in it, and the height in m of the ground it starts on, at x = y = 0.
 
-    Args:
-        terrain: flat, or a kind of training tile. level: of the tile, 1 to 10.
-        file: an MJCF to use as terrain instead.
-        seed: of tiles with random parts. robot: which one.
+    The terrain is flat, or a kind of training tile of a level, 1 to 10, with random parts by
+    `seed`; an MJCF `file` replaces it.
 
     Raises:
         RenetError: unknown terrain or level, or a scene file in which no robot can stand.

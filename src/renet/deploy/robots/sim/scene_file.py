@@ -29,10 +29,7 @@ TRIAL_STEPS = 200
 
 
 def attach_scene(spec: mujoco.MjSpec, file: Path) -> None:
-    """Add a file's static geoms to a robot's model.
-
-    Args:
-        spec: the robot's, whose physics options stay. file: an MJCF.
+    """Add an MJCF file's static geoms to a robot's model, whose physics options stay.
 
     Raises:
         RenetError: the file is not an MJCF that MuJoCo reads, or something in it moves.
