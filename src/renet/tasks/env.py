@@ -4,6 +4,7 @@ import gc
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 
 from mjlab.actuator import BuiltinPositionActuatorCfg
 from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
@@ -98,8 +99,7 @@ def env_cfg(task: str, play: bool = False) -> RenetEnvCfg:
     """
     import mjlab.tasks  # noqa: F401  registers every plug-in's tasks
 
-    import renet.registry  # noqa: F401  ours, also from a source tree that is not installed
-
+    import_module("renet.registry")  # As its entry point does, which a bare source tree lacks.
     if task not in list_tasks():
         raise unknown_name("task", task, [n for n in list_tasks() if n.startswith("Renet")])
     cfg = load_env_cfg(task, play)
