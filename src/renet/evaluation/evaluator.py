@@ -46,6 +46,11 @@ class Evaluator:
         thresholds = {} if self.selector == "paper" else spec.thresholds
         return thresholds.get("reconstruction", spec.beta)
 
+    @property
+    def thresholds(self) -> dict[str, float]:
+        """Thresholds of the default selector's monitors, by name."""
+        return self.bundle.manifest.selector.used_thresholds
+
     def provenance(self, seed: int) -> Provenance:
         """The provenance of numbers made with this bundle now."""
         engine = "native" if self.engine == "auto" else self.engine

@@ -238,7 +238,7 @@ class FaultStudy(WalkingStudy):
                 name: sum(
                     len(decluster(run, np.nextafter(threshold, -np.inf))) for run in series[name]
                 )
-                for name, threshold in evaluator.bundle.manifest.selector.used_thresholds.items()
+                for name, threshold in evaluator.thresholds.items()
             },
         }
 
