@@ -49,6 +49,7 @@ class PlaygroundPolicy:
 class Playground:
     def make_evaluator(self):
         evaluator = TheirEvaluator(self.model)
+        evaluator.privileged = ("velocity",)
         evaluator.make_policy = lambda n: PlaygroundPolicy(self.model, n, evaluator)
         return evaluator
 

@@ -58,6 +58,8 @@ class CheckpointPolicy:
 class CheckpointEvaluator(Evaluator):
     """Judges a checkpoint, also one that cannot be exported."""
 
+    privileged = ("height_map", "velocity")
+
     def __init__(self, path: Path) -> None:
         """Load a checkpoint; raises RenetError where it is damaged."""
         super().__init__()

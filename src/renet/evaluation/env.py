@@ -30,6 +30,8 @@ from renet.tasks.terrains import UNSEEN, parkour_terrain, tile_row
 
 NEVER = 1e9
 """Seconds no run lasts."""
+SENSED = ("proprioception", "depth")
+"""Groups of observations that a robot has."""
 
 
 def robot_of(manifest: Manifest) -> RobotCfg:
@@ -59,14 +61,21 @@ def terrain_env_cfg(terrain: str | Mapping[str, int], robot: RobotCfg) -> RenetE
     return tile_env_cfg(tiles, play=True, robot=robot)
 
 
-def study_env_cfg(task: str | RenetEnvCfg, speed: float) -> RenetEnvCfg:
-    """A task, or its id, for measuring: straight ahead at `speed`, m/s, ended only by a fall."""
+def study_env_cfg(
+    task: str | RenetEnvCfg, speed: float, privileged: Sequence[str] = ()
+) -> RenetEnvCfg:
+    """A task, or its id, for measuring: straight ahead at `speed`, m/s, ended only by a fall.
+
+    Of what training observes, only what a robot senses is computed, and the `privileged` groups.
+    """
     cfg = env_cfg(task, play=True) if isinstance(task, str) else task
     command = cfg.commands[COMMAND]
     assert isinstance(command, GoalCommandCfg)
     command.fixed_speed = speed
     command.resampling_time_range = (NEVER, NEVER)
     cfg.terminations.pop("time_out", None)
+    cfg.observations = {name: cfg.observations[name] for name in (*SENSED, *privileged)}
+    cfg.rewards, cfg.metrics = {}, {}
     return cfg
 
 
@@ -192,7 +201,7 @@ class SimEnv:
 
     def _readings(self, observation: dict, fell: np.ndarray, ended: np.ndarray) -> StepResult:
         self.observation = observation
-        """The simulator's newest observations by group; policies with privileges read them."""
+        """The newest observations by group, also the `Evaluator.privileged`."""
         velocity = self._robot.root_link_lin_vel_w[:, :2]
         above = self._robot.root_link_pos_w[:, 2] - self.env.scene.env_origins[:, 2]
         return StepResult(

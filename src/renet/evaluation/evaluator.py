@@ -21,6 +21,9 @@ Task = str | Mapping[str, int] | RenetEnvCfg
 class Evaluator:
     """One bundle under study; a subclass for another policy overrides `make_policy`."""
 
+    privileged: tuple[str, ...] = ()
+    """Groups of training's observations that the policy reads from `SimEnv.observation`."""
+
     def __init__(
         self, bundle: Path | None = None, engine: str = "auto", selector: str = "monitors"
     ) -> None:
@@ -73,7 +76,7 @@ class Evaluator:
             raise RenetError(f"seed must be from 0 to 2^32 - 1, got {seed}")
         if isinstance(task, Mapping) or (isinstance(task, str) and task in (FLAT, PARKOUR)):
             task = self.terrain_env_cfg(task)
-        cfg = study_env_cfg(task, speed)
+        cfg = study_env_cfg(task, speed, self.privileged)
         robot = self.bundle.manifest.robot.name
         if robot != cfg.robot.name:
             raise RenetError(
