@@ -171,8 +171,7 @@ def colour_tables(
 def share_panels(
     panels: Mapping[str, Sequence[dict[str, Any]]],
     name: str,
-    place: Callable[[dict[str, Any]], float],
-    tick: Callable[[float], str],
+    tick: Callable[[dict[str, Any]], str],
     xlabel: str = "",
     rotation: float = 0.0,
 ) -> Figure:
@@ -181,7 +180,7 @@ def share_panels(
     Args:
         panels: rows of a summary, by title.
         name: of the share, whose columns are NAME_rate, NAME_ci95_low and NAME_ci95_high.
-        place: of a row along the horizontal axis. tick: text of such a place.
+        tick: a row's place, in even steps in the order in which these first occur.
         xlabel: what the horizontal axis shows. rotation: of its ticks' texts, degrees.
     """
     columns = min(len(panels), 4)
@@ -189,18 +188,17 @@ def share_panels(
     size = (max(2.5 * columns, 6.8) + 0.9, 2.4 * rows + 0.8)  # Wide enough for the legend.
     figure, axes = plt.subplots(rows, columns, figsize=size, sharey=True, squeeze=False)
     for axis, (title, runs) in zip(axes.flat, panels.items(), strict=False):
-        places = sorted({place(run) for run in runs})
-        modes = grouped(sorted(runs, key=place), "mode")
+        places, modes = [*dict.fromkeys(map(tick, runs))], grouped(runs, "mode")
         # Side by side, or equal shares would hide each other.
-        apart = 0.012 * (places[-1] - places[0] or 1.0)
+        apart = 0.012 * max(len(places) - 1, 1)
         for number, ((mode,), line) in enumerate(modes.items()):
             ends = ("rate", "ci95_low", "ci95_high")
             share, *interval = np.array([[100 * run[f"{name}_{e}"] for run in line] for e in ends])
-            x = np.array(list(map(place, line))) + (number - (len(modes) - 1) / 2) * apart
+            x = [places.index(tick(run)) + (number - (len(modes) - 1) / 2) * apart for run in line]
             look: Any = {"color": MODE_COLOURS[mode], "label": MODE_NAMES[mode]}
             look |= {"fmt": "o--" if mode == "op" else "o-", "markersize": 4, "elinewidth": 1}
             axis.errorbar(x, share, np.abs(interval - share), **look)
-        axis.set_xticks(places, list(map(tick, places)), rotation=rotation)
+        axis.set_xticks(range(len(places)), places, rotation=rotation)
         axis.set_title(title, fontsize=9)
     for axis in axes.flat[len(panels) :]:
         axis.set_axis_off()

@@ -10,6 +10,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -149,14 +150,7 @@ class CameraUseStudy(LevelStudy):
             ground.replace("_", " "): runs
             for (ground,), runs in grouped(summary["runs"], "ground").items()
         }
-        views = [*VIEWS]
-        figure = figures.share_panels(
-            panels,
-            "crossed",
-            lambda run: views.index(run["view"]),
-            lambda place: views[int(place)],
-            rotation=90,
-        )
+        figure = figures.share_panels(panels, "crossed", itemgetter("view"), rotation=90)
         figure.suptitle(textwrap.fill(summary["sentence"], 100), fontsize=9)
         return {"camera_use.png": figure}
 

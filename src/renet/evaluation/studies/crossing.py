@@ -198,27 +198,19 @@ class CrossingStudy(OneTryStudy):
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """crossing.png: who crosses each ground, by fault, all sizes together."""
         runs = [run for part in parts.values() for run in part["runs"]]
-        names = ["healthy", *self.faults]
         panels: dict[str, list[dict[str, Any]]] = {}
         for (ground, mode), rows in grouped(runs, "ground", "mode").items():
-            crossed = {
+            crossed = {"healthy": [run["values"]["twins"] for run in rows]} | {
                 name: [run["values"]["crossed"] for run in group]
                 for (name,), group in grouped(rows, "fault").items()
             }
-            crossed["healthy"] = [run["values"]["twins"] for run in rows]
             panels.setdefault(ground.replace("_", " "), []).extend(
-                {"mode": mode, "place": names.index(name), "crossed_rate": np.mean(values)}
+                {"mode": mode, "fault": name, "crossed_rate": np.mean(values)}
                 | metrics.with_interval("crossed", np.mean(values, axis=0))
                 for name, values in crossed.items()
             )
-        figure = figures.share_panels(
-            panels,
-            "crossed",
-            lambda run: run["place"],
-            lambda place: names[int(place)].replace("_", " "),
-            rotation=90,
-        )
-        return {"crossing.png": figure}
+        tick = lambda run: run["fault"].replace("_", " ")  # noqa: E731
+        return {"crossing.png": figures.share_panels(panels, "crossed", tick, rotation=90)}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Each mode's scores."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -223,12 +224,10 @@ class TerrainStudy(WalkingStudy):
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """The share of robots that get across, against the obstacle's size."""
         panels = {
-            f"{SIZES[kind]} (cm)": rows
+            f"{SIZES[kind]} (cm)": sorted(rows, key=itemgetter("size_m"))
             for (kind,), rows in grouped(summary["runs"], "kind").items()
         }
-        figure = figures.share_panels(
-            panels, "success", lambda run: 100 * run["size_m"], lambda size: f"{size:.0f}"
-        )
+        figure = figures.share_panels(panels, "success", lambda run: f"{100 * run['size_m']:.0f}")
         return {f"{self.name}.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
