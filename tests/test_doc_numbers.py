@@ -95,12 +95,6 @@ def test_what_two_seconds_without_an_image_cost():
         assert points <= 0
 
 
-def test_who_falls_that_stands():
-    runs = result("shipped/standing.json")["runs"]
-    falls = {(run["kind"], run["mode"]): run["falls"] for run in runs if run["falls"]}
-    assert falls == {("stairs_down", "op"): 2}
-
-
 def test_what_is_said_of_version_2():
     results = [
         read_result(RESULTS / "leaderboard_2" / f"{name}.json") for name in tables.LEADERBOARD

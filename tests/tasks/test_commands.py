@@ -93,6 +93,9 @@ def test_the_second_level_asks_for_standing(build):
     assert torch.equal(goal.time_left < 4.0, stands), "two fifths of 4 to 10 s"
     walking = goal.speed[~stands]
     assert 0.1 <= walking.min() < 0.2 < walking.max() <= 1.0
+    goal.standing_time, goal.time_left[:] = 1.0, 0.01
+    goal.compute(dt=0.02)
+    assert (goal.time_left >= 4.0).all()
 
 
 def test_a_fixed_goal_is_kept(build):

@@ -15,6 +15,9 @@ def test_the_second_level_begins_after_its_environment_steps(flat, goal):
         flat.common_step_counter = step
         assert term(flat, everyone, after=400) == stage
         assert goal.stage == stage
+    flat.common_step_counter = 3750
+    term(flat, everyone, after=400, standing_time="0.4@10k,1@20k")
+    assert goal.standing_time == pytest.approx(0.7)
     # Going back, as after loading another checkpoint, is that checkpoint's business.
     flat.common_step_counter = 0
     assert term(flat, everyone, after=400) == 1

@@ -24,8 +24,11 @@ def recipe(env: RenetEnvCfg, agent: RenetRunnerCfg) -> None:
     set_learning(agent)
     set_rewards(env)
     set_differences(env)
-    # Sooner, a third of the steps goes to standing while levels could rise.
-    env.curriculum["command_stage"].params["after"] = 2e7
+    # Sooner, a third of the steps goes to standing while levels could rise. Goals to stand begin
+    # short: to stop is learned at their beginning, and who stands meets no edges. But OP stands on
+    # stairs only for as long as these goals last.
+    standing = {"after": 2e7, "standing_time": "0.4@210.1M,1@210.1M"}
+    env.curriculum["command_stage"].params |= standing
     if "level" in env.curriculum:
         set_tiles(env)
 

@@ -30,9 +30,6 @@ class GoalCommandCfg(CommandTermCfg):
     standing_share: float = 0.3
     """Share of stage 1's redrawn goals with c_x = 0: a uniform draw alone would never ask for it.
     None at an episode's start: to stop is harder than to stand."""
-    standing_time: float = 0.4
-    """Share of other goals' time after which one to stand is replaced: to stop is learned at its
-    beginning, and who stands meets no edges."""
     slowest: float = 0.1
     """At stage 1 a smaller c_x is set to 0, m/s: eq. 6 divides by c_x, and sensor noise hides
     slower motion."""
@@ -57,6 +54,8 @@ class GoalCommand(CommandTerm):
         self.robot: Entity = env.scene["robot"]
         self.stage = 0
         """0: walk only; 1: standing still is asked for too (paper's two-level curriculum)."""
+        self.standing_time = 1.0
+        """Share of other goals' time after which one to stand is replaced."""
         self.speed = torch.zeros(self.num_envs, device=self.device)
         """c_x, [N] m/s."""
         self.yaw = torch.zeros(self.num_envs, device=self.device)
@@ -112,7 +111,7 @@ class GoalCommand(CommandTerm):
             stands = (uniform(0.0, 1.0) < cfg.standing_share) & ~begins
             stands |= speed < cfg.slowest
             speed *= ~stands
-            self.time_left[env_ids] *= torch.where(stands, cfg.standing_time, 1.0)
+            self.time_left[env_ids] *= torch.where(stands, self.standing_time, 1.0)
         self.speed[env_ids] = speed
         around = torch.where(begins, self._written_heading(env_ids), self.yaw[env_ids])
         self.yaw[env_ids] = wrap_to_pi(around + turn)

@@ -151,11 +151,17 @@ class reward_weight:
         return torch.tensor(weight)
 
 
-def command_stage(env: ManagerBasedRlEnv, env_ids: Tensor, after: float) -> Tensor:
-    """Ask for standing, too, after so many environment steps; returns the stage, 0 or 1."""
-    command = goal(env)
-    if environment_steps(env) >= after:
+def command_stage(
+    env: ManagerBasedRlEnv, env_ids: Tensor, after: float, standing_time: Schedule = 1.0
+) -> Tensor:
+    """Ask for standing, too, after so many environment steps; returns the stage, 0 or 1.
+
+    Goals to stand last `standing_time` times as long as others.
+    """
+    command, steps = goal(env), environment_steps(env)
+    if steps >= after:
         command.stage = 1
+    command.standing_time = value_at(standing_time, steps)
     return torch.tensor(float(command.stage))
 
 
