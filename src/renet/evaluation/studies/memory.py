@@ -130,7 +130,7 @@ class MemoryStudy(LevelStudy):
         panels = {
             f"{SIZES[kind]} {100 * size:.0f} cm": [
                 run | {"without_s": time}
-                for run in runs
+                for run in sorted(runs, key=lambda run: run["without_s"])
                 # OP, which never sees, has one share at all times.
                 for time in (times if run["mode"] == "op" else [run["without_s"]])
             ]
