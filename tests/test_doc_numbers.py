@@ -72,7 +72,7 @@ def test_tables_of_the_shipped_policy_are_those_of_its_results(tmp_path, capsys)
         shutil.copy(page, tmp_path)
     page = tmp_path / "memory.md"
     right = page.read_text()
-    page.write_text(right.replace("| RENet | 16 / 20 |", "| RENet | 16 / 19 |"))
+    page.write_text(right.replace("| RENet | 17 / 20 |", "| RENet | 17 / 19 |"))
     assert page.read_text() != right
     assert tables.main([], tmp_path) == 1
     assert "memory.md, Measure it" in capsys.readouterr().out
@@ -89,10 +89,10 @@ def test_what_two_seconds_without_an_image_cost():
         if run["without_s"] == 2
     }
     text = " ".join((ROOT / "docs" / "memory.md").read_text().replace("−", "-").split())
+    assert f"cost at most {max(points for points, *_ in lost.values())} points" in text
     for ground, (points, low, high) in lost.items():
         name = ground.replace("_", " ")
         assert re.search(rf"{name} {points} (points )?\([^)]*?{low} to {high}\)", text)
-        assert points <= 0
 
 
 def test_what_is_said_of_version_2():

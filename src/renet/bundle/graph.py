@@ -58,7 +58,7 @@ def check_graph(data: bytes) -> None:
 
 
 def _check_node(node: memoryview, constants: set[bytes]) -> None:
-    """Refuse a node, or add its outputs to `constants` where all its inputs are among them."""
+    """Refuse a node (ValueError), or add its outputs to `constants` where all its inputs are."""
     parts: dict[int, list[bytes]] = {number: [] for number in FIELDS["node"]}
     for number, value in _fields(node, "node"):
         parts[number].append(bytes(value))

@@ -106,7 +106,7 @@ class CameraSpec:
 
 @dataclass(frozen=True)
 class ProvenanceSpec:
-    """Where the weights come from."""
+    """Where the weights come from: `steps` are of all robots together, `seconds` of training."""
 
     task: str = ""
     iteration: int = 0
