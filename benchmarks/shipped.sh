@@ -47,7 +47,6 @@ figure success/success.png success.png
 figure memory/memory.png memory.png
 figure noise/noise.png noise.png
 figure margins/margins.png margins.png
-figure course/passages.png passages.png
 figure filter/filter.png filter.png
 figure severity_5/crossed.png crossed.png
 python tools/tables.py --fill

@@ -123,10 +123,10 @@ def test_wrong_manifest(bundle_path, change, message):
         Bundle.load(bundle_path)
 
 
-@pytest.mark.parametrize("study", ["noise", "terrain", "margins"])
-def test_the_shipped_bundle_is_the_one_its_results_name(study):
-    results = Path(__file__).parents[2] / "benchmarks" / "results" / "shipped" / f"{study}.json"
-    assert Bundle.load().sha256 == json.loads(results.read_text())["provenance"]["bundle_hash"]
+def test_the_shipped_bundle_is_the_one_its_results_name():
+    results = (Path(__file__).parents[2] / "benchmarks" / "results" / "shipped").glob("*.json")
+    named = [json.loads(path.read_text())["provenance"].get("bundle_hash") for path in results]
+    assert {*named} - {None} == {Bundle.load().sha256}  # Those of version 1 have another form.
 
 
 def test_a_bundle_of_schema_1_loads_and_has_no_memory(bundle_path, tmp_path, networks, manifest):
