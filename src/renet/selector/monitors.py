@@ -123,7 +123,8 @@ class Scorer:
             self.near = np.where(seen.fresh, np.where(near, self.near + 1, 0), self.near)
             self._last = np.where(seen.fresh[:, None, None], seen.image, self._last)
         names = MONITORS if names is None else names
-        return np.array([MONITORS[name].score(seen, self) for name in names])
+        scores = [MONITORS[name].score(seen, self) for name in names]
+        return np.array(scores).reshape(-1, len(self.repeats))
 
     def reset(self, mask: np.ndarray) -> None:
         """Forget the last images of the masked robots [N]."""

@@ -127,11 +127,10 @@ class MonitorSelector:
         self.reason = np.full(num_robots, "", object)
         """Reason of the first monitor that objected when the robot last ceased to see, [N]; empty
         while it sees."""
-        used = {name: MONITORS[name] for name in self.thresholds}
-        self._column = np.array([[limit] for limit in self.thresholds.values()])
-        self._of_image = np.array([monitor.of_image for monitor in used.values()])
-        self._before_vision = [n for n, m in used.items() if m.of_image and not m.output]
-        self._limits = {m.output: self.thresholds[n] for n, m in used.items() if m.output}
+        used = [(MONITORS[name], name, limit) for name, limit in self.thresholds.items()]
+        self._judged = {n: limit for m, n, limit in used if not (longest_memory and m.of_image)}
+        self._before_vision = {n: limit for m, n, limit in used if m.of_image and not m.output}
+        self._limits = {m.output: limit for m, _, limit in used if m.output}
         self._scorer = Scorer(num_robots)
         self._looked = False
         self._periods: int | None = None
@@ -153,14 +152,12 @@ class MonitorSelector:
         Returns:
             Which images VP may use; None without a memory: all.
         """
-        scores = self._scorer.scores(seen, self._before_vision)
+        verdicts = self._verdicts(seen, self._before_vision)
         self._looked = True
         if not self.longest_memory:
             return None
-        limits = [self.thresholds[name] for name in self._before_vision]
-        verdicts = [score < limit for score, limit in zip(scores, limits, strict=True)]
         # An image that is shown again is no new one.
-        return Gate(np.logical_and.reduce([seen.fresh, *verdicts]), self._limits)
+        return Gate(seen.fresh & np.logical_and.reduce(verdicts), self._limits)
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """Judge vision at one moment, and decide who drives.
@@ -175,12 +172,16 @@ class MonitorSelector:
         if self._looked and seen.fresh.any():  # `look` has counted these images.
             seen = replace(seen, fresh=np.zeros_like(seen.fresh))
         self._looked = False
-        scores = self._scorer.scores(seen, self.thresholds)  # At every call: it counts images.
+        verdicts = self._verdicts(seen, self._judged)  # At every call: it counts images.
         due = self._due(now)
         if due == 0:
             return self.vision
-        verdicts = scores < self._column
-        good, healthy = self._judge(verdicts, seen, now)
+        good = healthy = np.logical_and.reduce(verdicts)
+        if self.longest_memory:  # VP has a good image; and it may drive, perhaps without one.
+            good = seen.has_image
+            self._last_good = np.where(good, now, self._last_good)
+            self.without_image = now - self._last_good
+            healthy = healthy & (self.without_image <= self.longest_memory)
         self.probability = low_pass(self.probability, healthy, self.spec.gamma, due)
         likely = self.probability > VISION_THRESHOLD
         self._good_since = np.where(good & healthy, np.minimum(self._good_since, now), np.inf)
@@ -195,30 +196,25 @@ class MonitorSelector:
         self.vision = (self.vision & likely) | returning
         self.reason[self.vision & good] = ""
         ceasing = ~good & (self.reason == "") if self.longest_memory else leaving
-        self._explain(~(good & healthy) & (leaving | ceasing), verdicts)
+        self._explain(~(good & healthy) & (leaving | ceasing), seen)
         return self.vision
 
-    def _explain(self, robots: np.ndarray, verdicts: np.ndarray) -> None:
-        """Set the reason of the masked robots [N] to that of the first monitor that objects."""
-        for robot in np.flatnonzero(robots):
-            objects = ~verdicts[:, robot]
-            if self.reason[robot]:  # The first withheld image gave the reason.
-                objects &= ~self._of_image
-            if objects.any():
-                self.reason[robot] = MONITORS[[*self.thresholds][objects.argmax()]].reason
+    def _verdicts(self, seen: SelectorInput, limits: Mapping[str, float]) -> np.ndarray:
+        """Whether each monitor finds vision healthy, [monitors, N] bool."""
+        return self._scorer.scores(seen, limits) < np.array([*limits.values()])[:, None]
 
-    def _judge(
-        self, verdicts: np.ndarray, seen: SelectorInput, now: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Whether VP has a good image, and whether it may drive, [N] bool each."""
-        if not self.longest_memory:
-            healthy = np.logical_and.reduce(verdicts)
-            return healthy, healthy
-        good = seen.has_image
-        self._last_good = np.where(good, now, self._last_good)
-        self.without_image = now - self._last_good
-        remembered = self.without_image <= self.longest_memory
-        return good, remembered & verdicts[~self._of_image].all(axis=0)
+    def _explain(self, robots: np.ndarray, seen: SelectorInput) -> None:
+        """Set the reason of the masked robots [N] to that of the first monitor that objects."""
+        if not robots.any():
+            return
+        counted = replace(seen, fresh=np.zeros_like(seen.fresh))
+        verdicts = self._verdicts(counted, self.thresholds)
+        for robot in np.flatnonzero(robots):
+            for name, good in zip(self.thresholds, verdicts[:, robot], strict=True):
+                # The first withheld image gave the reason.
+                if not good and not (self.reason[robot] and MONITORS[name].of_image):
+                    self.reason[robot] = MONITORS[name].reason
+                    break
 
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Use vision again and forget the past of the masked robots [N], by default of all."""

@@ -67,12 +67,15 @@ def jump_problem(last: RobotState, state: RobotState, passed: float) -> str:
     return f"{JOINTS[worst]} jumped by {abs(turn[worst]):.2f} rad at another speed"
 
 
-def rotation_vector(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def rotation_vector(before: np.ndarray, after: np.ndarray) -> list[float]:
     """The turn [3] rad from one attitude (w, x, y, z) to another, in the base frame."""
-    w, x, y, z = before.tolist()
-    # The inverse of the one times the other, written out: np.cross takes five times as long.
-    product = np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]]) @ after
-    cosine, axis = product[0], product[1:]
+    (w, x, y, z), (a, b, c, d) = before.tolist(), after.tolist()
+    cosine = w * a + x * b + y * c + z * d  # The inverse of the one times the other.
+    axis = [
+        w * b - x * a + z * c - y * d,
+        w * c - y * a + x * d - z * b,
+        w * d - z * a + y * b - x * c,
+    ]
     sine = math.hypot(*axis)
-    angle = 2.0 * math.atan2(sine, abs(cosine))
-    return axis * math.copysign(angle / sine, cosine) if sine else axis
+    share = math.copysign(2.0 * math.atan2(sine, abs(cosine)) / sine, cosine) if sine else 1.0
+    return [share * part for part in axis]
