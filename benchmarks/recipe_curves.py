@@ -1,8 +1,8 @@
 """Draw what `renet train` learns: `python benchmarks/recipe_curves.py RUN[=LABEL]...`.
 
 Writes docs/figures/recipe.csv, every tenth iteration of each run, and docs/figures/recipe.png from
-that file and the flagship's curves; without runs the figure alone is drawn again. Runs of one label
-have one colour.
+that file and the curves of the flagship and of its recipe's other seeds; without runs the figure
+alone is drawn again. Runs of one label have one colour.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from renet.training.metrics import LEVEL, read_curves
 from renet.training.train import CONFIG
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "recipe"
-FLAGSHIP = Path(__file__).with_name("results") / "flagship.csv"
+FLAGSHIP = Path(__file__).with_name("results") / "flagship"
 
 
 def level_curves(run: Path, steps: int = 0, every: int = 10) -> list[dict[str, float]]:
@@ -94,9 +94,13 @@ def main(runs: list[str]) -> None:
             writer = csv.DictWriter(file, list(kept[0]), lineterminator="\n")
             writer.writeheader()
             writer.writerows(kept)
-    with path.open(newline="") as before, FLAGSHIP.open(newline="") as file:
-        flagship = [row | {"run": "with memory", "seed": "1"} for row in csv.DictReader(file)]
-        draw([*csv.DictReader(before), *flagship])
+    earlier = list(csv.DictReader(path.read_text().splitlines()))
+    flagship = [
+        row | {"run": "with memory, seeds 1, 2, 3", "seed": seed.stem}
+        for seed in sorted(FLAGSHIP.glob("*.csv"))
+        for row in csv.DictReader(seed.read_text().splitlines())
+    ]
+    draw([*earlier, *flagship])
 
 
 if __name__ == "__main__":
