@@ -189,6 +189,11 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypa
     # Three quarters of 600, and those of the rest that are drawn at 4: five deviations around.
     expected = 0.75 + 0.25 / (5 - flat_start)
     assert met.count(4) / 600 == pytest.approx(expected, abs=5 * (0.25 / 600) ** 0.5)
+    monkeypatch.setitem(term.params, "easier_share", "0.25@1k,1@1k")
+    monkeypatch.setitem(term.params, "easier_levels", "10@1k,2@1k")
+    narrow = drawn_levels(4, 5)
+    assert set(narrow.flatten().tolist()) == {int(flat_start), 1 + flat_start}
+    assert parkour.observation_manager.compute()["easier"].all(), "robots know that it is easier"
     # On easier tiles: who passes, and who fails, keeps its own level, and is told by it.
     at_level(parkour, 4, asked=20.0)
     terrain.terrain_levels[:] = 2
@@ -197,7 +202,7 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypa
     assert (term.func.levels == 4).all()
     assert (drawn_levels(0, 10) == 0).all(), "who has not passed a flat level meets nothing else"
     monkeypatch.setitem(term.params, "easier_kinds", ("gap",))
-    easier = (drawn_levels(4, 50) < 4).any(0)
+    easier = (drawn_levels(4, 5) < 4).any(0)
     assert set(terrain.terrain_types[easier].tolist()) == {KINDS.index("gap")}, "not on others"
     monkeypatch.setitem(term.params, "easier_after", 12_012)
     assert (drawn_levels(4, 10) == 4).all(), "not before its time"

@@ -212,6 +212,7 @@ def _observations() -> dict[str, ObservationGroupCfg]:
         "privileged": ObservationGroupCfg(terms=privileged),
         "depth": single(mdp.depth),
         "difficult": single(mdp.difficult),
+        "easier": single(mdp.on_easier_tile),
     }
 
 

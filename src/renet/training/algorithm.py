@@ -119,7 +119,8 @@ class RenetAlgorithm:
         """Advance the estimators and record what they are to be taught."""
         memory = self.memory
         fresh, latent_op, latent_vp = memory.fresh.clone(), memory.latent_op, memory.latent_vp
-        memory.see(obs["depth"], self.withholding.tick(fresh))
+        sees = self.withholding.tick(fresh, obs.get("easier"), self.steps)
+        memory.see(obs["depth"], sees)
         memory.tick(self.model.advance)
         self._ticks.begin(
             history=memory.history,

@@ -117,6 +117,10 @@ class WithholdingCfg:
     """Longest time without an image, s."""
     sight: float = 4.0
     """Mean time with images in between, s."""
+    easier_shortest: Schedule = 0.3
+    """`shortest` on tiles easier than the robot's level (`TerrainLevels`)."""
+    easier_sight: Schedule = 4.0
+    """`sight` there."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.share <= 1.0:
@@ -128,6 +132,8 @@ class WithholdingCfg:
             )
         if not self.sight > 0.0:
             raise RenetError(f"withholding.sight must be above 0 s, got {self.sight}")
+        value_at(self.easier_shortest, 0.0)
+        value_at(self.easier_sight, 0.0)
 
 
 @dataclass(kw_only=True)

@@ -16,14 +16,12 @@ from renet.errors import RenetError
 from renet.tasks.mdp.base_state import distance_from_start, on_tiles, tile_terrain
 from renet.tasks.mdp.commands import goal
 from renet.tasks.schedule import Schedule, value_at
-from renet.terrain.tiles import TILE
+from renet.terrain.tiles import LEVELS, TILE
 
 FIRST_LEVELS = 2
 """A robot that fails at the first level tries one of so many next. The narrowest gap is all but
 invisible (10 cm, seen from 30 cm above through the camera's noise): where all robots start over at
 it, VP never learns what a gap looks like."""
-EASIER_SHARE = 0.25
-"""Share of episodes whose tile is of a level drawn from those up to the robot's own."""
 
 
 class EnvironmentSteps:
@@ -65,8 +63,9 @@ class TerrainLevels:
     last level is sent to any level.
 
     After `easier_after` environment steps, a share of the episodes on kinds of tile of
-    `easier_kinds` (both are parameters) use a tile of a level drawn uniformly up to the robot's
-    own. They do not change that level. Without them robots forget how to cross narrow gaps.
+    `easier_kinds` use a tile of a level drawn uniformly up to the robot's own, from the lowest
+    `easier_levels`. They do not change that level. Without them robots forget how to cross narrow
+    gaps. Share and levels follow schedules; all four are parameters.
 
     Attributes:
         levels: each robot's own level, [N]; `terrain.terrain_levels` is that of the tile it is on.
@@ -85,6 +84,8 @@ class TerrainLevels:
         env_ids: Tensor,
         easier_after: float = math.inf,
         easier_kinds: tuple[str, ...] = (),
+        easier_share: Schedule = 0.25,
+        easier_levels: Schedule = LEVELS,
     ) -> dict[str, Tensor]:
         """Set levels and tiles of robots whose episodes end; returns each kind's mean level."""
         terrain, command = tile_terrain(env), goal(env)
@@ -108,9 +109,13 @@ class TerrainLevels:
         level = torch.where(level >= highest, torch.randint_like(level, highest), level)
         self.levels[env_ids] = level
         tile = level
-        if environment_steps(env) >= easier_after:
-            eased = on_tiles(env, *easier_kinds)[env_ids]
-            tile = torch.where(eased, _some_easier(level, lowest), level)
+        done = environment_steps(env)
+        if done >= easier_after:
+            drawn = torch.rand_like(level, dtype=torch.float) < value_at(easier_share, done)
+            drawn &= on_tiles(env, *easier_kinds)[env_ids] & (level > lowest)
+            count = (level - lowest + 1).clamp_max(value_at(easier_levels, done))
+            easier = lowest + (torch.rand_like(level, dtype=torch.float) * count).long()
+            tile = torch.where(drawn, easier, level)
         terrain.terrain_levels[env_ids] = tile
         terrain.env_origins[env_ids] = terrain.terrain_origins[tile, types]
         reached = torch.where(self.passed, highest, self.levels).float()
@@ -120,11 +125,12 @@ class TerrainLevels:
         return dict(zip(tiles, means.unbind(), strict=True))
 
 
-def _some_easier(level: Tensor, lowest: Tensor) -> Tensor:
-    """Levels, a share of them replaced by ones drawn from `lowest` up to themselves, all [N]."""
-    drawn = torch.rand_like(level, dtype=torch.float) < EASIER_SHARE
-    depth = torch.rand_like(level, dtype=torch.float) * (level - lowest + 1)
-    return torch.where(drawn & (level > lowest), lowest + depth.long(), level)
+def on_easier_tile(env: ManagerBasedRlEnv) -> Tensor:
+    """1 on a tile easier than the robot's own level, [N, 1]."""
+    manager = getattr(env, "curriculum_manager", None)  # mjlab makes it after the observations.
+    if manager is None or "level" not in manager.active_terms:
+        return torch.zeros(env.num_envs, 1, device=env.device)
+    return (tile_terrain(env).terrain_levels < _levels(env).levels).float().unsqueeze(-1)
 
 
 class reward_weight:
