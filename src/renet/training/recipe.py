@@ -40,7 +40,7 @@ def set_learning(agent: RenetRunnerCfg) -> None:
     # also learns what sparse grass looks like (`renet calibrate`).
     agent.model = ModelCfg(initial_std=0.5, detector="variance", predict_map_error=True)
     agent.algorithm = NP3OCfg(
-        # With a third of 0.008 gaps were crossed less. From 204.3 M on standing is learned anew.
+        # A third of 0.008 crossed fewer gaps. From 204.3 M on: standing, from 221.3 M on: gaps.
         entropy="0.008@168M,0.00114@204.3M,0.004@204.3M,0.004@217.2M,"
         "0.001@217.2M,0.001@221.3M,0.003@221.3M,0.003@226.3M,0.001@226.3M",
         # Late, nearly all of the gradient is noise: smaller steps average over more of it.
