@@ -71,7 +71,7 @@ def test_an_episode_that_begins_sees_again():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"share": 1.5}, {"shortest": 0.0}, {"shortest": 9.0}, {"sight": 0.0}]
+    "wrong", [{"share": 1.5}, {"shortest": 0}, {"shortest": 9}, {"sight": 0}, {"easier_sight": 0}]
 )
 def test_wrong_settings_are_refused_by_name(wrong):
     with pytest.raises(RenetError, match=f"withholding.{next(iter(wrong))}"):

@@ -132,8 +132,8 @@ class WithholdingCfg:
             )
         if not self.sight > 0.0:
             raise RenetError(f"withholding.sight must be above 0 s, got {self.sight}")
-        value_at(self.easier_shortest, 0.0)
-        value_at(self.easier_sight, 0.0)
+        if not min(value_at(self.easier_shortest, 0.0), value_at(self.easier_sight, 0.0)) > 0.0:
+            raise RenetError("withholding.easier_shortest, withholding.easier_sight must exceed 0")
 
 
 @dataclass(kw_only=True)
