@@ -75,12 +75,14 @@ class DepthDropout:
         self._box = torch.where(begins[:, None], boxes, self._box)
         rows = torch.arange(height, device=device)[None, :, None] / height
         columns = torch.arange(width, device=device)[None, None, :] / width
-        top, left, bottom, right = (side[:, None, None] for side in self._box.unbind(-1))
+        blank, hidden, noisy = (self.kind == kind for kind in range(1, KINDS + 1))
+        top, left, bottom, right = (side[:, None, None] for side in self._box[hidden].unbind(-1))
         inside = (rows >= top) & (rows <= bottom) & (columns >= left) & (columns <= right)
-        kind = self.kind[:, None, None]
-        spoilt = depth.masked_fill((kind == 1) | ((kind == 2) & inside), 0.0)
-        noisy = (depth + NOISE_STD * torch.randn_like(depth)).clamp(0.0, 1.0)
-        return torch.where(kind == 3, noisy, spoilt)
+        spoilt = depth.masked_fill(blank[:, None, None], 0.0)
+        spoilt[hidden] = depth[hidden].masked_fill(inside, 0.0)
+        noise = NOISE_STD * torch.randn_like(depth[noisy])
+        spoilt[noisy] = (depth[noisy] + noise).clamp(0.0, 1.0)
+        return spoilt
 
 
 def spoil_depth(env: Any, cfg: DepthDropoutCfg, dt: float) -> None:
