@@ -19,9 +19,8 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 from torch import Tensor
 
+from baselines.checkpoint_policy import RecurrentPolicy
 from renet.errors import RenetError
-from renet.interface import PROPRIOCEPTION_SIZE
-from renet.models.actor_critic import Actor
 from renet.models.renet import RENet
 from renet.registry import register_task
 from renet.tasks.parkour_env_cfg import parkour_env_cfg
@@ -36,7 +35,7 @@ from renet.training.supervision import Supervision
 
 TASK, STUDENT_TASK = "Renet-Go1-Parkour", "Renet-Go1-Parkour-Student"
 TEACHER = {"perception": "oracle"}
-"""Fields of ModelCfg for a policy that reads the true height map and velocity."""
+"""Fields of ModelCfg for a policy that sees the true height map."""
 STUDENT = {
     "perception": "vp",
     "predict_velocity": False,
@@ -56,8 +55,7 @@ class DistillationCfg:
     norm: int = 2
     """The loss is the mean of this norm of the difference of actions: 1 or 2."""
     starts_as_teacher: bool = False
-    """Whether the student's actor begins with the first teacher's weights, but for those that read
-    what the student cannot see."""
+    """Whether the student's actor begins with the first teacher's weights."""
     teacher_drives: float = 0.0
     """Iterations in which the probability that an episode is driven by a teacher falls by a factor
     of e, from 1; 0: the student always drives."""
@@ -153,7 +151,7 @@ class DistillationAlgorithm(RenetAlgorithm):
         """
         cfg = self.distillation
         names, kinds = list(terrain.cfg.terrain_generator.sub_terrains), terrain.terrain_types
-        self._teachers: list[tuple[Actor, Tensor]] = []
+        self._teachers: list[tuple[RecurrentPolicy, Tensor]] = []
         reached: list[dict[str, Tensor]] = []
         taught = torch.zeros_like(kinds, dtype=torch.bool)
         for path, lessons in cfg.teachers:
@@ -166,7 +164,8 @@ class DistillationAlgorithm(RenetAlgorithm):
             )
             robots = torch.isin(kinds, kind_ids)
             taught |= robots
-            self._teachers.append((model.actor, robots.nonzero().squeeze(-1)))
+            pupils = robots.nonzero().squeeze(-1)
+            self._teachers.append((RecurrentPolicy(model, len(pupils), self.device), pupils))
             state = checkpoint.environment
             its = torch.isin(state["kinds"], kind_ids.to(state["kinds"].device))
             reached.append({name: state[name][its] for name in ("levels", "passed", "kinds")})
@@ -177,24 +176,17 @@ class DistillationAlgorithm(RenetAlgorithm):
         }
         """Curriculum of the teachers, from which the student goes on."""
         if cfg.starts_as_teacher:
-            self._begin_as(self._teachers[0][0])
+            self.model.actor.load_state_dict(self._teachers[0][0].model.actor.state_dict())
         self._lessons = Recorder()
         self._driven = torch.full_like(taught, cfg.teacher_drives > 0)
 
-    @torch.no_grad()
-    def _begin_as(self, teacher: Actor) -> None:
-        student = self.model.actor.state_dict()
-        for name, weights in teacher.state_dict().items():
-            same = student[name].shape == weights.shape
-            shared = slice(None) if same else slice(PROPRIOCEPTION_SIZE)
-            student[name][..., shared] = weights[..., shared]
-
     def expert(self, obs: TensorDict) -> Tensor:
-        """Mean actions of each robot's teacher, [N, 12]."""
-        sensed, truth = obs["proprioception"], torch.cat((obs["height_map"], obs["velocity"]), -1)
-        action = torch.empty(len(sensed), len(self.action_std), device=sensed.device)
-        for actor, robots in self._teachers:
-            action[robots] = actor(sensed[robots], truth[robots])
+        """Mean actions of each robot's teacher, [N, 12]; called once in a control step."""
+        groups = [obs[name] for name in ("proprioception", "depth", "height_map")]
+        action = torch.empty(len(groups[0]), len(self.action_std), device=self.device)
+        for teacher, robots in self._teachers:
+            sees = torch.zeros_like(robots, dtype=torch.bool)
+            action[robots] = teacher.step(*(group[robots] for group in groups), sees)
         return action
 
     @torch.no_grad()
@@ -212,6 +204,8 @@ class DistillationAlgorithm(RenetAlgorithm):
     ) -> None:
         """Record what the environment answered; draw who drives the episodes that begin."""
         super().process_env_step(obs, rewards, dones, extras)
+        for teacher, robots in self._teachers:
+            teacher.memory.reset(dones[robots].bool())
         over = self.distillation.teacher_drives
         share = math.exp(-self.iteration / over) if over else 0.0
         drawn = torch.rand(len(dones), device=self._driven.device) < share

@@ -13,6 +13,7 @@ from mjlab.rl import RslRlVecEnvWrapper
 
 from renet.cli import parse
 from renet.models.config import ModelCfg
+from renet.models.oracle import true_image
 from renet.models.renet import RENet
 from renet.tasks import make_env
 from renet.training.config import SupervisionCfg
@@ -20,7 +21,7 @@ from renet.training.metrics import read_curves
 from renet.training.provenance import described
 from renet.training.train import TrainCfg
 
-from .conftest import make_runner
+from .conftest import ToyEnv, make_runner
 
 OP = {"op_velocity", "op_him"}
 VP = {"vp_velocity", "vp_him", "vp_feet_height", "vp_height_map"}
@@ -36,7 +37,7 @@ class Row(NamedTuple):
 
 ROWS = {
     "default": Row({}, set(), set()),
-    "Oracle": Row({"perception": "oracle"}, {"actor.mean.0"}, OP | VP),
+    "Oracle": Row({"perception": "oracle"}, set(), OP),
     "MLP": Row({"encoder": "mlp"}, {"op.encoder", "vp.encoder"}, set()),
     "w/o VEL": Row(
         {"predict_velocity": False},
@@ -105,3 +106,12 @@ def test_the_pages_options_change_exactly_the_field_they_name():
     assert cfg.agent.model == replace(default.agent.model, history=1)
     assert replace(cfg.agent, model=default.agent.model) == default.agent
     assert described(cfg.env) == described(default.env)
+
+
+@pytest.mark.parametrize("perception", ["vp", "oracle"])
+def test_the_oracle_alone_sees_the_true_map(perception):
+    env = ToyEnv()
+    alg, obs = make_runner(env, model=ModelCfg(perception=perception)).alg, env.get_observations()
+    alg.act(obs)
+    sees = {"vp": obs["depth"], "oracle": true_image(obs["height_map"]).half()}
+    assert (alg.memory.frames == sees[perception].unsqueeze(1)).all()

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import Normal
 
-from renet.interface import ACTION_SIZE, CONSTRAINTS, HEIGHT_MAP_SIZE, LATENT, PROPRIOCEPTION_SIZE
+from renet.interface import ACTION_SIZE, CONSTRAINTS, LATENT, PROPRIOCEPTION_SIZE
 from renet.models.config import ModelCfg
 
 
@@ -24,8 +24,7 @@ class Actor(nn.Module):
 
     def __init__(self, cfg: ModelCfg) -> None:
         super().__init__()
-        latent = HEIGHT_MAP_SIZE + 3 if cfg.perception == "oracle" else 2 * LATENT
-        self.mean = mlp((PROPRIOCEPTION_SIZE + latent, *cfg.actor_hidden, ACTION_SIZE))
+        self.mean = mlp((PROPRIOCEPTION_SIZE + 2 * LATENT, *cfg.actor_hidden, ACTION_SIZE))
         self.log_std = nn.Parameter(torch.full((ACTION_SIZE,), cfg.initial_std).log())
         # A small last layer starts the policy at the default pose.
         with torch.no_grad():

@@ -16,8 +16,8 @@ class ModelCfg:
     """Networks of RENet (paper, Method A) and the switches of its Table I."""
 
     perception: Perception = "renet"
-    """Which latents the actor reads: both estimators in turn (paper), VP only, OP only, or the
-    true height map and velocity in their place (Oracle)."""
+    """Which latents the actor reads: both estimators in turn (paper), VP only, OP only, or those of
+    a VP that sees the true height map (Oracle)."""
     encoder: Encoder = "attention"
     """Feature fusion: single-layer single-head self-attention (SA) or an MLP (paper)."""
     history: int = HISTORY

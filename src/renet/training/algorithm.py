@@ -13,6 +13,7 @@ from renet.interface import CONSTRAINTS, STEPS_PER_TICK
 from renet.models.adaptation import fuse, op_mask
 from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
+from renet.models.oracle import true_image
 from renet.models.renet import RENet
 from renet.sim.native.engine import NativeSimulation
 from renet.sim.overflow import OverflowWatch
@@ -92,7 +93,7 @@ class RenetAlgorithm:
         self.memory.push(proprioception)
         if self._step_count % STEPS_PER_TICK == 0:
             self._tick(obs, mask)
-        latent = self.latent(obs, mask)
+        latent = fuse(self.memory.latent_op, self.memory.latent_vp, mask)
         distribution = self.model.actor.distribution(proprioception, latent)
         action, seen = distribution.sample(), self.critic_observation(obs, mask)
         row = {"proprioception": proprioception, "latent": latent, "critic_observation": seen}
@@ -109,18 +110,13 @@ class RenetAlgorithm:
         age = [self.memory.image_age] if self.withholding.cfg.share else []
         return critic_observation(obs, *age, mask)
 
-    def latent(self, obs: TensorDict, mask: Tensor) -> Tensor:
-        """What stands beside o_t at the actor's input (RENet eq. 3, or the Oracle's truth)."""
-        if self.model.cfg.perception == "oracle":
-            return torch.cat((obs["height_map"], obs["velocity"]), dim=-1)
-        return fuse(self.memory.latent_op, self.memory.latent_vp, mask)
-
     def _tick(self, obs: TensorDict, mask: Tensor) -> None:
         """Advance the estimators and record what they are to be taught."""
         memory = self.memory
         fresh, latent_op, latent_vp = memory.fresh.clone(), memory.latent_op, memory.latent_vp
         sees = self.withholding.tick(fresh, obs.get("easier"), self.steps)
-        memory.see(obs["depth"], sees)
+        oracle = self.model.cfg.perception == "oracle"
+        memory.see(true_image(obs["height_map"]) if oracle else obs["depth"], sees)
         memory.tick(self.model.advance)
         self._ticks.begin(
             history=memory.history,

@@ -114,7 +114,8 @@ class Supervision:
         if self.cfg.estimator_data == "all":
             chosen = torch.ones_like(chosen)
         mine = chosen.any(dim=0)
-        if self.model.cfg.perception not in ("renet", name) or not mine.any():
+        learns = self.model.cfg.perception.replace("oracle", "vp")
+        if learns not in ("renet", name) or not mine.any():
             return {}
         rollout, counts = rollout.environments(mine), chosen[:, mine].float()
         estimator, him = getattr(self.model, name), getattr(self.model, f"{name}_him")
