@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 VERSION = 2
 SIZES = ("easy", "hard", "frontier")
 LEVELS = {
-    "gap": (3, 6, 8),
-    "platform": (4, 6, 8),
+    "gap": (3, 6, 10),
+    "platform": (4, 6, 10),
     "stairs_up": (6, 8, 10),
     "stairs_down": (6, 8, 10),
 }
-"""Level of each size: gaps of 23, 43, 57 cm, platforms of 20, 30, 40 cm, steps of 15, 19, 23 cm."""
+"""Level of each size: gaps of 23, 43, 70 cm, platforms of 20, 30, 50 cm, steps of 15, 19, 23 cm."""
 DISTANCES = (0.3, 0.8)
 """m before the edge at which cameras fail."""
 LENGTHS = (1.0, 4.0)
