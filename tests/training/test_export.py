@@ -5,6 +5,7 @@ import onnxruntime as ort
 import pytest
 import torch
 
+from renet.bundle.graph import check_graph
 from renet.errors import RenetError
 from renet.models.adaptation import fuse
 from renet.models.config import ModelCfg
@@ -30,6 +31,8 @@ def test_sequence_matches_pytorch(fields):
     model = RENet(cfg, critic_size=10).eval()
     models = export_models(model)
     assert sum(map(len, models.values())) < 3e6
+    for data in models.values():
+        check_graph(data)
     onnx = {name: ort.InferenceSession(data) for name, data in models.items()}
     memory = EstimatorMemory(cfg, 3, "cpu")
     latents = {name: np.zeros((3, 64), np.float32) for name in ("latent_op", "latent_vp")}

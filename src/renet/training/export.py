@@ -172,7 +172,7 @@ class EstimatorGraph(nn.Module):
             (vp, "feet_height", NUM_FEET),
             (vp, "height_map", HEIGHT_MAP_SIZE),
         ):
-            outputs.append(heads.get(name, torch.zeros_like(next_vp[:, :1]).expand(-1, size)))
+            outputs.append(heads.get(name, next_vp[:, :1] * torch.zeros(size)))
         if self.vp.map_error_head is not None:
             outputs.append(self.vp.map_error(next_vp))
         return tuple(outputs)
