@@ -1,5 +1,7 @@
 """Cameras fail as often and as badly as asked, and a run that is resumed goes on with them."""
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +11,7 @@ from tests.training.conftest import ToyEnv, make_runner, single_precision  # noq
 
 from baselines import depth_dropout
 from baselines.depth_dropout import DepthDropout, DepthDropoutCfg, spoil_depth
+from renet.bundle import Bundle
 from renet.cli import parse
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT
@@ -85,3 +88,6 @@ def test_a_run_spoils_its_environment_and_goes_on_with_its_settings(
     assert spoilt == [(dropout, CONTROL_DT)]
     again = parse(TrainCfg, [depth_dropout.TASK, "--resume", str(run)], "")
     assert again.agent.depth_dropout == dropout
+    script, bundle = Path(depth_dropout.__file__).parents[1] / "baseline.py", tmp_path / "bundle"
+    subprocess.run([sys.executable, script, "export", run, "--out", bundle], check=True)
+    assert Bundle.load(bundle).manifest.provenance.task == depth_dropout.TASK
