@@ -1,4 +1,4 @@
-"""`renet` that knows the baselines' tasks: `python benchmarks/baseline.py train TASK`, or `export`."""
+"""`renet` with the tasks of the baselines: `python benchmarks/baseline.py train TASK`."""
 
 import sys
 

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Every entry of version 2's leaderboard, its table and its figure (docs/crossing.md):
-#   benchmarks/leaderboard_2.sh GO1_POLICY.ONNX BUNDLE_WITHOUT_MEMORY
+#   benchmarks/leaderboard_2.sh GO1_POLICY.ONNX BUNDLE_WITHOUT_MEMORY [BUNDLE ...]
 # The model is MuJoCo Playground's (examples/playground_policy.py), the bundle the earlier policy:
 #   git archive 4410888 src/renet/pretrained/go1-parkour | tar x --transform s,.*parkour,without-memory,
-# Both paths are from the repository's root.
+# Further bundles are those of short trainings. All paths are from the repository's root.
 # A study that is done is not run again.
 set -euo pipefail
 model=$1 earlier=$2
@@ -16,8 +16,15 @@ renet evaluate benchmark --quick --modes renet vp op --bundle "$earlier" --out "
 for switch in return gate; do
     python benchmarks/switches.py "$switch" benchmark --study.quick --study.out "$out/$switch"
 done
+names=(go1-parkour without-memory return gate playground)
+for bundle in "${@:3}"; do
+    name=$(basename "$bundle") modes=(vp)
+    [[ $name != renet-* ]] || modes=(renet vp op)
+    python benchmarks/baseline.py evaluate benchmark --quick --modes "${modes[@]}" --bundle "$bundle" --out "$out/$name"
+    names+=("$name")
+done
 files=()
-for name in go1-parkour without-memory return gate playground; do
+for name in "${names[@]}"; do
     cp "$out/$name/result.json" "$kept/$name.json"
     files+=("$kept/$name.json")
 done

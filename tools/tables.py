@@ -47,7 +47,8 @@ SWITCHES = (
     ("severity_5", "op"),
 )
 """Studies and modes of the table of switches, column by column."""
-LEADERBOARD = ("go1-parkour", "without-memory", "return", "gate", "playground")
+LEADERBOARD = ("go1-parkour", "without-memory", "return", "gate", "playground", "cheng-15M")
+LEADERBOARD += ("dropout-30M", "renet-30M-seed-2", "renet-30M-seed-3")
 
 
 @cache
@@ -151,6 +152,20 @@ def go2(label: str) -> list[str]:
     return [", ".join(passed[kind, level] for level in sizes[kind]) for kind in sizes]
 
 
+def full_run(label: str) -> list[str]:
+    """Per cent that cross in version 2's full run, by ground and size."""
+    result = read_result(RESULTS / "leaderboard_2" / "full.json")
+    ground, _, size = label.replace(" ", "_").partition(",_")
+    place = (ground, size) if size else ()
+    cells = []
+    for mode in ("renet", "vp", "op"):
+        rows = [row for row in result["settings"] if row["mode"] == mode]
+        mine = [row for row in rows if place in ((), (row["ground"], row["size"]))]
+        robots = result["protocol"]["robots"] * len(mine)
+        cells.append(f"{100 * sum(row['crossed'] for row in mine) / robots:.1f}")
+    return cells
+
+
 TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("pretrained.md", "Obstacles"): one_try,
     ("pretrained.md", "The fault benchmark"): crossed,
@@ -163,6 +178,7 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("go2.md", "When its camera fails"): partial(black, studies=("../go2/blackout",)),
     ("go2.md", "The fault benchmark"): partial(crossed, study="../go2/severity_5"),
     ("crossing.md", "Results"): None,
+    ("crossing.md", "With the frontier"): full_run,
 }
 """What fills the cells of a row, given its first one, by page and heading; the first table counts.
 None: a leaderboard, whose rows are all new."""
