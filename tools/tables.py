@@ -49,6 +49,7 @@ SWITCHES = (
 """Studies and modes of the table of switches, column by column."""
 LEADERBOARD = ("go1-parkour", "without-memory", "return", "gate", "playground", "cheng-15M")
 LEADERBOARD += ("dropout-30M", "renet-30M-seed-2", "renet-30M-seed-3")
+FULL_RUN = ("full", "full-paper")
 
 
 @cache
@@ -154,14 +155,15 @@ def go2(label: str) -> list[str]:
 
 def full_run(label: str) -> list[str]:
     """Per cent that cross in version 2's full run, by ground and size."""
-    result = read_result(RESULTS / "leaderboard_2" / "full.json")
+    results = [read_result(RESULTS / "leaderboard_2" / f"{name}.json") for name in FULL_RUN]
+    settings = [row for result in results for row in result["settings"]]
     ground, _, size = label.replace(" ", "_").partition(",_")
     place = (ground, size) if size else ()
     cells = []
-    for mode in ("renet", "vp", "op"):
-        rows = [row for row in result["settings"] if row["mode"] == mode]
+    for mode in ("renet", "vp", "paper", "op"):
+        rows = [row for row in settings if row["mode"] == mode]
         mine = [row for row in rows if place in ((), (row["ground"], row["size"]))]
-        robots = result["protocol"]["robots"] * len(mine)
+        robots = results[0]["protocol"]["robots"] * len(mine)
         cells.append(f"{100 * sum(row['crossed'] for row in mine) / robots:.1f}")
     return cells
 
