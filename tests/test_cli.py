@@ -2,6 +2,7 @@
 
 import os
 import re
+import runpy
 import shutil
 import signal
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from renet import cli
+from renet.evaluation.results import Provenance
 from renet.terminal import progress
 
 (STATE,) = Path(cli.__file__).parent.glob("pretrained/checkpoint/*/state.json")
@@ -109,6 +111,13 @@ def test_a_full_disk_behind_standard_output_is_one_line():
     with open("/dev/full", "w") as full:
         done = subprocess.run([sys.executable, "-m", "renet"], stdout=full, stderr=subprocess.PIPE)
     assert (done.returncode, done.stderr) == (2, b"renet: [Errno 28] No space left on device\n")
+
+
+def test_results_of_python_m_renet_name_the_command_renet(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["/a/renet/__main__.py", "--version"])
+    with pytest.raises(SystemExit):
+        runpy.run_module("renet", run_name="__main__")
+    assert Provenance("", "", "", 1).command == "renet --version"
 
 
 @pytest.mark.parametrize(
