@@ -100,7 +100,9 @@ def test_selector_decides_and_says_the_same(node_page, tmp_path: Path, kind, mem
     steps = moods(rng, limits)
     given = {
         "spec": shared["bundles"][0]["selectors"][kind],
-        "contract": {name: shared[name] for name in ("visionThreshold", "near", "covered")},
+        "contract": {
+            name: shared[name] for name in ("visionThreshold", "near", "covered", "steady")
+        },
         "images": pictures.reshape(PICTURES, -1).tolist(),
         "steps": steps,
     }

@@ -9,7 +9,7 @@ from tests.selector.inputs import seen
 
 from renet.errors import RenetError
 from renet.selector import MONITORS, SelectorSpec, make_selector
-from renet.selector.selector import BLIND, DWELL, REMEMBERS, SEES, check_selector
+from renet.selector.selector import BLIND, DWELL, REMEMBERS, SEES, STEADY, check_selector
 
 SPEC = SelectorSpec(
     beta=0.2, thresholds={"variance": 3.0, "disagreement": 1.0, "map_error": 0.3}, longest_memory=2
@@ -55,23 +55,35 @@ class Walk:
 
 
 @pytest.mark.parametrize(
-    ("spoilt", "reason"),
+    ("spoilt", "reason", "again"),
     [
-        ({"variance": 5.0}, "images unlike those of training"),
-        ({"image": np.zeros((1, 48, 64))}, "the image is blank"),
-        ({"age": 0.5, "fresh": False}, "no new image"),
+        ({"variance": 5.0}, "images unlike those of training", 1),
+        ({"image": np.zeros((1, 48, 64))}, "the image is blank", STEADY),
+        ({"age": 0.5, "fresh": False}, "no new image", STEADY),
     ],
 )
-def test_a_spoilt_image_is_withheld_at_once_and_the_next_good_one_is_used(spoilt, reason):
+def test_a_spoilt_image_is_withheld_at_once_and_a_good_one_used_again(spoilt, reason, again):
     walk = Walk(healthy=0)
     assert walk.run(5) == [SEES] * 5
     assert walk.run(8, **spoilt) == [REMEMBERS] * 8
     assert walk.selector.reason[0] == reason
     assert walk.selector.without_image[0] == pytest.approx(0.8, abs=0.02)
     assert walk.selector.vision.all(), "VP drives all the while"
-    assert walk.tick() == SEES
+    assert walk.run(again) == [REMEMBERS] * (again - 1) + [SEES]
     assert walk.selector.reason[0] == ""
     assert walk.selector.without_image[0] == 0
+
+
+def test_late_images_that_come_now_and_then_are_not_used():
+    walk = Walk()
+    states = [
+        walk.tick(fresh=fresh, age=0.0 if fresh else 0.3)
+        for fresh in (False, True, True, False) * 3
+    ]
+    assert states == [REMEMBERS] * 12
+    assert walk.run(3 * STEADY)[STEADY:] == [SEES] * 2 * STEADY
+    # A camera that misses single images is no late one.
+    assert [walk.tick(fresh=fresh, age=0.1) for fresh in (False, True) * 5][1::2] == [SEES] * 5
 
 
 def test_a_late_image_is_withheld_before_its_age_counts_and_a_frozen_one_counts_once_a_tick():

@@ -54,7 +54,7 @@ function standardDeviation(values) {
 export class Selector {
   /**
    * @param {object} spec one of a bundle's `selectors` in the contract.
-   * @param {object} contract visionThreshold, near, covered.
+   * @param {object} contract visionThreshold, near, covered, steady.
    */
   constructor(spec, contract) {
     Object.assign(this, spec, { contract });
@@ -69,6 +69,7 @@ export class Selector {
     this.withoutImage = 0;
     this.reason = "";
     this.looked = false;
+    this.inARow = this.contract.steady;
     this.periods = null;
     this.goodSince = 0;
     this.lastGood = this.returned = -Infinity;
@@ -87,7 +88,9 @@ export class Selector {
    */
   look(seen) {
     const before = this.monitors.map(({ ofImage, output }) => ofImage && !output);
-    const acceptable = this.judge(seen, before).every(Boolean) && seen.fresh;
+    this.inARow = this.judge(seen, before).every(Boolean) ? this.inARow + Number(seen.fresh) : 0;
+    // Late images look healthy, and come now and then.
+    const acceptable = seen.fresh && this.inARow >= this.contract.steady;
     this.looked = true;
     if (!this.longestMemory) return () => true;
     const judged = this.monitors.filter(({ output }) => output);

@@ -24,7 +24,7 @@ from renet.palette import STATES
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import VISION_THRESHOLD
 from renet.selector.monitors import COVERED, MONITORS, NEAR
-from renet.selector.selector import SELECTORS
+from renet.selector.selector import SELECTORS, STEADY
 from renet.terrain.tiles import TILE
 
 GROUNDS = {
@@ -81,6 +81,7 @@ def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
         "visionThreshold": VISION_THRESHOLD,
         "near": NEAR,
         "covered": COVERED,
+        "steady": STEADY,
         "palette": {name: {"colour": c, "says": says} for name, (c, says) in STATES.items()},
         "faults": [_fault(FAULTS[name], title) for name, title in OFFERED.items()],
         "bundles": [_bundle(bundle) for bundle in bundles],

@@ -24,6 +24,9 @@ DWELL = 1.0
 """Seconds without an objection before vision is used again."""
 BETWEEN_RETURNS = 5.0
 """Shortest time in seconds between two returns to vision."""
+STEADY = 5
+"""Good images since the last objection from which on VP uses them again: late images look healthy,
+but come now and then."""
 SLOWEST = 1.0
 """Longest delay of the filter in seconds."""
 SELECTORS = get_args(SelectorName)
@@ -133,6 +136,7 @@ class MonitorSelector:
         self._limits = {m.output: limit for m, _, limit in used if m.output}
         self._scorer = Scorer(num_robots)
         self._looked = False
+        self._in_a_row = np.full(num_robots, STEADY)
         self._periods: int | None = None
         self._good_since = np.zeros(num_robots)
         self._last_good = np.full(num_robots, -np.inf)
@@ -156,8 +160,10 @@ class MonitorSelector:
         self._looked = True
         if not self.longest_memory:
             return None
+        good = np.logical_and.reduce(verdicts)
         # An image that is shown again is no new one.
-        return Gate(seen.fresh & np.logical_and.reduce(verdicts), self._limits)
+        self._in_a_row = np.where(good, self._in_a_row + seen.fresh, 0)
+        return Gate(seen.fresh & (self._in_a_row >= STEADY), self._limits)
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """Judge vision at one moment, and decide who drives.
@@ -226,6 +232,7 @@ class MonitorSelector:
         self.without_image[mask] = 0.0
         self.reason[mask] = ""
         self._last_good[mask] = self._returned[mask] = -np.inf
+        self._in_a_row[mask] = STEADY
         self._scorer.reset(mask)
 
     def _due(self, now: float) -> int:
