@@ -190,7 +190,7 @@ def test_it_goes_on_from_memory_and_then_without(judging):
     run = Run(with_selector(judging, longest_memory=1.0))
     run.ticks(60)
     last = frame(run.step - 5, time_of(run.step - 5))
-    run.ticks(10, lambda frame: last)
+    run.ticks(5, lambda frame: last)
     run.ticks(20)
     assert run.whats() == ["standing_up", "walking"]
     good = frame(run.step - 5, time_of(run.step - 5))

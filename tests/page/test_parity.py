@@ -72,7 +72,7 @@ def decision(controller: Controller) -> dict:
         # Only a camera that is away for longer than the memory leaves OP in charge.
         ("flat", "gaussian:5@4s+2s", "monitors", {"sees", "remembers", "blind"}),
         ("flat", "blackout:5@3s+3s", "monitors", {"sees", "remembers", "blind"}),
-        ("flat", "dropped:4@3s+3s", "monitors", {"sees", "remembers"}),
+        ("flat", "dropped:2@3s+3s", "monitors", {"sees", "remembers"}),
         ("flat", "occlusion:4@3s+1s", "monitors", {"sees", "remembers"}),
         ("flat", "unplugged:2@4s", "monitors", {"sees", "remembers", "blind"}),
         ("platform", "frozen@3.5s", "monitors", {"sees", "remembers", "blind"}),
