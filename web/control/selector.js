@@ -89,7 +89,6 @@ export class Selector {
   look(seen) {
     const before = this.monitors.map(({ ofImage, output }) => ofImage && !output);
     this.inARow = this.judge(seen, before).every(Boolean) ? this.inARow + Number(seen.fresh) : 0;
-    // Late images look healthy, and come now and then.
     const acceptable = seen.fresh && this.inARow >= this.contract.steady;
     this.looked = true;
     if (!this.longestMemory) return () => true;
@@ -137,10 +136,7 @@ export class Selector {
 
   /** Whether VP has a good image, and whether it may drive. */
   weigh(verdicts, seen, now) {
-    if (!this.longestMemory) {
-      const healthy = verdicts.every(Boolean);
-      return [healthy, healthy];
-    }
+    if (!this.longestMemory) return Array(2).fill(verdicts.every(Boolean));
     // Who has seen nothing remembers nothing.
     if (seen.hasImage) this.lastGood = now;
     this.withoutImage = now - this.lastGood;
