@@ -48,7 +48,7 @@ SWITCHES = (
 )
 """Studies and modes of the table of switches, column by column."""
 LEADERBOARD = ("go1-parkour", "without-memory", "return", "gate", "playground", "cheng-15M")
-LEADERBOARD += ("dropout-30M", "renet-30M-seed-2", "renet-30M-seed-3")
+LEADERBOARD += ("zhuang-15M", "dropout-30M", "renet-30M-seed-2", "renet-30M-seed-3")
 FULL_RUN = ("full", "full-paper")
 
 
