@@ -58,7 +58,7 @@ class Walk:
     ("spoilt", "reason", "again"),
     [
         ({"variance": 5.0}, "images unlike those of training", 1),
-        ({"image": np.zeros((1, 48, 64))}, "the image is blank", STEADY),
+        ({"image": np.zeros((1, 48, 64))}, "the image is blank", 1),
         ({"age": 0.5, "fresh": False}, "no new image", STEADY),
     ],
 )
@@ -84,6 +84,19 @@ def test_late_images_that_come_now_and_then_are_not_used():
     assert walk.run(3 * STEADY)[STEADY:] == [SEES] * 2 * STEADY
     # A camera that misses single images is no late one.
     assert [walk.tick(fresh=fresh, age=0.1) for fresh in (False, True) * 5][1::2] == [SEES] * 5
+
+
+def test_each_robot_waits_for_its_own_camera_and_no_longer_once_it_is_reset():
+    selector = make_selector("monitors", SPEC, 3)
+    late = seen(3, age=np.array([0.0, 0.5, 0.5]))
+    assert selector.look(late).acceptable.tolist() == [True, False, False]
+    selector.reset(np.array([False, False, True]))
+    # An image that is missed is none of the five.
+    assert not selector.look(seen(3, fresh=np.zeros(3, bool))).acceptable.any()
+    random = np.random.default_rng(0)
+    for used in ([0, 2],) * 4 + ([0, 1, 2],):
+        given = seen(3, image=random.random((3, 48, 64)))
+        assert np.flatnonzero(selector.look(given).acceptable).tolist() == used
 
 
 def test_a_late_image_is_withheld_before_its_age_counts_and_a_frozen_one_counts_once_a_tick():

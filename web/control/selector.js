@@ -69,7 +69,7 @@ export class Selector {
     this.withoutImage = 0;
     this.reason = "";
     this.looked = false;
-    this.inARow = this.contract.steady;
+    this.sinceLate = this.contract.steady;
     this.periods = null;
     this.goodSince = 0;
     this.lastGood = this.returned = -Infinity;
@@ -88,8 +88,10 @@ export class Selector {
    */
   look(seen) {
     const before = this.monitors.map(({ ofImage, output }) => ofImage && !output);
-    this.inARow = this.judge(seen, before).every(Boolean) ? this.inARow + Number(seen.fresh) : 0;
-    const acceptable = seen.fresh && this.inARow >= this.contract.steady;
+    const late = this.monitors.some(({ name, threshold }) => name === "frame_age" && seen.age >= threshold);
+    this.sinceLate = late ? 0 : this.sinceLate + Number(seen.fresh);
+    const punctual = seen.fresh && this.sinceLate >= this.contract.steady;
+    const acceptable = this.judge(seen, before).every(Boolean) && punctual;
     this.looked = true;
     if (!this.longestMemory) return () => true;
     const judged = this.monitors.filter(({ output }) => output);

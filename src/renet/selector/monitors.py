@@ -57,7 +57,8 @@ class Gate:
     """Which images of a tick VP may use; a spoilt image is withheld in the tick it arrives in."""
 
     acceptable: np.ndarray
-    """[N] bool: new, and no monitor objects before the vision model has run."""
+    """[N] bool: new, of a camera that is on time, and no monitor objects before the vision model
+    has run."""
     limits: Mapping[str, float]
     """Least score that is objected to, by name of the vision model's output."""
     robots: np.ndarray | bool = True

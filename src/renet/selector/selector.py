@@ -25,8 +25,8 @@ DWELL = 1.0
 BETWEEN_RETURNS = 5.0
 """Shortest time in seconds between two returns to vision."""
 STEADY = 5
-"""Good images since the last objection from which on VP uses them again: late images look healthy,
-but come now and then."""
+"""New images since one was late from which on VP uses them again: those of a camera that delivers
+late look healthy, but come now and then."""
 SLOWEST = 1.0
 """Longest delay of the filter in seconds."""
 SELECTORS = get_args(SelectorName)
@@ -136,7 +136,7 @@ class MonitorSelector:
         self._limits = {m.output: limit for m, _, limit in used if m.output}
         self._scorer = Scorer(num_robots)
         self._looked = False
-        self._in_a_row = np.full(num_robots, STEADY)
+        self._since_late = np.full(num_robots, STEADY)
         self._periods: int | None = None
         self._good_since = np.zeros(num_robots)
         self._last_good = np.full(num_robots, -np.inf)
@@ -160,10 +160,11 @@ class MonitorSelector:
         self._looked = True
         if not self.longest_memory:
             return None
-        good = np.logical_and.reduce(verdicts)
+        late = seen.age >= self.thresholds.get("frame_age", math.inf)
+        self._since_late = np.where(late, 0, self._since_late + seen.fresh)
         # An image that is shown again is no new one.
-        self._in_a_row = np.where(good, self._in_a_row + seen.fresh, 0)
-        return Gate(seen.fresh & (self._in_a_row >= STEADY), self._limits)
+        acceptable = seen.fresh & (self._since_late >= STEADY)
+        return Gate(acceptable & np.logical_and.reduce(verdicts), self._limits)
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """Judge vision at one moment, and decide who drives.
@@ -221,6 +222,9 @@ class MonitorSelector:
                 if not good and not (self.reason[robot] and MONITORS[name].of_image):
                     self.reason[robot] = MONITORS[name].reason
                     break
+            else:
+                if self._since_late[robot] < STEADY and not self.reason[robot]:
+                    self.reason[robot] = MONITORS["frame_age"].reason
 
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Use vision again and forget the past of the masked robots [N], by default of all."""
@@ -232,7 +236,7 @@ class MonitorSelector:
         self.without_image[mask] = 0.0
         self.reason[mask] = ""
         self._last_good[mask] = self._returned[mask] = -np.inf
-        self._in_a_row[mask] = STEADY
+        self._since_late[mask] = STEADY
         self._scorer.reset(mask)
 
     def _due(self, now: float) -> int:
