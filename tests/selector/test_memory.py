@@ -86,6 +86,15 @@ def test_late_images_that_come_now_and_then_are_not_used():
     assert [walk.tick(fresh=fresh, age=0.1) for fresh in (False, True) * 5][1::2] == [SEES] * 5
 
 
+def test_the_reason_of_a_wait_is_told_though_the_models_answer_after_the_next_image_came():
+    selector = make_selector("monitors", SPEC)
+    selector.look(seen(1, age=np.full(1, 0.5)))
+    for step, has_image in enumerate((True, False)):
+        given = seen(1, has_image=np.array([has_image]), map_error=np.zeros(1))
+        selector.update(given, 0.02 * step)
+    assert selector.reason[0] == "no new image"
+
+
 def test_each_robot_waits_for_its_own_camera_and_no_longer_once_it_is_reset():
     selector = make_selector("monitors", SPEC, 3)
     late = seen(3, age=np.array([0.0, 0.5, 0.5]))
