@@ -90,12 +90,11 @@ export class Selector {
     const before = this.monitors.map(({ ofImage, output }) => ofImage && !output);
     const late = this.monitors.some(({ name, threshold }) => name === "frame_age" && seen.age >= threshold);
     this.sinceLate = late ? 0 : this.sinceLate + Number(seen.fresh);
-    const punctual = seen.fresh && this.sinceLate >= this.contract.steady;
-    const acceptable = this.judge(seen, before).every(Boolean) && punctual;
+    const fine = this.judge(seen, before).every(Boolean) && this.sinceLate >= this.contract.steady;
     this.looked = true;
     if (!this.longestMemory) return () => true;
     const judged = this.monitors.filter(({ output }) => output);
-    return (scores) => acceptable && judged.every(({ output, threshold }) => scores[output] < threshold);
+    return (scores) => fine && seen.fresh && judged.every(({ output, threshold }) => scores[output] < threshold);
   }
 
   /** Whether each monitor of a subset finds its score below its threshold. */
