@@ -124,7 +124,8 @@ def test_differences_are_from_what_seeds_predict() -> None:
     results = Path(table1.__file__).parent / "results" / "table1"
     lines = table1.differences(table1.Cfg(results=results)).splitlines()[1:]
     assert [line.split()[1] for line in lines] == ["gap", "platform", "stairs", "collisions"]
-    assert lines[2].endswith("outside: Zhuang 111")
+    assert lines[1].endswith("outside: w/o HIM 61, Zhuang 52")
+    assert lines[2].endswith("outside: none")
 
 
 def test_results_outlive_their_runs_and_count_for_their_budget_alone(done, tmp_path) -> None:
