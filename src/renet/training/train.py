@@ -93,9 +93,9 @@ class TrainCfg(TrainOptions):
         stored = state["env"]
         if cfg.task != state.get("task"):
             stored = {"scene": {"num_envs": stored.get("scene", {}).get("num_envs")}}
-        agent = restored(cfg.agent, state["agent"])
+        agent = restored(cfg.agent, state["agent"], "agent")
         agent = replace(agent, task=cfg.task, experiment_name=cfg.agent.experiment_name)
-        return replace(cfg, env=restored(cfg.env, stored), agent=agent)
+        return replace(cfg, env=restored(cfg.env, stored, "env"), agent=agent)
 
 
 def train(cfg: TrainCfg) -> Path | None:
