@@ -118,7 +118,7 @@ BOUNDS = {
     "agent.num_steps_per_env": (1, 100_000),
     "*": (-1e10, 1e10),
 }
-"""Smallest and largest values of numbers that are taken over; the first pattern that fits counts."""
+"""Smallest and largest values of numbers that are taken over, by the first pattern that fits."""
 
 
 def restored(value: T, stored: Any, name: str) -> T:
