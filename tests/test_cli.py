@@ -58,8 +58,9 @@ def test_every_command_has_help_that_imports_neither_torch_nor_mjlab():
 
 
 @pytest.mark.parametrize("backend", ["nonsense", "osmesa"])
-def test_a_backend_of_opengl_that_does_not_load_ends_no_command(backend):
+def test_a_backend_of_opengl_that_does_not_load_ends_no_command(backend, tmp_path):
     walk = [sys.executable, "-m", "renet", "deploy", "--camera", "sim", "--seconds", "0.1"]
+    walk += ["--out", str(tmp_path / "walk")]
     environment = os.environ | {"MUJOCO_GL": backend}
     done = subprocess.run(walk, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
