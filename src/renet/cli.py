@@ -150,6 +150,10 @@ COMMANDS = {
         "how far a robot may differ before it falls",
         "renet.evaluation.studies.margins:MarginsStudy:MarginsStudy.main",
     ),
+    "evaluate curves": Command(
+        "draw training runs, seeds together",
+        "renet.evaluation.curves:CurvesCfg:make_curves",
+    ),
     "evaluate log": Command(
         "score a recording: falls, distance, switches",
         "renet.deploy.recording.score:ScoreCfg:score_log",

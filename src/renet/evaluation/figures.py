@@ -74,6 +74,14 @@ def save(figure: Figure, path: Path, provenance: Provenance, dpi: int = 150) -> 
     return path
 
 
+def png(figure: Figure, dpi: int = 150) -> bytes:
+    """A figure as PNG, which is then closed."""
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=dpi)
+    plt.close(figure)
+    return picture.getvalue()
+
+
 def setting_label(finding: dict[str, Any]) -> str:
     """A finding's setting, such as "glare 5 on gap"."""
     return f"{finding['fault']} {finding['severity']} on {finding['ground'].replace('_', ' ')}"
