@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 Engine = Literal["auto", "native", "warp"]
-"""Physics engines of training and studies; auto: native (C MuJoCo) on a CPU, warp on a GPU."""
+"""Physics engines of training and studies; auto: native (C MuJoCo) on a CPU, warp on a GPU, which
+studies do not use."""
 Terrain = Literal[
     "flat", "rough", "obstacles", "stairs", "stairs_up", "stairs_down", "gap", "platform"
 ]

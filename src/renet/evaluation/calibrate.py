@@ -77,7 +77,7 @@ class CalibrateCfg:
     seed: int = 7
     """Seed of the robots' starts."""
     engine: Engine = "auto"
-    """Physics engine; auto: native on a CPU, warp on a GPU."""
+    """Physics engine, on the CPU; auto: native."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.false_alarm < 1.0:

@@ -45,7 +45,7 @@ class PlayCfg:
     selector: SelectorName = "monitors"
     """monitors: all of them, slow to trust again; paper: the reconstruction loss against beta."""
     engine: Engine = "auto"
-    """Physics engine; auto: native on a CPU, warp on a GPU."""
+    """Physics engine, on the CPU; auto: native."""
 
 
 @contextmanager

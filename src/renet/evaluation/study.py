@@ -48,7 +48,7 @@ class Study:
     seed: int = 1
     """Seed of the robots' bodies and starts and of the camera faults."""
     engine: Engine = "auto"
-    """Physics engine; auto: native on a CPU, warp on a GPU."""
+    """Physics engine, on the CPU; auto: native."""
     selector: SelectorName = "monitors"
     """What `renet` trusts: monitors (all of them, with a dwell) or paper (reconstruction alone)."""
 

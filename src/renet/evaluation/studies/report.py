@@ -51,7 +51,7 @@ class ReportCfg:
     seed: int = 1
     """With `run`: of every study."""
     engine: Engine = "auto"
-    """With `run`: physics engine; auto: native on a CPU, warp on a GPU."""
+    """With `run`: physics engine, on the CPU; auto: native."""
 
 
 def make_report(cfg: ReportCfg) -> Path:
