@@ -18,6 +18,7 @@ from renet.evaluation.rollout import FLAT
 from renet.evaluation.trace import StepResult
 from renet.faults import ViewPerturbation
 from renet.faults.physical import obstacles, spread
+from renet.interface import Told
 from renet.sim.depth.camera import CameraPerturbation, DepthCamera
 from renet.tasks import RenetEnv, RenetEnvCfg, RobotCfg, env_cfg, make_env
 from renet.tasks.config.go1 import GO1
@@ -62,16 +63,21 @@ def terrain_env_cfg(terrain: str | Mapping[str, int], robot: RobotCfg) -> RenetE
 
 
 def study_env_cfg(
-    task: str | RenetEnvCfg, speed: float, privileged: Sequence[str] = ()
+    task: str | RenetEnvCfg,
+    speed: float,
+    privileged: Sequence[str] = (),
+    told: Told = "heading",
 ) -> RenetEnvCfg:
     """A task, or its id, for measuring: straight ahead at `speed`, m/s, ended only by a fall.
 
     Of what training observes, only what a robot senses is computed, and the `privileged` groups.
+    Robots are told their goal as the policy was in training.
     """
     cfg = env_cfg(task, play=True) if isinstance(task, str) else task
     command = cfg.commands[COMMAND]
     assert isinstance(command, GoalCommandCfg)
     command.fixed_speed = speed
+    command.told = told
     command.resampling_time_range = (NEVER, NEVER)
     cfg.terminations.pop("time_out", None)
     cfg.observations = {name: cfg.observations[name] for name in (*SENSED, *privileged)}

@@ -12,6 +12,7 @@ from mjlab.managers.reward_manager import RewardTermCfg
 from renet.models.config import ModelCfg
 from renet.tasks import mdp
 from renet.tasks.env import RenetEnvCfg
+from renet.tasks.mdp.commands import COMMAND, DriveCommandCfg, GoalCommandCfg
 from renet.tasks.parkour_env_cfg import randomize
 from renet.tasks.schedule import Schedule, value_at
 from renet.tasks.sensors import depth_camera
@@ -22,6 +23,7 @@ from renet.training.config import NP3OCfg, RenetRunnerCfg, SupervisionCfg, Withh
 def recipe(env: RenetEnvCfg, agent: RenetRunnerCfg) -> None:
     """Turn a task of `parkour_env_cfg.py`, and the paper's agent, into ours, in place."""
     set_learning(agent)
+    set_command(env)
     set_rewards(env)
     set_differences(env)
     # Sooner, a third of the steps goes to standing while levels could rise. Goals to stand begin
@@ -76,6 +78,17 @@ def set_learning(agent: RenetRunnerCfg) -> None:
     # Small batches learn to walk sooner; large ones carry less noise once little is left to learn.
     agent.batch_size = "12800@5M,51200@40M"
     agent.average_over = 100
+
+
+def set_command(env: RenetEnvCfg) -> None:
+    """Velocities in all directions, beside goals."""
+    goals = env.commands[COMMAND]
+    assert isinstance(goals, GoalCommandCfg)
+    shares = {"plane": 0.7, "rough": 0.7, "obstacles": 0.5}
+    env.commands[COMMAND] = DriveCommandCfg(**vars(goals) | {"told": "twist"}, free_shares=shares)
+    env.rewards["linear_velocity"].func = mdp.velocity_tracking
+    # A robot that is rewarded for its heading turns as fast as it can.
+    env.rewards["yaw"].func = mdp.turn_tracking
 
 
 def set_rewards(env: RenetEnvCfg) -> None:

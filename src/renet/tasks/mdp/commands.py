@@ -1,7 +1,11 @@
-"""The goal: a forward speed c_x and a world yaw c_yaw, sampled at random (RENet, Method C)."""
+"""Where robots are to go: goals (RENet, Method C), and velocities in their own frames.
+
+A goal is a forward speed c_x and a world yaw c_yaw, sampled at random. The paper's robots have
+nothing else. The recipe's also follow velocities in any direction, as an operator steers them.
+"""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from mjlab.entity import Entity
@@ -10,10 +14,15 @@ from mjlab.managers.command_manager import CommandTerm, CommandTermCfg
 from mjlab.utils.lab_api.math import wrap_to_pi
 from torch import Tensor
 
-from renet.tasks.mdp.base_state import base_heading
+from renet.interface import MAX_TURN, Told
+from renet.tasks.mdp.base_state import base_heading, on_tiles
 
 COMMAND = "goal"
 """Name of the command term in every RENet task."""
+PLANE = "plane"
+"""Ground without tiles."""
+TURN_GAIN = 1.5
+"""Turn rate that a robot off its goal's yaw is told, rad/s per rad."""
 
 
 @dataclass(kw_only=True)
@@ -37,6 +46,9 @@ class GoalCommandCfg(CommandTermCfg):
     """|c_yaw - yaw| at an episode's start is uniform up to this, rad."""
     later_turn: float = math.pi / 3
     """Largest change of c_yaw when a goal is redrawn, rad: a robot on a tile keeps leaving it."""
+    told: Told = "heading"
+    """How robots are told their goals: by (c_x, sin e, cos e) with e = c_yaw - yaw, or by the twist
+    (c_x, 0, TURN_GAIN e), its turn rate at most MAX_TURN."""
     fixed_speed: float | None = None
     """c_x for evaluation, m/s; c_yaw then stays each robot's starting yaw."""
 
@@ -45,7 +57,7 @@ class GoalCommandCfg(CommandTermCfg):
 
 
 class GoalCommand(CommandTerm):
-    """Holds c_x and c_yaw; `command` is (c_x, sin e, cos e) with e = c_yaw - yaw, [N, 3]."""
+    """Holds c_x and c_yaw; `command` is what robots are told of them, [N, 3]."""
 
     cfg: GoalCommandCfg
 
@@ -62,12 +74,25 @@ class GoalCommand(CommandTerm):
         """c_yaw, [N] rad, world frame."""
         self.commanded_distance = torch.zeros(self.num_envs, device=self.device)
         """Integral of c_x over the episode so far, [N] m."""
+        self.free = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        """Robots that follow a velocity in their own frame, not a goal, [N] bool."""
         self._command = torch.zeros(self.num_envs, 3, device=self.device)
 
     @property
     def command(self) -> Tensor:
-        """(c_x, sin e, cos e) with e = c_yaw - yaw, [N, 3]."""
+        """What robots are told, [N, 3], as interface.TOLD says."""
         return self._command
+
+    @property
+    def turn(self) -> Tensor:
+        """Turn rate towards c_yaw, [N] rad/s; 0 of robots told to stand."""
+        turn = (TURN_GAIN * self.heading_error).clamp(-MAX_TURN, MAX_TURN)
+        return turn * (self.speed > 0.0)
+
+    @property
+    def stands(self) -> Tensor:
+        """Robots told neither to walk nor to turn, [N] bool."""
+        return self.speed <= 0.0
 
     @property
     def heading_error(self) -> Tensor:
@@ -123,10 +148,135 @@ class GoalCommand(CommandTerm):
         return torch.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
 
     def _update_command(self, env_ids: Tensor | None) -> None:
-        error = self.yaw - base_heading(self._env)
-        self._command = torch.stack((self.speed, error.sin(), error.cos()), dim=-1)
+        if self.cfg.told == "heading":
+            error = self.yaw - base_heading(self._env)
+            told = self.speed, error.sin(), error.cos()
+        else:
+            told = self.speed, torch.zeros_like(self.speed), self.turn
+        self._command = torch.stack(told, dim=-1)
 
     def _update_metrics(self) -> None: ...
+
+
+@dataclass(kw_only=True)
+class DriveCommandCfg(GoalCommandCfg):
+    """How velocities are drawn, beside goals."""
+
+    told: Told = "twist"
+    free_shares: dict[str, float] = field(default_factory=dict)
+    """Share of redrawn commands that are velocities, by kind of tile; `plane` is ground without
+    tiles. Kinds that are not named have goals alone."""
+    forward: tuple[float, float] = (-0.6, 1.0)
+    """Range of v_x, m/s."""
+    sideways: float = 0.5
+    """Largest |v_y|, m/s."""
+    turn: float = 1.0
+    """Largest |omega_z|, rad/s."""
+    straight_share: float = 0.3
+    """Share of velocities along x or y alone."""
+    unturned_share: float = 0.3
+    """Share of velocities without a turn."""
+    spot_share: float = 0.15
+    """Share of velocities of 0 with a turn."""
+    kick_share: float = 0.0
+    """Share of new velocities at which the robot is given what it is told to reach, at once: it
+    then meets what it could not find by chance, and need only keep it up."""
+
+    def build(self, env: ManagerBasedRlEnv) -> "DriveCommand":
+        return DriveCommand(self, env)
+
+
+class DriveCommand(GoalCommand):
+    """Goals, and velocities in the robots' own frames."""
+
+    cfg: DriveCommandCfg
+
+    def __init__(self, cfg: DriveCommandCfg, env: ManagerBasedRlEnv) -> None:
+        super().__init__(cfg, env)
+        self.velocity = torch.zeros(self.num_envs, 2, device=self.device)
+        """(v_x, v_y) of robots that follow a velocity, [N, 2] m/s."""
+        self.free_turn = torch.zeros(self.num_envs, device=self.device)
+        """omega_z of robots that follow a velocity, [N] rad/s."""
+        self._free_share = torch.zeros(self.num_envs, device=self.device)
+        for kind, share in cfg.free_shares.items():
+            self._free_share[on_tiles(env, kind)] = share
+        terrain = env.scene.terrain
+        if terrain is None or terrain.cfg.terrain_generator is None:
+            self._free_share[:] = cfg.free_shares.get(PLANE, 0.0)
+
+    @property
+    def direction(self) -> Tensor:
+        """Unit vector of the commanded velocity in the world frame, [N, 2]."""
+        heading = base_heading(self._env)
+        forward, left = self.velocity.unbind(-1)
+        cos, sin = heading.cos(), heading.sin()
+        world = torch.stack((cos * forward - sin * left, sin * forward + cos * left), dim=-1)
+        world = world / self.speed.clamp_min(1e-5).unsqueeze(-1)
+        return torch.where(self.free.unsqueeze(-1), world, super().direction)
+
+    @property
+    def turn(self) -> Tensor:
+        """Turn rate that robots are told, [N] rad/s."""
+        return torch.where(self.free, self.free_turn, super().turn)
+
+    @property
+    def stands(self) -> Tensor:
+        """Robots told neither to walk nor to turn, [N] bool."""
+        return (self.speed <= 0.0) & (self.turn == 0.0)
+
+    def compute(self, dt: float | Tensor, env_ids: Tensor | None = None) -> None:
+        """Let time pass, as `GoalCommand.compute` does."""
+        walked = self.commanded_distance.clone()
+        super().compute(dt, env_ids)
+        # A velocity leads nowhere in particular: it owes no distance.
+        self.commanded_distance = torch.where(self.free, walked, self.commanded_distance)
+
+    def _resample_command(self, env_ids: Tensor) -> None:
+        super()._resample_command(env_ids)
+        cfg = self.cfg
+        if cfg.fixed_speed is not None:
+            return
+
+        def uniform(low: float, high: float) -> Tensor:
+            return torch.empty(len(env_ids), device=self.device).uniform_(low, high)
+
+        forward = uniform(*cfg.forward)
+        left = uniform(-cfg.sideways, cfg.sideways)
+        turn = uniform(-cfg.turn, cfg.turn)
+        straight = uniform(0.0, 1.0)
+        left[straight < 2 * cfg.straight_share / 3] = 0.0
+        forward[straight > 1.0 - cfg.straight_share / 3] = 0.0
+        velocity = torch.stack((forward, left), dim=-1)
+        spot = uniform(0.0, 1.0) < cfg.spot_share
+        velocity[spot | (velocity.norm(dim=-1) < cfg.slowest)] = 0.0
+        turn[(uniform(0.0, 1.0) < cfg.unturned_share) & ~spot] = 0.0
+        free = uniform(0.0, 1.0) < self._free_share[env_ids]
+        # Goals to stand stay what they are.
+        free &= self.speed[env_ids] > 0.0
+        self.free[env_ids] = free
+        self.velocity[env_ids] = velocity
+        self.free_turn[env_ids] = turn
+        self.speed[env_ids] = torch.where(free, velocity.norm(dim=-1), self.speed[env_ids])
+        kicked = free & (uniform(0.0, 1.0) < cfg.kick_share)
+        if kicked.any():
+            self._kick(env_ids[kicked], velocity[kicked], turn[kicked])
+
+    def _kick(self, env_ids: Tensor, velocity: Tensor, turn: Tensor) -> None:
+        """Give robots the velocity [K, 2] m/s and the turn rate [K] rad/s they are told."""
+        heading = self._written_heading(env_ids)
+        cos, sin = heading.cos(), heading.sin()
+        forward, left = velocity.unbind(-1)
+        address = self.robot.indexing.free_joint_v_adr
+        written = self._env.sim.data.qvel
+        written[env_ids, address[0]] = cos * forward - sin * left
+        written[env_ids, address[1]] = sin * forward + cos * left
+        # A free joint turns in its own frame.
+        written[env_ids, address[5]] = turn
+
+    def _update_command(self, env_ids: Tensor | None) -> None:
+        super()._update_command(env_ids)
+        told = torch.cat((self.velocity, self.free_turn.unsqueeze(-1)), dim=-1)
+        self._command = torch.where(self.free.unsqueeze(-1), told, self._command)
 
 
 def goal(env: ManagerBasedRlEnv) -> GoalCommand:

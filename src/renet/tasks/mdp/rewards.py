@@ -17,6 +17,11 @@ from renet.tasks.mdp.base_state import base_position, base_rotation, base_veloci
 from renet.tasks.mdp.commands import goal
 from renet.tasks.sensors import CALF_CONTACT, THIGH_TRUNK_CONTACT
 
+SPOT_DRIFT = 0.3
+"""Speed at which a robot told to turn on the spot earns nothing, m/s."""
+TURN_SLACK = 0.3
+"""Error of the turn rate at which a robot told not to turn earns nothing, rad/s."""
+
 
 def linear_velocity(env: ManagerBasedRlEnv) -> Tensor:
     """Goal-guided linear velocity tracking, r_lin_vel (RENet eq. 6), [N].
@@ -28,6 +33,28 @@ def linear_velocity(env: ManagerBasedRlEnv) -> Tensor:
     walking = torch.minimum(towards, command.speed) / (command.speed + 1e-5)
     standing = 1.0 / (1.0 + velocity.norm(dim=-1))
     return torch.where(command.speed > 0.0, walking, standing)
+
+
+def velocity_tracking(env: ManagerBasedRlEnv) -> Tensor:
+    """Eq. 6 where a goal steers; where a robot follows a velocity c, 1 - |v - c| / |c|, [N].
+
+    Never below 0. On the spot it is 1 - |v| / SPOT_DRIFT, times the share of the turn.
+    """
+    command = goal(env)
+    error = (base_velocity(env)[:, :2] - command.direction * command.speed.unsqueeze(-1)).norm(
+        dim=-1
+    )
+    moving = 1.0 - error / command.speed.clamp_min(1e-5)
+    spot = (1.0 - error / SPOT_DRIFT).clamp_min(0.0) * turn_tracking(env)
+    following = torch.where(command.speed > 0.0, moving, spot).clamp_min(0.0)
+    return torch.where(command.free, following, linear_velocity(env))
+
+
+def turn_tracking(env: ManagerBasedRlEnv) -> Tensor:
+    """1 - |omega - c| / (|c| + TURN_SLACK), at least 0, of turn rates omega and c, [N]."""
+    wanted = goal(env).turn
+    rate = env.sim.data.qvel[:, env.scene["robot"].indexing.free_joint_v_adr[5]]
+    return (1.0 - (rate - wanted).abs() / (wanted.abs() + TURN_SLACK)).clamp_min(0.0)
 
 
 def yaw(env: ManagerBasedRlEnv) -> Tensor:
@@ -123,7 +150,7 @@ class standing_motion(VelocityFilter):
     """
 
     def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
-        return self.smoothed(env).square().sum(-1) * (goal(env).speed <= 0.0)
+        return self.smoothed(env).square().sum(-1) * goal(env).stands
 
 
 class upright_tracking:
@@ -156,8 +183,8 @@ class upright_tracking:
         command = goal(env)
         towards = (base_velocity(env)[:, :2] * command.direction).sum(-1)
         share = towards / (command.speed + 1e-5)
-        excess = torch.relu(share - 1.0 - tolerance) * (command.speed > 0.0)
-        return carried * (linear_velocity(env) - excess).clamp_min(0.0)
+        excess = torch.relu(share - 1.0 - tolerance) * (command.speed > 0.0) * ~command.free
+        return carried * (velocity_tracking(env) - excess).clamp_min(0.0)
 
 
 class foot_clearance:
