@@ -138,6 +138,10 @@ COMMANDS = {
             "standing": "renet.evaluation.studies.standing:StandingStudy",
         },
     ),
+    "evaluate commands": _study(
+        "how closely robots follow what they are told",
+        "renet.evaluation.studies.commands:CommandStudy:CommandStudy.main",
+    ),
     "evaluate memory": _study(
         "who crosses, against seconds without an image",
         "renet.evaluation.studies.memory:MemoryStudy:MemoryStudy.main",

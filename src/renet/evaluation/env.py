@@ -23,7 +23,13 @@ from renet.sim.depth.camera import CameraPerturbation, DepthCamera
 from renet.tasks import RenetEnv, RenetEnvCfg, RobotCfg, env_cfg, make_env
 from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.base_state import tile_terrain
-from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg, goal
+from renet.tasks.mdp.commands import (
+    COMMAND,
+    DriveCommand,
+    DriveCommandCfg,
+    GoalCommandCfg,
+    goal,
+)
 from renet.tasks.mdp.rewards import collision, joint_energy
 from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
@@ -78,6 +84,8 @@ def study_env_cfg(
     assert isinstance(command, GoalCommandCfg)
     command.fixed_speed = speed
     command.told = told
+    if told == "twist":
+        cfg.commands[COMMAND] = DriveCommandCfg(**vars(command))
     command.resampling_time_range = (NEVER, NEVER)
     cfg.terminations.pop("time_out", None)
     cfg.observations = {name: cfg.observations[name] for name in (*SENSED, *privileged)}
@@ -187,6 +195,19 @@ class SimEnv:
     def command(self, speed: float) -> None:
         """Tell every robot a new c_x, m/s, from the next step on."""
         goal(self.env).speed[:] = speed
+
+    def follow(self, twists: np.ndarray) -> None:
+        """Let robots follow twists [N, 3] m/s, m/s, rad/s, from the next reset on.
+
+        Raises RenetError if the policy is told a heading.
+        """
+        command = goal(self.env)
+        if not isinstance(command, DriveCommand):
+            raise RenetError(
+                "the bundle's policy is told a speed and a heading: it cannot be asked to walk"
+                " backward or sideways; train one with this version of renet"
+            )
+        command.fixed_twist = torch.as_tensor(twists, dtype=torch.float32)
 
     def perturb_cameras(self, view: ViewPerturbation) -> None:
         """Let the cameras see the scene so from their next image on."""

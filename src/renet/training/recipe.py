@@ -96,6 +96,7 @@ def set_rewards(env: RenetEnvCfg) -> None:
     height = {"standing_height": env.robot.map_height - env.robot.foot_radius}
     env.rewards |= {
         # `tasks/mdp/rewards.py` says why.
+        "alive": RewardTermCfg(func=mdp.alive, weight=1.0),
         "standing_motion": RewardTermCfg(func=mdp.standing_motion, weight=-0.5),
         "foot_clearance": RewardTermCfg(func=mdp.foot_clearance, weight=0.0, params=height),
         "upright_tracking": RewardTermCfg(func=mdp.upright_tracking, weight=0.75, params=height),

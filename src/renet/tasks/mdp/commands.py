@@ -15,7 +15,7 @@ from mjlab.utils.lab_api.math import wrap_to_pi
 from torch import Tensor
 
 from renet.interface import MAX_TURN, Told
-from renet.tasks.mdp.base_state import base_heading, on_tiles
+from renet.tasks.mdp.base_state import base_heading, on_tiles, rotated
 
 COMMAND = "goal"
 """Name of the command term in every RENet task."""
@@ -196,7 +196,9 @@ class DriveCommand(GoalCommand):
         self.velocity = torch.zeros(self.num_envs, 2, device=self.device)
         """(v_x, v_y) of robots that follow a velocity, [N, 2] m/s."""
         self.free_turn = torch.zeros(self.num_envs, device=self.device)
-        """omega_z of robots that follow a velocity, [N] rad/s."""
+        """omega_z of robots that follow a velocity, [N] rad/s; with 0 they keep their heading."""
+        self.fixed_twist: Tensor | None = None
+        """For evaluation: the twist that each robot follows from its next start on, [N, 3]."""
         self._free_share = torch.zeros(self.num_envs, device=self.device)
         for kind, share in cfg.free_shares.items():
             self._free_share[on_tiles(env, kind)] = share
@@ -207,17 +209,14 @@ class DriveCommand(GoalCommand):
     @property
     def direction(self) -> Tensor:
         """Unit vector of the commanded velocity in the world frame, [N, 2]."""
-        heading = base_heading(self._env)
-        forward, left = self.velocity.unbind(-1)
-        cos, sin = heading.cos(), heading.sin()
-        world = torch.stack((cos * forward - sin * left, sin * forward + cos * left), dim=-1)
+        world = rotated(self.velocity, base_heading(self._env))
         world = world / self.speed.clamp_min(1e-5).unsqueeze(-1)
         return torch.where(self.free.unsqueeze(-1), world, super().direction)
 
     @property
     def turn(self) -> Tensor:
-        """Turn rate that robots are told, [N] rad/s."""
-        return torch.where(self.free, self.free_turn, super().turn)
+        """Turn rate that robots are told, [N] rad/s: towards their heading, or one of its own."""
+        return torch.where(self.free & (self.free_turn != 0.0), self.free_turn, super().turn)
 
     @property
     def stands(self) -> Tensor:
@@ -234,6 +233,11 @@ class DriveCommand(GoalCommand):
     def _resample_command(self, env_ids: Tensor) -> None:
         super()._resample_command(env_ids)
         cfg = self.cfg
+        if self.fixed_twist is not None:
+            everybody = torch.ones_like(env_ids, dtype=torch.bool)
+            twist = self.fixed_twist[env_ids]
+            self._follow(env_ids, everybody, twist[:, :2], twist[:, 2])
+            return
         if cfg.fixed_speed is not None:
             return
 
@@ -253,29 +257,34 @@ class DriveCommand(GoalCommand):
         free = uniform(0.0, 1.0) < self._free_share[env_ids]
         # Goals to stand stay what they are.
         free &= self.speed[env_ids] > 0.0
-        self.free[env_ids] = free
-        self.velocity[env_ids] = velocity
-        self.free_turn[env_ids] = turn
-        self.speed[env_ids] = torch.where(free, velocity.norm(dim=-1), self.speed[env_ids])
+        self._follow(env_ids, free, velocity, turn)
         kicked = free & (uniform(0.0, 1.0) < cfg.kick_share)
         if kicked.any():
             self._kick(env_ids[kicked], velocity[kicked], turn[kicked])
 
+    def _follow(self, env_ids: Tensor, free: Tensor, velocity: Tensor, turn: Tensor) -> None:
+        """Let robots that are `free`, [K] bool, follow a velocity [K, 2] and a turn rate [K]."""
+        self.free[env_ids] = free
+        self.velocity[env_ids] = velocity
+        self.free_turn[env_ids] = turn
+        self.speed[env_ids] = torch.where(free, velocity.norm(dim=-1), self.speed[env_ids])
+        # Whoever is not told to turn keeps the heading that he has now, as an operator expects.
+        heading = self._written_heading(env_ids)
+        self.yaw[env_ids] = torch.where(free, heading, self.yaw[env_ids])
+
     def _kick(self, env_ids: Tensor, velocity: Tensor, turn: Tensor) -> None:
         """Give robots the velocity [K, 2] m/s and the turn rate [K] rad/s they are told."""
-        heading = self._written_heading(env_ids)
-        cos, sin = heading.cos(), heading.sin()
-        forward, left = velocity.unbind(-1)
         address = self.robot.indexing.free_joint_v_adr
         written = self._env.sim.data.qvel
-        written[env_ids, address[0]] = cos * forward - sin * left
-        written[env_ids, address[1]] = sin * forward + cos * left
+        world = rotated(velocity, self._written_heading(env_ids))
+        written[env_ids, address[0]] = world[:, 0]
+        written[env_ids, address[1]] = world[:, 1]
         # A free joint turns in its own frame.
         written[env_ids, address[5]] = turn
 
     def _update_command(self, env_ids: Tensor | None) -> None:
         super()._update_command(env_ids)
-        told = torch.cat((self.velocity, self.free_turn.unsqueeze(-1)), dim=-1)
+        told = torch.cat((self.velocity, self.turn.unsqueeze(-1)), dim=-1)
         self._command = torch.where(self.free.unsqueeze(-1), told, self._command)
 
 

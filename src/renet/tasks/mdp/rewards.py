@@ -128,6 +128,15 @@ SMOOTHING = 0.2
 """Time constant of smoothed joint velocities, s."""
 
 
+def alive(env: ManagerBasedRlEnv) -> Tensor:
+    """1 for every robot, [N].
+
+    Not in the paper. Sums below 0 are clipped: without a bonus half of a beginner's are, and a
+    first step in an unusual direction then earns as little as none.
+    """
+    return torch.ones(env.num_envs, device=env.device)
+
+
 class VelocityFilter:
     """A term that smooths joint velocities since the episode began exponentially."""
 
