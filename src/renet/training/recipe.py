@@ -16,7 +16,7 @@ from renet.tasks.mdp.commands import COMMAND, DriveCommandCfg, GoalCommandCfg
 from renet.tasks.parkour_env_cfg import randomize
 from renet.tasks.schedule import Schedule, value_at
 from renet.tasks.sensors import depth_camera
-from renet.terrain.tiles import dense_tiles
+from renet.terrain.tiles import barriers, dense_tiles
 from renet.training.config import NP3OCfg, RenetRunnerCfg, SupervisionCfg, WithholdingCfg
 
 
@@ -137,8 +137,9 @@ def set_tiles(env: RenetEnvCfg) -> None:
     terrain = env.scene.terrain
     assert terrain is not None
     assert terrain.terrain_generator is not None
-    tiles = dense_tiles()
+    tiles = dense_tiles() | barriers()
     shares = {"rough": 1.0, "stairs_up": 1.5, "gap": 2.0, "platform": 2.0}
+    shares |= {"wall": 0.5, "ledge": 0.5}
     for kind, share in shares.items():
         tiles[kind].proportion = share
     terrain.terrain_generator.sub_terrains = cast(Any, tiles)

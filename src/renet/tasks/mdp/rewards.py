@@ -13,6 +13,7 @@ from mjlab.managers.reward_manager import RewardTermCfg
 from torch import Tensor
 
 from renet.interface import LEGS
+from renet.tasks.mdp.barriers import before_barrier
 from renet.tasks.mdp.base_state import base_position, base_rotation, base_velocity
 from renet.tasks.mdp.commands import goal
 from renet.tasks.sensors import CALF_CONTACT, THIGH_TRUNK_CONTACT
@@ -38,7 +39,8 @@ def linear_velocity(env: ManagerBasedRlEnv) -> Tensor:
 def velocity_tracking(env: ManagerBasedRlEnv) -> Tensor:
     """Eq. 6 where a goal steers; where a robot follows a velocity c, 1 - |v - c| / |c|, [N].
 
-    Never below 0. On the spot it is 1 - |v| / SPOT_DRIFT, times the share of the turn.
+    Never below 0. On the spot it is 1 - |v| / SPOT_DRIFT, times the share of the turn. Before a
+    wall or an edge it is that of a robot told to stand.
     """
     command = goal(env)
     error = (base_velocity(env)[:, :2] - command.direction * command.speed.unsqueeze(-1)).norm(
@@ -47,7 +49,9 @@ def velocity_tracking(env: ManagerBasedRlEnv) -> Tensor:
     moving = 1.0 - error / command.speed.clamp_min(1e-5)
     spot = (1.0 - error / SPOT_DRIFT).clamp_min(0.0) * turn_tracking(env)
     following = torch.where(command.speed > 0.0, moving, spot).clamp_min(0.0)
-    return torch.where(command.free, following, linear_velocity(env))
+    tracking = torch.where(command.free, following, linear_velocity(env))
+    stopping = 1.0 / (1.0 + base_velocity(env)[:, :2].norm(dim=-1))
+    return torch.where(before_barrier(env), stopping, tracking)
 
 
 def turn_tracking(env: ManagerBasedRlEnv) -> Tensor:
@@ -159,7 +163,8 @@ class standing_motion(VelocityFilter):
     """
 
     def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
-        return self.smoothed(env).square().sum(-1) * goal(env).stands
+        still = goal(env).stands | before_barrier(env)
+        return self.smoothed(env).square().sum(-1) * still
 
 
 class upright_tracking:
@@ -192,7 +197,8 @@ class upright_tracking:
         command = goal(env)
         towards = (base_velocity(env)[:, :2] * command.direction).sum(-1)
         share = towards / (command.speed + 1e-5)
-        excess = torch.relu(share - 1.0 - tolerance) * (command.speed > 0.0) * ~command.free
+        judged = (command.speed > 0.0) & ~command.free & ~before_barrier(env)
+        excess = torch.relu(share - 1.0 - tolerance) * judged
         return carried * (velocity_tracking(env) - excess).clamp_min(0.0)
 
 
