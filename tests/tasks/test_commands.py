@@ -82,10 +82,11 @@ def test_others_keep_their_goals_when_some_begin_anew(walkers, goal):
 def test_the_second_level_asks_for_standing(build):
     env = build(flat_env_cfg(), 256)
     goal = env.command_manager.get_term("goal")
-    goal.stage, goal.standing_time = 1, 0.4
+    goal.stage = 1
     env.reset()
     # A tenth of an episode's first goals is too slow to be walking.
     assert 0.04 < (goal.speed == 0.0).float().mean() < 0.18
+    goal.standing_time = 0.4
     goal.time_left[:] = 0.01
     goal.compute(dt=0.02)
     # Of those that replace them three tenths by choice, and a tenth of the rest.
