@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from renet.errors import RenetError
 from renet.tasks import env_cfg
 from renet.tasks.mdp import goal, turn_tracking, velocity_tracking
 from renet.tasks.mdp.commands import COMMAND, DriveCommandCfg
@@ -125,3 +126,20 @@ def test_only_named_tiles_have_velocities(build):
         here = env.scene.terrain.terrain_types == number
         assert command.free[here].any() == (kind in shares), kind
         assert not command.free[here].all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"forward": (1.0, 0.2)}, "commands.forward must be two numbers, the smaller one first"),
+        ({"speed": (0.2, math.inf)}, "commands.speed must be"),
+        ({"resampling_time_range": (math.nan, 1.0)}, "commands.resampling_time_range must be"),
+        ({"sideways": -0.1}, "commands.sideways must be at least 0"),
+        ({"turn": math.nan}, "commands.turn must be at least 0"),
+        ({"free_shares": {"rough": 1.5}}, r"commands.free_shares\['rough'\] must be from 0 to 1"),
+        ({"kick_share": -1.0}, "commands.kick_share must be from 0 to 1"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused_by_name(settings, message):
+    with pytest.raises(RenetError, match=message):
+        DriveCommandCfg(**settings)

@@ -14,6 +14,7 @@ from mjlab.managers.command_manager import CommandTerm, CommandTermCfg
 from mjlab.utils.lab_api.math import wrap_to_pi
 from torch import Tensor
 
+from renet.errors import RenetError
 from renet.interface import MAX_TURN, Told
 from renet.tasks.mdp.base_state import base_heading, on_tiles, rotated
 
@@ -23,6 +24,23 @@ PLANE = "plane"
 """Ground without tiles."""
 TURN_GAIN = 1.5
 """Turn rate that a robot off its goal's yaw is told, rad/s per rad."""
+
+
+def check_ranges(cfg: CommandTermCfg, *names: str) -> None:
+    """Raise RenetError unless each of these fields is a finite range, the lower end first."""
+    for name in names:
+        low, high = getattr(cfg, name)
+        if not -math.inf < low <= high < math.inf:
+            raise RenetError(
+                f"commands.{name} must be two numbers, the smaller one first, got {low} and {high}"
+            )
+
+
+def check_shares(**shares: float) -> None:
+    """Raise RenetError naming a share that is not from 0 to 1."""
+    for name, share in shares.items():
+        if not 0.0 <= share <= 1.0:
+            raise RenetError(f"commands.{name} must be from 0 to 1, got {share}")
 
 
 @dataclass(kw_only=True)
@@ -51,6 +69,10 @@ class GoalCommandCfg(CommandTermCfg):
     (c_x, 0, TURN_GAIN e), its turn rate at most MAX_TURN."""
     fixed_speed: float | None = None
     """c_x for evaluation, m/s; c_yaw then stays each robot's starting yaw."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, "resampling_time_range", "speed", "later_speed")
+        check_shares(standing_share=self.standing_share)
 
     def build(self, env: ManagerBasedRlEnv) -> "GoalCommand":
         return GoalCommand(self, env)
@@ -181,6 +203,20 @@ class DriveCommandCfg(GoalCommandCfg):
     kick_share: float = 0.0
     """Share of new velocities at which the robot is given what it is told to reach, at once: it
     then meets what it could not find by chance, and need only keep it up."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, "forward")
+        for name in ("sideways", "turn"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise RenetError(f"commands.{name} must be at least 0, got {getattr(self, name)}")
+        check_shares(
+            **{f"free_shares[{kind!r}]": share for kind, share in self.free_shares.items()},
+            straight_share=self.straight_share,
+            unturned_share=self.unturned_share,
+            spot_share=self.spot_share,
+            kick_share=self.kick_share,
+        )
 
     def build(self, env: ManagerBasedRlEnv) -> "DriveCommand":
         return DriveCommand(self, env)
