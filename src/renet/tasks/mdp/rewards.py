@@ -16,7 +16,7 @@ from renet.interface import LEGS
 from renet.tasks.mdp.barriers import before_barrier
 from renet.tasks.mdp.base_state import base_position, base_rotation, base_velocity
 from renet.tasks.mdp.commands import goal
-from renet.tasks.sensors import CALF_CONTACT, THIGH_TRUNK_CONTACT
+from renet.tasks.sensors import CALF_CONTACT, FEET_CONTACT, THIGH_TRUNK_CONTACT
 
 SPOT_DRIFT = 0.3
 """Speed at which a robot told to turn on the spot earns nothing, m/s."""
@@ -139,6 +139,29 @@ def alive(env: ManagerBasedRlEnv) -> Tensor:
     first step in an unusual direction then earns as little as none.
     """
     return torch.ones(env.num_envs, device=env.device)
+
+
+class stepping:
+    """Feet in the air, at most two at once, as a share of two, of robots told to move, [N].
+
+    Not in the paper. A robot that stands never happens to walk backward or sideways, and one that
+    marches on the spot does at every step. A foot counts for no longer than a swing takes.
+
+    Parameters: `swing`, the longest that a foot counts for, s.
+    """
+
+    def __init__(self, cfg: RewardTermCfg, env: ManagerBasedRlEnv) -> None:
+        self._air = torch.zeros(env.num_envs, len(LEGS), device=env.device)
+        """Seconds since each foot last touched, [N, 4]."""
+
+    def __call__(self, env: ManagerBasedRlEnv, swing: float = 0.35) -> Tensor:
+        touches = env.scene[FEET_CONTACT].data.found > 0
+        self._air = (self._air + env.step_dt) * ~touches
+        swings = (self._air > 0.0) & (self._air <= swing)
+        return swings.sum(-1).clamp_max(2) / 2 * ~(goal(env).stands | before_barrier(env))
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> None:
+        self._air[env_ids] = 0.0
 
 
 class VelocityFilter:
