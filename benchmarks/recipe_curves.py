@@ -16,11 +16,11 @@ from statistics import fmean
 import matplotlib.pyplot as plt
 import numpy as np
 
+from renet.curves import CURVES, LEVEL, read_curves
 from renet.evaluation import figures
 from renet.files import read_object
 from renet.terrain.tiles import tiles
 from renet.training.config import steps_per_env
-from renet.training.metrics import LEVEL, read_curves
 from renet.training.train import CONFIG
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "recipe"
@@ -38,11 +38,12 @@ def level_curves(run: Path, steps: int = 0, every: int = 10) -> list[dict[str, f
     Returns:
         Rows of "steps" (environment steps), "hours" and each kind's level.
     """
-    config, curves = read_object(run / CONFIG), read_curves(run)
+    config = read_object(run / CONFIG)
+    curves = {name: list(curve.values()) for name, curve in read_curves(run / CURVES).items()}
     robots, agent = config["env"]["scene"]["num_envs"], config["agent"]
-    values = {n.removeprefix(LEVEL): c[1] for n, c in curves.items() if n.startswith(LEVEL)}
+    values = {n.removeprefix(LEVEL): c for n, c in curves.items() if n.startswith(LEVEL)}
     seconds, rows = 0.0, []
-    for number, fps in enumerate(curves["Perf/total_fps"][1], 1):
+    for number, fps in enumerate(curves.get("Perf/total_fps", ()), 1):
         fixed, batch_size = agent["num_steps_per_env"], agent["batch_size"]
         each = robots * steps_per_env(fixed, batch_size, robots, steps)
         steps, seconds = steps + each, seconds + each / fps
@@ -90,6 +91,8 @@ def main(runs: list[str]) -> None:
     path = OUT.with_suffix(".csv")
     if runs:
         kept = [row for run in runs for row in rows(run)]
+        if not kept:  # Before anything is overwritten.
+            raise SystemExit("these runs have fewer than ten iterations: there is nothing to draw")
         with path.open("w", newline="") as file:
             writer = csv.DictWriter(file, list(kept[0]), lineterminator="\n")
             writer.writeheader()

@@ -57,6 +57,15 @@ def test_every_command_has_help_that_imports_neither_torch_nor_mjlab():
     subprocess.run([sys.executable, "-c", HELP, *commands], check=True)
 
 
+@pytest.mark.parametrize("backend", ["nonsense", "osmesa"])
+def test_a_backend_of_opengl_that_does_not_load_ends_no_command(backend, tmp_path):
+    walk = [sys.executable, "-m", "renet", "deploy", "--camera", "sim", "--seconds", "0.1"]
+    walk += ["--out", str(tmp_path / "walk")]
+    environment = os.environ | {"MUJOCO_GL": backend}
+    done = subprocess.run(walk, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 def test_help_of_a_task_says_who_lists_its_settings(capsys):
     _, out, _ = run(capsys, "train", "Renet-Go1-Parkour", "--help")
     assert "--time-budget" in out

@@ -19,7 +19,7 @@ from mjlab.entity import Entity
 from trimesh.visual.material import PBRMaterial
 
 from renet.page.writer import WEB, look_name
-from robot_models import MODELS  # `web/robots/NOTICE` says whose meshes they are.
+from robot_models import MODELS  # `NOTICE` says whose meshes they are.
 
 FOOT = "1b1e23"
 COLOURS = {

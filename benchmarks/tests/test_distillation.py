@@ -18,6 +18,7 @@ from baselines.distillation import (
     DistillationRunner,
     StudentCfg,
 )
+from renet.curves import CURVES, read_curves
 from renet.errors import RenetError
 from renet.models.config import ModelCfg
 from renet.models.oracle import true_image
@@ -25,7 +26,6 @@ from renet.terrain.tiles import PIT, TILE, Gap, Platform, tiles
 from renet.training import checkpoint as checkpoints
 from renet.training.config import RenetRunnerCfg, SupervisionCfg
 from renet.training.export import load_networks
-from renet.training.metrics import read_curves
 from renet.training.runner import RenetRunner
 
 
@@ -125,7 +125,7 @@ def test_the_loss_is_that_of_the_actions_taken(teachers, tmp_path) -> None:
     rollout = runner.alg._rollout
     assert rollout.done.any(), "episodes end between ticks, too"
     expected = (rollout.mean - torch.stack(said)).abs().sum(-1).mean().item()
-    (loss,) = read_curves(tmp_path)["Loss/imitation"][1]
+    (loss,) = read_curves(tmp_path / CURVES)["Loss/imitation"].values()
     assert loss == pytest.approx(expected, rel=1e-4)
 
 
@@ -139,10 +139,10 @@ def test_goes_on_after_a_kill_from_the_levels_of_its_teachers(teachers, tmp_path
     second.load(str(tmp_path))
     second.learn(1)
     assert checkpoints.load_state(checkpoints.find(tmp_path))["iteration"] == 2
-    iterations, losses = read_curves(tmp_path)["Loss/imitation"]
-    assert iterations == [0, 1]
+    losses = read_curves(tmp_path / CURVES)["Loss/imitation"]
+    assert [*losses] == [0, 1]
     assert losses[1] < losses[0]
-    assert "Loss/surrogate" not in read_curves(tmp_path)
+    assert "Loss/surrogate" not in read_curves(tmp_path / CURVES)
 
 
 def test_its_actor_begins_as_its_teachers(teachers, tmp_path) -> None:

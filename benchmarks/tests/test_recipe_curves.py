@@ -2,8 +2,11 @@
 
 import json
 
+import pytest
+
+import recipe_curves
 from recipe_curves import level_curves
-from renet.training.metrics import CURVES
+from renet.curves import CURVES
 
 
 def test_levels_over_steps_follow_the_batches_schedule(tmp_path):
@@ -21,3 +24,17 @@ def test_levels_over_steps_follow_the_batches_schedule(tmp_path):
     ]
     late = level_curves(tmp_path, steps=20000, every=4)
     assert [row["steps"] for row in late] == [20000 + 4 * 5000]
+
+
+def test_runs_too_short_to_draw_leave_the_file_as_it_is(tmp_path, monkeypatch):
+    out = tmp_path / "recipe"
+    out.with_suffix(".csv").write_text("kept\n")
+    monkeypatch.setattr(recipe_curves, "OUT", out)
+    (tmp_path / "config.json").write_text(
+        '{"agent": {"num_steps_per_env": 5, "batch_size": 5, "seed": 1},'
+        ' "env": {"scene": {"num_envs": 1}}}'
+    )
+    (tmp_path / CURVES).write_text("iteration,name,value\n0,Perf/total_fps,1000\n")
+    with pytest.raises(SystemExit, match="nothing to draw"):
+        recipe_curves.main([str(tmp_path)])
+    assert out.with_suffix(".csv").read_text() == "kept\n"

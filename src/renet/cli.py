@@ -155,6 +155,10 @@ COMMANDS = {
         "how far a robot may differ before it falls",
         "renet.evaluation.studies.margins:MarginsStudy:MarginsStudy.main",
     ),
+    "evaluate curves": Command(
+        "draw training runs, seeds together",
+        "renet.evaluation.curves:CurvesCfg:make_curves",
+    ),
     "evaluate log": Command(
         "score a recording: falls, distance, switches",
         "renet.deploy.recording.score:ScoreCfg:score_log",
@@ -180,6 +184,8 @@ def main(argv: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else argv
     # A spinning OpenMP team starves whatever shares the machine; must be set before torch loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    # No command draws with OpenGL, whose absence, or a misspelt choice, would end MuJoCo's import.
+    os.environ["MUJOCO_GL"] = "disable"
     interrupts: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:

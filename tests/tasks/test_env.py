@@ -208,6 +208,14 @@ def test_mjlabs_own_environment_runs_a_task_as_ours_does():
     assert (rollouts[0]["costs"] > 0.0).any()
 
 
+@pytest.mark.parametrize("weight", [float("nan"), float("inf")])
+def test_a_weight_that_is_no_number_is_refused(weight):
+    cfg = env_cfg("Renet-Go1-Flat")
+    cfg.rewards["yaw"].weight = weight
+    with pytest.raises(RenetError, match="weight of the reward yaw is"):
+        make_env(cfg, 1)
+
+
 def test_an_environment_without_robots_is_refused():
     with pytest.raises(RenetError, match="at least 1"):
         make_env("Renet-Go1-Flat", 0)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from mjlab.viewer import NativeMujocoViewer
 
+from renet.curves import CURVES, read_curves
 from renet.sim.native.engine import use_engine
 from renet.training.checkpoint import load
-from renet.training.metrics import read_curves
 
 from ..forked import fork
 
@@ -33,9 +33,9 @@ def test_train_takes_two_iterations_and_goes_on(tmp_path, monkeypatch):
     )
     assert end.environment["common_step_counter"] == 4 * 5
     assert len(end.environment["levels"]) == 4
-    for iterations, values in read_curves(first).values():
-        assert set(iterations) <= {0, 1}
-        assert np.isfinite(values).all()
+    for curve in read_curves(first / CURVES).values():
+        assert curve.keys() <= {0, 1}
+        assert np.isfinite([*curve.values()]).all()
 
 
 @pytest.mark.parametrize("task", ["Renet-Go1-Flat", "Renet-Go1-Parkour"])

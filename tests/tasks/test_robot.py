@@ -33,6 +33,19 @@ def without(*geoms: str) -> RobotCfg:
     return edited(lambda spec: [spec.delete(spec.geom(name)) for name in geoms])
 
 
+def free_joint(spec: mujoco.MjSpec) -> mujoco.MjsJoint:
+    (free,) = (joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE)
+    return free
+
+
+def wheels(spec: mujoco.MjSpec) -> None:
+    """Two wheels, as a Go2-W has them."""
+    for leg, name in (("FR", "FR_wheel_joint"), ("FL", "")):
+        wheel = spec.body(f"{leg}_calf").add_body(pos=(0.0, 0.0, -0.2))
+        wheel.add_joint(name=name, axis=(0.0, 1.0, 0.0))
+        wheel.add_geom(size=(0.05, 0.0, 0.0))
+
+
 @pytest.mark.parametrize(
     ("robot", "problem"),
     [
@@ -43,6 +56,14 @@ def without(*geoms: str) -> RobotCfg:
         (
             edited(lambda s: [s.joint(f"{leg}_calf_joint").range.fill(0) for leg in ("FR", "RL")]),
             "gives FR_calf_joint, RL_calf_joint no limits",
+        ),
+        (
+            edited(lambda s: s.delete(free_joint(s))),
+            "one free joint, on its body trunk, not on none",
+        ),
+        (
+            edited(wheels),
+            "other joints than the 12 of its legs: FR_wheel_joint, one without a name",
         ),
         (replace(GO1, motors={"hip": GO1.motors["hip"]}), "motors must be of hip, thigh, calf"),
     ],
@@ -91,3 +112,14 @@ def test_a_vendors_sites_named_as_legs_make_way():
 def test_all_feet_must_be_named():
     with pytest.raises(RenetError, match="feet must be of FR, FL, RR, RL, not none"):
         rename_parts(GO1.spec(), trunk="trunk", feet={})
+
+
+def test_a_foot_without_a_name_is_the_lowest_geom_of_its_body():
+    made = GO1.spec()
+    for leg in LEGS:
+        made.geom(f"{leg}_foot_collision").name = ""
+    renamed = rename_parts(made, trunk="trunk", feet={leg: f"{leg}_calf" for leg in LEGS})
+    for leg in LEGS:
+        expected = GO1.spec().geom(f"{leg}_foot_collision").pos
+        assert (renamed.geom(f"{leg}_foot_collision").pos == expected).all()
+    renamed.compile()

@@ -12,12 +12,12 @@ import tyro
 from mjlab.rl import RslRlVecEnvWrapper
 
 from renet.cli import parse
+from renet.curves import CURVES, read_curves
 from renet.models.config import ModelCfg
 from renet.models.oracle import true_image
 from renet.models.renet import RENet
 from renet.tasks import make_env
 from renet.training.config import SupervisionCfg
-from renet.training.metrics import read_curves
 from renet.training.provenance import described
 from renet.training.train import TrainCfg
 
@@ -64,7 +64,9 @@ def losses(tmp_path_factory) -> Callable[[str], set[str]]:
         folder = tmp_path_factory.mktemp("run")
         model, teaching = ModelCfg(**ROWS[row].fields), SupervisionCfg(estimator_data="all")
         make_runner(env, folder, model=model, num_steps_per_env=5, supervision=teaching).learn(2)
-        curves = {name.removeprefix("Loss/") for name in read_curves(folder) if "Loss/" in name}
+        curves = {
+            name.removeprefix("Loss/") for name in read_curves(folder / CURVES) if "Loss/" in name
+        }
         return {name for name in curves if not name.endswith(("_rank", "_usage"))}
 
     yield train

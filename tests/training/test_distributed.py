@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from rsl_rl.modules import EmpiricalNormalization
 from torch.multiprocessing.spawn import start_processes
 
-from renet.training import np3o
+from renet.training import distributed, np3o
 from renet.training.storage import PolicyRollout
 from renet.training.train import train
 
@@ -23,8 +24,8 @@ RANKS = 2
 
 
 @pytest.fixture(scope="module")
-def ranks(tmp_path_factory) -> list[tuple[dict, list]]:
-    """What each of two processes learnt, and its gradients."""
+def ranks(tmp_path_factory) -> list[dict]:
+    """What `work` found in each of two processes."""
     folder = tmp_path_factory.mktemp("ranks")
     start(work, folder)
     assert len(list((folder / "checkpoints").iterdir())) == 1, "rank 0 alone writes"
@@ -48,7 +49,7 @@ def _join(rank: int, function: Callable[[int, Path], object], folder: Path, port
 
 
 def work(rank: int, folder: Path) -> None:
-    """Gradients of half a batch, and the state after five iterations."""
+    """Write the state after five iterations, and what half of a batch brings."""
     writes = None if rank else folder
     runner = make_runner(ToyEnv(seed=rank), writes, rank, num_steps_per_env=5, save_interval=9)
     runner.learn(5)
@@ -57,7 +58,12 @@ def work(rank: int, folder: Path) -> None:
     data = PolicyRollout(**{name: value[:, half] for name, value in vars(data).items()})
     rates = {name: getattr(runner.alg.np3o, name) for name in ("learning_rate", "cost_weight")}
     learnt = runner.alg.model.state_dict() | rates
-    torch.save((learnt, gradients(data, last_value[half])), folder / f"{rank}.pt")
+    found = {
+        "learnt": learnt,
+        "gradients": gradients(data, last_value[half]),
+        "normalizer": normalizer([rows.chunk(RANKS)[rank] for rows in observations()]),
+    }
+    torch.save(found, folder / f"{rank}.pt")
 
 
 def run(rank: int, folder: Path) -> None:
@@ -79,15 +85,40 @@ def gradients(data: PolicyRollout, last_value: torch.Tensor) -> list[torch.Tenso
     return [parameter.grad for parameter in algorithm.parameters]
 
 
+def observations() -> list[torch.Tensor]:
+    """Two batches of six rows, far from zero, and apart from each other and between ranks."""
+    torch.manual_seed(5)
+    rows = 100.0 + torch.arange(12.0).unsqueeze(-1) * torch.rand(12, 3)
+    return list(rows.chunk(2))
+
+
+def normalizer(batches: list[torch.Tensor]) -> dict[str, torch.Tensor]:
+    """The state of a normaliser that has learnt from all ranks' batches."""
+    running = EmpiricalNormalization(3)
+    for rows in batches:
+        distributed.update_normalizer(running, rows)
+    return running.state_dict()
+
+
 def test_ranks_agree_after_five_iterations(ranks):
-    (first, _), (second, _) = ranks
+    first, second = [found["learnt"] for found in ranks]
     torch.testing.assert_close(first, second, atol=1e-6, rtol=1e-5)
 
 
 def test_gradients_equal_one_process_on_the_joined_batch(ranks):
-    (_, first), (_, second) = ranks
+    first, second = [found["gradients"] for found in ranks]
     torch.testing.assert_close(first, second)
     torch.testing.assert_close(first, gradients(*rollout()), atol=1e-5, rtol=1e-3)
+
+
+def test_a_normaliser_learns_what_it_would_from_all_ranks_rows(ranks):
+    one_process = EmpiricalNormalization(3)
+    for rows in observations():
+        one_process.update(rows)
+    for found in ranks:
+        torch.testing.assert_close(
+            found["normalizer"], one_process.state_dict(), atol=1e-5, rtol=1e-5
+        )
 
 
 def test_a_run_of_two_processes_counts_both_ones_steps(tmp_path):

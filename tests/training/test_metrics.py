@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from renet.curves import CURVES, read_curves
 from renet.errors import RenetError
-from renet.training.metrics import CURVES, CurvesWriter, read_curves
+from renet.training.metrics import CurvesWriter
 
 from .conftest import ToyEnv, make_runner
 
@@ -33,7 +34,7 @@ def test_a_resumed_runs_last_value_counts_and_a_torn_row_costs_itself_alone(tmp_
     with (tmp_path / CURVES).open("a") as file:
         file.write("2,Loss/val")
     write(tmp_path, 3.0, 3)
-    assert read_curves(tmp_path) == {"Loss/value": ([1, 3], [2.0, 3.0])}
+    assert read_curves(tmp_path / CURVES) == {"Loss/value": {1: 2.0, 3: 3.0}}
 
 
 def test_curves_go_to_wandb_offline_beside_the_file(tmp_path, monkeypatch):
@@ -45,7 +46,7 @@ def test_curves_go_to_wandb_offline_beside_the_file(tmp_path, monkeypatch):
     wandb.teardown()  # Its service writes what is left.
     (log,) = (tmp_path / "wandb").glob("offline-run-*/*.wandb")
     assert b"surrogate" in log.read_bytes()
-    assert read_curves(tmp_path)["Loss/surrogate"][0] == [0, 1]
+    assert [*read_curves(tmp_path / CURVES)["Loss/surrogate"]] == [0, 1]
 
 
 def test_wandb_is_needed_only_by_who_asks_for_it(tmp_path, monkeypatch):

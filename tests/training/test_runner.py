@@ -6,13 +6,13 @@ import pytest
 import torch
 from mjlab.rl import RslRlVecEnvWrapper
 
+from renet.curves import CURVES, read_curves
 from renet.errors import RenetError
 from renet.models.config import ModelCfg
 from renet.tasks import make_env
 from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import critic_observation
 from renet.training.config import AdaptationCfg, NP3OCfg, RenetRunnerCfg, SupervisionCfg
-from renet.training.metrics import read_curves
 from renet.training.runner import RenetRunner
 
 from .conftest import ONE_EPOCH, ToyEnv, make_runner
@@ -26,11 +26,10 @@ def runner(tmp_path) -> RenetRunner:
 def test_trains_and_writes_curves_and_checkpoints(runner, tmp_path):
     before = {name: p.clone() for name, p in runner.alg.model.named_parameters()}
     runner.learn(3)
-    curves = read_curves(tmp_path)
+    curves = read_curves(tmp_path / CURVES)
     for name in ("Loss/surrogate", "Loss/vp_height_map", "Loss/anomaly", "Loss/cost_torque"):
-        iterations, values = curves[name]
-        assert iterations == [0, 1, 2]
-        assert torch.tensor(values).isfinite().all()
+        assert [*curves[name]] == [0, 1, 2]
+        assert torch.tensor([*curves[name].values()]).isfinite().all()
     names = [path.name for path in checkpoints.checkpoints(tmp_path / "checkpoints")]
     assert names == ["it_00000002", "it_00000003"]
     after = dict(runner.alg.model.named_parameters())
@@ -60,7 +59,7 @@ def test_resume_restores_everything(tmp_path):
     ):
         torch.testing.assert_close(tensors(first.alg), tensors(second.alg), atol=0, rtol=0)
     second.learn(1)
-    assert read_curves(tmp_path)["Loss/surrogate"][0] == [0, 1, 2]
+    assert [*read_curves(tmp_path / CURVES)["Loss/surrogate"]] == [0, 1, 2]
 
 
 def test_a_rate_and_a_weight_that_are_asked_for_anew_are_obeyed(tmp_path):
@@ -239,6 +238,6 @@ def test_an_iteration_reports_buffers_that_overflowed(tmp_path):
     env = RslRlVecEnvWrapper(make_env("Renet-Go1-Flat", 2, engine="warp"))
     make_runner(env, tmp_path, num_steps_per_env=5).learn(1, init_at_random_ep_len=False)
     env.close()
-    curves = read_curves(tmp_path)
+    curves = read_curves(tmp_path / CURVES)
     for name in ("contacts", "constraints"):
-        assert curves[f"Loss/overflow_{name}"] == ([0], [0.0])
+        assert curves[f"Loss/overflow_{name}"] == {0: 0.0}

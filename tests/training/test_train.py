@@ -154,7 +154,9 @@ def test_settings_come_back_from_their_description():
     stored = whole(ours)
     registered = TrainCfg.from_task(TASK)
     assert whole(registered) != stored
-    env, agent = (restored(getattr(registered, name), stored[name]) for name in ("env", "agent"))
+    env, agent = (
+        restored(getattr(registered, name), stored[name], name) for name in ("env", "agent")
+    )
     back = replace(registered, env=env, agent=agent)
     assert whole(back) == stored
     assert back.agent == ours.agent
@@ -162,7 +164,10 @@ def test_settings_come_back_from_their_description():
     # What the code has no more, or has anew, does not matter.
     stored["env"]["rewards"]["lift"] = {"weight": 1.0}
     del stored["env"]["scene"]
-    assert restored(registered.env, stored["env"]).rewards.keys() == registered.env.rewards.keys()
+    assert (
+        restored(registered.env, stored["env"], "env").rewards.keys()
+        == registered.env.rewards.keys()
+    )
 
 
 def test_the_shipped_checkpoint_states_the_recipe():

@@ -55,6 +55,8 @@ STYLE: dict[Any, Any] = {
     "ytick.color": "#555c66",
     "legend.frameon": False,
     "lines.linewidth": 1.6,
+    # Names come from files and command lines: a dollar sign in them begins no formula.
+    "text.parse_math": False,
 }
 """Style under which every figure of a study is drawn and saved."""
 
@@ -72,6 +74,14 @@ def save(figure: Figure, path: Path, provenance: Provenance, dpi: int = 150) -> 
     plt.close(figure)
     write_atomically(path, picture.getvalue(), "figure")
     return path
+
+
+def png(figure: Figure, dpi: int = 150) -> bytes:
+    """A figure as PNG, which is then closed."""
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=dpi)
+    plt.close(figure)
+    return picture.getvalue()
 
 
 def setting_label(finding: dict[str, Any]) -> str:
@@ -244,7 +254,7 @@ def draw_timeline(
     beta: float,
     every: float = CONTROL_DT,
 ) -> Axes:
-    """Draw loss, threshold, the estimator in charge, and on a right axis, which is returned, P_t.
+    """Draw loss, threshold, the estimator in charge, and on a right axis, which is returned, P.
 
     Args:
         axis: to draw on.
@@ -268,10 +278,10 @@ def draw_timeline(
         axis.axvline(instant, color=INK, linewidth=1, linestyle=":")
         write_beside(axis, instant, text, 1.0, xytext=(3, -10))
     right = axis.twinx()
-    label = "vision probability $P_t$"
+    label = "vision probability P"
     right.plot(time, np.array(line["probability"]), "--", color=PROBABILITY, label=label)
     right.set(ylim=(-0.05, 1.25), yticks=np.linspace(0, 1, 6))
-    right.set_ylabel("$P_t$", color=PROBABILITY)
+    right.set_ylabel("P", color=PROBABILITY)
     right.grid(False)
     return right
 

@@ -1,6 +1,7 @@
 """mjlab's environment with fused physics steps on the CPU."""
 
 import gc
+import math
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
@@ -85,6 +86,9 @@ def make_env(
     if num_envs < 1:
         raise RenetError(f"the number of environments must be at least 1, got {num_envs}")
     cfg = env_cfg(task) if isinstance(task, str) else deepcopy(task)
+    for name, term in cfg.rewards.items():
+        if not math.isfinite(term.weight):
+            raise RenetError(f"the weight of the reward {name} is {term.weight}: give a number")
     cfg.scene.num_envs = num_envs
     cfg.seed = seed
     gc.collect()  # Earlier environments: few objects with much memory that refer to one another.

@@ -100,6 +100,7 @@ class RobotCfg:
         for lookup, names in parts:
             for name in names:
                 _part(lookup, name)
+        demand_joints(spec)
         if free := [name for name in JOINTS if not _limited(spec.joint(name))]:
             raise RenetError(
                 f"the robot's MJCF gives {', '.join(free)} no limits: set the joint's `range` in "
@@ -132,6 +133,25 @@ class RobotCfg:
             )
 
 
+def demand_joints(spec: mujoco.MjSpec) -> None:
+    """Raise RenetError unless a robot's trunk is free and its only other joints are JOINTS."""
+    free = mujoco.mjtJoint.mjJNT_FREE
+    floating = [joint.parent.name for joint in spec.joints if joint.type == free]
+    if floating != [TRUNK]:
+        where = ", ".join(floating) or "none"
+        raise RenetError(
+            f"the robot's MJCF must have one free joint, on its body {TRUNK}, not on {where}: add "
+            "<freejoint/> to that body, and remove others"
+        )
+    moving = (joint.name or "one without a name" for joint in spec.joints if joint.type != free)
+    if others := [name for name in moving if name not in JOINTS]:
+        raise RenetError(
+            f"the robot's MJCF has other joints than the {len(JOINTS)} of its legs: "
+            f"{', '.join(others)}. Policies drive legs alone: remove these (wheels, arms), so that "
+            "what they carry is fixed"
+        )
+
+
 def rename_parts(
     spec: mujoco.MjSpec,
     trunk: str,
@@ -144,7 +164,8 @@ def rename_parts(
     Args:
         spec: the robot alone, without ground; raises RenetError if it lacks a part.
         trunk: its name of the base body.
-        feet: its names of the feet's geoms, by leg of interface.LEGS.
+        feet: its names of the feet's geoms, by leg of interface.LEGS. A body's name stands for its
+            lowest geom that collides, as vendors leave some without a name.
         bodies: its name of each body FR_hip, FR_thigh, FR_calf, …, where it is another.
         joints: its name of each joint of interface.JOINTS, where it is another.
     """
@@ -162,7 +183,7 @@ def rename_parts(
     if set(feet) != set(LEGS):
         raise RenetError(f"feet must be of {', '.join(LEGS)}, not {', '.join(feet) or 'none'}")
     for leg, foot in feet.items():
-        geom = _part(spec.geom, foot)
+        geom = _foot(spec, foot)
         if (site := spec.site(leg)) is not None:  # A vendor's, which may be anywhere.
             spec.delete(site)
         geom.parent.add_site(name=leg, pos=geom.pos)
@@ -172,6 +193,17 @@ def rename_parts(
         for number, geom in enumerate((g for g in colliding if g.name not in FEET), start=1):
             geom.name = f"{body.name}_collision{number}"
     return spec
+
+
+def _foot(spec: mujoco.MjSpec, name: str) -> mujoco.MjsGeom:
+    """The geom of a foot, by its name or by that of a body, whose lowest one it is."""
+    body = spec.body(name)
+    if spec.geom(name) is not None or body is None:
+        return _part(spec.geom, name)
+    colliding = [geom for geom in body.geoms if geom.contype or geom.conaffinity]
+    if not colliding:
+        raise RenetError(f"the robot's MJCF has no geom that collides on the body {name!r}")
+    return min(colliding, key=lambda geom: geom.pos[2])
 
 
 def _limited(joint: mujoco.MjsJoint) -> bool:

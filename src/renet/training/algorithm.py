@@ -29,7 +29,7 @@ from renet.training.withholding import Withholding
 CRITIC_GROUPS = ("proprioception_clean", "velocity", "feet_height", "height_map", "privileged")
 """Observation groups the critics see; the actor sees `proprioception` and the latent."""
 NORMALIZED_AT_ONCE = 65_536
-"""Rows of a rollout whose statistics ranks exchange in one message (80 MB)."""
+"""Rows of a rollout from which the critics' normaliser learns at once (80 MB)."""
 
 
 def critic_observation(obs: TensorDict, *perception: Tensor) -> Tensor:
@@ -161,7 +161,7 @@ class RenetAlgorithm:
         steps = self._steps.stack()
         normalize = self.model.critic_normalizer
         for rows in steps["critic_observation"].flatten(0, 1).split(NORMALIZED_AT_ONCE):
-            normalize.update(distributed.gather_rows(rows))
+            distributed.update_normalizer(normalize, rows)
         steps["critic_observation"] = normalize(steps["critic_observation"])
         steps["value"] = self.model.critics(steps["critic_observation"])
         last = self.critic_observation(obs, self.op_mask(obs))

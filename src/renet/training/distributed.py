@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 import torch
 import torch.distributed as dist
+from rsl_rl.modules import EmpiricalNormalization
 from torch import Tensor, nn
 
 
@@ -22,10 +23,32 @@ def mean(value: Tensor) -> Tensor:
 
 
 def moments(value: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and (population) standard deviation over the first axis of all ranks' rows."""
+    """Mean and (population) variance over the first axis of all ranks' rows, as many on each."""
     average = mean(value.mean(0))
     variance = mean(((value - average) ** 2).mean(0))
-    return average, variance.sqrt()
+    return average, variance
+
+
+def update_normalizer(normalizer: EmpiricalNormalization, rows: Tensor) -> None:
+    """Let a normaliser learn from all ranks' rows [B, C], as if one process had them all.
+
+    Ranks exchange moments, 2 * C numbers, rather than rows.
+    """
+    if world_size() == 1:
+        normalizer.update(rows)
+        return
+    average, variance = moments(rows)
+    count = rows.shape[0] * world_size()
+    # The buffers themselves, by their names in checkpoints; the arithmetic is that of `update`.
+    running = normalizer.state_dict()
+    running["count"] += count
+    rate = count / running["count"]
+    difference = average - running["_mean"]
+    running["_mean"] += rate * difference
+    # With the new mean: the product is that of both distances.
+    spread = variance + difference * (average - running["_mean"])
+    running["_var"] += rate * (spread - running["_var"])
+    running["_std"].copy_(running["_var"].sqrt())
 
 
 def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
@@ -49,12 +72,3 @@ def broadcast(module: nn.Module) -> None:
     if world_size() > 1:
         for tensor in module.state_dict().values():
             dist.broadcast(tensor, src=0)
-
-
-def gather_rows(value: Tensor) -> Tensor:
-    """Concatenate all ranks' rows, so that running statistics agree everywhere."""
-    if world_size() == 1:
-        return value
-    pieces = [torch.empty_like(value) for _ in range(world_size())]
-    dist.all_gather(pieces, value.contiguous())
-    return torch.cat(pieces)

@@ -5,7 +5,7 @@ import io
 import json
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -14,13 +14,12 @@ from matplotlib.figure import Figure
 from rsl_rl.utils.log_writer import LogWriter
 from torch.utils.tensorboard import SummaryWriter
 
+from renet.curves import CURVES, LEVEL, read_curves
 from renet.errors import RenetError
 from renet.files import append, write_atomically
 from renet.interface import CONSTRAINTS
 from renet.training.provenance import described
 
-CURVES = "curves.csv"
-LEVEL = "Curriculum/level/"
 PANELS = (
     ("reward per episode", ("Train/mean_reward",)),
     ("episode length (steps)", ("Train/mean_episode_length",)),
@@ -110,29 +109,17 @@ def wandb_run(log_dir: str, project_name: str) -> Any:
     return wandb.init(project=project_name, entity=account, name=Path(log_dir).name, config=config)
 
 
-def read_curves(run: Path) -> dict[str, tuple[list[int], list[float]]]:
-    """Curves of a run by name: iterations and values; a resumed iteration's last value counts.
-
-    A row that was torn when the run was killed is left out.
-    """
-    points: dict[str, dict[int, float]] = {}
-    with (run / CURVES).open(newline="") as file:
-        for row in csv.DictReader(file):
-            with suppress(TypeError, ValueError):
-                points.setdefault(row["name"], {})[int(row["iteration"])] = float(row["value"])
-    return {name: (sorted(c), [c[i] for i in sorted(c)]) for name, c in points.items()}
-
-
 def write_run_report(run: Path) -> Path:
     """Draw `curves.png` and write `report.json` (last smoothed values); returns the figure."""
-    curves = read_curves(run)
+    curves = read_curves(run / CURVES)
     figure = Figure(figsize=(16, 12), layout="constrained")
     last = {}
     for axis, (title, names) in zip(figure.subplots(4, 4).flat, PANELS, strict=True):
         prefix = isinstance(names, str)
         shown = sorted(n for n in curves if (n.startswith(names) if prefix else n in names))
         for name in shown:
-            iterations, values = curves[name]
+            iterations = sorted(curves[name])
+            values = [curves[name][iteration] for iteration in iterations]
             smooth = list(accumulate(values, lambda a, b: SMOOTHING * a + (1.0 - SMOOTHING) * b))
             last[name] = smooth[-1]
             axis.plot(iterations, smooth, label=name.split("/")[-1])

@@ -96,8 +96,8 @@ def make_targets(
         rollout.rewards_and_costs, rollout.value, last_value, rollout.done, cfg.gamma, cfg.lam
     ).flatten(0, 1)
     value_target = advantage + rollout.value.flatten(0, 1)
-    mean, std = distributed.moments(advantage)
-    std = std.clamp_min(STD_FLOOR)
+    mean, variance = distributed.moments(advantage)
+    std = variance.sqrt().clamp_min(STD_FLOOR)
     cost_return = distributed.mean(value_target[:, 1:].mean(0))
     budgets = [value_at(budget, steps) for budget in cfg.cost_budget]
     budget = torch.tensor(budgets, device=advantage.device)

@@ -21,6 +21,7 @@ from mjlab.rl import RslRlVecEnvWrapper
 from mjlab.tasks.registry import load_rl_cfg, load_runner_cls
 from rich.console import Console
 
+from renet.curves import CURVES
 from renet.errors import RenetError, printable
 from renet.files import write_atomically
 from renet.folders import lock
@@ -28,7 +29,7 @@ from renet.options import TASK, RecipeCfg, TrainOptions
 from renet.tasks import RenetEnvCfg, env_cfg, make_env
 from renet.training import checkpoint as checkpoints
 from renet.training.config import MOST_STEPS, RenetRunnerCfg, steps_per_env
-from renet.training.metrics import CURVES, write_run_report
+from renet.training.metrics import write_run_report
 from renet.training.progress import Report
 from renet.training.provenance import described, differences, restored
 from renet.training.runner import RenetRunner
@@ -93,9 +94,9 @@ class TrainCfg(TrainOptions):
         stored = state["env"]
         if cfg.task != state.get("task"):
             stored = {"scene": {"num_envs": stored.get("scene", {}).get("num_envs")}}
-        agent = restored(cfg.agent, state["agent"])
+        agent = restored(cfg.agent, state["agent"], "agent")
         agent = replace(agent, task=cfg.task, experiment_name=cfg.agent.experiment_name)
-        return replace(cfg, env=restored(cfg.env, stored), agent=agent)
+        return replace(cfg, env=restored(cfg.env, stored, "env"), agent=agent)
 
 
 def train(cfg: TrainCfg) -> Path | None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from renet.camera import Intrinsics
-from renet.deploy.cameras.preprocess import DepthPreprocessor
+from renet.deploy.cameras.preprocess import DepthPreprocessor, fill_holes
 from renet.errors import RenetError
 from renet.training.export import camera_spec
 
@@ -40,6 +40,36 @@ def test_clipping_and_holes():
     depth[300:] = 0.5
     image = PREPROCESSOR.image(depth)
     assert set(np.unique(image)) == {np.float32(0.25), np.float32(1.0)}
+
+
+def test_holes_take_the_nearest_depth_around():
+    image = np.array(
+        [
+            [3.0, 3.0, 3.0, 3.0, 9.0],
+            [3.0, 0.0, 2.0, 0.0, 9.0],
+            [3.0, 3.0, 3.0, 0.0, 0.0],
+            [3.0, 3.0, 3.0, 0.0, 0.0],
+        ]
+    )
+    expected = image.copy()
+    expected[1, 1] = 2.0
+    expected[1, 3] = expected[2, 3] = 2.0
+    expected[2, 4] = 9.0  # Its only neighbours with a measurement are in the row above.
+    expected[3, 3] = 3.0
+    expected[3, 4] = 2.0  # Filled in the second round, from what the first one left.
+    np.testing.assert_array_equal(fill_holes(image), expected)
+
+
+def test_an_image_of_holes_alone_stays():
+    assert (fill_holes(np.zeros((4, 4))) == 0.0).all()
+    assert (PREPROCESSOR.image(np.zeros((480, 848))) == 1.0).all()
+
+
+def test_scattered_holes_change_little():
+    rows = np.linspace(2.0, 0.5, 480)[:, None].repeat(848, axis=1)
+    holes = np.random.default_rng(0).random(rows.shape) < 0.02
+    spoilt = PREPROCESSOR.image(np.where(holes, 0.0, rows))
+    assert np.abs(spoilt - PREPROCESSOR.image(rows)).max() < 0.05
 
 
 def test_only_the_policys_view_counts_as_invalid():

@@ -64,6 +64,17 @@ def test_pixels_are_metres_of_the_policys_view(folder):
     assert (low["invalid_fraction"][0] > 0.0).all()
 
 
+def test_scattered_holes_do_not_lift_the_scores(folder):
+    clean = image_scores(folder, 0.001, None, Bundle.load())["reconstruction"][0]
+    random = np.random.default_rng(1)
+    for path in folder.glob("*.png"):
+        pixels = np.array(Image.open(path))
+        pixels[random.random(pixels.shape) < 0.02] = 0
+        Image.fromarray(pixels).save(path, compress_level=1)
+    spoilt = image_scores(folder, 0.001, None, Bundle.load())["reconstruction"][0]
+    assert spoilt.max() < 1.25 * clean.max()
+
+
 @pytest.mark.parametrize(
     ("spoil", "options", "message"),
     [

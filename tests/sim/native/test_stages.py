@@ -53,7 +53,6 @@ def test_steps_are_mujocos_own(order, integrator, monkeypatch):
     assert [worker.model.nbody for worker in simulation._workers] == [model.nbody] * 3
 
     reference = model.__copy__()
-    reference.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     data = mujoco.MjData(reference)
     data.qpos[:] = np.float32(data.qpos)
     data.ctrl[:] = 0.5, -0.5

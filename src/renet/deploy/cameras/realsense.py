@@ -40,7 +40,10 @@ def realsense() -> Any:
 
 
 def _filters(rs: Any) -> tuple[Any, ...]:
-    """librealsense's own post-processing in the order its vendor recommends."""
+    """librealsense's own post-processing in the order its vendor recommends.
+
+    Holes are filled by `preprocess.fill_holes`, as calibration from images fills them.
+    """
     temporal = rs.temporal_filter()
     # Its persistence would refill holes from old frames: a partly frozen image.
     temporal.set_option(rs.option.holes_fill, 0)
@@ -50,8 +53,6 @@ def _filters(rs: Any) -> tuple[Any, ...]:
         rs.spatial_filter(),
         temporal,
         rs.disparity_transform(False),
-        # Nearest neighbour, as published Go1 parkour policies: an obstacle too close stays close.
-        rs.hole_filling_filter(2),
     )
 
 

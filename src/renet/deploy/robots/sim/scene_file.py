@@ -10,7 +10,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from renet.deploy.robots.sim.mujoco import check_physics, place
+from renet.deploy.robots.sim.concavity import demand_convex
+from renet.deploy.robots.sim.mujoco import UNSEEN_GROUP, check_physics, place
 from renet.descriptions import RobotDescription
 from renet.errors import RenetError
 from renet.files import MEGABYTE, require_regular
@@ -22,6 +23,8 @@ HEADROOM = 0.6
 """Metres that must be free above the ground on which a robot starts."""
 ABOVE, BELOW = 1e-3, 1e-6
 """Metres from a surface to the start of the next ray up and down."""
+SEEN_GROUP = 0
+"""MuJoCo group of the geoms of a scene that a robot can touch."""
 CARRIED, IGNORED = 0, 5
 """MuJoCo groups of geoms for rays that look for ground."""
 TRIAL_STEPS = 200
@@ -44,9 +47,25 @@ def attach_scene(spec: mujoco.MjSpec, file: Path) -> None:
                 "robots or other bodies that have joints"
             )
         scene.option, scene.memory = spec.option, spec.memory  # MuJoCo warns of any other.
+        show_what_collides(scene)
         spec.attach(scene, prefix="scene/", frame=spec.worldbody.add_frame())
     except ValueError as error:
         raise RenetError(str(error).splitlines()[0]) from error
+
+
+def show_what_collides(scene: mujoco.MjSpec) -> None:
+    """Let a camera see the geoms that a robot can touch, and no others.
+
+    Scenes may hide the shapes that collide in a group that rays pass, or hold others for the eye
+    alone: a robot would walk into what it cannot see, or through what it sees.
+    """
+    for geom in scene.geoms:
+        collides = bool(geom.contype & 1)
+        geom.group = SEEN_GROUP if collides else UNSEEN_GROUP
+        if collides:
+            # Rays pass through what is invisible.
+            geom.rgba[3] = 1.0
+            geom.material = ""
 
 
 def try_scene(file: Path, robot: RobotDescription) -> None:
@@ -75,7 +94,9 @@ def ground_height(model: mujoco.MjModel) -> float:
         eye, ray, geom = np.array([0.0, 0.0, z]), np.array([0.0, 0.0, way]), np.zeros(1, np.int32)
         return mujoco.mj_ray(probe, data, eye, ray, groups.astype(np.uint8), 1, -1, geom, normal)
 
-    z, heights = mujoco.mjMAXVAL / 1e4, []
+    # From just above everything: rays from far away miss meshes.
+    z = float(np.max(data.geom_xpos[:, 2] + model.geom_rbound)) + 1.0
+    heights = []
     while (distance := look(z, -1)) >= 0.0:
         z -= distance
         if normal[2, 0] > 0.0:
@@ -99,6 +120,7 @@ def _trial() -> str:
     try:
         attach_scene(spec, Path(file))
         model = spec.compile()
+        demand_convex(model)
         data = place(model, ground_height(model) + float(height))
         for _ in range(TRIAL_STEPS):
             mujoco.mj_step(model, data)

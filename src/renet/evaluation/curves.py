@@ -1,0 +1,204 @@
+"""`renet evaluate curves`: training runs drawn over their environment steps, seeds together.
+
+Runs of one label are seeds of one recipe: a line is their mean, a band reaches from the lowest to
+the highest, and the table has mean and standard deviation over them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import tyro
+from matplotlib.axes import Axes
+
+from renet.curves import CURVES, LEVEL, STEPS, read_curves
+from renet.errors import RenetError, unknown_name
+from renet.evaluation import figures
+from renet.evaluation.results import grouped, output_folder, write_csv, write_json
+from renet.files import write_atomically
+from renet.terminal import show
+
+POINTS = 400
+"""Places at which curves of one label are compared."""
+
+
+@dataclass(frozen=True)
+class CurvesCfg:
+    """Draw training runs, and print the mean and spread of their last values over seeds."""
+
+    runs: tyro.conf.Positional[tuple[str, ...]]
+    """Run folders of `renet train`, or their curves.csv, RUN or RUN=LABEL; runs of one label are
+    seeds of one recipe. By default a run's label is its folder's name."""
+    curves: tuple[str, ...] = (LEVEL, "Train/mean_reward", "Episode_Metrics/collisions")
+    """Names of curves, or their beginnings, as in curves.csv."""
+    smooth: int = 10
+    """Iterations whose mean is a point."""
+    until: float | None = None
+    """Environment steps up to which runs are compared; by default those that all of a label have
+    done."""
+    out: Path = Path("results/curves")
+    """Folder for curves.png, summary.csv and summary.json."""
+
+    def __post_init__(self) -> None:
+        if not self.runs:
+            raise RenetError("name one run at least: renet evaluate curves RUN[=LABEL] ...")
+        if self.smooth < 1:
+            raise RenetError(f"smooth must be at least 1, got {self.smooth}")
+
+
+@dataclass(frozen=True)
+class Run:
+    """The curves of one training."""
+
+    label: str
+    steps: np.ndarray
+    """Environment steps after each iteration, [I]."""
+    values: dict[str, np.ndarray] = field(repr=False)
+    """Of each curve, [I]; NaN where it has none."""
+
+
+def make_curves(cfg: CurvesCfg) -> Path:
+    """Draw the runs, write the table and return the folder; raises as `read_run`."""
+    runs = [read_run(argument, cfg.smooth) for argument in cfg.runs]
+    names = chosen(runs, cfg.curves)
+    out = output_folder(cfg.out)
+    seeds = grouped([{"label": run.label, "run": run} for run in runs], "label")
+    by_label = {label: [row["run"] for row in rows] for (label,), rows in seeds.items()}
+    rows = [row for label, mine in by_label.items() for row in last_values(label, mine, names, cfg)]
+    write_json(out / "summary.json", {"runs": rows, "smooth": cfg.smooth})
+    write_csv(out / "summary.csv", rows)
+    write_atomically(out / "curves.png", picture(by_label, names), "figure")
+    header = ("curve", "runs", "seeds", "M steps", "mean", "SD", "lowest", "highest")
+    show("Last values", header, [shown(row) for row in rows])
+    return out
+
+
+def read_run(argument: str, smooth: int) -> Run:
+    """Read a run, RUN or RUN=LABEL, its values as means of `smooth` iterations.
+
+    Raises:
+        RenetError: there are no curves, or too few iterations for one point.
+    """
+    path, _, label = argument.partition("=")
+    folder = Path(path)
+    file = folder if folder.suffix == ".csv" else folder / CURVES
+    curves = read_curves(file)
+    if STEPS not in curves:
+        raise RenetError(f"{file} has no curve {STEPS}: is it of `renet train`?")
+    iterations = sorted(curves[STEPS])
+    if len(iterations) < smooth:
+        raise RenetError(
+            f"{file} has {len(iterations)} iterations, fewer than --smooth {smooth}: train longer, "
+            "or smooth less"
+        )
+    values = {
+        name: moving_mean(np.array([curve.get(i, np.nan) for i in iterations]), smooth)
+        for name, curve in curves.items()
+    }
+    name = folder.parent.name if folder.name == CURVES else folder.stem
+    return Run(label or name, values[STEPS], values)
+
+
+def moving_mean(values: np.ndarray, count: int) -> np.ndarray:
+    """Means of `count` values in a row, [I - count + 1] of [I]; those that are NaN do not count."""
+    windows = np.lib.stride_tricks.sliding_window_view(values, count)
+    known = ~np.isnan(windows)
+    total = np.where(known, windows, 0.0).sum(axis=-1)
+    number = known.sum(axis=-1)
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan)
+
+
+def chosen(runs: Sequence[Run], wanted: Sequence[str]) -> list[str]:
+    """Names of the runs' curves that begin with one of `wanted`; raises RenetError for none."""
+    known = sorted({name for run in runs for name in run.values})
+    for beginning in wanted:
+        if not any(name.startswith(beginning) for name in known):
+            raise unknown_name("curve", beginning, known)
+    return [name for name in known if name.startswith(tuple(wanted))]
+
+
+def last_values(
+    label: str, runs: Sequence[Run], names: Sequence[str], cfg: CurvesCfg
+) -> list[dict[str, Any]]:
+    """Mean and spread of each curve over the runs of a label, at the last step they have in common.
+
+    The standard deviation is that of a sample; one run has none.
+    """
+    end = min(run.steps[-1] for run in runs)
+    if cfg.until is not None:
+        end = min(end, cfg.until)
+    rows = []
+    for name in names:
+        values = np.array([value_at(run, name, end) for run in runs])
+        values = values[~np.isnan(values)]
+        if not values.size:
+            continue
+        spread = float(values.std(ddof=1)) if values.size > 1 else None
+        rows.append(
+            {
+                "label": label,
+                "curve": name,
+                "steps": float(end),
+                "seeds": int(values.size),
+                "mean": float(values.mean()),
+                "sd": spread,
+                "lowest": float(values.min()),
+                "highest": float(values.max()),
+            }
+        )
+    return rows
+
+
+def value_at(run: Run, name: str, steps: float) -> float:
+    """A curve's value at a number of environment steps, NaN where the run lacks it."""
+    if name not in run.values:
+        return float("nan")
+    known = ~np.isnan(run.values[name])
+    if not known.any():
+        return float("nan")
+    return float(np.interp(steps, run.steps[known], run.values[name][known]))
+
+
+def shown(row: Mapping[str, Any]) -> tuple[str, ...]:
+    """A row of the printed table."""
+    numbers = [row[name] for name in ("mean", "sd", "lowest", "highest")]
+    texts = ["-" if number is None else f"{number:.3g}" for number in numbers]
+    return row["curve"], row["label"], str(row["seeds"]), f"{row['steps'] / 1e6:.2f}", *texts
+
+
+def picture(by_label: Mapping[str, Sequence[Run]], names: Sequence[str]) -> bytes:
+    """A panel for each curve, a line and a band for each label, as PNG."""
+    columns = min(len(names), 3)
+    rows = -(-len(names) // columns)
+    with plt.rc_context(figures.STYLE):
+        size = (3.6 * columns + 0.6, 2.6 * rows + 0.8)
+        figure, axes = plt.subplots(rows, columns, figsize=size, squeeze=False)
+        for axis, name in zip(axes.flat, names, strict=False):
+            for number, (label, runs) in enumerate(by_label.items()):
+                draw_seeds(axis, runs, name, f"C{number}", label)
+            axis.set(title=name.split("/")[-1].replace("_", " "), xlabel="million steps")
+        for axis in axes.flat[len(names) :]:
+            axis.set_axis_off()
+        figures.legend(figure, axes[0][0])
+        return figures.png(figure)
+
+
+def draw_seeds(axis: Axes, runs: Sequence[Run], name: str, colour: str, label: str) -> None:
+    """Draw the mean of runs over the steps they have in common, and how far they lie apart."""
+    mine = [run for run in runs if name in run.values]
+    if not mine:
+        return
+    begin = max(run.steps[0] for run in mine)
+    end = min(run.steps[-1] for run in mine)
+    steps = np.linspace(begin, end, POINTS)
+    values = np.array([[value_at(run, name, step) for step in steps] for run in mine])
+    count = f"{label} ({len(mine)} seeds)" if len(mine) > 1 else label
+    axis.plot(steps / 1e6, values.mean(axis=0), color=colour, label=count)
+    if len(mine) > 1:
+        low, high = values.min(axis=0), values.max(axis=0)
+        axis.fill_between(steps / 1e6, low, high, color=colour, alpha=0.2, linewidth=0)

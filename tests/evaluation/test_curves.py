@@ -1,0 +1,90 @@
+"""Curves of runs over their steps, against sums by hand."""
+
+import csv
+import json
+
+import pytest
+from PIL import Image
+
+from renet import cli
+from renet.errors import RenetError
+from renet.evaluation.curves import CurvesCfg, make_curves
+
+GAP, STEPS = "Curriculum/level/gap", "Curriculum/environment_steps"
+
+
+def write_run(folder, levels, each=1000, name="curves.csv"):
+    """A run whose iterations take `each` steps and have these levels."""
+    folder.mkdir(exist_ok=True)
+    lines = ["iteration,name,value"]
+    for number, level in enumerate(levels):
+        lines += [f"{number},{STEPS},{(number + 1) * each}", f"{number},{GAP},{level}"]
+    (folder / name).write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def made(tmp_path, *runs, **options):
+    """The table that the runs make."""
+    options = {"curves": (GAP,), "smooth": 1, "out": tmp_path / "out"} | options
+    make_curves(CurvesCfg(tuple(map(str, runs)), **options))
+    return json.loads((tmp_path / "out" / "summary.json").read_text())["runs"]
+
+
+def test_seeds_are_compared_at_the_last_step_they_share(tmp_path):
+    first = write_run(tmp_path / "a", [0, 1, 2, 3])
+    second = write_run(tmp_path / "b", [0, 2, 4])
+    (row,) = made(tmp_path, f"{first}=recipe", f"{second}=recipe")
+    assert row["steps"] == 3000
+    assert (row["seeds"], row["mean"], row["lowest"], row["highest"]) == (2, 3.0, 2.0, 4.0)
+    assert row["sd"] == pytest.approx(2**0.5)
+    with (tmp_path / "out" / "summary.csv").open() as file:
+        assert next(csv.DictReader(file))["label"] == "recipe"
+    assert Image.open(tmp_path / "out" / "curves.png").width > 300
+
+
+def test_runs_with_batches_of_their_own_are_compared_by_steps(tmp_path):
+    small = write_run(tmp_path / "small", [0, 1, 2, 3, 4], each=1000)
+    large = write_run(tmp_path / "large", [1, 3], each=2500)
+    rows = made(tmp_path, small, large, until=3500)
+    # Between the third and the fourth iteration, and between the first and the second.
+    assert [(row["label"], row["mean"]) for row in rows] == [("small", 2.5), ("large", 1.8)]
+    assert [row["sd"] for row in rows] == [None, None]
+
+
+def test_points_are_means_of_iterations(tmp_path):
+    run = write_run(tmp_path / "run", [0, 0, 3, 6])
+    (row,) = made(tmp_path, run, smooth=3)
+    assert row["mean"] == 3.0
+    assert row["steps"] == 3000
+
+
+def test_a_torn_row_and_a_resumed_iteration(tmp_path):
+    run = write_run(tmp_path / "run", [0, 1])
+    with (run / "curves.csv").open("a") as file:
+        file.write(f"1,{GAP},2\n\n1,{STEPS},2000\n2,{GAP}")
+    assert made(tmp_path, run / "curves.csv")[0]["mean"] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("prepare", "options", "message"),
+    [
+        (lambda path: path.mkdir(), {}, "cannot read the curves .*: No such file"),
+        (lambda path: write_run(path, [1]), {"smooth": 10}, "has 1 iterations, fewer than"),
+        (lambda path: write_run(path, [1]), {"curves": ("Curriculum/gap",)}, "unknown curve"),
+        (lambda path: write_run(path, []), {}, "has no curve Curriculum/environment_steps"),
+    ],
+)
+def test_runs_that_cannot_be_drawn_are_refused_and_nothing_is_written(
+    tmp_path, prepare, options, message
+):
+    prepare(tmp_path / "run")
+    with pytest.raises(RenetError, match=message):
+        made(tmp_path, tmp_path / "run", **options)
+    assert not (tmp_path / "out" / "summary.json").exists()
+
+
+def test_the_command_prints_the_table(tmp_path, capsys):
+    run = write_run(tmp_path / "run", range(12))
+    options = ["--curves", GAP, "--out", str(tmp_path / "out")]
+    assert cli.main(["evaluate", "curves", f"{run}=ours", *options]) == 0
+    assert "ours" in capsys.readouterr().out
