@@ -1,15 +1,17 @@
 """Velocities in the robots' own frames: how they are drawn, told and rewarded."""
 
 import math
+from types import SimpleNamespace
 
 import pytest
 import torch
 
 from renet.errors import RenetError
 from renet.tasks import env_cfg
-from renet.tasks.mdp import goal, turn_tracking, velocity_tracking
+from renet.tasks.mdp import goal, stepping, turn_tracking, velocity_tracking
 from renet.tasks.mdp.commands import COMMAND, DriveCommandCfg
 from renet.tasks.parkour_env_cfg import flat_env_cfg
+from renet.tasks.sensors import FEET_CONTACT
 
 ROBOTS = 512
 
@@ -110,6 +112,27 @@ def test_reward_of_a_turn_rate(env, rate, expected):
     torch.testing.assert_close(
         turn_tracking(env), torch.full((ROBOTS,), expected), atol=1e-3, rtol=0.0
     )
+
+
+def test_feet_in_the_air_count_for_a_swing_of_robots_told_to_move(env, monkeypatch):
+    drive(env, (0.3, 0.0, 0.0), (0.0, 0.0))
+    goal(env).speed[:2] = 0.0
+    term = stepping(None, env)
+    touches = torch.zeros(ROBOTS, 4)
+    touches[:, 0] = 1.0
+    touches[2] = torch.tensor((1.0, 1.0, 1.0, 0.0))
+    sensor = SimpleNamespace(data=SimpleNamespace(found=touches))
+    monkeypatch.setitem(env.scene.sensors, FEET_CONTACT, sensor)
+    shares = torch.stack([term(env, swing=0.1) for _ in range(7)])
+    # Three feet count as two; the rest of the fifth step on is no swing any more.
+    torch.testing.assert_close(shares[:5, 3], torch.ones(5))
+    torch.testing.assert_close(shares[:5, 2], torch.full((5,), 0.5))
+    assert (shares[5:] == 0.0).all()
+    assert (shares[:, :2] == 0.0).all(), "told to stand"
+    touches[:] = 1.0
+    term(env, swing=0.1)
+    touches[:] = 0.0
+    assert (term(env, swing=0.1)[2:] == 1.0).all(), "a new swing"
 
 
 def test_a_velocity_owes_no_distance(env):
