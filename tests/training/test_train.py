@@ -170,7 +170,6 @@ def test_settings_come_back_from_their_description():
     )
 
 
-@pytest.mark.xfail(strict=True, reason="the recipe is ahead of the policy that ships")
 def test_the_shipped_checkpoint_states_the_recipe():
     state = checkpoints.load_state(checkpoints.find(SHIPPED))
     shipped, recipe = TrainCfg.resumed(state), TrainCfg.from_task(state["task"])

@@ -1,6 +1,5 @@
 """Walls and ledges: where a robot is told to go on, and is right to stop."""
 
-import torch
 from mjlab.envs import ManagerBasedRlEnv
 from torch import Tensor
 
@@ -35,9 +34,7 @@ def way_left(env: ManagerBasedRlEnv, direction: Tensor) -> Tensor:
 
     It means nothing on tiles without barriers.
     """
-    kinds = tile_terrain(env).cfg.terrain_generator.sub_terrains
-    clear = torch.tensor([getattr(tile, "clear", 0.0) for tile in kinds.values()])
-    half = clear.to(direction.device)[tile_terrain(env).terrain_types].unsqueeze(-1)
+    half = goal(env).clear[tile_terrain(env).terrain_types].unsqueeze(-1)
     position = (base_position(env) - env.scene.env_origins)[:, :2]
     # Each side that the direction leads to is met after so many metres.
     left = (half - position * direction.sign()) / direction.abs().clamp_min(1e-6)

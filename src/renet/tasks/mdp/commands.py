@@ -17,6 +17,7 @@ from torch import Tensor
 from renet.errors import RenetError
 from renet.interface import MAX_TURN, Told
 from renet.tasks.mdp.base_state import base_heading, on_tiles, rotated
+from renet.terrain.tiles import Barrier
 
 COMMAND = "goal"
 """Name of the command term in every RENet task."""
@@ -24,6 +25,15 @@ PLANE = "plane"
 """Ground without tiles."""
 TURN_GAIN = 1.5
 """Turn rate that a robot off its goal's yaw is told, rad/s per rad."""
+
+
+def clear_widths(env: ManagerBasedRlEnv) -> list[float]:
+    """Half-widths of the ground around the start, m, of each kind of tile; 0 of those without."""
+    terrain = env.scene.terrain
+    if terrain is None or terrain.cfg.terrain_generator is None:
+        return []
+    kinds = terrain.cfg.terrain_generator.sub_terrains.values()
+    return [tile.clear if isinstance(tile, Barrier) else 0.0 for tile in kinds]
 
 
 def check_ranges(cfg: CommandTermCfg, *names: str) -> None:
@@ -98,6 +108,8 @@ class GoalCommand(CommandTerm):
         """Integral of c_x over the episode so far, [N] m."""
         self.free = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
         """Robots that follow a velocity in their own frame, not a goal, [N] bool."""
+        self.clear = torch.tensor(clear_widths(env), device=self.device)
+        """Half-width of the ground around the start of each kind of tile with barriers, m."""
         self._command = torch.zeros(self.num_envs, 3, device=self.device)
 
     @property
@@ -284,19 +296,18 @@ class DriveCommand(GoalCommand):
         left = uniform(-cfg.sideways, cfg.sideways)
         turn = uniform(-cfg.turn, cfg.turn)
         straight = uniform(0.0, 1.0)
-        left[straight < 2 * cfg.straight_share / 3] = 0.0
-        forward[straight > 1.0 - cfg.straight_share / 3] = 0.0
+        left = left * (straight >= 2 * cfg.straight_share / 3)
+        forward = forward * (straight <= 1.0 - cfg.straight_share / 3)
         velocity = torch.stack((forward, left), dim=-1)
         spot = uniform(0.0, 1.0) < cfg.spot_share
-        velocity[spot | (velocity.norm(dim=-1) < cfg.slowest)] = 0.0
-        turn[(uniform(0.0, 1.0) < cfg.unturned_share) & ~spot] = 0.0
+        velocity = velocity * (~spot & (velocity.norm(dim=-1) >= cfg.slowest)).unsqueeze(-1)
+        turn = turn * (spot | (uniform(0.0, 1.0) >= cfg.unturned_share))
         free = uniform(0.0, 1.0) < self._free_share[env_ids]
         # Goals to stand stay what they are.
         free &= self.speed[env_ids] > 0.0
         self._follow(env_ids, free, velocity, turn)
-        kicked = free & (uniform(0.0, 1.0) < cfg.kick_share)
-        if kicked.any():
-            self._kick(env_ids[kicked], velocity[kicked], turn[kicked])
+        if cfg.kick_share:
+            self._kick(env_ids, free & (uniform(0.0, 1.0) < cfg.kick_share), velocity, turn)
 
     def _follow(self, env_ids: Tensor, free: Tensor, velocity: Tensor, turn: Tensor) -> None:
         """Let robots that are `free`, [K] bool, follow a velocity [K, 2] and a turn rate [K]."""
@@ -308,15 +319,16 @@ class DriveCommand(GoalCommand):
         heading = self._written_heading(env_ids)
         self.yaw[env_ids] = torch.where(free, heading, self.yaw[env_ids])
 
-    def _kick(self, env_ids: Tensor, velocity: Tensor, turn: Tensor) -> None:
-        """Give robots the velocity [K, 2] m/s and the turn rate [K] rad/s they are told."""
+    def _kick(self, env_ids: Tensor, kicked: Tensor, velocity: Tensor, turn: Tensor) -> None:
+        """Give robots that are `kicked`, [K] bool, a velocity [K, 2] m/s and a turn rate [K]."""
         address = self.robot.indexing.free_joint_v_adr
         written = self._env.sim.data.qvel
         world = rotated(velocity, self._written_heading(env_ids))
-        written[env_ids, address[0]] = world[:, 0]
-        written[env_ids, address[1]] = world[:, 1]
         # A free joint turns in its own frame.
-        written[env_ids, address[5]] = turn
+        given = {0: world[:, 0], 1: world[:, 1], 5: turn}
+        for axis, value in given.items():
+            before = written[env_ids, address[axis]]
+            written[env_ids, address[axis]] = torch.where(kicked, value, before)
 
     def _update_command(self, env_ids: Tensor | None) -> None:
         super()._update_command(env_ids)
