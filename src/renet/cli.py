@@ -130,13 +130,18 @@ COMMANDS = {
         "renet.evaluation.studies.leaderboard:LeaderboardCfg:make_leaderboard",
     ),
     "evaluate terrain": _study(
-        "highest levels; --preset success, dawn, standing",
+        "highest levels; --preset success, dawn, standing, stops",
         "renet.evaluation.studies.terrain:TerrainStudy:TerrainStudy.main",
         presets={
             "success": "renet.evaluation.studies.terrain:SuccessStudy",
             "dawn": "renet.evaluation.studies.terrain:DawnStudy",
             "standing": "renet.evaluation.studies.standing:StandingStudy",
+            "stops": "renet.evaluation.studies.stops:StopsStudy",
         },
+    ),
+    "evaluate commands": _study(
+        "how closely robots follow what they are told",
+        "renet.evaluation.studies.commands:CommandStudy:CommandStudy.main",
     ),
     "evaluate memory": _study(
         "who crosses, against seconds without an image",

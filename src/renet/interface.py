@@ -28,6 +28,8 @@ CONSTRAINTS = ("joint_position", "joint_velocity", "torque")
 
 MAX_SPEED = 1.0
 """Fastest forward command of training, m/s (paper)."""
+MAX_TURN = 1.0
+"""Fastest turn that training asks for, rad/s."""
 
 CONTROL_DT = 0.02
 """Seconds between policy ticks (50 Hz)."""
@@ -61,14 +63,25 @@ class Term:
     scale: float = 1.0
 
 
+Told = Literal["twist", "heading"]
+"""How a policy is told where to go: by a velocity and a turn rate of its base, or by a speed and
+the angle to a heading (the paper's goal, and bundles of renet 0.1)."""
+TOLD: dict[Told, Term] = {
+    "twist": Term("command", 3, "v_x, v_y in m/s, omega_z in rad/s, base frame"),
+    "heading": Term("command", 3, "c_x in m/s; sin, cos of (c_yaw - yaw)"),
+}
 PROPRIOCEPTION = (
     Term("base_angular_velocity", 3, "rad/s, base frame", 0.25),
     Term("projected_gravity", 3, "unit vector, base frame"),
-    Term("command", 3, "c_x in m/s; sin, cos of (c_yaw - yaw)"),
+    TOLD["twist"],
     Term("joint_position", 12, "rad, minus the default pose"),
     Term("joint_velocity", 12, "rad/s", 0.05),
     Term("last_action", 12, "policy units"),
 )
+HEADING_PROPRIOCEPTION = tuple(
+    TOLD["heading"] if term.name == "command" else term for term in PROPRIOCEPTION
+)
+"""What policies observe that are told a heading."""
 PROPRIOCEPTION_SIZE = sum(term.size for term in PROPRIOCEPTION)
 ACTION_SIZE = len(JOINTS)
 

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y
-from renet.tasks import env_cfg, mdp
-from renet.tasks.parkour_env_cfg import tile_env_cfg
+from renet.tasks import mdp
+from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
 from renet.tasks.terrains import tile_row
 
 from .conftest import evaluate
@@ -25,7 +25,7 @@ def test_how_often_a_sum_is_negative_and_what_constraints_cost_is_logged(flat):
 
 @pytest.mark.parametrize("weight", [0.0, -2.0])
 def test_a_rewards_value_is_logged_whatever_its_weight(build, weight):
-    cfg = env_cfg("Renet-Go1-Flat")
+    cfg = flat_env_cfg()
     cfg.rewards["linear_velocity"].weight = weight
     env = build(cfg, 2)
     env.sim.data.qvel[:, :2] = 0.3

@@ -22,7 +22,7 @@ RECORDED = np.load(Path(__file__).with_name("recorded_terms.npz"))
 def evaluated() -> dict[str, np.ndarray]:
     """All terms in all states, by the names of the recording."""
     cfg = env_cfg("Renet-Go1-Parkour-Paper")
-    cfg.rewards = env_cfg("Renet-Go1-Parkour").rewards
+    cfg.rewards = env_cfg("Renet-Go1-Parkour").rewards | {"yaw": cfg.rewards["yaw"]}
     env = make_env(cfg, 12)
     env.reset()
     terrain = env.scene.terrain

@@ -171,7 +171,8 @@ def test_standing_motion_is_smoothed_and_counts_only_where_standing_is_asked_for
 def test_rewards_beyond_the_papers_are_the_recipes_alone():
     paper, ours = (env_cfg(f"Renet-Go1-{task}").rewards for task in ("Parkour-Paper", "Parkour"))
     extra = ours.keys() - paper.keys()
-    assert extra == {"foot_clearance", "standing_motion", "upright_tracking"}
+    ours_alone = {"alive", "foot_clearance", "standing_motion", "stepping", "upright_tracking"}
+    assert extra == ours_alone
     changed = [name for name, term in paper.items() if ours[name].weight != term.weight]
     assert changed == ["collision"]
 

@@ -11,7 +11,17 @@ import numpy as np
 
 from renet.camera import Intrinsics
 from renet.errors import RenetError
-from renet.interface import DEPTH_RANGE, DEPTH_SHAPE, FRAMES, HISTORY, JOINTS, PROPRIOCEPTION, Term
+from renet.interface import (
+    DEPTH_RANGE,
+    DEPTH_SHAPE,
+    FRAMES,
+    HEADING_PROPRIOCEPTION,
+    HISTORY,
+    JOINTS,
+    PROPRIOCEPTION,
+    Term,
+    Told,
+)
 from renet.selector.selector import SelectorSpec, check_selector
 
 SCHEMA = 2
@@ -142,10 +152,15 @@ class Manifest:
                 f"the bundle's joint order is {', '.join(self.robot.joints)}; this renet uses "
                 f"{', '.join(JOINTS)}"
             )
-        if self.proprioception != PROPRIOCEPTION:
+        if self.proprioception not in (PROPRIOCEPTION, HEADING_PROPRIOCEPTION):
             raise RenetError(
                 "the bundle's proprioception differs from this renet's: export it anew"
             )
+
+    @property
+    def told(self) -> Told:
+        """How the policy is told where to go."""
+        return "twist" if self.proprioception == PROPRIOCEPTION else "heading"
 
 
 def _demand(holds: Any, what: str) -> None:

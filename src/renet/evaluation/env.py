@@ -18,11 +18,18 @@ from renet.evaluation.rollout import FLAT
 from renet.evaluation.trace import StepResult
 from renet.faults import ViewPerturbation
 from renet.faults.physical import obstacles, spread
+from renet.interface import Told
 from renet.sim.depth.camera import CameraPerturbation, DepthCamera
 from renet.tasks import RenetEnv, RenetEnvCfg, RobotCfg, env_cfg, make_env
 from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.base_state import tile_terrain
-from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg, goal
+from renet.tasks.mdp.commands import (
+    COMMAND,
+    DriveCommand,
+    DriveCommandCfg,
+    GoalCommandCfg,
+    goal,
+)
 from renet.tasks.mdp.rewards import collision, joint_energy
 from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
@@ -62,16 +69,23 @@ def terrain_env_cfg(terrain: str | Mapping[str, int], robot: RobotCfg) -> RenetE
 
 
 def study_env_cfg(
-    task: str | RenetEnvCfg, speed: float, privileged: Sequence[str] = ()
+    task: str | RenetEnvCfg,
+    speed: float,
+    privileged: Sequence[str] = (),
+    told: Told = "heading",
 ) -> RenetEnvCfg:
     """A task, or its id, for measuring: straight ahead at `speed`, m/s, ended only by a fall.
 
     Of what training observes, only what a robot senses is computed, and the `privileged` groups.
+    Robots are told their goal as the policy was in training.
     """
     cfg = env_cfg(task, play=True) if isinstance(task, str) else task
     command = cfg.commands[COMMAND]
     assert isinstance(command, GoalCommandCfg)
     command.fixed_speed = speed
+    command.told = told
+    if told == "twist":
+        cfg.commands[COMMAND] = DriveCommandCfg(**vars(command))
     command.resampling_time_range = (NEVER, NEVER)
     cfg.terminations.pop("time_out", None)
     cfg.observations = {name: cfg.observations[name] for name in (*SENSED, *privileged)}
@@ -181,6 +195,19 @@ class SimEnv:
     def command(self, speed: float) -> None:
         """Tell every robot a new c_x, m/s, from the next step on."""
         goal(self.env).speed[:] = speed
+
+    def follow(self, twists: np.ndarray) -> None:
+        """Let robots follow twists [N, 3] m/s, m/s, rad/s, from the next reset on.
+
+        Raises RenetError if the policy is told a heading.
+        """
+        command = goal(self.env)
+        if not isinstance(command, DriveCommand):
+            raise RenetError(
+                "the bundle's policy is told a speed and a heading: it cannot be asked to walk"
+                " backward or sideways; train one with this version of renet"
+            )
+        command.fixed_twist = torch.as_tensor(twists, dtype=torch.float32)
 
     def perturb_cameras(self, view: ViewPerturbation) -> None:
         """Let the cameras see the scene so from their next image on."""

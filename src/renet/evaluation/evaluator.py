@@ -76,7 +76,7 @@ class Evaluator:
             raise RenetError(f"seed must be from 0 to 2^32 - 1, got {seed}")
         if isinstance(task, Mapping) or (isinstance(task, str) and task in (FLAT, PARKOUR)):
             task = self.terrain_env_cfg(task)
-        cfg = study_env_cfg(task, speed, self.privileged)
+        cfg = study_env_cfg(task, speed, self.privileged, self.bundle.manifest.told)
         robot = self.bundle.manifest.robot.name
         if robot != cfg.robot.name:
             raise RenetError(

@@ -14,6 +14,8 @@ from renet.errors import RenetError, unknown_name
 
 DIFFICULT = ("gap", "platform")
 """Kinds of tile that force vision; all others are simple."""
+BARRIERS = ("wall", "ledge")
+"""Kinds of tile that nobody can leave: robots are to stop before what surrounds them."""
 TILE = 8.0
 """Side of a tile, m."""
 FLAT = 1e-3
@@ -257,6 +259,48 @@ class Platform(Tile):
         for inner, outer in self.rings:
             builder.ring(inner, outer, (-0.1, measure), ACCENT)
         return 0.0
+
+
+@dataclass
+class Barrier(Tile):
+    """Base of the tiles that nobody can leave."""
+
+    clear: float = 1.6
+    """Half-width of the ground around the start, m."""
+
+
+@dataclass
+class Wall(Barrier):
+    """A wall `measure` metres high around the start."""
+
+    low: float = 0.7
+    high: float = 1.2
+    thickness: float = 0.4
+
+    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
+        """Add floor and wall; the start is at height 0."""
+        builder.square(TILE / 2, FLOOR)
+        builder.ring(self.clear, self.clear + self.thickness, (-0.1, measure), ACCENT)
+        return 0.0
+
+
+@dataclass
+class Ledge(Barrier):
+    """An island with a drop of `measure` metres to all sides."""
+
+    low: float = 0.8
+    high: float = 1.5
+
+    def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
+        """Add the island and the ground below; the start is at height 0."""
+        builder.square(self.clear, (-measure, 0.0))
+        builder.square(TILE / 2, (-measure - 0.2, -measure), PIT)
+        return 0.0
+
+
+def barriers() -> dict[str, Barrier]:
+    """Every kind of tile that nobody can leave, by name."""
+    return {"wall": Wall(), "ledge": Ledge()}
 
 
 def tiles() -> dict[str, Tile]:

@@ -18,7 +18,13 @@ from renet.bundle import write_bundle
 from renet.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpec, from_json
 from renet.bundle.models import HAS_IMAGE, MAP_ERROR, VARIANCE, model_shapes
 from renet.errors import RenetError
-from renet.interface import HEIGHT_MAP_SIZE, JOINTS, NUM_FEET
+from renet.interface import (
+    HEADING_PROPRIOCEPTION,
+    HEIGHT_MAP_SIZE,
+    JOINTS,
+    NUM_FEET,
+    PROPRIOCEPTION,
+)
 from renet.models.adaptation import fuse
 from renet.models.autoencoder import anomaly_score, variance_score
 from renet.models.config import ModelCfg
@@ -28,6 +34,7 @@ from renet.selector import SelectorSpec
 from renet.sim.depth.camera import DepthCameraCfg, DepthNoiseCfg
 from renet.tasks import env_cfg
 from renet.tasks.config.go1 import GO1
+from renet.tasks.mdp.commands import COMMAND
 from renet.tasks.robot_cfg import ACTION_CLIP, RobotCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.config import WithholdingCfg, from_dict
@@ -45,6 +52,8 @@ def export(cfg: ExportCfg) -> Path:
         sensors = state["env"].get("scene", {}).get("sensors", [])
         noise_std = [sensor["noise"]["gaussian_std"] for sensor in sensors if "noise" in sensor]
         learned = from_dict(WithholdingCfg, state["agent"].get("withholding", {}))
+        goals = state["env"].get("commands", {}).get(COMMAND, {})
+        twist = goals.get("told") == "twist"
     except (KeyError, TypeError, AttributeError) as error:
         raise RenetError(f"{path} is not a checkpoint of RENet: its state lacks {error}") from error
     robot = env_cfg(provenance.task).robot if provenance.task else GO1
@@ -55,7 +64,13 @@ def export(cfg: ExportCfg) -> Path:
     )
     camera = camera_spec(robot, *noise_std[:1])
     manifest = Manifest(
-        robot_spec(robot), camera, selector, provenance, model.cfg.history, model.cfg.frames
+        robot_spec(robot),
+        camera,
+        selector,
+        provenance,
+        model.cfg.history,
+        model.cfg.frames,
+        PROPRIOCEPTION if twist else HEADING_PROPRIOCEPTION,
     )
     return write_bundle(cfg.out, export_models(model), manifest)
 

@@ -12,16 +12,18 @@ from mjlab.managers.reward_manager import RewardTermCfg
 from renet.models.config import ModelCfg
 from renet.tasks import mdp
 from renet.tasks.env import RenetEnvCfg
+from renet.tasks.mdp.commands import COMMAND, DriveCommandCfg, GoalCommandCfg
 from renet.tasks.parkour_env_cfg import randomize
 from renet.tasks.schedule import Schedule, value_at
 from renet.tasks.sensors import depth_camera
-from renet.terrain.tiles import dense_tiles
+from renet.terrain.tiles import barriers, dense_tiles
 from renet.training.config import NP3OCfg, RenetRunnerCfg, SupervisionCfg, WithholdingCfg
 
 
 def recipe(env: RenetEnvCfg, agent: RenetRunnerCfg) -> None:
     """Turn a task of `parkour_env_cfg.py`, and the paper's agent, into ours, in place."""
     set_learning(agent)
+    set_command(env)
     set_rewards(env)
     set_differences(env)
     # Sooner, a third of the steps goes to standing while levels could rise. Goals to stand begin
@@ -78,11 +80,24 @@ def set_learning(agent: RenetRunnerCfg) -> None:
     agent.average_over = 100
 
 
+def set_command(env: RenetEnvCfg) -> None:
+    """Velocities in all directions, beside goals."""
+    goals = env.commands[COMMAND]
+    assert isinstance(goals, GoalCommandCfg)
+    shares = {"plane": 0.7, "rough": 0.7, "obstacles": 0.5}
+    env.commands[COMMAND] = DriveCommandCfg(**vars(goals) | {"told": "twist"}, free_shares=shares)
+    env.rewards["linear_velocity"].func = mdp.velocity_tracking
+    # A robot that is rewarded for its heading turns as fast as it can.
+    env.rewards["yaw"].func = mdp.turn_tracking
+
+
 def set_rewards(env: RenetEnvCfg) -> None:
     """A weaker penalty on collisions, and three rewards of our own."""
     height = {"standing_height": env.robot.map_height - env.robot.foot_radius}
     env.rewards |= {
         # `tasks/mdp/rewards.py` says why.
+        "alive": RewardTermCfg(func=mdp.alive, weight=1.0),
+        "stepping": RewardTermCfg(func=mdp.stepping, weight=0.0),
         "standing_motion": RewardTermCfg(func=mdp.standing_motion, weight=-0.5),
         "foot_clearance": RewardTermCfg(func=mdp.foot_clearance, weight=0.0, params=height),
         "upright_tracking": RewardTermCfg(func=mdp.upright_tracking, weight=0.75, params=height),
@@ -90,6 +105,7 @@ def set_rewards(env: RenetEnvCfg) -> None:
     # At the paper's -10 a touch outweighs all else and the clipped sum says nothing where a robot
     # tries to climb. Both teach a gait at first, and cost more than walking earns at the highest
     # steps.
+    follow(env, "stepping", "0.75@10M,0@20M")
     follow(env, "collision", "-1@12M,-0.3@24M")
     follow(env, "foot_clearance", "-20@12M,-3@24M")
 
@@ -123,8 +139,9 @@ def set_tiles(env: RenetEnvCfg) -> None:
     terrain = env.scene.terrain
     assert terrain is not None
     assert terrain.terrain_generator is not None
-    tiles = dense_tiles()
+    tiles = dense_tiles() | barriers()
     shares = {"rough": 1.0, "stairs_up": 1.5, "gap": 2.0, "platform": 2.0}
+    shares |= {"wall": 0.5, "ledge": 0.5}
     for kind, share in shares.items():
         tiles[kind].proportion = share
     terrain.terrain_generator.sub_terrains = cast(Any, tiles)

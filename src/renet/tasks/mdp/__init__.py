@@ -3,6 +3,7 @@
 from mjlab.envs.mdp import *  # noqa: F403
 
 from .actions import *  # noqa: F403
+from .barriers import *  # noqa: F403
 from .commands import *  # noqa: F403
 from .constraints import *  # noqa: F403
 from .curriculums import *  # noqa: F403

@@ -33,6 +33,13 @@ def base_heading(env: ManagerBasedRlEnv) -> Tensor:
     return torch.atan2(forward[:, 1], forward[:, 0])
 
 
+def rotated(vector: Tensor, angle: Tensor) -> Tensor:
+    """Horizontal vectors [N, 2] turned to the left by angles [N] rad."""
+    cos, sin = angle.cos(), angle.sin()
+    x, y = vector.unbind(-1)
+    return torch.stack((cos * x - sin * y, sin * x + cos * y), dim=-1)
+
+
 def tile_terrain(env: ManagerBasedRlEnv) -> Any:
     """The scene's terrain; its type in mjlab allows for None, which tasks on tiles never have."""
     return env.scene.terrain

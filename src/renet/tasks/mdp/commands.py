@@ -1,7 +1,11 @@
-"""The goal: a forward speed c_x and a world yaw c_yaw, sampled at random (RENet, Method C)."""
+"""Where robots are to go: goals (RENet, Method C), and velocities in their own frames.
+
+A goal is a forward speed c_x and a world yaw c_yaw, sampled at random. The paper's robots have
+nothing else. The recipe's also follow velocities in any direction, as an operator steers them.
+"""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from mjlab.entity import Entity
@@ -10,10 +14,43 @@ from mjlab.managers.command_manager import CommandTerm, CommandTermCfg
 from mjlab.utils.lab_api.math import wrap_to_pi
 from torch import Tensor
 
-from renet.tasks.mdp.base_state import base_heading
+from renet.errors import RenetError
+from renet.interface import MAX_TURN, Told
+from renet.tasks.mdp.base_state import base_heading, on_tiles, rotated
+from renet.terrain.tiles import Barrier
 
 COMMAND = "goal"
 """Name of the command term in every RENet task."""
+PLANE = "plane"
+"""Ground without tiles."""
+TURN_GAIN = 1.5
+"""Turn rate that a robot off its goal's yaw is told, rad/s per rad."""
+
+
+def clear_widths(env: ManagerBasedRlEnv) -> list[float]:
+    """Half-widths of the ground around the start, m, of each kind of tile; 0 of those without."""
+    terrain = env.scene.terrain
+    if terrain is None or terrain.cfg.terrain_generator is None:
+        return []
+    kinds = terrain.cfg.terrain_generator.sub_terrains.values()
+    return [tile.clear if isinstance(tile, Barrier) else 0.0 for tile in kinds]
+
+
+def check_ranges(cfg: CommandTermCfg, *names: str) -> None:
+    """Raise RenetError unless each of these fields is a finite range, the lower end first."""
+    for name in names:
+        low, high = getattr(cfg, name)
+        if not -math.inf < low <= high < math.inf:
+            raise RenetError(
+                f"commands.{name} must be two numbers, the smaller one first, got {low} and {high}"
+            )
+
+
+def check_shares(**shares: float) -> None:
+    """Raise RenetError naming a share that is not from 0 to 1."""
+    for name, share in shares.items():
+        if not 0.0 <= share <= 1.0:
+            raise RenetError(f"commands.{name} must be from 0 to 1, got {share}")
 
 
 @dataclass(kw_only=True)
@@ -37,15 +74,22 @@ class GoalCommandCfg(CommandTermCfg):
     """|c_yaw - yaw| at an episode's start is uniform up to this, rad."""
     later_turn: float = math.pi / 3
     """Largest change of c_yaw when a goal is redrawn, rad: a robot on a tile keeps leaving it."""
+    told: Told = "heading"
+    """How robots are told their goals: by (c_x, sin e, cos e) with e = c_yaw - yaw, or by the twist
+    (c_x, 0, TURN_GAIN e), its turn rate at most MAX_TURN."""
     fixed_speed: float | None = None
     """c_x for evaluation, m/s; c_yaw then stays each robot's starting yaw."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, "resampling_time_range", "speed", "later_speed")
+        check_shares(standing_share=self.standing_share)
 
     def build(self, env: ManagerBasedRlEnv) -> "GoalCommand":
         return GoalCommand(self, env)
 
 
 class GoalCommand(CommandTerm):
-    """Holds c_x and c_yaw; `command` is (c_x, sin e, cos e) with e = c_yaw - yaw, [N, 3]."""
+    """Holds c_x and c_yaw; `command` is what robots are told of them, [N, 3]."""
 
     cfg: GoalCommandCfg
 
@@ -62,12 +106,27 @@ class GoalCommand(CommandTerm):
         """c_yaw, [N] rad, world frame."""
         self.commanded_distance = torch.zeros(self.num_envs, device=self.device)
         """Integral of c_x over the episode so far, [N] m."""
+        self.free = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        """Robots that follow a velocity in their own frame, not a goal, [N] bool."""
+        self.clear = torch.tensor(clear_widths(env), device=self.device)
+        """Half-width of the ground around the start of each kind of tile with barriers, m."""
         self._command = torch.zeros(self.num_envs, 3, device=self.device)
 
     @property
     def command(self) -> Tensor:
-        """(c_x, sin e, cos e) with e = c_yaw - yaw, [N, 3]."""
+        """What robots are told, [N, 3], as interface.TOLD says."""
         return self._command
+
+    @property
+    def turn(self) -> Tensor:
+        """Turn rate towards c_yaw, [N] rad/s; 0 of robots told to stand."""
+        turn = (TURN_GAIN * self.heading_error).clamp(-MAX_TURN, MAX_TURN)
+        return turn * (self.speed > 0.0)
+
+    @property
+    def stands(self) -> Tensor:
+        """Robots told neither to walk nor to turn, [N] bool."""
+        return self.speed <= 0.0
 
     @property
     def heading_error(self) -> Tensor:
@@ -123,10 +182,158 @@ class GoalCommand(CommandTerm):
         return torch.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
 
     def _update_command(self, env_ids: Tensor | None) -> None:
-        error = self.yaw - base_heading(self._env)
-        self._command = torch.stack((self.speed, error.sin(), error.cos()), dim=-1)
+        if self.cfg.told == "heading":
+            error = self.yaw - base_heading(self._env)
+            told = self.speed, error.sin(), error.cos()
+        else:
+            told = self.speed, torch.zeros_like(self.speed), self.turn
+        self._command = torch.stack(told, dim=-1)
 
     def _update_metrics(self) -> None: ...
+
+
+@dataclass(kw_only=True)
+class DriveCommandCfg(GoalCommandCfg):
+    """How velocities are drawn, beside goals."""
+
+    told: Told = "twist"
+    free_shares: dict[str, float] = field(default_factory=dict)
+    """Share of redrawn commands that are velocities, by kind of tile; `plane` is ground without
+    tiles. Kinds that are not named have goals alone."""
+    forward: tuple[float, float] = (-0.6, 1.0)
+    """Range of v_x, m/s."""
+    sideways: float = 0.5
+    """Largest |v_y|, m/s."""
+    turn: float = 1.0
+    """Largest |omega_z|, rad/s."""
+    straight_share: float = 0.3
+    """Share of velocities along x or y alone."""
+    unturned_share: float = 0.3
+    """Share of velocities without a turn."""
+    spot_share: float = 0.15
+    """Share of velocities of 0 with a turn."""
+    kick_share: float = 0.0
+    """Share of new velocities at which the robot is given what it is told to reach, at once: it
+    then meets what it could not find by chance, and need only keep it up."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, "forward")
+        for name in ("sideways", "turn"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise RenetError(f"commands.{name} must be at least 0, got {getattr(self, name)}")
+        check_shares(
+            **{f"free_shares[{kind!r}]": share for kind, share in self.free_shares.items()},
+            straight_share=self.straight_share,
+            unturned_share=self.unturned_share,
+            spot_share=self.spot_share,
+            kick_share=self.kick_share,
+        )
+
+    def build(self, env: ManagerBasedRlEnv) -> "DriveCommand":
+        return DriveCommand(self, env)
+
+
+class DriveCommand(GoalCommand):
+    """Goals, and velocities in the robots' own frames."""
+
+    cfg: DriveCommandCfg
+
+    def __init__(self, cfg: DriveCommandCfg, env: ManagerBasedRlEnv) -> None:
+        super().__init__(cfg, env)
+        self.velocity = torch.zeros(self.num_envs, 2, device=self.device)
+        """(v_x, v_y) of robots that follow a velocity, [N, 2] m/s."""
+        self.free_turn = torch.zeros(self.num_envs, device=self.device)
+        """omega_z of robots that follow a velocity, [N] rad/s; with 0 they keep their heading."""
+        self.fixed_twist: Tensor | None = None
+        """For evaluation: the twist that each robot follows from its next start on, [N, 3]."""
+        self._free_share = torch.zeros(self.num_envs, device=self.device)
+        for kind, share in cfg.free_shares.items():
+            self._free_share[on_tiles(env, kind)] = share
+        terrain = env.scene.terrain
+        if terrain is None or terrain.cfg.terrain_generator is None:
+            self._free_share[:] = cfg.free_shares.get(PLANE, 0.0)
+
+    @property
+    def direction(self) -> Tensor:
+        """Unit vector of the commanded velocity in the world frame, [N, 2]."""
+        world = rotated(self.velocity, base_heading(self._env))
+        world = world / self.speed.clamp_min(1e-5).unsqueeze(-1)
+        return torch.where(self.free.unsqueeze(-1), world, super().direction)
+
+    @property
+    def turn(self) -> Tensor:
+        """Turn rate that robots are told, [N] rad/s: towards their heading, or one of its own."""
+        return torch.where(self.free & (self.free_turn != 0.0), self.free_turn, super().turn)
+
+    @property
+    def stands(self) -> Tensor:
+        """Robots told neither to walk nor to turn, [N] bool."""
+        return (self.speed <= 0.0) & (self.turn == 0.0)
+
+    def compute(self, dt: float | Tensor, env_ids: Tensor | None = None) -> None:
+        """Let time pass, as `GoalCommand.compute` does."""
+        walked = self.commanded_distance.clone()
+        super().compute(dt, env_ids)
+        # A velocity leads nowhere in particular: it owes no distance.
+        self.commanded_distance = torch.where(self.free, walked, self.commanded_distance)
+
+    def _resample_command(self, env_ids: Tensor) -> None:
+        super()._resample_command(env_ids)
+        cfg = self.cfg
+        if self.fixed_twist is not None:
+            everybody = torch.ones_like(env_ids, dtype=torch.bool)
+            twist = self.fixed_twist[env_ids]
+            self._follow(env_ids, everybody, twist[:, :2], twist[:, 2])
+            return
+        if cfg.fixed_speed is not None:
+            return
+
+        def uniform(low: float, high: float) -> Tensor:
+            return torch.empty(len(env_ids), device=self.device).uniform_(low, high)
+
+        forward = uniform(*cfg.forward)
+        left = uniform(-cfg.sideways, cfg.sideways)
+        turn = uniform(-cfg.turn, cfg.turn)
+        straight = uniform(0.0, 1.0)
+        left = left * (straight >= 2 * cfg.straight_share / 3)
+        forward = forward * (straight <= 1.0 - cfg.straight_share / 3)
+        velocity = torch.stack((forward, left), dim=-1)
+        spot = uniform(0.0, 1.0) < cfg.spot_share
+        velocity = velocity * (~spot & (velocity.norm(dim=-1) >= cfg.slowest)).unsqueeze(-1)
+        turn = turn * (spot | (uniform(0.0, 1.0) >= cfg.unturned_share))
+        free = uniform(0.0, 1.0) < self._free_share[env_ids]
+        # Goals to stand stay what they are.
+        free &= self.speed[env_ids] > 0.0
+        self._follow(env_ids, free, velocity, turn)
+        if cfg.kick_share:
+            self._kick(env_ids, free & (uniform(0.0, 1.0) < cfg.kick_share), velocity, turn)
+
+    def _follow(self, env_ids: Tensor, free: Tensor, velocity: Tensor, turn: Tensor) -> None:
+        """Let robots that are `free`, [K] bool, follow a velocity [K, 2] and a turn rate [K]."""
+        self.free[env_ids] = free
+        self.velocity[env_ids] = velocity
+        self.free_turn[env_ids] = turn
+        self.speed[env_ids] = torch.where(free, velocity.norm(dim=-1), self.speed[env_ids])
+        # Whoever is not told to turn keeps the heading that he has now, as an operator expects.
+        heading = self._written_heading(env_ids)
+        self.yaw[env_ids] = torch.where(free, heading, self.yaw[env_ids])
+
+    def _kick(self, env_ids: Tensor, kicked: Tensor, velocity: Tensor, turn: Tensor) -> None:
+        """Give robots that are `kicked`, [K] bool, a velocity [K, 2] m/s and a turn rate [K]."""
+        address = self.robot.indexing.free_joint_v_adr
+        written = self._env.sim.data.qvel
+        world = rotated(velocity, self._written_heading(env_ids))
+        # A free joint turns in its own frame.
+        given = {0: world[:, 0], 1: world[:, 1], 5: turn}
+        for axis, value in given.items():
+            before = written[env_ids, address[axis]]
+            written[env_ids, address[axis]] = torch.where(kicked, value, before)
+
+    def _update_command(self, env_ids: Tensor | None) -> None:
+        super()._update_command(env_ids)
+        told = torch.cat((self.velocity, self.turn.unsqueeze(-1)), dim=-1)
+        self._command = torch.where(self.free.unsqueeze(-1), told, self._command)
 
 
 def goal(env: ManagerBasedRlEnv) -> GoalCommand:

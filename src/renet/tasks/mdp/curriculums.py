@@ -13,10 +13,11 @@ from mjlab.managers.curriculum_manager import CurriculumTermCfg
 from torch import Tensor
 
 from renet.errors import RenetError
+from renet.tasks.mdp.barriers import has_barriers
 from renet.tasks.mdp.base_state import distance_from_start, on_tiles, tile_terrain
 from renet.tasks.mdp.commands import goal
 from renet.tasks.schedule import Schedule, value_at
-from renet.terrain.tiles import LEVELS, TILE
+from renet.terrain.tiles import BARRIERS, LEVELS, TILE
 
 FIRST_LEVELS = 2
 """A robot that fails at the first level tries one of so many next. The narrowest gap is all but
@@ -60,7 +61,8 @@ class TerrainLevels:
     longest. A robot that fell owes the whole episode, lest falling early look like keeping up; one
     that was cut off, as in a run's first, randomly shortened episodes, owes what it had time for.
     One that has not walked keeps its level, as after loading a checkpoint. A robot that passes the
-    last level is sent to any level.
+    last level is sent to any level. Whoever is among walls or on a ledge, which nobody can leave,
+    is always sent to any level.
 
     After `easier_after` environment steps, a share of the episodes on kinds of tile of
     `easier_kinds` use a tile of a level drawn uniformly up to the robot's own, from the lowest
@@ -107,6 +109,10 @@ class TerrainLevels:
         level = torch.where((before >= lowest) & (level < lowest), retry, level).clamp_min(0)
         self.passed[env_ids] = (level >= highest) | (self.passed[env_ids] & ~down)
         level = torch.where(level >= highest, torch.randint_like(level, highest), level)
+        if has_barriers(env):
+            confined = on_tiles(env, *BARRIERS)[env_ids]
+            level = torch.where(confined, torch.randint_like(level, highest), level)
+            self.passed[env_ids] &= ~confined
         self.levels[env_ids] = level
         tile = level
         done = environment_steps(env)
@@ -122,7 +128,8 @@ class TerrainLevels:
         means = torch.zeros(len(tiles), device=env.device).scatter_reduce(
             0, terrain.terrain_types, reached, "mean", include_self=False
         )
-        return dict(zip(tiles, means.unbind(), strict=True))
+        levels = dict(zip(tiles, means.unbind(), strict=True))
+        return {kind: level for kind, level in levels.items() if kind not in BARRIERS}
 
 
 def on_easier_tile(env: ManagerBasedRlEnv) -> Tensor:

@@ -13,7 +13,7 @@ from renet.tasks.mdp.base_state import base_rotation, base_velocity, on_tiles
 from renet.tasks.mdp.commands import goal
 from renet.tasks.mdp.rewards import VelocityFilter
 from renet.tasks.sensors import DEPTH_CAMERA, FEET_CONTACT
-from renet.terrain.tiles import DIFFICULT
+from renet.terrain.tiles import BARRIERS, DIFFICULT
 
 
 def proprioception(env: ManagerBasedRlEnv, joints: SceneEntityCfg) -> Tensor:
@@ -55,7 +55,7 @@ def feet_contact(env: ManagerBasedRlEnv) -> Tensor:
 
 def difficult(env: ManagerBasedRlEnv) -> Tensor:
     """1 where the tile forces vision, [N, 1]."""
-    return on_tiles(env, *DIFFICULT).float().unsqueeze(-1)
+    return on_tiles(env, *DIFFICULT, *BARRIERS).float().unsqueeze(-1)
 
 
 def stalled_seconds(env: ManagerBasedRlEnv) -> Tensor:

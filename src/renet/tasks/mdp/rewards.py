@@ -13,9 +13,15 @@ from mjlab.managers.reward_manager import RewardTermCfg
 from torch import Tensor
 
 from renet.interface import LEGS
+from renet.tasks.mdp.barriers import before_barrier
 from renet.tasks.mdp.base_state import base_position, base_rotation, base_velocity
 from renet.tasks.mdp.commands import goal
-from renet.tasks.sensors import CALF_CONTACT, THIGH_TRUNK_CONTACT
+from renet.tasks.sensors import CALF_CONTACT, FEET_CONTACT, THIGH_TRUNK_CONTACT
+
+SPOT_DRIFT = 0.3
+"""Speed at which a robot told to turn on the spot earns nothing, m/s."""
+TURN_SLACK = 0.3
+"""Error of the turn rate at which a robot told not to turn earns nothing, rad/s."""
 
 
 def linear_velocity(env: ManagerBasedRlEnv) -> Tensor:
@@ -28,6 +34,31 @@ def linear_velocity(env: ManagerBasedRlEnv) -> Tensor:
     walking = torch.minimum(towards, command.speed) / (command.speed + 1e-5)
     standing = 1.0 / (1.0 + velocity.norm(dim=-1))
     return torch.where(command.speed > 0.0, walking, standing)
+
+
+def velocity_tracking(env: ManagerBasedRlEnv) -> Tensor:
+    """Eq. 6 where a goal steers; where a robot follows a velocity c, 1 - |v - c| / |c|, [N].
+
+    Never below 0. On the spot it is 1 - |v| / SPOT_DRIFT, times the share of the turn. Before a
+    wall or an edge it is that of a robot told to stand.
+    """
+    command = goal(env)
+    error = (base_velocity(env)[:, :2] - command.direction * command.speed.unsqueeze(-1)).norm(
+        dim=-1
+    )
+    moving = 1.0 - error / command.speed.clamp_min(1e-5)
+    spot = (1.0 - error / SPOT_DRIFT).clamp_min(0.0) * turn_tracking(env)
+    following = torch.where(command.speed > 0.0, moving, spot).clamp_min(0.0)
+    tracking = torch.where(command.free, following, linear_velocity(env))
+    stopping = 1.0 / (1.0 + base_velocity(env)[:, :2].norm(dim=-1))
+    return torch.where(before_barrier(env), stopping, tracking)
+
+
+def turn_tracking(env: ManagerBasedRlEnv) -> Tensor:
+    """1 - |omega - c| / (|c| + TURN_SLACK), at least 0, of turn rates omega and c, [N]."""
+    wanted = goal(env).turn
+    rate = env.sim.data.qvel[:, env.scene["robot"].indexing.free_joint_v_adr[5]]
+    return (1.0 - (rate - wanted).abs() / (wanted.abs() + TURN_SLACK)).clamp_min(0.0)
 
 
 def yaw(env: ManagerBasedRlEnv) -> Tensor:
@@ -101,6 +132,38 @@ SMOOTHING = 0.2
 """Time constant of smoothed joint velocities, s."""
 
 
+def alive(env: ManagerBasedRlEnv) -> Tensor:
+    """1 for every robot, [N].
+
+    Not in the paper. Sums below 0 are clipped: without a bonus half of a beginner's are, and a
+    first step in an unusual direction then earns as little as none.
+    """
+    return torch.ones(env.num_envs, device=env.device)
+
+
+class stepping:
+    """Feet in the air, at most two at once, as a share of two, of robots told to move, [N].
+
+    Not in the paper. A robot that stands never happens to walk backward or sideways, and one that
+    marches on the spot does at every step. A foot counts for no longer than a swing takes.
+
+    Parameters: `swing`, the longest that a foot counts for, s.
+    """
+
+    def __init__(self, cfg: RewardTermCfg, env: ManagerBasedRlEnv) -> None:
+        self._air = torch.zeros(env.num_envs, len(LEGS), device=env.device)
+        """Seconds since each foot last touched, [N, 4]."""
+
+    def __call__(self, env: ManagerBasedRlEnv, swing: float = 0.35) -> Tensor:
+        touches = env.scene[FEET_CONTACT].data.found > 0
+        self._air = (self._air + env.step_dt) * ~touches
+        swings = (self._air > 0.0) & (self._air <= swing)
+        return swings.sum(-1).clamp_max(2) / 2 * ~(goal(env).stands | before_barrier(env))
+
+    def reset(self, env_ids: Tensor | slice | None = None) -> None:
+        self._air[env_ids] = 0.0
+
+
 class VelocityFilter:
     """A term that smooths joint velocities since the episode began exponentially."""
 
@@ -123,7 +186,8 @@ class standing_motion(VelocityFilter):
     """
 
     def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
-        return self.smoothed(env).square().sum(-1) * (goal(env).speed <= 0.0)
+        still = goal(env).stands | before_barrier(env)
+        return self.smoothed(env).square().sum(-1) * still
 
 
 class upright_tracking:
@@ -156,8 +220,9 @@ class upright_tracking:
         command = goal(env)
         towards = (base_velocity(env)[:, :2] * command.direction).sum(-1)
         share = towards / (command.speed + 1e-5)
-        excess = torch.relu(share - 1.0 - tolerance) * (command.speed > 0.0)
-        return carried * (linear_velocity(env) - excess).clamp_min(0.0)
+        judged = (command.speed > 0.0) & ~command.free & ~before_barrier(env)
+        excess = torch.relu(share - 1.0 - tolerance) * judged
+        return carried * (velocity_tracking(env) - excess).clamp_min(0.0)
 
 
 class foot_clearance:

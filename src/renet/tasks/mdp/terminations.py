@@ -5,6 +5,7 @@ from mjlab.envs import ManagerBasedRlEnv
 from mjlab.managers.termination_manager import TerminationTermCfg
 from torch import Tensor
 
+from renet.tasks.mdp.barriers import before_barrier
 from renet.tasks.mdp.base_state import base_position, distance_from_start, on_tiles
 from renet.tasks.mdp.commands import goal
 from renet.terrain.tiles import TILE
@@ -25,8 +26,8 @@ def not_finite(env: ManagerBasedRlEnv) -> Tensor:
 
 
 def in_gap(env: ManagerBasedRlEnv) -> Tensor:
-    """Base below the surface of a gap tile, [N]."""
-    return (height_above_start(env) < -PIT_DEPTH) & on_tiles(env, "gap")
+    """Base below the surface of a gap tile or of a ledge, [N]."""
+    return (height_above_start(env) < -PIT_DEPTH) & on_tiles(env, "gap", "ledge")
 
 
 def below_map(env: ManagerBasedRlEnv) -> Tensor:
@@ -58,7 +59,7 @@ class stalled:
     ) -> Tensor:
         position = base_position(env)[:, :2]
         waits = (position - self._origin).norm(dim=-1) < progress
-        waits &= goal(env).speed > 0.0
+        waits &= (goal(env).speed > 0.0) & ~before_barrier(env)
         self._origin = torch.where(waits.unsqueeze(-1), self._origin, position)
         self.seconds = (self.seconds + env.step_dt) * waits
         return self.seconds > patience
