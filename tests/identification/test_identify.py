@@ -111,10 +111,11 @@ def test_without_scipy(monkeypatch, capsys, tmp_path):
     for name in [*sys.modules]:
         if name.split(".")[0] == "scipy" or name.startswith("renet.identification"):
             monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "scipy", None)
+    for name in ("scipy", "scipy.optimize"):
+        monkeypatch.setitem(sys.modules, name, None)
     assert main(["identify", "log.csv", "--robot", "go2"]) == 2
     err = capsys.readouterr().err
-    assert "`renet identify` needs scipy: in a clone of renet, run pip install" in err
+    assert "`renet identify` needs scipy.optimize: in a clone of renet, run pip install" in err
     assert "[train]" in err
 
 

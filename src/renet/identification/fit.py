@@ -99,9 +99,9 @@ class MotorFitter:
         # The method begins inside the bounds.
         begin = np.maximum(start, least + 0.1 * scale)
         result = least_squares(
-            self._errors,
+            self.errors,
             begin.ravel(),
-            jac=self._jacobian,  # pyright: ignore[reportArgumentType]
+            jac=self.jacobian,  # pyright: ignore[reportArgumentType]
             bounds=(least.ravel(), np.tile(MOST, groups)),
             x_scale=scale.ravel(),
             ftol=TOLERANCE,
@@ -111,10 +111,11 @@ class MotorFitter:
         motors = result.x.reshape(groups, -1)
         free = (motors > least + AT_LEAST * scale).ravel()
         error = np.full(free.size, np.nan)
-        error[free] = self._standard_error(result.fun, result.jac[:, free])
+        block = max(1, round(BLOCK / self._log.period)) * len(JOINTS)
+        error[free] = standard_error(result.fun, result.jac[:, free], block)
         return Fit(motors, error.reshape(groups, -1), self._iterations)
 
-    def _errors(self, parameters: np.ndarray) -> np.ndarray:
+    def errors(self, parameters: np.ndarray) -> np.ndarray:
         """Weighted errors of a replay, flat [T * 12] rad."""
         table = spread(parameters.reshape(-1, len(PARAMETERS)))
         return self._replay_errors([table])[0].ravel()
@@ -124,7 +125,7 @@ class MotorFitter:
         measured = self._log.position[self._rows.start : self._rows.stop]
         return (self._robot.replay(tables, self._rows) - measured) * self._weight
 
-    def _jacobian(self, parameters: np.ndarray) -> np.ndarray:
+    def jacobian(self, parameters: np.ndarray) -> np.ndarray:
         """Derivatives [T * 12, G * 4] of the errors, by one replay for each kind and parameter.
 
         Legs hang from a fixed trunk, where none feels another. So a parameter is varied in all four
@@ -156,16 +157,24 @@ class MotorFitter:
     def _rmse(self, errors: np.ndarray) -> float:
         return float(np.sqrt((errors**2).sum() / self._weight.sum()))
 
-    def _standard_error(self, errors: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
-        """Standard errors of the parameters, [P].
 
-        The sandwich estimator with blocks of rows as clusters (Liang and Zeger, 1986): errors of
-        neighbouring rows are far from independent.
-        """
-        rows = max(1, round(BLOCK / self._log.period)) * len(JOINTS)
-        starts = np.arange(0, len(errors), rows)
-        pull = np.add.reduceat(jacobian * errors[:, None], starts, axis=0)
-        inverse = np.linalg.pinv(jacobian.T @ jacobian)
-        covariance = inverse @ (pull.T @ pull) @ inverse
-        clusters = max(len(starts) - 1, 1)
-        return np.sqrt(np.diag(covariance) * len(starts) / clusters)
+def standard_error(errors: np.ndarray, jacobian: np.ndarray, block: int) -> np.ndarray:
+    """Standard errors of fitted parameters.
+
+    The sandwich estimator with blocks as clusters (Liang and Zeger, 1986): errors of neighbouring
+    rows are far from independent.
+
+    Args:
+        errors: of the fit, [M].
+        jacobian: their derivatives by the parameters, [M, P].
+        block: number of errors that belong together.
+
+    Returns:
+        [P], in the units of the parameters.
+    """
+    starts = np.arange(0, len(errors), block)
+    pull = np.add.reduceat(jacobian * errors[:, None], starts, axis=0)
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    covariance = inverse @ (pull.T @ pull) @ inverse
+    degrees = max(len(starts) - 1, 1)
+    return np.sqrt(np.diag(covariance) * len(starts) / degrees)

@@ -53,7 +53,7 @@ class IdentifyCfg:
     """Whether hips, thighs and calves each have motors alike, or each joint its own."""
     fit_share: float = 0.5
     """Share of the log, from its beginning on, that is fitted; the rest is held out to judge."""
-    timestep: float = 0.0025
+    timestep: float = 0.001
     """Longest physics step of the replay, s."""
 
     def __post_init__(self) -> None:
