@@ -139,3 +139,24 @@ def test_what_is_said_of_version_2():
         points, interval = re.sub(r"[+)]", "", cell).replace("-", "−").split(" (")
         assert claim.format(points) in text
         assert interval in text
+
+
+def test_motors_of_the_go2():
+    content = result("go2/motors.json")
+    error = content["evidence"]["standard_error"]
+    rmse = content["evidence"]["rmse_rad"]["held_out"]
+    lines = cells("robots.md", "Measure its motors")
+    columns = {"armature": (1, 4), "damping": (1, 2), "friction": (1, 2), "delay": (1000, 1)}
+    for kind, motor in content["motors"].items():
+        (shown,) = (line[1:] for line in lines if line[0] == kind)
+        for cell, (name, (unit, digits)) in zip(shown, columns.items(), strict=True):
+            value, uncertain = motor[name], error[kind][name]
+            text = f"{unit * value:.{digits}f}"
+            assert cell == (
+                text if uncertain is None else f"{text} ± {unit * uncertain:.{digits}f}"
+            )
+    titles = {"all rows": "all", "hips": "hip", "thighs": "thigh", "calves": "calf"}
+    titles["where no target is beyond a limit"] = "within_limits"
+    for title, name in titles.items():
+        (shown,) = (line[1:] for line in lines if line[0] == title)
+        assert shown == [f"{rmse[model][name]:.4f}" for model in ("described", "measured")]

@@ -116,6 +116,11 @@ COMMANDS = {
         "renet.evaluation.calibrate:CalibrateCfg:run_calibrate",
         resume=AT_ONCE,
     ),
+    "identify": _train(
+        "measure a robot's motors in a log of its joints",
+        "renet.identification.identify:IdentifyCfg:identify",
+        resume=AT_ONCE,
+    ),
     "evaluate faults": _study(
         "all camera faults; --preset noise: the paper's six",
         "renet.evaluation.studies.faults:FaultStudy:FaultStudy.main",

@@ -38,6 +38,7 @@ VARIANTS: dict[str, list[list[str]]] = {
     "train": [["Renet-Go1-Flat", "--max-iterations", "1", "--num-envs", "2"]],
     "bundle card": [["--out", "out"]],
     "calibrate": [["shipped"]],
+    "identify": [["recording.log", "--robot", "go2"]],
     "evaluate leaderboard": [["recording.log"]],
     "evaluate log": [["recording.log", "--out", "out"]],
     "evaluate report --bundle": [["--run", "--out", "out.html"]],

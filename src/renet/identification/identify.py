@@ -1,0 +1,220 @@
+"""`renet identify`: measure a robot's motors in a log of its joints."""
+
+import math
+import os
+import shlex
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+from renet.descriptions import DESCRIPTIONS, RobotDescription
+from renet.errors import RenetError, unknown_name
+from renet.identification.fit import WARM_UP, Fit, MotorFitter, check_motion, judged, spread
+from renet.identification.motion_log import CsvCfg, MotionLog, read_motion_log
+from renet.identification.replay import SuspendedRobot
+from renet.interface import JOINTS
+from renet.motors import KINDS, PARAMETERS, MotorFit, MotorParameters, joint_kind, write_motors
+from renet.terminal import show
+from renet.version import code_version
+
+MIN_SECONDS = 2.0
+"""Least duration of the part that is fitted, and of the part that is held out."""
+OUTSIDE = 0.3
+"""rad by which a joint may be measured beyond its limits: zeros of encoders are not exact."""
+HEADER = ("motor", "armature, kg m²", "damping, N m s/rad", "friction, N m", "delay, ms")
+UNITS = (1.0, 1.0, 1.0, 1000.0)
+"""Factors from `motors.PARAMETERS` to the columns of the table."""
+
+
+@dataclass(frozen=True)
+class IdentifyCfg:
+    """Measure a robot's motors: armature, damping, friction and delay.
+
+    Targets of a log are replayed on the robot in MuJoCo, its trunk held in the air, and its motors
+    fitted so that its joints move as they were measured. The log must be of a robot that hangs or
+    stands on a box, its legs free.
+    """
+
+    log: tyro.conf.Positional[Path]
+    """CSV file of targets, positions and velocities of all twelve joints, or a recording of `renet
+    deploy`."""
+    robot: str
+    """Whose log it is: go1, go2, or the name of another robot that has a description."""
+    out: Path = Path("motors.json")
+    """File of the motors, JSON; replaced if there is one."""
+    csv: Annotated[CsvCfg, tyro.conf.arg(name="")] = field(default_factory=CsvCfg)
+    per: Literal["kind", "joint"] = "kind"
+    """Whether hips, thighs and calves each have motors alike, or each joint its own."""
+    fit_share: float = 0.5
+    """Share of the log, from its beginning on, that is fitted; the rest is held out to judge."""
+    timestep: float = 0.001
+    """Longest physics step of the replay, s."""
+
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.fit_share <= 0.9:
+            raise RenetError(f"--fit-share must be from 0.1 to 0.9, got {self.fit_share:g}")
+        if not 1e-4 <= self.timestep <= 0.01:
+            raise RenetError(f"--timestep must be from 0.0001 to 0.01 s, got {self.timestep:g}")
+
+
+def identify(cfg: IdentifyCfg) -> Path:
+    """Fit motors to the first part of a log, judge them on the rest and write them; returns `out`.
+
+    Raises:
+        RenetError: a log that cannot be used, an unknown robot, or a file that cannot be written.
+    """
+    description = find_robot(cfg.robot)
+    _check_out(cfg.out)
+    log = read_motion_log(cfg.log, cfg.csv)
+    robot = SuspendedRobot(description, log, cfg.timestep)
+    fitted, held_out = _split(log, cfg.fit_share)
+    _check_positions(robot, log)
+    check_motion(log, fitted, judged(robot, log))
+    start = robot.described_motors
+    if cfg.per == "kind":
+        start = np.stack([start[[joint_kind(j) == kind for j in JOINTS]].mean(0) for kind in KINDS])
+    _say(f"fitting {len(fitted) * log.period:.1f} s; each iteration replays them 13 times")
+    fit = MotorFitter(robot, log, fitted, _say).fit(start)
+    evidence = _evidence(cfg, log, robot, fit, (fitted, held_out))
+    names = KINDS if cfg.per == "kind" else JOINTS
+    motors = {
+        name: MotorParameters(*(float(f"{value:.6g}") for value in values))
+        for name, values in zip(names, fit.motors, strict=True)
+    }
+    write_motors(cfg.out, MotorFit(description.name, motors, evidence))
+    _show(names, fit, evidence)
+    return cfg.out
+
+
+def find_robot(name: str) -> RobotDescription:
+    """The description of a robot by its name or the name's last word, such as go2."""
+    for description in DESCRIPTIONS.values():
+        if name.lower() in (description.name.lower(), description.name.lower().split()[-1]):
+            return description
+    raise unknown_name("robot", name, DESCRIPTIONS)
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _check_out(path: Path) -> None:
+    """Raise RenetError where no file can be written, before the fit takes its time."""
+    if path.is_dir():
+        raise RenetError(f"cannot write the motors {path}: it is a folder")
+    folder = path.absolute().parent
+    while not os.path.lexists(folder):
+        folder = folder.parent
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise RenetError(f"cannot write the motors {path}: nothing can be written to {folder}")
+
+
+def _split(log: MotionLog, share: float) -> tuple[range, range]:
+    """Rows that are fitted, and later ones that are held out."""
+    middle = round(share * len(log))
+    shortest = min(middle, len(log) - middle) * log.period
+    if shortest < MIN_SECONDS:
+        raise RenetError(
+            f"the log has {log.seconds:.1f} s, of which {shortest:.1f} s are to be fitted or held "
+            f"out: at least {MIN_SECONDS:g} s must be"
+        )
+    return range(middle), range(middle, len(log))
+
+
+def _check_positions(robot: SuspendedRobot, log: MotionLog) -> None:
+    """Raise RenetError for a joint that is measured where it cannot be."""
+    low, high = log.position.min(axis=0), log.position.max(axis=0)
+    for joint, least, most, lower, upper in zip(
+        JOINTS, low, high, robot.lower, robot.upper, strict=True
+    ):
+        if least < lower - OUTSIDE or most > upper + OUTSIDE:
+            raise RenetError(
+                f"{joint} is measured from {least:.2f} to {most:.2f} rad, its limits are "
+                f"{lower:.2f} and {upper:.2f}: are the log's angles in rad, and its joints in this "
+                "order?"
+            )
+
+
+def _evidence(
+    cfg: IdentifyCfg,
+    log: MotionLog,
+    robot: SuspendedRobot,
+    fit: Fit,
+    parts: tuple[range, range],
+) -> dict[str, Any]:
+    """How the motors were measured and how well they predict, as JSON values."""
+    names = KINDS if cfg.per == "kind" else JOINTS
+    rmse = {}
+    for title, rows in zip(("fitted", "held_out"), parts, strict=True):
+        replays = robot.replay([robot.described_motors, spread(fit.motors)], rows)
+        errors = replays - log.position[rows.start : rows.stop]
+        weight = judged(robot, log)[rows.start : rows.stop]
+        before, after = (_rmse(part, weight, log.period) for part in errors)
+        rmse[title] = {
+            "seconds": [round(rows.start * log.period, 3), round(rows.stop * log.period, 3)],
+            "described": before,
+            "measured": after,
+        }
+    return {
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "renet": code_version(),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "log": {
+            "file": cfg.log.name,
+            "sha256": log.sha256,
+            "rows": len(log),
+            "seconds": round(log.seconds, 3),
+            "period_s": log.period,
+        },
+        "kp": log.stiffness.tolist(),
+        "kd": log.damping.tolist(),
+        "timestep_s": cfg.timestep,
+        "iterations": fit.iterations,
+        "rmse_rad": rmse,
+        "standard_error": {
+            name: {
+                parameter: None if math.isnan(value) else float(f"{value:.3g}")
+                for parameter, value in zip(PARAMETERS, values, strict=True)
+            }
+            for name, values in zip(names, fit.standard_error, strict=True)
+        },
+    }
+
+
+def _rmse(errors: np.ndarray, weight: np.ndarray, period: float) -> dict[str, float]:
+    """Root of the mean squared errors [T, 12] rad: of all, by kind, and of those that are judged.
+
+    Args:
+        errors: of a replay. weight: [T, 12], where a joint's motor is judged.
+        period: seconds of a row.
+    """
+    square = errors[round(WARM_UP / period) :] ** 2
+    weight = weight[round(WARM_UP / period) :]
+    result = {"all": square.mean(), "within_limits": square[weight].mean()}
+    for kind in KINDS:
+        result[kind] = square[:, [joint_kind(joint) == kind for joint in JOINTS]].mean()
+    return {name: round(math.sqrt(value), 5) for name, value in result.items()}
+
+
+def _show(names: tuple[str, ...], fit: Fit, evidence: Mapping[str, Any]) -> None:
+    """Print the motors with their standard errors, and what they are worth."""
+    rows = []
+    for name, values, errors in zip(names, fit.motors, fit.standard_error, strict=True):
+        row = [name]
+        for value, error, unit in zip(values, errors, UNITS, strict=True):
+            uncertain = "at its least" if math.isnan(error) else f"± {unit * error:.2g}"
+            row.append(f"{unit * value:.4g} {uncertain}")
+        rows.append(row)
+    show("Motors, with standard errors", HEADER, rows)
+    rmse = evidence["rmse_rad"]["held_out"]
+    print(
+        f"RMSE of what was held out: {rmse['measured']['all']:.4f} rad, with the described motors "
+        f"{rmse['described']['all']:.4f}; within the joints' limits "
+        f"{rmse['measured']['within_limits']:.4f} and {rmse['described']['within_limits']:.4f}"
+    )
