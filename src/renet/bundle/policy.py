@@ -1,11 +1,12 @@
 """The deployed policy: three ONNX models and the memory between their ticks, for N robots."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import onnxruntime as ort
 
 from renet.bundle import Bundle
+from renet.bundle.blocks import Session
 from renet.bundle.models import HAS_IMAGE, MAP_ERROR, model_shapes, remembers
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE, STEPS_PER_TICK
@@ -38,7 +39,7 @@ SEEN = (*SCORES, "reconstruction")
 which must replace no attribute."""
 
 
-def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> EstimatorOutput:
+def infer(sessions: Mapping[str, Session], inputs: EstimatorInput) -> EstimatorOutput:
     """One tick of vision and both estimators: a pure function, so that any thread may call it.
 
     Vision comes first, for it judges which images VP may use.
