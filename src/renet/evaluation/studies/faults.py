@@ -70,6 +70,8 @@ class FaultStudy(WalkingStudy):
 
     name: ClassVar[str] = "faults"
     selectable: ClassVar[tuple[str, ...]] = ("faults",)
+    retires: ClassVar[bool] = True
+    """Whether nothing is measured of a robot whose first try is over."""
 
     def __post_init__(self) -> None:
         _ = [setting.level for settings in self.batches.values() for setting in settings]
@@ -153,7 +155,7 @@ class FaultStudy(WalkingStudy):
             env.place_on([trial.ground for trial in trials])
         least = round((max(self.onsets) + self.lasts) / CONTROL_DT) + STEPS_PER_TICK
         rollout = evaluator.rollout(env, trials, self.seed)
-        return rollout.run(self.steps, title, until_ended=least)
+        return rollout.run(self.steps, title, until_ended=least, retire=self.retires)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One batch for each fault, one without faults, and healthy walking."""
