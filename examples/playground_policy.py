@@ -26,7 +26,9 @@ class PlaygroundPolicy:
     """The model, fed with the simulator's base velocity, which no robot measures."""
 
     def __init__(self, model: Path, num_robots: int, evaluator: TheirEvaluator):
-        self.model, self.evaluator = ort.InferenceSession(model), evaluator
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = 1  # Several would spin between operations.
+        self.model, self.evaluator = ort.InferenceSession(model, options), evaluator
         if self.model.get_inputs()[0].shape != [1, 48]:
             raise RenetError(f"{model} is not Playground's Go1 policy: that takes obs [1, 48]")
         self.action = np.zeros((num_robots, 12), np.float32)

@@ -22,7 +22,9 @@ class TheirPolicy:
     """An ONNX model (observation [N, 45], depth [N, 48, 64]) -> action [N, 12], without memory."""
 
     def __init__(self, model: Path, num_robots: int):
-        self.model = ort.InferenceSession(model)
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = 1  # Several would spin between operations.
+        self.model = ort.InferenceSession(model, options)
         demand_shapes(model, [*self.model.get_inputs(), *self.model.get_outputs()], SHAPES)
         self.anomaly_score = np.zeros(num_robots)  # Constant: only the other monitors judge images.
 

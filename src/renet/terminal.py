@@ -1,7 +1,7 @@
 """Progress bars, tables, and lines that a thread prints, so that no terminal stalls a robot."""
 
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from queue import Full, Queue
 from typing import Any, TypeVar
@@ -55,6 +55,25 @@ def show(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> No
     Console(markup=False, emoji=False).print(table)
 
 
-def progress(steps: Iterable[Step], title: str) -> Iterable[Step]:
+Listener = Callable[[str, int, int], None]
+"""Takes a title, the steps done and the number of all."""
+_listener: Listener | None = None
+
+
+def tell_progress(listener: Listener) -> None:
+    """Let `progress` tell a listener from now on, instead of showing bars."""
+    global _listener
+    _listener = listener
+
+
+def progress(steps: Sequence[Step], title: str) -> Iterable[Step]:
     """Yield the steps, with a bar on standard error that shows the time left."""
+    if _listener is not None:
+        return _told(steps, title, _listener)
     return track(steps, f"{title:<24}", console=Console(stderr=True))
+
+
+def _told(steps: Sequence[Step], title: str, listener: Listener) -> Iterator[Step]:
+    for done, step in enumerate(steps):
+        listener(title, done, len(steps))
+        yield step

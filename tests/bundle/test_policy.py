@@ -132,3 +132,31 @@ def test_a_threshold_without_the_output_it_judges_is_refused(models, manifest, t
     path = write_bundle(tmp_path / "blind", models, replace(manifest, selector=spec))
     with pytest.raises(RenetError, match="no variance_score: run `renet calibrate`"):
         Bundle.load(path)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_the_others_act_alike_when_some_retire_until_all_are_reset(bundle_path, threads):
+    bundle = Bundle.load(bundle_path, threads)
+    whole, left = (Policy(bundle, num_robots=5) for _ in range(2))
+    random = np.random.default_rng(0)
+    gone = np.zeros(5, bool)
+    for step in range(40):
+        if step in (7, 20):
+            gone[step % 5] = True
+            left.retire(gone.copy())
+            before = left.latent_vp[gone]
+        observation = random.normal(size=(5, 45)).astype(np.float32)
+        image = random.random((5, 48, 64)).astype(np.float32)
+        gate = Gate(random.random(5) < 0.6, {"anomaly_score": 1.0}, random.random(5) < 0.5)
+        arguments = observation, image, random.random(5) < 0.3, gate
+        expected, action = whole.step(*arguments), left.step(*arguments)
+        np.testing.assert_array_equal(action[~gone], expected[~gone])
+        assert not action[gone].any()
+        for name in ("anomaly_score", "has_image", "latent_vp", "velocity_op", "accepted"):
+            np.testing.assert_array_equal(getattr(left, name)[~gone], getattr(whole, name)[~gone])
+        if gone.any():
+            np.testing.assert_array_equal(left.latent_vp[gone], before)
+    whole.reset()
+    left.reset()
+    arguments = observation, image, np.zeros(5, bool)
+    np.testing.assert_array_equal(left.step(*arguments), whole.step(*arguments))

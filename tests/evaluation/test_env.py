@@ -101,3 +101,26 @@ def test_robots_stand_on_the_tiles_they_are_placed_on_and_obey_a_new_command():
     np.testing.assert_allclose(result.proprioception[:, 6], 0.0)
     assert not result.ended.any()
     assert result.travelled.max() < 0.3
+
+
+def test_retired_robots_stand_still_until_the_next_reset_and_the_others_walk_alike():
+    world = SimEnv(study_env_cfg("Renet-Go1-Parkour", 0.5), range(3), 1, "native")
+    random = np.random.default_rng(0)
+    actions = random.normal(0.0, 0.5, (30, 3, 12)).astype(np.float32)
+
+    def walk(retire: int | None) -> list:
+        results = [world.reset()]
+        for step, action in enumerate(actions):
+            if step == retire:
+                world.retire(np.array([True, False, True]))
+            results.append(world.step(action))
+        return results
+
+    whole, left, again = walk(None), walk(12), walk(None)
+    for one, other, third in zip(whole, left, again, strict=True):
+        for name in ("proprioception", "depth", "travelled", "power"):
+            values, others = getattr(one, name), getattr(other, name)
+            np.testing.assert_array_equal(values[1], others[1], name)
+            np.testing.assert_array_equal(values, getattr(third, name), name)
+    np.testing.assert_array_equal(left[-1].travelled[[0, 2]], left[12].travelled[[0, 2]])
+    assert (whole[-1].travelled[[0, 2]] != left[-1].travelled[[0, 2]]).all()

@@ -169,3 +169,46 @@ def test_calibration_learns_from_robots_that_get_somewhere():
     assert successful_runs(trace, 0.6) == walked
     stood = [(1, slice(0, 20)), (4, slice(2, 20)), (5, slice(0, 3))]
     assert successful_runs(trace) == sorted(walked + stood)
+
+
+class Retiring(FakeEnv):
+    """Remembers who retires; these do not move."""
+
+    def reset(self):
+        self.retired = np.zeros(self.num_robots, bool)
+        return super().reset()
+
+    def retire(self, mask):
+        self.retired = mask.copy()
+
+    def step(self, action):
+        before = self.x.copy()
+        super().step(action)
+        self.x[self.retired] = before[self.retired]
+        fell = self.fall(action)
+        return self.result(np.full(self.num_robots, SPEED), fell)
+
+    def fall(self, action):
+        return (self.clock == np.array([10, 30, 1000, 20])[: self.num_robots]) & ~self.retired
+
+
+@pytest.mark.parametrize(("until", "length"), [(5, 60), (None, 60)])
+def test_robots_retire_when_their_first_try_is_over_and_the_others_walk_on(until, length):
+    trials = [Trial("vp", (), robot) for robot in range(4)]
+    rollout = prepare(trials, Retiring)
+    whole, left = (rollout.run(60, until_ended=until, retire=retire) for retire in (False, True))
+    np.testing.assert_array_equal(rollout.env.retired, [True, True, False, True])
+    assert len(left.over) == len(whole.over) == length
+    np.testing.assert_array_equal(left.over, whole.over)
+    for name in ("travelled", "anomaly", "vision"):
+        walks = ~whole.over
+        np.testing.assert_array_equal(getattr(left, name)[walks], getattr(whole, name)[walks])
+    assert left.travelled[-1, 0] < whole.travelled[-1, 0]
+
+
+@pytest.mark.parametrize(("until", "length"), [(0, 30), (40, 41), (None, 60)])
+def test_a_run_is_as_long_as_if_none_had_retired(until, length):
+    for retire in (False, True):
+        rollout, steps = prepare([Trial("vp"), Trial("vp")], Retiring), []
+        trace = rollout.run(60, until_ended=until, retire=retire, on_step=steps.append)
+        assert (len(trace.over), len(steps)) == (length, 30 if retire else length)

@@ -277,3 +277,17 @@ def test_a_share_of_the_obstacles_at_least_one(count: int, share: float, expecte
     chosen = spread(tiles, share)
     assert [len(chosen & set(geoms)) for geoms in tiles] == [expected, expected]
     assert len(chosen) == 2 * expected
+
+
+@pytest.mark.parametrize("fault", SENSOR_FAULTS)
+def test_spared_robots_keep_their_frames_and_the_others_are_spoilt_alike(fault: str) -> None:
+    schedules = [(Injection.of(fault, 4, onset=10),)] * 3
+    whole, sparing = (Injector(schedules, [7, 8, 7], 0) for _ in range(2))
+    for tick in range(12):
+        given = Frames.healthy(ground(3, tick), np.tile(TURNING, (3, 1)))
+        spared = np.array([tick >= 6, False, False])
+        expected, frames = whole.apply(given, 5 * tick), sparing.apply(given, 5 * tick, spared)
+        for name, values in vars(frames).items():
+            np.testing.assert_array_equal(values[1:], getattr(expected, name)[1:], name)
+        if tick >= 6:
+            np.testing.assert_array_equal(frames.image[0], given.image[0])

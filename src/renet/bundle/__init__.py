@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-import onnxruntime as ort
-
+from renet.bundle.blocks import BlockSession, Session
 from renet.bundle.manifest import SCHEMA, SCHEMAS, Manifest, from_json
 from renet.bundle.models import (
     HAS_IMAGE,
@@ -41,13 +41,14 @@ class Bundle:
 
     path: Path
     manifest: Manifest
-    sessions: dict[str, ort.InferenceSession]
+    sessions: Mapping[str, Session]
 
     @staticmethod
     def load(path: Path | str | None = None, threads: int = 1) -> Bundle:
         """Read and verify the bundle in a folder or, where there is none, the shipped one so named.
 
-        None means `DEFAULT`; each model runs on `threads` threads of ONNX Runtime.
+        None means `DEFAULT`. With several `threads`, these share the robots that a model runs for;
+        its results are the same.
 
         Raises:
             RenetError: missing or altered file, other schema, or models that do not fit.
@@ -61,7 +62,10 @@ class Bundle:
             for name in MODELS
         }
         try_models(models, manifest.history, str(folder))
-        sessions = {name: session(data, threads) for name, data in models.items()}
+        single = {name: session(data) for name, data in models.items()}
+        sessions: Mapping[str, Session] = single
+        if threads > 1:
+            sessions = {name: BlockSession(one, threads) for name, one in single.items()}
         bundle = Bundle(folder, manifest, sessions)
         needed = {"variance": ("vision", VARIANCE), "map_error": ("estimator", MAP_ERROR)}
         for name, (model, output) in needed.items():

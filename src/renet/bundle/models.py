@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime as ort
 
+from renet.bundle.blocks import Session
 from renet.bundle.graph import check_graph
 from renet.errors import RenetError
 from renet.files import MEGABYTE, read_bytes
@@ -90,17 +91,16 @@ def try_models(models: dict[str, bytes], history: int, where: str) -> None:
     _accepted.add(digest)
 
 
-def session(data: bytes, threads: int) -> ort.InferenceSession:
-    """A model ready to run on the CPU."""
+def session(data: bytes) -> ort.InferenceSession:
+    """A model ready to run on one thread of the CPU; several would spin between operations."""
     options = ort.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     options.add_session_config_entry("session.load_model_format", "ONNX")
     return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
 
 
-def remembers(estimator: ort.InferenceSession) -> bool:
+def remembers(estimator: Session) -> bool:
     """Whether an estimator can do without an image; those of before schema 2 cannot."""
     return HAS_IMAGE in {node.name for node in estimator.get_inputs()}
 
@@ -151,7 +151,7 @@ def _trial() -> str:
         data = sys.stdin.buffer.read(size)
         try:
             check_graph(data)
-            verdict = problem(session(data, 1), name, history)
+            verdict = problem(session(data), name, history)
         except ValueError as error:
             verdict = f"{name}.onnx is refused: {error}"
         except Exception as error:  # ONNX Runtime raises its own unrelated types.

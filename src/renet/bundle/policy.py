@@ -1,11 +1,12 @@
 """The deployed policy: three ONNX models and the memory between their ticks, for N robots."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import onnxruntime as ort
 
 from renet.bundle import Bundle
+from renet.bundle.blocks import Session
 from renet.bundle.models import HAS_IMAGE, MAP_ERROR, model_shapes, remembers
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE, STEPS_PER_TICK
@@ -28,6 +29,17 @@ class EstimatorInput(NamedTuple):
     blind: bool
     """No image has arrived: vision does not run, and its scores are infinite."""
 
+    def robots(self, rows: np.ndarray) -> "EstimatorInput":
+        """What the tick of some robots reads, by their rows."""
+        return EstimatorInput(
+            {name: value[rows] for name, value in self.feed.items()},
+            self.depth[rows],
+            self.accepted[rows],
+            self.unpaired[rows],
+            None if self.gate is None else self.gate.of(rows),
+            self.blind,
+        )
+
 
 EstimatorOutput = dict[str, np.ndarray]
 """What a tick found, by the names of `Policy`'s attributes that it replaces."""
@@ -38,7 +50,7 @@ SEEN = (*SCORES, "reconstruction")
 which must replace no attribute."""
 
 
-def infer(sessions: dict[str, ort.InferenceSession], inputs: EstimatorInput) -> EstimatorOutput:
+def infer(sessions: Mapping[str, Session], inputs: EstimatorInput) -> EstimatorOutput:
     """One tick of vision and both estimators: a pure function, so that any thread may call it.
 
     Vision comes first, for it judges which images VP may use.
@@ -114,12 +126,15 @@ class Policy:
         models that predict none."""
         self._blank = np.ones(n, bool)
         self._fresh = np.ones(n, bool)
+        self._driven: np.ndarray | None = None
+        """Rows of the robots that have not retired; None: all."""
         self._step = 0
 
     def reset(self, mask: np.ndarray | None = None) -> None:
-        """Forget the masked robots; resetting all restarts the 10 Hz clock."""
+        """Forget the masked robots; resetting all restarts the 10 Hz clock, and none is retired."""
         if mask is None:
             self._step = 0
+            self._driven = None
         rows = slice(None) if mask is None else np.asarray(mask, bool)
         for name in ("latent_op", "latent_vp", MAP_ERROR, *SCORES):
             # Copies: a tick on another thread may still read the old arrays.
@@ -129,6 +144,14 @@ class Policy:
         self.has_image = self.has_image.copy()
         self.has_image[rows] = True
         self._blank[rows] = self._fresh[rows] = True
+
+    def retire(self, mask: np.ndarray) -> None:
+        """Compute nothing more for the masked robots [N], until all are reset.
+
+        Their actions in `step` are zero, and their estimates stay. Those of the other robots are
+        the same, to the last digit, as beside them.
+        """
+        self._driven = np.flatnonzero(~mask)
 
     @property
     def due(self) -> bool:
@@ -167,7 +190,11 @@ class Policy:
         mask = np.ones(self.num_robots, bool) if depth is None else np.asarray(op_mask, bool)
         self.remember(proprioception)
         if self.due:
-            self.accept(infer(self.sessions, self.look(depth, gate)))
+            inputs = self.look(depth, gate)
+            if self._driven is None:
+                self.accept(infer(self.sessions, inputs))
+            else:
+                self._accept_driven(infer(self.sessions, inputs.robots(self._driven)))
         return self.act(proprioception, mask)
 
     def remember(self, proprioception: np.ndarray) -> None:
@@ -198,19 +225,29 @@ class Policy:
         for name, value in result.items():
             setattr(self, name, value)
 
+    def _accept_driven(self, result: EstimatorOutput) -> None:
+        """Take over the output of a tick of the robots that have not retired."""
+        for name, value in result.items():
+            # A copy, as in `reset`.
+            whole = getattr(self, name).copy()
+            whole[self._driven] = value
+            setattr(self, name, whole)
+
     def act(self, proprioception: np.ndarray, op_mask: np.ndarray) -> np.ndarray:
         """Actions [N, 12] under the paper's mask [N] bool; ends the control step."""
+        driven = slice(None) if self._driven is None else self._driven
         inputs = {
-            "proprioception": proprioception,
-            "latent_op": self.latent_op,
-            "latent_vp": self.latent_vp,
-            "op_mask": op_mask.reshape(-1, 1).astype(np.float32),
+            "proprioception": proprioception[driven],
+            "latent_op": self.latent_op[driven],
+            "latent_vp": self.latent_vp[driven],
+            "op_mask": op_mask.reshape(-1, 1)[driven].astype(np.float32),
         }
         outputs: Any = self.sessions["actor"].run(["action"], inputs)
         self._step += 1
         clip = self.manifest.robot.action_clip
-        action = outputs[0].reshape(self.num_robots, ACTION_SIZE)
-        return np.minimum(np.maximum(action, -clip), clip)
+        action = np.zeros((self.num_robots, ACTION_SIZE), np.float32)
+        action[driven] = np.minimum(np.maximum(outputs[0], -clip), clip)
+        return action
 
     def joint_target(self, action: np.ndarray) -> np.ndarray:
         """Joint positions [N, 12] in rad that an action asks for."""

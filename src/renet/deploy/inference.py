@@ -8,14 +8,14 @@ line, blind, and the selector falls back to OP.
 
 import threading
 import time
+from collections.abc import Mapping
 from concurrent.futures import CancelledError, Future
 from queue import SimpleQueue
 
-import onnxruntime as ort
-
+from renet.bundle.blocks import Session
 from renet.bundle.policy import EstimatorInput, EstimatorOutput, infer
 
-Sessions = dict[str, ort.InferenceSession]
+Sessions = Mapping[str, Session]
 
 
 class InlineInference:

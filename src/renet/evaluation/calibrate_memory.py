@@ -63,7 +63,8 @@ def memory_limits(
     policy = evaluator.make_policy(len(trials))
     selector = make_selector("monitors", endless, len(trials))
     rollout = Rollout(env, policy, selector, trials, seed)
-    trace = rollout.run(latest + round(MEASURED / CONTROL_DT), "memory", until_ended=0)
+    steps = latest + round(MEASURED / CONTROL_DT)
+    trace = rollout.run(steps, "memory", until_ended=0, retire=True)
     # Two levels of a kind are one ground.
     return compare(trace, dies, kinds * levels + level // 2)
 

@@ -108,6 +108,13 @@ PARTS_FORMAT = 6
 """Increase it when the contents of parts change: older parts are then made anew."""
 
 
+def part_path(folder: Path, name: str, key: dict[str, Any]) -> Path:
+    """Where a part of a study is kept; `key` is what its numbers depend on."""
+    key = plain(key | {"format": PARTS_FORMAT})
+    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
+    return folder / f"{name}-{digest[:8]}.json"
+
+
 def kept(
     folder: Path, name: str, key: dict[str, Any], make: Callable[[], dict[str, Any]]
 ) -> dict[str, Any]:
@@ -117,9 +124,8 @@ def kept(
     part's numbers depend on, lie beside it. Raises RenetError for an earlier part that is damaged
     or of other settings.
     """
+    path = part_path(folder, name, key)
     key = plain(key | {"format": PARTS_FORMAT})
-    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
-    path = folder / f"{name}-{digest[:8]}.json"
     if path.exists():
         part = read_results(path)
         if part.get("key") != key:

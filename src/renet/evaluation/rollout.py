@@ -77,9 +77,11 @@ class EvalEnv(Protocol):
     """A batch of simulated robots."""
 
     num_robots: int
+    """N. An environment with `retire(mask)`, as `SimEnv` has it, may save the work for robots whose
+    try is over."""
 
     def reset(self) -> StepResult:
-        """Put every robot at its start."""
+        """Put every robot at its start; none is retired."""
         ...
 
     def step(self, action: np.ndarray) -> StepResult:
@@ -99,7 +101,8 @@ class EvalPolicy(Protocol):
 
     Further attributes are optional. The selector's monitors compare `velocity_op` and `velocity_vp`
     ([N, 3] m/s) and judge `variance_score` ([N]). A policy with `has_image` ([N] bool) can do
-    without an image: its `step` takes a `gate` as well.
+    without an image: its `step` takes a `gate` as well. One with `retire(mask)` need not act for
+    robots whose try is over, until all are reset.
     """
 
     anomaly_score: np.ndarray
@@ -170,6 +173,7 @@ class Rollout:
         title: str = "rollout",
         *,
         until_ended: int | None = None,
+        retire: bool = False,
         film: Sequence[int] = (),
         on_step: Callable[[int], Any] = lambda step: None,
     ) -> Trace:
@@ -179,10 +183,13 @@ class Rollout:
             steps: control steps. title: of the progress bar.
             until_ended: control steps after which the run ends once every robot's first try is
                 over; None: it does not.
+            retire: whether robots are simulated no more once their first try is over. What the
+                trace then has of them means nothing; the others' is the same, to the last digit.
             film: robots to keep poses and images of.
             on_step: called after every control step with its number, from 0; True ends the run.
         """
         trace = Trace.empty(steps, len(self.modes))
+        least = steps - 1 if until_ended is None else until_ended
         poses, images, maps = [], [], []
         self._reset()
         for step in progress(range(steps), title):
@@ -195,10 +202,13 @@ class Rollout:
                     height_map = getattr(self.policy, "height_map", None)
                     maps += [] if height_map is None else [height_map[list(film)]]
             self._advance(action, step, trace)
-            tries_over = until_ended is not None and step >= until_ended
-            tries_over = tries_over and trace.ended[: step + 1].any(axis=0).all()
-            if on_step(step) is True or tries_over:
+            if retire and self._result.ended.any():
+                self._retire()
+            if on_step(step) is True:
                 trace = trace.until(step + 1)
+                break
+            if self._over.all() and (retire or step >= least):
+                trace = trace.until(max(step, least) + 1)
                 break
         if not film:
             return trace
@@ -214,13 +224,24 @@ class Rollout:
         self._frames = Frames.healthy(self._result.depth)
         self._trusted = np.ones(len(self.modes), bool)
         """[N] bool: the last answer of the selector that each robot obeys."""
+        self._over = np.zeros(len(self.modes), bool)
+        """[N] bool: the first try is over."""
+        self._retired = np.zeros(len(self.modes), bool)
+        """[N] bool: simulated no more."""
+
+    def _retire(self) -> None:
+        """Spend no more on robots whose first try is over."""
+        self._retired = self._over.copy()
+        for one in (self.env, self.policy):
+            if hasattr(one, "retire"):
+                one.retire(self._retired)
 
     def _act(self, step: int, trace: Trace) -> np.ndarray:
         """Actions [N, 12] of a control step; also takes new frames and updates the selectors."""
         result, gate = self._result, {}
         if step % STEPS_PER_TICK == 0:
             live = Frames.healthy(result.depth, result.angular_velocity)
-            self._frames = self.injector.apply(live, step)
+            self._frames = self.injector.apply(live, step, self._retired)
             gate = self._gate(step)
         failing = self.injector.at_work(step)
         distrusted = np.isin(self.modes, ("renet", "paper")) & ~self._trusted
@@ -247,6 +268,7 @@ class Rollout:
         for state in fields(TrueState):
             getattr(trace, state.name)[step] = getattr(self._result, state.name)
         ended = self._result.ended
+        self._over |= ended
         if ended.any():
             self.policy.reset(ended)
             for selector in self.selectors:

@@ -8,8 +8,9 @@ study with the template of its name.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -18,7 +19,15 @@ from matplotlib.figure import Figure
 
 from renet.errors import RenetError, demand_name
 from renet.evaluation import figures
-from renet.evaluation.results import kept, output_folder, plain, write_csv, write_json
+from renet.evaluation.jobs import make_parts
+from renet.evaluation.results import (
+    kept,
+    output_folder,
+    part_path,
+    plain,
+    write_csv,
+    write_json,
+)
 from renet.evaluation.rollout import Mode, Trial, check_finite, check_modes, check_speed
 from renet.interface import Engine, SelectorName
 from renet.selector.selector import SELECTORS
@@ -33,6 +42,30 @@ Table = tuple[str, tuple[str, ...], list[tuple[Any, ...]]]
 """Title, header and rows."""
 Figures = Mapping[str, Figure]
 """By file name, such as "noise.png"."""
+PROCESSES = ("jobs", "shard")
+"""Settings on which no result depends."""
+
+
+class MissingParts(RenetError):
+    """A shard's parts are made, and those of other shards are missing."""
+
+
+@dataclass(frozen=True)
+class PartMaker:
+    """Makes a study's parts by their names, and keeps them on disk."""
+
+    folder: Path
+    key: dict[str, Any]
+    """What all parts' numbers depend on."""
+    makers: Mapping[str, Callable[[], Part]]
+
+    def missing(self, names: Iterable[str]) -> list[str]:
+        """Those of the names whose part is not on disk."""
+        return [name for name in names if not part_path(self.folder, name, self.key).exists()]
+
+    def __call__(self, name: str) -> Part:
+        """A part, read from disk or made now; raises as `kept`."""
+        return kept(self.folder, name, self.key, self.makers[name])
 
 
 @dataclass(frozen=True)
@@ -52,6 +85,12 @@ class Study:
     selector: SelectorName = "monitors"
     """What `renet` trusts: monitors (all of them, with a dwell) or paper (reconstruction alone)."""
 
+    jobs: int = 1
+    """Processes that make the study's parts, each with its share of the processors."""
+    shard: str | None = None
+    """I/N, such as 1/2: make only the I-th of N shares of the parts, for several computers. With
+    all shares in one folder parts/, the command without --shard writes the results."""
+
     name: ClassVar[str]
     """Name of the study's folder in the results, and of its template."""
     selectable: ClassVar[tuple[str, ...]] = ()
@@ -60,10 +99,30 @@ class Study:
     def __post_init__(self) -> None:
         check_finite(self)
         demand_name("selector", self.selector, SELECTORS)
+        if self.jobs < 1:
+            raise RenetError(f"jobs must be at least 1, got {self.jobs}")
+        _ = self.share
+
+    @property
+    def share(self) -> slice:
+        """The groups of parts to make, of the list of all."""
+        if self.shard is None:
+            return slice(None)
+        number, _, count = self.shard.partition("/")
+        if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+            raise RenetError(f"shard {self.shard!r}: write I/N, such as 1/2 and 2/2")
+        return slice(int(number) - 1, None, int(count))
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """Batches of robots by name, each kept on disk once it has run."""
         raise NotImplementedError
+
+    def together(self, names: Sequence[str]) -> list[list[str]]:
+        """The parts' names in groups that one process makes one after the other.
+
+        By default each is alone. A study groups parts whose robots walk side by side.
+        """
+        return [[name] for name in names]
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """The summary's content beside settings and provenance; `runs` is its list of rows."""
@@ -83,28 +142,43 @@ class Study:
 
         return Evaluator(self.bundle, self.engine, self.selector)
 
-    def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
-        """Run what has not been run yet, write the results to `out` and return the summary.
-
-        The evaluator is made from the settings by default. Raises RenetError for a bundle that
-        cannot be used, or a folder that cannot be written to.
-        """
+    def part_maker(self, evaluator: Evaluator | None = None) -> PartMaker:
+        """What makes the study's parts; the evaluator is made from the settings by default."""
         evaluator = evaluator or self.make_evaluator()
-        out = output_folder(self.out)
         provenance = evaluator.provenance(self.seed)
-        free = {"out", "bundle", *self.selectable}
+        free = {"out", "bundle", *PROCESSES, *self.selectable}
         key = {name: value for name, value in asdict(self).items() if name not in free}
         code = ("bundle_hash", "renet_version", "commit")
         key |= {name: getattr(provenance, name) for name in code}
         key["policy"] = type(evaluator).make_policy.__qualname__
-        folder = output_folder(out / "parts")
-        parts = {
-            name: kept(folder, name, key, make) for name, make in self.parts(evaluator).items()
-        }
+        folder = output_folder(output_folder(self.out) / "parts")
+        return PartMaker(folder, key, self.parts(evaluator))
+
+    def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
+        """Run what has not been run yet, write the results to `out` and return the summary.
+
+        The evaluator is made from the settings by default. Raises RenetError for a bundle that
+        cannot be used, or a folder that cannot be written to; MissingParts where a shard is made
+        and the others are not.
+        """
+        if evaluator is not None and self.jobs > 1:
+            raise RenetError("each of several jobs makes its evaluator: override make_evaluator")
+        evaluator = evaluator or self.make_evaluator()
+        make = self.part_maker(evaluator)
+        self._make_share(make)
+        if missing := make.missing(make.makers):
+            raise MissingParts(
+                f"shard {self.shard} is made; {len(missing)} of {len(make.makers)} parts are"
+                f" missing in {make.folder}: make the other shards there, or copy their parts"
+                " there, then give the command without --shard"
+            )
+        parts = {name: make(name) for name in make.makers}
+        out, provenance = self.out, evaluator.provenance(self.seed)
+        settings = {name: v for name, v in asdict(self).items() if name not in PROCESSES}
         summary = plain(
             {"study": self.name}
             | self.summarise(parts, evaluator)
-            | {"settings": asdict(self), "provenance": vars(provenance)}
+            | {"settings": settings, "provenance": vars(provenance)}
         )
         write_json(out / "summary.json", summary)
         rows = [
@@ -117,9 +191,24 @@ class Study:
                 figures.save(figure, out / name, provenance)
         return summary
 
+    def _make_share(self, make: PartMaker) -> None:
+        """Make what is missing of this shard's parts, or of all."""
+        groups = self.together(list(make.makers))[self.share]
+        groups = [names for group in groups if (names := make.missing(group))]
+        jobs = min(self.jobs, len(groups))
+        if jobs > 1:
+            make_parts(self, groups, jobs)
+            return
+        for name in chain(*groups):
+            make(name)
+
     def main(self) -> None:
-        """Run the study and print its tables."""
-        summary = self.run()
+        """Run the study and print its tables; of a shard, what is still missing."""
+        try:
+            summary = self.run()
+        except MissingParts as missing:
+            print(missing)
+            return
         for title, header, rows in self.tables(summary):
             show(title, header, rows)
 

@@ -144,12 +144,20 @@ class Injector:
                 fault.apply(view, rows)
         return view
 
-    def apply(self, frames: Frames, step: int) -> Frames:
-        """The frames after all faults of this control step; called once in each vision tick."""
+    def apply(self, frames: Frames, step: int, spared: np.ndarray | None = None) -> Frames:
+        """The frames after all faults of this control step; called once in each vision tick.
+
+        Args:
+            frames: of all robots. step: control step.
+            spared: [n] bool, robots whose frames nobody looks at any more; they stay as they are.
+        """
         frames = frames.copy()
         for injection, fault, rows in self._stages:
             time = injection.elapsed(step)
-            spoilt = fault.corrupt(frames.rows(rows), np.full(len(rows), time))
+            times = np.full(len(rows), time)
+            if spared is not None:
+                times[spared[rows]] = -1.0
+            spoilt = fault.corrupt(frames.rows(rows), times)
             if time >= 0:
                 frames.write(rows, spoilt)
         return frames

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -63,6 +63,11 @@ class Gate:
     """Least score that is objected to, by name of the vision model's output."""
     robots: np.ndarray | bool = True
     """[N] bool: the robots it binds; the others use all their images."""
+
+    def of(self, rows: np.ndarray) -> Gate:
+        """The gate of some robots, by their rows."""
+        robots = self.robots[rows] if isinstance(self.robots, np.ndarray) else self.robots
+        return replace(self, acceptable=self.acceptable[rows], robots=robots)
 
     def judge(self, scores: Mapping[str, np.ndarray]) -> np.ndarray:
         """[N] bool: the images that VP may use, given the vision model's scores [N] by name."""

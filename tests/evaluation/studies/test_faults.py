@@ -6,10 +6,13 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from renet.errors import RenetError
+from renet.evaluation.studies import faults
 from renet.evaluation.studies.benchmark import ONSETS, schema
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.study import WalkingStudy
 from renet.version import commit
+
+from ..fakes import FakeEvaluator
 
 
 def test_one_row_for_each_setting_and_mode(run_study):
@@ -87,3 +90,21 @@ def test_other_grounds_than_the_benchmarks_give_no_result_file(tmp_path, monkeyp
     monkeypatch.setattr(WalkingStudy, "run", lambda self, evaluator: {})
     FaultStudy(out=tmp_path, grounds=("rough",)).run()
     assert not (tmp_path / "result.json").exists()
+
+
+def test_faults_of_few_robots_walk_side_by_side_as_they_do_alone(tmp_path, monkeypatch):
+    options = {"grounds": ("flat", "obstacles"), "robots": 2, "seconds": 3.0, "lasts": 1.0}
+    options |= {"faults": ("gaussian:5", "glass:1", "foam:2", "blackout:5"), "healthy_minutes": 0.0}
+    joined, alone = (FaultStudy(tmp_path / name, **options) for name in ("joined", "alone"))
+    names = ["gaussian_5", "glass_1", "foam_2", "blackout_5", "no_fault"]
+    # Glass is on no flat ground.
+    groups = [["gaussian_5"], ["glass_1"], ["foam_2", "blackout_5"], ["no_fault"]]
+    assert joined.together(names) == groups
+    rows = joined.run(FakeEvaluator())["runs"]
+    monkeypatch.setattr(faults, "SIDE_BY_SIDE", 1)
+    assert alone.together(names) == [[name] for name in names]
+    assert alone.run(FakeEvaluator())["runs"] == rows
+    assert {run["survival"] for run in rows} == {0.0, 1.0}
+    monkeypatch.setattr(faults, "SIDE_BY_SIDE", 23)
+    robots = [len(joined.trials(settings)) for settings in joined.batches.values()]
+    assert (robots, joined.together(names)) == ([12, 8, 12, 12], [[name] for name in names])

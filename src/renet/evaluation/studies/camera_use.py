@@ -116,7 +116,8 @@ class CameraUseStudy(LevelStudy):
         views = [view for view in VIEWS for _ in range(each)]
         trials = [Trial(self.modes[0], (), row % each, kind) for row in range(len(views))]
         shown = partial(ShownImages, views=views, each=each)
-        trace = self.walk(evaluator, {kind: level}, trials, title, view=shown)
+        # A robot whose try is over goes on taking the images that another is shown.
+        trace = self.walk(evaluator, {kind: level}, trials, title, retire=False, view=shown)
         groups = dict(zip(VIEWS, trace.groups(each), strict=True))
         healthy = groups["healthy"]
         part: Part = {}

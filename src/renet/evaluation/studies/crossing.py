@@ -140,14 +140,16 @@ class CrossingStudy(OneTryStudy):
         spawn = cfg.events["spawn"].params["pose_range"]
         spawn |= {"x": (0.0, 0.0), "y": (0.0, 0.0), "yaw": (-AIM, AIM)}
 
-        def walk(trials: list[Trial], title: str) -> Iterator[Trace]:
+        def walk(trials: list[Trial], title: str, retire: bool) -> Iterator[Trace]:
             for start in range(0, len(trials), BATCH * each):
                 batch = trials[start : start + BATCH * each]
                 bar = f"{size}, {title} {start + len(batch)}/{len(trials)}"
-                yield from self.walk(evaluator, cfg, batch, bar).groups(each)
+                yield from self.walk(evaluator, cfg, batch, bar, retire=retire).groups(each)
 
         pairs = list(itertools.product(self.grounds, self.modes))
-        twins = dict(zip(pairs, walk(self.trials_on(self.grounds), "healthy"), strict=True))
+        # One that falls before the edge may come there in a later try, which tells its onset.
+        healthy_walks = walk(self.trials_on(self.grounds), "healthy", retire=False)
+        twins = dict(zip(pairs, healthy_walks, strict=True))
         # A robot in OP walks as its twin does.
         groups = [(*pair, s) for pair in pairs if pair[1] != "op" for s in self.settings]
         trials = [
@@ -155,7 +157,7 @@ class CrossingStudy(OneTryStudy):
             for ground, mode, setting in groups
             for robot, onset in enumerate(self._onsets(twins[ground, mode], EDGES[ground], setting))
         ]
-        tries = (trace.first_try() for trace in walk(trials, "failing"))
+        tries = (trace.first_try() for trace in walk(trials, "failing", retire=True))
         walked = dict(zip(groups, tries, strict=True))
         runs = []
         for (ground, mode), setting in itertools.product(pairs, self.settings):

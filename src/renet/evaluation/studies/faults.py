@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 
 HEALTHY_ROBOTS = 64
 """Robots side by side in the run without faults."""
+SIDE_BY_SIDE = 400
+"""Most robots of several faults that walk side by side; more cost no less time each."""
 Rows = Mapping[tuple[Any, str], dict[str, Any]]
 """Rows of a part, by setting or ground, and mode."""
 
@@ -70,6 +73,8 @@ class FaultStudy(WalkingStudy):
 
     name: ClassVar[str] = "faults"
     selectable: ClassVar[tuple[str, ...]] = ("faults",)
+    retires: ClassVar[bool] = True
+    """Whether nothing is measured of a robot whose first try is over."""
 
     def __post_init__(self) -> None:
         _ = [setting.level for settings in self.batches.values() for setting in settings]
@@ -153,27 +158,60 @@ class FaultStudy(WalkingStudy):
             env.place_on([trial.ground for trial in trials])
         least = round((max(self.onsets) + self.lasts) / CONTROL_DT) + STEPS_PER_TICK
         rollout = evaluator.rollout(env, trials, self.seed)
-        return rollout.run(self.steps, title, until_ended=least)
+        return rollout.run(self.steps, title, until_ended=least, retire=self.retires)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """One batch for each fault, one without faults, and healthy walking."""
+        """One part for each fault, one without faults, and healthy walking."""
         make = cache(partial(self.make_env, evaluator))
-        parts: dict[str, Callable[[], Part]] = {
-            name: partial(self._run_batch, evaluator, make, name) for name in self.batches
-        }
+        parts: dict[str, Callable[[], Part]] = {}
+        for names in self._fault_groups():
+            walk = cache(partial(self._run_faults, evaluator, make, names))
+            parts |= {name: partial(_part_of, walk, name) for name in names}
         parts["no_fault"] = partial(self._run_twins, evaluator, make)
         if self.healthy_minutes > 0:
             parts["healthy"] = partial(self._run_healthy, evaluator)
         return parts
 
-    def _run_batch(self, evaluator: Evaluator, make: Any, name: str) -> Part:
-        """All settings and modes of one fault."""
+    def together(self, names: Sequence[str]) -> list[list[str]]:
+        """Faults walk side by side; the other parts are alone."""
+        return [*self._fault_groups(), *([name] for name in names if name not in self.batches)]
+
+    def _fault_groups(self) -> list[list[str]]:
+        """Names of the faults' parts in groups of at most `SIDE_BY_SIDE` robots, or of one fault.
+
+        In a group, all begin on the same ground: where the first twin of a robot stands decides
+        how the starts of the others are rounded.
+        """
+        groups: list[list[str]] = []
+        ground, robots = "", 0
+        for name, settings in self.batches.items():
+            count = len(self.trials(settings))
+            if settings[0].ground == ground and robots + count <= SIDE_BY_SIDE:
+                groups[-1].append(name)
+                robots += count
+            else:
+                groups.append([name])
+                ground, robots = settings[0].ground, count
+        return groups
+
+    def _run_faults(self, evaluator: Evaluator, make: Any, names: Sequence[str]) -> dict[str, Part]:
+        """All settings and modes of some faults, side by side; the part of each fault."""
+        trials = {name: self.trials(self.batches[name]) for name in names}
+        everybody = list(chain(*trials.values()))
+        title = f"{list(self.batches).index(names[-1]) + 1}/{len(self.batches)} {names[-1]}"
+        env = make(tuple(trial.robot for trial in everybody))
+        trace = self.walk(evaluator, env, title, everybody)
+        paper = replay(evaluator.make_selector(len(everybody), "paper"), trace.anomaly)
+        ends = np.cumsum([len(group) for group in trials.values()]).tolist()
+        parts = {}
+        for name, start, end in zip(names, [0, *ends], ends, strict=False):
+            rows = slice(start, end)
+            parts[name] = self._fault_part(name, trace.robots(rows), paper[..., rows])
+        return parts
+
+    def _fault_part(self, name: str, trace: Trace, paper: np.ndarray) -> Part:
+        """The part of one fault, from its robots' trace and what the paper's selector answered."""
         settings, each = self.batches[name], self.robots_each
-        trials = self.trials(settings)
-        title = f"{list(self.batches).index(name) + 1}/{len(self.batches)} {name}"
-        env = make(tuple(trial.robot for trial in trials))
-        trace = self.walk(evaluator, env, title, trials)
-        paper = replay(evaluator.make_selector(len(trials), "paper"), trace.anomaly)
         runs = []
         for number, (setting, _) in enumerate(self.groups(settings)):
             rows = slice(number * each, (number + 1) * each)
@@ -372,6 +410,10 @@ class FaultStudy(WalkingStudy):
             ("Robots that cross (%)", ("ground", "fault", *self.modes), crossed),
             ("What is claimed, and what was measured", ("met", "claim", "measured"), claims),
         ]
+
+
+def _part_of(walk: Callable[[], Mapping[str, Part]], name: str) -> Part:
+    return walk()[name]
 
 
 def _crossed(run: dict[str, Any]) -> float:

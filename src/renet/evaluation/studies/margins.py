@@ -165,7 +165,7 @@ class MarginsStudy(WalkingStudy):
         env.place_on([trial.ground for trial in trials])
         title = axis if level is None else f"{axis} {level:g} {AXES[axis].unit}"
         steps = round(self.seconds / CONTROL_DT)
-        trace = evaluator.rollout(env, trials, self.seed).run(steps, title)
+        trace = evaluator.rollout(env, trials, self.seed).run(steps, title, retire=True)
         runs = []
         each = self.robots_each
         for trial, group in zip(trials[::each], trace.groups(each), strict=True):

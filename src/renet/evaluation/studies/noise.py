@@ -41,6 +41,7 @@ class NoiseStudy(FaultStudy):
     """Further robot minutes with a healthy camera, in which false switches are counted."""
 
     name: ClassVar[str] = "noise"
+    retires: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -43,6 +43,7 @@ class OneTryStudy(WalkingStudy):
         trials: Sequence[Trial],
         title: str,
         until_ended: int = 1,
+        retire: bool = True,
         view: Callable[[EvalEnv], Any] = lambda env: env,
     ) -> Trace:
         """Run trials, each on its ground.
@@ -51,12 +52,14 @@ class OneTryStudy(WalkingStudy):
             evaluator: of the policy. task: with the trials' grounds, see `Evaluator.make_env`.
             trials: one for each robot. title: of the progress bar.
             until_ended: control steps after which the run ends once all first tries are over.
+            retire: whether robots are simulated no more from then on.
             view: wraps the environment, where robots are shown other images.
         """
         env = evaluator.make_env(task, [trial.robot for trial in trials], self.speed, self.seed)
         env.place_on([trial.ground for trial in trials])
         rollout = evaluator.rollout(view(env), trials, self.seed)
-        return rollout.run(round(self.seconds / CONTROL_DT), title, until_ended=until_ended)
+        steps = round(self.seconds / CONTROL_DT)
+        return rollout.run(steps, title, until_ended=until_ended, retire=retire)
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,8 @@ class ReportCfg:
     """With `run`: bundle folder or name, as for every study."""
     seed: int = 1
     """With `run`: of every study."""
+    jobs: int = 1
+    """With `run`: processes that make every study's parts."""
     engine: Engine = "auto"
     """With `run`: physics engine, on the CPU; auto: native."""
 
@@ -92,4 +94,5 @@ def run_studies(cfg: ReportCfg) -> None:
     Evaluator(cfg.bundle, cfg.engine)
     for number, (name, study) in enumerate(STUDIES.items(), start=1):
         print(f"{number}/{len(STUDIES)} {name}", file=sys.stderr)
-        study(cfg.results / name, cfg.bundle, cfg.quick, cfg.seed, cfg.engine).main()
+        settings = (cfg.results / name, cfg.bundle, cfg.quick, cfg.seed, cfg.engine)
+        study(*settings, jobs=cfg.jobs).main()

@@ -136,7 +136,8 @@ class TerrainStudy(WalkingStudy):
         steps = round(self.seconds / CONTROL_DT)
         least = 0 if self.one_try else None
         title = f"{self.kinds.index(kind) + 1}/{len(self.kinds)} {kind}"
-        trace = evaluator.rollout(env, trials, self.seed).run(steps, title, until_ended=least)
+        rollout = evaluator.rollout(env, trials, self.seed)
+        trace = rollout.run(steps, title, until_ended=least, retire=self.one_try)
         groups = trace.groups(each)
         first = trace.robots(np.array([trial.mode == self.modes[0] for trial in trials]))
         walks = ~first.over

@@ -60,6 +60,7 @@ struct Advance {
     int num_stages;
     bool derives;       // Whether they end with all that follows from the pose.
     bool only_written;  // Whether to skip environments with the same pose as in `last_pose`.
+    const bool* at_rest;  // [N] environments that are skipped in any case.
     Culling culling;
     const Worker* workers;  // One for each thread that finds an environment.
     const Copy* pose;       // qpos first.
@@ -161,7 +162,7 @@ static void advance(Advance& call) {
     if (number >= call.environments) return;
     const Worker& worker = call.workers[number];
     for (int env; (env = take(call.work, 1)) < call.environments;) {
-        if (call.only_written && !is_written(call, env)) continue;
+        if (call.at_rest[env] || (call.only_written && !is_written(call, env))) continue;
         cull(call, env);
         if (!load(worker, env)) continue;
         for (int s = 0; s < call.num_stages; ++s) {

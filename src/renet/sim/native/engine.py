@@ -142,6 +142,8 @@ class NativeSimulation(Simulation):
         # It would append its warnings to a log file in the working folder.
         mujoco.set_mju_user_warning(lambda message: None)
         super().__init__(*args, **kwargs)
+        self.at_rest = np.zeros(self.num_envs, bool)
+        """[N] environments that no step advances; write into it."""
         self.culling = CollisionCulling(self.mj_model, self.mj_data, self.num_envs)
         self._zeroed = [getattr(self.wp_data, name).numpy() for name in RESET_TO_ZERO]
 
@@ -221,6 +223,7 @@ class NativeSimulation(Simulation):
             num_stages=len(table),
             derives=derive or not steps,
             only_written=only_written,
+            at_rest=self.at_rest,
             culling=SOURCE.struct("Culling")(**self.culling.fields),
             workers=(SOURCE.struct("Worker") * len(self._structs))(*self._structs),
             pose=_copies(pose),
