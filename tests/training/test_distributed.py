@@ -4,6 +4,7 @@ import json
 import os
 import socket
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 
 import pytest
@@ -11,13 +12,19 @@ import torch
 from rsl_rl.modules import EmpiricalNormalization
 from torch.multiprocessing.spawn import start_processes
 
+from renet.models.config import ModelCfg
+from renet.models.renet import RENet
 from renet.training import distributed, np3o
+from renet.training.config import SupervisionCfg
 from renet.training.storage import PolicyRollout
+from renet.training.supervision import Supervision
 from renet.training.train import train
 
 from .. import forked  # noqa: F401  What processes begin with.
+from ..waits import Waits
 from .conftest import ToyEnv, make_runner
 from .test_np3o import random_rollout, small
+from .test_supervision import random_rollout as ticks_of_four_robots
 from .test_train import cfg
 
 RANKS = 2
@@ -61,6 +68,8 @@ def work(rank: int, folder: Path) -> None:
     found = {
         "learnt": learnt,
         "gradients": gradients(data, last_value[half]),
+        "averaged": averaged(rank),
+        "supervised": supervised(rank),
         "normalizer": normalizer([rows.chunk(RANKS)[rank] for rows in observations()]),
     }
     torch.save(found, folder / f"{rank}.pt")
@@ -83,6 +92,31 @@ def gradients(data: PolicyRollout, last_value: torch.Tensor) -> list[torch.Tenso
     rows = torch.arange(data.log_prob.numel())
     algorithm._step(data.flatten(), targets, rows, algorithm.actor.log_std.detach().exp())
     return [parameter.grad for parameter in algorithm.parameters]
+
+
+def averaged(rank: int) -> tuple[list, list[str]]:
+    """The mean of gradients of which only rank 0 has the second, and what was waited for."""
+    parameters = [torch.nn.Parameter(torch.zeros(2)), torch.nn.Parameter(torch.zeros(3, 1))]
+    parameters[0].grad = torch.full((2,), 1.0 + rank)
+    if rank == 0:
+        parameters[1].grad = torch.full((3, 1), 8.0)
+    with Waits() as watch:
+        distributed.average_gradients(parameters)
+    return [parameter.grad for parameter in parameters], watch.waits
+
+
+def supervised(rank: int) -> tuple[dict, dict]:
+    """A model before and after a step to which rank 0 brings OP's ticks and rank 1 VP's."""
+    torch.manual_seed(0)
+    model = RENet(ModelCfg(), critic_size=5)
+    supervision = Supervision(model, SupervisionCfg(num_mini_batches=1))
+    rollout = ticks_of_four_robots()
+    supervision.update(rollout)  # All learn, so that Adam would move all.
+    before = deepcopy(model.state_dict())
+    rollout.op_mask[:] = rank == 0
+    rollout.has_image[:] = False
+    supervision.update(rollout)
+    return before, model.state_dict()
 
 
 def observations() -> list[torch.Tensor]:
@@ -109,6 +143,21 @@ def test_gradients_equal_one_process_on_the_joined_batch(ranks):
     first, second = [found["gradients"] for found in ranks]
     torch.testing.assert_close(first, second)
     torch.testing.assert_close(first, gradients(*rollout()), atol=1e-5, rtol=1e-3)
+
+
+def test_a_gradient_that_a_rank_lacks_counts_as_zero_and_nobody_waits(ranks):
+    for found in ranks:
+        (both, one), waits = found["averaged"]
+        assert both.tolist() == [1.5, 1.5]
+        assert one.tolist() == [[4.0]] * 3
+        assert not waits
+
+
+def test_ranks_whose_robots_teach_different_estimators_learn_both_and_no_detector(ranks):
+    (before, first), (_, second) = [found["supervised"] for found in ranks]
+    torch.testing.assert_close(first, second, atol=0.0, rtol=0.0)
+    moved = {name.split(".")[0] for name, value in first.items() if not value.equal(before[name])}
+    assert moved == {"op", "op_him", "vp", "vp_him"}
 
 
 def test_a_normaliser_learns_what_it_would_from_all_ranks_rows(ranks):

@@ -10,6 +10,7 @@ from renet.models.config import ModelCfg
 from renet.training import precision
 from renet.training.config import NP3OCfg
 from renet.training.precision import computed_in, keep_freed_memory, learning_type, side_by_side
+from renet.training.storage import TickRollout
 
 from ..forked import fork
 from ..waits import Waits
@@ -100,6 +101,20 @@ def test_nothing_on_a_gpus_path_waits_for_the_device():
     assert watch.waits == ["lift_fresh"], "the budgets alone, once an iteration"
     # It saw the way back and the optimiser, too.
     assert {"elu_backward", "_fused_adam_"} <= watch.seen
+
+
+@pytest.mark.parametrize("iteration", [0, 20])
+def test_supervision_waits_for_the_device_once_before_it_has_done(iteration):
+    env = ToyEnv()
+    alg = make_runner(env, precision="float32").alg
+    alg.iteration = iteration  # From 20 on OP learns, too.
+    collect(alg, env)
+    with Waits() as watch:
+        alg.supervision.update(TickRollout(**alg._ticks.stack()))
+    first, *at_the_end = watch.waits
+    assert first == "tolist"
+    assert at_the_end == ["_linalg_svd"] * (1 if iteration == 0 else 2)
+    assert {"convolution_backward", "_fused_adam_", "nonzero_static"} <= watch.seen
 
 
 def take_and_free(keep: bool) -> None:

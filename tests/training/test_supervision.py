@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+import renet.training.supervision as supervision_module
 from renet.models.config import ModelCfg
 from renet.models.him import target_view
 from renet.models.renet import RENet
@@ -17,19 +18,24 @@ TICKS, ROBOTS = 3, 4
 
 @pytest.fixture
 def rollout() -> TickRollout:
+    return random_rollout()
+
+
+def random_rollout(ticks: int = TICKS) -> TickRollout:
+    """Of four robots, of which OP drives the first two; some images are missing."""
     torch.manual_seed(1)
-    no = torch.zeros(TICKS, ROBOTS, dtype=torch.bool)
+    no = torch.zeros(ticks, ROBOTS, dtype=torch.bool)
     sizes = {"velocity": 3, "height_map": 132, "next_proprioception": 45, "next_velocity": 3}
     sizes |= {"latent_op": 64, "latent_vp": 64}
     return TickRollout(
-        history=torch.randn(TICKS, ROBOTS, 10, 45),
-        frames=torch.rand(TICKS, ROBOTS, 2, 48, 64).half(),
-        has_image=torch.rand(TICKS, ROBOTS) < 0.7,
+        history=torch.randn(ticks, ROBOTS, 10, 45),
+        frames=torch.rand(ticks, ROBOTS, 2, 48, 64).half(),
+        has_image=torch.rand(ticks, ROBOTS) < 0.7,
         fresh=no,
         op_mask=(torch.arange(ROBOTS) < 2).expand_as(no).clone(),
-        feet_height=torch.rand(TICKS, ROBOTS, 4),
+        feet_height=torch.rand(ticks, ROBOTS, 4),
         next_valid=~no,
-        **{name: torch.randn(TICKS, ROBOTS, size) for name, size in sizes.items()},
+        **{name: torch.randn(ticks, ROBOTS, size) for name, size in sizes.items()},
     )
 
 
@@ -75,7 +81,8 @@ def test_a_loss_is_of_the_estimators_heads_and_him(model, rollout, name):
 def test_the_whole_loss_is_the_sum_of_both_and_the_autoencoders_in_scaled_units(model, rollout):
     cfg = SupervisionCfg(num_learning_epochs=1, num_mini_batches=1)
     supervision = Supervision(model, cfg)
-    losses = supervision._blind_losses(rollout) | supervision._vp_losses(rollout)
+    (batch,) = supervision.draw_mini_batches(rollout)
+    losses = supervision._blind_losses(rollout, batch) | supervision._vp_losses(rollout, batch)
     squared = {"velocity": 4.0, "feet_height": 25.0, "height_map": 25.0}
     total = sum(squared.get(name[3:], 1.0) * loss for name, loss in losses.items())
     gradients = torch.autograd.grad(total, supervision.parameters)
@@ -152,8 +159,11 @@ def test_detectors_learn_from_a_share_of_the_images_and_that_of_variances_from_g
     model, taken = RENet(ModelCfg(detector=detector), critic_size=5), []
     monkeypatch.setattr(model.autoencoder, "loss", lambda images: taken.append(images) or {})
     # Two fifths of 12 pairs are 4.8; of 120, the setting takes fewer.
-    supervision = Supervision(model, SupervisionCfg(autoencoder_images=40))
-    supervision._anomaly_losses(torch.ones(pairs, 2, 48, 64))
+    cfg = SupervisionCfg(num_mini_batches=1, autoencoder_images=40)
+    supervision = Supervision(model, cfg)
+    rollout = random_rollout(ticks=pairs // ROBOTS)
+    rollout.frames[:], rollout.has_image[:] = 1.0, True
+    supervision._anomaly_losses(rollout, *supervision.draw_mini_batches(rollout))
     assert len(taken[0]) == learned
     # A view may hold a single blade, beside the image.
     grown = (taken[0] < 1.0).flatten(1).any(1).sum()
@@ -177,11 +187,29 @@ def test_the_maps_error_is_learnt_as_a_gaussian_likelihood_and_moves_nothing_els
 def test_the_detector_learns_from_true_images_alone(model, rollout, monkeypatch):
     learned: list[torch.Tensor] = []
     rollout.frames[~rollout.has_image] = -1.0
+    rollout.frames[rollout.has_image] = torch.rand(int(rollout.has_image.sum()), 1, 1, 1).half()
     monkeypatch.setattr(model.autoencoder, "loss", lambda p: learned.append(p) or {})
-    supervision = Supervision(model, SupervisionCfg())
-    supervision._blind_losses(rollout)
-    assert len(learned[0]) > 0
-    assert learned[0].min() >= 0
+    monkeypatch.setattr(supervision_module, "AUTOENCODER_SHARE", 1.0)
+    supervision = Supervision(model, SupervisionCfg(num_mini_batches=2))
+    for batch in supervision.draw_mini_batches(rollout):
+        supervision._blind_losses(rollout, batch)
+    # Each once.
+    seen = torch.cat(learned)[:, 0, 0, 0]
+    expected = rollout.frames[rollout.has_image][:, 0, 0, 0].float()
+    torch.testing.assert_close(seen.sort().values, expected.sort().values)
     rollout.has_image[:] = False
-    supervision._blind_losses(rollout)
-    assert len(learned) == 1
+    supervision.update(rollout)
+    assert len(learned) == 2
+
+
+def test_mini_batches_hold_each_environment_once_and_know_who_learns_from_it(model, rollout):
+    rollout.op_mask[1, 3] = True  # Both estimators drive the last robot.
+    batches = Supervision(model, SupervisionCfg(num_mini_batches=3)).draw_mini_batches(rollout)
+    assert sorted(torch.cat([batch.index for batch in batches]).tolist()) == [0, 1, 2, 3]
+    for batch in batches:
+        robots = batch.index.tolist()
+        assert batch.op.tolist() == [robot for robot in robots if robot in (0, 1, 3)]
+        assert batch.vp.tolist() == [robot for robot in robots if robot in (2, 3)]
+        assert batch.images == rollout.has_image[:, batch.index].sum()
+        learns = {"op": len(batch.op), "vp": len(batch.vp), "detector": batch.images}
+        assert batch.learning == [part for part, size in learns.items() if size]

@@ -60,10 +60,11 @@ class HybridInternalModel(nn.Module):
         prototypes lie on one line: the module has collapsed and teaches nothing.
         """
         prototypes = functional.normalize(self.prototypes.weight, dim=-1)
-        if not prototypes.isfinite().all():  # Training stops and says so; a decomposition raises.
-            return torch.full_like(prototypes[0, 0], torch.nan)
-        singular = torch.linalg.svdvals(prototypes)
-        return torch.exp(torch.special.entr(singular / singular.sum()).sum())
+        finite = prototypes.isfinite().all()
+        # Of what is not finite a decomposition raises; training stops and says so.
+        singular = torch.linalg.svdvals(prototypes.nan_to_num(0.0, 0.0, 0.0))
+        rank = torch.exp(torch.special.entr(singular / singular.sum()).sum())
+        return torch.where(finite, rank, torch.nan)
 
 
 def target_view(proprioception: Tensor, velocity: Tensor) -> Tensor:

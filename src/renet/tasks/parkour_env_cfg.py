@@ -156,6 +156,8 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
             ),
             "reward_clipped": MetricsTermCfg(func=mdp.reward_clipped),
         },
+        # MuJoCo Warp tries every pair that may touch: to sweep and prune would visit more of them
+        # (tests/sim/test_broadphase.py), for terrain overlaps terrain on any axis.
         sim=SimulationCfg(njmax=400, nconmax=60, mujoco=physics),
         viewer=ViewerConfig(
             origin_type=ViewerConfig.OriginType.ASSET_BODY,

@@ -52,16 +52,17 @@ def update_normalizer(normalizer: EmpiricalNormalization, rows: Tensor) -> None:
 
 
 def average_gradients(parameters: Iterable[nn.Parameter]) -> None:
-    """Replace each gradient by its mean over ranks; what no rank has a gradient of keeps none."""
+    """Replace each gradient by its mean over ranks, where one that is missing counts as zero.
+
+    All ranks must name the same parameters: asking which have gradients would wait for a GPU.
+    """
     if world_size() == 1:
         return
-    parameters = list(parameters)
-    has = torch.tensor([p.grad is not None for p in parameters], dtype=torch.float32)
-    has = mean(has.to(parameters[0].device)).tolist()
-    for parameter, share in zip(parameters, has, strict=True):
-        if parameter.grad is None and share:  # All must send the same layout.
+    gradients = []
+    for parameter in parameters:
+        if parameter.grad is None:
             parameter.grad = torch.zeros_like(parameter)
-    gradients = [p.grad for p in parameters if p.grad is not None]
+        gradients.append(parameter.grad)
     flat = mean(torch.cat([g.reshape(-1) for g in gradients]))
     for gradient, piece in zip(gradients, flat.split([g.numel() for g in gradients]), strict=True):
         gradient.copy_(piece.view_as(gradient))

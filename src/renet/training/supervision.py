@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -29,6 +30,26 @@ GRASS_VIEWS = 512
 """Different views of blades."""
 
 
+PARTS = ("op", "vp", "detector")
+"""What learns by supervision; each from some of the data, or not at all."""
+
+
+@dataclass
+class MiniBatch:
+    """Some environments of a rollout, and what is to be learnt from them."""
+
+    index: Tensor
+    """The environments, [B]."""
+    op: Tensor
+    """Those with ticks that train OP, [<= B]."""
+    vp: Tensor
+    """Those with ticks that train VP, [<= B]."""
+    images: int
+    """Number of ticks with an image."""
+    learning: list[str]
+    """The `PARTS` that learn from this mini-batch on any rank."""
+
+
 class Supervision:
     """Trains both estimators, their HIM and the autoencoder; owns their optimiser."""
 
@@ -38,6 +59,11 @@ class Supervision:
         """Set up for a model that is where it is to stay; its depth embedding learns in `dtype`."""
         self.model, self.cfg, self.dtype = model, cfg, dtype
         self.parameters = model.supervised_parameters()
+        modules = (model.op, model.op_him), (model.vp, model.vp_him), (model.autoencoder,)
+        self._parts = {
+            part: [p for module in of_part if module for p in module.parameters()]
+            for part, of_part in zip(PARTS, modules, strict=True)
+        }
         # Apart: likelihoods must not shorten the estimators' steps.
         likelihoods = (model.autoencoder, model.vp.map_error_head)
         # In order, as no set of tensors is: a norm's last bit depends on it.
@@ -50,17 +76,17 @@ class Supervision:
     def update(self, rollout: TickRollout, steps: float = 0.0) -> dict[str, Tensor]:
         """Learn from one rollout's ticks, before which `steps` environment steps were taken.
 
+        A GPU is waited for once in each epoch, and at the end.
+
         Returns:
             Mean losses by name, and of each HIM the prototypes' effective rank and usage.
         """
         self.optimizer.param_groups[0]["lr"] = value_at(self.cfg.learning_rate, steps)
-        environments = rollout.op_mask.shape[1]
         totals: dict[str, list[Tensor]] = {}
         with computed_in(self.dtype, self.model.vp.depth):
             for _ in range(self.cfg.num_learning_epochs):
-                order = torch.randperm(environments, device=rollout.op_mask.device)
-                for index in order.chunk(self.cfg.num_mini_batches):
-                    for name, loss in self._step(rollout.environments(index)).items():
+                for batch in self.draw_mini_batches(rollout):
+                    for name, loss in self._step(rollout, batch).items():
                         totals.setdefault(name, []).append(loss)
         losses = {name: torch.stack(values).mean() for name, values in totals.items()}
         for name in ("op", "vp"):
@@ -69,14 +95,49 @@ class Supervision:
                 losses |= {f"{name}_him_rank": him.effective_rank(), f"{name}_him_usage": him.usage}
         return losses
 
-    def _step(self, rollout: TickRollout) -> dict[str, Tensor]:
+    @torch.no_grad()
+    def draw_mini_batches(self, rollout: TickRollout) -> list[MiniBatch]:
+        """Share a rollout's environments out at random, for one epoch.
+
+        The host must know the sizes of selections. It fetches all at once: to select by masks would
+        wait for a GPU each time.
+        """
+        op = self._ticks_that_train("op", rollout).any(dim=0)
+        vp = self._ticks_that_train("vp", rollout).any(dim=0)
+        images = rollout.has_image.sum(dim=0)
+        per_environment = torch.stack((op, vp, images)).double()  # As PARTS are ordered.
+        order = torch.randperm(len(op), device=op.device)
+        indices = order.chunk(self.cfg.num_mini_batches)
+        here = torch.stack([per_environment[:, index].sum(dim=-1) for index in indices])
+        on_any_rank = distributed.mean(here)
+        sizes = torch.stack((here, on_any_rank), dim=1).tolist()
+        return [
+            MiniBatch(
+                index=index,
+                op=index[_places(op[index], int(own[0]))],
+                vp=index[_places(vp[index], int(own[1]))],
+                images=int(own[2]),
+                learning=[part for part, size in zip(PARTS, shared, strict=True) if size > 0],
+            )
+            for index, (own, shared) in zip(indices, sizes, strict=True)
+        ]
+
+    def _ticks_that_train(self, name: str, rollout: TickRollout) -> Tensor:
+        """True where a tick trains the estimator `name`, op or vp, [K, N] bool."""
+        if self.model.cfg.perception.replace("oracle", "vp") not in ("renet", name):
+            return torch.zeros_like(rollout.op_mask)
+        if self.cfg.estimator_data == "all":
+            return torch.ones_like(rollout.op_mask)
+        return rollout.op_mask if name == "op" else ~rollout.op_mask
+
+    def _step(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
         """One gradient step; returns the losses."""
         self.optimizer.zero_grad()
         rest, vp = side_by_side(
-            partial(self._gradient, self._blind_losses, rollout),
-            partial(self._gradient, self._vp_losses, rollout),
+            partial(self._gradient, self._blind_losses, rollout, batch),
+            partial(self._gradient, self._vp_losses, rollout, batch),
         )
-        distributed.average_gradients(self.parameters)
+        distributed.average_gradients([p for part in batch.learning for p in self._parts[part]])
         estimators = [p for p in self.parameters if p not in self._apart]
         for parameters in (estimators, self._apart):
             nn.utils.clip_grad_norm_(parameters, self.cfg.max_grad_norm)
@@ -84,43 +145,48 @@ class Supervision:
         return rest | vp
 
     def _gradient(
-        self, terms: Callable[[TickRollout], dict[str, Tensor]], rollout: TickRollout
+        self,
+        terms: Callable[[TickRollout, MiniBatch], dict[str, Tensor]],
+        rollout: TickRollout,
+        batch: MiniBatch,
     ) -> dict[str, Tensor]:
         """Go back through the sum of some terms, scaled as `SupervisionCfg` says; their values."""
         velocity, height = self.cfg.velocity_scale**2, self.cfg.height_scale**2
         weights = {"velocity": velocity, "feet_height": height, "height_map": height}
-        losses = terms(rollout)
+        losses = terms(rollout, batch)
         if losses:
             scaled = [loss * weights.get(name[3:], 1.0) for name, loss in losses.items()]
             torch.stack(scaled).sum().backward()
         return {name: loss.detach() for name, loss in losses.items()}
 
-    def _blind_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
+    def _blind_losses(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
         """Terms that share no parameter with VP's."""
-        images = rollout.frames[rollout.has_image]
-        return self.estimator_losses("op", rollout) | self._anomaly_losses(images)
+        losses = self._losses_of("op", rollout, batch.op)
+        return losses | self._anomaly_losses(rollout, batch)
 
-    def _vp_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
-        return self.estimator_losses("vp", rollout)
+    def _vp_losses(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
+        return self._losses_of("vp", rollout, batch.vp)
+
+    def _losses_of(self, name: str, rollout: TickRollout, index: Tensor) -> dict[str, Tensor]:
+        """`estimator_losses` in the environments of `index`.
+
+        Nothing is returned where there are none: gradients of zero would let Adam's momentum move
+        an estimator that does not learn.
+        """
+        return self.estimator_losses(name, rollout.environments(index)) if len(index) else {}
 
     def estimator_losses(self, name: str, rollout: TickRollout) -> dict[str, Tensor]:
         """Every term of the loss of the estimator `name`, op or vp, over the ticks that train it.
 
         Returns:
-            Named scalars. Absent heads are absent, and nothing is returned where no tick trains the
-            estimator: gradients of zero would let Adam's momentum move one that does not learn.
+            Named scalars; absent heads are absent.
         """
-        chosen = rollout.op_mask if name == "op" else ~rollout.op_mask
-        if self.cfg.estimator_data == "all":
-            chosen = torch.ones_like(chosen)
-        mine = chosen.any(dim=0)
-        learns = self.model.cfg.perception.replace("oracle", "vp")
-        if learns not in ("renet", name) or not mine.any():
-            return {}
-        rollout, counts = rollout.environments(mine), chosen[:, mine].float()
+        counts = self._ticks_that_train(name, rollout).float()
         estimator, him = getattr(self.model, name), getattr(self.model, f"{name}_him")
         initial = getattr(rollout, f"latent_{name}")[0]
-        images = rollout.frames.float(), rollout.has_image
+        # OP does not look at images.
+        frames = rollout.frames.float() if name == "vp" else rollout.frames
+        images = frames, rollout.has_image
         latent = estimator.unroll(rollout.history, *images, initial, rollout.fresh)
 
         def mean(loss: Tensor) -> Tensor:
@@ -141,15 +207,28 @@ class Supervision:
             losses[f"{name}_him"] = him(latent.flatten(0, 1), following.flatten(0, 1), paired)
         return losses
 
-    def _anomaly_losses(self, pairs: Tensor) -> dict[str, Tensor]:
-        """The detector's losses on some of the image pairs [B, 2, 48, 64], randomly drawn."""
-        if len(pairs) == 0:
+    def _anomaly_losses(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
+        """The detector's losses on some of a mini-batch's image pairs, randomly drawn."""
+        if not batch.images:
             return {}
-        count = min(self.cfg.autoencoder_images, math.ceil(AUTOENCODER_SHARE * pairs.shape[0]))
-        pairs = pairs[torch.randperm(pairs.shape[0], device=pairs.device)[:count]].float()
+        pairs = self._draw_pairs(rollout, batch)
         if self.model.cfg.detector == "variance":
             pairs = grow_grass(pairs, self._grass)
         return self.model.autoencoder.loss(pairs)
+
+    def _draw_pairs(self, rollout: TickRollout, batch: MiniBatch) -> Tensor:
+        """Some of a mini-batch's image pairs, [B, 2, 48, 64], randomly drawn."""
+        count = min(self.cfg.autoencoder_images, math.ceil(AUTOENCODER_SHARE * batch.images))
+        drawn = torch.randperm(batch.images, device=batch.index.device)[:count]
+        seen = rollout.has_image[:, batch.index]
+        place = _places(seen.flatten(), batch.images)[drawn]
+        tick, robot = place // seen.shape[1], place % seen.shape[1]
+        return rollout.frames[tick, batch.index[robot]].float()
+
+
+def _places(mask: Tensor, count: int) -> Tensor:
+    """Where a mask [B] is true, [count]; as it is known how often, a GPU is not waited for."""
+    return torch.nonzero_static(mask, size=count).squeeze(-1)
 
 
 def draw_grass(seed: int = 0) -> Tensor:
