@@ -4,10 +4,18 @@ import gc
 import os
 import re
 import threading
+from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 from unittest.mock import Mock
 
-from renet.deploy import main, realtime
+import pytest
+
+from renet.deploy import inference, main, realtime
+from renet.deploy.catalogue import SimulationCfg
+from renet.deploy.loop import run_control_loop
+
+from .fakes import BRISK
 
 
 def test_the_calling_thread_alone_gets_priority_and_gives_it_back():
@@ -40,3 +48,40 @@ def test_a_system_that_refuses_is_quoted(monkeypatch):
 def test_a_simulation_does_not_ask(tmp_path, monkeypatch):
     monkeypatch.setattr(main, "realtime", None)  # Nothing that could be called.
     main.deploy(main.DeployCfg(out=tmp_path, seconds=0.1))
+
+
+@dataclass(frozen=True)
+class PhysicalCfg(SimulationCfg):
+    """A robot that takes itself for a real one."""
+
+    simulated: ClassVar[bool] = False
+
+
+def scheduling() -> tuple[int, int]:
+    """Policy and priority of the calling thread."""
+    return os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+
+
+def test_the_loop_waits_for_a_vision_thread_of_its_own_priority(tmp_path, monkeypatch):
+    loop, vision = [], []
+    infer = inference.infer
+
+    def watched_infer(*arguments):
+        vision.append((threading.current_thread(), scheduling()))
+        return infer(*arguments)
+
+    def watched_loop(*arguments, **options):
+        loop.append(scheduling())
+        run_control_loop(*arguments, **options)
+
+    monkeypatch.setattr(inference, "infer", watched_infer)
+    monkeypatch.setattr(main, "run_control_loop", watched_loop)
+    driver = PhysicalCfg(real_time=True)
+    options = {"camera": "none", "dry_run": True, "safety": BRISK, "seconds": 1.0}
+    main.deploy(main.DeployCfg(out=tmp_path, driver=driver, **options))
+    if loop[0][0] != os.SCHED_FIFO:
+        pytest.skip("the system refuses real-time priority")
+    assert loop == [(os.SCHED_FIFO, main.PRIORITY)]
+    thread, _ = vision[0]
+    assert thread is not threading.main_thread()
+    assert {how for _, how in vision} == set(loop)
