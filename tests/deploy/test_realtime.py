@@ -1,8 +1,9 @@
-"""Priority, memory and garbage collector of the control loop's thread alone."""
+"""Priority of the control loop's thread and of others, memory and garbage collector."""
 
 import gc
 import os
 import re
+import sys
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,24 +19,45 @@ from renet.deploy.loop import run_control_loop
 from .fakes import BRISK
 
 
-def test_the_calling_thread_alone_gets_priority_and_gives_it_back():
+def scheduling(thread: int = 0) -> tuple[int, int]:
+    """Policy and priority of a thread by the system's number, by default of the calling one."""
+    return os.sched_getscheduler(thread), os.sched_getparam(thread).sched_priority
+
+
+def test_this_thread_gets_priority_the_others_less_and_all_give_it_back():
     gc.unfreeze()  # The tests' own.
-    go, ids = threading.Event(), []
-    other = threading.Thread(target=lambda: (ids.append(threading.get_native_id()), go.wait(60)))
+    go = threading.Event()
+    other = threading.Thread(target=go.wait, args=(60,))
     other.start()
-    before = os.sched_getscheduler(0)
-    with realtime.realtime(1) as refused:
-        inside = os.sched_getscheduler(0)
-        assert (inside == os.SCHED_FIFO) != ("real-time priority" in refused)
-        assert os.sched_getscheduler(ids[0]) == before, "recorder, terminal and camera keep theirs"
+    before = scheduling(), scheduling(other.native_id), sys.getswitchinterval()
+    with realtime.realtime(50) as refused:
+        allowed = "real-time priority" not in refused
+        if allowed:
+            assert scheduling() == (os.SCHED_FIFO, 50)
+            # The loop waits while another thread of Python holds the interpreter's lock.
+            assert scheduling(other.native_id) == (os.SCHED_FIFO, 40)
+        assert sys.getswitchinterval() < 0.001
         assert not gc.isenabled()
         assert gc.get_freeze_count() > 0
+    assert (scheduling(), scheduling(other.native_id), sys.getswitchinterval()) == before
     go.set()
     other.join()
-    assert os.sched_getscheduler(0) == before
     assert gc.isenabled()
     assert gc.get_freeze_count() == 0
     assert re.search(r"VmLck:\s+0 kB", Path("/proc/self/status").read_text())
+    if not allowed:
+        pytest.skip("the system refuses real-time priority")
+
+
+def test_a_thread_that_ends_meanwhile_hinders_nothing():
+    go = threading.Event()
+    other = threading.Thread(target=go.wait, args=(60,))
+    other.start()
+    before = scheduling()
+    with realtime.realtime(50):
+        go.set()
+        other.join()
+    assert scheduling() == before
 
 
 def test_a_system_that_refuses_is_quoted(monkeypatch):
@@ -55,11 +77,6 @@ class PhysicalCfg(SimulationCfg):
     """A robot that takes itself for a real one."""
 
     simulated: ClassVar[bool] = False
-
-
-def scheduling() -> tuple[int, int]:
-    """Policy and priority of the calling thread."""
-    return os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
 
 
 def test_the_loop_waits_for_a_vision_thread_of_its_own_priority(tmp_path, monkeypatch):
