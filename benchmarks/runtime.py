@@ -56,6 +56,22 @@ while True:
 """
 """A neighbour: it computes without end on the core that it is given, and fills its caches."""
 
+WITNESS = """
+import os, sys, time
+os.sched_setaffinity(0, {int(sys.argv[1])})
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(99))
+due = time.monotonic()
+while True:
+    due += 0.002
+    time.sleep(max(0.0, due - time.monotonic()))
+    now = time.monotonic()
+    if now - due > 0.004:
+        print(due, now, flush=True)
+        due = now
+"""
+"""Sleeps with the highest priority there is, and prints when it was woken over 4 ms late: then its
+core was with nobody, because a virtual machine's host had it, or with the kernel."""
+
 
 @dataclass(frozen=True)
 class Cfg:
@@ -78,6 +94,7 @@ class RandomRobot:
         self._due = self.now()
         self.wake_ms = [0.0]
         self.command_ms: list[float] = []
+        self.due: list[float] = []
 
     def now(self) -> float:
         return time.monotonic()
@@ -96,6 +113,7 @@ class RandomRobot:
 
     def write(self, command: JointCommand) -> None:
         self.command_ms.append(1000.0 * (self.now() - self._due))
+        self.due.append(self._due)
 
 
 class RandomCamera:
@@ -186,6 +204,31 @@ def neighbours(count: int) -> Iterator[None]:
             process.wait()
 
 
+@contextmanager
+def witnesses() -> Iterator[list[tuple[float, float]]]:
+    """One on each core; when they stalled is known at the end, in s of the monotonic clock.
+
+    Nothing is known where the system refuses them their priority.
+    """
+    stalls: list[tuple[float, float]] = []
+    command = [sys.executable, "-c", WITNESS]
+    processes = [
+        subprocess.Popen(
+            [*command, str(core)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        for core in os.sched_getaffinity(0)
+    ]
+    try:
+        yield stalls
+    finally:
+        for process in processes:
+            process.kill()
+            told, _ = process.communicate()
+            for line in told.splitlines():
+                begin, end = map(float, line.split())
+                stalls.append((begin, end))
+
+
 def spread(values: Sequence[float] | np.ndarray) -> dict[str, float]:
     """Median, 99th and 99.9th percentile, and the largest of all values."""
     names = ("p50", "p99", "p99.9", "max")
@@ -218,7 +261,9 @@ def walk(bundle: Bundle, ticks: int) -> tuple[RandomRobot, TimedController, str]
     return robot, controller, refused
 
 
-def results(robot: RandomRobot, controller: TimedController) -> dict[str, Any]:
+def results(
+    robot: RandomRobot, controller: TimedController, stalls: list[tuple[float, float]]
+) -> dict[str, Any]:
     """Times of every step of walking, and of those with and without a vision tick."""
     assert len(robot.command_ms) == len(controller.steps)
     walking, vision, blind, trusted, wall, cpu = np.array(controller.steps).T
@@ -226,6 +271,11 @@ def results(robot: RandomRobot, controller: TimedController) -> dict[str, Any]:
     wakes = np.array(robot.wake_ms[: len(walks)])
     commands = np.array(robot.command_ms)
     late = commands > LATE_MS
+    late_ticks = sees & (late | (blind > 0))
+    due = np.array(robot.due)
+    stalled = np.zeros(len(due), bool)
+    for begin, end in stalls:
+        stalled |= (begin < due + commands / 1000.0) & (due < end)
     return {
         "step_ms": spread(wall[walks]),
         "policy_step_ms": spread(wall[walks & ~sees]),
@@ -236,7 +286,10 @@ def results(robot: RandomRobot, controller: TimedController) -> dict[str, Any]:
         "steps": int(walks.sum()),
         "steps_late_by_8_ms": int(late[walks].sum()),
         "vision_ticks": int(sees.sum()),
-        "vision_ticks_late_by_8_ms": int((late[sees] | (blind[sees] > 0)).sum()),
+        "vision_ticks_late_by_8_ms": int(late_ticks.sum()),
+        "of_them_while_the_machine_stalled": int((late_ticks & stalled).sum()),
+        "stalls_of_the_machine": len(stalls),
+        "steps_while_the_machine_stalled": int((walks & stalled).sum()),
         "vision_share": round(float(trusted[walks].mean()), 4),
     }
 
@@ -245,17 +298,17 @@ def main(cfg: Cfg) -> None:
     bundle = Bundle.load(cfg.bundle)
     stopwatch = Stopwatch()
     inference.infer = stopwatch
-    with neighbours(cfg.neighbours):
+    with neighbours(cfg.neighbours), witnesses() as stalls:
         robot, controller, refused = walk(bundle, cfg.ticks)
-        load = os.getloadavg()
+        load = os.getloadavg()[1]
     assert "torch" not in sys.modules
     report(
         {
-            **results(robot, controller),
+            **results(robot, controller, stalls),
             "vision_ms": spread(stopwatch.wall_ms),
             "vision_cpu_ms": spread(stopwatch.cpu_ms),
             "neighbours": cfg.neighbours,
-            "load_meanwhile": load[1],
+            "load_meanwhile": load,
             "refused": refused,
             "memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
             "bundle_bytes": sum((bundle.path / f"{m}.onnx").stat().st_size for m in MODELS),
