@@ -66,10 +66,14 @@ def test_a_backend_of_opengl_that_does_not_load_ends_no_command(backend, tmp_pat
     assert done.returncode == 0, done.stderr
 
 
-def test_help_of_a_task_says_who_lists_its_settings(capsys):
-    _, out, _ = run(capsys, "train", "Renet-Go1-Parkour", "--help")
-    assert "--time-budget" in out
-    assert "`train TASK --help` lists" in " ".join(out.replace("│", " ").split())
+def test_help_of_a_task_fits_a_screen_and_says_where_the_rest_is(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    for arguments in (["train", "--help"], ["train", "Renet-Go1-Parkour", "--help"]):
+        _, out, _ = run(capsys, *arguments)
+        assert len(out.splitlines()) <= 40
+        assert max(map(len, out.splitlines())) <= 80
+        named = "num-envs seed max-iterations resume time-budget log-root device engine help-all"
+        assert [name for name in named.split() if f"--{name}" not in out] == []
 
 
 def test_a_bar_keeps_share_and_time_left_at_80_columns(capsys, monkeypatch):

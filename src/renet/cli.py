@@ -24,6 +24,8 @@ from typing import Annotated, Any, Union
 from renet import __version__
 from renet.errors import RenetError, install, printable, unknown_name
 
+HELP_ALL = "--help-all"
+"""Shows the settings that depend on a task, too, which loads PyTorch."""
 SIGPIPE_CODE = 141
 """Exit code of a program whose reader left, as shells count it."""
 
@@ -44,7 +46,19 @@ class Command:
     resume: str = ""
     """What an interruption leaves, and how to go on."""
     options: str = ""
-    """MODULE:CONFIG that `--help` shows, where the target's module loads PyTorch."""
+    """MODULE:CONFIG that `--help` shows and that mistakes are looked for with first, where the
+    target's module loads PyTorch."""
+
+    def check(self, arguments: list[str], program: str) -> None:
+        """Refuse what can be told without PyTorch; raises RenetError, or exits with 2 as tyro."""
+        if not self.options or {"-h", "--help", HELP_ALL}.intersection(arguments):
+            return
+        module, config = self.options.split(":")
+        options = getattr(importlib.import_module(module), config)
+        known = options.known(arguments) if hasattr(options, "known") else arguments
+        cfg = parse(options, known, program)
+        if hasattr(cfg, "check"):
+            cfg.check()
 
     def load(self, arguments: list[str]) -> tuple[Callable[[Any], Any], Any, list[str]]:
         """The function, the dataclass that `--preset` asks for, and the other arguments."""
@@ -52,6 +66,7 @@ class Command:
         if self.options and not {"-h", "--help"}.isdisjoint(arguments):
             module, config = self.options.split(":")
             return print, getattr(importlib.import_module(module), config), ["--help"]
+        arguments = ["--help" if argument == HELP_ALL else argument for argument in arguments]
         run = attrgetter(function)(importlib.import_module(module))
         if self.presets:
             parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
@@ -98,7 +113,7 @@ COMMANDS = {
     "train": _train(
         "train RENet on a CPU or on GPUs",
         "renet.training.train:TrainCfg:train",
-        options="renet.options:TrainOptions",
+        options="renet.options:UsualOptions",
     ),
     "recipe": _train(
         "print every setting of a checkpoint or a new run",
@@ -251,6 +266,7 @@ def _dispatch(arguments: list[str]) -> int:
         return 0
     command = COMMANDS[name]
     try:
+        command.check(rest, f"renet {name}")
         run, config, rest = command.load(rest)
         cfg = parse(config, rest, f"renet {name}")
         result = run(cfg)

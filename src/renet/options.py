@@ -1,42 +1,136 @@
-"""Options of commands whose own modules need PyTorch, so that `--help` need not load it."""
+"""Options of commands whose own modules need PyTorch: help and mistakes need not load it."""
 
-from dataclasses import dataclass
+import math
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import tyro
 
+from renet.errors import RenetError, demand_name
 from renet.interface import Engine
 
-TASK = "Renet-Go1-Parkour"
+ROBOTS = ("Go1", "Go2")
+TASKS = tuple(
+    f"Renet-{robot}-{kind}" for robot in ROBOTS for kind in ("Parkour", "Parkour-Paper", "Flat")
+)
+"""Ids of the tasks that renet itself registers, which needs PyTorch."""
+TASK = TASKS[0]
+PLUG_INS = "mjlab.tasks"
+"""Group of entry points under which packages register tasks."""
+REGISTRY = "renet.registry"
+"""renet's own entry point there."""
+LATEST = "latest"
+LOGS = Path("logs")
+SETTINGS = ("--env.", "--agent.")
+"""Beginnings of options that are settings of a task, known once it is loaded."""
 
 
 @dataclass(kw_only=True)
 class TrainOptions:
-    """Train RENet.
-
-    The settings of a task are options, too: `--agent.NAME` and `--env.NAME`, which mjlab's
-    `train TASK --help` lists. `renet recipe` prints them with their values.
-    """
+    """Options of a training that are no settings of its task."""
 
     task: tyro.conf.Positional[str]
-    """Task id: Renet-Go1-Parkour (the recipe), Renet-Go1-Parkour-Paper (the paper's settings, for
-    1.5 billion steps), Renet-Go1-Flat, or one registered by a plug-in."""
+    """Renet-Go1-Parkour (the recipe), Renet-Go1-Parkour-Paper (as in the paper),
+    Renet-Go1-Flat, Renet-Go2-..., or a plug-in's."""
     num_envs: int | None = None
-    """Robots of each process, short for --env.scene.num-envs; by default 512 on a CPU and 4096 on a
-    GPU (paper)."""
+    """Robots of each process; by default 512 on a CPU, 4096 on a GPU (paper)."""
     resume: str | None = None
-    """Run folder or checkpoint to go on from, with its settings; `latest` takes the newest run of
-    this task."""
+    """Run folder or checkpoint to go on from, with its settings; latest: the task's newest run."""
     time_budget: str | None = None
-    """Stop cleanly, with a checkpoint, before this much time has passed (90s, 25m, 8h), but not
-    before one iteration is done."""
+    """Stop with a checkpoint before so much time has passed (90s, 25m, 8h), but not before one
+    iteration is done."""
     log_root: Path | None = None
-    """Folder that receives a folder per run; by default `logs`, or where the run to go on from is.
-    Another one than that run's branches off: the run itself stays as it is."""
+    """Folder of the run's folder: by default logs, or that of the run to go on from. Another one
+    branches off: that run stays as it is."""
     device: str = "auto"
     """cpu, cuda:0, ... or auto (a GPU if there is one)."""
     engine: Engine = "auto"
     """Physics engine; auto: native (C MuJoCo on threads) on a CPU, warp on a GPU."""
+
+
+@dataclass(kw_only=True)
+class UsualOptions(TrainOptions):
+    """Train RENet. Settings of a task are options, too: --agent.NAME and --env.NAME.
+
+    `renet train TASK --help-all` lists them, `renet recipe` prints their values.
+    """
+
+    seed: int = 1
+    """Seed of everything random."""
+    max_iterations: int = 15_000
+    """Iterations in all, also of a run that goes on; the paper's by default."""
+
+    @staticmethod
+    def known(arguments: Sequence[str]) -> list[str]:
+        """The arguments without a task's settings; raises RenetError for an unknown option."""
+        names = [f"--{field.name.replace('_', '-')}" for field in fields(UsualOptions)]
+        kept, setting = [], False
+        for argument in arguments:
+            if argument.startswith("--"):
+                name = argument.partition("=")[0]
+                setting = name.startswith(SETTINGS)
+                if not setting:
+                    demand_name(
+                        "option", name.replace("_", "-"), [*names[1:], "--help", "--help-all"]
+                    )
+            if not setting:
+                kept.append(argument)
+        return kept
+
+    @classmethod
+    def defaults(cls, arguments: Sequence[str]) -> "UsualOptions":
+        """What a command line starts from: a run that goes on has a task of its own."""
+        resumes = any(argument.partition("=")[0] == "--resume" for argument in arguments)
+        return cls(task="" if resumes else tyro.MISSING)
+
+    def check(self) -> None:
+        """Raise RenetError for what no task and no computer takes."""
+        if self.task:
+            check_task(self.task)
+        if self.resume is not None:
+            resumed_folder(self.resume, self.log_root, self.task)
+        if self.num_envs is not None and self.num_envs < 1:
+            raise RenetError(f"the number of environments must be at least 1, got {self.num_envs}")
+        seconds(self.time_budget)
+        check_device(self.device)
+
+
+def check_task(task: str) -> None:
+    """Raise RenetError for a task that nothing can have registered: neither renet nor a plug-in."""
+    others = [plug_in for plug_in in entry_points(group=PLUG_INS) if plug_in.value != REGISTRY]
+    # Once mjlab is loaded, a program may have registered a task by itself.
+    if not (others or "mjlab" in sys.modules or task.startswith("Mjlab-")):
+        demand_name("task", task, TASKS)
+
+
+def resumed_folder(resume: str, root: Path | None, task: str) -> Path:
+    """The folder that `--resume` names; raises RenetError if there is none."""
+    if resume == LATEST and not task:
+        raise RenetError("write the task first: renet train TASK --resume latest")
+    folder = (root or LOGS) / task if resume == LATEST else Path(resume)
+    if not folder.exists():
+        raise RenetError(f"nothing to resume: {folder} does not exist")
+    return folder
+
+
+def seconds(text: str | None) -> float:
+    """Parse a duration such as 90s, 25m or 1.5h; a bare number is seconds, None endless."""
+    if text is None:
+        return math.inf
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)([smh]?)", text.strip())
+    if not match:
+        raise RenetError(f"time budget {text!r} is not a duration: write 90s, 25m or 8h")
+    return float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]]
+
+
+def check_device(name: str) -> None:
+    """Raise RenetError for a device that no computer has."""
+    if not re.fullmatch(r"auto|cpu|cuda(:\d+)?", name):
+        raise RenetError(f"unknown device {name!r}: use cpu, cuda or cuda:N")
 
 
 @dataclass(kw_only=True)
@@ -48,6 +142,10 @@ class RecipeCfg:
     that would begin now."""
     task: str = TASK
     """Task of the run that would begin now."""
+
+    def check(self) -> None:
+        """Raise RenetError for a task that nothing can have registered."""
+        check_task(self.task)
 
 
 @dataclass(kw_only=True)

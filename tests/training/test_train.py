@@ -10,8 +10,10 @@ from pathlib import Path
 import mjlab.scripts.train
 import pytest
 import torch
+from mjlab.tasks.registry import list_tasks
 
-from renet.cli import parse
+from renet import options
+from renet.cli import COMMANDS, parse
 from renet.errors import RenetError
 from renet.folders import lock
 from renet.tasks.parkour_env_cfg import parkour_env_cfg
@@ -89,7 +91,7 @@ def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(
     assert "agent.seed was 1, now 3" in out
     assert "env.scene.sensors.depth_camera.delay was [0.0, 0.1], now [0.0, 0.2]" in out
     assert sum(" was " in row for row in out) == 3  # And the number of iterations.
-    ours = re.compile(r"Going on|agent|env|Training|Each robot|Curves|2/2  ")
+    ours = re.compile(r"Going on|agent|env|Training|Each robot|Curves|iteration 2  ")
     assert all(map(ours.match, out)), "no library says anything"
     assert 0.0 < given[0] < 59.9, "the time budget counts from the start"
 
@@ -132,6 +134,22 @@ def test_mjlabs_train_begins_with_the_same_settings(task, options, monkeypatch):
     assert whole(ours) == whole(taken.pop())
     changed = ours.env.rewards["yaw"].weight, ours.agent.model.him, ours.agent.seed
     assert changed == ((0.3, False, 4) if options else (0.5, True, 1))
+
+
+def test_what_is_known_without_torch_is_what_is_registered():
+    registered = [task for task in list_tasks() if re.match("Renet-(Go1|Go2)-", task)]
+    assert sorted(options.TASKS) == registered
+    usual = options.UsualOptions(task=TASK)
+    agent = TrainCfg.from_task(TASK).agent
+    assert (usual.seed, usual.max_iterations) == (agent.seed, agent.max_iterations)
+
+
+def test_all_help_lists_the_settings_of_the_task(capsys):
+    run, config, arguments = COMMANDS["train"].load([TASK, "--help-all"])
+    assert run is train
+    with pytest.raises(SystemExit, match="0"):
+        parse(config, arguments, "renet train")
+    assert "--env.rewards.yaw.weight" in capsys.readouterr().out
 
 
 def test_the_papers_task_has_nothing_of_the_recipe():

@@ -55,9 +55,6 @@ def deploy(cfg: DeployCfg) -> Path:
                 recorder.event(event)
                 terminal.say(f"{event.time - begun:8.2f} s  {event.what}: {event.why}")
 
-            inference = ThreadedInference if cfg.live else InlineInference
-            controller = Controller(bundle, cfg.limits, inference, cfg.selector, tell)
-            stack.callback(controller.close)
             show = getattr(robot, "show", lambda: None)
             echo, watch = printer(terminal.say), JointWatch(terminal.say)
 
@@ -81,12 +78,18 @@ def deploy(cfg: DeployCfg) -> Path:
 
             # A simulation with priority would starve the rest of the computer.
             priority = nullcontext("") if cfg.driver.simulated else realtime(PRIORITY)
-            with priority as refused, interruptible() as interrupted, watchdog(close) as step:
+            with priority as refused:
                 if refused:
                     terminal.say(refused)
-                begun = robot.now()
-                devices = (robot, camera, teleop, controller, recorder)
-                run_control_loop(*devices, done=done, on_step=on_step, dry_run=cfg.dry_run)
+                # Threads inherit the priority of the one that starts them: the loop waits for
+                # vision's, which must not be the weaker one.
+                inference = ThreadedInference if cfg.live else InlineInference
+                controller = Controller(bundle, cfg.limits, inference, cfg.selector, tell)
+                stack.callback(controller.close)
+                with interruptible() as interrupted, watchdog(close) as step:
+                    begun = robot.now()
+                    devices = (robot, camera, teleop, controller, recorder)
+                    run_control_loop(*devices, done=done, on_step=on_step, dry_run=cfg.dry_run)
         if recorder.problem:
             print(recorder.problem)
         if not recorder.hung:

@@ -11,7 +11,7 @@ Method B).
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 
@@ -31,6 +31,7 @@ SLOWEST = 1.0
 """Longest delay of the filter in seconds."""
 SELECTORS = get_args(SelectorName)
 SEES, REMEMBERS, BLIND = STATES = ("sees", "remembers", "blind")
+_STATES = np.array(STATES)
 LONGEST_MEMORY = 60.0
 """Most seconds for which a bundle may let VP drive without an image."""
 
@@ -85,6 +86,19 @@ class SelectorSpec:
         return {name: value for name, value in thresholds.items() if value is not None}
 
 
+class _Limits(NamedTuple):
+    """Monitors, and the least score to which each objects: made once, read at every step."""
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    """[monitors, 1]"""
+
+    @classmethod
+    def of(cls, thresholds: Mapping[str, float]) -> "_Limits":
+        """Those of thresholds by the monitor's name."""
+        return cls(tuple(thresholds), np.array([*thresholds.values()])[:, None])
+
+
 class MonitorSelector:
     """Decides for N robots which images VP gets and whether VP or OP drives.
 
@@ -131,8 +145,8 @@ class MonitorSelector:
         """Reason of the first monitor that objected when the robot last ceased to see, [N]; empty
         while it sees."""
         used = [(MONITORS[name], name, limit) for name, limit in self.thresholds.items()]
-        self._judged = {n: limit for m, n, limit in used if not (longest_memory and m.of_image)}
-        self._before_vision = {n: limit for m, n, limit in used if m.of_image and not m.output}
+        self._judged = _Limits.of({n: x for m, n, x in used if not (longest_memory and m.of_image)})
+        self._before_vision = _Limits.of({n: x for m, n, x in used if m.of_image and not m.output})
         self._limits = {m.output: limit for m, _, limit in used if m.output}
         self._scorer = Scorer(num_robots)
         self._looked = False
@@ -145,7 +159,7 @@ class MonitorSelector:
     @property
     def state(self) -> np.ndarray:
         """Whether each robot sees, remembers or is blind, [N] of `STATES`."""
-        return np.where(self.vision, np.where(self.without_image > 0, REMEMBERS, SEES), BLIND)
+        return _STATES[np.where(self.vision, self.without_image > 0, 2)]
 
     def look(self, seen: SelectorInput) -> Gate | None:
         """Judge the images of a tick before the vision model runs; called once in every tick.
@@ -206,16 +220,16 @@ class MonitorSelector:
         self._explain(~(good & healthy) & (leaving | ceasing), seen)
         return self.vision
 
-    def _verdicts(self, seen: SelectorInput, limits: Mapping[str, float]) -> np.ndarray:
+    def _verdicts(self, seen: SelectorInput, limits: "_Limits") -> np.ndarray:
         """Whether each monitor finds vision healthy, [monitors, N] bool."""
-        return self._scorer.scores(seen, limits) < np.array([*limits.values()])[:, None]
+        return self._scorer.scores(seen, limits.names) < limits.values
 
     def _explain(self, robots: np.ndarray, seen: SelectorInput) -> None:
         """Set the reason of the masked robots [N] to that of the first monitor that objects."""
         if not robots.any():
             return
         counted = replace(seen, fresh=np.zeros_like(seen.fresh))
-        verdicts = self._verdicts(counted, self.thresholds)
+        verdicts = self._verdicts(counted, _Limits.of(self.thresholds))
         for robot in np.flatnonzero(robots):
             for name, good in zip(self.thresholds, verdicts[:, robot], strict=True):
                 # The first withheld image gave the reason.

@@ -11,11 +11,9 @@ from typing import Any
 
 from renet.errors import RenetError
 from renet.folders import new_folder
+from renet.options import LOGS, resumed_folder
 from renet.training import checkpoint as checkpoints
 from renet.training.runner import CHECKPOINTS
-
-LATEST = "latest"
-LOGS = Path("logs")
 
 
 def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
@@ -53,11 +51,8 @@ def new_run(root: Path | None, experiment: str, name: str = "") -> Path:
 
 
 def resolve_resume(resume: str, root: Path | None, experiment: str) -> Path:
-    """The checkpoint folder that `--resume` names."""
-    folder = (root or LOGS) / experiment if resume == LATEST else Path(resume)
-    if not folder.exists():
-        raise RenetError(f"nothing to resume: {folder} does not exist")
-    return checkpoints.find(folder)
+    """The checkpoint folder that `--resume` names; raises RenetError if there is none."""
+    return checkpoints.find(resumed_folder(resume, root, experiment))
 
 
 @contextmanager

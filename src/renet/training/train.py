@@ -4,7 +4,6 @@ import argparse
 import json
 import math
 import os
-import re
 import sys
 import time
 import warnings
@@ -25,7 +24,7 @@ from renet.curves import CURVES
 from renet.errors import RenetError, printable
 from renet.files import write_atomically
 from renet.folders import lock
-from renet.options import TASK, RecipeCfg, TrainOptions
+from renet.options import TASK, RecipeCfg, TrainOptions, check_device, seconds
 from renet.tasks import RenetEnvCfg, env_cfg, make_env
 from renet.training import checkpoint as checkpoints
 from renet.training.config import MOST_STEPS, RenetRunnerCfg, steps_per_env
@@ -33,7 +32,7 @@ from renet.training.metrics import write_run_report
 from renet.training.progress import Report
 from renet.training.provenance import described, differences, restored
 from renet.training.runner import RenetRunner
-from renet.training.runs import LATEST, new_run, resolve_resume, resumed_run, signals
+from renet.training.runs import new_run, resolve_resume, resumed_run, signals
 from renet.version import code_version
 
 CONFIG = "config.json"
@@ -77,8 +76,6 @@ class TrainCfg(TrainOptions):
         parser.add_argument("--log-root", "--log_root", nargs="?", type=Path)
         paths, _ = parser.parse_known_args(arguments)
         task = next((a for a in arguments[:1] if not a.startswith("-")), "")
-        if paths.resume == LATEST and not task:
-            raise RenetError("write the task first: renet train TASK --resume latest")
         if paths.resume is not None:
             path = resolve_resume(paths.resume, paths.log_root, task)
             return cls.resumed(checkpoints.load_state(path), task)
@@ -152,7 +149,7 @@ def train(cfg: TrainCfg) -> Path | None:
             console.print(iterations(agent, env.num_envs, built.alg.steps))
             write_atomically(run / CONFIG, (json.dumps(settings, indent=1) + "\n").encode())
         runner = built
-        with Report(console, runner, agent.max_iterations) as report:
+        with Report(console, runner, agent.max_iterations, deadline) as report:
             left = agent.max_iterations - runner.alg.iteration
             budget = deadline - time.monotonic()
             newest = runner.learn(left, time_budget_s=budget, report=report.iterate)
@@ -213,24 +210,13 @@ def quiet(rank: int = 0) -> Iterator[Console]:
         yield Console(file=file, markup=False, highlight=False, soft_wrap=True)
 
 
-def seconds(text: str | None) -> float:
-    """Parse a duration such as 90s, 25m or 1.5h; a bare number is seconds, None endless."""
-    if text is None:
-        return math.inf
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)([smh]?)", text.strip())
-    if not match:
-        raise RenetError(f"time budget {text!r} is not a duration: write 90s, 25m or 8h")
-    return float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]]
-
-
 def resolve_device(name: str) -> str:
     """Turn `auto` and `cuda` into this process's device and refuse one that is absent."""
+    check_device(name)
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
     if name == "cuda":
         name = f"cuda:{os.getenv('LOCAL_RANK', '0')}"
-    if not re.fullmatch(r"cpu|cuda:\d+", name):
-        raise RenetError(f"unknown device {name!r}: use cpu, cuda or cuda:N")
     if name != "cpu" and int(name.removeprefix("cuda:")) >= torch.cuda.device_count():
         raise RenetError(
             f"device {name} is absent: {torch.cuda.device_count()} CUDA devices are visible; "

@@ -38,7 +38,7 @@ def clean_state(raw: RobotState, now: float) -> RobotState:
         raise RenetError("the state's time is not finite")
     if raw.time > now + FUTURE:
         raise RenetError("the state's time lies in the future")
-    if abs(math.hypot(*arrays["quaternion"]) - 1.0) > 0.1:
+    if abs(math.hypot(*arrays["quaternion"].tolist()) - 1.0) > 0.1:
         raise RenetError("the quaternion's length is not 1")
     return RobotState(float(raw.time), **arrays)
 
