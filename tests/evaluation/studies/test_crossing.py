@@ -80,6 +80,15 @@ def test_drawn_faults_are_the_seeds_and_no_scene_has_to_carry_them_out():
     assert {len(chain) for draw in draws for chain in draw.values()} == {1, 2}
 
 
+def test_a_seed_draws_what_it_drew_for_published_results():
+    assert drawn_faults(0) == {
+        "drawn_1": (("motion_blur", 3), ("unplugged", 3)),
+        "drawn_2": (("gaussian", 3),),
+        "drawn_3": (("edge_shadow", 4), ("intermittent_blackout", 5)),
+        "drawn_4": (("unplugged", 5), ("wrong_scale", 3)),
+    }
+
+
 def test_kept_of_a_policy_that_crosses_nothing_is_not_a_number():
     values = {"crossed": np.zeros(3), "upright": np.ones(3), "twins": np.zeros(3)}
     assert score([{"values": values}])["kept"] is None
