@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
@@ -19,7 +19,14 @@ from matplotlib.figure import Figure
 from renet.errors import RenetError, demand_name
 from renet.evaluation import figures
 from renet.evaluation.results import kept, output_folder, plain, write_csv, write_json
-from renet.evaluation.rollout import Mode, Trial, check_finite, check_modes, check_speed
+from renet.evaluation.rollout import (
+    Conditions,
+    Mode,
+    Trial,
+    check_finite,
+    check_modes,
+    check_speed,
+)
 from renet.interface import Engine, SelectorName
 from renet.selector.selector import SELECTORS
 from renet.terminal import show
@@ -51,6 +58,9 @@ class Study:
     """Physics engine; auto: native on a CPU, warp on a GPU."""
     selector: SelectorName = "monitors"
     """What `renet` trusts: monitors (all of them, with a dwell) or paper (reconstruction alone)."""
+    conditions: Conditions = "nominal"
+    """What robots meet. training: the differences between motors, joints and mounts, late images,
+    noise of sensors and pushes of the bundle's training; nominal: hardly any of them."""
 
     name: ClassVar[str]
     """Name of the study's folder in the results, and of its template."""
@@ -60,6 +70,7 @@ class Study:
     def __post_init__(self) -> None:
         check_finite(self)
         demand_name("selector", self.selector, SELECTORS)
+        demand_name("conditions", self.conditions, get_args(Conditions))
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """Batches of robots by name, each kept on disk once it has run."""
@@ -78,10 +89,10 @@ class Study:
         raise NotImplementedError
 
     def make_evaluator(self) -> Evaluator:
-        """The evaluator of the settings' bundle and selector."""
+        """The evaluator of the settings' bundle, selector and conditions."""
         from renet.evaluation.evaluator import Evaluator
 
-        return Evaluator(self.bundle, self.engine, self.selector)
+        return Evaluator(self.bundle, self.engine, self.selector, self.conditions)
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
         """Run what has not been run yet, write the results to `out` and return the summary.

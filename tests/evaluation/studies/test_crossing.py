@@ -9,6 +9,7 @@ from renet.errors import RenetError
 from renet.evaluation.studies.benchmark import read_result
 from renet.evaluation.studies.crossing import CrossingStudy, Setting, drawn_faults, score
 from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard
+from renet.evaluation.studies.one_try import OneTryStudy
 from renet.faults import FAULTS
 from renet.faults.physical import PhysicalFault
 
@@ -137,9 +138,16 @@ def test_a_damaged_file_is_refused_and_versions_do_not_share_a_table(folder, tmp
         make_leaderboard(LeaderboardCfg((folder / "result.json", tmp_path / "old.json")))
 
 
+def test_other_conditions_give_no_result_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(OneTryStudy, "run", lambda self, evaluator: {})
+    CrossingStudy(out=tmp_path, conditions="training").run()
+    assert not (tmp_path / "result.json").exists()
+
+
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
+        ({"conditions": "easy"}, "conditions"),
         ({"grounds": ("flat",)}, "choose among gap, platform"),
         ({"draw_seed": -1}, "draw seed must be at least 0"),
         ({"seconds": 0.5}, "seconds must be at least 1"),

@@ -26,6 +26,7 @@ from renet.evaluation.study import Figures, Part, Table
 from renet.evaluation.trace import Trace
 from renet.faults import FAULTS, Injection
 from renet.faults.physical import PhysicalFault
+from renet.files import remove
 from renet.interface import CONTROL_DT
 
 if TYPE_CHECKING:
@@ -190,9 +191,11 @@ class CrossingStudy(OneTryStudy):
         }
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
-        """As every study; writes result.json as well."""
+        """As every study; writes result.json as well, unless conditions are not version 2's."""
         summary = super().run(evaluator)
-        write_json(self.out / "result.json", result(summary))
+        remove(self.out / "result.json")
+        if self.conditions == "nominal":
+            write_json(self.out / "result.json", result(summary))
         return summary
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:

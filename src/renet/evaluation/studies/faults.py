@@ -323,7 +323,7 @@ class FaultStudy(WalkingStudy):
         """Whether version 1 of the benchmark has all of the settings."""
         known = set(self.onsets) <= set(ONSETS) and set(self.grounds) <= set(GROUNDS)
         faults = {setting.fault for settings in self.batches.values() for setting in settings}
-        return known and faults <= set(LISTED)
+        return known and faults <= set(LISTED) and self.conditions == "nominal"
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """crossed.png, survival.png and detection.png."""
