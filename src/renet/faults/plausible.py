@@ -18,7 +18,7 @@ class Mirrored(ImageFault):
     """Left and right are exchanged, by a setting that a restart of the driver resets; level is for
     how many seconds.
 
-    Users mirror images in the driver or the viewer, and depth with them (librealsense#9389).
+    Users flip depth in their programs, to see themselves as in a mirror (librealsense#9389).
     """
 
     unit = "s"
