@@ -98,13 +98,16 @@ def test_depth_wraps_to_the_remainder_and_no_light_returns_from_out_of_range() -
     assert wrapped[-1] == 2.0
 
 
-@pytest.mark.parametrize("step", [64, 512])
-def test_quantised_depth_is_the_multiple_below(step: float) -> None:
-    after = play("quantised", step, 1).astype(float) * 1e3 * DEPTH_RANGE
-    np.testing.assert_allclose(after / step, np.round(after / step), atol=1e-3)
-    lost = LIVE * 1e3 * DEPTH_RANGE - after
-    assert -1e-2 <= lost.min() <= lost.max() < step + 1e-2
-    assert lost.max() > 0.95 * step
+@pytest.mark.parametrize("step", [64, 256])
+def test_quantised_depth_is_the_middle_of_its_terrace(step: float) -> None:
+    metres = np.linspace(0.05, 1.9, 64)
+    image = np.repeat(metres[None, None] / DEPTH_RANGE, DEPTH_SHAPE[0], axis=1).astype(np.float32)
+    fault = FAULTS["quantised"](step, [np.random.default_rng(0)])
+    after = fault.corrupt(Frames.healthy(image), np.zeros(1)).image[0, 0] * 1e3 * DEPTH_RANGE
+    terraces = after / step - 0.5
+    np.testing.assert_allclose(terraces, np.round(terraces), atol=1e-3)
+    errors = np.abs(after - 1e3 * metres)
+    assert 0.4 * step < errors.max() <= 0.5 * step + 1e-2
 
 
 def test_stray_light_moves_all_depths_the_stated_share_of_the_way_to_one_near_depth() -> None:

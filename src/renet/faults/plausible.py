@@ -152,7 +152,8 @@ class WrapAround(ImageFault):
 
 
 class Quantised(ImageFault):
-    """Depth loses its last binary digits and is rounded down to terraces; level is their height.
+    """Depth has lost its last binary digits: the ground becomes terraces, each at the middle of the
+    depths that it stands for; level is their height.
 
     Depth of 16 bits in mm is cut to 8 bits on its way (realsense-ros#2140), which leaves steps of
     256 mm, or is sent in decimetres to save bandwidth (zed-ros-wrapper#313).
@@ -164,7 +165,8 @@ class Quantised(ImageFault):
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
         """The image of rounded depths; pixels out of range stay as they are."""
         step = np.float32(1e-3 * self.level / DEPTH_RANGE)
-        return np.where(image < 1.0, np.floor(image / step) * step, image)
+        terraces = (np.floor(image / step) + np.float32(0.5)) * step
+        return np.where(image < 1.0, terraces, image)
 
 
 class StrayLight(ImageFault):
