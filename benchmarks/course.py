@@ -82,6 +82,7 @@ class CourseStudy(WalkingStudy):
         trials = [Trial(mode, robot=robot) for mode in self.modes for robot in range(robots)]
         streams = [trial.robot for trial in trials]
         task = course_env_cfg(lap, self.level, self.stuck_after, seed, evaluator.robot)
+        evaluator.set_conditions(task)
         env = CourseEnv(evaluator.make_env(task, streams, self.speed, seed), lap)
         rollout = evaluator.rollout(env, trials, seed)
         rollout.injector = PlaceInjector(env, streams, self.severity, seed)

@@ -19,6 +19,7 @@ from baselines.switches import Gate, ReturnSwitch, SwitchEvaluator, collect, fit
 from facts import errors_in_one_line
 from renet.errors import RenetError
 from renet.evaluation.rollout import Trial
+from renet.evaluation.studies.benchmark import LISTED
 from renet.evaluation.studies.crossing import CrossingStudy
 from renet.evaluation.studies.faults import FaultStudy
 from renet.faults import FAULTS, Injection, PhysicalFault
@@ -41,7 +42,7 @@ class Cfg:
     study: Annotated[CrossingStudy, VERSION_2] | Annotated[FaultStudy, VERSION_1]
     """What is studied; by default in results/switch_NAME."""
     severity: int = 4
-    """Severity of the faults it learns from: all but glass, foam and a knocked mount."""
+    """Severity of the faults it learns from: version 1's but glass, foam and a knocked mount."""
     robots: int = 2
     """Robots for each fault and mode in training, in turn on the study's grounds (version 2: hard
     ones); each has a twin whose camera stays healthy."""
@@ -62,7 +63,7 @@ class Cfg:
 def trained(cfg: Cfg) -> SwitchEvaluator:
     """An evaluator of the study's bundle that obeys a switch trained on it."""
     torch.manual_seed(cfg.seed)
-    faults = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
+    faults = [name for name in LISTED if not issubclass(FAULTS[name], PhysicalFault)]
     trials = [
         Trial(mode, schedule, number)
         for number, fault in enumerate(faults * cfg.robots)

@@ -17,6 +17,8 @@ const SLOW_MOTION = { pace: 0.25, milliseconds: 2000 };
 /** How slowly time runs while a robot falls, and for how long. */
 const PICTURES = 6;
 /** Faults that are shown at once; the others are behind "More". */
+const KEYS = 9;
+/** Faults that have a key, 1 to 9. */
 const PICTURED = 2;
 /** Seconds after its beginning of which a fault's picture is. */
 
@@ -67,7 +69,7 @@ export class Page {
     };
     this.healthy = tile("Healthy", "Repair both cameras (H)", () => this.breakCamera(null));
     this.tiles = faults.map(({ title, summary }, n) =>
-      tile(title, `${summary} (${n + 1})`, () => this.breakCamera(n)),
+      tile(title, n < KEYS ? `${summary} (${n + 1})` : summary, () => this.breakCamera(n)),
     );
     const more = tile("More", "More faults", () => $("#faults").classList.toggle("all"));
     more.querySelector("canvas").remove();

@@ -96,6 +96,8 @@ class FakeEvaluator:
     robot = GO1
     rollout = Evaluator.rollout
     terrain_env_cfg = Evaluator.terrain_env_cfg
+    set_conditions = Evaluator.set_conditions
+    conditions = "nominal"
 
     def __init__(self, env: type[FakeEnv] = FakeEnv, policy: type[FakePolicy] = FakePolicy) -> None:
         self.env, self.policy = env, policy

@@ -247,7 +247,7 @@ def test_two_faults_spoil_what_both_alone_spoil() -> None:
 
 
 def test_cameras_without_a_simulator_refuse_physical_faults() -> None:
-    for name in ("glass", "foam", "mount_knocked"):
+    for name in ("glass", "foam", "mount_knocked", "mount_creep"):
         with pytest.raises(RenetError, match="only a simulated world"):
             Injector([(Injection.of(name, 3),)], [0], 0)
 
@@ -269,6 +269,18 @@ def test_views_compose_and_images_pass_untouched() -> None:
     image = np.random.default_rng(0).random((2, 48, 64), np.float32)
     np.testing.assert_array_equal(injector.apply(Frames.healthy(image), 10).image, image)
     assert injector.at_work(10).tolist() == [True, False]
+
+
+def test_a_mount_creeps_about_one_axis_up_to_the_hardest_knock() -> None:
+    schedule = (Injection("mount_creep", 4.0, onset=50),)
+    injector = Injector([schedule] * 2, [0, 1], 5, physical=True)
+    steps = (0, 50, 100, 200, 1000)
+    turns = np.degrees([injector.perturbation(step).turn for step in steps])
+    angles = np.linalg.norm(turns, axis=-1)
+    np.testing.assert_allclose(angles, np.repeat([[0], [0], [4], [12], [25]], 2, axis=1))
+    axes = turns[2:] / angles[2:, :, None]
+    np.testing.assert_allclose(axes, np.repeat(axes[:1], 3, axis=0))
+    assert not np.allclose(axes[0, 0], axes[0, 1])
 
 
 @pytest.mark.parametrize(("count", "share", "expected"), [(4, 0.2, 1), (24, 0.2, 5), (24, 1.0, 24)])

@@ -208,7 +208,7 @@ def test_a_wrong_link_is_corrected_and_everything_can_be_reached_with_tab(visit)
     )
     assert len(fields) > 18
     assert all(index == 0 and label.strip() for index, label in fields)
-    assert one.page.locator("#faults button:visible").count() == 11
+    assert one.page.locator("#faults button:visible").count() == 16
 
 
 @pytest.mark.parametrize("name", ["desktop", "phone", "hood", "go2-desktop", "go2-phone"])

@@ -18,7 +18,7 @@ from tests.page.conftest import run_node
 
 STREAMS = 16
 SEVERITIES = (1, 3, 5)
-CERTAIN = ("blackout", "saturated", "frozen", "unplugged")
+CERTAIN = ("blackout", "saturated", "frozen", "unplugged", "mirrored")
 """Faults without randomness: the same image, up to rounding."""
 ROWS, COLUMNS = np.mgrid[:48, :64]
 TICKS = np.arange(-2, 12)

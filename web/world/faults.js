@@ -1,4 +1,7 @@
-// Nine of the catalogue's faults; their names, levels and durations are the contract's.
+// Fourteen of the catalogue's faults; their names, levels and durations are the contract's.
+
+const STREAK = [16, 4];
+/** Rows and columns of a lamp's mirror image in the floor. */
 
 /** One way a camera fails; sees every frame, also before and after the fault. */
 class Fault {
@@ -60,6 +63,53 @@ function smoothField({ rows, columns, random }, down, across) {
   });
 }
 
+/** Depths grow or shrink by `level` % a second, to double or half at most. */
+function gainDrift({ level, random }) {
+  const direction = random.uniform() < 0.5 ? -1 : 1;
+  return (image, elapsed) => {
+    const gain = Math.min((1 + level / 100) ** elapsed, 2) ** direction;
+    return image.map((value) => value * gain);
+  };
+}
+
+/** Streaks of farthest depth that begin where the floor does, and sway. */
+function floorReflection({ level, random, rows, columns }) {
+  const [height, width] = STREAK;
+  const places = Array.from({ length: level }, () => random.uniform() * (columns - width));
+  return (image, elapsed) => {
+    const spoilt = image.slice();
+    const sway = 4 * Math.sin((2 * Math.PI * elapsed) / 3);
+    for (const place of places) {
+      const left = Math.floor(Math.min(Math.max(place + sway, 0), columns - width));
+      const strip = (row) => image.subarray(row * columns + left, row * columns + left + width);
+      let first = 0;
+      while (first < rows && strip(first).reduce((sum, value) => sum + value, 0) / width >= 0.97) first++;
+      for (let row = first; row < Math.min(first + height, rows); row++) {
+        spoilt.fill(1, row * columns + left, row * columns + left + width);
+      }
+    }
+    return spoilt;
+  };
+}
+
+/** A band of rows keeps what it showed before the fault. */
+class HalfFrozen extends Fault {
+  constructor(...given) {
+    super(...given);
+    const height = Math.round(this.level * this.rows);
+    const top = Math.floor((this.rows - height + 1) * this.random.uniform());
+    this.band = [top * this.columns, (top + height) * this.columns];
+  }
+
+  corrupt(frame, elapsed) {
+    if (elapsed < 0 || !this.last) this.last = frame.image;
+    if (elapsed < 0) return frame;
+    const image = frame.image.slice();
+    image.set(this.last.subarray(...this.band), this.band[0]);
+    return { ...frame, image };
+  }
+}
+
 class Frozen extends Fault {
   corrupt(frame, elapsed) {
     if (elapsed < 0 || !this.last) this.last = frame.image;
@@ -108,6 +158,15 @@ export const FAULTS = {
   frozen: Frozen,
   dropped: Dropped,
   unplugged: Unplugged,
+  mirrored: imageFault(({ columns }) => (image) =>
+    image.map((_, i) => image[i + columns - 1 - 2 * (i % columns)]),
+  ),
+  half_frozen: HalfFrozen,
+  gain_drift: imageFault(gainDrift),
+  wrap_around: imageFault(({ level, range }) => (image) =>
+    image.map((value) => (value < 1 ? value % (level / range) : value)),
+  ),
+  floor_reflection: imageFault(floorReflection),
 };
 
 const mix = (a, b, share) => a * (1 - share) + b * share;

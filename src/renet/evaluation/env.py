@@ -4,6 +4,7 @@ import io
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
+from copy import deepcopy
 from typing import cast
 
 import mujoco
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from renet.bundle.manifest import Manifest
 from renet.errors import RenetError
+from renet.evaluation.conditions import Disturbances
 from renet.evaluation.rollout import FLAT
 from renet.evaluation.trace import StepResult
 from renet.faults import ViewPerturbation
@@ -22,7 +24,6 @@ from renet.interface import Told
 from renet.sim.depth.camera import CameraPerturbation, DepthCamera
 from renet.sim.native.engine import NativeSimulation
 from renet.tasks import RenetEnv, RenetEnvCfg, RobotCfg, env_cfg, make_env
-from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.base_state import tile_terrain
 from renet.tasks.mdp.commands import (
     COMMAND,
@@ -42,16 +43,21 @@ SENSED = ("proprioception", "depth")
 """Groups of observations that a robot has."""
 
 
-def robot_of(manifest: Manifest) -> RobotCfg:
-    """The robot a bundle was trained on; raises RenetError if its task is not registered here."""
+def trained_env_cfg(manifest: Manifest) -> RenetEnvCfg:
+    """The task a bundle was trained on; raises RenetError if it is not registered here."""
     task = manifest.provenance.task
     try:
-        return env_cfg(task).robot if task else GO1
+        return env_cfg(task or "Renet-Go1-Parkour")
     except RenetError as error:
         raise RenetError(
             f"the bundle's task {task} is unknown here: start from the file that describes its"
             f" robot, {manifest.robot.name} (docs/robots.md)"
         ) from error
+
+
+def robot_of(manifest: Manifest) -> RobotCfg:
+    """The robot a bundle was trained on; raises RenetError if its task is not registered here."""
+    return trained_env_cfg(manifest).robot
 
 
 def terrain_env_cfg(terrain: str | Mapping[str, int], robot: RobotCfg) -> RenetEnvCfg:
@@ -98,12 +104,14 @@ class SimEnv:
     """A batch of robots in RENet's environment; see `EvalEnv`.
 
     Rows with the same robot number are twins, in all environments of one seed and one set of robot
-    numbers: bodies, camera mounts, starts and the noise of images are the same until an episode
+    numbers: bodies, camera mounts, delays, starts, noise and pushes are the same until an episode
     ends. What differs is what a study varies.
     """
 
     def __init__(self, cfg: RenetEnvCfg, robots: Sequence[int], seed: int, engine: str) -> None:
         """Build the environment with one row for each robot number."""
+        cfg = deepcopy(cfg)
+        self._disturbances = Disturbances.taken_from(cfg)
         # mjlab prints its tables and warns of choices the task makes on purpose.
         with redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
             self.env: RenetEnv = make_env(cfg, len(robots), seed=seed, engine=engine)
@@ -152,6 +160,7 @@ class SimEnv:
         env.scene.reset(everybody)
         torch.manual_seed(self._seed)
         self._noise.manual_seed(self._seed)
+        self._disturbances.restart(len(self._first), self._seed)
         env.event_manager.apply("reset", self._first, global_env_step_count=0)
         self._camera.reset(self._first)
         self._camera.copy_mounts(twin)
@@ -173,6 +182,7 @@ class SimEnv:
     def step(self, action: np.ndarray) -> StepResult:
         """Act [N, 12] for one control step."""
         with torch.no_grad():
+            self._push()
             observation, _, terminated, truncated, _ = self.env.step(torch.from_numpy(action))
         fell, ended = terminated.numpy(), (terminated | truncated).numpy()
         self._start[ended] = self._position()[ended]
@@ -185,6 +195,14 @@ class SimEnv:
         """
         if isinstance(self.env.sim, NativeSimulation):
             self.env.sim.at_rest[:] = mask
+
+    def _push(self) -> None:
+        """Change the velocities of the robots that are pushed now."""
+        pushed, change = self._disturbances.draw_pushes()
+        rows = pushed[self._number].nonzero().flatten()
+        if len(rows):
+            velocity = self._robot.root_link_vel_w[rows] + change[self._number[rows]]
+            self.env.scene["robot"].write_root_link_velocity_to_sim(velocity, env_ids=rows)
 
     def place(self, levels: np.ndarray, kinds: np.ndarray) -> None:
         """Put robots on tiles, from the next reset on.
@@ -237,6 +255,10 @@ class SimEnv:
         return self._robot.root_link_pos_w[:, :2].numpy()
 
     def _readings(self, observation: dict, fell: np.ndarray, ended: np.ndarray) -> StepResult:
+        noise = self._disturbances.draw_noise()
+        if noise is not None:
+            noisy = observation["proprioception"] + noise[self._number]
+            observation = observation | {"proprioception": noisy}
         self.observation = observation
         """The newest observations by group, also the `Evaluator.privileged`."""
         velocity = self._robot.root_link_lin_vel_w[:, :2]

@@ -6,9 +6,16 @@ from pathlib import Path
 from renet.bundle import Bundle
 from renet.bundle.policy import Policy
 from renet.errors import RenetError, demand_name
-from renet.evaluation.env import SimEnv, robot_of, study_env_cfg, terrain_env_cfg
+from renet.evaluation.conditions import as_trained
+from renet.evaluation.env import (
+    SimEnv,
+    robot_of,
+    study_env_cfg,
+    terrain_env_cfg,
+    trained_env_cfg,
+)
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import FLAT, PARKOUR, EvalEnv, EvalPolicy, Rollout, Trial
+from renet.evaluation.rollout import FLAT, PARKOUR, Conditions, EvalEnv, EvalPolicy, Rollout, Trial
 from renet.selector import make_selector
 from renet.selector.selector import SELECTORS, MonitorSelector
 from renet.sim.threads import THREADS
@@ -25,17 +32,23 @@ class Evaluator:
     """Groups of training's observations that the policy reads from `SimEnv.observation`."""
 
     def __init__(
-        self, bundle: Path | None = None, engine: str = "auto", selector: str = "monitors"
+        self,
+        bundle: Path | None = None,
+        engine: str = "auto",
+        selector: str = "monitors",
+        conditions: Conditions = "nominal",
     ) -> None:
         """Load a bundle; raises RenetError where it, or the selector's name, cannot be used.
 
         Args:
             bundle: its folder; the one that ships with renet by default.
             engine: auto, native or warp. selector: monitors (all of them, with a dwell) or paper.
+            conditions: nominal, or training: those of the bundle's task.
         """
         demand_name("selector", selector, SELECTORS)
         self.bundle = Bundle.load(bundle, threads=THREADS)
         self.engine, self.selector = engine, selector
+        self.conditions = conditions
 
     @property
     def robot(self) -> RobotCfg:
@@ -60,15 +73,23 @@ class Evaluator:
         return Provenance(self.bundle.name, self.bundle.sha256, engine, seed)
 
     def terrain_env_cfg(self, terrain: str | Mapping[str, int]) -> RenetEnvCfg:
-        """`env.terrain_env_cfg` with the bundle's robot."""
-        return terrain_env_cfg(terrain, self.robot)
+        """`env.terrain_env_cfg` with the bundle's robot, under the evaluator's conditions."""
+        cfg = terrain_env_cfg(terrain, self.robot)
+        self.set_conditions(cfg)
+        return cfg
+
+    def set_conditions(self, cfg: RenetEnvCfg) -> None:
+        """Let robots of a configuration meet the evaluator's conditions."""
+        if self.conditions == "training":
+            as_trained(cfg, trained_env_cfg(self.bundle.manifest))
 
     def make_env(self, task: Task, robots: Sequence[int], speed: float, seed: int) -> SimEnv:
         """Make an environment of robots that are commanded to walk straight ahead.
 
         Args:
-            task: terrain or grounds as in `terrain_env_cfg`, a registered task, or a configuration
-                made with `play=True`; raises RenetError if it is another robot's than the bundle.
+            task: terrain or grounds as in `terrain_env_cfg`, or a configuration made with
+                `play=True`, whose conditions are its own (see `set_conditions`); raises RenetError
+                if it is another robot's than the bundle.
             robots: one number for each robot; those with the same number are twins.
             speed: commanded, m/s. seed: of bodies and starts.
         """

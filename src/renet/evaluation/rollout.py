@@ -28,6 +28,8 @@ PARKOUR: Final = "parkour"
 Mode = Literal["vp", "renet", "op", "paper", "oracle-switch"]
 """Policy modes: vision always, the selector's choice, never, the choice of the paper's selector,
 and a switch that knows the fault."""
+Conditions = Literal["nominal", "training"]
+"""What robots of a study meet beside their ground (`renet.evaluation.conditions`)."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
@@ -28,7 +28,14 @@ from renet.evaluation.results import (
     write_csv,
     write_json,
 )
-from renet.evaluation.rollout import Mode, Trial, check_finite, check_modes, check_speed
+from renet.evaluation.rollout import (
+    Conditions,
+    Mode,
+    Trial,
+    check_finite,
+    check_modes,
+    check_speed,
+)
 from renet.interface import Engine, SelectorName
 from renet.selector.selector import SELECTORS
 from renet.terminal import show
@@ -84,6 +91,9 @@ class Study:
     """Physics engine, on the CPU; auto: native."""
     selector: SelectorName = "monitors"
     """What `renet` trusts: monitors (all of them, with a dwell) or paper (reconstruction alone)."""
+    conditions: Conditions = "nominal"
+    """What robots meet. training: the differences between motors, joints and mounts, late images,
+    noise of sensors and pushes of the bundle's training; nominal: hardly any of them."""
 
     jobs: int = 1
     """Processes that make the study's parts, each with its share of the processors."""
@@ -99,6 +109,7 @@ class Study:
     def __post_init__(self) -> None:
         check_finite(self)
         demand_name("selector", self.selector, SELECTORS)
+        demand_name("conditions", self.conditions, get_args(Conditions))
         if self.jobs < 1:
             raise RenetError(f"jobs must be at least 1, got {self.jobs}")
         _ = self.share
@@ -137,10 +148,10 @@ class Study:
         raise NotImplementedError
 
     def make_evaluator(self) -> Evaluator:
-        """The evaluator of the settings' bundle and selector."""
+        """The evaluator of the settings' bundle, selector and conditions."""
         from renet.evaluation.evaluator import Evaluator
 
-        return Evaluator(self.bundle, self.engine, self.selector)
+        return Evaluator(self.bundle, self.engine, self.selector, self.conditions)
 
     def part_maker(self, evaluator: Evaluator | None = None) -> PartMaker:
         """What makes the study's parts; the evaluator is made from the settings by default."""

@@ -1,7 +1,16 @@
 """The table of all fault models."""
 
 from renet.errors import demand_name
-from renet.faults import combined, image, physical, stereo, timing, vegetation
+from renet.faults import (
+    combined,
+    image,
+    physical,
+    plausible,
+    stereo,
+    timing,
+    vegetation,
+    wet_floor,
+)
 from renet.faults.base import Fault
 
 FAULTS: dict[str, type[Fault]] = {
@@ -16,6 +25,9 @@ FAULTS: dict[str, type[Fault]] = {
         stereo.EdgeShadow, stereo.DisparitySteps, stereo.Textureless, vegetation.TallGrass,
         combined.GlareDropped, combined.BlobsLatency, combined.ShadowSteps,
         combined.IntermittentBlackout, combined.IntermittentFrozen, combined.IntermittentGlare,
+        plausible.Mirrored, plausible.Turned, plausible.Split, plausible.HalfFrozen,
+        plausible.TemporalFilter, plausible.GainDrift, plausible.WrapAround, plausible.Quantised,
+        plausible.StrayLight, wet_floor.FloorReflection, wet_floor.WetPatch, physical.MountCreep,
     )
 }  # fmt: skip
 

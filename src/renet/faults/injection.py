@@ -141,7 +141,7 @@ class Injector:
         view = ViewPerturbation.none(self._num_robots)
         for injection, fault, rows in self._stages:
             if isinstance(fault, PhysicalFault) and injection.at_work(step):
-                fault.apply(view, rows)
+                fault.apply(view, rows, injection.elapsed(step))
         return view
 
     def apply(self, frames: Frames, step: int, spared: np.ndarray | None = None) -> Frames:

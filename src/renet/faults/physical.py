@@ -6,6 +6,7 @@ and a simulated environment casts its rays accordingly.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -47,8 +48,11 @@ class PhysicalFault(Fault):
         """The same frames, whose rays were cast into the wrong scene already."""
         return frames
 
-    def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
-        """Add the fault to the view of the robots `rows`, which are in the order of the streams."""
+    def apply(self, view: ViewPerturbation, rows: np.ndarray, elapsed: float) -> None:
+        """Add the fault to the view of the robots `rows`, which are in the order of the streams.
+
+        `elapsed` is the number of seconds since the fault began.
+        """
         raise NotImplementedError
 
 
@@ -62,7 +66,7 @@ class Glass(PhysicalFault):
     terrains = ("obstacles", "stairs_up", "platform")
     """Kinds of tile with obstacles that can be glass."""
 
-    def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
+    def apply(self, view: ViewPerturbation, rows: np.ndarray, elapsed: float) -> None:
         view.glass[rows] = np.maximum(view.glass[rows], self.level)
 
 
@@ -74,7 +78,7 @@ class Foam(PhysicalFault):
     unit = "m"
     levels = (0.02, 0.04, 0.07, 0.1, 0.15)
 
-    def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
+    def apply(self, view: ViewPerturbation, rows: np.ndarray, elapsed: float) -> None:
         view.lift[rows] += self.level
 
 
@@ -87,10 +91,33 @@ class MountKnocked(PhysicalFault):
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         return rng.standard_normal(3)
 
-    def apply(self, view: ViewPerturbation, rows: np.ndarray) -> None:
-        axes = np.array(self.patterns)
-        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-        view.turn[rows] += np.radians(self.level) * axes
+    def apply(self, view: ViewPerturbation, rows: np.ndarray, elapsed: float) -> None:
+        view.turn[rows] += np.radians(self.angle(elapsed)) * unit_vectors(self.patterns)
+
+    def angle(self, elapsed: float) -> float:
+        """Degrees by which the camera is turned some seconds after the fault began."""
+        return self.level
+
+
+class MountCreep(MountKnocked):
+    """The mount gives way: the camera turns further and further about a random axis, by 25° at
+    most; level is how fast.
+
+    Cameras move in their mounts while they are in use, and nothing notices
+    (github.com/huggingface/lerobot/issues/4496).
+    """
+
+    unit = "°/s"
+    levels = (0.75, 1.5, 2.5, 4, 6)
+
+    def angle(self, elapsed: float) -> float:
+        return min(self.level * elapsed, MountKnocked.levels[-1])
+
+
+def unit_vectors(vectors: Sequence[np.ndarray]) -> np.ndarray:
+    """Vectors of length 1, [n, 3], in the directions of others."""
+    directions = np.array(vectors)
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
 def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:

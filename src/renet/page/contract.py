@@ -46,8 +46,13 @@ OFFERED = {
     "frozen": "Frozen",
     "dropped": "Frames lost",
     "unplugged": "Unplugged",
+    "mirrored": "Mirrored",
+    "half_frozen": "Half frozen",
+    "gain_drift": "Drifting gain",
+    "wrap_around": "Wrapped",
+    "floor_reflection": "Wet floor",
 }
-"""Faults of the catalogue that the page offers, and what it calls them."""
+"""Faults of the catalogue that the page offers, and what it calls them; nine have keys."""
 OUTPUTS = {"anomaly_score": "anomalyScore", "variance_score": "varianceScore"}
 """Outputs of the vision model that monitors judge, and what the page's policy calls them."""
 PROFILE = 0.01

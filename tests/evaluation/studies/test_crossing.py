@@ -9,6 +9,7 @@ from renet.errors import RenetError
 from renet.evaluation.studies.benchmark import read_result
 from renet.evaluation.studies.crossing import CrossingStudy, Setting, drawn_faults, score
 from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard
+from renet.evaluation.studies.one_try import OneTryStudy
 from renet.faults import FAULTS
 from renet.faults.physical import PhysicalFault
 
@@ -80,6 +81,15 @@ def test_drawn_faults_are_the_seeds_and_no_scene_has_to_carry_them_out():
     assert {len(chain) for draw in draws for chain in draw.values()} == {1, 2}
 
 
+def test_a_seed_draws_what_it_drew_for_published_results():
+    assert drawn_faults(0) == {
+        "drawn_1": (("motion_blur", 3), ("unplugged", 3)),
+        "drawn_2": (("gaussian", 3),),
+        "drawn_3": (("edge_shadow", 4), ("intermittent_blackout", 5)),
+        "drawn_4": (("unplugged", 5), ("wrong_scale", 3)),
+    }
+
+
 def test_kept_of_a_policy_that_crosses_nothing_is_not_a_number():
     values = {"crossed": np.zeros(3), "upright": np.ones(3), "twins": np.zeros(3)}
     assert score([{"values": values}])["kept"] is None
@@ -128,9 +138,16 @@ def test_a_damaged_file_is_refused_and_versions_do_not_share_a_table(folder, tmp
         make_leaderboard(LeaderboardCfg((folder / "result.json", tmp_path / "old.json")))
 
 
+def test_other_conditions_give_no_result_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(OneTryStudy, "run", lambda self, evaluator: {})
+    CrossingStudy(out=tmp_path, conditions="training").run()
+    assert not (tmp_path / "result.json").exists()
+
+
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
+        ({"conditions": "easy"}, "conditions"),
         ({"grounds": ("flat",)}, "choose among gap, platform"),
         ({"draw_seed": -1}, "draw seed must be at least 0"),
         ({"seconds": 0.5}, "seconds must be at least 1"),

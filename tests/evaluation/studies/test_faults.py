@@ -86,9 +86,17 @@ def test_the_result_file_is_valid(run_study):
     assert {entry["level"] for entry in result["settings"] if entry["ground"] == "gap"} == {3}
 
 
-def test_other_grounds_than_the_benchmarks_give_no_result_file(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"grounds": ("rough",)},
+        {"faults": ("frozen", "mirrored:5")},
+        {"conditions": "training"},
+    ],
+)
+def test_settings_that_the_benchmark_lacks_give_no_result_file(tmp_path, monkeypatch, other):
     monkeypatch.setattr(WalkingStudy, "run", lambda self, evaluator: {})
-    FaultStudy(out=tmp_path, grounds=("rough",)).run()
+    FaultStudy(out=tmp_path, **other).run()
     assert not (tmp_path / "result.json").exists()
 
 

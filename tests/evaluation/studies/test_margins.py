@@ -5,8 +5,10 @@ from functools import partial
 import numpy as np
 import pytest
 
+from renet.evaluation.conditions import as_trained
 from renet.evaluation.env import terrain_env_cfg
 from renet.evaluation.studies.margins import ALLOWED, AXES, MarginsStudy, change, margin
+from renet.tasks import env_cfg
 from renet.tasks.config.go1 import GO1
 from renet.tasks.sensors import depth_camera
 
@@ -63,6 +65,17 @@ def test_levels_are_in_the_units_they_are_shown_in():
     assert sum(map(abs, bias)) == pytest.approx(sum(map(abs, bias[3:6])))
     change(cfg, "action_delay", 20)
     assert settings(cfg)["delays"] == {(4, 4)}
+
+
+def test_a_biased_sensor_keeps_the_noise_of_training():
+    cfg = flat_cfg()
+    as_trained(cfg, env_cfg("Renet-Go1-Parkour"))
+    low, high = (np.array(settings(cfg)["sensors"][1][end]) for end in ("n_min", "n_max"))
+    change(cfg, "gyro", 0.5)
+    gyro = np.arange(45) < 3  # The first terms of the proprioception.
+    after = settings(cfg)["sensors"][1]
+    np.testing.assert_allclose(after["n_min"], low + 0.5 * gyro)
+    np.testing.assert_allclose(after["n_max"], high + 0.5 * gyro)
 
 
 def run(level: float | None, failed: float) -> dict:

@@ -11,8 +11,8 @@ from renet.interface import CONTROL_DT, TICK_DT
 class FaultyCamera(Camera):
     """Passes a camera's frames, at most ten a second, through a fault injector.
 
-    Faults spoil images, hold them back or leave holes; those of the scene (foam, glass, a knocked
-    mount) need a simulated camera. Onsets count from the first look.
+    Faults spoil images, hold them back or leave holes; those of the scene (foam, glass, a mount
+    that is knocked or gives way) need a simulated camera. Onsets count from the first look.
     """
 
     def __init__(

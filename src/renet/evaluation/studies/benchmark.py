@@ -27,6 +27,39 @@ GROUNDS: dict[Terrain, int] = {
 """Grounds and their levels, 1 to 10."""
 ONSETS = {0.5: "on_the_way", 1.5: "before_the_edge"}
 """Names of the seconds at which faults begin."""
+LISTED = (
+    "gaussian",
+    "salt_and_pepper",
+    "blackout",
+    "saturated",
+    "frozen",
+    "dropped",
+    "latency",
+    "occlusion",
+    "blobs",
+    "grass",
+    "glare",
+    "glare_filled",
+    "near_field",
+    "glass",
+    "foam",
+    "motion_blur",
+    "mount_knocked",
+    "wrong_scale",
+    "unplugged",
+    "edge_shadow",
+    "disparity_steps",
+    "textureless",
+    "tall_grass",
+    "glare_dropped",
+    "blobs_latency",
+    "shadow_steps",
+    "intermittent_blackout",
+    "intermittent_frozen",
+    "intermittent_glare",
+)
+"""Faults of version 1, from which version 2 draws: a seed draws by their order. The catalogue has
+grown since."""
 PROTOCOL = ("seed", "speed", "lasts", "seconds", "quick")
 """Settings of the study that a result file tells; seconds, m/s."""
 PAGES = {1: "benchmark", 2: "crossing"}

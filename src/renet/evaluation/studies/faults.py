@@ -23,11 +23,11 @@ from renet.evaluation.monitor_log import MonitorLog, healthy_series, replay
 from renet.evaluation.results import grouped, write_json
 from renet.evaluation.rollout import FLAT, Trial, check_grounds
 from renet.evaluation.studies import fault_metrics
-from renet.evaluation.studies.benchmark import GROUNDS, ONSETS, Setting, result
+from renet.evaluation.studies.benchmark import GROUNDS, LISTED, ONSETS, Setting, result
 from renet.evaluation.studies.fault_findings import findings
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
-from renet.faults import FAULTS, SEVERITIES, fault_class
+from renet.faults import SEVERITIES, fault_class
 from renet.faults.physical import Glass
 from renet.files import remove
 from renet.interface import CONTROL_DT, STEPS_PER_TICK, Terrain
@@ -54,8 +54,8 @@ class FaultStudy(WalkingStudy):
 
     out: Path = Path("results/faults")
     """Folder for summary.json, summary.csv, result.json, figures and parts/."""
-    faults: tuple[str, ...] = tuple(FAULTS)
-    """Faults to inject: NAME at all severities, or NAME:SEVERITY."""
+    faults: tuple[str, ...] = LISTED
+    """Faults to inject: NAME at all severities, or NAME:SEVERITY; by default the benchmark's."""
     severities: tuple[int, ...] = SEVERITIES
     """Severities of faults that name none, 1 to 5."""
     grounds: tuple[Terrain, ...] = tuple(GROUNDS)
@@ -353,9 +353,15 @@ class FaultStudy(WalkingStudy):
         """Run the study; where it is the benchmark's, write result.json as well."""
         summary = super().run(evaluator)
         remove(self.out / "result.json")
-        if set(self.onsets) <= set(ONSETS) and set(self.grounds) <= set(GROUNDS):
+        if self._is_of_benchmark():
             write_json(self.out / "result.json", result(summary))
         return summary
+
+    def _is_of_benchmark(self) -> bool:
+        """Whether version 1 of the benchmark has all of the settings."""
+        known = set(self.onsets) <= set(ONSETS) and set(self.grounds) <= set(GROUNDS)
+        faults = {setting.fault for settings in self.batches.values() for setting in settings}
+        return known and faults <= set(LISTED) and self.conditions == "nominal"
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """crossed.png, survival.png and detection.png."""

@@ -98,13 +98,16 @@ def change(cfg: RenetEnvCfg, axis: str, level: float) -> None:
 
 def _bias_sensor(cfg: RenetEnvCfg, name: str, error: np.ndarray) -> None:
     """Add an error, [3], to a term of the proprioception."""
-    from mjlab.utils.noise import ConstantNoiseCfg
+    from mjlab.utils.noise import ConstantNoiseCfg, UniformNoiseCfg
 
     group = cfg.observations["proprioception"]
     errors = [error if term.name == name else np.zeros(term.size) for term in PROPRIOCEPTION]
     bias = np.concatenate(errors)
-    noise = ConstantNoiseCfg(bias=tuple(bias.tolist()))
-    group.enable_corruption, group.terms["value"].noise = True, noise
+    noise, term = ConstantNoiseCfg(bias=tuple(bias.tolist())), group.terms["value"]
+    if group.enable_corruption and isinstance(term.noise, UniformNoiseCfg):
+        low, high = np.array(term.noise.n_min) + bias, np.array(term.noise.n_max) + bias
+        noise = UniformNoiseCfg(n_min=tuple(low.tolist()), n_max=tuple(high.tolist()))
+    group.enable_corruption, term.noise = True, noise
 
 
 @dataclass(frozen=True)

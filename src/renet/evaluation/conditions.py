@@ -1,0 +1,115 @@
+"""What robots of a study meet beside their ground: nominal conditions, or those of training.
+
+Under nominal conditions bodies, starts and the camera's mount differ a little, and images have
+noise; sensors of the body are true, images are never late and nobody pushes.
+"""
+
+from __future__ import annotations
+
+import math
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+
+import torch
+from mjlab.managers.event_manager import EventTermCfg
+from mjlab.utils.noise import UniformNoiseCfg
+from torch import Tensor
+
+from renet.errors import RenetError
+from renet.interface import CONTROL_DT
+from renet.tasks import RenetEnvCfg
+from renet.tasks.sensors import depth_camera
+
+PUSH = "push"
+"""Name of the event that pushes robots, in a task's configuration."""
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+"""Parts of a push in the order of a body's velocity."""
+
+
+def as_trained(cfg: RenetEnvCfg, trained: RenetEnvCfg) -> None:
+    """Give robots of a study the differences, sensors and pushes of training, in place.
+
+    What a study may vary beside them, such as starts, and the noise of images, stay as they are.
+
+    Args:
+        cfg: made with `play=True`.
+        trained: the task in its training variant; raises RenetError if it delays joint targets,
+            which cannot be drawn alike for twins.
+    """
+    articulation = trained.scene.entities["robot"].articulation
+    assert articulation is not None
+    if any(actuator.delay_max_lag for actuator in articulation.actuators):
+        raise RenetError(
+            "this bundle's task delays joint targets in training, which a study cannot draw alike"
+            " for twins: leave out --conditions training"
+        )
+    for name, event in trained.events.items():
+        if event.mode == "startup" or name == PUSH:
+            cfg.events[name] = deepcopy(event)
+    camera, other = depth_camera(cfg), depth_camera(trained)
+    camera.delay = other.delay
+    camera.mount = replace(
+        camera.mount,
+        position_error=other.mount.position_error,
+        angle_error=other.mount.angle_error,
+    )
+    cfg.observations["proprioception"] = deepcopy(trained.observations["proprioception"])
+
+
+@dataclass
+class Disturbances:
+    """Sensor noise and pushes of R robots, drawn by robot number: the same for twins.
+
+    mjlab draws both by row.
+    """
+
+    push: EventTermCfg | None = None
+    """When and how robots are pushed; None: never."""
+    noise: UniformNoiseCfg | None = None
+    """Noise of the proprioception before it is scaled; None: there is none."""
+    scale: Tensor = field(default_factory=lambda: torch.ones(()))
+    """[45] by which the proprioception is scaled."""
+
+    @classmethod
+    def taken_from(cls, cfg: RenetEnvCfg) -> Disturbances:
+        """The disturbances of a configuration, which has none any more."""
+        taken = cls(push=cfg.events.pop(PUSH, None))
+        group = cfg.observations["proprioception"]
+        term = group.terms["value"]
+        if group.enable_corruption and isinstance(term.noise, UniformNoiseCfg):
+            taken.noise, term.noise = term.noise, None
+            taken.scale = torch.tensor(term.scale)
+        return taken
+
+    def restart(self, robots: int, seed: int) -> None:
+        """Begin a run of R robots."""
+        self._random = torch.Generator().manual_seed(seed)
+        self._robots = robots
+        self._until_push = self._draw_intervals()
+
+    def draw_noise(self) -> Tensor | None:
+        """What is added to the scaled proprioception, [R, 45]; None if it has no noise."""
+        if self.noise is None:
+            return None
+        low, high = torch.tensor(self.noise.n_min), torch.tensor(self.noise.n_max)
+        share = torch.rand((self._robots, *low.shape), generator=self._random)
+        return (low + share * (high - low)) * self.scale
+
+    def draw_pushes(self) -> tuple[Tensor, Tensor]:
+        """Who is pushed in the next control step, [R] bool, and the change of velocity, [R, 6]."""
+        self._until_push = self._until_push - CONTROL_DT
+        pushed = self._until_push < 1e-6
+        change = torch.zeros(self._robots, len(AXES))
+        if self.push is not None and pushed.any():
+            self._until_push = torch.where(pushed, self._draw_intervals(), self._until_push)
+            ranges = self.push.params["velocity_range"]
+            low, high = torch.tensor([ranges.get(axis, (0.0, 0.0)) for axis in AXES]).T
+            change = low + torch.rand(change.shape, generator=self._random) * (high - low)
+        return pushed, change
+
+    def _draw_intervals(self) -> Tensor:
+        """Seconds until the next push, [R]."""
+        if self.push is None or self.push.interval_range_s is None:
+            return torch.full((self._robots,), math.inf)
+        low, high = self.push.interval_range_s
+        return low + torch.rand(self._robots, generator=self._random) * (high - low)
