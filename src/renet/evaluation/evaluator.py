@@ -9,10 +9,12 @@ from renet.errors import RenetError, demand_name
 from renet.evaluation.env import SimEnv, robot_of, study_env_cfg, terrain_env_cfg
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import FLAT, PARKOUR, EvalEnv, EvalPolicy, Rollout, Trial
+from renet.motor_models import IDEAL, find_motors
 from renet.selector import make_selector
 from renet.selector.selector import SELECTORS, MonitorSelector
 from renet.sim.threads import THREADS
 from renet.tasks import RenetEnvCfg, RobotCfg
+from renet.tasks.motor_models import use_motors
 from renet.tasks.sensors import depth_camera
 
 Task = str | Mapping[str, int] | RenetEnvCfg
@@ -25,17 +27,24 @@ class Evaluator:
     """Groups of training's observations that the policy reads from `SimEnv.observation`."""
 
     def __init__(
-        self, bundle: Path | None = None, engine: str = "auto", selector: str = "monitors"
+        self,
+        bundle: Path | None = None,
+        engine: str = "auto",
+        selector: str = "monitors",
+        motors: str = IDEAL,
     ) -> None:
-        """Load a bundle; raises RenetError where it, or the selector's name, cannot be used.
+        """Load a bundle; raises RenetError where it, a selector or motors cannot be used.
 
         Args:
             bundle: its folder; the one that ships with renet by default.
             engine: auto, native or warp. selector: monitors (all of them, with a dwell) or paper.
+            motors: of the robots: ideal, go1, or a file of `renet identify`.
         """
         demand_name("selector", selector, SELECTORS)
         self.bundle = Bundle.load(bundle, threads=THREADS)
         self.engine, self.selector = engine, selector
+        self.motors = find_motors(motors, self.bundle.manifest.robot.name)
+        """Motors of the robots; None: ideal ones."""
 
     @property
     def robot(self) -> RobotCfg:
@@ -84,6 +93,7 @@ class Evaluator:
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
         depth_camera(cfg).noise.gaussian_std = self.bundle.manifest.camera.noise_std
+        use_motors(cfg, self.motors)
         self.env = SimEnv(cfg, robots, seed, self.engine)
         """The newest environment, for policies that need the simulator's truth."""
         return self.env

@@ -21,6 +21,7 @@ from renet.evaluation import figures
 from renet.evaluation.results import kept, output_folder, plain, write_csv, write_json
 from renet.evaluation.rollout import Mode, Trial, check_finite, check_modes, check_speed
 from renet.interface import Engine, SelectorName
+from renet.motor_models import IDEAL, motors_key
 from renet.selector.selector import SELECTORS
 from renet.terminal import show
 
@@ -51,6 +52,9 @@ class Study:
     """Physics engine; auto: native on a CPU, warp on a GPU."""
     selector: SelectorName = "monitors"
     """What `renet` trusts: monitors (all of them, with a dwell) or paper (reconstruction alone)."""
+    motors: str = IDEAL
+    """Motors of the robots. ideal: MuJoCo's servos. go1: a network of a real Go1's motors. Or a
+    file of `renet identify`."""
 
     name: ClassVar[str]
     """Name of the study's folder in the results, and of its template."""
@@ -81,7 +85,7 @@ class Study:
         """The evaluator of the settings' bundle and selector."""
         from renet.evaluation.evaluator import Evaluator
 
-        return Evaluator(self.bundle, self.engine, self.selector)
+        return Evaluator(self.bundle, self.engine, self.selector, self.motors)
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
         """Run what has not been run yet, write the results to `out` and return the summary.
@@ -96,6 +100,7 @@ class Study:
         key = {name: value for name, value in asdict(self).items() if name not in free}
         code = ("bundle_hash", "renet_version", "commit")
         key |= {name: getattr(provenance, name) for name in code}
+        key["motors"] = motors_key(self.motors)
         key["policy"] = type(evaluator).make_policy.__qualname__
         folder = output_folder(out / "parts")
         parts = {

@@ -1,0 +1,162 @@
+"""Motors of a robot as they were measured: the file that `renet identify` writes.
+
+Simulators read it, so it needs neither PyTorch nor MuJoCo. The file is JSON:
+
+    {"format": "renet motors", "schema": 1, "robot": "Unitree Go2",
+     "motors": {"hip": {"armature": 0.01, "damping": 0.2, "friction": 0.3, "delay": 0.004},
+                "thigh": {…}, "calf": {…}},
+     "evidence": {…}}
+
+Names under `motors` are kinds of joints (hip, thigh, calf), joints of `interface.JOINTS`, or both:
+a joint's own values come before its kind's.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from renet.errors import RenetError
+from renet.files import read_object, write_atomically
+from renet.interface import JOINTS
+
+FORMAT = "renet motors"
+SCHEMA = 1
+"""Version of the files that renet writes and reads."""
+KINDS = ("hip", "thigh", "calf")
+"""Kinds of joints, each with motors alike."""
+
+
+def joint_kind(joint: str) -> str:
+    """Kind of a joint of `interface.JOINTS`: hip, thigh or calf."""
+    return joint.split("_")[1]
+
+
+@dataclass(frozen=True)
+class MotorParameters:
+    """What one motor adds to its joint, beside the servo that it is told (Kp, Kd)."""
+
+    armature: float
+    """Reflected inertia of the rotor, kg m^2; MuJoCo's joint `armature`."""
+    damping: float
+    """Viscous friction, N m s/rad, on top of the Kd that the servo is told; MuJoCo's joint
+    `damping`."""
+    friction: float
+    """Dry friction, N m; MuJoCo's joint `frictionloss`."""
+    delay: float
+    """Time from a joint target to its effect, s."""
+
+
+PARAMETERS = tuple(item.name for item in fields(MotorParameters))
+"""Names of the parameters: armature, damping, friction, delay."""
+LARGEST = MotorParameters(armature=10.0, damping=100.0, friction=100.0, delay=1.0)
+"""Largest values that a file may hold: no quadruped's motor comes near."""
+
+
+@dataclass(frozen=True)
+class MotorFit:
+    """Measured motors of one robot.
+
+    Raises:
+        RenetError: a motor of no known name, a joint without a motor, or a value that no motor has.
+    """
+
+    robot: str
+    """Name of the robot, as in a bundle's manifest and in `descriptions.DESCRIPTIONS`."""
+    motors: Mapping[str, MotorParameters]
+    """Parameters by kind of joint (hip, thigh, calf), by joint of `interface.JOINTS`, or both."""
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+    """How they were measured: log, errors, uncertainty; JSON values that simulators ignore."""
+
+    def __post_init__(self) -> None:
+        for name, motor in self.motors.items():
+            if name not in KINDS and name not in JOINTS:
+                raise RenetError(
+                    f"there is no joint {name[:40]!r}: motors are of {', '.join(KINDS)}, or of "
+                    f"joints such as {JOINTS[0]}"
+                )
+            _check_values(name, motor)
+        for joint in JOINTS:
+            if joint not in self.motors and joint_kind(joint) not in self.motors:
+                raise RenetError(f"there is no motor for {joint}: add {joint_kind(joint)!r}")
+
+    def of(self, joint: str) -> MotorParameters:
+        """Parameters of a joint of `interface.JOINTS`."""
+        return self.motors[joint if joint in self.motors else joint_kind(joint)]
+
+    def array(self, parameter: str) -> np.ndarray:
+        """One of `PARAMETERS` for every joint, [12] in the order of `interface.JOINTS`."""
+        return np.array([getattr(self.of(joint), parameter) for joint in JOINTS])
+
+
+def _check_values(name: str, motor: MotorParameters) -> None:
+    """Raise RenetError for a value that is negative, not finite or beyond all motors."""
+    for parameter in PARAMETERS:
+        value = getattr(motor, parameter)
+        largest = getattr(LARGEST, parameter)
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        # The comparison is false for NaN, too.
+        if not is_number or not 0.0 <= value <= largest:
+            raise RenetError(
+                f"the {parameter} of {name} must be a number from 0 to {largest:g}, got "
+                f"{str(value)[:40]}"
+            )
+
+
+def read_motors(path: Path, robot: str | None = None) -> MotorFit:
+    """Read a file of `write_motors`.
+
+    Args:
+        path: of the file. robot: name of the robot that the motors must be of; None takes any.
+
+    Raises:
+        RenetError: unreadable, not such a file, of another version or robot, or with values that
+            no motor has.
+    """
+    content = read_object(path, "motors")
+    if content.get("format") != FORMAT:
+        raise RenetError(f"{path} is not a file of `renet identify`: its format is not {FORMAT!r}")
+    if content.get("schema") != SCHEMA:
+        raise RenetError(
+            f"{path} has schema {str(content.get('schema'))[:40]}; this renet reads {SCHEMA}"
+        )
+    try:
+        fit = _parse(content)
+    except RenetError as error:
+        raise RenetError(f"cannot use the motors {path}: {error}") from error
+    if robot is not None and fit.robot != robot:
+        raise RenetError(f"the motors {path} are of a {fit.robot[:40]}, not of a {robot}")
+    return fit
+
+
+def _parse(content: Mapping[str, Any]) -> MotorFit:
+    robot = content.get("robot")
+    if not isinstance(robot, str):
+        raise RenetError("its robot must be a name")
+    motors = content.get("motors")
+    if not isinstance(motors, dict):
+        raise RenetError("its motors must be an object with one entry for each kind of joint")
+    evidence = content.get("evidence", {})
+    if not isinstance(evidence, dict):
+        raise RenetError("its evidence must be an object")
+    parsed = {}
+    for name, values in motors.items():
+        if not isinstance(values, dict) or set(values) != set(PARAMETERS):
+            raise RenetError(f"the motor {name[:40]!r} must have {', '.join(PARAMETERS)}")
+        parsed[name] = MotorParameters(**values)
+    return MotorFit(robot, parsed, evidence)
+
+
+def write_motors(path: Path, fit: MotorFit) -> None:
+    """Write measured motors as JSON; raises RenetError if the file cannot be written."""
+    content = {
+        "format": FORMAT,
+        "schema": SCHEMA,
+        "robot": fit.robot,
+        "motors": {name: asdict(motor) for name, motor in fit.motors.items()},
+        "evidence": dict(fit.evidence),
+    }
+    write_atomically(path, (json.dumps(content, indent=1) + "\n").encode(), "motors")
