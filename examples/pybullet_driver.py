@@ -22,6 +22,7 @@ from renet.deploy.robots.envelope import read_envelope
 from renet.descriptions import find_description
 from renet.errors import RenetError
 from renet.interface import JOINTS, TRUNK
+from renet.motor_models import IDEAL
 
 SERVO_DT = 0.001
 """s of a physics step, in which the servos' torque is constant; a Go1's motors are as quick."""
@@ -260,6 +261,8 @@ class PybulletCfg(SimulationCfg):
         super().check()
         if self.viewer:
             raise RenetError("--viewer shows MuJoCo's simulation: use --robot mujoco")
+        if self.motors != IDEAL:
+            raise RenetError("--motors are those of MuJoCo's simulation: use --robot mujoco")
 
     def engine(self) -> type[BulletRobot]:
         """The class of the simulated robot."""

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from renet.bundle import DEFAULT, Bundle, pretrained, read_manifest, write_bundle
 from renet.bundle.manifest import SelectorSpec
@@ -116,12 +117,16 @@ def test_twins_are_alike_in_batches_of_any_size_and_every_run_is_the_same(bundle
 
     def walk(*robots):
         cfg = terrain_env_cfg("flat", GO1)
-        randomize(cfg, joint_offset=0.05)
+        randomize(cfg, joint_offset=0.05, action_delay=0.02, no_load_speed=(0.5, 1.0))
         env = evaluator.make_env(cfg, robots, 0.6, 1)
         zeros = env.env.scene["robot"].data.encoder_bias
+        motors = env.env.motors
         assert all((zeros[row] == zeros[robots.index(n)]).all() for row, n in enumerate(robots))
         assert len(zeros.unique(dim=0)) == 2
         seen = env.reset().depth.copy()
+        first = [robots.index(number) for number in robots]
+        for values in (motors.lag, motors.no_load_speed):
+            assert torch.equal(values, values[first])
         rows = [Trial("vp", robot=number) for number in robots]
         traces = [evaluator.rollout(env, rows, 1).run(40) for _ in range(2)]
         once, again = (np.stack([t.height, t.forward_velocity, t.travelled]) for t in traces)

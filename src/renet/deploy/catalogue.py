@@ -21,6 +21,7 @@ from renet.deploy.robots.go2.driver import go2_robot
 from renet.descriptions import GO1, GO2, RobotDescription, find_description
 from renet.errors import RenetError
 from renet.interface import Terrain
+from renet.motor_models import IDEAL, find_motors
 from renet.server import LOOPBACK
 
 
@@ -37,6 +38,9 @@ class SimulationCfg(DriverCfg):
     """Level of the terrain, 1 to 10."""
     scene: Path | None = None
     """MJCF file to use as terrain instead."""
+    motors: str = IDEAL
+    """Motors of its joints. ideal: MuJoCo's servos. go1: a network of a real Go1's motors. Or a
+    file of `renet identify`."""
     real_time: bool = False
     """Pace the simulation to the wall clock, as operators and the viewer always do."""
     viewer: bool = False
@@ -59,8 +63,11 @@ class SimulationCfg(DriverCfg):
         from renet.deploy.robots.sim.scene import build_scene
 
         description = find_description(robot.name)
+        motors = find_motors(self.motors, robot.name)
         model, ground = build_scene(self.terrain, self.level, self.scene, seed, description)
-        driver = self.engine()(model, robot, ground, live)
+        # Engines of other packages need not know of motors.
+        options = {} if motors is None else {"motors": motors}
+        driver = self.engine()(model, robot, ground, live, **options)
         if self.viewer:
             from renet.deploy.robots.sim.viewer import BrowserViewer
 
@@ -68,7 +75,10 @@ class SimulationCfg(DriverCfg):
         return driver
 
     def engine(self) -> Callable[..., Any]:
-        """The class of the simulated robot, called as `MujocoRobot` is."""
+        """The class of the simulated robot, called as `MujocoRobot` is.
+
+        It gets `motors` only where they are not ideal.
+        """
         from renet.deploy.robots.sim.mujoco import MujocoRobot
 
         return MujocoRobot

@@ -33,6 +33,7 @@ from renet.tasks.mdp.commands import (
     goal,
 )
 from renet.tasks.mdp.rewards import collision, joint_energy
+from renet.tasks.motor_models import NetworkActuator
 from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.terrains import UNSEEN, parkour_terrain, tile_row
@@ -138,6 +139,12 @@ class SimEnv:
             values = getattr(self.env.sim.model, field)
             values[:] = values[self._twin]
         self._robot.encoder_bias[:] = self._robot.encoder_bias[self._twin]
+        if self.env.motors is not None:
+            self.env.motors.draw_speeds(self._first)
+            self.env.motors.copy_rows(self._twin)
+        for actuator in self.env.scene["robot"].actuators:
+            if isinstance(actuator, NetworkActuator):
+                actuator.copy_rows(self._twin)
 
     @property
     def scene_spec(self) -> mujoco.MjSpec:
@@ -164,6 +171,10 @@ class SimEnv:
         env.event_manager.apply("reset", self._first, global_env_step_count=0)
         self._camera.reset(self._first)
         self._camera.copy_mounts(twin)
+        if env.motors is not None:
+            env.motors.begin_episodes(self._first)
+            env.motors.copy_rows(twin)
+            env.motors.reset(everybody)
         position, velocity = env.sim.data.qpos, env.sim.data.qvel
         start = position[twin]
         start[:, :3] += env.scene.env_origins - env.scene.env_origins[twin]

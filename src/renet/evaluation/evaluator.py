@@ -16,10 +16,12 @@ from renet.evaluation.env import (
 )
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import FLAT, PARKOUR, Conditions, EvalEnv, EvalPolicy, Rollout, Trial
+from renet.motor_models import IDEAL, find_motors
 from renet.selector import make_selector
 from renet.selector.selector import SELECTORS, MonitorSelector
 from renet.sim.threads import THREADS
 from renet.tasks import RenetEnvCfg, RobotCfg
+from renet.tasks.motor_models import use_motors
 from renet.tasks.sensors import depth_camera
 
 Task = str | Mapping[str, int] | RenetEnvCfg
@@ -37,18 +39,22 @@ class Evaluator:
         engine: str = "auto",
         selector: str = "monitors",
         conditions: Conditions = "nominal",
+        motors: str = IDEAL,
     ) -> None:
-        """Load a bundle; raises RenetError where it, or the selector's name, cannot be used.
+        """Load a bundle; raises RenetError where it, a selector or motors cannot be used.
 
         Args:
             bundle: its folder; the one that ships with renet by default.
             engine: auto, native or warp. selector: monitors (all of them, with a dwell) or paper.
             conditions: nominal, or training: those of the bundle's task.
+            motors: of the robots: ideal, go1, or a file of `renet identify`.
         """
         demand_name("selector", selector, SELECTORS)
         self.bundle = Bundle.load(bundle, threads=THREADS)
         self.engine, self.selector = engine, selector
         self.conditions = conditions
+        self.motors = find_motors(motors, self.bundle.manifest.robot.name)
+        """Motors of the robots; None: ideal ones."""
 
     @property
     def robot(self) -> RobotCfg:
@@ -105,6 +111,7 @@ class Evaluator:
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
         depth_camera(cfg).noise.gaussian_std = self.bundle.manifest.camera.noise_std
+        use_motors(cfg, self.motors)
         self.env = SimEnv(cfg, robots, seed, self.engine)
         """The newest environment, for policies that need the simulator's truth."""
         return self.env

@@ -37,6 +37,7 @@ from renet.evaluation.rollout import (
     check_speed,
 )
 from renet.interface import Engine, SelectorName
+from renet.motor_models import IDEAL, motors_key
 from renet.selector.selector import SELECTORS
 from renet.terminal import show
 
@@ -94,7 +95,9 @@ class Study:
     conditions: Conditions = "nominal"
     """What robots meet. training: the differences between motors, joints and mounts, late images,
     noise of sensors and pushes of the bundle's training; nominal: hardly any of them."""
-
+    motors: str = IDEAL
+    """Motors of the robots. ideal: MuJoCo's servos. go1: a network of a real Go1's motors. Or a
+    file of `renet identify`."""
     jobs: int = 1
     """Processes that make the study's parts, each with its share of the processors."""
     shard: str | None = None
@@ -151,7 +154,7 @@ class Study:
         """The evaluator of the settings' bundle, selector and conditions."""
         from renet.evaluation.evaluator import Evaluator
 
-        return Evaluator(self.bundle, self.engine, self.selector, self.conditions)
+        return Evaluator(self.bundle, self.engine, self.selector, self.conditions, self.motors)
 
     def part_maker(self, evaluator: Evaluator | None = None) -> PartMaker:
         """What makes the study's parts; the evaluator is made from the settings by default."""
@@ -161,6 +164,7 @@ class Study:
         key = {name: value for name, value in asdict(self).items() if name not in free}
         code = ("bundle_hash", "renet_version", "commit")
         key |= {name: getattr(provenance, name) for name in code}
+        key["motors"] = motors_key(self.motors)
         key["policy"] = type(evaluator).make_policy.__qualname__
         folder = output_folder(output_folder(self.out) / "parts")
         return PartMaker(folder, key, self.parts(evaluator))

@@ -2,21 +2,26 @@
 
 import gc
 import math
+from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
 
+import torch
 from mjlab.actuator import BuiltinPositionActuatorCfg
 from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
 from mjlab.sensor import ContactSensorCfg
+from mjlab.sim.sim import Simulation
 from mjlab.tasks.registry import list_tasks, load_env_cfg
 from torch import Tensor
 
 from renet.errors import RenetError, unknown_name
+from renet.sim.motors import Motors
 from renet.sim.native.engine import use_engine
 from renet.sim.threads import one_torch_thread
 from renet.tasks.config.go1 import GO1
+from renet.tasks.motors import DrawnMotors, MotorsCfg
 from renet.tasks.robot_cfg import RobotCfg
 
 
@@ -26,6 +31,8 @@ class RenetEnvCfg(ManagerBasedRlEnvCfg):
 
     robot: RobotCfg = GO1
     """The robot in the scene; `renet export` writes its gains and pose into a bundle."""
+    motors: MotorsCfg = field(default_factory=MotorsCfg)
+    """How late its joint targets are, and how its torque falls with speed."""
 
 
 class RenetEnv(ManagerBasedRlEnv):
@@ -38,6 +45,8 @@ class RenetEnv(ManagerBasedRlEnv):
         super().__init__(deepcopy(cfg), device, render_mode)
         self.task_cfg = cfg
         """The configuration as it was given."""
+        self.motors = self._make_motors()
+        """Delays and torque–speed curves; None: motors are ideal."""
         self._substeps = 1
         # The native engine takes all substeps of a control step in one call, poses included, where
         # it changes nothing: servos hold their target and nobody looks in between.
@@ -45,6 +54,25 @@ class RenetEnv(ManagerBasedRlEnv):
             self._substeps, self.cfg.decimation = self.cfg.decimation, 1
             self.sim.step = partial(self.sim.step_n, self._substeps)  # type: ignore[method-assign]
             self.sim.forward = self.sim.forward_written  # type: ignore[method-assign]
+            if self.motors is not None:
+                self.sim.use_motors(self.motors)
+        elif self.motors is not None:
+            self.sim.step = partial(_driven_step, self.sim, self.motors, self.sim.step)
+
+    def _make_motors(self) -> DrawnMotors | None:
+        """The motors of the configuration, unless they are ideal."""
+        cfg = self.cfg.motors
+        if cfg.ideal:
+            return None
+        if cfg.no_load_speed is not None and "actuator_forcerange" not in self.sim.expanded_fields:
+            self.sim.expand_model_fields(("actuator_forcerange",))
+        return DrawnMotors(cfg, self.sim, self.cfg.robot, self.num_envs, self.cfg.decimation)
+
+    def _reset_idx(self, env_ids: Tensor | None = None) -> None:
+        super()._reset_idx(env_ids)
+        if self.motors is not None:
+            everybody = torch.arange(self.num_envs, device=self.device)
+            self.motors.begin_episodes(everybody if env_ids is None else env_ids)
 
     @property
     def physics_dt(self) -> float:
@@ -60,6 +88,12 @@ class RenetEnv(ManagerBasedRlEnv):
         """Take a control step; torch's operations are too small for more than one thread."""
         with one_torch_thread(self.device):
             return super().step(action)
+
+
+def _driven_step(sim: Simulation, motors: Motors, step: Callable[[], None]) -> None:
+    """Take a physics step with motors that are not ideal."""
+    motors.drive(sim)
+    step()
 
 
 def _looks_at_substeps(cfg: RenetEnvCfg) -> bool:

@@ -41,39 +41,64 @@ def randomize(
     cfg: RenetEnvCfg,
     *,
     motor_strength: float = 0.0,
+    damping: tuple[float, float] | None = None,
+    armature: tuple[float, float] | None = None,
+    joint_friction: float = 0.0,
+    no_load_speed: tuple[float, float] | None = None,
     joint_offset: float = 0.0,
     action_delay: float = 0.0,
     camera_delay: float = 0.0,
     camera_position: float = 0.0,
     camera_angle: float = 0.0,
 ) -> None:
-    """Add randomisation to a task's configuration, in place; what is zero stays as it is.
+    """Add randomisation to a task's configuration, in place; what is zero or None stays as it is.
 
-    Robots draw the first two once, the delay of actions each second (delays that change with every
-    step blur targets rather than delay them), and the camera's errors each episode.
+    Robots draw what concerns their bodies once, and the camera's errors and the delay of actions
+    for each episode (delays that change with every step blur targets rather than delay them).
 
     Args:
         cfg: the task. motor_strength: largest relative change of each motor's torque limit.
+        damping: smallest and largest multiple of the nominal Kd, whose logarithm is uniform; one
+            for all motors of a robot, instead of the task's own.
+        armature: smallest and largest multiple of the rotors' inertia; one for all of a robot.
+        joint_friction: largest dry friction of each joint beyond the MJCF's, N m.
+        no_load_speed: smallest and largest multiple of the motors' velocity limits at which they
+            have no torque; one for all motors of a robot (see `MotorsCfg`).
         joint_offset: largest error of joints' zeros, rad, in observations and targets.
-        action_delay: longest delay of joint targets, s, in whole physics steps (then slower).
+        action_delay: longest delay of joint targets, s, in whole physics steps.
         camera_delay: largest age of a delivered image, s, in whole control steps.
         camera_position: largest error of the camera's position along each axis, m.
         camera_angle: largest error of its pitch and yaw, rad.
     """
+    motors = SceneEntityCfg("robot", actuator_names=[".*"])
+    joints = SceneEntityCfg("robot", joint_names=(".*",))
     if motor_strength:
         cfg.events["motor_strength"] = _at_startup(
             mdp.dr.effort_limits,
-            asset_cfg=SceneEntityCfg("robot", actuator_names=[".*"]),
+            asset_cfg=motors,
             effort_limit_range=(1.0 - motor_strength, 1.0 + motor_strength),
         )
+    if damping:
+        cfg.events["damping"] = _at_startup(mdp.servo_damping, multiples=damping)
+    if armature:
+        cfg.events["armature"] = _at_startup(
+            mdp.dr.joint_armature,
+            asset_cfg=joints,
+            operation="scale",
+            ranges=armature,
+            shared_random=True,
+        )
+    if joint_friction:
+        cfg.events["joint_friction"] = _at_startup(
+            mdp.dr.joint_friction, asset_cfg=joints, operation="add", ranges=(0.0, joint_friction)
+        )
+    if no_load_speed:
+        cfg.motors.no_load_speed = no_load_speed
     if joint_offset:
         bias = (-joint_offset, joint_offset)
         cfg.events["joint_offset"] = _at_startup(mdp.dr.encoder_bias, bias_range=bias)
-    articulation = cfg.scene.entities["robot"].articulation
-    assert articulation is not None
-    for actuator in articulation.actuators if action_delay else ():
-        actuator.delay_max_lag = round(action_delay / PHYSICS_DT)
-        actuator.delay_update_period = round(1.0 / PHYSICS_DT)
+    if action_delay:
+        cfg.motors.target_delay = (0.0, action_delay)
     camera = depth_camera(cfg)
     if camera_delay:
         camera.delay = (0.0, camera_delay)

@@ -16,7 +16,7 @@ struct Copy {
 
 // A function of MuJoCo, and the numbers of bodies and geoms of the model that it gets.
 struct Stage {
-    void* function;
+    void* function;  // Null: a physics step begins, see `drive`.
     int64 bodies;
     int64 geoms;
 };
@@ -34,6 +34,9 @@ struct Worker {
     int num_finite;  // Leading loads that must be finite.
     const Copy* stores;
     int num_stores;
+    const double* qvel;
+    double* ctrl;
+    double* forcerange;  // Of the actuators.
 };
 
 // Static bodies that are kept out of collision detection while no root of a robot is near.
@@ -53,6 +56,19 @@ struct Culling {
     const int* whole_conaffinity;
 };
 
+// Servos whose targets come late, and whose torque falls with speed.
+struct Motors {
+    int actuators;
+    int substeps;       // Physics steps of a control step.
+    int kept;           // Targets that are remembered; 0: none comes late.
+    const int* lag;     // [N, actuators] physics steps by which targets are late.
+    float* targets;     // [N, kept, actuators] newest first; NaN: none since the reset.
+    const float* speed; // [N, actuators] no-load speed, rad/s; null: torque does not fall.
+    const int* dof;     // [actuators] degree of freedom that each of them drives.
+    const char* limits; // [N, actuators, 2] lowest and highest torque at rest, N m.
+    int64 stride;       // Bytes of `limits` from one environment to the next.
+};
+
 struct Advance {
     Work work;
     int environments;
@@ -62,6 +78,7 @@ struct Advance {
     bool only_written;  // Whether to skip environments with the same pose as in `last_pose`.
     const bool* at_rest;  // [N] environments that are skipped in any case.
     Culling culling;
+    Motors motors;
     const Worker* workers;  // One for each thread that finds an environment.
     const Copy* pose;       // qpos first.
     int num_pose;
@@ -156,6 +173,54 @@ static void store(const Worker& worker, int env) {
     }
 }
 
+// Take in the target of a new control step. The first one after a reset counts as all before it.
+static void remember(const Motors& motors, const double* ctrl, int env) {
+    const int size = motors.actuators;
+    float* const targets = motors.targets + (int64)motors.kept * size * env;
+    for (int a = 0; a < size; ++a) {
+        const bool first = targets[a] != targets[a];
+        for (int k = motors.kept - 1; k > 0; --k)
+            targets[k * size + a] = first ? (float)ctrl[a] : targets[(k - 1) * size + a];
+        targets[a] = (float)ctrl[a];
+    }
+}
+
+// Give the servos the target that has reached them at a physics step of a control step.
+static void delay(const Motors& motors, const Worker& worker, int env, int step) {
+    if (step == 0) remember(motors, worker.ctrl, env);
+    const int size = motors.actuators;
+    const float* targets = motors.targets + (int64)motors.kept * size * env;
+    const int* lag = motors.lag + (int64)size * env;
+    for (int a = 0; a < size; ++a) {
+        const int late = lag[a] - step;
+        const int age = late > 0 ? (late + motors.substeps - 1) / motors.substeps : 0;
+        worker.ctrl[a] = targets[age * size + a];
+    }
+}
+
+// The share of its torque at rest that a motor has at a speed in the torque's direction.
+static double torque_share(double speed, double no_load) {
+    const double share = 1.0 - speed / no_load;
+    return share < 0.0 ? 0.0 : share > 1.0 ? 1.0 : share;
+}
+
+// Let torque fall linearly to zero at the no-load speed; a motor brakes with all of it.
+static void limit(const Motors& motors, const Worker& worker, int env) {
+    const float* limits = (const float*)(motors.limits + motors.stride * env);
+    const float* no_load = motors.speed + (int64)motors.actuators * env;
+    for (int a = 0; a < motors.actuators; ++a) {
+        const double speed = worker.qvel[motors.dof[a]];
+        worker.forcerange[2 * a] = limits[2 * a] * torque_share(-speed, no_load[a]);
+        worker.forcerange[2 * a + 1] = limits[2 * a + 1] * torque_share(speed, no_load[a]);
+    }
+}
+
+// What motors do at the beginning of a physics step.
+static void drive(const Motors& motors, const Worker& worker, int env, int step) {
+    if (motors.kept) delay(motors, worker, env, step);
+    if (motors.speed) limit(motors, worker, env);
+}
+
 // An environment whose state is not finite is skipped, and keeps its NaN for the task to see.
 static void advance(Advance& call) {
     const int number = join(call.work);
@@ -165,7 +230,11 @@ static void advance(Advance& call) {
         if (call.at_rest[env] || (call.only_written && !is_written(call, env))) continue;
         cull(call, env);
         if (!load(worker, env)) continue;
-        for (int s = 0; s < call.num_stages; ++s) {
+        for (int s = 0, step = 0; s < call.num_stages; ++s) {
+            if (!call.stages[s].function) {
+                drive(call.motors, worker, env, step++);
+                continue;
+            }
             *worker.nbody = call.stages[s].bodies;
             *worker.ngeom = call.stages[s].geoms;
             ((mj_function)call.stages[s].function)(worker.model, worker.data);

@@ -26,6 +26,7 @@ from mjlab.sim.sim import Simulation
 
 from renet.errors import RenetError, demand_name
 from renet.interface import Engine
+from renet.sim.motors import IDEAL, Motors
 from renet.sim.native import mujoco_memory, stages
 from renet.sim.native.collision_culling import CollisionCulling
 from renet.sim.native.compiler import Source, Struct
@@ -107,6 +108,9 @@ class Worker:
             num_finite=len(self.state) + len(time),
             stores=_copies(stores),
             num_stores=len(stores),
+            qvel=self.data.qvel,
+            ctrl=self.data.ctrl,
+            forcerange=model.actuator_forcerange,
         )
 
 
@@ -145,11 +149,21 @@ class NativeSimulation(Simulation):
         self.at_rest = np.zeros(self.num_envs, bool)
         """[N] environments that no step advances; write into it."""
         self.culling = CollisionCulling(self.mj_model, self.mj_data, self.num_envs)
+        self._motors: Motors | None = None
         self._zeroed = [getattr(self.wp_data, name).numpy() for name in RESET_TO_ZERO]
 
     def expand_model_fields(self, fields: tuple[str, ...]) -> None:
         """Give each environment its own values of model fields, as Simulation does."""
         super().expand_model_fields(fields)
+        self._workers = []
+
+    def use_motors(self, motors: Motors) -> None:
+        """Let motors be late, or weak at speed, from the next step on.
+
+        Where torque falls with speed, `actuator_forcerange` must be a field of each environment's
+        own (`expand_model_fields`).
+        """
+        self._motors = motors
         self._workers = []
 
     def step(self) -> None:
@@ -212,10 +226,18 @@ class NativeSimulation(Simulation):
     def _argument(self, steps: int, derive: bool, only_written: bool) -> Struct:
         """The struct Advance of engine.cpp."""
         stage, library = SOURCE.struct("Stage"), mujoco_memory.library()
+        driven = self._motors is not None
         table = [
-            stage(function=getattr(library, name), bodies=bodies, geoms=geoms)
-            for name, bodies, geoms in stages_of(self.mj_model, steps, derive)
+            stage(
+                function=None if name == stages.DRIVE else getattr(library, name),
+                bodies=bodies,
+                geoms=geoms,
+            )
+            for name, bodies, geoms in stages_of(self.mj_model, steps, derive, driven)
         ]
+        motors = IDEAL
+        if self._motors is not None:
+            motors = self._motors.fields(self.wp_model.actuator_forcerange.numpy())
         pose = self._workers[0].pose
         return SOURCE.struct("Advance")(
             environments=self.num_envs,
@@ -225,6 +247,7 @@ class NativeSimulation(Simulation):
             only_written=only_written,
             at_rest=self.at_rest,
             culling=SOURCE.struct("Culling")(**self.culling.fields),
+            motors=SOURCE.struct("Motors")(**motors),
             workers=(SOURCE.struct("Worker") * len(self._structs))(*self._structs),
             pose=_copies(pose),
             num_pose=len(pose),

@@ -21,6 +21,8 @@ CONTACTS += ("mj_makeConstraint", "mj_island", "mj_projectConstraint")
 SENSED = ("mj_transmission", "mj_sensorPos", "mj_fwdVelocity", "mj_sensorVel")
 UNSENSED = ("mj_transmission", "mj_fwdVelocity")
 UNSENSED += ("mj_fwdActuation", "mj_fwdAcceleration", "mj_fwdConstraint")
+DRIVE = "drive"
+"""Not of MuJoCo: motors at the beginning of a physics step (`drive` in engine.cpp)."""
 DERIVE = (*POSITION, *SENSED)
 """The stages of `mj_forward` without contacts and accelerations."""
 INTEGRATORS = {
@@ -43,19 +45,20 @@ SELF_CHECK = """
 
 
 class Stage(NamedTuple):
-    """A function of MuJoCo, and the numbers of bodies and geoms of the model that it gets."""
+    """A function of MuJoCo, or `DRIVE`, and the numbers of bodies and geoms that its model has."""
 
     function: str
     bodies: int
     geoms: int
 
 
-def stages_of(model: mujoco.MjModel, steps: int, derive: bool) -> list[Stage]:
+def stages_of(model: mujoco.MjModel, steps: int, derive: bool, driven: bool = False) -> list[Stage]:
     """The stages of physics steps of a model, in order.
 
     Args:
         model: not changed. steps: number of steps; 0: all that follows from the present state.
         derive: whether to end with poses and velocities of the state after the last step.
+        driven: whether each step begins with `DRIVE`.
     """
     whole, moving = (model.nbody, model.ngeom), moving_part(model)
     if not steps:
@@ -70,6 +73,9 @@ def stages_of(model: mujoco.MjModel, steps: int, derive: bool) -> list[Stage]:
         step = (*POSITION, *CONTACTS, *UNSENSED, INTEGRATORS[model.opt.integrator])
         # Sensors are computed in the last step alone.
         last_step = (*POSITION, *CONTACTS, *SENSED, "mj_step2")
+    if driven:
+        step = (DRIVE, *step)
+        last_step = (DRIVE, *last_step)
     functions = step * (steps - 1) + last_step + (DERIVE if derive else ())
     return [Stage(name, *shown.get(name, moving)) for name in functions]
 

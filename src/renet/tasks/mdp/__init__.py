@@ -9,5 +9,6 @@ from .constraints import *  # noqa: F403
 from .curriculums import *  # noqa: F403
 from .metrics import *  # noqa: F403
 from .observations import *  # noqa: F403
+from .randomization import *  # noqa: F403
 from .rewards import *  # noqa: F403
 from .terminations import *  # noqa: F403

@@ -8,9 +8,11 @@ import numpy as np
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import read_envelope
+from renet.deploy.robots.sim.servos import make_servos
 from renet.descriptions import find_description
 from renet.errors import RenetError
 from renet.interface import JOINTS, TRUNK
+from renet.motor_models import MotorModel
 
 SEEN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
 """MuJoCo geom groups of the terrain; robots' collision geoms are in group 3."""
@@ -25,17 +27,26 @@ class MujocoRobot:
     """A simulated robot; its clock is the simulation's."""
 
     def __init__(
-        self, model: mujoco.MjModel, robot: RobotSpec, ground: float = 0.0, real_time: bool = False
+        self,
+        model: mujoco.MjModel,
+        robot: RobotSpec,
+        ground: float = 0.0,
+        real_time: bool = False,
+        motors: MotorModel | None = None,
     ) -> None:
         """Put the robot of a scene (see scene.build_scene) at the origin, in its default pose.
 
-        It stands at a height of `ground`, m; `real_time` paces the simulation to the wall clock.
+        Args:
+            model: the scene, which motors that are not ideal change. robot: of the bundle.
+            ground: height of what it stands on, m.
+            real_time: whether to pace the simulation to the wall clock.
+            motors: of its joints, which step with the physics; ideal by default.
         """
         description = find_description(robot.name)
         self.model, self.data = model, place(model, ground + description.height)
         self._real_time, self.envelope = real_time, read_envelope(description)
         joints = [model.joint(name) for name in JOINTS]
-        self._servos = np.array([model.actuator(name).id for name in JOINTS])
+        self._servos = make_servos(model, self.data, motors)
         self._position = np.array([joint.qposadr[0] for joint in joints])
         self._velocity = np.array([joint.dofadr[0] for joint in joints])
         free = model.body(TRUNK).jntadr[0]
@@ -61,18 +72,14 @@ class MujocoRobot:
             time=data.time,
             joint_position=data.qpos[self._position],
             joint_velocity=data.qvel[self._velocity],
-            joint_torque=data.actuator_force[self._servos],
+            joint_torque=data.actuator_force[self._servos.ids],
             quaternion=data.qpos[self._base][3:].copy(),
             angular_velocity=data.qvel[self._spin].copy(),
         )
 
     def write(self, command: JointCommand) -> None:
-        """Hand a command to MuJoCo's own servos, which saturate as motors do."""
-        model, servos = self.model, self._servos
-        self.data.ctrl[servos] = command.position
-        model.actuator_gainprm[servos, 0] = command.stiffness
-        model.actuator_biasprm[servos, 1] = -command.stiffness
-        model.actuator_biasprm[servos, 2] = -command.damping
+        """Hand a command to the servos."""
+        self._servos.write(command)
 
     def now(self) -> float:
         """Simulated seconds."""
@@ -82,6 +89,7 @@ class MujocoRobot:
         """Simulate, and in real time sleep; raises RenetError for physics that went wrong."""
         timestep = self.model.opt.timestep
         for _ in range(round((until - self.data.time) / timestep)):
+            self._servos.step()
             mujoco.mj_step(self.model, self.data)
             check_physics(self.model, self.data)
         # Readings are taken between steps: positions and derived poses must agree.

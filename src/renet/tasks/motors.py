@@ -1,0 +1,96 @@
+"""Late joint targets and torque–speed curves of a task's robots, drawn as a real robot has them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from mjlab.sim.sim import Simulation
+from torch import Tensor
+
+from renet.errors import RenetError
+from renet.interface import PHYSICS_DT
+from renet.sim.motors import Motors
+from renet.tasks.robot_cfg import RobotCfg
+
+
+@dataclass(kw_only=True)
+class MotorsCfg:
+    """What servos do between physics steps; by default nothing."""
+
+    target_delay: tuple[float, float] = (0.0, 0.0)
+    """Shortest and longest delay of joint targets, s, in whole physics steps. Each robot draws one
+    for all its joints at the beginning of an episode, and keeps it until the end."""
+    joint_delay: Mapping[str, float] = field(default_factory=dict)
+    """Delay of single joints, by name, s, beside the one above."""
+    no_load_speed: tuple[float, float] | None = None
+    """Smallest and largest no-load speed, in multiples of the motors' largest velocity. Each robot
+    draws one multiple for all its motors, once. Torque falls linearly from its limit at rest to
+    zero at that speed; None: it does not fall."""
+
+    @property
+    def ideal(self) -> bool:
+        """Whether targets come at once and torque does not fall."""
+        return self.max_lag == 0 and self.no_load_speed is None
+
+    @property
+    def max_lag(self) -> int:
+        """Largest delay, physics steps."""
+        return steps(self.target_delay[1]) + steps(max(self.joint_delay.values(), default=0.0))
+
+    def check(self) -> None:
+        """Raise RenetError for ranges that nothing can be drawn from."""
+        low, high = self.target_delay
+        if not 0.0 <= low <= high < math.inf:
+            raise RenetError(f"motors.target_delay must rise from at least 0 s, got {low}, {high}")
+        if self.no_load_speed is not None:
+            low, high = self.no_load_speed
+            if not 0.0 < low <= high < math.inf:
+                raise RenetError(f"motors.no_load_speed must rise from above 0, got {low}, {high}")
+
+
+def steps(seconds: float) -> int:
+    """Whole physics steps nearest to a time."""
+    return round(seconds / PHYSICS_DT)
+
+
+class DrawnMotors(Motors):
+    """Motors with the delays and speeds of a configuration."""
+
+    def __init__(
+        self, cfg: MotorsCfg, sim: Simulation, robot: RobotCfg, num_envs: int, substeps: int
+    ) -> None:
+        """Draw the speeds of all robots; delays are drawn by `begin_episodes`.
+
+        Args:
+            cfg: what to draw; raises RenetError if it cannot be. robot: in the scene of `sim`.
+            num_envs: number of robots. substeps: physics steps of a control step.
+        """
+        cfg.check()
+        falls = cfg.no_load_speed is not None
+        super().__init__(sim.mj_model, num_envs, sim.device, substeps, cfg.max_lag, falls)
+        self._cfg = cfg
+        model = sim.mj_model
+        names = [model.actuator(number).name.split("/")[-1] for number in range(model.nu)]
+        velocity = [robot.motor(name).velocity for name in names]
+        lag = [steps(cfg.joint_delay.get(name, 0.0)) for name in names]
+        self._velocity = torch.tensor(velocity, device=sim.device)
+        """Largest velocity of each motor, [nu] rad/s."""
+        self._joint_lag = torch.tensor(lag, dtype=torch.int32, device=sim.device)
+        self.draw_speeds(torch.arange(num_envs, device=sim.device))
+
+    def draw_speeds(self, ids: Tensor) -> None:
+        """Draw the no-load speeds of some robots."""
+        if self._cfg.no_load_speed is not None:
+            low, high = self._cfg.no_load_speed
+            multiple = low + (high - low) * torch.rand(len(ids), 1, device=ids.device)
+            self.no_load_speed[ids] = multiple * self._velocity
+
+    def begin_episodes(self, ids: Tensor) -> None:
+        """Draw the delays of some robots, and forget their targets."""
+        low, high = (steps(delay) for delay in self._cfg.target_delay)
+        lag = torch.randint(low, high + 1, (len(ids), 1), dtype=torch.int32, device=ids.device)
+        self.lag[ids] = lag + self._joint_lag
+        self.reset(ids)
