@@ -16,7 +16,7 @@ import tyro
 
 from renet import cli, descriptions
 from renet.bundle import Bundle, read_manifest, write_manifest
-from renet.deploy import devices, main
+from renet.deploy import devices, gamepad, main
 from renet.deploy.catalogue import Go1Cfg, ReplayCfg, SimulationCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
@@ -197,6 +197,7 @@ def test_a_flights_images_are_shown_again_and_a_fault_of_the_scene_from_its_onse
         ("--camera replay", "needs --recording"),
         ("--camera replay --recording nowhere", "cannot read the recording nowhere"),
         ("--robot go1", "needs --teleop keyboard or joystick, or --dry-run"),
+        ("--teleop joystick", "no gamepad at /dev/input/js*: connect one"),
         ("--robot go1 --camera sim", "looks at a simulation"),
         ("--robot spot", "unknown robot 'spot': choose one of mujoco, go1"),
         ("--camera eye", "unknown camera 'eye': choose one of sim, realsense, replay, none"),
@@ -212,6 +213,7 @@ def test_a_flights_images_are_shown_again_and_a_fault_of_the_scene_from_its_onse
 def test_mistakes_are_told_before_anything_moves(tmp_path, capsys, monkeypatch, arguments, message):
     for package in ("mjviser", "pyrealsense2"):  # As if they were not installed.
         monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setattr(gamepad, "DEVICES", "/dev/input/js*-of-nobody")
     monkeypatch.chdir(tmp_path)
     assert cli.main(["deploy", *arguments.split()]) == 2
     assert message in capsys.readouterr().err
@@ -255,7 +257,9 @@ def test_a_simulation_takes_model_height_and_limits_from_the_bundles_robot(spot,
     assert run(tmp_path / "out", bundle=spot, seconds=1.0).header["robot"] == "mujoco"
 
 
-@pytest.mark.parametrize("option", ["--terrain gap", "--viewer", "--host 10.0.0.1", "--serial 1"])
+@pytest.mark.parametrize(
+    "option", ["--terrain gap", "--viewer", "--host 10.0.0.1", "--serial 1"]
+)
 def test_options_of_another_robot_or_camera_are_refused(option, capsys):
     with pytest.raises(SystemExit, match="2"):
         cli.main(["deploy", "--robot", "go1", "--camera", "none", "--dry-run", *option.split()])

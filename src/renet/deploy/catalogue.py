@@ -1,4 +1,4 @@
-"""The robots and cameras that `renet deploy` knows: `--robot NAME`, `--camera NAME`.
+"""What `renet deploy` knows: `--robot NAME`, `--camera NAME`, `--teleop NAME`.
 
 MuJoCo is imported only to simulate, and a vendor's library only by a driver that is built: nobody
 needs those of the others.
@@ -18,6 +18,7 @@ from renet.deploy.recording.replay import ReplayCamera
 from renet.deploy.robots.driver import DriverCfg, RobotDriver
 from renet.deploy.robots.go1.driver import go1_robot
 from renet.deploy.robots.go2.driver import go2_robot
+from renet.deploy.teleop import GamepadTeleop, KeyboardTeleop, Teleop, TeleopCfg
 from renet.descriptions import GO1, GO2, RobotDescription, find_description
 from renet.errors import RenetError
 from renet.interface import Terrain
@@ -159,6 +160,24 @@ class ReplayCfg(CameraCfg):
         return ReplayCamera(read_recording(self.recording), robot.now)
 
 
+@dataclass(frozen=True)
+class KeyboardCfg(TeleopCfg):
+    """The keys of the terminal."""
+
+    def build(self, deadman: float, simulated: bool) -> Teleop:
+        """The keyboard of standard input."""
+        return KeyboardTeleop(deadman)
+
+
+@dataclass(frozen=True)
+class GamepadCfg(TeleopCfg):
+    """A gamepad."""
+
+    def build(self, deadman: float, simulated: bool) -> Teleop:
+        """The first gamepad that can steer."""
+        return GamepadTeleop(deadman)
+
+
 ROBOTS: dict[str, type[DriverCfg]] = {"mujoco": SimulationCfg, "go1": Go1Cfg, "go2": Go2Cfg}
 """Every robot's options by the name that `--robot` takes. A package adds its own on import."""
 CAMERAS: dict[str, type[CameraCfg]] = {
@@ -168,3 +187,9 @@ CAMERAS: dict[str, type[CameraCfg]] = {
     "none": CameraCfg,
 }
 """Every camera's options by the name that `--camera` takes. A package adds its own on import."""
+TELEOPS: dict[str, type[TeleopCfg]] = {
+    "auto": TeleopCfg,
+    "keyboard": KeyboardCfg,
+    "joystick": GamepadCfg,
+}
+"""Every operator's options by the name that `--teleop` takes. A package adds its own on import."""

@@ -20,6 +20,7 @@ from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.joint_watch import JointWatch
 from renet.deploy.safety.machine import Mode, SafetyMachine
 from renet.deploy.safety.watchdog import HANGS, interruptible, watchdog
+from renet.deploy.teleop import Teleop
 from renet.errors import RenetError
 from renet.folders import lock, move, new_folder
 from renet.interface import CONTROL_DT, JOINTS
@@ -70,7 +71,7 @@ def deploy(cfg: DeployCfg) -> Path:
 
             def done() -> bool:
                 ended = interrupted() or getattr(teleop, "quit", False)
-                return ended or _over(cfg, controller.machine, begun, robot.now())
+                return ended or _over(cfg, controller.machine, teleop, begun, robot.now())
 
             def close() -> None:
                 if not cfg.dry_run:
@@ -122,10 +123,10 @@ def printer(say: Callable[[str], None]) -> Callable[[JointCommand], None]:
     return show
 
 
-def _over(cfg: DeployCfg, machine: SafetyMachine, begun: float, now: float) -> bool:
+def _over(cfg: DeployCfg, machine: SafetyMachine, teleop: Teleop, begun: float, now: float) -> bool:
     """The time is up, or nobody is there to arm a damped robot again."""
     passed = now - begun
     damped = machine.mode is Mode.DAMPING and (
         machine.since >= begun or (passed > 1.0 and not cfg.dry_run)
     )
-    return passed >= cfg.length - CONTROL_DT / 2 or (damped and cfg.teleop == "auto")
+    return passed >= cfg.length - CONTROL_DT / 2 or (damped and not teleop.attended)
