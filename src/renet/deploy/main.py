@@ -11,6 +11,7 @@ from renet.bundle import Bundle
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.controller import Controller, Event
 from renet.deploy.devices import start_devices
+from renet.deploy.display import VelocityDisplay
 from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.loop import brake, run_control_loop
 from renet.deploy.realtime import realtime
@@ -24,7 +25,7 @@ from renet.deploy.teleop import Teleop
 from renet.errors import RenetError
 from renet.folders import lock, move, new_folder
 from renet.interface import CONTROL_DT, JOINTS
-from renet.terminal import Terminal
+from renet.terminal import Terminal, encodable
 
 RECORDING = "recording.log"
 RESULTS = (RECORDING, SCORE, TIMELINE)
@@ -61,6 +62,7 @@ def deploy(cfg: DeployCfg) -> Path:
             stack.callback(controller.close)
             show = getattr(robot, "show", lambda: None)
             echo, watch = printer(terminal.say), JointWatch(terminal.say)
+            velocity = VelocityDisplay(terminal.status)
 
             def on_step(command: JointCommand, state: RobotState | None) -> None:
                 step()
@@ -68,6 +70,8 @@ def deploy(cfg: DeployCfg) -> Path:
                 if cfg.dry_run:
                     echo(command)
                     watch.look(state)
+                elif cfg.teleop != "auto":
+                    velocity.step(controller.decision, state)
 
             def done() -> bool:
                 ended = interrupted() or getattr(teleop, "quit", False)
@@ -89,9 +93,9 @@ def deploy(cfg: DeployCfg) -> Path:
                 devices = (robot, camera, teleop, controller, recorder)
                 run_control_loop(*devices, done=done, on_step=on_step, dry_run=cfg.dry_run)
         if recorder.problem:
-            print(recorder.problem)
+            print(encodable(recorder.problem))
         if not recorder.hung:
-            print(summary(write_score(read_recording(recorder.path), folder)))
+            print(encodable(summary(write_score(read_recording(recorder.path), folder))))
     return folder
 
 
