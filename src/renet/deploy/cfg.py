@@ -154,7 +154,7 @@ class DeployCfg:
                 )
             if self.teleop == "auto" and not self.dry_run:
                 raise RenetError(
-                    "a real robot needs --teleop keyboard or joystick, or --dry-run"
+                    "a real robot needs --teleop keyboard, joystick or ros2, or --dry-run"
                 )
         if self.faults and type(self.lens) is CameraCfg:
             raise RenetError("--fault needs a camera to spoil")
