@@ -212,7 +212,7 @@ def test_a_flights_images_are_shown_again_and_a_fault_of_the_scene_from_its_onse
         ("--teleop ros2 --topic 2go", "--topic must be a name such as cmd_vel, got '2go'"),
         ("--teleop ros2 --ros-domain 233", "--ros-domain must be from 0 to 232, got 233"),
         ("--teleop ros2 --ros-interface eth9", "no network interface 'eth9' here"),
-        ("--teleop joystick", "no gamepad at /dev/input/js*: connect one"),
+        ("--teleop joystick", "-of-nobody: connect one"),
         ("--robot go1 --camera sim", "looks at a simulation"),
         ("--robot spot", "unknown robot 'spot': choose one of mujoco, go1"),
         ("--camera eye", "unknown camera 'eye': choose one of sim, realsense, replay, none"),

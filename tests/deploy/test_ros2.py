@@ -68,7 +68,7 @@ def node(topic) -> Iterator[Node]:
 @pytest.fixture
 def teleop(topic) -> Ros2Teleop:
     """An operator who is armed."""
-    teleop = Ros2Teleop(f"/{topic}", free_domain(), "lo", None, SILENCE)
+    teleop = Ros2Teleop(f"/{topic}", free_domain(), "lo", SILENCE, keys=None, rises=True)
     assert teleop.command(0.0) == TeleopCommand(arm=True)
     return teleop
 
@@ -137,7 +137,7 @@ def test_keys_arm_and_stop(topic, node):
     drained = []
     keys = SimpleNamespace(quit=False, command=lambda now: asked, drain=drained.append)
     asked = TeleopCommand(forward=1.0)
-    teleop = Ros2Teleop(topic, free_domain(), "lo", keys, SILENCE)
+    teleop = Ros2Teleop(topic, free_domain(), "lo", SILENCE, keys=keys, rises=False)
     teleop.drain(0.5)
     assert drained == [0.5]
     hear(teleop, node, 1.0, 0.3)
@@ -148,6 +148,11 @@ def test_keys_arm_and_stop(topic, node):
     assert teleop.attended
     keys.quit = True
     assert teleop.quit
+    simulated = Ros2Teleop(topic, free_domain(), "lo", SILENCE, keys=keys, rises=True)
+    simulated.drain(0.5)
+    asked = TeleopCommand(forward=1.0)
+    assert simulated.command(1.0) == TeleopCommand(arm=True), "once, and after it was drained"
+    assert simulated.command(1.0) == TeleopCommand()
 
 
 def test_a_real_robot_needs_a_terminal(monkeypatch):

@@ -214,7 +214,9 @@ class Ros2Cfg(TeleopCfg):
         domain = domain_of(self.ros_domain)
         attended = not simulated or (sys.stdin is not None and sys.stdin.isatty())
         keys = KeyboardTeleop(math.inf) if attended else None
-        return Ros2Teleop(self.topic, domain, self.ros_interface, keys, deadman)
+        return Ros2Teleop(
+            self.topic, domain, self.ros_interface, deadman, keys=keys, rises=simulated
+        )
 
 
 ROBOTS: dict[str, type[DriverCfg]] = {"mujoco": SimulationCfg, "go1": Go1Cfg, "go2": Go2Cfg}

@@ -46,15 +46,22 @@ class Ros2Teleop:
     """
 
     def __init__(
-        self, topic: str, domain: int, interface: str, keys: Teleop | None, silence: float
+        self,
+        topic: str,
+        domain: int,
+        interface: str,
+        silence: float,
+        keys: Teleop | None,
+        rises: bool,
     ) -> None:
         """Subscribe to a topic of a DDS domain.
 
         Args:
             topic: ROS 2's name of it, such as cmd_vel.
             interface: network card to listen at; empty: Cyclone DDS chooses, as it does for ROS 2.
-            keys: keyboard that arms, stops and quits; None: armed at once, by nobody.
             silence: seconds without a message after which the robot stands.
+            keys: keyboard that arms, stops and quits, if there is one.
+            rises: whether the robot is armed at once.
 
         Raises:
             RenetError: no such interface, or DDS that fails.
@@ -68,10 +75,10 @@ class Ros2Teleop:
         self._counted = -math.inf
         self._publishers = 0
         self._malformed = False
-        self._rises = keys is None
+        self._rises = rises
         self.attended = keys is not None
-        rest = "r stand up and walk, space stop, q quit" if keys else "armed at once, Ctrl-C quits"
-        self.controls = f"velocities of {topic} in domain {domain}, {rest}"
+        ends = "r stand up and walk, space stop, q quit" if keys else "Ctrl-C quits"
+        self.controls = f"velocities of {topic} in domain {domain}, {ends}"
         self.problem = ""
         """What the operator is to know; empty if all is well."""
 
@@ -85,11 +92,11 @@ class Ros2Teleop:
         self._listen(now)
         velocity = self._velocity if now - self._heard <= self._silence else Velocity()
         self.problem = self._find_problem(now)
-        if self._keys is None:
-            # Arming with a velocity would be refused.
-            arm, self._rises = self._rises, False
-            return TeleopCommand(arm=True) if arm else TeleopCommand(*velocity)
-        keys = self._keys.command(now)
+        keys = TeleopCommand() if self._keys is None else self._keys.command(now)
+        if self._rises:
+            # Without a velocity, with which arming would be refused.
+            self._rises = False
+            return TeleopCommand(arm=True, stop=keys.stop)
         return replace(keys, **velocity._asdict())
 
     def drain(self, now: float) -> None:

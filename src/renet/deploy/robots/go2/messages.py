@@ -106,7 +106,7 @@ def payload_order(layout: np.dtype) -> np.ndarray:
 def _idl(name: str, fields: Fields, module: str = MODULE) -> type:
     members = {}
     for field, kind, count in fields:
-        part: Any = IDL[kind] if isinstance(kind, str) else _idl(*kind, module)
+        part: Any = IDL[kind] if isinstance(kind, str) else _idl(kind[0], kind[1], module)
         members[field] = types.array[part, count] if count > 1 else part
     return make_idl_struct(name, f"{module}.{name}", members)
 
