@@ -44,7 +44,7 @@ from renet.deploy.safety.machine import Mode, SafetyMachine
 from renet.deploy.safety.watchdog import interruptible
 from renet.deploy.teleop import TeleopCommand
 from renet.faults import FAULTS, Injection
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, TURN_GAIN
 
 EVERY = {
     "push": 8.0,
@@ -154,7 +154,7 @@ class Operator:
     def __init__(self, robot: ShakyRobot, machine: SafetyMachine) -> None:
         self._robot, self._machine = robot, machine
         self._since, self._tried, self.lifts = 0.0, 0, 0
-        self._speed, self._turn, self._goal = 0.0, 0.0, np.zeros(2)
+        self._speed, self._goal = 0.0, np.zeros(2)
 
     def command(self, now: float) -> TeleopCommand:
         mode, upright = self._machine.mode, self._robot.base_rotation[2, 2] > 0.5
@@ -167,16 +167,19 @@ class Operator:
             self._tried, waited = 0, False
             self.lifts += 1
         elif waited and mode is Mode.WALKING:
-            away = self._goal - self._robot.base_position[:2]
-            if np.linalg.norm(away) < 1.0:
-                self._goal = self._robot.random.uniform(-3.0, 3.0, 2)
-            ahead = self._robot.base_rotation[:2, 0]
-            turn = math.atan2(away[1], away[0]) - math.atan2(ahead[1], ahead[0])
-            self._turn += math.remainder(turn, math.tau)
             self._speed = float(self._robot.random.choice((0.0, 0.3, 0.6, 0.6, 1.0)))
         if mode is Mode.DAMPING:
-            return TeleopCommand(turn=self._turn, arm=waited)
-        return TeleopCommand(self._speed, self._turn, stop=not upright)
+            return TeleopCommand(arm=waited)
+        return TeleopCommand(self._speed, 0.0, self._turn_rate(), stop=not upright)
+
+    def _turn_rate(self) -> float:
+        """Turn towards the goal, which is another one once it is near, rad/s."""
+        away = self._goal - self._robot.base_position[:2]
+        if np.linalg.norm(away) < 1.0:
+            self._goal = self._robot.random.uniform(-3.0, 3.0, 2)
+        ahead = self._robot.base_rotation[:2, 0]
+        turn = math.atan2(away[1], away[0]) - math.atan2(ahead[1], ahead[0])
+        return TURN_GAIN * math.remainder(turn, math.tau)
 
 
 def soak(cfg: Cfg, folder: Path) -> dict:

@@ -202,6 +202,10 @@ COMMANDS = {
 def main(argv: list[str] | None = None) -> int:
     """Run a command line; returns the exit code (2 for anything the user can put right)."""
     arguments = sys.argv[1:] if argv is None else argv
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal of ASCII shows ? for an arrow: that is no reason to end.
+        with suppress(AttributeError):
+            stream.reconfigure(errors="replace")
     # A spinning OpenMP team starves whatever shares the machine; must be set before torch loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     # No command draws with OpenGL, whose absence, or a misspelt choice, would end MuJoCo's import.

@@ -28,8 +28,14 @@ CONSTRAINTS = ("joint_position", "joint_velocity", "torque")
 
 MAX_SPEED = 1.0
 """Fastest forward command of training, m/s (paper)."""
+MAX_REVERSE = 0.6
+"""Fastest backward command, m/s."""
+MAX_SIDEWAYS = 0.5
+"""Fastest sideways command, to either side, m/s."""
 MAX_TURN = 1.0
 """Fastest turn that training asks for, rad/s."""
+TURN_GAIN = 1.5
+"""Turn rate that a robot off its heading is told, rad/s per rad; at most MAX_TURN."""
 
 CONTROL_DT = 0.02
 """Seconds between policy ticks (50 Hz)."""

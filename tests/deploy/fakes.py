@@ -78,7 +78,7 @@ class Broken:
     def image(self):
         raise RuntimeError("the driver's object is gone")
 
-    number = time = speed = image
+    number = time = forward = image
 
 
 def time_of(step: int) -> float:
@@ -112,7 +112,7 @@ class Standing:
         return not self.told[-1].stiffness.any() and bool((self.told[-1].damping > 0).all())
 
 
-ARM, GO = TeleopCommand(arm=True), TeleopCommand(speed=0.6)
+ARM, GO = TeleopCommand(arm=True), TeleopCommand(forward=0.6)
 QUICK, BRISK = SafetyCfg(stand_up_seconds=0.1), SafetyCfg(stand_up_seconds=0.5)
 """For robots without and with weight."""
 WALKS_AT = 7

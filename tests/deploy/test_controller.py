@@ -21,9 +21,15 @@ from renet.deploy.observation import observe
 from renet.deploy.robots.base import heading
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import Mode, stand_up_target
+from renet.deploy.steering import FORWARD_ONLY
 from renet.deploy.teleop import TeleopCommand
 from renet.faults import parse_fault
-from renet.interface import CONTROL_DT
+from renet.interface import (
+    CONTROL_DT,
+    HEADING_PROPRIOCEPTION,
+    PROPRIOCEPTION,
+    proprioception_slices,
+)
 from renet.models.adaptation import fuse
 from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
@@ -123,14 +129,16 @@ def test_the_shipped_checkpoint_acts_alike_in_torch_and_on_the_robot(tmp_path):
     for step in range(round((SECONDS + 1.0) / CONTROL_DT)):
         state, now = robot.read(), robot.now()
         shown = camera.latest()
-        robot.write(controller.tick(state, shown, TeleopCommand(speed=0.6, arm=step == 1), now))
+        robot.write(controller.tick(state, shown, TeleopCommand(forward=0.6, arm=step == 1), now))
         robot.wait(now + CONTROL_DT)
         decision = controller.decision
         if decision.mode is not Mode.WALKING:
             assert walked == 0, controller.machine.reason
             continue
         yaw = heading(state.quaternion) if yaw is None else yaw
-        observation = observe(state, controller.robot, 0.6, yaw, last)[None]
+        error = yaw - heading(state.quaternion)
+        told = 0.6, math.sin(error), math.cos(error)
+        observation = observe(state, controller.robot, told, last)[None]
         memory.push(torch.tensor(observation))
         if walked % 5 == 0:
             image = torch.tensor(shown.image[None]).half()
@@ -257,26 +265,57 @@ def test_a_bad_reading_damps_and_arming_brings_it_back(walk, changes, reason):
     assert walk.controller.decision.mode is Mode.WALKING
 
 
-def wished(run: Run) -> float:
-    """Heading that the policy was last asked for, relative to the robot's, rad."""
-    return run.controller._yaw - heading(run.controller._newest.quaternion)  # type: ignore[union-attr]
+@pytest.fixture
+def telling(bundle) -> Callable[[str], Run]:
+    """Robots that walk and are told where to go in one of the two forms."""
+
+    def walk(told: str) -> Run:
+        terms = PROPRIOCEPTION if told == "twist" else HEADING_PROPRIOCEPTION
+        manifest = replace(bundle.manifest, proprioception=terms)
+        run = Run(replace(bundle, manifest=manifest))
+        run.ticks(WALKS_AT + 1, lambda frame: None)
+        return run
+
+    return walk
 
 
-def test_a_robot_that_cannot_follow_is_asked_for_a_quarter_turn_at_most(walk):
-    for step in range(300):
-        walk.tick(teleop=TeleopCommand(turn=0.02 * step))
-    assert wished(walk) == pytest.approx(math.pi / 2)
-    walk.tick(teleop=TeleopCommand(turn=0.02 * 299), quaternion=turned("z", 60))
-    assert wished(walk) == pytest.approx(math.pi / 6), "the way round does not change"
+def told(run: Run) -> np.ndarray:
+    """What the policy observed of the command; its scales are 1."""
+    observed = run.controller.policy._history[0, -1][proprioception_slices()["command"]]
+    np.testing.assert_allclose(run.controller.decision.told, observed, atol=1e-6)
+    return observed
 
 
-def test_only_changes_of_the_turn_count(run):
-    for _ in range(20):
-        run.tick(teleop=TeleopCommand(turn=2.0), quaternion=turned("z", 178))
-    assert wished(run) == pytest.approx(0.0), "what was asked for before it walked"
-    run.tick(teleop=TeleopCommand(turn=2.1), quaternion=turned("z", 178))
-    run.tick(teleop=TeleopCommand(turn=2.2), quaternion=turned("z", -178))
-    assert abs(wished(run)) <= math.pi / 2 + 1e-9
+def test_a_policy_is_told_a_speed_and_the_angle_to_a_heading(telling):
+    run = telling("heading")
+    for _ in range(25):
+        run.tick(teleop=TeleopCommand(0.4, 0.0, 0.8))
+    angle = 25 * CONTROL_DT * 0.8
+    np.testing.assert_allclose(told(run), [0.4, math.sin(angle), math.cos(angle)], atol=1e-5)
+    assert [event.what for event in run.events].count("refused") == 0
+
+
+def test_or_the_velocity_itself(telling):
+    run = telling("twist")
+    run.tick(teleop=TeleopCommand(-0.5, 0.3, -0.7))
+    np.testing.assert_allclose(told(run), [-0.5, 0.3, -0.7], atol=1e-6)
+    run.tick(teleop=TeleopCommand(-9.0, -9.0, 9.0))
+    np.testing.assert_allclose(told(run), [-0.6, -0.5, 1.0], atol=1e-6)
+    assert run.controller.decision.asked == (-0.6, -0.5, 1.0)
+    assert [event.what for event in run.events].count("refused") == 0
+
+
+def test_backward_and_sideways_are_refused_once_a_walk(telling):
+    run = telling("heading")
+    for velocity in ((-0.5,), (0.6,), (0.0, 0.2), (0.6, -0.2)) * 3:
+        run.tick(teleop=TeleopCommand(*velocity))
+        assert told(run)[0] == pytest.approx(max(velocity[0], 0.0))
+    refused = [event for event in run.events if event.what == "refused"]
+    assert refused == [Event(time_of(WALKS_AT + 1), "refused", FORWARD_ONLY)]
+    run.tick(teleop=TeleopCommand(stop=True))
+    run.tick(teleop=ARM)
+    run.ticks(10, lambda frame: None, teleop=TeleopCommand(-0.5))
+    assert [event.why for event in run.events].count(FORWARD_ONLY) == 2
 
 
 def test_one_reading_from_the_future_is_forgotten(run):
@@ -334,7 +373,8 @@ def hostile(random: np.random.Generator, now: float) -> dict[str, Any]:
     name = one_of(*list(vars(reading))[1:])
     when = one_of(now - 1, now + 1, math.nan, -math.inf, None, "x")
     mark = one_of({"time": math.inf}, {"number": "x"}, {"invalid": math.nan})
-    wish = one_of({"speed": math.nan}, {"turn": math.inf}, {"speed": 1e300, "turn": -1e300})
+    large = {"forward": 1e300, "left": 1e300, "turn_rate": -1e300}
+    wish = one_of({"forward": math.nan}, {"turn_rate": math.inf}, large)
     wrong = one_of(
         {"state": replace(reading, **{name: spoilt(getattr(reading, name))})},
         {"state": one_of(None, 7, replace(reading, time=when))},
@@ -355,7 +395,7 @@ def test_10_000_hostile_inputs_never_raise_and_never_leave_the_limits(bundle):
         now += 0.02 if jump < 0.99 else random.choice([0.0, -0.05, 0.3, 5.0])
         inputs = hostile(random, now)
         if controller.decision.mode is Mode.DAMPING and inputs["teleop"] is GO:
-            inputs["teleop"] = TeleopCommand(speed=0.5, arm=bool(random.random() < 0.5))
+            inputs["teleop"] = TeleopCommand(forward=0.5, arm=bool(random.random() < 0.5))
         command = controller.tick(**inputs, now=math.nan if random.random() < 0.002 else now)
         assert np.isfinite(command.position).all()
         assert ((command.position >= robot.lower) & (command.position <= robot.upper)).all()

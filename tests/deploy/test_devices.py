@@ -15,6 +15,7 @@ from renet.deploy.catalogue import RealSenseCfg, SimCameraCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import deploy
 from renet.deploy.robots.driver import DriverCfg
+from renet.deploy.teleop import GamepadTeleop, KeyboardTeleop
 from renet.errors import RenetError
 from renet.folders import lock
 
@@ -77,9 +78,10 @@ def test_a_folder_that_cannot_be_used_is_refused_before_the_robot_is_touched(tmp
     assert len(CONNECTED) == before
 
 
-@pytest.mark.parametrize("teleop", ["keyboard", "joystick"])
-def test_the_deadman_reaches_the_operators_device(monkeypatch, teleop):
-    device = devices.TELEOPS[teleop]
+@pytest.mark.parametrize(
+    ("teleop", "device"), [("keyboard", KeyboardTeleop), ("joystick", GamepadTeleop)]
+)
+def test_the_deadman_reaches_the_operators_device(monkeypatch, teleop, device):
     monkeypatch.setattr(device, "__init__", lambda self, deadman: setattr(self, "given", deadman))
     for deadman, given in ((2.5, 2.5), (None, DEADMAN)):
         made = devices.make_teleop(DeployCfg(robot="go1", teleop=teleop, deadman=deadman))
@@ -92,7 +94,7 @@ def test_faults_begin_with_the_run_not_with_the_wait_for_a_first_image(monkeypat
     monkeypatch.setattr(devices, "make_robot", lambda *given: robot)
     monkeypatch.setattr(RealSenseCfg, "build", lambda *given: camera)
     pressed = []
-    teleop = SimpleNamespace(command=pressed.append)
+    teleop = SimpleNamespace(drain=pressed.append)
     monkeypatch.setattr(devices, "make_teleop", lambda cfg: teleop)
     cfg = DeployCfg(robot="go1", fault=("blackout@5s",), teleop="keyboard")
     _, faulty, *_ = devices.start_devices(cfg, Bundle.load(), print, ExitStack())

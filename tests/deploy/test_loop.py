@@ -173,7 +173,7 @@ def test_what_a_device_complains_of_is_told_once(bundle, tmp_path):
     [
         ({"battery": 0.05}, ARM, ""),
         ({"battery": None}, ARM, ""),
-        ({}, TeleopCommand(speed=0.9, arm=True), ""),
+        ({}, TeleopCommand(forward=0.9, arm=True), ""),
         ({}, ARM, "the recording ends early"),
     ],
 )

@@ -1,5 +1,6 @@
 """`renet deploy` as a stranger runs it, and everything that must end it braked and logged."""
 
+import io
 import json
 import math
 import os
@@ -16,7 +17,7 @@ import tyro
 
 from renet import cli, descriptions
 from renet.bundle import Bundle, read_manifest, write_manifest
-from renet.deploy import devices, main
+from renet.deploy import devices, gamepad, main
 from renet.deploy.catalogue import Go1Cfg, ReplayCfg, SimulationCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
@@ -62,6 +63,14 @@ def test_out_of_the_box_it_remembers_the_gap_and_crosses_it_with_its_camera_blac
     assert braked_at_the_end(flight)
     assert mismatch(flight, Bundle.load()) == 0.0
     assert [event.why for event in flight.events][-1] == "the run ends"
+
+
+def test_a_terminal_without_arrows_ends_no_run(tmp_path, monkeypatch):
+    stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", stream)
+    arguments = ["deploy", "--seconds=3.2", "--fault=blackout@2.5s", f"--out={tmp_path}"]
+    assert cli.main(arguments) == 0
+    assert b"sees ? remembers" in stream.buffer.getvalue()  # type: ignore[attr-defined]
 
 
 def test_the_papers_selector_is_told_to_the_log(tmp_path):
@@ -148,6 +157,8 @@ def test_its_folder_is_nobody_elses_until_the_score_is_written(tmp_path, monkeyp
         ({"teleop": "keyboard"}, True, math.inf, math.inf),
         ({"teleop": "joystick", "seconds": 3.0}, True, 3.0, math.inf),
         ({"robot": "go1", "teleop": "joystick"}, True, math.inf, DEADMAN),
+        ({"robot": "go1", "teleop": "ros2"}, True, math.inf, 0.5),
+        ({"teleop": "ros2", "deadman": 2.0}, True, math.inf, 2.0),
         ({"robot": "go1", "deadman": 2.0}, True, 15.0, 2.0),
     ],
 )
@@ -196,7 +207,12 @@ def test_a_flights_images_are_shown_again_and_a_fault_of_the_scene_from_its_onse
         ("--fault blackout@1s --camera none", "needs a camera to spoil"),
         ("--camera replay", "needs --recording"),
         ("--camera replay --recording nowhere", "cannot read the recording nowhere"),
-        ("--robot go1", "needs --teleop keyboard or joystick, or --dry-run"),
+        ("--robot go1", "needs --teleop keyboard, joystick or ros2, or --dry-run"),
+        ("--teleop wheel", "unknown teleop 'wheel': choose one of auto, keyboard, joystick, ros2"),
+        ("--teleop ros2 --topic 2go", "--topic must be a name such as cmd_vel, got '2go'"),
+        ("--teleop ros2 --ros-domain 233", "--ros-domain must be from 0 to 232, got 233"),
+        ("--teleop ros2 --ros-interface eth9", "no network interface 'eth9' here"),
+        ("--teleop joystick", "-of-nobody: connect one"),
         ("--robot go1 --camera sim", "looks at a simulation"),
         ("--robot spot", "unknown robot 'spot': choose one of mujoco, go1"),
         ("--camera eye", "unknown camera 'eye': choose one of sim, realsense, replay, none"),
@@ -212,6 +228,7 @@ def test_a_flights_images_are_shown_again_and_a_fault_of_the_scene_from_its_onse
 def test_mistakes_are_told_before_anything_moves(tmp_path, capsys, monkeypatch, arguments, message):
     for package in ("mjviser", "pyrealsense2"):  # As if they were not installed.
         monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setattr(gamepad, "DEVICES", "/dev/input/js*-of-nobody")
     monkeypatch.chdir(tmp_path)
     assert cli.main(["deploy", *arguments.split()]) == 2
     assert message in capsys.readouterr().err
@@ -255,7 +272,9 @@ def test_a_simulation_takes_model_height_and_limits_from_the_bundles_robot(spot,
     assert run(tmp_path / "out", bundle=spot, seconds=1.0).header["robot"] == "mujoco"
 
 
-@pytest.mark.parametrize("option", ["--terrain gap", "--viewer", "--host 10.0.0.1", "--serial 1"])
+@pytest.mark.parametrize(
+    "option", ["--terrain gap", "--viewer", "--host 10.0.0.1", "--serial 1", "--topic cmd_vel"]
+)
 def test_options_of_another_robot_or_camera_are_refused(option, capsys):
     with pytest.raises(SystemExit, match="2"):
         cli.main(["deploy", "--robot", "go1", "--camera", "none", "--dry-run", *option.split()])

@@ -23,8 +23,7 @@ def test_every_block_by_hand():
         quaternion=turned("z", 90),
     )
     action = np.linspace(-1, 1, 12)
-    o = observe(reading, robot_spec(), speed=0.6, yaw=0.0, last_action=action)
-    # The robot looks left by 90 degrees and should look ahead: the error is -90 degrees.
+    o = observe(reading, robot_spec(), command=(0.6, -1.0, 0.0), last_action=action)
     rates, gravity, command = (0.25, -0.5, 1.0), (0, 0, -1), (0.6, -1.0, 0.0)
     position, velocity = 0.2 * np.eye(12)[4], 0.05 * np.arange(12)
     expected = np.concatenate([rates, gravity, command, position, velocity, action])

@@ -1,18 +1,26 @@
-"""Keys through a real pseudo-terminal, a joystick's events through a pipe."""
+"""Keys through a real pseudo-terminal, a gamepad's events through a pipe."""
 
 import io
 import math
 import os
-import struct
+import re
 import sys
 import termios
-from collections.abc import Iterator
 
 import pytest
 
-from renet.deploy import teleop
-from renet.deploy.teleop import Deadman, JoystickTeleop, KeyboardTeleop, TeleopCommand
+from renet.deploy.teleop import (
+    ARM_KEY,
+    KEYS,
+    STAND_KEY,
+    Deadman,
+    GamepadTeleop,
+    KeyboardTeleop,
+    TeleopCommand,
+)
 from renet.errors import RenetError
+
+from .pads import XBOX, Pad, plugged
 
 
 @pytest.fixture
@@ -26,14 +34,20 @@ def keyboard(terminal):
     ("keys", "command"),
     [
         ("r", TeleopCommand(arm=True)),
-        ("www", TeleopCommand(speed=0.3)),
-        ("ww" + "s" * 9 + "w", TeleopCommand(speed=0.1)),
-        ("w" * 50, TeleopCommand(speed=1.0)),
-        ("aad?", TeleopCommand(turn=0.1)),
-        ("wö€", TeleopCommand(speed=0.1)),  # A foreign letter is no key.
+        ("www", TeleopCommand(forward=0.3)),
+        ("wss", TeleopCommand(forward=-0.1)),
+        ("www" + "sss", TeleopCommand()),  # Exactly zero: nobody arms a robot that creeps.
+        ("w" * 50, TeleopCommand(forward=1.0)),
+        ("s" * 50 + "w", TeleopCommand(forward=-0.5)),
+        ("aad?", TeleopCommand(turn_rate=0.2)),
+        ("d" * 50, TeleopCommand(turn_rate=-1.0)),
+        ("jjl", TeleopCommand(left=0.1)),
+        ("l" * 50, TeleopCommand(left=-0.5)),
+        ("wajx", TeleopCommand()),
+        ("wö€", TeleopCommand(forward=0.1)),  # A foreign letter is no key.
         ("wwwr", TeleopCommand()),  # Standing up forgets the old speed.
         ("their\n", TeleopCommand()),  # A pasted word is no wish to rise.
-        ("w w", TeleopCommand(speed=0.2, stop=True)),
+        ("w w", TeleopCommand(forward=0.2, stop=True)),
     ],
 )
 def test_keys(keyboard, terminal, keys, command):
@@ -48,6 +62,13 @@ def test_keys(keyboard, terminal, keys, command):
     assert keyboard.quit
 
 
+def test_every_key_is_named_and_means_one_thing(keyboard):
+    keys = [*KEYS, STAND_KEY, ARM_KEY, "q", " "]
+    assert len(set(keys)) == len(keys)
+    for key in keys:
+        assert re.search(rf"\b{key}\b" if key != " " else "space", keyboard.controls)
+
+
 def test_a_held_key_arms_once(keyboard, terminal):
     armed = []
     for now in (0.0, 0.7, 1.4, 2.5):
@@ -59,10 +80,10 @@ def test_a_held_key_arms_once(keyboard, terminal):
 def test_without_any_key_it_stands_until_told_anew(keyboard, terminal):
     keyboard._deadman = Deadman(5.0)
     os.write(terminal, b"wwww")
-    assert keyboard.command(0.0).speed == keyboard.command(5.0).speed == pytest.approx(0.4)
-    assert keyboard.command(5.5).speed == pytest.approx(0.2)
+    assert keyboard.command(0.0).forward == keyboard.command(5.0).forward == pytest.approx(0.4)
+    assert keyboard.command(5.5).forward == pytest.approx(0.2)
     os.write(terminal, b"\n")
-    assert keyboard.command(5.6).speed == pytest.approx(0.4), "any key is a sign of life"
+    assert keyboard.command(5.6).forward == pytest.approx(0.4), "any key is a sign of life"
     assert keyboard.command(11.7) == TeleopCommand()
     os.write(terminal, b"\n")
     assert keyboard.command(11.8) == TeleopCommand(), "it does not leap back to the old speed"
@@ -97,96 +118,94 @@ def test_a_lost_terminal_stops(keyboard, terminal):
     assert keyboard.quit
 
 
-def test_what_is_not_there_is_named(tmp_path, monkeypatch):
+def test_a_program_without_a_terminal_is_told(monkeypatch):
     for stdin in (io.StringIO(), None):
         monkeypatch.setattr(sys, "stdin", stdin)
-        with pytest.raises(RenetError, match="needs a terminal"):
+        with pytest.raises(RenetError, match="keys need a terminal"):
             KeyboardTeleop(math.inf)
-    monkeypatch.setattr(teleop, "JOYSTICK", tmp_path / "js0")
-    with pytest.raises(RenetError, match="no joystick at"):
-        JoystickTeleop(math.inf)
-
-
-class Stick(JoystickTeleop):
-    """A joystick whose events are written here."""
-
-    def __init__(self) -> None:
-        super().__init__(math.inf)
-        self.writer = os.open(teleop.JOYSTICK, os.O_WRONLY)
-
-    def event(self, value: int, kind: int, number: int) -> None:
-        os.write(self.writer, struct.pack("<IhBB", 0, value, kind, number))
 
 
 @pytest.fixture
-def stick(tmp_path, monkeypatch) -> Iterator[Stick]:
-    monkeypatch.setattr(teleop, "JOYSTICK", tmp_path / "js0")
-    os.mkfifo(teleop.JOYSTICK)
-    stick = Stick()
-    yield stick
-    stick.close()
+def pad(tmp_path, monkeypatch) -> Pad:
+    return plugged(tmp_path, monkeypatch, XBOX)
 
 
-def test_sticks_and_buttons(stick):
-    stick.event(-32767, 0x82, 3)
-    stick.event(1, 1, 7)
-    assert not stick.command(0.0).arm, "a stick that is held would turn the robot"
-    stick.event(0, 2, 3)
-    stick.event(1, 1, 7)
+@pytest.fixture
+def stick(pad) -> GamepadTeleop:
+    """An operator with a gamepad."""
+    return GamepadTeleop(math.inf)
+
+
+def test_sticks_and_buttons(stick, pad):
+    pad.press("BTN_START")
     assert stick.command(0.0) == TeleopCommand(arm=True)
-    stick.event(-32767, 2, 1)
-    stick.event(-16384, 2, 3)
+    pad.move("ABS_Y", -32767)
+    pad.move("ABS_X", 16384)
+    pad.move("ABS_RX", -16384)
     ahead = stick.command(0.1)
-    assert (ahead.speed, ahead.turn) == (1.0, pytest.approx(0.05, abs=1e-4))
-    assert stick.command(100.0).turn == pytest.approx(0.1, abs=1e-4), "no far turn after a pause"
-    stick.event(32767, 2, 1)
-    stick.event(1000, 2, 3)
-    back = stick.command(100.1)
-    assert back.speed == 0.0, "it walks forwards only"
-    assert back.turn == pytest.approx(0.1, abs=1e-4), "small deflections are none"
-    stick.event(1, 1, 0)
-    assert stick.command(100.2).stop
-    assert not stick.command(100.3).stop
+    assert (ahead.forward, ahead.left) == (1.0, pytest.approx(-0.25, abs=1e-4))
+    assert ahead.turn_rate == pytest.approx(0.5, abs=1e-4)
+    pad.move("ABS_Y", 32767)
+    pad.move("ABS_X", -1000)
+    pad.move("ABS_RX", 1000)
+    assert stick.command(0.2) == TeleopCommand(forward=-0.6), "small deflections are none"
+    pad.move("ABS_RY", 32767)
+    pad.press("BTN_TL")
+    assert stick.command(0.3) == TeleopCommand(forward=-0.6), "nor are other sticks and buttons"
+    for button in ("BTN_SOUTH", "BTN_EAST"):
+        pad.press(button)
+        assert stick.command(0.4).stop
+        assert not stick.command(0.5).stop
 
 
-def test_a_joystick_out_of_range_stands(stick):
+def test_a_pad_out_of_range_stands(stick, pad):
     stick._deadman = Deadman(0.5)
-    stick.event(-32767, 2, 1)
-    stick.event(-32767, 2, 3)
-    assert stick.command(0.0).speed == stick.command(0.5).speed == 1.0
-    assert stick.command(1.0).speed == pytest.approx(0.5)
-    gone = stick.command(2.0)
-    assert gone.speed == 0.0
-    assert stick.command(3.0).turn == gone.turn
-    stick.event(-29000, 2, 1)
-    assert stick.command(3.1).speed == pytest.approx(0.885, abs=1e-3)
+    pad.move("ABS_Y", -32767)
+    pad.move("ABS_RX", -32767)
+    assert stick.command(0.0).forward == stick.command(0.5).forward == 1.0
+    half = stick.command(1.0)
+    assert (half.forward, half.turn_rate) == (pytest.approx(0.5), pytest.approx(0.5))
+    assert stick.command(2.0) == TeleopCommand()
+    pad.move("ABS_Y", -29000)
+    assert stick.command(3.1).forward == pytest.approx(0.885, abs=1e-3)
 
 
-def test_an_unplugged_joystick_stops(stick):
+def test_an_unplugged_pad_stops(stick, pad):
     assert not stick.command(0.0).stop
-    os.close(stick.writer)
+    pad.unplug()
     assert stick.command(0.1).stop
 
 
 @pytest.mark.parametrize("amplitude", [1, 655, 1300])
-def test_a_stick_that_only_trembles_is_nobody(stick, amplitude):
+def test_a_stick_that_only_trembles_is_nobody(stick, pad, amplitude):
     """Nor is a trigger that moves, or a kernel that repeats where everything is."""
     stick._deadman = Deadman(5.0)
-    stick.event(-16000, 2, 1)
-    assert stick.command(0.0).speed > 0.4
+    pad.move("ABS_Y", -16000)
+    assert stick.command(0.0).forward > 0.4
     for step in range(1, 60 * 50):
-        stick.event(-16000 + amplitude * (1 if step % 2 else -1), 2, 1)
-        stick.event(32767 * (step % 2), 2, 5)
-        stick.event(step % 2, 0x81, 3)
+        pad.move("ABS_Y", -16000 + amplitude * (1 if step % 2 else -1))
+        pad.move("ABS_RZ", 32767 * (step % 2))
+        pad.press("BTN_WEST", step % 2, repeated=True)
         command = stick.command(0.02 * step)
-    assert command.speed == 0.0
-    stick.event(-21000, 2, 1)
-    assert stick.command(60.0).speed > 0.6
+    assert command.forward == 0.0
+    pad.move("ABS_Y", -21000)
+    assert stick.command(60.0).forward > 0.6
 
 
-def test_a_stop_that_the_kernel_repeats_stops_and_a_start_does_not_arm(stick):
+def test_a_stop_that_the_kernel_repeats_stops_and_a_start_does_not_arm(stick, pad):
     """What was pressed while its queue ran over comes as an initial event."""
-    stick.event(1, 0x81, 7)
+    pad.press("BTN_START", repeated=True)
     assert not stick.command(0.0).arm
-    stick.event(1, 0x81, 0)
+    pad.press("BTN_SOUTH", repeated=True)
     assert stick.command(0.02).stop
+
+
+def test_what_came_before_a_run_is_forgotten(stick, pad, keyboard, terminal):
+    """Not where the sticks are."""
+    pad.press("BTN_START")
+    pad.move("ABS_Y", -32767)
+    os.write(terminal, b"r")
+    stick.drain(0.0)
+    keyboard.drain(0.0)
+    assert stick.command(0.0) == TeleopCommand(forward=1.0)
+    assert keyboard.command(0.0) == TeleopCommand()

@@ -15,6 +15,7 @@ from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.teleop import TeleopCommand
 from renet.faults import parse_fault
+from renet.interface import CONTROL_DT
 from renet.page.writer import WEB
 from tests.page.conftest import run_node
 
@@ -31,9 +32,13 @@ def record(bundle: Bundle, terrain: str, fault: str, selector: str) -> tuple[lis
     controller = Controller(bundle, selector=selector)
     camera.start()
     due, shown, given, decided = robot.now(), None, [], []
+    turn = 0.0
     for step in range(375):
         now, state, frame = robot.now(), robot.read(), camera.latest()
-        teleop = TeleopCommand(speed=0.6, turn=0.2 * np.sin(now), arm=step == 0)
+        turn_rate = 0.2 * np.cos(now) if now > 3.0 else 0.0
+        teleop = TeleopCommand(forward=0.6, turn_rate=turn_rate, arm=step == 0)
+        # The page counts the sum of all turns.
+        turn += CONTROL_DT * turn_rate
         command = controller.tick(state, frame, teleop, now)
         fresh = None
         if frame is not shown:
@@ -45,7 +50,7 @@ def record(bundle: Bundle, terrain: str, fault: str, selector: str) -> tuple[lis
             "quaternion": state.quaternion.tolist(),
             "angularVelocity": state.angular_velocity.tolist(),
         }
-        speeds = {"speed": 0.6, "turn": teleop.turn, "arm": teleop.arm}
+        speeds = {"speed": 0.6, "turn": turn, "arm": teleop.arm}
         given.append({"state": seen, "frame": fresh, "teleop": speeds, "now": now})
         decided.append(decision(controller) | {name: getattr(command, name) for name in COMMAND})
         robot.write(command)

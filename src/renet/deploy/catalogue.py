@@ -1,12 +1,15 @@
-"""The robots and cameras that `renet deploy` knows: `--robot NAME`, `--camera NAME`.
+"""What `renet deploy` knows: `--robot NAME`, `--camera NAME`, `--teleop NAME`.
 
 MuJoCo is imported only to simulate, and a vendor's library only by a driver that is built: nobody
 needs those of the others.
 """
 
+import math
 import socket
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -18,8 +21,9 @@ from renet.deploy.recording.replay import ReplayCamera
 from renet.deploy.robots.driver import DriverCfg, RobotDriver
 from renet.deploy.robots.go1.driver import go1_robot
 from renet.deploy.robots.go2.driver import go2_robot
+from renet.deploy.teleop import GamepadTeleop, KeyboardTeleop, Teleop, TeleopCfg
 from renet.descriptions import GO1, GO2, RobotDescription, find_description
-from renet.errors import RenetError
+from renet.errors import RenetError, install
 from renet.interface import Terrain
 from renet.motor_models import IDEAL, find_motors
 from renet.server import LOOPBACK
@@ -169,6 +173,62 @@ class ReplayCfg(CameraCfg):
         return ReplayCamera(read_recording(self.recording), robot.now)
 
 
+@dataclass(frozen=True)
+class KeyboardCfg(TeleopCfg):
+    """The keys of the terminal."""
+
+    def build(self, deadman: float, simulated: bool) -> Teleop:
+        """The keyboard of standard input."""
+        return KeyboardTeleop(deadman)
+
+
+@dataclass(frozen=True)
+class GamepadCfg(TeleopCfg):
+    """A gamepad."""
+
+    def build(self, deadman: float, simulated: bool) -> Teleop:
+        """The first gamepad that can steer."""
+        return GamepadTeleop(deadman)
+
+
+@dataclass(frozen=True)
+class Ros2Cfg(TeleopCfg):
+    """Velocities on a topic of ROS 2; the terminal's keys stand up, stop and quit."""
+
+    silence: ClassVar[float | None] = 0.5
+
+    topic: str = "cmd_vel"
+    """Topic of ROS 2 with messages of geometry_msgs/msg/Twist."""
+    ros_domain: int | None = None
+    """ROS 2's domain; by default the one that ROS_DOMAIN_ID says, or 0."""
+    ros_interface: str = ""
+    """Network card that ROS 2 is at, such as lo; by default Cyclone DDS' choice."""
+
+    def check(self) -> None:
+        """Raise RenetError for a topic or domain that cannot be, or without Cyclone DDS."""
+        if find_spec("cyclonedds") is None:
+            raise RenetError(
+                f"--teleop ros2 needs Cyclone DDS: {install('go2')} (docs/go2.md says what to do "
+                "on ARM)"
+            )
+        from renet.deploy.ros2 import TOPIC, domain_of
+
+        if not TOPIC.fullmatch(self.topic):
+            raise RenetError(f"--topic must be a name such as cmd_vel, got {self.topic!r}")
+        domain_of(self.ros_domain)
+
+    def build(self, deadman: float, simulated: bool) -> Teleop:
+        """The topic, and the keyboard if there is a terminal; a real robot needs one."""
+        from renet.deploy.ros2 import Ros2Teleop, domain_of
+
+        domain = domain_of(self.ros_domain)
+        attended = not simulated or (sys.stdin is not None and sys.stdin.isatty())
+        keys = KeyboardTeleop(math.inf) if attended else None
+        return Ros2Teleop(
+            self.topic, domain, self.ros_interface, deadman, keys=keys, rises=simulated
+        )
+
+
 ROBOTS: dict[str, type[DriverCfg]] = {"mujoco": SimulationCfg, "go1": Go1Cfg, "go2": Go2Cfg}
 """Every robot's options by the name that `--robot` takes. A package adds its own on import."""
 CAMERAS: dict[str, type[CameraCfg]] = {
@@ -178,3 +238,10 @@ CAMERAS: dict[str, type[CameraCfg]] = {
     "none": CameraCfg,
 }
 """Every camera's options by the name that `--camera` takes. A package adds its own on import."""
+TELEOPS: dict[str, type[TeleopCfg]] = {
+    "auto": TeleopCfg,
+    "keyboard": KeyboardCfg,
+    "joystick": GamepadCfg,
+    "ros2": Ros2Cfg,
+}
+"""Every operator's options by the name that `--teleop` takes. A package adds its own on import."""

@@ -6,22 +6,23 @@ import sys
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
 from renet import __version__
 from renet.bundle import Bundle
 from renet.deploy.cameras.base import CameraCfg
-from renet.deploy.catalogue import CAMERAS, ROBOTS
+from renet.deploy.catalogue import CAMERAS, ROBOTS, TELEOPS
 from renet.deploy.robots.driver import DriverCfg
 from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.teleop import TeleopCfg
 from renet.errors import RenetError, demand_name
 from renet.faults import Injection, parse_fault
 from renet.interface import CONTROL_DT, MAX_SPEED, SelectorName
 
 ENTRY_POINTS = "renet.robots"
-"""Group of entry points: modules of other packages, which add to `ROBOTS` and `CAMERAS`."""
+"""Group of entry points: modules of other packages, which add to the tables of `catalogue`."""
 SHORT_RUN = 15.0
 """Seconds of a run that nobody steers."""
 DEADMAN = 5.0
@@ -43,11 +44,13 @@ class DeployCfg:
     robot that an installed package adds. Its own options are listed once it is chosen."""
     camera: str = "auto"
     """sim, realsense, replay or none. auto: sim for a simulated robot, realsense for a real one."""
-    teleop: Literal["auto", "keyboard", "joystick"] = "auto"
-    """auto: stands up and walks straight ahead (simulation only)."""
+    teleop: str = "auto"
+    """auto: stands up and walks straight ahead (simulation only). keyboard, joystick, or ros2: the
+    velocities of a topic."""
     deadman: float | None = None
-    """Seconds without a key or a move of the joystick after which the robot stands until there is
-    one; 5 by default with a real robot, no limit in simulation. inf: no limit."""
+    """Seconds without a key, a move of the joystick or a message after which the robot stands until
+    there is one; by default 5 with a real robot, no limit in simulation, 0.5 with ros2. inf: no
+    limit."""
     out: Path | None = None
     """Folder of the results, results/deploy/DATE_TIME by default; what an earlier run left in
     it is kept in its subfolders earlier-1, earlier-2, ..."""
@@ -72,6 +75,8 @@ class DeployCfg:
     """Options of the robot; its defaults by default."""
     lens: Annotated[CameraCfg, NoPrefix] = field(default_factory=CameraCfg)
     """Options of the camera; its defaults by default."""
+    operator: Annotated[TeleopCfg, NoPrefix] = field(default_factory=TeleopCfg)
+    """Options of the operator's device; its defaults by default."""
 
     def __post_init__(self) -> None:
         if type(self.driver) is DriverCfg:
@@ -81,10 +86,13 @@ class DeployCfg:
         if type(self.lens) is CameraCfg:
             demand_name("camera", camera, CAMERAS)
             object.__setattr__(self, "lens", CAMERAS[camera]())
+        if type(self.operator) is TeleopCfg:
+            demand_name("teleop", self.teleop, TELEOPS)
+            object.__setattr__(self, "operator", TELEOPS[self.teleop]())
 
     @staticmethod
     def defaults(arguments: list[str]) -> "DeployCfg":
-        """The defaults of the robot and the camera that a command line asks for.
+        """The defaults of the robot, camera and operator that a command line asks for.
 
         They decide which options the rest of the command line may hold.
         """
@@ -94,7 +102,7 @@ class DeployCfg:
             except Exception as error:  # Of a package that this run may not need.
                 print(f"renet: cannot use {entry.value}: {error}", file=sys.stderr)
         parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-        for name in ("robot", "camera"):
+        for name in ("robot", "camera", "teleop"):
             parser.add_argument(f"--{name}", nargs="?", default=argparse.SUPPRESS)
         devices = vars(parser.parse_known_args(arguments)[0])
         return DeployCfg(**{name: value for name, value in devices.items() if value})
@@ -118,8 +126,11 @@ class DeployCfg:
     @property
     def operator_timeout(self) -> float:
         """Seconds without a sign of the operator after which the robot stands."""
-        default = math.inf if self.driver.simulated else DEADMAN
-        return default if self.deadman is None else self.deadman
+        if self.deadman is not None:
+            return self.deadman
+        if self.operator.silence is not None:
+            return self.operator.silence
+        return math.inf if self.driver.simulated else DEADMAN
 
     @property
     def limits(self) -> SafetyCfg:
@@ -142,15 +153,18 @@ class DeployCfg:
                     f"--camera {self.camera} looks at a simulation: use realsense, replay or none"
                 )
             if self.teleop == "auto" and not self.dry_run:
-                raise RenetError("a real robot needs --teleop keyboard or joystick, or --dry-run")
+                raise RenetError(
+                    "a real robot needs --teleop keyboard, joystick or ros2, or --dry-run"
+                )
         if self.faults and type(self.lens) is CameraCfg:
             raise RenetError("--fault needs a camera to spoil")
         self.driver.check()
         self.lens.check()
+        self.operator.check()
 
     def header(self, bundle: Bundle) -> dict[str, Any]:
         """What the recording of a bundle's run says of it, as JSON values."""
-        options = (vars(self.driver) | vars(self.lens)).items()
+        options = (vars(self.driver) | vars(self.lens) | vars(self.operator)).items()
         selector = bundle.manifest.selector
         calibrated = selector.thresholds.get("reconstruction", selector.beta)
         return {
@@ -159,6 +173,7 @@ class DeployCfg:
             "selector": self.selector,
             "robot": self.robot,
             "camera": self.camera,
+            "teleop": self.teleop,
             "fault": list(self.fault),
             "onsets": [fault.onset * CONTROL_DT for fault in self.faults],
             "seed": self.seed,

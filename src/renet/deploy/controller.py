@@ -4,7 +4,6 @@
 inputs give the same commands on a robot, in a simulator and in a replay. It never raises.
 """
 
-import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,18 +18,17 @@ from renet.deploy.inference import InlineInference, Sessions
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import JointCommand, RobotState, all_finite, heading
 from renet.deploy.safety.checks import clean_state, stand_up_problem, state_problem, teleop_problem
-from renet.deploy.safety.limits import SafetyCfg, limited_command, limited_speed
+from renet.deploy.safety.limits import SafetyCfg, limited_command, limited_velocity
 from renet.deploy.safety.machine import Mode, SafetyMachine, damping_command, stand_up_target
 from renet.deploy.safety.plausibility import Readings
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.steering import STEERINGS
+from renet.deploy.teleop import TeleopCommand, Velocity
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE
 from renet.selector import SelectorInput, make_selector
 from renet.selector.selector import BLIND, REMEMBERS, SEES
 
 LATE = "the vision thread is late or dead"
-MAX_LEAD = math.pi / 2
-"""rad; farthest that the wished heading is from the robot's, as in training."""
 BLACK = np.zeros((1, *DEPTH_SHAPE), np.float32)
 DRIVERS = {SEES: "vp", REMEMBERS: "memory", BLIND: "op"}
 """What drives, as events call it, in each of the selector's states."""
@@ -45,9 +43,9 @@ class Event:
     time: float
     """Seconds on the robot's clock."""
     what: str
-    """A mode of the safety machine, `refused` (to stand up), what drives (`vp`, `op`, or `memory`:
-    VP without images), `inference`, or the device that has a problem: `robot`, `camera`, `teleop`,
-    `recorder`."""
+    """A mode of the safety machine, `refused` (to stand up, or to go where the policy cannot), what
+    drives (`vp`, `op`, or `memory`: VP without images), `inference`, or the device that has a
+    problem: `robot`, `camera`, `teleop`, `recorder`."""
     why: str
 
 
@@ -75,6 +73,10 @@ class Decision:
     """[12] policy units; zero unless walking."""
     latent: np.ndarray
     """[64] the latent that drove this step."""
+    asked: Velocity
+    """What the operator asks for, within limits; zero unless walking."""
+    told: np.ndarray
+    """[3] where the policy was told to go, see `interface.TOLD`; zero unless walking."""
     velocity_op: np.ndarray
     """[3] m/s, base frame."""
     velocity_vp: np.ndarray
@@ -114,7 +116,7 @@ class Controller:
         self._readings, self._implausible = Readings(), ""
         self._state_error = "no state from the robot"
         self._start = self._target = np.array(self.robot.default_position)
-        self._yaw = self._turn = 0.0
+        self._steering = STEERINGS[bundle.manifest.told]()
         self._start_over()
         self.decision: Decision
         self._decide(damping_command(self.robot, safety), 0.0)
@@ -161,7 +163,7 @@ class Controller:
         if mode is Mode.WALKING and state is not None:
             if before is not Mode.WALKING:
                 self._start_over()
-                self._yaw, self._turn = heading(state.quaternion), teleop.turn
+                self._steering.start(heading(state.quaternion))
             return self._walk(state, teleop, now)
         if mode is Mode.STANDING_UP and state is not None:
             if before is not Mode.STANDING_UP:
@@ -199,13 +201,13 @@ class Controller:
         self.policy.reset()
         self._selector.reset()
         self._action = np.zeros(ACTION_SIZE)
+        self._asked, self._told, self._refused = Velocity(), (0.0, 0.0, 0.0), False
         self._vision, self._blind, self._state = True, False, SEES
         self._image = BLACK
 
     def _walk(self, state: RobotState, teleop: TeleopCommand, now: float) -> JointCommand:
-        self._steer(teleop.turn, heading(state.quaternion))
-        speed = limited_speed(teleop.speed)
-        observation = observe(state, self.robot, speed, self._yaw, self._action)[None]
+        self._told = self._steer(teleop, state, now)
+        observation = observe(state, self.robot, self._told, self._action)[None]
         self.policy.remember(observation)
         fallback = self.policy.due and self._begin_tick(now)
         output = self._perception.take()
@@ -220,10 +222,18 @@ class Controller:
         self._switch(now)
         return self._decide(command, now, vision, output is not None or fallback, fallback)
 
-    def _steer(self, turn: float, here: float) -> None:
-        """Turn the wished heading on; a robot that cannot follow is not asked for ever more."""
-        lead = math.remainder(self._yaw + turn - self._turn - here, math.tau)
-        self._yaw, self._turn = here + min(max(lead, -MAX_LEAD), MAX_LEAD), turn
+    def _steer(
+        self, teleop: TeleopCommand, state: RobotState, now: float
+    ) -> tuple[float, float, float]:
+        """Where the policy is told to go; what it cannot do is refused once a walk."""
+        steering = self._steering
+        self._asked = limited_velocity(teleop)
+        told = steering.command(self._asked, heading(state.quaternion))
+        # Not each time anew: a stick that is pushed ahead always strays to the sides.
+        if steering.refused and not self._refused:
+            self._refused = True
+            self.tell(now, "refused", steering.refused)
+        return told
 
     def _begin_tick(self, now: float) -> bool:
         """Start a tick of vision and estimators; returns whether it had to run here, blind."""
@@ -295,6 +305,8 @@ class Controller:
             frame_age=self._buffer.age(now),
             action=self._action if walking else np.zeros(ACTION_SIZE),
             latent=latent if walking else np.zeros(LATENT),
+            asked=self._asked if walking else Velocity(),
+            told=np.array(self._told if walking else (0.0, 0.0, 0.0)),
             velocity_op=policy.velocity_op[0],
             velocity_vp=policy.velocity_vp[0],
             inferred=inferred,

@@ -12,11 +12,9 @@ from renet.deploy.cfg import DeployCfg
 from renet.deploy.robots.driver import RobotDriver
 from renet.deploy.robots.real.driver import RealRobot
 from renet.deploy.robots.real.lock import claim
-from renet.deploy.teleop import JoystickTeleop, KeyboardTeleop, ScriptedTeleop, Teleop
+from renet.deploy.teleop import ScriptedTeleop, Teleop
 from renet.errors import RenetError
 
-TELEOPS = {"keyboard": KeyboardTeleop, "joystick": JoystickTeleop}
-"""An operator's device by the name that `--teleop` takes."""
 FIRST_IMAGE = 2.0
 """Seconds in which a real camera's first image is waited for."""
 
@@ -50,8 +48,7 @@ def start_devices(
             time.sleep(0.01)
         if cfg.fault:  # Onsets count from its first look, hence from the run's first step.
             camera = FaultyCamera(camera, cfg.faults, robot.now, cfg.seed)
-    if cfg.teleop != "auto":
-        teleop.command(robot.now())  # What was pressed before the robot answered.
+    teleop.drain(robot.now())
     return robot, camera, teleop
 
 
@@ -69,8 +66,8 @@ def make_teleop(cfg: DeployCfg) -> Teleop:
     """The operator's device."""
     if cfg.teleop == "auto":
         return ScriptedTeleop(cfg.speed)
-    device = TELEOPS[cfg.teleop]
-    print(f"{cfg.teleop}: {device.CONTROLS}")
+    teleop = cfg.operator.build(cfg.operator_timeout, cfg.driver.simulated)
+    print(f"{cfg.teleop}: {teleop.controls}")
     if cfg.operator_timeout < math.inf:
         print(f"{cfg.operator_timeout:g} s without a sign of the operator: the robot stands")
-    return device(deadman=cfg.operator_timeout)
+    return teleop

@@ -92,7 +92,7 @@ class _Loop:
             controller.trip(ENDED, now)
         state = self._ask("robot", self.robot.read, None)
         frame = None if self.camera is None else self._ask("camera", self._look, None)
-        wish = self._ask("teleop", lambda: self.teleop.command(now), TeleopCommand(stop=True))
+        wish = self._ask("teleop", lambda: self._listen(now), TeleopCommand(stop=True))
         if ending:
             wish = TeleopCommand(stop=True)  # Also so that a replay of the recording brakes here.
         wish = self._checked(wish, state, frame, now)
@@ -115,6 +115,11 @@ class _Loop:
         frame = self.camera.latest()
         self._complain("camera", getattr(self.camera, "problem", ""))
         return frame
+
+    def _listen(self, now: float) -> TeleopCommand:
+        wish = self.teleop.command(now)
+        self._complain("teleop", getattr(self.teleop, "problem", ""))
+        return wish
 
     def _checked(
         self, wish: TeleopCommand, state: RobotState | None, frame: DepthFrame | None, now: float

@@ -11,6 +11,7 @@ from renet.bundle import Bundle
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.controller import Controller, Event
 from renet.deploy.devices import start_devices
+from renet.deploy.display import VelocityDisplay
 from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.loop import brake, run_control_loop
 from renet.deploy.realtime import realtime
@@ -20,10 +21,11 @@ from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.joint_watch import JointWatch
 from renet.deploy.safety.machine import Mode, SafetyMachine
 from renet.deploy.safety.watchdog import HANGS, interruptible, watchdog
+from renet.deploy.teleop import Teleop
 from renet.errors import RenetError
 from renet.folders import lock, move, new_folder
 from renet.interface import CONTROL_DT, JOINTS
-from renet.terminal import Terminal
+from renet.terminal import Terminal, encodable
 
 RECORDING = "recording.log"
 RESULTS = (RECORDING, SCORE, TIMELINE)
@@ -57,6 +59,7 @@ def deploy(cfg: DeployCfg) -> Path:
 
             show = getattr(robot, "show", lambda: None)
             echo, watch = printer(terminal.say), JointWatch(terminal.say)
+            velocity = VelocityDisplay(terminal.status)
 
             def on_step(command: JointCommand, state: RobotState | None) -> None:
                 step()
@@ -64,10 +67,12 @@ def deploy(cfg: DeployCfg) -> Path:
                 if cfg.dry_run:
                     echo(command)
                     watch.look(state)
+                elif cfg.teleop != "auto":
+                    velocity.step(controller.decision, state)
 
             def done() -> bool:
                 ended = interrupted() or getattr(teleop, "quit", False)
-                return ended or _over(cfg, controller.machine, begun, robot.now())
+                return ended or _over(cfg, controller.machine, teleop, begun, robot.now())
 
             def close() -> None:
                 if not cfg.dry_run:
@@ -91,9 +96,9 @@ def deploy(cfg: DeployCfg) -> Path:
                     devices = (robot, camera, teleop, controller, recorder)
                     run_control_loop(*devices, done=done, on_step=on_step, dry_run=cfg.dry_run)
         if recorder.problem:
-            print(recorder.problem)
+            print(encodable(recorder.problem))
         if not recorder.hung:
-            print(summary(write_score(read_recording(recorder.path), folder)))
+            print(encodable(summary(write_score(read_recording(recorder.path), folder))))
     return folder
 
 
@@ -125,10 +130,10 @@ def printer(say: Callable[[str], None]) -> Callable[[JointCommand], None]:
     return show
 
 
-def _over(cfg: DeployCfg, machine: SafetyMachine, begun: float, now: float) -> bool:
+def _over(cfg: DeployCfg, machine: SafetyMachine, teleop: Teleop, begun: float, now: float) -> bool:
     """The time is up, or nobody is there to arm a damped robot again."""
     passed = now - begun
     damped = machine.mode is Mode.DAMPING and (
         machine.since >= begun or (passed > 1.0 and not cfg.dry_run)
     )
-    return passed >= cfg.length - CONTROL_DT / 2 or (damped and cfg.teleop == "auto")
+    return passed >= cfg.length - CONTROL_DT / 2 or (damped and not teleop.attended)

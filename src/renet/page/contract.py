@@ -13,10 +13,10 @@ import numpy as np
 from renet import __version__, interface
 from renet.bundle import Bundle
 from renet.deploy.cameras.sim import RELATIVE_STD
-from renet.deploy.controller import MAX_LEAD
 from renet.deploy.robots.sim.mujoco import SEEN_GROUPS
 from renet.deploy.robots.sim.scene import FLAT, scene_spec
 from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.steering import MAX_LEAD
 from renet.descriptions import RobotDescription, find_description
 from renet.faults import FAULTS, SEVERITIES, Fault
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT

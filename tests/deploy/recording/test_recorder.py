@@ -37,7 +37,7 @@ def run_control_loop(bundle: Bundle, path, inference=InlineInference) -> None:
             reading = state(now, joint_position=np.zeros(5))
         if step == 100:
             picture = replace(frame(step, now), image=np.zeros((2, 2)))
-        teleop = TeleopCommand(speed=0.5, turn=0.01 * step, arm=step in (1, 160))
+        teleop = TeleopCommand(0.5, 0.0, 0.5, arm=step in (1, 160))
         controller.tick(reading, picture, teleop, now)
         log.append(reading, picture, teleop, now, controller.decision, compute_ms=1.5)
     controller.close()
@@ -136,6 +136,7 @@ def test_a_flipped_bit_ends_the_flight_there(recorded, tmp_path):
     ("data", "message"),
     [
         (b"once", "not a recording"),
+        (b"RENETLOG4\n" + bytes(9), r"a recording of renet 0\.1\.x: only that version reads it"),
         (HEAD + chunk(recorder.HEADER, b"[1]"), "another version"),
         (HEAD + chunk(recorder.HEADER, b"{"), "not JSON"),
         (HEAD + chunk(recorder.TICKS, b"123"), "another version"),

@@ -29,7 +29,7 @@ def flight() -> Recording:
     ticks["mode"][:RISEN] = MODES.index(Mode.STANDING_UP)
     ticks["vision"][RISEN:BLIND] = True
     ticks["has_image"][: BLIND - 20] = True
-    ticks["speed"] = 0.6
+    ticks["told"][:, 0] = 0.6
     ticks["velocity_op"][:, 0], ticks["velocity_vp"][:, 0] = 0.4, 0.5
     ticks["base_position"] = np.nan
     ticks["compute_ms"] = 1.0

@@ -88,7 +88,7 @@ def test_a_turn_between_two_attitudes_is_scipys(seed):
 def pushy(now: float) -> TeleopCommand:
     """Arms again and again, and walks fast."""
     arm = round(now / CONTROL_DT) % 150 == 0
-    return TeleopCommand(arm=arm, speed=0.0 if arm else 1.0)
+    return TeleopCommand(arm=arm, forward=0.0 if arm else 1.0)
 
 
 @pytest.mark.parametrize(("terrain", "push"), [("rough", 0.0), ("stairs_up", 1.0), ("gap", 2.0)])

@@ -15,7 +15,7 @@ from renet.deploy.safety.checks import (
     state_problem,
     teleop_problem,
 )
-from renet.deploy.safety.limits import SafetyCfg, limited_command, limited_speed
+from renet.deploy.safety.limits import SafetyCfg, limited_command, limited_velocity
 from renet.deploy.safety.machine import Mode, SafetyMachine, damping_command, stand_up_target
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
@@ -86,18 +86,31 @@ def test_a_reading_outlives_its_drivers_buffer():
 
 
 def test_requests():
-    assert teleop_problem(TeleopCommand(speed=9.0)) == ""
-    assert [limited_speed(speed) for speed in (9.0, 0.3, -1.0)] == [1.0, 0.3, 0.0]
+    assert teleop_problem(TeleopCommand(forward=9.0)) == ""
     assert teleop_problem(TeleopCommand(arm=True, stop=True)) == "operator stop"
-    for wrong in (TeleopCommand(turn=math.nan), TeleopCommand(speed=math.inf)):
-        assert teleop_problem(wrong) == "the operator's command is not finite"
+    for wrong in ({"turn_rate": math.nan}, {"forward": math.inf}, {"left": -math.inf}):
+        assert teleop_problem(TeleopCommand(**wrong)) == "the operator's command is not finite"
+
+
+@pytest.mark.parametrize(
+    ("asked", "given"),
+    [
+        ((9.0, 9.0, 9.0), (1.0, 0.5, 1.0)),
+        ((-9.0, -9.0, -9.0), (-0.6, -0.5, -1.0)),
+        ((-0.2, 0.1, 0.3), (-0.2, 0.1, 0.3)),
+    ],
+)
+def test_velocity_limits(asked, given):
+    assert limited_velocity(TeleopCommand(*asked)) == given
 
 
 @pytest.mark.parametrize(
     ("change", "refusal"),
     [
         ({}, ""),
-        ({"teleop": TeleopCommand(speed=1.0, arm=True)}, "already asks for 1.00 m/s"),
+        ({"teleop": TeleopCommand(forward=1.0, arm=True)}, "already asks for 1.00 m/s"),
+        ({"teleop": TeleopCommand(left=-0.2, arm=True)}, "already asks for -0.20 m/s"),
+        ({"teleop": TeleopCommand(turn_rate=0.5, arm=True)}, "already asks for 0.50 rad/s"),
         ({"state": state(battery=0.19)}, "the battery has less than 20% left"),
         ({"state": state(battery=0.21)}, ""),
         ({"state": state(battery=math.nan, temperature=math.nan)}, ""),

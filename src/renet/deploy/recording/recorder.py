@@ -28,7 +28,9 @@ from renet.errors import RenetError
 from renet.files import MEGABYTE, create, decompress, parse_json, require_regular
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT
 
-MAGIC = b"RENETLOG4\n"
+MAGIC = b"RENETLOG5\n"
+EARLIER = {b"RENETLOG4\n": "0.1.x"}
+"""Versions of renet that read earlier formats, by their magic."""
 CHUNK = struct.Struct("<4sII")
 HEADER, TICKS, IMAGES, EVENTS, END = b"HEAD", b"TICK", b"IMAG", b"EVNT", b"END."
 TICKS_PER_CHUNK = 50
@@ -43,7 +45,7 @@ TICK_DTYPE = np.dtype(
         ("state", "u1"),
         ("state_time", "f8"),
         *((name, "f8", size) for name, size in VECTORS.items()),
-        *((name, "f8") for name in ("speed", "turn")),
+        *((name, "f8") for name in ("forward", "left", "turn_rate")),
         *((name, "?") for name in ("arm", "stop")),
         ("frame", "u1"),
         ("frame_number", "i8"),
@@ -56,6 +58,7 @@ TICK_DTYPE = np.dtype(
         ("action", "f4", ACTION_SIZE),
         *((name, "f8", ACTION_SIZE) for name in ("position", "stiffness", "damping")),
         ("latent", "f4", LATENT),
+        ("told", "f4", 3),
         *((name, "f4", 3) for name in ("velocity_op", "velocity_vp")),
         ("compute_ms", "f4"),
         ("base_position", "f4", 3),
@@ -63,6 +66,8 @@ TICK_DTYPE = np.dtype(
 )
 """One control tick: what came in, what was decided, how long that took, and where the base was in
 the world (NaN where nobody knows)."""
+WISHES = tuple(f.name for f in fields(TeleopCommand))
+"""Fields of an operator's command, all of which are recorded."""
 DECIDED = tuple(
     f.name for f in fields(Decision) if f.name in (TICK_DTYPE.names or ()) and f.name != "mode"
 )
@@ -212,7 +217,7 @@ class Recorder:
 def _store_teleop(tick: np.ndarray, teleop: TeleopCommand) -> None:
     """Copy the operator's command; what is none stops the robot, now as in a replay."""
     try:
-        for name in ("speed", "turn", "arm", "stop"):
+        for name in WISHES:
             tick[name] = getattr(teleop, name)
     except Exception:  # A driver's object may fail in any way.
         tick["stop"] = True
@@ -262,7 +267,12 @@ def read_recording(path: Path | str) -> Recording:
     unpacked = 0
     try:
         with path.open("rb") as file:
-            if file.read(len(MAGIC)) != MAGIC:
+            magic = file.read(len(MAGIC))
+            if magic in EARLIER:
+                raise RenetError(
+                    f"{path} is a recording of renet {EARLIER[magic]}: only that version reads it"
+                )
+            if magic != MAGIC:
                 raise RenetError(f"{path} is not a recording of this renet")
             for tag, chunk in _chunks(file):
                 unpacked += len(chunk)

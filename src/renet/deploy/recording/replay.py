@@ -10,7 +10,7 @@ from renet.bundle import Bundle
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.controller import Controller, Decision
 from renet.deploy.inference import InlineInference
-from renet.deploy.recording.recorder import GOOD, NONE, Recording
+from renet.deploy.recording.recorder import GOOD, NONE, WISHES, Recording
 from renet.deploy.robots.base import VECTORS, RobotState
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import EXHAUSTED, REFUSED
@@ -63,7 +63,7 @@ def replay(run: Recording, bundle: Bundle) -> Iterator[Decision]:
     for step, tick in enumerate(run.ticks):
         inference.step = step
         image = run.images.get(step, image)
-        teleop = TeleopCommand(*tick[["speed", "turn", "arm", "stop"]].item())
+        teleop = TeleopCommand(*tick[[*WISHES]].item())
         controller.tick(_state(tick), _frame(tick, image), teleop, float(tick["now"]))
         yield controller.decision
         if float(tick["now"]) in tripped:

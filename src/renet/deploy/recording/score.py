@@ -99,7 +99,7 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
         "distance_m": round(metres, 3),
         "distance_from": "simulator" if simulated(ticks) else "estimator",
         "speed_m_s": round(metres / seconds, 3) if seconds else 0.0,
-        "commanded_m_s": round(_mean(ticks["speed"][walking]), 3),
+        "commanded_m_s": round(_mean(ticks["told"][walking, 0]), 3),
         "vision_share": round(_mean(ticks["vision"][walking]), 4),
         "memory_share": round(_mean((ticks["vision"] & ~ticks["has_image"])[walking]), 4),
         "states": states(ticks[walking]),
@@ -223,7 +223,7 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
     vision = ticks["vision"]
     beta = float(run.header.get("beta") or 0.0)
     speed = np.where(vision[:, None], ticks["velocity_vp"], ticks["velocity_op"])[:, 0]
-    speeds = [(ticks["speed"], "#222730"), (speed, "#b5532f")]
+    speeds = [(ticks["told"][:, 0], "#222730"), (speed, "#b5532f")]
     panels = (
         ("anomaly score", [(ticks["anomaly"], "#3c3ca0")], beta),
         ("vision probability P", [(ticks["probability"], "#2f7d32")], 0.5),

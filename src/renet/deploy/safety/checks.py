@@ -74,7 +74,7 @@ def teleop_problem(teleop: TeleopCommand) -> str:
     """Why an operator's teleop forbids motion; empty if it does not."""
     if teleop.stop:
         return "operator stop"
-    if not (math.isfinite(teleop.speed) and math.isfinite(teleop.turn)):
+    if not all(map(math.isfinite, (teleop.forward, teleop.left, teleop.turn_rate))):
         return "the operator's command is not finite"
     return ""
 
@@ -93,9 +93,10 @@ def pre_arm_problem(
     `camera` says whether there is one, `recorder` what its problem is. What the controller itself
     checks at every tick (joints within range, tilt, age of the reading) is not repeated here.
     """
-    speed = getattr(teleop, "speed", 0.0)
-    if speed != 0.0:
-        return f"the operator already asks for {speed:.2f} m/s: let go of the stick first"
+    for name, unit in (("forward", "m/s"), ("left", "m/s"), ("turn_rate", "rad/s")):
+        asked = getattr(teleop, name, 0.0)
+        if asked != 0.0:
+            return f"the operator already asks for {asked:.2f} {unit}: let go of the stick first"
     if problem := power_problem(state, cfg.min_battery, cfg.max_temperature):
         return problem
     if recorder:

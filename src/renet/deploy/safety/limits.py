@@ -7,8 +7,9 @@ import numpy as np
 
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState, all_finite
+from renet.deploy.teleop import TeleopCommand, Velocity
 from renet.errors import RenetError
-from renet.interface import CONTROL_DT, MAX_SPEED
+from renet.interface import CONTROL_DT, MAX_REVERSE, MAX_SIDEWAYS, MAX_SPEED, MAX_TURN
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,13 @@ class SafetyCfg:
             raise RenetError(f"the safety limit max_tilt is in rad, got {self.max_tilt}")
 
 
-def limited_speed(speed: float) -> float:
-    """An operator's speed within training's."""
-    return min(max(float(speed), 0.0), MAX_SPEED)
+def limited_velocity(teleop: TeleopCommand) -> Velocity:
+    """Velocity that an operator asks for, within the ranges of training."""
+    return Velocity(
+        min(max(float(teleop.forward), -MAX_REVERSE), MAX_SPEED),
+        min(max(float(teleop.left), -MAX_SIDEWAYS), MAX_SIDEWAYS),
+        min(max(float(teleop.turn_rate), -MAX_TURN), MAX_TURN),
+    )
 
 
 def limited_command(

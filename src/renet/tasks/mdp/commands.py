@@ -15,7 +15,7 @@ from mjlab.utils.lab_api.math import wrap_to_pi
 from torch import Tensor
 
 from renet.errors import RenetError
-from renet.interface import MAX_TURN, Told
+from renet.interface import MAX_REVERSE, MAX_SIDEWAYS, MAX_SPEED, MAX_TURN, TURN_GAIN, Told
 from renet.tasks.mdp.base_state import base_heading, on_tiles, rotated
 from renet.terrain.tiles import Barrier
 
@@ -23,8 +23,6 @@ COMMAND = "goal"
 """Name of the command term in every RENet task."""
 PLANE = "plane"
 """Ground without tiles."""
-TURN_GAIN = 1.5
-"""Turn rate that a robot off its goal's yaw is told, rad/s per rad."""
 
 
 def clear_widths(env: ManagerBasedRlEnv) -> list[float]:
@@ -200,11 +198,11 @@ class DriveCommandCfg(GoalCommandCfg):
     free_shares: dict[str, float] = field(default_factory=dict)
     """Share of redrawn commands that are velocities, by kind of tile; `plane` is ground without
     tiles. Kinds that are not named have goals alone."""
-    forward: tuple[float, float] = (-0.6, 1.0)
+    forward: tuple[float, float] = (-MAX_REVERSE, MAX_SPEED)
     """Range of v_x, m/s."""
-    sideways: float = 0.5
+    sideways: float = MAX_SIDEWAYS
     """Largest |v_y|, m/s."""
-    turn: float = 1.0
+    turn: float = MAX_TURN
     """Largest |omega_z|, rad/s."""
     straight_share: float = 0.3
     """Share of velocities along x or y alone."""

@@ -115,7 +115,7 @@ def test_the_shipped_bundle_walks_over_the_wire(free, peer):
     free.run(400)
     free.control(controller, 101, arm=True)
     start = peer.robot.base_position
-    free.control(controller, 100, speed=0.6)
+    free.control(controller, 100, forward=0.6)
     assert controller.machine.mode is Mode.WALKING
     assert peer.robot.base_rotation[2, 2] > 0.5
     assert np.linalg.norm((peer.robot.base_position - start)[:2]) > 0.3

@@ -48,7 +48,7 @@ def test_an_interface_that_is_not_there_is_named():
 
 def test_another_version_of_cyclone_dds_is_refused(monkeypatch):
     monkeypatch.setattr(network, "version", lambda package: "11.0.2")
-    with pytest.raises(RenetError, match=r"needs cyclonedds 11.0.1, this is 11.0.2: .* may crash"):
+    with pytest.raises(RenetError, match=r"need cyclonedds 11.0.1, this is 11.0.2: .* may crash"):
         Network("lo", free_domain())
 
 

@@ -73,7 +73,7 @@ def test_same_start_same_actions_same_steps_as_the_training_environment():
     mujoco.mj_forward(robot.model, robot.data)
     action, goal = np.zeros(12), env.command_manager.get_term("goal")
     for _ in range(40):
-        mine = observe(robot.read(), ROBOT, goal.speed.item(), goal.yaw.item(), last_action=action)
+        mine = observe(robot.read(), ROBOT, goal.command[0].tolist(), last_action=action)
         theirs = observation["proprioception_clean"][0].numpy()
         np.testing.assert_allclose(mine, theirs, atol=5e-3)
         action = 0.5 * random.normal(size=12).astype(np.float32)

@@ -19,11 +19,11 @@ from cyclonedds.idl import make_idl_struct, types
 from renet.errors import RenetError
 
 IDL = {"u1": types.uint8, "<u2": types.uint16, "<u4": types.uint32}
-IDL |= {"<i2": types.int16, "<i4": types.int32, "<f4": types.float32}
+IDL |= {"<i2": types.int16, "<i4": types.int32, "<f4": types.float32, "<f8": types.float64}
 MODULE = "unitree_go.msg.dds_"
 TYPES = Path(__file__).with_name("types.json")
 """By type, 0.10.2's TypeInformation and TypeMapping (XTypes 1.3), zlib and base64."""
-TYPES_SHA256 = "343432cdda6f245986f3cd7db5b4ffe75037185c3d6cec5885bf86f86e44eed7"
+TYPES_SHA256 = "e3c9297cba42ffafaf838c15ab4bc5b41d354b0152018ada7ee32a6253c589bc"
 
 Fields = tuple[tuple[str, Any, int], ...]
 """Name, type (of NumPy, or name and fields of a struct) and count of each."""
@@ -62,6 +62,8 @@ LOW_STATE = _fields(
         "u1 mcu_ntc[2], u2 cell_vol[15]"
     ),
 )
+TWIST = _fields("Vector3_ linear, Vector3_ angular", Vector3_=_fields("f8 x, f8 y, f8 z"))
+"""ROS 2's geometry_msgs/msg/Twist, which the operator's topic carries (`renet.deploy.ros2`)."""
 CDR = b"\0\1\0\0"
 """Header of a payload: plain CDR, little-endian."""
 MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
@@ -101,16 +103,16 @@ def payload_order(layout: np.dtype) -> np.ndarray:
     return np.array(order)
 
 
-def _idl(name: str, fields: Fields) -> type:
+def _idl(name: str, fields: Fields, module: str = MODULE) -> type:
     members = {}
     for field, kind, count in fields:
-        part: Any = IDL[kind] if isinstance(kind, str) else _idl(*kind)
+        part: Any = IDL[kind] if isinstance(kind, str) else _idl(kind[0], kind[1], module)
         members[field] = types.array[part, count] if count > 1 else part
-    return make_idl_struct(name, f"{MODULE}.{name}", members)
+    return make_idl_struct(name, f"{module}.{name}", members)
 
 
-def message_type(name: str, fields: Fields) -> Any:
-    """A DDS type whose samples are C structs.
+def message_type(name: str, fields: Fields, module: str = MODULE) -> Any:
+    """A DDS type of a module whose samples are C structs.
 
     A sample has `values`, a record with the table's fields, and `raw`, the same memory as bytes;
     both are None where the payload was not one of this type. Making one without arguments gives
@@ -120,7 +122,7 @@ def message_type(name: str, fields: Fields) -> Any:
     order = payload_order(layout)
     (places,), size = np.nonzero(order >= 0), len(order)
     bytes_ = order[places]
-    base = _idl(name, fields)
+    base = _idl(name, fields, module)
 
     def initialize(self: Any) -> None:
         self.raw = np.zeros(layout.itemsize, np.uint8)

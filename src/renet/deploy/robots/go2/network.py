@@ -1,4 +1,7 @@
-"""The Go2's DDS network, on one interface that is always named."""
+"""DDS as a Go2 and ROS 2 speak it, on one network card.
+
+A Go2's is always named. ROS 2's may be left to Cyclone DDS, as ROS 2 leaves it.
+"""
 
 import socket
 import time
@@ -42,23 +45,27 @@ class Network:
     def __init__(self, interface: str, domain: int = 0) -> None:
         """Join a domain (the robot's is 0) on the network card of this name, such as eth0.
 
+        Without a name, Cyclone DDS takes the one that CYCLONEDDS_URI says, or the first.
+
         Raises:
             RenetError: no such interface, another version of Cyclone DDS, or one that fails.
         """
         if version("cyclonedds") != CYCLONEDDS:
             raise RenetError(
-                f"the Go2 needs cyclonedds {CYCLONEDDS}, this is {version('cyclonedds')}: other "
-                "versions may crash the robot's own programs"
+                f"the Go2 and ROS 2 need cyclonedds {CYCLONEDDS}, this is {version('cyclonedds')}: "
+                "other versions may crash the programs that they talk to"
             )
         names = [name for _, name in socket.if_nameindex()]
-        if interface not in names:
+        if interface and interface not in names:
             raise RenetError(f"no network interface {interface!r} here, only {', '.join(names)}")
         self._types = read_types()
         try:
-            _join(domain, interface)
+            if interface:
+                _join(domain, interface)
             self._participant = DomainParticipant(domain)
         except DDSException as error:
-            raise RenetError(f"cannot use DDS on {interface}: {error.msg}") from error
+            where = f" on {interface}" if interface else ""
+            raise RenetError(f"cannot use DDS{where}: {error.msg}") from error
 
     def writer(self, topic: str, message: Any, depth: int = 1) -> DataWriter:
         """A writer that never waits, and sends the newest `depth` messages again if they are lost.

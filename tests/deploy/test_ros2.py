@@ -1,0 +1,218 @@
+"""ROS 2's Twist from another process, by its own names and types."""
+
+import json
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
+
+from renet.deploy.catalogue import Ros2Cfg
+from renet.deploy.recording.recorder import MODES, read_recording
+from renet.deploy.ros2 import TOPIC, Ros2Teleop, domain_of
+from renet.deploy.safety.machine import Mode
+from renet.deploy.teleop import TeleopCommand
+from renet.errors import RenetError
+
+from .fakes import until
+from .robots.dds import free_domain
+
+PUBLISHER = Path(__file__).with_name("ros2_publisher.py")
+SILENCE = Ros2Cfg.silence
+TOPICS = count()
+
+
+class Node:
+    """A publisher in a process of its own."""
+
+    def __init__(self, topic: str) -> None:
+        command = [sys.executable, str(PUBLISHER), str(free_domain()), topic]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        self._process = subprocess.Popen(command, **pipes)
+        assert self._process.stdout.readline() == "ready\n"
+
+    def send(self, forward: float, left: float = 0.0, turn_rate: float = 0.0) -> None:
+        self.write([forward, left, 0.0, 0.0, 0.0, turn_rate])
+
+    def write(self, values: list[float]) -> None:
+        self._process.stdin.write(json.dumps(values) + "\n")
+        self._process.stdin.flush()
+
+    def end(self) -> None:
+        self._process.stdin.close()
+        self._process.wait()
+        self._process.stdout.close()
+
+
+@pytest.fixture
+def topic() -> str:
+    """A name for this test alone: a publisher may seem to be there after it has left."""
+    return f"cmd_vel_{next(TOPICS)}"
+
+
+@pytest.fixture
+def node(topic) -> Iterator[Node]:
+    node = Node(topic)
+    yield node
+    node.end()
+
+
+@pytest.fixture
+def teleop(topic) -> Ros2Teleop:
+    """An operator who is armed."""
+    teleop = Ros2Teleop(f"/{topic}", free_domain(), "lo", SILENCE, keys=None, rises=True)
+    assert teleop.command(0.0) == TeleopCommand(arm=True)
+    return teleop
+
+
+def hear(teleop: Ros2Teleop, node: Node, now: float, *velocity: float) -> TeleopCommand:
+    """What is asked for once a message has come."""
+    asked = TeleopCommand(*velocity)
+    until(lambda: teleop.command(now) == asked, lambda: node.send(*velocity))
+    return teleop.command(now)
+
+
+def refused(teleop: Ros2Teleop, now: float) -> bool:
+    """Whether the newest message was left out."""
+    teleop.command(now)
+    return "not finite" in teleop.problem
+
+
+def test_forward_turn_sideways_back_and_stop(teleop, node):
+    for velocity in ((0.6,), (0.5, 0.0, -0.8), (0.0, 0.3), (-0.4,), (0.0,)):
+        assert not hear(teleop, node, 1.0, *velocity).stop
+    assert teleop.problem == ""
+
+
+def test_a_silent_topic_stops_the_robot(teleop, node):
+    assert "no message on" in teleop.problem, "nor was there one before"
+    hear(teleop, node, 1.0, 0.6)
+    assert teleop.command(1.0 + SILENCE).forward == 0.6
+    assert teleop.problem == ""
+    assert teleop.command(1.01 + SILENCE) == TeleopCommand()
+    assert "for 0.5 s: the robot stands" in teleop.problem
+    hear(teleop, node, 2.0, 0.4)
+    assert teleop.problem == ""
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("place", [0, 2, 5])
+def test_a_value_that_is_no_number_is_left_out(teleop, node, wrong, place):
+    hear(teleop, node, 1.0, 0.6)
+    values = [0.3] * 6
+    values[place] = wrong
+    until(lambda: refused(teleop, 1.1), lambda: node.write(values))
+    assert teleop.command(1.1).forward == 0.6
+    assert teleop.command(1.01 + SILENCE) == TeleopCommand(), "it is no sign of life"
+    hear(teleop, node, 2.0, 0.2)
+    assert teleop.problem == ""
+
+
+def test_more_publishers_than_one_are_told(teleop, node, topic):
+    hear(teleop, node, 1.0, 0.6)
+    another = Node(topic)
+    hear(teleop, another, 1.5, 0.2)
+
+    def counted() -> bool:
+        counted.now += 2.0
+        hear(teleop, node, counted.now, 0.3)
+        return "2 publishers on" in teleop.problem
+
+    counted.now = 2.0
+    until(counted)
+    another.end()
+    until(lambda: not counted() and teleop.problem == "")
+
+
+def test_keys_arm_and_stop(topic, node):
+    """And do not steer."""
+    drained = []
+    keys = SimpleNamespace(quit=False, command=lambda now: asked, drain=drained.append)
+    asked = TeleopCommand(forward=1.0)
+    teleop = Ros2Teleop(topic, free_domain(), "lo", SILENCE, keys=keys, rises=False)
+    teleop.drain(0.5)
+    assert drained == [0.5]
+    hear(teleop, node, 1.0, 0.3)
+    asked = TeleopCommand(arm=True)
+    assert teleop.command(1.0) == TeleopCommand(forward=0.3, arm=True)
+    asked = TeleopCommand(stop=True)
+    assert teleop.command(1.0).stop
+    assert teleop.attended
+    keys.quit = True
+    assert teleop.quit
+    simulated = Ros2Teleop(topic, free_domain(), "lo", SILENCE, keys=keys, rises=True)
+    simulated.drain(0.5)
+    asked = TeleopCommand(forward=1.0)
+    assert simulated.command(1.0) == TeleopCommand(arm=True), "once, and after it was drained"
+    assert simulated.command(1.0) == TeleopCommand()
+
+
+def test_a_real_robot_needs_a_terminal(monkeypatch):
+    monkeypatch.setattr(sys, "stdin", None)
+    with pytest.raises(RenetError, match="keys need a terminal"):
+        Ros2Cfg(ros_interface="lo", ros_domain=free_domain()).build(0.5, simulated=False)
+
+
+def test_a_domain_is_the_given_one_or_ros_own(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    assert (domain_of(None), domain_of(0)) == (7, 0)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "")
+    assert domain_of(None) == 0
+    monkeypatch.setenv("ROS_DOMAIN_ID", "seven")
+    with pytest.raises(RenetError, match="ROS_DOMAIN_ID must be from 0 to 232, got seven"):
+        domain_of(None)
+
+
+@pytest.mark.parametrize("name", ["cmd_vel", "/robot/cmd_vel", "_a1"])
+def test_topics(name):
+    assert TOPIC.fullmatch(name)
+    for wrong in (f"{name}/", f"{name} ", f"//{name}", f"~/{name}", f"{name}/1a", ""):
+        assert not TOPIC.fullmatch(wrong)
+
+
+def test_the_whole_program_walks_turns_and_stands_in_silence(node, topic, tmp_path):
+    """On stairs, with the shipped bundle; backward, which it cannot, is refused and told."""
+    command = [sys.executable, "-m", "renet", "deploy", "--robot=mujoco", "--camera=sim"]
+    command += ["--terrain=stairs", "--teleop=ros2", f"--topic={topic}", "--ros-interface=lo"]
+    command += [f"--ros-domain={free_domain()}", f"--out={tmp_path}", "--seconds=12"]
+    # A busy computer must not end the walk.
+    command += ["--safety.max-gap=9", "--safety.max-state-age=9", "--safety.max-late=999"]
+    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "text": True}
+    run = subprocess.Popen(command, **pipes)
+    lines = []
+    for line in run.stdout:
+        lines.append(line)
+        if "walking: stood up" in line:
+            break
+    for _ in range(40):
+        node.send(0.6)
+        time.sleep(0.1)
+    for _ in range(20):
+        node.send(0.5, 0.0, 0.8)
+        time.sleep(0.1)
+    for _ in range(5):
+        node.send(-0.4)
+        time.sleep(0.1)
+    lines += run.stdout
+    assert run.wait() == 0
+    told = "".join(lines)
+    for words in ("no message on", "refused: this policy cannot walk backward or sideways"):
+        assert words in told
+    ticks = read_recording(tmp_path / "recording.log").ticks
+    walking = ticks[ticks["mode"] == MODES.index(Mode.WALKING)]
+    asked = walking[["forward", "left", "turn_rate"]]
+    for velocity in ((0.6, 0.0, 0.0), (0.5, 0.0, 0.8), (-0.4, 0.0, 0.0)):
+        assert (asked == np.array(velocity, [(n, "f8") for n in asked.dtype.names])).any()
+    assert walking["told"][walking["turn_rate"] > 0.0, 1].max() > 0.2, "it is told to turn left"
+    assert (walking["told"][walking["forward"] < 0.0, 0] == 0.0).all()
+    silent = np.flatnonzero(walking["forward"] != 0.0)[-1] + 1
+    assert (walking["told"][silent:, 0] == 0.0).all()
+    assert np.hypot(*walking["base_position"][silent - 1, :2]) > 0.5, "it walked"
