@@ -28,6 +28,7 @@ from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import RenetAlgorithm
 from renet.training.config import RenetRunnerCfg, SupervisionCfg, from_dict
 from renet.training.export import load_networks
+from renet.training.precision import halved_threads
 from renet.training.recipe import recipe
 from renet.training.runner import RenetRunner
 from renet.training.storage import Recorder, TickRollout
@@ -214,7 +215,8 @@ class DistillationAlgorithm(RenetAlgorithm):
     def _learn(self, ticks: TickRollout) -> dict[str, Tensor]:
         """Imitate, in place of reinforcement."""
         rollout = DistillationRollout(**vars(ticks), **self._lessons.stack())
-        return self.supervision.update(rollout, self.steps)
+        with halved_threads(self.device):
+            return self.supervision.update(rollout, self.steps)
 
 
 class DistillationRunner(RenetRunner):

@@ -98,7 +98,7 @@ def bandit(algorithm: np3o.NP3O, iterations: int) -> float:
         rollout.rewards_and_costs[..., 0] = reward
         rollout.rewards_and_costs[..., 1] = torch.relu(rollout.action[..., 0] - 1.0)
         rollout.done[:] = True
-        algorithm.update(rollout, last, iteration)
+        algorithm.update(rollout, last, algorithm.draw_orders(rollout), iteration)
     return random_rollout(algorithm, noise=0.0)[0].mean[0, 0, 0].item()
 
 
@@ -154,6 +154,6 @@ def test_entropy_divergence_and_budgets_follow_their_schedules():
     gap = (early.violation - late.violation) * torch.tensor([1.0, 0.0, 0.0])
     torch.testing.assert_close(early.violation - late.violation, gap)
     assert gap[0] > 0
-    algorithm.update(rollout, last, 0, steps=5e6)
+    algorithm.update(rollout, last, algorithm.draw_orders(rollout), 0, steps=5e6)
     assert algorithm._entropy == pytest.approx(0.005)
     assert algorithm._desired_kl == pytest.approx(0.015)

@@ -2,6 +2,7 @@
 
 import resource
 import threading
+import time
 
 import pytest
 import torch
@@ -9,7 +10,13 @@ import torch
 from renet.models.config import ModelCfg
 from renet.training import precision
 from renet.training.config import NP3OCfg
-from renet.training.precision import computed_in, keep_freed_memory, learning_type, side_by_side
+from renet.training.precision import (
+    computed_in,
+    halved_threads,
+    keep_freed_memory,
+    learning_type,
+    side_by_side,
+)
 from renet.training.storage import TickRollout
 
 from ..forked import fork
@@ -60,6 +67,10 @@ def test_automatic_precision_follows_the_hardware(monkeypatch, has):
     assert learning_type("bfloat16", "cpu") == torch.bfloat16
 
 
+def fail() -> int:
+    raise ValueError("no")
+
+
 def test_work_side_by_side_shares_the_threads_and_gives_them_back(two_threads):
     meeting = threading.Barrier(2, timeout=20)
 
@@ -67,29 +78,70 @@ def test_work_side_by_side_shares_the_threads_and_gives_them_back(two_threads):
         meeting.wait()  # Passes only if both run at once.
         return torch.get_num_threads()
 
-    def fail() -> int:
-        raise ValueError("no")
-
-    layer = torch.nn.Linear(1, 1)
-    with computed_in(torch.bfloat16, layer):
+    with halved_threads("cpu"):
         assert torch.get_num_threads() == 1
         assert side_by_side(work, work) == (1, 1)
         for pair in ((fail, lambda: 1), (lambda: 1, fail)):
             with pytest.raises(ValueError, match="no"):
                 side_by_side(*pair)
+        assert side_by_side(work, work) == (1, 1)
     assert torch.get_num_threads() == 2
-    for dtype in (torch.float32, torch.bfloat16):
-        with pytest.raises(ValueError, match="no"), computed_in(dtype, layer):
-            fail()
-        assert torch.get_num_threads() == 2
+    with pytest.raises(ValueError, match="no"), halved_threads("cpu"):
+        fail()
+    assert torch.get_num_threads() == 2
 
 
-def test_one_thread_does_one_piece_of_work_after_the_other(two_threads):
-    torch.set_num_threads(1)
-    with computed_in(torch.bfloat16, torch.nn.Linear(1, 1)):
+def runs_at_once() -> bool:
+    """Whether two pieces of work get a thread each."""
+    return len(set(side_by_side(threading.get_ident, threading.get_ident))) == 2
+
+
+@pytest.mark.parametrize("longer", [0, 1])
+def test_work_that_ends_first_leaves_its_half_to_parts_of_the_other(two_threads, longer):
+    may_end = threading.Event()
+
+    def divided() -> list[bool]:
+        found = [runs_at_once()]
+        may_end.set()
+        for _ in range(10_000):
+            found.append(runs_at_once())
+            if found[-1]:
+                break
+            time.sleep(1e-3)
+        return [found[0], found[-1]]
+
+    pieces = [may_end.wait, may_end.wait]
+    pieces[longer] = divided
+    with halved_threads("cpu"):
+        assert side_by_side(*pieces)[longer] == [False, True]
+        assert runs_at_once()
+
+
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
+def test_work_is_divided_only_between_several_threads_of_a_cpu(two_threads, device):
+    threads = 1 if device == "cpu" else 2
+    torch.set_num_threads(threads)
+    with halved_threads(device):
         done = side_by_side(threading.get_ident, threading.get_ident)
+        assert torch.get_num_threads() == threads
     assert done == (threading.get_ident(),) * 2
-    assert torch.get_num_threads() == 1
+
+
+@pytest.mark.parametrize("kind", ["float32", "bfloat16"])
+def test_learning_at_once_is_learning_in_turn(two_threads, kind):
+    """The same seed gives the same curve, each time and on one thread."""
+    states = []
+    for threads in (2, 2, 1):
+        torch.set_num_threads(threads)
+        env = ToyEnv(num_envs=16)
+        small = ModelCfg(critic_hidden=(64, 64), detector="variance")
+        runner = make_runner(env, model=small, precision=kind, algorithm=NP3OCfg())
+        for _ in range(2):
+            collect(runner.alg, env)
+            losses = runner.alg.update()
+        states.append((losses, runner.alg.model.state_dict(), torch.get_rng_state()))
+    for other in states[1:]:
+        torch.testing.assert_close(other, states[0], atol=0, rtol=0)
 
 
 def test_nothing_on_a_gpus_path_waits_for_the_device():
@@ -97,7 +149,8 @@ def test_nothing_on_a_gpus_path_waits_for_the_device():
     alg = make_runner(env, precision="float32").alg
     with Waits() as watch:
         collect(alg, env)
-        alg.np3o.update(alg._rollout, alg._last_value, 0)
+        orders = alg.np3o.draw_orders(alg._rollout)
+        alg.np3o.update(alg._rollout, alg._last_value, orders, 0)
     assert watch.waits == ["lift_fresh"], "the budgets alone, once an iteration"
     # It saw the way back and the optimiser, too.
     assert {"elu_backward", "_fused_adam_"} <= watch.seen

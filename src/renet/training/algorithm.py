@@ -1,5 +1,6 @@
 """RENet as an rsl_rl algorithm: estimators at 10 Hz, N-P3O at 50 Hz, one stage."""
 
+from functools import partial
 from typing import Any, Self
 
 import torch
@@ -21,7 +22,7 @@ from renet.training import distributed
 from renet.training.average import WeightAverage
 from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg, WithholdingCfg, from_dict
 from renet.training.np3o import NP3O
-from renet.training.precision import learning_type
+from renet.training.precision import halved_threads, learning_type, side_by_side
 from renet.training.storage import PolicyRollout, Recorder, TickRollout
 from renet.training.supervision import Supervision
 from renet.training.withholding import Withholding
@@ -188,9 +189,21 @@ class RenetAlgorithm:
         return losses
 
     def _learn(self, ticks: TickRollout) -> dict[str, Tensor]:
-        """Take an iteration's gradient steps; returns losses by name."""
-        losses = self.np3o.update(self._rollout, self._last_value, self.iteration, self.steps)
-        return losses | self.supervision.update(ticks, self.steps)
+        """Take an iteration's gradient steps; returns losses by name.
+
+        Policy and estimators share no parameter: on a CPU they learn at once. Several ranks send
+        each other gradients in an order that must be the same on all, so there one after the other.
+        """
+        orders = self.np3o.draw_orders(self._rollout)  # Before supervision draws: seeds repeat.
+        of_policy = partial(
+            self.np3o.update, self._rollout, self._last_value, orders, self.iteration, self.steps
+        )
+        of_estimators = partial(self.supervision.update, ticks, self.steps)
+        if distributed.world_size() > 1:
+            return of_policy() | of_estimators()
+        with halved_threads(self.device):
+            policy, estimators = side_by_side(of_policy, of_estimators)
+        return policy | estimators
 
     def not_finite(self, obs: TensorDict) -> list[str]:
         """Names of the environment's outputs in the last rollout that hold NaN or infinity."""

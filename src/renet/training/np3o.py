@@ -137,13 +137,26 @@ class NP3O:
     def learning_rate(self, rate: float) -> None:
         self.optimizer.param_groups[0]["lr"].fill_(rate)
 
+    def draw_orders(self, rollout: PolicyRollout) -> list[Tensor]:
+        """The order in which each epoch takes a rollout's transitions, [T * N] each."""
+        rows, device = rollout.log_prob.numel(), rollout.log_prob.device
+        return [torch.randperm(rows, device=device) for _ in range(self.cfg.num_learning_epochs)]
+
     def update(
-        self, rollout: PolicyRollout, last_value: Tensor, iteration: int, steps: float = 0.0
+        self,
+        rollout: PolicyRollout,
+        last_value: Tensor,
+        orders: list[Tensor],
+        iteration: int,
+        steps: float = 0.0,
     ) -> dict[str, Tensor]:
         """Learn from one rollout; mean losses by name. On a GPU nothing here waits for the device.
 
+        No random number is drawn here: on a CPU, supervision draws its own meanwhile.
+
         Args:
             rollout: what the policy did. last_value: of the states after it, [N, 1 + K].
+            orders: of its transitions, one for each epoch (`draw_orders`).
             iteration: with which the penalties' weight grows.
             steps: environment steps taken before the rollout, for `Schedule` settings.
         """
@@ -157,8 +170,7 @@ class NP3O:
         old_std = self.actor.log_std.detach().exp()
         taken: list[dict[str, Tensor]] = []
         with computed_in(self.dtype, self.critics):
-            for _ in range(self.cfg.num_learning_epochs):
-                order = torch.randperm(batch.log_prob.shape[0], device=batch.log_prob.device)
+            for order in orders:
                 for index in order.chunk(self.cfg.num_mini_batches):
                     taken.append(self._step(batch, targets, index, old_std))
         losses = {name: torch.stack([step[name] for step in taken]).mean() for name in taken[0]}

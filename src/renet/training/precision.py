@@ -1,4 +1,4 @@
-"""How learning uses the machine: bfloat16 where it is faster, networks side by side, memory kept.
+"""How learning uses the machine: bfloat16 where it is faster, learners side by side, memory kept.
 
 Actor, log-probabilities and losses stay in single precision, on a GPU by TF32 unless `float32` is
 asked for; what is exported is not touched.
@@ -8,6 +8,7 @@ import ctypes
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from threading import Semaphore
 from typing import Literal, TypeVar
 
 import torch
@@ -20,9 +21,12 @@ TRIM_THRESHOLD, MMAP_MAX, ARENA_MAX = -1, -4, -8
 """Parameters of glibc's `mallopt`, from its malloc.h."""
 NEVER = 2**31 - 1
 
-_second = ThreadPoolExecutor(1, thread_name_prefix="renet-learn")
-_spare = 0
-"""Threads of torch's that are left to the second piece of work of `side_by_side`."""
+_workers = ThreadPoolExecutor(2, thread_name_prefix="renet-learn")
+"""One for each level on which work is divided: `side_by_side` inside `side_by_side`."""
+_half = 0
+"""Number of threads in half of torch's; 0 where work is not divided."""
+_idle = Semaphore(1)
+"""How many halves have nothing to do, besides that of the thread that divides the work."""
 
 
 def has_bfloat16(device: torch.device) -> bool:
@@ -48,53 +52,73 @@ def learning_type(precision: Precision, device: str | torch.device) -> torch.dty
 
 @contextmanager
 def computed_in(dtype: torch.dtype, module: nn.Module) -> Iterator[None]:
-    """Let a module compute in `dtype` while inside; what it returns is single precision.
-
-    Other than in single precision, in which one piece of work would take twice as long as the
-    other, learning on a CPU then runs `side_by_side`, on half of torch's threads; so does what
-    stands between, for small tensors are done before more threads wake.
-    """
+    """Let a module compute in `dtype` while inside; what it returns is single precision."""
     if dtype == torch.float32:
         yield
         return
-    global _spare
     forward, device = module.forward, next(module.parameters()).device.type
-    threads = torch.get_num_threads()
 
     def rounded(value: Tensor) -> Tensor:
         with torch.autocast(device, dtype):
             return forward(value).float()
 
     module.forward = rounded
-    _spare = threads // 2 if device == "cpu" else 0
-    torch.set_num_threads(threads - _spare)
+    try:
+        yield
+    finally:
+        del module.forward
+
+
+@contextmanager
+def halved_threads(device: str | torch.device) -> Iterator[None]:
+    """Let `side_by_side` give each piece of work half of torch's threads while inside.
+
+    So does what stands between, for small tensors are done before more threads wake. On a GPU,
+    and where torch has one thread, nothing changes.
+    """
+    global _half
+    threads = torch.get_num_threads()
+    if torch.device(device).type != "cpu" or threads == 1:
+        yield
+        return
+    _half = threads // 2
+    torch.set_num_threads(_half)
     try:
         yield
     finally:
         torch.set_num_threads(threads)
-        _spare = 0
-        del module.forward
+        _half = 0
 
 
 def side_by_side(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]:
-    """Run two pieces of work, on a CPU inside `computed_in` at once, each on half of the threads.
+    """Run two pieces of work, inside `halved_threads` at once if a half has nothing to do.
 
-    They may each build a graph and go back through it if they share no parameters; only one of
-    them may draw random numbers. Half as many threads per layer wait less for each other.
+    Half as many threads per layer wait less for each other. Pieces may be divided once more: the
+    work that ends first leaves its half to parts of the other. Each runs on as many threads
+    wherever it runs, so that results do not depend on who was free.
+
+    The pieces may each build a graph and go back through it if they share no parameters; only one
+    of them may draw random numbers.
     """
-    if not _spare:
+    half = _half
+    if not half or not _idle.acquire(blocking=False):
         return first(), second()
-    spare = _spare
 
     def on_threads() -> T:
-        torch.set_num_threads(spare)  # OpenMP's number belongs to the calling thread.
-        return second()
+        torch.set_num_threads(half)  # OpenMP's number belongs to the calling thread.
+        try:
+            return second()
+        finally:
+            _idle.release()
 
-    other = _second.submit(on_threads)
+    other = _workers.submit(on_threads)
     try:
-        return first(), other.result()
+        result = first()
     finally:
+        _idle.release()
         wait([other])
+        _idle.acquire()
+    return result, other.result()
 
 
 def keep_freed_memory() -> bool:
