@@ -96,6 +96,11 @@ HEIGHT_MAP_Y = tuple(round(-0.75 + 0.15 * i, 2) for i in range(11))
 """Metres ahead of and left of the base, in the yaw-aligned base frame; the 2.5D map m_t is
 flattened with y fastest (index = i_x * len(HEIGHT_MAP_Y) + i_y)."""
 HEIGHT_MAP_SIZE = len(HEIGHT_MAP_X) * len(HEIGHT_MAP_Y)
+FAR_MAP_X = tuple(round(1.35 + 0.15 * i, 2) for i in range(6))
+FAR_MAP_Y = (-0.6, -0.3, 0.0, 0.3, 0.6)
+"""The same of the ground beyond, as far as images reach: taught, so that VP remembers it, and read
+by nobody."""
+FAR_MAP_SIZE = len(FAR_MAP_X) * len(FAR_MAP_Y)
 MAP_HEIGHT = 0.3
 """Height of the base above the ground that reads as zero in the map, m (Extreme Parkour)."""
 NUM_FEET = len(LEGS)

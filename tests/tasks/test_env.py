@@ -22,7 +22,8 @@ def test_observation_groups(parkour):
     shapes = {name: tuple(value.shape[1:]) for name, value in obs.items()}
     privileged = shapes.pop("privileged")
     assert shapes.pop("depth") == (48, 64)
-    sizes = {"velocity": 3, "feet_height": 4, "height_map": 132, "difficult": 1, "easier": 1}
+    sizes = {"velocity": 3, "feet_height": 4, "height_map": 132, "far_map": 30}
+    sizes |= {"difficult": 1, "easier": 1}
     assert not obs["easier"].any()
     sizes |= {"proprioception": 45, "proprioception_clean": 45}
     assert shapes == {name: (size,) for name, size in sizes.items()}

@@ -56,6 +56,7 @@ class ToyEnv:
                 "velocity": draw(3),
                 "feet_height": draw(4),
                 "height_map": draw(132),
+                "far_map": draw(30),
                 "privileged": draw(6),
                 "depth": draw(48, 64).half(),
                 "difficult": (torch.arange(self.num_envs) % 2).float().unsqueeze(-1),

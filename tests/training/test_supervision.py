@@ -26,7 +26,7 @@ def random_rollout(ticks: int = TICKS) -> TickRollout:
     torch.manual_seed(1)
     no = torch.zeros(ticks, ROBOTS, dtype=torch.bool)
     sizes = {"velocity": 3, "height_map": 132, "next_proprioception": 45, "next_velocity": 3}
-    sizes |= {"latent_op": 64, "latent_vp": 64}
+    sizes |= {"far_map": 30, "latent_op": 64, "latent_vp": 64}
     return TickRollout(
         history=torch.randn(ticks, ROBOTS, 10, 45),
         frames=torch.rand(ticks, ROBOTS, 2, 48, 64).half(),
@@ -76,6 +76,18 @@ def test_a_loss_is_of_the_estimators_heads_and_him(model, rollout, name):
     pairs = latents.flatten(0, 1), following.flatten(0, 1)
     him = getattr(model, f"{name}_him")(*pairs, torch.ones(len(pairs[0])))
     assert losses[f"{name}_him"].item() == pytest.approx(him.item(), rel=1e-4)
+
+
+def test_vp_learns_the_ground_beyond_its_map_where_it_is_asked_to(rollout):
+    torch.manual_seed(0)
+    model = RENet(ModelCfg(predict_far_map=True), critic_size=5).eval()
+    losses = losses_of("vp", model, rollout)
+    latents = torch.stack(replay("vp", model, rollout))[:, 2:]
+    error = model.vp.predict(latents)["far_map"] - rollout.far_map[:, 2:]
+    assert losses["vp_far_map"].item() == pytest.approx(error.square().mean().item(), rel=1e-4)
+    losses["vp_far_map"].backward()
+    # Memory is what is to learn it.
+    assert model.vp.gru.weight_hh.grad.abs().sum() > 0
 
 
 def test_the_whole_loss_is_the_sum_of_both_and_the_autoencoders_in_scaled_units(model, rollout):

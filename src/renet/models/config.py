@@ -33,6 +33,9 @@ class ModelCfg:
     predict_map_error: bool = False
     """Predict the variance of the height map's error, too, which tells when VP's memory of the
     ground is stale (not the paper's); only beside a height map."""
+    predict_far_map: bool = False
+    """Predict the ground beyond the height map, too, as far as images reach (not the paper's): VP
+    remembers what it is taught. Nobody reads the prediction."""
     him: bool = True
     """Hybrid internal model loss on both estimators; False is the row "w/o HIM"."""
     detector: Detector = "reconstruction"

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from renet.interface import (
     DEPTH_SHAPE,
+    FAR_MAP_SIZE,
     HEIGHT_MAP_SIZE,
     HEIGHT_MAP_X,
     LATENT,
@@ -130,7 +131,8 @@ class Estimator(nn.Module):
         Returns:
             What there is a head for: `velocity` [..., 3] m/s, base frame; `feet_height` [..., 4] m,
             order of interface.LEGS; `height_map` [..., 132] m below the nominal base height,
-            interface.HEIGHT_MAP_X by HEIGHT_MAP_Y.
+            interface.HEIGHT_MAP_X by HEIGHT_MAP_Y; `far_map` [..., 30] likewise, of FAR_MAP_X by
+            FAR_MAP_Y.
         """
         return {} if self.velocity_head is None else {"velocity": self.velocity_head(latent)}
 
@@ -180,6 +182,8 @@ class VPEstimator(Estimator):
         self.height_map_head = (
             mlp((LATENT, LATENT, HEIGHT_MAP_SIZE)) if cfg.predict_height_map else None
         )
+        far = cfg.predict_far_map
+        self.far_map_head = mlp((LATENT, LATENT, FAR_MAP_SIZE)) if far else None
         judged = cfg.predict_map_error and cfg.predict_height_map
         self.map_error_head = mlp((LATENT, LATENT, HEIGHT_MAP_SIZE)) if judged else None
         if self.map_error_head is not None:
@@ -198,6 +202,8 @@ class VPEstimator(Estimator):
             estimate["feet_height"] = self.feet_height_head(latent)
         if self.height_map_head is not None:
             estimate["height_map"] = self.height_map_head(latent)
+        if self.far_map_head is not None:
+            estimate["far_map"] = self.far_map_head(latent)
         return estimate
 
     def map_log_variance(self, latent: Tensor) -> Tensor:

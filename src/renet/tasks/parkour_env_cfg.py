@@ -25,7 +25,7 @@ from renet.tasks.config.go1 import GO1
 from renet.tasks.env import RenetEnvCfg
 from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg
 from renet.tasks.robot_cfg import FEET, RobotCfg
-from renet.tasks.sensors import FEET_HEIGHT, HEIGHT_MAP, depth_camera, sensors
+from renet.tasks.sensors import FAR_MAP, FEET_HEIGHT, HEIGHT_MAP, depth_camera, sensors
 from renet.tasks.terrains import parkour_terrain
 
 NOISE = {
@@ -236,6 +236,7 @@ def _observations() -> dict[str, ObservationGroupCfg]:
         "velocity": single(mdp.velocity),
         "feet_height": single(mdp.sensor, name=FEET_HEIGHT),
         "height_map": single(mdp.sensor, name=HEIGHT_MAP),
+        "far_map": single(mdp.sensor, name=FAR_MAP),
         "privileged": ObservationGroupCfg(terms=privileged),
         "depth": single(mdp.depth),
         "difficult": single(mdp.difficult),

@@ -4,13 +4,14 @@ from mjlab.envs import ManagerBasedRlEnvCfg
 from mjlab.sensor import ContactMatch, ContactSensorCfg, SensorCfg
 
 from renet.errors import RenetError
-from renet.interface import LEGS, TRUNK
+from renet.interface import FAR_MAP_X, FAR_MAP_Y, LEGS, TRUNK
 from renet.sim.depth.camera import DepthCameraCfg
 from renet.sim.sensors import FeetHeightCfg, HeightMapCfg
 from renet.tasks.robot_cfg import CALVES, FEET, RobotCfg
 
 DEPTH_CAMERA = "depth_camera"
 HEIGHT_MAP = "height_map"
+FAR_MAP = "far_map"
 FEET_HEIGHT = "feet_height"
 FEET_CONTACT = "feet_contact"
 THIGH_TRUNK_CONTACT = "thigh_trunk_contact"
@@ -36,6 +37,7 @@ def sensors(robot: RobotCfg) -> tuple[SensorCfg, ...]:
         touching(CALF_CONTACT, "geom", CALVES, "force"),
         DepthCameraCfg(name=DEPTH_CAMERA, mount=robot.camera),
         HeightMapCfg(name=HEIGHT_MAP, base_height=robot.map_height),
+        HeightMapCfg(name=FAR_MAP, x=FAR_MAP_X, y=FAR_MAP_Y, base_height=robot.map_height),
         FeetHeightCfg(name=FEET_HEIGHT, radius=robot.foot_radius),
     )
 

@@ -74,7 +74,7 @@ class RenetAlgorithm:
         cls, obs: TensorDict, env: VecEnv, cfg: dict[str, Any], device: str
     ) -> Self:
         """Build from rsl_rl's dictionary configuration; raises RenetError on a foreign task."""
-        groups = (*CRITIC_GROUPS, "proprioception", "depth", "difficult")
+        groups = (*CRITIC_GROUPS, "far_map", "proprioception", "depth", "difficult")
         if missing := [group for group in groups if group not in obs]:
             raise RenetError(
                 f"the task lacks the observation groups {', '.join(missing)}: RENet trains on "
@@ -130,6 +130,7 @@ class RenetAlgorithm:
             velocity=obs["velocity"],
             feet_height=obs["feet_height"],
             height_map=obs["height_map"],
+            far_map=obs["far_map"],
         )
 
     @torch.no_grad()

@@ -40,7 +40,9 @@ def set_learning(agent: RenetRunnerCfg) -> None:
     # A policy that already stands needs no noise of radians; what remains shrinks as it learns.
     # It knows which errors are usual: notices glare and occlusion two to eight times as often. It
     # also learns what sparse grass looks like (`renet calibrate`).
-    agent.model = ModelCfg(initial_std=0.5, detector="variance", predict_map_error=True)
+    agent.model = ModelCfg(
+        initial_std=0.5, detector="variance", predict_map_error=True, predict_far_map=True
+    )
     agent.algorithm = NP3OCfg(
         # A third of 0.008 crossed fewer gaps. From 204.3 M on: standing, from 221.3 M on: gaps.
         entropy="0.008@168M,0.00114@204.3M,0.004@204.3M,0.004@217.2M,"

@@ -55,6 +55,8 @@ class TickRollout:
     """[K, N, 4]."""
     height_map: Tensor
     """[K, N, 132]."""
+    far_map: Tensor
+    """[K, N, 30]."""
     next_proprioception: Tensor
     """Noise-free proprioception one control step later, [K, N, 45]."""
     next_velocity: Tensor

@@ -153,6 +153,7 @@ class Supervision:
         """Go back through the sum of some terms, scaled as `SupervisionCfg` says; their values."""
         velocity, height = self.cfg.velocity_scale**2, self.cfg.height_scale**2
         weights = {"velocity": velocity, "feet_height": height, "height_map": height}
+        weights["far_map"] = height
         losses = terms(rollout, batch)
         if losses:
             scaled = [loss * weights.get(name[3:], 1.0) for name, loss in losses.items()]
