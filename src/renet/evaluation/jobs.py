@@ -11,13 +11,13 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 from rich.console import Console
@@ -26,8 +26,14 @@ from rich.progress import Progress, TaskID
 from renet.errors import RenetError
 from renet.terminal import tell_progress
 
-if TYPE_CHECKING:
-    from renet.evaluation.study import Study
+
+class MadeOfParts(Protocol):
+    """A study, as far as its parts are concerned."""
+
+    def part_maker(self) -> Callable[[str], Any]:
+        """What makes a part by its name."""
+        ...
+
 
 BETWEEN_NEWS = 0.2
 """Least time in seconds between two messages on a part's progress."""
@@ -65,7 +71,7 @@ class Job:
     """Names of the parts it makes; none before the first."""
 
 
-def make_parts(study: Study, groups: Sequence[Sequence[str]], jobs: int) -> None:
+def make_parts(study: MadeOfParts, groups: Sequence[Sequence[str]], jobs: int) -> None:
     """Make parts of a study, and keep them on disk.
 
     Args:

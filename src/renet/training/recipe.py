@@ -87,7 +87,9 @@ def set_command(env: RenetEnvCfg) -> None:
     goals = env.commands[COMMAND]
     assert isinstance(goals, GoalCommandCfg)
     shares = {"plane": 0.7, "rough": 0.7, "obstacles": 0.5}
-    env.commands[COMMAND] = DriveCommandCfg(**vars(goals) | {"told": "twist"}, free_shares=shares)
+    drive = DriveCommandCfg(**vars(goals), free_shares=shares)
+    drive.told = "twist"
+    env.commands[COMMAND] = drive
     env.rewards["linear_velocity"].func = mdp.velocity_tracking
     # A robot that is rewarded for its heading turns as fast as it can.
     env.rewards["yaw"].func = mdp.turn_tracking

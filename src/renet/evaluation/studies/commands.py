@@ -93,7 +93,7 @@ class CommandStudy(WalkingStudy):
         steps = round(self.seconds / CONTROL_DT)
         trace = rollout.run(steps, f"{len(trials)} robots follow commands", on_step=watch)
         settled = round(SETTLE / CONTROL_DT)
-        fell = trace.fell.any(axis=0)
+        fell = np.any(trace.fell, axis=0)
         runs = []
         robots = np.arange(len(trials)).reshape(-1, each)
         for (mode, command), index in zip(self.groups, robots, strict=True):

@@ -81,7 +81,7 @@ class StopsStudy(WalkingStudy):
         trace = rollout.run(steps, f"{kind}, {angle:g} degrees")
         runs = []
         for mode, group in zip(self.modes, trace.groups(each), strict=True):
-            stopped = ~group.ended.any(axis=0)
+            stopped = ~np.any(group.ended, axis=0)
             row = {"kind": kind, "angle_deg": angle, "height_m": self.height, "mode": mode}
             row |= {"robots": each, "falls": int((~stopped).sum())}
             row |= {"success_rate": float(stopped.mean())}
