@@ -15,6 +15,7 @@ from renet.training.precision import (
     halved_threads,
     keep_freed_memory,
     learning_type,
+    multiply_by_onednn,
     side_by_side,
 )
 from renet.training.storage import TickRollout
@@ -65,6 +66,32 @@ def test_automatic_precision_follows_the_hardware(monkeypatch, has):
     assert learning_type("auto", "cpu") == (torch.bfloat16 if has else torch.float32)
     assert learning_type("float32", "cpu") == torch.float32
     assert learning_type("bfloat16", "cpu") == torch.bfloat16
+
+
+@pytest.fixture
+def products():
+    """Settings of matrix products, put back afterwards."""
+    settings = torch.backends.mkldnn.matmul
+    before = settings.fp32_precision
+    yield settings
+    settings.fp32_precision = before
+
+
+@pytest.mark.parametrize("avx512", [True, False])
+@pytest.mark.parametrize("amx", [True, False])
+def test_onednn_multiplies_only_where_it_cannot_round(monkeypatch, products, avx512, amx):
+    monkeypatch.setattr(torch.cpu, "_is_avx512_supported", lambda: avx512)
+    monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: amx)
+    before = products.fp32_precision
+    assert multiply_by_onednn() == (avx512 and not amx)
+    assert products.fp32_precision == ("bf16" if avx512 and not amx else before)
+
+
+def test_products_are_single_precision_on_this_machine(products):
+    multiply_by_onednn()
+    factors = torch.randn(2, 256, 256, generator=torch.Generator().manual_seed(0))
+    exact = factors[0].double() @ factors[1].double()
+    torch.testing.assert_close(factors[0] @ factors[1], exact.float(), atol=1e-4, rtol=0)
 
 
 def fail() -> int:

@@ -36,6 +36,19 @@ def has_bfloat16(device: torch.device) -> bool:
     return torch.cpu._is_avx512_bf16_supported()
 
 
+def multiply_by_onednn() -> bool:
+    """Let oneDNN in place of MKL multiply single-precision matrices on a CPU; whether it does.
+
+    MKL makes no use of AVX-512 on AMD's processors. torch hands oneDNN such products only where it
+    may round factors to bfloat16, but that needs AMX: with it, or without AVX-512, nothing changes,
+    so that products are single precision everywhere.
+    """
+    if not torch.cpu._is_avx512_supported() or torch.cpu._is_amx_tile_supported():
+        return False
+    torch.backends.mkldnn.matmul.fp32_precision = "bf16"
+    return True
+
+
 def learning_type(precision: Precision, device: str | torch.device) -> torch.dtype:
     """What critics and the depth embedding learn in.
 

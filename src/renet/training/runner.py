@@ -22,7 +22,7 @@ from renet.training import distributed
 from renet.training.algorithm import RenetAlgorithm
 from renet.training.checkpoint import Checkpoint
 from renet.training.config import steps_per_env
-from renet.training.precision import keep_freed_memory
+from renet.training.precision import keep_freed_memory, multiply_by_onednn
 from renet.training.provenance import described
 from renet.version import code_version
 
@@ -48,6 +48,7 @@ class RenetRunner(OnPolicyRunner):
     ) -> None:
         if not device.startswith("cuda"):
             keep_freed_memory()
+            multiply_by_onednn()
         self._agent = deepcopy(train_cfg)
         self.stop = Event()
         """Set by whoever wants training to stop, with a checkpoint, as soon as it can."""
