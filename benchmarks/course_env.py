@@ -184,8 +184,8 @@ class PlaceInjector(Injector):
         """[N] bool: the robots that are where the camera fails."""
         return self._here(FAILING)
 
-    def apply(self, frames: Frames, step: int) -> Frames:
-        """Spoil the frames of the robots where the camera fails."""
+    def apply(self, frames: Frames, step: int, spared: np.ndarray | None = None) -> Frames:
+        """Spoil the frames of the robots where the camera fails; none retires and is `spared`."""
         for kind, fault in self._faults.items():
             elapsed = np.where(self._here((kind,)), step * CONTROL_DT, -1.0)
             frames = fault.corrupt(frames, elapsed)

@@ -32,7 +32,7 @@ from renet.training.precision import halved_threads
 from renet.training.recipe import recipe
 from renet.training.runner import RenetRunner
 from renet.training.storage import Recorder, TickRollout
-from renet.training.supervision import Supervision
+from renet.training.supervision import MiniBatch, Supervision
 
 TASK, STUDENT_TASK = "Renet-Go1-Parkour", "Renet-Go1-Parkour-Student"
 TEACHER = {"perception": "oracle"}
@@ -108,8 +108,9 @@ class Imitation(Supervision):
         rate = self.optimizer.param_groups[0]["lr"]
         self.optimizer = torch.optim.Adam(self.parameters, lr=rate, fused=True)
 
-    def _vp_losses(self, rollout: TickRollout) -> dict[str, Tensor]:
+    def _vp_losses(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
         assert isinstance(rollout, DistillationRollout)
+        rollout = rollout.environments(batch.index)
         latent = self.model.vp.unroll(
             rollout.history,
             rollout.frames.float(),

@@ -30,7 +30,7 @@ PATIENCE = 120
 """Seconds of a busy computer's clock."""
 OUTPUTS = ("out", "log_root")
 """Options that name what is written."""
-PATHS_AS_TEXT = ("resume",)
+PATHS_AS_TEXT = ("resume", "runs")
 """Options that name what is read and are not typed as paths."""
 VARIANTS: dict[str, list[list[str]]] = {
     "deploy": [["--seconds", "0.1"], ["--camera", "replay", "--seconds", "0.1"]],

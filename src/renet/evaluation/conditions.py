@@ -36,9 +36,7 @@ def as_trained(cfg: RenetEnvCfg, trained: RenetEnvCfg) -> None:
         trained: the task in its training variant; raises RenetError if it delays joint targets,
             which cannot be drawn alike for twins.
     """
-    articulation = trained.scene.entities["robot"].articulation
-    assert articulation is not None
-    if any(actuator.delay_max_lag for actuator in articulation.actuators):
+    if trained.motors.target_delay[1] > 0.0:
         raise RenetError(
             "this bundle's task delays joint targets in training, which a study cannot draw alike"
             " for twins: leave out --conditions training"

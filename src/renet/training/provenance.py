@@ -9,7 +9,8 @@ from textwrap import shorten
 from typing import Any, TypeVar
 
 from renet.errors import RenetError
-from renet.training.config import to_tuples
+from renet.tasks.env import RenetEnvCfg
+from renet.training.config import RenetRunnerCfg, to_tuples
 
 T = TypeVar("T")
 PLAIN = (bool, int, float, str)
@@ -73,6 +74,7 @@ ALLOWED = (
     "env.episode_length_s",
     "env.events",
     "env.metrics",
+    "env.motors",
     "env.observations",
     "env.rewards",
     "env.robot",
@@ -98,6 +100,8 @@ ALLOWED = (
 """Settings, and groups of them, that a run takes over from a checkpoint it resumes: what shapes the
 policy. Where files are written, who is called and what is drawn is the command line's alone, for a
 checkpoint may be a stranger's."""
+OURS = {"agent": RenetRunnerCfg, "env": RenetEnvCfg}
+"""Classes of both configurations, whose fields ALLOWED is about."""
 BOUNDS = {
     "env.decimation": (1, 100),
     "env.episode_length_s": (0.1, 3600),
@@ -163,7 +167,12 @@ def restored(value: T, stored: Any, name: str) -> T:
 
 def allowed(stored: Any, name: str) -> bool:
     """Whether a checkpoint's setting is taken over; raises RenetError if it is out of bounds."""
-    if not any(name == setting or name.startswith(f"{setting}.") for setting in ALLOWED):
+    part, _, rest = name.partition(".")
+    setting = rest.partition(".")[0]
+    # What a task or an agent of another's adds of its own shapes the policy, too.
+    added = part in OURS and setting not in {f.name for f in fields(OURS[part])}
+    listed = any(name == known or name.startswith(f"{known}.") for known in ALLOWED)
+    if not added and not listed:
         return False
     low, high = next(bounds for pattern, bounds in BOUNDS.items() if fnmatchcase(name, pattern))
     for number in numbers(stored):
