@@ -150,7 +150,7 @@ COMMANDS = {
         "renet.evaluation.studies.leaderboard:LeaderboardCfg:make_leaderboard",
     ),
     "evaluate terrain": _study(
-        "highest levels; --preset success, standing, stops …",
+        "highest levels; --preset success, stops and more",
         "renet.evaluation.studies.terrain:TerrainStudy:TerrainStudy.main",
         presets={
             "success": "renet.evaluation.studies.terrain:SuccessStudy",

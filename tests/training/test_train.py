@@ -26,6 +26,8 @@ from renet.training.provenance import described, restored
 from renet.training.runs import new_run, resumed_run
 from renet.training.train import TrainCfg, resolve_device, train
 
+from ..forked import fork
+
 SHIPPED = Path(training.__file__).parents[1] / "pretrained" / "checkpoint"
 TASK = "Renet-Go1-Parkour"
 
