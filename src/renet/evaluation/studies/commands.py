@@ -46,6 +46,8 @@ SETTLE = 2.0
 """Seconds in which a robot may get used to its command."""
 LONG_WAY = 5.0
 """Distance for which drift is given, m."""
+SHORTEST_WAY = 0.5
+"""Distance that robots must have walked for their drift to mean something, m."""
 
 
 @dataclass(frozen=True)
@@ -113,17 +115,19 @@ class CommandStudy(WalkingStudy):
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """One row for each command and mode."""
-        header = ("policy", "asked: m/s, m/s, rad/s", "done", "falls", "drift (m in 5 m)")
-        header += ("slip (m/s)", "power (W)", "peak torque (N m)")
+        header = ("policy", "asked", "done", "fell", "drift", "W", "N m")
         rows = []
         for run in summary["runs"]:
-            asked = ", ".join(f"{value:g}" for value in run["command"])
-            done = "-" if run["done"] is None else ", ".join(f"{v:.2f}" for v in run["done"])
-            numbers = [run[name] for name in ("drift_m", "slip", "power", "peak_torque")]
+            asked = " ".join(f"{value:g}" for value in run["command"])
+            done = "-" if run["done"] is None else " ".join(f"{v:.2f}" for v in run["done"])
+            numbers = [run[name] for name in ("drift_m", "power", "peak_torque")]
             shown = ["-" if n is None else f"{n:.2f}" for n in numbers]
             falls = f"{run['falls']} of {run['robots']}"
             rows.append((figures.MODE_NAMES[run["mode"]], asked, done, falls, *shown))
-        return [("Commands on flat ground", header, rows)]
+        title = (
+            "Commands on flat ground: m/s ahead, m/s left, rad/s; drift in m after 5 m; mean power"
+        )
+        return [(f"{title} and peak torque", header, rows)]
 
 
 def summary_of(motions: list[Motion], robots: np.ndarray, command: np.ndarray) -> dict[str, Any]:
@@ -155,7 +159,8 @@ def drift(positions: np.ndarray, command: np.ndarray) -> float | None:
 
     Args:
         positions: [T, N, 2] m, in the frame in which each robot started, x ahead of it.
-        command: the twist, [3]; None is returned for one that turns or stands.
+        command: the twist, [3]; None is returned for one that turns or stands, and where robots
+            did not walk.
     """
     way = np.linalg.norm(command[:2])
     if command[2] != 0.0 or way == 0.0:
@@ -163,7 +168,9 @@ def drift(positions: np.ndarray, command: np.ndarray) -> float | None:
     ahead = command[:2] / way
     aside = np.array((-ahead[1], ahead[0]))
     walked = positions[-1] - positions[0]
-    distance = np.maximum(walked @ ahead, 0.1)
+    distance = walked @ ahead
+    if distance.min() < SHORTEST_WAY:
+        return None
     return float(np.mean(np.abs(walked @ aside) / distance) * LONG_WAY)
 
 
