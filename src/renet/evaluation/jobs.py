@@ -11,13 +11,13 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 from rich.console import Console
@@ -26,13 +26,18 @@ from rich.progress import Progress, TaskID
 from renet.errors import RenetError
 from renet.terminal import tell_progress
 
-if TYPE_CHECKING:
-    from renet.evaluation.study import Study
-
 BETWEEN_NEWS = 0.2
 """Least time in seconds between two messages on a part's progress."""
 PATIENCE = 20.0
 """Seconds that a process has for ending when it is told to."""
+
+
+class Parted(Protocol):
+    """A study, of a class that other processes can import."""
+
+    def part_maker(self) -> Callable[[str], Any]:
+        """What makes the parts by their names, and keeps them on disk."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,7 @@ class Job:
     """Names of the parts it makes; none before the first."""
 
 
-def make_parts(study: Study, groups: Sequence[Sequence[str]], jobs: int) -> None:
+def make_parts(study: Parted, groups: Sequence[Sequence[str]], jobs: int) -> None:
     """Make parts of a study, and keep them on disk.
 
     Args:
