@@ -99,7 +99,7 @@ def test_ctrl_c_ends_all_jobs_in_one_line(tmp_path, monkeypatch, capfd, number):
     def interrupt() -> None:
         while not (tmp_path / "begun").exists():
             time.sleep(0.05)
-        children = [child.pid for child in multiprocessing.active_children()]
+        children = [child.pid or 0 for child in multiprocessing.active_children()]
         # A terminal sends it to all of them.
         for process in (children if number == signal.SIGINT else []) + [os.getpid()]:
             os.kill(process, number)

@@ -26,19 +26,18 @@ from rich.progress import Progress, TaskID
 from renet.errors import RenetError
 from renet.terminal import tell_progress
 
-
-class MadeOfParts(Protocol):
-    """A study, as far as its parts are concerned."""
-
-    def part_maker(self) -> Callable[[str], Any]:
-        """What makes a part by its name."""
-        ...
-
-
 BETWEEN_NEWS = 0.2
 """Least time in seconds between two messages on a part's progress."""
 PATIENCE = 20.0
 """Seconds that a process has for ending when it is told to."""
+
+
+class Parted(Protocol):
+    """A study, of a class that other processes can import."""
+
+    def part_maker(self) -> Callable[[str], Any]:
+        """What makes the parts by their names, and keeps them on disk."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class Job:
     """Names of the parts it makes; none before the first."""
 
 
-def make_parts(study: MadeOfParts, groups: Sequence[Sequence[str]], jobs: int) -> None:
+def make_parts(study: Parted, groups: Sequence[Sequence[str]], jobs: int) -> None:
     """Make parts of a study, and keep them on disk.
 
     Args:

@@ -1,5 +1,6 @@
 import json
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -108,10 +109,11 @@ def test_faults_of_few_robots_walk_side_by_side_as_they_do_alone(tmp_path, monke
     # Glass is on no flat ground.
     groups = [["gaussian_5"], ["glass_1"], ["foam_2", "blackout_5"], ["no_fault"]]
     assert joined.together(names) == groups
-    rows = joined.run(FakeEvaluator())["runs"]
+    fake: Any = FakeEvaluator()
+    rows = joined.run(fake)["runs"]
     monkeypatch.setattr(faults, "SIDE_BY_SIDE", 1)
     assert alone.together(names) == [[name] for name in names]
-    assert alone.run(FakeEvaluator())["runs"] == rows
+    assert alone.run(fake)["runs"] == rows
     assert {run["survival"] for run in rows} == {0.0, 1.0}
     monkeypatch.setattr(faults, "SIDE_BY_SIDE", 23)
     robots = [len(joined.trials(settings)) for settings in joined.batches.values()]
