@@ -25,6 +25,6 @@ def read_curves(file: Path) -> dict[str, dict[int, float]]:
             for row in csv.DictReader(lines):
                 with suppress(KeyError, TypeError, ValueError):
                     curves.setdefault(row["name"], {})[int(row["iteration"])] = float(row["value"])
-    except OSError as error:
-        raise RenetError(f"cannot read the curves {file}: {error.strerror}") from error
+    except (OSError, ValueError) as error:  # A path with a null byte is a ValueError.
+        raise RenetError(f"cannot read the curves {file}: {error}") from error
     return curves

@@ -68,7 +68,7 @@ def test_a_torn_row_and_a_resumed_iteration(tmp_path):
 @pytest.mark.parametrize(
     ("prepare", "options", "message"),
     [
-        (lambda path: path.mkdir(), {}, "cannot read the curves .*: No such file"),
+        (lambda path: path.mkdir(), {}, "cannot read the curves .*No such file"),
         (lambda path: write_run(path, [1]), {"smooth": 10}, "has 1 iterations, fewer than"),
         (lambda path: write_run(path, [1]), {"curves": ("Curriculum/gap",)}, "unknown curve"),
         (lambda path: write_run(path, []), {}, "has no curve Curriculum/environment_steps"),
