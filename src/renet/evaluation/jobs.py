@@ -104,9 +104,10 @@ def make_parts(study: Parted, groups: Sequence[Sequence[str]], jobs: int) -> Non
                 job.parts = waiting.pop(0) if waiting else ()
                 job.connection.send(job.parts)
                 if not job.parts:
+                    # It stays among those that run until it has ended: Ctrl-C may come meanwhile.
+                    job.process.join()
                     running.remove(job)
                     bars.remove_task(job.bar)
-                    job.process.join()
 
 
 def _shares(jobs: int) -> list[list[int]]:
