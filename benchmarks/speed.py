@@ -23,8 +23,8 @@ from typing import Any, Literal
 import tyro
 
 from facts import errors_in_one_line, report
+from renet.curves import CURVES, read_curves
 from renet.errors import RenetError
-from renet.training.metrics import read_curves
 
 ROOT = Path(__file__).parents[1]
 STEPS_PER_SECOND = "Perf/total_fps"
@@ -117,8 +117,8 @@ def train(tree: Path, cfg: Cfg, logs: Path) -> float:
     """Train, and return the median of the iterations' steps per second, without the first."""
     size = ("--num-envs", str(cfg.num_envs), "--time-budget", cfg.budget)
     renet(tree, "train", cfg.task, *size, "--log-root", str(logs))
-    run = next(path.parent for path in logs.rglob("curves.csv"))
-    _, values = read_curves(run)[STEPS_PER_SECOND]
+    curves = read_curves(next(logs.rglob(CURVES)))
+    values = [*curves[STEPS_PER_SECOND].values()]
     if len(values) < 2:
         raise RenetError(f"{cfg.budget} is too short for two iterations: give more --budget")
     return median(values[1:])
