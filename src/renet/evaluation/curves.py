@@ -73,7 +73,7 @@ def make_curves(cfg: CurvesCfg) -> Path:
     write_json(out / "summary.json", {"runs": rows, "smooth": cfg.smooth})
     write_csv(out / "summary.csv", rows)
     write_atomically(out / "curves.png", picture(by_label, names), "figure")
-    header = ("curve", "runs", "seeds", "M steps", "mean", "SD", "lowest", "highest")
+    header = ("curve", "runs", "seeds", "M steps", "mean", "SD", "range")
     show("Last values", header, [shown(row) for row in rows])
     return out
 
@@ -165,10 +165,12 @@ def value_at(run: Run, name: str, steps: float) -> float:
 
 
 def shown(row: Mapping[str, Any]) -> tuple[str, ...]:
-    """A row of the printed table."""
-    numbers = [row[name] for name in ("mean", "sd", "lowest", "highest")]
-    texts = ["-" if number is None else f"{number:.3g}" for number in numbers]
-    return row["curve"], row["label"], str(row["seeds"]), f"{row['steps'] / 1e6:.2f}", *texts
+    """A row of the printed table, the curve by the last part of its name."""
+    curve = row["curve"].split("/")[-1].replace("_", " ")
+    steps = f"{row['steps'] / 1e6:.2f}"
+    spread = "-" if row["sd"] is None else f"{row['sd']:.3g}"
+    ends = "-" if row["sd"] is None else f"{row['lowest']:.3g} to {row['highest']:.3g}"
+    return curve, row["label"], str(row["seeds"]), steps, f"{row['mean']:.3g}", spread, ends
 
 
 def picture(by_label: Mapping[str, Sequence[Run]], names: Sequence[str]) -> bytes:

@@ -181,6 +181,7 @@ def _work(connection: Connection, processors: list[int], pickled: bytes) -> None
 
     tell_progress(tell)
     try:
+        # Bytes of this program's own making. Only now, for the study's imports make thread pools.
         make = pickle.loads(pickled).part_maker()
         connection.send(None)
         while names := connection.recv():
