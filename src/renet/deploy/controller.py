@@ -17,18 +17,19 @@ from renet.deploy.cameras.buffer import FrameBuffer
 from renet.deploy.inference import InlineInference, Sessions
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import JointCommand, RobotState, all_finite, heading
-from renet.deploy.safety.checks import clean_state, stand_up_problem, state_problem, teleop_problem
+from renet.deploy.safety.checks import stand_up_problem, teleop_problem
 from renet.deploy.safety.limits import SafetyCfg, limited_command, limited_velocity
 from renet.deploy.safety.machine import Mode, SafetyMachine, damping_command, stand_up_target
-from renet.deploy.safety.plausibility import Readings
 from renet.deploy.steering import STEERINGS
 from renet.deploy.teleop import TeleopCommand, Velocity
+from renet.deploy.watch.body import BodyWatch
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE
 from renet.selector import SelectorInput, make_selector
 from renet.selector.selector import BLIND, REMEMBERS, SEES
 
 LATE = "the vision thread is late or dead"
+NO_NUMBERS = "what the VP estimator found is not finite"
 BLACK = np.zeros((1, *DEPTH_SHAPE), np.float32)
 DRIVERS = {SEES: "vp", REMEMBERS: "memory", BLIND: "op"}
 """What drives, as events call it, in each of the selector's states."""
@@ -112,9 +113,7 @@ class Controller:
         self._buffer = FrameBuffer()
         self._selector = make_selector(selector, bundle.manifest.selector)
         self._on_event = on_event
-        self._newest: RobotState | None = None
-        self._readings, self._implausible = Readings(), ""
-        self._state_error = "no state from the robot"
+        self._watch = BodyWatch(self.robot, safety)
         self._start = self._target = np.array(self.robot.default_position)
         self._steering = STEERINGS[bundle.manifest.told]()
         self._start_over()
@@ -154,12 +153,12 @@ class Controller:
         self, raw: RobotState | None, frame: DepthFrame | None, teleop: TeleopCommand, now: float
     ) -> JointCommand:
         before = self.machine.mode
-        self._read(raw, now)
+        self._watch.offer(raw, now)
         self._buffer.offer(frame, now)
         mode = self.machine.update(self._problem(teleop, now), teleop, now)
         if self.machine.refused:
             self.tell(now, "refused", self.machine.refused)
-        state = self._newest
+        state = self._watch.newest
         if mode is Mode.WALKING and state is not None:
             if before is not Mode.WALKING:
                 self._start_over()
@@ -174,26 +173,12 @@ class Controller:
             command = damping_command(self.robot, self.cfg)
         return self._decide(command, now)
 
-    def _read(self, raw: RobotState | None, now: float) -> None:
-        """Keep the newest good reading; one that is malformed or out of order is none."""
-        if raw is None:
-            return
-        try:
-            state = clean_state(raw, now)
-        except RenetError as error:
-            self._state_error, self._newest = str(error), None
-            return
-        if self._newest is None or state.time > self._newest.time:
-            self._newest, self._implausible = state, self._readings.problem(state)
-
     def _problem(self, teleop: TeleopCommand, now: float) -> str:
         if problem := teleop_problem(teleop):
             return problem
-        if self._newest is None:
-            return self._state_error
-        problem = state_problem(self._newest, self.robot, self.cfg, now) or self._implausible
-        if not problem and self.machine.stood_up(now):
-            problem = stand_up_problem(self._newest, self.robot, self.cfg)
+        problem, newest = self._watch.problem(now), self._watch.newest
+        if not problem and newest is not None and self.machine.stood_up(now):
+            problem = stand_up_problem(newest, self.robot, self.cfg)
         return problem
 
     def _start_over(self) -> None:
@@ -213,6 +198,7 @@ class Controller:
         output = self._perception.take()
         if output is not None:
             self.policy.accept(output)
+        self._check_estimates()
         vision = self._vision and self._buffer.image is not None
         action = self.policy.act(observation, np.array([not vision]))[0]
         if not all_finite(action):
@@ -221,6 +207,14 @@ class Controller:
         command = self._limited(self.policy.joint_target(action), state)
         self._switch(now)
         return self._decide(command, now, vision, output is not None or fallback, fallback)
+
+    def _check_estimates(self) -> None:
+        """Let OP drive where VP found no numbers; raises RenetError where OP found none."""
+        if self.policy.op_lost[0]:
+            raise RenetError("what the OP estimator found is not finite")
+        if self.policy.vp_lost[0]:
+            self._selector.distrust(self.policy.vp_lost, NO_NUMBERS)
+            self._vision = False
 
     def _steer(
         self, teleop: TeleopCommand, state: RobotState, now: float
@@ -312,6 +306,8 @@ class Controller:
             inferred=inferred,
             fallback=fallback,
         )
+        velocity = self.decision.velocity_vp if vision else self.decision.velocity_op
+        self._watch.told(command, walking, velocity)
         return command
 
     def tell(self, now: float, what: str, why: str) -> None:
