@@ -4,6 +4,7 @@ All indices elsewhere are derived from these tables. The base frame is x forward
 quaternions are (w, x, y, z).
 """
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,6 +26,10 @@ TRUNK = "trunk"
 
 CONSTRAINTS = ("joint_position", "joint_velocity", "torque")
 """The paper's constraint costs, in the order of every cost tensor."""
+
+FALL_TILT = math.radians(80.0)
+"""Angle between the base's z axis and up at which a robot has fallen, rad: there an episode of
+training or of a study ends, and a real robot brakes."""
 
 MAX_SPEED = 1.0
 """Fastest forward command of training, m/s (paper)."""

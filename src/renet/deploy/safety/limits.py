@@ -9,7 +9,7 @@ from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState, all_finite
 from renet.deploy.teleop import TeleopCommand, Velocity
 from renet.errors import RenetError
-from renet.interface import CONTROL_DT, MAX_REVERSE, MAX_SIDEWAYS, MAX_SPEED, MAX_TURN
+from renet.interface import CONTROL_DT, FALL_TILT, MAX_REVERSE, MAX_SIDEWAYS, MAX_SPEED, MAX_TURN
 
 MAY_BE_ZERO = ("min_battery", "least_torque")
 """Limits that 0 switches off."""
@@ -19,7 +19,7 @@ MAY_BE_ZERO = ("min_battery", "least_torque")
 class SafetyCfg:
     """Limits beyond which a robot is damped, and limits of what it is told."""
 
-    max_tilt: float = math.radians(70.0)
+    max_tilt: float = FALL_TILT
     """Largest angle between the base's z axis and up, rad."""
     max_state_age: float = 0.05
     """Oldest reading to act on, s."""
