@@ -145,12 +145,12 @@ class FailingRobot(MujocoRobot):
             data.ctrl[ids] = torque
 
     def _fail_motor(self, fault: Fault, sent: JointCommand) -> None:
-        """Freeze: block the joint. Stick: much friction. Drift: grow weak. Die: no torque."""
+        """Freeze: more friction than torque. Stick: some. Drift: grow weak. Die: no torque."""
         joint, dof = fault.joint, self._velocity[fault.joint]
         if fault.kind == "freezes":
-            self.model.dof_damping[dof] = 1e4
+            self.model.dof_frictionloss[dof] = 100.0
         elif fault.kind == "sticks":
-            self.model.dof_frictionloss[dof] = 15.0
+            self.model.dof_frictionloss[dof] = 10.0
         else:
             share = 0.0
             if fault.kind == "drifts":

@@ -18,8 +18,10 @@ MAX_TWIST = 0.25
 """rad by which gyroscope and attitude may disagree over one control step: 0.04 in those walks."""
 MAX_DRIFT = 0.2
 """rad by which they may disagree over the last second: 0.05 in those walks."""
-MAX_SLIP = 0.6
-"""rad by which a joint's angle and its speed may disagree over the last half second: 0.27."""
+MAX_SKIP = 0.5
+"""rad by which a joint's angle and its mean speed may disagree over one control step: 0.17."""
+MAX_SLIP = 0.9
+"""rad by which they may disagree over the last half second: 0.27."""
 FORGET = 0.98
 FORGET_JOINTS = 0.95
 """Share of each disagreement that counts a control step later."""
@@ -45,9 +47,7 @@ class Readings:
         twist = _twist(last, state, passed)
         parts = zip(self._drift, twist, strict=True)
         self._drift = [FORGET * drift + part for drift, part in parts]
-        mean_speed = 0.5 * (last.joint_velocity + state.joint_velocity)
-        turned = state.joint_position - last.joint_position
-        self._slip = FORGET_JOINTS * self._slip + turned - passed * mean_speed
+        self._slip = FORGET_JOINTS * self._slip + _slip(last, state, passed)
         drift = math.hypot(*self._drift)
         if drift > MAX_DRIFT:
             return f"gyroscope and attitude disagree by {drift:.2f} rad"
@@ -69,7 +69,19 @@ def break_problem(last: RobotState, state: RobotState) -> str:
     twist = math.hypot(*_twist(last, state, passed))
     if twist > MAX_TWIST * max(passed / CONTROL_DT, 1.0):
         return f"gyroscope and attitude disagree by {twist:.2f} rad"
-    return jump_problem(last, state, passed)
+    if jump := jump_problem(last, state, passed):
+        return jump
+    slip = np.abs(_slip(last, state, passed))
+    worst = int(slip.argmax())
+    if slip[worst] > MAX_SKIP * max(passed / CONTROL_DT, 1.0):
+        return f"angle and speed of {JOINTS[worst]} disagree by {slip[worst]:.2f} rad"
+    return ""
+
+
+def _slip(last: RobotState, state: RobotState, passed: float) -> np.ndarray:
+    """How far [12] rad joints turned in `passed` seconds beyond what their mean speeds say."""
+    mean_speed = 0.5 * (last.joint_velocity + state.joint_velocity)
+    return state.joint_position - last.joint_position - passed * mean_speed
 
 
 def _twist(last: RobotState, state: RobotState, passed: float) -> list[float]:

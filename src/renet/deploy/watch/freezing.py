@@ -28,10 +28,9 @@ class Freezing:
     def __init__(self) -> None:
         self._last: RobotState | None = None
         self._alike = dict.fromkeys(VECTORS, 1)
-        self._joints = np.ones(len(JOINTS), int)
-        """Readings in a row in which each joint's angle was the same."""
-        self._low = np.zeros(len(JOINTS))
-        self._high = np.zeros(len(JOINTS))
+        self._joints: np.ndarray | None = None
+        """Readings in a row in which each joint's angle was the same; None while none must move."""
+        self._low = self._high = np.zeros(len(JOINTS))
         """Ends of what each joint's target was meanwhile, rad."""
 
     def problem(self, state: RobotState, powered: bool, target: np.ndarray | None) -> str:
@@ -62,10 +61,13 @@ class Freezing:
 
     def _joint_problem(self, last: RobotState, state: RobotState, target: np.ndarray | None) -> str:
         """Name a joint whose angle stays the same while its target moves; empty if none."""
-        same = last.joint_position == state.joint_position
         if target is None:
-            self._joints[:] = 1
+            self._joints = None
             return ""
+        if self._joints is None:
+            self._joints = np.ones(len(JOINTS), int)
+            self._low = self._high = target
+        same = last.joint_position == state.joint_position
         self._joints = np.where(same, self._joints + 1, 1)
         self._low = np.where(same, np.minimum(self._low, target), target)
         self._high = np.where(same, np.maximum(self._high, target), target)

@@ -5,7 +5,6 @@ from renet.deploy.robots.base import RobotState
 from renet.deploy.safety.checks import clean_state, state_problem
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.plausibility import Readings, break_problem, comparable
-from renet.errors import RenetError
 
 MOST_ODD = 2
 """Odd readings that are left out; meanwhile the last good one stands, and grows old."""
@@ -43,15 +42,13 @@ class Intake:
             return None
         try:
             state = clean_state(raw, now)
-        except RenetError as error:
+        except Exception as error:  # A driver's object may fail in any way.
             self._leave_out(str(error))
             return None
         if self._seen is not None and state.time <= self._seen.time:
             return None
-        self._follow(state)
+        problem = self._follow(state)
         self._seen = state
-        # The age is judged at every step, not here.
-        problem = state_problem(state, self._robot, self._cfg, state.time) or self._broken
         if problem:
             self._leave_out(problem)
             return state
@@ -72,14 +69,16 @@ class Intake:
         self._odd += 1
         self._good = 0
 
-    def _follow(self, state: RobotState) -> None:
-        """Find out whether a reading goes on from those before."""
+    def _follow(self, state: RobotState) -> str:
+        """Why a reading must be left out, alone or because it does not go on from those before."""
         last, before = self._seen, self._broken
         self._drifts = ""
-        if last is None or not comparable(last, state):
+        # The age is judged at every step, not here.
+        problem = state_problem(state, self._robot, self._cfg, state.time)
+        if last is None or self.newest is None or not comparable(last, state):
             self._broken = ""
             self._readings.start_over()
-            return
+            return problem
         broken = break_problem(last, state)
         if not before:
             self._broken, self._since = broken, 0
@@ -87,14 +86,15 @@ class Intake:
             self._broken = ""
         else:
             self._since += 1
-        if before or broken:
+        if before or broken or problem or last is not self.newest:
             self._readings.start_over()
         else:
             self._drifts = self._readings.problem(last, state)
+        return problem or self._broken
 
     def _goes_on(self, state: RobotState) -> bool:
         """Whether a reading goes on from the last good one."""
         good = self.newest
-        if good is None or not comparable(good, state, TWICE):
-            return False
-        return not break_problem(good, state)
+        return (
+            good is not None and comparable(good, state, TWICE) and not break_problem(good, state)
+        )

@@ -16,6 +16,8 @@ ASKED = 3.0
 DISOBEYS = 18.0
 """N m by which given and asked for may differ, in the mean square: 11 at most in 160 s of walks
 with pushes on a network of a real Go1's motors, which answer late; none on ideal ones."""
+MOST_APART = 30.0
+"""N m that one reading counts at most: a single odd one must not be enough."""
 ABSURD = 3.0
 """Times a motor's limit that it cannot give."""
 IN_A_ROW = 3
@@ -71,8 +73,9 @@ class MotorWatch:
         fast = np.abs(state.joint_velocity) > 0.9 * self._speed
         place = self._next % LATER
         self._asked[place] = np.where(fast, 0.0, asked**2)
-        self._given[place] = np.where(fast, 0.0, given**2)
-        self._apart[place] = np.where(fast, 0.0, (given - asked) ** 2)
+        self._given[place] = np.where(fast, 0.0, np.minimum(np.abs(given), MOST_APART) ** 2)
+        apart = np.minimum(np.abs(given - asked), MOST_APART)
+        self._apart[place] = np.where(fast, 0.0, apart**2)
         self._next += 1
         return self._compare()
 
@@ -89,7 +92,7 @@ class MotorWatch:
         apart = np.sqrt(self._apart[soon].mean(axis=0))
         if (apart > DISOBEYS).any():
             joint = int(apart.argmax())
-            return f"{JOINTS[joint]} does not obey: it gives {apart[joint]:.0f} N m too much"
+            return f"{JOINTS[joint]} does not obey: it gives another torque than asked for"
         if self._next < LATER:
             return ""
         asked = self._asked.mean(axis=0)
