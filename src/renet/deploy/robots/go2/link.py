@@ -37,6 +37,8 @@ LISTEN = 1.0
 """Seconds for which it is listened who answers, before anything is asked to change."""
 HOLD = 40.0
 """Kp with which the robot is held as it lies from the release to the controller's first command."""
+MOST_BEYOND = 0.4
+"""rad by which the targets of that hold may be beyond the joints, so that they bear their load."""
 SETTLES = 0.05
 """Seconds after a release for which commands of the robot's own controllers may still arrive."""
 NO_SWITCH = "the robot's motion switcher does not answer: is it a Go2 EDU?"
@@ -70,7 +72,9 @@ class Go2Link(Link):
         self._watch = watch
         self._known = self._free = False
         self._began = self._heard = self._released = math.nan
-        self._last: Any = None
+        self._angles = self._load = np.zeros(ACTION_SIZE)
+        """Where the joints are, rad, and the torque with which the robot's own controllers held
+        them there, N m."""
         self._pressed = 0
         self._out = LowCmd()
         command = self._out.values
@@ -80,7 +84,11 @@ class Go2Link(Link):
 
     def _receive(self, now: float) -> None:
         newest = self._newest()
-        self._last = newest if newest is not None else self._last
+        if newest is not None:
+            motors = newest["motor_state"][MOTORS]
+            self._angles = motors["q"].astype(float)
+            if not self._switch.releasing:
+                self._load = motors["tau_est"].astype(float)
         heard = any(getattr(s, "values", None) is not None for s in self._others.take(1))
         if newest is not None and math.isnan(self._began):
             self._began = self._heard = now
@@ -162,10 +170,11 @@ class Go2Link(Link):
         """Hold the legs where they are from the release on, unless somebody else moves them."""
         if heard and now - self._released > SETTLES:
             self.holding = None
-        if now == self._released and self._last is not None:
-            position = self._last["motor_state"][MOTORS]["q"].astype(float)
+        if now == self._released:
+            # A servo gives no torque where it should be: it must aim beyond that.
+            aim = self._angles + np.clip(self._load / HOLD, -MOST_BEYOND, MOST_BEYOND)
             gains = np.full(ACTION_SIZE, HOLD), np.full(ACTION_SIZE, BRAKE)
-            self.holding = self._envelope.clamp(JointCommand(position, *gains))
+            self.holding = self._envelope.clamp(JointCommand(aim, *gains))
 
     def _send(self, command: JointCommand | None) -> None:
         if command is None:

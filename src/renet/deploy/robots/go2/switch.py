@@ -73,6 +73,11 @@ class MotionSwitcher:
             self._releases.append(self._ask(RELEASE_MODE))
         self._questions.append(self._ask(CHECK_MODE))
 
+    @property
+    def releasing(self) -> bool:
+        """Whether a release was asked for: the motors may be limp from then on."""
+        return bool(self._releases)
+
     def _ask(self, api: int, parameter: str = "{}") -> int:
         number = next(self._numbers)
         header = RequestHeader(Identity(number, api), Lease(0), RequestPolicy(0, False))
