@@ -19,7 +19,7 @@ from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import A_WHILE, Controller, Event
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import heading
-from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.safety.limits import SafetyCfg, rate_after
 from renet.deploy.safety.machine import Mode, stand_up_target
 from renet.deploy.steering import FORWARD_ONLY
 from renet.deploy.teleop import TeleopCommand
@@ -95,6 +95,17 @@ def test_it_rises_and_then_walks(run):
     assert run.events == [Event(*words) for words in begun]
     assert run.controller.decision.mode is Mode.WALKING
     assert run.controller.decision.action.any()
+
+
+def test_a_walk_begins_with_targets_that_move_slowly(run):
+    """However far away the policy wants its legs at once."""
+    run.ticks(WALKS_AT)
+    run.controller.policy.joint_target = lambda action: np.full((12,), 9.0)
+    steps = [run.tick().position for _ in range(60)]
+    change = np.abs(np.diff(steps, axis=0)).max(axis=1) / CONTROL_DT
+    cfg = run.controller.cfg
+    assert (change <= [rate_after(time_of(n + 1), cfg) + 1e-6 for n in range(59)]).all()
+    assert change.max() > 12.0
 
 
 def test_motors_that_obey_nobody_and_a_robot_that_falls_as_it_stands_do_not_walk(bundle):

@@ -18,11 +18,12 @@ from renet.deploy.inference import InlineInference, Sessions
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import JointCommand, RobotState, all_finite, heading
 from renet.deploy.safety.checks import stand_up_problem, teleop_problem
-from renet.deploy.safety.limits import SafetyCfg, limited_command, limited_velocity
+from renet.deploy.safety.limits import SafetyCfg, limited_command, limited_velocity, rate_after
 from renet.deploy.safety.machine import Mode, SafetyMachine, damping_command, stand_up_target
 from renet.deploy.steering import STEERINGS
 from renet.deploy.teleop import TeleopCommand, Velocity
 from renet.deploy.watch.body import BodyWatch
+from renet.deploy.watch.leg_order import LegTest
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE
 from renet.selector import SelectorInput, make_selector
@@ -167,16 +168,26 @@ class Controller:
         if mode is Mode.STANDING_UP and state is not None:
             if before is not Mode.STANDING_UP:
                 self._start = self._target = state.joint_position
-            share = (now - self.machine.since) / self.cfg.stand_up_seconds
-            command = self._limited(stand_up_target(self._start, self.robot, share), state)
+                self._leg_test = LegTest(self.robot, self.cfg.leg_test_seconds, state)
+            command = self._limited(self._rise(state, now), state, self.cfg.target_rate)
         else:
             command = damping_command(self.robot, self.cfg)
         return self._decide(command, now)
+
+    def _rise(self, state: RobotState, now: float) -> np.ndarray:
+        """Joint targets [12] rad of a robot that tests its legs, then stands up."""
+        elapsed = now - self.machine.since
+        standing = elapsed - self.cfg.leg_test_seconds
+        if standing < 0.0:
+            return self._leg_test.target(elapsed, state)
+        return stand_up_target(self._start, self.robot, standing / self.cfg.stand_up_seconds)
 
     def _problem(self, teleop: TeleopCommand, now: float) -> str:
         if problem := teleop_problem(teleop):
             return problem
         problem, newest = self._watch.problem(now), self._watch.newest
+        if not problem and self.machine.mode is Mode.STANDING_UP:
+            problem = self._leg_test.problem
         if not problem and newest is not None and self.machine.stood_up(now):
             problem = stand_up_problem(newest, self.robot, self.cfg)
         return problem
@@ -204,7 +215,8 @@ class Controller:
         if not all_finite(action):
             raise RenetError("the policy's action is not finite")
         self._action = action
-        command = self._limited(self.policy.joint_target(action), state)
+        rate = rate_after(now - self.machine.since, self.cfg)
+        command = self._limited(self.policy.joint_target(action), state, rate)
         self._switch(now)
         return self._decide(command, now, vision, output is not None or fallback, fallback)
 
@@ -271,8 +283,8 @@ class Controller:
         self.tell(now, DRIVERS[state], "vision is healthy" if state == SEES else why)
         self._state = state
 
-    def _limited(self, target: np.ndarray, state: RobotState) -> JointCommand:
-        command = limited_command(target, self._target, state, self.robot, self.cfg)
+    def _limited(self, target: np.ndarray, state: RobotState, rate: float) -> JointCommand:
+        command = limited_command(target, self._target, state, self.robot, rate)
         self._target = command.position
         return command
 

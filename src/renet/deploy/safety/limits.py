@@ -11,7 +11,7 @@ from renet.deploy.teleop import TeleopCommand, Velocity
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, FALL_TILT, MAX_REVERSE, MAX_SIDEWAYS, MAX_SPEED, MAX_TURN
 
-MAY_BE_ZERO = ("min_battery", "least_torque")
+MAY_BE_ZERO = ("min_battery", "least_torque", "leg_test_seconds")
 """Limits that 0 switches off."""
 
 
@@ -35,10 +35,17 @@ class SafetyCfg:
     """Base angular velocity, rad/s, per axis."""
     target_rate: float = 40.0
     """Fastest change of a joint target, rad/s."""
+    first_rate: float = 10.0
+    """The same as a walk begins, rad/s; it grows to `target_rate` in `walk_in_seconds`."""
+    walk_in_seconds: float = 1.0
+    """Time in which a robot goes over from standing to walking."""
     damping: float = 3.0
     """Braking gain in DAMPING, N m s/rad."""
     stand_up_seconds: float = 2.0
     """Time from the pose at arming to the default pose."""
+    leg_test_seconds: float = 0.0
+    """Time before that in which each leg in turn pushes against the ground: the base must lean away
+    from it, or legs are wired in another order. 0: no test."""
     max_stand_up_error: float = 0.5
     """Farthest that a joint may be from the default pose after standing up, rad. A standing Go1
     sags by 0.2; one that still lies, or whose motors obey nobody, is 0.9 away."""
@@ -61,6 +68,13 @@ class SafetyCfg:
             raise RenetError(f"the safety limit max_tilt is in rad, got {self.max_tilt}")
 
 
+def rate_after(walked: float, cfg: SafetyCfg) -> float:
+    """Fastest change of a joint target, rad/s, some seconds after a walk began."""
+    share = min(max(walked / cfg.walk_in_seconds, 0.0), 1.0)
+    first = min(cfg.first_rate, cfg.target_rate)
+    return first + share * (cfg.target_rate - first)
+
+
 def limited_velocity(teleop: TeleopCommand) -> Velocity:
     """Velocity that an operator asks for, within the ranges of training."""
     return Velocity(
@@ -71,17 +85,17 @@ def limited_velocity(teleop: TeleopCommand) -> Velocity:
 
 
 def limited_command(
-    target: np.ndarray, previous: np.ndarray, state: RobotState, robot: RobotSpec, cfg: SafetyCfg
+    target: np.ndarray, previous: np.ndarray, state: RobotState, robot: RobotSpec, rate: float
 ) -> JointCommand:
     """Servo command for a joint target [12] rad within all limits; raises RenetError if not finite.
 
-    The target moves at most `target_rate` and stays in the joints' ranges. Where the servo would
-    ask for more torque than the motor gives, its gains shrink: at this instant that equals the
+    The target moves at most at a rate, rad/s, and stays in the joints' ranges. Where the servo
+    would ask for more torque than the motor gives, its gains shrink: at this instant that equals the
     saturation of training. Between two commands the motor's own limit is the last.
     """
     if not all_finite(target):
         raise RenetError("the joint target is not finite")
-    limit, reach = robot.arrays, cfg.target_rate * CONTROL_DT
+    limit, reach = robot.arrays, rate * CONTROL_DT
     target = np.minimum(np.maximum(target, previous - reach), previous + reach)
     target = np.minimum(np.maximum(target, limit["lower"]), limit["upper"])
     stiffness, damping = limit["stiffness"], limit["damping"]
