@@ -41,7 +41,11 @@ class SimulationCfg(DriverCfg):
     level: int = 1
     """Level of the terrain, 1 to 10."""
     scene: Path | None = None
-    """MJCF file to use as terrain instead."""
+    """Ground of your own instead: an MJCF scene (.xml) or a height map (.npy in m, .png)."""
+    scene_width: float = 8.0
+    """Metres that a height map is wide; of more than 8 it takes a piece, by --seed."""
+    scene_height: float = 0.3
+    """Metres of white above black in a .png."""
     motors: str = IDEAL
     """Motors of its joints. ideal: MuJoCo's servos. go1: a network of a real Go1's motors. Or a
     file of `renet identify`."""
@@ -68,7 +72,15 @@ class SimulationCfg(DriverCfg):
 
         description = find_description(robot.name)
         motors = find_motors(self.motors, robot.name)
-        model, ground = build_scene(self.terrain, self.level, self.scene, seed, description)
+        model, ground = build_scene(
+            self.terrain,
+            self.level,
+            self.scene,
+            seed,
+            description,
+            self.scene_width,
+            self.scene_height,
+        )
         # Engines of other packages need not know of motors.
         options = {} if motors is None else {"motors": motors}
         driver = self.engine()(model, robot, ground, live, **options)

@@ -38,7 +38,8 @@ class DeployCfg:
     """Run a bundle on a robot; leaves a recording, a timeline and a score."""
 
     bundle: tyro.conf.Positional[Path | None] = None
-    """Bundle folder, or the name of one that ships: go1-parkour (the default), go2-parkour."""
+    """Bundle folder, or the name of one that ships: go1-parkour (the default), go2-parkour; or
+    hf://OWNER/NAME on the Hugging Face Hub."""
     robot: str = "mujoco"
     """mujoco: simulated in this process. go1: a Unitree Go1 in low-level mode. Or the name of a
     robot that an installed package adds. Its own options are listed once it is chosen."""
