@@ -30,8 +30,10 @@ def read_heights(file: Path, height: float) -> np.ndarray:
     require_regular(file, MAX_MAP, "height map")
     heights = _picture(file) * height if file.suffix.lower() == PICTURE else _array(file)
     if heights.ndim != 2 or min(heights.shape) < 2:
-        shape = " by ".join(map(str, heights.shape)) or "a single number"
-        raise RenetError(f"the height map {file} is {shape}: give rows and columns, 2 or more each")
+        raise RenetError(
+            f"the height map {file} has the shape {heights.shape}: give rows and columns, 2 or more"
+            " of each"
+        )
     if not np.isfinite(heights).all():
         raise RenetError(
             f"the height map {file} holds values that are not finite: fill its holes, for example"

@@ -216,7 +216,7 @@ class TerrainStudy(WalkingStudy):
             "falls": int((fell if self.one_try else trace.fell).sum()),
             "stuck": int((~crossed & ~fell).sum()),
             "success_rate": float(success.mean()),
-            **metrics.with_interval("success", success),
+            **metrics.with_share_interval("success", success),
             "median_seconds": float(np.median(seconds[crossed])) if crossed.any() else None,
             "seed": self.seed,
         }

@@ -30,7 +30,10 @@ def attach_scene(spec: mujoco.MjSpec, file: Path) -> None:
         RenetError: the file is not an MJCF that MuJoCo reads, or something in it moves.
     """
     if file.suffix.lower() != ".xml":
-        raise RenetError(f"{file.name} is no MJCF: give an .xml file, in which meshes may be")
+        raise RenetError(
+            f"{file.name} is no MJCF: give an .xml file, in which meshes may be, or a "
+            "height map (.npy, .png)"
+        )
     try:
         scene = mujoco.MjSpec.from_file(str(file))
         if scene.joints:
