@@ -37,6 +37,9 @@ class TrainOptions:
     task: tyro.conf.Positional[str]
     """Renet-Go1-Parkour (the recipe), Renet-Go1-Parkour-Paper (as in the paper),
     Renet-Go1-Flat, Renet-Go2-..., or a plug-in's."""
+    film_every: int = 0
+    """Iterations from one film of the newest checkpoint to the next, made beside the training, in
+    films/ of the run's folder; each costs about a minute of a processor. 0: none."""
     config: Path | None = None
     """Settings in a file: a run's config.json, or a part of one, in JSON or YAML. Options of the
     command line win over it, and it wins over the task."""
@@ -118,6 +121,8 @@ class UsualOptions(TrainOptions):
             resumed_folder(self.resume, self.log_root, self.task)
         if self.num_envs is not None and self.num_envs < 1:
             raise RenetError(f"the number of environments must be at least 1, got {self.num_envs}")
+        if self.film_every < 0:
+            raise RenetError(f"--film-every must not be negative, got {self.film_every}")
         seconds(self.time_budget)
         check_device(self.device)
 

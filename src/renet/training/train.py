@@ -32,6 +32,7 @@ from renet.terrain.own_ground import GroundFile
 from renet.training import checkpoint as checkpoints
 from renet.training.config import MOST_STEPS, RenetRunnerCfg, steps_per_env
 from renet.training.configuration import PARTS, configured, options_of, task_of
+from renet.training.films import Films, filming
 from renet.training.metrics import write_run_report
 from renet.training.progress import Report
 from renet.training.provenance import described, differences, restored
@@ -181,10 +182,15 @@ def train(cfg: TrainCfg) -> Path | None:
             console.print(iterations(agent, env.num_envs, built.alg.steps))
             write_atomically(run / CONFIG, (json.dumps(settings, indent=1) + "\n").encode())
         runner = built
-        with Report(console, runner, agent.max_iterations, deadline) as report:
+        with (
+            filming(films_of(cfg, run, console), deadline, received) as film,
+            Report(console, runner, agent.max_iterations, deadline) as report,
+        ):
             left = agent.max_iterations - runner.alg.iteration
             budget = deadline - time.monotonic()
-            newest = runner.learn(left, time_budget_s=budget, report=report.iterate)
+            newest = runner.learn(
+                left, time_budget_s=budget, report=lambda: (report.iterate(), film())
+            )
         if rank or run is None:
             return None
         if (run / CURVES).exists():
@@ -193,6 +199,15 @@ def train(cfg: TrainCfg) -> Path | None:
             console.print(f"Stopped at {newest}: renet train {cfg.task} --resume {run} goes on")
             raise SystemExit(128 + received[0])
     return run
+
+
+def films_of(cfg: TrainCfg, run: Path | None, console: Console) -> Films | None:
+    """What films a run; None where nobody wants it, or on ranks above 0."""
+    if not cfg.film_every or run is None:
+        return None
+    terrain = cfg.env.scene.terrain
+    tiles = terrain is not None and terrain.terrain_generator is not None
+    return Films(run, cfg.film_every, tiles, console.print)
 
 
 def iterations(agent: RenetRunnerCfg, robots: int, steps: int) -> str:
