@@ -1,4 +1,4 @@
-"""Where robots are watched: who gets a window, what is shown, and how a walk that is watched ends."""
+"""Where robots are watched: who gets a window, what it shows, how a watched walk ends."""
 
 import shutil
 import subprocess
@@ -33,7 +33,7 @@ def no_display(monkeypatch) -> None:
 def test_without_a_display_nobody_watches_unless_asked(spec):
     assert live.open_view("auto", spec, ("vp",)) is None
     assert live.open_view("none", spec, ("vp",)) is None
-    with pytest.raises(RenetError, match="no display .* take --viewer browser"):
+    with pytest.raises(RenetError, match=r"no display .* take --viewer browser"):
         live.open_view("window", spec, ("vp",))
 
 
