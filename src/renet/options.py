@@ -38,11 +38,9 @@ class TrainOptions:
     """Renet-Go1-Parkour (the recipe), Renet-Go1-Parkour-Paper (as in the paper),
     Renet-Go1-Flat, Renet-Go2-..., or a plug-in's."""
     film_every: int = 0
-    """Iterations from one film of the newest checkpoint to the next, made beside the training, in
-    films/ of the run's folder; each costs about a minute of a processor. 0: none."""
+    """Iterations from one film of the run to the next; 0: none."""
     config: Path | None = None
-    """Settings in a file: a run's config.json, or a part of one, in JSON or YAML. Options of the
-    command line win over it, and it wins over the task."""
+    """A run's config.json or a part of it, as JSON or YAML; other options win over it."""
     num_envs: int | None = None
     """Robots of each process; by default 512 on a CPU, 4096 on a GPU (paper)."""
     resume: str | None = None
@@ -58,14 +56,13 @@ class TrainOptions:
     engine: Engine = "auto"
     """Physics engine; auto: native (C MuJoCo on threads) on a CPU, warp on a GPU."""
     scene: Path | None = None
-    """Ground of your own among the task's tiles: a height map (.npy in m, .png) or an MJCF scene
-    (.xml)."""
+    """Ground of your own, too: a height map (.npy in m, .png) or an MJCF scene (.xml)."""
     scene_width: float = 8.0
-    """Metres that a height map is wide; of more than 8 each level takes another piece."""
+    """Width of a height map, m; each level takes another piece of a wide one."""
     scene_height: float = 0.3
-    """Metres of white above black in a .png."""
+    """Height of white above black in a .png, m."""
     scene_share: float = 0.5
-    """Share of the robots that walk on your own ground; 1: all of them, without other tiles."""
+    """Share of the robots on your own ground; 1: no other tiles."""
 
 
 @dataclass(kw_only=True)

@@ -19,7 +19,7 @@ from renet.deploy.cameras.realsense import RealSenseCamera, realsense
 from renet.deploy.recording.recorder import read_recording
 from renet.deploy.recording.replay import ReplayCamera
 from renet.deploy.robots.driver import DriverCfg, RobotDriver
-from renet.deploy.robots.go1.driver import go1_robot
+from renet.deploy.robots.go1.driver import demand_power_level, go1_robot
 from renet.deploy.robots.go2.driver import demand_dds, go2_robot
 from renet.deploy.teleop import GamepadTeleop, KeyboardTeleop, Teleop, TeleopCfg
 from renet.descriptions import GO1, GO2, RobotDescription, find_description
@@ -110,6 +110,10 @@ class Go1Cfg(DriverCfg):
     """Address of its motor board."""
     power_level: int = 9
     """Level of the vendor's own overload guard, 1 (10 % of the motors' power) to 10."""
+
+    def check(self) -> None:
+        """Raise RenetError for a power level that there is not."""
+        demand_power_level(self.power_level)
 
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """The driver of the robot at `robot_host`."""
