@@ -56,7 +56,7 @@ class Critics(nn.Module):
         self.costs = nn.ModuleList(mlp((inputs, *cfg.cost_critic_hidden, 1)) for _ in CONSTRAINTS)
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Compute values; column 0 is the reward's, then those of interface.CONSTRAINTS in order."""
+        """Compute values; column 0 is the reward's, the others those of interface.CONSTRAINTS."""
         values = [self.reward(observation)]
         for critic in self.costs:
             values.append(critic(observation))
