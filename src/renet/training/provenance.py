@@ -1,6 +1,7 @@
 """Configurations as JSON in checkpoints, and their restoration from there."""
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
@@ -121,6 +122,7 @@ a checkpoint may be a stranger's."""
 CONFIGURATIONS = {"agent": RenetRunnerCfg, "env": RenetEnvCfg}
 """Classes of both configurations, whose fields ALLOWED lists."""
 BOUNDS = {
+    "env.actions.*.target_rate": (0.0, math.inf),
     "env.decimation": (1, 100),
     "env.episode_length_s": (0.1, 3600),
     "env.scene.num_envs": (1, 2**17),
