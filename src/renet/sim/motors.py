@@ -111,10 +111,11 @@ class Motors:
         limits = sim.model.actuator_forcerange
         if self._limits is None:
             self._limits = limits[:].clone()
+        at_rest = self._limits
         speed = sim.data.qvel[:, self._dof.long()]
         lower_share = torque_share(-speed, self.no_load_speed)
         upper_share = torque_share(speed, self.no_load_speed)
-        limits[:] = self._limits * torch.stack((lower_share, upper_share), dim=-1)
+        limits[:] = at_rest * torch.stack((lower_share, upper_share), dim=-1)
 
     def fields(self, limits: np.ndarray) -> dict[str, Any]:
         """Return the fields of the struct Motors of engine.cpp, on a CPU.
