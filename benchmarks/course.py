@@ -95,7 +95,7 @@ class CourseStudy(WalkingStudy):
             lap_trace = trace.robots(slice(robot, robot + 1)).until(steps)
             named = {"mode": trial.mode, "lap": number, "robot": trial.robot}
             runs.append(named | _run(log, lap_trace, len(lap)) | {"seed": seed})
-            if trial.mode == "renet" and timeline is None:
+            if trial.mode == "memory" and timeline is None:
                 timeline = _timeline(log, lap_trace)
         return {"runs": runs, "timeline": timeline}
 

@@ -51,7 +51,7 @@ ROWS = {name: cells for name, *cells in LINES}
 def counts(runs: list[dict]) -> list[str]:
     """The cells of a row: how many cross, by mode."""
     crossed = {run["mode"]: f"{run['crossed']} of {run['robots']}" for run in runs}
-    return [crossed[mode] for mode in ("vp", "oracle-switch", "renet")]
+    return [crossed[mode] for mode in ("camera", "oracle", "memory")]
 
 
 def test_counts_of_the_readme_are_those_of_the_memory_study_and_of_the_demo():
@@ -76,7 +76,7 @@ def test_speeds_of_the_readme_are_those_in_the_strongest_noise():
         for run in noise["runs"]
         if (run["fault"], run["severity"]) == ("gaussian", 5)
     }
-    assert ROWS[name] == [speeds["vp"], "–", speeds["renet"]]
+    assert ROWS[name] == [speeds["camera"], "–", speeds["memory"]]
 
 
 def test_the_change_log_knows_this_version():

@@ -19,7 +19,7 @@ from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.teleop import TeleopCfg
 from renet.errors import RenetError, demand_name
 from renet.faults import Injection, parse_fault
-from renet.interface import CONTROL_DT, MAX_SPEED, SelectorName
+from renet.interface import CONTROL_DT, MAX_SPEED, PilotMode
 
 ENTRY_POINTS = "renet.robots"
 """Group of entry points: modules of other packages, which add to the tables of `catalogue`."""
@@ -62,9 +62,9 @@ class DeployCfg:
     fault: tuple[str, ...] = ()
     """What goes wrong with the camera: NAME[:SEVERITY]@SECONDS[+DURATION], e.g. blackout@5s,
     glare:3@4s+2s."""
-    selector: SelectorName = "monitors"
-    """monitors: all monitors, with a dwell before vision returns. paper: the reconstruction loss
-    alone."""
+    mode: PilotMode = "memory"
+    """memory: all monitors, and the memory of the ground. switch: the paper's switch, by the
+    reconstruction loss alone. camera: always on camera. blind: never."""
     dry_run: bool = False
     """Print commands and never move the robot."""
     seed: int = 1
@@ -170,7 +170,7 @@ class DeployCfg:
         return {
             **{k: v if isinstance(v, int | float | None) else str(v) for k, v in options},
             "safety": asdict(self.limits),
-            "selector": self.selector,
+            "mode": self.mode,
             "robot": self.robot,
             "camera": self.camera,
             "teleop": self.teleop,
@@ -181,5 +181,5 @@ class DeployCfg:
             "bundle": bundle.name,
             "bundle_sha256": bundle.sha256,
             "models": bundle.manifest.sha256,
-            "beta": selector.beta if self.selector == "paper" else calibrated,
+            "beta": selector.beta if self.mode == "switch" else calibrated,
         }

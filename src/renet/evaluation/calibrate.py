@@ -188,7 +188,7 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
 
     robots, steps = np.arange(cfg.robots), round(cfg.seconds / CONTROL_DT)
     faults = (Injection.of("tall_grass", SPARSE_GRASS, onset=0),) if grass else ()
-    trials = [Trial("vp", faults, int(robot)) for robot in robots]
+    trials = [Trial("camera", faults, int(robot)) for robot in robots]
     series: Series = {name: [] for name in MONITORS}
     for terrain in cfg.terrains:
         tiled = terrain == PARKOUR

@@ -28,11 +28,11 @@ FAMILIES = {
 }
 INK, FAINT = "#222730", "#8a919c"
 MODES = {
-    "vp": (SEES, "VP alone"),
-    "renet": (REMEMBERS, "RENet"),
-    "op": (BLIND, "OP alone"),
-    "paper": ("#009e73", "paper's switch"),
-    "oracle-switch": ("#7d8590", "switch that knows the fault"),
+    "camera": (SEES, "VP alone"),
+    "memory": (REMEMBERS, "RENet"),
+    "blind": (BLIND, "OP alone"),
+    "switch": ("#009e73", "paper's switch"),
+    "oracle": ("#7d8590", "switch that knows the fault"),
 }
 MODE_COLOURS = {mode: colour for mode, (colour, _) in MODES.items()}
 MODE_NAMES = {mode: name for mode, (_, name) in MODES.items()}
@@ -206,7 +206,7 @@ def share_panels(
             share, *interval = np.array([[100 * run[f"{name}_{e}"] for run in line] for e in ends])
             x = [places.index(tick(run)) + (number - (len(modes) - 1) / 2) * apart for run in line]
             look: Any = {"color": MODE_COLOURS[mode], "label": MODE_NAMES[mode]}
-            look |= {"fmt": "o--" if mode == "op" else "o-", "markersize": 4, "elinewidth": 1}
+            look |= {"fmt": "o--" if mode == "blind" else "o-", "markersize": 4, "elinewidth": 1}
             axis.errorbar(x, share, np.abs(interval - share), **look)
         axis.set_xticks(range(len(places)), places, rotation=rotation)
         axis.set_title(title, fontsize=9)

@@ -16,7 +16,7 @@ from renet.errors import RenetError
 from renet.evaluation.results import output_folder
 from renet.evaluation.rollout import FLAT, PARKOUR, Mode, Trial, check_finite, check_modes
 from renet.faults import parse_fault
-from renet.interface import CONTROL_DT, Engine, SelectorName, Terrain
+from renet.interface import CONTROL_DT, Engine, Terrain
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class PlayCfg:
     """Level of the tile, 1 to 10."""
     fault: tuple[str, ...] = ()
     """Faults of the camera, NAME[:SEVERITY]@SECONDS[+DURATION], such as blackout:3@5s+2s."""
-    modes: tuple[Mode, ...] = ("vp", "renet")
+    modes: tuple[Mode, ...] = ("camera", "memory")
     """Policy modes to compare."""
     seconds: float = 8.0
     """Length of the film, simulated."""
@@ -42,8 +42,6 @@ class PlayCfg:
     """Commanded forward speed, m/s."""
     seed: int = 1
     """Seed of the robot's body, start and noise."""
-    selector: SelectorName = "monitors"
-    """monitors: all of them, slow to trust again; paper: the reconstruction loss against beta."""
     engine: Engine = "auto"
     """Physics engine, on the CPU; auto: native."""
 
@@ -81,7 +79,7 @@ def run_play(cfg: PlayCfg) -> Path:
     from renet.evaluation.report.video import film
 
     with opened(cfg.bundle) as folder:
-        evaluator = Evaluator(folder, cfg.engine, cfg.selector)
+        evaluator = Evaluator(folder, cfg.engine)
         task = cfg.terrain if cfg.terrain in (FLAT, PARKOUR) else {cfg.terrain: cfg.level}
         output_folder(out.parent)
         env = evaluator.make_env(task, [0 for _ in rows], cfg.speed, cfg.seed)

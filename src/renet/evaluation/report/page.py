@@ -122,6 +122,6 @@ def noise_rows(summary: dict[str, Any]) -> list[dict[str, Any]]:
     modes = summary["settings"]["modes"]
     rows = summary["baseline"] + [r for mode in modes for r in summary["runs"] if r["mode"] == mode]
     return [
-        r | {"detection_delay_s": r.get("detection_delay_s") if r["mode"] == "renet" else None}
+        r | {"detection_delay_s": r.get("detection_delay_s") if r["mode"] == "memory" else None}
         for r in rows
     ]

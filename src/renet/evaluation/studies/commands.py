@@ -56,7 +56,7 @@ class CommandStudy(WalkingStudy):
 
     out: Path = Path("results/commands")
     """Folder for summary.json, summary.csv, commands.png and parts/."""
-    modes: tuple[Mode, ...] = ("vp", "op")
+    modes: tuple[Mode, ...] = ("camera", "blind")
     seconds: float = 8.0
     """Length of each run, of which the first two seconds do not count."""
 

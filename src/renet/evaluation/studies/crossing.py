@@ -152,7 +152,7 @@ class CrossingStudy(OneTryStudy):
         healthy_walks = walk(self.trials_on(self.grounds), "healthy", retire=False)
         twins = dict(zip(pairs, healthy_walks, strict=True))
         # A robot in OP walks as its twin does.
-        groups = [(*pair, s) for pair in pairs if pair[1] != "op" for s in self.settings]
+        groups = [(*pair, s) for pair in pairs if pair[1] != "blind" for s in self.settings]
         trials = [
             Trial(mode, self._failure(setting, onset), robot, ground)
             for ground, mode, setting in groups
@@ -252,7 +252,7 @@ def ranking(results: Sequence[Mapping[str, Any]]) -> Table:
             "give results of the same settings: robots, seeds, speed, seconds, quick and grounds"
         )
     first = results[0]["scores"]
-    reference = "renet" if "renet" in first else next(iter(first))
+    reference = "memory" if "memory" in first else next(iter(first))
     entries = sorted(
         (
             (result["policy"]["name"], mode, scores)

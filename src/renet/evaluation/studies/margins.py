@@ -122,7 +122,7 @@ class MarginsStudy(WalkingStudy):
     """Ground to walk on."""
     level: int = 2
     """Level of the ground, 1 to 10."""
-    modes: tuple[Mode, ...] = ("vp", "op", "renet")
+    modes: tuple[Mode, ...] = ("camera", "blind", "memory")
     seconds: float = 8.0
     """Time of each robot, or until it has left its tile."""
 
