@@ -29,8 +29,8 @@ def test_the_readme_has_two_commands():
 def test_python_of_the_readme_runs():
     scope: dict = {}
     exec(re.findall(r"```python\n(.*?)```", README, re.DOTALL)[0], scope)
-    assert scope["action"].shape == (1, 12)
-    assert scope["use_vision"].dtype == bool
+    assert scope["step"].joint_target.shape == (1, 12)
+    assert scope["step"].state[0] == "remembers"
 
 
 def test_the_citation_is_that_of_the_citation_file():
@@ -104,6 +104,7 @@ def test_the_notebook_walks_and_plots(monkeypatch, tmp_path):
     for cell in (cell for cell in book["cells"] if cell["cell_type"] == "code"):
         exec("".join(cell["source"]), scope)
         assert not cell["outputs"]
+    assert scope["step"].state[0] == "remembers"
     time, ticks = scope["time"], scope["ticks"]
     assert time[-1] >= 9.9
     dead = (time > 4.5) & (time < 9.9)
