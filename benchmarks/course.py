@@ -237,7 +237,7 @@ def draw_passages(passages: Sequence[dict[str, Any]]) -> Figure:
         text = f"{row['crossed']} of {row['tries']}"
         ends = [f"{row[end]} {end}" for end in ("fell", "stuck") if row[end]]
         share = 100 * row["crossed"] / row["tries"]
-        cells[row["kind"], figures.MODE_NAMES[row["mode"]]] = share, ", ".join([text, *ends])
+        cells[row["kind"], row["mode"]] = share, ", ".join([text, *ends])
     return figures.colour_tables({"": cells}, "Passages crossed", width=1.7)
 
 

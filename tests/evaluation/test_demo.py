@@ -133,7 +133,7 @@ def test_the_noise_preset_makes_a_page_of_the_papers_figure(run_study, tmp_path)
     # What the study's own tests have run is not run again.
     shutil.copytree(run_study("noise")[0] / "parts", tmp_path / "parts")
     sentence = run_demo(replace(TINY["noise"], out=tmp_path), FakeEvaluator())
-    assert sentence.endswith("with RENet.")
+    assert sentence.endswith("with memory.")
     assert "SP 70 %" in check_page(tmp_path / "index.html", media=2)
 
 
@@ -165,5 +165,5 @@ def test_modes_that_did_not_walk_are_not_told_of():
     }
     assert gap_headline(summary).endswith("of 3 robots cross 2 that trust the last image.")
     assert noise_headline(summary) == (
-        "1 kinds of camera noise, 3 robots each; falls: 1 with VP alone."
+        "1 kinds of camera noise, 3 robots each; falls: 1 with camera."
     )

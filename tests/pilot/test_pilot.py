@@ -17,7 +17,7 @@ import renet
 from renet.bundle import Bundle
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
-from renet.pilot import MODES, Images, Pilot
+from renet.pilot import PILOT_MODES, Images, Pilot
 
 WALKS = np.load(Path(__file__).with_name("data") / "walks.npz")
 STILL = np.zeros((1, 45), np.float32)
@@ -109,7 +109,7 @@ def test_it_remembers_and_then_is_blind_as_images_stop(shipped):
 
 
 def test_each_mode_is_driven_by_the_estimator_it_names(shipped):
-    pilot = Pilot.of(shipped, robots=4, mode=MODES)
+    pilot = Pilot.of(shipped, robots=4, mode=PILOT_MODES)
     vision, states = [], []
     for number in range(60):
         image = np.repeat(ground(number), 4, axis=0)
@@ -128,7 +128,7 @@ def test_each_mode_is_driven_by_the_estimator_it_names(shipped):
 
 
 def test_without_a_camera_it_walks_blind(shipped):
-    for mode in MODES:
+    for mode in PILOT_MODES:
         pilot = Pilot.of(shipped, mode=mode)
         for number in range(20):
             step = pilot.step(STILL, None, number * CONTROL_DT)

@@ -1,4 +1,5 @@
 // The onboard controller: robot state and depth frames in, joint commands out, at 50 Hz.
+// Mirrors `src/renet/deploy/controller.py` and `src/renet/pilot/pilot.py`.
 
 import { FrameBuffer } from "./frames.js";
 import { heading, observe, projectedGravity } from "./observation.js";

@@ -42,7 +42,7 @@ Series = dict[str, list[np.ndarray]]
 class CalibrateCfg:
     """How β and the monitors' thresholds are measured: from episodes that succeed, cameras healthy.
 
-    β is the paper's; the monitors of the default selector get thresholds of their own.
+    β is the paper's; the monitors of the mode `memory` get thresholds of their own.
     """
 
     bundle: tyro.conf.Positional[Path]

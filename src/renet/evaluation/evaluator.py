@@ -81,7 +81,7 @@ class Evaluator:
 
     @property
     def thresholds(self) -> dict[str, float]:
-        """Thresholds of the default selector's monitors, by name."""
+        """Thresholds of the monitors of the mode `memory`, by name."""
         return self.bundle.manifest.selector.used_thresholds
 
     def provenance(self, seed: int) -> Provenance:

@@ -33,7 +33,7 @@ from renet.selector import make_selector
 from renet.selector.monitors import Gate, SelectorInput
 from renet.selector.selector import BLIND, SEES, SELECTORS
 
-MODES = get_args(PilotMode)
+PILOT_MODES = get_args(PilotMode)
 
 
 @dataclass(frozen=True)
@@ -88,13 +88,13 @@ class Pilot:
             policy: of N robots.
             selectors: of N robots, by the mode that obeys it, `memory` or `switch`. Robots of the
                 other modes obey none; in `probability` and `trusted` they have those of `memory`.
-            modes: of each robot, one of `MODES`.
+            modes: of each robot, one of `PILOT_MODES`.
 
         Raises:
             RenetError: unknown mode.
         """
         for mode in dict.fromkeys(modes):
-            demand_name("mode", mode, MODES)
+            demand_name("mode", mode, PILOT_MODES)
         robots = len(modes)
         self.num_robots = robots
         self.policy = policy
@@ -127,7 +127,7 @@ class Pilot:
         Args:
             bundle: loaded.
             robots: number of robots, N.
-            mode: one of `MODES` for all robots, or N of them.
+            mode: one of `PILOT_MODES` for all robots, or N of them.
             policy: of the bundle for N robots; by default one whose ticks run in line.
 
         Raises:

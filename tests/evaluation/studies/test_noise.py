@@ -42,9 +42,9 @@ def test_measured_values_are_those_of_the_robots_and_only_renet_has_a_delay(run_
     strongest = next(r for r in summary["runs"] if (r["mode"], r["level"]) == ("camera", 1.0))
     assert (strongest["falls"], strongest["mean_forward_velocity"]) == (2, 0)
     ((_, _, rows),) = NoiseStudy().tables(summary)
-    names = [("VP alone", "no noise"), ("RENet", "no noise"), ("VP alone", "GA 30 %")]
+    names = [("camera", "no noise"), ("memory", "no noise"), ("camera", "GA 30 %")]
     assert [row[:2] for row in rows[:3]] == names
-    assert {row[5] for row in rows if row[0] == "VP alone"} == {"-"}
+    assert {row[5] for row in rows if row[0] == "camera"} == {"-"}
     assert {row[5] for row in rows[8:]} == {"35"}
     assert {row[3] for row in rows} == {"-"}, "flat ground has no end"
 

@@ -12,7 +12,7 @@ from jinja2.exceptions import UndefinedError
 from markupsafe import Markup
 
 from renet.errors import RenetError
-from renet.evaluation.figures import MODE_NAMES, noise_label
+from renet.evaluation.figures import noise_label
 from renet.evaluation.rollout import FLAT
 from renet.faults import fault_class
 from renet.files import read_bytes, write_atomically
@@ -100,7 +100,6 @@ def _environment() -> Environment:
         "measured": _measured,
         "noise": lambda run: noise_label(run.get("fault", "none"), run.get("level", 0.0)),
         "noise_rows": noise_rows,
-        "policy": lambda mode: MODE_NAMES[mode],
         "words": lambda name: name.replace("_", " "),
     }
     return environment

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from renet.evaluation.figures import MODE_NAMES, setting_label
+from renet.evaluation.figures import setting_label
 from renet.evaluation.report.page import Section, render
 
 Summaries = Mapping[str, dict[str, Any]]
@@ -54,7 +54,7 @@ def noise_headline(summary: dict[str, Any]) -> str:
         falls[run["mode"]] += run["falls"]
         trials[run["mode"]] += 1
     kinds = max(trials.values())
-    counts = ", ".join(f"{falls[mode]} with {MODE_NAMES[mode]}" for mode in trials)
+    counts = ", ".join(f"{falls[mode]} with {mode}" for mode in trials)
     return (
         f"{kinds} kinds of camera noise, {kinds * runs[0]['robots']} robots each; falls: {counts}."
     )
@@ -100,7 +100,7 @@ def _faults(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _terrain(summary: dict[str, Any]) -> list[tuple[str, str]]:
     text = " / ".join(f"{level:.1f}" for level in summary["levels"].values())
-    policy = MODE_NAMES[summary["settings"]["modes"][0]]
+    policy = summary["settings"]["modes"][0]
     return [(text, f"{policy}'s levels of 10 on {', '.join(summary['levels'])}")] if text else []
 
 

@@ -242,7 +242,7 @@ PROTOCOL = ("seed", "draw_seed", "speed", "seconds", "quick")
 def ranking(results: Sequence[Mapping[str, Any]]) -> Table:
     """The leaderboard, best first, by what is crossed; shares in per cent.
 
-    Its last column is what mode `renet` of the first result, or else its first mode, crosses more:
+    Its last column is what mode `memory` of the first result, or else its first mode, crosses more:
     points, with a 95 % bootstrap interval over robots, each paired with itself.
 
     Raises RenetError for results of different protocols, whose robots met other things.

@@ -377,8 +377,8 @@ class FaultStudy(WalkingStudy):
             tables = {mode: dict(cells(rows, share, column)) for mode, rows in modes.items()}
             # OP sees no fault: one row at the foot of the others' tables.
             blind = tables.pop("blind", {}) if len(tables) > 1 else {}
-            row = {("OP alone, any fault", name): cell for (_, name), cell in blind.items()}
-            return {figures.MODE_NAMES[mode]: table | row for mode, table in tables.items()}
+            row = {("blind, any fault", name): cell for (_, name), cell in blind.items()}
+            return {mode: table | row for mode, table in tables.items()}
 
         return {
             "crossed.png": figures.colour_tables(

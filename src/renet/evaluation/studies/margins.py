@@ -207,8 +207,7 @@ class MarginsStudy(WalkingStudy):
         """margins.png: a table of colours, one row for each axis."""
         panels = {
             ground.replace("_", " "): {
-                (AXES[m["axis"]].title, figures.MODE_NAMES[m["mode"]]): (100 * m["held"], _text(m))
-                for m in margins
+                (AXES[m["axis"]].title, m["mode"]): (100 * m["held"], _text(m)) for m in margins
             }
             for (ground,), margins in grouped(summary["margins"], "ground").items()
         }

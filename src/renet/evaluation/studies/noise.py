@@ -94,7 +94,7 @@ class NoiseStudy(FaultStudy):
         """Falls, speed and delay by mode and noise, and on tiles who crossed."""
         rows = [
             (
-                figures.MODE_NAMES[run["mode"]],
+                run["mode"],
                 figures.noise_label(run.get("fault", "none"), run.get("level", 0.0)),
                 f"{run['falls']} of {run['robots']}",
                 crossed(run),
