@@ -192,6 +192,9 @@ class SwitchSelector:
         self._mean = before + self._smoothing * (newest - before)
         return self._mean >= 0.0
 
+    def distrust(self, mask: np.ndarray, reason: str) -> None:
+        """The policy itself lets OP drive robots whose VP found no numbers."""
+
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Start anew for the masked robots [N], by default for all."""
         self._mean[slice(None) if mask is None else mask] = np.nan

@@ -205,7 +205,7 @@ def test_an_operator_who_holds_the_button_does_not_arm_when_the_check_passes(bun
 def test_a_step_that_returns_late_brakes(bundle):
     """Its reading is as old, and nobody looked at the robot meanwhile."""
     robot, controller, late = Standing(), Controller(bundle, BRISK), []
-    act = controller.policy.act
+    act = controller.policy._act
 
     def slow(*arguments):
         if robot.time > 1.0 and not late:
@@ -213,7 +213,7 @@ def test_a_step_that_returns_late_brakes(bundle):
             robot.time += 0.3
         return act(*arguments)
 
-    controller.policy.act = slow
+    controller.policy._act = slow
     run_control_loop(robot, None, ScriptedTeleop(0.5), controller, done=lambda: robot.time > 2.0)
     assert robot.told[late[0] - 1].stiffness.any()
     assert not robot.told[late[0]].stiffness.any()

@@ -85,7 +85,7 @@ def test_calibration_is_written_into_the_bundle_without_and_with_sparse_grass(
     assert selector.thresholds["invalid_fraction"] > 1.05 * bare, "blades hide what is behind them"
     assert 1.0 < selector.thresholds["variance"] < 4.0
     assert beta < 0.02, "the paper's rule knows healthy images alone"
-    names = Evaluator(bundle).make_selector(1).thresholds
+    names = Evaluator(bundle).make_selector("memory", 1).thresholds
     assert {"variance", "reconstruction"} & {*names} == {"variance"}
 
 

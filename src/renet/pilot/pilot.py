@@ -34,6 +34,7 @@ from renet.selector.monitors import Gate, SelectorInput
 from renet.selector.selector import BLIND, SEES, SELECTORS
 
 PILOT_MODES = get_args(PilotMode)
+NO_NUMBERS = "what the VP estimator found is not finite"
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,9 @@ class Selector(Protocol):
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """Whether VP may drive, [N] bool, by what is known of vision `now`, s."""
         ...
+
+    def distrust(self, mask: np.ndarray, reason: str) -> None:
+        """Let OP drive the masked robots [N] at once, for a reason."""
 
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Trust vision and forget the past of the masked robots [N], of all by default."""
@@ -221,12 +225,17 @@ class Pilot:
             vision = np.zeros(self.num_robots, bool)
         if distrusted is not None:
             vision = vision & ~distrusted
-        self.vision = vision
         self._steps += 1
-        if gate is None:
-            return self.policy.step(observation, images.image, ~vision)
         policy: Any = self.policy
-        return policy.step(observation, images.image, ~vision, gate)
+        gated = () if gate is None else (gate,)
+        action = policy.step(observation, images.image, ~vision, *gated)
+        # Where VP found no numbers, the policy has let OP drive.
+        lost = getattr(policy, "vp_lost", np.zeros(self.num_robots, bool))
+        if lost.any():
+            for selector in self.selectors.values():
+                selector.distrust(lost, NO_NUMBERS)
+        self.vision = vision & ~lost
+        return action
 
     def judge(self, seen: SelectorInput, now: float) -> None:
         """Decide by what is known of vision `now`, s, whether VP may drive the next step."""

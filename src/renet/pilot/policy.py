@@ -1,6 +1,6 @@
 """The policy of a bundle for N robots: three ONNX models and the memory between their ticks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
 import numpy as np
@@ -10,8 +10,19 @@ from renet.bundle.models import MAP_ERROR, model_shapes
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE, STEPS_PER_TICK
 from renet.pilot.inference import InlineInference
-from renet.pilot.tick import SCORES, EstimatorInput, EstimatorOutput, Sessions, infer
+from renet.pilot.tick import (
+    OF_OP,
+    OF_VP,
+    SCORES,
+    EstimatorInput,
+    EstimatorOutput,
+    Sessions,
+    infer,
+)
 from renet.selector.monitors import Gate
+
+LARGEST = 1e4
+"""Beyond this a latent, m/s or m is no number either: an overflow on its way to infinity."""
 
 
 class Policy(Protocol):
@@ -91,6 +102,11 @@ class BundlePolicy:
         self.variance_score = np.zeros(n, np.float32)
         """Squared error over predicted variance, [N]; infinite without a camera, else zero from
         models that predict none."""
+        self.vp_lost = np.zeros(n, bool)
+        """Whether VP's newest tick found no numbers, [N]: OP must drive. VP forgets, and begins
+        anew."""
+        self.op_lost = np.zeros(n, bool)
+        """Whether OP's newest tick found none, [N]: the robot must brake."""
         self.inferred = False
         """Whether the newest step took over the result of a tick."""
         self.fallback = False
@@ -116,6 +132,8 @@ class BundlePolicy:
             setattr(self, name, value)
         self.has_image = self.has_image.copy()
         self.has_image[rows] = True
+        self.vp_lost[rows] = False
+        self.op_lost[rows] = False
         self._blank[rows] = True
         self._fresh[rows] = True
 
@@ -171,7 +189,7 @@ class BundlePolicy:
         if output is not None:
             self._accept(output)
         mask = np.ones(self.num_robots, bool) if depth is None else np.asarray(op_mask, bool)
-        return self._act(proprioception, mask)
+        return self._act(proprioception, mask | self.vp_lost)
 
     def joint_target(self, action: np.ndarray) -> np.ndarray:
         """Joint positions [N, 12] in rad that an action asks for."""
@@ -222,6 +240,27 @@ class BundlePolicy:
                 value = whole
             setattr(self, name, value)
         self.inferred = True
+        self._find_lost(result)
+
+    def _find_lost(self, result: EstimatorOutput) -> None:
+        """Notice estimators that found no numbers, and let VP forget what it cannot go on from."""
+        self.op_lost = ~self._sane(OF_OP)
+        self.vp_lost = ~self._sane([name for name in OF_VP if name in result])
+        if not self.vp_lost.any():
+            return
+        for name in OF_VP:
+            value = getattr(self, name).copy()
+            value[self.vp_lost] = 0.0
+            setattr(self, name, value)
+        self.has_image = self.has_image & ~self.vp_lost
+
+    def _sane(self, names: Iterable[str]) -> np.ndarray:
+        """[N] bool: whether all numbers of some attributes are finite and not huge."""
+        sane = np.ones(self.num_robots, bool)
+        for name in names:
+            value = np.abs(getattr(self, name)).reshape(self.num_robots, -1)
+            sane &= (value <= LARGEST).all(axis=1)
+        return sane
 
     def _act(self, proprioception: np.ndarray, op_mask: np.ndarray) -> np.ndarray:
         """Actions [N, 12] under the paper's mask [N] bool; ends the control step."""

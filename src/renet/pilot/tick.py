@@ -16,6 +16,9 @@ EstimatorOutput = dict[str, np.ndarray]
 
 ESTIMATES = ("latent_op", "latent_vp", "velocity_op", "velocity_vp", "feet_height", "height_map")
 SCORES = ("anomaly_score", "variance_score")
+OF_VP = ("latent_vp", "velocity_vp", "height_map", MAP_ERROR)
+OF_OP = ("latent_op", "velocity_op")
+"""Results of each estimator; a robot cannot walk on one that has found no numbers."""
 SEEN = (*SCORES, "reconstruction")
 """Outputs of the vision model that are used, where it has them; a stranger's may have any others,
 which must replace no attribute."""
