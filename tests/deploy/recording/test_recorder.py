@@ -19,7 +19,7 @@ from renet.errors import RenetError
 from renet.pilot.inference import InlineInference, ThreadedInference
 
 from ...hostile.files import HEAD, chunk
-from ..fakes import QUICK, STANDING, Broken, frame, state, time_of, until
+from ..fakes import QUICK, STANDING, Broken, frame, live, state, time_of, until
 
 STEPS = 230
 
@@ -31,7 +31,7 @@ def run_control_loop(bundle: Bundle, path, inference=InlineInference) -> None:
     random = np.random.default_rng(3)
     for step in range(STEPS):
         now = time_of(step)
-        reading = state(now, joint_position=STANDING + 0.05 * random.normal(size=12))
+        reading = live(now, joint_position=STANDING + 0.05 * random.normal(size=12))
         picture = frame(step - step % 5, time_of(step - step % 5)) if step % 90 < 60 else None
         if step == 150:
             reading = state(now, joint_position=np.zeros(5))
@@ -87,7 +87,7 @@ def test_replay_is_bit_for_bit(bundle, flight, tmp_path, monkeypatch):
         ({"bundle_sha256": "0" * 64}, "made with bundle 000000000000"),
         ({"safety": {"max_height": 1.0}}, "does not say what ran"),
         ({"safety": None}, "does not say what ran"),
-        ({"selector": ...}, "does not say what ran: 'selector'"),
+        ({"mode": ...}, "does not say what ran: 'mode'"),
     ],
 )
 def test_a_run_of_another_bundle_cannot_be_replayed(bundle, flight, header, message):
