@@ -58,7 +58,7 @@ class TrainOptions:
     scene: Path | None = None
     """Ground of your own, too: a height map (.npy in m, .png) or an MJCF scene (.xml)."""
     scene_width: float = 8.0
-    """Width of a height map, m; each level takes another piece of a wide one."""
+    """Width of a height map, m."""
     scene_height: float = 0.3
     """Height of white above black in a .png, m."""
     scene_share: float = 0.5

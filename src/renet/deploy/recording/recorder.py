@@ -337,6 +337,9 @@ def _header(value: Any) -> dict[str, Any]:
         items = value.get(name, [])
         if not isinstance(items, list) or not all(fits(item) for item in items):
             wrong.append(name)
+    thresholds = value.get("thresholds", {})
+    if not isinstance(thresholds, dict) or not all(map(_number, thresholds.values())):
+        wrong.append("thresholds")
     if wrong:
         raise ValueError(f"the header's {wrong[0]!r} is of the wrong type")
     return value
