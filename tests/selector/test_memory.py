@@ -124,7 +124,8 @@ def test_op_takes_over_when_memory_is_too_old_and_hands_back_after_the_dwell():
     # 2 s, and the filter's 35 ms.
     assert blind_at == pytest.approx(20, abs=1)
     assert states == [REMEMBERS] * blind_at + [BLIND] * (30 - blind_at)
-    assert walk.selector.reason[0] == "images unlike those of training"
+    cause = "images unlike those of training"
+    assert walk.selector.reason[0] == f"{cause} for 2 s, as long as it remembers"
     back = walk.run(15)
     assert back.index(SEES) == pytest.approx(DWELL / TICK, abs=1)
     # An image now and then does not bring VP back to the wheel.
@@ -137,7 +138,7 @@ def test_the_reason_stays_that_of_the_first_image_withheld_when_op_takes_over():
     walk = Walk()
     # Images that stay black are soon frozen too.
     assert walk.run(30, image=np.zeros((1, 48, 64)))[-1] == BLIND
-    assert walk.selector.reason[0] == "the image is blank"
+    assert walk.selector.reason[0] == "the image is blank for 2 s, as long as it remembers"
 
 
 @pytest.mark.parametrize(

@@ -211,5 +211,10 @@ class DeployCfg:
             "bundle": bundle.name,
             "bundle_sha256": bundle.sha256,
             "models": bundle.manifest.sha256,
+            "thresholds": (
+                {"reconstruction": selector.beta}
+                if self.mode == "switch"
+                else selector.used_thresholds
+            ),
             "beta": selector.beta if self.mode == "switch" else calibrated,
         }

@@ -22,7 +22,7 @@ from renet.deploy.robots.joint_watch import JointWatch
 from renet.deploy.safety.machine import Mode, SafetyMachine
 from renet.deploy.safety.watchdog import HANGS, interruptible, watchdog
 from renet.deploy.teleop import Teleop
-from renet.errors import RenetError
+from renet.errors import RenetError, reason
 from renet.folders import lock, move, new_folder
 from renet.interface import CONTROL_DT, JOINTS
 from renet.pilot.inference import InlineInference, ThreadedInference
@@ -115,7 +115,7 @@ def _keep_earlier(out: Path) -> None:
             for path in results:
                 move(path, earlier / path.name)
         except OSError as error:
-            raise RenetError(f"cannot keep the earlier run in {out}: {error}") from error
+            raise RenetError(f"cannot keep the earlier run in {out}: {reason(error)}") from error
 
 
 def printer(say: Callable[[str], None]) -> Callable[[JointCommand], None]:

@@ -218,6 +218,13 @@ class MonitorSelector:
         self.reason[self.vision & good] = ""
         ceasing = ~good & (self.reason == "") if self.longest_memory else leaving
         self._explain(~(good & healthy) & (leaving | ceasing), seen)
+        if self.longest_memory:
+            # What spoilt the images is no news: that it lasts ends the memory.
+            expired = leaving & np.isfinite(self.without_image)
+            expired &= self.without_image > self.longest_memory
+            lasts = f" for {self.longest_memory:g} s, as long as it remembers"
+            for robot in np.flatnonzero(expired):
+                self.reason[robot] += lasts
         return self.vision
 
     def _verdicts(self, seen: SelectorInput, limits: "_Limits") -> np.ndarray:
