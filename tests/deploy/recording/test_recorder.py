@@ -33,7 +33,7 @@ def run_control_loop(bundle: Bundle, path, inference=InlineInference) -> None:
         now = time_of(step)
         reading = live(now, joint_position=STANDING + 0.05 * random.normal(size=12))
         picture = frame(step - step % 5, time_of(step - step % 5)) if step % 90 < 60 else None
-        if step == 150:
+        if 150 <= step < 156:
             reading = state(now, joint_position=np.zeros(5))
         if step == 100:
             picture = replace(frame(step, now), image=np.zeros((2, 2)))

@@ -50,7 +50,7 @@ def test_a_robots_flight_is_reckoned_from_its_estimators(flight):
     assert result["commanded_m_s"] == 0.6
     assert result["vision_share"] == 0.5
     assert 0 < result["memory_share"] < 0.5
-    assert (result["switches"], result["op_before_first_fault"]) == (1, 0)
+    assert (result["switches"], result["blind_before_first_fault"]) == (1, 0)
     assert result["switch_delay_s"] == [pytest.approx(0.2)]
     assert result["compute_ms"] == {"p50": 1.0, "p99": pytest.approx(1.0), "max": 9.0}
     assert result["period_ms"]["max"] == pytest.approx(20.0)
@@ -62,7 +62,7 @@ def test_a_simulators_truth_wins(flight):
     result = score(flight, [])
     assert result["distance_from"] == "simulator"
     assert result["distance_m"] == pytest.approx(5.0 * 0.8, abs=0.02)
-    assert result["op_before_first_fault"] == 1, "without a fault it is a false alarm"
+    assert result["blind_before_first_fault"] == 1, "without a fault it is a false alarm"
 
 
 def test_switch_delays(flight):

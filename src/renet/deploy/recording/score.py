@@ -90,11 +90,12 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     seconds = float(walking.sum()) * CONTROL_DT
     path = track(ticks)[walking]
     metres = float(np.hypot(*(path[-1] - path[0])[:2])) if len(path) else 0.0
-    first = start + min(onsets, default=np.inf)
+    first = float(start + min(onsets, default=np.inf))
     # A robot let go on stairs as the run ends may topple, which is not the policy's fall.
     until = next((event.time for event in run.events if event.why == ENDED), np.inf)
     felled = np.diff(fallen(ticks).astype(int), prepend=0) > 0
     blind = ticks["now"][walking & ~ticks["vision"]] - start
+    went_blind = [event.time for event in run.events if event.what == BLIND]
     return {
         "seconds": round(len(ticks) * CONTROL_DT, 2),
         "complete": run.complete,
@@ -109,7 +110,9 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
         "states": states(ticks[walking]),
         "crossed": crossed(run, path),
         "switches": sum(event.what in (SEES, BLIND) for event in run.events),
-        "blind_before_first_fault": sum(e.what == BLIND and e.time < first for e in run.events),
+        "blind_before_first_fault": sum(
+            e.what == BLIND and bool(e.time < first) for e in run.events
+        ),
         "switch_delay_s": [delay_to_op(blind, onset) for onset in onsets],
         "compute_ms": spread(ticks["compute_ms"]),
         "period_ms": spread(1000.0 * np.diff(ticks["now"])),
