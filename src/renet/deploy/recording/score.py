@@ -110,9 +110,7 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
         "states": states(ticks[walking]),
         "crossed": crossed(run, path),
         "switches": sum(event.what in (SEES, BLIND) for event in run.events),
-        "blind_before_first_fault": sum(
-            e.what == BLIND and bool(e.time < first) for e in run.events
-        ),
+        "blind_before_first_fault": sum(time < first for time in went_blind),
         "switch_delay_s": [delay_to_op(blind, onset) for onset in onsets],
         "compute_ms": spread(ticks["compute_ms"]),
         "period_ms": spread(1000.0 * np.diff(ticks["now"])),
