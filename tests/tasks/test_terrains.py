@@ -170,7 +170,8 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypa
     term, terrain = parkour.curriculum_manager.get_term_cfg("level"), parkour.scene.terrain
     begin_flat(parkour, monkeypatch, flat_start)
     monkeypatch.setattr(parkour, "common_step_counter", 1_000)
-    monkeypatch.setitem(term.params, "easier_after", 12_000)
+    monkeypatch.setitem(term.params, "easier_share", "0.25@1k")
+    monkeypatch.setitem(term.params, "easier_levels", 10)
     monkeypatch.setitem(term.params, "easier_kinds", tuple(KINDS))
 
     def drawn_levels(level: int, episodes: int) -> torch.Tensor:
@@ -205,7 +206,7 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypa
     monkeypatch.setitem(term.params, "easier_kinds", ("gap",))
     easier = (drawn_levels(4, 5) < 4).any(0)
     assert set(terrain.terrain_types[easier].tolist()) == {KINDS.index("gap")}, "not on others"
-    monkeypatch.setitem(term.params, "easier_after", 12_012)
+    monkeypatch.setitem(term.params, "easier_share", "0@13k,1@14k")
     assert (drawn_levels(4, 10) == 4).all(), "not before its time"
 
 

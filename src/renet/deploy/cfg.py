@@ -139,7 +139,9 @@ class DeployCfg:
     @property
     def limits(self) -> SafetyCfg:
         """Limits of the controller: the joints of a dry run follow nobody."""
-        return replace(self.safety, max_stand_up_error=LIMP) if self.dry_run else self.safety
+        if not self.dry_run:
+            return self.safety
+        return replace(self.safety, max_stand_up_error=LIMP, least_torque=0.0)
 
     def load_bundle(self) -> Bundle:
         """The bundle that is asked for, by default the robot's own.
