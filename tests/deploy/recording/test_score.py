@@ -37,7 +37,7 @@ def flight() -> Recording:
     ticks["compute_ms"][7] = 9.0
     ticks["anomaly"] = 0.01
     ticks["anomaly"][:RISEN] = np.inf
-    events = [Event(1002.0, "walking", "stood_up"), Event(1006.0, "op", "no <new> image")]
+    events = [Event(1002.0, "walking", "stood_up"), Event(1006.0, "blind", "no <new> image")]
     return Recording({"beta": 0.02, "fault": ["unplugged@5.8s"]}, ticks, {}, events, True)
 
 
@@ -126,7 +126,7 @@ def test_long_and_tiny_runs_are_drawn(flight, tmp_path):
     for end in (0.0, 1e-3, 5e5):
         flight.ticks["now"] = np.linspace(0.0, end, STEPS)
         assert len(drawn(flight, [], tmp_path)) < 400_000
-    many = [Event(1000.0 + i, "op", "x" * 500) for i in range(1000)]
+    many = [Event(1000.0 + i, "blind", "x" * 500) for i in range(1000)]
     nothing = Recording({}, np.zeros(0, TICK_DTYPE), {}, many, False)
     assert len(drawn(nothing, [], tmp_path)) < 400_000
 

@@ -20,6 +20,7 @@ from renet.errors import RenetError, install
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT
 from renet.palette import STATES
+from renet.selector.selector import BLIND, REMEMBERS, SEES
 
 SCORE, TIMELINE = "score.json", "timeline.svg"
 BANDS = (("#9aa0a8", "damped or standing up"), *STATES.values())
@@ -107,8 +108,8 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
         "memory_share": round(_mean((ticks["vision"] & ~ticks["has_image"])[walking]), 4),
         "states": states(ticks[walking]),
         "crossed": crossed(run, path),
-        "switches": sum(event.what in ("op", "vp") for event in run.events),
-        "op_before_first_fault": sum(e.what == "op" and bool(e.time < first) for e in run.events),
+        "switches": sum(event.what in (SEES, BLIND) for event in run.events),
+        "blind_before_first_fault": sum(e.what == BLIND and e.time < first for e in run.events),
         "switch_delay_s": [delay_to_op(blind, onset) for onset in onsets],
         "compute_ms": spread(ticks["compute_ms"]),
         "period_ms": spread(1000.0 * np.diff(ticks["now"])),
@@ -267,7 +268,7 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
     axes[0].set_title(_title(run), fontsize=10, parse_math=False)
     _add_legends(axes[0], [*objections])
     begun = run.ticks["now"][0] if len(run.ticks) else 0.0
-    whats = ("memory", "op", "damping")
+    whats = (REMEMBERS, BLIND, Mode.DAMPING)
     events = [event for event in run.events if event.what in whats][:MAX_MARKS]
     for row, event in enumerate(events):
         text = f"{event.what}: {event.why[:60]}"
