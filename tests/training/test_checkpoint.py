@@ -2,6 +2,11 @@
 
 from pathlib import Path
 
+import pytest
+import torch
+
+from renet.errors import RenetError
+from renet.training import checkpoint
 from renet.training.checkpoint import Checkpoint, checkpoints, save
 
 
@@ -19,3 +24,19 @@ def test_making_room_deletes_checkpoints_alone(tmp_path: Path):
     assert [path.name for path in checkpoints(tmp_path / "run")] == ["it_00000002", "it_00000006"]
     assert len(list(tmp_path.rglob("thesis.tex"))) == 5
     assert (tmp_path / "elsewhere" / "state.json").exists()
+
+
+@pytest.mark.parametrize("name", ["model", "average"])
+def test_weights_of_other_sizes_are_refused_by_their_header(tmp_path: Path, name: str, monkeypatch):
+    """Before any of them takes memory."""
+    small, large = ({"weight": torch.zeros(n, 2)} for n in (3, 5))
+    weights = {"model": small, "average": small} | {name: large}
+    state = {"steps": 1, "seconds": 1.0, "task": "x", "agent": {}, "env": {}}
+    path = save(Checkpoint(optimizer={}, environment={}, state=state, **weights), tmp_path, 1, 1)
+    loaded = []
+    monkeypatch.setattr(checkpoint, "load_file", lambda file, device: loaded.append(file.stem))
+    monkeypatch.setattr(checkpoint, "load_state", lambda path: state)
+    network = torch.nn.Linear(2, 3, bias=False)
+    with pytest.raises(RenetError):
+        checkpoint.load(path, "cpu", network)
+    assert name not in loaded
