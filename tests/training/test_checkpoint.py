@@ -26,6 +26,18 @@ def test_making_room_deletes_checkpoints_alone(tmp_path: Path):
     assert (tmp_path / "elsewhere" / "state.json").exists()
 
 
+def test_what_a_kill_left_of_an_old_checkpoint_goes_with_the_next(tmp_path: Path):
+    """The state goes first; somebody's notes stay."""
+    for name, entry in (("it_00000001", ""), ("it_00000002", "model.safetensors")):
+        (tmp_path / name).mkdir()
+        if entry:
+            (tmp_path / name / entry).write_bytes(b"")
+    (tmp_path / "it_00000003").mkdir()
+    (tmp_path / "it_00000003" / "notes.txt").write_text("mine")
+    save(Checkpoint({}, {}, {}), tmp_path, 9, keep=1)
+    assert {path.name for path in tmp_path.iterdir()} == {"it_00000003", "it_00000009"}
+
+
 @pytest.mark.parametrize("name", ["model", "average"])
 def test_weights_of_other_sizes_are_refused_by_their_header(tmp_path: Path, name: str, monkeypatch):
     """Before any of them takes memory."""

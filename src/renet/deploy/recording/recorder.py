@@ -226,8 +226,8 @@ class Recorder:
                 self._file.write(magic + CHUNK.pack(tag, len(packed), zlib.crc32(packed)) + packed)
                 self._file.flush()
                 os.fsync(self._file.fileno())  # The battery may go next.
-            except (OSError, ValueError, MemoryError) as error:
-                why = str(error) or "out of memory"
+            except Exception as error:  # Whatever it is: the run goes on, and is told.
+                why = str(error) or type(error).__name__
                 self.problem = f"the recording {self.path} ends early: {why}"
                 return
             magic = b""
