@@ -95,7 +95,7 @@ class CourseStudy(WalkingStudy):
             lap_trace = trace.robots(slice(robot, robot + 1)).until(steps)
             named = {"mode": trial.mode, "lap": number, "robot": trial.robot}
             runs.append(named | _run(log, lap_trace, len(lap)) | {"seed": seed})
-            if trial.mode == "renet" and timeline is None:
+            if trial.mode == "memory" and timeline is None:
                 timeline = _timeline(log, lap_trace)
         return {"runs": runs, "timeline": timeline}
 
@@ -237,7 +237,7 @@ def draw_passages(passages: Sequence[dict[str, Any]]) -> Figure:
         text = f"{row['crossed']} of {row['tries']}"
         ends = [f"{row[end]} {end}" for end in ("fell", "stuck") if row[end]]
         share = 100 * row["crossed"] / row["tries"]
-        cells[row["kind"], figures.MODE_NAMES[row["mode"]]] = share, ", ".join([text, *ends])
+        cells[row["kind"], row["mode"]] = share, ", ".join([text, *ends])
     return figures.colour_tables({"": cells}, "Passages crossed", width=1.7)
 
 

@@ -10,16 +10,16 @@ model=$1 earlier=$2
 cd "$(dirname "$0")/.."
 out=results/leaderboard_2 kept=benchmarks/results/leaderboard_2
 mkdir -p "$kept"
-renet evaluate benchmark --quick --modes renet paper vp op oracle-switch --out "$out/go1-parkour"
+renet evaluate benchmark --quick --modes memory switch camera blind oracle --out "$out/go1-parkour"
 python examples/playground_policy.py evaluate playground-benchmark --quick --model "$model" --out "$out/playground"
-renet evaluate benchmark --quick --modes renet vp op --bundle "$earlier" --out "$out/without-memory"
+renet evaluate benchmark --quick --modes memory camera blind --bundle "$earlier" --out "$out/without-memory"
 for switch in return gate; do
     python benchmarks/switches.py "$switch" benchmark --study.quick --study.out "$out/$switch"
 done
 names=(go1-parkour without-memory return gate playground)
 for bundle in "${@:3}"; do
-    name=$(basename "$bundle") modes=(vp)
-    [[ $name != renet-* ]] || modes=(renet vp op)
+    name=$(basename "$bundle") modes=(camera)
+    [[ $name != renet-* ]] || modes=(memory camera blind)
     python benchmarks/baseline.py evaluate benchmark --quick --modes "${modes[@]}" --bundle "$bundle" --out "$out/$name"
     names+=("$name")
 done

@@ -2,8 +2,8 @@
 
 `python benchmarks/switches.py return` is VB-Com's rule, `gate` the classifier of failing cameras.
 The study is `benchmark`, version 2, or `faults`, version 1; its results are those of
-`renet evaluate`, whose mode `renet` then obeys the switch. Robots, starts and noise of the training
-are drawn from another seed than the study's.
+`renet evaluate`, whose mode `memory` then obeys the switch. Robots, starts and noise of the
+training are drawn from another seed than the study's.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from renet.faults import FAULTS, Injection, PhysicalFault
 SWITCHES = {"return": ReturnSwitch, "gate": Gate}
 
 VERSION_2, VERSION_1 = (
-    tyro.conf.subcommand(name, default=study(modes=("renet",)), prefix_name=False)
+    tyro.conf.subcommand(name, default=study(modes=("memory",)), prefix_name=False)
     for name, study in (("benchmark", CrossingStudy), ("faults", FaultStudy))
 )
 """Studies of the mode that obeys the switch alone: the others are the bundle's own."""
@@ -68,7 +68,7 @@ def trained(cfg: Cfg) -> SwitchEvaluator:
         Trial(mode, schedule, number)
         for number, fault in enumerate(faults * cfg.robots)
         for schedule in ((Injection.of(fault, cfg.severity, cfg.steps // 10),), ())
-        for mode in ("vp", "op")
+        for mode in ("camera", "blind")
     ]
     study = cfg.study
     evaluator = SwitchEvaluator(study.bundle, study.engine)

@@ -68,7 +68,7 @@ class Benchmark(Playground, CrossingStudy):
     """What Playground's Go1 policy crosses; cameras that fail do not change it."""
 
     model: Path = Path("go1_policy.onnx")
-    modes: tuple[Mode, ...] = ("op",)
+    modes: tuple[Mode, ...] = ("blind",)
 
 
 if __name__ == "__main__":

@@ -105,34 +105,36 @@ def test_what_is_said_of_version_2():
     for counts, entry in zip((shipped, earlier, gate), (*results[:2], results[3]), strict=True):
         for row in entry["settings"]:
             counts[row["ground"], row["mode"]] += row["crossed"]
-    gaps = [shipped["gap", mode] for mode in ("renet", "vp", "paper", "oracle-switch")]
+    gaps = [shipped["gap", mode] for mode in ("memory", "camera", "switch", "oracle")]
     assert "of 160, RENet crosses {}, VP {}, the paper's switch {}".format(*gaps) in text
     assert f"crosses {gaps[3]} of the 160 gaps" in text
-    assert f"The learned gate crosses {gate['gap', 'renet']}." in text
-    assert f"without memory**, crosses {earlier['gap', 'renet']} gaps" in text
-    assert f"OP crosses {shipped['gap', 'op']}." in text
-    assert {shipped[ground, "op"] for ground in ("platform", "stairs_up", "stairs_down")} == {160}
+    assert f"The learned gate crosses {gate['gap', 'memory']}." in text
+    assert f"without memory**, crosses {earlier['gap', 'memory']} gaps" in text
+    assert f"OP crosses {shipped['gap', 'blind']}." in text
+    assert {shipped[ground, "blind"] for ground in ("platform", "stairs_up", "stairs_down")} == {
+        160
+    }
     ahead = {tuple(row[1:3]): row[-1].replace("+", "").strip(")").split(" (") for row in rows}
     for entry, claim in (
-        (("go1-parkour with ReturnSwitch", "renet"), "{} more than VB-Com's"),
-        (("go1-parkour", "vp"), "{} points more than its best rival, VP"),
-        (("go1-parkour", "paper"), "{} more than the paper's switch"),
-        (("without-memory", "renet"), "{} points less in all"),
+        (("go1-parkour with ReturnSwitch", "memory"), "{} more than VB-Com's"),
+        (("go1-parkour", "camera"), "{} points more than its best rival, VP"),
+        (("go1-parkour", "switch"), "{} more than the paper's switch"),
+        (("without-memory", "memory"), "{} points less in all"),
     ):
         points, interval = ahead[entry]
         assert claim.format(points) in text
         assert interval in text or entry[0] == "without-memory"
-    assert rows[1][1:3] == ("go1-parkour", "vp")
+    assert rows[1][1:3] == ("go1-parkour", "camera")
     assert f"differ by {float(rows[0][3]) - float(rows[-1][3]):.1f} points" in text
     for files, rival, claim in (
         (
             ("renet-30M-seed-2", "dropout-30M"),
-            ("dropout-30M", "vp"),
+            ("dropout-30M", "camera"),
             "{} points more in one training",
         ),
-        (("renet-30M-seed-3", "dropout-30M"), ("dropout-30M", "vp"), "{} in another"),
-        (tables.FULL_RUN, ("go1-parkour", "vp"), "{} points more than VP (95 %"),
-        (tables.FULL_RUN, ("go1-parkour", "paper"), "{} more than the paper's switch"),
+        (("renet-30M-seed-3", "dropout-30M"), ("dropout-30M", "camera"), "{} in another"),
+        (tables.FULL_RUN, ("go1-parkour", "camera"), "{} points more than VP (95 %"),
+        (tables.FULL_RUN, ("go1-parkour", "switch"), "{} more than the paper's switch"),
     ):
         ranked = ranking([read_result(RESULTS / "leaderboard_2" / f"{f}.json") for f in files])[2]
         cell = next(row[-1] for row in ranked if row[1:3] == rival)

@@ -138,9 +138,11 @@ class StillEvaluator(FakeEvaluator):
 
 def test_a_course_is_reported_robot_by_robot(tmp_path: Path) -> None:
     lap = ("flat", "grass")
-    study = CourseStudy(tmp_path, lap=lap, laps=2, robots=1, modes=("renet", "op"), stuck_after=0.3)
+    study = CourseStudy(
+        tmp_path, lap=lap, laps=2, robots=1, modes=("memory", "blind"), stuck_after=0.3
+    )
     summary = study.run(StillEvaluator())
-    rows = [("renet", 1), ("op", 1), ("renet", 2), ("op", 2)]
+    rows = [("memory", 1), ("blind", 1), ("memory", 2), ("blind", 2)]
     assert [(run["mode"], run["lap"]) for run in summary["runs"]] == rows
     for run in summary["runs"]:
         assert run["ends"] == ["stuck", "stuck"]
@@ -150,7 +152,7 @@ def test_a_course_is_reported_robot_by_robot(tmp_path: Path) -> None:
     assert [total["stuck"] for total in summary["totals"]] == [4, 4]
     assert [row["robot"] for row in summary["robots"]] == [0, 0]
     counts = {"tries": 2, "crossed": 0, "fell": 0, "stuck": 2}
-    assert summary["passages"][1] == {"mode": "renet", "kind": "grass"} | counts
+    assert summary["passages"][1] == {"mode": "memory", "kind": "grass"} | counts
     assert summary["lap_m"] == 16
     for name in ("course.png", "passages.png", "summary.csv"):
         assert (tmp_path / name).stat().st_size > 100

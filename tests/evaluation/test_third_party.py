@@ -72,7 +72,7 @@ def test_it_enters_the_leaderboard_with_one_command(model, tmp_path, monkeypatch
     assert {run["falls"] for run in summary["runs"]} == {0}
     board = (tmp_path / "leaderboard.md").read_text().split("\n\n")[1].splitlines()
     rows = sorted(line.split(" | ")[1:3] for line in board[2:])
-    assert rows == [["still", mode] for mode in ("op", "renet", "vp")]
+    assert rows == [["still", mode] for mode in ("blind", "memory", "camera")]
 
 
 PLAYGROUND = """

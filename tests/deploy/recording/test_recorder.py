@@ -12,12 +12,12 @@ import pytest
 
 from renet.bundle import Bundle
 from renet.deploy.controller import Controller
-from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.recording import recorder
 from renet.deploy.recording.recorder import Recorder, Recording, read_recording
 from renet.deploy.recording.replay import mismatch, replay
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
+from renet.pilot.inference import InlineInference, ThreadedInference
 
 from ...hostile.files import HEAD, chunk
 from ..fakes import QUICK, STANDING, Broken, frame, live, state, time_of, until
@@ -26,7 +26,7 @@ STEPS = 230
 
 
 def run_control_loop(bundle: Bundle, path, inference=InlineInference) -> None:
-    header = {"bundle_sha256": bundle.sha256, "safety": asdict(QUICK), "selector": "monitors"}
+    header = {"bundle_sha256": bundle.sha256, "safety": asdict(QUICK), "mode": "memory"}
     log = Recorder(path, header)
     controller = Controller(bundle, QUICK, inference, on_event=log.event)
     random = np.random.default_rng(3)
@@ -79,7 +79,7 @@ def test_a_flight_comes_back_whole(bundle, flight, recorded):
         (200, 32.0, 0.8),
         (210, 32.0, np.nan),
     ]
-    np.testing.assert_array_equal(flight.power, np.array(said, recorder.POWER_DTYPE))
+    np.testing.assert_allclose(np.array(flight.power.tolist()), said, rtol=1e-6)
     np.testing.assert_array_equal(flight.images[15], frame(15, 0.3).image.astype(np.float16))
     assert flight.ticks["compute_ms"][7] == 1.5
     assert recorded.stat().st_size < 1_000_000

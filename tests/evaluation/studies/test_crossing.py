@@ -39,7 +39,7 @@ class Evaluator(FakeEvaluator):
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("benchmark")
     study = CrossingStudy(
-        out=out, quick=True, grounds=("gap",), modes=("vp", "paper", "op"), seconds=6.0
+        out=out, quick=True, grounds=("gap",), modes=("camera", "switch", "blind"), seconds=6.0
     )
     study.run(Evaluator(Leaving))
     return out
@@ -52,14 +52,14 @@ def summary(folder):
 
 def test_kept_is_what_twins_cross_and_crossed_is_all(summary):
     scores = summary["scores"]
-    black = [r for r in summary["runs"] if (r["mode"], r["fault"]) == ("vp", "blackout")]
+    black = [r for r in summary["runs"] if (r["mode"], r["fault"]) == ("camera", "blackout")]
     counts = [[r[n] for n in ("crossed", "kept", "twins", "upright")] for r in black]
     assert counts == [[0, 0, 7, 0]] * 2
-    for mode in ("paper", "op"):  # The paper's switch leaves black images in 35 ms.
+    for mode in ("switch", "blind"):  # The paper's switch leaves black images in 35 ms.
         assert (scores[mode]["crossed"], scores[mode]["kept"]) == (0.7, 1.0)
-    assert scores["vp"]["kept"] < 1.0
-    assert scores["vp"]["healthy"] == scores["op"]["healthy"] == 0.7
-    assert len(scores["vp"]["by_robot"]) == 10
+    assert scores["camera"]["kept"] < 1.0
+    assert scores["camera"]["healthy"] == scores["blind"]["healthy"] == 0.7
+    assert len(scores["camera"]["by_robot"]) == 10
 
 
 def test_cameras_fail_a_distance_before_the_edge():
@@ -111,13 +111,13 @@ def test_the_result_is_valid_and_ranked(folder, tmp_path, capsys):
     assert result["faults"]["drawn_1"] == [list(f) for f in drawn_faults(0)["drawn_1"]]
     make_leaderboard(LeaderboardCfg((folder / "result.json",), tmp_path / "board.md"))
     rows = (tmp_path / "board.md").read_text().splitlines()[4:]
-    assert [row.split(" | ")[1:3] for row in rows][-1] == ["fake", "vp"]
+    assert [row.split(" | ")[1:3] for row in rows][-1] == ["fake", "camera"]
     # The paper's switch is no `renet`: differences are from the first mode, VP.
     by_robot = {mode: np.array(scores["by_robot"]) for mode, scores in result["scores"].items()}
-    behind = 100 * (by_robot["vp"] - by_robot["paper"]).mean()
+    behind = 100 * (by_robot["camera"] - by_robot["switch"]).mean()
     cells = {row.split(" | ")[2]: row.rstrip(" |").split(" | ")[-1] for row in rows}
-    assert cells["paper"].startswith(f"{behind:+.1f} (")
-    assert cells["vp"] == "+0.0 (+0.0 to +0.0)"
+    assert cells["switch"].startswith(f"{behind:+.1f} (")
+    assert cells["camera"] == "+0.0 (+0.0 to +0.0)"
     easier = result | {"settings": [row for row in result["settings"] if row["size"] == "easy"]}
     other = result | {"protocol": result["protocol"] | {"draw_seed": 1}}
     for number, wrong in enumerate((easier, other)):

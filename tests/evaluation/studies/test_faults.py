@@ -20,7 +20,7 @@ def test_one_row_for_each_setting_and_mode(run_study):
     folder, summary = run_study("faults")
     # Flat ground has no edge to begin before.
     places = [("flat", 0.5), ("gap", 0.5), ("gap", 1.5)]
-    rows = product(("gaussian", "frozen"), places, (1, 5), ("vp", "renet", "op"))
+    rows = product(("gaussian", "frozen"), places, (1, 5), ("camera", "memory", "blind"))
     assert [
         (run["fault"], (run["ground"], run["onset"]), run["severity"], run["mode"])
         for run in summary["runs"]
@@ -34,7 +34,7 @@ def test_one_row_for_each_setting_and_mode(run_study):
 def test_survival_and_detection_are_those_of_the_robots(run_study):
     _, summary = run_study("faults")
     rows = {(r["fault"], r["severity"], r["mode"]): r for r in summary["runs"]}
-    vp, renet = (rows["gaussian", 5, mode] for mode in ("vp", "renet"))
+    vp, renet = (rows["gaussian", 5, mode] for mode in ("camera", "memory"))
     assert (vp["survival"], vp["falls_by_fault"], vp["over_op"]) == (0, 2, None)
     assert vp["measures"]["upright"]["change"]["value"] == -1
     assert (renet["survival"], renet["over_op"]) == (1, 0)
@@ -42,8 +42,8 @@ def test_survival_and_detection_are_those_of_the_robots(run_study):
     assert renet["measures"]["switches"]["value"] == 2
     assert renet["measures"]["seconds_without_sight"]["value"] == 1.0
     # The fakes' image never changes, so that a frozen one is the right one.
-    assert rows["frozen", 5, "vp"]["survival"] == 1
-    missed = rows["frozen", 5, "renet"]
+    assert rows["frozen", 5, "camera"]["survival"] == 1
+    missed = rows["frozen", 5, "memory"]
     assert (missed["detected"], missed["detection_delay_s"]) == (0, None)
     assert summary["harmful"] == summary["missed"] == []
     # Two falls are no more than chance; frozen images are not noticed.
@@ -53,7 +53,9 @@ def test_survival_and_detection_are_those_of_the_robots(run_study):
     assert healthy["robot_hours"] == pytest.approx((2 * 2.6 + 6.0) / 3600, rel=0.01)
     assert healthy["false_switches"] == healthy["alarms_by_monitor"]["reconstruction"] == 0
     where = [(run["ground"], run["mode"], run["falls"]) for run in summary["baseline"]]
-    assert where == [(g, mode, 0) for g in ("flat", "gap") for mode in ("vp", "renet", "op")]
+    assert where == [
+        (g, mode, 0) for g in ("flat", "gap") for mode in ("camera", "memory", "blind")
+    ]
 
 
 def test_quick_is_smaller_and_glass_is_studied_where_there_are_obstacles():
@@ -77,13 +79,13 @@ def test_a_fault_begins_after_the_first_control_step():
 def test_the_result_file_is_valid(run_study):
     result = json.loads((run_study("faults")[0] / "result.json").read_text())
     Draft202012Validator(schema(1)).validate(result)
-    assert result["policy"]["modes"] == ["vp", "renet", "op"]
+    assert result["policy"]["modes"] == ["camera", "memory", "blind"]
     assert result["provenance"]["commit"] == commit()
     assert {entry["onset"] for entry in result["settings"]} == set(ONSETS.values())
-    flat = [e for e in result["settings"] if (e["mode"], e["ground"]) == ("vp", "flat")]
+    flat = [e for e in result["settings"] if (e["mode"], e["ground"]) == ("camera", "flat")]
     mean = np.mean([entry["measures"]["upright"]["value"] for entry in flat])
-    assert np.mean(result["by_robot"]["vp"]["flat"]["upright"]) == pytest.approx(mean)
-    assert len(result["by_robot"]["op"]["gap"]["crossed"]) == 2
+    assert np.mean(result["by_robot"]["camera"]["flat"]["upright"]) == pytest.approx(mean)
+    assert len(result["by_robot"]["blind"]["gap"]["crossed"]) == 2
     assert {entry["level"] for entry in result["settings"] if entry["ground"] == "gap"} == {3}
 
 

@@ -23,18 +23,18 @@ def complete(name: str, crossed: float) -> dict:
     measures = {n: share(crossed) for n in (*names, "seconds_without_sight", "switches")}
     settings = [
         {"ground": s.ground, "level": GROUNDS[s.ground], "fault": s.fault, "severity": s.severity}
-        | {"onset": ONSETS[s.onset], "mode": "vp", "measures": measures}
+        | {"onset": ONSETS[s.onset], "mode": "camera", "measures": measures}
         for settings in FaultStudy(quick=True).batches.values()
         for s in settings
     ]
-    policy = {"name": name, "url": None, "sha256": "0" * 64, "modes": ["vp"]}
+    policy = {"name": name, "url": None, "sha256": "0" * 64, "modes": ["camera"]}
     protocol = {"robots": 5, "seed": 1, "speed": 0.6, "lasts": 4.0, "seconds": 10.0, "quick": True}
     origin = dict.fromkeys(("renet", "commit", "command", "date"), "x") | {"engine": "warp"}
     kind = {"benchmark": "renet-faults", "version": 1, "provenance": origin}
     robots = {g: {"crossed": [crossed] * 2, "upright": [1.0, 1.0]} for g in GROUNDS}
     robots["gap"]["crossed"] = [1.0, 0.0]
     parts = {"policy": policy, "protocol": protocol, "settings": settings}
-    return kind | parts | {"by_robot": {"vp": robots}}
+    return kind | parts | {"by_robot": {"camera": robots}}
 
 
 def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked():
@@ -45,11 +45,11 @@ def test_the_better_policy_leads_and_an_incomplete_one_is_not_ranked():
     lucky["protocol"]["seed"] = 77
     rows = rank([poor, cheat, good, lucky, easy])
     assert [row[:4] for row in rows] == [
-        ("1", "good", "vp", "60.0 %"),
-        ("2", "poor", "vp", "40.0 %"),
-        ("incomplete", "cheat", "vp", "100.0 %"),
-        ("incomplete", "easy", "vp", "90.0 %"),
-        ("incomplete", "lucky", "vp", "80.0 %"),
+        ("1", "good", "camera", "60.0 %"),
+        ("2", "poor", "camera", "40.0 %"),
+        ("incomplete", "cheat", "camera", "100.0 %"),
+        ("incomplete", "easy", "camera", "90.0 %"),
+        ("incomplete", "lucky", "camera", "80.0 %"),
     ]
     # Two robots that differ on gaps alone: the mean of both, or twice the one or the other.
     weight = np.mean([s["ground"] == "gap" for s in good["settings"] if s["ground"] != "flat"])
@@ -119,7 +119,7 @@ def test_a_valid_file_without_its_numbers_is_one_line(tmp_path):
     make_leaderboard(LeaderboardCfg((file,), board))
     for spoilt in (
         {},
-        {"vp": {g: {"crossed": [1.0] * n, "upright": [1.0]} for n, g in enumerate(GROUNDS, 1)}},
+        {"camera": {g: {"crossed": [1.0] * n, "upright": [1.0]} for n, g in enumerate(GROUNDS, 1)}},
     ):
         file.write_text(json.dumps(result | {"by_robot": spoilt}))
         with pytest.raises(RenetError, match="a number is missing, or not one a robot"):
@@ -135,18 +135,18 @@ def setting(ground: str, severity: int, mode: str, crossed: float, change: float
 
 EVERYBODY = {"crossed": [1.0, 1.0], "upright": [1.0, 1.0]}
 RESULT = {
-    "policy": {"name": "ours", "modes": ["vp", "renet"]},
+    "policy": {"name": "ours", "modes": ["camera", "memory"]},
     "settings": [
-        setting("flat", 1, "vp", 1.0, 0.0),
-        setting("flat", 1, "renet", 1.0, 0.0),
-        setting("gap", 1, "vp", 0.5, -0.05),
-        setting("gap", 1, "renet", 0.7, 0.0),
-        setting("gap", 5, "vp", 0.6, -0.2),
-        setting("gap", 5, "renet", 0.4, -0.3),
+        setting("flat", 1, "camera", 1.0, 0.0),
+        setting("flat", 1, "memory", 1.0, 0.0),
+        setting("gap", 1, "camera", 0.5, -0.05),
+        setting("gap", 1, "memory", 0.7, 0.0),
+        setting("gap", 5, "camera", 0.6, -0.2),
+        setting("gap", 5, "memory", 0.4, -0.3),
     ],
     "by_robot": {
-        "vp": {"flat": EVERYBODY, "gap": {"crossed": [0.5, 0.5], "upright": [0.0, 1.0]}},
-        "renet": {"flat": EVERYBODY, "gap": EVERYBODY | {"crossed": [0.7, 0.7]}},
+        "camera": {"flat": EVERYBODY, "gap": {"crossed": [0.5, 0.5], "upright": [0.0, 1.0]}},
+        "memory": {"flat": EVERYBODY, "gap": EVERYBODY | {"crossed": [0.7, 0.7]}},
     },
 }
 """Numbers from which every table follows by hand."""
@@ -155,15 +155,15 @@ RESULT = {
 def test_tables_behind_the_ranking_by_hand():
     ground, severity, paired = leaderboard.result_tables([RESULT], None, None)
     assert ground[2] == [
-        ("ours", "vp", "100.0 (100.0) [100.0 (100.0), 0.50]", "-", "-", "-", "-",
+        ("ours", "camera", "100.0 (100.0) [100.0 (100.0), 0.50]", "-", "-", "-", "-",
          "55.0 (55.0) [67.5 (67.5), 0.50]", "55.0 (55.0)", "70.0 (70.0)", 3),
-        ("ours", "renet", "100.0 (100.0) [100.0 (100.0), 0.50]", "-", "-", "-", "-",
+        ("ours", "memory", "100.0 (100.0) [100.0 (100.0), 0.50]", "-", "-", "-", "-",
          "55.0 (55.0) [70.0 (70.0), 0.50]", "55.0 (55.0)", "70.0 (70.0)", 3),
     ]  # fmt: skip
     assert severity[1] == ("policy", "mode", "1", "5")
     assert severity[2] == [
-        ("ours", "vp", "50.0 (75.0)", "60.0 (60.0)"),
-        ("ours", "renet", "70.0 (85.0)", "40.0 (40.0)"),
+        ("ours", "camera", "50.0 (75.0)", "60.0 (60.0)"),
+        ("ours", "memory", "70.0 (85.0)", "40.0 (40.0)"),
     ]
     assert paired[2] == [
         ("flat", "+0.0 (+0.0 to +0.0)", "+0.0 (+0.0 to +0.0)"),

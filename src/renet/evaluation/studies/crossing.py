@@ -152,7 +152,7 @@ class CrossingStudy(OneTryStudy):
         healthy_walks = walk(self.trials_on(self.grounds), "healthy", retire=False)
         twins = dict(zip(pairs, healthy_walks, strict=True))
         # A robot in OP walks as its twin does.
-        groups = [(*pair, s) for pair in pairs if pair[1] != "op" for s in self.settings]
+        groups = [(*pair, s) for pair in pairs if pair[1] != "blind" for s in self.settings]
         trials = [
             Trial(mode, self._failure(setting, onset), robot, ground)
             for ground, mode, setting in groups
@@ -242,7 +242,7 @@ PROTOCOL = ("seed", "draw_seed", "speed", "seconds", "quick")
 def ranking(results: Sequence[Mapping[str, Any]]) -> Table:
     """The leaderboard, best first, by what is crossed; shares in per cent.
 
-    Its last column is what mode `renet` of the first result, or else its first mode, crosses more:
+    Its last column is what mode `memory` of the first result, or else its first mode, crosses more:
     points, with a 95 % bootstrap interval over robots, each paired with itself.
 
     Raises RenetError for results of different protocols, whose robots met other things.
@@ -252,7 +252,7 @@ def ranking(results: Sequence[Mapping[str, Any]]) -> Table:
             "give results of the same settings: robots, seeds, speed, seconds, quick and grounds"
         )
     first = results[0]["scores"]
-    reference = "renet" if "renet" in first else next(iter(first))
+    reference = "memory" if "memory" in first else next(iter(first))
     entries = sorted(
         (
             (result["policy"]["name"], mode, scores)

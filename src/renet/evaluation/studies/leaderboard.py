@@ -162,7 +162,7 @@ def result_tables(
     yield by_ground(policies)
     yield by_severity(policies)
     for result in results:
-        if {"vp", "renet"} <= result.get("by_robot", {}).keys():
+        if {"camera", "memory"} <= result.get("by_robot", {}).keys():
             yield paired(result)
 
 
@@ -210,8 +210,8 @@ def by_severity(policies: Policies) -> Table:
 
 def paired(result: Mapping[str, Any]) -> Table:
     """RENet less VP, robot by robot over all settings, in points with 95 % intervals."""
-    vp, renet = (result["by_robot"][mode] for mode in ("vp", "renet"))
-    settings = Counter(row["ground"] for row in result["settings"] if row["mode"] == "vp")
+    vp, renet = (result["by_robot"][mode] for mode in ("camera", "memory"))
+    settings = Counter(row["ground"] for row in result["settings"] if row["mode"] == "camera")
     groups = {ground: (ground,) for ground in settings}
     groups |= {"all but the first": tuple(settings)[1:], "all": tuple(settings)}
     rows = []
@@ -244,8 +244,8 @@ def study_table(path: Path) -> Table:
 
 
 def noticed(runs: Sequence[Mapping[str, Any]]) -> Table:
-    """Robots in mode renet that noticed a fault, of those that used vision, by severity."""
-    faults = grouped([run for run in runs if run["mode"] == "renet"], "fault")
+    """Robots in mode memory that noticed a fault, of those that used vision, by severity."""
+    faults = grouped([run for run in runs if run["mode"] == "memory"], "fault")
     severities = sorted({run["severity"] for rows in faults.values() for run in rows})
     table = []
     for (fault,), rows in faults.items():
