@@ -83,6 +83,14 @@ def test_falls_are_counted_once_each(flight):
     assert score(flight, [])["falls"] == 1, "who topples when it is let go does not fall"
 
 
+def test_one_odd_reading_and_a_robot_that_begins_on_its_back_are_no_falls(flight):
+    flight.ticks["quaternion"][300] = turned("x", 180)
+    assert score(flight, [])["falls"] == 0
+    flight.ticks["quaternion"][:] = turned("x", 180)
+    flight.ticks["mode"] = MODES.index(Mode.DAMPING)
+    assert score(flight, [])["falls"] == 0
+
+
 def test_a_drop_off_the_ground_is_a_fall_and_stairs_are_none(flight):
     position = flight.ticks["base_position"]
     position[:] = (0.0, 0.0, 0.3)

@@ -1,6 +1,7 @@
 """The leaderboard: who leads, and the tables behind, from files that may be damaged."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -70,6 +71,20 @@ def test_the_leaderboard_is_made_from_files(tmp_path, capsys):
     files[0].write_text('{"benchmark": "renet-faults", "version": 3}')
     with pytest.raises(RenetError, match="no result of renet-faults, version 1 or 2"):
         make_leaderboard(LeaderboardCfg(files, table))
+
+
+def test_a_strangers_name_is_text_in_a_table(tmp_path):
+    """It adds no row, no column, no HTML, no link and no code."""
+    name = "a | 1 | <img src=x onerror=alert()>\n| 1 | [x](javascript:1) `b` \\|"
+    file = tmp_path / "one.json"
+    file.write_text(json.dumps(complete(name, 0.5)))
+    text = make_leaderboard(LeaderboardCfg((file,), tmp_path / "board.md")).read_text()
+    rows = text.split("\n\n")[1].splitlines()
+    assert len(rows) == 3
+    separators = [len(re.findall(r"(?<!\\)(?:\\\\)*\|", row)) for row in rows]
+    assert len(set(separators)) == 1
+    assert not re.search(r"(?<!\\)[<>`]", text)
+    assert "](" not in text
 
 
 @pytest.mark.parametrize(

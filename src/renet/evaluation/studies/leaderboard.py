@@ -5,6 +5,7 @@ These are by ground and severity, and show RENet beside VP, robot by robot.
 
 import csv
 import math
+import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 
-from renet.errors import RenetError
+from renet.errors import RenetError, printable
 from renet.evaluation.metrics import bootstrap_interval
 from renet.evaluation.results import grouped
 from renet.evaluation.studies.benchmark import GROUNDS, ONSETS, PROTOCOL, read_result
@@ -76,8 +77,15 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
 
 def _markdown(table: Table) -> str:
     title, header, rows = table
-    lines = [" | ".join(map(str, row)) for row in (header, ["---"] * len(header), *rows)]
-    return f"## {title}\n\n" + "".join(f"| {line} |\n" for line in lines)
+    cells = [map(_plain, header), ["---"] * len(header), *(map(_plain, row) for row in rows)]
+    lines = [" | ".join(row) for row in cells]
+    return f"## {_plain(title)}\n\n" + "".join(f"| {line} |\n" for line in lines)
+
+
+def _plain(cell: object) -> str:
+    """A cell's text, of which nothing is markup: names are a stranger's."""
+    text = re.sub(r"[\\`|<>]", r"\\\g<0>", printable(str(cell)))
+    return text.replace("](", r"]\(")
 
 
 def rank(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
