@@ -32,8 +32,8 @@ from renet.terrain.tiles import (
     TileGeom,
 )
 
-WIDTH = 12.0
-"""Width of a course, m."""
+WIDTH = 18.0
+"""Width of a course, m: robots may walk askew."""
 BEFORE = 1.0
 """Ground behind the start, m."""
 AFTER = 2.5

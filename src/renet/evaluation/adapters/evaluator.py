@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
+from renet.bundle import pretrained
 from renet.errors import RenetError, printable, unknown_name
 from renet.evaluation.adapters.base import Adapter, Senses
 from renet.evaluation.adapters.models import MAX_MODEL, open_model
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.files import read_bytes
-from renet.bundle import pretrained
 from renet.interface import (
     ACTION_SIZE,
     DEPTH_RANGE,
@@ -28,7 +28,7 @@ from renet.interface import (
 )
 from renet.tasks import RobotCfg
 
-ADAPTERS = ("onnx-depth", "playground", "himloco", "robogauge", "robot-lab", "extreme-parkour")
+ADAPTERS = ("onnx-depth", "playground", "himloco", "robogauge", "robot-lab")
 """Adapters that come with renet, each a module of this package."""
 SLICES = proprioception_slices()
 SCALES = {term.name: term.scale for term in PROPRIOCEPTION}
@@ -63,9 +63,7 @@ def _adapter_of_file(path: Path) -> type[Adapter]:
         ) from error
     found = getattr(module, "Adapter", None)
     if not (isinstance(found, type) and issubclass(found, Adapter)) or found is Adapter:
-        raise RenetError(
-            f"{path} defines no class Adapter(renet.evaluation.adapters.base.Adapter)"
-        )
+        raise RenetError(f"{path} defines no class Adapter(renet.evaluation.adapters.base.Adapter)")
     return found
 
 
@@ -146,6 +144,11 @@ class AdaptedEvaluator(Evaluator):
             self.privileged = ("velocity",)
         self._check()
 
+    @property
+    def entries(self) -> tuple[str, ...]:
+        """Of the benchmark, that the policy can walk as."""
+        return ("camera", "healthy") if self.adapter.uses_camera else ("blind",)
+
     def _check(self) -> None:
         """Act once, before minutes are spent: a wrong file is told at once."""
         still = np.zeros((1, 3), np.float32)
@@ -177,9 +180,7 @@ class AdaptedEvaluator(Evaluator):
     def robot(self) -> RobotCfg:
         """The bundle's robot with the gains of the policy's training."""
         robot = super().robot
-        return replace(
-            robot, stiffness=self.adapter.stiffness, damping=self.adapter.damping
-        )
+        return replace(robot, stiffness=self.adapter.stiffness, damping=self.adapter.damping)
 
     def make_policy(self, num_robots: int) -> AdaptedPolicy:
         """The policy for N robots of the newest environment."""

@@ -22,6 +22,7 @@ from renet.evaluation.benchmark.families import (
     fault_of,
     level_at,
 )
+from renet.faults.base import FOREVER
 from renet.terrain.course import Blocks, Course, Gap, Obstacle, Platform, Ramp, Stairs
 
 SEED = 3
@@ -45,8 +46,8 @@ STOP = (1.0, 2.0)
 """Seconds for which a robot is told to stand."""
 SIGHT = 1.6
 """m before an edge at which it comes into sight."""
-LASTS = (0.5, 20.0)
-"""Seconds a fault lasts, log-uniform; the longest ones last to the end."""
+LASTS = (0.5, 8.0)
+"""Seconds a fault lasts, log-uniform, unless it lasts to the end, as every second one does."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ def draw_episode(number: int, seed: int = SEED, sealed: SealedFaults | None = No
         fault=fault,
         level=level,
         onset=onset,
-        duration=float(np.exp(rng.uniform(*np.log(LASTS)))),
+        duration=draw_duration(rng),
     )
 
 
@@ -161,9 +162,19 @@ def _families(number: int, sealed: SealedFaults | None) -> tuple[Families, bool]
     return (LIES if lie else LOUD), lie
 
 
+def draw_duration(rng: np.random.Generator) -> float:
+    """Draw the seconds for which a camera fails."""
+    seconds = float(np.exp(rng.uniform(*np.log(LASTS))))
+    return FOREVER if rng.random() < 0.5 else seconds
+
+
 def draw_obstacle(rng: np.random.Generator) -> Obstacle:
-    """Draw an obstacle: its kind, then its sizes, all uniformly."""
-    draws = (draw_gap, draw_platform, draw_stairs, draw_stairs_down, draw_blocks, draw_ramp)
+    """Draw an obstacle: its kind, then its sizes uniformly.
+
+    Half of all are gaps and platforms, which cannot be crossed unseen; many of the others can.
+    """
+    unseen = (draw_stairs, draw_stairs_down, draw_blocks, draw_ramp)
+    draws = (draw_gap, draw_platform) if rng.random() < 0.5 else unseen
     return draws[rng.integers(len(draws))](rng)
 
 

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
 
 EntryName = Literal["memory", "switch", "camera", "blind", "oracle", "healthy"]
-"""memory: VP goes on without images that a monitor objects to. switch: the paper's selector. camera:
-VP with every image. blind: OP. oracle: OP while the camera fails. healthy: as camera, with a camera
-that never fails."""
+"""memory: VP goes on without images that a monitor objects to. switch: the paper's selector.
+camera: VP with every image. blind: OP. oracle: OP while the camera fails. healthy: as camera, with
+a camera that never fails."""
 MODES: dict[str, str] = {
     "memory": "renet",
     "switch": "paper",
@@ -35,6 +35,7 @@ MODES: dict[str, str] = {
     "healthy": "vp",
 }
 """The rollout's mode of each entry."""
+DEFAULT_ENTRIES = ("memory", "switch", "camera", "blind", "healthy")
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,14 @@ class BenchmarkStudy(Study):
 
     out: Path = Path("results/benchmark")
     """Folder for summary.json, summary.csv, result.json and parts/."""
-    entries: tuple[EntryName, ...] = ("memory", "switch", "camera", "blind", "healthy")
-    """Ways to use the bundle's models."""
+    policy: Path | None = None
+    """Somebody else's model, .onnx or TorchScript (.pt), in place of a bundle."""
+    adapter: str | None = None
+    """What its inputs and outputs mean: onnx-depth, playground, himloco, robogauge, robot-lab, or a
+    FILE.py of your own (docs/benchmark.md)."""
+    entries: tuple[EntryName, ...] = ()
+    """Ways to use the models; by default memory, switch, camera, blind and healthy, of a policy
+    with an adapter camera and healthy, or blind if it sees no image."""
     method: str | None = None
     """What the policy is a training of, in the leaderboard; by default its own name."""
     sealed: Path | None = None
@@ -60,8 +67,8 @@ class BenchmarkStudy(Study):
     def __post_init__(self) -> None:
         super().__post_init__()
         known = get_args(EntryName)
-        if not self.entries or len({*self.entries}) < len(self.entries):
-            raise RenetError("entries: give at least one, each of them once")
+        if len({*self.entries}) < len(self.entries):
+            raise RenetError("entries: give each of them once")
         if unknown := {*self.entries} - {*known}:
             raise RenetError(f"unknown entry {unknown.pop()!r}: choose among {', '.join(known)}")
         if self.conditions != "nominal" or self.motors != IDEAL or self.selector != "monitors":
@@ -69,12 +76,39 @@ class BenchmarkStudy(Study):
                 "the benchmark has conditions, motors and selectors of its own: leave out"
                 " --conditions, --motors and --selector"
             )
+        self._check_policy()
         if self.draw_seed < 0:
             raise RenetError(f"draw seed must be at least 0, got {self.draw_seed}")
         if self.sealed is not None and self.quick:
             raise RenetError("give --sealed or --quick, not both")
         if self.sealed is not None:
             demand_version_seed(self.draw_seed)
+
+    def _check_policy(self) -> None:
+        """Raise RenetError unless a policy and its adapter are given together, without a bundle."""
+        if (self.policy is None) != (self.adapter is None):
+            raise RenetError("give --policy FILE and --adapter NAME together")
+        if self.policy is not None and self.bundle is not None:
+            raise RenetError("give --policy or --bundle, not both")
+
+    def make_evaluator(self) -> Evaluator:
+        """The evaluator of the bundle, or of somebody else's policy."""
+        if self.policy is None or self.adapter is None:
+            return super().make_evaluator()
+        from renet.evaluation.adapters.evaluator import AdaptedEvaluator
+
+        evaluator = AdaptedEvaluator(self.policy, self.adapter, self.engine)
+        known = evaluator.entries
+        if unknown := {*self.entries} - {*known}:
+            raise RenetError(
+                f"this policy has no entry {unknown.pop()}: leave out --entries, or choose among"
+                f" {', '.join(known)}"
+            )
+        return evaluator
+
+    def entries_of(self, evaluator: Evaluator) -> tuple[str, ...]:
+        """The entries to walk, in their order."""
+        return self.entries or getattr(evaluator, "entries", DEFAULT_ENTRIES)
 
     @property
     def episodes(self) -> str:
@@ -97,7 +131,7 @@ class BenchmarkStudy(Study):
 
         sealed = SealedFaults(self.sealed) if self.sealed else None
         episodes = draw_episodes(range(first, first + BLOCK), self.draw_seed, sealed)
-        modes = {entry: MODES[entry] for entry in self.entries}
+        modes = {entry: MODES[entry] for entry in self.entries_of(evaluator)}
         title = f"episodes {first} to {first + BLOCK - 1}"
         # A block's bodies are its own.
         seed = 1000 * self.draw_seed + first

@@ -45,11 +45,16 @@ def verify(study: BenchmarkStudy, path: Path) -> str:
             )
         )
     if (result["episodes"] == "sealed") != (study.sealed is not None):
-        raise RenetError(f"{printable(str(path))}: give --sealed for sealed episodes, and only then")
+        raise RenetError(
+            f"{printable(str(path))}: give --sealed for sealed episodes, and only then"
+        )
     first = chosen_block(result)
-    entries = [entry for entry in study.entries if entry in result["scores"]]
+    walked_entries = study.entries_of(evaluator)
+    entries = [entry for entry in walked_entries if entry in result["scores"]]
     if not entries:
-        raise RenetError(f"{printable(str(path))} has none of --entries {' '.join(study.entries)}")
+        raise RenetError(
+            f"{printable(str(path))} has none of the entries {', '.join(walked_entries)}"
+        )
     walked = plain(study.walk(evaluator, first))["rows"]
     again = {(row["entry"], row["episode"]): row for row in walked}
     claimed = [

@@ -301,13 +301,9 @@ def walk_episodes(
     numbers = [number for _ in modes for number in range(len(episodes))]
     sim = evaluator.make_env(deepcopy(cfg), numbers, 0.5, seed, camera_noise=CAMERA_NOISE)
     env = CourseEnv(sim, rows)
-    trials = [
-        Trial(mode, (), number) for mode in modes.values() for number in range(len(episodes))
-    ]
+    trials = [Trial(mode, (), number) for mode in modes.values() for number in range(len(episodes))]
     rollout = evaluator.rollout(env, trials, seed)
-    failing = [
-        None if entry == HEALTHY else episode for entry in modes for episode in episodes
-    ]
+    failing = [None if entry == HEALTHY else episode for entry in modes for episode in episodes]
     rollout.injector = PlacedFaults(env, failing, seed, sealed)
     steps = round(max(episode.seconds for episode in episodes) / CONTROL_DT) + 1
     rollout.run(steps, title, until_ended=1, retire=True)
