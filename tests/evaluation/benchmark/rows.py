@@ -12,6 +12,7 @@ def row(episode, crossed, obstacles=2, entry="memory", **others):
         "family": "mount" if episode % 2 else "dark",
         "lie": bool(episode % 2),
         "fault": "turned" if episode % 2 else "blackout",
+        "stranger": episode % 5 == 4,
         "obstacles": obstacles,
         "crossed": crossed,
         "fell": crossed < obstacles,

@@ -37,6 +37,8 @@ def open_model(path: Path, num_robots: int = 1) -> Model:
     Args:
         path: `.onnx`, or `.pt` of `torch.jit.save`. num_robots: whose memories it may have to keep.
     """
+    if not path.exists():
+        raise RenetError(f"the policy {path} does not exist")
     require_regular(path, MAX_MODEL, "policy")
     if path.suffix == ".onnx":
         return OnnxModel(path)

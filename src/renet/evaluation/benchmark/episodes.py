@@ -34,6 +34,8 @@ SEALED_EPISODES = 40
 BLOCK = 10
 """Episodes that are walked side by side: bodies are drawn for a block at once."""
 
+STRANGERS = 5
+"""Every fifth episode is walked by a stranger."""
 RUN_UP = (2.0, 2.8)
 """Ground before the first obstacle, m: no obstacle is in sight at the start."""
 SPACE = (0.5, 1.5)
@@ -80,6 +82,8 @@ class Episode:
     """Position at which the camera begins to fail, m."""
     duration: float
     """Seconds for which it fails."""
+    stranger: bool
+    """Whether a robot walks that nobody trained on (`stranger.py`)."""
 
     @property
     def course(self) -> Course:
@@ -123,7 +127,7 @@ def draw_episode(number: int, seed: int = SEED, sealed: SealedFaults | None = No
     count = int(rng.integers(2, 4))
     obstacles = [draw_obstacle(rng) for _ in range(count)]
     spaces = [float(rng.uniform(*RUN_UP)), *rng.uniform(*SPACE, count - 1).tolist()]
-    failing = int(rng.integers(count))
+    failing = draw_failing(rng, obstacles)
     if family == GLASS and isinstance(obstacles[failing], Gap):
         # A gap holds nothing that could be of glass.
         obstacles[failing] = draw_platform(rng)
@@ -149,6 +153,7 @@ def draw_episode(number: int, seed: int = SEED, sealed: SealedFaults | None = No
         level=level,
         onset=onset,
         duration=draw_duration(rng),
+        stranger=number % STRANGERS == STRANGERS - 1,
     )
 
 
@@ -160,6 +165,12 @@ def _families(number: int, sealed: SealedFaults | None) -> tuple[Families, bool]
         return sealed.families, True
     lie = number % 2 == 1
     return (LIES if lie else LOUD), lie
+
+
+def draw_failing(rng: np.random.Generator, obstacles: list[Obstacle]) -> int:
+    """Draw the obstacle before which the camera fails: one that needs it, if there is any."""
+    unseen = [i for i, obstacle in enumerate(obstacles) if isinstance(obstacle, (Gap, Platform))]
+    return int(rng.choice(unseen or range(len(obstacles))))
 
 
 def draw_duration(rng: np.random.Generator) -> float:

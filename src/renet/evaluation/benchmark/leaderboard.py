@@ -25,7 +25,19 @@ from renet.files import write_atomically
 from renet.terminal import show
 
 Result = Mapping[str, Any]
-COLUMNS = ("", "policy", "entry", "robot", "score", "95 %", "over", "loud", "lies", "falls")
+COLUMNS = (
+    "",
+    "policy",
+    "entry",
+    "robot",
+    "score",
+    "95 %",
+    "over",
+    "loud",
+    "lies",
+    "stranger",
+    "falls",
+)
 MEASURES = ("J/m", "peak N m", "speed error", "ahead of it")
 
 
@@ -129,7 +141,7 @@ def _line(place: int, entry: Entry, reference: Entry) -> tuple[str, ...]:
         _percent(scores["score"]),
         f"{_percent(low)} to {_percent(high)}",
         over,
-        *(_percent(scores[name]) for name in ("loud", "lies", "falls")),
+        *(_percent(scores[name]) for name in ("loud", "lies", "stranger", "falls")),
         *(_number(scores[name]) for name in ("energy_per_metre", "peak_torque", "speed_error")),
         difference,
     )

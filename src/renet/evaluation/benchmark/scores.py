@@ -34,6 +34,7 @@ def rows_of(walks: Mapping[str, Walk], episodes: Sequence[Episode]) -> list[Row]
             "family": episode.family,
             "lie": episode.lie,
             "fault": episode.fault,
+            "stranger": episode.stranger,
             "obstacles": len(episode.obstacles),
         }
         | {name: values[i].item() for name, values in vars(walk).items()}
@@ -51,13 +52,14 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
     """The scores of one entry from its rows.
 
     `score` is the mean share of the obstacles crossed, over episodes; its 95 % interval is a
-    bootstrap over episodes. `loud` and `lies` are the same of the episodes with such faults, None
-    without any. `falls` is the share of episodes that end in a fall.
+    bootstrap over episodes. `loud` and `lies` are the same of the episodes with such faults,
+    `stranger` of those with another robot; None without any. `falls` is the share of episodes that
+    end in a fall.
     """
     crossed = shares(rows)
     low, high = bootstrap_interval(crossed)
     walked = [row for row in rows if row["metres"] >= SHORT]
-    energy = [row["joules"] / row["metres"] for row in walked]
+    joules = sum(row["joules"] for row in walked)
     return {
         "episodes": len(rows),
         "score": crossed.mean(),
@@ -65,8 +67,9 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "ci95_high": high,
         "loud": _mean(shares([row for row in rows if not row["lie"]])),
         "lies": _mean(shares([row for row in rows if row["lie"]])),
+        "stranger": _mean(shares([row for row in rows if row["stranger"]])),
         "falls": _mean([row["fell"] for row in rows]),
-        "energy_per_metre": _mean(energy),
+        "energy_per_metre": joules / sum(row["metres"] for row in walked) if walked else None,
         "peak_torque": _mean([row["peak_torque"] for row in rows]),
         "speed_error": _mean([row["speed_error"] for row in rows]),
     }

@@ -6,8 +6,7 @@ Whoever is slower meets the same turn, the same stop and the same fault at the s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +14,7 @@ import torch
 
 from renet.evaluation.benchmark.episodes import Episode
 from renet.evaluation.benchmark.families import SealedFaults, fault_of
+from renet.evaluation.benchmark.stranger import stranger
 from renet.evaluation.conditions import as_trained
 from renet.evaluation.env import SimEnv
 from renet.evaluation.rollout import Trial
@@ -92,6 +92,25 @@ class Walk:
     speed_error: np.ndarray
     """Mean of |speed along the commanded heading less the commanded one|, m/s."""
 
+    @classmethod
+    def begun(cls, count: int) -> Walk:
+        """Of robots that have not moved yet."""
+        flags = ("fell", "arrived")
+        counts = {"crossed": int} | dict.fromkeys(flags, bool)
+        return cls(**{f.name: np.zeros(count, counts.get(f.name, float)) for f in fields(cls)})
+
+    @classmethod
+    def joined(cls, walks: Sequence[Walk], order: np.ndarray) -> Walk:
+        """Several walks one after the other, then in another order, [N] places."""
+        names = [f.name for f in fields(cls)]
+        return cls(
+            **{name: np.concatenate([getattr(w, name) for w in walks])[order] for name in names}
+        )
+
+    def rows(self, places: np.ndarray) -> Walk:
+        """Of some robots, by their places."""
+        return Walk(**{name: values[places] for name, values in vars(self).items()})
+
 
 class CourseEnv:
     """Robots on courses as the environment of a rollout: steers them, and ends their episodes."""
@@ -126,16 +145,7 @@ class CourseEnv:
         self._standing = np.array([episode.stop_seconds for episode in self._episodes])
         """Seconds for which robots are still to stand, [N]."""
         self._error_sum = np.zeros(count)
-        self.walk = Walk(
-            crossed=np.zeros(count, int),
-            fell=np.zeros(count, bool),
-            arrived=np.zeros(count, bool),
-            seconds=np.zeros(count),
-            metres=np.zeros(count),
-            joules=np.zeros(count),
-            peak_torque=np.zeros(count),
-            speed_error=np.zeros(count),
-        )
+        self.walk = Walk.begun(count)
         self.position = self._place()[0]
         self.farthest = self.position.copy()
         self._steer()
@@ -168,7 +178,7 @@ class CourseEnv:
         )
         self._error_sum += CONTROL_DT * live * np.abs(result.forward_velocity - asked)
         walk.speed_error = self._error_sum / np.maximum(walk.seconds, CONTROL_DT)
-        late = walk.seconds >= self._limit
+        late = walk.seconds >= self._limit - CONTROL_DT / 2
         left = np.abs(aside) > WIDTH / 2 - MARGIN
         self._over |= result.ended | fell | walk.arrived | late | left
         self._steer()
@@ -193,8 +203,12 @@ class CourseEnv:
         turned = (self.farthest >= self._turn_at).astype(int)
         heading = np.take_along_axis(self._headings, turned[:, None], axis=1)[:, 0]
         self._asked = np.where(stands, 0.0, self._speed)
+        self._command(self._asked, heading)
+
+    def _command(self, speed: np.ndarray, heading: np.ndarray) -> None:
+        """Set the goals: speeds [N] m/s, and headings [N] rad from straight along the course."""
         command = goal(self._inner.env)
-        command.speed[:] = torch.from_numpy(self._asked)
+        command.speed[:] = torch.from_numpy(speed)
         command.yaw[:] = torch.from_numpy(heading)
 
 
@@ -272,6 +286,8 @@ class PlacedFaults:
         return frames
 
 
+TOLD_FIRST = 0.5
+"""Speed of the first control step, before the episode's is told, m/s."""
 HEALTHY = "healthy"
 """Name of the entry that walks in mode `camera` with a camera that never fails."""
 
@@ -284,7 +300,7 @@ def walk_episodes(
     title: str,
     sealed: SealedFaults | None = None,
 ) -> dict[str, Walk]:
-    """Let a policy walk a block of episodes.
+    """Let a policy walk a block of episodes, strangers after the others.
 
     Args:
         evaluator: of the policy. episodes: of the block.
@@ -295,12 +311,39 @@ def walk_episodes(
     Returns:
         What happened, by the entries' names, each with a row for every episode.
     """
+    robots = {False: evaluator.robot, True: stranger(evaluator.robot)}
+    parts: dict[str, list[Walk]] = {entry: [] for entry in modes}
+    order: list[int] = []
+    for strange, robot in robots.items():
+        places = [i for i, episode in enumerate(episodes) if episode.stranger == strange]
+        if not places:
+            continue
+        some = [episodes[place] for place in places]
+        bar = f"{title}, stranger" if strange else title
+        walks = _walk_on(evaluator, robot, some, modes, seed, bar, sealed)
+        for entry, walk in walks.items():
+            parts[entry].append(walk)
+        order += places
+    back = np.argsort(order)
+    return {entry: Walk.joined(walks, back) for entry, walks in parts.items()}
+
+
+def _walk_on(
+    evaluator: Evaluator,
+    robot: RobotCfg,
+    episodes: Sequence[Episode],
+    modes: dict[str, str],
+    seed: int,
+    title: str,
+    sealed: SealedFaults | None,
+) -> dict[str, Walk]:
+    """Walk episodes on one robot; see `walk_episodes`."""
     courses = {episode.name: episode.course for episode in episodes}
-    cfg = course_env_cfg(courses, evaluator.robot)
-    rows = list(episodes) * len(modes)
-    numbers = [number for _ in modes for number in range(len(episodes))]
-    sim = evaluator.make_env(deepcopy(cfg), numbers, 0.5, seed, camera_noise=CAMERA_NOISE)
-    env = CourseEnv(sim, rows)
+    cfg = course_env_cfg(courses, robot)
+    # Twins: every entry has the same bodies and noise.
+    numbers = list(range(len(episodes))) * len(modes)
+    sim = evaluator.make_env(cfg, numbers, TOLD_FIRST, seed, camera_noise=CAMERA_NOISE)
+    env = CourseEnv(sim, list(episodes) * len(modes))
     trials = [Trial(mode, (), number) for mode in modes.values() for number in range(len(episodes))]
     rollout = evaluator.rollout(env, trials, seed)
     failing = [None if entry == HEALTHY else episode for entry in modes for episode in episodes]
@@ -309,6 +352,5 @@ def walk_episodes(
     rollout.run(steps, title, until_ended=1, retire=True)
     count = len(episodes)
     return {
-        entry: Walk(**{k: v[i * count : (i + 1) * count] for k, v in vars(env.walk).items()})
-        for i, entry in enumerate(modes)
+        entry: env.walk.rows(np.arange(count) + count * place) for place, entry in enumerate(modes)
     }
