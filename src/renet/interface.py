@@ -4,6 +4,7 @@ All indices elsewhere are derived from these tables. The base frame is x forward
 quaternions are (w, x, y, z).
 """
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,6 +26,19 @@ TRUNK = "trunk"
 
 CONSTRAINTS = ("joint_position", "joint_velocity", "torque")
 """The paper's constraint costs, in the order of every cost tensor."""
+
+FALL_TILT = math.radians(80.0)
+"""Angle between the base's z axis and up at which a robot has fallen, rad: there an episode of
+training or of a study ends, and a real robot brakes."""
+TARGET_RATE = 40.0
+"""Fastest change of a joint target that a robot is sent, rad/s."""
+JOINT_MARGIN = 0.2
+"""How far beyond its range a joint may be measured before the robot brakes, rad."""
+MAX_JOINT_SPEED = 60.0
+"""Joint speed above which a robot brakes, rad/s; twice what a Go1's motors reach: a sensor that
+reads more is wrong."""
+MAX_BASE_RATE = 30.0
+"""Angular velocity of the base, around any of its axes, above which a robot brakes, rad/s."""
 
 MAX_SPEED = 1.0
 """Fastest forward command of training, m/s (paper)."""

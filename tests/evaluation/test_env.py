@@ -4,12 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
+from renet.bundle import Bundle
+from renet.deploy.robots.base import RobotState
+from renet.deploy.safety.limits import SafetyCfg, limited_command
 from renet.errors import RenetError
 from renet.evaluation.env import SimEnv, study_env_cfg
 from renet.evaluation.rollout import Rollout, Trial
 from renet.faults import Injection, ViewPerturbation
 from renet.selector import SelectorSpec, make_selector
+from renet.tasks import mdp
 from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.sensors import depth_camera
 from renet.tasks.terrains import tile_row
@@ -124,3 +129,39 @@ def test_retired_robots_stand_still_until_the_next_reset_and_the_others_walk_ali
             np.testing.assert_array_equal(values, getattr(third, name), name)
     np.testing.assert_array_equal(left[-1].travelled[[0, 2]], left[12].travelled[[0, 2]])
     assert (whole[-1].travelled[[0, 2]] != left[-1].travelled[[0, 2]]).all()
+
+
+def test_targets_are_those_that_deploy_would_send():
+    world = quiet("Renet-Go1-Flat", 2)
+    world.reset()
+    action = world.env.action_manager.get_term("joint_pos")
+    robot = Bundle.load().manifest.robot
+    safety = SafetyCfg()
+    at_rest = RobotState(0.0, *np.zeros((3, 12)), np.array([1.0, 0, 0, 0]), np.zeros(3))
+    sent = np.array(robot.default_position)
+    draw = np.random.default_rng(2)
+    for _ in range(20):
+        wanted = draw.uniform(-4.8, 4.8, (2, 12)).astype(np.float32)
+        action.process_actions(torch.from_numpy(wanted))
+        target = np.array(robot.default_position) + robot.action_scale * wanted[0]
+        sent = limited_command(target, sent, at_rest, robot, safety).position
+        assert action._processed_actions[0].numpy() == pytest.approx(sent, abs=1e-5)
+    # The last actions were beyond what is sent, and are what policies observe.
+    assert action.raw_action[0].numpy() == pytest.approx(wanted[0])
+    assert np.abs(target - sent).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("field", "column", "value"),
+    [("qpos", 9, 3.0), ("qvel", 6, -61.0), ("qvel", 5, 31.0)],
+    ids=["joint beyond its range", "joint too fast", "base turns too fast"],
+)
+def test_a_robot_that_deploy_would_brake_has_fallen(field, column, value):
+    world = quiet("Renet-Go1-Flat", 2)
+    world.reset()
+    assert not world.step(np.zeros((2, 12), np.float32)).fell.any()
+    getattr(world.env.sim.data, field)[1, column] = value
+    world.env.sim.forward()
+    safety = SafetyCfg()
+    limits = safety.joint_margin, safety.max_joint_speed, safety.max_turn_rate
+    assert mdp.beyond_limits(world.env, *limits).tolist() == [False, True]

@@ -10,6 +10,7 @@ from typing import cast
 import mujoco
 import numpy as np
 import torch
+from mjlab.managers.termination_manager import TerminationTermCfg
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -20,10 +21,17 @@ from renet.evaluation.rollout import FLAT
 from renet.evaluation.trace import StepResult
 from renet.faults import ViewPerturbation
 from renet.faults.physical import obstacles, spread
-from renet.interface import Told
+from renet.interface import (
+    FALL_TILT,
+    JOINT_MARGIN,
+    MAX_BASE_RATE,
+    MAX_JOINT_SPEED,
+    TARGET_RATE,
+    Told,
+)
 from renet.sim.depth.camera import CameraPerturbation, DepthCamera
 from renet.sim.native.engine import NativeSimulation
-from renet.tasks import RenetEnv, RenetEnvCfg, RobotCfg, env_cfg, make_env
+from renet.tasks import RenetEnv, RenetEnvCfg, RobotCfg, env_cfg, make_env, mdp
 from renet.tasks.mdp.base_state import tile_terrain
 from renet.tasks.mdp.commands import (
     COMMAND,
@@ -98,7 +106,27 @@ def study_env_cfg(
     cfg.terminations.pop("time_out", None)
     cfg.observations = {name: cfg.observations[name] for name in (*SENSED, *privileged)}
     cfg.rewards, cfg.metrics = {}, {}
+    obey_deployment(cfg)
     return cfg
+
+
+def obey_deployment(cfg: RenetEnvCfg) -> None:
+    """Hold robots of a study to what `renet deploy` lets them do, in place.
+
+    Joint targets change no faster and stay in the joints' ranges, and a robot that would be braked
+    has fallen. Torques need no limit of their own: the simulated motors saturate.
+    """
+    for action in cfg.actions.values():
+        if isinstance(action, mdp.OrderedJointPositionActionCfg):
+            action.target_rate = TARGET_RATE
+    fallen = {"limit_angle": FALL_TILT}
+    cfg.terminations["fallen"] = TerminationTermCfg(func=mdp.bad_orientation, params=fallen)
+    limits = {
+        "joint_margin": JOINT_MARGIN,
+        "joint_speed": MAX_JOINT_SPEED,
+        "turn_rate": MAX_BASE_RATE,
+    }
+    cfg.terminations["braked"] = TerminationTermCfg(func=mdp.beyond_limits, params=limits)
 
 
 class SimEnv:

@@ -19,7 +19,7 @@ from mjlab.terrains import TerrainEntityCfg
 from mjlab.utils.noise import UniformNoiseCfg
 from mjlab.viewer import ViewerConfig
 
-from renet.interface import CONTROL_DT, JOINTS, PHYSICS_DT, PROPRIOCEPTION, TRUNK
+from renet.interface import CONTROL_DT, FALL_TILT, JOINTS, PHYSICS_DT, PROPRIOCEPTION, TRUNK
 from renet.tasks import mdp
 from renet.tasks.config.go1 import GO1
 from renet.tasks.env import RenetEnvCfg
@@ -145,7 +145,7 @@ def _clear_of_terrain(spec: mujoco.MjSpec) -> None:
 
 
 def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
-    tilt = {"limit_angle": math.acos(0.17)}  # 80 degrees.
+    tilt = {"limit_angle": FALL_TILT}
     # One set of physics options for both engines, so that policies transfer.
     physics = MujocoCfg(timestep=PHYSICS_DT, iterations=20, ls_iterations=20, ccd_iterations=50)
     return RenetEnvCfg(

@@ -40,9 +40,9 @@ def moved(joint: int, value: float) -> np.ndarray:
         ({}, CFG.max_state_age, ""),
         ({}, 0.06, "the state is 60 ms old"),
         ({}, -0.06, "the state is -60 ms old"),  # The clock jumped back.
-        ({"quaternion": turned("x", 69)}, 0.0, ""),
-        ({"quaternion": turned("x", 71)}, 0.0, "tilted by more than 70 degrees"),
-        ({"quaternion": turned("x", 180)}, 0.0, "tilted by more than 70 degrees"),
+        ({"quaternion": turned("x", 79)}, 0.0, ""),
+        ({"quaternion": turned("x", 81)}, 0.0, "tilted by more than 80 degrees"),
+        ({"quaternion": turned("x", 180)}, 0.0, "tilted by more than 80 degrees"),
         ({"joint_position": moved(0, GO1.lower[0] - CFG.joint_margin)}, 0.0, ""),
         ({"joint_position": moved(1, GO1.upper[1] + CFG.joint_margin)}, 0.0, ""),
         ({"joint_velocity": np.full(12, CFG.max_joint_speed)}, 0.0, ""),

@@ -9,14 +9,25 @@ from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState, all_finite
 from renet.deploy.teleop import TeleopCommand, Velocity
 from renet.errors import RenetError
-from renet.interface import CONTROL_DT, MAX_REVERSE, MAX_SIDEWAYS, MAX_SPEED, MAX_TURN
+from renet.interface import (
+    CONTROL_DT,
+    FALL_TILT,
+    JOINT_MARGIN,
+    MAX_BASE_RATE,
+    MAX_JOINT_SPEED,
+    MAX_REVERSE,
+    MAX_SIDEWAYS,
+    MAX_SPEED,
+    MAX_TURN,
+    TARGET_RATE,
+)
 
 
 @dataclass(frozen=True)
 class SafetyCfg:
     """Limits beyond which a robot is damped, and limits of what it is told."""
 
-    max_tilt: float = math.radians(70.0)
+    max_tilt: float = FALL_TILT
     """Largest angle between the base's z axis and up, rad."""
     max_state_age: float = 0.05
     """Oldest reading to act on, s."""
@@ -24,13 +35,13 @@ class SafetyCfg:
     """Longest time between two control ticks, s."""
     max_late: int = 5
     """Late control ticks (over 1.5 periods) in a row."""
-    joint_margin: float = 0.2
+    joint_margin: float = JOINT_MARGIN
     """How far beyond its range a joint may be measured, rad."""
-    max_joint_speed: float = 60.0
-    """rad/s; twice what a Go1's motors reach: a sensor that reads more is wrong."""
-    max_turn_rate: float = 30.0
+    max_joint_speed: float = MAX_JOINT_SPEED
+    """rad/s"""
+    max_turn_rate: float = MAX_BASE_RATE
     """Base angular velocity, rad/s, per axis."""
-    target_rate: float = 40.0
+    target_rate: float = TARGET_RATE
     """Fastest change of a joint target, rad/s."""
     damping: float = 3.0
     """Braking gain in DAMPING, N m s/rad."""

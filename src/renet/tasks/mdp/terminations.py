@@ -35,6 +35,26 @@ def below_map(env: ManagerBasedRlEnv) -> Tensor:
     return height_above_start(env) < -3.0  # The highest stairs go 2.1 m down.
 
 
+def beyond_limits(
+    env: ManagerBasedRlEnv, joint_margin: float, joint_speed: float, turn_rate: float
+) -> Tensor:
+    """Readings at which `renet deploy` brakes a robot, [N].
+
+    Args:
+        env: the environment.
+        joint_margin: how far a joint may be beyond its range, rad.
+        joint_speed: fastest of a joint, rad/s.
+        turn_rate: fastest of the base around an axis of its own frame, rad/s.
+    """
+    robot = env.scene["robot"].data
+    lower, upper = robot.joint_pos_limits.unbind(-1)
+    position = robot.joint_pos
+    outside = (position < lower - joint_margin) | (position > upper + joint_margin)
+    too_fast = robot.joint_vel.abs() > joint_speed
+    turning = robot.root_link_ang_vel_b.abs() > turn_rate
+    return outside.any(-1) | too_fast.any(-1) | turning.any(-1)
+
+
 def left_tile(env: ManagerBasedRlEnv) -> Tensor:
     """Walked off its tile in any direction, [N]."""
     return distance_from_start(env) > TILE / 2
