@@ -72,7 +72,7 @@ def test_an_adapter_of_ones_own(tmp_path):
     onnx.save(model, tmp_path / "twice.onnx")
     (tmp_path / "mine.py").write_text(OWN)
     evaluator = AdaptedEvaluator(tmp_path / "twice.onnx", str(tmp_path / "mine.py"))
-    assert evaluator.entries == ("blind",)
+    assert [*evaluator.entries] == ["blind"]
     assert evaluator.robot.damping == 1.0
 
 

@@ -30,7 +30,7 @@ class Walked(BenchmarkStudy):
                     obstacles=len(episode.obstacles),
                     entry=entry,
                 )
-                for entry in self.entries_of(evaluator)
+                for entry in self.modes(evaluator)
                 for episode in episodes
             ]
         }

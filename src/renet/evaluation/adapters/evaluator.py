@@ -15,6 +15,7 @@ from renet.bundle import pretrained
 from renet.errors import RenetError, printable, unknown_name
 from renet.evaluation.adapters.base import Adapter, Senses
 from renet.evaluation.adapters.models import MAX_MODEL, open_model
+from renet.evaluation.benchmark.modes import MODES
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.files import read_bytes
@@ -145,9 +146,10 @@ class AdaptedEvaluator(Evaluator):
         self._check()
 
     @property
-    def entries(self) -> tuple[str, ...]:
-        """Of the benchmark, that the policy can walk as."""
-        return ("camera", "healthy") if self.adapter.uses_camera else ("blind",)
+    def entries(self) -> dict[str, str]:
+        """Entries of the benchmark that the policy can walk as, and the rollout's mode of each."""
+        names = ("camera", "healthy") if self.adapter.uses_camera else ("blind",)
+        return {name: MODES[name] for name in names}
 
     def _check(self) -> None:
         """Act once, before minutes are spent: a wrong file is told at once."""

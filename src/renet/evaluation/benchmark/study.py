@@ -6,12 +6,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 from renet.errors import RenetError
 from renet.evaluation.benchmark.episodes import BLOCK, SEED, draw_episodes
 from renet.evaluation.benchmark.families import SealedFaults
 from renet.evaluation.benchmark.leaderboard import family_table, ranking
+from renet.evaluation.benchmark.modes import DEFAULT_ENTRIES, MODES, EntryName
 from renet.evaluation.benchmark.results import SETS, demand_version_seed, make_result
 from renet.evaluation.benchmark.scores import Row, by_family, rows_of, score
 from renet.evaluation.results import grouped, write_json
@@ -21,21 +22,6 @@ from renet.motor_models import IDEAL
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
-
-EntryName = Literal["memory", "switch", "camera", "blind", "oracle", "healthy"]
-"""memory: VP goes on without images that a monitor objects to. switch: the paper's selector.
-camera: VP with every image. blind: OP. oracle: OP while the camera fails. healthy: as camera, with
-a camera that never fails."""
-MODES: dict[str, str] = {
-    "memory": "renet",
-    "switch": "paper",
-    "camera": "vp",
-    "blind": "op",
-    "oracle": "oracle-switch",
-    "healthy": "vp",
-}
-"""The rollout's mode of each entry."""
-DEFAULT_ENTRIES = ("memory", "switch", "camera", "blind", "healthy")
 
 
 @dataclass(frozen=True)
@@ -98,17 +84,23 @@ class BenchmarkStudy(Study):
         from renet.evaluation.adapters.evaluator import AdaptedEvaluator
 
         evaluator = AdaptedEvaluator(self.policy, self.adapter, self.engine)
-        known = evaluator.entries
-        if unknown := {*self.entries} - {*known}:
+        _ = self.modes(evaluator)
+        return evaluator
+
+    def modes(self, evaluator: Evaluator) -> dict[str, str]:
+        """The rollout's mode of each entry to walk, by the entry's name.
+
+        An evaluator of another policy names its own in `entries`. Raises RenetError for an entry
+        that the policy does not have.
+        """
+        known: dict[str, str] = getattr(evaluator, "entries", MODES)
+        names = self.entries or (DEFAULT_ENTRIES if known is MODES else tuple(known))
+        if unknown := {*names} - {*known}:
             raise RenetError(
                 f"this policy has no entry {unknown.pop()}: leave out --entries, or choose among"
                 f" {', '.join(known)}"
             )
-        return evaluator
-
-    def entries_of(self, evaluator: Evaluator) -> tuple[str, ...]:
-        """The entries to walk, in their order."""
-        return self.entries or getattr(evaluator, "entries", DEFAULT_ENTRIES)
+        return {name: known[name] for name in names}
 
     @property
     def episodes(self) -> str:
@@ -131,7 +123,7 @@ class BenchmarkStudy(Study):
 
         sealed = SealedFaults(self.sealed) if self.sealed else None
         episodes = draw_episodes(range(first, first + BLOCK), self.draw_seed, sealed)
-        modes = {entry: MODES[entry] for entry in self.entries_of(evaluator)}
+        modes = self.modes(evaluator)
         title = f"episodes {first} to {first + BLOCK - 1}"
         # A block's bodies are its own.
         seed = 1000 * self.draw_seed + first

@@ -49,7 +49,7 @@ def verify(study: BenchmarkStudy, path: Path) -> str:
             f"{printable(str(path))}: give --sealed for sealed episodes, and only then"
         )
     first = chosen_block(result)
-    walked_entries = study.entries_of(evaluator)
+    walked_entries = study.modes(evaluator)
     entries = [entry for entry in walked_entries if entry in result["scores"]]
     if not entries:
         raise RenetError(

@@ -14,6 +14,7 @@ import torch
 
 from renet.evaluation.benchmark.episodes import Episode
 from renet.evaluation.benchmark.families import SealedFaults, fault_of
+from renet.evaluation.benchmark.modes import HEALTHY
 from renet.evaluation.benchmark.stranger import stranger
 from renet.evaluation.conditions import as_trained
 from renet.evaluation.env import SimEnv
@@ -288,8 +289,6 @@ class PlacedFaults:
 
 TOLD_FIRST = 0.5
 """Speed of the first control step, before the episode's is told, m/s."""
-HEALTHY = "healthy"
-"""Name of the entry that walks in mode `camera` with a camera that never fails."""
 
 
 def walk_episodes(
