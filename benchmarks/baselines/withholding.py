@@ -7,13 +7,16 @@ switch does; withholding lets VP go on without its images, for as long as the bu
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from baselines.switches import SwitchEvaluator
 from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import EvalEnv, Rollout, Trial
 from renet.interface import PHYSICS_DT, STEPS_PER_TICK
 from renet.selector import SelectorInput
@@ -134,3 +137,10 @@ class RivalEvaluator(SwitchEvaluator):
         if isinstance(judge, Oracle):
             judge.rollout = rollout
         return rollout
+
+    def provenance(self, seed: int) -> Provenance:
+        """The switch's, with the entry: other results than without the judge."""
+        provenance = super().provenance(seed)
+        digest = hashlib.sha256(f"{provenance.bundle_hash} {self.entry}".encode()).hexdigest()
+        name = f"{self.bundle.name} with {self.entry}"
+        return replace(provenance, bundle=name, bundle_hash=digest)

@@ -54,8 +54,9 @@ def test_a_run_leaves_a_result_that_can_be_read(study, tmp_path):
 
 
 def test_the_tables_have_a_line_for_each_entry(study):
-    ranking, families = study.tables(study.run())
+    ranking, measures, families = study.tables(study.run())
     assert [line[2] for line in ranking[2]] == ["memory", "blind"]
+    assert [line[1] for line in measures[2]] == ["memory", "blind"]
     assert [name for name, *_ in families[2]] == ["dark", "mount"]
 
 

@@ -25,20 +25,18 @@ from renet.files import write_atomically
 from renet.terminal import show
 
 Result = Mapping[str, Any]
-COLUMNS = (
-    "",
-    "policy",
-    "entry",
-    "robot",
-    "score",
-    "95 %",
-    "over",
-    "loud",
-    "lies",
-    "stranger",
-    "falls",
-)
-MEASURES = ("J/m", "peak N m", "speed error", "ahead of it")
+COLUMNS = ("", "policy", "entry", "robot", "score", "95 %", "over", "ahead of it")
+MEASURES = {
+    "loud": "loud",
+    "lies": "lies",
+    "stranger": "stranger",
+    "falls": "falls",
+    "energy_per_metre": "J/m",
+    "peak_torque": "peak N m",
+    "speed_error": "error m/s",
+}
+"""Columns of the table of measures."""
+SHARES = ("loud", "lies", "stranger", "falls")
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
     if not cfg.files:
         raise RenetError("give result files: `renet evaluate benchmark` writes result.json")
     results = [read_result(path) for path in cfg.files]
-    tables = [ranking(results), *map(family_table, results)]
+    tables = [ranking(results), measures(results), *map(family_table, results)]
     write_atomically(cfg.out, "\n".join(map(markdown, tables)).encode())
     for table in tables:
         show(*table)
@@ -106,31 +104,32 @@ def entries_of(results: Sequence[Result]) -> list[Entry]:
     ]
 
 
+def ranked(results: Sequence[Result]) -> list[Entry]:
+    """The entries of result files, best first; raises RenetError for different episodes."""
+    if len({result["episodes"] for result in results}) > 1:
+        raise RenetError("give results of the same episodes: all quick, all full, or all sealed")
+    return sorted(entries_of(results), key=lambda entry: -entry.scores["score"])
+
+
 def ranking(results: Sequence[Result]) -> Table:
     """The leaderboard, best first; shares in per cent.
 
     The last column is how many points more the first file's first entry crosses, with a 95 %
-    interval over episodes, each paired with itself. Raises RenetError for different sets of
-    episodes.
+    interval over episodes, each paired with itself. Raises as `ranked`.
     """
-    if len({result["episodes"] for result in results}) > 1:
-        raise RenetError("give results of the same episodes: all quick, all full, or all sealed")
-    entries = entries_of(results)
-    reference = entries[0]
-    ordered = sorted(entries, key=lambda entry: -entry.scores["score"])
-    rows = [_line(place, entry, reference) for place, entry in enumerate(ordered, start=1)]
+    reference = entries_of(results)[0]
+    rows = [_line(place, entry, reference) for place, entry in enumerate(ranked(results), start=1)]
     title = (
         f"renet-faults, version {VERSION}, {results[0]['episodes']} episodes;"
         f" it: {reference.method}, {reference.name}"
     )
-    return title, (*COLUMNS, *MEASURES), rows
+    return title, COLUMNS, rows
 
 
 def _line(place: int, entry: Entry, reference: Entry) -> tuple[str, ...]:
-    scores = entry.scores
     low, high, over = entry.interval
     difference = "-"
-    if entry is not reference:
+    if entry != reference:
         pairs = lead(_mean_rows(reference), _mean_rows(entry))
         difference = "{:+.1f} ({:+.1f} to {:+.1f})".format(*(100 * value for value in pairs))
     return (
@@ -138,13 +137,23 @@ def _line(place: int, entry: Entry, reference: Entry) -> tuple[str, ...]:
         entry.method,
         entry.name,
         entry.robot,
-        _percent(scores["score"]),
+        _percent(entry.scores["score"]),
         f"{_percent(low)} to {_percent(high)}",
         over,
-        *(_percent(scores[name]) for name in ("loud", "lies", "stranger", "falls")),
-        *(_number(scores[name]) for name in ("energy_per_metre", "peak_torque", "speed_error")),
         difference,
     )
+
+
+def measures(results: Sequence[Result]) -> Table:
+    """What else is measured of the entries, in the leaderboard's order; shares in per cent."""
+    rows = []
+    for entry in ranked(results):
+        scores = entry.scores
+        cells = [
+            _percent(scores[name]) if name in SHARES else _number(scores[name]) for name in MEASURES
+        ]
+        rows.append((entry.method, entry.name, *cells))
+    return "Measures", ("policy", "entry", *MEASURES.values()), rows
 
 
 def _mean_rows(entry: Entry) -> list[dict[str, Any]]:

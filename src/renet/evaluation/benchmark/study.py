@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, get_args
 from renet.errors import RenetError
 from renet.evaluation.benchmark.episodes import BLOCK, SEED, draw_episodes
 from renet.evaluation.benchmark.families import SealedFaults
-from renet.evaluation.benchmark.leaderboard import family_table, ranking
+from renet.evaluation.benchmark.leaderboard import family_table, measures, ranking
 from renet.evaluation.benchmark.modes import DEFAULT_ENTRIES, MODES, EntryName
 from renet.evaluation.benchmark.results import SETS, demand_version_seed, make_result
 from renet.evaluation.benchmark.scores import Row, by_family, rows_of, score
@@ -154,9 +154,9 @@ class BenchmarkStudy(Study):
         return make_result(summary, method, summary["robot"], self.episodes)
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """The scores, and what is crossed under each family of faults."""
+        """The scores, the other measures, and what is crossed under each family of faults."""
         result = self._result(summary)
-        return [ranking([result]), family_table(result)]
+        return [ranking([result]), measures([result]), family_table(result)]
 
     def main(self) -> None:
         """Run the study and print its tables, or verify a result; raises RenetError if it fails."""
