@@ -7,15 +7,17 @@ same obstacles, and to stand still earns nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
 
-from renet.evaluation.benchmark.episodes import Episode
-from renet.evaluation.benchmark.walking import Walk
 from renet.evaluation.metrics import bootstrap_interval
 from renet.evaluation.results import grouped
+
+if TYPE_CHECKING:
+    from renet.evaluation.benchmark.episodes import Episode
+    from renet.evaluation.benchmark.walking import Walk
 
 Row = Mapping[str, Any]
 """One episode of one entry."""
