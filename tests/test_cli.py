@@ -70,9 +70,10 @@ def test_help_of_a_task_fits_a_screen_and_says_where_the_rest_is(capsys, monkeyp
     monkeypatch.setenv("COLUMNS", "80")
     for arguments in (["train", "--help"], ["train", "Renet-Go1-Parkour", "--help"]):
         _, out, _ = run(capsys, *arguments)
-        assert len(out.splitlines()) <= 40
+        assert len(out.splitlines()) <= 50
         assert max(map(len, out.splitlines())) <= 80
-        named = "num-envs seed max-iterations resume time-budget log-root device engine help-all"
+        named = "num-envs seed max-iterations resume time-budget log-root device engine config"
+        named += " scene help-all"
         assert [name for name in named.split() if f"--{name}" not in out] == []
 
 

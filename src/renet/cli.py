@@ -196,6 +196,12 @@ COMMANDS = {
         "write a bundle's model card",
         "renet.bundle.card:CardCfg:write_card",
     ),
+    "bundle push": Command(
+        "put a bundle on the Hugging Face Hub",
+        "renet.bundle.push:PushCfg:push",
+        "hub",
+        "Bundles",
+    ),
 }
 
 

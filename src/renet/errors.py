@@ -1,6 +1,7 @@
 """The exception that renet raises for everything a user can correct."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 
 
@@ -9,6 +10,35 @@ class RenetError(Exception):
 
     The command line prints it as one line and exits with code 2.
     """
+
+
+class Problems(RenetError):
+    """Several things that a user can correct, all told at once."""
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        numbered = (f"({number}) {problem}" for number, problem in enumerate(problems, 1))
+        super().__init__(f"{len(problems)} things are in the way: {'; '.join(numbered)}")
+        self.problems = list(problems)
+        """One line for each."""
+
+
+def demand_none(problems: Sequence[str]) -> None:
+    """Raise RenetError with all problems, if there are any."""
+    if len(problems) == 1:
+        raise RenetError(problems[0])
+    if problems:
+        raise Problems(problems)
+
+
+@contextmanager
+def collected(problems: list[str]) -> Iterator[None]:
+    """Add what is wrong in the block to a list of problems."""
+    try:
+        yield
+    except Problems as error:
+        problems += error.problems
+    except RenetError as error:
+        problems.append(str(error))
 
 
 def printable(text: str) -> str:

@@ -12,6 +12,7 @@ import tyro
 
 from renet.errors import RenetError, demand_name
 from renet.interface import Engine
+from renet.settings_file import read_settings
 
 ROBOTS = ("Go1", "Go2")
 TASKS = tuple(
@@ -36,6 +37,10 @@ class TrainOptions:
     task: tyro.conf.Positional[str]
     """Renet-Go1-Parkour (the recipe), Renet-Go1-Parkour-Paper (as in the paper),
     Renet-Go1-Flat, Renet-Go2-..., or a plug-in's."""
+    film_every: int = 0
+    """Iterations from one film of the run to the next; 0: none."""
+    config: Path | None = None
+    """A run's config.json or a part of it, as JSON or YAML; other options win over it."""
     num_envs: int | None = None
     """Robots of each process; by default 512 on a CPU, 4096 on a GPU (paper)."""
     resume: str | None = None
@@ -50,6 +55,14 @@ class TrainOptions:
     """cpu, cuda:0, ... or auto (a GPU if there is one)."""
     engine: Engine = "auto"
     """Physics engine; auto: native (C MuJoCo on threads) on a CPU, warp on a GPU."""
+    scene: Path | None = None
+    """Ground of your own, too: a height map (.npy in m, .png) or an MJCF scene (.xml)."""
+    scene_width: float = 8.0
+    """Width of a height map, m; each level takes another piece of a wide one."""
+    scene_height: float = 0.3
+    """Height of white above black in a .png, m."""
+    scene_share: float = 0.5
+    """Share of the robots on your own ground; 1: no other tiles."""
 
 
 @dataclass(kw_only=True)
@@ -83,18 +96,30 @@ class UsualOptions(TrainOptions):
 
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> "UsualOptions":
-        """What a command line starts from: a run that goes on has a task of its own."""
-        resumes = any(argument.partition("=")[0] == "--resume" for argument in arguments)
-        return cls(task="" if resumes else tyro.MISSING)
+        """What a command line starts from: a run that goes on, or a file, has a task of its own."""
+        named = {argument.partition("=")[0] for argument in arguments}
+        return cls(task="" if named & {"--resume", "--config"} else tyro.MISSING)
 
     def check(self) -> None:
         """Raise RenetError for what no task and no computer takes."""
-        if self.task:
-            check_task(self.task)
+        task = self.task
+        if self.config is not None:
+            if self.resume is not None:
+                raise RenetError(
+                    "a run that goes on has its own settings: leave --config or --resume away"
+                )
+            stored = read_settings(self.config).get("task", "")
+            if not (task or stored):
+                raise RenetError(f"{self.config} names no task: renet train TASK --config FILE")
+            task = task or str(stored)
+        if task:
+            check_task(task)
         if self.resume is not None:
             resumed_folder(self.resume, self.log_root, self.task)
         if self.num_envs is not None and self.num_envs < 1:
             raise RenetError(f"the number of environments must be at least 1, got {self.num_envs}")
+        if self.film_every < 0:
+            raise RenetError(f"--film-every must not be negative, got {self.film_every}")
         seconds(self.time_budget)
         check_device(self.device)
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from itertools import count
 
@@ -27,15 +28,25 @@ STANDING = np.tile([0.1, 0.9, -1.8, -0.1, 0.9, -1.8], 2)
 
 
 def state(time: float = 0.0, **changes) -> RobotState:
+    """The reading of a robot that stands and measures no torque."""
     standing = RobotState(
         time=time,
         joint_position=STANDING.copy(),
         joint_velocity=np.zeros(12),
-        joint_torque=np.full(12, 1e-9 * next(READINGS)),  # No sensor says the same twice.
+        joint_torque=np.zeros(12),
         quaternion=np.array([1.0, 0, 0, 0]),
         angular_velocity=np.zeros(3),
     )
     return replace(standing, **changes)
+
+
+def live(time: float = 0.0, **changes) -> RobotState:
+    """The same of sensors none of which says the same twice."""
+    reading, noise = state(time, **changes), 1e-9 * next(READINGS)
+    noisy = ("joint_position", "joint_velocity", "quaternion", "angular_velocity")
+    with suppress(TypeError):  # What a test made of it is no array.
+        return replace(reading, **{name: getattr(reading, name) + noise for name in noisy})
+    return reading
 
 
 def command(position=STANDING, stiffness=40.0, damping=1.0) -> JointCommand:
@@ -102,7 +113,7 @@ class Standing:
         self.time = until
 
     def read(self) -> RobotState:
-        return state(self.time, **self.reading)
+        return live(self.time, **self.reading)
 
     def write(self, command: JointCommand) -> None:
         self.told.append(command)
@@ -113,8 +124,9 @@ class Standing:
 
 
 ARM, GO = TeleopCommand(arm=True), TeleopCommand(forward=0.6)
-QUICK, BRISK = SafetyCfg(stand_up_seconds=0.1), SafetyCfg(stand_up_seconds=0.5)
-"""For robots without and with weight."""
+QUICK = SafetyCfg(stand_up_seconds=0.1, least_torque=0.0)
+BRISK = SafetyCfg(stand_up_seconds=0.5)
+"""For robots without weight, whose joints stay where they are, and with."""
 WALKS_AT = 7
 """Control step at which `Run` walks: armed at step 1, stood_up 0.1 s later."""
 
@@ -129,8 +141,9 @@ class Run:
 
     def tick(self, frame=None, teleop=GO, **changes):
         now = time_of(self.step)
+        changes = {"time": now} | changes
         teleop = ARM if self.step == 1 else teleop
-        command = self.controller.tick(replace(state(now), **changes), frame, teleop, now)
+        command = self.controller.tick(live(**changes), frame, teleop, now)
         self.step += 1
         return command
 

@@ -19,7 +19,7 @@ from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import A_WHILE, Controller, Event
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import heading
-from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.safety.limits import SafetyCfg, rate_after
 from renet.deploy.safety.machine import Mode, stand_up_target
 from renet.deploy.steering import FORWARD_ONLY
 from renet.deploy.teleop import TeleopCommand
@@ -37,7 +37,20 @@ from renet.models.renet import RENet
 from renet.training import checkpoint as checkpoints
 from renet.training.export import ExportCfg, export, export_models, load_networks
 
-from .fakes import ARM, GO, STANDING, WALKS_AT, Broken, Run, frame, robot_on, state, time_of, turned
+from .fakes import (
+    ARM,
+    GO,
+    STANDING,
+    WALKS_AT,
+    Broken,
+    Run,
+    frame,
+    live,
+    robot_on,
+    state,
+    time_of,
+    turned,
+)
 
 CHECKPOINT = pretrained("checkpoint")
 SECONDS = 20.0
@@ -71,7 +84,7 @@ def test_it_rises_and_then_walks(run):
     run.ticks(WALKS_AT // 2, lambda frame: None, joint_position=crouched)
     share = (time_of(run.step - 1) - time_of(1)) / run.controller.cfg.stand_up_seconds
     target = stand_up_target(crouched, run.controller.robot, share)
-    np.testing.assert_allclose(run.controller.decision.command.position, target)
+    np.testing.assert_allclose(run.controller.decision.command.position, target, atol=1e-6)
     run.ticks(WALKS_AT - run.step, lambda frame: None, joint_position=crouched)
     decision = run.controller.decision
     assert decision.mode is Mode.STANDING_UP
@@ -84,12 +97,23 @@ def test_it_rises_and_then_walks(run):
     assert run.controller.decision.action.any()
 
 
+def test_a_walk_begins_with_targets_that_move_slowly(run):
+    """However far away the policy wants its legs at once."""
+    run.ticks(WALKS_AT)
+    run.controller.policy.joint_target = lambda action: np.full((12,), 9.0)
+    steps = [run.tick().position for _ in range(60)]
+    change = np.abs(np.diff(steps, axis=0)).max(axis=1) / CONTROL_DT
+    cfg = run.controller.cfg
+    assert (change <= [rate_after(time_of(n + 1), cfg) + 1e-6 for n in range(59)]).all()
+    assert change.max() > 12.0
+
+
 def test_motors_that_obey_nobody_and_a_robot_that_falls_as_it_stands_do_not_walk(bundle):
     limp, falls = Run(bundle), Run(bundle)
     lying = STANDING + np.tile([0.0, 0.8, -0.6], 4)
     limp.ticks(WALKS_AT + 1, lambda frame: None, joint_position=lying)
-    falls.ticks(WALKS_AT)
-    falls.tick(quaternion=turned("x", 90))
+    falls.ticks(WALKS_AT - 2)
+    falls.ticks(3, quaternion=turned("x", 90))
     for run, why in ((limp, "did not follow"), (falls, "tilted")):
         assert run.whats() == ["standing_up", "damping"]
         assert why in run.events[1].why
@@ -99,7 +123,7 @@ def test_motors_that_obey_nobody_and_a_robot_that_falls_as_it_stands_do_not_walk
 def test_a_refused_wish_to_rise_says_why(run):
     run.controller.tick(None, None, ARM, time_of(-1))
     run.ticks(5, lambda frame: None, quaternion=turned("x", 180))
-    reasons = {-1: "no state from the robot", 1: "tilted by more than 70 degrees"}
+    reasons = {-1: "no state from the robot", 1: "tilted by more than 80 degrees"}
     assert run.events == [Event(time_of(step), "refused", why) for step, why in reasons.items()]
 
 
@@ -251,8 +275,7 @@ def test_a_malformed_frame_costs_vision_and_nothing_else(walk, bad):
     ],
 )
 def test_a_bad_reading_damps_and_arming_brings_it_back(walk, changes, reason):
-    if "time" in changes:  # Out of order: the reading before it grows old.
-        walk.ticks(6, **changes)
+    assert all(walk.tick(**changes).stiffness.any() for _ in range(2)), "one may be odd"
     assert not walk.tick(**changes).stiffness.any()
     decision = walk.controller.decision
     assert decision.mode == walk.events[-1].what == "damping"
@@ -325,8 +348,8 @@ def test_one_reading_from_the_future_is_forgotten(run):
 
 
 def test_a_sensor_that_froze_is_noticed_when_each_reading_is_read_twice(walk):
-    for _ in range(16):
-        walk.tick(time=0.04 * (walk.step // 2), joint_torque=np.zeros(12))
+    for step in range(walk.step, walk.step + 16):
+        walk.controller.tick(state(0.04 * (step // 2)), None, GO, time_of(step))
     assert "frozen" in walk.events[-1].why
 
 
@@ -368,7 +391,7 @@ def hostile(random: np.random.Generator, now: float) -> dict[str, Any]:
         shapes = [np.zeros(0), np.zeros((3, 5)), np.zeros(100_000), [[1.0], [2.0, 3.0]]]
         return one_of(*numbers, *shapes, None, "?", letters)
 
-    reading = state(now, joint_position=STANDING + 0.08 * random.normal(size=12))
+    reading = live(now, joint_position=STANDING + 0.08 * random.normal(size=12))
     picture = frame(int(random.integers(1000)), now)
     name = one_of(*list(vars(reading))[1:])
     when = one_of(now - 1, now + 1, math.nan, -math.inf, None, "x")
@@ -388,7 +411,7 @@ def hostile(random: np.random.Generator, now: float) -> dict[str, Any]:
 
 def test_10_000_hostile_inputs_never_raise_and_never_leave_the_limits(bundle):
     random, now, walked = np.random.default_rng(0), 0.0, 0
-    controller = Controller(bundle, SafetyCfg(stand_up_seconds=0.02))
+    controller = Controller(bundle, SafetyCfg(stand_up_seconds=0.02, least_torque=0.0))
     robot = controller.robot
     for _ in range(10_000):
         jump = random.random()
@@ -404,7 +427,7 @@ def test_10_000_hostile_inputs_never_raise_and_never_leave_the_limits(bundle):
         if controller.decision.mode is Mode.DAMPING:
             assert (command.stiffness == 0).all()
         else:
-            newest = controller._newest
+            newest = controller._watch.newest
             torque = command.stiffness * (command.position - newest.joint_position)
             torque -= command.damping * newest.joint_velocity
             assert (np.abs(torque) <= np.array(robot.torque_limit) + 1e-6).all()

@@ -13,6 +13,7 @@ from renet.bundle import Bundle
 from renet.deploy import devices
 from renet.deploy.catalogue import RealSenseCfg, SimCameraCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
+from renet.deploy.checklist import Checklist
 from renet.deploy.main import deploy
 from renet.deploy.robots.driver import DriverCfg
 from renet.deploy.teleop import GamepadTeleop, KeyboardTeleop
@@ -54,7 +55,7 @@ def test_no_driver_can_forget_the_lock_on_its_robot():
 
     def start(stack: ExitStack, port: str) -> None:
         cfg = DeployCfg(robot=kind, driver=RobotCfg(port), camera="none", dry_run=True)
-        devices.start_devices(cfg, bundle, print, stack)
+        devices.start_devices(cfg, bundle, print, stack, Checklist(print, patience=False))
 
     with ExitStack() as first, ExitStack() as second:
         start(first, "usb")
@@ -97,7 +98,9 @@ def test_faults_begin_with_the_run_not_with_the_wait_for_a_first_image(monkeypat
     teleop = SimpleNamespace(drain=pressed.append)
     monkeypatch.setattr(devices, "make_teleop", lambda cfg: teleop)
     cfg = DeployCfg(robot="go1", fault=("blackout@5s",), teleop="keyboard")
-    _, faulty, *_ = devices.start_devices(cfg, Bundle.load(), print, ExitStack())
+    _, faulty, *_ = devices.start_devices(
+        cfg, Bundle.load(), print, ExitStack(), Checklist(print, patience=False)
+    )
     assert faulty._begun is None
     assert pressed, "keys of that time are taken, so that they cannot arm later"
 

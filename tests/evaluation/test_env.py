@@ -144,7 +144,7 @@ def test_targets_are_those_that_deploy_would_send():
         wanted = draw.uniform(-4.8, 4.8, (2, 12)).astype(np.float32)
         action.process_actions(torch.from_numpy(wanted))
         target = np.array(robot.default_position) + robot.action_scale * wanted[0]
-        sent = limited_command(target, sent, at_rest, robot, safety).position
+        sent = limited_command(target, sent, at_rest, robot, safety.target_rate).position
         assert action._processed_actions[0].numpy() == pytest.approx(sent, abs=1e-5)
     # The last actions were beyond what is sent, and are what policies observe.
     assert action.raw_action[0].numpy() == pytest.approx(wanted[0])

@@ -1,3 +1,5 @@
+from math import comb
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,24 @@ def test_false_switches():
     assert metrics.false_switches(vision, healthy) == 1
     assert metrics.false_switches(vision, ~healthy) == 0
     assert metrics.healthy_hours(healthy) == pytest.approx(40 * 0.02 / 3600)
+
+
+@pytest.mark.parametrize("n", [1, 8, 20])
+def test_a_share_of_all_or_none_keeps_the_width_that_so_few_robots_have(n):
+    """Clopper and Pearson (1934): n of n rules out what happens in less than 2.5 % of cases."""
+    low, high = metrics.share_interval(np.ones(n))
+    assert (low, high) == pytest.approx((0.025 ** (1 / n), 1.0))
+    assert metrics.share_interval(np.zeros(n)) == pytest.approx((1.0 - high, 1.0 - low))
+
+
+def test_share_intervals_leave_out_what_seldom_makes_such_a_share():
+    """Both ends are the shares at which so many or more, so few or fewer, have 2.5 %."""
+    low, high = metrics.share_interval(np.repeat([1, 0], (13, 7)))
+    more = sum(comb(20, k) * low**k * (1 - low) ** (20 - k) for k in range(13, 21))
+    fewer = sum(comb(20, k) * high**k * (1 - high) ** (20 - k) for k in range(14))
+    assert (more, fewer) == pytest.approx((0.025, 0.025))
+    row = metrics.with_share_interval("crossed", np.repeat([1, 0], (13, 7)))
+    assert row == {"crossed_ci95_low": low, "crossed_ci95_high": high}
 
 
 def test_bootstrap_interval_of_a_mean_matches_the_normal_one():

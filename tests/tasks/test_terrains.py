@@ -10,11 +10,12 @@ from mjlab.terrains.terrain_generator import TerrainOutput
 from renet.errors import RenetError
 from renet.evaluation.env import terrain_env_cfg
 from renet.sim.depth.rasterizer import scanner
-from renet.tasks import RenetEnvCfg, env_cfg
+from renet.tasks import RenetEnvCfg, env_cfg, make_env
 from renet.tasks.config.go1 import GO1
 from renet.tasks.mdp.curriculums import FIRST_LEVELS
 from renet.tasks.parkour_env_cfg import tile_env_cfg
-from renet.tasks.terrains import tile_row
+from renet.tasks.terrains import add_own_ground, tile_row
+from renet.terrain.own_ground import GroundFile
 from renet.terrain.tiles import LEVELS, TILE, Tile, dense_tiles, tiles
 
 KINDS = list(tiles())
@@ -169,7 +170,8 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypa
     term, terrain = parkour.curriculum_manager.get_term_cfg("level"), parkour.scene.terrain
     begin_flat(parkour, monkeypatch, flat_start)
     monkeypatch.setattr(parkour, "common_step_counter", 1_000)
-    monkeypatch.setitem(term.params, "easier_after", 12_000)
+    monkeypatch.setitem(term.params, "easier_share", "0.25@1k")
+    monkeypatch.setitem(term.params, "easier_levels", 10)
     monkeypatch.setitem(term.params, "easier_kinds", tuple(KINDS))
 
     def drawn_levels(level: int, episodes: int) -> torch.Tensor:
@@ -204,7 +206,7 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypa
     monkeypatch.setitem(term.params, "easier_kinds", ("gap",))
     easier = (drawn_levels(4, 5) < 4).any(0)
     assert set(terrain.terrain_types[easier].tolist()) == {KINDS.index("gap")}, "not on others"
-    monkeypatch.setitem(term.params, "easier_after", 12_012)
+    monkeypatch.setitem(term.params, "easier_share", "0@13k,1@14k")
     assert (drawn_levels(4, 10) == 4).all(), "not before its time"
 
 
@@ -299,3 +301,32 @@ def test_studies_draw_other_tiles_than_training(task):
     for judged in (terrain_env_cfg("parkour", GO1), terrain_env_cfg(grounds, GO1)):
         assert len(drawn(judged)) > 20
         assert not drawn(judged) & trained
+
+
+def test_robots_share_a_curriculum_with_own_ground(tmp_path):
+    file = tmp_path / "map.npy"
+    x = np.linspace(-4.0, 4.0, 81)
+    np.save(file, np.tile(0.3 * (x > 2.0), (81, 1)))
+    cfg = env_cfg("Renet-Go1-Parkour-Paper")
+    add_own_ground(cfg.scene.terrain, GroundFile(file=file).tile(), 0.5)
+    env = make_env(cfg, 24)
+    own = env.scene.terrain.terrain_types == len(KINDS)
+    # mjlab gives one robot to each of seven kinds, then shares out the other 17.
+    assert int(own.sum()) in (9, 10)
+    origin = env.scene.terrain.terrain_origins[LEVELS - 1, len(KINDS)]
+    places = torch.tensor([[3.0, 1.0], [1.0, 1.0]]) + origin[:2]
+    heights = scanner(env.sim.mj_model, "cpu").height(places.float())
+    assert heights.tolist() == pytest.approx([0.3, 0.0], abs=1e-3)
+    env.close()
+
+
+def test_own_ground_may_be_all_there_is(tmp_path):
+    np.save(tmp_path / "map.npy", np.zeros((9, 9)))
+    tile = GroundFile(file=tmp_path / "map.npy").tile()
+    terrain = env_cfg(TASK).scene.terrain
+    add_own_ground(terrain, tile, 1.0)
+    assert [*terrain.terrain_generator.sub_terrains] == ["own"]
+    with pytest.raises(RenetError, match="no tiles to put a scene among: train a Parkour task"):
+        add_own_ground(env_cfg("Renet-Go1-Flat").scene.terrain, tile, 0.5)
+    with pytest.raises(RenetError, match="--scene-share must be above 0 and at most 1"):
+        add_own_ground(terrain, tile, 0.0)

@@ -194,17 +194,6 @@ def test_settings_come_back_from_their_description():
     )
 
 
-def test_the_shipped_checkpoint_states_the_recipe():
-    state = checkpoints.load_state(checkpoints.find(SHIPPED))
-    shipped, recipe = TrainCfg.resumed(state), TrainCfg.from_task(state["task"])
-    size = {"max_iterations": shipped.agent.max_iterations, "seed": shipped.agent.seed}
-    assert shipped.agent == replace(recipe.agent, **size)
-    scene = recipe.env.scene
-    scene.num_envs = scene.terrain.num_envs = shipped.env.scene.num_envs
-    recipe.env.seed, recipe.env.sim.njmax = shipped.env.seed, shipped.env.sim.njmax  # Buffers.
-    assert described(shipped.env) == described(recipe.env)
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_stops_a_run_with_a_checkpoint_and_a_line(tmp_path, capsys, monkeypatch, number):
     act, steps = training.RenetRunner._iterate, []

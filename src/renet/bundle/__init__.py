@@ -11,6 +11,8 @@ from importlib.resources import files
 from pathlib import Path
 
 from renet.bundle.blocks import BlockSession, Session
+from renet.bundle.contents import COMPANIONS, MANIFEST, OURS, PREVIOUS
+from renet.bundle.hub import fetch, is_remote
 from renet.bundle.manifest import SCHEMA, SCHEMAS, Manifest, from_json
 from renet.bundle.models import (
     HAS_IMAGE,
@@ -26,11 +28,6 @@ from renet.errors import RenetError
 from renet.files import MAX_JSON, is_temporary, read_bytes, read_object, write_atomically
 from renet.folders import demand_own, write_folder
 
-MANIFEST, PREVIOUS = "manifest.json", "manifest.previous.json"
-OURS = (MANIFEST, PREVIOUS, *(f"{name}.onnx" for name in MODELS))
-"""Every file of a bundle."""
-COMPANIONS = ("README.md", "LICENSE", ".gitattributes", ".gitignore", ".git", ".cache")
-"""What git, the Hugging Face Hub and `renet bundle card` keep beside them, which is never read."""
 DEFAULT, *_ = SHIPPED = ("go1-parkour", "go2-parkour")
 """The bundles that ship with the package; the first where none is asked for."""
 
@@ -47,15 +44,14 @@ class Bundle:
     def load(path: Path | str | None = None, threads: int = 1) -> Bundle:
         """Read and verify the bundle in a folder or, where there is none, the shipped one so named.
 
-        None means `DEFAULT`. With several `threads`, these share the robots that a model runs for;
-        its results are the same.
+        None means `DEFAULT`; `hf://owner/name` is loaded from the Hugging Face Hub. With several
+        `threads`, these share the robots that a model runs for; its results are the same.
 
         Raises:
-            RenetError: missing or altered file, other schema, or models that do not fit.
+            RenetError: missing or altered file, other schema, models that do not fit, or a name on
+                the Hub that cannot be loaded.
         """
-        folder = pretrained(DEFAULT) if path is None else Path(path)
-        if str(folder) in SHIPPED and not folder.exists():
-            folder = pretrained(str(folder))
+        folder = find_bundle(path)
         manifest = read_manifest(folder)
         models = {
             name: read_model(folder / f"{name}.onnx", manifest.sha256.get(f"{name}.onnx"))
@@ -103,6 +99,18 @@ class Bundle:
             del selector["longest_memory"]
         digests = json.dumps([self.manifest.sha256, selector], sort_keys=True)
         return hashlib.sha256(digests.encode()).hexdigest()
+
+
+def find_bundle(name: Path | str | None = None) -> Path:
+    """The folder that a bundle's name stands for, which need not be one; raises as `fetch`."""
+    if name is None:
+        return pretrained(DEFAULT)
+    if is_remote(name):
+        return fetch(name)
+    folder = Path(name)
+    if str(folder) in SHIPPED and not folder.exists():
+        return pretrained(str(folder))
+    return folder
 
 
 def pretrained(name: str) -> Path:

@@ -1,6 +1,6 @@
 """The deployed policy: three ONNX models and the memory between their ticks, for N robots."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,6 +45,11 @@ EstimatorOutput = dict[str, np.ndarray]
 """What a tick found, by the names of `Policy`'s attributes that it replaces."""
 ESTIMATES = ("latent_op", "latent_vp", "velocity_op", "velocity_vp", "feet_height", "height_map")
 SCORES = ("anomaly_score", "variance_score")
+OF_VP = ("latent_vp", "velocity_vp", "height_map", MAP_ERROR)
+OF_OP = ("latent_op", "velocity_op")
+"""What each estimator finds in a tick; a robot cannot walk on one that has found no numbers."""
+LARGEST = 1e4
+"""Beyond this a latent, m/s or m is no number either: an overflow on its way to infinity."""
 SEEN = (*SCORES, "reconstruction")
 """Outputs of the vision model that are used, where it has them; a stranger's may have any others,
 which must replace no attribute."""
@@ -124,6 +129,11 @@ class Policy:
         self.variance_score = np.zeros(n, np.float32)
         """Squared error over predicted variance, [N]; infinite without a camera, else zero from
         models that predict none."""
+        self.vp_lost = np.zeros(n, bool)
+        """Whether VP's newest tick found no numbers, [N]: OP must drive. VP forgets, and begins
+        anew."""
+        self.op_lost = np.zeros(n, bool)
+        """Whether OP's newest tick found none, [N]: the robot must brake."""
         self._blank = np.ones(n, bool)
         self._fresh = np.ones(n, bool)
         self._driven: np.ndarray | None = None
@@ -143,6 +153,7 @@ class Policy:
             setattr(self, name, value)
         self.has_image = self.has_image.copy()
         self.has_image[rows] = True
+        self.vp_lost[rows] = self.op_lost[rows] = False
         self._blank[rows] = self._fresh[rows] = True
 
     def retire(self, mask: np.ndarray) -> None:
@@ -195,7 +206,7 @@ class Policy:
                 self.accept(infer(self.sessions, inputs))
             else:
                 self._accept_driven(infer(self.sessions, inputs.robots(self._driven)))
-        return self.act(proprioception, mask)
+        return self.act(proprioception, mask | self.vp_lost)
 
     def remember(self, proprioception: np.ndarray) -> None:
         """Push o_t [N, 45] onto the history."""
@@ -224,6 +235,7 @@ class Policy:
         """Take over the output of a tick."""
         for name, value in result.items():
             setattr(self, name, value)
+        self._find_lost(result)
 
     def _accept_driven(self, result: EstimatorOutput) -> None:
         """Take over the output of a tick of the robots that have not retired."""
@@ -232,6 +244,27 @@ class Policy:
             whole = getattr(self, name).copy()
             whole[self._driven] = value
             setattr(self, name, whole)
+        self._find_lost(result)
+
+    def _find_lost(self, result: EstimatorOutput) -> None:
+        """Notice estimators that found no numbers, and let VP forget what it cannot go on from."""
+        self.op_lost = ~self._sane(OF_OP)
+        self.vp_lost = ~self._sane([name for name in OF_VP if name in result])
+        if not self.vp_lost.any():
+            return
+        for name in OF_VP:
+            value = getattr(self, name).copy()
+            value[self.vp_lost] = 0.0
+            setattr(self, name, value)
+        self.has_image = self.has_image & ~self.vp_lost
+
+    def _sane(self, names: Iterable[str]) -> np.ndarray:
+        """[N] bool: whether all numbers of some attributes are finite and not huge."""
+        sane = np.ones(self.num_robots, bool)
+        for name in names:
+            value = np.abs(getattr(self, name)).reshape(self.num_robots, -1)
+            sane &= (value <= LARGEST).all(axis=1)
+        return sane
 
     def act(self, proprioception: np.ndarray, op_mask: np.ndarray) -> np.ndarray:
         """Actions [N, 12] under the paper's mask [N] bool; ends the control step."""

@@ -15,15 +15,15 @@ from typing import Any, ClassVar, Literal
 
 from renet.bundle.manifest import CameraSpec, RobotSpec
 from renet.deploy.cameras.base import Camera, CameraCfg
-from renet.deploy.cameras.realsense import RealSenseCamera
+from renet.deploy.cameras.realsense import RealSenseCamera, realsense
 from renet.deploy.recording.recorder import read_recording
 from renet.deploy.recording.replay import ReplayCamera
 from renet.deploy.robots.driver import DriverCfg, RobotDriver
-from renet.deploy.robots.go1.driver import go1_robot
-from renet.deploy.robots.go2.driver import go2_robot
+from renet.deploy.robots.go1.driver import demand_power_level, go1_robot
+from renet.deploy.robots.go2.driver import demand_dds, go2_robot
 from renet.deploy.teleop import GamepadTeleop, KeyboardTeleop, Teleop, TeleopCfg
 from renet.descriptions import GO1, GO2, RobotDescription, find_description
-from renet.errors import RenetError, install
+from renet.errors import RenetError, collected, demand_none, install
 from renet.interface import Terrain
 from renet.motor_models import IDEAL, find_motors
 from renet.server import LOOPBACK
@@ -41,7 +41,11 @@ class SimulationCfg(DriverCfg):
     level: int = 1
     """Level of the terrain, 1 to 10."""
     scene: Path | None = None
-    """MJCF file to use as terrain instead."""
+    """Ground of your own instead: an MJCF scene (.xml) or a height map (.npy in m, .png)."""
+    scene_width: float = 8.0
+    """Metres that a height map is wide; of more than 8 it takes a piece, by --seed."""
+    scene_height: float = 0.3
+    """Metres of white above black in a .png."""
     motors: str = IDEAL
     """Motors of its joints. ideal: MuJoCo's servos. go1: a network of a real Go1's motors. Or a
     file of `renet identify`."""
@@ -68,7 +72,15 @@ class SimulationCfg(DriverCfg):
 
         description = find_description(robot.name)
         motors = find_motors(self.motors, robot.name)
-        model, ground = build_scene(self.terrain, self.level, self.scene, seed, description)
+        model, ground = build_scene(
+            self.terrain,
+            self.level,
+            self.scene,
+            seed,
+            description,
+            self.scene_width,
+            self.scene_height,
+        )
         # Engines of other packages need not know of motors.
         options = {} if motors is None else {"motors": motors}
         driver = self.engine()(model, robot, ground, live, **options)
@@ -99,6 +111,10 @@ class Go1Cfg(DriverCfg):
     power_level: int = 9
     """Level of the vendor's own overload guard, 1 (10 % of the motors' power) to 10."""
 
+    def check(self) -> None:
+        """Raise RenetError for a power level that there is not."""
+        demand_power_level(self.power_level)
+
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """The driver of the robot at `robot_host`."""
         return go1_robot(host=self.robot_host, power_level=self.power_level)
@@ -109,6 +125,7 @@ class Go2Cfg(DriverCfg):
     """A Unitree Go2 EDU on a cable."""
 
     drives: ClassVar[RobotDescription | None] = GO2
+    bundle: ClassVar[str | None] = "go2-parkour"
 
     interface: str = ""
     """Network card that the robot is at, such as eth0."""
@@ -116,10 +133,18 @@ class Go2Cfg(DriverCfg):
     """Its DDS domain; that of every Go2 is 0."""
 
     def check(self) -> None:
-        """Raise RenetError without an interface."""
+        """Raise RenetError without an interface, or without Cyclone DDS."""
+        names = [name for _, name in socket.if_nameindex()]
+        problems = []
         if not self.interface:
-            names = ", ".join(name for _, name in socket.if_nameindex())
-            raise RenetError(f"--robot go2 needs --interface, its network card: one of {names}")
+            cards = ", ".join(names)
+            problems.append(f"--robot go2 needs --interface, its network card: one of {cards}")
+        elif self.interface not in names:
+            cards = ", ".join(names)
+            problems.append(f"no network interface {self.interface!r} here, only {cards}")
+        with collected(problems):
+            demand_dds()
+        demand_none(problems)
 
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """The driver of the robot at `interface`; a dry run leaves its own modes alone."""
@@ -147,6 +172,10 @@ class RealSenseCfg(CameraCfg):
     """Serial number of the camera to use; the only one by default."""
     rotate: Literal[0, 180] = 0
     """Degrees by which the camera is turned in its mount: 180 is upside down."""
+
+    def check(self) -> None:
+        """Raise RenetError without the vendor's driver."""
+        realsense()
 
     def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
         """A camera whose frames are timed by the robot's clock."""

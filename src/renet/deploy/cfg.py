@@ -3,6 +3,7 @@
 import argparse
 import math
 import sys
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -17,7 +18,7 @@ from renet.deploy.catalogue import CAMERAS, ROBOTS, TELEOPS
 from renet.deploy.robots.driver import DriverCfg
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.teleop import TeleopCfg
-from renet.errors import RenetError, demand_name
+from renet.errors import RenetError, collected, demand_name, demand_none
 from renet.faults import Injection, parse_fault
 from renet.interface import CONTROL_DT, MAX_SPEED, SelectorName
 
@@ -38,10 +39,12 @@ class DeployCfg:
     """Run a bundle on a robot; leaves a recording, a timeline and a score."""
 
     bundle: tyro.conf.Positional[Path | None] = None
-    """Bundle folder, or the name of one that ships: go1-parkour (the default), go2-parkour."""
+    """Bundle folder, or the name of one that ships: go1-parkour (the default), go2-parkour (that of
+    --robot go2); or hf://OWNER/NAME on the Hugging Face Hub."""
     robot: str = "mujoco"
-    """mujoco: simulated in this process. go1: a Unitree Go1 in low-level mode. Or the name of a
-    robot that an installed package adds. Its own options are listed once it is chosen."""
+    """mujoco: simulated in this process. go1: a Unitree Go1 in low-level mode. go2: a Unitree Go2
+    EDU on a cable. Or the name of a robot that an installed package adds. Its own options are
+    listed once it is chosen."""
     camera: str = "auto"
     """sim, realsense, replay or none. auto: sim for a simulated robot, realsense for a real one."""
     teleop: str = "auto"
@@ -66,7 +69,8 @@ class DeployCfg:
     """monitors: all monitors, with a dwell before vision returns. paper: the reconstruction loss
     alone."""
     dry_run: bool = False
-    """Print commands and never move the robot."""
+    """Go through all that a run needs, a line with its time for each, then print commands; the
+    robot is never moved."""
     seed: int = 1
     """Seed of the simulated camera's noise, the terrain and the faults."""
     safety: SafetyCfg = field(default_factory=SafetyCfg)
@@ -135,32 +139,58 @@ class DeployCfg:
     @property
     def limits(self) -> SafetyCfg:
         """Limits of the controller: the joints of a dry run follow nobody."""
-        return replace(self.safety, max_stand_up_error=LIMP) if self.dry_run else self.safety
+        if not self.dry_run:
+            return self.safety
+        return replace(self.safety, max_stand_up_error=LIMP, least_torque=0.0)
+
+    def load_bundle(self) -> Bundle:
+        """The bundle that is asked for, by default the robot's own.
+
+        Raises RenetError with all that cannot work, before anything moves or is written.
+        """
+        problems = [*self.problems()]
+        bundle = None
+        with collected(problems):
+            bundle = Bundle.load(self.bundle or self.driver.bundle)
+            drives, name = self.driver.drives, bundle.manifest.robot.name
+            if drives is not None and name != drives.name:
+                raise RenetError(
+                    f"the bundle drives a {name}, --robot {self.robot} is a {drives.name}"
+                )
+        demand_none(problems)
+        assert bundle is not None
+        return bundle
 
     def check(self) -> None:
-        """Raise RenetError for what cannot work, before anything moves or is written."""
+        """Raise RenetError with all that cannot work, whatever the bundle."""
+        demand_none(self.problems())
+
+    def problems(self) -> list[str]:
+        """What cannot work, a line for each."""
+        found = [*self._mistakes()]
+        with collected(found):
+            if self.faults and type(self.lens) is CameraCfg:
+                raise RenetError("--fault needs a camera to spoil")
+        for part in (self.driver, self.lens, self.operator):
+            with collected(found):
+                part.check()
+        return found
+
+    def _mistakes(self) -> Iterator[str]:
+        """Settings that cannot work by themselves."""
         if not self.length > 0:
-            raise RenetError(f"--seconds must be positive, got {self.seconds}")
+            yield f"--seconds must be positive, got {self.seconds}"
         if not self.operator_timeout > 0:
-            raise RenetError(f"--deadman must be positive, got {self.deadman}")
+            yield f"--deadman must be positive, got {self.deadman}"
         if not 0.0 <= self.speed <= MAX_SPEED:
-            raise RenetError(f"--speed must be from 0 to {MAX_SPEED:g} m/s, got {self.speed}")
+            yield f"--speed must be from 0 to {MAX_SPEED:g} m/s, got {self.speed}"
         if self.seed < 0:
-            raise RenetError(f"--seed must not be negative, got {self.seed}")
+            yield f"--seed must not be negative, got {self.seed}"
         if not self.driver.simulated:
             if self.lens.simulated:
-                raise RenetError(
-                    f"--camera {self.camera} looks at a simulation: use realsense, replay or none"
-                )
+                yield f"--camera {self.camera} looks at a simulation: use realsense, replay or none"
             if self.teleop == "auto" and not self.dry_run:
-                raise RenetError(
-                    "a real robot needs --teleop keyboard, joystick or ros2, or --dry-run"
-                )
-        if self.faults and type(self.lens) is CameraCfg:
-            raise RenetError("--fault needs a camera to spoil")
-        self.driver.check()
-        self.lens.check()
-        self.operator.check()
+                yield "a real robot needs --teleop keyboard, joystick or ros2, or --dry-run"
 
     def header(self, bundle: Bundle) -> dict[str, Any]:
         """What the recording of a bundle's run says of it, as JSON values."""

@@ -17,18 +17,20 @@ from renet.deploy.cameras.buffer import FrameBuffer
 from renet.deploy.inference import InlineInference, Sessions
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import JointCommand, RobotState, all_finite, heading
-from renet.deploy.safety.checks import clean_state, stand_up_problem, state_problem, teleop_problem
-from renet.deploy.safety.limits import SafetyCfg, limited_command, limited_velocity
+from renet.deploy.safety.checks import stand_up_problem, teleop_problem
+from renet.deploy.safety.limits import SafetyCfg, limited_command, limited_velocity, rate_after
 from renet.deploy.safety.machine import Mode, SafetyMachine, damping_command, stand_up_target
-from renet.deploy.safety.plausibility import Readings
 from renet.deploy.steering import STEERINGS
 from renet.deploy.teleop import TeleopCommand, Velocity
+from renet.deploy.watch.body import BodyWatch
+from renet.deploy.watch.leg_order import LegTest
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE
 from renet.selector import SelectorInput, make_selector
 from renet.selector.selector import BLIND, REMEMBERS, SEES
 
 LATE = "the vision thread is late or dead"
+NO_NUMBERS = "what the VP estimator found is not finite"
 BLACK = np.zeros((1, *DEPTH_SHAPE), np.float32)
 DRIVERS = {SEES: "vp", REMEMBERS: "memory", BLIND: "op"}
 """What drives, as events call it, in each of the selector's states."""
@@ -112,9 +114,7 @@ class Controller:
         self._buffer = FrameBuffer()
         self._selector = make_selector(selector, bundle.manifest.selector)
         self._on_event = on_event
-        self._newest: RobotState | None = None
-        self._readings, self._implausible = Readings(), ""
-        self._state_error = "no state from the robot"
+        self._watch = BodyWatch(self.robot, safety)
         self._start = self._target = np.array(self.robot.default_position)
         self._steering = STEERINGS[bundle.manifest.told]()
         self._start_over()
@@ -154,12 +154,12 @@ class Controller:
         self, raw: RobotState | None, frame: DepthFrame | None, teleop: TeleopCommand, now: float
     ) -> JointCommand:
         before = self.machine.mode
-        self._read(raw, now)
+        self._watch.offer(raw, now)
         self._buffer.offer(frame, now)
         mode = self.machine.update(self._problem(teleop, now), teleop, now)
         if self.machine.refused:
             self.tell(now, "refused", self.machine.refused)
-        state = self._newest
+        state = self._watch.newest
         if mode is Mode.WALKING and state is not None:
             if before is not Mode.WALKING:
                 self._start_over()
@@ -168,32 +168,28 @@ class Controller:
         if mode is Mode.STANDING_UP and state is not None:
             if before is not Mode.STANDING_UP:
                 self._start = self._target = state.joint_position
-            share = (now - self.machine.since) / self.cfg.stand_up_seconds
-            command = self._limited(stand_up_target(self._start, self.robot, share), state)
+                self._leg_test = LegTest(self.robot, self.cfg.leg_test_seconds, state)
+            command = self._limited(self._rise(state, now), state, self.cfg.target_rate)
         else:
             command = damping_command(self.robot, self.cfg)
         return self._decide(command, now)
 
-    def _read(self, raw: RobotState | None, now: float) -> None:
-        """Keep the newest good reading; one that is malformed or out of order is none."""
-        if raw is None:
-            return
-        try:
-            state = clean_state(raw, now)
-        except RenetError as error:
-            self._state_error, self._newest = str(error), None
-            return
-        if self._newest is None or state.time > self._newest.time:
-            self._newest, self._implausible = state, self._readings.problem(state)
+    def _rise(self, state: RobotState, now: float) -> np.ndarray:
+        """Joint targets [12] rad of a robot that tests its legs, then stands up."""
+        elapsed = now - self.machine.since
+        standing = elapsed - self.cfg.leg_test_seconds
+        if standing < 0.0:
+            return self._leg_test.target(elapsed, state)
+        return stand_up_target(self._start, self.robot, standing / self.cfg.stand_up_seconds)
 
     def _problem(self, teleop: TeleopCommand, now: float) -> str:
         if problem := teleop_problem(teleop):
             return problem
-        if self._newest is None:
-            return self._state_error
-        problem = state_problem(self._newest, self.robot, self.cfg, now) or self._implausible
-        if not problem and self.machine.stood_up(now):
-            problem = stand_up_problem(self._newest, self.robot, self.cfg)
+        problem, newest = self._watch.problem(now), self._watch.newest
+        if not problem and self.machine.mode is Mode.STANDING_UP:
+            problem = self._leg_test.problem
+        if not problem and newest is not None and self.machine.stood_up(now):
+            problem = stand_up_problem(newest, self.robot, self.cfg)
         return problem
 
     def _start_over(self) -> None:
@@ -213,14 +209,24 @@ class Controller:
         output = self._perception.take()
         if output is not None:
             self.policy.accept(output)
+        self._check_estimates()
         vision = self._vision and self._buffer.image is not None
         action = self.policy.act(observation, np.array([not vision]))[0]
         if not all_finite(action):
             raise RenetError("the policy's action is not finite")
         self._action = action
-        command = self._limited(self.policy.joint_target(action), state)
+        rate = rate_after(now - self.machine.since, self.cfg)
+        command = self._limited(self.policy.joint_target(action), state, rate)
         self._switch(now)
         return self._decide(command, now, vision, output is not None or fallback, fallback)
+
+    def _check_estimates(self) -> None:
+        """Let OP drive where VP found no numbers; raises RenetError where OP found none."""
+        if self.policy.op_lost[0]:
+            raise RenetError("what the OP estimator found is not finite")
+        if self.policy.vp_lost[0]:
+            self._selector.distrust(self.policy.vp_lost, NO_NUMBERS)
+            self._vision = False
 
     def _steer(
         self, teleop: TeleopCommand, state: RobotState, now: float
@@ -277,8 +283,8 @@ class Controller:
         self.tell(now, DRIVERS[state], "vision is healthy" if state == SEES else why)
         self._state = state
 
-    def _limited(self, target: np.ndarray, state: RobotState) -> JointCommand:
-        command = limited_command(target, self._target, state, self.robot, self.cfg)
+    def _limited(self, target: np.ndarray, state: RobotState, rate: float) -> JointCommand:
+        command = limited_command(target, self._target, state, self.robot, rate)
         self._target = command.position
         return command
 
@@ -312,6 +318,8 @@ class Controller:
             inferred=inferred,
             fallback=fallback,
         )
+        velocity = self.decision.velocity_vp if vision else self.decision.velocity_op
+        self._watch.told(command, walking, velocity)
         return command
 
     def tell(self, now: float, what: str, why: str) -> None:

@@ -9,6 +9,7 @@ from renet.bundle import Bundle
 from renet.deploy.cameras.base import Camera
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cfg import DeployCfg
+from renet.deploy.checklist import Checklist, count_readings, time_models
 from renet.deploy.robots.driver import RobotDriver
 from renet.deploy.robots.real.driver import RealRobot
 from renet.deploy.robots.real.lock import claim
@@ -20,11 +21,16 @@ FIRST_IMAGE = 2.0
 
 
 def start_devices(
-    cfg: DeployCfg, bundle: Bundle, say: Callable[[str], None], stack: ExitStack
+    cfg: DeployCfg,
+    bundle: Bundle,
+    say: Callable[[str], None],
+    stack: ExitStack,
+    checklist: Checklist,
 ) -> tuple[RobotDriver, Camera | None, Teleop]:
     """Make and start the robot, the camera (None without one) and the operator of one run.
 
-    `stack` closes them, the robot first, also after half a start; `say` tells the user a line.
+    `stack` closes them, the robot first, also after half a start; `say` tells the user a line. The
+    `checklist` of a dry run holds all that a run needs.
 
     Raises:
         RenetError: a bundle for another robot or beyond this one's limits, a missing package or
@@ -37,26 +43,54 @@ def start_devices(
     teleop = make_teleop(cfg)
     for device in (teleop, camera, robot):
         stack.callback(getattr(device, "close", lambda: None))
-    robot.connect()
+    with checklist.step(f"{cfg.robot} answers"):
+        robot.connect()
     if refused := getattr(robot, "refused", ""):
         say(refused)
     if camera is not None:
-        camera.start()
-        for _ in range(0 if cfg.driver.simulated else round(FIRST_IMAGE / 0.01)):
-            if camera.latest() is not None:
-                break
-            time.sleep(0.01)
+        with checklist.step("the camera sends images"):
+            _start_camera(camera, cfg.driver.simulated, checklist.patience)
         if cfg.fault:  # Onsets count from its first look, hence from the run's first step.
             camera = FaultyCamera(camera, cfg.faults, robot.now, cfg.seed)
+    if checklist.patience:
+        _check_pace(robot, bundle, cfg.driver.simulated, checklist)
+    checklist.finish()
     teleop.drain(robot.now())
     return robot, camera, teleop
 
 
+def _check_pace(robot: RobotDriver, bundle: Bundle, simulated: bool, checklist: Checklist) -> None:
+    """Whether models and readings keep up with the control loop."""
+    with checklist.step("the models are quick enough") as remarks:
+        remarks.append(time_models(bundle))
+    # One that does not answer sends nothing.
+    if not (simulated or checklist.failures):
+        with checklist.step("the robot's readings come in time") as remarks:
+            remarks.append(count_readings(robot))
+
+
+def _start_camera(camera: Camera, simulated: bool, demanded: bool) -> None:
+    """Start a camera and wait a little for a real one's first image.
+
+    Raises RenetError for one that fails, or whose image is `demanded` and does not come: a run
+    begins without.
+    """
+    camera.start()
+    if simulated:
+        return
+    for _ in range(round(FIRST_IMAGE / 0.01)):
+        if camera.latest() is not None:
+            return
+        time.sleep(0.01)
+    if demanded:
+        raise RenetError(
+            f"no image within {FIRST_IMAGE:g} s: check the cable, a USB 3 one, and its plugs"
+        )
+
+
 def make_robot(cfg: DeployCfg, bundle: Bundle) -> RobotDriver:
     """The robot, not connected yet; raises RenetError for a bundle that it cannot take."""
-    spec, drives = bundle.manifest.robot, cfg.driver.drives
-    if drives is not None and spec.name != drives.name:
-        raise RenetError(f"the bundle drives a {spec.name}, --robot {cfg.robot} is a {drives.name}")
+    spec = bundle.manifest.robot
     robot = cfg.driver.build(spec, cfg.live, cfg.seed, cfg.dry_run)
     robot.envelope.check(spec)
     return robot

@@ -16,9 +16,10 @@ from renet.deploy.controller import Controller
 from renet.deploy.recording.recorder import Recorder
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.driver import RobotDriver
-from renet.deploy.safety.checks import EMPTY, OVERHEATED, power_problem, pre_arm_problem
+from renet.deploy.safety.checks import pre_arm_problem
 from renet.deploy.safety.machine import ENDED, EXHAUSTED, REFUSED, Mode, damping_command
 from renet.deploy.teleop import Teleop, TeleopCommand
+from renet.deploy.watch.power import PowerWatch
 from renet.interface import CONTROL_DT
 
 BRAKING = 25
@@ -84,6 +85,9 @@ class _Loop:
     dry_run: bool
     _problems: dict[str, str] = field(default_factory=dict)
     _refused: bool = False
+
+    def __post_init__(self) -> None:
+        self._power = PowerWatch(self.controller.cfg)
 
     def step(self, now: float, ending: bool) -> tuple[JointCommand, RobotState | None]:
         """One control step; returns what was commanded and what was read before."""
@@ -152,12 +156,10 @@ class _Loop:
 
     def _look_at_power(self, state: RobotState | None, now: float) -> None:
         """Say that battery or motors are near their limits, and lie down before they fail."""
-        cfg = self.controller.cfg
-        limits = min(EMPTY, cfg.min_battery), cfg.max_temperature + OVERHEATED
-        with suppress(TypeError):  # What a driver reports may be no number.
-            self._complain("power", power_problem(state, cfg.min_battery, cfg.max_temperature))
-            if problem := power_problem(state, *limits):
-                self.controller.trip(f"{EXHAUSTED}: {problem}", now)
+        self._power.look(state)
+        self._complain("power", self._power.warning)
+        if self._power.end:
+            self.controller.trip(f"{EXHAUSTED}: {self._power.end}", now)
 
     def _ask(self, device: str, question: Callable[[], Any], otherwise: Any) -> Any:
         """A device's answer; one that fails says nothing, an operator's that fails says stop."""

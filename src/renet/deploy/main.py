@@ -1,14 +1,15 @@
 """`renet deploy`: put a bundle on a robot, real or simulated; the same program for both."""
 
 import os
+import time
 from collections.abc import Callable
 from contextlib import ExitStack, nullcontext, suppress
 from datetime import datetime
 from itertools import count
 from pathlib import Path
 
-from renet.bundle import Bundle
 from renet.deploy.cfg import DeployCfg
+from renet.deploy.checklist import Checklist
 from renet.deploy.controller import Controller, Event
 from renet.deploy.devices import start_devices
 from renet.deploy.display import VelocityDisplay
@@ -41,14 +42,16 @@ def deploy(cfg: DeployCfg) -> Path:
     Raises:
         RenetError: a combination that cannot work, a device that does not answer, a bad bundle.
     """
-    cfg.check()
-    bundle = Bundle.load(cfg.bundle)
+    started = time.monotonic()
+    bundle = cfg.load_bundle()
     folder = cfg.out or Path("results/deploy") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
     with lock(folder):  # From before a robot is touched.
         with ExitStack() as stack:
             terminal = Terminal()
             stack.callback(terminal.close)
-            robot, camera, teleop = start_devices(cfg, bundle, terminal.say, stack)
+            checklist = Checklist(terminal.say, cfg.dry_run)
+            checklist.passed(f"{bundle.name} is whole, and for this robot", started)
+            robot, camera, teleop = start_devices(cfg, bundle, terminal.say, stack, checklist)
             _keep_earlier(folder)
             recorder = Recorder(folder / RECORDING, cfg.header(bundle), patient=not cfg.live)
             stack.callback(recorder.close)

@@ -131,7 +131,7 @@ class DemoStudy(WalkingStudy):
         runs = [
             {"mode": mode, "robots": len(crossed), "crossed": int(crossed.sum())}
             | {"fell": int(fell.sum()), "crossed_rate": float(crossed.mean())}
-            | metrics.with_interval("crossed", crossed)
+            | metrics.with_share_interval("crossed", crossed)
             for mode, crossed, fell in ends
         ]
         film = {name: part[name] for name in ("pair", "remembers")}

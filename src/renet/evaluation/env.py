@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import torch
 from mjlab.managers.termination_manager import TerminationTermCfg
+from mjlab.terrains import TerrainEntityCfg
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -69,18 +70,23 @@ def robot_of(manifest: Manifest) -> RobotCfg:
     return trained_env_cfg(manifest).robot
 
 
-def terrain_env_cfg(terrain: str | Mapping[str, int], robot: RobotCfg) -> RenetEnvCfg:
+def terrain_env_cfg(
+    terrain: str | Mapping[str, int] | TerrainEntityCfg, robot: RobotCfg
+) -> RenetEnvCfg:
     """A task to measure in; its random tiles are not training's.
 
     Args:
         terrain: "flat", "parkour" (all tiles at all levels), or grounds side by side for
             `SimEnv.place_on`: the level, 1 to 10, of each kind of tile or "flat"; raises
-            RenetError for an unknown one.
+            RenetError for an unknown one. Or any field of tiles.
         robot: to put there.
     """
     if terrain == FLAT:
         return flat_env_cfg(play=True, robot=robot)
-    tiles = parkour_terrain(UNSEEN) if isinstance(terrain, str) else tile_row(terrain)
+    if isinstance(terrain, TerrainEntityCfg):
+        tiles = terrain
+    else:
+        tiles = parkour_terrain(UNSEEN) if isinstance(terrain, str) else tile_row(terrain)
     return tile_env_cfg(tiles, play=True, robot=robot)
 
 

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from mjlab.terrains import TerrainEntityCfg
+
 from renet.bundle import Bundle
 from renet.bundle.policy import Policy
 from renet.errors import RenetError, demand_name
@@ -24,7 +26,8 @@ from renet.tasks import RenetEnvCfg, RobotCfg
 from renet.tasks.motor_models import use_motors
 from renet.tasks.sensors import depth_camera
 
-Task = str | Mapping[str, int] | RenetEnvCfg
+Terrain = str | Mapping[str, int] | TerrainEntityCfg
+Task = Terrain | RenetEnvCfg
 
 
 class Evaluator:
@@ -78,7 +81,7 @@ class Evaluator:
         engine = "native" if self.engine == "auto" else self.engine
         return Provenance(self.bundle.name, self.bundle.sha256, engine, seed)
 
-    def terrain_env_cfg(self, terrain: str | Mapping[str, int]) -> RenetEnvCfg:
+    def terrain_env_cfg(self, terrain: Terrain) -> RenetEnvCfg:
         """`env.terrain_env_cfg` with the bundle's robot, under the evaluator's conditions."""
         cfg = terrain_env_cfg(terrain, self.robot)
         self.set_conditions(cfg)
@@ -109,7 +112,8 @@ class Evaluator:
         """
         if not 0 <= seed < 2**32:
             raise RenetError(f"seed must be from 0 to 2^32 - 1, got {seed}")
-        if isinstance(task, Mapping) or (isinstance(task, str) and task in (FLAT, PARKOUR)):
+        named = isinstance(task, str) and task in (FLAT, PARKOUR)
+        if named or isinstance(task, Mapping | TerrainEntityCfg):
             task = self.terrain_env_cfg(task)
         cfg = study_env_cfg(task, speed, self.privileged, self.bundle.manifest.told)
         robot = self.bundle.manifest.robot.name

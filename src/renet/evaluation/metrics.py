@@ -57,11 +57,21 @@ def bootstrap_interval(
     return float(interval.low), float(interval.high)
 
 
-def wilson_interval(successes: np.ndarray) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share, from 0 or 1 for each robot [n]; n > 0."""
+def share_interval(successes: np.ndarray) -> tuple[float, float]:
+    """Clopper and Pearson's 95 % interval of a share, from 0 or 1 for each robot [n]; n > 0.
+
+    It is exact: it covers the true share at least 95 % of the time, however few robots there are.
+    Where all of them end alike it still has a width, unlike a bootstrap's.
+    """
     test = scipy.stats.binomtest(int(successes.sum()), len(successes))
-    low, high = test.proportion_ci(0.95, "wilson")
+    low, high = test.proportion_ci(0.95, "exact")
     return float(low), float(high)
+
+
+def with_share_interval(name: str, successes: np.ndarray) -> dict[str, float]:
+    """The `share_interval` of 0 or 1 for each robot [n], as columns of a summary's row."""
+    low, high = share_interval(successes)
+    return {f"{name}_ci95_low": low, f"{name}_ci95_high": high}
 
 
 def with_interval(

@@ -83,7 +83,8 @@ class Study:
     out: Path = Path("results/study")
     """Folder for summary.json, summary.csv, figures and parts/."""
     bundle: Path | None = None
-    """Bundle folder, or the name of one that ships: go1-parkour (the default), go2-parkour."""
+    """Bundle folder, or the name of one that ships: go1-parkour (the default), go2-parkour; or
+    hf://OWNER/NAME on the Hugging Face Hub."""
     quick: bool = False
     """Fewer robots and settings instead."""
     seed: int = 1
@@ -156,6 +157,10 @@ class Study:
 
         return Evaluator(self.bundle, self.engine, self.selector, self.conditions, self.motors)
 
+    def file_digests(self) -> dict[str, str]:
+        """What stands for settings that name files in the key of parts: the files' contents."""
+        return {"motors": motors_key(self.motors)}
+
     def part_maker(self, evaluator: Evaluator | None = None) -> PartMaker:
         """What makes the study's parts; the evaluator is made from the settings by default."""
         evaluator = evaluator or self.make_evaluator()
@@ -164,7 +169,7 @@ class Study:
         key = {name: value for name, value in asdict(self).items() if name not in free}
         code = ("bundle_hash", "renet_version", "commit")
         key |= {name: getattr(provenance, name) for name in code}
-        key["motors"] = motors_key(self.motors)
+        key |= self.file_digests()
         key["policy"] = type(evaluator).make_policy.__qualname__
         folder = output_folder(output_folder(self.out) / "parts")
         return PartMaker(folder, key, self.parts(evaluator))

@@ -240,6 +240,14 @@ class MonitorSelector:
                 if self._since_late[robot] < STEADY and not self.reason[robot]:
                     self.reason[robot] = MONITORS["frame_age"].reason
 
+    def distrust(self, mask: np.ndarray, reason: str) -> None:
+        """Let OP drive the masked robots [N] at once, whatever the monitors say, for a reason."""
+        self.probability[mask] = 0.0
+        self.vision = self.vision & ~mask
+        self._good_since[mask] = np.inf
+        self._last_good[mask] = -np.inf
+        self.reason[mask] = reason
+
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Use vision again and forget the past of the masked robots [N], by default of all."""
         if mask is None:

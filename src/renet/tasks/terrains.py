@@ -6,7 +6,9 @@ from typing import Any, cast
 
 from mjlab.terrains import SubTerrainCfg, TerrainEntityCfg, TerrainGeneratorCfg
 
+from renet.errors import RenetError
 from renet.terrain.course import WIDTH, Course
+from renet.terrain.own_ground import KIND
 from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
 
 SubTerrainCfg.register(Tile)  # mjlab's command line asks; tiles themselves need no mjlab.
@@ -69,3 +71,32 @@ def course_row(courses: Mapping[str, Course]) -> TerrainEntityCfg:
     return TerrainEntityCfg(
         terrain_type="generator", terrain_generator=generator, max_init_terrain_level=None
     )
+
+
+def own_ground(tile: Tile, level: int) -> TerrainEntityCfg:
+    """A tile of somebody's own ground at a level, 1 to 10, with a flat border, for evaluation."""
+    if not 1 <= level <= LEVELS:
+        raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")
+    size = tile.measure((level - 1) / (LEVELS - 1))
+    return parkour_terrain(UNSEEN, {KIND: replace(tile, low=size, high=size)}, levels=1)
+
+
+def add_own_ground(terrain: TerrainEntityCfg | None, tile: Tile, share: float) -> None:
+    """Add somebody's own ground to a curriculum of tiles, in place, as one more kind.
+
+    Args:
+        terrain: of the task; raises RenetError if it has no tiles.
+        tile: the ground. share: of the robots that walk there, above 0; 1: all of them.
+    """
+    if not 0.0 < share <= 1.0:
+        raise RenetError(f"--scene-share must be above 0 and at most 1, got {share:g}")
+    if terrain is None or terrain.terrain_generator is None:
+        raise RenetError("the task has no tiles to put a scene among: train a Parkour task")
+    generator = terrain.terrain_generator
+    others = {kind: cfg for kind, cfg in generator.sub_terrains.items() if kind != KIND}
+    if share == 1.0:
+        generator.sub_terrains = cast(Any, {KIND: replace(tile, proportion=1.0)})
+        return
+    total = sum(cfg.proportion for cfg in others.values())
+    proportion = share / (1.0 - share) * total
+    generator.sub_terrains = cast(Any, {**others, KIND: replace(tile, proportion=proportion)})

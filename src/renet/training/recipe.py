@@ -1,7 +1,7 @@
 """The recipe: how ours departs from the paper's task and the paper's agent, and why.
 
 Nobody has run the paper's 1.5 billion steps. What both share is in docs/method.md. What changes
-during training follows a schedule over environment steps (`tasks.schedule`).
+during training does so over five phases, `PHASES`; docs/training.md has them in one table.
 """
 
 from typing import Any, cast
@@ -19,6 +19,23 @@ from renet.tasks.sensors import depth_camera
 from renet.terrain.tiles import barriers, dense_tiles
 from renet.training.config import NP3OCfg, RenetRunnerCfg, SupervisionCfg, WithholdingCfg
 
+PHASES = {"walk": 12, "climb": 30, "cross": 150, "practise": 205, "settle": 230}
+"""Millions of environment steps at which each phase of a run ends.
+
+Robots learn a gait; then penalties that teach it, but cost more than climbing earns, fade; most
+steps go to crossing; then robots practise what they meet too seldom, standing and narrow gaps that
+they have only glimpsed; at last all rates fall, so that what was learned settles.
+"""
+
+
+def over_phases(*values: float) -> Schedule:
+    """A schedule that reaches a value at the end of each phase, linear in between.
+
+    Before the end of the first phase it has the first value.
+    """
+    ends = zip(values, PHASES.values(), strict=True)
+    return ",".join(f"{value:g}@{end}M" for value, end in ends)
+
 
 def recipe(env: RenetEnvCfg, agent: RenetRunnerCfg) -> None:
     """Turn a task of `parkour_env_cfg.py`, and the paper's agent, into ours, in place."""
@@ -26,11 +43,13 @@ def recipe(env: RenetEnvCfg, agent: RenetRunnerCfg) -> None:
     set_command(env)
     set_rewards(env)
     set_differences(env)
-    # Sooner, a third of the steps goes to standing while levels could rise. Goals to stand begin
-    # short: to stop is learned at their beginning, and who stands meets no edges. But OP stands on
-    # stairs only for as long as these goals last.
-    standing = {"after": 2e7, "standing_time": "0.4@210.1M,1@210.1M"}
-    env.curriculum["command_stage"].params |= standing
+    # Before robots climb, a third of the steps would go to standing while levels could rise. Goals
+    # to stand are short at first: to stop is learned at their beginning, and a robot that stands
+    # meets no edges. But OP stands on stairs only for as long as these goals last in practice.
+    env.curriculum["command_stage"].params |= {
+        "after": 1e6 * PHASES["climb"],
+        "standing_time": over_phases(0.4, 0.4, 0.4, 1.0, 1.0),
+    }
     if "level" in env.curriculum:
         set_tiles(env)
 
@@ -44,12 +63,10 @@ def set_learning(agent: RenetRunnerCfg) -> None:
         initial_std=0.5, detector="variance", predict_map_error=True, predict_far_map=True
     )
     agent.algorithm = NP3OCfg(
-        # A third of 0.008 crossed fewer gaps. From 204.3 M on: standing, from 221.3 M on: gaps.
-        entropy="0.008@168M,0.00114@204.3M,0.004@204.3M,0.004@217.2M,"
-        "0.001@217.2M,0.001@221.3M,0.003@221.3M,0.003@226.3M,0.001@226.3M",
+        # A third of 0.008 crossed fewer gaps.
+        entropy=over_phases(0.008, 0.008, 0.008, 0.004, 0.001),
         # Late, nearly all of the gradient is noise: smaller steps average over more of it.
-        desired_kl="0.01@190M,0.0061@204.3M,0.01@204.3M,0.01@217.2M,"
-        "0.004@217.2M,0.004@221.3M,0.01@221.3M,0.01@226.3M,0.004@226.3M",
+        desired_kl=over_phases(0.01, 0.01, 0.01, 0.01, 0.004),
         # With 0.95 most of the actor's gradient is noise; critics that see the truth explain the
         # returns well enough to take it out.
         lam=0.8,
@@ -58,27 +75,26 @@ def set_learning(agent: RenetRunnerCfg) -> None:
         # A policy that walks hardly violates anything. With budgets of 0 the errors of three
         # critics keep all penalties on: noise that only very large batches average out.
         # Tighter ones press where robots leap and climb.
-        cost_budget=(0.06, "0.5@10M,0.24@60M", 1.5),
+        cost_budget=(0.06, over_phases(0.5, 0.4, 0.24, 0.24, 0.24), 1.5),
     )
     agent.supervision = SupervisionCfg(
         # Four gradient steps an iteration left VP's map without gaps.
         num_mini_batches=12,
         autoencoder_images=48,
         # The actor reads latents: late in training they must hold still.
-        learning_rate="1e-3@20M,3e-4@150M,2.3e-4@204.3M,5e-4@204.3M,5e-4@217.2M,"
-        "1e-4@217.2M,1e-4@221.3M,3e-4@221.3M,3e-4@226.3M,1e-4@226.3M",
+        learning_rate=over_phases(1e-3, 1e-3, 3e-4, 3e-4, 1e-4),
     )
     # In turns of 20 iterations an estimator forgets what the other one practises meanwhile.
     agent.adaptation.period = 4
-    # From the first step on, which costs no level. At last robots practise narrow gaps that they
+    # From the first step on, which costs no level. Later, robots practise narrow gaps that they
     # have only glimpsed: most gaps of their own level cannot be crossed unseen.
     agent.withholding = WithholdingCfg(
         share=0.5,
-        easier_shortest="0.3@221.3M,2@221.3M",
-        easier_sight="4@221.3M,0.6@221.3M",
+        easier_shortest=over_phases(0.3, 0.3, 0.3, 2.0, 2.0),
+        easier_sight=over_phases(4.0, 4.0, 4.0, 0.6, 0.6),
     )
     # Small batches learn to walk sooner; large ones carry less noise once little is left to learn.
-    agent.batch_size = "12800@5M,51200@40M"
+    agent.batch_size = over_phases(12_800, 51_200, 51_200, 51_200, 51_200)
     agent.average_over = 100
 
 
@@ -110,8 +126,8 @@ def set_rewards(env: RenetEnvCfg) -> None:
     # At the paper's -10 a touch outweighs all else and the clipped sum says nothing where a robot
     # tries to climb. Both teach a gait at first, and cost more than walking earns at the highest
     # steps.
-    follow(env, "collision", "-1@12M,-0.3@24M")
-    follow(env, "foot_clearance", "-20@12M,-3@24M")
+    follow(env, "collision", over_phases(-1.0, -0.3, -0.3, -0.3, -0.3))
+    follow(env, "foot_clearance", over_phases(-20.0, -3.0, -3.0, -3.0, -3.0))
 
 
 def follow(env: RenetEnvCfg, reward: str, schedule: Schedule) -> None:
@@ -153,8 +169,7 @@ def set_tiles(env: RenetEnvCfg) -> None:
     # Once the levels have risen, nobody meets a narrow gap, and its crossing is forgotten. On other
     # tiles it would give a quarter of the practice away.
     env.curriculum["level"].params |= {
-        "easier_after": 5.5e7,
         "easier_kinds": ("gap",),
-        "easier_share": "0.25@221.3M,0.6@221.3M",
-        "easier_levels": "10@221.3M,4@221.3M",
+        "easier_share": over_phases(0.0, 0.0, 0.25, 0.6, 0.6),
+        "easier_levels": over_phases(10, 10, 10, 4, 4),
     }

@@ -77,7 +77,7 @@ class RenetRunner(OnPolicyRunner):
         num_learning_iterations: int,
         init_at_random_ep_len: bool = True,
         time_budget_s: float = np.inf,
-        report: Callable[[], None] = lambda: None,
+        report: Callable[[], object] = lambda: None,
     ) -> Path | None:
         """Train until so many more iterations are done, the time is up, or `stop` is set.
 

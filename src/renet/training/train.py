@@ -25,9 +25,14 @@ from renet.errors import RenetError, printable
 from renet.files import write_atomically
 from renet.folders import lock
 from renet.options import TASK, RecipeCfg, TrainOptions, check_device, seconds
+from renet.settings_file import read_settings
 from renet.tasks import RenetEnvCfg, env_cfg, make_env
+from renet.tasks.terrains import add_own_ground
+from renet.terrain.own_ground import GroundFile
 from renet.training import checkpoint as checkpoints
 from renet.training.config import MOST_STEPS, RenetRunnerCfg, steps_per_env
+from renet.training.configuration import PARTS, configured, options_of, task_of
+from renet.training.films import Films, filming
 from renet.training.metrics import write_run_report
 from renet.training.progress import Report
 from renet.training.provenance import described, differences, restored
@@ -58,6 +63,9 @@ class TrainCfg(TrainOptions):
     def __post_init__(self) -> None:
         if self.num_envs is not None:
             self.env.scene.num_envs = self.num_envs
+        if self.scene is not None:
+            ground = GroundFile(file=self.scene, width=self.scene_width, height=self.scene_height)
+            add_own_ground(self.env.scene.terrain, ground.tile(), self.scene_share)
 
     @classmethod
     def from_task(cls, task: str, **options: Any) -> Self:
@@ -70,16 +78,41 @@ class TrainCfg(TrainOptions):
 
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> Self:
-        """What a command line starts from: its task, or the run it resumes; raises RenetError."""
+        """What a command line starts from: its task, a file, or the run it resumes.
+
+        Raises RenetError.
+        """
         parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
         parser.add_argument("--resume", nargs="?", const="")
         parser.add_argument("--log-root", "--log_root", nargs="?", type=Path)
+        parser.add_argument("--config", nargs="?", type=Path)
         paths, _ = parser.parse_known_args(arguments)
         task = next((a for a in arguments[:1] if not a.startswith("-")), "")
         if paths.resume is not None:
             path = resolve_resume(paths.resume, paths.log_root, task)
             return cls.resumed(checkpoints.load_state(path), task)
+        if paths.config is not None:
+            return cls.from_file(paths.config, task)
         return cls.from_task(task) if task else replace(cls.from_task(TASK), task=tyro.MISSING)
+
+    @classmethod
+    def from_file(cls, path: Path, task: str = "") -> Self:
+        """The settings of a task, by default the file's, with what a file says of them.
+
+        Raises RenetError for a file that cannot be read or says what the task has not.
+        """
+        settings = read_settings(path)
+        options = options_of(settings, path)
+        robots = options.pop("num_envs", None)
+        cfg = cls.from_task(task_of(settings, path, task), **options)
+        for part in PARTS:
+            if part in settings:
+                changed = configured(getattr(cfg, part), settings[part], part)
+                setattr(cfg, part, changed)
+        # In its own place, where the command line can still change it.
+        if robots is not None:
+            cfg.env.scene.num_envs = robots
+        return cfg
 
     @classmethod
     def resumed(cls, state: dict[str, Any], task: str = "") -> Self:
@@ -149,10 +182,15 @@ def train(cfg: TrainCfg) -> Path | None:
             console.print(iterations(agent, env.num_envs, built.alg.steps))
             write_atomically(run / CONFIG, (json.dumps(settings, indent=1) + "\n").encode())
         runner = built
-        with Report(console, runner, agent.max_iterations, deadline) as report:
+        with (
+            filming(films_of(cfg, run, console), deadline, received) as film,
+            Report(console, runner, agent.max_iterations, deadline) as report,
+        ):
             left = agent.max_iterations - runner.alg.iteration
             budget = deadline - time.monotonic()
-            newest = runner.learn(left, time_budget_s=budget, report=report.iterate)
+            newest = runner.learn(
+                left, time_budget_s=budget, report=lambda: (report.iterate(), film())
+            )
         if rank or run is None:
             return None
         if (run / CURVES).exists():
@@ -161,6 +199,15 @@ def train(cfg: TrainCfg) -> Path | None:
             console.print(f"Stopped at {newest}: renet train {cfg.task} --resume {run} goes on")
             raise SystemExit(128 + received[0])
     return run
+
+
+def films_of(cfg: TrainCfg, run: Path | None, console: Console) -> Films | None:
+    """What films a run; None where nobody wants it, or on ranks above 0."""
+    if not cfg.film_every or run is None:
+        return None
+    terrain = cfg.env.scene.terrain
+    tiles = terrain is not None and terrain.terrain_generator is not None
+    return Films(run, cfg.film_every, tiles, console.print)
 
 
 def iterations(agent: RenetRunnerCfg, robots: int, steps: int) -> str:

@@ -15,7 +15,12 @@ from renet.deploy.safety.checks import (
     state_problem,
     teleop_problem,
 )
-from renet.deploy.safety.limits import SafetyCfg, limited_command, limited_velocity
+from renet.deploy.safety.limits import (
+    SafetyCfg,
+    limited_command,
+    limited_velocity,
+    rate_after,
+)
 from renet.deploy.safety.machine import Mode, SafetyMachine, damping_command, stand_up_target
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
@@ -218,8 +223,16 @@ def test_damping_only_brakes():
 
 
 def test_a_small_step_passes_unchanged():
-    passed = limited_command(STANDING + 0.1, STANDING, state(), GO1, CFG)
+    passed = limited_command(STANDING + 0.1, STANDING, state(), GO1, CFG.target_rate)
     np.testing.assert_equal(vars(passed), vars(command(STANDING + 0.1)))
+
+
+@pytest.mark.parametrize(
+    ("walked", "rate"), [(-1.0, 10.0), (0.0, 10.0), (0.5, 25.0), (1.0, 40.0), (99.0, 40.0)]
+)
+def test_targets_are_slow_as_a_walk_begins(walked, rate):
+    assert rate_after(walked, CFG) == rate
+    assert rate_after(walked, SafetyCfg(target_rate=5.0)) == 5.0
 
 
 twelve = st.lists(st.floats(-1e6, 1e6), min_size=12, max_size=12).map(np.array)
@@ -229,7 +242,7 @@ ranges = st.tuples(*map(st.floats, GO1.lower, GO1.upper)).map(np.array)
 @given(twelve, ranges, ranges, st.lists(st.floats(-60, 60), min_size=12, max_size=12))
 def test_no_command_leaves_its_limits(target, previous, position, velocity):
     reading = state(joint_position=position, joint_velocity=np.array(velocity))
-    limited = limited_command(target, previous, reading, GO1, CFG)
+    limited = limited_command(target, previous, reading, GO1, CFG.target_rate)
     assert ((limited.position >= GO1.lower) & (limited.position <= GO1.upper)).all()
     assert (np.abs(limited.position - previous) <= CFG.target_rate * CONTROL_DT + 1e-9).all()
     assert (limited.stiffness <= 40.0).all()
@@ -240,7 +253,7 @@ def test_no_command_leaves_its_limits(target, previous, position, velocity):
 
 def test_a_target_that_is_not_finite_is_no_command():
     with pytest.raises(RenetError, match=r"^the joint target is not finite"):
-        limited_command(np.full(12, np.nan), STANDING, state(), GO1, CFG)
+        limited_command(np.full(12, np.nan), STANDING, state(), GO1, CFG.target_rate)
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, math.inf, math.nan])

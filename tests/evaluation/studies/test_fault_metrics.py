@@ -105,7 +105,7 @@ def test_changes_are_paired_by_robot():
     values = fault_metrics.robot_measures(walk(), 20, 0.6, STEPS)
     rows = fault_metrics.estimates(values, values | {"speed_error": values["speed_error"] - 0.1})
     assert rows["crossed"]["value"] == 0.5
-    assert rows["crossed"]["ci95"] == pytest.approx([0.150, 0.850], abs=1e-3)  # Wilson's.
+    assert rows["crossed"]["ci95"] == pytest.approx([0.0676, 0.9324], abs=1e-4)  # Clopper, Pearson.
     assert rows["crossed"]["change"] == {"value": 0.0, "ci95": [0.0, 0.0]}
     # All robots change alike, however different they are.
     assert rows["speed_error"]["change"]["ci95"] == pytest.approx([0.1, 0.1])

@@ -63,7 +63,8 @@ def test_every_size_and_mode_has_its_row(run_study):
         assert runs["stairs_up", 5, mode]["success_rate"] == 1
     row = runs["gap", 1, "renet"]
     assert (row["size_m"], row["median_seconds"]) == pytest.approx((0.1, 0.4))
-    assert row["success_ci95_low"] == row["success_ci95_high"] == 1
+    assert row["success_ci95_low"] == pytest.approx(0.025 ** (1 / 3), abs=1e-6)
+    assert row["success_ci95_high"] == 1
     assert runs["gap", 5, "op"]["median_seconds"] is None
     assert (summary["worse"], summary["provenance"]["bundle_hash"]) == ([], "0" * 64)
     assert (folder / "success.png").stat().st_size > 10_000
@@ -114,3 +115,33 @@ def test_a_fault_begins_before_the_obstacle():
     (injection,) = terrain.SuccessStudy(fault="frozen:2", speed=0.6).schedule
     (later,) = terrain.SuccessStudy(fault="frozen:2@4s+1s").schedule
     assert (injection.onset, later.onset, later.duration) == (75, 200, 1.0)
+
+
+def test_own_ground_takes_the_place_of_tiles(tmp_path):
+    walked = {}
+
+    class Recording(FakeEvaluator):
+        def make_env(self, task, robots, speed, seed):
+            if not isinstance(task, str):
+                walked.update(task.scene.terrain.terrain_generator.sub_terrains)
+            return Ladder(len(robots))
+
+    file = tmp_path / "map.npy"
+    np.save(file, np.linspace(0.0, 0.4, 81 * 81).reshape(81, 81))
+    study = replace(TINY["terrain"], out=tmp_path / "out", scene=file)
+    runs = study.run(Recording())["runs"]
+    assert [*walked] == ["own"]
+    assert {run["kind"] for run in runs} == {"own"}
+    assert [run["size_m"] for run in runs] == pytest.approx([0.04 * n for n in range(1, 11)])
+    before = study.file_digests()
+    np.save(file, np.zeros((81, 81)))
+    assert study.file_digests() != before
+
+
+def test_a_scene_has_one_level(tmp_path):
+    file = tmp_path / "scene.xml"
+    file.write_text("<mujoco><worldbody><geom type='plane' size='9 9 1'/></worldbody></mujoco>")
+    study = replace(TINY["terrain"], out=tmp_path / "out", scene=file)
+    summary = study.run(FakeEvaluator(Ladder))
+    assert [(run["kind"], run["level"]) for run in summary["runs"]] == [("own", LEVELS)]
+    assert [title for title, *_ in study.tables(summary)] == ["Robots that cross, % of 3"]

@@ -28,6 +28,8 @@ class RobotState:
     """Temperature of the hottest motor, °C; NaN if it is not measured."""
     battery: float = math.nan
     """Charge left, 0 to 1; NaN if the robot does not say."""
+    fault: str = ""
+    """What the robot says is wrong with itself, such as a motor that obeys no more; else empty."""
 
 
 VECTORS = {

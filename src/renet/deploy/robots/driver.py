@@ -46,6 +46,8 @@ class DriverCfg:
     """Whether the robot lives in this process, on a clock of its own."""
     drives: ClassVar[RobotDescription | None] = None
     """The only robot that it drives; None: any that a bundle may have."""
+    bundle: ClassVar[str | None] = None
+    """Name of the bundle that ships for this robot; None: that of the Go1."""
     camera: ClassVar[str] = "realsense"
     """Name of the camera that `--camera auto` means."""
 

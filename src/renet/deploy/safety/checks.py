@@ -99,6 +99,8 @@ def pre_arm_problem(
             return f"the operator already asks for {asked:.2f} {unit}: let go of the stick first"
     if problem := power_problem(state, cfg.min_battery, cfg.max_temperature):
         return problem
+    if fault := getattr(state, "fault", ""):
+        return fault
     if recorder:
         return recorder
     if camera and frame is None:

@@ -65,7 +65,12 @@ class SafetyMachine:
 
     def stood_up(self, now: float) -> bool:
         """Whether the time to stand up is over: the robot walks or must be damped."""
-        return self.mode is Mode.STANDING_UP and now - self.since >= self.cfg.stand_up_seconds
+        return self.mode is Mode.STANDING_UP and now - self.since >= self.rising
+
+    @property
+    def rising(self) -> float:
+        """Seconds from arming to the end of standing up."""
+        return self.cfg.leg_test_seconds + self.cfg.stand_up_seconds
 
     def trip(self, reason: str, now: float) -> None:
         """Go to DAMPING; the first reason is kept until the operator arms again."""

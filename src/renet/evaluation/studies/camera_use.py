@@ -178,7 +178,7 @@ def compare(part: Mapping[str, Mapping[str, Any]], view: str) -> dict[str, Any]:
         probability that chance alone changes so many robots one way (exact sign test).
     """
     crossed, healthy = (np.array(part[name]["crossed"], bool) for name in (view, "healthy"))
-    low, high = metrics.wilson_interval(crossed)
+    low, high = metrics.share_interval(crossed)
     lost, won = int((healthy & ~crossed).sum()), int((crossed & ~healthy).sum())
     change = crossed.astype(float) - healthy
     return {

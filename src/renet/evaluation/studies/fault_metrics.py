@@ -63,7 +63,7 @@ def estimates(values: Values, twins: Values) -> dict[str, dict[str, Any]]:
     rows = {}
     for name in values:
         faulty, healthy = (np.array(part[name], float) for part in (values, twins))
-        interval = metrics.wilson_interval if name in SHARES else metrics.bootstrap_interval
+        interval = metrics.share_interval if name in SHARES else metrics.bootstrap_interval
         change = _mean(faulty - healthy, metrics.bootstrap_interval)
         rows[name] = _mean(faulty, interval) | {"change": change}
     return rows
@@ -124,7 +124,7 @@ def survival(trace: Trace, until: int) -> dict[str, Any]:
         "robots": len(upright),
         "falls": int((~upright).sum()),
         "survival": float(upright.mean()),
-        **metrics.with_interval("survival", upright),
+        **metrics.with_share_interval("survival", upright),
         "mean_forward_velocity": float(speed.mean()) if len(speed) else math.nan,
         **metrics.with_interval("velocity", speed),
     }

@@ -186,7 +186,7 @@ class MarginsStudy(WalkingStudy):
                     "falls": int(fell.sum()),
                     "stopped": int(stopped.sum()),
                     "failed": float(failed.mean()),
-                    **metrics.with_interval("failed", failed),
+                    **metrics.with_share_interval("failed", failed),
                     "seed": self.seed,
                 }
             )

@@ -116,7 +116,7 @@ class MemoryStudy(LevelStudy):
                         "crossed": int(shares.sum()),
                         "fell": int(fell[seconds, mode].sum()),
                         "crossed_rate": float(shares.mean()),
-                        **metrics.with_interval("crossed", shares),
+                        **metrics.with_share_interval("crossed", shares),
                         "change": float(change.mean()),
                         **metrics.with_interval("change", change),
                         "seed": self.seed,

@@ -85,7 +85,7 @@ class StopsStudy(WalkingStudy):
             row = {"kind": kind, "angle_deg": angle, "height_m": self.height, "mode": mode}
             row |= {"robots": each, "falls": int((~stopped).sum())}
             row |= {"success_rate": float(stopped.mean())}
-            row |= metrics.with_interval("success", stopped)
+            row |= metrics.with_share_interval("success", stopped)
             walked = group.travelled[-1][stopped]
             row["walked_m"] = float(np.median(walked)) if walked.size else None
             runs.append(row | {"seed": self.seed})

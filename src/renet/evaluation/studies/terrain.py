@@ -12,6 +12,7 @@ has two protocols:
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -30,6 +31,7 @@ from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Schedule, parse_fault
 from renet.interface import CONTROL_DT, Terrain
+from renet.terrain.own_ground import KIND, GroundFile, OwnScene
 from renet.terrain.tiles import LEVELS, Tile, tiles
 
 if TYPE_CHECKING:
@@ -45,6 +47,7 @@ SIZES = {
     "stairs_down": "riser of stairs down",
     "obstacles": "height of blocks",
     "rough": "relief",
+    KIND: "relief of your own ground",
 }
 """What grows with the level of each kind of tile."""
 
@@ -69,6 +72,13 @@ class TerrainStudy(WalkingStudy):
     before a robot is 1.2 m from its start, where gaps and stairs up begin."""
     seconds: float = 20.0
     """Time to leave a tile (an episode's length in training)."""
+    scene: Path | None = None
+    """Ground of your own in place of kinds of tile: a height map (.npy in m, .png), whose relief
+    grows to all of it with the levels, or an MJCF scene (.xml), the same at every level."""
+    scene_width: float = 8.0
+    """Metres that a height map is wide; of more than 8 each level takes another piece."""
+    scene_height: float = 0.3
+    """Metres of white above black in a .png."""
 
     name: ClassVar[str] = "terrain"
     selectable: ClassVar[tuple[str, ...]] = ("kinds",)
@@ -90,10 +100,17 @@ class TerrainStudy(WalkingStudy):
         if self.seconds < 1:
             raise RenetError(f"seconds must be at least 1, got {self.seconds}")
         _ = self.schedule
+        if self.scene is not None:
+            object.__setattr__(self, "kinds", (KIND,))
+            if isinstance(self.tiles[KIND], OwnScene):
+                object.__setattr__(self, "levels", (LEVELS,))
 
     @property
     def tiles(self) -> dict[str, Tile]:
-        """Every kind of tile in the study's sizes."""
+        """Every kind of tile in the study's sizes, or somebody's own ground alone."""
+        if self.scene is not None:
+            ground = GroundFile(file=self.scene, width=self.scene_width, height=self.scene_height)
+            return {KIND: ground.tile()}
         changed = tiles()
         for kind, (low, high) in self.sizes.items():
             changed[kind] = replace(changed[kind], low=low, high=high)
@@ -109,8 +126,16 @@ class TerrainStudy(WalkingStudy):
     @property
     def settings(self) -> list[tuple[int, str]]:
         """Level and mode of every group of robots on one kind of tile."""
-        levels = self.quick_levels if self.quick else self.levels
+        alike = self.scene is not None and len(self.levels) == 1
+        levels = self.quick_levels if self.quick and not alike else self.levels
         return [(level, mode) for level in levels for mode in self.modes]
+
+    def file_digests(self) -> dict[str, str]:
+        """Of the motors, and of the ground."""
+        digests = super().file_digests()
+        if self.scene is not None:
+            digests["scene"] = hashlib.sha256(self.scene.read_bytes()).hexdigest()
+        return digests
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One batch for each kind of tile, and one on flat ground where that is reported."""
@@ -163,7 +188,8 @@ class TerrainStudy(WalkingStudy):
         ]
         env = make(tuple(trial.robot for trial in trials))
         # The first level of rough ground has no relief.
-        columns = [list(tiles()).index("rough" if kind == FLAT else kind) for kind, *_ in rows]
+        known = list(self.tiles)
+        columns = [known.index("rough" if kind == FLAT else kind) for kind, *_ in rows]
         env.place(np.array([level - 1 for _, level, *_ in rows]), np.array(columns))
         return env, trials
 
@@ -190,7 +216,7 @@ class TerrainStudy(WalkingStudy):
             "falls": int((fell if self.one_try else trace.fell).sum()),
             "stuck": int((~crossed & ~fell).sum()),
             "success_rate": float(success.mean()),
-            **metrics.with_interval("success", success),
+            **metrics.with_share_interval("success", success),
             "median_seconds": float(np.median(seconds[crossed])) if crossed.any() else None,
             "seed": self.seed,
         }
@@ -239,7 +265,7 @@ class TerrainStudy(WalkingStudy):
         ]
         header = ("obstacle", "size (cm)", *self.modes)
         tables: list[Table] = [(f"Robots that cross, % of {summary['robots']}", header, rows)]
-        if not self.one_try:
+        if not self.one_try and len(self.settings) > len(self.modes):
             levels = [(kind, f"{n:.2f}") for kind, n in summary["levels_by_kind"].items()]
             levels += [("falls on flat ground", summary["falls_on_flat"])]
             tables.append((f"Mean highest level of {LEVELS}", ("tile", "level"), levels))

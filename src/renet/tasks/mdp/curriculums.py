@@ -4,7 +4,6 @@ Whatever changes with time counts environment steps of all robots and processes;
 is the one place that knows how many are done.
 """
 
-import math
 import os
 
 import torch
@@ -64,10 +63,10 @@ class TerrainLevels:
     last level is sent to any level. Whoever is among walls or on a ledge, which nobody can leave,
     is always sent to any level.
 
-    After `easier_after` environment steps, a share of the episodes on kinds of tile of
-    `easier_kinds` use a tile of a level drawn uniformly up to the robot's own, from the lowest
-    `easier_levels`. They do not change that level. Without them robots forget how to cross narrow
-    gaps. Share and levels follow schedules; all four are parameters.
+    Of the episodes on kinds of tile of `easier_kinds` a share, `easier_share`, use a tile of a
+    level drawn uniformly up to the robot's own, from the lowest `easier_levels`. They do not change
+    that level. Without them robots forget how to cross narrow gaps. Share and levels follow
+    schedules; all three are parameters.
 
     Attributes:
         levels: each robot's own level, [N]; `terrain.terrain_levels` is that of the tile it is on.
@@ -84,9 +83,8 @@ class TerrainLevels:
         self,
         env: ManagerBasedRlEnv,
         env_ids: Tensor,
-        easier_after: float = math.inf,
         easier_kinds: tuple[str, ...] = (),
-        easier_share: Schedule = 0.25,
+        easier_share: Schedule = 0.0,
         easier_levels: Schedule = LEVELS,
     ) -> dict[str, Tensor]:
         """Set levels and tiles of robots whose episodes end; returns each kind's mean level."""
@@ -116,8 +114,8 @@ class TerrainLevels:
         self.levels[env_ids] = level
         tile = level
         done = environment_steps(env)
-        if done >= easier_after:
-            drawn = torch.rand_like(level, dtype=torch.float) < value_at(easier_share, done)
+        if share := value_at(easier_share, done):
+            drawn = torch.rand_like(level, dtype=torch.float) < share
             drawn &= on_tiles(env, *easier_kinds)[env_ids] & (level > lowest)
             count = (level - lowest + 1).clamp_max(value_at(easier_levels, done))
             easier = lowest + (torch.rand_like(level, dtype=torch.float) * count).long()

@@ -4,17 +4,30 @@ import json
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
 
 from cyclonedds.core import DDSException
 
-from renet.deploy.robots.go2.link import COMMANDS, QUIET, RELEASE, STATES, reading
+from renet.deploy.robots.go2.fake import SPORT, FakeGo2
+from renet.deploy.robots.go2.integrity import MOST_DAMAGED
+from renet.deploy.robots.go2.link import (
+    COMMANDS,
+    HOLD,
+    LISTEN,
+    QUIET,
+    RELEASE,
+    SETTLES,
+    SEVERAL,
+    reading,
+)
 from renet.deploy.robots.go2.messages import LowCmd, LowState, crc
 from renet.deploy.robots.go2.network import Network
 from renet.deploy.robots.go2.switch import CHECK_EVERY, SELECT_MODE, MotionSwitcher
 from renet.deploy.robots.real.braking import PERIOD
+from renet.deploy.robots.real.identity import IN_A_ROW, RESTARTED
 from renet.interface import JOINTS
 
 from ...fakes import command
@@ -51,10 +64,9 @@ def test_its_own_controller_has_ended_before_the_first_command(wire, peer):
     assert peer.mode
     wire.start()
     assert peer.mode == ""
-    wire.run(100)
-    assert peer.commands == [], "nothing is sent before the controller commands"
+    held = len(peer.commands)
     wire.hold(5)
-    assert len(peer.commands) == 5
+    assert len(peer.commands) == held + 5
     assert peer.refused == peer.wrong == 0
 
 
@@ -96,6 +108,7 @@ def test_a_command_that_nobody_takes_is_followed_by_the_next(free, peer, monkeyp
 
     with monkeypatch.context() as broken:
         broken.setattr(free.link, "_commands", SimpleNamespace(write=full))
+        peer.commands.clear()
         free.hold(1)
     assert peer.commands == []
     free.hold(1)
@@ -142,7 +155,7 @@ def test_another_program_that_commands_the_motors_is_refused_at_the_start(wire, 
 
 def test_another_program_that_ended_just_before_is_not_minded(wire):
     send = stranger()
-    for _ in range(round(1.0 / PERIOD)):
+    for _ in range(round(2.0 / PERIOD)):
         send()
         wire.run(1)
     assert wire.link.state is None
@@ -169,15 +182,142 @@ def test_the_robot_obeys_no_command_with_a_wrong_crc_or_head(free, peer, wrong):
     assert len(peer.commands) == obeyed
 
 
-def test_a_state_is_taken_whatever_its_crc_says_and_never_from_the_past(free):
-    """What a real robot's states hold there is not known, and the vendor does not look."""
-    writer = Network("lo", free_domain()).writer(STATES, LowState)
-    sample = LowState()
-    for tick, time in ((2**20, 77.0), (2**19, 78.0)):
-        sample.values["tick"], sample.values["crc"] = tick, 12345
-        writer.write(sample)
-        free.link.exchange(time)
-    assert free.link.state.time == 77.0
+def test_damaged_messages_are_left_out(free, peer):
+    """Whatever they say: here that a motor is hot, the battery empty and a button pressed."""
+    free.hold(5)
+    spoil = Spoiler(peer)
+    for _ in range(20):
+        spoil.once(temperature=200, soc=1, button=1)
+        free.hold(2)
+        assert (free.link.state.temperature, free.link.state.battery) == (30.0, 0.81)
+    assert free.link.problem == ""
+    assert peer.holds
+
+
+def test_a_robot_that_is_heard_only_damaged_is_braked_for_good(free, peer):
+    free.hold(5)
+    spoil = Spoiler(peer)
+    peer.silent = True
+    for _ in range(MOST_DAMAGED + 1):
+        spoil.once()
+        free.hold(1)
+    assert free.link.problem == "the robot's messages arrive damaged: check cable and network card"
+    free.hold(1)
+    assert peer.braked
+
+
+def test_a_robot_whose_checksums_are_never_right_is_believed(peer, monkeypatch):
+    """What every firmware writes there is not known, and the vendor does not look."""
+    monkeypatch.setattr("renet.deploy.robots.go2.fake.crc", lambda raw: 12345)
+    wire = peer.wire()
+    wire.start()
+    assert wire.link.problem == ""
+    assert wire.link.state.battery == 0.81
+
+
+class Spoiler:
+    """Sends what the robot would send next, damaged on its way."""
+
+    def __init__(self, peer) -> None:
+        self._peer = peer
+
+    def once(self, temperature: int = 30, soc: int = 81, button: int = 0) -> None:
+        out, peer = self._peer._out, self._peer
+        before = out.raw.copy()
+        out.values["tick"] += 1
+        out.values["motor_state"]["temperature"] = temperature
+        out.values["bms_state"]["soc"] = soc
+        out.values["wireless_remote"][2] = button
+        out.raw[20] ^= 1  # The CRC is that of the message before.
+        peer._states.write(out)
+        out.raw[:] = before
+
+
+def test_a_flipped_bit_in_its_count_costs_a_reading_and_not_the_robot(free, peer):
+    free.hold(5)
+    true = peer.steps
+    peer.steps = true ^ (1 << 28)
+    free.hold(1)
+    peer.steps = true + 1
+    for _ in range(5):
+        free.hold(1)
+    assert free.link.problem == ""
+    assert free.now - free.link.state.time <= 2 * PERIOD
+
+
+def test_a_robot_that_is_started_again_brakes_for_good(free, peer):
+    free.run(500)
+    free.hold(5)
+    peer.steps = 0
+    for _ in range(5):
+        free.hold(1)
+    assert free.link.problem == RESTARTED
+    assert peer.braked
+
+
+def test_two_robots_on_one_network_are_refused_before_anything_is_released(wire, peer):
+    other = FakeGo2(free_domain())
+    other.steps, other.battery = 500_000, 33
+    for _ in range(round(2 * LISTEN / PERIOD)):
+        other.step()
+        wire.run(1)
+    assert wire.link.problem == SEVERAL.format(2)
+    assert wire.link.state is None
+    assert (peer.mode, other.mode) == (SPORT, SPORT)
+    assert peer.commands == []
+    assert peer.refused == other.refused == 0
+
+
+def test_a_second_robot_that_comes_later_brakes_the_first_for_good(free, peer):
+    free.hold(5)
+    other = FakeGo2(free_domain())
+    other.steps, other.battery = 500_000, 33
+    for _ in range(100):
+        other.step()
+        free.hold(1)
+    assert free.link.problem == RESTARTED
+    assert free.link.state.battery == 0.81
+    assert peer.braked
+    assert other.mode == SPORT, "it is not released"
+
+
+def test_a_watcher_too_hears_one_robot_alone(peer):
+    wire, other = peer.wire(watch=True), FakeGo2(free_domain())
+    for _ in range(round(2 * LISTEN / PERIOD)):
+        other.step()
+        wire.run(1)
+    assert wire.link.problem == SEVERAL.format(2)
+    assert wire.link.state is None
+
+
+def test_it_is_held_where_it_stands_from_the_release_on(wire, peer):
+    """Its motors are limp from there, and without a new command after 20 ms."""
+    peer.pose, peer.patience = np.tile((0.0, 0.8, -1.6), 4), 0.02
+    peer.data.qpos[2] = 0.3
+    for _ in range(500):
+        peer.step()
+    stood, limp = peer.height, []
+    assert stood > 0.25
+    for _ in range(2000):
+        wire.run(1)
+        released = peer.mode == ""
+        limp += [peer.steps] if released and not peer.commands else []
+    assert wire.link.state is not None
+    assert len(limp) * PERIOD <= 0.01
+    assert abs(peer.height - stood) < 0.02
+    wire.link.problem = "the connection was closed"
+    wire.run(2)
+    assert peer.braked
+
+
+def test_it_is_not_held_against_another_program(wire, peer):
+    send = stranger()
+    for _ in range(round(3.0 / PERIOD)):
+        send()
+        wire.run(1)
+    held = [sent for sent in peer.commands if (sent[:, 4] == HOLD).all()]
+    assert peer.mode == ""
+    assert len(held) * PERIOD < 2 * SETTLES
 
 
 @pytest.mark.parametrize("buttons", [256, 4])
@@ -190,7 +330,7 @@ def test_a_button_of_the_robots_remote_brakes_for_good(free, peer, buttons):
     free.hold(5)
     assert peer.holds
     peer.buttons = buttons
-    free.hold(2)
+    free.hold(IN_A_ROW + 1)
     peer.buttons = 0
     free.hold(2)
     assert free.link.problem == "a button of the robot's remote was pressed"

@@ -153,12 +153,3 @@ def test_nothing_outside_the_envelope_reaches_the_motors(free, peer, gain):
     assert ((damping >= 0) & (damping <= 10)).all()
     torque = stiffness * (position - state.joint_position) - damping * state.joint_velocity
     assert (np.abs(torque) <= envelope.torque * 1.01).all(), "gains of a Go1 are sent in 32nds"
-
-
-def test_a_reading_that_is_not_newer_is_no_news(wire):
-    """The count has 32 bits and goes on from zero."""
-    for last in (100, 2**32 - 2):
-        for step, newer in ((0, 0), (-1, 0), (-(2**31), 0), (1, 1), (2, 1), (2**31 - 1, 1)):
-            wire.link._tick, tick = last, (last + step) % 2**32
-            assert wire.link._news(tick) == newer
-            assert wire.link._tick == (tick if newer else last)

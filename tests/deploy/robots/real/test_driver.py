@@ -27,11 +27,12 @@ def test_a_robot_is_read_commanded_and_braked_at_the_end(served):
         robot.write(command())
 
 
-def test_a_connection_that_only_looked_leaves_the_robot_limp(served):
+def test_a_connection_that_only_looked_leaves_the_robot_limp_or_braked(served):
+    """A Go2's own controllers were ended: it is held until somebody commands it."""
     robot = served.make_driver(sink=0.3)
     robot.connect()
     robot.close()
-    assert not any(sent[:, 4:].any() for sent in served.commands)
+    assert served.braked or not any(sent[:, 4:].any() for sent in served.commands)
 
 
 def test_a_sender_that_died_is_named(served):

@@ -11,6 +11,12 @@ POWER_LEVEL = 9
 """Level of the vendor's overload guard, from 1 (10 % of the motors' power) to 10."""
 
 
+def demand_power_level(level: int) -> None:
+    """Raise RenetError for a level that the overload guard does not have."""
+    if not 1 <= level <= 10:
+        raise RenetError(f"the Go1's power level must be 1 to 10, got {level}")
+
+
 def go1_robot(
     host: str = "192.168.123.10",
     port: int = 8007,
@@ -26,8 +32,7 @@ def go1_robot(
     Raises:
         RenetError: an unknown host, or no such power level.
     """
-    if not 1 <= power_level <= 10:
-        raise RenetError(f"the Go1's power level must be 1 to 10, got {power_level}")
+    demand_power_level(power_level)
     try:
         host = socket.gethostbyname(host)
     except OSError as error:

@@ -13,6 +13,8 @@ import numpy as np
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.robots.real.braking import Link
+from renet.deploy.robots.real.identity import IN_A_ROW, RESTARTED
+from renet.deploy.robots.real.trouble import MotorTrouble
 from renet.descriptions import GO1
 from renet.errors import RenetError, install
 from renet.interface import ACTION_SIZE
@@ -50,7 +52,14 @@ def _require_free(port: int) -> None:
 
 
 class Go1Link(Link):
-    """The exchange with a Go1; the vendor's driver and its overload guard can brake it for good."""
+    """The exchange with a Go1.
+
+    The vendor's driver and its overload guard can brake it for good, and so does another robot that
+    answers at the same address.
+    """
+
+    leap = 100_000
+    """0.1 s if the robot counts microseconds, as the vendor says."""
 
     def __init__(self, host: str, port: int, local_port: int, power_level: int) -> None:
         """Open the socket; motors stay limp until the first command.
@@ -69,6 +78,9 @@ class Go1Link(Link):
         self._level = power_level
         self._out, self._in = sdk.LowCmd(), sdk.LowState()
         self._udp.InitCmdData(self._out)
+        self._trouble = MotorTrouble()
+        self._serial: tuple[int, ...] | None = None
+        self._strangers = 0
 
     def _send(self, command: JointCommand | None) -> None:
         for joint, motor in enumerate(MOTORS):
@@ -87,11 +99,22 @@ class Go1Link(Link):
         self._udp.Recv()
         self._udp.GetRecv(self._in)
         # The library keeps the last packet for ever; its first, empty one has no tick.
-        if self._in.tick and self._news(self._in.tick):
+        if self._in.tick and self._news(self._in.tick) and self._is_same_robot():
             self.state = self._reading(now)
+
+    def _is_same_robot(self) -> bool:
+        """Whether the newest reading bears the serial number of the first."""
+        serial = tuple(self._in.SN)
+        if self._serial is None:
+            self._serial = serial
+        self._strangers = 0 if serial == self._serial else self._strangers + 1
+        if self._strangers >= IN_A_ROW:
+            self.problem = self.problem or RESTARTED
+        return self._strangers == 0
 
     def _reading(self, now: float) -> RobotState:
         motors = [self._in.motorState[motor] for motor in MOTORS]
+        modes = np.array([motor.mode for motor in motors])
         return RobotState(
             time=now,
             joint_position=np.array([motor.q for motor in motors]),
@@ -101,4 +124,5 @@ class Go1Link(Link):
             angular_velocity=np.array(self._in.imu.gyroscope),
             temperature=float(max(motor.temperature for motor in motors)),
             battery=self._in.bms.SOC / 100.0,
+            fault=self._trouble.look(modes, np.zeros(ACTION_SIZE), self.commanded, now),
         )

@@ -8,6 +8,14 @@ from renet.descriptions import GO2
 from renet.errors import RenetError, install
 
 
+def demand_dds() -> None:
+    """Raise RenetError unless Cyclone DDS is installed."""
+    if find_spec("cyclonedds") is None:
+        raise RenetError(
+            f"the Go2 needs Cyclone DDS: {install('go2')} (docs/go2.md says what to do on ARM)"
+        )
+
+
 def go2_robot(
     interface: str, domain: int = 0, watch: bool = False, timeout: float = 20.0, **options: float
 ) -> RealRobot:
@@ -22,10 +30,7 @@ def go2_robot(
     Raises:
         RenetError: Cyclone DDS is not installed.
     """
-    if find_spec("cyclonedds") is None:
-        raise RenetError(
-            f"the Go2 needs Cyclone DDS: {install('go2')} (docs/go2.md says what to do on ARM)"
-        )
+    demand_dds()
     return RealRobot(
         "Go2",
         read_envelope(GO2),

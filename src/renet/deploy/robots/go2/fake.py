@@ -2,11 +2,12 @@
 
 To a driver it is a robot: it publishes its state at 500 Hz, its own controller holds the motors
 until MotionSwitcher releases them, and it obeys commands whose CRC is right, within its motors'
-torque. It knows no foot forces, and what a real robot's motors do when commands cease is not known:
-its own go on with the last one.
+torque. It knows no foot forces. Its motors are limp from a release until the first command, and
+again where none comes for its `patience`; how long a real robot's motors wait is not known.
 """
 
 import json
+import math
 from contextlib import suppress
 from typing import Any
 
@@ -81,10 +82,17 @@ class FakeGo2:
         """Name of its own controller that holds the motors; empty after a release."""
         self.buttons = 0
         """Bits of the remote's pressed buttons: A is 256, START is 4."""
+        self.pose = LYING
+        """Where its own controller holds the joints, [12] rad."""
+        self.patience = math.inf
+        """Seconds without a command after which its motors are limp."""
+        self.order = np.arange(len(JOINTS))
+        """Joint of each of the vendor's motors; legs that are wired wrongly have others."""
         self.battery = 81
         """Charge in per cent."""
         self.accepted = self.wrong = self.refused = 0
         """Commands that it obeyed; that had a wrong CRC or head; that came in one of its modes."""
+        self._obeyed = 0
         self.steps = 0
         """How often it has stepped: its clock, 2 ms each."""
         self._limp()
@@ -95,8 +103,11 @@ class FakeGo2:
         for sample in self._commands.take(8):
             if getattr(sample, "values", None) is not None:
                 self.receive(sample)
+                self._obeyed = self.steps
         if self.mode:
-            self._drive(1, LYING, 0.0, 0.0, *HOLD)
+            self._drive(1, self.pose, 0.0, 0.0, *HOLD)
+        elif PERIOD * (self.steps - self._obeyed) > self.patience:
+            self._limp()
         mujoco.mj_step(self.model, self.data)
         self.steps += 1
         self.publish()
@@ -134,7 +145,8 @@ class FakeGo2:
             self.refused += 1
         else:
             self.accepted += 1
-            motors = command["motor_cmd"][MOTORS]
+            motors = np.empty(len(JOINTS), command["motor_cmd"].dtype)
+            motors[self.order] = command["motor_cmd"][MOTORS]
             parts = ("mode", "q", "dq", "tau", "kp", "kd")
             self._drive(*(motors[part].astype(float) for part in parts))
 
@@ -143,8 +155,10 @@ class FakeGo2:
         state, motors = self._out.values, self._out.values["motor_state"][MOTORS]
         data, (w, x, y, z) = self.data, self.data.qpos[self._base][3:]
         motors["mode"], motors["temperature"] = 1, 30
-        motors["q"], motors["dq"] = data.qpos[self._angles], data.qvel[self._speeds]
-        motors["tau_est"] = data.actuator_force[self._servos]
+        order = self.order
+        motors["q"] = data.qpos[self._angles[order]]
+        motors["dq"] = data.qvel[self._speeds[order]]
+        motors["tau_est"] = data.actuator_force[self._servos[order]]
         imu, motion = state["imu_state"], data.qacc[self._motion][:3] + GRAVITY
         imu["quaternion"] = (w, x, y, z)
         imu["gyroscope"] = data.qvel[self._motion][3:]

@@ -2,6 +2,7 @@
 
 import math
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,13 @@ from cyclonedds.core import DDSException
 
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import read_envelope
+from renet.deploy.robots.go2.integrity import Integrity
 from renet.deploy.robots.go2.messages import LowCmd, LowState, crc
 from renet.deploy.robots.go2.network import Network
 from renet.deploy.robots.go2.switch import MotionSwitcher
-from renet.deploy.robots.real.braking import Link
+from renet.deploy.robots.real.braking import BRAKE, Link
+from renet.deploy.robots.real.identity import IN_A_ROW, RESTARTED, Speakers
+from renet.deploy.robots.real.trouble import MotorTrouble
 from renet.descriptions import GO2
 from renet.interface import ACTION_SIZE
 
@@ -29,19 +33,30 @@ QUIET = 0.2
 """Seconds without anybody else's command after which the motors are free."""
 RELEASE = 10.0
 """Seconds within which the robot's own controllers must have ended."""
+LISTEN = 1.0
+"""Seconds for which it is listened who answers, before anything is asked to change."""
+HOLD = 40.0
+"""Kp with which the robot is held as it lies from the release to the controller's first command."""
+MOST_BEYOND = 0.4
+"""rad by which the targets of that hold may be beyond the joints, so that they bear their load."""
+SETTLES = 0.05
+"""Seconds after a release for which commands of the robot's own controllers may still arrive."""
+NO_SWITCH = "the robot's motion switcher does not answer: is it a Go2 EDU?"
+SEVERAL = "{} robots answer on this network: leave only the one that is to be driven"
 
 
 class Go2Link(Link):
     """The exchange with a Go2.
 
-    It commands only once the robot's own controllers have ended and nobody else commands the
-    motors. Should one of the robot's modes come back, it falls silent, for two programs that write
-    the same motors are worse than one; anybody else's command, or a button of the robot's remote,
-    brakes for good.
+    It commands only once one robot alone has answered, its own controllers have ended, and nobody
+    else commands the motors. From the release of its controllers on it is held as it lies, since
+    its motors are limp without commands. Should one of the robot's modes come back, it falls
+    silent, for two programs that write the same motors are worse than one; another robot's answer,
+    a restart, anybody else's command, or a button of the robot's remote brakes for good.
     """
 
     def __init__(self, interface: str, domain: int, watch: bool) -> None:
-        """Join a DDS domain on a network card; motors are sent nothing before the first command.
+        """Join a DDS domain on a network card; motors are sent nothing before the release.
 
         `watch` means only to look: to end no mode, and never to command.
         """
@@ -51,8 +66,16 @@ class Go2Link(Link):
         self._others = network.reader(COMMANDS, LowCmd)
         self._states = network.reader(STATES, LowState, depth=8)
         self._switch = MotionSwitcher(network)
-        self._watch, self._free = watch, watch
-        self._began = self._heard = math.nan
+        self._speakers = Speakers()
+        self._integrity = Integrity()
+        self._trouble = MotorTrouble()
+        self._watch = watch
+        self._known = self._free = False
+        self._began = self._heard = self._released = math.nan
+        self._angles = self._load = np.zeros(ACTION_SIZE)
+        """Where the joints are, rad, and the torque with which the robot's own controllers held
+        them there, N m."""
+        self._pressed = 0
         self._out = LowCmd()
         command = self._out.values
         command["head"], command["level_flag"] = (0xFE, 0xEF), 0xFF
@@ -60,26 +83,69 @@ class Go2Link(Link):
         command["motor_cmd"]["q"], command["motor_cmd"]["dq"] = NO_POSITION, NO_SPEED
 
     def _receive(self, now: float) -> None:
+        newest = self._newest()
+        if newest is not None:
+            motors = newest["motor_state"][MOTORS]
+            self._angles = motors["q"].astype(float)
+            if not self._switch.releasing:
+                self._load = motors["tau_est"].astype(float)
+        heard = any(getattr(s, "values", None) is not None for s in self._others.take(1))
+        if newest is not None and math.isnan(self._began):
+            self._began = self._heard = now
+        if not self._watch:
+            self._switch.step(now, release=self._known and not self._free)
+        self._identify(now)
+        if self._known and not self._watch:
+            self._claim(heard, now)
+        if newest is None:
+            return
+        pressed = newest["wireless_remote"][BUTTONS].any() and self._command is not None
+        self._pressed = self._pressed + 1 if pressed else 0
+        if self._pressed >= IN_A_ROW:
+            self.problem = self.problem or "a button of the robot's remote was pressed"
+        if self._free:
+            motors = newest["motor_state"][MOTORS]
+            fault = self._trouble.look(motors["mode"], motors["lost"], self.commanded, now)
+            self.state = replace(reading(newest, now), fault=fault)
+
+    def _newest(self) -> Any:
+        """The newest message of this robot that arrived undamaged; None if none did."""
         newest = None
         for sample in self._states.take(8):
             values = getattr(sample, "values", None)  # Absent where a writer has left.
-            if values is not None and self._news(int(values["tick"])):
+            if values is None or not self._speakers.hear(sample.sample_info.publication_handle):
+                continue
+            if self._integrity.intact(sample) and self._news(int(values["tick"])):
                 newest = values
-        heard = any(getattr(s, "values", None) is not None for s in self._others.take(1))
-        if not self._watch:
-            self._switch.step(now, release=not self._free)
-            self._claim(heard, newest is not None, now)
-        if newest is None:
-            return
-        if newest["wireless_remote"][BUTTONS].any() and self._command is not None:
-            self.problem = self.problem or "a button of the robot's remote was pressed"
-        if self._free:
-            self.state = reading(newest, now)
+        self.problem = self.problem or self._integrity.problem
+        return newest
 
-    def _claim(self, heard: bool, answers: bool, now: float) -> None:
+    def _identify(self, now: float) -> None:
+        """Pin who answers once it was listened for long enough, if that is one robot alone."""
+        voices = self._speakers, self._switch.speakers
+        if self._known:
+            if any(speakers.intruded for speakers in voices):
+                self.problem = self.problem or RESTARTED
+            return
+        count = max(map(len, voices))
+        if count > 1:
+            self.problem = self.problem or SEVERAL.format(count)
+        if self.problem or not now - self._began > LISTEN:
+            return
+        if self._watch or len(self._switch.speakers):
+            self._speakers.pin()
+            if not self._watch:
+                self._switch.speakers.pin()
+            self._known = True
+            self._free = self._watch
+            self._integrity.settle()
+        elif now - self._began > RELEASE:
+            self.problem = NO_SWITCH
+
+    def _claim(self, heard: bool, now: float) -> None:
         """Set `_free` once the motors are; afterwards a problem if they are somebody else's again.
 
-        `heard`: somebody else commanded them; `answers`: the robot sent a reading; `now`: seconds.
+        `heard`: somebody else commanded them; `now`: seconds.
         """
         mode = self._switch.mode
         if self._free:
@@ -88,21 +154,34 @@ class Go2Link(Link):
             elif heard:
                 self.problem = self.problem or "another program commands the robot's motors"
             return
-        if math.isnan(self._began):
-            if not answers:
-                return
-            self._began = self._heard = now
+        if self._switch.released:
+            self._released = now
         if heard or mode != "":
             self._heard = now
+        self._hold(heard, now)
         self._free = now - self._heard > QUIET
         if not self._free and now - self._began > RELEASE:
             self.problem = self.problem or {
-                None: "the robot's motion switcher does not answer: is it a Go2 EDU?",
+                None: NO_SWITCH,
                 "": "another program commands the robot's motors: end it first",
             }.get(mode, f"the robot's mode {mode!r} does not end: end it with the remote or app")
 
+    def _hold(self, heard: bool, now: float) -> None:
+        """Hold the legs where they are from the release on, unless somebody else moves them."""
+        if heard and now - self._released > SETTLES:
+            self.holding = None
+        if now == self._released:
+            # A servo gives no torque where it should be: it must aim beyond that.
+            aim = self._angles + np.clip(self._load / HOLD, -MOST_BEYOND, MOST_BEYOND)
+            gains = np.full(ACTION_SIZE, HOLD), np.full(ACTION_SIZE, BRAKE)
+            self.holding = self._envelope.clamp(JointCommand(aim, *gains))
+
     def _send(self, command: JointCommand | None) -> None:
-        if command is None or self._watch or not self._free or self._switch.mode:
+        if command is None:
+            command = self.holding
+        elif not self._free:
+            return
+        if command is None or self._watch or self._switch.mode:
             return
         motors = self._out.values["motor_cmd"][MOTORS]
         motors["q"], motors["dq"], motors["tau"] = command.position, 0.0, 0.0
@@ -113,7 +192,7 @@ class Go2Link(Link):
 
 
 def reading(values: Any, now: float) -> RobotState:
-    """State in a LowState that came at `now`, s, whose CRC the vendor does not check either."""
+    """State in a LowState that came at `now`, s."""
     motors, imu = values["motor_state"][MOTORS], values["imu_state"]
     charge = float(values["bms_state"]["soc"]) / 100.0
     return RobotState(

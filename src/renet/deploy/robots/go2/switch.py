@@ -15,6 +15,7 @@ from cyclonedds.core import DDSException
 from cyclonedds.idl import make_idl_struct, types
 
 from renet.deploy.robots.go2.network import Network
+from renet.deploy.robots.real.identity import Speakers
 
 REQUESTS, RESPONSES = "rt/api/motion_switcher/request", "rt/api/motion_switcher/response"
 CHECK_MODE, SELECT_MODE, RELEASE_MODE = 1001, 1002, 1003
@@ -48,23 +49,34 @@ class MotionSwitcher:
         self._reader = network.reader(RESPONSES, Response, depth=8)
         self._numbers = itertools.count(time.time_ns())
         self._questions: deque[int] = deque(maxlen=PATIENCE)
+        self._releases: deque[int] = deque(maxlen=PATIENCE)
         self._due = -math.inf
+        self.speakers = Speakers()
+        """Who has answered: one for each robot on the network."""
         self.mode: str | None = None
         """Name of the active mode, empty if there is none; None before the first answer."""
+        self.released = False
+        """Whether a release was carried out since the last step: the motors are limp from now."""
 
     def step(self, now: float, release: bool) -> None:
         """Take over an answer that has come, and ask again when that is due.
 
         Then `release` ends an active mode, too; `now` is in seconds on the caller's clock.
         """
+        self.released = False
         for response in self._reader.take(8):
             self._read(response)
         if now < self._due:
             return
         self._due = now + CHECK_EVERY
         if release and self.mode:
-            self._ask(RELEASE_MODE)
+            self._releases.append(self._ask(RELEASE_MODE))
         self._questions.append(self._ask(CHECK_MODE))
+
+    @property
+    def releasing(self) -> bool:
+        """Whether a release was asked for: the motors may be limp from then on."""
+        return bool(self._releases)
 
     def _ask(self, api: int, parameter: str = "{}") -> int:
         number = next(self._numbers)
@@ -75,8 +87,15 @@ class MotionSwitcher:
 
     def _read(self, response: Any) -> None:
         header = getattr(response, "header", None)  # Absent where a writer has left.
-        if header is None or header.identity.id not in self._questions or header.status.code:
-            return  # An answer to somebody else, or of a switch that is busy.
+        if header is None or header.identity.id not in (*self._questions, *self._releases):
+            return  # An answer to somebody else.
+        if not self.speakers.hear(response.sample_info.publication_handle):
+            return
+        if header.status.code:
+            return  # Of a switch that is busy.
+        if header.identity.id in self._releases:
+            self.released, self.mode = True, ""
+            return
         try:
             self.mode = str(json.loads(response.data)["name"])
         except (ValueError, KeyError, TypeError):

@@ -9,6 +9,7 @@ import numpy as np
 
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import Envelope
+from renet.deploy.robots.real.identity import Count
 
 PERIOD = 0.002
 """Seconds between two exchanges with a robot's motors."""
@@ -30,14 +31,19 @@ class Link(ABC):
     caller keeps.
     """
 
+    leap = 100
+    """Most by which one reading's count may be ahead of the last one's."""
+
     def __init__(self, envelope: Envelope) -> None:
         """Begin without a command: joints are left alone until the first."""
         self._envelope = envelope
         self._command: JointCommand | None = None
         self.commanded = -math.inf
         """When the newest command was given; -inf before the first."""
+        self.holding: JointCommand | None = None
+        """What holds the robot before that; None where it may lie limp."""
         self._alive = self._too_old = -math.inf
-        self._tick: int | None = None
+        self._count = Count(self.leap)
         self.state: RobotState | None = None
         """Newest reading; its time stands still when the robot falls silent."""
         self.problem = ""
@@ -65,9 +71,15 @@ class Link(ABC):
         silent = now - self.commanded > SILENCE or self.commanded <= self._too_old
         command = self._command
         if command is not None and (silent or self.problem):
-            zero = np.zeros_like(command.stiffness)
-            command = JointCommand(command.position, zero, zero + BRAKE)
+            command = braking(command)
+        if self.holding is not None and self.problem:
+            self.holding = braking(self.holding)
         self._send(command)
+
+    @property
+    def moved(self) -> bool:
+        """Whether the motors were ever told anything."""
+        return self.commanded > -math.inf or self.holding is not None
 
     @contextmanager
     def braked_on_failure(self) -> Iterator[None]:
@@ -77,11 +89,10 @@ class Link(ABC):
         except Exception as error:
             self.problem = f"the robot's driver failed: {type(error).__name__}: {error}"
 
-    def _news(self, tick: int) -> bool:
-        """Whether a reading's 32-bit count is newer than the last, not repeated or out of order."""
-        newer = self._tick is None or 0 < (tick - self._tick) % 2**32 < 2**31
-        if newer:
-            self._tick = tick
+    def _news(self, count: int) -> bool:
+        """Whether a reading is newer than the last by its 32-bit count; see `identity.Count`."""
+        newer = self._count.news(count)
+        self.problem = self.problem or self._count.problem
         return newer
 
     @abstractmethod
@@ -91,3 +102,9 @@ class Link(ABC):
     @abstractmethod
     def _send(self, command: JointCommand | None) -> None:
         """Send a command to the motors; None before the controller's first."""
+
+
+def braking(command: JointCommand) -> JointCommand:
+    """The brake for joints that were told something else."""
+    zero = np.zeros_like(command.stiffness)
+    return JointCommand(command.position, zero, zero + BRAKE)

@@ -90,7 +90,7 @@ class RealRobot:
         if not reading["valid"]:
             return None
         values: dict[str, Any] = {name: reading[name] for name in VALUES}
-        return RobotState(**values)
+        return RobotState(**values, fault=reading["fault"].item().decode(errors="replace"))
 
     def write(self, command: JointCommand) -> None:
         """Hand over a command.

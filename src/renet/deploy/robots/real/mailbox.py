@@ -13,9 +13,10 @@ COMMAND = np.dtype(
     [("time", "f8"), ("position", "f8", 12), ("stiffness", "f8", 12), ("damping", "f8", 12)]
 )
 VALUES = ("time", *VECTORS, "temperature", "battery")
-"""Fields of a `RobotState`."""
+"""Fields of a `RobotState` that are numbers."""
 NUMBERS = [(name, "f8", VECTORS.get(name, ())) for name in VALUES]
-READING = np.dtype([("valid", "?"), *NUMBERS, ("problem", "S400"), ("refused", "S400")])
+TEXTS = [("fault", "S100"), ("problem", "S400"), ("refused", "S400")]
+READING = np.dtype([("valid", "?"), *NUMBERS, *TEXTS])
 SIZE = 4096
 
 

@@ -49,7 +49,7 @@ def main(arguments: list[str]) -> None:
         while clock() < end:
             if end == np.inf and select.select([pipe], [], [], 0.0)[0]:  # The controller is gone.
                 link.problem = link.problem or "the connection was closed"
-                end = clock() + float(sink) if link.commanded > -np.inf else 0.0
+                end = clock() + float(sink) if link.moved else 0.0
             step(link, alive, commands)
             with link.braked_on_failure():
                 readings.write(_reading(link, link.problem, refused))
@@ -77,6 +77,7 @@ def _reading(link: Link | None, problem: str, refused: str) -> np.ndarray:
         reading["valid"] = True
         for name in VALUES:
             reading[name] = getattr(link.state, name)
+        reading["fault"] = link.state.fault.encode()
     reading["problem"], reading["refused"] = problem.encode(), refused.encode()
     return reading
 

@@ -1,4 +1,4 @@
-"""Scenes for a simulated robot: a plane, a training tile, or anyone's MJCF."""
+"""Scenes for a simulated robot: a plane, a training tile, or anyone's height map or MJCF."""
 
 from pathlib import Path
 
@@ -7,7 +7,9 @@ import numpy as np
 
 from renet.deploy.robots.sim.scene_file import attach_scene, ground_height, try_scene
 from renet.descriptions import GO1, RobotDescription
-from renet.terrain.tiles import TILE, find_tile
+from renet.terrain.height_map import ARRAY, PICTURE
+from renet.terrain.own_ground import GroundFile
+from renet.terrain.tiles import TILE, Tile, find_tile
 
 TERRAIN = "terrain"
 """Body of a tile."""
@@ -23,9 +25,11 @@ def build_scene(
     file: Path | str | None = None,
     seed: int = 0,
     robot: RobotDescription = GO1,
+    width: float = TILE,
+    height: float = 0.3,
 ) -> tuple[mujoco.MjModel, float]:
     """The compiled `scene_spec`, and the height in m of the ground at x = y = 0."""
-    spec, start = scene_spec(terrain, level, file, seed, robot)
+    spec, start = scene_spec(terrain, level, file, seed, robot, width, height)
     return spec.compile(), start
 
 
@@ -35,11 +39,14 @@ def scene_spec(
     file: Path | str | None = None,
     seed: int = 0,
     robot: RobotDescription = GO1,
+    width: float = TILE,
+    height: float = 0.3,
 ) -> tuple[mujoco.MjSpec, float]:
     """A scene with a robot in it, and the height in m of the ground it starts on, at x = y = 0.
 
     The terrain is flat, or a kind of training tile of a level, 1 to 10, with random parts by
-    `seed`; an MJCF `file` replaces it.
+    `seed`; a `file` replaces it, an MJCF scene, or a height map (see `GroundFile` for its `width`
+    and `height`, m).
 
     Raises:
         RenetError: unknown terrain or level, or a scene file in which no robot can stand.
@@ -47,7 +54,10 @@ def scene_spec(
     spec = mujoco.MjSpec.from_file(str(robot.mjcf))
     spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=(0.3, 0.2, -1))
     start = 0.0
-    if file is not None:
+    if file is not None and Path(file).suffix.lower() in (ARRAY, PICTURE):
+        ground = GroundFile(file=Path(file), width=width, height=height)
+        start = _add_tile(spec, ground.tile(), 1.0, seed)
+    elif file is not None:
         file = Path(file)
         try_scene(file, robot)
         attach_scene(spec, file)
@@ -56,7 +66,7 @@ def scene_spec(
         plane = mujoco.mjtGeom.mjGEOM_PLANE
         spec.worldbody.add_geom(type=plane, size=(BORDER, BORDER, 1), rgba=GROUND)
     else:
-        start = _add_tile(spec, terrain, level, seed)
+        start = _add_tile(spec, *find_tile(terrain, level), seed)
     return spec, start
 
 
@@ -66,9 +76,8 @@ def _ground(body: mujoco.MjsBody, position: tuple[float, float], half: tuple[flo
     body.add_geom(type=box, size=(*half, 0.5), pos=(*position, -0.5), rgba=GROUND)
 
 
-def _add_tile(spec: mujoco.MjSpec, kind: str, level: int, seed: int) -> float:
+def _add_tile(spec: mujoco.MjSpec, tile: Tile, difficulty: float, seed: int) -> float:
     """A training tile with its middle at the origin, and ground around it."""
-    tile, difficulty = find_tile(kind, level)
     spec.worldbody.add_body(name=TERRAIN)
     built = tile.function(difficulty, spec, np.random.default_rng(seed))
     middle = np.array([TILE / 2, TILE / 2, 0.0])

@@ -1,0 +1,1 @@
+"""Whether a robot's readings are true, and whether its motors do what they are told."""
