@@ -17,6 +17,7 @@ from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.trace import StepResult
 from renet.faults import Frames
 from renet.tasks.config.go1 import GO1
+from renet.tasks.sensors import depth_camera
 from renet.terrain.course import Gap, Plain, Platform
 
 EPISODE = Episode(
@@ -219,11 +220,44 @@ def test_walks_are_joined_in_the_episodes_order():
     np.testing.assert_array_equal(joined.crossed, (1, 2, 3))
 
 
-def test_robots_meet_trainings_conditions():
+def test_robots_meet_the_conditions_of_version_3():
     cfg = course_env_cfg({"one": EPISODE.course}, GO1)
-    assert {"push", "payload", "motor_strength", "damping", "joint_offset"} <= {*cfg.events}
-    assert cfg.observations["proprioception"].enable_corruption
+    ranges = {
+        name: {key: value for key, value in event.params.items() if "cfg" not in key}
+        for name, event in cfg.events.items()
+    }
+    # Whoever changes one of these, also in training's tasks, makes version 4.
+    assert ranges == {
+        "spawn": {
+            "pose_range": {
+                "x": (-0.2, 0.2),
+                "y": (-0.2, 0.2),
+                "z": (0.02, 0.04),
+                "yaw": (-0.1, 0.1),
+            }
+        },
+        "spawn_joints": {"position_range": (-0.1, 0.1), "velocity_range": (0.0, 0.0)},
+        "foot_friction": {"operation": "abs", "ranges": (0.6, 2.0), "shared_random": True},
+        "payload": {"operation": "add", "ranges": (0.0, 3.0)},
+        "centre_of_mass": {
+            "operation": "add",
+            "ranges": dict.fromkeys(range(3), (-0.05, 0.05)),
+        },
+        "servo_gains": {"kp_range": (0.8, 1.2), "kd_range": (0.8, 1.2)},
+        "push": {"velocity_range": {"x": (-0.5, 0.5), "y": (-0.5, 0.5)}},
+        "motor_strength": {"effort_limit_range": (0.8, 1.2)},
+        "damping": {"multiples": (0.7, 1.6)},
+        "joint_friction": {"operation": "add", "ranges": (0.0, 0.1)},
+        "joint_offset": {"bias_range": (-0.03, 0.03)},
+    }
+    assert cfg.events["push"].interval_range_s == (6.0, 10.0)
     assert cfg.motors.no_load_speed == (1.0, 1.5)
+    assert cfg.observations["proprioception"].enable_corruption
+    noise = cfg.observations["proprioception"].terms["value"].noise
+    assert set(noise.n_max) == {0.2, 0.05, 0.0, 0.01, 1.5}
+    camera = depth_camera(cfg)
+    assert camera.delay == (0.0, 0.1)
+    assert (camera.mount.position_error, camera.mount.angle_error) == (0.03, 0.14)
     assert "left_tile" not in cfg.terminations
 
 
