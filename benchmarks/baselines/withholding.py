@@ -26,7 +26,10 @@ from renet.selector.monitors import Gate
 class Judge(Protocol):
     """Says which cameras can be trusted."""
 
-    probability: np.ndarray
+    @property
+    def probability(self) -> np.ndarray:
+        """[N] how much each camera is trusted, 0 to 1."""
+        ...
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """One update at 200 Hz; [N] bool, the camera is trusted."""
