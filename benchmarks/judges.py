@@ -89,7 +89,7 @@ def train(cfg: Cfg, evaluator: RivalEvaluator) -> None:
         Trial(mode, schedule, number)
         for number, fault in enumerate(faults * cfg.robots)
         for schedule in ((Injection(fault, level_at(FAULTS[fault], cfg.severity), onset),), ())
-        for mode in ("vp", "op")
+        for mode in ("camera", "blind")
     ]
     speed = 0.6
     env = evaluator.make_env(GROUNDS, [trial.robot for trial in trials], speed, cfg.seed)

@@ -27,22 +27,22 @@ ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 GROUNDS = ("flat", "stairs_up", "stairs_down", "obstacles", "platform", "gap")
 MODES = {
-    "VP alone": "vp",
-    "VP on black images": "vp",
-    "RENet": "renet",
-    "OP alone": "op",
-    "OP": "op",
-    "switch that knows": "oracle-switch",
+    "VP alone": "camera",
+    "VP on black images": "camera",
+    "RENet": "memory",
+    "OP alone": "blind",
+    "OP": "blind",
+    "switch that knows": "oracle",
 }
 """Modes of the studies, by their name in the tables."""
 SWITCHES = (
-    ("severity_5", "vp"),
-    ("severity_5", "renet"),
-    ("severity_5_rules", "paper"),
-    ("severity_5_rules", "oracle-switch"),
-    ("severity_5_gate", "renet"),
-    ("severity_5_return", "renet"),
-    ("severity_5", "op"),
+    ("severity_5", "camera"),
+    ("severity_5", "memory"),
+    ("severity_5_rules", "switch"),
+    ("severity_5_rules", "oracle"),
+    ("severity_5_gate", "memory"),
+    ("severity_5_return", "memory"),
+    ("severity_5", "blind"),
 )
 """Studies and modes of the table of switches, column by column."""
 LEADERBOARD = (
@@ -80,14 +80,14 @@ def mean(study: str, mode: str, grounds: tuple[str, ...], measure: str = "crosse
 def crossed(label: str, study: str = "severity_5") -> list[str]:
     """VP, RENet and OP under single faults, per cent, and RENet less VP, by ground."""
     grounds = GROUNDS[1:] if label == "all but flat" else (label.replace(" ", "_"),)
-    means = [mean(study, mode, grounds) for mode in ("vp", "renet", "op")]
+    means = [mean(study, mode, grounds) for mode in ("camera", "memory", "blind")]
     return [*means, ahead(study, grounds).replace("-", "−")]
 
 
 def ahead(study: str, grounds: tuple[str, ...]) -> str:
     """Points that RENet crosses more than VP on some grounds, with the interval over robots."""
-    vp, renet = (result(study)["by_robot"][mode] for mode in ("vp", "renet"))
-    settings = [row["ground"] for row in result(study)["runs"] if row["mode"] == "vp"]
+    vp, renet = (result(study)["by_robot"][mode] for mode in ("camera", "memory"))
+    settings = [row["ground"] for row in result(study)["runs"] if row["mode"] == "camera"]
     gains = [np.subtract(renet[name]["crossed"], vp[name]["crossed"]) for name in grounds]
     gain = np.average(gains, axis=0, weights=[settings.count(name) for name in grounds])
     low, high = bootstrap_interval(100 * gain)
@@ -96,7 +96,7 @@ def ahead(study: str, grounds: tuple[str, ...]) -> str:
 
 def lead(study: str, mode: str) -> tuple[str, str]:
     """Points that RENet crosses more in the 143 settings, and the 95 % interval over robots."""
-    ours, theirs = result("severity_5")["by_robot"]["renet"], result(study)["by_robot"][mode]
+    ours, theirs = result("severity_5")["by_robot"]["memory"], result(study)["by_robot"][mode]
     grounds = GROUNDS[1:]
     gains = [np.subtract(ours[name]["crossed"], theirs[name]["crossed"]) for name in grounds]
     rows = [row["ground"] for row in result(study)["runs"] if row["mode"] == mode]
@@ -125,7 +125,7 @@ def standing(label: str) -> list[str]:
     """How many stand still, with VP and with OP, on each ground of the label."""
     still = {(run["kind"], run["mode"]): str(run["still"]) for run in result("standing")["runs"]}
     kinds = [kind.replace(" ", "_") for kind in label.split(", ")]
-    return [", ".join(still[kind, mode] for kind in kinds) for mode in ("vp", "op")]
+    return [", ".join(still[kind, mode] for kind in kinds) for mode in ("camera", "blind")]
 
 
 def kilometre(label: str) -> list[str]:
@@ -154,7 +154,7 @@ def black(label: str, studies: tuple[str, ...] = ("blackout_on_the_way", "blacko
     counts = []
     for name in studies:
         seconds = 0 if label in ("OP", "healthy camera") else 6
-        mode = MODES.get(label, "renet")
+        mode = MODES.get(label, "memory")
         runs = [r for r in result(name)["runs"] if (r["mode"], r["without_s"]) == (mode, seconds)]
         counts.append([str(run["crossed"]) for run in runs])
     if label in ("OP", "healthy camera"):  # When the camera fails is nothing to them.
@@ -173,7 +173,7 @@ def one_try(label: str) -> list[str]:
 
 def go2(label: str) -> list[str]:
     """Which Go2s of 20 cross with one try, size by size."""
-    mode = {"with vision": "vp", "without": "op"}[label]
+    mode = {"with vision": "camera", "without": "blind"}[label]
     rows = [run for run in result("../go2/success")["runs"] if run["mode"] == mode]
     passed = {(run["kind"], run["level"]): str(run["passed"]) for run in rows}
     sizes = {"gap": (4, 6, 8, 10), "platform": (6, 8, 10), "stairs_up": (8, 10)}

@@ -68,6 +68,9 @@ class Oracle:
         """What it knew at the tick."""
         return self._healthy
 
+    def distrust(self, mask: np.ndarray, reason: str) -> None:
+        """It knows better."""
+
     def reset(self, mask: np.ndarray | None = None) -> None:
         """A run begins anew; single robots change nothing."""
         if mask is None:
@@ -102,6 +105,10 @@ class WithholdingSelector:
         self._without = np.where(seen.has_image, 0.0, self._without + PHYSICS_DT)
         return self._without <= self._longest
 
+    def distrust(self, mask: np.ndarray, reason: str) -> None:
+        """Let OP drive the masked robots [N], until they have an image again."""
+        self._without[mask] = np.inf
+
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Start anew for the masked robots, by default for all."""
         self.judge.reset(mask)
@@ -120,13 +127,13 @@ class RivalEvaluator(SwitchEvaluator):
     @property
     def entries(self) -> dict[str, str]:
         """Of the benchmark: the rollout's mode of the selector."""
-        return {self.entry: "renet"}
+        return {self.entry: "memory"}
 
-    def make_selector(self, num_robots: int, selector: str | None = None) -> Any:
-        """The judge for the newest policy; a selector asked for by name is that one."""
-        if selector is not None or (self.switch is None and not self.oracle):
-            return super().make_selector(num_robots, selector)
-        judge = Oracle(num_robots) if self.oracle else super().make_selector(num_robots)
+    def make_selector(self, kind: str, num_robots: int) -> Any:
+        """What `memory` obeys: the judge for the newest policy."""
+        if kind != "memory" or (self.switch is None and not self.oracle):
+            return super().make_selector(kind, num_robots)
+        judge = Oracle(num_robots) if self.oracle else super().make_selector(kind, num_robots)
         if not self.withholds:
             return judge
         memory = self.bundle.manifest.selector.longest_memory
@@ -135,7 +142,7 @@ class RivalEvaluator(SwitchEvaluator):
     def rollout(self, env: EvalEnv, trials: Sequence[Trial], seed: int) -> Rollout:
         """As every evaluator's; an oracle is shown the faults."""
         rollout = Evaluator.rollout(self, env, trials, seed)
-        selector: Any = rollout.selectors[0]
+        selector: Any = rollout.pilot.selectors["memory"]
         judge = getattr(selector, "judge", selector)
         if isinstance(judge, Oracle):
             judge.rollout = rollout

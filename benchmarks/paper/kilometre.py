@@ -41,7 +41,7 @@ LOOK_AHEAD = 3.0
 """Robots are steered at the middle line this far ahead, m."""
 SPEED = 0.6
 """Commanded, m/s."""
-STUCK_AFTER = 25.0
+STUCK_AFTER = 15.0
 """Seconds in a section after which a robot counts as stuck."""
 LAP = "lap"
 """Name of the lap's tile."""
@@ -62,14 +62,15 @@ SECTIONS = (
     Section("sparse grass", (Plain(3.0),), "grass", 2),
     Section("dense grass", (Plain(3.0),), "tall_grass", 5),
     Section("stairs up", (Stairs(0.15, 0.30, 6),)),
+    Section("covered lens, flat", (Plain(2.0),), "occlusion"),
     Section("stairs down", (Stairs(-0.15, 0.30, 6),)),
     Section("steep slope", (Ramp(22.0, 2.0, 1.2),)),
+    Section("covered lens, stairs", (Stairs(0.15, 0.30, 3), Stairs(-0.15, 0.30, 3)), "occlusion"),
     Section("gaps in a row", (Gap(0.4), Gap(0.4), Gap(0.4))),
     Section("platform of 48 cm", (Platform(0.48, 1.5),)),
-    Section("covered lens, flat", (Plain(2.0),), "occlusion"),
     Section("covered lens, gap", (Gap(0.45),), "occlusion"),
-    Section("covered lens, stairs", (Stairs(0.15, 0.30, 3), Stairs(-0.15, 0.30, 3)), "occlusion"),
 )
+"""Before each section with a covered lens robots can see again."""
 BETWEEN = 0.8
 """Ground between two obstacles of a section, m."""
 

@@ -11,12 +11,12 @@ import pytest
 
 from renet.bundle import Bundle
 from renet.deploy.controller import Controller
-from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.recording import recorder
 from renet.deploy.recording.recorder import Recorder, Recording, read_recording
 from renet.deploy.recording.replay import mismatch, replay
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
+from renet.pilot.inference import InlineInference, ThreadedInference
 
 from ...hostile.files import HEAD, chunk
 from ..fakes import QUICK, STANDING, Broken, frame, state, time_of, until
@@ -25,7 +25,7 @@ STEPS = 230
 
 
 def run_control_loop(bundle: Bundle, path, inference=InlineInference) -> None:
-    header = {"bundle_sha256": bundle.sha256, "safety": asdict(QUICK), "selector": "monitors"}
+    header = {"bundle_sha256": bundle.sha256, "safety": asdict(QUICK), "mode": "memory"}
     log = Recorder(path, header)
     controller = Controller(bundle, QUICK, inference, on_event=log.event)
     random = np.random.default_rng(3)

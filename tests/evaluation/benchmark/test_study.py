@@ -82,8 +82,8 @@ def test_a_full_run_takes_over_what_a_quick_one_walked(study, tmp_path, monkeypa
     ("settings", "message"),
     [
         ({"entries": ("memory", "memory")}, "give each of them once"),
-        ({"entries": ("vp",)}, "unknown entry 'vp': choose among memory"),
-        ({"conditions": "training"}, "conditions, motors and selectors of its own"),
+        ({"entries": ("renet",)}, "unknown entry 'renet': choose among memory"),
+        ({"conditions": "training"}, "conditions and motors of its own"),
         ({"policy": "x.onnx"}, "give --policy FILE and --adapter NAME together"),
         ({"policy": "x", "adapter": "himloco", "bundle": "b"}, "not both"),
         ({"draw_seed": -1}, "draw seed must be at least 0"),

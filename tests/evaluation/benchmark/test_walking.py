@@ -272,7 +272,7 @@ def test_the_shipped_policy_walks_a_course():
         onset=0.8,
         duration=float("inf"),
     )
-    modes = {"memory": "renet", "healthy": "vp"}
+    modes = {"memory": "memory", "healthy": "camera"}
     walks = walk_episodes(Evaluator(), [easy, replace(easy, number=1)], modes, 5, "test")
     assert (walks["healthy"].crossed == 2).all()
     assert (walks["memory"].crossed == 2).all()

@@ -15,7 +15,7 @@ def test_one_row_for_each_setting_and_mode(run_study):
     folder, summary = run_study("faults")
     # Flat ground has no edge to begin before.
     places = [("flat", 0.5), ("gap", 0.5), ("gap", 1.5)]
-    rows = product(("gaussian", "frozen"), places, (1, 5), ("vp", "renet", "op"))
+    rows = product(("gaussian", "frozen"), places, (1, 5), ("camera", "memory", "blind"))
     assert [
         (run["fault"], (run["ground"], run["onset"]), run["severity"], run["mode"])
         for run in summary["runs"]
@@ -29,7 +29,7 @@ def test_one_row_for_each_setting_and_mode(run_study):
 def test_survival_and_detection_are_those_of_the_robots(run_study):
     _, summary = run_study("faults")
     rows = {(r["fault"], r["severity"], r["mode"]): r for r in summary["runs"]}
-    vp, renet = (rows["gaussian", 5, mode] for mode in ("vp", "renet"))
+    vp, renet = (rows["gaussian", 5, mode] for mode in ("camera", "memory"))
     assert (vp["survival"], vp["falls_by_fault"], vp["over_op"]) == (0, 2, None)
     assert vp["measures"]["upright"]["change"]["value"] == -1
     assert (renet["survival"], renet["over_op"]) == (1, 0)
@@ -37,8 +37,8 @@ def test_survival_and_detection_are_those_of_the_robots(run_study):
     assert renet["measures"]["switches"]["value"] == 2
     assert renet["measures"]["seconds_without_sight"]["value"] == 1.0
     # The fakes' image never changes, so that a frozen one is the right one.
-    assert rows["frozen", 5, "vp"]["survival"] == 1
-    missed = rows["frozen", 5, "renet"]
+    assert rows["frozen", 5, "camera"]["survival"] == 1
+    missed = rows["frozen", 5, "memory"]
     assert (missed["detected"], missed["detection_delay_s"]) == (0, None)
     assert summary["harmful"] == summary["missed"] == []
     # Two falls are no more than chance; frozen images are not noticed.
@@ -48,7 +48,9 @@ def test_survival_and_detection_are_those_of_the_robots(run_study):
     assert healthy["robot_hours"] == pytest.approx((2 * 2.6 + 6.0) / 3600, rel=0.01)
     assert healthy["false_switches"] == healthy["alarms_by_monitor"]["reconstruction"] == 0
     where = [(run["ground"], run["mode"], run["falls"]) for run in summary["baseline"]]
-    assert where == [(g, mode, 0) for g in ("flat", "gap") for mode in ("vp", "renet", "op")]
+    assert where == [
+        (g, mode, 0) for g in ("flat", "gap") for mode in ("camera", "memory", "blind")
+    ]
 
 
 def test_quick_is_smaller_and_glass_is_studied_where_there_are_obstacles():
@@ -71,10 +73,10 @@ def test_a_fault_begins_after_the_first_control_step():
 
 def test_each_robots_shares_are_those_of_its_settings(run_study):
     summary = run_study("faults")[1]
-    flat = [run for run in summary["runs"] if (run["mode"], run["ground"]) == ("vp", "flat")]
+    flat = [run for run in summary["runs"] if (run["mode"], run["ground"]) == ("camera", "flat")]
     mean = np.mean([run["measures"]["upright"]["value"] for run in flat])
-    assert np.mean(summary["by_robot"]["vp"]["flat"]["upright"]) == pytest.approx(mean)
-    assert len(summary["by_robot"]["op"]["gap"]["crossed"]) == 2
+    assert np.mean(summary["by_robot"]["camera"]["flat"]["upright"]) == pytest.approx(mean)
+    assert len(summary["by_robot"]["blind"]["gap"]["crossed"]) == 2
     assert {run["ground_level"] for run in summary["runs"] if run["ground"] == "gap"} == {3}
 
 

@@ -24,7 +24,7 @@ from renet.deploy.controller import Decision, Event
 from renet.deploy.robots.base import VECTORS, RobotState
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import TeleopCommand
-from renet.errors import RenetError
+from renet.errors import RenetError, reason
 from renet.files import MEGABYTE, create, decompress, parse_json, require_regular
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT
 
@@ -292,7 +292,7 @@ def read_recording(path: Path | str) -> Recording:
         rows = np.concatenate(ticks) if ticks else np.zeros(0, TICK_DTYPE)
         _check(rows, images, events)
     except OSError as error:
-        raise RenetError(f"cannot read the recording {path}: {error}") from error
+        raise RenetError(f"cannot read the recording {path}: {reason(error)}") from error
     except (ValueError, TypeError) as error:
         raise RenetError(
             f"the recording {path} is damaged, or of another version of renet: {error}"
@@ -337,6 +337,9 @@ def _header(value: Any) -> dict[str, Any]:
         items = value.get(name, [])
         if not isinstance(items, list) or not all(fits(item) for item in items):
             wrong.append(name)
+    thresholds = value.get("thresholds", {})
+    if not isinstance(thresholds, dict) or not all(map(_number, thresholds.values())):
+        wrong.append("thresholds")
     if wrong:
         raise ValueError(f"the header's {wrong[0]!r} is of the wrong type")
     return value

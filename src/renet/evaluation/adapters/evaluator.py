@@ -15,7 +15,6 @@ from renet.bundle import pretrained
 from renet.errors import RenetError, printable, unknown_name
 from renet.evaluation.adapters.base import Adapter, Senses
 from renet.evaluation.adapters.models import MAX_MODEL, open_model
-from renet.evaluation.benchmark.modes import MODES
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.files import read_bytes
@@ -69,7 +68,7 @@ def _adapter_of_file(path: Path) -> type[Adapter]:
 
 
 class AdaptedPolicy:
-    """An adapter in the shape of a study's policy (`EvalPolicy`)."""
+    """An adapter in the shape of a study's policy (`renet.pilot.policy.Policy`)."""
 
     def __init__(
         self,
@@ -148,8 +147,9 @@ class AdaptedEvaluator(Evaluator):
     @property
     def entries(self) -> dict[str, str]:
         """Entries of the benchmark that the policy can walk as, and the rollout's mode of each."""
-        names = ("camera", "healthy") if self.adapter.uses_camera else ("blind",)
-        return {name: MODES[name] for name in names}
+        if self.adapter.uses_camera:
+            return {"camera": "camera", "healthy": "camera"}
+        return {"blind": "blind"}
 
     def _check(self) -> None:
         """Act once, before minutes are spent: a wrong file is told at once."""

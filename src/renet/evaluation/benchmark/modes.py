@@ -9,12 +9,12 @@ a camera that never fails."""
 HEALTHY = "healthy"
 """The entry whose camera never fails."""
 MODES: dict[str, str] = {
-    "memory": "renet",
-    "switch": "paper",
-    "camera": "vp",
-    "blind": "op",
-    "oracle": "oracle-switch",
-    HEALTHY: "vp",
+    "memory": "memory",
+    "switch": "switch",
+    "camera": "camera",
+    "blind": "blind",
+    "oracle": "oracle",
+    HEALTHY: "camera",
 }
 """The rollout's mode of each entry."""
 DEFAULT_ENTRIES = ("memory", "switch", "camera", "blind", HEALTHY)

@@ -57,10 +57,10 @@ class BenchmarkStudy(Study):
             raise RenetError("entries: give each of them once")
         if unknown := {*self.entries} - {*known}:
             raise RenetError(f"unknown entry {unknown.pop()!r}: choose among {', '.join(known)}")
-        if self.conditions != "nominal" or self.motors != IDEAL or self.selector != "monitors":
+        if self.conditions != "nominal" or self.motors != IDEAL:
             raise RenetError(
-                "the benchmark has conditions, motors and selectors of its own: leave out"
-                " --conditions, --motors and --selector"
+                "the benchmark has conditions and motors of its own: leave out --conditions and"
+                " --motors"
             )
         self._check_policy()
         if self.draw_seed < 0:

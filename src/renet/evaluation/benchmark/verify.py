@@ -4,21 +4,44 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from renet.errors import RenetError, printable
 from renet.evaluation.benchmark.episodes import BLOCK
 from renet.evaluation.benchmark.results import SETS, read_result
 from renet.evaluation.results import plain
 
-if TYPE_CHECKING:
-    from renet.evaluation.benchmark.study import BenchmarkStudy
-
 EXACT = ("obstacles", "crossed", "fell", "arrived")
 """What must be the same in an episode that agrees."""
 TOLERATED = 0.1
 """Share of the rows that may differ: other processors round differently, and falls are sensitive
 to it."""
+
+
+class Verifiable(Protocol):
+    """What is needed of the study that walked: `BenchmarkStudy` is one."""
+
+    @property
+    def seed(self) -> int:
+        """Of the provenance."""
+        ...
+
+    @property
+    def sealed(self) -> Path | None:
+        """The file of sealed families."""
+        ...
+
+    def make_evaluator(self) -> Any:
+        """The evaluator of the policy."""
+        ...
+
+    def modes(self, evaluator: Any) -> dict[str, str]:
+        """The rollout's mode of each entry."""
+        ...
+
+    def walk(self, evaluator: Any, first: int) -> dict[str, Any]:
+        """The rows of a block of episodes."""
+        ...
 
 
 def chosen_block(result: dict[str, Any]) -> int:
@@ -29,7 +52,7 @@ def chosen_block(result: dict[str, Any]) -> int:
     return blocks[int.from_bytes(digest[:8]) % len(blocks)]
 
 
-def verify(study: BenchmarkStudy, path: Path) -> str:
+def verify(study: Verifiable, path: Path) -> str:
     """Walk a block of a result again; returns a sentence on what agrees.
 
     Raises RenetError if the result is of another policy, or does not agree.

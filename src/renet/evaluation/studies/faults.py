@@ -132,7 +132,7 @@ class FaultStudy(WalkingStudy):
     @property
     def vision_modes(self) -> list[str]:
         """Modes that use the camera; a robot in OP walks as its twin does."""
-        return [mode for mode in self.modes if mode != "op"]
+        return [mode for mode in self.modes if mode != "blind"]
 
     def groups(self, settings: Sequence[Setting]) -> list[tuple[Setting, str]]:
         """Setting and mode of each group of robots in a batch."""
@@ -200,7 +200,7 @@ class FaultStudy(WalkingStudy):
         title = f"{list(self.batches).index(names[-1]) + 1}/{len(self.batches)} {names[-1]}"
         env = make(tuple(trial.robot for trial in everybody))
         trace = self.walk(evaluator, env, title, everybody)
-        paper = replay(evaluator.make_selector(len(everybody), "paper"), trace.anomaly)
+        paper = replay(evaluator.make_selector("switch", len(everybody)), trace.anomaly)
         ends = np.cumsum([len(group) for group in trials.values()]).tolist()
         parts = {}
         for name, start, end in zip(names, [0, *ends], ends, strict=False):
@@ -247,7 +247,7 @@ class FaultStudy(WalkingStudy):
             }
             runs.append(labels | fault_metrics.survival(group, until) | {"values": values})
         # The first ground's robots come first. VP's walk as RENet's do: they would count twice.
-        first = self.modes.index("renet") if "renet" in self.modes else 0
+        first = self.modes.index("memory") if "memory" in self.modes else 0
         simple = trace.robots(slice(first * each, (first + 1) * each))
         return {
             "runs": runs,
@@ -263,7 +263,7 @@ class FaultStudy(WalkingStudy):
         # Another seed than the calibration's and the faults', for robots not seen there.
         seed = self.seed + 1000
         env = evaluator.make_env(FLAT, range(robots), self.speed, seed)
-        trials = [Trial("renet", (), robot) for robot in range(robots)]
+        trials = [Trial("memory", (), robot) for robot in range(robots)]
         rollout = evaluator.rollout(env, trials, seed)
         rollout.on_update = log = MonitorLog(robots)
         trace = rollout.run(steps, "healthy cameras")
@@ -339,8 +339,8 @@ class FaultStudy(WalkingStudy):
             "seed": self.seed,
             **measured,
         }
-        values, op = row["values"], twins.get((setting.ground, "op"))
-        beside = op["values"][onset] if op is not None and mode == "renet" else None
+        values, op = row["values"], twins.get((setting.ground, "blind"))
+        beside = op["values"][onset] if op is not None and mode == "memory" else None
         return (
             row
             | fault_metrics.pair_counts(values, calm)
@@ -352,7 +352,7 @@ class FaultStudy(WalkingStudy):
         """crossed.png, survival.png and detection.png."""
         runs, cells = summary["runs"], figures.mean_cells
         modes = {mode: [r for r in runs if r["mode"] == mode] for mode in self.modes}
-        obeying = modes.get("renet") or runs
+        obeying = modes.get("memory") or runs
         selectors = {"RENet's selector": "detected", "the paper's rule alone": "detected_by_paper"}
 
         def noticed(name: str) -> figures.Cells:
@@ -361,9 +361,9 @@ class FaultStudy(WalkingStudy):
         def panels(share: Callable[[Any], float], column: str = "severity") -> Any:
             tables = {mode: dict(cells(rows, share, column)) for mode, rows in modes.items()}
             # OP sees no fault: one row at the foot of the others' tables.
-            blind = tables.pop("op", {}) if len(tables) > 1 else {}
-            row = {("OP alone, any fault", name): cell for (_, name), cell in blind.items()}
-            return {figures.MODE_NAMES[mode]: table | row for mode, table in tables.items()}
+            blind = tables.pop("blind", {}) if len(tables) > 1 else {}
+            row = {("blind, any fault", name): cell for (_, name), cell in blind.items()}
+            return {mode: table | row for mode, table in tables.items()}
 
         return {
             "crossed.png": figures.colour_tables(

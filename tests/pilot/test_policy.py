@@ -13,18 +13,18 @@ import pytest
 import torch
 
 from renet.bundle import Bundle, write_bundle
-from renet.bundle.policy import Policy
 from renet.errors import RenetError
 from renet.models.adaptation import fuse
 from renet.models.memory import EstimatorMemory
+from renet.pilot.policy import BundlePolicy
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.monitors import Gate
 from tests.selector.inputs import seen
 
 
 @pytest.fixture
-def policy(bundle_path) -> Policy:
-    return Policy(Bundle.load(bundle_path), num_robots=3)
+def policy(bundle_path) -> BundlePolicy:
+    return BundlePolicy(Bundle.load(bundle_path), num_robots=3)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.6])
@@ -101,7 +101,7 @@ def test_a_strangers_output_replaces_nothing_of_the_policy(bundle):
         def run(self, names, feed):
             return [np.zeros(1, np.float32) for _ in names]
 
-    policy = Policy(replace(bundle, sessions=bundle.sessions | {"vision": Vision()}))
+    policy = BundlePolicy(replace(bundle, sessions=bundle.sessions | {"vision": Vision()}))
     policy.step(np.zeros((1, 45)), np.zeros((1, 48, 64)), np.zeros(1, bool))
     assert policy.manifest is bundle.manifest
 
@@ -109,7 +109,7 @@ def test_a_strangers_output_replaces_nothing_of_the_policy(bundle):
 def trusted(bundle: Bundle, kind: str, images: str) -> bool:
     """Whether vision is used after six images."""
     spec = replace(bundle.manifest.selector, longest_memory=0.0)  # Its monitors alone decide.
-    policy, selector = Policy(bundle), make_selector(kind, spec)
+    policy, selector = BundlePolicy(bundle), make_selector(kind, spec)
     blind, proprioception = np.zeros(1, bool), np.zeros((1, 45))
     recorded = np.load(Path(__file__).with_name("data") / "images.npz")[images]
     for tick, image in enumerate(recorded.astype(np.float32)):
@@ -122,9 +122,9 @@ def trusted(bundle: Bundle, kind: str, images: str) -> bool:
 
 def test_it_leaves_on_glare_that_the_papers_rule_misses():
     shipped = Bundle.load()
-    assert trusted(shipped, "monitors", "healthy")
-    assert not trusted(shipped, "monitors", "glare")
-    assert trusted(shipped, "paper", "glare")
+    assert trusted(shipped, "memory", "healthy")
+    assert not trusted(shipped, "memory", "glare")
+    assert trusted(shipped, "switch", "glare")
 
 
 def test_a_threshold_without_the_output_it_judges_is_refused(models, manifest, tmp_path):
@@ -137,7 +137,7 @@ def test_a_threshold_without_the_output_it_judges_is_refused(models, manifest, t
 @pytest.mark.parametrize("threads", [1, 2])
 def test_the_others_act_alike_when_some_retire_until_all_are_reset(bundle_path, threads):
     bundle = Bundle.load(bundle_path, threads)
-    whole, left = (Policy(bundle, num_robots=5) for _ in range(2))
+    whole, left = (BundlePolicy(bundle, num_robots=5) for _ in range(2))
     random = np.random.default_rng(0)
     gone = np.zeros(5, bool)
     for step in range(40):

@@ -8,14 +8,10 @@ line, blind, and the selector falls back to OP.
 
 import threading
 import time
-from collections.abc import Mapping
 from concurrent.futures import CancelledError, Future
 from queue import SimpleQueue
 
-from renet.bundle.blocks import Session
-from renet.bundle.policy import EstimatorInput, EstimatorOutput, infer
-
-Sessions = Mapping[str, Session]
+from renet.pilot.tick import EstimatorInput, EstimatorOutput, Sessions, infer
 
 
 class InlineInference:
@@ -35,7 +31,8 @@ class InlineInference:
 
     def take(self) -> EstimatorOutput | None:
         """The tick's result, once; None if there is none yet."""
-        output, self._output = self._output, None
+        output = self._output
+        self._output = None
         return output
 
     def close(self) -> None:
@@ -64,7 +61,8 @@ class ThreadedInference(InlineInference):
             return True
         # A result that nobody took is late even if it is here by now, unless the tick that it was
         # for has been made up for already.
-        late, self._deadline = self._deadline > 0.0, 0.0
+        late = self._deadline > 0.0
+        self._deadline = 0.0
         done = self._tick.done()
         if done:
             self._tick = None
@@ -72,7 +70,8 @@ class ThreadedInference(InlineInference):
 
     def begin(self, inputs: EstimatorInput) -> None:
         """Start a tick."""
-        self._tick, self._deadline = Future(), time.monotonic() + self.patience
+        self._tick = Future()
+        self._deadline = time.monotonic() + self.patience
         self._jobs.put((inputs, self._tick))
 
     def take(self) -> EstimatorOutput | None:
