@@ -45,19 +45,7 @@ SWITCHES = (
     ("severity_5", "blind"),
 )
 """Studies and modes of the table of switches, column by column."""
-LEADERBOARD = (
-    "go1-parkour",
-    "oracle",
-    "oracle_withholds",
-    "gate",
-    "gate_withholds",
-    "return",
-    "go2-parkour",
-    "playground",
-    "himloco",
-    "robogauge",
-    "robot-lab",
-)
+LEADERBOARD = ("go1-parkour", "oracle_withholds", "playground", "himloco")
 """Result files of the fault benchmark's quick leaderboard, the reference first."""
 
 

@@ -21,8 +21,8 @@ def write(path, content):
 def test_the_best_comes_first_and_leads_are_of_the_first_file():
     title, header, rows = leaderboard.ranking([result(BAD, "worse"), result(GOOD, "better")])
     assert [line[1] for line in rows] == ["better", "worse"]
-    assert rows[1][header.index("ahead of it")] == "-"
-    assert rows[0][header.index("ahead of it")].startswith("-45.0 (")
+    assert rows[1][header.index("behind it")] == "-"
+    assert rows[0][header.index("behind it")].startswith("-45.0 (")
     assert "it: worse, memory" in title
 
 

@@ -25,7 +25,7 @@ from renet.files import write_atomically
 from renet.terminal import show
 
 Result = Mapping[str, Any]
-COLUMNS = ("", "policy", "entry", "robot", "score", "95 %", "over", "ahead of it")
+COLUMNS = ("", "policy", "entry", "robot", "score", "95 %", "over", "behind it")
 MEASURES = {
     "loud": "loud",
     "lies": "lies",
@@ -114,7 +114,7 @@ def ranked(results: Sequence[Result]) -> list[Entry]:
 def ranking(results: Sequence[Result]) -> Table:
     """The leaderboard, best first; shares in per cent.
 
-    The last column is how many points more the first file's first entry crosses, with a 95 %
+    The last column is how many points an entry is behind the first file's first one, with a 95 %
     interval over episodes, each paired with itself. Raises as `ranked`.
     """
     reference = entries_of(results)[0]
