@@ -1,7 +1,7 @@
 """The same bundle in two physics engines: who walks, how fast, and who survives a blackout.
 
-Every run has a speed and a seed of its own (camera noise, random parts of the tile). `op` walks
-without a camera, `vp` trusts its camera whatever it shows, `renet` has the default selector.
+Every run has a speed and a seed of its own (camera noise, random parts of the tile). `blind` walks
+without a camera, `camera` trusts its own whatever it shows, `memory` is the default.
 """
 
 from __future__ import annotations
@@ -31,13 +31,10 @@ from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT
-from renet.selector import SelectorSpec, make_selector
 
 ENGINES = {"mujoco": MujocoRobot, "pybullet": BulletRobot}
 SPEEDS = (0.3, 0.9)
 """m/s asked of the first and of the last run."""
-CREDULOUS = SelectorSpec(beta=1e9)
-"""Never leaves vision."""
 STAND_UP = SafetyCfg().stand_up_seconds
 
 
@@ -52,7 +49,7 @@ class Cfg:
     level: int = 3
     engines: tuple[str, ...] = ("mujoco", "pybullet")
     terrains: tuple[str, ...] = ("flat", "stairs", "obstacles")
-    cases: tuple[str, ...] = ("op", "renet", "renet blackout", "vp blackout")
+    cases: tuple[str, ...] = ("blind", "memory", "memory blackout", "camera blackout")
     blackout: float = 5.0
     """Seconds of walking after which the image is black to the end."""
 
@@ -62,14 +59,12 @@ def walk(cfg: Cfg, bundle: Bundle, engine: str, terrain: str, case: str, run: in
     mode, *fault = case.split()
     model, ground = build_scene(terrain, cfg.level, seed=run)
     robot = ENGINES[engine](model, bundle.manifest.robot, ground)
-    camera = None if mode == "op" else SimCamera(robot, bundle.manifest.camera, seed=run)
+    camera = None if mode == "blind" else SimCamera(robot, bundle.manifest.camera, seed=run)
     onset = STAND_UP + cfg.blackout
     if camera is not None and fault:
         fault = [parse_fault(f"{fault[0]}@{onset:g}s")]
         camera = FaultyCamera(camera, fault, robot.now, seed=run)
-    controller = Controller(bundle)
-    if mode == "vp":
-        controller._selector = make_selector("paper", CREDULOUS)
+    controller = Controller(bundle, mode=mode)
     speed = float(np.linspace(*SPEEDS, cfg.runs)[run])
     path, delays = [], []
 

@@ -26,7 +26,7 @@ from renet.evaluation.monitor_log import replay
 from renet.evaluation.rollout import Trial, check_speed
 from renet.evaluation.study import Figures, Part, Study, Table
 from renet.faults import Injection
-from renet.interface import CONTROL_DT, PHYSICS_DT, SelectorName
+from renet.interface import CONTROL_DT, PHYSICS_DT
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import filter_delay
 
@@ -49,8 +49,6 @@ class FilterStudy(Study):
     """Length of each run."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
-    selector: SelectorName = "paper"
-    """Whose threshold the scores are compared with."""
 
     name: ClassVar[str] = "filter"
     selectable: ClassVar[tuple[str, ...]] = ("gammas", "rates")
@@ -87,7 +85,7 @@ class FilterStudy(Study):
         steady = (Injection("gaussian", 1.0, onset),)
         flicker = (Injection("gaussian", 1.0, onset, duration=0.1, period=0.4),)
         robots = range(self.robots_each)
-        trials = [Trial("op", fault, robot) for fault in (steady, flicker) for robot in robots]
+        trials = [Trial("blind", fault, robot) for fault in (steady, flicker) for robot in robots]
         env = evaluator.make_env(FLAT, [*robots, *robots], self.speed, self.seed)
         steps = round(self.seconds / CONTROL_DT)
         trace = evaluator.rollout(env, trials, self.seed).run(steps, f"{len(trials)} robots walk")
@@ -98,7 +96,7 @@ class FilterStudy(Study):
         scores = np.array(parts["scores"]["scores"])
         return {
             "runs": [
-                self._run(scores, SelectorSpec(evaluator.beta, gamma, rate))
+                self._run(scores, SelectorSpec(evaluator.paper_beta, gamma, rate))
                 for rate in self.rates
                 for gamma in self.gammas
             ]
@@ -107,7 +105,7 @@ class FilterStudy(Study):
     def _run(self, scores: np.ndarray, spec: SelectorSpec) -> dict[str, Any]:
         """Delay on the cameras that fail, switches on those that flicker."""
         onset, each = round(self.onset / CONTROL_DT), self.robots_each
-        trusted = replay(make_selector("paper", spec, scores.shape[1]), scores)
+        trusted = replay(make_selector("switch", spec, scores.shape[1]), scores)
         delay = metrics.switch_delay(trusted[:, :, :each], onset)
         updates = trusted[onset - 1 :, :, each:].reshape(-1, each)
         switched = np.diff(updates, axis=0).sum(axis=0)

@@ -25,6 +25,7 @@ PARTS = {
     "files": (["files.py", "folders.py"], ["tests/test_files.py", "tests/test_folders.py"]),
     "models": (["bundle/graph.py"], ["tests/bundle/test_graph.py"]),
     "selector": (["selector/*.py"], ["tests/selector"]),
+    "pilot": (["pilot/*.py"], ["tests/pilot"]),
     "gate": (
         ["selector/monitors.py"],
         ["tests/selector/test_monitors.py", "tests/selector/test_memory.py"],

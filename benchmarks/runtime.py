@@ -26,8 +26,6 @@ from facts import report
 from renet.bundle import Bundle
 from renet.bundle.manifest import RobotSpec
 from renet.bundle.models import MODELS
-from renet.bundle.policy import EstimatorInput, EstimatorOutput, infer
-from renet.deploy import inference
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
@@ -41,6 +39,8 @@ from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop
 from renet.descriptions import GO1
 from renet.interface import DEPTH_SHAPE
+from renet.pilot import inference
+from renet.pilot.tick import EstimatorInput, EstimatorOutput, infer
 
 RARELY = SafetyCfg(max_gap=10.0, max_late=1_000_000)
 """A busy machine must not end the measurement: late steps are what it is for."""

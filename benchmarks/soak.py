@@ -34,7 +34,6 @@ from renet.bundle import Bundle
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
-from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.loop import run_control_loop
 from renet.deploy.recording.recorder import MODES, Recorder, Recording, read_recording
 from renet.deploy.recording.score import fallen
@@ -45,6 +44,7 @@ from renet.deploy.safety.watchdog import interruptible
 from renet.deploy.teleop import TeleopCommand
 from renet.faults import FAULTS, Injection
 from renet.interface import CONTROL_DT, TURN_GAIN
+from renet.pilot.inference import InlineInference, ThreadedInference
 
 EVERY = {
     "push": 8.0,
@@ -268,7 +268,7 @@ def by_minute(run: Recording, memory: list, cpu_ms: np.ndarray, robot: ShakyRobo
             "tick_cpu_p99_ms": round(float(np.quantile(cpu_ms[now], 0.99)), 2),
             "seconds_vp": round(CONTROL_DT * (walking & ticks["vision"])[now].sum(), 1),
             "seconds_op": round(CONTROL_DT * (walking & ~ticks["vision"])[now].sum(), 1),
-            "switches": told["op"] + told["vp"],
+            "switches": told["blind"] + told["sees"],
             "falls": int(falls[now].sum()),
             "stand_ups": told[Mode.WALKING],
             "damped": told[Mode.DAMPING],

@@ -45,7 +45,7 @@ class Row:
     """The runs it takes, in their order; the last one's policy is judged."""
     paper: tuple[float, ...] | None
     """Levels of gap, platform and stairs, collisions, linear-velocity reward (RENet, Table I)."""
-    mode: str = "vp"
+    mode: str = "camera"
     """Policy mode it is judged in."""
 
     @property

@@ -30,7 +30,7 @@ class SpeedStudy(Study):
 
     def walk(self, evaluator, speed):
         env = evaluator.make_env(FLAT, range(self.robots), speed, self.seed)
-        trials = [Trial("renet", robot=robot) for robot in range(self.robots)]
+        trials = [Trial("memory", robot=robot) for robot in range(self.robots)]
         steps = round(self.seconds / CONTROL_DT)
         trace = evaluator.rollout(env, trials, self.seed).run(steps, f"{speed:g} m/s")
         walked = trace.speed[len(trace.speed) // 2 :].mean(axis=0)

@@ -72,7 +72,8 @@ def test_help_of_a_task_fits_a_screen_and_says_where_the_rest_is(capsys, monkeyp
         _, out, _ = run(capsys, *arguments)
         assert len(out.splitlines()) <= 50
         assert max(map(len, out.splitlines())) <= 80
-        named = "num-envs seed max-iterations resume time-budget log-root device engine config scene help-all"
+        named = "num-envs seed max-iterations resume time-budget log-root device engine"
+        named += " config scene help-all"
         assert [name for name in named.split() if f"--{name}" not in out] == []
 
 
@@ -123,7 +124,7 @@ def test_an_interrupt_that_an_import_turns_into_an_error_is_one(capsys, monkeypa
 def test_a_full_disk_behind_standard_output_is_one_line():
     with open("/dev/full", "w") as full:
         done = subprocess.run([sys.executable, "-m", "renet"], stdout=full, stderr=subprocess.PIPE)
-    assert (done.returncode, done.stderr) == (2, b"renet: [Errno 28] No space left on device\n")
+    assert (done.returncode, done.stderr) == (2, b"renet: No space left on device\n")
 
 
 def test_results_of_python_m_renet_name_the_command_renet(monkeypatch):
@@ -195,3 +196,9 @@ def test_a_reader_that_leaves_ends_it_quietly(arguments):
             assert (process.returncode, errors.count(b"\n")) == (2, 1)
         else:
             assert (process.returncode in (1, cli.SIGPIPE_CODE), errors) == (True, b"")
+
+
+def test_a_closed_standard_output_ends_in_no_traceback():
+    command = f"{sys.executable} -m renet bundle inspect >&-"
+    done = subprocess.run(["bash", "-c", command], stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -42,6 +42,15 @@ def env(request):
     made.close()
 
 
+def test_the_deployment_stands_up_walks_and_remembers(load, capsys):
+    deploy = load("deploy")
+    cfg = deploy.Cfg(seconds=4.0, fault="blackout@3s+1s")
+    assert deploy.main(cfg) == ["sees", "remembers", "sees"]
+    assert "remembers: the image is blank" in capsys.readouterr().out
+    with pytest.raises(RenetError, match="unknown mode 'coin'"):
+        deploy.main(deploy.Cfg(mode="coin"))
+
+
 @pytest.mark.parametrize("name", FILES)
 def test_each_recipe_is_one_file_that_the_page_names(name):
     assert (ROOT / "examples" / f"{name}.py").is_file()

@@ -29,8 +29,8 @@ def test_the_readme_has_two_commands():
 def test_python_of_the_readme_runs():
     scope: dict = {}
     exec(re.findall(r"```python\n(.*?)```", README, re.DOTALL)[0], scope)
-    assert scope["action"].shape == (1, 12)
-    assert scope["use_vision"].dtype == bool
+    assert scope["step"].joint_target.shape == (1, 12)
+    assert scope["step"].state[0] == "remembers"
 
 
 def test_the_citation_is_that_of_the_citation_file():
@@ -51,7 +51,7 @@ ROWS = {name: cells for name, *cells in LINES}
 def counts(runs: list[dict]) -> list[str]:
     """The cells of a row: how many cross, by mode."""
     crossed = {run["mode"]: f"{run['crossed']} of {run['robots']}" for run in runs}
-    return [crossed[mode] for mode in ("vp", "oracle-switch", "renet")]
+    return [crossed[mode] for mode in ("camera", "oracle", "memory")]
 
 
 def test_counts_of_the_readme_are_those_of_the_memory_study_and_of_the_demo():
@@ -76,7 +76,7 @@ def test_speeds_of_the_readme_are_those_in_the_strongest_noise():
         for run in noise["runs"]
         if (run["fault"], run["severity"]) == ("gaussian", 5)
     }
-    assert ROWS[name] == [speeds["vp"], "–", speeds["renet"]]
+    assert ROWS[name] == [speeds["camera"], "–", speeds["memory"]]
 
 
 def test_the_change_log_knows_this_version():
@@ -104,6 +104,7 @@ def test_the_notebook_walks_and_plots(monkeypatch, tmp_path):
     for cell in (cell for cell in book["cells"] if cell["cell_type"] == "code"):
         exec("".join(cell["source"]), scope)
         assert not cell["outputs"]
+    assert scope["step"].state[0] == "remembers"
     time, ticks = scope["time"], scope["ticks"]
     assert time[-1] >= 9.9
     dead = (time > 4.5) & (time < 9.9)

@@ -12,18 +12,17 @@ from renet.page import writer
 
 SMALL = "--robots 1 --seconds 1"
 WALKS = {
-    "demo": "--robots 1 --seconds 2.5 --modes renet",
+    "demo": "--robots 1 --seconds 2.5 --modes memory",
     "evaluate faults": f"{SMALL} --faults frozen:5 --grounds gap --onsets 0.5 --lasts 0.5"
     " --healthy-minutes 0.02",
-    "evaluate benchmark": f"{SMALL} --quick --grounds gap --modes renet",
     "evaluate terrain": f"{SMALL} --quick",
     "evaluate terrain --preset success": f"{SMALL} --kinds gap --levels 1",
-    "evaluate terrain --preset dawn": f"{SMALL} --kinds gap --modes vp",
+    "evaluate terrain --preset dawn": f"{SMALL} --kinds gap --modes camera",
     "evaluate terrain --preset standing": f"{SMALL} --kinds flat",
-    "evaluate memory": "--robots 1 --seconds 3 --grounds gap:3 --without 0.5 --modes renet",
+    "evaluate memory": "--robots 1 --seconds 3 --grounds gap:3 --without 0.5 --modes memory",
     "evaluate camera-use": "--robots 2 --seconds 1 --grounds gap:3",
-    "evaluate margins": f"{SMALL} --axes payload --grounds flat --modes renet --quick",
-    "play": "--seconds 1 --modes renet",
+    "evaluate margins": f"{SMALL} --axes payload --grounds flat --modes memory --quick",
+    "play": "--seconds 1 --modes memory",
     "deploy": "--seconds 2 --terrain stairs --fault blackout@1s",
     "page": "",
     "bundle inspect": "",

@@ -74,7 +74,7 @@ def main(cfg: Cfg) -> None:
     torch.manual_seed(cfg.seed)
     drawn = {"tiles.png": draw_tiles(rays, origins), "camera.png": draw_camera(rays, origins)}
     env.place(np.full(len(kinds), cfg.level - 1), np.arange(len(kinds)))
-    rollout = evaluator.rollout(env, [Trial("vp") for _ in kinds], cfg.seed)
+    rollout = evaluator.rollout(env, [Trial("camera") for _ in kinds], cfg.seed)
     maps = keep_maps(rollout, env)
     rollout.run(round(cfg.seconds / CONTROL_DT), "height maps of all tiles")
     drawn["height_map.png"] = draw_height_maps(np.stack(maps), kinds)

@@ -35,7 +35,7 @@ export class Page {
       document.documentElement.style.setProperty(`--${state}`, colour);
     }
     const slots = [...document.querySelectorAll(".slot")];
-    this.panels = [bundle.opening.left, "renet"].map((estimator, n) => {
+    this.panels = [bundle.opening.left, "memory"].map((estimator, n) => {
       const choose = (name) => this.simulations[n].controller.choose(name, this.rule.value);
       return new Panel(slots[n], $(".instruments"), estimator, contract, choose);
     });

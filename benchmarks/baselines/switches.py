@@ -17,13 +17,14 @@ import torch
 from scipy import special
 from torch import Tensor, nn
 
-from renet.bundle.policy import Policy
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import EvalEnv, Trial
 from renet.interface import LATENT, PROPRIOCEPTION_SIZE
 from renet.models.actor_critic import mlp
+from renet.pilot.pilot import Selector
+from renet.pilot.policy import BundlePolicy
 from renet.selector import SelectorInput
 from renet.selector.monitors import Gate as ImageGate
 from renet.training.np3o import advantages
@@ -135,7 +136,7 @@ def fit(
     return losses
 
 
-class ObservedPolicy(Policy):
+class ObservedPolicy(BundlePolicy):
     """The bundle's policy, which also keeps what a switch reads."""
 
     inputs: Tensor
@@ -148,7 +149,7 @@ class ObservedPolicy(Policy):
         op_mask: np.ndarray,
         gate: ImageGate | None = None,
     ) -> np.ndarray:
-        """Actions [N, 12]; see `Policy`."""
+        """Actions [N, 12]; see `BundlePolicy`."""
         action = super().step(proprioception, depth, op_mask, gate)
         score = np.log(np.clip(self.anomaly_score, 1e-9, 1e9))[:, None]
         parts = (proprioception, self.latent_op, self.latent_vp, score)
@@ -191,13 +192,16 @@ class SwitchSelector:
         self._mean = before + self._smoothing * (newest - before)
         return self._mean >= 0.0
 
+    def distrust(self, mask: np.ndarray, reason: str) -> None:
+        """The policy itself lets OP drive robots whose VP found no numbers."""
+
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Start anew for the masked robots [N], by default for all."""
         self._mean[slice(None) if mask is None else mask] = np.nan
 
 
 class SwitchEvaluator(Evaluator):
-    """The bundle's policy, whose mode `renet` obeys a learned switch: any study can run it."""
+    """The bundle's policy, whose mode `memory` obeys a learned switch: any study can run it."""
 
     switch: ReturnSwitch | Gate | None = None
     """Set once it is trained; until then the bundle's own selector acts."""
@@ -207,10 +211,10 @@ class SwitchEvaluator(Evaluator):
         self._policy = ObservedPolicy(self.bundle, num_robots)
         return self._policy
 
-    def make_selector(self, num_robots: int, selector: str | None = None):
-        """The switch for the newest policy; a selector asked for by name is that one."""
-        if selector is not None or self.switch is None:
-            return super().make_selector(num_robots, selector)
+    def make_selector(self, kind: str, num_robots: int) -> Selector:
+        """What `memory` obeys: the switch for the newest policy, once it is trained."""
+        if kind != "memory" or self.switch is None:
+            return super().make_selector(kind, num_robots)
         return SwitchSelector(self.switch, self._policy)
 
     def provenance(self, seed: int) -> Provenance:
@@ -237,7 +241,7 @@ def collect(
     Args:
         evaluator: of the bundle.
         env: as many robots as trials.
-        trials: in modes `vp` and `op`, with and without faults.
+        trials: in modes `camera` and `blind`, with and without faults.
         steps: control steps. seed: of the faults.
         speed: commanded, m/s; the reward of a step is the part of it that is reached, up to 1, and
             1 less where the step ends in a fall.

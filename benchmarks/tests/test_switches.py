@@ -123,7 +123,7 @@ def test_reset_trusts_vision_again() -> None:
 def test_runs_in_the_closed_loop_of_the_studies(monkeypatch: pytest.MonkeyPatch) -> None:
     evaluator = SwitchEvaluator()
     fault = (Injection.of("blackout", 5, onset=5),)
-    trials = [Trial(mode, fault if bad else ()) for mode in ("vp", "op") for bad in (0, 1)]
+    trials = [Trial(mode, fault if bad else ()) for mode in ("camera", "blind") for bad in (0, 1)]
     env = evaluator.make_env("flat", range(4), 0.6, 1)
     seen = collect(evaluator, env, trials, 15, 1)
     assert seen.inputs.shape == (15, 4, INPUTS)
@@ -138,7 +138,7 @@ def test_runs_in_the_closed_loop_of_the_studies(monkeypatch: pytest.MonkeyPatch)
     after = evaluator.provenance(1)
     assert (plain.bundle, after.bundle) == (evaluator.bundle.name, f"{plain.bundle} with Gate")
     assert len({plain.bundle_hash, before.bundle_hash, after.bundle_hash}) == 3
-    obeying = [Trial("renet", trial.schedule) for trial in trials]
+    obeying = [Trial("memory", trial.schedule) for trial in trials]
     trace = evaluator.rollout(env, obeying, 1).run(60)
     assert not trace.vision[-1, [1, 3]].any()
     assert trace.vision[-1, [0, 2]].all()

@@ -109,7 +109,7 @@ def test_prints_what_the_study_measured_beside_the_papers(done) -> None:
     assert f"{summary['lin_vel_reward']:.3f} (0.5948)" in oracle
     assert "missing" not in oracle
     assert cheng.count("missing") == 11
-    assert {run["mode"] for run in summary["runs"]} == {"vp"}
+    assert {run["mode"] for run in summary["runs"]} == {"camera"}
     kept = json.loads(cfg.result(ORACLE).read_text())
     assert kept["runs"] == summary["runs"]
     easier = replace(cfg, study=replace(cfg.study, levels=(2,)))

@@ -22,7 +22,7 @@ from types import FrameType
 from typing import Annotated, Any, Union
 
 from renet import __version__
-from renet.errors import RenetError, install, printable, unknown_name
+from renet.errors import RenetError, install, printable, reason, unknown_name
 
 HELP_ALL = "--help-all"
 """Shows the settings that depend on a task, too, which loads PyTorch."""
@@ -142,12 +142,12 @@ COMMANDS = {
         presets={"noise": "renet.evaluation.studies.noise:NoiseStudy"},
     ),
     "evaluate benchmark": _study(
-        "who still crosses when the camera fails at an edge",
-        "renet.evaluation.studies.crossing:CrossingStudy:CrossingStudy.main",
+        "renet-faults: any policy while its camera fails",
+        "renet.evaluation.benchmark.study:BenchmarkStudy:BenchmarkStudy.main",
     ),
     "evaluate leaderboard": Command(
-        "rank policies by their results under faults",
-        "renet.evaluation.studies.leaderboard:LeaderboardCfg:make_leaderboard",
+        "rank policies by their results of the benchmark",
+        "renet.evaluation.benchmark.leaderboard:LeaderboardCfg:make_leaderboard",
     ),
     "evaluate terrain": _study(
         "highest levels; --preset success, stops and more",
@@ -231,11 +231,11 @@ def main(argv: list[str] | None = None) -> int:
     except BrokenPipeError:  # `renet … | head`: nobody reads on.
         code, streams = SIGPIPE_CODE, (sys.stdout, sys.stderr)
     except OSError as error:  # A full disk behind standard output, for one.
-        print(f"renet: {error}", file=sys.stderr)
+        print(f"renet: {reason(error)}", file=sys.stderr)
         code, streams = 2, (sys.stdout,)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in streams:  # What is still held back must not raise at exit.
-        with suppress(OSError):
+        with suppress(OSError, AttributeError):
             os.dup2(nowhere, stream.fileno())
     return code
 
@@ -247,7 +247,9 @@ def _run(arguments: list[str], interrupts: list[int]) -> int:
     except (RenetError, OSError) as error:
         if getattr(error, "filename", "") is None:  # About no file that the user named.
             raise
-        print(f"renet: {printable(str(error))}", file=sys.stderr)
+        named = getattr(error, "filename", None)
+        text = f"{named}: {reason(error)}" if named else reason(error)
+        print(f"renet: {printable(text)}", file=sys.stderr)
         return 2
     except (KeyboardInterrupt, Exception) as error:
         # Native modules turn an interrupt during their import into an ImportError.
@@ -257,7 +259,8 @@ def _run(arguments: list[str], interrupts: list[int]) -> int:
         print(": ".join(filter(None, ("renet: interrupted", why))), file=sys.stderr)
         return 130
     finally:
-        sys.stdout.flush()
+        if sys.stdout is not None:  # `renet … >&-` has none.
+            sys.stdout.flush()
 
 
 def _dispatch(arguments: list[str]) -> int:

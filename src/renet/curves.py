@@ -4,7 +4,7 @@ import csv
 from contextlib import suppress
 from pathlib import Path
 
-from renet.errors import RenetError
+from renet.errors import RenetError, reason
 
 CURVES = "curves.csv"
 """Name of the file in a run's folder."""
@@ -26,5 +26,5 @@ def read_curves(file: Path) -> dict[str, dict[int, float]]:
                 with suppress(KeyError, TypeError, ValueError):
                     curves.setdefault(row["name"], {})[int(row["iteration"])] = float(row["value"])
     except (OSError, ValueError) as error:  # A path with a null byte is a ValueError.
-        raise RenetError(f"cannot read the curves {file}: {error}") from error
+        raise RenetError(f"cannot read the curves {file}: {reason(error)}") from error
     return curves

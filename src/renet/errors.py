@@ -41,6 +41,11 @@ def collected(problems: list[str]) -> Iterator[None]:
         problems.append(str(error))
 
 
+def reason(error: Exception) -> str:
+    """What went wrong, without the number and the path that the system's errors bring along."""
+    return getattr(error, "strerror", None) or str(error)
+
+
 def printable(text: str) -> str:
     """One line of a text that may be a stranger's: nothing in it commands the terminal."""
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
-from renet.errors import RenetError
+from renet.errors import RenetError, reason
 
 MEGABYTE = 1_000_000
 MAX_JSON = 4 * MEGABYTE
@@ -41,7 +41,7 @@ def read_bytes(path: Path, limit: int, what: str = "file") -> bytes:
             _check_regular(os.fstat(file.fileno()), path, limit, what)
             return file.read(limit)
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path.
-        raise RenetError(f"cannot read the {what} {path}: {error}") from error
+        raise RenetError(f"cannot read the {what} {path}: {reason(error)}") from error
 
 
 def parse_json(data: bytes | str, what: str) -> Any:
@@ -103,7 +103,7 @@ def require_regular(path: Path, limit: int, what: str = "file") -> Path:
     try:
         _check_regular(path.stat(), path, limit, what)
     except (OSError, ValueError) as error:
-        raise RenetError(f"cannot read the {what} {path}: {error}") from error
+        raise RenetError(f"cannot read the {what} {path}: {reason(error)}") from error
     return path
 
 
@@ -127,7 +127,7 @@ def create(path: Path, what: str = "file") -> BinaryIO:
         path.parent.mkdir(parents=True, exist_ok=True)
         return open(_new(path), "wb")
     except (OSError, ValueError) as error:
-        raise RenetError(f"cannot write the {what} {path}: {error}") from error
+        raise RenetError(f"cannot write the {what} {path}: {reason(error)}") from error
 
 
 def append(path: Path) -> TextIO:
@@ -158,7 +158,7 @@ def write_atomically(path: Path, data: bytes, what: str = "file") -> None:
             temporary.unlink(missing_ok=True)
         sync(path.parent)
     except (OSError, ValueError) as error:
-        raise RenetError(f"cannot write the {what} {path}: {error}") from error
+        raise RenetError(f"cannot write the {what} {path}: {reason(error)}") from error
 
 
 def write_new(path: Path, data: bytes) -> None:
@@ -174,7 +174,7 @@ def remove(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise RenetError(f"cannot delete {path}: {error}") from error
+        raise RenetError(f"cannot delete {path}: {reason(error)}") from error
 
 
 def temporary_path(path: Path) -> Path:

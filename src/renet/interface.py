@@ -15,9 +15,10 @@ Terrain = Literal[
     "flat", "rough", "obstacles", "stairs", "stairs_up", "stairs_down", "gap", "platform"
 ]
 """Grounds that a robot walks on; stairs go down."""
-SelectorName = Literal["monitors", "paper"]
-"""monitors: all monitors, memory, and a dwell before vision returns. paper: the reconstruction loss
-against beta, filtered, and nothing else."""
+PilotMode = Literal["memory", "switch", "camera", "blind"]
+"""Who decides whether VP drives. memory: all monitors, which withhold bad images, and VP's memory
+of the ground. switch: the paper's switch, the reconstruction loss against beta, filtered. camera:
+VP always. blind: OP always."""
 
 LEGS = ("FR", "FL", "RR", "RL")
 JOINTS = tuple(f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "thigh", "calf"))

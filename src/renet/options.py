@@ -46,11 +46,9 @@ class TrainOptions:
     resume: str | None = None
     """Run folder or checkpoint to go on from, with its settings; latest: the task's newest run."""
     time_budget: str | None = None
-    """Stop with a checkpoint before so much time has passed (90s, 25m, 8h), but not before one
-    iteration is done."""
+    """Stop with a checkpoint before so much time has passed (90s, 25m, 8h)."""
     log_root: Path | None = None
-    """Folder of the run's folder: by default logs, or that of the run to go on from. Another one
-    branches off: that run stays as it is."""
+    """Folder of runs, by default logs; with --resume another one leaves that run as it is."""
     device: str = "auto"
     """cpu, cuda:0, ... or auto (a GPU if there is one)."""
     engine: Engine = "auto"
@@ -58,7 +56,7 @@ class TrainOptions:
     scene: Path | None = None
     """Ground of your own, too: a height map (.npy in m, .png) or an MJCF scene (.xml)."""
     scene_width: float = 8.0
-    """Width of a height map, m; each level takes another piece of a wide one."""
+    """Width of a height map, m."""
     scene_height: float = 0.3
     """Height of white above black in a .png, m."""
     scene_share: float = 0.5

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from renet.errors import RenetError
+from renet.errors import RenetError, reason
 
 if TYPE_CHECKING:
     import viser
@@ -51,7 +51,7 @@ def serve_folder(folder: Path, port: int) -> ThreadingHTTPServer:
     try:
         return ThreadingHTTPServer((LOOPBACK, port), partial(FolderHandler, directory=str(folder)))
     except (OSError, OverflowError) as error:
-        raise RenetError(f"cannot serve on port {port}: {error}") from error
+        raise RenetError(f"cannot serve on port {port}: {reason(error)}") from error
 
 
 class FolderHandler(SimpleHTTPRequestHandler):

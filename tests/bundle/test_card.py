@@ -11,7 +11,7 @@ from renet.bundle.card import escape
 from renet.cli import main
 
 MANIFEST = (pretrained(DEFAULT) / "manifest.json").read_text()
-ROW = {"mode": "vp", "fault": "gaussian", "robots": 23, "falls": 4}
+ROW = {"mode": "camera", "fault": "gaussian", "robots": 23, "falls": 4}
 
 
 def summary(**changes) -> dict:

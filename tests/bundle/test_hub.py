@@ -8,6 +8,7 @@ from types import ModuleType
 
 import pytest
 
+import renet
 from renet.bundle import Bundle, find_bundle, hub, pretrained
 from renet.bundle.push import PushCfg, push
 from renet.errors import RenetError
@@ -76,6 +77,7 @@ def test_what_is_pushed_is_what_is_loaded(server):
     for name in (f"hf://{NAME}", Path(f"hf://{NAME}")):
         loaded = Bundle.load(name)
         assert (loaded.name, loaded.sha256) == ("my-robot", shipped.sha256)
+    assert renet.load(f"hf://{NAME}").num_robots == 1
     card = (server.root / "main" / NAME / "README.md").read_text()
     assert card.startswith("---\n")
     assert "# go2-parkour" in card

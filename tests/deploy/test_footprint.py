@@ -21,7 +21,8 @@ if find_spec("cyclonedds") is None:  # Needs renet-locomotion[go2].
 def modules() -> list[str]:
     """Everything a robot runs."""
     root = Path(renet.__file__).parents[1]
-    files = [f for part in ("deploy", "selector") for f in (root / "renet" / part).rglob("*.py")]
+    parts = ("deploy", "pilot", "selector")
+    files = [file for part in parts for file in (root / "renet" / part).rglob("*.py")]
     paths = [".".join(file.relative_to(root).with_suffix("").parts) for file in files]
     names = [path.removesuffix(".__init__") for path in paths]
     names += ["renet.cli", "renet.evaluation.calibrate"]

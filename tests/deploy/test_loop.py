@@ -42,7 +42,7 @@ class Rig:
     def fly(self, seconds: float, folder: Path, camera: bool = True) -> Recording:
         """Run with a recording, which replays."""
         header = {"bundle_sha256": self.bundle.sha256, "safety": vars(BRISK)}
-        log = Recorder(folder / "recording.log", header | {"selector": "monitors"})
+        log = Recorder(folder / "recording.log", header | {"mode": "memory"})
         controller = Controller(self.bundle, BRISK, on_event=log.event)
         devices: tuple = (self.robot, self.camera if camera else None, self.teleop)
         self.camera.start()
@@ -87,7 +87,7 @@ def test_a_camera_unplugged_and_replugged_50_times_in_one_run(bundle, tmp_path):
     assert flight.ticks["mode"][-BRAKING - 1] == MODES.index(Mode.WALKING)
     assert min(upright[:-BRAKING]) > 0.5
     assert np.hypot(*rig.robot.base_position[:2]) > 3.0
-    assert sum(event.what == "op" for event in flight.events) <= 26.2 / 5 + 1
+    assert sum(event.what == "blind" for event in flight.events) <= 26.2 / 5 + 1
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_a_step_that_is_missed_is_left_out(bundle):
 
 def test_without_a_camera_it_walks_on_op_and_replays(bundle, tmp_path):
     flight = Rig(bundle).fly(3.0, tmp_path, camera=False)
-    whats = ["standing_up", "memory", "walking", "op", "damping"]
+    whats = ["standing_up", "remembers", "walking", "blind", "damping"]
     assert [event.what for event in flight.events] == whats
     assert not flight.ticks["vision"].any()
 
@@ -205,7 +205,7 @@ def test_an_operator_who_holds_the_button_does_not_arm_when_the_check_passes(bun
 def test_a_step_that_returns_late_brakes(bundle):
     """Its reading is as old, and nobody looked at the robot meanwhile."""
     robot, controller, late = Standing(), Controller(bundle, BRISK), []
-    act = controller.policy.act
+    act = controller.policy._act
 
     def slow(*arguments):
         if robot.time > 1.0 and not late:
@@ -213,7 +213,7 @@ def test_a_step_that_returns_late_brakes(bundle):
             robot.time += 0.3
         return act(*arguments)
 
-    controller.policy.act = slow
+    controller.policy._act = slow
     run_control_loop(robot, None, ScriptedTeleop(0.5), controller, done=lambda: robot.time > 2.0)
     assert robot.told[late[0] - 1].stiffness.any()
     assert not robot.told[late[0]].stiffness.any()

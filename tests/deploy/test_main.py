@@ -74,8 +74,8 @@ def test_a_terminal_without_arrows_ends_no_run(tmp_path, monkeypatch):
 
 
 def test_the_papers_selector_is_told_to_the_log(tmp_path):
-    flight = run(tmp_path, selector="paper", fault=("gaussian@1",))
-    assert flight.header["selector"] == "paper"
+    flight = run(tmp_path, mode="switch", fault=("gaussian@1",))
+    assert flight.header["mode"] == "switch"
     assert flight.header["beta"] == Bundle.load().manifest.selector.beta
     assert flight.events[-2].why == "images unlike those of training"
     assert mismatch(flight, Bundle.load()) == 0.0

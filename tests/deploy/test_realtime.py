@@ -12,9 +12,10 @@ from unittest.mock import Mock
 
 import pytest
 
-from renet.deploy import inference, main, realtime
+from renet.deploy import main, realtime
 from renet.deploy.catalogue import SimulationCfg
 from renet.deploy.loop import run_control_loop
+from renet.pilot import inference
 
 from .fakes import BRISK
 

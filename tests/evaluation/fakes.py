@@ -8,8 +8,10 @@ import numpy as np
 
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
+from renet.evaluation.rollout import Rollout, Trial, pilot_modes
 from renet.evaluation.trace import StepResult
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
+from renet.pilot import Pilot
 from renet.selector import SelectorSpec, make_selector
 from renet.tasks.config.go1 import GO1
 
@@ -88,13 +90,19 @@ class FakePolicy:
         return action
 
 
+def fake_rollout(env: FakeEnv, policy: FakePolicy, trials: Sequence[Trial], **selectors) -> Rollout:
+    """A run of a fake policy whose robots obey selectors, by their mode."""
+    return Rollout(env, Pilot(policy, selectors, pilot_modes(trials)), trials, 0)
+
+
 class FakeEvaluator:
     """Stands in for `renet.evaluation.evaluator.Evaluator`; its robots and policy are fakes."""
 
-    beta = 0.01
+    beta = paper_beta = 0.01
     thresholds: ClassVar = {"reconstruction": 0.01, "duplicate": 3.0, "frame_age": 0.2}
     robot = GO1
     rollout = Evaluator.rollout
+    make_pilot = Evaluator.make_pilot
     terrain_env_cfg = Evaluator.terrain_env_cfg
     set_conditions = Evaluator.set_conditions
     conditions = "nominal"
@@ -111,5 +119,5 @@ class FakeEvaluator:
     def make_policy(self, num_robots: int) -> FakePolicy:
         return self.policy(num_robots)
 
-    def make_selector(self, num_robots: int, selector: str = "paper"):
-        return make_selector("paper", SelectorSpec(beta=self.beta), num_robots)
+    def make_selector(self, kind: str, num_robots: int):
+        return make_selector("switch", SelectorSpec(beta=self.beta), num_robots)

@@ -60,8 +60,8 @@ class GapEvaluator(FakeEvaluator):
         limits = {"frame_age": 0.2, "uniformity": -0.005}
         self.spec = SelectorSpec(self.beta, thresholds=limits, longest_memory=longest_memory)
 
-    def make_selector(self, num_robots: int, selector: str = "monitors"):
-        return make_selector(selector, self.spec, num_robots)
+    def make_selector(self, kind: str, num_robots: int):
+        return make_selector(kind, self.spec, num_robots)
 
 
 class Links(HTMLParser):
@@ -114,7 +114,7 @@ def test_the_page_says_what_was_measured_and_needs_no_network(tmp_path, monkeypa
 
 def test_a_bundle_without_memory_runs_and_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(video, "film", lambda path, *args: path.write_bytes(b"\0\0\0\0ftyp"))
-    study = DemoStudy(tmp_path, robots=2, seconds=3.4, modes=("vp", "renet"))
+    study = DemoStudy(tmp_path, robots=2, seconds=3.4, modes=("camera", "memory"))
     sentence = run_demo(study, GapEvaluator(0.0))
     assert "of 2 robots 0 cross with RENet, which has no memory here; 0 that trust" in sentence
     assert "This bundle has no memory" in (tmp_path / "index.html").read_text()
@@ -133,7 +133,7 @@ def test_the_noise_preset_makes_a_page_of_the_papers_figure(run_study, tmp_path)
     # What the study's own tests have run is not run again.
     shutil.copytree(run_study("noise")[0] / "parts", tmp_path / "parts")
     sentence = run_demo(replace(TINY["noise"], out=tmp_path), FakeEvaluator())
-    assert sentence.endswith("with RENet.")
+    assert sentence.endswith("with memory.")
     assert "SP 70 %" in check_page(tmp_path / "index.html", media=2)
 
 
@@ -157,8 +157,13 @@ def test_a_walk_that_ends_before_cameras_die_is_refused():
 
 def test_modes_that_did_not_walk_are_not_told_of():
     run = {"robots": 3, "crossed": 2, "falls": 1}
-    summary = {"before_s": 0.5, "gap_m": 0.37, "remembers": False, "runs": [run | {"mode": "vp"}]}
+    summary = {
+        "before_s": 0.5,
+        "gap_m": 0.37,
+        "remembers": False,
+        "runs": [run | {"mode": "camera"}],
+    }
     assert gap_headline(summary).endswith("of 3 robots cross 2 that trust the last image.")
     assert noise_headline(summary) == (
-        "1 kinds of camera noise, 3 robots each; falls: 1 with VP alone."
+        "1 kinds of camera noise, 3 robots each; falls: 1 with camera."
     )

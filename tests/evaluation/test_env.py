@@ -11,7 +11,7 @@ from renet.deploy.robots.base import RobotState
 from renet.deploy.safety.limits import SafetyCfg, limited_command
 from renet.errors import RenetError
 from renet.evaluation.env import SimEnv, study_env_cfg
-from renet.evaluation.rollout import Rollout, Trial
+from renet.evaluation.rollout import Trial
 from renet.faults import Injection, ViewPerturbation
 from renet.selector import SelectorSpec, make_selector
 from renet.tasks import mdp
@@ -20,7 +20,7 @@ from renet.tasks.sensors import depth_camera
 from renet.tasks.terrains import tile_row
 from renet.terrain.tiles import LEVELS, TILE, tiles
 
-from .fakes import FakePolicy
+from .fakes import FakePolicy, fake_rollout
 
 
 def quiet(task, robots: int) -> SimEnv:
@@ -79,9 +79,10 @@ def test_only_the_disturbed_robots_see_it_and_each_what_is_true(tile):
 
 def test_a_physical_fault_comes_and_goes_with_its_schedule(tile):
     foam = (Injection("foam", 0.15, onset=10, duration=0.2),)
-    rows = [Trial("op", foam), Trial("op"), Trial("op", foam), Trial("op")]
-    selector = make_selector("paper", SelectorSpec(beta=1.0), 4)
-    film = Rollout(tile, FakePolicy(4), selector, rows, 0).run(30, film=[0, 1]).film
+    rows = [Trial("blind", foam), Trial("blind"), Trial("blind", foam), Trial("blind")]
+    selector = make_selector("switch", SelectorSpec(beta=1.0), 4)
+    rollout = fake_rollout(tile, FakePolicy(4), rows, memory=selector)
+    film = rollout.run(30, film=[0, 1]).film
     gap = np.abs(film.images[:, 0].astype(float) - film.images[:, 1]).mean(axis=(1, 2))
     disturbed = gap > 5 * gap[:2].max() + 1
     np.testing.assert_array_equal(disturbed, [False, False, True, True, False, False])
@@ -144,7 +145,7 @@ def test_targets_are_those_that_deploy_would_send():
         wanted = draw.uniform(-4.8, 4.8, (2, 12)).astype(np.float32)
         action.process_actions(torch.from_numpy(wanted))
         target = np.array(robot.default_position) + robot.action_scale * wanted[0]
-        sent = limited_command(target, sent, at_rest, robot, safety).position
+        sent = limited_command(target, sent, at_rest, robot, safety.target_rate).position
         assert action._processed_actions[0].numpy() == pytest.approx(sent, abs=1e-5)
     # The last actions were beyond what is sent, and are what policies observe.
     assert action.raw_action[0].numpy() == pytest.approx(wanted[0])

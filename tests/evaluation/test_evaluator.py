@@ -31,11 +31,11 @@ def bundle(tmp_path_factory, models, manifest) -> Path:
 
 
 def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bundle):
-    evaluator = Evaluator(bundle, selector="paper")
+    evaluator = Evaluator(bundle)
     noise = (Injection("salt_and_pepper", 1.0, onset=10),)
-    rows = [Trial("renet"), Trial("renet", noise), Trial("vp", noise), Trial("op", noise)]
+    rows = [Trial("switch"), Trial("switch", noise), Trial("camera", noise), Trial("blind", noise)]
     world = evaluator.make_env("Renet-Go1-Flat", [0, 1, 2, 3, 3], 0.6, 1)
-    trace = evaluator.rollout(world, [*rows, Trial("op")], 1).run(30, film=[1])
+    trace = evaluator.rollout(world, [*rows, Trial("blind")], 1).run(30, film=[1])
     assert np.isfinite(trace.forward_velocity).all()
     assert trace.vision[:, [0, 2]].all()
     # The first spoilt image comes with a clean one before it; the next tick has two.
@@ -51,7 +51,7 @@ def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bu
 def test_the_shipped_selector_walks_on_vision_through_sparse_grass_alone():
     evaluator, severities = Evaluator(), (1, 2, 4, 5)
     grass = {s: (Injection.of("tall_grass", s, onset=20),) for s in severities}
-    trials = [Trial("renet", grass[s], robot) for s in severities for robot in range(5)]
+    trials = [Trial("memory", grass[s], robot) for s in severities for robot in range(5)]
     env = evaluator.make_env("flat", [trial.robot for trial in trials], 0.6, 1)
     sees = evaluator.rollout(env, trials, 1).run(120).sees.all(axis=(0, 1)).reshape(4, 5)
     assert sees[:2].sum() >= 9
@@ -75,7 +75,7 @@ def test_calibration_is_written_into_the_bundle_without_and_with_sparse_grass(
     assert (selector.gamma, selector.false_alarms_per_hour) == (0.1, 0.5)
     assert selector.healthy_hours == pytest.approx(4 / 3600)
     assert Evaluator(bundle).beta == selector.thresholds["reconstruction"]
-    assert Evaluator(bundle, selector="paper").beta == pytest.approx(beta)
+    assert Evaluator(bundle).paper_beta == pytest.approx(beta)
     assert Bundle.load(bundle).sha256 != Bundle.load(pretrained(DEFAULT)).sha256
     assert 0.0 < selector.longest_memory <= 0.6
     # Where a variance is predicted, sparse grass passes.
@@ -85,7 +85,7 @@ def test_calibration_is_written_into_the_bundle_without_and_with_sparse_grass(
     assert selector.thresholds["invalid_fraction"] > 1.05 * bare, "blades hide what is behind them"
     assert 1.0 < selector.thresholds["variance"] < 4.0
     assert beta < 0.02, "the paper's rule knows healthy images alone"
-    names = Evaluator(bundle).make_selector(1).thresholds
+    names = Evaluator(bundle).make_selector("memory", 1).thresholds
     assert {"variance", "reconstruction"} & {*names} == {"variance"}
 
 
@@ -127,7 +127,7 @@ def test_twins_are_alike_in_batches_of_any_size_and_every_run_is_the_same(bundle
         first = [robots.index(number) for number in robots]
         for values in (motors.lag, motors.no_load_speed):
             assert torch.equal(values, values[first])
-        rows = [Trial("vp", robot=number) for number in robots]
+        rows = [Trial("camera", robot=number) for number in robots]
         traces = [evaluator.rollout(env, rows, 1).run(40) for _ in range(2)]
         once, again = (np.stack([t.height, t.forward_velocity, t.travelled]) for t in traces)
         np.testing.assert_array_equal(once, again)

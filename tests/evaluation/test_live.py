@@ -31,18 +31,18 @@ def no_display(monkeypatch) -> None:
 
 @pytest.mark.usefixtures("no_display")
 def test_without_a_display_nobody_watches_unless_asked(spec):
-    assert live.open_view("auto", spec, ("vp",)) is None
-    assert live.open_view("none", spec, ("vp",)) is None
+    assert live.open_view("auto", spec, ("camera",)) is None
+    assert live.open_view("none", spec, ("camera",)) is None
     with pytest.raises(RenetError, match=r"no display .* take --viewer browser"):
-        live.open_view("window", spec, ("vp",))
+        live.open_view("window", spec, ("camera",))
 
 
 def test_a_display_that_cannot_be_reached_is_none(spec, monkeypatch):
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(live, "_starts_windows", lambda: False)
-    assert live.open_view("auto", spec, ("vp",)) is None
+    assert live.open_view("auto", spec, ("camera",)) is None
     with pytest.raises(RenetError, match="no display"):
-        live.open_view("window", spec, ("vp",))
+        live.open_view("window", spec, ("camera",))
 
 
 class Watched:
@@ -74,7 +74,7 @@ def test_a_walk_is_shown_at_the_clocks_pace_until_the_window_is_closed(monkeypat
     )
     monkeypatch.setattr(live, "time", clock)
     monkeypatch.setattr("renet.evaluation.play.open_view", lambda *_: view)
-    with watching(PlayCfg(modes=("paper", "renet")), view) as on_step:
+    with watching(PlayCfg(modes=("switch", "memory")), view) as on_step:
         ends = [on_step(step) for step in range(6)]
     assert ends == [False] * 4 + [True] * 2
     assert [poses.shape for poses in view.shown] == [(2, 19)] * 3
@@ -87,7 +87,7 @@ import mujoco, numpy as np
 from renet.descriptions import FOLDER
 from renet.evaluation.live import open_view
 spec = mujoco.MjSpec.from_file(str(FOLDER / "go1.xml"))
-view = open_view("window", spec, ("paper", "renet"))
+view = open_view("window", spec, ("switch", "memory"))
 pose = view._model.qpos0
 view.show(np.stack([pose + 0.1, pose]))
 print(view._window.user_scn.ngeom, view._window.user_scn.geoms[0].label, view.closed)
@@ -101,4 +101,4 @@ def test_a_real_window_shows_a_robot_and_its_ghost():
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     geoms, label, closed = done.stdout.split()
     assert int(geoms) > 10, done.stderr
-    assert (label, closed) == ("paper", "False")
+    assert (label, closed) == ("switch", "False")

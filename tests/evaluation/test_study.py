@@ -99,16 +99,16 @@ LAVA = ("lava",)
 WRONG: dict[str, dict[str, list]] = {
     "faults": {
         "faults": [("smoke",), ("gaussian:9",), ("gaussian:x",), ()],
-        "modes": [("blind",), (), ("op",)],
+        "modes": [("vp",), (), ("blind",) * 2],
         "healthy_minutes": [-1.0, nan, inf],
         "seconds": [nan, inf],
         **{"severities": [(0,)], "onsets": [(0.5, 8.0)], "grounds": [LAVA], "level": [11]},
-        **{"speed": [0.0], "robots": [0], "selector": ["coin"]},
+        **{"speed": [0.0], "robots": [0]},
     },
     "margins": {"axes": [("luck",)], "grounds": [LAVA, ()], "level": [0], "seconds": [inf]},
     "standing": {"kinds": [LAVA], "modes": [("x",)], "levels": [(11,)], "seconds": [0, inf]},
     "success": {"kinds": [LAVA], "levels": [(0,), (), (1, 1)], "fault": ["gremlins", "frozen:9"]},
-    "terrain": {"kinds": [()], "robots": [0], "modes": [("x",), ("vp",) * 2], "seconds": [inf]},
+    "terrain": {"kinds": [()], "robots": [0], "modes": [("x",), ("camera",) * 2], "seconds": [inf]},
 }
 """Any one of these values is refused, with all others at their defaults."""
 
@@ -136,7 +136,7 @@ WRONG: dict[str, dict[str, list]] = {
         ("camera_use", {"robots": 1}, "at least 2 robots"),
         ("camera_use", {"speed": 0.0}, "speed must be positive"),
         ("camera_use", {"modes": ("both",)}, "modes both"),
-        ("camera_use", {"modes": ("vp", "op")}, "one mode"),
+        ("camera_use", {"modes": ("camera", "blind")}, "one mode"),
     ],
 )
 def test_settings_that_measure_nothing_are_refused(study, wrong, message):

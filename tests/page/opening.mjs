@@ -27,7 +27,7 @@ async function walk(seed) {
   const { world, camera, controller } = simulation;
   const turn = AIM * Math.sin(seed);
   world.data.qpos.set([Math.cos(turn / 2), 0, 0, Math.sin(turn / 2)], world.free + 3);
-  controller.choose(estimator, "monitors");
+  controller.choose(estimator, "memory");
   const story = new Story(ground, [estimator]);
   while (!story.sentence && simulation.now < LIMIT) {
     const reach = Math.max(...world.pose().position.slice(0, 2).map(Math.abs));

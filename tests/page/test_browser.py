@@ -115,12 +115,12 @@ def test_every_control_answers_to_keys(visit):
     one.press("-", "-", "-", "7")
     one.until("renetPage.page.broken === null")  # Frozen at severity 1: after 0.2 s.
 
-    for rule, monitors in (("paper", 1), ("monitors", 9)):
+    for rule, monitors in (("switch", 1), ("memory", 9)):
         one.press("l")
         assert one.its("rule.value") == rule
         assert 1 <= one.its("simulations[1].controller.selector.monitors.length") <= monitors
     one.press("m")
-    assert one.its("simulations[1].controller.estimator") == "op"
+    assert one.its("simulations[1].controller.estimator") == "blind"
     one.press("i")
     assert one.page.locator("#hood").is_visible()
     one.until("renetPage.page.panels[1].curves.points.length > 3")
@@ -129,7 +129,7 @@ def test_every_control_answers_to_keys(visit):
     one.press("t")
     one.until("renetPage.page.now < 1 && !renetPage.page.resetDue")
     assert one.its("scene.ground.name") == "gap"
-    assert one.its("simulations[1].controller.estimator") == "op"
+    assert one.its("simulations[1].controller.estimator") == "blind"
     before = one.its("simulations[0].world.data.qvel[1]")
     one.press("p")
     one.until(f"Math.abs(renetPage.page.simulations[0].world.data.qvel[1] - {before}) > 0.1")

@@ -29,7 +29,7 @@ def record(bundle: Bundle, terrain: str, fault: str, selector: str) -> tuple[lis
     robot = MujocoRobot(model, bundle.manifest.robot, ground)
     sensor = SimCamera(robot, bundle.manifest.camera, seed=4)
     camera = FaultyCamera(sensor, [parse_fault(fault)], robot.now, 5)
-    controller = Controller(bundle, selector=selector)
+    controller = Controller(bundle, mode=selector)
     camera.start()
     due, shown, given, decided = robot.now(), None, [], []
     turn = 0.0
@@ -59,7 +59,8 @@ def record(bundle: Bundle, terrain: str, fault: str, selector: str) -> tuple[lis
 
 
 def decision(controller: Controller) -> dict:
-    decision, policy, selector = controller.decision, controller.policy, controller._selector
+    decision, policy = controller.decision, controller.policy
+    (selector,) = controller.pilot.selectors.values()
     return {
         **{name: getattr(decision, name) for name in ("vision", "action", "anomaly")},
         **{name: getattr(policy, name)[0] for name in LATENTS},
@@ -75,13 +76,13 @@ def decision(controller: Controller) -> dict:
     ("terrain", "fault", "selector", "states"),
     [
         # Only a camera that is away for longer than the memory leaves OP in charge.
-        ("flat", "gaussian:5@4s+2s", "monitors", {"sees", "remembers", "blind"}),
-        ("flat", "blackout:5@3s+3s", "monitors", {"sees", "remembers", "blind"}),
-        ("flat", "dropped:2@3s+3s", "monitors", {"sees", "remembers"}),
-        ("flat", "occlusion:4@3s+1s", "monitors", {"sees", "remembers"}),
-        ("flat", "unplugged:2@4s", "monitors", {"sees", "remembers", "blind"}),
-        ("platform", "frozen@3.5s", "monitors", {"sees", "remembers", "blind"}),
-        ("flat", "salt_and_pepper:5@4s+2s", "paper", {"sees", "blind"}),
+        ("flat", "gaussian:5@4s+2s", "memory", {"sees", "remembers", "blind"}),
+        ("flat", "blackout:5@3s+3s", "memory", {"sees", "remembers", "blind"}),
+        ("flat", "dropped:2@3s+3s", "memory", {"sees", "remembers"}),
+        ("flat", "occlusion:4@3s+1s", "memory", {"sees", "remembers"}),
+        ("flat", "unplugged:2@4s", "memory", {"sees", "remembers", "blind"}),
+        ("platform", "frozen@3.5s", "memory", {"sees", "remembers", "blind"}),
+        ("flat", "salt_and_pepper:5@4s+2s", "switch", {"sees", "blind"}),
     ],
 )
 def test_controller_decides_as_the_runtime(memory_page, tmp_path, terrain, fault, selector, states):

@@ -85,9 +85,9 @@ def decide(kind: str, spec, pictures: np.ndarray, steps: list[dict[str, Any]]) -
 @pytest.mark.parametrize(
     ("kind", "memory", "states"),
     [
-        ("monitors", 1.5, {"sees", "remembers", "blind"}),
-        ("monitors", 0.0, {"sees", "blind"}),
-        ("paper", 0.0, {"sees", "blind"}),
+        ("memory", 1.5, {"sees", "remembers", "blind"}),
+        ("memory", 0.0, {"sees", "blind"}),
+        ("switch", 0.0, {"sees", "blind"}),
     ],
 )
 def test_selector_decides_and_says_the_same(node_page, tmp_path: Path, kind, memory, states, seed):
@@ -96,7 +96,7 @@ def test_selector_decides_and_says_the_same(node_page, tmp_path: Path, kind, mem
     spec = replace(spec, thresholds={**spec.thresholds, "reconstruction": 0.02, "map_error": 0.1})
     bundle = replace(bundle, manifest=replace(bundle.manifest, selector=spec))
     shared, pictures = contract([bundle]), images(rng)
-    limits = {"reconstruction": spec.beta} if kind == "paper" else spec.thresholds
+    limits = {"reconstruction": spec.beta} if kind == "switch" else spec.thresholds
     steps = moods(rng, limits)
     given = {
         "spec": shared["bundles"][0]["selectors"][kind],

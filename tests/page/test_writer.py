@@ -161,12 +161,12 @@ def test_grounds_are_the_runtimes_and_obstacles_end_where_tiles_say(terrain, num
 
 def test_opening_scene_is_one_that_the_bundle_can_walk():
     bundle = Bundle.load()
-    for memory, ground, left in ((0.0, "stairs_down", "vp"), (1.5, "gap", "forgets")):
+    for memory, ground, left in ((0.0, "stairs_down", "camera"), (1.5, "gap", "forgets")):
         manifest = with_selector(bundle.manifest, longest_memory=memory)
         (entry,) = contract([replace(bundle, manifest=manifest)])["bundles"]
         assert entry["opening"] == {"ground": ground, "fault": "blackout", "left": left}
-        assert entry["selectors"]["monitors"]["longestMemory"] == memory
-        assert entry["selectors"]["paper"]["longestMemory"] == 0.0
+        assert entry["selectors"]["memory"]["longestMemory"] == memory
+        assert entry["selectors"]["switch"]["longestMemory"] == 0.0
 
 
 def test_download_is_small(page):

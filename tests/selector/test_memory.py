@@ -23,7 +23,7 @@ class Walk:
 
     def __init__(self, healthy: int = 3) -> None:
         """Begin with some healthy ticks."""
-        self.selector, self.ticks = make_selector("monitors", SPEC), itertools.count()
+        self.selector, self.ticks = make_selector("memory", SPEC), itertools.count()
         self.random, self.image = np.random.default_rng(0), np.ones((1, 48, 64))
         self.run(healthy)
 
@@ -87,7 +87,7 @@ def test_late_images_that_come_now_and_then_are_not_used():
 
 
 def test_the_reason_of_a_wait_is_told_though_the_models_answer_after_the_next_image_came():
-    selector = make_selector("monitors", SPEC)
+    selector = make_selector("memory", SPEC)
     selector.look(seen(1, age=np.full(1, 0.5)))
     for step, has_image in enumerate((True, False)):
         given = seen(1, has_image=np.array([has_image]), map_error=np.zeros(1))
@@ -96,7 +96,7 @@ def test_the_reason_of_a_wait_is_told_though_the_models_answer_after_the_next_im
 
 
 def test_each_robot_waits_for_its_own_camera_and_no_longer_once_it_is_reset():
-    selector = make_selector("monitors", SPEC, 3)
+    selector = make_selector("memory", SPEC, 3)
     late = seen(3, age=np.array([0.0, 0.5, 0.5]))
     assert selector.look(late).acceptable.tolist() == [True, False, False]
     selector.reset(np.array([False, False, True]))
@@ -124,7 +124,8 @@ def test_op_takes_over_when_memory_is_too_old_and_hands_back_after_the_dwell():
     # 2 s, and the filter's 35 ms.
     assert blind_at == pytest.approx(20, abs=1)
     assert states == [REMEMBERS] * blind_at + [BLIND] * (30 - blind_at)
-    assert walk.selector.reason[0] == "images unlike those of training"
+    cause = "images unlike those of training"
+    assert walk.selector.reason[0] == f"{cause} for 2 s, as long as it remembers"
     back = walk.run(15)
     assert back.index(SEES) == pytest.approx(DWELL / TICK, abs=1)
     # An image now and then does not bring VP back to the wheel.
@@ -137,7 +138,7 @@ def test_the_reason_stays_that_of_the_first_image_withheld_when_op_takes_over():
     walk = Walk()
     # Images that stay black are soon frozen too.
     assert walk.run(30, image=np.zeros((1, 48, 64)))[-1] == BLIND
-    assert walk.selector.reason[0] == "the image is blank"
+    assert walk.selector.reason[0] == "the image is blank for 2 s, as long as it remembers"
 
 
 @pytest.mark.parametrize(
@@ -157,7 +158,7 @@ def test_op_takes_over_within_a_tick_when_the_estimators_are_objected_to(given, 
 
 
 def test_without_a_memory_every_image_is_used_and_a_spoilt_one_costs_vision():
-    for kind, spec in (("monitors", SelectorSpec(beta=0.2)), ("paper", SPEC)):
+    for kind, spec in (("memory", SelectorSpec(beta=0.2)), ("switch", SPEC)):
         selector = make_selector(kind, spec)
         given = replace(HEALTHY, anomaly_score=np.full(1, 0.9), has_image=np.ones(1, bool))
         assert selector.look(given) is None
@@ -188,3 +189,23 @@ def test_a_memory_without_end_is_refused():
         with pytest.raises(RenetError, match=f"selector.longest_memory .*{problem}"):
             check_selector(SelectorSpec(beta=0.1, longest_memory=longest))
     assert MONITORS["map_error"].limit == 1.0
+
+
+def test_a_robot_that_begins_anew_sees_and_remembers_nothing():
+    walk = Walk()
+    assert walk.run(5, variance=9.0)[-1] == REMEMBERS
+    assert walk.selector.without_image[0] > 0.0
+    walk.selector.reset(np.array([True]))
+    assert walk.selector.without_image[0] == 0.0
+    assert walk.selector.state[0] == SEES
+
+
+def test_a_robot_whose_vp_is_distrusted_is_blind_at_once_and_sees_again_after_the_dwell():
+    """Whatever the monitors say."""
+    walk = Walk(healthy=60)
+    walk.selector.distrust(np.array([True]), "VP found no numbers")
+    assert walk.selector.state[0] == BLIND
+    assert walk.selector.reason[0] == "VP found no numbers"
+    states = walk.run(30)
+    assert set(states[: round(DWELL / TICK) - 1]) == {BLIND}
+    assert states[-1] == SEES

@@ -44,7 +44,7 @@ def test_probability_follows_the_equation_and_stays_a_probability(gamma, verdict
 
 
 def test_the_papers_selector_leaves_and_returns_by_the_filter_alone():
-    selector = make_selector("paper", SelectorSpec(beta=0.5), 4)
+    selector = make_selector("switch", SelectorSpec(beta=0.5), 4)
     scores = np.array([0.4, 0.6, np.nan, np.inf])
     for update in range(7):
         vision = selector.update(SelectorInput(scores), 0.005 * update)
@@ -68,7 +68,7 @@ def test_the_papers_selector_leaves_and_returns_by_the_filter_alone():
     ],
 )
 def test_a_bundles_selector_takes_all_its_settings(thresholds, used):
-    selector = make_selector("monitors", SelectorSpec(0.02, 0.6, 50.0, thresholds), 3)
+    selector = make_selector("memory", SelectorSpec(0.02, 0.6, 50.0, thresholds), 3)
     assert (selector.spec.gamma, selector.spec.rate_hz) == (0.6, 50.0)
     assert (selector.dwell, selector.between_returns) == (DWELL, BETWEEN_RETURNS)
     assert selector.vision.tolist() == [True] * 3
@@ -77,7 +77,7 @@ def test_a_bundles_selector_takes_all_its_settings(thresholds, used):
 
 
 def test_an_unknown_selector_is_refused():
-    with pytest.raises(RenetError, match="unknown selector 'coin': choose one of monitors, paper"):
+    with pytest.raises(RenetError, match="unknown selector 'coin': choose one of memory, switch"):
         make_selector("coin", SelectorSpec(beta=0.5))
 
 

@@ -81,4 +81,4 @@ def test_films_are_of_renet_play_on_the_tasks_ground(tmp_path, said, tiles, grou
     cfg = parse(PlayCfg, [*command][5:], "renet play")
     assert [*command][2:5] == ["-m", "renet", "play"]
     assert (cfg.bundle, cfg.out, cfg.terrain) == (Path("it_1"), Path("a.mp4"), ground)
-    assert (cfg.fault, cfg.modes, cfg.viewer) == ((), ("vp", "op"), "none")
+    assert (cfg.fault, cfg.modes, cfg.viewer) == ((), ("camera", "blind"), "none")

@@ -1,4 +1,5 @@
 // The onboard controller: robot state and depth frames in, joint commands out, at 50 Hz.
+// Mirrors `src/renet/deploy/controller.py` and `src/renet/pilot/pilot.py`.
 
 import { FrameBuffer } from "./frames.js";
 import { heading, observe, projectedGravity } from "./observation.js";
@@ -9,22 +10,22 @@ export const DAMPING = "damping";
 export const STANDING_UP = "standing_up";
 export const WALKING = "walking";
 
-/** Who drives: the selector's choice, with memory (renet) or without, or always one estimator. */
-export const ESTIMATORS = { vp: "Camera only", forgets: "Without memory", renet: "renet", op: "Blind only" };
+/** Who drives: the selector's choice, with memory or without, or always one estimator. */
+export const ESTIMATORS = { camera: "Camera only", forgets: "Without memory", memory: "renet", blind: "Blind only" };
 
 /** Drives one robot with a bundle. */
 export class Controller {
   /**
    * @param {object} runtime manifest, contract, bundle and sessions; see load.js.
-   * @param {"monitors" | "paper"} kind of selector.
+   * @param {"memory" | "switch"} kind of selector.
    */
-  constructor({ manifest, contract, bundle, sessions }, kind = "monitors") {
+  constructor({ manifest, contract, bundle, sessions }, kind = "memory") {
     this.robot = manifest.robot;
     this.contract = contract;
     this.cfg = contract.safety;
     this.policy = new Policy(manifest, contract, sessions);
     this.selectors = bundle.selectors;
-    this.choose("renet", kind);
+    this.choose("memory", kind);
     this.frames = new FrameBuffer();
     this.black = new Float32Array(this.policy.pixels);
     this.mode = DAMPING;
@@ -92,11 +93,11 @@ export class Controller {
       const { image } = this.frames;
       if (image) this.image = image;
       const gate = this.selector.look(this.seen(fresh, now));
-      await this.policy.tick(image, this.estimator === "renet" ? gate : () => true);
+      await this.policy.tick(image, this.estimator === "memory" ? gate : () => true);
     }
-    const chosen = { vp: true, forgets: this.vision, renet: this.vision, op: false }[this.estimator];
+    const chosen = { camera: true, forgets: this.vision, memory: this.vision, blind: false }[this.estimator];
     const vision = chosen && this.frames.image !== null;
-    const remembers = this.estimator === "renet" && !this.policy.hasImage;
+    const remembers = this.estimator === "memory" && !this.policy.hasImage;
     this.driving = vision ? (remembers ? "remembers" : "sees") : "blind";
     this.action = await this.policy.act(this.observation, vision);
     const command = this.limited(this.policy.jointTarget(this.action), state);

@@ -1,4 +1,5 @@
 // From camera frames to what policy and selector get: the newest image, and how old it is.
+// Mirrors `src/renet/deploy/cameras/buffer.py`.
 
 /** Keeps the newest image of a depth camera, rounded to half precision as in training. */
 export class FrameBuffer {

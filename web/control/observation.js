@@ -1,4 +1,5 @@
 // The proprioception o_t from a robot's sensors, scaled as in training.
+// Mirrors `src/renet/deploy/observation.py`.
 
 /**
  * One robot's o_t.

@@ -1,4 +1,5 @@
 // The deployed policy for one robot: three ONNX models and the memory between their ticks.
+// Mirrors `src/renet/pilot/policy.py`.
 
 import { Tensor } from "onnxruntime-web";
 

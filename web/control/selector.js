@@ -1,5 +1,6 @@
 // Which images VP gets, and whether VP or OP drives: monitors, memory, the paper's low-pass filter,
 // and a dwell before vision returns. The contract says which monitors, with which thresholds.
+// Mirrors `src/renet/selector/selector.py` and `monitors.py`.
 
 /** How suspicious vision is, larger is worse; each is a function made anew for every selector. */
 const SCORES = {

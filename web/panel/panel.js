@@ -53,7 +53,7 @@ export class Panel {
     this.say("outcome", outcome, fell ? "fell" : "");
     this.say("driver", this.palette[state]?.says ?? (fell ? "braked" : ""), state);
     const objects = state && selector.state !== "sees";
-    const whose = ["renet", "forgets"].includes(controller.estimator) ? "" : "renet would object: ";
+    const whose = ["memory", "forgets"].includes(controller.estimator) ? "" : "renet would object: ";
     this.say("why", objects ? whose + selector.reason : "", "");
     this.show(this.depth, camera.frame?.image);
     this.eye.classList.toggle("broken", camera.broken(simulation.now));

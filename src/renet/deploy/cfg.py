@@ -20,7 +20,7 @@ from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.teleop import TeleopCfg
 from renet.errors import RenetError, collected, demand_name, demand_none
 from renet.faults import Injection, parse_fault
-from renet.interface import CONTROL_DT, MAX_SPEED, SelectorName
+from renet.interface import CONTROL_DT, MAX_SPEED, PilotMode
 
 ENTRY_POINTS = "renet.robots"
 """Group of entry points: modules of other packages, which add to the tables of `catalogue`."""
@@ -65,9 +65,9 @@ class DeployCfg:
     fault: tuple[str, ...] = ()
     """What goes wrong with the camera: NAME[:SEVERITY]@SECONDS[+DURATION], e.g. blackout@5s,
     glare:3@4s+2s."""
-    selector: SelectorName = "monitors"
-    """monitors: all monitors, with a dwell before vision returns. paper: the reconstruction loss
-    alone."""
+    mode: PilotMode = "memory"
+    """memory: all monitors, and the memory of the ground. switch: the paper's switch, by the
+    reconstruction loss alone. camera: always on camera. blind: never."""
     dry_run: bool = False
     """Go through all that a run needs, a line with its time for each, then print commands; the
     robot is never moved."""
@@ -200,7 +200,7 @@ class DeployCfg:
         return {
             **{k: v if isinstance(v, int | float | None) else str(v) for k, v in options},
             "safety": asdict(self.limits),
-            "selector": self.selector,
+            "mode": self.mode,
             "robot": self.robot,
             "camera": self.camera,
             "teleop": self.teleop,
@@ -211,5 +211,10 @@ class DeployCfg:
             "bundle": bundle.name,
             "bundle_sha256": bundle.sha256,
             "models": bundle.manifest.sha256,
-            "beta": selector.beta if self.selector == "paper" else calibrated,
+            "thresholds": (
+                {"reconstruction": selector.beta}
+                if self.mode == "switch"
+                else selector.used_thresholds
+            ),
+            "beta": selector.beta if self.mode == "switch" else calibrated,
         }

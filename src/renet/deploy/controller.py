@@ -11,10 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from renet.bundle import Bundle
-from renet.bundle.policy import Policy, infer
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.buffer import FrameBuffer
-from renet.deploy.inference import InlineInference, Sessions
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import JointCommand, RobotState, all_finite, heading
 from renet.deploy.safety.checks import stand_up_problem, teleop_problem
@@ -26,14 +24,13 @@ from renet.deploy.watch.body import BodyWatch
 from renet.deploy.watch.leg_order import LegTest
 from renet.errors import RenetError
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE
-from renet.selector import SelectorInput, make_selector
-from renet.selector.selector import BLIND, REMEMBERS, SEES
+from renet.pilot import Pilot, Step
+from renet.pilot.inference import InlineInference
+from renet.pilot.policy import BundlePolicy
+from renet.pilot.tick import Sessions
+from renet.selector.selector import REMEMBERS, SEES
 
 LATE = "the vision thread is late or dead"
-NO_NUMBERS = "what the VP estimator found is not finite"
-BLACK = np.zeros((1, *DEPTH_SHAPE), np.float32)
-DRIVERS = {SEES: "vp", REMEMBERS: "memory", BLIND: "op"}
-"""What drives, as events call it, in each of the selector's states."""
 A_WHILE = 0.25
 """Seconds without an image from which an event tells of it: one late frame is no news."""
 
@@ -45,8 +42,8 @@ class Event:
     time: float
     """Seconds on the robot's clock."""
     what: str
-    """A mode of the safety machine, `refused` (to stand up, or to go where the policy cannot), what
-    drives (`vp`, `op`, or `memory`: VP without images), `inference`, or the device that has a
+    """A mode of the safety machine, `refused` (to stand up, or to go where the policy cannot), a
+    state of the pilot (`sees`, `remembers` or `blind`), `inference`, or the device that has a
     problem: `robot`, `camera`, `teleop`, `recorder`."""
     why: str
 
@@ -97,22 +94,25 @@ class Controller:
         bundle: Bundle,
         safety: SafetyCfg = SafetyCfg(),  # noqa: B008  (frozen)
         inference: Callable[[Sessions], InlineInference] = InlineInference,
-        selector: str = "monitors",
+        mode: str = "memory",
         on_event: Callable[[Event], None] = lambda event: None,
     ) -> None:
-        """Set up in DAMPING; `selector` is one of `renet.selector.selector.SELECTORS`.
+        """Set up in DAMPING.
 
-        `inference` makes what runs vision ticks: in line by default, which is deterministic.
-        `on_event` is told every transition with its reason.
+        Args:
+            bundle: loaded.
+            safety: limits.
+            inference: makes what runs vision ticks: in line by default, which is deterministic.
+            mode: of the pilot, see `interface.PilotMode`.
+            on_event: told every transition with its reason.
         """
-        self.robot, self.cfg = bundle.manifest.robot, safety
-        self.policy = Policy(bundle)
-        # A model's first run is many times slower than all others: not while the robot walks.
-        Policy(bundle).step(np.zeros((1, PROPRIOCEPTION_SIZE)), BLACK, np.zeros(1, bool))
+        self.robot = bundle.manifest.robot
+        self.cfg = safety
+        _warm_up(bundle)
+        self.policy = BundlePolicy(bundle, inference=inference)
+        self.pilot = Pilot.of(bundle, mode=mode, policy=self.policy)
         self.machine = SafetyMachine(safety)
-        self._perception = inference(bundle.sessions)
         self._buffer = FrameBuffer()
-        self._selector = make_selector(selector, bundle.manifest.selector)
         self._on_event = on_event
         self._watch = BodyWatch(self.robot, safety)
         self._start = self._target = np.array(self.robot.default_position)
@@ -148,7 +148,7 @@ class Controller:
 
     def close(self) -> None:
         """Stop the vision thread, if there is one."""
-        self._perception.close()
+        self.policy.close()
 
     def _tick(
         self, raw: RobotState | None, frame: DepthFrame | None, teleop: TeleopCommand, now: float
@@ -194,39 +194,29 @@ class Controller:
 
     def _start_over(self) -> None:
         """Start walking as training starts an episode."""
-        self.policy.reset()
-        self._selector.reset()
+        self.pilot.reset()
         self._action = np.zeros(ACTION_SIZE)
-        self._asked, self._told, self._refused = Velocity(), (0.0, 0.0, 0.0), False
-        self._vision, self._blind, self._state = True, False, SEES
-        self._image = BLACK
+        self._asked = Velocity()
+        self._told = (0.0, 0.0, 0.0)
+        self._refused = False
+        self._state = SEES
 
     def _walk(self, state: RobotState, teleop: TeleopCommand, now: float) -> JointCommand:
         self._told = self._steer(teleop, state, now)
         observation = observe(state, self.robot, self._told, self._action)[None]
-        self.policy.remember(observation)
-        fallback = self.policy.due and self._begin_tick(now)
-        output = self._perception.take()
-        if output is not None:
-            self.policy.accept(output)
-        self._check_estimates()
-        vision = self._vision and self._buffer.image is not None
-        action = self.policy.act(observation, np.array([not vision]))[0]
+        step = self.pilot.step(observation, self._buffer.take(now), now)
+        if step.fallback:
+            self.tell(now, "inference", f"{LATE}: this tick runs blind")
+        if self.policy.op_lost[0]:
+            raise RenetError("what the OP estimator found is not finite")
+        action = step.action[0]
         if not all_finite(action):
             raise RenetError("the policy's action is not finite")
         self._action = action
         rate = rate_after(now - self.machine.since, self.cfg)
-        command = self._limited(self.policy.joint_target(action), state, rate)
-        self._switch(now)
-        return self._decide(command, now, vision, output is not None or fallback, fallback)
-
-    def _check_estimates(self) -> None:
-        """Let OP drive where VP found no numbers; raises RenetError where OP found none."""
-        if self.policy.op_lost[0]:
-            raise RenetError("what the OP estimator found is not finite")
-        if self.policy.vp_lost[0]:
-            self._selector.distrust(self.policy.vp_lost, NO_NUMBERS)
-            self._vision = False
+        command = self._limited(step.joint_target[0], state, rate)
+        self._tell_state(step, now)
+        return self._decide(command, now, step)
 
     def _steer(
         self, teleop: TeleopCommand, state: RobotState, now: float
@@ -241,46 +231,15 @@ class Controller:
             self.tell(now, "refused", steering.refused)
         return told
 
-    def _begin_tick(self, now: float) -> bool:
-        """Start a tick of vision and estimators; returns whether it had to run here, blind."""
-        fallback = self._blind = not self._perception.ready()
-        image, fresh = self._buffer.take()
-        if image is not None:
-            self._image = image[None]
-        gate = self._selector.look(self._seen(now, fresh))
-        inputs = self.policy.look(None if image is None or fallback else self._image, gate)
-        if fallback:
-            self.tell(now, "inference", f"{LATE}: this tick runs blind")
-            self.policy.accept(infer(self.policy.sessions, inputs))
-        else:
-            self._perception.begin(inputs)
-        return fallback
-
-    def _seen(self, now: float, fresh: bool = False) -> SelectorInput:
-        """What is known of vision now; `fresh`: a new image is due for its tick."""
-        policy, buffer = self.policy, self._buffer
-        return SelectorInput(
-            anomaly_score=np.array([np.inf]) if buffer.problem else policy.anomaly_score,
-            variance_score=policy.variance_score,
-            image=self._image,
-            fresh=np.array([fresh]),
-            age=np.array([buffer.age(now)]),
-            invalid=np.array([buffer.invalid]),
-            velocity_op=policy.velocity_op,
-            velocity_vp=policy.velocity_vp,
-            has_image=policy.has_image,
-            map_error=policy.map_error,
-        )
-
-    def _switch(self, now: float) -> None:
-        """Let the selector choose the next step's estimator."""
-        selector = self._selector
-        self._vision = bool(selector.update(self._seen(now), now)[0])
-        state = str(selector.state[0])
-        if state == self._state or (state == REMEMBERS and selector.without_image[0] < A_WHILE):
+    def _tell_state(self, step: Step, now: float) -> None:
+        """Tell whether the robot sees, remembers or is blind from now on, if that has changed."""
+        state = str(step.state[0])
+        briefly = state == REMEMBERS and self.pilot.without_image[0] < A_WHILE
+        if state == self._state or briefly:
             return
-        why = self._buffer.problem or (LATE if self._blind else str(selector.reason[0]))
-        self.tell(now, DRIVERS[state], "vision is healthy" if state == SEES else why)
+        reason = LATE if self.policy.fallback else str(step.reason[0])
+        why = "vision is healthy" if state == SEES else self._buffer.problem or reason
+        self.tell(now, state, why)
         self._state = state
 
     def _limited(self, target: np.ndarray, state: RobotState, rate: float) -> JointCommand:
@@ -288,16 +247,11 @@ class Controller:
         self._target = command.position
         return command
 
-    def _decide(
-        self,
-        command: JointCommand,
-        now: float,
-        vision: bool = False,
-        inferred: bool = False,
-        fallback: bool = False,
-    ) -> JointCommand:
-        """Keep what this tick decided; returns its command."""
-        policy, walking = self.policy, self.machine.mode is Mode.WALKING
+    def _decide(self, command: JointCommand, now: float, step: Step | None = None) -> JointCommand:
+        """Keep what this tick decided, by a step of the pilot if it walks; returns its command."""
+        policy = self.policy
+        walking = self.machine.mode is Mode.WALKING
+        vision = step is not None and bool(step.vision[0])
         latent = (policy.latent_vp if vision else policy.latent_op)[0]
         self.decision = Decision(
             command=command,
@@ -305,7 +259,7 @@ class Controller:
             vision=vision,
             has_image=bool(policy.has_image[0]),
             map_error=float(policy.map_error[0]),
-            probability=float(self._selector.probability[0]),
+            probability=float(self.pilot.probability[0]),
             anomaly=float(policy.anomaly_score[0]),
             variance=float(policy.variance_score[0]),
             frame_age=self._buffer.age(now),
@@ -315,8 +269,8 @@ class Controller:
             told=np.array(self._told if walking else (0.0, 0.0, 0.0)),
             velocity_op=policy.velocity_op[0],
             velocity_vp=policy.velocity_vp[0],
-            inferred=inferred,
-            fallback=fallback,
+            inferred=step is not None and step.inferred,
+            fallback=step is not None and step.fallback,
         )
         velocity = self.decision.velocity_vp if vision else self.decision.velocity_op
         self._watch.told(command, walking, velocity)
@@ -326,3 +280,10 @@ class Controller:
         """Tell the listener; see `Event`."""
         with suppress(Exception):  # A full disk must not brake a robot.
             self._on_event(Event(now, str(what), why))
+
+
+def _warm_up(bundle: Bundle) -> None:
+    """Run all models once: their first run, many times slower, is not to be while it walks."""
+    observation = np.zeros((1, PROPRIOCEPTION_SIZE))
+    image = np.zeros((1, *DEPTH_SHAPE))
+    Pilot.of(bundle).step(observation, image, now=0.0)

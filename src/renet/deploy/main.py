@@ -13,7 +13,6 @@ from renet.deploy.checklist import Checklist
 from renet.deploy.controller import Controller, Event
 from renet.deploy.devices import start_devices
 from renet.deploy.display import VelocityDisplay
-from renet.deploy.inference import InlineInference, ThreadedInference
 from renet.deploy.loop import brake, run_control_loop
 from renet.deploy.realtime import realtime
 from renet.deploy.recording.recorder import Recorder, read_recording
@@ -23,9 +22,10 @@ from renet.deploy.robots.joint_watch import JointWatch
 from renet.deploy.safety.machine import Mode, SafetyMachine
 from renet.deploy.safety.watchdog import HANGS, interruptible, watchdog
 from renet.deploy.teleop import Teleop
-from renet.errors import RenetError
+from renet.errors import RenetError, reason
 from renet.folders import lock, move, new_folder
 from renet.interface import CONTROL_DT, JOINTS
+from renet.pilot.inference import InlineInference, ThreadedInference
 from renet.terminal import Terminal, encodable
 
 RECORDING = "recording.log"
@@ -92,7 +92,7 @@ def deploy(cfg: DeployCfg) -> Path:
                 # Threads inherit the priority of the one that starts them: the loop waits for
                 # vision's, which must not be the weaker one.
                 inference = ThreadedInference if cfg.live else InlineInference
-                controller = Controller(bundle, cfg.limits, inference, cfg.selector, tell)
+                controller = Controller(bundle, cfg.limits, inference, cfg.mode, tell)
                 stack.callback(controller.close)
                 with interruptible() as interrupted, watchdog(close) as step:
                     begun = robot.now()
@@ -115,7 +115,7 @@ def _keep_earlier(out: Path) -> None:
             for path in results:
                 move(path, earlier / path.name)
         except OSError as error:
-            raise RenetError(f"cannot keep the earlier run in {out}: {error}") from error
+            raise RenetError(f"cannot keep the earlier run in {out}: {reason(error)}") from error
 
 
 def printer(say: Callable[[str], None]) -> Callable[[JointCommand], None]:

@@ -42,7 +42,7 @@ Series = dict[str, list[np.ndarray]]
 class CalibrateCfg:
     """How β and the monitors' thresholds are measured: from episodes that succeed, cameras healthy.
 
-    β is the paper's; the monitors of the default selector get thresholds of their own.
+    β is the paper's; the monitors of the mode `memory` get thresholds of their own.
     """
 
     bundle: tyro.conf.Positional[Path]
@@ -188,7 +188,7 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
 
     robots, steps = np.arange(cfg.robots), round(cfg.seconds / CONTROL_DT)
     faults = (Injection.of("tall_grass", SPARSE_GRASS, onset=0),) if grass else ()
-    trials = [Trial("vp", faults, int(robot)) for robot in robots]
+    trials = [Trial("camera", faults, int(robot)) for robot in robots]
     series: Series = {name: [] for name in MONITORS}
     for terrain in cfg.terrains:
         tiled = terrain == PARKOUR

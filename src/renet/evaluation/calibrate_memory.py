@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from renet.evaluation.rollout import Rollout, Trial
+from renet.evaluation.rollout import Rollout, Trial, pilot_modes
 from renet.faults import Injection
 from renet.interface import CONTROL_DT
+from renet.pilot import Pilot
 from renet.selector import make_selector
 from renet.selector.calibration import stale_above
 from renet.selector.selector import LONGEST_MEMORY
@@ -51,8 +52,8 @@ def memory_limits(
     earliest, latest = (round(seconds / CONTROL_DT) for seconds in DIES)
     dies = np.random.default_rng(seed).integers(earliest, latest, robots)
     blackouts = [(Injection.of("blackout", 5, int(step)),) for step in dies]
-    trials = [Trial("renet", blackouts[n], n) for n in numbers.tolist()]
-    trials += [Trial("op", (), n) for n in numbers.tolist()]
+    trials = [Trial("memory", blackouts[n], n) for n in numbers.tolist()]
+    trials += [Trial("blind", (), n) for n in numbers.tolist()]
     task = parkour_env_cfg(play=True, robot=evaluator.robot)
     env = evaluator.make_env(task, [trial.robot for trial in trials], speed, seed)
     kinds, level = numbers % len(tiles()), numbers // len(tiles()) % levels
@@ -60,9 +61,9 @@ def memory_limits(
     spec = evaluator.bundle.manifest.selector
     others = {name: limit for name, limit in spec.thresholds.items() if name != MEMORY}
     endless = replace(spec, thresholds=others, longest_memory=LONGEST_MEMORY)
-    policy = evaluator.make_policy(len(trials))
-    selector = make_selector("monitors", endless, len(trials))
-    rollout = Rollout(env, policy, selector, trials, seed)
+    selectors = {"memory": make_selector("memory", endless, len(trials))}
+    pilot = Pilot(evaluator.make_policy(len(trials)), selectors, pilot_modes(trials))
+    rollout = Rollout(env, pilot, trials, seed)
     steps = latest + round(MEASURED / CONTROL_DT)
     trace = rollout.run(steps, "memory", until_ended=0, retire=True)
     # Two levels of a kind are one ground.

@@ -38,10 +38,10 @@ STRIDE, SLOWLY = 2, 2.0
 SHOWN = 1.0, 4.0
 """Seconds of the film before and after death."""
 TITLES = {
-    "vp": "trusts its last image",
-    "paper": "the paper's switch",
-    "oracle-switch": "goes blind at once",
-    "renet": "RENet",
+    "camera": "trusts its last image",
+    "switch": "the paper's switch",
+    "oracle": "goes blind at once",
+    "memory": "RENet",
 }
 """What films and figures call each mode."""
 
@@ -52,7 +52,7 @@ class DemoStudy(WalkingStudy):
 
     out: Path = Path("renet-demo")
     """Folder for index.html, film.mp4, demo.png, summary.json, summary.csv and parts/."""
-    modes: tuple[Mode, ...] = ("vp", "paper", "oracle-switch", "renet")
+    modes: tuple[Mode, ...] = ("camera", "switch", "oracle", "memory")
     """Policy modes to compare; the film shows the first beside the last."""
     seconds: float = 9.0
     """Time to leave the tile."""

@@ -6,8 +6,7 @@ from pathlib import Path
 from mjlab.terrains import TerrainEntityCfg
 
 from renet.bundle import Bundle
-from renet.bundle.policy import Policy
-from renet.errors import RenetError, demand_name
+from renet.errors import RenetError
 from renet.evaluation.conditions import as_trained
 from renet.evaluation.env import (
     SimEnv,
@@ -17,10 +16,20 @@ from renet.evaluation.env import (
     trained_env_cfg,
 )
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import FLAT, PARKOUR, Conditions, EvalEnv, EvalPolicy, Rollout, Trial
+from renet.evaluation.rollout import (
+    FLAT,
+    PARKOUR,
+    Conditions,
+    EvalEnv,
+    Rollout,
+    Trial,
+    pilot_modes,
+)
 from renet.motor_models import IDEAL, find_motors
+from renet.pilot import Pilot
+from renet.pilot.pilot import Selector
+from renet.pilot.policy import BundlePolicy, Policy
 from renet.selector import make_selector
-from renet.selector.selector import SELECTORS, MonitorSelector
 from renet.sim.threads import THREADS
 from renet.tasks import RenetEnvCfg, RobotCfg
 from renet.tasks.motor_models import use_motors
@@ -40,21 +49,19 @@ class Evaluator:
         self,
         bundle: Path | None = None,
         engine: str = "auto",
-        selector: str = "monitors",
         conditions: Conditions = "nominal",
         motors: str = IDEAL,
     ) -> None:
-        """Load a bundle; raises RenetError where it, a selector or motors cannot be used.
+        """Load a bundle; raises RenetError where it or motors cannot be used.
 
         Args:
             bundle: its folder; the one that ships with renet by default.
-            engine: auto, native or warp. selector: monitors (all of them, with a dwell) or paper.
+            engine: auto, native or warp.
             conditions: nominal, or training: those of the bundle's task.
             motors: of the robots: ideal, go1, or a file of `renet identify`.
         """
-        demand_name("selector", selector, SELECTORS)
         self.bundle = Bundle.load(bundle, threads=THREADS)
-        self.engine, self.selector = engine, selector
+        self.engine = engine
         self.conditions = conditions
         self.motors = find_motors(motors, self.bundle.manifest.robot.name)
         """Motors of the robots; None: ideal ones."""
@@ -66,14 +73,18 @@ class Evaluator:
 
     @property
     def beta(self) -> float:
-        """The selector's threshold on the anomaly score: the paper's, or the calibrated one."""
+        """Threshold on the anomaly score of the mode `memory`."""
         spec = self.bundle.manifest.selector
-        thresholds = {} if self.selector == "paper" else spec.thresholds
-        return thresholds.get("reconstruction", spec.beta)
+        return spec.thresholds.get("reconstruction", spec.beta)
+
+    @property
+    def paper_beta(self) -> float:
+        """Threshold on the anomaly score of the mode `switch`."""
+        return self.bundle.manifest.selector.beta
 
     @property
     def thresholds(self) -> dict[str, float]:
-        """Thresholds of the default selector's monitors, by name."""
+        """Thresholds of the monitors of the mode `memory`, by name."""
         return self.bundle.manifest.selector.used_thresholds
 
     def provenance(self, seed: int) -> Provenance:
@@ -92,7 +103,14 @@ class Evaluator:
         if self.conditions == "training":
             as_trained(cfg, trained_env_cfg(self.bundle.manifest))
 
-    def make_env(self, task: Task, robots: Sequence[int], speed: float, seed: int) -> SimEnv:
+    def make_env(
+        self,
+        task: Task,
+        robots: Sequence[int],
+        speed: float,
+        seed: int,
+        camera_noise: float | None = None,
+    ) -> SimEnv:
         """Make an environment of robots that are commanded to walk straight ahead.
 
         Args:
@@ -101,6 +119,7 @@ class Evaluator:
                 if it is another robot's than the bundle.
             robots: one number for each robot; those with the same number are twins.
             speed: commanded, m/s. seed: of bodies and starts.
+            camera_noise: standard deviation of every depth, m; None: that of the bundle's training.
         """
         if not 0 <= seed < 2**32:
             raise RenetError(f"seed must be from 0 to 2^32 - 1, got {seed}")
@@ -114,24 +133,31 @@ class Evaluator:
                 f"bundle {self.bundle.name} drives a {robot}, this task's robot is a"
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
-        depth_camera(cfg).noise.gaussian_std = self.bundle.manifest.camera.noise_std
+        if camera_noise is None:
+            camera_noise = self.bundle.manifest.camera.noise_std
+        depth_camera(cfg).noise.gaussian_std = camera_noise
         use_motors(cfg, self.motors)
         self.env = SimEnv(cfg, robots, seed, self.engine)
         """The newest environment, for policies that need the simulator's truth."""
         return self.env
 
-    def make_policy(self, num_robots: int) -> EvalPolicy:
+    def make_policy(self, num_robots: int) -> Policy:
         """Make the policy under study."""
-        return Policy(self.bundle, num_robots)
+        return BundlePolicy(self.bundle, num_robots)
 
-    def make_selector(self, num_robots: int, selector: str | None = None) -> MonitorSelector:
-        """Make the bundle's selector, or another one with its thresholds."""
-        return make_selector(selector or self.selector, self.bundle.manifest.selector, num_robots)
+    def make_selector(self, kind: str, num_robots: int) -> Selector:
+        """Make what robots of the mode `memory` or `switch` obey."""
+        return make_selector(kind, self.bundle.manifest.selector, num_robots)
+
+    def make_pilot(self, modes: Sequence[str]) -> Pilot:
+        """Make the pilot of the policy under study, with the mode of each robot."""
+        robots = len(modes)
+        policy = self.make_policy(robots)
+        # Robots of other modes obey none, but their traces tell what `memory` would do.
+        kinds = ["memory", "switch"] if "switch" in modes else ["memory"]
+        selectors = {kind: self.make_selector(kind, robots) for kind in kinds}
+        return Pilot(policy, selectors, modes)
 
     def rollout(self, env: EvalEnv, trials: Sequence[Trial], seed: int) -> Rollout:
         """Prepare a run of the policy under study; see `Rollout`."""
-        count = len(trials)
-        policy, selector = self.make_policy(count), self.make_selector(count)
-        obeys_paper = any(trial.mode == "paper" for trial in trials)
-        paper = self.make_selector(count, "paper") if obeys_paper else None
-        return Rollout(env, policy, selector, trials, seed, paper)
+        return Rollout(env, self.make_pilot(pilot_modes(trials)), trials, seed)

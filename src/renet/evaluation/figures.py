@@ -27,15 +27,13 @@ FAMILIES = {
     "salt_and_pepper": ("#fdae6b", "#f16913", "#a63603"),
 }
 INK, FAINT = "#222730", "#8a919c"
-MODES = {
-    "vp": (SEES, "VP alone"),
-    "renet": (REMEMBERS, "RENet"),
-    "op": (BLIND, "OP alone"),
-    "paper": ("#009e73", "paper's switch"),
-    "oracle-switch": ("#7d8590", "switch that knows the fault"),
+MODE_COLOURS = {
+    "camera": SEES,
+    "memory": REMEMBERS,
+    "blind": BLIND,
+    "switch": "#009e73",
+    "oracle": "#7d8590",
 }
-MODE_COLOURS = {mode: colour for mode, (colour, _) in MODES.items()}
-MODE_NAMES = {mode: name for mode, (_, name) in MODES.items()}
 
 STYLE: dict[Any, Any] = {
     "figure.facecolor": "white",
@@ -117,7 +115,7 @@ def speed_over_time(
         axis.axvline(onset / CONTROL_DT, color=INK, linewidth=1, linestyle=":")
         axis.axhline(command, color=FAINT, linewidth=1, linestyle=(0, (1, 3)))
         write_beside(axis, onset / CONTROL_DT, "noise begins", 0.0, xytext=(4, 5))
-        axis.set(title=f"({letter}) {MODE_NAMES[mode]}", xlabel="timestep (0.02 s)")
+        axis.set(title=f"({letter}) {mode}", xlabel="timestep (0.02 s)")
     axes[0][0].set_ylabel("mean forward velocity (m/s)")
     legend(figure, axes[0][0])
     return figure
@@ -205,8 +203,8 @@ def share_panels(
             ends = ("rate", "ci95_low", "ci95_high")
             share, *interval = np.array([[100 * run[f"{name}_{e}"] for run in line] for e in ends])
             x = [places.index(tick(run)) + (number - (len(modes) - 1) / 2) * apart for run in line]
-            look: Any = {"color": MODE_COLOURS[mode], "label": MODE_NAMES[mode]}
-            look |= {"fmt": "o--" if mode == "op" else "o-", "markersize": 4, "elinewidth": 1}
+            look: Any = {"color": MODE_COLOURS[mode], "label": mode}
+            look |= {"fmt": "o--" if mode == "blind" else "o-", "markersize": 4, "elinewidth": 1}
             axis.errorbar(x, share, np.abs(interval - share), **look)
         axis.set_xticks(range(len(places)), places, rotation=rotation)
         axis.set_title(title, fontsize=9)

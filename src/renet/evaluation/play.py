@@ -17,7 +17,7 @@ from renet.evaluation.live import EVERY, Pacer, Viewer, open_view
 from renet.evaluation.results import output_folder
 from renet.evaluation.rollout import FLAT, PARKOUR, Mode, Trial, check_finite, check_modes
 from renet.faults import parse_fault
-from renet.interface import CONTROL_DT, Engine, SelectorName, Terrain
+from renet.interface import CONTROL_DT, Engine, Terrain
 
 if TYPE_CHECKING:
     from renet.evaluation.env import SimEnv
@@ -48,7 +48,7 @@ class PlayCfg:
     fault: tuple[str, ...] = ("unplugged@1.5s",)
     """Faults of the camera, NAME[:SEVERITY]@SECONDS[+DURATION], such as blackout:3@5s+2s; --fault
     alone: none."""
-    modes: tuple[Mode, ...] = ("paper", "renet")
+    modes: tuple[Mode, ...] = ("switch", "memory")
     """Policy modes to compare."""
     seconds: float = 8.0
     """Length of the film, simulated."""
@@ -56,8 +56,6 @@ class PlayCfg:
     """Commanded forward speed, m/s."""
     seed: int = 1
     """Seed of the robot's body, start and noise."""
-    selector: SelectorName = "monitors"
-    """monitors: all of them, slow to trust again; paper: the reconstruction loss against beta."""
     engine: Engine = "auto"
     """Physics engine, on the CPU; auto: native."""
     viewer: Viewer = "auto"
@@ -100,7 +98,7 @@ def run_play(cfg: PlayCfg) -> Path:
     from renet.evaluation.report.video import film
 
     with opened(cfg.bundle) as folder:
-        evaluator = Evaluator(folder, cfg.engine, cfg.selector)
+        evaluator = Evaluator(folder, cfg.engine)
         task = ground_of(cfg)
         output_folder(out.parent)
         env = evaluator.make_env(task, [0 for _ in rows], cfg.speed, cfg.seed)

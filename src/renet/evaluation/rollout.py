@@ -1,9 +1,8 @@
-"""Closed-loop runs: robots, camera faults, policy and selector, all settings side by side.
+"""Closed-loop runs: robots, camera faults and a pilot, all settings side by side.
 
 Every robot of every setting is one row of one batched environment, so a whole study costs one run.
-One control step goes as on the robot: the newest frame is taken at the 10 Hz tick, the policy acts
-under the modality the selector last chose, then the selector's filter is updated
-(200 Hz, paper) with the anomaly score the tick produced.
+One control step goes as on the robot, but for the pilot's judgement, which follows the paper's
+200 Hz: four times in a control step.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,17 +16,19 @@ from renet.errors import RenetError
 from renet.evaluation.trace import UPDATES_PER_STEP, Film, StepResult, Trace, TrueState
 from renet.faults import FaultSchedule, Frames, Injector, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
-from renet.selector.monitors import Gate, SelectorInput
-from renet.selector.selector import MonitorSelector
+from renet.pilot import Images, Pilot
+from renet.pilot.policy import Policy
+from renet.selector.monitors import SelectorInput
 from renet.terminal import progress
 
 FLAT: Final = "flat"
 """Ground without tiles."""
 PARKOUR: Final = "parkour"
 """A field of all tiles at all levels."""
-Mode = Literal["vp", "renet", "op", "paper", "oracle-switch"]
-"""Policy modes: vision always, the selector's choice, never, the choice of the paper's selector,
-and a switch that knows the fault."""
+ORACLE: Final = "oracle"
+"""A mode that only studies know."""
+Mode = Literal["memory", "switch", "camera", "blind", "oracle"]
+"""The pilot's modes (`interface.PilotMode`), and oracle: OP while the camera fails, else VP."""
 Conditions = Literal["nominal", "training"]
 """What robots of a study meet beside their ground (`renet.evaluation.conditions`)."""
 
@@ -98,28 +99,6 @@ class EvalEnv(Protocol):
         """Let the cameras see the scene so from their next image on: physical faults."""
 
 
-class EvalPolicy(Protocol):
-    """Anybody's policy: `renet.bundle.policy.Policy` is one.
-
-    Further attributes are optional. The selector's monitors compare `velocity_op` and `velocity_vp`
-    ([N, 3] m/s) and judge `variance_score` ([N]). A policy with `has_image` ([N] bool) can do
-    without an image: its `step` takes a `gate` as well. One with `retire(mask)` need not act for
-    robots whose try is over, until all are reset.
-    """
-
-    anomaly_score: np.ndarray
-    """[N] how unlike its training images the last frames were; any scale."""
-
-    def reset(self, mask: np.ndarray | None = None) -> None:
-        """Forget the past of the masked robots [N], of all by default."""
-
-    def step(
-        self, proprioception: np.ndarray, depth: np.ndarray, op_mask: np.ndarray
-    ) -> np.ndarray:
-        """Actions [N, 12]; `op_mask` is the paper's mask, True where OP is to act."""
-        ...
-
-
 def demand_shapes(path: Path, nodes: Sequence[Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Refuse an ONNX policy that does not take and give, for N robots, what its caller handles.
 
@@ -140,34 +119,34 @@ def demand_shapes(path: Path, nodes: Sequence[Any], shapes: Mapping[str, tuple[i
 class Rollout:
     """A run of N robots, each with the policy mode and the camera faults of its trial."""
 
-    def __init__(
-        self,
-        env: EvalEnv,
-        policy: EvalPolicy,
-        selector: MonitorSelector,
-        trials: Sequence[Trial],
-        seed: int,
-        paper: MonitorSelector | None = None,
-    ) -> None:
+    def __init__(self, env: EvalEnv, pilot: Pilot, trials: Sequence[Trial], seed: int) -> None:
         """Prepare a run.
 
         Args:
-            env, policy: of as many robots as trials; raises RenetError for another number.
-            selector: trials in mode `renet` obey it.
-            trials: mode and camera faults of each robot. seed: of the camera faults.
-            paper: the selector that trials in mode `paper` obey; None where there are none.
+            env: of as many robots as trials.
+            pilot: of as many robots, in the trials' modes (see `pilot_modes`).
+            trials: mode and camera faults of each robot.
+            seed: of the camera faults.
+
+        Raises:
+            RenetError: the environment has another number of robots.
         """
         if env.num_robots != len(trials):
             raise RenetError(f"{len(trials)} trials need as many robots, not {env.num_robots}")
-        self.env, self.policy = env, policy
-        self.selectors = [selector, *([paper] if paper else [])]
-        """With two selectors the last is the paper's."""
+        self.env = env
+        self.pilot = pilot
         self.modes = np.array([trial.mode for trial in trials])
-        """Policy mode of each robot, [N]."""
-        schedules, streams = [t.schedule for t in trials], [t.robot for t in trials]
+        """Mode of each trial, [N]."""
+        schedules = [trial.schedule for trial in trials]
+        streams = [trial.robot for trial in trials]
         self.injector = Injector(schedules, streams, seed, physical=True)
         self.on_update: Callable[[SelectorInput], Any] = lambda seen: None
-        """Receives the input of every update of the selectors, before it."""
+        """Receives the input of every judgement of the pilot, before it."""
+
+    @property
+    def policy(self) -> Policy:
+        """The pilot's policy."""
+        return self.pilot.policy
 
     def run(
         self,
@@ -220,12 +199,8 @@ class Rollout:
         """Put every robot at its start, trusting vision."""
         self.env.perturb_cameras(self.injector.perturbation(0))
         self._result = self.env.reset()
-        self.policy.reset()
-        for selector in self.selectors:
-            selector.reset()
+        self.pilot.reset()
         self._frames = Frames.healthy(self._result.depth)
-        self._trusted = np.ones(len(self.modes), bool)
-        """[N] bool: the last answer of the selector that each robot obeys."""
         self._over = np.zeros(len(self.modes), bool)
         """[N] bool: the first try is over."""
         self._retired = np.zeros(len(self.modes), bool)
@@ -239,32 +214,38 @@ class Rollout:
                 one.retire(self._retired)
 
     def _act(self, step: int, trace: Trace) -> np.ndarray:
-        """Actions [N, 12] of a control step; also takes new frames and updates the selectors."""
-        result, gate = self._result, {}
+        """Actions [N, 12] of a control step, whose judgements follow; also takes new frames."""
+        result = self._result
+        pilot = self.pilot
         if step % STEPS_PER_TICK == 0:
             live = Frames.healthy(result.depth, result.angular_velocity)
             self._frames = self.injector.apply(live, step, self._retired)
-            gate = self._gate(step)
         failing = self.injector.at_work(step)
-        distrusted = np.isin(self.modes, ("renet", "paper")) & ~self._trusted
-        blind = (self.modes == "oracle-switch") & failing
-        use_op = (self.modes == "op") | distrusted | blind
-        action = self.policy.step(result.proprioception, self._frames.image, use_op, **gate)
+        distrusted = failing & (self.modes == ORACLE)
+        action = pilot.act(result.proprioception, self._images(step), distrusted)
         for update in range(UPDATES_PER_STEP):
-            seen = self._selector_input(step, update)
+            images = self._images(step, update)
+            seen = pilot.seen(images, images.fresh)
             self.on_update(seen)
-            now = (step * UPDATES_PER_STEP + update + 1) * PHYSICS_DT
-            self._trusted = self._obeyed([s.update(seen, now) for s in self.selectors])
-            trace.trusted[step, update] = self._trusted
-        trace.vision[step], trace.failing[step] = ~use_op, failing
+            pilot.judge(seen, now=(step * UPDATES_PER_STEP + update + 1) * PHYSICS_DT)
+            trace.trusted[step, update] = pilot.trusted
+        trace.vision[step] = pilot.vision
+        trace.failing[step] = failing
         trace.anomaly[step] = self.policy.anomaly_score
-        trace.probability[step] = self._obeyed([s.probability for s in self.selectors])
+        trace.probability[step] = pilot.probability
         trace.has_image[step] = getattr(self.policy, "has_image", True)
         trace.map_error[step] = getattr(self.policy, "map_error", 0.0)
         return action
 
+    def _images(self, step: int, update: int = 0) -> Images:
+        """The frames of the newest tick, which are new in its first update and grow old."""
+        frames = self._frames
+        passed = step % STEPS_PER_TICK * CONTROL_DT + update * PHYSICS_DT
+        fresh = frames.fresh if passed == 0.0 else np.zeros_like(frames.fresh)
+        return Images(frames.image, fresh, frames.age + passed, frames.invalid)
+
     def _advance(self, action: np.ndarray, step: int, trace: Trace) -> None:
-        """Step the environment; policy and selectors start anew where an episode ended."""
+        """Step the environment; the pilot begins anew with robots whose episode ended."""
         self.env.perturb_cameras(self.injector.perturbation(step + 1))
         self._result = self.env.step(action)
         for state in fields(TrueState):
@@ -272,35 +253,9 @@ class Rollout:
         ended = self._result.ended
         self._over |= ended
         if ended.any():
-            self.policy.reset(ended)
-            for selector in self.selectors:
-                selector.reset(ended)
-            self._trusted = self._trusted | ended
+            self.pilot.reset(ended)
 
-    def _obeyed(self, values: Sequence[np.ndarray]) -> np.ndarray:
-        """The values, [N] of each selector, of the one that each robot obeys."""
-        return np.where(self.modes == "paper", values[-1], values[0])
 
-    def _gate(self, step: int) -> dict[str, Gate]:
-        """Which images robots in mode `renet` may use, as an argument of the policy's step."""
-        seen = self._selector_input(step, 0)
-        gate, *_ = [selector.look(seen) for selector in self.selectors]
-        if gate is None or not hasattr(self.policy, "has_image"):
-            return {}
-        return {"gate": replace(gate, robots=self.modes == "renet")}
-
-    def _selector_input(self, step: int, update: int) -> SelectorInput:
-        """What a selector's update is shown: only the tick's first update has a new frame."""
-        frames, zero = self._frames, np.zeros(len(self.modes))
-        passed = step % STEPS_PER_TICK * CONTROL_DT + update * PHYSICS_DT
-        still = np.zeros((len(self.modes), 3))
-        optional = {"variance_score": zero, "map_error": zero, "has_image": zero == 0.0}
-        optional |= {"velocity_op": still, "velocity_vp": still}
-        return SelectorInput(
-            anomaly_score=self.policy.anomaly_score,
-            image=frames.image,
-            fresh=frames.fresh if passed == 0.0 else np.zeros_like(frames.fresh),
-            age=frames.age + passed,
-            invalid=frames.invalid,
-            **{name: getattr(self.policy, name, absent) for name, absent in optional.items()},
-        )
+def pilot_modes(trials: Sequence[Trial]) -> list[str]:
+    """Modes of the pilot for trials; the rollout makes `oracle` of `camera`."""
+    return ["camera" if trial.mode == ORACLE else trial.mode for trial in trials]

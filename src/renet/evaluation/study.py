@@ -36,9 +36,8 @@ from renet.evaluation.rollout import (
     check_modes,
     check_speed,
 )
-from renet.interface import Engine, SelectorName
+from renet.interface import Engine
 from renet.motor_models import IDEAL, motors_key
-from renet.selector.selector import SELECTORS
 from renet.terminal import show
 
 if TYPE_CHECKING:
@@ -91,8 +90,6 @@ class Study:
     """Seed of the robots' bodies and starts and of the camera faults."""
     engine: Engine = "auto"
     """Physics engine, on the CPU; auto: native."""
-    selector: SelectorName = "monitors"
-    """What `renet` trusts: monitors (all of them, with a dwell) or paper (reconstruction alone)."""
     conditions: Conditions = "nominal"
     """What robots meet. training: the differences between motors, joints and mounts, late images,
     noise of sensors and pushes of the bundle's training; nominal: hardly any of them."""
@@ -112,7 +109,6 @@ class Study:
 
     def __post_init__(self) -> None:
         check_finite(self)
-        demand_name("selector", self.selector, SELECTORS)
         demand_name("conditions", self.conditions, get_args(Conditions))
         if self.jobs < 1:
             raise RenetError(f"jobs must be at least 1, got {self.jobs}")
@@ -152,10 +148,10 @@ class Study:
         raise NotImplementedError
 
     def make_evaluator(self) -> Evaluator:
-        """The evaluator of the settings' bundle, selector and conditions."""
+        """The evaluator of the settings' bundle and conditions."""
         from renet.evaluation.evaluator import Evaluator
 
-        return Evaluator(self.bundle, self.engine, self.selector, self.conditions, self.motors)
+        return Evaluator(self.bundle, self.engine, self.conditions, self.motors)
 
     def file_digests(self) -> dict[str, str]:
         """What stands for settings that name files in the key of parts: the files' contents."""
@@ -237,7 +233,7 @@ class Study:
 class WalkingStudy(Study):
     """A study of robots that are told to walk straight ahead, in several modes."""
 
-    modes: tuple[Mode, ...] = ("vp", "renet", "op")
+    modes: tuple[Mode, ...] = ("camera", "memory", "blind")
     """Policy modes to compare."""
     robots: int = 20
     """Robots in each setting and mode; with `quick` always fewer."""

@@ -126,6 +126,8 @@ def unit_vectors(vectors: Sequence[np.ndarray]) -> np.ndarray:
 def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:
     """List each tile's obstacles: geoms of boxes that neither span the tile nor carry its start.
 
+    Obstacles of a course are the boxes of `OBSTACLE_GROUP`.
+
     Args:
         model: Scene with terrain.
         middles: Centres of the tiles in the world frame, [T, 2] m.
@@ -135,7 +137,7 @@ def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:
     """
     import mujoco
 
-    from renet.terrain.tiles import TILE
+    from renet.terrain.tiles import OBSTACLE_GROUP, TILE
 
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -145,7 +147,10 @@ def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:
     is_box = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
     carries_start = (np.abs(middles[:, None] - centre) <= half_size).all(axis=2).any(axis=0)
     is_within_tile = (half_size < TILE / 2 - 1e-6).all(axis=1)
-    geoms = np.flatnonzero(is_terrain & is_box & ~carries_start & is_within_tile)
+    # The group of a course's obstacles replaces the rule for tiles.
+    is_grouped = is_terrain & (model.geom_group == OBSTACLE_GROUP)
+    is_obstacle = is_grouped | (~carries_start & is_within_tile & ~is_grouped.any())
+    geoms = np.flatnonzero(is_terrain & is_box & is_obstacle)
     if not len(geoms):
         raise RenetError(
             "this terrain has no obstacle that could be glass: choose obstacles, stairs_up or"

@@ -116,7 +116,7 @@ def _bundle(bundle: Bundle) -> dict[str, Any]:
         "opening": {
             "ground": "gap" if remembers else "stairs_down",
             "fault": "blackout",
-            "left": "forgets" if remembers else "vp",
+            "left": "forgets" if remembers else "camera",
         },
         "selectors": {kind: _selector(kind, spec) for kind in SELECTORS},
         "grounds": [_ground(robot, terrain, *words) for terrain, words in GROUNDS.items()],

@@ -11,12 +11,11 @@ Method B).
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 
 from renet.errors import RenetError, demand_name
-from renet.interface import SelectorName
 from renet.selector.filter import VISION_THRESHOLD, filter_delay, low_pass
 from renet.selector.monitors import MONITORS, Gate, Scorer, SelectorInput
 
@@ -29,7 +28,8 @@ STEADY = 5
 late look healthy, but come now and then."""
 SLOWEST = 1.0
 """Longest delay of the filter in seconds."""
-SELECTORS = get_args(SelectorName)
+SELECTORS = ("memory", "switch")
+"""Selectors by the pilot's mode that obeys them (`interface.PilotMode`)."""
 SEES, REMEMBERS, BLIND = STATES = ("sees", "remembers", "blind")
 _STATES = np.array(STATES)
 LONGEST_MEMORY = 60.0
@@ -74,7 +74,7 @@ class SelectorSpec:
 
     @property
     def used_thresholds(self) -> dict[str, float]:
-        """Thresholds of the monitors that `--selector monitors` uses, by name.
+        """Thresholds of the monitors that the mode `memory` uses, by name.
 
         Calibrated ones, else the monitor's fallback. The reconstruction falls back to beta, unless
         there is a threshold of the variance, which judges the same images better.
@@ -218,6 +218,13 @@ class MonitorSelector:
         self.reason[self.vision & good] = ""
         ceasing = ~good & (self.reason == "") if self.longest_memory else leaving
         self._explain(~(good & healthy) & (leaving | ceasing), seen)
+        if self.longest_memory:
+            # What spoilt the images is no news: that it lasts ends the memory.
+            expired = leaving & np.isfinite(self.without_image)
+            expired &= self.without_image > self.longest_memory
+            lasts = f" for {self.longest_memory:g} s, as long as it remembers"
+            for robot in np.flatnonzero(expired):
+                self.reason[robot] += lasts
         return self.vision
 
     def _verdicts(self, seen: SelectorInput, limits: "_Limits") -> np.ndarray:
@@ -299,7 +306,7 @@ def check_selector(spec: SelectorSpec) -> None:
 def make_selector(kind: str, spec: SelectorSpec, num_robots: int = 1) -> MonitorSelector:
     """A selector for N robots by its name, one of `SELECTORS`; raises RenetError for another."""
     demand_name("selector", kind, SELECTORS)
-    if kind == "paper":
+    if kind == "switch":
         beta = {"reconstruction": spec.beta}
         return MonitorSelector(beta, spec, num_robots, dwell=0.0, between_returns=0.0)
     thresholds, memory = spec.used_thresholds, spec.longest_memory

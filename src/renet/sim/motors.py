@@ -109,9 +109,10 @@ class Motors:
     def _limit(self, sim: Simulation) -> None:
         """Limit torque by speed."""
         limits = sim.model.actuator_forcerange
-        if self._limits is None:
-            self._limits = limits[:].clone()
         at_rest = self._limits
+        if at_rest is None:
+            at_rest = limits[:].clone()
+            self._limits = at_rest
         speed = sim.data.qvel[:, self._dof.long()]
         lower_share = torque_share(-speed, self.no_load_speed)
         upper_share = torque_share(speed, self.no_load_speed)

@@ -267,7 +267,7 @@ def _observations() -> dict[str, ObservationGroupCfg]:
 
 
 def _rewards() -> dict[str, RewardTermCfg]:
-    """Configure the paper's rewards with its scales; mjlab multiplies them by the step of 0.02 s."""
+    """Configure the paper's rewards and scales, which mjlab multiplies by the step of 0.02 s."""
     return {
         "linear_velocity": RewardTermCfg(func=mdp.linear_velocity, weight=1.5),
         "yaw": RewardTermCfg(func=mdp.yaw, weight=0.5),

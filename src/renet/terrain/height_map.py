@@ -5,7 +5,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from renet.errors import RenetError, install
+from renet.errors import RenetError, install, reason
 from renet.files import MEGABYTE, require_regular
 
 ARRAY, PICTURE = ".npy", ".png"
@@ -47,7 +47,7 @@ def _array(file: Path) -> np.ndarray:
     try:
         stored = np.load(file, mmap_mode="r", allow_pickle=False)
     except (ValueError, OSError, EOFError, BadZipFile) as error:
-        raise RenetError(f"the height map {file} is no .npy of numbers: {error}") from error
+        raise RenetError(f"the height map {file} is no .npy of numbers: {reason(error)}") from error
     if not isinstance(stored, np.ndarray) or stored.dtype.kind not in "iuf":
         raise RenetError(f"the height map {file} must hold numbers: save heights in m as floats")
     _demand_size(file, stored.size)
@@ -67,7 +67,9 @@ def _picture(file: Path) -> np.ndarray:
             deep = picture.mode.startswith("I")
             grey = np.asarray(picture if deep else picture.convert("L"), float)
     except (OSError, ValueError, SyntaxError) as error:
-        raise RenetError(f"the height map {file} is no .png that Pillow reads: {error}") from error
+        raise RenetError(
+            f"the height map {file} is no .png that Pillow reads: {reason(error)}"
+        ) from error
     return grey[::-1] / (65535.0 if deep else 255.0)
 
 

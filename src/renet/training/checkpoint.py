@@ -96,7 +96,16 @@ def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Pat
         # A folder with other files in it stays: somebody keeps notes there.
         if foreign(old, FILES) is None:
             remove_folder(old, FILES)
+    for torn in _torn(folder):
+        remove_folder(torn, FILES)
     return final
+
+
+def _torn(folder: Path) -> list[Path]:
+    """What a kill left of checkpoints that were being removed: they have no state any more."""
+    numbered = [path for path in folder.iterdir() if _numbered(path) and path.is_dir()]
+    stateless = [path for path in numbered if not (path / "state.json").exists()]
+    return [path for path in stateless if foreign(path, FILES) is None]
 
 
 def checkpoints(folder: Path) -> list[Path]:

@@ -64,7 +64,7 @@ class Films:
     def command(self, checkpoint: Path, film: Path) -> Sequence[str]:
         """The command that films a checkpoint."""
         play = ["nice", sys.executable, "-m", "renet", "play", str(checkpoint), "--out", str(film)]
-        seen = ["--modes", "vp", "op", "--viewer", "none", "--fault"]
+        seen = ["--modes", "camera", "blind", "--viewer", "none", "--fault"]
         return [*play, *self._ground, *seen]
 
     def close(self, left: float = math.inf) -> None:

@@ -15,7 +15,7 @@ from rsl_rl.utils.log_writer import LogWriter
 from torch.utils.tensorboard import SummaryWriter
 
 from renet.curves import CURVES, LEVEL, read_curves
-from renet.errors import RenetError
+from renet.errors import RenetError, reason
 from renet.files import append, write_atomically
 from renet.interface import CONSTRAINTS
 from renet.training.provenance import to_json
@@ -103,8 +103,8 @@ class CurvesWriter(LogWriter):
             yield
         except OSError as error:
             raise RenetError(
-                f"cannot write the curves {self._path}: {error}. Free the disk and go on with "
-                "--resume; checkpoints are intact"
+                f"cannot write the curves {self._path}: {reason(error)}. Free the disk and go on "
+                "with --resume; checkpoints are intact"
             ) from error
 
 

@@ -9,7 +9,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
-from renet.errors import RenetError
+from renet.errors import RenetError, reason
 from renet.folders import new_folder
 from renet.options import LOGS, resumed_folder
 from renet.training import checkpoint as checkpoints
@@ -61,11 +61,11 @@ def new_run(root: Path | None, experiment: str, name: str = "") -> Path:
             return new_folder(root / experiment / folder)
         except FileExistsError as error:
             if not (root / experiment).is_dir():
-                reason = f"{root / experiment} is no folder: choose another --log-root"
-                raise RenetError(reason) from error
+                why = f"{root / experiment} is no folder: choose another --log-root"
+                raise RenetError(why) from error
         except OSError as error:
-            reason = f"cannot write to {root}: {error}. Choose another --log-root"
-            raise RenetError(reason) from error
+            why = f"cannot write to {root}: {reason(error)}. Choose another --log-root"
+            raise RenetError(why) from error
     raise AssertionError
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from renet.deploy.controller import Event
+from renet.deploy.recording.objections import objectors, ratios
 from renet.deploy.recording.recorder import GOOD, MODES, NONE, TICK_DTYPE, Recording
-from renet.deploy.recording.score import BANDS, draw_timeline, score, track, write_score
+from renet.deploy.recording.score import BANDS, draw_timeline, score, shares, track, write_score
 from renet.deploy.safety.machine import ENDED, Mode
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT
@@ -36,7 +37,7 @@ def flight() -> Recording:
     ticks["compute_ms"][7] = 9.0
     ticks["anomaly"] = 0.01
     ticks["anomaly"][:RISEN] = np.inf
-    events = [Event(1002.0, "walking", "stood_up"), Event(1006.0, "op", "no <new> image")]
+    events = [Event(1002.0, "walking", "stood_up"), Event(1006.0, "blind", "no <new> image")]
     return Recording({"beta": 0.02, "fault": ["unplugged@5.8s"]}, ticks, {}, events, True)
 
 
@@ -49,7 +50,7 @@ def test_a_robots_flight_is_reckoned_from_its_estimators(flight):
     assert result["commanded_m_s"] == 0.6
     assert result["vision_share"] == 0.5
     assert 0 < result["memory_share"] < 0.5
-    assert (result["switches"], result["op_before_first_fault"]) == (1, 0)
+    assert (result["switches"], result["blind_before_first_fault"]) == (1, 0)
     assert result["switch_delay_s"] == [pytest.approx(0.2)]
     assert result["compute_ms"] == {"p50": 1.0, "p99": pytest.approx(1.0), "max": 9.0}
     assert result["period_ms"]["max"] == pytest.approx(20.0)
@@ -61,7 +62,7 @@ def test_a_simulators_truth_wins(flight):
     result = score(flight, [])
     assert result["distance_from"] == "simulator"
     assert result["distance_m"] == pytest.approx(5.0 * 0.8, abs=0.02)
-    assert result["op_before_first_fault"] == 1, "without a fault it is a false alarm"
+    assert result["blind_before_first_fault"] == 1, "without a fault it is a false alarm"
 
 
 def test_switch_delays(flight):
@@ -80,6 +81,14 @@ def test_falls_are_counted_once_each(flight):
     assert score(flight, [])["falls"] == 2
     flight.events.append(Event(1005.9, "damping", ENDED))
     assert score(flight, [])["falls"] == 1, "who topples when it is let go does not fall"
+
+
+def test_one_odd_reading_and_a_robot_that_begins_on_its_back_are_no_falls(flight):
+    flight.ticks["quaternion"][300] = turned("x", 180)
+    assert score(flight, [])["falls"] == 0
+    flight.ticks["quaternion"][:] = turned("x", 180)
+    flight.ticks["mode"] = MODES.index(Mode.DAMPING)
+    assert score(flight, [])["falls"] == 0
 
 
 def test_a_drop_off_the_ground_is_a_fall_and_stairs_are_none(flight):
@@ -125,7 +134,7 @@ def test_long_and_tiny_runs_are_drawn(flight, tmp_path):
     for end in (0.0, 1e-3, 5e5):
         flight.ticks["now"] = np.linspace(0.0, end, STEPS)
         assert len(drawn(flight, [], tmp_path)) < 400_000
-    many = [Event(1000.0 + i, "op", "x" * 500) for i in range(1000)]
+    many = [Event(1000.0 + i, "blind", "x" * 500) for i in range(1000)]
     nothing = Recording({}, np.zeros(0, TICK_DTYPE), {}, many, False)
     assert len(drawn(nothing, [], tmp_path)) < 400_000
 
@@ -134,3 +143,61 @@ def test_a_folder_that_cannot_be_written(flight, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RenetError, match="cannot write the score"):
         write_score(flight, tmp_path / "file")
+
+
+@pytest.mark.parametrize(
+    ("vision", "memory", "words"),
+    [
+        (1.0, 0.0, "saw 100 %"),
+        (0.875, 0.7725, "saw 10 %, remembered 77 %, blind 13 %"),
+        (0.668, 0.33, "saw 34 %, remembered 33 %, blind 33 %"),
+        (0.0, 0.0, "blind 100 %"),
+    ],
+)
+def test_shares_of_a_walk_add_up(vision, memory, words):
+    assert shares({"vision_share": vision, "memory_share": memory}) == words
+    percent = [int(part.split()[1]) for part in words.split(", ")]
+    assert sum(percent) == 100
+
+
+def test_the_timeline_names_the_monitor_that_objected(flight, tmp_path):
+    from matplotlib import rc_context
+
+    flight.header["thresholds"] = {"frame_age": 0.2, "uniformity": -0.03, "variance": 9.0}
+    flight.ticks["frame_age"] = 0.05
+    flight.ticks["frame_age"][300:] = 0.5
+    flight.ticks["variance"] = 8.0
+    rng = np.random.default_rng(0)
+    flight.images[0] = rng.uniform(0, 1, (48, 64)).astype(np.float16)
+    flight.images[400] = np.zeros((48, 64), np.float16)
+    found = objectors(flight)
+    assert [*found] == ["uniformity", "frame_age"]
+    np.testing.assert_allclose(found["frame_age"][[299, 300]], [0.25, 2.5], rtol=1e-6)
+    assert found["uniformity"][399] == pytest.approx(0.03 / 0.2887, rel=0.05)
+    assert found["uniformity"][400] > 1.0
+    with rc_context({"svg.fonttype": "none"}):
+        page = drawn(flight, [], tmp_path)
+    assert "frame age: no new image" in page
+    assert "uniformity: the image is blank" in page
+    assert "variance" not in page
+
+
+def test_without_an_objection_the_timeline_shows_the_nearest_monitor(flight):
+    flight.header["thresholds"] = {"frame_age": 0.2, "variance": 9.0}
+    flight.ticks["variance"] = 8.0
+    assert [*objectors(flight)] == ["variance"]
+    # Recordings of before thresholds were in the header.
+    del flight.header["thresholds"]
+    assert [*objectors(flight)] == ["reconstruction"]
+    del flight.header["beta"]
+    assert objectors(flight) == {}
+
+
+def test_a_frozen_image_objects_by_its_repeats(flight):
+    flight.header["thresholds"] = {"duplicate": 3.0}
+    image = np.random.default_rng(0).uniform(0, 1, (48, 64)).astype(np.float16)
+    for row in (200, 205, 210, 215):
+        flight.images[row] = image
+    ratio = ratios(flight)["duplicate"]
+    rows = [199, 200, 205, 210, 215, 499]
+    np.testing.assert_allclose(ratio[rows], np.array([0, 1, 2, 3, 4, 4]) / 3)

@@ -15,11 +15,11 @@ from renet.deploy.safety.watchdog import HANGS, interruptible
 
 HANGING = """
 import hashlib, os, sys
-from renet.bundle.policy import Policy
+from renet.pilot.policy import BundlePolicy
 from renet.cli import main
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 
-act, write = Policy.act, MujocoRobot.write
+act, write = BundlePolicy._act, MujocoRobot.write
 
 def hang(policy, *arguments):
     if policy._step == 20:
@@ -31,7 +31,7 @@ def told(robot, command):
     write(robot, command)
     os.write(1, b"stiff\\n" if command.stiffness.any() else b"braked\\n")  # Whole lines.
 
-Policy.act, MujocoRobot.write = hang, told
+BundlePolicy._act, MujocoRobot.write = hang, told
 main(["deploy", "--camera", "none", "--safety.stand-up-seconds", "0.2", "--out", sys.argv[1]])
 """
 

@@ -92,7 +92,7 @@ class Reader:
 
 @pytest.mark.parametrize(
     ("mode", "gain", "looks"),
-    [("vp", None, True), ("op", None, False), ("vp", 0.5, True), ("vp", 0.0, False)],
+    [("camera", None, True), ("blind", None, False), ("camera", 0.5, True), ("camera", 0.0, False)],
 )
 def test_two_policies_that_look_and_two_that_do_not(mode, gain, looks, tmp_path):
     evaluator = Evaluator()

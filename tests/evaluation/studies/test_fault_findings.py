@@ -21,7 +21,7 @@ def beside_op(over: float) -> dict:
 def usual(falls: int, ground: str = "flat") -> list[dict]:
     """The same robots without a fault, in every mode."""
     row = {"ground": ground, "falls": falls, "robots": 10}
-    return [row | {"mode": mode} for mode in ("vp", "renet", "op")]
+    return [row | {"mode": mode} for mode in ("camera", "memory", "blind")]
 
 
 def healthy(switches: int, hours: float) -> dict:
@@ -31,11 +31,11 @@ def healthy(switches: int, hours: float) -> dict:
 
 
 def test_harm_and_misses_are_published():
-    vp, op = run("foam", "vp", 5), run("foam", "op")
-    renet = run("foam", "renet", 5, detected=7, **beside_op(-0.5))
+    vp, op = run("foam", "camera", 5), run("foam", "blind")
+    renet = run("foam", "memory", 5, detected=7, **beside_op(-0.5))
     # Five of ten against none of ten: C(10, 5) / C(20, 5) = 1.6 %.
     (harm,) = harmful([vp, renet, op], usual(0))
-    assert (harm["renet"], harm["op"], harm["beyond_chance"]) == (0.5, 1.0, True)
+    assert (harm["memory"], harm["blind"], harm["beyond_chance"]) == (0.5, 1.0, True)
     (miss,) = missed([vp, renet, op], usual(0))
     assert (miss["undetected"], miss["vp_falls"], miss["beyond_chance"]) == (3, 5, True)
     # Where healthy robots and OP's fall as well, that is no more than chance.
@@ -43,12 +43,12 @@ def test_harm_and_misses_are_published():
     assert not missed([vp, renet, op], usual(1))[0]["beyond_chance"]
     # As many fall with a healthy camera only: the fault is not why.
     assert missed([vp | {"falls_spared": 5}, renet, op], usual(5)) == []
-    assert harmful([run("foam", "renet", 1, **beside_op(0.0)), op], usual(0)) == []
-    assert missed([run("foam", "vp"), renet, op], usual(0)) == []
+    assert harmful([run("foam", "memory", 1, **beside_op(0.0)), op], usual(0)) == []
+    assert missed([run("foam", "camera"), renet, op], usual(0)) == []
 
 
 def test_severities_and_onsets_are_judged_together_and_grounds_apart():
-    rows = [run("foam", "vp", 3), run("foam", "renet", detected=0)]
+    rows = [run("foam", "camera", 3), run("foam", "memory", detected=0)]
     later = ({"severity": 5, "onset": onset, "falls": 6} for onset in (1.5, 2.5, 3.5))
     worse = [row | change for change in later for row in rows]
     # 3 of 10 against none of 10: 10.5 %; 21 of 40: 0.2 %.
@@ -68,8 +68,8 @@ def test_robots_that_fall_as_often_as_the_others_seldom_look_worse(rate):
     draw, looked_worse = np.random.default_rng(0), 0
     for _ in range(200):
         healthy_falls, *falls = draw.binomial(10, rate, 11)
-        rows = [run("foam", "vp", int(n), onset=k) for k, n in enumerate(falls)]
-        rows += [run("foam", "renet", onset=k, detected=0) for k in range(10)]
+        rows = [run("foam", "camera", int(n), onset=k) for k, n in enumerate(falls)]
+        rows += [run("foam", "memory", onset=k, detected=0) for k in range(10)]
         looked_worse += any(m["beyond_chance"] for m in missed(rows, usual(int(healthy_falls))))
     assert looked_worse <= 200 * 0.05
 
@@ -77,10 +77,10 @@ def test_robots_that_fall_as_often_as_the_others_seldom_look_worse(rate):
 def test_claims_are_judged_by_what_was_measured():
     blind = {"severity": 5, "detected_by_paper": 0}
     runs = [
-        run("frozen", "renet", **blind),
-        run("blackout", "vp", 9, severity=5),
-        run("blackout", "renet", detected=9, detection_delay_s=0.3, **blind),
-        run("blackout", "op", severity=5),
+        run("frozen", "memory", **blind),
+        run("blackout", "camera", 9, severity=5),
+        run("blackout", "memory", detected=9, detection_delay_s=0.3, **blind),
+        run("blackout", "blind", severity=5),
     ]
     claims = findings(runs, usual(0), healthy(1, 2.5))["claims"]
     assert [claim["met"] for claim in claims] == [True, False, False, True, True, False]

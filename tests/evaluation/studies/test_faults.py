@@ -1,17 +1,12 @@
-import json
 from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
-from jsonschema import Draft202012Validator
 
 from renet.errors import RenetError
 from renet.evaluation.studies import faults
-from renet.evaluation.studies.benchmark import ONSETS, schema
 from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.study import WalkingStudy
-from renet.version import commit
 
 from ..fakes import FakeEvaluator
 
@@ -20,7 +15,7 @@ def test_one_row_for_each_setting_and_mode(run_study):
     folder, summary = run_study("faults")
     # Flat ground has no edge to begin before.
     places = [("flat", 0.5), ("gap", 0.5), ("gap", 1.5)]
-    rows = product(("gaussian", "frozen"), places, (1, 5), ("vp", "renet", "op"))
+    rows = product(("gaussian", "frozen"), places, (1, 5), ("camera", "memory", "blind"))
     assert [
         (run["fault"], (run["ground"], run["onset"]), run["severity"], run["mode"])
         for run in summary["runs"]
@@ -34,7 +29,7 @@ def test_one_row_for_each_setting_and_mode(run_study):
 def test_survival_and_detection_are_those_of_the_robots(run_study):
     _, summary = run_study("faults")
     rows = {(r["fault"], r["severity"], r["mode"]): r for r in summary["runs"]}
-    vp, renet = (rows["gaussian", 5, mode] for mode in ("vp", "renet"))
+    vp, renet = (rows["gaussian", 5, mode] for mode in ("camera", "memory"))
     assert (vp["survival"], vp["falls_by_fault"], vp["over_op"]) == (0, 2, None)
     assert vp["measures"]["upright"]["change"]["value"] == -1
     assert (renet["survival"], renet["over_op"]) == (1, 0)
@@ -42,8 +37,8 @@ def test_survival_and_detection_are_those_of_the_robots(run_study):
     assert renet["measures"]["switches"]["value"] == 2
     assert renet["measures"]["seconds_without_sight"]["value"] == 1.0
     # The fakes' image never changes, so that a frozen one is the right one.
-    assert rows["frozen", 5, "vp"]["survival"] == 1
-    missed = rows["frozen", 5, "renet"]
+    assert rows["frozen", 5, "camera"]["survival"] == 1
+    missed = rows["frozen", 5, "memory"]
     assert (missed["detected"], missed["detection_delay_s"]) == (0, None)
     assert summary["harmful"] == summary["missed"] == []
     # Two falls are no more than chance; frozen images are not noticed.
@@ -53,7 +48,9 @@ def test_survival_and_detection_are_those_of_the_robots(run_study):
     assert healthy["robot_hours"] == pytest.approx((2 * 2.6 + 6.0) / 3600, rel=0.01)
     assert healthy["false_switches"] == healthy["alarms_by_monitor"]["reconstruction"] == 0
     where = [(run["ground"], run["mode"], run["falls"]) for run in summary["baseline"]]
-    assert where == [(g, mode, 0) for g in ("flat", "gap") for mode in ("vp", "renet", "op")]
+    assert where == [
+        (g, mode, 0) for g in ("flat", "gap") for mode in ("camera", "memory", "blind")
+    ]
 
 
 def test_quick_is_smaller_and_glass_is_studied_where_there_are_obstacles():
@@ -74,31 +71,13 @@ def test_a_fault_begins_after_the_first_control_step():
         FaultStudy(onsets=(0.005,))
 
 
-def test_the_result_file_is_valid(run_study):
-    result = json.loads((run_study("faults")[0] / "result.json").read_text())
-    Draft202012Validator(schema(1)).validate(result)
-    assert result["policy"]["modes"] == ["vp", "renet", "op"]
-    assert result["provenance"]["commit"] == commit()
-    assert {entry["onset"] for entry in result["settings"]} == set(ONSETS.values())
-    flat = [e for e in result["settings"] if (e["mode"], e["ground"]) == ("vp", "flat")]
-    mean = np.mean([entry["measures"]["upright"]["value"] for entry in flat])
-    assert np.mean(result["by_robot"]["vp"]["flat"]["upright"]) == pytest.approx(mean)
-    assert len(result["by_robot"]["op"]["gap"]["crossed"]) == 2
-    assert {entry["level"] for entry in result["settings"] if entry["ground"] == "gap"} == {3}
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        {"grounds": ("rough",)},
-        {"faults": ("frozen", "mirrored:5")},
-        {"conditions": "training"},
-    ],
-)
-def test_settings_that_the_benchmark_lacks_give_no_result_file(tmp_path, monkeypatch, other):
-    monkeypatch.setattr(WalkingStudy, "run", lambda self, evaluator: {})
-    FaultStudy(out=tmp_path, **other).run()
-    assert not (tmp_path / "result.json").exists()
+def test_each_robots_shares_are_those_of_its_settings(run_study):
+    summary = run_study("faults")[1]
+    flat = [run for run in summary["runs"] if (run["mode"], run["ground"]) == ("camera", "flat")]
+    mean = np.mean([run["measures"]["upright"]["value"] for run in flat])
+    assert np.mean(summary["by_robot"]["camera"]["flat"]["upright"]) == pytest.approx(mean)
+    assert len(summary["by_robot"]["blind"]["gap"]["crossed"]) == 2
+    assert {run["ground_level"] for run in summary["runs"] if run["ground"] == "gap"} == {3}
 
 
 def test_faults_of_few_robots_walk_side_by_side_as_they_do_alone(tmp_path, monkeypatch):

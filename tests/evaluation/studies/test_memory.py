@@ -30,24 +30,26 @@ class Trusting(FakePolicy):
 def test_who_trusts_a_black_camera_falls_and_the_others_cross(tmp_path):
     study = MemoryStudy(
         out=tmp_path, grounds=("gap:3",), without=(0.1, 2.0), robots=3, seconds=3.5,
-        modes=("vp", "paper", "op"),
+        modes=("camera", "switch", "blind"),
     )  # fmt: skip
     assert study.onset == 75  # 1.2 m at 0.6 m/s, less half a second.
     runs = {
         (r["mode"], r["without_s"]): r for r in study.run(FakeEvaluator(Crossing, Trusting))["runs"]
     }
-    assert set(runs) == {(m, s) for m in ("vp", "paper") for s in (0, 0.1, 2.0)} | {("op", 0)}
+    assert set(runs) == {(m, s) for m in ("camera", "switch") for s in (0, 0.1, 2.0)} | {
+        ("blind", 0)
+    }
     crossed = {key: run["crossed"] for key, run in runs.items()}
     # A tenth of a second is too short to fall in; the paper's switch leaves vision in 35 ms.
-    assert crossed == dict.fromkeys(runs, 3) | {("vp", 2.0): 0}
-    assert runs["vp", 2.0]["fell"] == 3
-    assert (runs["vp", 2.0]["change"], runs["paper", 2.0]["change"]) == (-1.0, 0.0)
-    assert runs["vp", 0]["size_m"] == pytest.approx(0.2333, abs=1e-3)
+    assert crossed == dict.fromkeys(runs, 3) | {("camera", 2.0): 0}
+    assert runs["camera", 2.0]["fell"] == 3
+    assert (runs["camera", 2.0]["change"], runs["switch", 2.0]["change"]) == (-1.0, 0.0)
+    assert runs["camera", 0]["size_m"] == pytest.approx(0.2333, abs=1e-3)
     assert (tmp_path / "memory.png").stat().st_size > 10_000
 
 
 def test_times_are_found_again_as_files_round_them(tmp_path):
-    study = MemoryStudy(tmp_path, grounds=("gap:3",), without=(1 / 3,), robots=2, modes=("vp",))
+    study = MemoryStudy(tmp_path, grounds=("gap:3",), without=(1 / 3,), robots=2, modes=("camera",))
     summary = study.run(FakeEvaluator(Crossing, Trusting))
     ((_, _, rows),) = study.tables(summary)
     assert rows == [("gap:3", "0", 2), ("gap:3", "0.333333", 0)]

@@ -20,9 +20,11 @@ SHORT: dict = {"onsets": (0.2,), "lasts": 0.6, "seconds": 0.8}
 def test_the_preset_is_the_papers_comparison(run_study):
     folder, summary = run_study("noise")
     levels = {"gaussian": (0.3, 0.7, 1.0), "salt_and_pepper": (0.1, 0.3, 0.7)}
-    rows = [(noise, *row) for noise in levels for row in product(levels[noise], ("vp", "renet"))]
+    rows = [
+        (noise, *row) for noise in levels for row in product(levels[noise], ("camera", "memory"))
+    ]
     assert [(run["fault"], run["level"], run["mode"]) for run in summary["runs"]] == rows
-    assert [row["mode"] for row in summary["baseline"]] == ["vp", "renet"]
+    assert [row["mode"] for row in summary["baseline"]] == ["camera", "memory"]
     assert {row["robots"] for row in [*summary["runs"], *summary["baseline"]]} == {2}
     assert summary["provenance"].keys() >= {"bundle_hash", "engine", "seed", "command", "date"}
     assert summary["healthy"]["false_switches"] == 0
@@ -35,14 +37,14 @@ def test_the_preset_is_the_papers_comparison(run_study):
 def test_measured_values_are_those_of_the_robots_and_only_renet_has_a_delay(run_study):
     _, summary = run_study("noise")
     names = ("falls", "detected", "mean_forward_velocity", "velocity_ci95_low", "detection_delay_s")
-    for run in (run for run in summary["runs"] if run["mode"] == "renet"):
+    for run in (run for run in summary["runs"] if run["mode"] == "memory"):
         assert [run[n] for n in names] == pytest.approx([0, 2, SPEED, SPEED, 0.035], abs=1e-6)
-    strongest = next(r for r in summary["runs"] if (r["mode"], r["level"]) == ("vp", 1.0))
+    strongest = next(r for r in summary["runs"] if (r["mode"], r["level"]) == ("camera", 1.0))
     assert (strongest["falls"], strongest["mean_forward_velocity"]) == (2, 0)
     ((_, _, rows),) = NoiseStudy().tables(summary)
-    names = [("VP alone", "no noise"), ("RENet", "no noise"), ("VP alone", "GA 30 %")]
+    names = [("camera", "no noise"), ("memory", "no noise"), ("camera", "GA 30 %")]
     assert [row[:2] for row in rows[:3]] == names
-    assert {row[5] for row in rows if row[0] == "VP alone"} == {"-"}
+    assert {row[5] for row in rows if row[0] == "camera"} == {"-"}
     assert {row[5] for row in rows[8:]} == {"35"}
     assert {row[3] for row in rows} == {"-"}, "flat ground has no end"
 
@@ -57,7 +59,7 @@ def test_on_tiles_the_table_says_who_crossed(tmp_path):
 
 def test_the_timelines_camera_recovers():
     last = NoiseStudy().trials([Setting("flat", 3.0, "gaussian", 5)])[-1]
-    assert last.mode == "renet"
+    assert last.mode == "memory"
     at_work = np.array([last.schedule[0].elapsed(k) >= 0 for k in range(450)])
     np.testing.assert_array_equal(at_work, (np.arange(450) >= 150) & (np.arange(450) < 300))
 

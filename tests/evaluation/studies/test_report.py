@@ -61,7 +61,7 @@ def test_results_of_different_bundles_are_pointed_out(page, results, standing, t
 
 
 def test_what_is_worse_than_op_alone_is_listed():
-    glare = {"fault": "glare", "severity": 5, "ground": "gap", "renet": 0.5, "op": 1.0}
+    glare = {"fault": "glare", "severity": 5, "ground": "gap", "memory": 0.5, "blind": 1.0}
     frozen = {"fault": "frozen", "severity": 3, "ground": "stairs_up", "undetected": 2}
     frozen |= {"vp_falls": 4, "vp_spared": 1, "beyond_chance": False}
     faults = {"harmful": [glare | {"beyond_chance": True}], "missed": [frozen]}
@@ -70,18 +70,18 @@ def test_what_is_worse_than_op_alone_is_listed():
     above, folded = html.split("1 within chance")
     assert "glare 5 on gap" in above
     assert "frozen 3 on stairs up goes unnoticed; 4 fall with VP only then, 1 only" in folded
-    worse = [{"kind": "gap", "size_m": 0.1, "renet": 0.2, "op": 0.3}]
+    worse = [{"kind": "gap", "size_m": 0.1, "memory": 0.2, "blind": 0.3}]
     assert WORSE["success"]({"worse": worse}) == [("obstacles", "gap 10 cm", "20 %", "30 %")]
 
 
 def test_what_was_not_measured_is_no_large_number():
     calm = {"false_switches": 0, "false_switches_per_hour": None}
-    blind = {"mode": "op", "robots": 2, "falls": 1, "vision_active_at_onset": 2, "detected": 0}
+    blind = {"mode": "blind", "robots": 2, "falls": 1, "vision_active_at_onset": 2, "detected": 0}
     faults = {"runs": [blind], "healthy": calm}
     assert FACTS["noise"]({"runs": [blind], "healthy": calm}) == []
     assert FACTS["faults"](faults) == []
-    off = blind | {"mode": "renet", "vision_active_at_onset": 0, "falls": 0}
-    seen = blind | {"mode": "renet", "vision_active_at_onset": 1, "detected": 1, "falls": 0}
+    off = blind | {"mode": "memory", "vision_active_at_onset": 0, "falls": 0}
+    seen = blind | {"mode": "memory", "vision_active_at_onset": 1, "detected": 1, "falls": 0}
     assert [v for v, _ in FACTS["faults"](faults | {"runs": [off]})] == ["100 %"]
     assert [v for v, _ in FACTS["faults"](faults | {"runs": [off, seen]})] == ["100 %", "100 %"]
 

@@ -16,12 +16,12 @@ def test_drift_counts_from_when_robots_should_stand_and_joints_all_along():
 def test_robots_that_stop_stand_and_restless_ones_do_not(run_study):
     _, summary = run_study("standing")
     assert [(run["kind"], run["level"], run["mode"]) for run in summary["runs"]] == [
-        (*place, mode) for place in (("flat", 1), ("stairs_up", 3)) for mode in ("vp", "op")
+        (*place, mode) for place in (("flat", 1), ("stairs_up", 3)) for mode in ("camera", "blind")
     ]
     assert {(run["robots"], run["still"], run["falls"]) for run in summary["runs"]} == {(2, 1, 0)}
     assert all(run["drift_m"] == 0 for run in summary["runs"])
 
 
 def test_flat_ground_has_one_level():
-    groups = StandingStudy(kinds=("flat", "gap"), levels=(3, 5), modes=("op",)).groups
-    assert groups == [("flat", 1, "op"), ("gap", 3, "op"), ("gap", 5, "op")]
+    groups = StandingStudy(kinds=("flat", "gap"), levels=(3, 5), modes=("blind",)).groups
+    assert groups == [("flat", 1, "blind"), ("gap", 3, "blind"), ("gap", 5, "blind")]

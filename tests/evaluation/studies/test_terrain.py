@@ -39,7 +39,7 @@ def test_collisions_are_those_of_the_first_mode(tmp_path):
             result.collisions[:] = np.arange(self.num_robots) // 3 % 2  # OP's.
             return result
 
-    study = replace(TINY["terrain"], out=tmp_path, modes=("vp", "op"), kinds=("gap",))
+    study = replace(TINY["terrain"], out=tmp_path, modes=("camera", "blind"), kinds=("gap",))
     assert study.run(FakeEvaluator(Scraping))["collisions"] == 0
 
 
@@ -56,16 +56,16 @@ def test_every_size_and_mode_has_its_row(run_study):
     folder, summary = run_study("success")
     runs = {(r["kind"], r["level"], r["mode"]): r for r in summary["runs"]}
     assert len(runs) == 2 * 3 * 3
-    for mode in ("vp", "renet", "op"):
+    for mode in ("camera", "memory", "blind"):
         assert runs["gap", 1, mode]["passed"] == 3
         assert (runs["gap", 3, mode]["falls"], runs["gap", 3, mode]["passed"]) == (3, 0)
         assert runs["gap", 5, mode]["stuck"] == 3
         assert runs["stairs_up", 5, mode]["success_rate"] == 1
-    row = runs["gap", 1, "renet"]
+    row = runs["gap", 1, "memory"]
     assert (row["size_m"], row["median_seconds"]) == pytest.approx((0.1, 0.4))
     assert row["success_ci95_low"] == pytest.approx(0.025 ** (1 / 3), abs=1e-6)
     assert row["success_ci95_high"] == 1
-    assert runs["gap", 5, "op"]["median_seconds"] is None
+    assert runs["gap", 5, "blind"]["median_seconds"] is None
     assert (summary["worse"], summary["provenance"]["bundle_hash"]) == ([], "0" * 64)
     assert (folder / "success.png").stat().st_size > 10_000
     assert (folder / "summary.csv").read_text().count("\n") == 19
@@ -81,7 +81,7 @@ def test_dawns_sizes_are_walked_and_stated(tmp_path):
             walked.update({k: [100 * built[k].measure(d) for d in (0, 1)] for k in study.kinds})
             return super().make_env(task, robots, speed, seed)
 
-    study = terrain.DawnStudy(out=tmp_path, robots=3, modes=("vp",))
+    study = terrain.DawnStudy(out=tmp_path, robots=3, modes=("camera",))
     rows = study.run(Evaluator())["runs"]
     stated = {kind: [100 * r["size_m"] for r in rows if r["kind"] == kind] for kind in study.kinds}
     for kind, sizes in (("stairs_up", [6, 18]), ("gap", [10, 90]), ("platform", [10, 54])):
@@ -93,9 +93,11 @@ def test_where_renet_crosses_less_often_than_op_alone_is_listed():
     runs = [
         {"kind": "gap", "level": level, "size_m": level / 10, "mode": mode, "success_rate": rate}
         for level, both in rates.items()
-        for mode, rate in zip(("renet", "op"), both, strict=False)
+        for mode, rate in zip(("memory", "blind"), both, strict=False)
     ]
-    assert terrain.worse_than_op(runs) == [{"kind": "gap", "size_m": 0.2, "renet": 0.5, "op": 0.8}]
+    assert terrain.worse_than_op(runs) == [
+        {"kind": "gap", "size_m": 0.2, "memory": 0.5, "blind": 0.8}
+    ]
 
 
 def test_faults_of_the_scene_reach_the_cameras(tmp_path):

@@ -13,13 +13,12 @@ import numpy as np
 from renet.deploy.cameras.base import DepthFrame
 from renet.errors import RenetError
 from renet.interface import DEPTH_SHAPE
+from renet.pilot.images import OLDEST, Images
 
 REMEMBERED = 32
 """Images that may not come again, one second of a camera with 30 a second."""
 FUTURE = 0.05
 """Seconds by which a frame's time may run ahead of the robot's clock."""
-OLDEST = 1e3
-"""Age in seconds of a frame that never came."""
 
 
 class FrameBuffer:
@@ -66,10 +65,17 @@ class FrameBuffer:
         """Seconds since the image was taken, or until then after a clock's jump back."""
         return min(abs(now - self._time), OLDEST)
 
-    def take(self) -> tuple[np.ndarray | None, bool]:
-        """The image for a vision tick, and whether it is new since the last one."""
-        fresh, self._fresh = self._fresh, False
-        return self.image, fresh
+    def take(self, now: float) -> Images:
+        """The newest image for a pilot of one robot; it is fresh once."""
+        fresh = self._fresh
+        self._fresh = False
+        return Images(
+            image=None if self.image is None else self.image[None],
+            fresh=np.array([fresh]),
+            age=np.array([self.age(now)]),
+            invalid=np.array([self.invalid]),
+            broken=np.array([bool(self.problem)]),
+        )
 
 
 def clean_frame(frame: DepthFrame, now: float) -> tuple[np.ndarray, float]:

@@ -10,7 +10,7 @@ from renet.bundle import Bundle
 from renet.camera import Intrinsics
 from renet.deploy.cameras.preprocess import DepthPreprocessor
 from renet.deploy.recording.calibration_log import MIN_MINUTES
-from renet.errors import RenetError
+from renet.errors import RenetError, reason
 from renet.files import MEGABYTE, require_regular
 from renet.interface import TICK_DT
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
@@ -89,7 +89,7 @@ def read_image(path: Path) -> np.ndarray:
         with warnings.catch_warnings(action="error", category=Image.DecompressionBombWarning):
             pixels = np.asarray(Image.open(path, formats=["PNG"]))
     except (OSError, SyntaxError, Warning) as error:
-        raise RenetError(f"cannot read the image {path}: {error}") from error
+        raise RenetError(f"cannot read the image {path}: {reason(error)}") from error
     if pixels.ndim != 2:
         raise RenetError(f"{path} has colours: give depth images of one channel, of 16 bits")
     return pixels.astype(np.float64)

@@ -9,7 +9,6 @@ import numpy as np
 from renet.bundle import Bundle
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.controller import Controller, Decision
-from renet.deploy.inference import InlineInference
 from renet.deploy.recording.recorder import GOOD, NONE, WISHES, Recording
 from renet.deploy.robots.base import VECTORS, RobotState
 from renet.deploy.safety.limits import SafetyCfg
@@ -17,6 +16,7 @@ from renet.deploy.safety.machine import EXHAUSTED, REFUSED
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import DEPTH_SHAPE
+from renet.pilot.inference import InlineInference
 
 UNREADABLE = np.full(DEPTH_SHAPE, np.nan, np.float32)
 
@@ -43,7 +43,7 @@ def replay(run: Recording, bundle: Bundle) -> Iterator[Decision]:
     """What the controller decides at each tick of a run, given the same inputs.
 
     Raises:
-        RenetError: the run was made with another bundle, or its log lacks limits or selector.
+        RenetError: the run was made with another bundle, or its log lacks limits or mode.
     """
     made_with = run.header.get("bundle_sha256")
     if made_with != bundle.sha256:
@@ -52,10 +52,10 @@ def replay(run: Recording, bundle: Bundle) -> Iterator[Decision]:
         )
     inference = ScriptedInference(bundle.sessions, run.ticks)
     try:
-        safety, selector = SafetyCfg(**run.header["safety"]), run.header["selector"]
+        safety, mode = SafetyCfg(**run.header["safety"]), run.header["mode"]
     except (KeyError, TypeError) as error:
         raise RenetError(f"the recording's header does not say what ran: {error}") from error
-    controller = Controller(bundle, safety, lambda sessions: inference, selector)
+    controller = Controller(bundle, safety, lambda sessions: inference, mode)
     image = UNREADABLE
     # What came from outside the controller's inputs.
     outside = (REFUSED, EXHAUSTED)

@@ -11,6 +11,7 @@ import numpy as np
 import tyro
 
 from renet.bundle import Bundle
+from renet.deploy.recording.objections import legend_of, objectors
 from renet.deploy.recording.recorder import GOOD, MODES, Recording, read_recording
 from renet.deploy.recording.replay import mismatch
 from renet.deploy.robots.base import heading
@@ -19,6 +20,7 @@ from renet.errors import RenetError, install
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT
 from renet.palette import STATES
+from renet.selector.selector import BLIND, REMEMBERS, SEES
 
 SCORE, TIMELINE = "score.json", "timeline.svg"
 BANDS = (("#9aa0a8", "damped or standing up"), *STATES.values())
@@ -27,6 +29,8 @@ DROP = 1.0
 """Metres that a base drops in a second only if nothing carries it; stairs go down by 0.5."""
 MAX_POINTS = 5000
 """Points of a curve; longer runs are thinned out."""
+CUT = 3.0
+"""Multiple of its threshold at which a monitor's score is cut off in the picture."""
 MAX_MARKS = 40
 """Events written into the picture."""
 
@@ -86,16 +90,19 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     seconds = float(walking.sum()) * CONTROL_DT
     path = track(ticks)[walking]
     metres = float(np.hypot(*(path[-1] - path[0])[:2])) if len(path) else 0.0
-    first = start + min(onsets, default=np.inf)
+    first = float(start + min(onsets, default=np.inf))
     # A robot let go on stairs as the run ends may topple, which is not the policy's fall.
     until = next((event.time for event in run.events if event.why == ENDED), np.inf)
     felled = np.diff(fallen(ticks).astype(int), prepend=0) > 0
+    # One that lies on its back from the start never fell.
+    risen = np.logical_or.accumulate(ticks["mode"] != MODES.index(Mode.DAMPING))
     blind = ticks["now"][walking & ~ticks["vision"]] - start
+    went_blind = [event.time for event in run.events if event.what == BLIND]
     return {
         "seconds": round(len(ticks) * CONTROL_DT, 2),
         "complete": run.complete,
         "walking_seconds": round(seconds, 2),
-        "falls": int((felled & (ticks["now"] < until)).sum()),
+        "falls": int((felled & risen & (ticks["now"] < until)).sum()),
         "distance_m": round(metres, 3),
         "distance_from": "simulator" if simulated(ticks) else "estimator",
         "speed_m_s": round(metres / seconds, 3) if seconds else 0.0,
@@ -104,8 +111,8 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
         "memory_share": round(_mean((ticks["vision"] & ~ticks["has_image"])[walking]), 4),
         "states": states(ticks[walking]),
         "crossed": crossed(run, path),
-        "switches": sum(event.what in ("op", "vp") for event in run.events),
-        "op_before_first_fault": sum(e.what == "op" and bool(e.time < first) for e in run.events),
+        "switches": sum(event.what in (SEES, BLIND) for event in run.events),
+        "blind_before_first_fault": sum(time < first for time in went_blind),
         "switch_delay_s": [delay_to_op(blind, onset) for onset in onsets],
         "compute_ms": spread(ticks["compute_ms"]),
         "period_ms": spread(1000.0 * np.diff(ticks["now"])),
@@ -124,12 +131,23 @@ def summary(score: dict[str, Any]) -> str:
         " → ".join([*score["states"], *filter(None, [end])]),
         f"walked {score['walking_seconds']:.1f} s and {score['distance_m']:.1f} m "
         f"({score['distance_from']})",
-        f"on vision {score['vision_share']:.0%}",
-        f"{score['memory_share']:.0%} from memory" if score["memory_share"] else "",
+        shares(score) if score["walking_seconds"] else "",
         f"from fault to OP {delays}" if delays else "",
         f"falls: {score['falls']}",
     ]
     return "; ".join(part for part in parts if part)
+
+
+def shares(score: dict[str, Any]) -> str:
+    """Shares of the walk in each of the selector's states, in whole per cent that add up to 100."""
+    remembered, blind = score["memory_share"], 1.0 - score["vision_share"]
+    parts = {"saw": score["vision_share"] - remembered, "remembered": remembered, "blind": blind}
+    # Rounded down; the largest remainders get what is missing.
+    whole = {name: int(100.0 * share + 1e-9) for name, share in parts.items()}
+    by_remainder = sorted(parts, key=lambda name: whole[name] - 100.0 * parts[name])
+    for name in by_remainder[: 100 - sum(whole.values())]:
+        whole[name] += 1
+    return ", ".join(f"{name} {percent} %" for name, percent in whole.items() if percent)
 
 
 def states(walking: np.ndarray) -> list[str]:
@@ -167,6 +185,7 @@ def fallen(ticks: np.ndarray, lean: float = 60.0) -> np.ndarray:
     measured = (ticks["state"] == GOOD) & (np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) < 0.1)
     upright = 1.0 - 2.0 * (quaternion[:, 1:3] ** 2).sum(axis=1)
     leaning = measured & (upright < np.cos(np.radians(lean)))
+    leaning[1:-1] &= leaning[:-2] | leaning[2:]  # A single reading is an odd one.
     height = ticks["base_position"][:, 2]
     dropped = height[np.maximum(rows - round(1.0 / CONTROL_DT), 0)] - height > DROP
     return leaning[np.maximum.accumulate(np.where(measured, rows, 0))] | dropped
@@ -206,7 +225,7 @@ def _mean(values: np.ndarray) -> float:
 
 
 def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
-    """Draw anomaly score, vision probability and speed over who was in charge.
+    """Draw the monitors that objected, vision probability and speed over who was in charge.
 
     Vision was spoilt at `onsets`, seconds from the run's start; the path's ending says the format.
 
@@ -217,15 +236,19 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
         from matplotlib.figure import Figure
     except ModuleNotFoundError as error:
         raise RenetError(f"the timeline needs matplotlib: {install('sim')}") from error
-    ticks = run.ticks[:: len(run.ticks) // MAX_POINTS + 1]
+    every = len(run.ticks) // MAX_POINTS + 1
+    ticks = run.ticks[::every]
     time = ticks["now"] - ticks["now"][0] if len(ticks) else np.zeros(0)
     walking = ticks["mode"] == MODES.index(Mode.WALKING)
     vision = ticks["vision"]
-    beta = float(run.header.get("beta") or 0.0)
+    objections = {
+        legend_of(name): (np.minimum(values[::every], CUT), f"C{number}")
+        for number, (name, values) in enumerate(objectors(run).items())
+    }
     speed = np.where(vision[:, None], ticks["velocity_vp"], ticks["velocity_op"])[:, 0]
     speeds = [(ticks["told"][:, 0], "#222730"), (speed, "#b5532f")]
     panels = (
-        ("anomaly score", [(ticks["anomaly"], "#3c3ca0")], beta),
+        (f"monitors: score / threshold\n(1: objects; cut at {CUT:g})", [*objections.values()], 1.0),
         ("vision probability P", [(ticks["probability"], "#2f7d32")], 0.5),
         ("forward speed in m/s\n(black: commanded)", speeds, None),
     )
@@ -247,9 +270,9 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
             axis.axvline(onset, color="#a3121f", linestyle=":", linewidth=1)
     axes[-1].set_xlabel("s")
     axes[0].set_title(_title(run), fontsize=10, parse_math=False)
-    axes[0].legend(loc="upper right", fontsize=7, ncols=4)
+    _add_legends(axes[0], [*objections])
     begun = run.ticks["now"][0] if len(run.ticks) else 0.0
-    whats = ("memory", "op", "damping")
+    whats = (REMEMBERS, BLIND, Mode.DAMPING)
     events = [event for event in run.events if event.what in whats][:MAX_MARKS]
     for row, event in enumerate(events):
         text = f"{event.what}: {event.why[:60]}"
@@ -260,6 +283,15 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
     picture = io.BytesIO()
     figure.savefig(picture, format=path.suffix[1:])
     write_atomically(path, picture.getvalue(), "timeline")
+
+
+def _add_legends(axis: Any, monitors: Sequence[str]) -> None:
+    """Legends of who was in charge, and of the monitors whose curves an axis shows first."""
+    bands = axis.legend(loc="upper right", fontsize=7, ncols=4)
+    if monitors:
+        axis.add_artist(bands)
+        lines = axis.get_lines()[: len(monitors)]
+        axis.legend(lines, monitors, loc="lower left", fontsize=7)
 
 
 def _title(run: Recording) -> str:

@@ -101,8 +101,8 @@ def limited_command(
     """Servo command for a joint target [12] rad within all limits; raises RenetError if not finite.
 
     The target moves at most at a rate, rad/s, and stays in the joints' ranges. Where the servo
-    would ask for more torque than the motor gives, its gains shrink: at this instant that equals the
-    saturation of training. Between two commands the motor's own limit is the last.
+    would ask for more torque than the motor gives, its gains shrink: at this instant that equals
+    the saturation of training. Between two commands the motor's own limit is the last.
     """
     if not all_finite(target):
         raise RenetError("the joint target is not finite")

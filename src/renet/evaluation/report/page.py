@@ -12,7 +12,7 @@ from jinja2.exceptions import UndefinedError
 from markupsafe import Markup
 
 from renet.errors import RenetError
-from renet.evaluation.figures import MODE_NAMES, noise_label
+from renet.evaluation.figures import noise_label
 from renet.evaluation.rollout import FLAT
 from renet.faults import fault_class
 from renet.files import read_bytes, write_atomically
@@ -100,7 +100,6 @@ def _environment() -> Environment:
         "measured": _measured,
         "noise": lambda run: noise_label(run.get("fault", "none"), run.get("level", 0.0)),
         "noise_rows": noise_rows,
-        "policy": lambda mode: MODE_NAMES[mode],
         "words": lambda name: name.replace("_", " "),
     }
     return environment
@@ -122,6 +121,6 @@ def noise_rows(summary: dict[str, Any]) -> list[dict[str, Any]]:
     modes = summary["settings"]["modes"]
     rows = summary["baseline"] + [r for mode in modes for r in summary["runs"] if r["mode"] == mode]
     return [
-        r | {"detection_delay_s": r.get("detection_delay_s") if r["mode"] == "renet" else None}
+        r | {"detection_delay_s": r.get("detection_delay_s") if r["mode"] == "memory" else None}
         for r in rows
     ]

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from renet.evaluation.figures import MODE_NAMES, setting_label
+from renet.evaluation.figures import setting_label
 from renet.evaluation.report.page import Section, render
 
 Summaries = Mapping[str, dict[str, Any]]
@@ -33,13 +33,13 @@ def gap_headline(summary: dict[str, Any]) -> str:
     """One sentence that says who crossed the demo's gap."""
     crossed = {run["mode"]: run["crossed"] for run in summary["runs"]}
     others = {
-        "vp": "that trust the last image",
-        "paper": "with the paper's switch",
-        "oracle-switch": "that go blind at once",
+        "camera": "that trust the last image",
+        "switch": "with the paper's switch",
+        "oracle": "that go blind at once",
     }
     counts = ", ".join(f"{crossed[mode]} {how}" for mode, how in others.items() if mode in crossed)
     remembers = "which remembers it" if summary["remembers"] else "which has no memory here"
-    ours = f"{crossed['renet']} cross with RENet, {remembers};" if "renet" in crossed else "cross"
+    ours = f"{crossed['memory']} cross with RENet, {remembers};" if "memory" in crossed else "cross"
     return (
         f"The camera dies {summary['before_s']} s before a gap of {100 * summary['gap_m']:.0f} cm:"
         f" of {summary['runs'][0]['robots']} robots {ours} {counts}."
@@ -54,7 +54,7 @@ def noise_headline(summary: dict[str, Any]) -> str:
         falls[run["mode"]] += run["falls"]
         trials[run["mode"]] += 1
     kinds = max(trials.values())
-    counts = ", ".join(f"{falls[mode]} with {MODE_NAMES[mode]}" for mode in trials)
+    counts = ", ".join(f"{falls[mode]} with {mode}" for mode in trials)
     return (
         f"{kinds} kinds of camera noise, {kinds * runs[0]['robots']} robots each; falls: {counts}."
     )
@@ -62,7 +62,7 @@ def noise_headline(summary: dict[str, Any]) -> str:
 
 def noise_facts(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """Large numbers of the noise study; none where RENet was not run."""
-    renet = [run for run in summary["runs"] if run["mode"] == "renet"]
+    renet = [run for run in summary["runs"] if run["mode"] == "memory"]
     if not renet:
         return []
     speeds = [v for run in renet if (v := run["mean_forward_velocity"]) is not None]
@@ -82,7 +82,7 @@ def noise_facts(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _faults(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """What was not measured is left out."""
-    renet = [run for run in summary["runs"] if run["mode"] == "renet"]
+    renet = [run for run in summary["runs"] if run["mode"] == "memory"]
     robots, falls, watching, noticed = (
         sum(run[name] for run in renet)
         for name in ("robots", "falls", "vision_active_at_onset", "detected")
@@ -100,7 +100,7 @@ def _faults(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _terrain(summary: dict[str, Any]) -> list[tuple[str, str]]:
     text = " / ".join(f"{level:.1f}" for level in summary["levels"].values())
-    policy = MODE_NAMES[summary["settings"]["modes"][0]]
+    policy = summary["settings"]["modes"][0]
     return [(text, f"{policy}'s levels of 10 on {', '.join(summary['levels'])}")] if text else []
 
 
@@ -110,7 +110,7 @@ def _percent(share: float) -> str:
 
 def _worse_faults(summary: dict[str, Any], *, beyond_chance: bool = True) -> list[Row]:
     harmful = [
-        ("faults", setting_label(f), _percent(f["renet"]), _percent(f["op"]))
+        ("faults", setting_label(f), _percent(f["memory"]), _percent(f["blind"]))
         for f in summary["harmful"]
         if f["beyond_chance"] == beyond_chance
     ]
@@ -129,7 +129,7 @@ def _worse_faults(summary: dict[str, Any], *, beyond_chance: bool = True) -> lis
 
 def _worse_success(summary: dict[str, Any]) -> list[Row]:
     tiles = [f"{w['kind'].replace('_', ' ')} {100 * w['size_m']:.0f} cm" for w in summary["worse"]]
-    shares = [(_percent(w["renet"]), _percent(w["op"])) for w in summary["worse"]]
+    shares = [(_percent(w["memory"]), _percent(w["blind"])) for w in summary["worse"]]
     return [("obstacles", tile, *pair) for tile, pair in zip(tiles, shares, strict=True)]
 
 

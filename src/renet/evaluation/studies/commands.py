@@ -56,7 +56,7 @@ class CommandStudy(WalkingStudy):
 
     out: Path = Path("results/commands")
     """Folder for summary.json, summary.csv, commands.png and parts/."""
-    modes: tuple[Mode, ...] = ("vp", "op")
+    modes: tuple[Mode, ...] = ("camera", "blind")
     seconds: float = 8.0
     """Length of each run, of which the first two seconds do not count."""
 
@@ -123,7 +123,7 @@ class CommandStudy(WalkingStudy):
             numbers = [run[name] for name in ("drift_m", "power", "peak_torque")]
             shown = ["-" if n is None else f"{n:.2f}" for n in numbers]
             falls = f"{run['falls']} of {run['robots']}"
-            rows.append((figures.MODE_NAMES[run["mode"]], asked, done, falls, *shown))
+            rows.append((run["mode"], asked, done, falls, *shown))
         title = (
             "Commands on flat ground: m/s ahead, m/s left, rad/s; drift in m after 5 m; mean power"
         )
@@ -158,7 +158,7 @@ def drift(positions: np.ndarray, command: np.ndarray) -> float | None:
     """Mean distance by which robots leave their straight way, m in LONG_WAY m.
 
     Args:
-        positions: [T, N, 2] m, in the frame in which each robot started, x ahead of it.
+        positions: [T, N, 2] m, in the frame in which each robot started, x behind it.
         command: the twist, [3]; None is returned for one that turns or stands, and where robots
             did not walk.
     """
@@ -184,7 +184,7 @@ def asked_and_done(runs: list[dict[str, Any]], modes: tuple[str, ...]) -> Figure
         asked = np.array([run["command"] for run in mine])
         done = np.array([run["done"] for run in mine])
         look = {"color": figures.MODE_COLOURS[mode], "zorder": 3}
-        plane.plot(done[:, 1], done[:, 0], "o", label=figures.MODE_NAMES[mode], **look)
+        plane.plot(done[:, 1], done[:, 0], "o", label=mode, **look)
         turns.plot(asked[:, 2], done[:, 2], "o", **look)
         for start, end in zip(asked, done, strict=True):
             plane.plot((start[1], end[1]), (start[0], end[0]), color=figures.FAINT, linewidth=1)

@@ -1,4 +1,4 @@
-"""Findings of the fault benchmark: claims, settings where RENet does harm, faults it misses.
+"""Findings of the study of single faults: claims, settings where RENet does harm, faults it misses.
 
 A walk over obstacles is chaotic: twins diverge by chance, in both directions. Falls under a fault
 are therefore compared with those of the same robots without it by Fisher's exact test (1922).
@@ -11,7 +11,7 @@ import scipy
 
 from renet.evaluation.figures import setting_label
 from renet.evaluation.results import grouped
-from renet.evaluation.studies.benchmark import Setting
+from renet.evaluation.studies.fault_settings import Setting
 from renet.terrain.tiles import DIFFICULT
 
 Runs = list[dict[str, Any]]
@@ -65,18 +65,18 @@ def harmful(runs: Runs, baseline: Runs) -> Runs:
 
     Chance is judged fault by fault on each ground, all severities and onsets together.
     """
-    survival = {setting_of(r): r["survival"] for r in runs if r["mode"] == "op"}
-    worse = _beyond_chance(runs, baseline, "renet", "op")
+    survival = {setting_of(r): r["survival"] for r in runs if r["mode"] == "blind"}
+    worse = _beyond_chance(runs, baseline, "memory", "blind")
     return [
         setting_of(r)._asdict()
         | {
-            "renet": r["survival"],
-            "op": survival[setting_of(r)],
+            "memory": r["survival"],
+            "blind": survival[setting_of(r)],
             "over_op_ci95": [r["over_op_ci95_low"], r["over_op_ci95_high"]],
             "beyond_chance": (r["ground"], r["fault"]) in worse,
         }
         for r in runs
-        if r["mode"] == "renet" and r["over_op"] is not None and r["over_op"] < -MARGIN
+        if r["mode"] == "memory" and r["over_op"] is not None and r["over_op"] < -MARGIN
     ]
 
 
@@ -89,11 +89,11 @@ def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, dict[str, 
     severe = [r for r in runs if r["severity"] >= SEVERE]
     mild = {r["fault"] for r in runs} - {r["fault"] for r in severe}
     judged = severe + [r for r in runs if r["fault"] in mild]
-    worse = _beyond_chance(judged, baseline, "vp", "vp")
+    worse = _beyond_chance(judged, baseline, "camera", "camera")
     return {
         setting_of(r): r | {"beyond_chance": (r["ground"], r["fault"]) in worse}
         for r in runs
-        if r["mode"] == "vp" and r["falls_by_fault"] > r["falls_spared"]
+        if r["mode"] == "camera" and r["falls_by_fault"] > r["falls_spared"]
     }
 
 
@@ -109,7 +109,7 @@ def missed(runs: Runs, baseline: Runs) -> Runs:
             "beyond_chance": vp["beyond_chance"],
         }
         for r in runs
-        if r["mode"] == "renet" and r["detected"] < r["vision_active_at_onset"]
+        if r["mode"] == "memory" and r["detected"] < r["vision_active_at_onset"]
         if (vp := vp_rows.get(setting_of(r)))
     ]
 
@@ -160,7 +160,7 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
     where = [
         r
         for r in runs
-        if r["mode"] == "renet" and r["detection_delay_s"] is not None and r["severity"] >= SEVERE
+        if r["mode"] == "memory" and r["detection_delay_s"] is not None and r["severity"] >= SEVERE
         if setting_of(r) in vp and vp[setting_of(r)]["beyond_chance"]
     ]
     if not where:
@@ -177,7 +177,7 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
 
 def _blind_claims(runs: Runs) -> Runs:
     """Frozen and uniform images: noticed by the monitors, and what the paper's rule alone does."""
-    worst = [run for run in runs if run["mode"] == "renet" and run["severity"] == 5]
+    worst = [run for run in runs if run["mode"] == "memory" and run["severity"] == 5]
     claims = []
     for what, faults in BLIND.items():
         names = ("vision_active_at_onset", "detected", "detected_by_paper")

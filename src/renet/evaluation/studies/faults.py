@@ -1,4 +1,4 @@
-"""The fault study: every camera fault on every ground, in every mode (docs/benchmark.md).
+"""The fault study: every camera fault on every ground, in every mode (docs/faults.md).
 
 Faults begin on the way to an obstacle and half a second before its edge, and end before the run
 does, so that leaving vision and returning to it are both measured. One fault is one batch of
@@ -20,16 +20,15 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.monitor_log import MonitorLog, healthy_series, replay
-from renet.evaluation.results import grouped, write_json
+from renet.evaluation.results import grouped
 from renet.evaluation.rollout import FLAT, Trial, check_grounds
 from renet.evaluation.studies import fault_metrics
-from renet.evaluation.studies.benchmark import GROUNDS, LISTED, ONSETS, Setting, result
 from renet.evaluation.studies.fault_findings import findings
+from renet.evaluation.studies.fault_settings import GROUNDS, LISTED, ONSETS, Setting
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import SEVERITIES, fault_class
 from renet.faults.physical import Glass
-from renet.files import remove
 from renet.interface import CONTROL_DT, STEPS_PER_TICK, Terrain
 from renet.selector.calibration import decluster
 
@@ -53,15 +52,15 @@ class FaultStudy(WalkingStudy):
     """
 
     out: Path = Path("results/faults")
-    """Folder for summary.json, summary.csv, result.json, figures and parts/."""
+    """Folder for summary.json, summary.csv, figures and parts/."""
     faults: tuple[str, ...] = LISTED
-    """Faults to inject: NAME at all severities, or NAME:SEVERITY; by default the benchmark's."""
+    """Faults to inject: NAME at all severities, or NAME:SEVERITY; by default 29 of them."""
     severities: tuple[int, ...] = SEVERITIES
     """Severities of faults that name none, 1 to 5."""
     grounds: tuple[Terrain, ...] = tuple(GROUNDS)
     """Flat ground alone is endless; beside others it is a tile like theirs."""
     level: int | None = None
-    """Level of all tiles, 1 to 10; by default the benchmark's for each ground."""
+    """Level of all tiles, 1 to 10; by default one for each ground (docs/faults.md)."""
     onsets: tuple[float, ...] = tuple(ONSETS)
     """Seconds at which faults begin; on flat ground only the first."""
     lasts: float = 4.0
@@ -133,7 +132,7 @@ class FaultStudy(WalkingStudy):
     @property
     def vision_modes(self) -> list[str]:
         """Modes that use the camera; a robot in OP walks as its twin does."""
-        return [mode for mode in self.modes if mode != "op"]
+        return [mode for mode in self.modes if mode != "blind"]
 
     def groups(self, settings: Sequence[Setting]) -> list[tuple[Setting, str]]:
         """Setting and mode of each group of robots in a batch."""
@@ -201,7 +200,7 @@ class FaultStudy(WalkingStudy):
         title = f"{list(self.batches).index(names[-1]) + 1}/{len(self.batches)} {names[-1]}"
         env = make(tuple(trial.robot for trial in everybody))
         trace = self.walk(evaluator, env, title, everybody)
-        paper = replay(evaluator.make_selector(len(everybody), "paper"), trace.anomaly)
+        paper = replay(evaluator.make_selector("switch", len(everybody)), trace.anomaly)
         ends = np.cumsum([len(group) for group in trials.values()]).tolist()
         parts = {}
         for name, start, end in zip(names, [0, *ends], ends, strict=False):
@@ -248,7 +247,7 @@ class FaultStudy(WalkingStudy):
             }
             runs.append(labels | fault_metrics.survival(group, until) | {"values": values})
         # The first ground's robots come first. VP's walk as RENet's do: they would count twice.
-        first = self.modes.index("renet") if "renet" in self.modes else 0
+        first = self.modes.index("memory") if "memory" in self.modes else 0
         simple = trace.robots(slice(first * each, (first + 1) * each))
         return {
             "runs": runs,
@@ -264,7 +263,7 @@ class FaultStudy(WalkingStudy):
         # Another seed than the calibration's and the faults', for robots not seen there.
         seed = self.seed + 1000
         env = evaluator.make_env(FLAT, range(robots), self.speed, seed)
-        trials = [Trial("renet", (), robot) for robot in range(robots)]
+        trials = [Trial("memory", (), robot) for robot in range(robots)]
         rollout = evaluator.rollout(env, trials, seed)
         rollout.on_update = log = MonitorLog(robots)
         trace = rollout.run(steps, "healthy cameras")
@@ -340,8 +339,8 @@ class FaultStudy(WalkingStudy):
             "seed": self.seed,
             **measured,
         }
-        values, op = row["values"], twins.get((setting.ground, "op"))
-        beside = op["values"][onset] if op is not None and mode == "renet" else None
+        values, op = row["values"], twins.get((setting.ground, "blind"))
+        beside = op["values"][onset] if op is not None and mode == "memory" else None
         return (
             row
             | fault_metrics.pair_counts(values, calm)
@@ -349,25 +348,11 @@ class FaultStudy(WalkingStudy):
             | {"measures": fault_metrics.estimates(values, calm)}
         )
 
-    def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
-        """Run the study; where it is the benchmark's, write result.json as well."""
-        summary = super().run(evaluator)
-        remove(self.out / "result.json")
-        if self._is_of_benchmark():
-            write_json(self.out / "result.json", result(summary))
-        return summary
-
-    def _is_of_benchmark(self) -> bool:
-        """Whether version 1 of the benchmark has all of the settings."""
-        known = set(self.onsets) <= set(ONSETS) and set(self.grounds) <= set(GROUNDS)
-        faults = {setting.fault for settings in self.batches.values() for setting in settings}
-        return known and faults <= set(LISTED) and self.conditions == "nominal"
-
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """crossed.png, survival.png and detection.png."""
         runs, cells = summary["runs"], figures.mean_cells
         modes = {mode: [r for r in runs if r["mode"] == mode] for mode in self.modes}
-        obeying = modes.get("renet") or runs
+        obeying = modes.get("memory") or runs
         selectors = {"RENet's selector": "detected", "the paper's rule alone": "detected_by_paper"}
 
         def noticed(name: str) -> figures.Cells:
@@ -376,9 +361,9 @@ class FaultStudy(WalkingStudy):
         def panels(share: Callable[[Any], float], column: str = "severity") -> Any:
             tables = {mode: dict(cells(rows, share, column)) for mode, rows in modes.items()}
             # OP sees no fault: one row at the foot of the others' tables.
-            blind = tables.pop("op", {}) if len(tables) > 1 else {}
-            row = {("OP alone, any fault", name): cell for (_, name), cell in blind.items()}
-            return {figures.MODE_NAMES[mode]: table | row for mode, table in tables.items()}
+            blind = tables.pop("blind", {}) if len(tables) > 1 else {}
+            row = {("blind, any fault", name): cell for (_, name), cell in blind.items()}
+            return {mode: table | row for mode, table in tables.items()}
 
         return {
             "crossed.png": figures.colour_tables(

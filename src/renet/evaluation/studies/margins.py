@@ -122,7 +122,7 @@ class MarginsStudy(WalkingStudy):
     """Ground to walk on."""
     level: int = 2
     """Level of the ground, 1 to 10."""
-    modes: tuple[Mode, ...] = ("vp", "op", "renet")
+    modes: tuple[Mode, ...] = ("camera", "blind", "memory")
     seconds: float = 8.0
     """Time of each robot, or until it has left its tile."""
 
@@ -207,8 +207,7 @@ class MarginsStudy(WalkingStudy):
         """margins.png: a table of colours, one row for each axis."""
         panels = {
             ground.replace("_", " "): {
-                (AXES[m["axis"]].title, figures.MODE_NAMES[m["mode"]]): (100 * m["held"], _text(m))
-                for m in margins
+                (AXES[m["axis"]].title, m["mode"]): (100 * m["held"], _text(m)) for m in margins
             }
             for (ground,), margins in grouped(summary["margins"], "ground").items()
         }

@@ -53,7 +53,7 @@ class MemoryStudy(LevelStudy):
     """Seconds without an image; robots with a healthy camera walk as well."""
     before: float = 0.5
     """Seconds before the edge, at the commanded speed, at which images cease."""
-    modes: tuple[Mode, ...] = ("vp", "paper", "oracle-switch", "op", "renet")
+    modes: tuple[Mode, ...] = ("camera", "switch", "oracle", "blind", "memory")
     """Policy modes to compare."""
 
     name: ClassVar[str] = "memory"
@@ -78,7 +78,7 @@ class MemoryStudy(LevelStudy):
         return [
             (seconds, mode)
             for mode in self.modes
-            for seconds in (0.0, *(self.without if mode != "op" else ()))
+            for seconds in (0.0, *(self.without if mode != "blind" else ()))
         ]
 
     def walk_on(self, evaluator: Evaluator, kind: str, level: int, title: str) -> Part:
@@ -132,7 +132,7 @@ class MemoryStudy(LevelStudy):
                 run | {"without_s": time}
                 for run in sorted(runs, key=lambda run: run["without_s"])
                 # OP, which never sees, has one share at all times.
-                for time in (times if run["mode"] == "op" else [run["without_s"]])
+                for time in (times if run["mode"] == "blind" else [run["without_s"]])
             ]
             for (kind, size), runs in grouped(summary["runs"], "ground", "size_m").items()
         }

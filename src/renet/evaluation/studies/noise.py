@@ -28,7 +28,7 @@ class NoiseStudy(FaultStudy):
         *(f"salt_and_pepper:{severity}" for severity in (2, 3, 5)),
     )
     """Noises, NAME:SEVERITY; the paper's are 30, 70, 100 % and 10, 30, 70 %."""
-    modes: tuple[Mode, ...] = ("vp", "renet")
+    modes: tuple[Mode, ...] = ("camera", "memory")
     grounds: tuple[Terrain, ...] = (FLAT,)
     """Flat ground without end, or one kind of tile: see `faults`."""
     onsets: tuple[float, ...] = (3.0,)
@@ -51,7 +51,7 @@ class NoiseStudy(FaultStudy):
     def trials(self, settings: Sequence[Setting]) -> list[Trial]:
         """As the fault study's, and one robot more, whose camera recovers half-way."""
         passing = settings[0].injection(self.lasts / 2)
-        return [*super().trials(settings), Trial("renet", (passing,), 0, settings[0].ground)]
+        return [*super().trials(settings), Trial("memory", (passing,), 0, settings[0].ground)]
 
     def curves(self, trace: Trace, modes: Sequence[str]) -> Part:
         """Mean speed over time of each mode, and the timeline of the robot that recovers."""
@@ -94,7 +94,7 @@ class NoiseStudy(FaultStudy):
         """Falls, speed and delay by mode and noise, and on tiles who crossed."""
         rows = [
             (
-                figures.MODE_NAMES[run["mode"]],
+                run["mode"],
                 figures.noise_label(run.get("fault", "none"), run.get("level", 0.0)),
                 f"{run['falls']} of {run['robots']}",
                 crossed(run),

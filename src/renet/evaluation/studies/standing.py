@@ -40,7 +40,7 @@ class StandingStudy(TerrainStudy):
     """Ground to stop on."""
     levels: tuple[int, ...] = (3,)
     """Levels of the ground, 1 to 10."""
-    modes: tuple[Mode, ...] = ("vp", "op")
+    modes: tuple[Mode, ...] = ("camera", "blind")
     seconds: float = 6.0
     """Time that a robot must stand, from 1.5 s after the command on."""
 

@@ -40,7 +40,7 @@ class StopsStudy(WalkingStudy):
     """Of the wall, and depth of the drop, m."""
     angles: tuple[float, ...] = (0.0, 30.0)
     """Directions from which robots come, degrees off straight."""
-    modes: tuple[Mode, ...] = ("vp",)
+    modes: tuple[Mode, ...] = ("camera",)
     robots: int = 50
     """Robots for each kind, angle and mode; with `quick` always fewer."""
     seconds: float = 10.0

@@ -66,7 +66,7 @@ class TerrainStudy(WalkingStudy):
     """Kinds of tile."""
     levels: tuple[int, ...] = tuple(range(1, LEVELS + 1))
     """Levels of the curriculum, 1 to 10."""
-    modes: tuple[Mode, ...] = ("renet",)
+    modes: tuple[Mode, ...] = ("memory",)
     fault: str | None = None
     """A camera fault, NAME[:SEVERITY][@SECONDS[+DURATION]]; without a time it begins half a second
     before a robot is 1.2 m from its start, where gaps and stairs up begin."""
@@ -280,7 +280,7 @@ class SuccessStudy(TerrainStudy):
     """Folder for summary.json, summary.csv, success.png and parts/."""
     levels: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 10)
     """Sizes, as levels of the curriculum, 1 to 10."""
-    modes: tuple[Mode, ...] = ("vp", "renet", "op")
+    modes: tuple[Mode, ...] = ("camera", "memory", "blind")
     seconds: float = 16.0
     """Time to cross: the 4 m to the tile's edge take 6.7 s at the commanded speed."""
 
@@ -303,7 +303,7 @@ class DawnStudy(SuccessStudy):
     """Folder for summary.json, summary.csv, dawn.png and parts/."""
     levels: tuple[int, ...] = tuple(range(1, LEVELS + 1))
     """Tenths of the range of sizes, 1 to 10."""
-    modes: tuple[Mode, ...] = ("vp", "op")
+    modes: tuple[Mode, ...] = ("camera", "blind")
     robots: int = 10
     """Robots for each size and mode; with `quick` always fewer."""
 
@@ -330,11 +330,11 @@ def highest_level(levels_passed: np.ndarray) -> np.ndarray:
 
 def worse_than_op(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Sizes RENet crosses less often than OP alone, by more than two points."""
-    op = {(r["kind"], r["level"]): r["success_rate"] for r in runs if r["mode"] == "op"}
+    op = {(r["kind"], r["level"]): r["success_rate"] for r in runs if r["mode"] == "blind"}
     return [
-        {"kind": r["kind"], "size_m": r["size_m"], "renet": r["success_rate"], "op": blind}
+        {"kind": r["kind"], "size_m": r["size_m"], "memory": r["success_rate"], "blind": blind}
         for r in runs
-        if r["mode"] == "renet"
+        if r["mode"] == "memory"
         and (blind := op.get((r["kind"], r["level"]))) is not None
         and r["success_rate"] < blind - 0.02
     ]

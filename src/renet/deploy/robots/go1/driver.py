@@ -5,7 +5,7 @@ import socket
 from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.robots.real.driver import RealRobot
 from renet.descriptions import GO1
-from renet.errors import RenetError
+from renet.errors import RenetError, reason
 
 POWER_LEVEL = 9
 """Level of the vendor's overload guard, from 1 (10 % of the motors' power) to 10."""
@@ -36,7 +36,7 @@ def go1_robot(
     try:
         host = socket.gethostbyname(host)
     except OSError as error:
-        raise RenetError(f"no robot at {host!r}: {error}") from error
+        raise RenetError(f"no robot at {host!r}: {reason(error)}") from error
     return RealRobot(
         "Go1",
         read_envelope(GO1),

@@ -1,0 +1,96 @@
+"""One 10 Hz tick of vision and of both estimators, as a pure function of its inputs."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from renet.bundle.blocks import Session
+from renet.bundle.models import HAS_IMAGE, MAP_ERROR, remembers
+from renet.selector.monitors import Gate
+
+Sessions = Mapping[str, Session]
+"""The models of a bundle by name."""
+EstimatorOutput = dict[str, np.ndarray]
+"""Results of a tick, by the names of `BundlePolicy`'s attributes that they replace."""
+
+ESTIMATES = ("latent_op", "latent_vp", "velocity_op", "velocity_vp", "feet_height", "height_map")
+SCORES = ("anomaly_score", "variance_score")
+OF_VP = ("latent_vp", "velocity_vp", "height_map", MAP_ERROR)
+OF_OP = ("latent_op", "velocity_op")
+"""Results of each estimator; a robot cannot walk on one that has found no numbers."""
+SEEN = (*SCORES, "reconstruction")
+"""Outputs of the vision model that are used, where it has them; a stranger's may have any others,
+which must replace no attribute."""
+
+
+class EstimatorInput(NamedTuple):
+    """Inputs of one tick: copies, safe on any thread."""
+
+    feed: dict[str, np.ndarray]
+    """The estimators' inputs but for the images, by the names that their model gives them."""
+    depth: np.ndarray
+    """The two newest images that were delivered, [N, 2, 48, 64], newest first."""
+    accepted: np.ndarray
+    """The two newest images that VP was given before, likewise."""
+    unpaired: np.ndarray
+    """[N] bool: VP had no image a tick ago; the next one stands in for that one, too."""
+    gate: Gate | None
+    """Which images VP may use; None: all."""
+    blind: bool
+    """No image has arrived: vision does not run, and its scores are infinite."""
+
+    def robots(self, rows: np.ndarray) -> "EstimatorInput":
+        """The inputs of some robots, by their rows."""
+        return EstimatorInput(
+            {name: value[rows] for name, value in self.feed.items()},
+            self.depth[rows],
+            self.accepted[rows],
+            self.unpaired[rows],
+            None if self.gate is None else self.gate.of(rows),
+            self.blind,
+        )
+
+
+def infer(sessions: Sessions, inputs: EstimatorInput) -> EstimatorOutput:
+    """Run vision, withhold the images that the gate objects to, and run both estimators."""
+    # Vision comes first: its scores decide which images VP may use.
+    result = _see(sessions["vision"], inputs)
+    estimator = sessions["estimator"]
+    feed = inputs.feed | {"depth": inputs.depth}
+    if remembers(estimator):
+        result |= _withhold(inputs, result)
+        has_image = result["has_image"][:, None]
+        feed |= {"depth": result["accepted"], HAS_IMAGE: has_image.astype(np.float32)}
+    outputs = {name: f"next_{name}" if name.startswith("latent") else name for name in ESTIMATES}
+    if MAP_ERROR in {output.name for output in estimator.get_outputs()}:
+        outputs[MAP_ERROR] = MAP_ERROR
+    estimates: Any = estimator.run([*outputs.values()], feed)
+    return result | dict(zip(outputs, estimates, strict=True))
+
+
+def _see(vision: Session, inputs: EstimatorInput) -> EstimatorOutput:
+    """Scores [N] of the newest images and their reconstructions."""
+    robots = len(inputs.depth)
+    if inputs.blind:
+        return {name: np.full(robots, np.inf, np.float32) for name in SCORES}
+    # A model without a score leaves it at zero.
+    result = {name: np.zeros(robots, np.float32) for name in SCORES}
+    names = [output.name for output in vision.get_outputs() if output.name in SEEN]
+    found: Any = vision.run(names, {"depth": inputs.depth})
+    result |= dict(zip(names, found, strict=True))
+    for name in SCORES:
+        result[name] = result[name].reshape(-1)
+    return result
+
+
+def _withhold(inputs: EstimatorInput, scores: EstimatorOutput) -> EstimatorOutput:
+    """Which robots' VP has an image, [N] bool, and the two newest that it was given."""
+    depth = inputs.depth
+    has_image = np.full(len(depth), not inputs.blind)
+    if inputs.gate is not None:
+        has_image &= inputs.gate.judge(scores)
+    older = np.where(inputs.unpaired[:, None, None], depth[:, 0], inputs.accepted[:, 0])
+    pair = np.stack((depth[:, 0], older), axis=1)
+    accepted = np.where(has_image[:, None, None, None], pair, inputs.accepted)
+    return {"has_image": has_image, "accepted": accepted}

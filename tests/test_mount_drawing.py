@@ -1,0 +1,36 @@
+"""Drawings of the camera's mount: the bundle's numbers, on the robot's own shapes."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mount_drawing
+from renet.bundle import SHIPPED, Bundle
+
+FIGURES = Path(__file__).parents[1] / "docs" / "figures"
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_drawings_of_the_docs_have_the_numbers_of_the_bundle(name):
+    camera = Bundle.load(name).manifest.camera
+    texts = re.findall(r">([^<>]+)</text>", (FIGURES / f"{name[:3]}_mount.svg").read_text())
+    x, y, z = camera.position
+    assert texts.count(f"{1000 * x:g} mm") == 2
+    assert f"{1000 * z:g} mm" in texts
+    assert f"{math.degrees(camera.pitch):.0f}° down" in texts
+    assert ("centred" in texts) == (y == 0.0)
+    assert any(text.startswith(f"{1000 * abs(y):g} mm ") for text in texts) == (y != 0.0)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_drawn_robot_stands_on_its_feet(name):
+    shapes, trunk = mount_drawing.robot_shapes(Bundle.load(name).manifest.robot)
+    assert min(points[:, 2].min() for points in shapes) == pytest.approx(0.0)
+    on_ground = [points for points in shapes if points[:, 2].min() < 0.01]
+    assert len(on_ground) == 4
+    ahead = sorted(float(points[:, 0].mean()) for points in on_ground)
+    assert np.diff(ahead)[1] > 0.3, "two feet in front and two behind"
+    assert 0.2 < trunk[2] < 0.4
