@@ -196,3 +196,9 @@ def test_a_reader_that_leaves_ends_it_quietly(arguments):
             assert (process.returncode, errors.count(b"\n")) == (2, 1)
         else:
             assert (process.returncode in (1, cli.SIGPIPE_CODE), errors) == (True, b"")
+
+
+def test_a_closed_standard_output_ends_in_no_traceback():
+    command = f"{sys.executable} -m renet bundle inspect >&-"
+    done = subprocess.run(["bash", "-c", command], stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -34,12 +34,41 @@ def test_a_workflow_starts_ends_and_names_what_exists(name):
         assert {job["needs"]} <= jobs.keys() if "needs" in job else True
     for step in steps(name):
         assert ("uses" in step) != ("run" in step)
-        assert re.fullmatch(r"[\w-]+/[\w-]+@(v\d+|release/v1)", step.get("uses", "a/b@v1"))
         command = step.get("run", "")
         for path in re.findall(r"(?:^|\s)((?:\.ci|tools|docs)/[\w./-]+)", command):
             assert (ROOT / path).exists(), path
         for extras in re.findall(r"'\.\[([\w,]+)\]'", command):
             assert {*extras.split(",")} <= PROJECT["optional-dependencies"].keys()
+
+
+@pytest.mark.parametrize("name", WORKFLOWS)
+def test_actions_are_pinned_by_their_commit_and_named_by_their_version(name):
+    """A tag can be moved to other code."""
+    text = (ROOT / f".github/workflows/{name}.yml").read_text()
+    used = [line.split("uses:")[1].strip() for line in text.splitlines() if "uses:" in line]
+    assert used
+    for action in used:
+        assert re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}  # (v\d+\.\d+\.\d+|release/v1)", action)
+
+
+def test_a_release_installs_nothing_without_a_hash():
+    for step in steps("release"):
+        for command in re.findall(r"pip install (.*)", step.get("run", "")):
+            assert "--require-hashes" in command or "--no-deps" in command
+    pinned = (ROOT / ".github/requirements-release.txt").read_text().splitlines()[2:]
+    lock = dict(
+        line.lower().replace("_", "-").split("==")
+        for line in (ROOT / "requirements-lock.txt").read_text().splitlines()
+        if "==" in line
+    )
+    for line in pinned:
+        name, version = re.fullmatch(
+            r"([\w.-]+)==([\w.]+) --hash=sha256:[0-9a-f]{64}", line
+        ).groups()
+        assert lock.get(name.lower(), version) == version, name
+    needed = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["sim"]]
+    names = {line.split("==")[0].lower() for line in pinned}
+    assert {re.split("[=~><]", need)[0].lower() for need in needed} <= names
 
 
 def test_checks_run_what_ci_runs_and_all_versions_of_python():

@@ -142,12 +142,12 @@ COMMANDS = {
         presets={"noise": "renet.evaluation.studies.noise:NoiseStudy"},
     ),
     "evaluate benchmark": _study(
-        "who still crosses when the camera fails at an edge",
-        "renet.evaluation.studies.crossing:CrossingStudy:CrossingStudy.main",
+        "renet-faults: any policy while its camera fails",
+        "renet.evaluation.benchmark.study:BenchmarkStudy:BenchmarkStudy.main",
     ),
     "evaluate leaderboard": Command(
-        "rank policies by their results under faults",
-        "renet.evaluation.studies.leaderboard:LeaderboardCfg:make_leaderboard",
+        "rank policies by their results of the benchmark",
+        "renet.evaluation.benchmark.leaderboard:LeaderboardCfg:make_leaderboard",
     ),
     "evaluate terrain": _study(
         "highest levels; --preset success, stops and more",
@@ -235,7 +235,7 @@ def main(argv: list[str] | None = None) -> int:
         code, streams = 2, (sys.stdout,)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in streams:  # What is still held back must not raise at exit.
-        with suppress(OSError):
+        with suppress(OSError, AttributeError):
             os.dup2(nowhere, stream.fileno())
     return code
 
@@ -259,7 +259,8 @@ def _run(arguments: list[str], interrupts: list[int]) -> int:
         print(": ".join(filter(None, ("renet: interrupted", why))), file=sys.stderr)
         return 130
     finally:
-        sys.stdout.flush()
+        if sys.stdout is not None:  # `renet … >&-` has none.
+            sys.stdout.flush()
 
 
 def _dispatch(arguments: list[str]) -> int:

@@ -42,7 +42,7 @@ def state(time: float = 0.0, **changes) -> RobotState:
 
 def live(time: float = 0.0, **changes) -> RobotState:
     """The same of sensors none of which says the same twice."""
-    reading, noise = state(time, **changes), 1e-9 * next(READINGS)
+    reading, noise = state(time, **changes), 1e-9 * (next(READINGS) % 1000)
     noisy = ("joint_position", "joint_velocity", "quaternion", "angular_velocity")
     with suppress(TypeError):  # What a test made of it is no array.
         return replace(reading, **{name: getattr(reading, name) + noise for name in noisy})

@@ -97,6 +97,15 @@ def test_it_rises_and_then_walks(run):
     assert run.controller.decision.action.any()
 
 
+def test_it_rises_from_where_it_lies_and_not_from_where_it_shall_stand(run):
+    """Its first target is its own pose, however far that is from the default one."""
+    folded = STANDING + np.tile([0.0, 0.5, -0.9], 4)
+    run.ticks(2, lambda frame: None, joint_position=folded)
+    decision = run.controller.decision
+    assert decision.mode is Mode.STANDING_UP
+    np.testing.assert_allclose(decision.command.position, folded, atol=1e-3)
+
+
 def test_a_walk_begins_with_targets_that_move_slowly(run):
     """However far away the policy wants its legs at once."""
     run.ticks(WALKS_AT)
@@ -136,6 +145,57 @@ def test_an_action_that_is_no_number_and_a_listener_that_fails(bundle, walk):
     deaf = Run(bundle)
     deaf.controller._on_event = None
     assert all(deaf.ticks(30)[WALKS_AT:])
+
+
+class Overflowing:
+    """An estimator's session, one of whose outputs is no number while it is told so."""
+
+    def __init__(self, session: Any, output: str) -> None:
+        self._session, self._output, self.value = session, output, None
+
+    def get_inputs(self):
+        return self._session.get_inputs()
+
+    def get_outputs(self):
+        return self._session.get_outputs()
+
+    def run(self, names, feed):
+        found = self._session.run(names, feed)
+        if self.value is not None:
+            place = list(names).index(self._output)
+            found[place] = np.full_like(found[place], self.value)
+        return found
+
+
+def overflowing(bundle: Bundle, output: str) -> tuple[Run, Overflowing]:
+    """A robot that walks and sees, and its estimator."""
+    estimator = Overflowing(bundle.sessions["estimator"], output)
+    run = Run(replace(bundle, sessions={**bundle.sessions, "estimator": estimator}))
+    assert all(run.ticks(60)[WALKS_AT:])
+    return run, estimator
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
+def test_a_tick_in_which_vp_finds_no_numbers_leaves_op_driving(bundle, value):
+    run, estimator = overflowing(bundle, "next_latent_vp")
+    estimator.value = value
+    assert not run.ticks(5)[-1]
+    estimator.value = None
+    assert not any(run.ticks(40)), "it is not trusted again at once"
+    assert all(run.ticks(250)[-10:])
+    assert run.controller.decision.mode is Mode.WALKING
+    assert np.isfinite(run.controller.decision.latent).all()
+    whys = [event.why for event in run.events[2:]]
+    assert whys == ["what the VP estimator found is not finite", "vision is healthy"]
+
+
+def test_a_tick_in_which_op_finds_none_brakes(bundle):
+    """Even while VP drives: nothing would be left to fall back to."""
+    run, estimator = overflowing(bundle, "next_latent_op")
+    estimator.value = np.nan
+    run.ticks(5)
+    assert run.controller.decision.mode is Mode.DAMPING
+    assert "what the OP estimator found is not finite" in run.events[-1].why
 
 
 def test_the_shipped_checkpoint_acts_alike_in_torch_and_on_the_robot(tmp_path):
@@ -237,7 +297,11 @@ def test_it_goes_on_from_memory_and_then_without(judging):
     assert run.controller.decision.probability < 0.5
     assert all(run.ticks(300)[-10:])
     assert run.controller.decision.has_image
-    told = [("remembers", "no new image"), ("blind", "no new image"), ("sees", "vision is healthy")]
+    told = [
+        ("remembers", "no new image"),
+        ("blind", "no new image for 1 s, as long as it remembers"),
+        ("sees", "vision is healthy"),
+    ]
     assert [(event.what, event.why) for event in run.events[2:]] == told
     passed = [event.time - good.time for event in run.events[2:4]]
     assert passed == pytest.approx([A_WHILE + 0.1, 1.1], abs=0.08), "the last tick lasts 0.1 s"

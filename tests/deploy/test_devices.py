@@ -1,6 +1,7 @@
 """Devices of one run: what is taken before they start, and given back however that ends."""
 
 import os
+import threading
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -122,3 +123,25 @@ def test_devices_are_closed_robot_first_even_after_half_a_start(tmp_path, monkey
         deploy(DeployCfg(out=tmp_path / "out"))
     assert closed == ["robot", "camera", "teleop"]
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("way", ["raises", "hangs", "works"])
+def test_a_device_that_cannot_be_closed_costs_neither_score_nor_program(monkeypatch, way):
+    monkeypatch.setattr(devices, "CLOSING", 0.2)
+    never, said = threading.Event(), []
+
+    class Camera:
+        def close(self) -> None:
+            if way == "raises":
+                raise RuntimeError("the cable is gone")
+            if way == "hangs":
+                never.wait()
+
+    devices.close_device(Camera(), said.append)
+    told = {
+        "raises": ["Camera cannot be closed: the cable is gone"],
+        "hangs": ["Camera does not close within 0.2 s"],
+        "works": [],
+    }
+    assert said == told[way]
+    never.set()

@@ -47,3 +47,22 @@ def test_bootstrap_interval_of_a_mean_matches_the_normal_one():
     assert (low, high) == pytest.approx((values.mean() - half, values.mean() + half), abs=0.03)
     assert np.isnan(metrics.bootstrap_interval(np.array([np.nan]))).all()
     assert metrics.bootstrap_interval(np.zeros(1), lambda values: 7.0) == (7.0, 7.0)
+
+
+@pytest.mark.parametrize(("failing", "switches"), [(1, 1), (2, 0), (3, 1)])
+def test_a_switch_counts_as_false_by_the_camera_of_its_own_step(failing, switches):
+    """Not by that of the step before or after."""
+    vision, spoilt = np.ones((20, 1), bool), np.zeros((5, 1), bool)
+    vision[8:] = False  # The first update of step 2.
+    spoilt[failing] = True
+    assert metrics.false_switches(vision.reshape(5, 4, 1), spoilt) == switches
+
+
+def test_the_bootstrap_interval_is_of_percentiles():
+    """Of skewed values it is longer above the mean; mirrored, it would be longer below."""
+    values = np.random.default_rng(1).exponential(1.0, 12) ** 3
+    draws = np.random.default_rng(2).choice(values, (20_000, 12)).mean(axis=1)
+    expected = np.percentile(draws, (2.5, 97.5))
+    np.testing.assert_allclose(metrics.bootstrap_interval(values), expected, rtol=0.15)
+    low, high = expected
+    assert high - values.mean() > 1.5 * (values.mean() - low)

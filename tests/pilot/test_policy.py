@@ -160,3 +160,51 @@ def test_the_others_act_alike_when_some_retire_until_all_are_reset(bundle_path, 
     left.reset()
     arguments = observation, image, np.zeros(5, bool)
     np.testing.assert_array_equal(left.step(*arguments), whole.step(*arguments))
+
+
+def test_a_robot_that_begins_anew_has_its_image_and_no_error_of_the_map(policy):
+    policy.has_image[:] = False
+    policy.map_error[:] = 0.7
+    policy.reset(np.array([True, False, True]))
+    assert policy.has_image.tolist() == [True, False, True]
+    np.testing.assert_allclose(policy.map_error, [0.0, 0.7, 0.0])
+
+
+def spoilt(policy: BundlePolicy, **changes) -> None:
+    """Let a tick find other numbers for robot 1."""
+    found = {"latent_op": policy.latent_op, "latent_vp": policy.latent_vp}
+    found |= {"velocity_op": policy.velocity_op, "velocity_vp": policy.velocity_vp}
+    found = {name: value.copy() for name, value in found.items()}
+    for name, value in changes.items():
+        found[name][1] = value
+    policy._accept(found)
+
+
+@pytest.mark.parametrize("name", ["latent_vp", "velocity_vp"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e30])
+def test_a_vp_that_finds_no_numbers_leaves_op_driving_and_begins_anew(policy, name, value):
+    """And the robots beside it walk on as they did."""
+    random = np.random.default_rng(0)
+    observation = random.normal(size=(3, 45)).astype(np.float32)
+    image = random.random((3, 48, 64)).astype(np.float32)
+    policy.step(observation, image, np.zeros(3, bool))
+    vp = policy.latent_vp.copy()
+    spoilt(policy, **{name: value})
+    assert policy.vp_lost.tolist() == [False, True, False]
+    assert not policy.op_lost.any()
+    assert policy.has_image.tolist() == [True, False, True]
+    np.testing.assert_array_equal(policy.latent_vp[[0, 2]], vp[[0, 2]])
+    assert not policy.latent_vp[1].any()
+    action = policy.step(observation, image, np.zeros(3, bool))
+    assert np.isfinite(action).all()
+    for _ in range(5):
+        policy.step(observation, image, np.zeros(3, bool))
+    assert not policy.vp_lost.any()
+    policy.reset()
+    assert not policy.vp_lost.any()
+
+
+@pytest.mark.parametrize("name", ["latent_op", "velocity_op"])
+def test_an_op_that_finds_no_numbers_is_told(policy, name):
+    spoilt(policy, **{name: np.nan})
+    assert policy.op_lost.tolist() == [False, True, False]

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 
 from renet.errors import RenetError
 from renet.selector import MONITORS, calibration
-from renet.selector.calibration import calibrate_monitors, decluster, return_level, stale_above
+from renet.selector.calibration import (
+    APART,
+    calibrate_monitors,
+    decluster,
+    return_level,
+    stale_above,
+)
 
 
 def hours(n: float, seed: int = 0, runs: int = 40) -> list[np.ndarray]:
@@ -128,3 +134,26 @@ def test_chance_makes_no_memory_stale():
     limits = [stale_above(error, random.random(20_000) < 0.003, blind) for _ in range(50)]
     assert np.isinf(limits).mean() > 0.9
     assert math.isinf(stale_above(np.zeros(0), np.zeros(0, bool), np.zeros(0)))
+
+
+def test_a_tail_heavier_than_an_exponential_one_is_taken_as_exponential() -> None:
+    """Its shape would be fitted badly; the level's margin is the mean exceedance."""
+    peaks = (np.random.default_rng(0).random(1000) ** -0.3 - 1.0) / 0.3
+    run = np.full(50_000, 5.0)
+    run[::50] += peaks
+    level = return_level([run], 1e-12)
+    assert level == pytest.approx(5.0 + peaks.mean() * math.log(1e15), rel=0.02)
+
+
+def test_the_rate_of_false_alarms_is_shared_between_monitors() -> None:
+    first, second = hours(0.3), hours(0.3, 1)
+    both, _ = calibrate_monitors({"reconstruction": first, "disagreement": second}, 1.0)
+    alone, _ = calibrate_monitors({"reconstruction": first}, 0.5)
+    assert both["reconstruction"] == alone["reconstruction"]
+
+
+@pytest.mark.parametrize(("apart", "bursts"), [(APART - 1, 1), (APART, 2)])
+def test_bursts_are_apart_from_ten_scores_on(apart: int, bursts: int) -> None:
+    run = np.zeros(100)
+    run[[5, 5 + apart]] = 2.0
+    assert len(decluster(run, 1.0)) == bursts

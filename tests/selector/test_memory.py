@@ -189,3 +189,23 @@ def test_a_memory_without_end_is_refused():
         with pytest.raises(RenetError, match=f"selector.longest_memory .*{problem}"):
             check_selector(SelectorSpec(beta=0.1, longest_memory=longest))
     assert MONITORS["map_error"].limit == 1.0
+
+
+def test_a_robot_that_begins_anew_sees_and_remembers_nothing():
+    walk = Walk()
+    assert walk.run(5, variance=9.0)[-1] == REMEMBERS
+    assert walk.selector.without_image[0] > 0.0
+    walk.selector.reset(np.array([True]))
+    assert walk.selector.without_image[0] == 0.0
+    assert walk.selector.state[0] == SEES
+
+
+def test_a_robot_whose_vp_is_distrusted_is_blind_at_once_and_sees_again_after_the_dwell():
+    """Whatever the monitors say."""
+    walk = Walk(healthy=60)
+    walk.selector.distrust(np.array([True]), "VP found no numbers")
+    assert walk.selector.state[0] == BLIND
+    assert walk.selector.reason[0] == "VP found no numbers"
+    states = walk.run(30)
+    assert set(states[: round(DWELL / TICK) - 1]) == {BLIND}
+    assert states[-1] == SEES

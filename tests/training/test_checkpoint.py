@@ -2,6 +2,11 @@
 
 from pathlib import Path
 
+import pytest
+import torch
+
+from renet.errors import RenetError
+from renet.training import checkpoint
 from renet.training.checkpoint import Checkpoint, checkpoints, save
 
 
@@ -19,3 +24,31 @@ def test_making_room_deletes_checkpoints_alone(tmp_path: Path):
     assert [path.name for path in checkpoints(tmp_path / "run")] == ["it_00000002", "it_00000006"]
     assert len(list(tmp_path.rglob("thesis.tex"))) == 5
     assert (tmp_path / "elsewhere" / "state.json").exists()
+
+
+def test_what_a_kill_left_of_an_old_checkpoint_goes_with_the_next(tmp_path: Path):
+    """The state goes first; somebody's notes stay."""
+    for name, entry in (("it_00000001", ""), ("it_00000002", "model.safetensors")):
+        (tmp_path / name).mkdir()
+        if entry:
+            (tmp_path / name / entry).write_bytes(b"")
+    (tmp_path / "it_00000003").mkdir()
+    (tmp_path / "it_00000003" / "notes.txt").write_text("mine")
+    save(Checkpoint({}, {}, {}), tmp_path, 9, keep=1)
+    assert {path.name for path in tmp_path.iterdir()} == {"it_00000003", "it_00000009"}
+
+
+@pytest.mark.parametrize("name", ["model", "average"])
+def test_weights_of_other_sizes_are_refused_by_their_header(tmp_path: Path, name: str, monkeypatch):
+    """Before any of them takes memory."""
+    small, large = ({"weight": torch.zeros(n, 2)} for n in (3, 5))
+    weights = {"model": small, "average": small} | {name: large}
+    state = {"steps": 1, "seconds": 1.0, "task": "x", "agent": {}, "env": {}}
+    path = save(Checkpoint(optimizer={}, environment={}, state=state, **weights), tmp_path, 1, 1)
+    loaded = []
+    monkeypatch.setattr(checkpoint, "load_file", lambda file, device: loaded.append(file.stem))
+    monkeypatch.setattr(checkpoint, "load_state", lambda path: state)
+    network = torch.nn.Linear(2, 3, bias=False)
+    with pytest.raises(RenetError):
+        checkpoint.load(path, "cpu", network)
+    assert name not in loaded

@@ -157,3 +157,33 @@ def test_entropy_divergence_and_budgets_follow_their_schedules():
     algorithm.update(rollout, last, algorithm.draw_orders(rollout), 0, steps=5e6)
     assert algorithm._entropy == pytest.approx(0.005)
     assert algorithm._desired_kl == pytest.approx(0.015)
+
+
+def test_clipped_value_loss_by_hand():
+    value, old, target = torch.tensor([[3.0], [1.1]]), torch.zeros(2, 1), torch.tensor([[3.0], [0]])
+    # 3 is clipped to 0.2, which is worse: (0.2 - 3)^2; 1.1 to 0.2, which is better: 1.1^2 counts.
+    loss = np3o.clipped_value_loss(value, old, target, 0.2)
+    assert loss.item() == pytest.approx((2.8**2 + 1.1**2) / 2)
+
+
+@pytest.mark.parametrize(("weight", "most"), [(0.1, 1.0), (3.0, 3.0)])
+def test_the_weight_of_penalties_grows_to_one_or_stays(weight, most):
+    algorithm = small(cost_weight=weight, cost_weight_growth=1.5, num_learning_epochs=1)
+    rollout, last = random_rollout(algorithm)
+    weights = []
+    for iteration in range(12):
+        algorithm.update(rollout, last, algorithm.draw_orders(rollout), iteration)
+        weights.append(algorithm.cost_weight)
+    assert weights == sorted(weights)
+    assert weights[-1] == most
+
+
+@pytest.mark.parametrize(
+    ("kl", "factor"), [(0.0, 1.0), (-1e-9, 1.0), (0.001, 1.5), (0.01, 1.0), (0.03, 1 / 1.5)]
+)
+def test_the_rate_follows_the_divergence_but_not_one_that_is_none(kl, factor):
+    """Zero is that of a first step, whose policy is the old one."""
+    algorithm = small(desired_kl=0.01)
+    algorithm._desired_kl, before = 0.01, algorithm.learning_rate
+    algorithm._adapt_rate(torch.tensor(kl))
+    assert algorithm.learning_rate == pytest.approx(factor * before)

@@ -1,9 +1,11 @@
 """Robot, camera and operator of one run, made from its settings and started."""
 
 import math
+import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from typing import Any
 
 from renet.bundle import Bundle
 from renet.deploy.cameras.base import Camera
@@ -16,6 +18,8 @@ from renet.deploy.robots.real.lock import claim
 from renet.deploy.teleop import ScriptedTeleop, Teleop
 from renet.errors import RenetError
 
+CLOSING = 5.0
+"""Seconds that a device may take to be closed; a robot that sinks takes three."""
 FIRST_IMAGE = 2.0
 """Seconds in which a real camera's first image is waited for."""
 
@@ -42,7 +46,7 @@ def start_devices(
     camera = cfg.lens.build(bundle.manifest.camera, robot, cfg.seed)
     teleop = make_teleop(cfg)
     for device in (teleop, camera, robot):
-        stack.callback(getattr(device, "close", lambda: None))
+        stack.callback(close_device, device, say)
     with checklist.step(f"{cfg.robot} answers"):
         robot.connect()
     if refused := getattr(robot, "refused", ""):
@@ -57,6 +61,25 @@ def start_devices(
     checklist.finish()
     teleop.drain(robot.now())
     return robot, camera, teleop
+
+
+def close_device(device: Any, say: Callable[[str], None]) -> None:
+    """Close a device, if it can be: one that fails or hangs costs neither score nor program."""
+    problem = [f"does not close within {CLOSING:g} s"]
+
+    def close() -> None:
+        try:
+            getattr(device, "close", lambda: None)()
+        except Exception as error:
+            problem[0] = f"cannot be closed: {error}"
+        else:
+            problem.clear()
+
+    thread = threading.Thread(target=close, daemon=True)
+    thread.start()
+    thread.join(CLOSING)
+    if problem:
+        say(f"{type(device).__name__} {problem[0]}")
 
 
 def _check_pace(robot: RobotDriver, bundle: Bundle, simulated: bool, checklist: Checklist) -> None:

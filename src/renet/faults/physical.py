@@ -123,13 +123,15 @@ def unit_vectors(vectors: Sequence[np.ndarray]) -> np.ndarray:
 def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:
     """Geoms of each tile's obstacles: boxes that neither span the tile nor carry its start.
 
+    Courses name theirs by their group.
+
     Args:
         model: a scene with terrain; raises RenetError without obstacles.
         middles: [tiles, 2] m, world.
     """
     import mujoco
 
-    from renet.terrain.tiles import TILE
+    from renet.terrain.tiles import OBSTACLE_GROUP, TILE
 
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -138,7 +140,8 @@ def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:
     box = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
     start = (np.abs(middles[:, None] - centre) <= half).all(axis=2).any(axis=0)
     within_tile = (half < TILE / 2 - 1e-6).all(axis=1)
-    geoms = np.flatnonzero(in_terrain & box & ~start & within_tile)
+    named = in_terrain & (model.geom_group == OBSTACLE_GROUP)
+    geoms = np.flatnonzero(in_terrain & box & (named | (~start & within_tile & ~named.any())))
     if not len(geoms):
         raise RenetError(
             "this terrain has no obstacle that could be glass: choose obstacles, stairs_up or"

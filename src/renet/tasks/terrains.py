@@ -7,6 +7,7 @@ from typing import Any, cast
 from mjlab.terrains import SubTerrainCfg, TerrainEntityCfg, TerrainGeneratorCfg
 
 from renet.errors import RenetError
+from renet.terrain.course import WIDTH, Course
 from renet.terrain.own_ground import KIND
 from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
 
@@ -54,6 +55,22 @@ def tile_row(grounds: Mapping[str, int]) -> TerrainEntityCfg:
         size = 0.0 if kind == "flat" else tile.measure(difficulty)
         kinds[kind] = replace(tile, low=size, high=size, proportion=1.0, flat_start=False)
     return parkour_terrain(UNSEEN, kinds, levels=1)
+
+
+def course_row(courses: Mapping[str, Course]) -> TerrainEntityCfg:
+    """Courses side by side, by name; tiles are as long as the longest of them."""
+    generator = TerrainGeneratorCfg(
+        curriculum=True,
+        size=(max(course.length for course in courses.values()), WIDTH),
+        border_width=TILE,
+        num_rows=1,
+        color_scheme="none",
+        sub_terrains=cast(Any, dict(courses)),
+        add_lights=True,
+    )
+    return TerrainEntityCfg(
+        terrain_type="generator", terrain_generator=generator, max_init_terrain_level=None
+    )
 
 
 def own_ground(tile: Tile, level: int) -> TerrainEntityCfg:

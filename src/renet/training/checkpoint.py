@@ -77,7 +77,16 @@ def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Pat
     for old in others[: max(len(others) - keep + 1, 0)]:
         if foreign(old, FILES) is None:  # Else somebody keeps notes there.
             remove_folder(old, FILES)
+    for torn in _torn(folder):
+        remove_folder(torn, FILES)
     return final
+
+
+def _torn(folder: Path) -> list[Path]:
+    """What a kill left of checkpoints that were being removed: they have no state any more."""
+    numbered = [path for path in folder.iterdir() if _numbered(path) and path.is_dir()]
+    stateless = [path for path in numbered if not (path / "state.json").exists()]
+    return [path for path in stateless if foreign(path, FILES) is None]
 
 
 def checkpoints(folder: Path) -> list[Path]:

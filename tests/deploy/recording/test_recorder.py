@@ -1,5 +1,6 @@
 """Flights come back as they were written, whole or torn, and replay to the last bit."""
 
+import math
 import os
 from contextlib import nullcontext
 from dataclasses import asdict, replace
@@ -19,7 +20,7 @@ from renet.errors import RenetError
 from renet.pilot.inference import InlineInference, ThreadedInference
 
 from ...hostile.files import HEAD, chunk
-from ..fakes import QUICK, STANDING, Broken, frame, state, time_of, until
+from ..fakes import QUICK, STANDING, Broken, frame, live, state, time_of, until
 
 STEPS = 230
 
@@ -31,13 +32,18 @@ def run_control_loop(bundle: Bundle, path, inference=InlineInference) -> None:
     random = np.random.default_rng(3)
     for step in range(STEPS):
         now = time_of(step)
-        reading = state(now, joint_position=STANDING + 0.05 * random.normal(size=12))
+        reading = live(
+            now,
+            joint_position=STANDING + 0.05 * random.normal(size=12),
+            temperature=30.0 + step // 100,
+            battery=0.8 if step < 210 else math.nan,
+        )
         picture = frame(step - step % 5, time_of(step - step % 5)) if step % 90 < 60 else None
-        if step == 150:
+        if 150 <= step < 153:
             reading = state(now, joint_position=np.zeros(5))
         if step == 100:
             picture = replace(frame(step, now), image=np.zeros((2, 2)))
-        teleop = TeleopCommand(0.5, 0.0, 0.5, arm=step in (1, 160))
+        teleop = TeleopCommand(0.5, 0.0, 0.5, arm=step in (1, 165))
         controller.tick(reading, picture, teleop, now)
         log.append(reading, picture, teleop, now, controller.decision, compute_ms=1.5)
     controller.close()
@@ -65,6 +71,15 @@ def test_a_flight_comes_back_whole(bundle, flight, recorded):
     assert modes == ["damping", "standing_up", "walking", "damping", "walking"]
     assert flight.events[0].what == "standing_up"
     assert any("joint_position has shape (5,)" in event.why for event in flight.events)
+    said = [
+        (0, 30.0, 0.8),
+        (100, 31.0, 0.8),
+        (150, np.nan, np.nan),
+        (153, 31.0, 0.8),
+        (200, 32.0, 0.8),
+        (210, 32.0, np.nan),
+    ]
+    np.testing.assert_allclose(np.array(flight.power.tolist()), said, rtol=1e-6)
     np.testing.assert_array_equal(flight.images[15], frame(15, 0.3).image.astype(np.float16))
     assert flight.ticks["compute_ms"][7] == 1.5
     assert recorded.stat().st_size < 1_000_000
@@ -87,7 +102,7 @@ def test_replay_is_bit_for_bit(bundle, flight, tmp_path, monkeypatch):
         ({"bundle_sha256": "0" * 64}, "made with bundle 000000000000"),
         ({"safety": {"max_height": 1.0}}, "does not say what ran"),
         ({"safety": None}, "does not say what ran"),
-        ({"selector": ...}, "does not say what ran: 'selector'"),
+        ({"mode": ...}, "does not say what ran: 'mode'"),
     ],
 )
 def test_a_run_of_another_bundle_cannot_be_replayed(bundle, flight, header, message):

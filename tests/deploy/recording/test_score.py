@@ -50,7 +50,7 @@ def test_a_robots_flight_is_reckoned_from_its_estimators(flight):
     assert result["commanded_m_s"] == 0.6
     assert result["vision_share"] == 0.5
     assert 0 < result["memory_share"] < 0.5
-    assert (result["switches"], result["op_before_first_fault"]) == (1, 0)
+    assert (result["switches"], result["blind_before_first_fault"]) == (1, 0)
     assert result["switch_delay_s"] == [pytest.approx(0.2)]
     assert result["compute_ms"] == {"p50": 1.0, "p99": pytest.approx(1.0), "max": 9.0}
     assert result["period_ms"]["max"] == pytest.approx(20.0)
@@ -62,7 +62,7 @@ def test_a_simulators_truth_wins(flight):
     result = score(flight, [])
     assert result["distance_from"] == "simulator"
     assert result["distance_m"] == pytest.approx(5.0 * 0.8, abs=0.02)
-    assert result["op_before_first_fault"] == 1, "without a fault it is a false alarm"
+    assert result["blind_before_first_fault"] == 1, "without a fault it is a false alarm"
 
 
 def test_switch_delays(flight):
@@ -81,6 +81,14 @@ def test_falls_are_counted_once_each(flight):
     assert score(flight, [])["falls"] == 2
     flight.events.append(Event(1005.9, "damping", ENDED))
     assert score(flight, [])["falls"] == 1, "who topples when it is let go does not fall"
+
+
+def test_one_odd_reading_and_a_robot_that_begins_on_its_back_are_no_falls(flight):
+    flight.ticks["quaternion"][300] = turned("x", 180)
+    assert score(flight, [])["falls"] == 0
+    flight.ticks["quaternion"][:] = turned("x", 180)
+    flight.ticks["mode"] = MODES.index(Mode.DAMPING)
+    assert score(flight, [])["falls"] == 0
 
 
 def test_a_drop_off_the_ground_is_a_fall_and_stairs_are_none(flight):

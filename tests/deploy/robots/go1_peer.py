@@ -29,7 +29,7 @@ MOTOR_COMMAND = struct.Struct("<Bffhhh12x")
 """mode, q, dq, tau * 256, Kp * 32, Kd * 16"""
 MOTOR_STATE = struct.Struct("<Bffhhffhb")
 """mode, q, dq, ddq, tau * 256, raw q, raw dq, raw ddq, temperature"""
-MOTORS_AT, COMMAND_MOTORS_AT, STATE_STRIDE, TICK_AT = 75, 22, 32, 755
+SERIAL_AT, MOTORS_AT, COMMAND_MOTORS_AT, STATE_STRIDE, TICK_AT = 4, 75, 22, 32, 755
 JOINT_OF = np.array([JOINTS.index(name) for name in VENDOR])
 
 MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
@@ -74,6 +74,8 @@ class Peer(peer.Peer):
         self.data = self.robot.data
         self.silent = self.overloaded = self.garbled = self.still = False
         self.ticks = 0
+        self.serial, self.mode = (0, 0), 10
+        """Its number, and the mode that its motors say they are in."""
 
     def make_link(self, power_level: int = POWER_LEVEL) -> Go1Link:
         return Go1Link(LOCAL, self.port, free_port(), power_level)
@@ -113,8 +115,9 @@ class Peer(peer.Peer):
             tau = round(256 * float(np.clip(state.joint_torque[joint], -127, 127)))
             if self.overloaded:
                 dq, tau = 20.0, 256 * 30
-            values = (10, q, dq, 0, tau, q, dq, 0, 30)
+            values = (self.mode, q, dq, 0, tau, q, dq, 0, 30)
             MOTOR_STATE.pack_into(packet, MOTORS_AT + STATE_STRIDE * motor, *values)
+        struct.pack_into("<II", packet, SERIAL_AT, *self.serial)
         struct.pack_into("<I", packet, TICK_AT, self.ticks % 2**32)
         packet[-4:] = checksum(bytes(packet[:-4]))
         if self.garbled:

@@ -1,5 +1,7 @@
 """A lying robot whose legs push in turn, wired rightly or in another order."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 
@@ -67,7 +69,7 @@ def test_legs_in_their_order_pass():
     np.testing.assert_allclose(wired.read().joint_position, lay, atol=0.15)
 
 
-@pytest.mark.parametrize("pair", [("FR", "FL"), ("FR", "RR"), ("FR", "RL"), ("RR", "RL")])
+@pytest.mark.parametrize("pair", combinations(LEGS, 2), ids="-".join)
 def test_legs_that_are_swapped_are_found_before_the_robot_rises(pair):
     problem = Wired(swapped(*pair)).test_legs()
     why = "pushes, and another corner rises: are legs wired in another order?"

@@ -12,7 +12,7 @@ import threading
 import zlib
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from queue import Full, Queue
 from typing import Any, BinaryIO
@@ -33,6 +33,8 @@ EARLIER = {b"RENETLOG4\n": "0.1.x"}
 """Versions of renet that read earlier formats, by their magic."""
 CHUNK = struct.Struct("<4sII")
 HEADER, TICKS, IMAGES, EVENTS, END = b"HEAD", b"TICK", b"IMAG", b"EVNT", b"END."
+POWER = b"POWR"
+"""Its readers before renet knew it leave the chunk out, as any that they do not know."""
 TICKS_PER_CHUNK = 50
 
 NONE, GOOD, BAD = 0, 1, 2
@@ -66,6 +68,8 @@ TICK_DTYPE = np.dtype(
 )
 """One control tick: what came in, what was decided, how long that took, and where the base was in
 the world (NaN where nobody knows)."""
+POWER_DTYPE = np.dtype([("tick", "<u4"), ("temperature", "<f4"), ("battery", "<f4")])
+"""From which tick on a robot said something else: °C of its hottest motor, and charge, 0 to 1."""
 WISHES = tuple(f.name for f in fields(TeleopCommand))
 """Fields of an operator's command, all of which are recorded."""
 DECIDED = tuple(
@@ -110,6 +114,8 @@ class Recorder:
         self._ticks: list[np.ndarray] = []
         self._images: list[tuple[int, np.ndarray]] = []
         self._events: list[Event] = []
+        self._power: list[np.ndarray] = []
+        self._last_power = np.array((0, np.nan, np.nan), POWER_DTYPE)
         self._count, self._last_frame = 0, None
         self._thread = threading.Thread(target=self._write, daemon=True)
         self._thread.start()
@@ -134,6 +140,7 @@ class Recorder:
         tick["now"], tick["compute_ms"] = now, compute_ms
         tick["base_position"] = np.nan if base_position is None else base_position
         tick["state"] = _store_state(tick, state)
+        self._store_power(state)
         tick["frame"] = self._store_frame(tick, frame)
         _store_teleop(tick, teleop)
         tick["mode"] = MODES.index(decision.mode)
@@ -160,6 +167,16 @@ class Recorder:
             return  # Closing the file would wait for the same disk.
         with suppress(OSError):  # Already told as `problem`.
             self._file.close()
+
+    def _store_power(self, state: RobotState | None) -> None:
+        """Keep temperature and charge where they are not what they were before."""
+        try:
+            said = np.array((self._count, state.temperature, state.battery), POWER_DTYPE)
+        except Exception:  # No reading, or a driver's object, which may fail in any way.
+            return
+        if said.tobytes()[4:] != self._last_power.tobytes()[4:]:
+            self._last_power = said
+            self._power.append(said)
 
     def _store_frame(self, tick: np.ndarray, frame: DepthFrame | None) -> int:
         if frame is None:
@@ -188,7 +205,9 @@ class Recorder:
             self._put(IMAGES, rows.tobytes() + pictures.tobytes())
         if self._events:
             self._put(EVENTS, json.dumps([asdict(event) for event in self._events]).encode())
-        self._ticks, self._images, self._events = [], [], []
+        if self._power:
+            self._put(POWER, np.stack(self._power).tobytes())
+        self._ticks, self._images, self._events, self._power = [], [], [], []
 
     def _put(self, tag: bytes, data: bytes) -> None:
         if self.problem:
@@ -207,8 +226,8 @@ class Recorder:
                 self._file.write(magic + CHUNK.pack(tag, len(packed), zlib.crc32(packed)) + packed)
                 self._file.flush()
                 os.fsync(self._file.fileno())  # The battery may go next.
-            except (OSError, ValueError, MemoryError) as error:
-                why = str(error) or "out of memory"
+            except Exception as error:  # Whatever it is: the run goes on, and is told.
+                why = str(error) or type(error).__name__
                 self.problem = f"the recording {self.path} ends early: {why}"
                 return
             magic = b""
@@ -254,6 +273,8 @@ class Recording:
     events: list[Event]
     complete: bool
     """False where the end is missing."""
+    power: np.ndarray = field(default_factory=lambda: np.zeros(0, POWER_DTYPE))
+    """Of dtype `POWER_DTYPE`: what changed of temperature and charge, and when."""
 
 
 def read_recording(path: Path | str) -> Recording:
@@ -264,6 +285,7 @@ def read_recording(path: Path | str) -> Recording:
     """
     path = require_regular(Path(path), MAX_FILE, "recording")
     header, ticks, images, events, complete = None, [], {}, [], False
+    power: list[np.ndarray] = []
     unpacked = 0
     try:
         with path.open("rb") as file:
@@ -286,6 +308,8 @@ def read_recording(path: Path | str) -> Recording:
                     images |= _images(chunk)
                 elif tag == EVENTS:
                     events += [_event(value) for value in parse_json(chunk, "events")]
+                elif tag == POWER:
+                    power.append(np.frombuffer(chunk, POWER_DTYPE))
                 complete = tag == END
         if header is None:
             raise RenetError(f"{path} has no readable header: nothing of the run was saved")
@@ -297,7 +321,8 @@ def read_recording(path: Path | str) -> Recording:
         raise RenetError(
             f"the recording {path} is damaged, or of another version of renet: {error}"
         ) from error
-    return Recording(header, rows, images, events, complete)
+    changes = np.concatenate(power) if power else np.zeros(0, POWER_DTYPE)
+    return Recording(header, rows, images, events, complete, changes)
 
 
 def _chunks(file: BinaryIO) -> Iterator[tuple[bytes, bytes]]:

@@ -90,16 +90,19 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     seconds = float(walking.sum()) * CONTROL_DT
     path = track(ticks)[walking]
     metres = float(np.hypot(*(path[-1] - path[0])[:2])) if len(path) else 0.0
-    first = start + min(onsets, default=np.inf)
+    first = float(start + min(onsets, default=np.inf))
     # A robot let go on stairs as the run ends may topple, which is not the policy's fall.
     until = next((event.time for event in run.events if event.why == ENDED), np.inf)
     felled = np.diff(fallen(ticks).astype(int), prepend=0) > 0
+    # One that lies on its back from the start never fell.
+    risen = np.logical_or.accumulate(ticks["mode"] != MODES.index(Mode.DAMPING))
     blind = ticks["now"][walking & ~ticks["vision"]] - start
+    went_blind = [event.time for event in run.events if event.what == BLIND]
     return {
         "seconds": round(len(ticks) * CONTROL_DT, 2),
         "complete": run.complete,
         "walking_seconds": round(seconds, 2),
-        "falls": int((felled & (ticks["now"] < until)).sum()),
+        "falls": int((felled & risen & (ticks["now"] < until)).sum()),
         "distance_m": round(metres, 3),
         "distance_from": "simulator" if simulated(ticks) else "estimator",
         "speed_m_s": round(metres / seconds, 3) if seconds else 0.0,
@@ -109,7 +112,7 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
         "states": states(ticks[walking]),
         "crossed": crossed(run, path),
         "switches": sum(event.what in (SEES, BLIND) for event in run.events),
-        "blind_before_first_fault": sum(e.what == BLIND and e.time < first for e in run.events),
+        "blind_before_first_fault": sum(time < first for time in went_blind),
         "switch_delay_s": [delay_to_op(blind, onset) for onset in onsets],
         "compute_ms": spread(ticks["compute_ms"]),
         "period_ms": spread(1000.0 * np.diff(ticks["now"])),
@@ -182,6 +185,7 @@ def fallen(ticks: np.ndarray, lean: float = 60.0) -> np.ndarray:
     measured = (ticks["state"] == GOOD) & (np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) < 0.1)
     upright = 1.0 - 2.0 * (quaternion[:, 1:3] ** 2).sum(axis=1)
     leaning = measured & (upright < np.cos(np.radians(lean)))
+    leaning[1:-1] &= leaning[:-2] | leaning[2:]  # A single reading is an odd one.
     height = ticks["base_position"][:, 2]
     dropped = height[np.maximum(rows - round(1.0 / CONTROL_DT), 0)] - height > DROP
     return leaning[np.maximum.accumulate(np.where(measured, rows, 0))] | dropped

@@ -46,7 +46,7 @@ class Freezing:
         if last is None:
             return ""
         for name in VECTORS:
-            same = getattr(last, name).tobytes() == getattr(state, name).tobytes()
+            same = bool((getattr(last, name) == getattr(state, name)).all())
             self._alike[name] = self._alike[name] + 1 if same else 1
         if (alike := min(self._alike.values())) > MOST_ALIKE:
             return f"the readings are frozen: {alike} are the same"

@@ -20,6 +20,7 @@ from renet.deploy.robots.base import RobotState
 from renet.deploy.robots.go1 import link
 from renet.deploy.robots.go1.driver import go1_robot
 from renet.deploy.robots.joint_watch import JointWatch
+from renet.deploy.robots.real.identity import RESTARTED
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import Mode
 from renet.errors import RenetError
@@ -70,9 +71,41 @@ def test_the_librarys_empty_packet_and_one_with_a_wrong_crc_are_no_readings(wire
     assert wire.link.state.time == last
 
 
+def test_another_robot_at_its_address_brakes_for_good(free, peer):
+    """One reading of another serial number is a damaged one."""
+    free.hold(5)
+    for serial, count, problem in (((7, 8), 1, ""), ((0, 0), 3, ""), ((7, 8), 5, RESTARTED)):
+        peer.serial = serial
+        for _ in range(count):
+            free.hold(1)
+        assert free.link.problem == problem
+    assert peer.braked
+
+
+def test_a_robot_that_is_started_again_brakes_for_good(wire, peer):
+    peer.ticks = 10_000_000
+    wire.start()
+    wire.hold(5)
+    peer.ticks = 0
+    for _ in range(5):
+        wire.hold(1)
+    assert wire.link.problem == RESTARTED
+    assert peer.braked
+
+
+def test_motors_that_leave_their_mode_are_a_fault_of_the_robot(free, peer):
+    for _ in range(100):
+        free.hold(1)
+    assert free.link.state.fault == ""
+    peer.mode = 0
+    for _ in range(5):
+        free.hold(1)
+    assert free.link.state.fault == "the motor of FR_hip_joint has left its mode"
+
+
 @pytest.mark.parametrize(("charge", "battery"), [(57, 0.57), (1, 0.01), (0, 0.0)])
 def test_an_empty_battery_is_not_an_unknown_one(wire, charge, battery):
-    motor = SimpleNamespace(q=0.0, dq=0.0, tauEst=0.0, temperature=1)
+    motor = SimpleNamespace(mode=10, q=0.0, dq=0.0, tauEst=0.0, temperature=1)
     imu = SimpleNamespace(quaternion=[1, 0, 0, 0], gyroscope=[0, 0, 0])
     bms = SimpleNamespace(SOC=charge)
     wire.link._in = SimpleNamespace(motorState=[motor] * 20, imu=imu, bms=bms)

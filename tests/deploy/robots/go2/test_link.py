@@ -305,6 +305,12 @@ def test_it_is_held_where_it_stands_from_the_release_on(wire, peer):
     assert wire.link.state is not None
     assert len(limp) * PERIOD <= 0.01
     assert abs(peer.height - stood) < 0.02
+    wire.dead = True
+    wire.run(round(0.02 / PERIOD))
+    assert peer.braked, "its controller hangs before its first command"
+    wire.dead = False
+    wire.run(1)
+    assert not peer.braked
     wire.link.problem = "the connection was closed"
     wire.run(2)
     assert peer.braked

@@ -145,8 +145,7 @@ class FakeGo2:
             self.refused += 1
         else:
             self.accepted += 1
-            motors = np.empty(len(JOINTS), command["motor_cmd"].dtype)
-            motors[self.order] = command["motor_cmd"][MOTORS]
+            motors = command["motor_cmd"][MOTORS][np.argsort(self.order)]
             parts = ("mode", "q", "dq", "tau", "kp", "kd")
             self._drive(*(motors[part].astype(float) for part in parts))
 

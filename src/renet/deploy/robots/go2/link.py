@@ -93,7 +93,7 @@ class Go2Link(Link):
         if newest is not None and math.isnan(self._began):
             self._began = self._heard = now
         if not self._watch:
-            self._switch.step(now, release=self._known and not self._free)
+            self._switch.step(now, self._known and not (self._free or self.problem))
         self._identify(now)
         if self._known and not self._watch:
             self._claim(heard, now)
@@ -177,11 +177,8 @@ class Go2Link(Link):
             self.holding = self._envelope.clamp(JointCommand(aim, *gains))
 
     def _send(self, command: JointCommand | None) -> None:
-        if command is None:
-            command = self.holding
-        elif not self._free:
-            return
-        if command is None or self._watch or self._switch.mode:
+        early = self._command is not None and not self._free
+        if command is None or early or self._watch or self._switch.mode:
             return
         motors = self._out.values["motor_cmd"][MOTORS]
         motors["q"], motors["dq"], motors["tau"] = command.position, 0.0, 0.0

@@ -66,14 +66,15 @@ class Link(ABC):
         """Read what arrived, send the newest command; raises only what sending itself raises."""
         with self.braked_on_failure():
             self._receive(now)
-        if now - self._alive > LIFELESS:
+        lifeless = now - self._alive > LIFELESS
+        if lifeless:
             self._too_old = now  # A command from before the gap must not be obeyed after it.
         silent = now - self.commanded > SILENCE or self.commanded <= self._too_old
         command = self._command
+        if command is None:  # Before the first command nobody can be late with one.
+            command, silent = self.holding, lifeless
         if command is not None and (silent or self.problem):
             command = braking(command)
-        if self.holding is not None and self.problem:
-            self.holding = braking(self.holding)
         self._send(command)
 
     @property
@@ -101,7 +102,7 @@ class Link(ABC):
 
     @abstractmethod
     def _send(self, command: JointCommand | None) -> None:
-        """Send a command to the motors; None before the controller's first."""
+        """Send a command to the motors; None while they are to be left alone."""
 
 
 def braking(command: JointCommand) -> JointCommand:
