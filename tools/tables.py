@@ -45,7 +45,7 @@ SWITCHES = (
     ("severity_5", "blind"),
 )
 """Studies and modes of the table of switches, column by column."""
-LEADERBOARD = ("go1-parkour", "oracle_withholds", "playground", "himloco")
+LEADERBOARD = ("go1-parkour", "oracle_withholds", "playground", "himloco", "robogauge")
 """Result files of the fault benchmark's quick leaderboard, the reference first."""
 
 

@@ -123,8 +123,9 @@ class Evaluator:
         """
         if not 0 <= seed < 2**32:
             raise RenetError(f"seed must be from 0 to 2^32 - 1, got {seed}")
-        named = isinstance(task, str) and task in (FLAT, PARKOUR)
-        if named or isinstance(task, Mapping | TerrainEntityCfg):
+        if isinstance(task, Mapping | TerrainEntityCfg) or (
+            isinstance(task, str) and task in (FLAT, PARKOUR)
+        ):
             task = self.terrain_env_cfg(task)
         cfg = study_env_cfg(task, speed, self.privileged, self.bundle.manifest.told)
         robot = self.bundle.manifest.robot.name

@@ -27,8 +27,8 @@ ODD = [
 class Taken:
     """An intake, and what it says of one reading after the other."""
 
-    def __init__(self) -> None:
-        self.intake, self.step = Intake(robot_spec(), SafetyCfg()), 0
+    def __init__(self, **limits: float) -> None:
+        self.intake, self.step = Intake(robot_spec(), SafetyCfg(**limits)), 0
 
     def take(self, count: int = 1, **changes) -> str:
         for _ in range(count):
@@ -101,6 +101,14 @@ def test_what_parts_slowly_is_told_within_half_a_second_and_a_little(name, value
     said = [taken.take(1, **{name: np.array(value)}) for _ in range(35)]
     assert reason in said[-1]
     assert said[10] == ""
+
+
+def test_times_that_say_little_add_up_to_nothing():
+    """A simulated robot on a busy computer lives more slowly than the clock says."""
+    taken = Taken(max_state_age=9.0)
+    taken.take(20)
+    assert taken.take(60, joint_velocity=3.0 * SWAY, angular_velocity=np.array([0, 0.4, 0])) == ""
+    assert "jumped" in taken.take(3, joint_position=STANDING + 0.5 * SWAY)
 
 
 def test_the_age_of_the_last_good_one_is_told():

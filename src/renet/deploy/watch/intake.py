@@ -4,7 +4,7 @@ from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import RobotState
 from renet.deploy.safety.checks import clean_state, state_problem
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.safety.plausibility import Readings, break_problem, comparable
+from renet.deploy.safety.plausibility import LONGEST, Readings, break_problem, comparable
 
 MOST_ODD = 2
 """Odd readings that are left out; meanwhile the last good one stands, and grows old."""
@@ -28,6 +28,8 @@ class Intake:
         self._seen: RobotState | None = None
         """The newest whole one, good or not."""
         self._readings = Readings()
+        # Where old readings may pass, their times say too little to add up what they foretell.
+        self._timed = cfg.max_state_age <= LONGEST
         self._broken = ""
         """Why the newest reading does not go on from the good ones; empty if it does."""
         self._since = 0
@@ -86,7 +88,7 @@ class Intake:
             self._broken = ""
         else:
             self._since += 1
-        if before or broken or problem or last is not self.newest:
+        if before or broken or problem or last is not self.newest or not self._timed:
             self._readings.start_over()
         else:
             self._drifts = self._readings.problem(last, state)
