@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from renet.descriptions import GO2
-from renet.identification.fit import END_STOP, MotorFitter, judged, spread, standard_error
+from renet.identification.fit import END_STOP, MotorFitter, per_joint, standard_error, valid_rows
 from renet.identification.motion_log import MotionLog
 from renet.identification.replay import DELAY, SuspendedRobot
 from renet.interface import JOINTS
@@ -56,15 +56,15 @@ def test_jacobian_is_that_of_one_parameter_at_a_time(robot, log, groups):
 
 def test_kinds_are_spread_over_legs():
     kinds = np.arange(12.0).reshape(3, 4)
-    np.testing.assert_array_equal(spread(kinds), np.tile(kinds, (4, 1)))
+    np.testing.assert_array_equal(per_joint(kinds), np.tile(kinds, (4, 1)))
 
 
-def test_nothing_is_judged_at_an_end_stop(robot, log):
+def test_rows_at_an_end_stop_are_invalid(robot, log):
     joint = JOINTS.index("RL_calf_joint")
     log.target[50:53, joint] = robot.upper[joint] + 0.01
     expected = np.ones((200, 12), bool)
     expected[50 : 53 + round(END_STOP / log.period), joint] = False
-    np.testing.assert_array_equal(judged(robot, log), expected)
+    np.testing.assert_array_equal(valid_rows(robot, log), expected)
 
 
 def test_standard_error_of_independent_errors_is_the_textbooks():

@@ -1,4 +1,4 @@
-"""Fits motors to a log by least squares: those whose replay comes closest to what was measured."""
+"""Fit of motors to a log by least squares between replayed and measured joint positions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,61 +12,71 @@ from renet.identification.replay import SuspendedRobot
 from renet.interface import JOINTS
 from renet.motors import KINDS, LARGEST, PARAMETERS, joint_kind
 
-KIND = np.array([KINDS.index(joint_kind(joint)) for joint in JOINTS])
-"""Place in `motors.KINDS` of each joint, [12]."""
+KIND_INDEX = np.array([KINDS.index(joint_kind(joint)) for joint in JOINTS])
+"""Index in `motors.KINDS` of each joint's kind, [12]."""
 SCALE = np.array([0.01, 0.2, 0.3, 0.003])
 """Sizes of the parameters of a small robot's motors, in the units of `motors.MotorParameters`."""
 DIFFERENCE = 0.01
-"""Share of its scale by which a parameter is varied to measure its influence."""
+"""Step of finite differences, as a share of a parameter's scale."""
 LEAST = np.array([1e-5, 0.0, 0.0, 0.0])
-"""Least values; an armature of zero is no motor."""
+"""Smallest values of the parameters; a motor's armature is above zero."""
 AT_LEAST = 0.01
-"""Share of its scale within which a parameter is at its least value."""
+"""Distance from its smallest value within which a parameter counts as being there, as a share of
+its scale."""
 MOST = np.array([getattr(LARGEST, name) for name in PARAMETERS])
+"""Largest values of the parameters."""
 TOLERANCE = 1e-4
 """Relative change of cost or parameters below which a fit has converged."""
 MAX_ITERATIONS = 50
 WARM_UP = 0.5
-"""Seconds at the beginning of a replay that are not judged: a joint's start is measured badly."""
+"""Duration of a replay's beginning that is left out, s: the measured start of a joint is
+inaccurate."""
 END_STOP = 0.2
-"""Seconds for which a joint is not judged after a target beyond its limits: its end stop, or its
-vendor's own limit, holds it then, not its motor."""
+"""Time for which a joint is left out after a target beyond its limits, s: its end stop, or the
+vendor's own limit, holds it then rather than its motor."""
 BLOCK = 1.0
-"""Seconds of errors that are taken for independent of those before and after them."""
+"""Duration of blocks of errors that count as independent of each other, s."""
 LEAST_MOTION = 0.05
-"""rad; a joint that moves less says nothing of its motor."""
+"""Smallest range of a joint's motion from which its motor can be fitted, rad."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Motors that were fitted, for each of G groups of joints."""
+    """Fitted motors of G groups of joints."""
 
     motors: np.ndarray
-    """[G, 4] of `motors.PARAMETERS`."""
+    """Values of `motors.PARAMETERS`, [G, 4]."""
     standard_error: np.ndarray
-    """[G, 4] likewise; NaN where a parameter is at its least value."""
+    """Their standard errors, [G, 4]; NaN where a parameter is at its smallest value."""
     iterations: int
+    """Number of iterations of the fit."""
 
 
-def judged(robot: SuspendedRobot, log: MotionLog) -> np.ndarray:
-    """Which joints say something of their motors in which rows, [T, 12]."""
-    beyond = (log.target < robot.lower) | (log.target > robot.upper)
-    count = np.concatenate([np.zeros((1, len(JOINTS)), int), np.cumsum(beyond, axis=0)])
+def valid_rows(robot: SuspendedRobot, log: MotionLog) -> np.ndarray:
+    """Return a mask of the rows from which a joint's motor can be fitted, [T, 12] bool.
+
+    It is False for a time after each target beyond the joint's limits.
+    """
+    is_beyond = (log.target < robot.lower) | (log.target > robot.upper)
+    # Numbers of targets beyond the limits before each row.
+    count = np.concatenate([np.zeros((1, len(JOINTS)), int), np.cumsum(is_beyond, axis=0)])
     rows = np.arange(len(log))
     earliest = np.maximum(rows - round(END_STOP / log.period), 0)
     return count[rows + 1] == count[earliest]
 
 
-def spread(motors: np.ndarray) -> np.ndarray:
-    """Motors of each joint, [12, 4], from those of kinds [3, 4] or of joints [12, 4]."""
-    return motors[KIND] if len(motors) == len(KINDS) else motors
+def per_joint(motors: np.ndarray) -> np.ndarray:
+    """Return the motors of each joint, [12, 4], given those of kinds [3, 4] or joints [12, 4]."""
+    if len(motors) == len(KINDS):
+        return motors[KIND_INDEX]
+    return motors
 
 
-def check_motion(log: MotionLog, rows: range, is_judged: np.ndarray) -> None:
+def check_motion(log: MotionLog, rows: range, is_valid: np.ndarray) -> None:
     """Raise RenetError unless every joint moves in the rows that are fitted."""
     for column, joint in enumerate(JOINTS):
         position = log.position[rows.start : rows.stop, column]
-        seen = position[is_judged[rows.start : rows.stop, column]]
+        seen = position[is_valid[rows.start : rows.stop, column]]
         if not len(seen):
             raise RenetError(
                 f"every target of {joint} is beyond its limits: are the log's angles in rad, and "
@@ -85,14 +95,24 @@ class MotorFitter:
     def __init__(
         self, robot: SuspendedRobot, log: MotionLog, rows: range, say: Callable[[str], None]
     ) -> None:
-        """Set up to fit to some rows of a log; `say` is told of progress."""
-        self._robot, self._log, self._rows, self._say = robot, log, rows, say
-        self._weight = judged(robot, log)[rows.start : rows.stop].astype(float)
+        """Initialize the fit.
+
+        Args:
+            robot: The robot.
+            log: The log.
+            rows: Rows of the log to fit to.
+            say: Function that reports progress in a line.
+        """
+        self._robot = robot
+        self._log = log
+        self._rows = rows
+        self._say = say
+        self._weight = valid_rows(robot, log)[rows.start : rows.stop].astype(float)
         self._weight[: round(WARM_UP / log.period)] = 0.0
         self._iterations = 0
 
     def fit(self, start: np.ndarray) -> Fit:
-        """Fit, beginning with motors [G, 4] of kinds of joints (G = 3) or of joints (G = 12)."""
+        """Fit motors, beginning with those of kinds (G = 3) or of joints (G = 12), [G, 4]."""
         groups = len(start)
         scale = np.tile(SCALE, (groups, 1))
         least = np.tile(LEAST, (groups, 1))
@@ -116,31 +136,31 @@ class MotorFitter:
         return Fit(motors, error.reshape(groups, -1), self._iterations)
 
     def errors(self, parameters: np.ndarray) -> np.ndarray:
-        """Weighted errors of a replay, flat [T * 12] rad."""
-        table = spread(parameters.reshape(-1, len(PARAMETERS)))
+        """Compute the weighted errors of a replay, [T * 12] rad."""
+        table = per_joint(parameters.reshape(-1, len(PARAMETERS)))
         return self._replay_errors([table])[0].ravel()
 
     def _replay_errors(self, tables: list[np.ndarray]) -> np.ndarray:
-        """Weighted errors [N, T, 12] rad of replays with N tables of motors [12, 4]."""
+        """Compute weighted errors of replays with N tables of motors [12, 4], [N, T, 12] rad."""
         measured = self._log.position[self._rows.start : self._rows.stop]
         return (self._robot.replay(tables, self._rows) - measured) * self._weight
 
     def jacobian(self, parameters: np.ndarray) -> np.ndarray:
-        """Derivatives [T * 12, G * 4] of the errors, by one replay for each kind and parameter.
+        """Compute derivatives of the errors, [T * 12, G * 4].
 
-        Legs hang from a fixed trunk, where none feels another. So a parameter is varied in all four
-        at once, also where each joint has its own.
+        This takes one replay for each kind and parameter, also where each joint has its own motor:
+        the trunk is fixed, so that legs do not act on each other and vary at the same time.
         """
         groups = len(parameters) // len(PARAMETERS)
-        table = spread(parameters.reshape(groups, -1))
+        table = per_joint(parameters.reshape(groups, -1))
         steps = DIFFERENCE * SCALE
-        varied = []
+        tables = [table]
         for kind in range(len(KINDS)):
             for number, step in enumerate(steps):
                 other = table.copy()
-                other[kind == KIND, number] += step
-                varied.append(other)
-        base, *others = self._replay_errors([table, *varied])
+                other[kind == KIND_INDEX, number] += step
+                tables.append(other)
+        base, *others = self._replay_errors(tables)
         self._iterations += 1
         self._say(f"iteration {self._iterations}: RMSE {self._rmse(base):.5f} rad")
         slopes = (np.stack(others) - base).reshape(len(KINDS), len(PARAMETERS), *base.shape)
@@ -151,7 +171,7 @@ class MotorFitter:
             # A joint's own part of its kind's slopes: those of its leg.
             leg = np.arange(len(JOINTS)) // len(KINDS)
             same_leg = leg[:, None] == leg
-            columns = slopes[KIND] * same_leg[:, None, None, :]
+            columns = slopes[KIND_INDEX] * same_leg[:, None, None, :]
         return columns.reshape(groups * len(PARAMETERS), -1).T
 
     def _rmse(self, errors: np.ndarray) -> float:
@@ -159,18 +179,18 @@ class MotorFitter:
 
 
 def standard_error(errors: np.ndarray, jacobian: np.ndarray, block: int) -> np.ndarray:
-    """Standard errors of fitted parameters.
+    """Compute standard errors of fitted parameters.
 
-    The sandwich estimator with blocks as clusters (Liang and Zeger, 1986): errors of neighbouring
-    rows are far from independent.
+    This is the sandwich estimator with blocks as clusters (Liang and Zeger, 1986), because errors
+    of neighbouring rows are not independent.
 
     Args:
-        errors: of the fit, [M].
-        jacobian: their derivatives by the parameters, [M, P].
-        block: number of errors that belong together.
+        errors: Errors of the fit, [M].
+        jacobian: Their derivatives with respect to the parameters, [M, P].
+        block: Number of errors in a block.
 
     Returns:
-        [P], in the units of the parameters.
+        Standard errors in the units of the parameters, [P].
     """
     starts = np.arange(0, len(errors), block)
     pull = np.add.reduceat(jacobian * errors[:, None], starts, axis=0)

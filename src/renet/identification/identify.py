@@ -15,7 +15,7 @@ import tyro
 
 from renet.descriptions import DESCRIPTIONS, RobotDescription
 from renet.errors import RenetError, unknown_name
-from renet.identification.fit import WARM_UP, Fit, MotorFitter, check_motion, judged, spread
+from renet.identification.fit import WARM_UP, Fit, MotorFitter, check_motion, per_joint, valid_rows
 from renet.identification.motion_log import CsvCfg, MotionLog, read_motion_log
 from renet.identification.replay import SuspendedRobot
 from renet.interface import JOINTS
@@ -75,7 +75,7 @@ def identify(cfg: IdentifyCfg) -> Path:
     robot = SuspendedRobot(description, log, cfg.timestep)
     fitted, held_out = _split(log, cfg.fit_share)
     _check_positions(robot, log)
-    check_motion(log, fitted, judged(robot, log))
+    check_motion(log, fitted, valid_rows(robot, log))
     start = robot.described_motors
     if cfg.per == "kind":
         start = np.stack([start[[joint_kind(j) == kind for j in JOINTS]].mean(0) for kind in KINDS])
@@ -148,18 +148,18 @@ def _evidence(
     fit: Fit,
     parts: tuple[range, range],
 ) -> dict[str, Any]:
-    """How the motors were measured and how well they predict, as JSON values."""
+    """Describe how the motors were measured, and how well they predict, as JSON values."""
     names = KINDS if cfg.per == "kind" else JOINTS
     rmse = {}
     for title, rows in zip(("fitted", "held_out"), parts, strict=True):
-        replays = robot.replay([robot.described_motors, spread(fit.motors)], rows)
+        replays = robot.replay([robot.described_motors, per_joint(fit.motors)], rows)
         errors = replays - log.position[rows.start : rows.stop]
-        weight = judged(robot, log)[rows.start : rows.stop]
-        before, after = (_rmse(part, weight, log.period) for part in errors)
+        weight = valid_rows(robot, log)[rows.start : rows.stop]
+        described_errors, measured_errors = errors
         rmse[title] = {
             "seconds": [round(rows.start * log.period, 3), round(rows.stop * log.period, 3)],
-            "described": before,
-            "measured": after,
+            "described": _rmse(described_errors, weight, log.period),
+            "measured": _rmse(measured_errors, weight, log.period),
         }
     return {
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
@@ -188,11 +188,12 @@ def _evidence(
 
 
 def _rmse(errors: np.ndarray, weight: np.ndarray, period: float) -> dict[str, float]:
-    """Root of the mean squared errors [T, 12] rad: of all, by kind, and of those that are judged.
+    """Compute root mean square errors in rad: of all joints, by kind, and within joint limits.
 
     Args:
-        errors: of a replay. weight: [T, 12], where a joint's motor is judged.
-        period: seconds of a row.
+        errors: Errors of a replay, [T, 12] rad.
+        weight: True where a joint's motor can be compared, [T, 12] bool.
+        period: Duration of a row, s.
     """
     square = errors[round(WARM_UP / period) :] ** 2
     weight = weight[round(WARM_UP / period) :]

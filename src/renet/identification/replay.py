@@ -1,4 +1,4 @@
-"""Replays a log's joint targets on a robot whose trunk is held in the air."""
+"""Replay of a log's joint targets on a simulated robot whose trunk is fixed in the air."""
 
 import math
 import os
@@ -17,21 +17,22 @@ from renet.motors import LARGEST, PARAMETERS
 ARMATURE, DAMPING, FRICTION, DELAY = range(len(PARAMETERS))
 """Columns of a table of motors [12, 4]: `motors.PARAMETERS` of each of `interface.JOINTS`."""
 CHUNK_STEPS = 10_000
-"""Physics steps of which the states are in memory at a time."""
+"""Number of physics steps whose states are in memory at the same time."""
 
 
 class SuspendedRobot:
-    """A robot in MuJoCo whose trunk is fixed and level and whose legs touch nothing.
+    """Robot in MuJoCo whose trunk is fixed and level, and whose legs touch nothing.
 
-    Each joint's servo is told Kp and Kd, and saturates at the torque of the robot's description.
+    The servos have the log's Kp and Kd, and saturate at the torques of the robot's description.
     """
 
     def __init__(self, description: RobotDescription, log: MotionLog, timestep: float) -> None:
         """Compile the robot for the gains and the rate of a log.
 
         Args:
-            description: of the robot. log: whose targets are replayed.
-            timestep: longest physics step, s; a whole number of them makes a row of the log.
+            description: The robot.
+            log: Log with the targets to replay.
+            timestep: Longest physics step, s. A row of the log is a whole number of steps.
         """
         self._log = log
         self._substeps = max(1, math.ceil(log.period / timestep - 1e-9))
@@ -42,8 +43,8 @@ class SuspendedRobot:
         self._dof = np.array([joint.dofadr[0] for joint in joints])
         self._servo = np.array([self._model.actuator(name).id for name in JOINTS])
         self.lower, self.upper = np.array([joint.range for joint in joints]).T
-        """[12] rad, the joints' limits."""
-        # Time integrals of the targets, by time: a shift of these is a delay.
+        """Upper limits of the joints, [12] rad."""
+        # Integrals of the targets over time. Shifted in time, they give delayed targets.
         sums = np.cumsum(log.target, axis=0) * log.period
         before = -LARGEST.delay * log.target[:1]
         self._integral = np.concatenate([before, np.zeros((1, len(JOINTS))), sums])
@@ -51,22 +52,27 @@ class SuspendedRobot:
 
     @property
     def described_motors(self) -> np.ndarray:
-        """Motors of the robot's own MJCF, [12, 4], without a delay."""
-        model, dof = self._model, self._dof
-        values = (model.dof_armature, model.dof_damping, model.dof_frictionloss)
-        return np.stack([*(value[dof] for value in values), np.zeros(len(JOINTS))], axis=1)
+        """Motors of the robot's MJCF, which have no delay, [12, 4]."""
+        columns = (
+            self._model.dof_armature[self._dof],
+            self._model.dof_damping[self._dof],
+            self._model.dof_frictionloss[self._dof],
+            np.zeros(len(JOINTS)),
+        )
+        return np.stack(columns, axis=1)
 
     def replay(self, motors: Sequence[np.ndarray], rows: range) -> np.ndarray:
         """Replay some of the log's rows with each of N sets of motors, on all cores.
 
         Args:
             motors: N tables of motors, [12, 4] each.
-            rows: of the log; the joints start as measured in the first one.
+            rows: Rows of the log. Joints start with the measured state of the first one.
 
         Returns:
-            Joint positions [N, len(rows), 12], rad.
+            Joint positions, [N, len(rows), 12] rad.
         """
-        log, count = self._log, len(motors)
+        log = self._log
+        count = len(motors)
         models = [self._with_motors(table) for table in motors]
         threads = min(count, len(os.sched_getaffinity(0)))
         data = [mujoco.MjData(self._model) for _ in range(threads)]
@@ -90,7 +96,7 @@ class SuspendedRobot:
         return np.concatenate(replayed, axis=1)
 
     def _with_motors(self, table: np.ndarray) -> mujoco.MjModel:
-        """A copy of the model with other motors."""
+        """Copy the model with other motors, [12, 4]."""
         model = copy(self._model)
         model.dof_armature[self._dof] = table[:, ARMATURE]
         model.dof_damping[self._dof] = table[:, DAMPING]
@@ -98,20 +104,29 @@ class SuspendedRobot:
         return model
 
     def _delayed(self, start: int, stop: int, delay: np.ndarray) -> np.ndarray:
-        """Mean target in each physics step of rows `start` to `stop`, [steps, 12] rad.
+        """Compute the mean delayed target in each physics step of rows `start` to `stop`.
 
-        A mean, so that it varies smoothly with the delays [12] s, which need not be whole steps.
+        A mean varies smoothly with the delay, which need not be a whole number of steps.
+
+        Args:
+            start: First row.
+            stop: Row after the last one.
+            delay: Delay of each joint, [12] s.
+
+        Returns:
+            Targets, [steps, 12] rad.
         """
         steps = np.arange((stop - start) * self._substeps + 1) * self._timestep
         edges = start * self._log.period + steps
-        columns = zip(delay, self._integral.T, strict=True)
-        shifted = [np.interp(edges - late, self._times, integral) for late, integral in columns]
-        means = np.diff(np.array(shifted, float)) / self._timestep
+        integrals = []
+        for seconds, integral in zip(delay, self._integral.T, strict=True):
+            integrals.append(np.interp(edges - seconds, self._times, integral))
+        means = np.diff(np.array(integrals, float)) / self._timestep
         return means.T
 
 
 def _compile(description: RobotDescription, log: MotionLog, timestep: float) -> mujoco.MjModel:
-    """The robot alone, its trunk welded to the world, with the servos of the log."""
+    """Compile the robot alone, with its trunk fixed to the world and the servos of the log."""
     spec = mujoco.MjSpec.from_file(str(description.mjcf))
     for joint in list(spec.body(TRUNK).joints):
         spec.delete(joint)

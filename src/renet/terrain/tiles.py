@@ -13,9 +13,9 @@ import numpy as np
 from renet.errors import RenetError, unknown_name
 
 DIFFICULT = ("gap", "platform")
-"""Kinds of tile that force vision; all others are simple."""
+"""Kinds of tile that need vision; all others are simple."""
 BARRIERS = ("wall", "ledge")
-"""Kinds of tile that nobody can leave: robots are to stop before what surrounds them."""
+"""Kinds of tile that no robot can leave: robots must stop in front of the barrier."""
 TILE = 8.0
 """Side of a tile, m."""
 FLAT = 1e-3
@@ -35,7 +35,7 @@ PIT = (0.16, 0.18, 0.22, 1.0)
 
 @dataclass(frozen=True)
 class TileGeom:
-    """One geom of a tile, with the fields that mjlab's generator reads."""
+    """Geom of a tile, with the fields that mjlab's generator reads."""
 
     geom: mujoco.MjsGeom
     color: Color
@@ -44,10 +44,10 @@ class TileGeom:
 
 @dataclass(frozen=True)
 class BuiltTile:
-    """A tile in a scene, with the fields that mjlab's generator reads."""
+    """Tile in a scene, with the fields that mjlab's generator reads."""
 
     origin: np.ndarray
-    """Where a robot starts, [3] m from the tile's corner."""
+    """Start of a robot relative to the tile's corner, [3] m."""
     geometries: list[TileGeom]
     flat_patches: None = None
 
@@ -97,13 +97,14 @@ class Tile:
     proportion: float = 1.0
     """Share of the robots, relative to the other kinds'."""
     flat_start: bool = False
-    """Whether the first level is flat, for robots that cannot walk yet."""
+    """True for a flat first level, for robots that cannot walk yet."""
     size: tuple[float, float] = (TILE, TILE)
     flat_patch_sampling: None = None
 
     def measure(self, difficulty: float) -> float:
-        """Size of the obstacle, m, at a difficulty in [0, 1]."""
-        if self.flat_start:  # Levels 2 to 10 share the range.
+        """Return the size of the obstacle at a difficulty in [0, 1], m."""
+        # After a flat first level, levels 2 to 10 have the whole range.
+        if self.flat_start:
             difficulty = (difficulty * (LEVELS - 1) - 1) / (LEVELS - 2)
         if difficulty < 0.0:
             return FLAT
@@ -118,7 +119,7 @@ class Tile:
         return BuiltTile(self.start(height), builder.geometries)
 
     def start(self, height: float) -> np.ndarray:
-        """Where a robot starts, [3] m from the tile's corner: in the middle."""
+        """Return the start of a robot relative to the tile's corner, [3] m: the middle."""
         return np.array([TILE / 2, TILE / 2, height])
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
@@ -139,12 +140,17 @@ class Rough(Tile):
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """Add a height field; the start is at height 0."""
-        relief, nodes = max(measure, 1e-3), int(TILE / 0.2) + 1
+        relief = max(measure, 1e-3)
+        nodes = int(TILE / 0.2) + 1
         heights = rng.uniform(0.0, 1.0, (nodes, nodes)) * (measure > 0)
-        middle, clear = nodes // 2, 4
-        inside = slice(middle - clear, middle + clear + 1)
-        heights[inside, inside] = heights[0] = heights[-1] = 0.0
-        heights[:, 0] = heights[:, -1] = 0.0
+        # The middle and the border are flat.
+        middle = nodes // 2
+        inside = slice(middle - 4, middle + 5)
+        heights[inside, inside] = 0.0
+        heights[0] = 0.0
+        heights[-1] = 0.0
+        heights[:, 0] = 0.0
+        heights[:, -1] = 0.0
         field = builder.spec.add_hfield(
             name=f"rough_{len(builder.spec.hfields)}",
             size=(TILE / 2, TILE / 2, relief, 0.2),
@@ -183,10 +189,12 @@ class Obstacles(Tile):
         return 0.0
 
     def place(self, a: float, b: float, rng: np.random.Generator) -> tuple[float, float]:
-        """Middle of a block of half-sizes a, b that leaves the start free, m."""
+        """Draw the position of a block of half-sizes a, b that leaves the start free, m."""
         while True:
-            radius, angle = rng.uniform(1.2, 3.4), rng.uniform(0.0, 2.0 * np.pi)
-            x, y = radius * np.cos(angle), radius * np.sin(angle)
+            radius = rng.uniform(1.2, 3.4)
+            angle = rng.uniform(0.0, 2.0 * np.pi)
+            x = radius * np.cos(angle)
+            y = radius * np.sin(angle)
             if abs(x) - a > self.clear or abs(y) - b > self.clear:
                 return x, y
 
@@ -268,7 +276,7 @@ class Platform(Tile):
 
 @dataclass
 class Barrier(Tile):
-    """Base of the tiles that nobody can leave."""
+    """Base of the tiles that no robot can leave."""
 
     clear: float = 1.6
     """Half-width of the ground around the start, m."""
@@ -304,12 +312,12 @@ class Ledge(Barrier):
 
 
 def barriers() -> dict[str, Barrier]:
-    """Every kind of tile that nobody can leave, by name."""
+    """Return all kinds of tile that no robot can leave, by name."""
     return {"wall": Wall(), "ledge": Ledge()}
 
 
 def tiles() -> dict[str, Tile]:
-    """Every kind of tile by name, in column order."""
+    """Return all other kinds of tile by name, in the order of columns."""
     return {
         "rough": Rough(),
         "obstacles": Obstacles(),
@@ -321,9 +329,9 @@ def tiles() -> dict[str, Tile]:
 
 
 def dense_tiles() -> dict[str, Tile]:
-    """The same kinds with two to three times as many edges on the way out, and a flat first level.
+    """Return the same kinds with two to three times as many edges, and a flat first level.
 
-    On the other tiles 65 to 91 % of the way out of a gap or platform tile is plain ground.
+    On `tiles`, 65 to 91 % of the way out of a gap or platform tile is plain ground.
     """
     return {
         "rough": Rough(),
@@ -336,9 +344,17 @@ def dense_tiles() -> dict[str, Tile]:
 
 
 def find_tile(kind: str, level: int) -> tuple[Tile, float]:
-    """A tile, by a key of `tiles` or `stairs`, which go down; the difficulty of a level of 1 to 10.
+    """Find a kind of tile, and the difficulty of a level.
 
-    Raises RenetError for an unknown kind or level.
+    Args:
+        kind: Key of `tiles`, or `stairs`, which go down.
+        level: Level from 1 to 10.
+
+    Returns:
+        The tile, and a difficulty in [0, 1].
+
+    Raises:
+        RenetError: There is no such kind or level.
     """
     kinds = {"stairs": Stairs(descend=True), **tiles()}
     if kind not in kinds:  # All callers know flat ground, which is no tile.
